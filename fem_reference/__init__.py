@@ -1,0 +1,1 @@
+"""The nearly incompressible volumetric reference on scikit-fem."""

@@ -1,0 +1,1 @@
+"""The workbench: study files in, comparison reports out."""

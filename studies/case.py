@@ -1,0 +1,81 @@
+"""One finished case as plain data: what `store` writes and reads and what `report` shows."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class StepStatus:
+    """The outcome of one load step of one model."""
+
+    code: str
+    message: str = ""
+    remedy: str = ""
+
+    @property
+    def ok(self) -> bool:
+        """Whether the step can be used."""
+        return self.code == "converged"
+
+
+@dataclass(frozen=True)
+class ModelResult:
+    """One model's load history of S steps on N surface nodes; the fields of `vdm.solution.Solution` plus memory.
+
+    A step that failed holds NaN in its arrays; its status says why.
+    """
+
+    displacement: Array  # (S, N, 3) m
+    fluid_pressure: Array  # (S,) Pa
+    reaction_force: Array  # (S, N, 3) N
+    energy: Array  # (S,) J
+    volume: Array  # (S,) m^3, exact volume of the deformed surface polyhedron
+    iterations: NDArray[np.int64]  # (S,)
+    status: tuple[StepStatus, ...]
+    seconds_setup: float
+    seconds_per_step: Array  # (S,) s
+    peak_bytes: int  # peak resident memory that the model added
+    version: str  # declared version of the model
+    parameters: Mapping[str, float | str] = field(default_factory=dict)
+    scalars: Mapping[str, Array] = field(default_factory=dict)  # (S,) each
+    point_fields: Mapping[str, Array] = field(default_factory=dict)  # (S, N) each
+
+
+@dataclass(frozen=True)
+class MetricSeries:
+    """One metric of one model over S steps."""
+
+    values: Array  # (S,)
+    unit: str  # "1" where it has none
+    definition: str
+    version: int
+
+
+@dataclass(frozen=True)
+class CaseResult:
+    """A case: what went in, what each model answered, how far each is from the reference."""
+
+    hash: str  # hex, names the file
+    label: str  # what tells it from its neighbours, such as "poisson_ratio = 0.45"; "" in a study of one case
+    swept: Mapping[str, float | str]  # swept key -> value, SI
+    swept_units: Mapping[str, str]  # swept key -> SI unit, "1" where it has none
+    resolved: Mapping[str, Any]  # resolved inputs, SI, as JSON
+    provenance: Mapping[str, str]  # package versions, platform, commit, mesh hash, date
+    points: Array  # (N, 3) m
+    triangles: NDArray[np.int64]  # (F, 3), outward
+    load_factors: Array  # (S,)
+    regions: Mapping[str, NDArray[np.bool_]]  # (N,) masks
+    models: Mapping[str, ModelResult]
+    metrics: Mapping[str, Mapping[str, MetricSeries]]  # model -> metric; empty where there is no reference
+    reference: str | None  # a key of `models`
+    reference_error: Mapping[str, float] = field(default_factory=dict)
+    # error of the reference itself: "relative_l2" (estimate), "gci", "observed_order"; empty where not measured
+    mesh_quality: Mapping[str, float] = field(default_factory=dict)

@@ -1,0 +1,59 @@
+"""A tetrahedral mesh and its boundary surface as plain arrays: what every model is built on."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+Mask = NDArray[np.bool_]
+
+
+class MeshError(ValueError):
+    """A geometry that cannot be used; the message says what is wrong and what to do."""
+
+
+@dataclass(frozen=True)
+class Mesh:
+    """n points, m tetrahedra and their boundary of N surface nodes and F triangles.
+
+    Attributes
+    ----------
+    points : (n, 3) coordinates [m]
+    tetrahedra : (m, 4) indices into `points`, positive volume; (0, 4) where no model needs the inside
+    surface_nodes : (N,) ascending indices into `points`: surface node i is point `surface_nodes[i]`
+    triangles : (F, 3) indices into 0..N-1, outward
+    groups : named sets of surface nodes, (N,) masks
+    quality : figures for the record, such as `worst_sicn` and `surface_distance`
+    """
+
+    points: Array
+    tetrahedra: Index
+    surface_nodes: Index
+    triangles: Index
+    groups: Mapping[str, Mask] = field(default_factory=dict)
+    quality: Mapping[str, float] = field(default_factory=dict)
+
+    @cached_property
+    def surface_points(self) -> Array:
+        """(N, 3) coordinates of the surface nodes [m]."""
+        return self.points[self.surface_nodes]
+
+    @cached_property
+    def content_hash(self) -> str:
+        """SHA-256 of the arrays."""
+        digest = hashlib.sha256()
+        for name in ("points", "tetrahedra", "surface_nodes", "triangles"):
+            array = np.ascontiguousarray(getattr(self, name))
+            digest.update(f"{name} {array.dtype.str} {array.shape}".encode())
+            digest.update(array.tobytes())
+        for name, mask in sorted(self.groups.items()):
+            digest.update(name.encode())
+            digest.update(np.packbits(mask).tobytes())
+        return digest.hexdigest()

@@ -1,0 +1,1 @@
+"""The report: reads the store, writes one HTML file."""

@@ -1,0 +1,1 @@
+"""VDM formulations: each module assembles its own operator behind one interface."""
