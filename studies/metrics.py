@@ -1,0 +1,373 @@
+"""How far a model is from the reference: pure functions on arrays, and the registry of metrics.
+
+Displacements are (N, 3) at the same N surface nodes; norms are weighted by nodal area, so that they do not
+depend on how the mesh spreads its nodes. Adding a metric is one decorated function.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+Index = NDArray[np.int64]
+
+
+# --- surface measures ---
+
+
+def facet_area_vectors(points: Array, triangles: Index) -> Array:
+    """(F, 3) area times unit normal of each facet [m^2]."""
+    a, b, c = (points[triangles[:, k]] for k in range(3))
+    return 0.5 * np.cross(b - a, c - a)
+
+
+def nodal_sum(per_facet: Array, triangles: Index, n_nodes: int) -> Array:
+    """Spread a third of each facet's value to its three nodes: (F, ...) -> (N, ...)."""
+    out = np.zeros((n_nodes, *per_facet.shape[1:]))
+    for corner in range(3):
+        np.add.at(out, triangles[:, corner], per_facet / 3.0)
+    return out
+
+
+def enclosed_volume(points: Array, triangles: Index) -> float:
+    """Exact volume of the closed polyhedron, by the divergence theorem [m^3]."""
+    a, b, c = (points[triangles[:, k]] - points[0] for k in range(3))
+    return float(np.einsum("ij,ij->", a, np.cross(b, c)) / 6.0)
+
+
+def rigid_motion_removed(points: Array, displacement: Array, weights: Array) -> Array:
+    """(N, 3) displacement less its best-fit infinitesimal rigid motion (area-weighted least squares) [m].
+
+    Infinitesimal, so that the result of a linear model scales with its load.
+    """
+    x = points - np.average(points, axis=0, weights=weights)
+    modes = np.zeros((6, *points.shape))
+    for axis in range(3):
+        modes[axis, :, axis] = 1.0
+        modes[3 + axis] = np.cross(np.eye(3)[axis], x)
+    flat = modes.reshape(6, -1)
+    scale = np.repeat(weights, 3)
+    gram = (flat * scale) @ flat.T
+    coefficients = np.linalg.lstsq(gram, (flat * scale) @ displacement.ravel(), rcond=None)[0]
+    return displacement - np.tensordot(coefficients, modes, axes=1)
+
+
+def weighted_norm(values: Array, weights: Array) -> float:
+    """sqrt(sum_i w_i |v_i|^2) of (N,) or (N, 3) values."""
+    squared = values**2 if values.ndim == 1 else np.einsum("ij,ij->i", values, values)
+    return float(np.sqrt(weights @ squared))
+
+
+def relative_l2(values: Array, reference: Array, weights: Array) -> float:
+    """||values - reference|| / ||reference||; NaN where the reference is zero."""
+    norm = weighted_norm(reference, weights)
+    return weighted_norm(values - reference, weights) / norm if norm > 0 else np.nan
+
+
+def weighted_quantile(values: Array, weights: Array, quantile: float) -> float:
+    """The smallest value below or at which at least `quantile` of the weight lies."""
+    order = np.argsort(values)
+    cumulative = np.cumsum(weights[order])
+    position = int(np.searchsorted(cumulative, quantile * cumulative[-1] * (1 - 1e-12)))
+    return float(values[order[min(position, len(order) - 1)]])
+
+
+def distance_to_surface(queries: Array, points: Array, triangles: Index) -> Array:
+    """(Q,) exact distance of each query point to a triangle surface [m]."""
+    corners = points[triangles]
+    centroids = corners.mean(axis=1)
+    reach = float(np.linalg.norm(corners - centroids[:, None], axis=2).max())
+    tree = cKDTree(centroids)
+    best = np.full(len(queries), np.inf)
+    open_ = np.arange(len(queries))
+    k = min(8, len(triangles))
+    while len(open_):
+        centroid_distance, candidates = tree.query(queries[open_], k=k)
+        centroid_distance = np.reshape(centroid_distance, (len(open_), k))
+        candidates = np.reshape(candidates, (len(open_), k))
+        best[open_] = _point_triangle_distance(queries[open_, None], corners[candidates]).min(axis=1)
+        if k == len(triangles):
+            break
+        # a triangle further away than this by its centroid cannot be nearer
+        open_ = open_[centroid_distance[:, -1] < best[open_] + reach]
+        k = min(4 * k, len(triangles))
+    return best
+
+
+def _point_triangle_distance(p: Array, corners: Array) -> Array:
+    """Points (Q, 1, 3) to triangles (Q, k, 3, 3): the plane's distance inside the prism, else the edges'."""
+    a, b, c = corners[..., 0, :], corners[..., 1, :], corners[..., 2, :]
+    normal = np.cross(b - a, c - a)
+    squared = np.einsum("...i,...i->...", normal, normal)
+    inside = np.ones(squared.shape, dtype=bool)
+    edge_distance = np.full(squared.shape, np.inf)
+    for start, end in ((a, b), (b, c), (c, a)):
+        edge, offset = end - start, p - start
+        inside &= np.einsum("...i,...i->...", np.cross(normal, edge), offset) >= 0
+        length = np.einsum("...i,...i->...", edge, edge)
+        along = np.einsum("...i,...i->...", offset, edge) / np.where(length > 0, length, 1.0)
+        gap = offset - np.clip(along, 0.0, 1.0)[..., None] * edge
+        edge_distance = np.minimum(edge_distance, np.linalg.norm(gap, axis=-1))
+    height = np.abs(np.einsum("...i,...i->...", normal, p - a)) / np.sqrt(np.where(squared > 0, squared, 1.0))
+    return np.where(inside & (squared > 0), height, edge_distance)
+
+
+# --- one model beside the reference ---
+
+
+@dataclass(frozen=True)
+class Surface:
+    """The undeformed surface with its measures."""
+
+    points: Array
+    triangles: Index
+    contact: Mask = field(default_factory=lambda: np.zeros(0, dtype=bool))  # (N,) nodes under contact
+
+    @cached_property
+    def areas(self) -> Array:
+        """(N,) nodal areas A_i [m^2] (eq. 1)."""
+        facets = np.linalg.norm(facet_area_vectors(self.points, self.triangles), axis=1)
+        return nodal_sum(facets, self.triangles, len(self.points))
+
+    @cached_property
+    def volume_gradient(self) -> Array:
+        """(N, 3) exact gradient g_i of the enclosed volume [m^2]."""
+        return nodal_sum(facet_area_vectors(self.points, self.triangles), self.triangles, len(self.points))
+
+    @cached_property
+    def normals(self) -> Array:
+        """(N, 3) outward unit normals g_i/|g_i|."""
+        return self.volume_gradient / np.linalg.norm(self.volume_gradient, axis=1, keepdims=True)
+
+    @cached_property
+    def volume(self) -> float:
+        """Enclosed volume [m^3]."""
+        return enclosed_volume(self.points, self.triangles)
+
+
+@dataclass(frozen=True)
+class History:
+    """What a metric needs of one model: S steps."""
+
+    displacement: Array  # (S, N, 3)
+    reaction_force: Array  # (S, N, 3)
+    load_factors: Array  # (S,)
+
+
+@dataclass(frozen=True)
+class Metric:
+    """A named measure; `version` changes whenever its numbers do."""
+
+    name: str
+    unit: str
+    definition: str
+    version: int
+    function: Callable[..., Array]
+    needs_reference: bool
+    needs_contact: bool
+
+
+METRICS: dict[str, Metric] = {}
+Function = Callable[..., Array]
+
+
+def _metric(
+    unit: str, definition: str, *, version: int = 1, needs_reference: bool = True, needs_contact: bool = False
+) -> Callable[[Function], Function]:
+    def register(function: Function) -> Function:
+        name = function.__name__
+        METRICS[name] = Metric(name, unit, definition, version, function, needs_reference, needs_contact)
+        return function
+
+    return register
+
+
+Compare = Callable[[Surface, Array, Array], float]
+
+
+def _each_step(surface: Surface, model: History, reference: History, compare: Compare) -> Array:
+    pairs = zip(model.displacement, reference.displacement, strict=True)
+    return np.array([compare(surface, u, r) if _finite(u, r) else np.nan for u, r in pairs])
+
+
+def _finite(*arrays: Array) -> bool:
+    return all(bool(np.isfinite(array).all()) for array in arrays)
+
+
+@_metric("1", "area-weighted ||u - r|| / ||r|| of the displacement vector")
+def relative_l2_displacement_error(surface: Surface, model: History, reference: History) -> Array:
+    return _each_step(surface, model, reference, lambda s, u, r: relative_l2(u, r, s.areas))
+
+
+@_metric("1", "as the displacement error, the best-fit rigid motion removed from model and reference alike")
+def relative_l2_deformation_error(surface: Surface, model: History, reference: History) -> Array:
+    def compare(s: Surface, u: Array, r: Array) -> float:
+        u, r = (rigid_motion_removed(s.points, v, s.areas) for v in (u, r))
+        return relative_l2(u, r, s.areas)
+
+    return _each_step(surface, model, reference, compare)
+
+
+@_metric("1", "as the displacement error, for the component along the undeformed normal")
+def relative_l2_normal_error(surface: Surface, model: History, reference: History) -> Array:
+    def compare(s: Surface, u: Array, r: Array) -> float:
+        u, r = (np.einsum("ij,ij->i", v, s.normals) for v in (u, r))
+        return relative_l2(u, r, s.areas)
+
+    return _each_step(surface, model, reference, compare)
+
+
+@_metric("1", "as the displacement error, for the component in the undeformed surface")
+def relative_l2_tangential_error(surface: Surface, model: History, reference: History) -> Array:
+    def compare(s: Surface, u: Array, r: Array) -> float:
+        n = s.normals
+        u, r = (v - np.einsum("ij,ij->i", v, n)[:, None] * n for v in (u, r))
+        return relative_l2(u, r, s.areas)
+
+    return _each_step(surface, model, reference, compare)
+
+
+@_metric("m", "largest |u - r| of any surface node")
+def max_nodal_error(surface: Surface, model: History, reference: History) -> Array:
+    return _each_step(surface, model, reference, lambda _, u, r: float(_nodal_error(u, r).max()))
+
+
+@_metric("1", "largest |u - r| over largest |r|")
+def max_nodal_error_relative(surface: Surface, model: History, reference: History) -> Array:
+    return max_nodal_error(surface, model, reference) / _largest(reference)
+
+
+@_metric("m", "|u - r| that 95 % of the surface area stays below")
+def p95_nodal_error(surface: Surface, model: History, reference: History) -> Array:
+    return _each_step(
+        surface, model, reference, lambda s, u, r: weighted_quantile(_nodal_error(u, r), s.areas, 0.95)
+    )
+
+
+@_metric("1", "|u - r| that 95 % of the surface area stays below, over largest |r|")
+def p95_nodal_error_relative(surface: Surface, model: History, reference: History) -> Array:
+    return p95_nodal_error(surface, model, reference) / _largest(reference)
+
+
+@_metric("1", "displacement error over the loaded nodes only", needs_contact=True)
+def contact_region_error(surface: Surface, model: History, reference: History) -> Array:
+    return _regional(surface, model, reference, surface.contact)
+
+
+@_metric("1", "displacement error over the nodes that carry no contact", needs_contact=True)
+def far_field_error(surface: Surface, model: History, reference: History) -> Array:
+    return _regional(surface, model, reference, ~surface.contact)
+
+
+@_metric("m", "area-weighted mean distance of the model's deformed nodes to the reference's deformed surface")
+def mean_surface_distance(surface: Surface, model: History, reference: History) -> Array:
+    def compare(s: Surface, u: Array, r: Array) -> float:
+        return float(
+            np.average(distance_to_surface(s.points + u, s.points + r, s.triangles), weights=s.areas)
+        )
+
+    return _each_step(surface, model, reference, compare)
+
+
+@_metric(
+    "m", "larger of the two one-sided maximal distances between the deformed surfaces, taken at their nodes"
+)
+def hausdorff_distance(surface: Surface, model: History, reference: History) -> Array:
+    def compare(s: Surface, u: Array, r: Array) -> float:
+        there = distance_to_surface(s.points + u, s.points + r, s.triangles).max()
+        back = distance_to_surface(s.points + r, s.points + u, s.triangles).max()
+        return float(max(there, back))
+
+    return _each_step(surface, model, reference, compare)
+
+
+@_metric("1", "|R - R_ref| / |R_ref| of the total force that the supports exert")
+def reaction_force_error(surface: Surface, model: History, reference: History) -> Array:  # noqa: ARG001
+    total, total_reference = (history.reaction_force.sum(axis=1) for history in (model, reference))
+    norm = np.linalg.norm(total_reference, axis=1)
+    gap = np.linalg.norm(total - total_reference, axis=1)
+    return np.divide(gap, norm, out=np.full(len(norm), np.nan), where=norm > 0)
+
+
+@_metric(
+    "1",
+    "force that the model needs for the reference's indentation depth, over the reference's, less one",
+    needs_contact=True,
+)
+def indentation_force_error(surface: Surface, model: History, reference: History) -> Array:
+    depth, goals = (mean_indentation(surface, h.displacement) for h in (model, reference))
+    factors = model.load_factors
+    return np.array(
+        [
+            _factor_at(goal, depth, factors) / factor - 1 if factor else np.nan
+            for goal, factor in zip(goals, factors, strict=True)
+        ]
+    )
+
+
+@_metric("1", "(V - V0)/V0 of the exact polyhedral volume", needs_reference=False)
+def volume_drift(surface: Surface, model: History) -> Array:
+    deformed = [enclosed_volume(surface.points + u, surface.triangles) for u in model.displacement]
+    return np.array(deformed) / surface.volume - 1
+
+
+@_metric("1", "(V - V0) over the displaced volume, half of sum |g_i . u_i|", needs_reference=False)
+def volume_drift_of_displaced(surface: Surface, model: History) -> Array:
+    displaced = 0.5 * np.abs(np.einsum("sij,ij->si", model.displacement, surface.volume_gradient)).sum(axis=1)
+    change = volume_drift(surface, model) * surface.volume
+    return np.divide(change, displaced, out=np.full(len(change), np.nan), where=displaced > 0)
+
+
+def mean_indentation(surface: Surface, displacement: Array) -> Array:
+    """(S,) area-weighted mean inward normal displacement of the loaded nodes [m]; NaN without any."""
+    loaded = surface.contact
+    if not loaded.any():
+        return np.full(len(displacement), np.nan)
+    inward = -np.einsum("sij,ij->si", displacement[:, loaded], surface.normals[loaded])
+    return np.average(inward, axis=1, weights=surface.areas[loaded])
+
+
+def evaluate(surface: Surface, model: History, reference: History | None) -> dict[str, Array]:
+    """Every metric that has what it needs: name -> (S,) values."""
+    out = {}
+    for metric in METRICS.values():
+        if metric.needs_contact and not surface.contact.any():
+            continue
+        if not metric.needs_reference:
+            out[metric.name] = metric.function(surface, model)
+        elif reference is not None:
+            out[metric.name] = metric.function(surface, model, reference)
+    return out
+
+
+def _nodal_error(u: Array, r: Array) -> Array:
+    return np.linalg.norm(u - r, axis=1)
+
+
+def _largest(reference: History) -> Array:
+    """(S,) largest |r|; NaN where the reference does not move."""
+    largest = np.linalg.norm(reference.displacement, axis=2).max(axis=1)
+    return np.where(largest > 0, largest, np.nan)
+
+
+def _regional(surface: Surface, model: History, reference: History, mask: Mask) -> Array:
+    weights = np.where(mask, surface.areas, 0.0)
+    return _each_step(surface, model, reference, lambda _, u, r: relative_l2(u, r, weights))
+
+
+def _factor_at(depth: float, depths: Array, factors: Array) -> float:
+    """Load factor at which a model reaches `depth`, linear between its steps and beyond the outer ones."""
+    order = np.argsort(factors)
+    x, y = np.concatenate([[0.0], depths[order]]), np.concatenate([[0.0], factors[order]])
+    if not np.isfinite(x).all() or not np.isfinite(depth) or np.any(np.diff(x) <= 0):
+        return np.nan
+    if depth > x[-1]:
+        return float(y[-1] + (depth - x[-1]) * (y[-1] - y[-2]) / (x[-1] - x[-2]))
+    return float(np.interp(depth, x, y))
