@@ -1,0 +1,53 @@
+# make demo   the quickstart study and its report
+# make test   what continuous integration runs
+# make verify the long verification runs
+# Each sets up what it needs: .venv, pinned packages, and the shared libraries of gmsh and VTK.
+
+PYTHON ?= python3
+RUN := .venv/bin/
+PYTEST := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(RUN)python -m pytest
+
+.PHONY: demo test verify setup libraries clean
+
+demo: setup
+	$(RUN)vdmbench run quickstart
+
+test: setup
+	$(RUN)ruff check .
+	$(RUN)ruff format --check .
+	$(RUN)mypy
+	$(PYTEST) -m "not slow"
+
+verify: setup
+	$(PYTEST)
+
+setup: libraries .venv/ready
+
+.venv/ready: pyproject.toml constraints.txt
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { \
+	  echo "vdmbench needs Python 3.11 or newer; $(PYTHON) is $$($(PYTHON) --version 2>&1). Try: make PYTHON=python3.12"; exit 4; }
+	@test -x .venv/bin/pip || $(PYTHON) -m venv .venv
+	.venv/bin/pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable '.[test]'
+	@touch $@
+
+# the shared libraries that the gmsh and VTK wheels expect from the system, and Debian's packages of them
+PROBE := import ctypes, importlib.util; \
+  wanted = {"libgomp.so.1": "libgomp1", "libGLU.so.1": "libglu1-mesa", "libXft.so.2": "libxft2", \
+            "libXcursor.so.1": "libxcursor1", "libXinerama.so.1": "libxinerama1", "libGL.so.1": "libgl1", \
+            "libEGL.so.1": "libegl1"}; \
+  missing = [] if importlib.util.find_spec("ensurepip") else ["python3-venv"]; \
+  loads = lambda name: bool(ctypes.CDLL(name)); \
+  exec("for name, package in wanted.items():\n try: loads(name)\n except OSError: missing.append(package)"); \
+  print(" ".join(missing))
+
+libraries:
+	@missing="$$($(PYTHON) -c '$(PROBE)')" || exit 4; \
+	test -z "$$missing" && exit 0; \
+	echo "installing $$missing"; \
+	if ! command -v apt-get >/dev/null; then :; \
+	elif [ "$$(id -u)" = 0 ]; then apt-get update -qq && DEBIAN_FRONTEND=noninteractive apt-get install -y -qq $$missing && exit 0; \
+	elif sudo -n true 2>/dev/null; then sudo apt-get update -qq && sudo apt-get install -y -qq $$missing && exit 0; fi; \
+	echo "please install, then try again: apt-get install $$missing"; exit 4
+
+clean:
+	rm -rf .venv build *.egg-info results/runs results/cache .pytest_cache .mypy_cache .ruff_cache .hypothesis

@@ -1,8 +1,8 @@
 """Results on disk: one VTKHDF file per case, complete or absent. The only file that imports h5py.
 
-A file is built in memory and written with plain Python, because HDF5 crashes the process on a full disk. It
-gets its final name only after it is safely on disk. Its last bytes hold the SHA-256 of all before them, checked
-before HDF5 sees the file. `results/FORMAT.md` describes every group.
+A file is built in memory and written with plain Python, because HDF5 crashes the process on a full disk.
+It gets its final name only after it is safely on disk. Its last bytes hold the SHA-256 of all before them,
+checked before HDF5 sees the file. `results/FORMAT.md` describes every group.
 """
 
 from __future__ import annotations
