@@ -79,44 +79,72 @@ def weighted_quantile(values: Array, weights: Array, quantile: float) -> float:
     return float(values[order[min(position, len(order) - 1)]])
 
 
-def distance_to_surface(queries: Array, points: Array, triangles: Index) -> Array:
-    """(Q,) exact distance of each query point to a triangle surface [m]."""
+def nearest_on_surface(queries: Array, points: Array, triangles: Index) -> tuple[Array, Index, Array]:
+    """The point of a triangle surface nearest to each of Q queries, exactly.
+
+    Returns
+    -------
+    distance : (Q,) [m]
+    facet : (Q,) index of the facet that holds the nearest point
+    weights : (Q, 3) barycentric coordinates of the nearest point in that facet
+    """
     corners = points[triangles]
     centroids = corners.mean(axis=1)
     reach = float(np.linalg.norm(corners - centroids[:, None], axis=2).max())
     tree = cKDTree(centroids)
-    best = np.full(len(queries), np.inf)
-    open_ = np.arange(len(queries))
+    distance = np.full(len(queries), np.inf)
+    facet = np.zeros(len(queries), dtype=np.int64)
+    weights = np.zeros((len(queries), 3))
+    pending = np.arange(len(queries))
     k = min(8, len(triangles))
-    while len(open_):
-        centroid_distance, candidates = tree.query(queries[open_], k=k)
-        centroid_distance = np.reshape(centroid_distance, (len(open_), k))
-        candidates = np.reshape(candidates, (len(open_), k))
-        best[open_] = _point_triangle_distance(queries[open_, None], corners[candidates]).min(axis=1)
+    while len(pending):
+        found = tree.query(queries[pending], k=k)
+        centroid_distance, candidates = (np.reshape(part, (len(pending), k)) for part in found)
+        barycentric = _nearest_barycentric(queries[pending, None], corners[candidates])
+        nearest = np.einsum("qkc,qkci->qki", barycentric, corners[candidates])
+        gaps = np.linalg.norm(nearest - queries[pending, None], axis=2)
+        best = np.argmin(gaps, axis=1)
+        rows = np.arange(len(pending))
+        distance[pending] = gaps[rows, best]
+        facet[pending] = candidates[rows, best]
+        weights[pending] = barycentric[rows, best]
         if k == len(triangles):
             break
-        # a triangle further away than this by its centroid cannot be nearer
-        open_ = open_[centroid_distance[:, -1] < best[open_] + reach]
+        # a facet further away than this by its centroid cannot be nearer
+        pending = pending[centroid_distance[:, -1] < distance[pending] + reach]
         k = min(4 * k, len(triangles))
-    return best
+    return distance, facet, weights
 
 
-def _point_triangle_distance(p: Array, corners: Array) -> Array:
-    """Points (Q, 1, 3) to triangles (Q, k, 3, 3): the plane's distance inside the prism, else the edges'."""
+def _nearest_barycentric(p: Array, corners: Array) -> Array:
+    """Barycentric coordinates (Q, k, 3) of the points of triangles (Q, k, 3, 3) nearest to p (Q, 1, 3)."""
     a, b, c = corners[..., 0, :], corners[..., 1, :], corners[..., 2, :]
-    normal = np.cross(b - a, c - a)
-    squared = np.einsum("...i,...i->...", normal, normal)
-    inside = np.ones(squared.shape, dtype=bool)
-    edge_distance = np.full(squared.shape, np.inf)
-    for start, end in ((a, b), (b, c), (c, a)):
-        edge, offset = end - start, p - start
-        inside &= np.einsum("...i,...i->...", np.cross(normal, edge), offset) >= 0
-        length = np.einsum("...i,...i->...", edge, edge)
-        along = np.einsum("...i,...i->...", offset, edge) / np.where(length > 0, length, 1.0)
-        gap = offset - np.clip(along, 0.0, 1.0)[..., None] * edge
-        edge_distance = np.minimum(edge_distance, np.linalg.norm(gap, axis=-1))
-    height = np.abs(np.einsum("...i,...i->...", normal, p - a)) / np.sqrt(np.where(squared > 0, squared, 1.0))
-    return np.where(inside & (squared > 0), height, edge_distance)
+    u, v, w = b - a, c - a, p - a
+    uu, uv, vv = _dot(u, u), _dot(u, v), _dot(v, v)
+    wu, wv = _dot(w, u), _dot(w, v)
+    determinant = uu * vv - uv * uv
+    flat = determinant <= 0
+    determinant = np.where(flat, 1.0, determinant)
+    s, t = (vv * wu - uv * wv) / determinant, (uu * wv - uv * wu) / determinant
+    weights = np.stack([1 - s - t, s, t], axis=-1)
+    outside = flat | (weights < 0).any(axis=-1)
+    # outside the prism above the facet the nearest point lies on one of its edges
+    shortest = np.full(outside.shape, np.inf)
+    for i, (start, end) in enumerate(((a, b), (b, c), (c, a))):
+        edge = end - start
+        length = _dot(edge, edge)
+        along = np.clip(_dot(p - start, edge) / np.where(length > 0, length, 1.0), 0.0, 1.0)
+        gap = np.linalg.norm(start + along[..., None] * edge - p, axis=-1)
+        nearer = outside & (gap < shortest)
+        shortest = np.where(nearer, gap, shortest)
+        on_edge = np.zeros_like(weights)
+        on_edge[..., i], on_edge[..., (i + 1) % 3] = 1 - along, along
+        weights = np.where(nearer[..., None], on_edge, weights)
+    return weights
+
+
+def _dot(a: Array, b: Array) -> Array:
+    return np.einsum("...i,...i->...", a, b)
 
 
 # --- one model beside the reference ---
@@ -269,9 +297,8 @@ def far_field_error(surface: Surface, model: History, reference: History) -> Arr
 @_metric("m", "area-weighted mean distance of the model's deformed nodes to the reference's deformed surface")
 def mean_surface_distance(surface: Surface, model: History, reference: History) -> Array:
     def compare(s: Surface, u: Array, r: Array) -> float:
-        return float(
-            np.average(distance_to_surface(s.points + u, s.points + r, s.triangles), weights=s.areas)
-        )
+        distance, _, _ = nearest_on_surface(s.points + u, s.points + r, s.triangles)
+        return float(np.average(distance, weights=s.areas))
 
     return _each_step(surface, model, reference, compare)
 
@@ -281,9 +308,9 @@ def mean_surface_distance(surface: Surface, model: History, reference: History) 
 )
 def hausdorff_distance(surface: Surface, model: History, reference: History) -> Array:
     def compare(s: Surface, u: Array, r: Array) -> float:
-        there = distance_to_surface(s.points + u, s.points + r, s.triangles).max()
-        back = distance_to_surface(s.points + r, s.points + u, s.triangles).max()
-        return float(max(there, back))
+        there, _, _ = nearest_on_surface(s.points + u, s.points + r, s.triangles)
+        back, _, _ = nearest_on_surface(s.points + r, s.points + u, s.triangles)
+        return float(max(there.max(), back.max()))
 
     return _each_step(surface, model, reference, compare)
 

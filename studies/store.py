@@ -8,11 +8,10 @@ checked before HDF5 sees the file. `results/FORMAT.md` describes every group.
 from __future__ import annotations
 
 import csv
+import dataclasses
 import hashlib
 import io
 import json
-import os
-import tempfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -22,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .case import CaseResult, MetricSeries, ModelResult, Run, StepStatus
+from .files import write_atomically
 
 SCHEMA = 1
 CASE_SUFFIX = ".vtkhdf"
@@ -43,33 +43,6 @@ _SERIES = {
 
 class StoreError(ValueError):
     """A stored result is damaged or of a newer schema; the message says which file and what to do."""
-
-
-def write_atomically(path: Path, data: bytes) -> None:
-    """Write `data` so that `path` is either absent (or what it was) or complete, also after a crash.
-
-    Raises
-    ------
-    OSError
-        disk full or read-only; nothing is left behind.
-    """
-    path.parent.mkdir(parents=True, exist_ok=True)
-    handle, name = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
-    try:
-        with os.fdopen(handle, "wb") as file:
-            file.write(data)
-            file.flush()
-            os.fsync(file.fileno())
-        os.chmod(name, 0o644)
-        os.replace(name, path)
-    except BaseException:
-        Path(name).unlink(missing_ok=True)
-        raise
-    directory = os.open(path.parent, os.O_RDONLY)
-    try:
-        os.fsync(directory)
-    finally:
-        os.close(directory)
 
 
 def write_case(path: Path, case: CaseResult) -> None:
@@ -98,6 +71,48 @@ def write_study(directory: Path, run: Run) -> None:
     """Write `study.h5` and `metrics.csv`: every metric of every case, model and step in two tables."""
     write_atomically(directory / "study.h5", _sealed(lambda file: _fill_study(file, run)))
     write_atomically(directory / "metrics.csv", _metrics_csv(run).encode())
+
+
+def read_run(directory: Path) -> Run:
+    """Read a run directory: what was planned, what is done, what failed, what is missing.
+
+    Works on a directory copied from elsewhere. Cases of an earlier plan are left out.
+
+    Raises
+    ------
+    StoreError
+        not a run directory, or a damaged file in it.
+    """
+    try:
+        plan = json.loads((directory / "plan.json").read_text())
+        study_text = (directory / "study.toml").read_text()
+    except FileNotFoundError:
+        raise StoreError(f"{directory}: not a run directory (it has no plan.json and study.toml)") from None
+    except (json.JSONDecodeError, UnicodeDecodeError) as error:
+        raise StoreError(f"{directory}/plan.json: damaged ({error}); run the study again") from error
+    cases, failed, missing = [], [], []
+    for planned in plan["cases"]:
+        path, failure = case_path(directory, planned["hash"]), failure_path(directory, planned["hash"])
+        if path.exists():
+            # the swept values and the label belong to the study, not to the case: another study may share it
+            case = read_case(path)
+            names = {key: planned[key] for key in ("label", "swept", "swept_units")}
+            cases.append(dataclasses.replace(case, **names))
+        elif failure.exists():
+            failed.append(json.loads(failure.read_text()))
+        else:
+            missing.append(planned["label"])
+    return Run(plan["study"], study_text, cases, failed, missing, plan)
+
+
+def case_path(directory: Path, case_hash: str) -> Path:
+    """Where a run directory keeps a finished case."""
+    return directory / "cases" / f"{case_hash}{CASE_SUFFIX}"
+
+
+def failure_path(directory: Path, case_hash: str) -> Path:
+    """Where a run directory keeps the reason why a case failed."""
+    return directory / "failed" / f"{case_hash}.json"
 
 
 # --- the file as bytes ---
