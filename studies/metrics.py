@@ -28,12 +28,17 @@ def facet_area_vectors(points: Array, triangles: Index) -> Array:
     return 0.5 * np.cross(b - a, c - a)
 
 
+def corner_sum(per_corner: Array, triangles: Index, n_nodes: int) -> Array:
+    """Sum values given per facet corner at the nodes: (F, 3, ...) -> (N, ...)."""
+    out = np.zeros((n_nodes, *per_corner.shape[2:]))
+    for corner in range(3):
+        np.add.at(out, triangles[:, corner], per_corner[:, corner])
+    return out
+
+
 def nodal_sum(per_facet: Array, triangles: Index, n_nodes: int) -> Array:
     """Spread a third of each facet's value to its three nodes: (F, ...) -> (N, ...)."""
-    out = np.zeros((n_nodes, *per_facet.shape[1:]))
-    for corner in range(3):
-        np.add.at(out, triangles[:, corner], per_facet / 3.0)
-    return out
+    return corner_sum(np.repeat(per_facet[:, None] / 3.0, 3, axis=1), triangles, n_nodes)
 
 
 def enclosed_volume(points: Array, triangles: Index) -> float:

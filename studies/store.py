@@ -83,26 +83,68 @@ def read_run(directory: Path) -> Run:
     StoreError
         not a run directory, or a damaged file in it.
     """
-    try:
-        plan = json.loads((directory / "plan.json").read_text())
-        study_text = (directory / "study.toml").read_text()
-    except FileNotFoundError:
-        raise StoreError(f"{directory}: not a run directory (it has no plan.json and study.toml)") from None
-    except (json.JSONDecodeError, UnicodeDecodeError) as error:
-        raise StoreError(f"{directory}/plan.json: damaged ({error}); run the study again") from error
+    plan = _read_plan(directory)
+    study_text = (directory / "study.toml").read_text()
     cases, failed, missing = [], [], []
     for planned in plan["cases"]:
-        path, failure = case_path(directory, planned["hash"]), failure_path(directory, planned["hash"])
-        if path.exists():
-            # the swept values and the label belong to the study, not to the case: another study may share it
-            case = read_case(path)
-            names = {key: planned[key] for key in ("label", "swept", "swept_units")}
-            cases.append(dataclasses.replace(case, **names))
-        elif failure.exists():
-            failed.append(json.loads(failure.read_text()))
+        state = case_state(directory, planned["hash"])
+        # the swept values and the label belong to the study, not to the case: another study may share it
+        names = {key: planned[key] for key in ("label", "swept", "swept_units")}
+        if state in ("done", "damaged"):
+            cases.append(dataclasses.replace(read_case(case_path(directory, planned["hash"])), **names))
+        elif state == "failed":
+            failed.append(_read_failure(directory, planned))
         else:
             missing.append(planned["label"])
     return Run(plan["study"], study_text, cases, failed, missing, plan)
+
+
+def run_state(directory: Path) -> dict[str, list[Any]]:
+    """What is "done", "damaged" and "missing" (labels) and "failed" (with reasons) in a run directory.
+
+    Raises
+    ------
+    StoreError
+        not a run directory.
+    """
+    state: dict[str, list[Any]] = {"done": [], "failed": [], "damaged": [], "missing": []}
+    for planned in _read_plan(directory)["cases"]:
+        kind = case_state(directory, planned["hash"])
+        label = planned["label"] or planned["hash"][:12]
+        state[kind].append(_read_failure(directory, planned) if kind == "failed" else label)
+    return state
+
+
+def case_state(directory: Path, case_hash: str) -> str:
+    """ "done", "damaged", "failed" or "missing"."""
+    path = case_path(directory, case_hash)
+    if path.exists():
+        try:
+            _open_sealed(path).close()
+        except StoreError:
+            return "damaged"
+        return "done"
+    return "failed" if failure_path(directory, case_hash).exists() else "missing"
+
+
+def _read_plan(directory: Path) -> dict[str, Any]:
+    try:
+        plan: dict[str, Any] = json.loads((directory / "plan.json").read_text())
+        for planned in plan["cases"]:
+            _ = planned["hash"], planned["label"], planned["swept"], planned["swept_units"]
+    except (FileNotFoundError, NotADirectoryError):
+        raise StoreError(f"{directory}: not a run directory (it has no plan.json)") from None
+    except (KeyError, TypeError, ValueError) as error:
+        raise StoreError(f"{directory}/plan.json: damaged ({error!r}); run the study again") from error
+    return plan
+
+
+def _read_failure(directory: Path, planned: Mapping[str, Any]) -> dict[str, str]:
+    path = failure_path(directory, planned["hash"])
+    try:
+        return {**json.loads(path.read_text()), "label": planned["label"] or planned["hash"][:12]}
+    except (TypeError, ValueError) as error:
+        raise StoreError(f"{path}: damaged ({error}); delete it and run again") from error
 
 
 def case_path(directory: Path, case_hash: str) -> Path:

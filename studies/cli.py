@@ -1,0 +1,383 @@
+"""The command line: arguments, progress and exit codes. Nothing else prints or exits."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import signal
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NoReturn
+
+if TYPE_CHECKING:
+    from .case import Run
+    from .config import Study
+    from .plan import Plan
+    from .run import Event
+
+OK, REGRESSED, USAGE, FAILED, MACHINE, DAMAGED, NOTHING, INTERRUPTED = 0, 1, 2, 3, 4, 5, 6, 130
+SHIPPED = Path(__file__).parent / "cases"
+
+
+class UsageError(ValueError):
+    """A mistake on the command line."""
+
+
+def main(arguments: Sequence[str] | None = None) -> NoReturn:
+    """Entry point of `vdmbench`."""
+    signal.signal(signal.SIGTERM, _interrupt)
+    options = _parser().parse_args(arguments)
+    try:
+        code = options.verb(options)
+        sys.stdout.flush()
+    except KeyboardInterrupt:
+        code = _complain("interrupted; what is done is kept, the same command goes on from here", INTERRUPTED)
+    except BrokenPipeError:
+        os.dup2(
+            os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno()
+        )  # the reader has gone: nothing to tell it
+        code = OK
+    except ImportError as error:
+        code = _complain(f"{error}; see what is missing with: vdmbench doctor", MACHINE)
+    except OSError as error:
+        name = f"{error.filename}: " if error.filename else ""
+        code = _complain(f"{name}{error.strerror or error}", MACHINE)
+    except ValueError as error:
+        code = _complain_of(error)
+    sys.exit(code)
+
+
+def _complain_of(error: ValueError) -> int:
+    """One line per problem and the exit code of a mistake; a ValueError of ours always carries a sentence."""
+    from .config import StudyError
+    from .store import StoreError
+
+    if isinstance(error, StudyError):
+        for problem in error.problems:
+            _complain(str(problem), USAGE)
+        return USAGE
+    return _complain(str(error), DAMAGED if isinstance(error, StoreError) else USAGE)
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="vdmbench",
+        description="Compare the Volume Distribution Method with finite elements on the same mesh.",
+        epilog="exit codes: 0 ok, 2 usage or study file wrong, 3 some cases failed, "
+        "4 machine lacks something, 5 stored results damaged, 130 interrupted",
+    )
+    verbs = parser.add_subparsers(title="verbs", required=True, metavar="VERB")
+
+    def verb(name: str, function: Any, text: str) -> argparse.ArgumentParser:
+        sub = verbs.add_parser(name, help=text, description=text)
+        sub.add_argument("--json", action="store_true", help="print JSON")
+        sub.set_defaults(verb=function)
+        return sub
+
+    def study_verb(name: str, function: Any, text: str) -> argparse.ArgumentParser:
+        sub = verb(name, function, text)
+        sub.add_argument("study", metavar="STUDY", help="path of a study file, or a shipped study's name")
+        sub.add_argument(
+            "--surface",
+            type=Path,
+            metavar="FILE",
+            help="use this surface (STL, OBJ, PLY, VTP) as the geometry",
+        )
+        sub.add_argument(
+            "--allow-outside", action="store_true", help="allow files outside the study file's directory"
+        )
+        return sub
+
+    def directory(sub: argparse.ArgumentParser) -> None:
+        sub.add_argument("--out", type=Path, metavar="DIR", help="run directory (default results/runs/NAME)")
+
+    verb("list", _list, "list the shipped studies")
+    study_verb("check", _check, "validate a study without running it")
+    directory(study_verb("plan", _plan, "say what a run would do"))
+    run = study_verb("run", _run, "run what is missing and write the report")
+    directory(run)
+    run.add_argument("--jobs", type=_positive, metavar="N", help="cases at once (default: one per core)")
+    run.add_argument(
+        "--shard", type=_shard, default=(1, 1), metavar="I/N", help="run only every N-th case from I"
+    )
+    run.add_argument("--fresh", action="store_true", help="run every case again")
+    run.add_argument("--fail-fast", action="store_true", help="stop at the first failure")
+    run.add_argument("--timeout", type=_positive_seconds, metavar="S", help="seconds that one case may take")
+    for name, function, text in (
+        ("status", _status, "say what is done, failed and missing"),
+        ("report", _report, "rebuild the report from the stored results"),
+    ):
+        verb(name, function, text).add_argument("directory", type=Path, metavar="DIR", help="run directory")
+    verb("doctor", _doctor, "say what the machine has and lacks")
+    return parser
+
+
+# --- verbs ---
+
+
+def _list(options: argparse.Namespace) -> int:
+    import tomllib
+
+    titles = {}
+    for path in sorted(SHIPPED.glob("*.toml")):
+        titles[path.stem] = tomllib.loads(path.read_text())["study"]["title"]
+    if options.json:
+        return _print_json(titles)
+    width = max(map(len, titles))
+    for name, title in titles.items():
+        print(f"{name:<{width}}  {title}")
+    return OK
+
+
+def _check(options: argparse.Namespace) -> int:
+    from .config import StudyError, expand
+
+    try:
+        study, path = _load(options)
+        cases = expand(study)
+        _make_plan(study, cases, options)
+    except StudyError as error:
+        if options.json:
+            problems = [problem._asdict() for problem in error.problems]
+            _print_json({"ok": False, "problems": problems})
+            return USAGE
+        raise
+    if options.json:
+        return _print_json({"ok": True, "problems": [], "cases": len(cases)})
+    print(f"{path}: ok, {_count(len(cases), 'case')}")
+    return OK
+
+
+def _plan(options: argparse.Namespace) -> int:
+    from .config import expand
+
+    study, _ = _load(options)
+    plan = _make_plan(study, expand(study), options)
+    summary = plan.summary()
+    if options.json:
+        return _print_json(summary)
+    print(f"{study.study.title}: {_count(len(summary['cases']), 'case')} of {', '.join(study.study.models)}")
+    if study.study.reference is None:
+        print("no reference: the models run without comparison")
+    for case in summary["cases"]:
+        print(f"  {case['hash'][:12]}  {case['state']:<8} {case['label']}")
+    meshes = _count(summary["meshes_to_make"], "mesh", "meshes")
+    print(f"to run: {_count(summary['cases_to_run'], 'case')}, {meshes}")
+    for line in summary["skipped"]:
+        print(f"skipped: {line}")
+    return OK
+
+
+def _run(options: argparse.Namespace) -> int:
+    from .config import expand
+    from .run import Options, run_plan
+    from .store import read_run
+
+    study, path = _load(options)
+    plan = _make_plan(study, expand(study), options)
+    how = Options(
+        jobs=options.jobs or os.cpu_count() or 1,
+        shard=options.shard,
+        timeout=options.timeout,
+        fail_fast=options.fail_fast,
+        fresh=options.fresh,
+    )
+    cases = plan.cases_to_run(how.shard, fresh=how.fresh)
+    with _Progress(len(cases) + len(plan.missing_meshes(cases)), quiet=options.json) as progress:
+        report = run_plan(plan, path.read_text(), how, progress.show)
+    return _print_run(read_run(plan.directory), plan.directory, report, options.json)
+
+
+def _status(options: argparse.Namespace) -> int:
+    from .store import run_state
+
+    state = run_state(options.directory)
+    if options.json:
+        _print_json(state)
+    else:
+        print(", ".join(f"{len(state[kind])} {kind}" for kind in ("done", "failed", "damaged", "missing")))
+        for entry in state["failed"]:
+            print(
+                f"failed: {entry['label']}: {entry['message']}"
+                + (f"; {entry['remedy']}" if entry["remedy"] else "")
+            )
+        for kind in ("damaged", "missing"):
+            for label in state[kind]:
+                print(f"{kind}: {label}")
+    return DAMAGED if state["damaged"] else FAILED if state["failed"] else OK
+
+
+def _report(options: argparse.Namespace) -> int:
+    from .run import rebuild
+    from .store import read_run
+
+    return _print_run(
+        read_run(options.directory), options.directory, rebuild(options.directory), options.json
+    )
+
+
+def _doctor(options: argparse.Namespace) -> int:
+    from .doctor import examine
+
+    findings = examine()
+    if options.json:
+        _print_json([finding._asdict() for finding in findings])
+    else:
+        for finding in findings:
+            print(f"{'ok  ' if finding.ok else 'LACKS'} {finding.what}: {finding.detail}")
+            if not finding.ok and finding.remedy:
+                print(f"      {finding.remedy}")
+    return OK if all(finding.ok or not finding.needed for finding in findings) else MACHINE
+
+
+# --- what the verbs share ---
+
+
+def _load(options: argparse.Namespace) -> tuple[Study, Path]:
+    from .config import load_study
+    from .models import model_names
+
+    path = Path(options.study)
+    if path.suffix != ".toml" and not path.exists():
+        shipped = SHIPPED / f"{options.study}.toml"
+        if not shipped.exists() or shipped.parent != SHIPPED:
+            known = ", ".join(sorted(p.stem for p in SHIPPED.glob("*.toml")))
+            raise UsageError(
+                f"no study file {options.study!r} and no shipped study of that name; shipped are: {known}"
+            )
+        path = shipped
+    study = load_study(
+        path, allow_outside=options.allow_outside, surface=options.surface, known_models=model_names()
+    )
+    return study, path
+
+
+def _make_plan(study: Study, cases: Any, options: argparse.Namespace) -> Plan:
+    from .plan import make_plan
+
+    results = Path(os.environ.get("VDMBENCH_RESULTS", "results"))
+    out = getattr(options, "out", None) or results / "runs" / study.study.name
+    return make_plan(study, cases, out, results / "cache")
+
+
+def _print_run(run: Run, directory: Path, report: Path, as_json: bool) -> int:
+    """The headline table, the failures and the report's path."""
+    from .report.headline import headline_rows
+
+    rows = headline_rows(run)
+    if as_json:
+        _print_json(
+            {
+                "directory": str(directory),
+                "report": str(report),
+                "done": len(run.cases),
+                "failed": list(run.failed),
+                "missing": list(run.missing),
+                "headline": rows,
+            }
+        )
+    else:
+        _print_table(rows)
+        for failure in run.failed:
+            remedy = f"; {failure['remedy']}" if failure["remedy"] else ""
+            _complain(
+                f"failed: {failure['label'] or failure['hash'][:12]}: {failure['message']}{remedy}", FAILED
+            )
+        print(f"{len(run.cases)} done, {len(run.failed)} failed, {len(run.missing)} missing")
+        print(f"report: {report}")
+    return FAILED if run.failed else OK
+
+
+def _print_table(rows: Sequence[dict[str, str]]) -> None:
+    if not rows:
+        return
+    columns = list(rows[0])
+    widths = [max(len(column), *(len(row[column]) for row in rows)) for column in columns]
+    print("  ".join(column.ljust(width) for column, width in zip(columns, widths, strict=True)).rstrip())
+    for row in rows:
+        print(
+            "  ".join(
+                row[column].ljust(width) for column, width in zip(columns, widths, strict=True)
+            ).rstrip()
+        )
+
+
+class _Progress:
+    """A bar on a terminal, a line per event otherwise; on standard error, so that output can be piped."""
+
+    def __init__(self, total: int, *, quiet: bool) -> None:
+        self.quiet = quiet
+        self.bar: Any = None
+        self.total = total
+
+    def __enter__(self) -> _Progress:
+        if not self.quiet and self.total and sys.stderr.isatty():
+            from rich.console import Console
+            from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+
+            self.bar = Progress(
+                TextColumn("{task.description}", markup=False),
+                BarColumn(),
+                MofNCompleteColumn(),
+                TimeElapsedColumn(),
+                console=Console(stderr=True),
+                transient=True,
+            )
+            self.bar.start()
+            self.task = self.bar.add_task("starting", total=self.total)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self.bar is not None:
+            self.bar.stop()
+
+    def show(self, event: Event) -> None:
+        """Show one event of the run."""
+        label = event.label or "the case"
+        if self.bar is not None:
+            advance = event.kind in ("done", "failed")
+            self.bar.update(self.task, description=label[:60], advance=1 if advance else 0)
+        elif not self.quiet and event.kind in ("done", "failed"):
+            reason = f": {event.message}" if event.kind == "failed" else ""
+            print(f"{event.kind} {label} ({event.seconds:.1f} s){reason}", file=sys.stderr, flush=True)
+
+
+def _print_json(value: Any) -> int:
+    print(json.dumps(value, indent=1))
+    return OK
+
+
+def _complain(text: str, code: int) -> int:
+    print(f"vdmbench: {text}", file=sys.stderr)
+    return code
+
+
+def _count(number: int, singular: str, plural: str | None = None) -> str:
+    return f"{number} {singular if number == 1 else plural or singular + 's'}"
+
+
+def _interrupt(*_: object) -> NoReturn:
+    raise KeyboardInterrupt
+
+
+def _positive(text: str) -> int:
+    value = int(text)
+    if value < 1:
+        raise argparse.ArgumentTypeError("must be 1 or more")
+    return value
+
+
+def _positive_seconds(text: str) -> float:
+    value = float(text)
+    if not value > 0:
+        raise argparse.ArgumentTypeError("must be more than 0")
+    return value
+
+
+def _shard(text: str) -> tuple[int, int]:
+    first, slash, second = text.partition("/")
+    if slash and first.isdecimal() and second.isdecimal() and 1 <= int(first) <= int(second):
+        return int(first), int(second)
+    raise argparse.ArgumentTypeError("write I/N with 1 <= I <= N, such as 2/8")

@@ -1,0 +1,114 @@
+"""What this machine has and lacks, with the line that mends it."""
+
+from __future__ import annotations
+
+import ctypes
+import importlib
+import importlib.metadata
+import os
+import shutil
+import sys
+from pathlib import Path
+from typing import NamedTuple
+
+# shared libraries that the gmsh and VTK wheels load from the system, and Debian's packages of them
+LIBRARIES = {
+    "libgomp.so.1": "libgomp1",
+    "libGLU.so.1": "libglu1-mesa",
+    "libXft.so.2": "libxft2",
+    "libXcursor.so.1": "libxcursor1",
+    "libXinerama.so.1": "libxinerama1",
+    "libGL.so.1": "libgl1",
+    "libEGL.so.1": "libegl1",
+}
+PACKAGES = {
+    "numpy": "numpy",
+    "scipy": "scipy",
+    "scikit-fem": "skfem",
+    "gmsh": "gmsh",
+    "meshio": "meshio",
+    "pyvista": "pyvista",
+    "h5py": "h5py",
+    "rslab": "rslab",
+    "pyamg": "pyamg",
+    "cholespy": "cholespy",
+}
+_PICTURES_ONLY = {"libEGL.so.1"}
+
+
+class Finding(NamedTuple):
+    """One thing looked at. What is not `needed` only costs a convenience."""
+
+    what: str
+    ok: bool
+    needed: bool
+    detail: str
+    remedy: str
+
+
+def examine(directory: Path = Path()) -> list[Finding]:
+    """Look at Python, shared libraries, packages, cores, memory and the place for results."""
+    findings = [
+        Finding(
+            "python",
+            sys.version_info >= (3, 11),
+            True,
+            sys.version.split()[0],
+            "vdmbench needs Python 3.11 or newer",
+        )
+    ]
+    missing = [name for name in LIBRARIES if not _loads(name)]
+    line = f"apt-get install {' '.join(LIBRARIES[name] for name in missing)}"
+    needed = bool(set(missing) - _PICTURES_ONLY)
+    findings.append(
+        Finding(
+            "shared libraries",
+            not missing,
+            needed,
+            ", ".join(missing) or "all there",
+            line if missing else "",
+        )
+    )
+    findings += [_package(name, module) for name, module in PACKAGES.items()]
+    findings.append(Finding("cores", True, False, str(os.cpu_count()), ""))
+    findings.append(_memory())
+    free = shutil.disk_usage(directory).free
+    writable = os.access(directory, os.W_OK)
+    findings.append(
+        Finding(
+            "disk",
+            writable and free > 200e6,
+            True,
+            f"{free / 1e9:.1f} GB free" + ("" if writable else f", {directory.resolve()} is read-only"),
+            "" if writable and free > 200e6 else "free some space, or run in another folder",
+        )
+    )
+    return findings
+
+
+def _package(name: str, module: str) -> Finding:
+    remedy = f"pip install --constraint constraints.txt {name}"
+    try:
+        version = importlib.metadata.version(name)
+    except importlib.metadata.PackageNotFoundError:
+        return Finding(name, False, True, "not installed", remedy)
+    try:
+        importlib.import_module(module)
+    except (ImportError, OSError) as error:  # a wheel whose shared library is missing raises OSError
+        return Finding(name, False, True, f"{version}, but it cannot be loaded: {error}", remedy)
+    return Finding(name, True, True, version, "")
+
+
+def _memory() -> Finding:
+    total = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+    return Finding(
+        "memory", total > 2e9, False, f"{total / 1e9:.1f} GB", "" if total > 2e9 else "use coarse meshes"
+    )
+
+
+def _loads(library: str) -> bool:
+    try:
+        ctypes.CDLL(library)
+    except OSError:
+        return False
+    return True

@@ -1,0 +1,166 @@
+"""Runs a plan: meshes first, then cases, each in a worker; then the tables and the report."""
+
+from __future__ import annotations
+
+import dataclasses
+import fcntl
+import json
+import os
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import tomli_w
+
+from .config import resolved
+from .execute import Outcome, run_tasks, write_failure
+from .files import write_atomically
+from .plan import Plan, PlannedMesh, task_of
+from .store import case_path, failure_path, read_run, write_study
+from .worker import make_mesh, run_case
+
+
+class RunError(ValueError):
+    """A run that cannot start."""
+
+
+@dataclass(frozen=True)
+class Event:
+    """Something that a watcher of a run may want to show."""
+
+    kind: str  # "mesh", "case": started; "done", "failed": finished
+    label: str
+    seconds: float = 0.0
+    message: str = ""
+
+
+@dataclass(frozen=True)
+class Options:
+    """How to run. `timeout` is per task [s]."""
+
+    jobs: int
+    shard: tuple[int, int] = (1, 1)
+    timeout: float | None = None
+    fail_fast: bool = False
+    fresh: bool = False
+
+
+def run_plan(plan: Plan, study_text: str, options: Options, watch: Callable[[Event], None]) -> Path:
+    """Do what is missing of a plan, then write the tables and the report; returns the report's path.
+
+    Raises
+    ------
+    RunError
+        another run is at work in the directory.
+    OSError
+        disk full or read-only.
+    """
+    plan.directory.mkdir(parents=True, exist_ok=True)
+    with _locked(plan.directory, options.shard):
+        write_atomically(plan.directory / "study.toml", study_text.encode())
+        write_atomically(plan.directory / "resolved.toml", tomli_w.dumps(resolved(plan.study)).encode())
+        write_atomically(plan.directory / "plan.json", json.dumps(plan.summary(), indent=1).encode())
+        _run_missing(plan, options, watch)
+        return rebuild(plan.directory)
+
+
+def rebuild(directory: Path) -> Path:
+    """Write the tables and the report from the stored results alone; returns the report's path."""
+    from .report.page import write_report  # plotting takes a second to load: after the work, not before
+
+    run = read_run(directory)
+    write_study(directory, run)
+    report = directory / "report.html"
+    write_report(run, report)
+    return report
+
+
+def _run_missing(plan: Plan, options: Options, watch: Callable[[Event], None]) -> None:
+    cases = plan.cases_to_run(options.shard, fresh=options.fresh)
+    logs = plan.directory / "failed"
+    meshes = [_mesh_task(mesh, plan) for mesh in plan.missing_meshes(cases)]
+    broken: dict[str, Outcome] = {}
+    for outcome in _watched(meshes, make_mesh, logs, options, watch, "mesh"):
+        if not outcome.ok:
+            broken[outcome.task["id"]] = outcome
+    if broken and options.fail_fast:
+        return
+    runnable = []
+    for case in cases:
+        task = task_of(case, plan)
+        failed = next((broken[key] for key in case.meshes if key in broken), None)
+        if failed is None:
+            runnable.append(task)
+        else:
+            _keep_failure(plan, dataclasses.replace(failed, task=task))
+            watch(Event("failed", case.label, message=failed.message))
+    for outcome in _watched(runnable, run_case, logs, options, watch, "case"):
+        if outcome.ok:
+            failure_path(plan.directory, outcome.task["id"]).unlink(missing_ok=True)
+        else:
+            _keep_failure(plan, outcome)
+
+
+def _keep_failure(plan: Plan, outcome: Outcome) -> None:
+    """A failure takes the place of whatever result the case had before."""
+    case_path(plan.directory, outcome.task["id"]).unlink(missing_ok=True)
+    write_failure(failure_path(plan.directory, outcome.task["id"]), outcome, outcome.task["label"])
+
+
+def _watched(
+    tasks: Sequence[Mapping[str, Any]],
+    work: Callable[[Mapping[str, Any]], None],
+    logs: Path,
+    options: Options,
+    watch: Callable[[Event], None],
+    kind: str,
+) -> Iterator[Outcome]:
+    def started(task: Mapping[str, Any]) -> None:
+        watch(Event(kind, task["label"]))
+
+    for outcome in run_tasks(
+        work,
+        tasks,
+        jobs=options.jobs,
+        log_directory=logs,
+        timeout=options.timeout,
+        fail_fast=options.fail_fast,
+        started=started,
+    ):
+        ended = "done" if outcome.ok else "failed"
+        watch(Event(ended, outcome.task["label"], outcome.seconds, outcome.message))
+        yield outcome
+
+
+def _mesh_task(mesh: PlannedMesh, plan: Plan) -> dict[str, Any]:
+    geometry = mesh.geometry
+    return {
+        "id": mesh.key,
+        "label": f"mesh of {geometry.shape} at {geometry.mesh_size * 1e3:.3g} mm",
+        "shape": geometry.shape,
+        "mesh_size": geometry.mesh_size,
+        "parameters": dict(geometry.parameters),
+        "volume": mesh.volume,
+        "cache": str(plan.cache),
+    }
+
+
+@contextmanager
+def _locked(directory: Path, shard: tuple[int, int]) -> Iterator[None]:
+    """Hold the directory, or one shard's place in it, against another run; the lock goes with the process."""
+    name = ".lock" if shard == (1, 1) else f".lock-{shard[0]}-of-{shard[1]}"
+    with (directory / name).open("a+") as file:
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            file.seek(0)
+            raise RunError(
+                f"{directory}: another run is at work here (process {file.read().strip() or 'unknown'}); "
+                "wait for it or choose another --out"
+            ) from None
+        file.truncate(0)
+        file.write(str(os.getpid()))
+        file.flush()
+        yield

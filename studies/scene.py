@@ -1,0 +1,174 @@
+"""A study's scene on one mesh, as plain arrays: the one thing that every model is given."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from fem_reference.mesh import facet_quadrature
+
+from .config import Constraint, Study, Tissue
+from .mesh import Array, Mask, Mesh
+from .metrics import corner_sum, facet_area_vectors, nodal_sum
+from .regions import profile_coordinate, select
+
+
+class SceneError(ValueError):
+    """A scene that cannot be put on its mesh; the message says which part and what to change."""
+
+
+@dataclass(frozen=True)
+class Scene:
+    """N surface nodes, F facets with Q quadrature points each, S load steps; SI units, outward positive.
+
+    Attributes
+    ----------
+    mesh : the mesh that all models share
+    tissue : E [Pa], nu, density [kg/m^3]
+    parameters : VDM parameters that the study sets, by name; what is left out follows a rule
+    overrides : the same for single models, by full model name
+    regions : (N,) masks by name
+    fixed : (N,) nodes held at rest
+    constrained : (N,) nodes whose displacement is given
+    prescribed : (N, 3) displacement of held nodes at load factor 1, zero elsewhere [m]
+    facet_pressure : (F, Q) contact pressure at load factor 1, positive into the body [Pa]
+    gravity : (3,) acceleration [m/s^2], constant over the load history
+    environment_pressure : P_ep, the datum of all pressures [Pa]
+    load_factors : (S,)
+    """
+
+    mesh: Mesh
+    tissue: Tissue
+    parameters: Mapping[str, float | str]
+    overrides: Mapping[str, Mapping[str, float | str]]
+    regions: Mapping[str, Mask]
+    fixed: Mask
+    constrained: Mask
+    prescribed: Array
+    facet_pressure: Array
+    gravity: Array
+    environment_pressure: float
+    load_factors: Array
+
+    @property
+    def held(self) -> Mask:
+        """(N,) nodes whose displacement is known."""
+        return self.fixed | self.constrained
+
+    @cached_property
+    def _thrust(self) -> Array:
+        """(F, 3) integral of pressure times shape function over each facet, per corner [N]."""
+        barycentric, weights = facet_quadrature()
+        areas = np.linalg.norm(self._area_vectors, axis=1)
+        return areas[:, None] * ((self.facet_pressure * weights) @ barycentric)
+
+    @cached_property
+    def _area_vectors(self) -> Array:
+        return facet_area_vectors(self.mesh.surface_points, self.mesh.triangles)
+
+    @cached_property
+    def contact_force(self) -> Array:
+        """(N, 3) nodal contact forces at load factor 1; their sum is minus the integral of p n [N]."""
+        normals = self._area_vectors / np.linalg.norm(self._area_vectors, axis=1, keepdims=True)
+        return corner_sum(
+            -self._thrust[:, :, None] * normals[:, None, :], self.mesh.triangles, len(self.fixed)
+        )
+
+    @cached_property
+    def contact_pressure(self) -> Array:
+        """(N,) nodal pressure over A_i at load factor 1: sum A_i p_i is the integral of p [Pa]."""
+        triangles, n_nodes = self.mesh.triangles, len(self.fixed)
+        areas = nodal_sum(np.linalg.norm(self._area_vectors, axis=1), triangles, n_nodes)
+        return corner_sum(self._thrust, triangles, n_nodes) / areas
+
+    @property
+    def contact(self) -> Mask:
+        """(N,) nodes that carry contact pressure."""
+        return self.contact_pressure != 0.0
+
+
+def build_scene(study: Study, mesh: Mesh) -> Scene:
+    """Put a study's regions, constraints and loads on a mesh.
+
+    Raises
+    ------
+    SceneError
+        a region that selects nothing, or contact on a node that is held.
+    """
+    masks = {name: select(region, mesh, study.regions) for name, region in study.regions.items()}
+    n_nodes = len(mesh.surface_nodes)
+    fixed, constrained = np.zeros(n_nodes, dtype=bool), np.zeros(n_nodes, dtype=bool)
+    prescribed = np.zeros((n_nodes, 3))
+    pressure = np.zeros((len(mesh.triangles), len(facet_quadrature()[1])))
+    for constraint in study.constraints:
+        mask = masks[constraint.region]
+        if not mask.any():
+            raise SceneError(
+                f"region {constraint.region!r} selects no node of the mesh; enlarge it or take a smaller mesh_size"
+            )
+        if constraint.kind == "fixed":
+            fixed |= mask
+        elif constraint.kind == "constrained":
+            both = constrained & mask & (prescribed != constraint.displacement).any(axis=1)
+            if both.any():
+                raise SceneError(
+                    f"{constraint.name!r} moves {both.sum()} nodes that another constraint moves differently"
+                )
+            constrained |= mask
+            prescribed[mask] = constraint.displacement
+        else:
+            pressure += _contact_pressure(constraint, study, mesh, mask)
+    if (fixed & constrained).any():
+        raise SceneError(
+            f"{(fixed & constrained).sum()} nodes are fixed and constrained at once; keep the regions apart"
+        )
+    for constraint in study.constraints:
+        overlap = masks[constraint.region] & (fixed | constrained)
+        if constraint.kind == "contact" and overlap.any():
+            raise SceneError(
+                f"contact {constraint.name!r} covers {overlap.sum()} nodes that are fixed or constrained; "
+                "keep the regions apart"
+            )
+    return Scene(
+        mesh=mesh,
+        tissue=study.tissue,
+        parameters=study.vdm_parameters(),
+        overrides=study.model_parameters(),
+        regions=masks,
+        fixed=fixed,
+        constrained=constrained,
+        prescribed=prescribed,
+        facet_pressure=pressure,
+        gravity=np.array(study.gravity.acceleration if study.gravity else (0.0, 0.0, 0.0)),
+        environment_pressure=study.environment.pressure if study.environment else 0.0,
+        load_factors=np.array(study.load.factors),
+    )
+
+
+def _contact_pressure(constraint: Constraint, study: Study, mesh: Mesh, mask: Mask) -> Array:
+    """(F, Q) pressure of one contact at the quadrature points [Pa].
+
+    A uniform pressure acts on the facets whose three nodes are in the region. A smooth profile is evaluated at
+    every quadrature point, so that it does not change with the mesh: Hertz p0 sqrt(1 - rho^2), Gaussian
+    p0 exp(-9/2 rho^2) with its third standard deviation at the rim rho = 1 and nothing beyond.
+    """
+    barycentric, weights = facet_quadrature()
+    if constraint.profile == "uniform":
+        shape = np.repeat(mask[mesh.triangles].all(axis=1)[:, None].astype(float), len(weights), axis=1)
+    else:
+        points = np.einsum("qk,fki->fqi", barycentric, mesh.surface_points[mesh.triangles])
+        rho = profile_coordinate(study.regions[constraint.region], mesh, points)
+        hertz = np.sqrt(np.clip(1 - rho**2, 0.0, None))
+        shape = hertz if constraint.profile == "hertz" else np.where(rho < 1, np.exp(-4.5 * rho**2), 0.0)
+    vectors = facet_area_vectors(mesh.surface_points, mesh.triangles)
+    resultant = float(np.linalg.norm((shape @ weights) @ vectors))
+    if resultant == 0.0:
+        raise SceneError(
+            f"contact {constraint.name!r} loads no facet; enlarge its region or take a smaller mesh_size"
+        )
+    if constraint.force is not None:
+        return shape * (constraint.force / resultant)
+    return shape * constraint.pressure
