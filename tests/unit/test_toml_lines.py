@@ -1,0 +1,193 @@
+"""The position scanner finds the same keys as tomllib, each on the line where it is written."""
+
+from __future__ import annotations
+
+import re
+import tomllib
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from studies.toml_lines import MAX_DEPTH, NotToml, TooDeep, key_lines
+
+TEXT = '''# comment with "quotes" and [brackets]
+title = "a # b"  # not in the text
+"quoted.dot" = 1
+a.b."c.d".'e f' = [1,
+  [2, 3],  # ] in a comment
+  { x = 1, y.z = "]" },
+]
+multi = """one ""\\" [no.table]
+key = 2
+"""
+literal = \'\'\'
+[neither]
+\'\'\'
+
+[ table . "dotted key" ]
+inline = { p = { q = [ { r = 1 } ] } }
+
+[[items]]
+name = "first"
+[items.sub]
+deep = 1
+[[items]]
+name = "second"
+[[items.parts]]
+n = 1
+[[items.parts]]
+n = 2
+"esc\\u0041\\t" = 3
+'''
+
+
+def paths_of(value: Any, path: tuple[str | int, ...] = ()) -> set[tuple[str | int, ...]]:
+    found = {path} if path else set()
+    pairs = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ()
+    for key, child in pairs:
+        found |= paths_of(child, (*path, key))
+    return found
+
+
+def test_every_kind_of_key_is_on_its_line() -> None:
+    lines = key_lines(TEXT)
+    assert set(lines) == paths_of(tomllib.loads(TEXT))
+    source = [""] + TEXT.split("\n")
+    expected = {
+        ("title",): 2,
+        ("quoted.dot",): 3,
+        ("a", "b", "c.d", "e f"): 4,
+        ("a", "b", "c.d", "e f", 0): 4,
+        ("a", "b", "c.d", "e f", 1, 1): 5,
+        ("a", "b", "c.d", "e f", 2, "y", "z"): 6,
+        ("multi",): 8,
+        ("literal",): source.index("literal = '''"),
+        ("table", "dotted key", "inline", "p", "q", 0, "r"): source.index('inline = { p = { q = [ { r = 1 } ] } }'),
+        ("items",): source.index("[[items]]"),
+        ("items", 0, "sub", "deep"): source.index("deep = 1"),
+        ("items", 1): source.index('name = "second"') - 1,
+        ("items", 1, "name"): source.index('name = "second"'),
+        ("items", 1, "parts", 0, "n"): source.index("n = 1"),
+        ("items", 1, "parts", 1): source.index("n = 2") - 1,
+        ("items", 1, "parts", 1, "escA\t"): source.index('"esc\\u0041\\t" = 3'),
+    }
+    assert {path: lines[path] for path in expected} == expected
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        'a = """"quoted""""\nb = 1',
+        "a = ''''quoted'''''\nb = 1",
+        'a = """\\\\"""\nb = 1',
+        'a = "\\""\r\nb = 1\r\n',
+        'a = ""\nb = \'\'\nc = """"""\nd = 1',
+        "a = [\n# [\n]\nb = {}\nc = [{}, {},]\n",
+        "a = 1979-05-27 07:32:00\nb = -inf\n",
+        "1.2 = 3\n'' = 4",
+        "[a.b]\nx = 1\n[a]\ny = 2\n[a.c.d]\n",
+        "[[a]]\n[[a]]\n[a.b]\nc = 1\n[[a.d]]\n[a.d.e]\n",
+        "",
+        "# only a comment",
+    ],
+)
+def test_awkward_texts_give_the_keys_of_tomllib(text: str) -> None:
+    assert set(key_lines(text)) == paths_of(tomllib.loads(text))
+
+
+KEYS = st.text("ab-_. \"'\\#[]{}=,é\u2028😀", max_size=4) | st.sampled_from("abc")
+SCALARS = st.one_of(
+    st.integers(-5, 5).map(str),
+    st.sampled_from(["true", "1.5e3", "inf", "2020-01-02", '"a]\\"}"', "'#,'", '"""\n[x]\n"""', "'''\n'''"]),
+)
+
+
+@st.composite
+def value_texts(draw: st.DrawFn, depth: int = 3) -> str:
+    kind = draw(st.sampled_from(["scalar", "list", "table"])) if depth else "scalar"
+    if kind == "scalar":
+        return draw(SCALARS)
+    if kind == "list":
+        gaps = st.sampled_from(["", " ", "\n", " # ] , {\n  "])
+        items = draw(st.lists(value_texts(depth=depth - 1), max_size=3))
+        return "[" + "".join(f"{draw(gaps)}{item}{draw(gaps)}," for item in items) + draw(gaps) + "]"
+    keys = draw(st.lists(KEYS, max_size=3, unique=True))
+    inside = ", ".join(f"{quoted(k, draw(st.booleans()))} = {draw(value_texts(depth=depth - 1))}" for k in keys)
+    return "{ " + inside + " }"
+
+
+def quoted(key: str, bare: bool) -> str:
+    """A key as TOML text: bare where it can be, else in one of the two kinds of quotes."""
+    if bare and re.fullmatch("[A-Za-z0-9_-]+", key):
+        return key
+    if not bare and "'" not in key:
+        return f"'{key}'"
+    return '"' + key.replace("\\", "\\\\").replace('"', '\\"') + '"'
+
+
+@st.composite
+def documents(draw: st.DrawFn) -> str:
+    """A TOML text that is often valid: headers and dotted keys of few names, so that they meet."""
+    parts = []
+    for _ in range(draw(st.integers(0, 6))):
+        dotted = ".".join(quoted(k, draw(st.booleans())) for k in draw(st.lists(KEYS, min_size=1, max_size=3)))
+        kind = draw(st.sampled_from(["key", "key", "table", "array", "comment"]))
+        if kind == "key":
+            parts.append(f"{dotted} = {draw(value_texts())}")
+        elif kind == "comment":
+            parts.append("  # " + dotted)
+        else:
+            parts.append(f"[{dotted}]" if kind == "table" else f"[[{dotted}]]")
+    return draw(st.sampled_from(["\n", "\r\n", "\n\n"])).join(parts)
+
+
+@given(documents())
+def test_the_same_keys_as_tomllib(text: str) -> None:
+    try:
+        data = tomllib.loads(text)
+    except tomllib.TOMLDecodeError:
+        return
+    lines = key_lines(text)
+    assert set(lines) == paths_of(data)
+    assert all(1 <= line <= text.count("\n") + 1 for line in lines.values())
+
+
+@given(st.lists(st.tuples(st.sampled_from(["\n", "# x\n", "k_ = [\n1,\n]\n"]), st.integers(0, 3))))
+def test_each_key_is_on_the_line_that_holds_it(blocks: list[tuple[str, int]]) -> None:
+    text = ""
+    for number, (filler, gaps) in enumerate(blocks):
+        text += filler.replace("k_", f"k{number}_") + "\n" * gaps + f"key{number} = '''\n\n'''\n"
+    source = text.split("\n")
+    lines = key_lines(text)
+    for number in range(len(blocks)):
+        assert source[lines[(f"key{number}",)] - 1].startswith(f"key{number} =")
+
+
+@given(st.text(alphabet="[]{}=.,'\"#\\ab1 \n", max_size=40))
+def test_on_any_text_it_stops_with_a_named_error(text: str) -> None:
+    try:
+        key_lines(text)
+    except (NotToml, TooDeep):
+        return
+
+
+@pytest.mark.parametrize(
+    ("text", "line"),
+    [
+        ("a = 1\nb = " + "[" * 5000 + "]" * 5000, 2),
+        ("\n\n" + ".".join("a" * 5000) + " = 1", 3),
+        ("[" + ".".join("a" * 5000) + "]", 1),
+        ("a = " + "{b=" * 5000 + "1" + "}" * 5000, 1),
+    ],
+)
+def test_deep_nesting_is_refused_with_its_line(text: str, line: int) -> None:
+    with pytest.raises(TooDeep) as caught:
+        key_lines(text)
+    assert caught.value.line == line
+
+
+def test_the_depth_limit_itself_is_allowed() -> None:
+    text = "a = " + "[" * (MAX_DEPTH - 1) + "]" * (MAX_DEPTH - 1)
+    assert set(key_lines(text)) == paths_of(tomllib.loads(text))
