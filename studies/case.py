@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -79,3 +79,15 @@ class CaseResult:
     reference_error: Mapping[str, float] = field(default_factory=dict)
     # error of the reference itself: "relative_l2" (estimate), "gci", "observed_order"; empty where not measured
     mesh_quality: Mapping[str, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Run:
+    """A run directory as read back: what was asked for, what is done, what failed, what is missing."""
+
+    study: Mapping[str, Any]  # "name", "title", "models", "reference" (or None) and whatever else was stored
+    study_text: str  # the study file as the user wrote it
+    cases: Sequence[CaseResult]
+    failed: Sequence[Mapping[str, str]]  # each with "hash", "label", "code", "message", "remedy"
+    missing: Sequence[str]  # labels of planned cases without a result
+    plan: Mapping[str, Any]
