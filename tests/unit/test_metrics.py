@@ -1,0 +1,193 @@
+"""Each metric: a case computed by hand, zero, and a known perturbation."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from studies import metrics
+from studies.metrics import History, Surface, evaluate
+
+# round-off of sums over a few hundred terms of order one
+ROUND = {"rtol": 1e-12, "atol": 1e-14}
+
+
+def octahedron() -> tuple[np.ndarray, np.ndarray]:
+    """Six nodes at unit distance on the axes, eight outward facets; volume 4/3, area 4 sqrt(3)."""
+    points = np.array([[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1]], dtype=float)
+    facets = []
+    for x in (0, 1):
+        for y in (2, 3):
+            for z in (4, 5):
+                facet = [x, y, z]
+                a, b, c = points[facet]
+                facets.append(facet if np.dot(np.cross(b - a, c - a), a + b + c) > 0 else [x, z, y])
+    return points, np.array(facets)
+
+
+def history(*steps: np.ndarray, reaction: np.ndarray | None = None, factors: list[float] | None = None) -> History:
+    u = np.array(steps)
+    return History(u, np.zeros_like(u) if reaction is None else reaction, np.array(factors or [1.0] * len(steps)))
+
+
+@pytest.fixture
+def surface() -> Surface:
+    points, triangles = octahedron()
+    return Surface(points, triangles, contact=points[:, 2] > 0.5)
+
+
+@pytest.fixture
+def field() -> np.ndarray:
+    return np.random.default_rng(7).normal(size=(6, 3))
+
+
+def test_surface_measures_of_the_octahedron(surface: Surface) -> None:
+    assert_allclose(surface.volume, 4 / 3, **ROUND)
+    assert_allclose(surface.areas, np.full(6, 4 * np.sqrt(3) / 6), **ROUND)
+    # each node's gradient: four facets of vector area (+-1, +-1, +-1)/2, a third each
+    assert_allclose(surface.volume_gradient, surface.points * 2 / 3, **ROUND)
+    assert_allclose(surface.normals, surface.points, **ROUND)
+
+
+def test_volume_does_not_depend_on_the_origin(surface: Surface) -> None:
+    far = surface.points + np.array([1e5, -3e4, 2e5])
+    # 1e5 m away a coordinate has 1.5e-11 m of round-off; the volume's error is of that order times the area
+    assert_allclose(metrics.enclosed_volume(far, surface.triangles), 4 / 3, rtol=1e-9, atol=0)
+
+
+def test_equal_fields_have_no_error(surface: Surface, field: np.ndarray) -> None:
+    same = history(field)
+    values = evaluate(surface, same, same)
+    for name in set(values) - {"volume_drift", "volume_drift_of_displaced", "reaction_force_error"}:
+        assert_allclose(values[name], 0.0, atol=1e-12, rtol=0, err_msg=name)
+    assert np.isnan(values["reaction_force_error"]).all(), "no support force: undefined, not zero"
+
+
+def test_a_scaled_field_is_off_by_its_scale(surface: Surface, field: np.ndarray) -> None:
+    values = evaluate(surface, history(1.1 * field), history(field))
+    for name in ("displacement", "deformation", "normal", "tangential"):
+        assert_allclose(values[f"relative_l2_{name}_error"], 0.1, **ROUND, err_msg=name)
+    assert_allclose(values["contact_region_error"], 0.1, **ROUND)
+    assert_allclose(values["far_field_error"], 0.1, **ROUND)
+    assert_allclose(values["max_nodal_error_relative"], 0.1, **ROUND)
+    assert_allclose(values["max_nodal_error"], 0.1 * np.linalg.norm(field, axis=1).max(), **ROUND)
+
+
+def test_relative_l2_weighs_by_area() -> None:
+    values, reference = np.array([1.0, 0.0]), np.array([0.0, 1.0])
+    # sqrt((3 + 1) / 1)
+    assert_allclose(metrics.relative_l2(values, reference, np.array([3.0, 1.0])), 2.0, **ROUND)
+    assert np.isnan(metrics.relative_l2(values, np.zeros(2), np.ones(2)))
+
+
+def test_a_rigid_motion_is_no_deformation(surface: Surface, field: np.ndarray) -> None:
+    rigid = np.array([0.3, -0.2, 0.5]) + np.cross([0.1, 0.2, -0.3], surface.points)
+    assert_allclose(metrics.rigid_motion_removed(surface.points, rigid, surface.areas), 0.0, atol=1e-14, rtol=0)
+    values = evaluate(surface, history(field + rigid), history(field))
+    assert_allclose(values["relative_l2_deformation_error"], 0.0, atol=1e-13, rtol=0)
+    assert values["relative_l2_displacement_error"][0] > 0.1
+
+
+def test_normal_and_tangential_parts(surface: Surface) -> None:
+    n = surface.normals
+    tangent = np.roll(n, 1, axis=1)  # normals lie on the axes, so this is orthogonal and of unit length
+    reference = n + tangent
+    values = evaluate(surface, history(n * 1.5 + tangent * 0.8), history(reference))
+    assert_allclose(values["relative_l2_normal_error"], 0.5, **ROUND)
+    assert_allclose(values["relative_l2_tangential_error"], 0.2, **ROUND)
+
+
+def test_quantile_is_weighted() -> None:
+    values, weights = np.array([4.0, 1.0, 3.0, 2.0]), np.array([1.0, 94.0, 1.0, 4.0])
+    # weights in order of value: 94, 4, 1, 1: 94 % lies at 1, 98 % at or below 2
+    assert metrics.weighted_quantile(values, weights, 0.94) == 1.0
+    assert metrics.weighted_quantile(values, weights, 0.95) == 2.0
+    assert metrics.weighted_quantile(values, weights, 1.0) == 4.0
+
+
+def test_sliding_is_blind_to_shape_and_inflation_is_not(surface: Surface) -> None:
+    still = history(np.zeros((6, 3)))
+    # the octahedron grown by 10 %: a node of the larger one stands 0.1/sqrt(3) off the planes... but the nearest
+    # point of the smaller one is its own corner, 0.1 away; a node of the smaller lies 0.1/sqrt(3) inside
+    grown = evaluate(surface, history(0.1 * surface.points), still)
+    assert_allclose(grown["hausdorff_distance"], 0.1, **ROUND)
+    assert_allclose(grown["mean_surface_distance"], 0.1, **ROUND)
+    shrunk = evaluate(surface, history(-0.1 * surface.points), still)
+    assert_allclose(shrunk["mean_surface_distance"], 0.1 / np.sqrt(3), **ROUND)
+    assert_allclose(shrunk["hausdorff_distance"], 0.1, **ROUND)
+    # a quarter turn about z maps the octahedron to itself
+    turned = np.column_stack([-surface.points[:, 1], surface.points[:, 0], surface.points[:, 2]])
+    slid = evaluate(surface, history(turned - surface.points), still)
+    assert_allclose(slid["hausdorff_distance"], 0.0, atol=1e-14, rtol=0)
+
+
+def test_nearest_point_is_exact_against_dense_sampling() -> None:
+    rng = np.random.default_rng(3)
+    points, triangles = octahedron()
+    points = points * [1.0, 0.2, 0.05]  # long thin facets, whose centroids are a poor guide
+    queries = rng.normal(size=(50, 3))
+    distance, facet, weights = metrics.nearest_on_surface(queries, points, triangles)
+    nearest = np.einsum("qk,qki->qi", weights, points[triangles[facet]])
+    assert_allclose(np.linalg.norm(nearest - queries, axis=1), distance, **ROUND)
+    assert (weights >= -1e-12).all()
+    assert_allclose(weights.sum(axis=1), 1.0, **ROUND)
+    # random points of the surface: never nearer, and the best of them close
+    samples = rng.dirichlet([1, 1, 1], size=4000)
+    cloud = np.einsum("sk,fki->fsi", samples, points[triangles]).reshape(-1, 3)
+    sampled = np.linalg.norm(cloud[None] - queries[:, None], axis=2).min(axis=1)
+    assert (sampled >= distance - 1e-12).all()
+    assert_allclose(sampled, distance, rtol=0.05, atol=0.02)
+
+
+def test_volume_drift_of_a_uniform_scaling(surface: Surface) -> None:
+    values = evaluate(surface, history(0.1 * surface.points, -0.1 * surface.points), None)
+    assert_allclose(values["volume_drift"], [1.1**3 - 1, 0.9**3 - 1], **ROUND)
+    # displaced volume: half of sum |g.u| = 6 nodes * 2/3 * 0.1 / 2
+    assert_allclose(values["volume_drift_of_displaced"], np.array([1.1**3 - 1, 0.9**3 - 1]) * (4 / 3) / 0.2, **ROUND)
+    assert set(values) == {"volume_drift", "volume_drift_of_displaced"}, "the others need a reference"
+
+
+def test_reaction_error_compares_totals(surface: Surface, field: np.ndarray) -> None:
+    reaction = np.zeros((1, 6, 3))
+    reaction[0, 5] = [0, 0, 2.0]
+    spread = np.zeros((1, 6, 3))
+    spread[0, :, 2] = 0.25  # the same direction, 1.5 in total
+    values = evaluate(surface, history(field, reaction=spread), history(field, reaction=reaction))
+    assert_allclose(values["reaction_force_error"], 0.25, **ROUND)
+
+
+def test_indentation_force_of_a_model_twice_as_soft(surface: Surface) -> None:
+    push = np.zeros((6, 3))
+    push[4, 2] = -0.01
+    steps = [0.25 * push, 0.5 * push, push]
+    reference = history(*steps, factors=[0.25, 0.5, 1.0])
+    soft = history(*[2 * step for step in steps], factors=[0.25, 0.5, 1.0])
+    stiff = history(*[0.5 * step for step in steps], factors=[0.25, 0.5, 1.0])
+    assert_allclose(evaluate(surface, soft, reference)["indentation_force_error"], -0.5, **ROUND)
+    # beyond the last step the curve goes on straight
+    assert_allclose(evaluate(surface, stiff, reference)["indentation_force_error"], 1.0, **ROUND)
+
+
+def test_a_failed_step_is_not_a_number_and_spoils_no_other(surface: Surface, field: np.ndarray) -> None:
+    model = history(np.full((6, 3), np.nan), 1.1 * field, factors=[0.5, 1.0])
+    values = evaluate(surface, model, history(field, field, factors=[0.5, 1.0]))
+    for name in ("relative_l2_displacement_error", "max_nodal_error_relative", "contact_region_error"):
+        assert np.isnan(values[name][0]), name
+        assert_allclose(values[name][1], 0.1, **ROUND, err_msg=name)
+    assert np.isnan(values["volume_drift"][0])
+
+
+def test_metrics_of_contact_need_contact(field: np.ndarray) -> None:
+    points, triangles = octahedron()
+    untouched = Surface(points, triangles, contact=np.zeros(6, dtype=bool))
+    assert "contact_region_error" not in evaluate(untouched, history(field), history(field))
+    assert "indentation_force_error" not in evaluate(untouched, history(field), history(field))
+
+
+def test_every_metric_says_what_it_is() -> None:
+    for name, metric in metrics.METRICS.items():
+        assert metric.name == name
+        assert metric.unit in {"1", "m"}, name
+        assert len(metric.definition) > 10, name
+        assert metric.version >= 1, name
