@@ -26,9 +26,13 @@ def octahedron() -> tuple[np.ndarray, np.ndarray]:
     return points, np.array(facets)
 
 
-def history(*steps: np.ndarray, reaction: np.ndarray | None = None, factors: list[float] | None = None) -> History:
+def history(
+    *steps: np.ndarray, reaction: np.ndarray | None = None, factors: list[float] | None = None
+) -> History:
     u = np.array(steps)
-    return History(u, np.zeros_like(u) if reaction is None else reaction, np.array(factors or [1.0] * len(steps)))
+    return History(
+        u, np.zeros_like(u) if reaction is None else reaction, np.array(factors or [1.0] * len(steps))
+    )
 
 
 @pytest.fixture
@@ -76,14 +80,16 @@ def test_a_scaled_field_is_off_by_its_scale(surface: Surface, field: np.ndarray)
 
 def test_relative_l2_weighs_by_area() -> None:
     values, reference = np.array([1.0, 0.0]), np.array([0.0, 1.0])
-    # sqrt((3 + 1) / 1)
+    # the weighted sums are (3 + 1) over 1
     assert_allclose(metrics.relative_l2(values, reference, np.array([3.0, 1.0])), 2.0, **ROUND)
     assert np.isnan(metrics.relative_l2(values, np.zeros(2), np.ones(2)))
 
 
 def test_a_rigid_motion_is_no_deformation(surface: Surface, field: np.ndarray) -> None:
     rigid = np.array([0.3, -0.2, 0.5]) + np.cross([0.1, 0.2, -0.3], surface.points)
-    assert_allclose(metrics.rigid_motion_removed(surface.points, rigid, surface.areas), 0.0, atol=1e-14, rtol=0)
+    assert_allclose(
+        metrics.rigid_motion_removed(surface.points, rigid, surface.areas), 0.0, atol=1e-14, rtol=0
+    )
     values = evaluate(surface, history(field + rigid), history(field))
     assert_allclose(values["relative_l2_deformation_error"], 0.0, atol=1e-13, rtol=0)
     assert values["relative_l2_displacement_error"][0] > 0.1
@@ -144,7 +150,9 @@ def test_volume_drift_of_a_uniform_scaling(surface: Surface) -> None:
     values = evaluate(surface, history(0.1 * surface.points, -0.1 * surface.points), None)
     assert_allclose(values["volume_drift"], [1.1**3 - 1, 0.9**3 - 1], **ROUND)
     # displaced volume: half of sum |g.u| = 6 nodes * 2/3 * 0.1 / 2
-    assert_allclose(values["volume_drift_of_displaced"], np.array([1.1**3 - 1, 0.9**3 - 1]) * (4 / 3) / 0.2, **ROUND)
+    assert_allclose(
+        values["volume_drift_of_displaced"], np.array([1.1**3 - 1, 0.9**3 - 1]) * (4 / 3) / 0.2, **ROUND
+    )
     assert set(values) == {"volume_drift", "volume_drift_of_displaced"}, "the others need a reference"
 
 

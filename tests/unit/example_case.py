@@ -1,0 +1,66 @@
+"""A small finished case with every field filled, for tests of the store."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from studies.case import CaseResult, MetricSeries, ModelResult, StepStatus
+
+N_STEPS = 3
+
+
+def tetrahedron() -> tuple[np.ndarray, np.ndarray]:
+    """Four nodes, four outward facets."""
+    points = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]], dtype=float)
+    return points, np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])
+
+
+def model_result(rng: np.random.Generator, n_nodes: int) -> ModelResult:
+    return ModelResult(
+        displacement=rng.normal(size=(N_STEPS, n_nodes, 3)),
+        fluid_pressure=rng.normal(size=N_STEPS),
+        reaction_force=rng.normal(size=(N_STEPS, n_nodes, 3)),
+        energy=rng.normal(size=N_STEPS),
+        volume=rng.normal(size=N_STEPS),
+        iterations=np.arange(N_STEPS),
+        status=(
+            StepStatus("converged"),
+            StepStatus("stalled", "no progress", "take smaller steps"),
+            StepStatus("converged"),
+        ),
+        seconds_setup=0.5,
+        seconds_per_step=np.array([0.1, 0.2, np.nan]),
+        peak_bytes=12345,
+        version="1",
+        parameters={"bulk_modulus": 10.0, "solver": "direct"},
+        scalars={"compliance": rng.normal(size=N_STEPS)},
+        point_fields={"nodal_stress": rng.normal(size=(N_STEPS, n_nodes))},
+    )
+
+
+def example_case(case_hash: str = "ab" * 32, label: str = "poisson_ratio = 0.45") -> CaseResult:
+    rng = np.random.default_rng(11)
+    points, triangles = tetrahedron()
+    return CaseResult(
+        hash=case_hash,
+        label=label,
+        swept={"tissue.poisson_ratio": 0.45, "geometry.shape": "=cmd()"},
+        swept_units={"tissue.poisson_ratio": "1", "geometry.shape": "1"},
+        resolved={"tissue": {"poisson_ratio": 0.45}, "study": {"title": "<script>", "models": ["a", "b:x"]}},
+        provenance={"python": "3.11"},
+        points=points,
+        triangles=triangles,
+        load_factors=np.array([0.25, 0.5, 1.0]),
+        regions={"base": np.array([True, False, True, False])},
+        models={"vdm-paper": model_result(rng, 4), "fem:direct": model_result(rng, 4)},
+        metrics={
+            "vdm-paper": {
+                "volume_drift": MetricSeries(np.array([0.0, np.nan, 1e-3]), "1", "(V - V0)/V0", 1),
+                "max_nodal_error": MetricSeries(np.array([1.0, 2.0, 3.0]), "m", "largest |u - r|", 2),
+            },
+            "fem:direct": {},
+        },
+        reference="fem:direct",
+        reference_error={"relative_l2": 0.01, "observed_order": float("nan")},
+        mesh_quality={"worst_sicn": 0.3},
+    )

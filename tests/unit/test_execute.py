@@ -1,0 +1,120 @@
+"""Worker processes: what becomes of one task never touches another."""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+import time
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from studies.execute import Outcome, TaskError, run_tasks
+
+
+def _work(task: Mapping[str, Any]) -> None:
+    kind = task["kind"]
+    if kind == "write":
+        Path(task["path"]).write_text("done")
+    elif kind == "task error":
+        raise TaskError("too coarse", "refine")
+    elif kind == "value error":
+        raise ValueError("wrong value")
+    elif kind == "bug":
+        print("words before the fall")
+        raise KeyError("missing")
+    elif kind == "exit":
+        os._exit(7)
+    elif kind == "segfault":
+        os.kill(os.getpid(), signal.SIGSEGV)
+    elif kind == "out of memory":
+        os.kill(os.getpid(), signal.SIGKILL)
+    elif kind == "sleep":
+        time.sleep(60)
+    elif kind == "memory error":
+        raise MemoryError
+    elif kind == "exit by library":
+        sys.exit(3)
+    elif kind == "threads":
+        from threadpoolctl import threadpool_info
+
+        np.ones((4, 4)) @ np.ones((4, 4))
+        Path(task["path"]).write_text(str(max(pool["num_threads"] for pool in threadpool_info())))
+
+
+def _run(tmp_path: Path, *kinds: str, **options: Any) -> dict[str, Outcome]:
+    tasks = [{"id": f"{n}", "kind": kind, "path": str(tmp_path / f"out-{n}")} for n, kind in enumerate(kinds)]
+    settings = {"jobs": 2, "log_directory": tmp_path / "logs", "started": lambda _: None} | options
+    return {outcome.task["kind"]: outcome for outcome in run_tasks(_work, tasks, **settings)}
+
+
+def test_each_failure_costs_its_own_task_only(tmp_path: Path) -> None:
+    outcomes = _run(
+        tmp_path,
+        "write",
+        "task error",
+        "value error",
+        "bug",
+        "exit",
+        "segfault",
+        "out of memory",
+        "memory error",
+        "exit by library",
+    )
+    assert outcomes["write"].ok
+    assert (tmp_path / "out-0").read_text() == "done"
+    assert {kind: outcome.code for kind, outcome in outcomes.items() if not outcome.ok} == {
+        "task error": "error",
+        "value error": "error",
+        "bug": "error",
+        "exit": "crashed",
+        "segfault": "crashed",
+        "out of memory": "crashed",
+        "memory error": "error",
+        "exit by library": "crashed",
+    }
+    assert (outcomes["task error"].message, outcomes["task error"].remedy) == ("too coarse", "refine")
+    assert "SIGSEGV" in outcomes["segfault"].message
+    assert "memory" in outcomes["out of memory"].message
+    assert "memory" in outcomes["memory error"].message
+    assert "exit code 7" in outcomes["exit"].message
+    assert "words before the fall" in outcomes["bug"].log
+    assert "KeyError" in outcomes["bug"].log
+    assert all(outcome.remedy for kind, outcome in outcomes.items() if kind not in ("write", "value error"))
+    assert list((tmp_path / "logs").iterdir()) == [], "logs travel with the outcome"
+
+
+def test_a_slow_task_is_stopped(tmp_path: Path) -> None:
+    began = time.monotonic()
+    outcomes = _run(tmp_path, "sleep", "write", timeout=1.0)
+    assert outcomes["sleep"].code == "timeout"
+    assert "--timeout" in outcomes["sleep"].remedy
+    assert outcomes["write"].ok
+    assert time.monotonic() - began < 30, "the worker was stopped, not waited for"
+
+
+def test_fail_fast_stops_at_the_first(tmp_path: Path) -> None:
+    outcomes = _run(tmp_path, "value error", "write", "write", jobs=1, fail_fast=True)
+    assert list(outcomes) == ["value error"]
+    assert not (tmp_path / "out-1").exists()
+
+
+def test_leaving_early_stops_the_workers(tmp_path: Path) -> None:
+    tasks = [{"id": "0", "kind": "write", "path": str(tmp_path / "out")}, {"id": "1", "kind": "sleep"}]
+    began = time.monotonic()
+    runs = run_tasks(_work, tasks, jobs=2, log_directory=tmp_path / "logs", started=lambda _: None)
+    assert next(runs).ok
+    runs.close()
+    assert time.monotonic() - began < 30
+    assert list((tmp_path / "logs").iterdir()) == []
+
+
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_workers_share_the_cores(tmp_path: Path, jobs: int) -> None:
+    _run(tmp_path, "threads", jobs=jobs)
+    limit = max(1, (os.cpu_count() or 1) // jobs)
+    assert int((tmp_path / "out-0").read_text()) <= limit

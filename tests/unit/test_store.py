@@ -1,0 +1,227 @@
+"""What is written is what is read, by us and by VTK; what is damaged is refused."""
+
+from __future__ import annotations
+
+import csv
+import dataclasses
+import hashlib
+import io
+import json
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+import pytest
+from numpy.testing import assert_array_equal
+
+from studies import store
+from studies.case import Run
+from studies.store import StoreError
+
+from .example_case import N_STEPS, example_case
+
+
+def assert_same(a: Any, b: Any, where: str = "") -> None:
+    """Equal to the bit, through dataclasses, mappings and arrays."""
+    if dataclasses.is_dataclass(a):
+        for field in dataclasses.fields(a):
+            assert_same(getattr(a, field.name), getattr(b, field.name), f"{where}.{field.name}")
+    elif isinstance(a, dict):
+        assert list(a) == list(b) if where.endswith("models") else set(a) == set(b), where
+        for key in a:
+            assert_same(a[key], b[key], f"{where}[{key}]")
+    elif isinstance(a, tuple | list):
+        assert len(a) == len(b), where
+        for x, y in zip(a, b, strict=True):
+            assert_same(x, y, where)
+    else:
+        assert_array_equal(a, b, err_msg=where)
+
+
+def test_round_trip(tmp_path: Path) -> None:
+    case = example_case()
+    store.write_case(tmp_path / "case.vtkhdf", case)
+    assert_same(case, store.read_case(tmp_path / "case.vtkhdf"))
+    assert [path.name for path in tmp_path.iterdir()] == ["case.vtkhdf"], "no temporary file is left"
+
+
+def test_vtk_reads_surface_fields_and_steps(tmp_path: Path) -> None:
+    from vtkmodules.util.numpy_support import vtk_to_numpy
+    from vtkmodules.vtkIOHDF import vtkHDFReader
+
+    case = example_case()
+    path = tmp_path / "case.vtkhdf"
+    store.write_case(path, case)
+    reader = vtkHDFReader()
+    reader.SetFileName(str(path))
+    reader.UpdateInformation()
+    assert reader.GetNumberOfSteps() == N_STEPS
+    for step in range(N_STEPS):
+        reader.SetStep(step)
+        reader.Update()
+        assert reader.GetTimeValue() == case.load_factors[step]
+        grid = reader.GetOutputDataObject(0)
+        assert_array_equal(vtk_to_numpy(grid.GetPoints().GetData()), case.points)
+        cells = vtk_to_numpy(grid.GetCells().GetConnectivityArray())
+        assert_array_equal(cells.reshape(-1, 3), case.triangles)
+        data = grid.GetPointData()
+        for name, model in case.models.items():
+            for field in ("displacement", "reaction_force"):
+                values = vtk_to_numpy(data.GetArray(f"{name}.{field}"))
+                assert_array_equal(values, getattr(model, field)[step], err_msg=f"{name} {step}")
+            assert_array_equal(
+                vtk_to_numpy(data.GetArray(f"{name}.nodal_stress")), model.point_fields["nodal_stress"][step]
+            )
+        assert_array_equal(vtk_to_numpy(data.GetArray("region.base")), case.regions["base"])
+
+
+def test_every_array_has_a_unit(tmp_path: Path) -> None:
+    path = tmp_path / "case.vtkhdf"
+    store.write_case(path, example_case())
+    with h5py.File(path) as file:
+        for name in ("VTKHDF/Points", "VTKHDF/PointData/vdm-paper.displacement", "models/vdm-paper/energy"):
+            assert file[name].attrs["unit"] in {"m", "J"}, name
+        for metric in file["metrics/vdm-paper"].values():
+            assert metric.attrs["definition"]
+            assert metric.attrs["version"] >= 1
+
+
+@pytest.mark.parametrize("keep", [0, 1, 100, 0.25, 0.5, 0.9, 0.999])
+def test_a_truncated_file_is_refused(tmp_path: Path, keep: float) -> None:
+    path = tmp_path / "case.vtkhdf"
+    store.write_case(path, example_case())
+    data = path.read_bytes()
+    path.write_bytes(data[: keep if isinstance(keep, int) else int(keep * len(data))])
+    with pytest.raises(StoreError, match="damaged"):
+        store.read_case(path)
+
+
+def test_a_flipped_bit_is_noticed_anywhere(tmp_path: Path) -> None:
+    path = tmp_path / "case.vtkhdf"
+    store.write_case(path, example_case())
+    data = path.read_bytes()
+    for position in np.linspace(0, len(data) - 1, 60).astype(int):
+        broken = bytearray(data)
+        broken[position] ^= 4
+        path.write_bytes(broken)
+        with pytest.raises(StoreError):
+            store.read_case(path)
+
+
+def _reseal(path: Path, edit: Any) -> None:
+    """Tamper with a case file and seal it anew, as somebody with this program's source could."""
+    with h5py.File(io.BytesIO(path.read_bytes()[: -store._TRAILER_BYTES]), "r+") as file:
+        edit(file)
+        file.flush()
+        image = file.id.get_file_image()
+    path.write_bytes(image + store._TRAILER + hashlib.sha256(image).hexdigest().encode() + b"\n")
+
+
+@pytest.mark.parametrize(
+    ("edit", "message"),
+    [
+        (lambda f: f["case"].attrs.__setitem__("schema", 99), "newer"),
+        (lambda f: f.__setitem__("case/stolen", h5py.ExternalLink("/etc/hostname", "/x")), "link"),
+        (lambda f: f.__setitem__("case/soft", h5py.SoftLink("/models")), "link"),
+        (lambda f: f.create_dataset("case/raw", (4,), "u1", external=[("/etc/hostname", 0, 4)]), "outside"),
+        (lambda f: f.__delitem__("case/resolved"), "not readable"),
+        (lambda f: f["models/vdm-paper"].__delitem__("energy"), "not readable"),
+    ],
+)
+def test_a_tampered_file_is_refused(tmp_path: Path, edit: Any, message: str) -> None:
+    path = tmp_path / "case.vtkhdf"
+    store.write_case(path, example_case())
+    _reseal(path, edit)
+    with pytest.raises(StoreError, match=message):
+        store.read_case(path)
+
+
+def test_other_files_are_refused(tmp_path: Path) -> None:
+    path = tmp_path / "case.vtkhdf"
+    with pytest.raises(StoreError, match="no such file"):
+        store.read_case(path)
+    path.write_text("not HDF5")
+    with pytest.raises(StoreError, match="damaged"):
+        store.read_case(path)
+
+
+def _run_directory(directory: Path) -> None:
+    """Three planned cases: one done, one failed, one missing."""
+    done, failed = example_case("a1" * 32), "b2" * 32
+    store.write_case(store.case_path(directory, done.hash), done)
+    store.failure_path(directory, failed).parent.mkdir()
+    reason = {"hash": failed, "label": "x", "code": "error", "message": "too coarse", "remedy": "refine"}
+    store.failure_path(directory, failed).write_text(json.dumps(reason))
+    planned = [
+        {"hash": h, "label": f"case {h[:2]}", "swept": {"load": 2.0}, "swept_units": {"load": "N"}}
+        for h in (done.hash, failed, "c3" * 32)
+    ]
+    study = {"name": "s", "title": "t", "models": ["vdm-paper"], "reference": None}
+    (directory / "plan.json").write_text(json.dumps({"study": study, "cases": planned}))
+    (directory / "study.toml").write_text("[study]")
+
+
+def test_run_directory(tmp_path: Path) -> None:
+    _run_directory(tmp_path)
+    run = store.read_run(tmp_path)
+    assert [case.label for case in run.cases] == ["case a1"], "label and swept values are the plan's"
+    assert run.cases[0].swept == {"load": 2.0}
+    assert [failure["message"] for failure in run.failed] == ["too coarse"]
+    assert run.missing == ["case c3"]
+    state = store.run_state(tmp_path)
+    assert (state["done"], state["missing"], state["damaged"]) == (["case a1"], ["case c3"], [])
+    path = store.case_path(tmp_path, "a1" * 32)
+    path.write_bytes(path.read_bytes()[:-1])
+    assert store.run_state(tmp_path)["damaged"] == ["case a1"]
+    with pytest.raises(StoreError, match="damaged"):
+        store.read_run(tmp_path)
+
+
+@pytest.mark.parametrize("text", ["", "[]", "{", '{"cases": [{}]}', '{"cases": 3}'])
+def test_a_damaged_plan_is_refused(tmp_path: Path, text: str) -> None:
+    (tmp_path / "plan.json").write_text(text)
+    with pytest.raises(StoreError, match="damaged"):
+        store.run_state(tmp_path)
+
+
+def test_a_directory_without_a_run_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(StoreError, match="not a run directory"):
+        store.read_run(tmp_path)
+
+
+def test_study_tables(tmp_path: Path) -> None:
+    first, second = example_case("a1" * 32, "one"), example_case("b2" * 32, "two")
+    second = dataclasses.replace(second, swept={"tissue.poisson_ratio": 0.49, "geometry.shape": "box"})
+    run = Run({"name": "s"}, "[study]", [first, second], [], [], {})
+    store.write_study(tmp_path, run)
+    with h5py.File(tmp_path / "study.h5") as file:
+        assert_array_equal(file["swept/tissue.poisson_ratio"], [0.45, 0.49])
+        assert list(file["swept/geometry.shape"].asstr()) == ["=cmd()", "box"]
+        table = file["metrics/vdm-paper/max_nodal_error"]
+        assert_array_equal(table, [[1, 2, 3], [1, 2, 3]])
+        assert [dim.label for dim in table.dims] == ["case", "step"]
+        assert table.attrs["unit"] == "m"
+    with (tmp_path / "metrics.csv").open() as table:
+        rows = list(csv.DictReader(table))
+    assert len(rows) == 2 * 2 * N_STEPS
+    assert rows[-1]["metric"] == "max_nodal_error"
+    assert float(rows[-1]["value"]) == 3.0
+    assert rows[0]["geometry.shape"] == "'=cmd()", "no spreadsheet may take a text for a formula"
+
+
+def test_a_full_disk_is_an_error_and_leaves_nothing(tmp_path: Path) -> None:
+    import resource
+
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    import signal
+
+    handler = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (4096, before[1]))
+    try:
+        with pytest.raises(OSError, match="too large"):
+            store.write_case(tmp_path / "case.vtkhdf", example_case())
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+        signal.signal(signal.SIGXFSZ, handler)
+    assert list(tmp_path.iterdir()) == []
