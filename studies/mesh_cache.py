@@ -1,0 +1,79 @@
+"""Meshes kept on disk by content key: written whole or not at all, checked before they are read."""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import json
+import os
+import tempfile
+from pathlib import Path
+
+import numpy as np
+
+from studies.geometry_spec import Geometry, geometry_key
+from studies.mesh import Mesh
+
+_DIGEST_BYTES = 32  # the SHA-256 of all before it ends the file; readers of .npz do not mind it
+
+
+def mesh_from_cache(geometry: Geometry, cache_dir: Path, *, volume: bool = True) -> Mesh:
+    """The mesh of a geometry: from `cache_dir`/meshes/<key>.npz where that is sound, else built and kept.
+
+    Raises MeshError as `studies.geometry.build_mesh` does, OSError where the directory cannot be written.
+    """
+    path = cache_dir / "meshes" / f"{geometry_key(geometry, volume=volume)}.npz"
+    mesh = read_mesh(path)
+    if mesh is None:
+        from studies.geometry import build_mesh  # gmsh is slow to load: only where it is needed
+
+        mesh = build_mesh(geometry, volume=volume)
+        write_mesh(path, mesh)
+    return mesh
+
+
+def read_mesh(path: Path) -> Mesh | None:
+    """The mesh stored at `path`, or None where there is none or it is damaged."""
+    try:
+        data = path.read_bytes()
+    except FileNotFoundError:
+        return None
+    content, digest = data[:-_DIGEST_BYTES], data[-_DIGEST_BYTES:]
+    if hashlib.sha256(content).digest() != digest:
+        return None
+    with np.load(io.BytesIO(content), allow_pickle=False) as stored:
+        groups = {name.removeprefix("group/"): stored[name] for name in stored if name.startswith("group/")}
+        return Mesh(
+            points=stored["points"],
+            tetrahedra=stored["tetrahedra"],
+            surface_nodes=stored["surface_nodes"],
+            triangles=stored["triangles"],
+            groups=groups,
+            quality=json.loads(str(stored["quality"])),
+        )
+
+
+def write_mesh(path: Path, mesh: Mesh) -> None:
+    """Store a mesh: under a temporary name, flushed to disk, then renamed. Raises OSError."""
+    buffer = io.BytesIO()
+    arrays = {
+        "points": mesh.points,
+        "tetrahedra": mesh.tetrahedra,
+        "surface_nodes": mesh.surface_nodes,
+        "triangles": mesh.triangles,
+        "quality": np.array(json.dumps(dict(mesh.quality), sort_keys=True)),
+    }
+    arrays |= {f"group/{name}": mask for name, mask in mesh.groups.items()}
+    np.savez(buffer, allow_pickle=False, **arrays)
+    content = buffer.getvalue()
+    path.parent.mkdir(parents=True, exist_ok=True)
+    handle, temporary = tempfile.mkstemp(prefix=path.stem, suffix=".tmp", dir=path.parent)
+    try:
+        with os.fdopen(handle, "wb") as file:
+            file.write(content + hashlib.sha256(content).digest())
+            file.flush()
+            os.fsync(file.fileno())
+        Path(temporary).replace(path)
+    except OSError:
+        Path(temporary).unlink(missing_ok=True)
+        raise
