@@ -1,0 +1,224 @@
+"""Small-strain elasticity on tetrahedra: the reference for every Poisson ratio in (-1, 0.5], 0.5 included."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from fem_reference.linear_algebra import Solver, choose_solver
+from fem_reference.loads import (
+    Load,
+    check_loads,
+    gather_to_vertices,
+    held_nodes,
+    nodal_forces,
+    prescribed_nodes,
+)
+from fem_reference.mesh import TetMesh
+from fem_reference.outputs import OUTPUTS, StrainOutputs, mean_pressure
+from fem_reference.solution import CONVERGED, Solution, SolverError, Status
+from fem_reference.system import LinearSystem, build_system
+
+__all__ = ["ELEMENTS", "Fields", "LinearProblem", "Load"]
+
+Array = NDArray[np.float64]
+
+ELEMENTS = {"P2-P1": (2, True), "P2": (2, False), "P1": (1, False)}
+
+
+@dataclass(frozen=True)
+class Fields:
+    """Nodal fields of S steps.
+
+    Attributes
+    ----------
+    displacement : (S, n_nodes, 3) [m]
+    pressure : (S, n) -tr(stress)/3 at the vertices; (S, 0) for a displacement element [Pa]
+    reaction : (S, n_nodes, 3) force of the support on the body [N]
+    residual : (S,) true relative residual of the scaled system
+    iterations : (S,) Krylov iterations, 0 for a direct solve
+    """
+
+    displacement: Array
+    pressure: Array
+    reaction: Array
+    residual: Array
+    iterations: NDArray[np.int64]
+
+
+class LinearProblem:
+    """One body, one material and one set of supports, ready for many loads.
+
+    Mixed displacement-pressure Taylor-Hood elements (P2-P1) on stress = 2 G dev(strain) - p I with
+    p = -K div u (Hughes, The Finite Element Method, section 4.3, with the bulk modulus K in place of lambda,
+    so that p is -tr(stress)/3 and every Poisson ratio down to -1 is allowed). The displacement elements "P2" and
+    "P1" exist to show locking.
+
+    Parameters
+    ----------
+    points, tetrahedra, surface_nodes, triangles : see `fem_reference.mesh.TetMesh`
+    youngs_modulus : [Pa], positive
+    poisson_ratio : in (-1, 0.5]; below 0.5 for "P2" and "P1"
+    density : [kg/m^3]
+    held : (N,) surface nodes whose displacement is given, or (N, 3) single components of them (rollers)
+    solver : "auto" chooses by size, `expected_loads` and memory; "direct" or "iterative" insist
+    expected_loads : number of loads to come, for the choice
+    element : "P2-P1", "P2" or "P1"
+    memory_limit : bytes the solver may take; None for what the machine has left
+
+    Raises
+    ------
+    SolverError
+        Before any solve: unusable mesh, material or support, or too little memory.
+    """
+
+    def __init__(
+        self,
+        points: ArrayLike,
+        tetrahedra: ArrayLike,
+        surface_nodes: ArrayLike,
+        triangles: ArrayLike,
+        *,
+        youngs_modulus: float,
+        poisson_ratio: float,
+        density: float = 0.0,
+        held: ArrayLike,
+        solver: str = "auto",
+        expected_loads: int = 1,
+        element: str = "P2-P1",
+        memory_limit: float | None = None,
+    ) -> None:
+        start = time.perf_counter()
+        if element not in ELEMENTS:
+            raise SolverError(
+                Status("bad-element", f"element {element!r} is unknown", f"use one of {', '.join(ELEMENTS)}")
+            )
+        order, mixed = ELEMENTS[element]
+        _check_material(youngs_modulus, poisson_ratio, density, mixed=mixed)
+        self.mesh = TetMesh(points, tetrahedra, surface_nodes, triangles, order=order)
+        self.element = element
+        self.youngs_modulus = float(youngs_modulus)
+        self.poisson_ratio = float(poisson_ratio)
+        self.density = float(density)
+        self.shear_modulus = self.youngs_modulus / (2.0 * (1.0 + self.poisson_ratio))
+        self.held = held_nodes(self.mesh, np.asarray(held))
+        self.system: LinearSystem = build_system(
+            self.mesh, self.held, mixed=mixed, poisson_ratio=self.poisson_ratio
+        )
+        self.solver: Solver = choose_solver(self.system, solver, expected_loads, memory_limit)
+        self.seconds_setup = time.perf_counter() - start
+
+    def solve(self, loads: Sequence[Load], outputs: frozenset[str] = frozenset()) -> Solution:
+        """Solve one step per load.
+
+        Parameters
+        ----------
+        loads : the load steps, independent of each other
+        outputs : further scalars, see `fem_reference.outputs.OUTPUTS`
+
+        Raises
+        ------
+        SolverError
+            For a load of the wrong shape or with values that are not finite, and for an unknown output.
+        """
+        start = time.perf_counter()
+        unknown = outputs - OUTPUTS.keys()
+        if unknown:
+            raise SolverError(
+                Status(
+                    "bad-output",
+                    f"output {sorted(unknown)[0]!r} is unknown",
+                    f"use some of {', '.join(OUTPUTS)}",
+                )
+            )
+        check_loads(self.mesh, loads)
+        forces = nodal_forces(self.mesh, loads, self.density)
+        fields = self.solve_nodal(forces, prescribed_nodes(self.mesh, loads))
+        work = np.einsum("snk,snk->s", forces, fields.displacement)
+        reaction_work = np.einsum("snk,snk->s", fields.reaction, fields.displacement)
+        scalars: dict[str, Array] = {}
+        if outputs:
+            scalars = StrainOutputs(self, fields).compute(outputs - {"compliance"})
+        if "compliance" in outputs:
+            scalars["compliance"] = work
+        steps = len(loads)
+        return Solution(
+            displacement=np.ascontiguousarray(fields.displacement[:, self.mesh.surface_nodes]),
+            fluid_pressure=mean_pressure(self, fields),
+            reaction_force=gather_to_vertices(self.mesh, fields.reaction),
+            energy=0.5 * (work + reaction_work),
+            iterations=fields.iterations,
+            status=tuple(self._status(residual) for residual in fields.residual),
+            seconds_setup=self.seconds_setup,
+            seconds_per_step=np.full(steps, (time.perf_counter() - start) / steps),
+            parameters=self._parameters(fields),
+            scalars=scalars,
+        )
+
+    def solve_nodal(self, forces: Array, prescribed: Array) -> Fields:
+        """Solve for forces given at the nodes.
+
+        Parameters
+        ----------
+        forces : (S, n_nodes, 3) [N]
+        prescribed : (S, n_nodes, 3) displacement of held nodes; ignored elsewhere [m]
+        """
+        length = self.mesh.mean_edge
+        force_unit = self.shear_modulus * length**2
+        scaled_forces = forces / force_unit
+        scaled_given = prescribed / length
+        solved = self.solver.solve(self.system.right_hand_side(scaled_forces, scaled_given))
+        u, p = self.system.expand(solved.x, scaled_given)
+        reaction = self.system.reactions(u, p, scaled_forces)
+        return Fields(
+            displacement=u * length,
+            pressure=p * self.shear_modulus,
+            reaction=reaction * force_unit,
+            residual=solved.residual,
+            iterations=solved.iterations,
+        )
+
+    def _status(self, residual: float) -> Status:
+        if residual <= self.solver.tolerance:
+            return CONVERGED
+        return Status(
+            "not-converged",
+            f"the {self.solver.name} solver reached a relative residual of {residual:.1e},"
+            f" {self.solver.tolerance:.0e} is needed",
+            'improve the worst tetrahedra of the mesh or use solver="direct"',
+        )
+
+    def _parameters(self, fields: Fields) -> dict[str, float | str]:
+        return {
+            "element": self.element,
+            "youngs_modulus": self.youngs_modulus,
+            "poisson_ratio": self.poisson_ratio,
+            "density": self.density,
+            "solver": self.solver.name,
+            "solver_reason": self.solver.reason,
+            "solver_estimated_bytes": self.solver.estimated_bytes,
+            "dofs": float(self.system.size),
+            "tetrahedra": float(len(self.mesh.tetrahedra)),
+            "relative_residual": float(fields.residual.max()),
+        }
+
+
+def _check_material(youngs_modulus: float, poisson_ratio: float, density: float, *, mixed: bool) -> None:
+    if not (np.isfinite(youngs_modulus) and youngs_modulus > 0.0):
+        raise _bad_material(f"youngs_modulus is {youngs_modulus}", "give a positive number of pascals")
+    if not -1.0 < poisson_ratio <= 0.5:
+        raise _bad_material(f"poisson_ratio is {poisson_ratio}", "give a number in (-1, 0.5]")
+    if poisson_ratio == 0.5 and not mixed:
+        raise _bad_material(
+            "a displacement element cannot be incompressible", "use the element P2-P1 or poisson_ratio < 0.5"
+        )
+    if not (np.isfinite(density) and density >= 0.0):
+        raise _bad_material(f"density is {density}", "give a number of kg/m^3 that is not negative")
+
+
+def _bad_material(message: str, remedy: str) -> SolverError:
+    return SolverError(Status("bad-material", message, remedy))

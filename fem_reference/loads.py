@@ -1,0 +1,162 @@
+"""Loads and supports on the surface, as forces and given displacements at the nodes of the element."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fem_reference.assembly import gravity_weights
+from fem_reference.mesh import TetMesh, facet_quadrature, triangle_p2
+from fem_reference.solution import SolverError, Status
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class Load:
+    """One load step.
+
+    Attributes
+    ----------
+    facet_pressure : (F, Q) pressure at the points of `mesh.facet_quadrature`, positive pushes into the body [Pa]
+    prescribed : (N, 3) displacement of the held surface nodes; ignored elsewhere [m]
+    gravity : (3,) acceleration [m/s^2]
+    """
+
+    facet_pressure: Array
+    prescribed: Array
+    gravity: Array
+
+
+def check_loads(mesh: TetMesh, loads: Sequence[Load]) -> None:
+    """Raise a `SolverError` for a load of the wrong shape or with values that are not finite."""
+    if not loads:
+        raise SolverError(Status("bad-load", "there is no load step", "give at least one load"))
+    shapes = {
+        "facet_pressure": (len(mesh.triangles), len(facet_quadrature()[1])),
+        "prescribed": (len(mesh.surface_nodes), 3),
+        "gravity": (3,),
+    }
+    for step, load in enumerate(loads):
+        for name, shape in shapes.items():
+            value = np.asarray(getattr(load, name))
+            if value.shape != shape:
+                message = f"{name} of load step {step} has shape {value.shape}"
+                raise SolverError(Status("bad-load", message, f"give shape {shape}"))
+            if not np.isfinite(value).all():
+                message = f"{name} of load step {step} has values that are not finite"
+                raise SolverError(Status("bad-load", message, "give finite numbers"))
+
+
+def nodal_forces(mesh: TetMesh, loads: Sequence[Load], density: float) -> Array:
+    """Consistent forces of pressure and weight at all nodes: (S, n_nodes, 3) [N].
+
+    `density` in kg/m^3. The sum over the nodes is the load's resultant to rounding.
+    """
+    points, weights = facet_quadrature()
+    shape = triangle_p2(points) if mesh.order == 2 else points
+    forces = np.zeros((len(loads), mesh.n_nodes, 3))
+    gravities = np.array([load.gravity for load in loads], dtype=np.float64)
+    if density and gravities.any():
+        forces += density * gravity_weights(mesh)[None, :, None] * gravities[:, None, :]
+    nodes = mesh.facet_nodes.ravel()
+    for force, load in zip(forces, loads, strict=True):
+        share = (np.asarray(load.facet_pressure) * weights) @ shape
+        for k in range(3):
+            values = -(share * mesh.area_vectors[:, k, None]).ravel()
+            force[:, k] += np.bincount(nodes, weights=values, minlength=mesh.n_nodes)
+    return forces
+
+
+def held_nodes(mesh: TetMesh, held: Mask) -> Mask:
+    """(n_nodes, 3) held components of all nodes from the (N,) or (N, 3) mask of the surface nodes.
+
+    The middle of an edge is held where the edge belongs to a facet whose three vertices all are.
+
+    Raises
+    ------
+    SolverError
+        If the mask has a wrong shape, or a body can still move rigidly.
+    """
+    count = len(mesh.surface_nodes)
+    mask = np.asarray(held, dtype=bool)
+    if mask.shape == (count,):
+        mask = np.repeat(mask[:, None], 3, axis=1)
+    if mask.shape != (count, 3):
+        raise SolverError(
+            Status("bad-support", f"held has shape {mask.shape}", f"give shape ({count},) or ({count}, 3)")
+        )
+    out = np.zeros((mesh.n_nodes, 3), dtype=bool)
+    out[mesh.surface_nodes] = mask
+    _check_rigid_motion(mesh, out)
+    if mesh.order == 2:
+        for k in range(3):
+            facets = np.all(mask[mesh.triangles, k], axis=1)
+            edges = mesh.facet_edges[facets].ravel()
+            out[mesh.surface_edge_nodes[edges], k] = True
+    return out
+
+
+def prescribed_nodes(mesh: TetMesh, loads: Sequence[Load]) -> Array:
+    """(S, n_nodes, 3) displacement given at the surface; an edge's middle takes the mean of its ends [m]."""
+    values = np.zeros((len(loads), mesh.n_nodes, 3))
+    given = np.array([load.prescribed for load in loads], dtype=np.float64)
+    values[:, mesh.surface_nodes] = given
+    values[:, mesh.surface_edge_nodes] = 0.5 * given[:, mesh.surface_edges].sum(axis=2)
+    return values
+
+
+def gather_to_vertices(mesh: TetMesh, nodal: Array) -> Array:
+    """(S, N, 3) sums at surface vertices of (S, n_nodes, 3), half of an edge's value to each of its ends."""
+    out = np.array(nodal[:, mesh.surface_nodes])
+    halves = 0.5 * nodal[:, mesh.surface_edge_nodes]
+    for end in range(2):
+        for step, half in zip(out, halves, strict=True):
+            np.add.at(step, mesh.surface_edges[:, end], half)
+    return out
+
+
+def _check_rigid_motion(mesh: TetMesh, held: Mask) -> None:
+    if not held.any():
+        raise SolverError(
+            Status("not-held", "nothing is held, so the body can move freely", "hold a part of the surface")
+        )
+    count, label = mesh.components
+    vertices = np.flatnonzero(held[: mesh.n_vertices].any(axis=1))
+    for body in range(count):
+        mine = vertices[label[vertices] == body]
+        if _rigid_rank(mesh.points[mine], held[mine]) < 6:
+            name = "the body" if count == 1 else f"body {body} of {count}"
+            raise SolverError(
+                Status(
+                    "not-held",
+                    f"too little is held: {name} can still move or turn freely",
+                    "hold three or more nodes that are not on one line",
+                )
+            )
+
+
+def _rigid_rank(points: Array, held: Mask) -> int:
+    """Rank of the six rigid motions seen at held components, points measured in their own spread."""
+    if not len(points):
+        return 0
+    x = points - points.mean(axis=0)
+    x = x / max(float(np.abs(x).max()), np.finfo(np.float64).tiny)
+    modes = rigid_modes(x)
+    gram = np.einsum("nki,nkj->ij", modes * held[:, :, None], modes * held[:, :, None])
+    return int(np.linalg.matrix_rank(gram / len(points), tol=1e-12, hermitian=True))
+
+
+def rigid_modes(points: Array) -> Array:
+    """(n, 3, 6) displacements of the three translations and the three rotations about the origin."""
+    modes = np.zeros((len(points), 3, 6))
+    modes[:, :, :3] = np.eye(3)
+    for k in range(3):
+        axis = np.zeros(3)
+        axis[k] = 1.0
+        modes[:, :, 3 + k] = np.cross(axis, points)
+    return modes

@@ -1,0 +1,41 @@
+"""How much memory a solver may take."""
+
+from __future__ import annotations
+
+import os
+import resource
+
+from fem_reference.solution import SolverError, Status
+
+
+def available_memory() -> float:
+    """Bytes this process can still take: what the machine has left, or less where a limit is set [B]."""
+    page = os.sysconf("SC_PAGE_SIZE")
+    available = float(os.sysconf("SC_PHYS_PAGES") * page)
+    try:
+        with open("/proc/meminfo", encoding="ascii") as lines:
+            for line in lines:
+                if line.startswith("MemAvailable:"):
+                    available = min(available, 1024.0 * float(line.split()[1]))
+        with open("/proc/self/statm", encoding="ascii") as statm:
+            used = float(statm.read().split()[0]) * page
+    except OSError:  # not Linux: the physical memory is the bound that is left
+        return available
+    limit, _ = resource.getrlimit(resource.RLIMIT_AS)
+    if limit != resource.RLIM_INFINITY:
+        available = min(available, limit - used)
+    return available
+
+
+def check_memory(needed: float, limit: float | None, path: str) -> None:
+    """Raise a `SolverError` if `needed` bytes exceed `limit` (None: what is available now)."""
+    allowed = available_memory() if limit is None else limit
+    if needed > allowed:
+        other = "iterative" if path == "direct" else "direct"
+        raise SolverError(
+            Status(
+                "memory",
+                f"the {path} solver needs about {needed / 1e6:.0f} MB but {allowed / 1e6:.0f} MB are available",
+                f'use a larger mesh_size or solver="{other}"',
+            )
+        )

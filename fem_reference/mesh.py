@@ -1,0 +1,241 @@
+"""Arrays to a checked tetrahedral mesh with scikit-fem's P1 or P2 node numbering and the map to its surface."""
+
+from __future__ import annotations
+
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+from skfem import ElementTetP1, ElementTetP2, MeshTet
+from skfem.assembly import Dofs
+
+from fem_reference.solution import SolverError, Status
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+Mask = NDArray[np.bool_]
+
+# A tetrahedron whose volume is below this share of its longest edge cubed is flat to rounding.
+_FLAT = 1e-12
+
+
+def facet_quadrature() -> tuple[Array, Array]:
+    """Quadrature on a triangle, exact to degree 4 (Dunavant 1985, doi 10.1002/nme.1620210612, rule 4).
+
+    Returns
+    -------
+    points : (6, 3) barycentric coordinates
+    weights : (6,) summing to one; an integral is the facet's area times the weighted sum
+    """
+    # Closed form of the two orbits, so that the rule is exact to rounding and not to printed digits.
+    root = np.sqrt(10.0)
+    inner = np.sqrt(38.0 - 44.0 * np.sqrt(0.4))
+    near = (8.0 - root + inner) / 18.0
+    far = (8.0 - root - inner) / 18.0
+    weight = np.sqrt(213125.0 - 53320.0 * root)
+    weights = np.repeat([(620.0 + weight) / 3720.0, (620.0 - weight) / 3720.0], 3)
+    points = np.empty((6, 3))
+    for orbit, value in enumerate((near, far)):
+        rows = slice(3 * orbit, 3 * orbit + 3)
+        points[rows] = value
+        points[rows][np.diag_indices(3)] = 1.0 - 2.0 * value
+    return points, weights
+
+
+def triangle_p2(barycentric: Array) -> Array:
+    """P2 shape functions on a triangle: (Q, 6) at (Q, 3) points; vertices, then edges 01, 12, 20."""
+    b = barycentric
+    edges = [4.0 * b[:, i] * b[:, j] for i, j in ((0, 1), (1, 2), (2, 0))]
+    return np.column_stack([*(b[:, i] * (2.0 * b[:, i] - 1.0) for i in range(3)), *edges])
+
+
+class TetMesh:
+    """A tetrahedral mesh, its boundary surface and the nodes of a P1 or P2 element on it.
+
+    Nodes are numbered as scikit-fem does: the vertices first, then (P2) one per edge.
+
+    Parameters
+    ----------
+    points : (n, 3) coordinates [m], each used by a tetrahedron
+    tetrahedra : (m, 4) indices into `points`, positive volume
+    surface_nodes : (N,) indices into `points`
+    triangles : (F, 3) indices into `surface_nodes`: the whole boundary, outward
+
+    Attributes
+    ----------
+    order : 1 or 2
+    element_nodes : (m, 4 or 10) node numbers
+    volumes : (m,) [m^3]
+    barycentric_gradients : (m, 3, 3), row a the gradient of the coordinate of vertex a + 1 [1/m]
+    area_vectors : (F, 3) outward area vectors of the facets [m^2]
+    facet_nodes : (F, 3 or 6) node numbers: vertices, then edges 01, 12, 20
+    surface_edges : (E, 2) surface-node indices of the ends of each boundary edge
+    surface_edge_nodes : (E,) node number of each boundary edge; empty for P1
+
+    Raises
+    ------
+    SolverError
+        On arrays of a wrong shape, indices out of range, unused points, flat or inverted tetrahedra,
+        and triangles that are not the outward boundary of the tetrahedra.
+    """
+
+    def __init__(
+        self,
+        points: ArrayLike,
+        tetrahedra: ArrayLike,
+        surface_nodes: ArrayLike,
+        triangles: ArrayLike,
+        *,
+        order: int = 2,
+    ) -> None:
+        self.points = np.ascontiguousarray(points, dtype=np.float64)
+        self.tetrahedra = np.ascontiguousarray(tetrahedra, dtype=np.int64)
+        self.surface_nodes = np.ascontiguousarray(surface_nodes, dtype=np.int64)
+        self.triangles = np.ascontiguousarray(triangles, dtype=np.int64)
+        self.order = order
+        self._check_arrays()
+        self.volumes, self.barycentric_gradients = self._affine_maps()
+        self.area_vectors = self._area_vectors()
+
+        element = ElementTetP2() if order == 2 else ElementTetP1()
+        self.skfem_mesh = MeshTet(
+            np.ascontiguousarray(self.points.T), np.ascontiguousarray(self.tetrahedra.T.astype(np.int32))
+        )
+        dofs = Dofs(self.skfem_mesh, element)
+        self.element_nodes: Index = np.ascontiguousarray(dofs.element_dofs.T, dtype=np.int64)
+        self.n_nodes = int(dofs.N)
+        self._number_surface(dofs)
+
+    @property
+    def n_vertices(self) -> int:
+        """Number of points n."""
+        return len(self.points)
+
+    @property
+    def volume(self) -> float:
+        """Volume of the body [m^3]."""
+        return float(self.volumes.sum())
+
+    @cached_property
+    def mean_edge(self) -> float:
+        """Mean edge length of the tetrahedra [m]."""
+        corners = self.points[self.tetrahedra]
+        edges = [corners[:, j] - corners[:, i] for i in range(4) for j in range(i + 1, 4)]
+        return float(np.mean([np.linalg.norm(e, axis=1).mean() for e in edges]))
+
+    @cached_property
+    def node_points(self) -> Array:
+        """(n_nodes, 3) coordinates of all nodes, vertices first [m]."""
+        if self.order == 1:
+            return self.points
+        ends = np.asarray(self.skfem_mesh.edges)
+        return np.vstack([self.points, 0.5 * (self.points[ends[0]] + self.points[ends[1]])])
+
+    @cached_property
+    def edge_vertices(self) -> Index:
+        """(n_edges, 2) vertices at the ends of each edge; node n_vertices + e is the middle of edge e."""
+        return np.ascontiguousarray(np.asarray(self.skfem_mesh.edges).T, dtype=np.int64)
+
+    @cached_property
+    def components(self) -> tuple[int, Index]:
+        """Number of separate bodies and the (n,) body of each vertex."""
+        first = np.repeat(self.tetrahedra[:, 0], 3)
+        other = self.tetrahedra[:, 1:].ravel()
+        n = self.n_vertices
+        count, labels = connected_components(
+            coo_array((np.ones(len(first), dtype=np.int8), (first, other)), shape=(n, n)), directed=False
+        )
+        return int(count), np.asarray(labels, dtype=np.int64)
+
+    def _check_arrays(self) -> None:
+        for name, array, width in (
+            ("points", self.points, 3),
+            ("tetrahedra", self.tetrahedra, 4),
+            ("triangles", self.triangles, 3),
+        ):
+            if array.ndim != 2 or array.shape[1] != width or not len(array):
+                raise _bad_mesh(f"{name} has shape {array.shape}", f"give an array of shape (count, {width})")
+        if not np.isfinite(self.points).all():
+            raise _bad_mesh("points has values that are not finite", "repair the mesh")
+        for name, index, size in (
+            ("tetrahedra", self.tetrahedra, len(self.points)),
+            ("surface_nodes", self.surface_nodes, len(self.points)),
+            ("triangles", self.triangles, len(self.surface_nodes)),
+        ):
+            if index.min() < 0 or index.max() >= size:
+                raise _bad_mesh(f"{name} has an index outside 0..{size - 1}", "repair the mesh")
+        unused = len(self.points) - len(np.unique(self.tetrahedra))
+        if unused:
+            raise _bad_mesh(f"{unused} points belong to no tetrahedron", "remove them from the mesh")
+
+    def _affine_maps(self) -> tuple[Array, Array]:
+        corners = self.points[self.tetrahedra]
+        edges = corners[:, 1:] - corners[:, :1]
+        first, second, third = edges[:, 0], edges[:, 1], edges[:, 2]
+        cofactors = np.stack(
+            [np.cross(second, third), np.cross(third, first), np.cross(first, second)], axis=1
+        )
+        six_volumes = np.einsum("ij,ij->i", first, cofactors[:, 0])
+        lengths = [np.linalg.norm(corners[:, j] - corners[:, i], axis=1) for i in range(4) for j in range(i)]
+        size = np.max(lengths, axis=0)
+        flat = np.abs(six_volumes) <= _FLAT * size**3
+        if flat.any():
+            raise _bad_mesh(
+                f"{flat.sum()} tetrahedra have no volume (the first is number {np.argmax(flat)})",
+                "remesh the body",
+            )
+        inverted = six_volumes < 0
+        if inverted.any():
+            raise _bad_mesh(
+                f"{inverted.sum()} tetrahedra are inverted (the first is number {np.argmax(inverted)})",
+                "swap two of their vertices or remesh the body",
+            )
+        return six_volumes / 6.0, cofactors / six_volumes[:, None, None]
+
+    def _area_vectors(self) -> Array:
+        corners = self.points[self.surface_nodes[self.triangles]]
+        area = 0.5 * np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        enclosed = np.einsum("fi,fi->", area, corners.mean(axis=1)) / 3.0
+        # Closed and outward, the surface encloses what the tetrahedra fill; the sum is taken about the origin,
+        # so the tolerance grows with the distance from it.
+        reach = np.abs(corners).max() * np.linalg.norm(area, axis=1).sum()
+        if abs(enclosed - self.volume) > 1e-9 * self.volume + 1e-13 * reach:
+            raise _bad_mesh(
+                f"the triangles enclose {enclosed:.6g} m^3 but the tetrahedra fill {self.volume:.6g} m^3",
+                "give the whole boundary of the tetrahedra with outward triangles",
+            )
+        return area
+
+    def _number_surface(self, dofs: Dofs) -> None:
+        corners = self.surface_nodes[self.triangles]
+        pairs = np.stack([self.triangles, np.roll(self.triangles, -1, axis=1)], axis=2).reshape(-1, 2)
+        vertex_pairs = self.surface_nodes[pairs]
+        n = self.n_vertices
+        ends = np.sort(np.asarray(self.skfem_mesh.edges, dtype=np.int64), axis=0)
+        keys = ends[0] * n + ends[1]
+        by_key = np.argsort(keys)
+        wanted = vertex_pairs.min(axis=1) * n + vertex_pairs.max(axis=1)
+        place = np.minimum(np.searchsorted(keys[by_key], wanted), len(keys) - 1)
+        edges = by_key[place]
+        if (keys[edges] != wanted).any():
+            raise _bad_mesh(
+                "a triangle has an edge that no tetrahedron has", "give the boundary of the tetrahedra"
+            )
+        self.facet_nodes: Index = corners
+        self.surface_edges: Index = np.empty((0, 2), dtype=np.int64)
+        self.surface_edge_nodes: Index = np.empty(0, dtype=np.int64)
+        self.facet_edges: Index = np.empty((len(corners), 0), dtype=np.int64)
+        if self.order == 2:
+            edge_nodes = np.asarray(dofs.edge_dofs[0], dtype=np.int64)[edges]
+            self.facet_nodes = np.hstack([corners, edge_nodes.reshape(-1, 3)])
+            self.surface_edge_nodes, first, facet_edges = np.unique(
+                edge_nodes, return_index=True, return_inverse=True
+            )
+            self.surface_edges = pairs[first]
+            self.facet_edges = facet_edges.reshape(-1, 3)
+
+
+def _bad_mesh(message: str, remedy: str) -> SolverError:
+    return SolverError(Status("bad-mesh", message, remedy))

@@ -1,0 +1,245 @@
+"""The scaled linear system of one mesh, one Poisson ratio and one set of supports.
+
+Lengths are measured in mean edges and stresses in shear moduli, so every entry is of order one and the system
+does not depend on Young's modulus. In these units, with u the displacement and p the pressure -tr(stress)/3:
+
+    [  A   -B^T ] [u]   [f]        A: deviatoric form, B: div, M: P1 mass, c = shear modulus / bulk modulus
+    [ -B   -c M ] [p] = [0]
+
+c is zero for an incompressible body and positive for every Poisson ratio in (-1, 0.5). A displacement element
+has Hooke's law in A and no pressure rows.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import block_array, bsr_array, csc_array, csr_array
+
+from fem_reference.assembly import (
+    Pattern,
+    divergence_blocks,
+    elasticity_blocks,
+    mass_matrix,
+    scalar_pattern,
+)
+from fem_reference.mesh import TetMesh
+from fem_reference.solution import SolverError, Status
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+Mask = NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class LinearSystem:
+    """Matrices on the kept nodes, those with at least one free component; held components are identity rows.
+
+    Attributes
+    ----------
+    mesh : the mesh
+    held : (n_nodes, 3) components whose displacement is given
+    kept : (K,) nodes in the system
+    stiffness : (3K, 3K) A
+    divergence : (n, 3K) B, or None for a displacement element
+    mass : (n, n) M, or None
+    compressibility : c
+    support : nodes with a held component
+    support_rows : (3 * supports, 3 n_nodes) their rows of A, no row or column taken out
+    support_divergence : (n, 3 * supports) their columns of B, or None
+    """
+
+    mesh: TetMesh
+    held: Mask
+    kept: Index
+    stiffness: bsr_array
+    divergence: bsr_array | None
+    mass: csr_array | None
+    compressibility: float
+    support: Index
+    support_rows: bsr_array
+    support_divergence: csr_array | None
+
+    @property
+    def mixed(self) -> bool:
+        """Whether there is a pressure field."""
+        return self.divergence is not None
+
+    @property
+    def n_displacements(self) -> int:
+        """Number of displacement unknowns, 3K."""
+        return 3 * len(self.kept)
+
+    @property
+    def size(self) -> int:
+        """Number of unknowns."""
+        return self.n_displacements + (0 if self.mass is None else self.mass.shape[0])
+
+    def apply(self, x: Array) -> Array:
+        """The system matrix times (size,) or (size, S)."""
+        if self.divergence is None or self.mass is None:
+            return np.asarray(self.stiffness @ x)
+        u, p = x[: self.n_displacements], x[self.n_displacements :]
+        top = self.stiffness @ u - self.divergence.T @ p
+        bottom = self.divergence @ u
+        if self.compressibility:
+            bottom = bottom + self.compressibility * (self.mass @ p)
+        return np.concatenate([top, -bottom])
+
+    def lower_triangle(self, compressibility: float) -> csc_array:
+        """Lower triangle of the matrix by columns, with `compressibility` in place of c."""
+        if self.divergence is None or self.mass is None:
+            matrix = csr_array(self.stiffness)
+        else:
+            b = csr_array(self.divergence)
+            matrix = block_array(
+                [[csr_array(self.stiffness), -b.T], [-b, -compressibility * self.mass]], format="csr"
+            )
+        return _lower(matrix)
+
+    def right_hand_side(self, forces: Array, prescribed: Array) -> Array:
+        """(size, S) from scaled nodal forces and held values, both (S, n_nodes, 3)."""
+        steps = len(forces)
+        given = np.where(self.held, prescribed, 0.0)[:, self.support].reshape(steps, -1).T
+        load = forces.reshape(steps, -1).T - self.support_rows.T @ given
+        top = load.reshape(-1, 3, steps)[self.kept]
+        top[self.held[self.kept]] = 0.0
+        top = top.reshape(-1, steps)
+        if self.support_divergence is None:
+            return np.ascontiguousarray(top)
+        return np.concatenate([top, self.support_divergence @ given])
+
+    def expand(self, x: Array, prescribed: Array) -> tuple[Array, Array]:
+        """Nodal displacements (S, n_nodes, 3) and pressures (S, n or 0) from the (size, S) solution."""
+        steps = x.shape[1]
+        u = np.where(self.held, prescribed, 0.0)
+        found = x[: self.n_displacements].T.reshape(steps, -1, 3)
+        u[:, self.kept] = np.where(self.held[self.kept], u[:, self.kept], found)
+        return u, np.ascontiguousarray(x[self.n_displacements :].T)
+
+    def reactions(self, displacement: Array, pressure: Array, forces: Array) -> Array:
+        """(S, n_nodes, 3) forces of the support on the body at held components, scaled."""
+        steps = len(displacement)
+        internal = self.support_rows @ displacement.reshape(steps, -1).T
+        if self.support_divergence is not None:
+            internal = internal - self.support_divergence.T @ pressure.T
+        reaction = np.zeros_like(displacement)
+        reaction[:, self.support] = internal.T.reshape(steps, -1, 3) - forces[:, self.support]
+        return np.where(self.held, reaction, 0.0)
+
+
+def build_system(mesh: TetMesh, held: Mask, *, mixed: bool, poisson_ratio: float) -> LinearSystem:
+    """Assemble the scaled system.
+
+    Parameters
+    ----------
+    mesh : P2 for the mixed element
+    held : (n_nodes, 3) components whose displacement is given
+    mixed : pressure field or displacement only
+    poisson_ratio : in (-1, 0.5], below 0.5 for a displacement element
+
+    Raises
+    ------
+    SolverError
+        If an incompressible body is held so that its pressure has no datum.
+    """
+    length = mesh.mean_edge
+    pattern = scalar_pattern(mesh)
+    lame = 2.0 * poisson_ratio / (1.0 - 2.0 * poisson_ratio) if not mixed else -2.0 / 3.0
+    blocks = elasticity_blocks(mesh, pattern, lame) / length
+    kept = np.flatnonzero(~held.all(axis=1))
+    support = np.flatnonzero(held.any(axis=1))
+    numbered = pattern.numbered
+    width = 3 * mesh.n_nodes
+
+    rows = numbered[support]
+    support_rows = _bsr(blocks[rows.data], rows, (3 * len(support), width))
+    inner = numbered[kept][:, kept]
+    stiffness = _bsr(blocks[inner.data], inner, (3 * len(kept), 3 * len(kept)))
+    _hold_components(stiffness, held[kept])
+    del blocks
+    if not mixed:
+        return LinearSystem(mesh, held, kept, stiffness, None, None, 0.0, support, support_rows, None)
+
+    compressibility = 1.5 * (1.0 - 2.0 * poisson_ratio) / (1.0 + poisson_ratio)
+    divergence, support_divergence = _divergence(mesh, pattern, held, kept, support, length)
+    mass = mass_matrix(mesh)
+    mass.data /= length**3
+    system = LinearSystem(
+        mesh,
+        held,
+        kept,
+        stiffness,
+        divergence,
+        mass,
+        compressibility,
+        support,
+        support_rows,
+        support_divergence,
+    )
+    if compressibility == 0.0:
+        _check_pressure_datum(system)
+    return system
+
+
+def _divergence(
+    mesh: TetMesh, pattern: Pattern, held: Mask, kept: Index, support: Index, length: float
+) -> tuple[bsr_array, csr_array]:
+    blocks = divergence_blocks(mesh, pattern) / length**2
+    numbered = pattern.numbered[: mesh.n_vertices]
+    inner = numbered[:, kept]
+    data = blocks[inner.data]
+    data[held[kept][inner.indices][:, None, :]] = 0.0
+    outer = numbered[:, support]
+    n = mesh.n_vertices
+    return (
+        _bsr(data, inner, (n, 3 * len(kept))),
+        csr_array(_bsr(blocks[outer.data], outer, (n, 3 * len(support)))),
+    )
+
+
+def _bsr(blocks: Array, pattern: csr_array, shape: tuple[int, int]) -> bsr_array:
+    return bsr_array((blocks, pattern.indices, pattern.indptr), shape=shape)
+
+
+def _hold_components(stiffness: bsr_array, held: Mask) -> None:
+    """Turn held components of nodes that stay in the system into identity rows and columns, in place."""
+    if not held.any():
+        return
+    rows = np.repeat(np.arange(len(held)), np.diff(stiffness.indptr))
+    columns = stiffness.indices
+    touched = np.flatnonzero(held[rows].any(axis=1) | held[columns].any(axis=1))
+    out = held[rows[touched]][:, :, None] | held[columns[touched]][:, None, :]
+    values = np.where(out, 0.0, stiffness.data[touched])
+    diagonal = rows[touched] == columns[touched]
+    values[diagonal] += np.eye(3) * held[rows[touched[diagonal]]][:, None, :]
+    stiffness.data[touched] = values
+
+
+def _check_pressure_datum(system: LinearSystem) -> None:
+    count, label = system.mesh.components
+    divergence = system.divergence
+    if divergence is None:
+        return
+    for body in range(count):
+        flux = divergence.T @ (label == body).astype(np.float64)
+        if np.abs(flux).max(initial=0.0) < 1e-10:
+            raise SolverError(
+                Status(
+                    "enclosed",
+                    "an incompressible body is held over its whole surface, which leaves its pressure undefined",
+                    "free a part of the surface or set poisson_ratio to 0.4999",
+                )
+            )
+
+
+def _lower(matrix: csr_array) -> csc_array:
+    """Lower triangle by columns of a symmetric matrix: the upper triangle by rows, read as columns."""
+    matrix.sort_indices()
+    rows = np.repeat(np.arange(matrix.shape[0]), np.diff(matrix.indptr))
+    upper = matrix.indices >= rows
+    counts = np.bincount(rows[upper], minlength=matrix.shape[0])
+    indptr = np.concatenate([[0], np.cumsum(counts)])
+    return csc_array((matrix.data[upper], matrix.indices[upper], indptr), shape=matrix.shape)
