@@ -1,0 +1,53 @@
+"""`results/FORMAT.md` and the files hold together: each names all that the other has."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import h5py
+
+from studies import store
+from tests.unit.example_case import example_case
+
+FORMAT = Path(__file__).parents[2] / "results" / "FORMAT.md"
+PLACEHOLDERS = {"<model>": r"[^/.]+?", "<region>": r"[^/]+", "<metric>": r"[^/]+", "<field>": r"[^/.]+"}
+
+
+def _documented() -> dict[str, re.Pattern[str]]:
+    rows = re.findall(r"^\| `(/[^`]+)` \|", FORMAT.read_text(), flags=re.MULTILINE)
+    patterns = {}
+    for row in rows:
+        pattern = re.escape(row)
+        for placeholder, expression in PLACEHOLDERS.items():
+            pattern = pattern.replace(re.escape(placeholder), expression)
+        patterns[row] = re.compile(pattern)
+    return patterns
+
+
+def test_every_dataset_is_documented_and_every_document_has_a_dataset(tmp_path: Path) -> None:
+    path = tmp_path / "case.vtkhdf"
+    store.write_case(path, example_case())
+    written: list[str] = []
+    with h5py.File(path) as file:
+        file.visititems(
+            lambda name, item: written.append(f"/{name}") if isinstance(item, h5py.Dataset) else None
+        )
+    documented = _documented()
+    assert len(documented) > 30
+    undocumented = [name for name in written if not any(p.fullmatch(name) for p in documented.values())]
+    assert undocumented == []
+    unwritten = [row for row, p in documented.items() if not any(p.fullmatch(name) for name in written)]
+    assert unwritten == []
+
+
+def test_attributes_and_seal_are_as_documented(tmp_path: Path) -> None:
+    path = tmp_path / "case.vtkhdf"
+    store.write_case(path, example_case())
+    text = FORMAT.read_text()
+    with h5py.File(path) as file:
+        for group in ("VTKHDF", "VTKHDF/Steps", "case", "models/vdm-paper"):
+            for name in file[group].attrs:
+                assert f"`{name}`" in text, f"{group} has an attribute {name} that FORMAT.md does not name"
+        assert file["case"].attrs["schema"] == store.SCHEMA
+    assert f"last {store._TRAILER_BYTES} bytes" in text
