@@ -1,0 +1,136 @@
+"""The direction of imports, read from the source."""
+
+from __future__ import annotations
+
+import ast
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+PACKAGES = ("vdm", "fem_reference", "studies")
+FILES = [path for package in PACKAGES for path in sorted((ROOT / package).rglob("*.py"))]
+
+# each of these is behind one module; rendering in the report is pyvista's second
+BEHIND = {
+    "gmsh": {"studies/geometry.py"},
+    "h5py": {"studies/store.py"},
+    "meshio": {"studies/mesh_file.py"},
+    "pyvista": {"studies/remesh.py", "studies/report/picture.py"},
+    "pyacvd": {"studies/remesh.py"},
+}
+
+
+def _imports(path: Path) -> set[str]:
+    """Absolute dotted names of all that a file imports, wherever in the file."""
+    package = path.relative_to(ROOT).parent.parts
+    names = set()
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.Import):
+            names |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            base = ".".join(package[: len(package) - node.level + 1]) if node.level else ""
+            module = ".".join(part for part in (base, node.module) if part)
+            names |= {f"{module}.{alias.name}" for alias in node.names} | {module}
+    return names
+
+
+def _tops(path: Path) -> set[str]:
+    return {name.split(".")[0] for name in _imports(path)}
+
+
+def _name(path: Path) -> str:
+    return path.relative_to(ROOT).as_posix()
+
+
+def _in(package: str) -> list[Path]:
+    return [path for path in FILES if _name(path).startswith(f"{package}/")]
+
+
+def test_there_is_something_to_check() -> None:
+    assert len(FILES) > 20
+    assert "studies.store" in _imports(ROOT / "studies" / "run.py"), "relative imports are resolved"
+
+
+@pytest.mark.parametrize("path", _in("vdm") + _in("fem_reference"), ids=_name)
+def test_the_solver_libraries_stand_alone(path: Path) -> None:
+    own = _name(path).split("/")[0]
+    assert not _tops(path) & (set(PACKAGES) - {own})
+    assert not _tops(path) & {"gmsh", "h5py", "meshio", "pyvista", "json", "pathlib", "pickle", "tomllib"} - (
+        {"pathlib"} if _name(path).endswith("memory.py") else set()
+    ), "no file I/O"
+
+
+@pytest.mark.parametrize("path", FILES, ids=_name)
+def test_heavy_libraries_are_behind_one_module(path: Path) -> None:
+    for library, homes in BEHIND.items():
+        if library in _tops(path):
+            assert _name(path) in homes, f"{library} is imported by {_name(path)}"
+
+
+def test_every_home_is_lived_in() -> None:
+    for library, homes in BEHIND.items():
+        for home in homes:
+            assert library in _tops(ROOT / home), f"{home} no longer imports {library}"
+
+
+def test_metrics_are_pure() -> None:
+    stdlib = {name for name in _tops(ROOT / "studies" / "metrics.py") if name in sys.stdlib_module_names}
+    assert _tops(ROOT / "studies" / "metrics.py") - stdlib == {"numpy", "scipy"}
+
+
+@pytest.mark.parametrize("path", _in("studies/report"), ids=_name)
+def test_the_report_reads_results_only(path: Path) -> None:
+    names = _imports(path)
+    assert not _tops(path) & {"vdm", "fem_reference", "gmsh", "h5py"}
+    for module in ("geometry", "scene", "models", "worker", "run", "plan", "config"):
+        assert not any(name == f"studies.{module}" or name.startswith(f"studies.{module}.") for name in names)
+
+
+@pytest.mark.parametrize("path", [p for p in FILES if _name(p) != "studies/cli.py"], ids=_name)
+def test_only_the_command_line_prints_and_exits(path: Path) -> None:
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.Call) and isinstance(node.func, ast.Name):
+            assert node.func.id not in {"print", "exit", "quit", "input"}, f"line {node.lineno}"
+        if isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name):
+            assert (node.value.id, node.attr) != ("sys", "exit"), f"line {node.lineno}"
+    assert "argparse" not in _tops(path)
+
+
+@pytest.mark.parametrize("path", FILES, ids=_name)
+def test_no_file_grows_past_500_lines(path: Path) -> None:
+    assert len(path.read_text().splitlines()) <= 500
+
+
+@pytest.mark.parametrize("path", FILES, ids=_name)
+def test_nothing_that_runs_what_it_reads(path: Path) -> None:
+    assert not _tops(path) & {"pickle", "marshal", "shelve", "yaml", "dill"}
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.Call) and isinstance(node.func, ast.Name):
+            assert node.func.id not in {"eval", "exec", "__import__"}, f"line {node.lineno}"
+
+
+def test_help_imports_nothing_heavy() -> None:
+    code = (
+        "import sys, contextlib\n"
+        "from studies.cli import main\n"
+        "with contextlib.suppress(SystemExit): main(['--help'])\n"
+        "print(sorted({name.split('.')[0] for name in sys.modules}), file=sys.stderr)\n"
+    )
+    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert "verbs" in result.stdout
+    heavy = {
+        "numpy",
+        "scipy",
+        "skfem",
+        "gmsh",
+        "meshio",
+        "pyvista",
+        "vtkmodules",
+        "h5py",
+        "matplotlib",
+        "pydantic",
+    }
+    assert not heavy & set(ast.literal_eval(result.stderr))
