@@ -1,0 +1,246 @@
+"""Study file -> typed objects; every problem at once, each with its line."""
+
+from __future__ import annotations
+
+import re
+import tomllib
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from .checks import geometry_spec, unknown
+from .fields import FieldRow, field_table, targets
+from .geometry_spec import Geometry as GeometrySpec
+from .problems import Finding, Problem, Source, StudyError
+from .schema import Constraint, Region, Study, Tissue
+from .sweep import ResolvedCase, check_cases, first_case, read_axes
+from .toml_lines import NotToml, TooDeep, key_lines
+from .validation import validate
+
+__all__ = [
+    "Constraint",
+    "FieldRow",
+    "Problem",
+    "Region",
+    "ResolvedCase",
+    "Study",
+    "StudyError",
+    "Tissue",
+    "case_inputs",
+    "expand",
+    "field_table",
+    "geometry_of",
+    "load_study",
+    "resolved",
+]
+
+MAX_BYTES = 1_000_000  # of a study file
+KNOWN_MODELS = ("vdm-paper", "vdm-consistent", "vdm-vector", "vdm-vector:nonlinear", "fem-linear", "fem")
+
+_NOT_HASHED = {"study", "sweep", "limits"}
+_LONG_NUMBER = re.compile(r"\d[\d_]{4000,}")
+
+
+def load_study(
+    path: Path,
+    *,
+    allow_outside: bool = False,
+    surface: Path | None = None,
+    known_models: Sequence[str] | Callable[[], Sequence[str]] = KNOWN_MODELS,
+) -> Study:
+    """Read and validate a study file; all cases of its sweep are validated too.
+
+    Parameters
+    ----------
+    path : the study file, TOML in UTF-8 (a byte order mark is passed over)
+    allow_outside : whether the study may name files outside its own directory
+    surface : a mesh file to use as the geometry, wherever it lies; `mesh_size` and the largest extent `size` of
+        the study are kept
+    known_models : the model names that a study may list, or what gives them
+
+    Raises
+    ------
+    StudyError
+        with every problem of the file.
+    """
+    text = _read_text(path)
+    data, source = _parse(text, str(path))
+    directory = path.parent.resolve()
+    source = replace(source, directory=directory, allow_outside=allow_outside)
+    findings: list[Finding] = []
+    if surface is not None:
+        data["geometry"] = _surface_geometry(data.get("geometry"), surface)
+        source = replace(source, trusted=surface.resolve())
+    axes, axis_findings = read_axes(data)
+    base = first_case(data, axes)
+    study, findings = validate(base, source)
+    findings += axis_findings
+    findings += _check_model_names(data, known_models() if callable(known_models) else known_models)
+    findings += _check_limits(data)
+    swept_well = not axis_findings and not any(loc[:1] == ("sweep",) for loc, _ in findings)
+    if axes and swept_well:
+        most = study.study.max_cases if study is not None else 1000
+        known = {loc for loc, _ in findings}
+        _, faults = check_cases(data, axes, most, source)
+        findings += [(loc, text) for loc, text in faults if loc not in known]
+    if findings or study is None:
+        raise source.error(findings, base)
+    study._source = source
+    return study
+
+
+def expand(study: Study) -> list[ResolvedCase]:
+    """The cases of a study's sweep, in order; one where nothing is swept.
+
+    Raises
+    ------
+    StudyError
+        more cases than `study.max_cases`, or a case that is wrong.
+    """
+    data = _plain(study)
+    axes, findings = read_axes(data)
+    if not findings:
+        resolved_cases, findings = check_cases(data, axes, study.study.max_cases, study._source)
+    if findings:
+        raise study._source.error(findings, data)
+    return resolved_cases
+
+
+def resolved(study: Study) -> dict[str, Any]:
+    """Everything that a study says, as plain JSON in SI units, in an order that does not depend on the file's.
+
+    `Study.model_validate` takes it back. Paths are absolute.
+    """
+    data: dict[str, Any] = _jsonable(_plain(study))
+    axes, _ = read_axes(data)
+    if axes:
+        own = {key: value for key, value in data["sweep"].items() if key in ("mode", "samples", "seed")}
+        for axis in sorted(axes, key=lambda axis: axis.key):
+            own[axis.key] = axis.as_written()
+        data["sweep"] = own
+    return data
+
+
+def case_inputs(study: Study) -> dict[str, Any]:
+    """The part of `resolved` that a case's hash covers: all that decides its numbers.
+
+    That is geometry, tissue, vdm, models (the overrides), regions, constraints, load, gravity, environment,
+    anisotropy and uncertainty; not the name, title, list of models, reference, sweep and limits. A geometry file
+    is named by its path: hash its content beside this (`geometry_spec.geometry_key`).
+    """
+    return {key: value for key, value in resolved(study).items() if key not in _NOT_HASHED}
+
+
+def geometry_of(study: Study) -> GeometrySpec:
+    """The study's geometry as the mesher takes it."""
+    return geometry_spec(study.geometry)
+
+
+# --- plain data ---
+
+
+def _plain(study: Study) -> dict[str, Any]:
+    """The study as it could have been parsed from a file in SI units; named tables sorted by name."""
+    data = study.model_dump(by_alias=True, exclude_none=True)
+    for key in ("regions", "models"):
+        data[key] = dict(sorted(data[key].items()))
+    return data
+
+
+def _jsonable(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {key: _jsonable(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_jsonable(item) for item in value]
+    return str(value) if isinstance(value, Path) else value
+
+
+# --- the file ---
+
+
+def _read_text(path: Path) -> str:
+    def wrong(message: str, line: int = 1) -> StudyError:
+        return StudyError([Problem(str(path), line, "", message)])
+
+    try:
+        if not path.is_file():
+            raise wrong("is not a file" if path.exists() else "no such file")
+        with path.open("rb") as file:
+            raw = file.read(MAX_BYTES + 1)
+    except OSError as error:
+        raise wrong(f"cannot be read: {error.strerror}") from None
+    except ValueError:  # a NUL in the path
+        raise wrong("is not a usable path") from None
+    if len(raw) > MAX_BYTES:
+        raise wrong(f"is larger than {MAX_BYTES // 1_000_000} MB; a study file is text of some hundred lines")
+    try:
+        return raw.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        line = raw.count(b"\n", 0, error.start) + 1
+        raise wrong("is not UTF-8 text; save the file in UTF-8", line) from None
+
+
+def _parse(text: str, path: str) -> tuple[dict[str, Any], Source]:
+    def wrong(message: str, line: int) -> StudyError:
+        return StudyError([Problem(path, line, "", message)])
+
+    try:
+        data = tomllib.loads(text)
+        return data, Source(path, key_lines(text))
+    except TooDeep as error:
+        raise wrong(str(error), error.line) from None
+    except RecursionError:
+        raise wrong(*_too_deep(text)) from None
+    except tomllib.TOMLDecodeError as error:
+        message = re.sub(r" \(at .*\)$", "", str(error))
+        raise wrong(f"TOML syntax: {message[:1].lower()}{message[1:]}", _line_of(error, text)) from None
+    except ValueError:  # Python converts no whole number of more than 4,300 digits
+        match = _LONG_NUMBER.search(text)
+        line = text.count("\n", 0, match.start()) + 1 if match else 1
+        raise wrong("a number is too long", line) from None
+
+
+def _too_deep(text: str) -> tuple[str, int]:
+    try:
+        key_lines(text)
+    except TooDeep as error:
+        return str(error), error.line
+    except NotToml:
+        pass
+    return "nested too deeply", 1
+
+
+def _line_of(error: tomllib.TOMLDecodeError, text: str) -> int:
+    match = re.search(r"\(at line (\d+),", str(error))
+    return int(match.group(1)) if match else text.rstrip("\n").count("\n") + 1
+
+
+def _surface_geometry(geometry: Any, surface: Path) -> dict[str, Any]:
+    kept = {"shape": "file", "path": str(surface.resolve())}
+    if isinstance(geometry, dict):
+        kept |= {key: geometry[key] for key in ("mesh_size", "size") if key in geometry}
+        if isinstance(kept.get("size"), list):
+            del kept["size"]
+    return kept
+
+
+def _check_model_names(data: Mapping[str, Any], known: Sequence[str]) -> list[Finding]:
+    study = data.get("study")
+    names = study.get("models") if isinstance(study, dict) else None
+    return [
+        (("study", "models", place), unknown(name, known, "model"))
+        for place, name in enumerate(names if isinstance(names, list) else [])
+        if isinstance(name, str) and name not in known
+    ]
+
+
+def _check_limits(data: Mapping[str, Any]) -> list[Finding]:
+    limits = data.get("limits")
+    along = limits.get("along") if isinstance(limits, dict) else None
+    if not isinstance(along, str):
+        return []
+    known = {key: target for key, target in targets(data).items() if target.si is not None}
+    if along in known:
+        return []
+    return [(("limits", "along"), unknown(along, list(known), "key", list_all=False))]

@@ -1,0 +1,100 @@
+"""What is wrong with a study file, and where: the error that carries every problem, and the file behind it."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from .units import shown
+
+Loc = tuple[str | int, ...]  # indices that lead to a value of the parsed file
+Finding = tuple[Loc, str]
+
+_BARE_KEY = re.compile(r"[A-Za-z0-9_-]+")
+
+
+class Problem(NamedTuple):
+    """One mistake: file, 1-based line, key as one would write it (empty for the file itself), sentence."""
+
+    path: str
+    line: int
+    key: str
+    message: str
+
+    def __str__(self) -> str:
+        key = f"{self.key}: " if self.key else ""
+        return f"{self.path}:{self.line}: {key}{self.message}"
+
+
+class StudyError(ValueError):
+    """A study file that cannot be used; `problems` holds every mistake found."""
+
+    def __init__(self, problems: Iterable[Problem]) -> None:
+        self.problems = list(problems)
+        super().__init__("\n".join(str(problem) for problem in self.problems))
+
+
+@dataclass(frozen=True)
+class Source:
+    """Where a study comes from. Two studies with the same content are equal whatever their source."""
+
+    path: str = field(default="study", compare=False)
+    lines: Mapping[Loc, int] = field(default_factory=dict, compare=False)
+    directory: Path | None = field(default=None, compare=False)
+    allow_outside: bool = field(default=False, compare=False)
+    trusted: Path | None = field(default=None, compare=False)  # typed by the user, may lie anywhere
+
+    def line(self, loc: Loc) -> int:
+        """The line of a key, or of the innermost table around it that the file has."""
+        for end in range(len(loc), 0, -1):
+            if loc[:end] in self.lines:
+                return self.lines[loc[:end]]
+        return 1
+
+    def locate(self, path: str | Path) -> Path:
+        """The absolute path of a file that the study names. Raises ValueError with a sentence."""
+        if self.directory is None:
+            return Path(path)
+        try:
+            found = (self.directory / path).resolve()
+            if found != self.trusted and not self.allow_outside and not found.is_relative_to(self.directory):
+                raise ValueError(
+                    f"{shown(str(path))} is outside the study's directory; move it there or use --allow-outside"
+                )
+            if not found.is_file():
+                reason = "is not a file" if found.exists() else "does not exist"
+                raise ValueError(f"{shown(str(path))} {reason}")
+        except (OSError, RuntimeError) as error:  # too long a name, no permission, a loop of links
+            reason = getattr(error, "strerror", None) or "cannot be followed"
+            raise ValueError(f"{shown(str(path))} cannot be read: {reason}") from None
+        return found
+
+    def error(self, findings: Sequence[Finding], data: Mapping[str, Any]) -> StudyError:
+        """The error for these findings about `data`, in the file's order, each once."""
+        unique = dict.fromkeys(findings)
+        problems = [Problem(self.path, self.line(loc), key_text(loc, data), text) for loc, text in unique]
+        return StudyError(sorted(problems, key=lambda problem: problem.line))
+
+
+def key_text(loc: Loc, data: Mapping[str, Any]) -> str:
+    """A key as one would write it: constraints by their name, other items of lists by their index."""
+    text = ""
+    value: Any = data
+    for part in loc:
+        value = value[part] if _has(value, part) else None
+        if isinstance(part, int):
+            name = value.get("name", value.get("region")) if isinstance(value, dict) else None
+            named = text == "constraints" and isinstance(name, str) and _BARE_KEY.fullmatch(name)
+            text += f".{name}" if named else f"[{part}]"
+        else:
+            text += ("." if text else "") + (part if _BARE_KEY.fullmatch(part) else shown(part))
+    return text
+
+
+def _has(value: Any, part: str | int) -> bool:
+    if isinstance(value, dict):
+        return part in value
+    return isinstance(value, list | tuple) and isinstance(part, int) and 0 <= part < len(value)
