@@ -13,9 +13,9 @@ from typing import TYPE_CHECKING, Any, NoReturn
 
 if TYPE_CHECKING:
     from .case import Run
-    from .config import Study
     from .plan import Plan
     from .run import Event
+    from .schema import Study
 
 OK, REGRESSED, USAGE, FAILED, MACHINE, DAMAGED, NOTHING, INTERRUPTED = 0, 1, 2, 3, 4, 5, 6, 130
 SHIPPED = Path(__file__).parent / "cases"
@@ -51,7 +51,7 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
 
 def _complain_of(error: ValueError) -> int:
     """One line per problem and the exit code of a mistake; a ValueError of ours always carries a sentence."""
-    from .config import StudyError
+    from .problems import StudyError
     from .store import StoreError
 
     if isinstance(error, StudyError):
@@ -132,7 +132,8 @@ def _list(options: argparse.Namespace) -> int:
 
 
 def _check(options: argparse.Namespace) -> int:
-    from .config import StudyError, expand
+    from .config import expand
+    from .problems import StudyError
 
     try:
         study, path = _load(options)

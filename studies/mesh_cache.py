@@ -5,12 +5,11 @@ from __future__ import annotations
 import hashlib
 import io
 import json
-import os
-import tempfile
 from pathlib import Path
 
 import numpy as np
 
+from studies.files import write_atomically
 from studies.geometry_spec import Geometry, geometry_key
 from studies.mesh import Mesh
 
@@ -22,7 +21,7 @@ def mesh_from_cache(geometry: Geometry, cache_dir: Path, *, volume: bool = True)
 
     Raises MeshError as `studies.geometry.build_mesh` does, OSError where the directory cannot be written.
     """
-    path = cache_dir / "meshes" / f"{geometry_key(geometry, volume=volume)}.npz"
+    path = mesh_path(cache_dir, geometry_key(geometry, volume=volume))
     mesh = read_mesh(path)
     if mesh is None:
         from studies.geometry import build_mesh  # gmsh is slow to load: only where it is needed
@@ -30,6 +29,11 @@ def mesh_from_cache(geometry: Geometry, cache_dir: Path, *, volume: bool = True)
         mesh = build_mesh(geometry, volume=volume)
         write_mesh(path, mesh)
     return mesh
+
+
+def mesh_path(cache_dir: Path, key: str) -> Path:
+    """Where the cache keeps the mesh of a geometry's key."""
+    return cache_dir / "meshes" / f"{key}.npz"
 
 
 def read_mesh(path: Path) -> Mesh | None:
@@ -54,7 +58,7 @@ def read_mesh(path: Path) -> Mesh | None:
 
 
 def write_mesh(path: Path, mesh: Mesh) -> None:
-    """Store a mesh: under a temporary name, flushed to disk, then renamed. Raises OSError."""
+    """Store a mesh, whole or not at all. Raises OSError."""
     buffer = io.BytesIO()
     arrays = {
         "points": mesh.points,
@@ -66,14 +70,4 @@ def write_mesh(path: Path, mesh: Mesh) -> None:
     arrays |= {f"group/{name}": mask for name, mask in mesh.groups.items()}
     np.savez(buffer, allow_pickle=False, **arrays)
     content = buffer.getvalue()
-    path.parent.mkdir(parents=True, exist_ok=True)
-    handle, temporary = tempfile.mkstemp(prefix=path.stem, suffix=".tmp", dir=path.parent)
-    try:
-        with os.fdopen(handle, "wb") as file:
-            file.write(content + hashlib.sha256(content).digest())
-            file.flush()
-            os.fsync(file.fileno())
-        Path(temporary).replace(path)
-    except OSError:
-        Path(temporary).unlink(missing_ok=True)
-        raise
+    write_atomically(path, content + hashlib.sha256(content).digest())

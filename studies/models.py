@@ -122,30 +122,58 @@ def _vdm(scene: Scene, formulation: str, solver: str, name: str) -> VdmSolution:
 
 
 def run_model(scene: Scene, name: str) -> ModelResult:
-    """Solve one scene with one model and measure what it took."""
+    """Solve one scene with one model and measure what it took.
+
+    A model that cannot be set up gives a result of NaN with the reason in its status: the other models of the
+    case are not affected.
+    """
+    from fem_reference.solution import SolverError as FemError
+    from vdm.solution import SolverError as VdmError
+
     model, solver = find(name)
-    reset_peak()
+    resident = reset_peak()
     began = time.perf_counter()
-    solution = model.solve(scene, solver, name)
-    elapsed = time.perf_counter() - began
+    try:
+        solution = model.solve(scene, solver, name)
+    except (FemError, VdmError) as error:
+        return _failed(scene, model, StepStatus(error.status.code, error.status.message, error.status.remedy))
+    seconds_total = time.perf_counter() - began
+    status = tuple(StepStatus(s.code, s.message, s.remedy) for s in solution.status)
+    usable = np.array([s.ok for s in status])
+    displacement = np.where(usable[:, None, None], solution.displacement, np.nan)
     points, triangles = scene.mesh.surface_points, scene.mesh.triangles
-    steps = [
-        u if status.ok else np.full_like(u, np.nan)
-        for u, status in zip(solution.displacement, solution.status, strict=True)
-    ]
     return ModelResult(
-        displacement=np.array(steps),
-        fluid_pressure=solution.fluid_pressure,
-        reaction_force=solution.reaction_force,
-        energy=solution.energy,
-        volume=np.array([enclosed_volume(points + u, triangles) for u in steps]),
+        displacement=displacement,
+        fluid_pressure=np.where(usable, solution.fluid_pressure, np.nan),
+        reaction_force=np.where(usable[:, None, None], solution.reaction_force, np.nan),
+        energy=np.where(usable, solution.energy, np.nan),
+        volume=np.array([enclosed_volume(points + u, triangles) for u in displacement]),
         iterations=solution.iterations,
-        status=tuple(StepStatus(s.code, s.message, s.remedy) for s in solution.status),
+        status=status,
         seconds_setup=solution.seconds_setup,
         seconds_per_step=solution.seconds_per_step,
-        peak_bytes=peak_bytes_since(),
+        peak_bytes=peak_bytes_since(resident),
         version=model.version,
-        parameters={**solution.parameters, "seconds_total": elapsed},
+        parameters={**solution.parameters, "seconds_total": seconds_total},
         scalars=solution.scalars,
         point_fields=solution.point_fields,
+    )
+
+
+def _failed(scene: Scene, model: Model, reason: StepStatus) -> ModelResult:
+    n_steps = len(scene.load_factors)
+    vectors = np.full((n_steps, len(scene.fixed), 3), np.nan)
+    numbers = np.full(n_steps, np.nan)
+    return ModelResult(
+        displacement=vectors,
+        fluid_pressure=numbers,
+        reaction_force=vectors,
+        energy=numbers,
+        volume=numbers,
+        iterations=np.zeros(n_steps, dtype=np.int64),
+        status=(reason,) * n_steps,
+        seconds_setup=np.nan,
+        seconds_per_step=numbers,
+        peak_bytes=0,
+        version=model.version,
     )

@@ -11,9 +11,10 @@ from pathlib import Path
 from typing import Any
 
 from . import models
-from .config import ResolvedCase, Study, case_inputs, geometry_of, resolved
+from .config import ResolvedCase, case_inputs, geometry_of, resolved
 from .geometry_spec import Geometry, geometry_key
 from .mesh_cache import mesh_path
+from .schema import Study
 from .store import case_path, case_state
 
 

@@ -6,8 +6,8 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from .config import Region
 from .mesh import Array, Mask, Mesh, MeshError
+from .schema import HalfSpace, Region
 
 _AXES = {"x": 0, "y": 1, "z": 2}
 _TOLERANCE = 1e-9  # of the body's size: nodes on the border of a region belong to it
@@ -23,39 +23,55 @@ def select(region: Region | str, mesh: Mesh, named: Mapping[str, Region]) -> Mas
     """
     if isinstance(region, str):
         return select(named[region], mesh, named)
-    points = mesh.surface_points
-    margin = _TOLERANCE * float(np.ptp(points, axis=0).max())
-    if region.below is not None or region.above is not None:
-        half_space = region.below or region.above
-        coordinate = points[:, _AXES[half_space.axis]]
-        level = half_space.value
-        if level is None:
-            level = coordinate.min() + half_space.fraction * np.ptp(coordinate)
-        return coordinate <= level + margin if region.below is not None else coordinate >= level - margin
-    if region.ball is not None or region.cap is not None:
-        return profile_coordinate(region, mesh, points) <= 1 + _TOLERANCE
+    if region.below is not None:
+        return _beyond(region.below, mesh, sign=-1.0)
+    if region.above is not None:
+        return _beyond(region.above, mesh, sign=1.0)
     if region.box is not None:
+        points, margin = mesh.surface_points, _margin(mesh)
         low, high = np.array(region.box.min), np.array(region.box.max)
-        return ((points >= low - margin) & (points <= high + margin)).all(axis=1)
+        return np.all((points >= low - margin) & (points <= high + margin), axis=1)
     if region.group is not None:
         if region.group not in mesh.groups:
             known = ", ".join(sorted(mesh.groups)) or "none"
             raise MeshError(f"the mesh has no group {region.group!r}; it has: {known}")
         return mesh.groups[region.group]
     if region.all_of is not None:
-        return np.all([select(part, mesh, named) for part in region.all_of], axis=0)
+        return np.logical_and.reduce([select(part, mesh, named) for part in region.all_of])
     if region.any_of is not None:
-        return np.any([select(part, mesh, named) for part in region.any_of], axis=0)
-    return ~select(region.not_of, mesh, named)
+        return np.logical_or.reduce([select(part, mesh, named) for part in region.any_of])
+    if region.not_of is not None:
+        return ~select(region.not_of, mesh, named)
+    return profile_coordinate(region, mesh, mesh.surface_points) <= 1 + _TOLERANCE
+
+
+def _beyond(plane: HalfSpace, mesh: Mesh, sign: float) -> Mask:
+    """Nodes above (sign 1) or below (-1) a plane, those on it included."""
+    coordinate = mesh.surface_points[:, _AXES[plane.axis]]
+    level = plane.value
+    if level is None:
+        level = float(coordinate.min() + (plane.fraction or 0.0) * np.ptp(coordinate))
+    return sign * (coordinate - level) >= -_margin(mesh)
+
+
+def _margin(mesh: Mesh) -> float:
+    return _TOLERANCE * float(np.ptp(mesh.surface_points, axis=0).max())
 
 
 def profile_coordinate(region: Region, mesh: Mesh, points: Array) -> Array:
     """Distance (...,) of points (..., 3) from the middle of a cap or ball, 1 at its rim.
 
     In a cap: the angle seen from the body's centroid over the cap's; in a ball: the distance over its radius.
+
+    Raises
+    ------
+    MeshError
+        another kind of region, which has no middle.
     """
     if region.ball is not None:
         return np.linalg.norm(points - np.array(region.ball.center), axis=-1) / region.ball.radius
+    if region.cap is None:
+        raise MeshError("only a cap or a ball has a middle; give the contact such a region")
     offset = points - _centroid(mesh)
     direction = np.array(region.cap.direction) / np.linalg.norm(region.cap.direction)
     along = offset @ direction

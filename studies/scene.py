@@ -10,10 +10,10 @@ import numpy as np
 
 from fem_reference.mesh import facet_quadrature
 
-from .config import Constraint, Study, Tissue
 from .mesh import Array, Mask, Mesh
 from .metrics import corner_sum, facet_area_vectors, nodal_sum
 from .regions import profile_coordinate, select
+from .schema import Constraint, Study, Tissue
 
 
 class SceneError(ValueError):
@@ -157,7 +157,7 @@ def _contact_pressure(constraint: Constraint, study: Study, mesh: Mesh, mask: Ma
     """
     barycentric, weights = facet_quadrature()
     if constraint.profile == "uniform":
-        shape = np.repeat(mask[mesh.triangles].all(axis=1)[:, None].astype(float), len(weights), axis=1)
+        shape = np.repeat(np.all(mask[mesh.triangles], axis=1)[:, None].astype(float), len(weights), axis=1)
     else:
         points = np.einsum("qk,fki->fqi", barycentric, mesh.surface_points[mesh.triangles])
         rho = profile_coordinate(study.regions[constraint.region], mesh, points)
@@ -171,4 +171,4 @@ def _contact_pressure(constraint: Constraint, study: Study, mesh: Mesh, mask: Ma
         )
     if constraint.force is not None:
         return shape * (constraint.force / resultant)
-    return shape * constraint.pressure
+    return shape * (constraint.pressure or 0.0)

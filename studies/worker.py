@@ -14,7 +14,6 @@ import numpy as np
 
 from . import models, uncertainty
 from .case import CaseResult, MetricSeries, ModelResult
-from .config import Study
 from .execute import TaskError
 from .geometry_spec import Geometry
 from .mesh import Mesh
@@ -22,6 +21,7 @@ from .mesh_cache import mesh_from_cache
 from .metrics import METRICS, History, Surface, evaluate, relative_l2, rigid_motion_removed
 from .plan import level_geometries, needs_volume
 from .scene import Scene, build_scene
+from .schema import Study
 from .store import write_case
 
 PACKAGES = (
@@ -64,7 +64,7 @@ def run_case(task: Mapping[str, Any]) -> None:
     reference_error: dict[str, float] = {}
     if reference is not None:
         _require_converged(reference, results[reference])
-        if coarser:
+        if coarser and study.uncertainty is not None:
             levels = [(mesh, results[reference])]
             for level in coarser:
                 coarse_mesh = mesh_from_cache(level, cache, volume=True)
