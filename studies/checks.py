@@ -37,6 +37,7 @@ _KIND_KEYS = {
     "contact": {"pressure", "force", "profile"},
     "constrained": {"displacement"},
 }
+_MOST_PARTS, _DEEPEST = 1000, 50  # regions that one region may be made of, and levels of them
 _ONE_OF = "below, above, ball, box, cap, group, all, any, not"
 
 
@@ -51,6 +52,7 @@ def check(study: Study) -> Iterator[Finding]:
 
 def unknown(value: str, known: Sequence[str], what: str, *, list_all: bool = True) -> str:
     """A sentence that says that a name is unknown, with the closest known one, or all where none is close."""
+    known = [name for name in known if name.isprintable()]
     close = difflib.get_close_matches(value[:80], known, n=1)
     if close:
         return f'unknown {what} {shown(value)}; did you mean "{close[0]}"?'
@@ -162,6 +164,11 @@ def _check_regions(regions: dict[str, Region]) -> Iterator[Finding]:
         yield from _check_region(region, ("regions", name), regions)
         if name in _reached(name, regions):
             yield ("regions", name), "refers to itself, directly or through other regions"
+        elif _is_too_large(region, regions):
+            yield (
+                ("regions", name),
+                f"is made of more than {_MOST_PARTS} regions, or more than {_DEEPEST} levels",
+            )
 
 
 def _check_region(region: Region, loc: Loc, regions: dict[str, Region]) -> Iterator[Finding]:
@@ -208,6 +215,20 @@ def _reached(name: str, regions: dict[str, Region]) -> set[str]:
                 reached.add(part)
                 todo.append(regions[part])
     return reached
+
+
+def _is_too_large(region: Region, regions: dict[str, Region]) -> bool:
+    """Whether working out a region takes too many steps: doubling thirty times over fits in a small file."""
+    count = 0
+    todo: list[tuple[Region, int]] = [(region, 1)]
+    while todo:
+        whole, depth = todo.pop()
+        count += 1
+        if count > _MOST_PARTS or depth > _DEEPEST:
+            return True
+        parts = (part if isinstance(part, Region) else regions.get(part) for _, part in _parts(whole))
+        todo += [(part, depth + 1) for part in parts if part is not None]
+    return False
 
 
 def _check_constraints(study: Study) -> Iterator[Finding]:

@@ -68,13 +68,14 @@ def load_study(
     data, source = _parse(text, str(path))
     directory = path.parent.resolve()
     source = replace(source, directory=directory, allow_outside=allow_outside)
-    findings: list[Finding] = []
     if surface is not None:
         data["geometry"] = _surface_geometry(data.get("geometry"), surface)
-        source = replace(source, trusted=surface.resolve())
+        source = replace(source, trusted=surface.absolute())
     axes, axis_findings = read_axes(data)
     base = first_case(data, axes)
-    study, findings = validate(base, source)
+    study, faults = validate(base, source)
+    at_axis = {axis.target.loc: axis.loc for axis in axes if base is not data}
+    findings = [(at_axis.get(loc, loc), text) for loc, text in faults]
     findings += axis_findings
     findings += _check_model_names(data, known_models() if callable(known_models) else known_models)
     findings += _check_limits(data)
@@ -217,7 +218,7 @@ def _line_of(error: tomllib.TOMLDecodeError, text: str) -> int:
 
 
 def _surface_geometry(geometry: Any, surface: Path) -> dict[str, Any]:
-    kept = {"shape": "file", "path": str(surface.resolve())}
+    kept = {"shape": "file", "path": str(surface.absolute())}
     if isinstance(geometry, dict):
         kept |= {key: geometry[key] for key in ("mesh_size", "size") if key in geometry}
         if isinstance(kept.get("size"), list):

@@ -1,4 +1,4 @@
-"""Walks over the types of the study's tables: the reference of all keys, the table at a place, what can be swept."""
+"""Walks over the types of the study's tables: their reference, the table at a place, what can be swept."""
 
 from __future__ import annotations
 

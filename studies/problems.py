@@ -58,18 +58,21 @@ class Source:
         """The absolute path of a file that the study names. Raises ValueError with a sentence."""
         if self.directory is None:
             return Path(path)
+        name = shown(str(path), 200)
+        if "\0" in str(path):
+            raise ValueError(f"{name} is not a usable path")
         try:
             found = (self.directory / path).resolve()
-            if found != self.trusted and not self.allow_outside and not found.is_relative_to(self.directory):
+            trusted = self.allow_outside or (self.trusted is not None and found == self.trusted.resolve())
+            if not trusted and not found.is_relative_to(self.directory):
                 raise ValueError(
-                    f"{shown(str(path))} is outside the study's directory; move it there or use --allow-outside"
+                    f"{name} is outside the study's directory; move it there or use --allow-outside"
                 )
             if not found.is_file():
-                reason = "is not a file" if found.exists() else "does not exist"
-                raise ValueError(f"{shown(str(path))} {reason}")
+                raise ValueError(f"{name} {'is not a file' if found.exists() else 'does not exist'}")
         except (OSError, RuntimeError) as error:  # too long a name, no permission, a loop of links
             reason = getattr(error, "strerror", None) or "cannot be followed"
-            raise ValueError(f"{shown(str(path))} cannot be read: {reason}") from None
+            raise ValueError(f"{name} cannot be read: {reason}") from None
         return found
 
     def error(self, findings: Sequence[Finding], data: Mapping[str, Any]) -> StudyError:

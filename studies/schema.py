@@ -102,6 +102,12 @@ def safe_name(value: str) -> str:
     return value
 
 
+def _one_line(value: str) -> str:
+    if not value.isprintable():
+        raise ValueError("must be one line without control characters")
+    return value
+
+
 def _direction(value: Vector3) -> Vector3:
     if not 0 < math.hypot(*value) < math.inf:
         raise ValueError("must not be the zero vector")
@@ -184,7 +190,9 @@ class StudyInfo(Table):
     """[study]"""
 
     name: Name = Field(description="names the run directory: letters, digits, _ . -")
-    title: str = Field("", description="one line for the report; the name where left out", max_length=200)
+    title: Annotated[str, AfterValidator(_one_line)] = Field(
+        "", description="one line for the report; the name where left out", max_length=200
+    )
     models: tuple[str, ...] = Field(
         description='models to run: registered names, with a solver if wanted, as in "vdm-paper:quasi-linear"',
         strict=False,
@@ -192,7 +200,7 @@ class StudyInfo(Table):
     reference: str | None = Field(
         None, description="the model that the others are compared with, one of `models`; none: no comparison"
     )
-    max_cases: int = Field(1000, description="refuse a sweep of more cases than this", ge=1, le=1_000_000)
+    max_cases: int = Field(1000, description="refuse a sweep of more cases than this", ge=1, le=100_000)
 
     @classmethod
     def with_defaults(cls, data: dict[str, Any]) -> dict[str, Any]:
@@ -432,8 +440,10 @@ class Study(Table):
     geometry: Geometry = Field(description="the body")
     tissue: Tissue = Field(description="its material")
     vdm: VdmTable = Field(VdmTable(), description="parameters of the VDM models")
-    regions: dict[str, Region] = Field({}, description="named sets of surface nodes")
-    constraints: tuple[Constraint, ...] = Field((), description="what holds and loads the body", strict=False)
+    regions: dict[str, Region] = Field({}, description="named sets of surface nodes", max_length=200)
+    constraints: tuple[Constraint, ...] = Field(
+        (), description="what holds and loads the body", strict=False, max_length=200
+    )
     load: Load = Field(Load(), description="the load history")
     gravity: Gravity | None = Field(None, description="weight")
     environment: Environment | None = Field(None, description="surroundings")

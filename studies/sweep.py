@@ -35,7 +35,8 @@ class Span(NamedTuple):
         if fraction in (0.0, 1.0):
             return self.stop if fraction else self.start
         if self.log:
-            value = self.start * (self.stop / self.start) ** fraction
+            low, high = math.log(self.start), math.log(self.stop)
+            value = math.exp(low + (high - low) * fraction)
         else:
             value = self.start + (self.stop - self.start) * fraction
         return float(f"{value:.12g}")
@@ -252,8 +253,13 @@ def _combinations(sweep: Mapping[str, Any], axes: Sequence[Axis]) -> Iterator[tu
     from scipy.stats import qmc  # half a second: only where a study samples
 
     points = qmc.LatinHypercube(len(axes), rng=sweep.get("seed", 0)).random(int(sweep["samples"]))
-    spans = [axis.span for axis in axes if axis.span is not None]
-    return (tuple(span.at(float(f)) for span, f in zip(spans, point, strict=True)) for point in points)
+    order = sorted(axis.key for axis in axes)  # the samples do not depend on the order in the file
+    columns = [
+        [axis.span.at(float(fraction)) for fraction in points[:, order.index(axis.key)]]
+        for axis in axes
+        if axis.span is not None
+    ]
+    return iter(zip(*columns, strict=True))
 
 
 def substituted(data: Any, loc: Loc, value: Value) -> Any:
@@ -270,13 +276,23 @@ def substituted(data: Any, loc: Loc, value: Value) -> Any:
 def first_case(data: dict[str, Any], axes: Sequence[Axis]) -> dict[str, Any]:
     """`data` with the first value of those axes whose key the file leaves to the sweep."""
     for axis in axes:
-        found: Any = data
-        for part in axis.target.loc:
-            found = found.get(part) if isinstance(found, dict) else found[int(part)]
-            if found is None:
-                data = substituted(data, axis.target.loc, axis.values[0])
-                break
+        if _is_absent(data, axis.target.loc):
+            data = substituted(data, axis.target.loc, axis.values[0])
     return data
+
+
+def _is_absent(data: Any, loc: Loc) -> bool:
+    """Whether a key, or a table on the way to it, is not there; what is there but of another kind is not absent."""
+    for part in loc:
+        if isinstance(data, dict):
+            if part not in data:
+                return True
+            data = data[part]
+        elif isinstance(data, list | tuple) and isinstance(part, int) and part < len(data):
+            data = data[part]
+        else:
+            return False
+    return False
 
 
 def _label(axes: Sequence[Axis], values: Sequence[Value]) -> str:

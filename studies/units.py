@@ -36,9 +36,10 @@ class QuantityError(ValueError):
 
 
 def to_si(value: Any, unit: str) -> float:
-    """Return `value`, a number in SI or a text such as "5 kPa", as a finite float in `unit` (a key of `DIMENSIONS`).
+    """Return `value`, a number in SI or a text such as "5 kPa", as a finite float in `unit`.
 
-    Raises QuantityError with a sentence for the user: wrong type, unknown unit, wrong dimension, not finite.
+    `unit` is a key of `DIMENSIONS`. Raises QuantityError with a sentence for the user: wrong type, unknown unit,
+    wrong dimension, not finite.
     """
     what, example = DIMENSIONS[unit]
     if isinstance(value, str):
