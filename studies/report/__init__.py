@@ -1,1 +1,1 @@
-"""The report: reads the store, writes one HTML file."""
+"""The report: a run's stored results in, one offline HTML page out. Imports no solver."""

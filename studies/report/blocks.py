@@ -1,0 +1,109 @@
+"""What a section of the page is made of. A section is a function that returns blocks; the templates draw them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import ClassVar
+
+from markupsafe import Markup
+
+
+@dataclass(frozen=True)
+class Text:
+    """A paragraph. `kind`: "plain", "note" (small print) or "lead" (the verdict)."""
+
+    template: ClassVar[str] = "text"
+    text: str
+    kind: str = "plain"
+
+
+@dataclass(frozen=True)
+class Cell:
+    """One entry of a table: what is shown, a second line below it, and the full number for CSV and sorting."""
+
+    text: str
+    detail: str = ""
+    value: float | None = None
+    tone: str = ""  # "bad", "muted" or "best"
+
+
+@dataclass(frozen=True)
+class Column:
+    """A table's column; `unit` is that of `Cell.value`."""
+
+    title: str
+    detail: str = ""
+    numeric: bool = True
+    unit: str = ""
+
+
+@dataclass(frozen=True)
+class Table:
+    """Rows of cells. Rows beyond `open_rows` are folded away, not left out."""
+
+    template: ClassVar[str] = "table"
+    name: str  # of the CSV file
+    caption: str
+    columns: Sequence[Column]
+    rows: Sequence[Sequence[Cell]]
+    marks: Sequence[int | None] = ()  # per row: the model whose colour it carries
+    open_rows: int = 30
+
+
+@dataclass(frozen=True)
+class Figure:
+    """A plot with what it shows, for readers and for screen readers."""
+
+    svg: Markup
+    title: str
+    caption: str = ""
+
+
+@dataclass(frozen=True)
+class Figures:
+    """Plots side by side under one legend: (model's number, name, is the reference)."""
+
+    template: ClassVar[str] = "figures"
+    figures: Sequence[Figure]
+    legend: Sequence[tuple[int, str, bool]] = ()
+
+
+@dataclass(frozen=True)
+class Code:
+    """Text to copy: commands, a study file."""
+
+    template: ClassVar[str] = "code"
+    text: str
+    summary: str = ""  # folded away under this where given
+
+
+@dataclass(frozen=True)
+class Facts:
+    """Names and values, one per line."""
+
+    template: ClassVar[str] = "facts"
+    rows: Sequence[tuple[str, str]]
+    summary: str = ""
+
+
+@dataclass(frozen=True)
+class Viewer:
+    """The 3-D viewer's data, as JSON, and its pictures: (title, data URL, alternative text)."""
+
+    template: ClassVar[str] = "viewer"
+    payload: Mapping[str, object] | None
+    pictures: Sequence[tuple[str, str, str]]
+    notes: Sequence[str] = ()
+
+
+Block = Text | Table | Figures | Code | Facts | Viewer
+
+
+@dataclass(frozen=True)
+class Section:
+    """A heading and its blocks; `id` is its anchor."""
+
+    id: str
+    title: str
+    blocks: Sequence[Block] = field(default_factory=tuple)

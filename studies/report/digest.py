@@ -1,0 +1,250 @@
+"""What the page says, as numbers: computed from the stored results alone, before anything is drawn."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..case import CaseResult, ModelResult, Run
+
+Array = NDArray[np.float64]
+
+VECTOR = "relative_l2_displacement_error"
+DEFORMATION = "relative_l2_deformation_error"
+# a discrepancy counts as resolved where the reference's own error is at most this share of it
+RESOLUTION = 0.1
+
+
+def full_load(case: CaseResult) -> int:
+    """The step of the largest load, the last of several."""
+    factors = np.abs(case.load_factors)
+    return int(len(factors) - 1 - np.argmax(factors[::-1]))
+
+
+def series(case: CaseResult, model: str, metric: str) -> Array | None:
+    """(S,) values of a metric, None where the case has none."""
+    entry = case.metrics.get(model, {}).get(metric)
+    return None if entry is None else entry.values
+
+
+def at_full_load(case: CaseResult, model: str, metric: str) -> float:
+    """A metric at the step of the largest load; NaN where there is none."""
+    values = series(case, model, metric)
+    return math.nan if values is None or not len(values) else float(values[full_load(case)])
+
+
+def reference_bar(case: CaseResult, metric: str = VECTOR) -> float:
+    """The reference's own relative error, NaN where not measured.
+
+    The grid convergence index where there is one, else the plain estimate; for the deformation its own estimate
+    with the same margin of safety.
+    """
+    error = case.reference_error
+    estimate = error.get("relative_l2", math.nan)
+    bar = error.get("gci", estimate)
+    if metric == DEFORMATION:
+        own = error.get("relative_l2_deformation", math.nan)
+        margin = bar / estimate if estimate > 0 else 1.0
+        return own * margin
+    return bar if metric == VECTOR else math.nan
+
+
+def failed_steps(model: ModelResult) -> list[int]:
+    """Steps that cannot be used."""
+    return [step for step, status in enumerate(model.status) if not status.ok]
+
+
+@dataclass(frozen=True)
+class Spread:
+    """A measure over the cases that have it, each value with the reference's own error in that case."""
+
+    median: float
+    median_bar: float
+    worst: float
+    worst_bar: float
+    best: float
+    cases: int
+    measured: int  # cases whose reference error is known
+    resolved: int  # of these, cases in which it is small enough
+
+    @property
+    def verdict(self) -> str:
+        """ "resolved", "unresolved", "partly resolved" or "not measured"."""
+        if not self.measured:
+            return "not measured"
+        if self.resolved == self.cases:
+            return "resolved"
+        return f"resolved in {self.resolved} of {self.cases}" if self.resolved else "unresolved"
+
+
+def spread_of(pairs: Iterable[tuple[float, float]]) -> Spread | None:
+    """Spread of (value, reference's error); values that are not finite are left out. None where none is left."""
+    kept = np.array([(value, bar) for value, bar in pairs if math.isfinite(value)])
+    if not len(kept):
+        return None
+    values, bars = kept[:, 0], kept[:, 1]
+    sizes = np.abs(values)
+    worst = int(np.argmax(sizes))
+    known = np.isfinite(bars)
+    return Spread(
+        median=float(np.median(values)),
+        median_bar=float(np.median(bars[known])) if known.any() else math.nan,
+        worst=float(values[worst]),
+        worst_bar=float(bars[worst]),
+        best=float(values[np.argmin(sizes)]),
+        cases=len(kept),
+        measured=int(known.sum()),
+        resolved=int((bars[known] <= RESOLUTION * sizes[known]).sum()),
+    )
+
+
+@dataclass(frozen=True)
+class ModelSummary:
+    """One model over all cases, at full load."""
+
+    name: str
+    is_reference: bool
+    vector: Spread | None
+    deformation: Spread | None
+    drift: Spread | None
+    drift_of_displaced: Spread | None
+    seconds_setup: float  # median over cases
+    seconds_per_step: float  # median over cases and steps
+    peak_bytes: float  # largest over cases
+    failed_cases: int  # cases with a step that failed
+
+
+@dataclass(frozen=True)
+class Digest:
+    """A run with what follows from it."""
+
+    run: Run
+
+    @cached_property
+    def cases(self) -> Sequence[CaseResult]:
+        """The finished cases."""
+        return self.run.cases
+
+    @cached_property
+    def models(self) -> tuple[str, ...]:
+        """All models, in the study's order, then any that only the cases name."""
+        asked = [str(name) for name in self.run.study.get("models", ())]
+        present = [name for case in self.cases for name in case.models]
+        return tuple(dict.fromkeys([*asked, *present]))
+
+    @cached_property
+    def reference(self) -> str | None:
+        """The reference of the finished cases, else the study's."""
+        found = next((case.reference for case in self.cases if case.reference), None)
+        return found or self.run.study.get("reference") or None
+
+    @cached_property
+    def compared(self) -> tuple[str, ...]:
+        """The models that are measured against the reference."""
+        return tuple(
+            name
+            for name in self.models
+            if name != self.reference and any(series(case, name, VECTOR) is not None for case in self.cases)
+        )
+
+    def colour(self, model: str) -> int:
+        """The model's number in the palette; the reference takes none of them."""
+        return [name for name in self.models if name != self.reference].index(model)
+
+    @cached_property
+    def legend(self) -> list[tuple[int, str, bool]]:
+        """(number in the palette, name, is the reference) of every model; the reference comes last."""
+        others = [(self.colour(name), name, False) for name in self.models if name != self.reference]
+        return [*others, (-1, self.reference, True)] if self.reference in self.models else others
+
+    def case_name(self, case: CaseResult) -> str:
+        """What a case is called on the page."""
+        if case.label:
+            return case.label
+        return "the only case" if len(self.cases) == 1 else f"case {case.hash[:8]}"
+
+    def spread(self, model: str, metric: str) -> Spread | None:
+        """A metric at full load over all cases."""
+        return spread_of((at_full_load(c, model, metric), reference_bar(c, metric)) for c in self.cases)
+
+    @cached_property
+    def summaries(self) -> tuple[ModelSummary, ...]:
+        """One per model, in the study's order."""
+        return tuple(self._summary(name) for name in self.models)
+
+    def _summary(self, name: str) -> ModelSummary:
+        results = [case.models[name] for case in self.cases if name in case.models]
+        steps = [result.seconds_per_step for result in results]
+        times = np.concatenate(steps) if steps else np.zeros(0)
+        times = times[np.isfinite(times)]
+        setups = [result.seconds_setup for result in results if math.isfinite(result.seconds_setup)]
+        return ModelSummary(
+            name=name,
+            is_reference=name == self.reference,
+            vector=self.spread(name, VECTOR),
+            deformation=self.spread(name, DEFORMATION),
+            drift=self.spread(name, "volume_drift"),
+            drift_of_displaced=self.spread(name, "volume_drift_of_displaced"),
+            seconds_setup=float(np.median(setups)) if setups else math.nan,
+            seconds_per_step=float(np.median(times)) if len(times) else math.nan,
+            peak_bytes=float(max((result.peak_bytes for result in results), default=math.nan)),
+            failed_cases=sum(bool(failed_steps(result)) for result in results),
+        )
+
+    @cached_property
+    def focus(self) -> str | None:
+        """The model that the page looks at closely: the compared one with the smallest median error."""
+        rated = [(s.vector.median, s.name) for s in self.summaries if s.vector and s.name in self.compared]
+        if rated:
+            return min(rated, key=lambda pair: pair[0])[1]
+        others = [name for name in self.models if name != self.reference]
+        return (others or list(self.models) or [None])[0]
+
+    @cached_property
+    def key_cases(self) -> list[tuple[str, CaseResult]]:
+        """(role, case): the worst, the median and the best case of the focus model, fewer where there are fewer.
+
+        Without a reference: those with the largest, median and smallest displacement.
+        """
+        if not self.cases:
+            return []
+        if len(self.cases) == 1:
+            return [("", self.cases[0])]
+        by_error = bool(self.compared)
+        sizes = [self._size(case, by_error=by_error) for case in self.cases]
+        order = sorted(range(len(sizes)), key=lambda k: (not math.isfinite(sizes[k]), -sizes[k], k))
+        finite = [k for k in order if math.isfinite(sizes[k])] or order
+        roles = ("worst", "median", "best") if by_error else ("largest", "median", "smallest")
+        picks = [(roles[0], finite[0]), (roles[1], finite[len(finite) // 2]), (roles[2], finite[-1])]
+        if len(finite) == 2:
+            picks = [picks[0], picks[2]]
+        seen: dict[int, str] = {}
+        for role, k in picks:
+            seen.setdefault(k, role)
+        return [(role, self.cases[k]) for k, role in seen.items()]
+
+    def _size(self, case: CaseResult, *, by_error: bool) -> float:
+        if self.focus is None:
+            return math.nan
+        if by_error:
+            return abs(at_full_load(case, self.focus, VECTOR))
+        result = case.models.get(self.focus)
+        if result is None:
+            return math.nan
+        return float(np.linalg.norm(result.displacement[full_load(case)], axis=1).max())
+
+    @cached_property
+    def swept_keys(self) -> list[str]:
+        """Swept parameters that take more than one value."""
+        keys = dict.fromkeys(key for case in self.cases for key in case.swept)
+        return [key for key in keys if len({case.swept.get(key) for case in self.cases}) > 1]
+
+    @property
+    def has_steps(self) -> bool:
+        """Whether any case has a load history."""
+        return any(len(case.load_factors) > 1 for case in self.cases)

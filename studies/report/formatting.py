@@ -1,0 +1,95 @@
+"""Numbers as a reader wants them: few digits, a unit that fits, a true minus sign."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+
+NOT_MEASURED = "not measured"
+NOTHING = "–"
+_SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+_MINUS = "−"
+
+# SI unit -> (factor, shown unit), largest first: the first whose factor the value reaches is taken
+_SCALES: dict[str, tuple[tuple[float, str], ...]] = {
+    "m": ((1.0, "m"), (1e-3, "mm"), (1e-6, "µm")),
+    "Pa": ((1e9, "GPa"), (1e6, "MPa"), (1e3, "kPa"), (1.0, "Pa")),
+    "s": ((1.0, "s"), (1e-3, "ms"), (1e-6, "µs")),
+    "N": ((1e3, "kN"), (1.0, "N"), (1e-3, "mN")),
+    "B": ((1e9, "GB"), (1e6, "MB"), (1e3, "kB"), (1.0, "B")),
+}
+# a surface is measured in millimetres even where it is a decimetre across
+_LARGEST_LENGTH = 0.5
+
+
+def number(value: float, digits: int = 3, *, signed: bool = False) -> str:
+    """`value` to `digits` significant digits; powers of ten outside 1e-4 to 1e6."""
+    if math.isnan(value):
+        return NOTHING
+    if math.isinf(value):
+        return "∞" if value > 0 else f"{_MINUS}∞"
+    sign = _MINUS if value < 0 else "+" if signed and value > 0 else ""
+    size = abs(value)
+    if size == 0.0:
+        return "0"
+    mantissa, _, exponent = f"{size:.{digits - 1}e}".partition("e")
+    power = int(exponent)
+    if -4 <= power < 6:
+        return f"{sign}{float(mantissa) * 10.0**power:.{max(digits - 1 - power, 0)}f}"
+    if float(mantissa) == 1.0:
+        return f"{sign}10{str(power).translate(_SUPERSCRIPT)}"
+    return f"{sign}{float(mantissa):g}×10{str(power).translate(_SUPERSCRIPT)}"
+
+
+def percent(ratio: float, *, signed: bool = False) -> str:
+    """A ratio as a percentage."""
+    if math.isnan(ratio):
+        return NOTHING
+    size = abs(ratio) * 100.0
+    digits = 3 if size >= 1.0 else 2
+    return f"{number(ratio * 100.0, digits, signed=signed)} %"
+
+
+def scale_of(unit: str, values: Iterable[float]) -> tuple[float, str]:
+    """(factor, shown unit) that suits the largest of some SI values: shown = SI / factor."""
+    largest = max((abs(v) for v in values if math.isfinite(v)), default=0.0)
+    scales = _SCALES.get(unit)
+    if scales is None or largest == 0.0:
+        return 1.0, "" if unit == "1" else unit
+    if unit == "m" and 1e-3 <= largest < _LARGEST_LENGTH:
+        return 1e-3, "mm"
+    return next(((f, u) for f, u in scales if largest >= f * 0.9995), scales[-1])
+
+
+def quantity(value: float, unit: str, digits: int = 3) -> str:
+    """An SI value with the unit prefix that suits it."""
+    if math.isnan(value):
+        return NOTHING
+    if unit == "1":
+        return number(value, digits)
+    factor, shown = scale_of(unit, [value])
+    return f"{number(value / factor, digits)} {shown}"
+
+
+def of_unit(value: float, unit: str, *, signed: bool = False) -> str:
+    """A metric: a percentage where it has no unit."""
+    return percent(value, signed=signed) if unit == "1" else quantity(value, unit)
+
+
+def swept_value(value: float | str, unit: str) -> str:
+    """A swept parameter's value, exact enough to tell it from its neighbours."""
+    if isinstance(value, str):
+        return value
+    factor, shown = scale_of(unit, [float(value)])
+    return f"{value / factor:.6g} {shown}".strip().replace("-", _MINUS)
+
+
+def plural(count: int, noun: str) -> str:
+    """`3 cases`, `1 case`."""
+    return f"{count} {noun}" if count == 1 else f"{count} {noun}s"
+
+
+def listed(items: Iterable[str]) -> str:
+    """`a, b and c`."""
+    *head, last = list(items) or [""]
+    return f"{', '.join(head)} and {last}" if head else last

@@ -1,0 +1,190 @@
+"""Drawing with matplotlib, as inline SVG that takes its colours and fonts from the page.
+
+Text, axes and curves are drawn in marker colours and turned into CSS variables afterwards, so that one drawing
+serves light, dark and print. Ids come from a salt that the caller gives: the same data gives the same bytes.
+"""
+
+from __future__ import annotations
+
+import io
+import re
+from collections.abc import Sequence
+
+import numpy as np
+from markupsafe import Markup, escape
+from matplotlib import rc_context
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure as Canvas
+from matplotlib.ticker import (
+    FixedFormatter,
+    FixedLocator,
+    FuncFormatter,
+    LogLocator,
+    MaxNLocator,
+    NullLocator,
+)
+
+from .digest import Array
+from .formatting import number
+
+PALETTE_SIZE = 7
+MARKERS = ("o", "s", "^", "D", "v", "P", "X")
+LINES = ("-", "--", "-.", ":")
+REFERENCE = -1
+_INK, _GRID, _REFERENCE = "#010203", "#020304", "#030405"
+_MODELS = tuple(f"#0405{k:02x}" for k in range(PALETTE_SIZE))
+_WIDTH, _HEIGHT = 4.4, 3.0  # inches of 72 points: as wide as a phone, so that text stays readable there
+_STYLE = {
+    "svg.fonttype": "none",
+    "font.family": "DejaVu Sans",
+    "font.size": 9.0,
+    "axes.titlesize": 9.5,
+    "axes.edgecolor": _INK,
+    "axes.labelcolor": _INK,
+    "xtick.color": _INK,
+    "ytick.color": _INK,
+    "text.color": _INK,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.linewidth": 0.7,
+    "xtick.major.width": 0.7,
+    "ytick.major.width": 0.7,
+    "axes.grid": True,
+    "grid.color": _GRID,
+    "grid.linewidth": 0.6,
+    "axes.axisbelow": True,
+    "lines.linewidth": 1.6,
+    "lines.markersize": 4.5,
+    "text.parse_math": False,
+    "axes.unicode_minus": True,
+}
+
+
+def colour(model: int) -> str:
+    """Colour of a model by its number; the reference is `REFERENCE`."""
+    return _REFERENCE if model == REFERENCE else _MODELS[model % PALETTE_SIZE]
+
+
+def marker(model: int) -> str:
+    """Marker of a model: differs where colours may not be told apart."""
+    return "o" if model == REFERENCE else MARKERS[model % len(MARKERS)]
+
+
+def line(model: int) -> str:
+    """Line style of a model: solid for as long as the palette lasts."""
+    return LINES[(max(model, 0) // PALETTE_SIZE) % len(LINES)]
+
+
+class Plot:
+    """One panel: draw on its axes inside the `with` block, then take `drawn`."""
+
+    def __init__(self, x_label: str, y_label: str, salt: str) -> None:
+        self.salt = salt
+        self._svg = ""
+        self._style = rc_context({**_STYLE, "svg.hashsalt": salt})
+        self._labels = (x_label, y_label)
+
+    def __enter__(self) -> Axes:
+        self._style.__enter__()
+        self._canvas = Canvas(figsize=(_WIDTH, _HEIGHT), layout="constrained")
+        self._canvas.patch.set_visible(False)
+        self.axes: Axes = self._canvas.add_subplot()
+        self.axes.patch.set_visible(False)
+        self.axes.set_xlabel(self._labels[0])
+        self.axes.set_ylabel(self._labels[1])
+        return self.axes
+
+    def __exit__(self, kind: type[BaseException] | None, *rest: object) -> None:
+        try:
+            if kind is None:
+                self._svg = self._draw()
+        finally:
+            self._style.__exit__(None, None, None)
+
+    def _draw(self) -> str:
+        out = io.StringIO()
+        metadata = dict.fromkeys(("Date", "Creator", "Format", "Type"))
+        self._canvas.savefig(out, format="svg", metadata=metadata, transparent=True)
+        return out.getvalue()
+
+    def drawn(self, alt: str) -> Markup:
+        """The finished <svg> element; `alt` says in words what it shows. Matplotlib has escaped its texts."""
+        return Markup(_for_the_page(self._svg, alt, self.salt))
+
+
+def _for_the_page(svg: str, alt: str, salt: str) -> str:
+    """The <svg> element with the page's colours, sized by CSS, ids unique on the page."""
+    svg = svg[svg.index("<svg") :]
+    svg = re.sub(r"\s*<metadata>.*?</metadata>", "", svg, flags=re.S)
+    svg = re.sub(r"<!--.*?-->", "", svg, flags=re.S)
+    view_box = re.search(r'viewBox="([^"]+)"', svg)
+    box = view_box.group(1) if view_box else ""
+    head = f'<svg viewBox="{box}" role="img" aria-label="{escape(alt)}" class="plot">'
+    svg = head + svg[svg.index(">") + 1 :]
+    names = dict.fromkeys(re.findall(r'\bid="([^"]+)"', svg))
+    used = set(re.findall(r'(?:url\(#|href="#)([^")]+)', svg))
+    short = {name: f"{salt}-{k}" for k, name in enumerate(n for n in names if n in used)}
+    svg = re.sub(r'\s*\bid="([^"]+)"', lambda m: f' id="{short[m[1]]}"' if m[1] in short else "", svg)
+    svg = re.sub(r"url\(#([^)]+)\)", lambda m: f"url(#{short[m[1]]})", svg)
+    svg = re.sub(r'(?:xlink:)?href="#([^"]+)"', lambda m: f'href="#{short[m[1]]}"', svg)
+    colours = {_INK: "var(--ink)", _GRID: "var(--grid)", _REFERENCE: "var(--reference)"}
+    colours |= {code: f"var(--model-{k})" for k, code in enumerate(_MODELS)}
+    for code, variable in colours.items():
+        svg = svg.replace(code, variable)
+    svg = re.sub(r"font: ([\d.]+px) [^;\"]+", r"font-size: \1", svg)
+    return re.sub(r"\n\s*", "\n", svg)
+
+
+def percent_axis(axes: Axes, values: Sequence[float]) -> None:
+    """The y axis shows ratios as percentages: from zero, or by decades where they span several."""
+    finite = [v for v in values if np.isfinite(v) and v > 0]
+    if finite and max(finite) > 3.0 and max(finite) > 30 * min(finite):
+        log_axis(axes, "y")
+    else:
+        axes.set_ylim(0.0, 1.08 * max(finite) if finite else 1.0)
+        axes.yaxis.set_major_locator(MaxNLocator(6))
+    axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{number(value * 100)} %"))
+
+
+def log_axis(axes: Axes, which: str) -> None:
+    """Decades without minor clutter, labels in plain numbers where they are short."""
+    if which == "x":
+        axes.set_xscale("log")
+    else:
+        axes.set_yscale("log")
+    axis = axes.xaxis if which == "x" else axes.yaxis
+    axis.set_major_locator(LogLocator(numticks=6))
+    axis.set_minor_locator(NullLocator())
+    axis.set_major_formatter(FuncFormatter(lambda value, _: number(value)))
+
+
+def place(values: Sequence[float]) -> tuple[str, dict[float, float]]:
+    """How to lay out a parameter's values on an axis: ("linear" | "log" | "even", value -> position).
+
+    Evenly where neither scale would keep neighbours apart, as for Poisson ratios that close in on 1/2.
+    """
+    distinct = sorted(set(values))
+    as_is = {value: value for value in distinct}
+    if len(distinct) < 3 or _spacing(np.array(distinct)) <= 12.0:
+        return "linear", as_is
+    if distinct[0] > 0 and (_spacing(np.log(distinct)) <= 12.0 or len(distinct) > 12):
+        return ("log", as_is) if distinct[-1] > 8 * distinct[0] else ("linear", as_is)
+    if len(distinct) > 12:
+        return "linear", as_is
+    return "even", {value: float(k) for k, value in enumerate(distinct)}
+
+
+def _spacing(values: Array) -> float:
+    gaps = np.diff(values)
+    return float(gaps.max() / gaps.min())
+
+
+def name_ticks(axes: Axes, positions: Sequence[float], names: Sequence[str]) -> None:
+    """One named tick per value on the x axis; slanted where the names would collide."""
+    axes.xaxis.set_major_locator(FixedLocator(list(positions)))
+    axes.xaxis.set_major_formatter(FixedFormatter(list(names)))
+    axes.xaxis.set_minor_locator(NullLocator())
+    if sum(len(name) for name in names) > 34:
+        for label in axes.get_xticklabels():
+            label.set_rotation(30)
+            label.set_horizontalalignment("right")

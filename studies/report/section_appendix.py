@@ -1,0 +1,86 @@
+"""Where the numbers come from and how to get them again."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from .blocks import Block, Code, Facts, Section, Text
+from .digest import Digest
+from .formatting import listed, number, plural
+
+_SHORT = 16  # hex digits of a hash that are shown
+
+
+def how_to_reproduce(digest: Digest) -> Section:
+    """The commands, and the study as it was written."""
+    name = str(digest.run.study.get("name", "study"))
+    commands = [
+        f"vdmbench run {name}                       # or the path of the study file below; does only what is missing",
+        f"vdmbench report results/runs/{name}       # this page again, from the stored results alone",
+    ]
+    blocks: list[Block] = [
+        Code("\n".join(commands)),
+        Text(
+            "Every number on this page is computed from the case files of the run directory, "
+            "cases/<hash>.vtkhdf, which ParaView opens too; study.h5 and metrics.csv hold all metrics of all cases.",
+            kind="note",
+        ),
+    ]
+    if digest.run.study_text.strip():
+        blocks.append(Code(digest.run.study_text.rstrip(), summary="The study file"))
+    return Section("reproduce", "How to reproduce", blocks)
+
+
+def provenance(digest: Digest) -> Section | None:
+    """Packages, machine, meshes and the models' parameters."""
+    if not digest.cases:
+        return None
+    keys = dict.fromkeys(key for case in digest.cases for key in case.provenance)
+    rows = [(key.removeprefix("package."), _over_cases(digest, key)) for key in keys]
+    nodes = sorted({len(case.points) for case in digest.cases})
+    meshes = f"{nodes[0]}" if len(nodes) == 1 else f"{nodes[0]} to {nodes[-1]}"
+    rows.insert(0, ("surface nodes", meshes))
+    quality = {
+        key: [c.mesh_quality[key] for c in digest.cases if key in c.mesh_quality]
+        for key in _quality_keys(digest)
+    }
+    rows[1:1] = [(f"mesh: {key.replace('_', ' ')}", _range(values)) for key, values in quality.items()]
+    blocks: list[Block] = [Facts(rows)]
+    for model in digest.models:
+        case = next((case for case in digest.cases if model in case.models), None)
+        if case is None:
+            continue
+        result = case.models[model]
+        entries = [
+            ("version", result.version),
+            *((key, _parameter(value)) for key, value in result.parameters.items()),
+        ]
+        suffix = "" if len(digest.cases) == 1 else f", as in {digest.case_name(case)}"
+        blocks.append(Facts(entries, summary=f"Parameters of {model}{suffix}"))
+    return Section("provenance", "Provenance", blocks)
+
+
+def _quality_keys(digest: Digest) -> list[str]:
+    return list(
+        dict.fromkeys(key for case in digest.cases for key in case.mesh_quality if key != "surface_nodes")
+    )
+
+
+def _range(values: list[float]) -> str:
+    low, high = min(values), max(values)
+    return number(low) if low == high else f"{number(low)} to {number(high)}"
+
+
+def _over_cases(digest: Digest, key: str) -> str:
+    values = list(dict.fromkeys(case.provenance[key] for case in digest.cases if key in case.provenance))
+    if key == "date" and len(values) > 1:
+        return f"{min(values)} to {max(values)}"
+    if key.endswith("hash"):
+        values = [value[:_SHORT] for value in values]
+    if len(values) > 3:
+        return f"{listed(values[:2])} and {plural(len(values) - 2, 'other')}".replace(" and ", ", ", 1)
+    return listed(values)
+
+
+def _parameter(value: Mapping[str, object] | float | str) -> str:
+    return number(float(value), 6) if isinstance(value, int | float) else str(value)

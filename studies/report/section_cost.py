@@ -1,0 +1,63 @@
+"""What a frame costs against how far it is off."""
+
+from __future__ import annotations
+
+import math
+
+from .blocks import Figure, Figures, Section, Text
+from .digest import DEFORMATION, VECTOR, Digest, Spread
+from .formatting import listed, percent, quantity
+from .plots import Plot, colour, log_axis, marker, percent_axis
+
+
+def run_time_against_error(digest: Digest) -> Section | None:
+    """Time per frame, and set-up as a hollow marker, against the median error; whiskers reach best and worst."""
+    figures = []
+    for k, (metric, title) in enumerate(((VECTOR, "Displacement error"), (DEFORMATION, "Deformation error"))):
+        figure = _pareto(digest, metric, title, f"c{k}")
+        figures += [figure] if figure else []
+    if not figures:
+        return None
+    note = (
+        "Further left is faster, lower is closer. Filled: time per frame. Hollow, at the end of the dotted line: "
+        "set-up, paid once. Whiskers reach from the best to the worst case. Dashed grey: what a frame of the "
+        "reference costs."
+    )
+    return Section(
+        "cost", "Run time against error", [Text(note, kind="note"), Figures(figures, digest.legend)]
+    )
+
+
+def _pareto(digest: Digest, metric: str, title: str, salt: str) -> Figure | None:
+    points: list[tuple[str, float, float, Spread]] = []
+    for summary in digest.summaries:
+        spread = digest.spread(summary.name, metric)
+        if summary.name in digest.compared and spread and summary.seconds_per_step > 0:
+            points.append((summary.name, summary.seconds_per_step, summary.seconds_setup, spread))
+    if not points:
+        return None
+    reference = next((s for s in digest.summaries if s.is_reference), None)
+    plot = Plot("time [s]", f"{title} (median)", salt)
+    with plot as axes:
+        for model, frame, setup, spread in points:
+            k = digest.colour(model)
+            if spread.worst > spread.best:
+                axes.plot(
+                    [frame, frame], [spread.best, spread.worst], color=colour(k), linewidth=1.0, alpha=0.6
+                )
+            if setup > 0 and math.isfinite(setup):
+                axes.plot([frame, setup], [spread.median] * 2, ":", color=colour(k), linewidth=1.0)
+                axes.plot([setup], [spread.median], marker=marker(k), color=colour(k), markerfacecolor="none")
+            axes.plot(
+                [frame], [spread.median], marker=marker(k), color=colour(k), markersize=6.5, linestyle="none"
+            )
+        if reference is not None and reference.seconds_per_step > 0:
+            axes.axvline(reference.seconds_per_step, linestyle="--", color=colour(-1), linewidth=1.0)
+        log_axis(axes, "x")
+        percent_axis(axes, [h for *_, spread in points for h in (spread.best, spread.median, spread.worst)])
+    described = [
+        f"{model} {quantity(frame, 's')} per frame at {percent(spread.median)}"
+        for model, frame, _, spread in points
+    ]
+    heading = f"Run time against {title.lower()}"
+    return Figure(plot.drawn(f"{heading}: {listed(described)}."), heading)

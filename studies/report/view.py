@@ -1,0 +1,164 @@
+"""The data of the 3-D viewer: surfaces and displacements of the key cases, packed into few bytes.
+
+Coordinates are 16-bit steps of the bounding box and displacements 16-bit steps of each step's largest
+component: the rounding, 1.5e-5 of the range, is far below a pixel. Surfaces that cases share are stored once.
+"""
+
+from __future__ import annotations
+
+import base64
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from matplotlib import colormaps
+from numpy.typing import NDArray
+
+from ..case import CaseResult
+from .digest import Array, Digest, full_load
+
+_U16, _I16 = 65535, 32767
+
+
+@dataclass(frozen=True)
+class View:
+    """What the viewer is asked to show: cases with their roles, models, and the steps kept of each case."""
+
+    cases: Sequence[tuple[str, CaseResult]]
+    models: Sequence[str]
+    most_steps: int
+
+    def steps_of(self, case: CaseResult) -> list[int]:
+        """Steps kept: spread over the history, the one of the largest load among them."""
+        n = len(case.load_factors)
+        if n <= self.most_steps:
+            return list(range(n))
+        kept = (
+            set(np.linspace(0, n - 1, self.most_steps).round().astype(int).tolist())
+            if self.most_steps > 1
+            else set()
+        )
+        last = full_load(case)
+        if last not in kept:
+            kept = {last, *sorted(kept)[: self.most_steps - 1]}
+        return sorted(kept)
+
+
+def candidates(digest: Digest) -> list[tuple[View, str]]:
+    """Views from the fullest to the leanest, each with the sentence that says what it leaves out."""
+    cases, models = digest.key_cases, digest.models
+    if not cases:
+        return []
+    n_steps = max(len(case.load_factors) for _, case in cases)
+    out = [(View(cases, models, n_steps), "")]
+    if n_steps > 5:
+        out.append((View(cases, models, 5), "To keep the page small, the viewer has 5 of the load steps."))
+    if n_steps > 1:
+        out.append(
+            (View(cases, models, 1), "To keep the page small, the viewer has the step of full load only.")
+        )
+    if len(cases) > 1:
+        lean = f"To keep the page small, the viewer has the {cases[0][0]} case at full load only."
+        out.append((View(cases[:1], models, 1), lean))
+    few = tuple(name for name in models if name in (digest.focus, digest.reference))
+    if len(few) < len(models):
+        leaner = (
+            f"To keep the page small, the viewer has one case at full load, and of the models only {few[0]}."
+        )
+        out.append((View(cases[:1], few, 1), leaner))
+    return out
+
+
+def payload(view: View, digest: Digest) -> dict[str, object]:
+    """The viewer's JSON."""
+    surfaces: dict[tuple[bytes, bytes], int] = {}
+    geometries: list[dict[str, object]] = []
+    cases = []
+    for role, case in view.cases:
+        key = (case.points.tobytes(), case.triangles.tobytes())
+        if key not in surfaces:
+            surfaces[key] = len(geometries)
+            geometries.append(_geometry(case))
+        steps = view.steps_of(case)
+        names = [name for name in view.models if name in case.models]
+        cases.append(
+            {
+                "title": f"{role[:1].upper()}{role[1:]}: {digest.case_name(case)}"
+                if role
+                else digest.case_name(case),
+                "geometry": surfaces[key],
+                "reference": case.reference if case.reference in names else None,
+                "factors": [float(case.load_factors[step]) for step in steps],
+                "azimuth": azimuth(case),
+                "scale": displacement_scale(case),
+                "models": [{"name": name, "steps": _displacements(case, name, steps)} for name in names],
+            }
+        )
+    return {"geometries": geometries, "cases": cases, "focus": digest.focus, "colours": colour_maps()}
+
+
+def colour_maps() -> dict[str, str]:
+    """256 RGB entries for displacement and for difference: perceptually even, safe for colour-blind readers."""
+    maps = {
+        "displacement": colormaps["viridis"](np.linspace(0, 1, 256)),
+        "difference": colormaps["inferno"](np.linspace(0.12, 0.97, 256)),
+    }
+    return {name: _pack((colours[:, :3] * 255).round().astype(np.uint8)) for name, colours in maps.items()}
+
+
+def azimuth(case: CaseResult) -> float:
+    """Angle about z from which the loaded side is seen [rad]."""
+    centre = case.points.mean(axis=0)
+    for constraint in case.resolved.get("constraints") or ():
+        mask = case.regions.get(str(constraint.get("region")))
+        if constraint.get("kind") == "contact" and mask is not None and mask.any():
+            x, y, _ = case.points[mask].mean(axis=0) - centre
+            if np.hypot(x, y) > 0.1 * np.ptp(case.points, axis=0).max():
+                return float(np.arctan2(y, x)) + 0.5
+    return -1.0
+
+
+def displacement_scale(case: CaseResult) -> float:
+    """A round factor at least 1 that makes the largest displacement visible: about a tenth of the body."""
+    sizes = [np.abs(result.displacement[np.isfinite(result.displacement)]) for result in case.models.values()]
+    largest = max((float(size.max()) for size in sizes if size.size), default=0.0)
+    wanted = 0.1 * float(np.linalg.norm(np.ptp(case.points, axis=0))) / largest if largest > 0 else 1.0
+    if wanted <= 1.0:
+        return 1.0
+    decade = 10.0 ** np.floor(np.log10(wanted))
+    return float(decade * max(step for step in (1.0, 2.0, 5.0) if step * decade <= wanted))
+
+
+def _geometry(case: CaseResult) -> dict[str, object]:
+    low = case.points.min(axis=0)
+    step = np.where(np.ptp(case.points, axis=0) > 0, np.ptp(case.points, axis=0), 1.0) / _U16
+    wide = len(case.points) > _U16
+    return {
+        "nodes": len(case.points),
+        "low": [float(v) for v in low],
+        "step": [float(v) for v in step],
+        "points": _pack(((case.points - low) / step).round().astype("<u2")),
+        "wide": wide,
+        "triangles": _pack(case.triangles.astype("<u4" if wide else "<u2")),
+    }
+
+
+def _displacements(case: CaseResult, model: str, steps: list[int]) -> list[dict[str, object]]:
+    out: list[dict[str, object]] = []
+    for step in steps:
+        u = case.models[model].displacement[step]
+        status = case.models[model].status[step]
+        if not status.ok or not np.isfinite(u).all():
+            out.append({"message": status.message or status.code})
+            continue
+        scale = float(np.abs(u).max()) / _I16
+        out.append({"scale": scale, "data": _pack(_rounded(u, scale))})
+    return out
+
+
+def _rounded(u: Array, scale: float) -> NDArray[np.int16]:
+    return (u / scale if scale > 0 else np.zeros_like(u)).round().astype("<i2")
+
+
+def _pack(values: NDArray[np.generic]) -> str:
+    return base64.b64encode(np.ascontiguousarray(values).tobytes()).decode("ascii")

@@ -1,0 +1,189 @@
+"""Runs made by hand for tests of the report: a ball that deforms by a P_2 mode, models off by known amounts."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from studies.case import CaseResult, MetricSeries, ModelResult, Run, StepStatus
+from studies.metrics import METRICS, History, Surface, evaluate
+
+RADIUS = 0.05  # m
+AMPLITUDE = 0.002  # m, radial displacement at the poles at full load
+REFERENCE = "fem-linear"
+CONVERGED = StepStatus("converged")
+STOPPED = StepStatus("diverged", "the volume could not be held", "take smaller load steps")
+
+
+def icosphere(subdivisions: int) -> tuple[np.ndarray, np.ndarray]:
+    """Unit ball: (N, 3) points and (F, 3) outward triangles."""
+    g = (1 + 5**0.5) / 2
+    points = [[-1, g, 0], [1, g, 0], [-1, -g, 0], [1, -g, 0], [0, -1, g], [0, 1, g]]
+    points += [[0, -1, -g], [0, 1, -g], [g, 0, -1], [g, 0, 1], [-g, 0, -1], [-g, 0, 1]]
+    triangles = [
+        [0, 11, 5],
+        [0, 5, 1],
+        [0, 1, 7],
+        [0, 7, 10],
+        [0, 10, 11],
+        [1, 5, 9],
+        [5, 11, 4],
+        [11, 10, 2],
+    ]
+    triangles += [[10, 7, 6], [7, 1, 8], [3, 9, 4], [3, 4, 2], [3, 2, 6], [3, 6, 8], [3, 8, 9], [4, 9, 5]]
+    triangles += [[2, 4, 11], [6, 2, 10], [8, 6, 7], [9, 8, 1]]
+    for _ in range(subdivisions):
+        middle: dict[tuple[int, int], int] = {}
+
+        def halve(a: int, b: int, middle: dict[tuple[int, int], int] = middle) -> int:
+            key = (min(a, b), max(a, b))
+            if key not in middle:
+                middle[key] = len(points)
+                points.append([(p + q) / 2 for p, q in zip(points[a], points[b], strict=True)])
+            return middle[key]
+
+        split = []
+        for a, b, c in triangles:
+            ab, bc, ca = halve(a, b), halve(b, c), halve(c, a)
+            split += [[a, ab, ca], [b, bc, ab], [c, ca, bc], [ab, bc, ca]]
+        triangles = split
+    x = np.array(points, dtype=float)
+    return x / np.linalg.norm(x, axis=1, keepdims=True), np.array(triangles)
+
+
+def p2_mode(directions: np.ndarray) -> np.ndarray:
+    """(N, 3) displacement of unit amplitude at the poles: pushed in there, out at the equator, sliding between.
+
+    Even in x, it has no rigid part.
+    """
+    cosine = directions[:, 2]
+    radial = -(1.5 * cosine**2 - 0.5)
+    axis = np.array([0.0, 0.0, 1.0])
+    tangential = axis - cosine[:, None] * directions
+    return radial[:, None] * directions - 0.6 * cosine[:, None] * tangential
+
+
+def make_case(
+    errors: Mapping[str, float],
+    *,
+    label: str = "",
+    swept: Mapping[str, float | str] | None = None,
+    units: Mapping[str, str] | None = None,
+    steps: Sequence[float] = (0.25, 0.5, 0.75, 1.0),
+    reference: str | None = REFERENCE,
+    reference_error: Mapping[str, float] | None = None,
+    stopped: Mapping[str, int] | None = None,
+    subdivisions: int = 2,
+    contact: Mapping[str, object] | None = None,
+    load: float = 1.0,
+) -> CaseResult:
+    """A case in which model m answers (1 + errors[m]) times the reference: its relative errors are errors[m].
+
+    `stopped[m]` is the first step at which m failed; it is NaN from there on.
+    """
+    directions, triangles = icosphere(subdivisions)
+    points = RADIUS * directions
+    factors = np.array(steps, dtype=float)
+    true = load * AMPLITUDE * factors[:, None, None] * p2_mode(directions)
+    finger, base = directions[:, 2] > np.cos(np.radians(25)), directions[:, 2] < -0.7
+    surface = Surface(points, triangles, finger)
+    answers = {name: (1 + error) * true for name, error in errors.items()}
+    if reference is not None:
+        answers[reference] = true
+    models, histories = {}, {}
+    for number, (name, displacement) in enumerate(answers.items()):
+        failed_from = (stopped or {}).get(name, len(factors))
+        displacement = displacement.copy()
+        displacement[failed_from:] = np.nan
+        reaction = np.zeros_like(displacement)
+        reaction[:, base, 2] = factors[:, None] / base.sum()
+        is_reference = name == reference
+        models[name] = ModelResult(
+            displacement=displacement,
+            fluid_pressure=200.0 * factors,
+            reaction_force=reaction,
+            energy=factors**2,
+            volume=np.full(len(factors), surface.volume),
+            iterations=np.zeros(len(factors), dtype=np.int64),
+            status=tuple(CONVERGED if k < failed_from else STOPPED for k in range(len(factors))),
+            seconds_setup=2.5 if is_reference else 0.02 * (number + 1),
+            seconds_per_step=np.full(len(factors), 0.8 if is_reference else 4e-4 * (number + 1)),
+            peak_bytes=350_000_000 if is_reference else 12_000_000,
+            version="1",
+            parameters={"bulk_modulus": 700.0, "solver": "direct"},
+        )
+        histories[name] = History(displacement, reaction, factors)
+    metrics = {}
+    for name, history in histories.items():
+        other = histories[reference] if reference is not None and name != reference else None
+        values = evaluate(surface, history, other)
+        metrics[name] = {
+            metric: MetricSeries(v, METRICS[metric].unit, METRICS[metric].definition, METRICS[metric].version)
+            for metric, v in values.items()
+        }
+    constraint = {
+        "kind": "contact",
+        "name": "finger",
+        "region": "finger",
+        "force": 0.5 * load,
+        **(contact or {}),
+    }
+    swept = swept or {}
+    return CaseResult(
+        hash=f"{abs(hash((label, tuple(swept.values()), tuple(errors.values())))) % 16**12:012x}".ljust(
+            64, "0"
+        ),
+        label=label,
+        swept=swept,
+        swept_units={key: "1" for key in swept} | dict(units or {}),
+        resolved={"constraints": [{"kind": "fixed", "region": "base"}, constraint]},
+        provenance={
+            "package.numpy": "2.1.0",
+            "platform": "Linux",
+            "mesh_hash": "c0ffee" * 10,
+            "date": "2026-01-02T03:04:05+00:00",
+        },
+        points=points,
+        triangles=triangles,
+        load_factors=factors,
+        regions={"finger": finger, "base": base},
+        models=models,
+        metrics=metrics,
+        reference=reference,
+        reference_error={} if reference_error is None else reference_error,
+        mesh_quality={"worst_sicn": 0.31, "surface_nodes": len(points), "tetrahedra": 4000},
+    )
+
+
+def make_run(cases: Sequence[CaseResult], **study: object) -> Run:
+    """A run of these cases in which nothing failed."""
+    models = list(dict.fromkeys(name for case in cases for name in case.models))
+    reference = next((case.reference for case in cases if case.reference), None)
+    about = {
+        "name": "ball",
+        "title": "A ball under a fingertip",
+        "models": models,
+        "reference": reference,
+        **study,
+    }
+    return Run(about, '[study]\nname = "ball"\n', list(cases), [], [], {})
+
+
+def sweep_run() -> Run:
+    """Three Poisson ratios by two pressures, two models off by amounts that grow with both."""
+    cases = []
+    measured = {"relative_l2": 0.004, "gci": 0.005, "observed_order": 2.0, "relative_l2_deformation": 0.006}
+    for i, nu in enumerate((0.3, 0.45, 0.4999)):
+        for j, pressure in enumerate((200.0, 800.0)):
+            cases.append(
+                make_case(
+                    {"vdm-paper": 0.6 + 0.05 * i + 0.02 * j, "vdm-vector": 0.05 + 0.02 * i + 0.01 * j},
+                    label=f"poisson_ratio = {nu}, pressure = {pressure:g} Pa",
+                    swept={"tissue.poisson_ratio": nu, "constraints.finger.pressure": pressure},
+                    units={"constraints.finger.pressure": "Pa"},
+                    reference_error=measured,
+                    load=1.0 + j,
+                )
+            )
+    return make_run(cases)
