@@ -1,1 +1,6 @@
 """VDM formulations: each module assembles its own operator behind one interface."""
+
+from vdm.formulations.base import Formulation
+from vdm.formulations.paper import PaperFormulation
+
+FORMULATIONS: dict[str, type[Formulation]] = {cls.name: cls for cls in (PaperFormulation,)}

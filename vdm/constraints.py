@@ -1,0 +1,154 @@
+"""What acts on a surface: loads, held nodes, gravity and the environment (equations 10-17 and 23-26)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from vdm.surface import SurfaceMesh
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+ContactSign = Literal["inward", "printed"]
+
+
+class ConstraintError(ValueError):
+    """A load or constraint that does not fit the surface; the message says what to change."""
+
+
+@dataclass(frozen=True)
+class Load:
+    """One step of a load history on N surface nodes.
+
+    Attributes
+    ----------
+    contact_pressure : (N,) pressure of the contact over A_i [Pa], positive pushes inward; the thrust is sum A_i p_i
+    contact_force : (N, 3) the same contact as force on each node [N], summed facet by facet; the consistent and
+        vector formulations use it where it is given, and -p_i g_i where it is not
+    prescribed : (N, 3) displacement of the constrained nodes [m]; scalar formulations use its normal component
+    """
+
+    contact_pressure: Array
+    contact_force: Array | None = None
+    prescribed: Array | None = None
+
+    def scaled(self, factor: float) -> Load:
+        """The same load times a factor."""
+        return Load(
+            factor * self.contact_pressure,
+            None if self.contact_force is None else factor * self.contact_force,
+            None if self.prescribed is None else factor * self.prescribed,
+        )
+
+    @classmethod
+    def from_facet_pressure(
+        cls, surface: SurfaceMesh, facet_pressure: ArrayLike, prescribed: Array | None = None
+    ) -> Load:
+        """A pressure per facet (F,) [Pa], a third of its force to each of its nodes."""
+        pressure = np.asarray(facet_pressure, dtype=np.float64)
+        if pressure.shape != surface.facet_areas.shape:
+            raise ConstraintError(
+                f"facet_pressure must have shape {surface.facet_areas.shape}, not {pressure.shape}"
+            )
+        nodes = surface.triangles.ravel()
+        thrust = np.bincount(nodes, np.repeat(pressure * surface.facet_areas / 3.0, 3), surface.n_nodes)
+        facet_force = -pressure[:, None] * surface.facet_vectors / 3.0
+        force = [np.bincount(nodes, np.repeat(facet_force[:, c], 3), surface.n_nodes) for c in range(3)]
+        return cls(thrust / surface.nodal_areas, np.stack(force, axis=1), prescribed)
+
+
+@dataclass(frozen=True)
+class Support:
+    """What stays the same over a load history.
+
+    Attributes
+    ----------
+    fixed : (N,) nodes that do not move (25)
+    constrained : (N,) nodes moved by `Load.prescribed` (26)
+    hydrostatic : (N,) rho g delta_i [Pa] (12), None without gravity
+    environment_pressure : P_ep [Pa] (11)
+    contact_sign : "inward", or "printed" for +P_cp as equation 24 has it, which bulges towards the finger
+    """
+
+    fixed: Mask
+    constrained: Mask
+    hydrostatic: Array | None = None
+    environment_pressure: float = 0.0
+    contact_sign: ContactSign = "inward"
+
+    @property
+    def held(self) -> Mask:
+        """(N,) fixed or constrained."""
+        return self.fixed | self.constrained
+
+    def signed(self, load: Load) -> Load:
+        """The load with the sign of a push that was asked for."""
+        if self.contact_sign == "inward":
+            return load
+        force = None if load.contact_force is None else -load.contact_force
+        return Load(-load.contact_pressure, force, load.prescribed)
+
+
+def node_mask(mask: ArrayLike | None, name: str, n_nodes: int) -> Mask:
+    """A mask of nodes, all False where none is given.
+
+    Raises
+    ------
+    ConstraintError
+        for another shape or type.
+    """
+    if mask is None:
+        return np.zeros(n_nodes, dtype=np.bool_)
+    array = np.asarray(mask)
+    if array.dtype != np.bool_ or array.shape != (n_nodes,):
+        raise ConstraintError(
+            f"{name} must be a mask of {n_nodes} booleans, not {array.dtype} of shape {array.shape}"
+        )
+    return array
+
+
+def check_load(load: Load, support: Support) -> None:
+    """Shapes and finiteness of a load.
+
+    Raises
+    ------
+    ConstraintError
+        wrong shape, nan or inf, or constrained nodes without a displacement.
+    """
+    n = len(support.fixed)
+    shapes = {"contact_pressure": (n,), "contact_force": (n, 3), "prescribed": (n, 3)}
+    for name, shape in shapes.items():
+        value = getattr(load, name)
+        if value is None:
+            continue
+        if np.shape(value) != shape:
+            raise ConstraintError(f"{name} must have shape {shape}, not {np.shape(value)}")
+        if not np.isfinite(value).all():
+            raise ConstraintError(f"{name} contains nan or inf")
+    if load.prescribed is None and support.constrained.any():
+        raise ConstraintError("constrained nodes need the load's prescribed displacement")
+
+
+def hydrostatic_pressure(surface: SurfaceMesh, density: float, gravity: ArrayLike) -> Array | None:
+    """(N,) rho g delta_i [Pa], delta_i the depth below the highest surface point; None without gravity.
+
+    Moving the datum by c changes dP by -rho g c and nothing else (equation 12).
+
+    Raises
+    ------
+    ConstraintError
+        a negative density or a gravity that is not three finite numbers.
+    """
+    vector = np.asarray(gravity, dtype=np.float64)
+    if vector.shape != (3,) or not np.isfinite(vector).all():
+        raise ConstraintError("gravity must be three finite numbers")
+    if not (np.isfinite(density) and density >= 0.0):
+        raise ConstraintError(f"density must be finite and not negative, not {density}")
+    if density == 0.0 or not vector.any():
+        return None
+    depth = surface.points @ vector
+    pressure: Array = density * (depth - depth.min())
+    return pressure

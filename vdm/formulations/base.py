@@ -1,0 +1,135 @@
+"""What every formulation provides: an operator, its border and the maps to displacements and forces."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from typing import ClassVar, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+
+from vdm.constraints import Load
+from vdm.material import Parameters
+from vdm.solvers.cholesky import Cholesky
+from vdm.surface import SurfaceMesh
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+
+class Factor(Protocol):
+    """A factorised block: solves right-hand sides (n,) or (n, m)."""
+
+    def solve(self, right_hand_side: Array) -> Array:
+        """The solution, same shape."""
+        ...
+
+
+class Formulation(ABC):
+    """N nodes with d unknowns x each and m border unknowns s, of which the first is dP [Pa].
+
+    Balance of each node, a generalised force [N]: `K x - columns s = force`; border: `rows x + corner s = 0`.
+    Arrays of unknowns and forces have shape (N, d), columns and rows (N, d, m).
+    """
+
+    name: ClassVar[str]
+    components: ClassVar[int]
+    columns: Array
+    rows: Array
+    corner: Array
+
+    def __init__(self, surface: SurfaceMesh, parameters: Parameters) -> None:
+        self.surface = surface
+        self.parameters = parameters
+
+    @abstractmethod
+    def apply(self, x: Array) -> Array:
+        """K x, (N, d)."""
+
+    @abstractmethod
+    def factor(self, free: Mask) -> Factor:
+        """Factor of K over the free nodes; right-hand sides are (n_free * d,) or (n_free * d, m)."""
+
+    @abstractmethod
+    def stiffness(self) -> sparse.csr_array:
+        """K as a matrix (N d, N d), for the solvers that assemble the whole state matrix."""
+
+    @abstractmethod
+    def contact_force(self, load: Load) -> Array:
+        """Generalised force (N, d) of a contact that pushes inward."""
+
+    @abstractmethod
+    def unknown(self, displacement: Array) -> Array:
+        """x (N, d) of a displacement (N, 3)."""
+
+    @abstractmethod
+    def displacement(self, x: Array) -> Array:
+        """(N, 3) displacement [m] of x."""
+
+    @abstractmethod
+    def nodal_force(self, generalised: Array) -> Array:
+        """(N, 3) force [N] of a generalised force (N, d)."""
+
+    def state_matrix(self) -> sparse.csr_array:
+        """K of equation 22 with its border, (N d + m, N d + m), in the unknowns and row units of the formulation."""
+        columns, rows = (a.reshape(-1, a.shape[2]) for a in (self.columns, self.rows))
+        unit_rows, unit_columns = sparse.diags_array(self.row_scale), sparse.diags_array(self.column_scale)
+        block = unit_rows @ self.stiffness() @ unit_columns
+        return sparse.block_array(
+            [
+                [block, -self.row_scale[:, None] * columns],
+                [(rows * self.column_scale[:, None]).T, self.corner],
+            ]
+        ).tocsr()
+
+    @property
+    def row_scale(self) -> Array:
+        """(N d,) factors from balance rows [N] to the rows of the state matrix."""
+        return np.ones(self.rows.shape[0] * self.components)
+
+    @property
+    def column_scale(self) -> Array:
+        """(N d,) x per unknown of the state matrix."""
+        return np.ones(self.rows.shape[0] * self.components)
+
+    def pressure_force(self, pressure: Array) -> Array:
+        """Generalised force (N, d) of a pressure (N,) that pushes outward from inside."""
+        force: Array = self.columns[:, :, 0] * pressure[:, None]
+        return force
+
+    def internal_force(self, x: Array, border: Array) -> Array:
+        """Generalised force (N, d) of the material alone: K x less the border terms that are not the fluid's."""
+        force = self.apply(x)
+        if len(border) > 1:
+            force = force - self.columns[:, :, 1:] @ border[1:]
+        return force
+
+
+class ScalarFormulation(Formulation):
+    """One unknown per node, along the outward normal: x_i = scale_i L_i."""
+
+    components = 1
+    scale: Array
+    operator: sparse.csr_array
+
+    def apply(self, x: Array) -> Array:
+        return np.asarray(self.operator @ x)
+
+    def factor(self, free: Mask) -> Factor:
+        # imported here: the solvers package imports the formulations
+        block = self.operator if free.all() else self.operator[free][:, free]
+        return Cholesky(block)
+
+    def stiffness(self) -> sparse.csr_array:
+        return self.operator
+
+    def unknown(self, displacement: Array) -> Array:
+        normal = np.einsum("ic,ic->i", displacement, self.surface.normals)
+        return (self.scale * normal)[:, None]
+
+    def displacement(self, x: Array) -> Array:
+        return (x[:, 0] / self.scale)[:, None] * self.surface.normals
+
+    def nodal_force(self, generalised: Array) -> Array:
+        return generalised * self.surface.normals

@@ -1,0 +1,88 @@
+"""The model as printed (equations 5-8, 16-22): nodal volumes tied by B_i and B_ij, one fluid pressure."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+
+from vdm.constraints import Load
+from vdm.formulations.base import ScalarFormulation
+from vdm.material import ParameterError, Parameters, per_item
+from vdm.surface import SurfaceMesh
+
+Array = NDArray[np.float64]
+
+
+class PaperFormulation(ScalarFormulation):
+    """Row i of equation 27, times A_i, in the nodal volume change x_i = dV_i = A_i L_i (21):
+
+    `(1/H) [B_i x_i + sum_j B_ij (x_i - x_j)] - A_i dP = A_i (rho g delta_i - P_cp,i)`, H = V / A, and the border
+    `sum x_i = 0` (19, 28). As printed the matrix of L is not symmetric; in x it is, and positive definite, so that
+    a Cholesky factor serves. `state_matrix` gives the printed
+    one: rows in Pa, columns L_1..L_N [m] and dP [Pa].
+
+    Raises
+    ------
+    ParameterError
+        B_i or B_ij missing, of the wrong length, or all zero.
+    """
+
+    name = "paper"
+
+    def __init__(self, surface: SurfaceMesh, parameters: Parameters) -> None:
+        super().__init__(surface, parameters)
+        self.bulk_modulus = per_item(parameters.bulk_modulus, "bulk_modulus", surface.n_nodes, self.name)
+        self.connectivity_modulus = per_item(
+            parameters.connectivity_modulus, "connectivity_modulus", len(surface.edges), self.name
+        )
+        if not (self.bulk_modulus.any() or self.connectivity_modulus.any()):
+            raise ParameterError("bulk_modulus and connectivity_modulus are both zero; make one positive")
+        self.scale = surface.nodal_areas
+        height = surface.volume / surface.area
+        self.operator = (
+            surface.laplacian(self.connectivity_modulus) + sparse.diags_array(self.bulk_modulus)
+        ).tocsr() / height
+        self.columns = surface.nodal_areas[:, None, None]
+        self.rows = np.ones((surface.n_nodes, 1, 1))
+        self.corner = np.zeros((1, 1))
+
+    def contact_force(self, load: Load) -> Array:
+        return (-self.surface.nodal_areas * load.contact_pressure)[:, None]
+
+    def volumic_pressure(self, displacement: Array) -> Array:
+        """(N,) P_vp = (B_i / V_i) dV_i [Pa] of normal displacements L (N,) (equations 6, 7, 21)."""
+        surface = self.surface
+        pressure: Array = self.bulk_modulus / surface.nodal_volumes * surface.nodal_areas * displacement
+        return pressure
+
+    def volumic_tension(self, displacement: Array) -> Array:
+        """(N,) P_vt = sum_j (B_ij / V_i) (dV_i - dV_j) [Pa] of normal displacements L (N,) (equation 8)."""
+        surface = self.surface
+        change = surface.nodal_areas * displacement
+        tension: Array = surface.laplacian(self.connectivity_modulus) @ change / surface.nodal_volumes
+        return tension
+
+    def nodal_stress(self, displacement: Array) -> Array:
+        """(N,) sigma_i = (B_i / V_i) (dV_i - sum_j dV_j) [Pa] as printed in equation 9.
+
+        A uniform displacement gives 1 - valence times the pressure, not zero: use the sum of `volumic_pressure` and
+        `volumic_tension` for the normal traction that the fluid and the contact balance.
+        """
+        surface = self.surface
+        change = surface.nodal_areas * displacement
+        i, j = surface.edges.T
+        neighbours = np.bincount(i, change[j], surface.n_nodes) + np.bincount(j, change[i], surface.n_nodes)
+        stress: Array = self.bulk_modulus / surface.nodal_volumes * (change - neighbours)
+        return stress
+
+    @property
+    def row_scale(self) -> Array:
+        """(N,) 1 / A_i: the printed rows are pressures."""
+        inverse: Array = 1.0 / self.surface.nodal_areas
+        return inverse
+
+    @property
+    def column_scale(self) -> Array:
+        """(N,) A_i: the printed unknown is L_i (22)."""
+        return self.surface.nodal_areas

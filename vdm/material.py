@@ -1,0 +1,154 @@
+"""Material parameters of the three formulations, and the rule that chooses them from a tissue's elastic constants."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vdm.surface import SurfaceMesh
+
+Array = NDArray[np.float64]
+Rotation = Literal["none", "global", "nodal"]
+ROTATIONS: tuple[Rotation, ...] = ("none", "global", "nodal")
+
+# The incompressible ball answers a normal traction P_n with u_r = c_n P_n; a normal-only membrane on a foundation
+# answers with 1 / (k + n (n + 1) T / R^2). Equal for n = 2 and n = 3 at these two numbers (see `ball_compliance`).
+BALL_FOUNDATION = 46.0 / 35.0  # k R / mu
+BALL_TENSION = 29.0 / 70.0  # T / (mu R)
+# Vector form: T / (mu R) that fits an incompressible ball under a finger's patch.
+VECTOR_TENSION = 0.70
+
+
+class ParameterError(ValueError):
+    """A material parameter that is missing or has no physical meaning; the message names it."""
+
+
+@dataclass(frozen=True)
+class Parameters:
+    """Material parameters, SI units; each formulation reads its own and asks for the ones it lacks.
+
+    Attributes
+    ----------
+    bulk_modulus : B_i [Pa], scalar or (N,) per node (paper)
+    connectivity_modulus : B_ij [Pa], scalar or (E,) per edge of `SurfaceMesh.edges` (paper)
+    foundation : k [Pa/m], scalar or (N,) (consistent; vector, where zero is the default)
+    surface_tension : T [N/m], scalar or (E,) (consistent, vector)
+    stretch_stiffness : E_s [N/m], scalar or (E,) (vector)
+    rotation : which rotation is free of tension: none, one for the body, one per node (vector)
+    """
+
+    bulk_modulus: float | Array | None = None
+    connectivity_modulus: float | Array | None = None
+    foundation: float | Array | None = None
+    surface_tension: float | Array | None = None
+    stretch_stiffness: float | Array | None = None
+    rotation: Rotation = "global"
+
+    def __post_init__(self) -> None:
+        if self.rotation not in ROTATIONS:
+            raise ParameterError(f"rotation must be one of {', '.join(ROTATIONS)}, not {self.rotation!r}")
+        for name, value in self.moduli().items():
+            array = np.asarray(value, dtype=np.float64)
+            if not np.isfinite(array).all() or np.any(array < 0.0):
+                raise ParameterError(f"{name} must be finite and not negative")
+
+    @classmethod
+    def from_tissue(
+        cls, youngs_modulus: float, poisson_ratio: float, surface: SurfaceMesh, formulation: str
+    ) -> Parameters:
+        """Parameters by rule, without a fit: matched to an incompressible ball of the same R = 3 V / A.
+
+        With mu = E / (2 (1 + nu)):
+
+        - consistent: k = (46/35) mu / R and T = (29/70) mu R, the exact answer of the ball to P_2 and P_3;
+        - paper: B = k V / A, and B_ij = T (V / A) / (sqrt(3) A / N), the constant that a mesh of N equal
+          nodes of six neighbours needs for the same T: sum_j (L_i - L_j) = -(3/2) h^2 lap L and
+          A_i = (sqrt(3)/2) h^2. A constant B_ij does not converge under refinement: it belongs to this mesh;
+        - vector: T = 0.70 mu R with one free rotation of the body.
+
+        Parameters
+        ----------
+        youngs_modulus : E [Pa]
+        poisson_ratio : nu, in (-1, 0.5]
+        surface : the body's surface
+        formulation : "paper", "consistent" or "vector"
+
+        Raises
+        ------
+        ParameterError
+            E not positive, nu out of range, or an unknown formulation.
+        """
+        if not (np.isfinite(youngs_modulus) and youngs_modulus > 0.0):
+            raise ParameterError(f"youngs_modulus must be positive, not {youngs_modulus}")
+        if not -1.0 < poisson_ratio <= 0.5:
+            raise ParameterError(f"poisson_ratio must be in (-1, 0.5], not {poisson_ratio}")
+        mu = youngs_modulus / (2.0 * (1.0 + poisson_ratio))
+        radius = surface.equivalent_radius
+        foundation, tension = BALL_FOUNDATION * mu / radius, BALL_TENSION * mu * radius
+        if formulation == "paper":
+            return cls(
+                bulk_modulus=bulk_modulus_from_foundation(foundation, surface),
+                connectivity_modulus=connectivity_modulus_from_tension(tension, surface),
+            )
+        if formulation == "consistent":
+            return cls(foundation=foundation, surface_tension=tension)
+        if formulation == "vector":
+            return cls(surface_tension=VECTOR_TENSION * mu * radius)
+        raise ParameterError(f"unknown formulation {formulation!r}; use paper, consistent or vector")
+
+    def moduli(self) -> dict[str, float | Array]:
+        """The moduli that are set, by name."""
+        values = {f.name: getattr(self, f.name) for f in fields(self) if f.name != "rotation"}
+        return {name: value for name, value in values.items() if value is not None}
+
+    def record(self) -> dict[str, float | str]:
+        """For the record of a run: scalars as they are, arrays by their mean."""
+        return {name: float(np.mean(value)) for name, value in self.moduli().items()}
+
+
+def ball_compliance(degree: int) -> float:
+    """c_n mu / R of an incompressible ball: u_r = c_n P_n under the normal traction P_n(cos theta), n >= 2.
+
+    c_n = n (2n + 1) / (2 (n - 1) (2n^2 + 4n + 3)): 0.26316, 0.15909, 0.11765, 0.09418 for n = 2..5.
+    """
+    n = degree
+    return n * (2 * n + 1) / (2.0 * (n - 1) * (2 * n * n + 4 * n + 3))
+
+
+def foundation_from_bulk_modulus(bulk_modulus: float, surface: SurfaceMesh) -> float:
+    """k = B A / V [Pa/m]: the paper's B term is a foundation that is fixed in space."""
+    return bulk_modulus * surface.area / surface.volume
+
+
+def bulk_modulus_from_foundation(foundation: float, surface: SurfaceMesh) -> float:
+    """B = k V / A [Pa]."""
+    return foundation * surface.volume / surface.area
+
+
+def connectivity_modulus_from_tension(surface_tension: float, surface: SurfaceMesh) -> float:
+    """B_ij = T (V / A) / (sqrt(3) A / N) [Pa], for a mesh of equal nodes with six neighbours each."""
+    mean_nodal_area = surface.area / surface.n_nodes
+    return surface_tension * (surface.volume / surface.area) / (np.sqrt(3.0) * mean_nodal_area)
+
+
+def per_item(value: float | Array | None, name: str, count: int, formulation: str) -> Array:
+    """A scalar or array parameter as (count,) values.
+
+    Raises
+    ------
+    ParameterError
+        where it is missing or has another length.
+    """
+    if value is None:
+        raise ParameterError(
+            f"the {formulation} formulation needs {name}; set it or use Parameters.from_tissue"
+        )
+    array = np.asarray(value, dtype=np.float64)
+    if array.ndim == 0:
+        return np.full(count, float(array))
+    if array.shape != (count,):
+        raise ParameterError(f"{name} must be a scalar or have {count} entries, not shape {array.shape}")
+    return array

@@ -1,0 +1,176 @@
+"""The entry of the library: a surface, its material and supports, solved over a history of loads."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Collection, Sequence
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from vdm.constraints import ContactSign, Load, Support, check_load, hydrostatic_pressure, node_mask
+from vdm.formulations import FORMULATIONS
+from vdm.formulations.paper import PaperFormulation
+from vdm.material import ParameterError, Parameters
+from vdm.problem import Problem, Step
+from vdm.solution import Solution
+from vdm.solvers.linear import LinearSolver
+from vdm.solvers.lu import CONSTRAINT_METHODS, ConstraintMethod, LuSolver
+from vdm.surface import SurfaceMesh
+
+Array = NDArray[np.float64]
+
+
+class Solver(Protocol):
+    """Solves one load after another."""
+
+    def step(self, load: Load, previous: Step | None = None) -> Step:
+        """Solution of one load, started from the previous step where that helps."""
+        ...
+
+
+SOLVERS: tuple[str, ...] = ("linear", "lu")
+OUTPUTS: tuple[str, ...] = ("nodal_stress", "normal_traction")
+
+
+class Model:
+    """A fluid-filled body: assembles and factors once, then solves any number of loads.
+
+    Parameters
+    ----------
+    points : (N, 3) coordinates [m]
+    triangles : (F, 3) outward facets
+    parameters : the formulation's material
+    formulation : a key of `vdm.formulations.FORMULATIONS`
+    fixed, constrained : (N,) masks of nodes that are held or moved by `Load.prescribed`
+    density : of the fluid [kg/m^3]
+    gravity : (3,) [m/s^2], constant over the history like the environment's pressure
+    environment_pressure : P_ep [Pa]
+    solver : one of `SOLVERS`
+    outputs : further point fields, of `OUTPUTS`; nothing else is computed
+    contact_sign : "inward", or "printed" for the sign of equation 24
+    constraint_method : "elimination", or one of the paper's two penalties (solver "lu")
+    penalty : alpha over the largest diagonal entry of the state matrix
+
+    Raises
+    ------
+    ValueError
+        `SurfaceError`, `ParameterError`, `ConstraintError` or `SolverError`, each with what to change.
+    """
+
+    def __init__(
+        self,
+        points: ArrayLike,
+        triangles: ArrayLike,
+        parameters: Parameters,
+        *,
+        formulation: str = "paper",
+        fixed: ArrayLike | None = None,
+        constrained: ArrayLike | None = None,
+        density: float = 0.0,
+        gravity: ArrayLike = (0.0, 0.0, 0.0),
+        environment_pressure: float = 0.0,
+        solver: str = "linear",
+        outputs: Collection[str] = (),
+        contact_sign: ContactSign = "inward",
+        constraint_method: ConstraintMethod = "elimination",
+        penalty: float = 1e8,
+    ) -> None:
+        start = time.perf_counter()
+        _check_choices(formulation, solver, outputs, constraint_method)
+        self.surface = SurfaceMesh(points, triangles)
+        n_nodes = self.surface.n_nodes
+        support = Support(
+            node_mask(fixed, "fixed", n_nodes),
+            node_mask(constrained, "constrained", n_nodes),
+            hydrostatic_pressure(self.surface, density, gravity),
+            float(environment_pressure),
+            contact_sign,
+        )
+        self.formulation = FORMULATIONS[formulation](self.surface, parameters)
+        self.problem = Problem(self.formulation, support)
+        self.outputs = tuple(outputs)
+        self.solver_name = solver
+        self.solver: Solver
+        if solver == "lu":
+            self.solver = LuSolver(self.problem, constraint_method, penalty)
+        else:
+            self.solver = LinearSolver(self.problem)
+        self.seconds_setup = time.perf_counter() - start
+
+    def solve(self, loads: Sequence[Load]) -> Solution:
+        """One step per load.
+
+        `fluid_pressure` is dP + P_ep at the datum, the highest surface point along gravity (17).
+
+        Raises
+        ------
+        ConstraintError
+            a load that does not fit the surface.
+        """
+        for load in loads:
+            check_load(load, self.problem.support)
+        steps: list[Step] = []
+        seconds: list[float] = []
+        for load in loads:
+            start = time.perf_counter()
+            steps.append(self.solver.step(load, steps[-1] if steps else None))
+            seconds.append(time.perf_counter() - start)
+        n_nodes = self.surface.n_nodes
+        return Solution(
+            displacement=np.array([s.displacement for s in steps]).reshape(-1, n_nodes, 3),
+            fluid_pressure=np.array([s.pressure_change for s in steps])
+            + self.problem.support.environment_pressure,
+            reaction_force=np.array([s.reaction_force for s in steps]).reshape(-1, n_nodes, 3),
+            energy=np.array([s.energy for s in steps]),
+            iterations=np.array([s.iterations for s in steps], dtype=np.int64),
+            status=tuple(s.status for s in steps),
+            seconds_setup=self.seconds_setup,
+            seconds_per_step=np.array(seconds),
+            parameters=self._record(),
+            point_fields={name: self._point_field(name, steps) for name in self.outputs},
+        )
+
+    def _record(self) -> dict[str, float | str]:
+        formulation = self.formulation
+        return {
+            "formulation": formulation.name,
+            "solver": self.solver_name,
+            **formulation.parameters.record(),
+            "clamped_edges": float(self.surface.clamped_edges),
+        }
+
+    def _point_field(self, name: str, steps: list[Step]) -> Array:
+        surface, formulation = self.surface, self.formulation
+        fields: list[Array] = []
+        for step in steps:
+            if name == "nodal_stress" and isinstance(formulation, PaperFormulation):
+                normal = np.einsum("ic,ic->i", step.displacement, surface.normals)
+                fields.append(formulation.nodal_stress(normal))
+            else:
+                force = formulation.nodal_force(formulation.internal_force(step.unknown, step.border))
+                area = np.einsum(
+                    "ic,ic->i", formulation.nodal_force(formulation.columns[:, :, 0]), surface.normals
+                )
+                fields.append(np.einsum("ic,ic->i", force, surface.normals) / area)
+        return np.array(fields).reshape(-1, surface.n_nodes)
+
+
+def _check_choices(
+    formulation: str, solver: str, outputs: Collection[str], constraint_method: ConstraintMethod
+) -> None:
+    for value, allowed, name in (
+        (formulation, tuple(FORMULATIONS), "formulation"),
+        (solver, SOLVERS, "solver"),
+        (constraint_method, CONSTRAINT_METHODS, "constraint_method"),
+        *((output, OUTPUTS, "outputs") for output in outputs),
+    ):
+        if value not in allowed:
+            raise ParameterError(f"{name} must be one of {', '.join(allowed)}, not {value!r}")
+    if constraint_method != "elimination" and solver != "lu":
+        raise ParameterError('a penalty needs solver "lu"; the other solvers eliminate held nodes exactly')
+    if "nodal_stress" in outputs and formulation != "paper":
+        raise ParameterError(
+            "nodal_stress (equation 9) is defined by the paper formulation; ask for normal_traction"
+        )

@@ -1,0 +1,83 @@
+"""A formulation with its supports: the right-hand sides of a load, and a step's results from its unknowns."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vdm.constraints import ConstraintError, Load, Mask, Support
+from vdm.formulations.base import Formulation
+from vdm.solution import CONVERGED, Status
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Step:
+    """One load step on N nodes, SI units; `unknown` (N, d) and `border` (m,) start the next step."""
+
+    displacement: Array
+    pressure_change: float
+    reaction_force: Array
+    energy: float
+    unknown: Array
+    border: Array
+    iterations: int = 0
+    status: Status = CONVERGED
+    scalars: dict[str, float] | None = None
+
+
+@dataclass(frozen=True)
+class Problem:
+    """What a solver solves: `K x - columns s = force` at free nodes, x given at held ones, and the border rows.
+
+    Raises
+    ------
+    ConstraintError
+        where no node is free.
+    """
+
+    formulation: Formulation
+    support: Support
+
+    def __post_init__(self) -> None:
+        if self.support.held.all():
+            raise ConstraintError("every node is fixed or constrained; leave some free")
+
+    @property
+    def free(self) -> Mask:
+        """(N,) nodes that are solved for."""
+        return ~self.support.held
+
+    def force(self, load: Load) -> Array:
+        """(N, d) generalised force [N] of contact and gravity (right-hand sides of 23 and 24)."""
+        force = self.formulation.contact_force(self.support.signed(load))
+        if self.support.hydrostatic is not None:
+            force = force + self.formulation.pressure_force(self.support.hydrostatic)
+        return force
+
+    def held_unknown(self, load: Load) -> Array:
+        """(N, d) x of the held nodes, zero elsewhere."""
+        values = np.zeros((self.formulation.surface.n_nodes, self.formulation.components))
+        if load.prescribed is not None and self.support.constrained.any():
+            moved = self.formulation.unknown(load.prescribed)
+            values[self.support.constrained] = moved[self.support.constrained]
+        return values
+
+    def finish(
+        self, x: Array, border: Array, force: Array, iterations: int = 0, status: Status = CONVERGED
+    ) -> Step:
+        """Displacement, reactions and energy of a solved step.
+
+        The reaction is what the balance lacks at held nodes: internal force less fluid and contact. The energy is
+        half the work of the material's nodal forces on the displacement.
+        """
+        formulation = self.formulation
+        displacement = formulation.displacement(x)
+        internal = formulation.internal_force(x, border)
+        lacking = internal - formulation.columns[:, :, 0] * border[0] - force
+        reaction = formulation.nodal_force(np.where(self.support.held[:, None], lacking, 0.0))
+        energy = 0.5 * float(np.vdot(displacement, formulation.nodal_force(internal)))
+        return Step(displacement, float(border[0]), reaction, energy, x, border, iterations, status)

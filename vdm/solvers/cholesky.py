@@ -1,0 +1,44 @@
+"""The sparse Cholesky factor, in one place."""
+
+from __future__ import annotations
+
+import numpy as np
+from cholespy import CholeskySolverD, MatrixType
+from numpy.typing import NDArray
+from scipy import sparse
+
+from vdm.solution import SolverError, Status
+
+Array = NDArray[np.float64]
+
+SINGULAR = Status(
+    "singular",
+    "the operator is not positive definite",
+    "hold at least three nodes, or give the model a positive foundation or bulk modulus",
+)
+
+
+class Cholesky:
+    """Factor of a symmetric positive definite sparse matrix (n, n); solves in place of an inverse.
+
+    Raises
+    ------
+    SolverError
+        a matrix that is not positive definite, or that is so to rounding only.
+    """
+
+    def __init__(self, matrix: sparse.csr_array) -> None:
+        self.size = matrix.shape[0]
+        matrix.sort_indices()
+        indptr, indices = matrix.indptr.astype(np.int32), matrix.indices.astype(np.int32)
+        try:
+            self._factor = CholeskySolverD(self.size, indptr, indices, matrix.data, MatrixType.CSR)
+        except ValueError as error:
+            raise SolverError(SINGULAR) from error
+
+    def solve(self, right_hand_side: Array) -> Array:
+        """Solution of (n,) or (n, m) right-hand sides, all columns in one pass through the factor."""
+        b = np.ascontiguousarray(right_hand_side)
+        x = np.empty_like(b)
+        self._factor.solve(b, x)
+        return x

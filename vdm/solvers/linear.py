@@ -1,0 +1,71 @@
+"""Linear analysis (equations 27-32): one factorisation, then one pair of triangular solves per load."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vdm.constraints import Load
+from vdm.problem import Problem, Step
+from vdm.solution import SolverError, Status
+
+Array = NDArray[np.float64]
+
+NOT_FINITE = Status("not-finite", "the solution holds nan or inf", "check the size of the loads and moduli")
+
+
+class BorderedFactor:
+    """`[K -G; R^T D]` over the free nodes: K factored once, the m border unknowns by an m x m system.
+
+    `x = K^-1 f + Y s` with Y = K^-1 G, and `(R^T Y + D) s = r - R^T K^-1 f`.
+    """
+
+    def __init__(self, problem: Problem) -> None:
+        formulation = problem.formulation
+        self.free = problem.free
+        self.n_border = formulation.columns.shape[2]
+        self.block = formulation.factor(self.free)
+        self.held_rows = formulation.rows[~self.free].reshape(-1, self.n_border)
+        self.free_rows = formulation.rows[self.free].reshape(-1, self.n_border)
+        self.response = self.block.solve(formulation.columns[self.free].reshape(-1, self.n_border))
+        self.schur = self.free_rows.T @ self.response + formulation.corner
+        if not np.isfinite(self.schur).all() or np.linalg.cond(self.schur) > 1.0 / np.finfo(np.float64).eps:
+            raise SolverError(
+                Status("singular", "the border system is singular", "hold fewer nodes or loosen the supports")
+            )
+
+    def solve(self, force: Array, target: Array) -> tuple[Array, Array]:
+        """Free unknowns (n_free d,) and border unknowns (m,) of a force (n_free d,) and border values (m,)."""
+        first = self.block.solve(force)
+        border = np.linalg.solve(self.schur, target - self.free_rows.T @ first)
+        return first + self.response @ border, border
+
+
+class LinearSolver:
+    """Fixed and constrained nodes eliminated exactly, also from the volume row.
+
+    Raises
+    ------
+    SolverError
+        where the operator is singular.
+    """
+
+    def __init__(self, problem: Problem) -> None:
+        self.problem = problem
+        self.factor = BorderedFactor(problem)
+
+    def step(self, load: Load, previous: Step | None = None) -> Step:  # noqa: ARG002 - one interface for all solvers
+        """Solution of one load; the previous step does not matter."""
+        problem, factor = self.problem, self.factor
+        force = problem.force(load)
+        x = problem.held_unknown(load)
+        right_hand_side = force
+        target = np.zeros(factor.n_border)
+        if x.any():
+            right_hand_side = force - problem.formulation.apply(x)
+            target = -factor.held_rows.T @ x[~factor.free].reshape(-1)
+        free_x, border = factor.solve(right_hand_side[factor.free].reshape(-1), target)
+        x[factor.free] = free_x.reshape(-1, x.shape[1])
+        status = None if np.isfinite(free_x).all() else NOT_FINITE
+        step = problem.finish(x, border, force)
+        return step if status is None else problem.finish(x, border, force, status=status)

@@ -1,0 +1,84 @@
+"""The paper's own linear solver (equations 22, 25, 26, 29-32): LU of the whole state matrix, penalty included."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+from scipy.sparse import linalg
+
+from vdm.constraints import ConstraintError, Load
+from vdm.problem import Problem, Step
+from vdm.solution import SolverError, Status
+
+Array = NDArray[np.float64]
+ConstraintMethod = Literal["elimination", "penalty-added", "penalty-replaced"]
+CONSTRAINT_METHODS: tuple[ConstraintMethod, ...] = ("elimination", "penalty-added", "penalty-replaced")
+
+
+class LuSolver:
+    """LU factors of K (22) with held nodes eliminated or penalised.
+
+    Parameters
+    ----------
+    problem : formulation and supports
+    method : "elimination"; "penalty-added", alpha added to K_ii as the text has it; "penalty-replaced", K_ii = alpha
+        as equations 25 and 26 have it. Both leave an error of the order of dP / alpha at the held nodes.
+    penalty : alpha as a multiple of the largest diagonal entry of K
+
+    Raises
+    ------
+    SolverError
+        where the state matrix is singular to rounding.
+    ConstraintError
+        a penalty that is not positive.
+    """
+
+    def __init__(
+        self, problem: Problem, method: ConstraintMethod = "elimination", penalty: float = 1e8
+    ) -> None:
+        if not (np.isfinite(penalty) and penalty > 0.0):
+            raise ConstraintError(f"penalty must be positive, not {penalty}")
+        self.problem = problem
+        self.method = method
+        matrix = problem.formulation.state_matrix()
+        n_border = problem.formulation.columns.shape[2]
+        held = np.repeat(problem.support.held, problem.formulation.components)
+        self.held = np.concatenate([held, np.zeros(n_border, dtype=np.bool_)])
+        diagonal = matrix.diagonal()
+        self.alpha = penalty * float(np.abs(diagonal).max())
+        self.matrix = matrix
+        if method == "elimination":
+            solved = matrix[~self.held][:, ~self.held]
+        else:
+            added = np.where(self.held, self.alpha - (diagonal if method == "penalty-replaced" else 0.0), 0.0)
+            solved = matrix + sparse.diags_array(added)
+        try:
+            self._factors = linalg.splu(solved.tocsc())
+        except RuntimeError as error:
+            raise SolverError(
+                Status("singular", "the state matrix is singular", "hold more nodes or add a foundation")
+            ) from error
+
+    def step(self, load: Load, previous: Step | None = None) -> Step:  # noqa: ARG002 - one interface for all solvers
+        """Solution of one load (30-32)."""
+        problem, formulation = self.problem, self.problem.formulation
+        force = problem.force(load)
+        n = force.size
+        right_hand_side = np.concatenate(
+            [formulation.row_scale * force.reshape(-1), np.zeros(len(self.held) - n)]
+        )
+        given = np.zeros(len(self.held))
+        given[:n] = problem.held_unknown(load).reshape(-1) / formulation.column_scale
+        if self.method == "elimination":
+            solution = given
+            solution[~self.held] = self._factors.solve((right_hand_side - self.matrix @ given)[~self.held])
+        else:
+            imposed = self.alpha * given
+            if self.method == "penalty-added":
+                imposed = imposed + right_hand_side
+            solution = self._factors.solve(np.where(self.held, imposed, right_hand_side))
+        x = (solution[:n] * formulation.column_scale).reshape(force.shape)
+        return problem.finish(x, solution[n:], force)

@@ -1,0 +1,241 @@
+"""A closed, oriented triangle surface: areas, volumes, normals, edges and cotangent weights (equations 1-4)."""
+
+from __future__ import annotations
+
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy import sparse
+from scipy.sparse.csgraph import connected_components
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+
+# A facet whose height is below this share of its longest edge has no usable normal in double precision.
+FLAT_FACET = 1e-12
+# A node whose area vector is below this share of its scalar area (a knife edge) has no outward normal.
+KNIFE_EDGE = 1e-6
+
+
+class SurfaceError(ValueError):
+    """A surface that cannot bound a fluid; the message says what is wrong and what to do."""
+
+
+class SurfaceMesh:
+    """N nodes and F triangles that bound one connected volume.
+
+    Parameters
+    ----------
+    points : (N, 3) coordinates [m]
+    triangles : (F, 3) indices into `points`, counter-clockwise seen from outside
+
+    Raises
+    ------
+    SurfaceError
+        open, non-manifold, inconsistently oriented, inverted, degenerate or disconnected surfaces, and nodes
+        that no facet uses.
+    """
+
+    def __init__(self, points: ArrayLike, triangles: ArrayLike) -> None:
+        self.points: Array = np.array(points, dtype=np.float64, order="C")
+        self.triangles: Index = _triangle_array(triangles)
+        _check_arrays(self.points, self.triangles)
+        self.n_nodes = len(self.points)
+
+        corners = self.points[self.triangles]
+        # (F, 3) facet normal times facet area
+        self.facet_vectors: Array = 0.5 * np.cross(
+            corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+        )
+        self.facet_areas: Array = np.linalg.norm(self.facet_vectors, axis=1)
+        _check_facets(corners, self.facet_areas)
+        self.edges: Index
+        self.facet_edges: Index
+        self.edges, self.facet_edges = _edges(self.triangles, self.n_nodes)
+        _check_topology(self.triangles, self.facet_edges, self.edges, self.n_nodes)
+
+        # V = (1/6) sum of x0 . (x1 x x2), taken about the centroid so that no digits are lost far from the origin
+        centred = corners - self.points.mean(axis=0)
+        self.volume = float(np.einsum("fi,fi->", centred[:, 0], self.facet_vectors)) / 3.0
+        if self.volume <= 0.0:
+            raise SurfaceError(
+                f"the surface is inverted (volume {self.volume:.3g} m^3); reverse the order of each triangle's nodes"
+            )
+        self.area = float(self.facet_areas.sum())
+
+    @cached_property
+    def nodal_areas(self) -> Array:
+        """(N,) A_i [m^2]: a third of every incident facet's area (equation 1)."""
+        return self._to_nodes(self.facet_areas) / 3.0
+
+    @cached_property
+    def nodal_volumes(self) -> Array:
+        """(N,) V_i = A_i V / A [m^3] (equation 3)."""
+        return self.nodal_areas * (self.volume / self.area)
+
+    @cached_property
+    def area_vectors(self) -> Array:
+        """(N, 3) g_i = (1/3) sum of A_f n_f [m^2], the exact gradient of the polyhedron's volume."""
+        return np.stack([self._to_nodes(self.facet_vectors[:, c]) for c in range(3)], axis=1) / 3.0
+
+    @cached_property
+    def normals(self) -> Array:
+        """(N, 3) outward unit normals n_i = g_i / |g_i|.
+
+        Raises
+        ------
+        SurfaceError
+            where the facets of a node cancel, so that it has no outward direction.
+        """
+        length = self.vector_areas
+        bad = np.flatnonzero(length < KNIFE_EDGE * self.nodal_areas)
+        if bad.size:
+            raise SurfaceError(
+                f"node {bad[0]} has no outward normal (its facets fold onto each other); remesh around it"
+            )
+        normals: Array = self.area_vectors / length[:, None]
+        return normals
+
+    @cached_property
+    def vector_areas(self) -> Array:
+        """(N,) a_i = |g_i| <= A_i [m^2]."""
+        lengths: Array = np.linalg.norm(self.area_vectors, axis=1)
+        return lengths
+
+    @cached_property
+    def raw_cotangent_weights(self) -> Array:
+        """(E,) (cot a + cot b) / 2 of the two angles opposite each edge; negative where they exceed pi together."""
+        corners = self.points[self.triangles]
+        weights = np.zeros(len(self.edges))
+        for k in range(3):
+            first = corners[:, (k + 1) % 3] - corners[:, k]
+            second = corners[:, (k + 2) % 3] - corners[:, k]
+            cotangent = np.einsum("fi,fi->f", first, second) / (2.0 * self.facet_areas)
+            # facet_edges[:, k] joins corners k and k + 1, so the edge opposite corner k is number k + 1
+            weights += np.bincount(self.facet_edges[:, (k + 1) % 3], 0.5 * cotangent, len(self.edges))
+        return weights
+
+    @cached_property
+    def cotangent_weights(self) -> Array:
+        """(E,) cotangent weights with the negative ones set to zero, which keeps every operator semi-definite."""
+        return np.maximum(self.raw_cotangent_weights, 0.0)
+
+    @cached_property
+    def clamped_edges(self) -> int:
+        """How many edges have a negative cotangent weight, set to zero in `cotangent_weights`."""
+        return int(np.count_nonzero(self.raw_cotangent_weights < 0.0))
+
+    @cached_property
+    def genus(self) -> int:
+        """Number of handles: 0 for a ball, 1 for a torus."""
+        return (2 - (self.n_nodes - len(self.edges) + len(self.triangles))) // 2
+
+    @cached_property
+    def equivalent_radius(self) -> float:
+        """R = 3 V / A [m], the radius of a ball."""
+        return 3.0 * self.volume / self.area
+
+    def laplacian(self, weights: Array) -> sparse.csr_array:
+        """(N, N) graph Laplacian of (E,) edge weights: row i is sum_j w_ij (x_i - x_j)."""
+        i, j = self.edges.T
+        diagonal = np.bincount(i, weights, self.n_nodes) + np.bincount(j, weights, self.n_nodes)
+        nodes = np.arange(self.n_nodes)
+        rows, columns = np.concatenate([i, j, nodes]), np.concatenate([j, i, nodes])
+        values = np.concatenate([-weights, -weights, diagonal])
+        return sparse.csr_array((values, (rows, columns)), shape=(self.n_nodes, self.n_nodes))
+
+    def moved(self, displacement: Array) -> tuple[Array, float]:
+        """Area vectors (N, 3) [m^2] and exact polyhedral volume [m^3] after a displacement (N, 3) [m]."""
+        origin = self.points.mean(axis=0)
+        corners = (self.points - origin + displacement)[self.triangles]
+        vectors = 0.5 * np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        volume = float(np.einsum("fi,fi->", corners[:, 0], vectors)) / 3.0
+        return np.stack([self._to_nodes(vectors[:, c]) for c in range(3)], axis=1) / 3.0, volume
+
+    def _to_nodes(self, facet_values: Array) -> Array:
+        return np.bincount(self.triangles.ravel(), np.repeat(facet_values, 3), self.n_nodes)
+
+
+def _triangle_array(triangles: ArrayLike) -> Index:
+    array = np.asarray(triangles)
+    if array.dtype.kind not in "iu":
+        raise SurfaceError(f"triangles must be integers, not {array.dtype}; pass node indices")
+    return np.ascontiguousarray(array, dtype=np.int64)
+
+
+def _check_arrays(points: Array, triangles: Index) -> None:
+    if points.ndim != 2 or points.shape[1] != 3:
+        raise SurfaceError(f"points must have shape (N, 3), not {points.shape}")
+    if triangles.ndim != 2 or triangles.shape[1] != 3 or len(triangles) < 4:
+        raise SurfaceError(f"triangles must have shape (F, 3) with F >= 4, not {triangles.shape}")
+    if not np.isfinite(points).all():
+        raise SurfaceError("points contain nan or inf; check the mesh file")
+    if triangles.min() < 0 or triangles.max() >= len(points):
+        raise SurfaceError(f"triangles refer to nodes outside 0..{len(points) - 1}")
+    orphans = np.flatnonzero(np.bincount(triangles.ravel(), minlength=len(points)) == 0)
+    if orphans.size:
+        raise SurfaceError(f"{orphans.size} nodes belong to no facet (first: {orphans[0]}); remove them")
+
+
+def _check_facets(corners: Array, areas: Array) -> None:
+    sides = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2)
+    flat = np.flatnonzero(2.0 * areas <= FLAT_FACET * sides.max(axis=1) ** 2)
+    if flat.size:
+        raise SurfaceError(f"{flat.size} facets have no area (first: {flat[0]}); clean or remesh the surface")
+
+
+def _edges(triangles: Index, n_nodes: int) -> tuple[Index, Index]:
+    """(E, 2) edges with the smaller node first, in ascending order, and (F, 3) the edges of each facet."""
+    start, end = triangles.ravel(), np.roll(triangles, -1, axis=1).ravel()
+    keys = np.minimum(start, end) * n_nodes + np.maximum(start, end)
+    unique, inverse = np.unique(keys, return_inverse=True)
+    edges = np.stack([unique // n_nodes, unique % n_nodes], axis=1)
+    return edges, inverse.reshape(-1, 3).astype(np.int64)
+
+
+def _check_topology(triangles: Index, facet_edges: Index, edges: Index, n_nodes: int) -> None:
+    use = np.bincount(facet_edges.ravel(), minlength=len(edges))
+    if np.any(use == 1):
+        i, j = edges[np.flatnonzero(use == 1)[0]]
+        raise SurfaceError(
+            f"the surface is open: {np.count_nonzero(use == 1)} edges have one facet (first: nodes {i}-{j}); "
+            "close the holes"
+        )
+    if np.any(use > 2):
+        i, j = edges[np.flatnonzero(use > 2)[0]]
+        raise SurfaceError(
+            f"the surface is not manifold: more than two facets meet at edge {i}-{j}; "
+            "remove duplicate or inner facets"
+        )
+    forward = triangles < np.roll(triangles, -1, axis=1)
+    balance = np.bincount(facet_edges.ravel(), np.where(forward, 1.0, -1.0).ravel(), len(edges))
+    if np.any(balance != 0.0):
+        i, j = edges[np.flatnonzero(balance)[0]]
+        raise SurfaceError(
+            f"neighbouring facets are oriented against each other at edge {i}-{j}; orient all outward"
+        )
+    graph = sparse.coo_array((np.ones(len(edges)), (edges[:, 0], edges[:, 1])), shape=(n_nodes, n_nodes))
+    pieces = connected_components(graph, directed=False, return_labels=False)
+    if pieces != 1:
+        raise SurfaceError(
+            f"the surface has {pieces} components; keep one closed body (cavities are not supported)"
+        )
+    _check_fans(triangles, facet_edges, n_nodes)
+
+
+def _check_fans(triangles: Index, facet_edges: Index, n_nodes: int) -> None:
+    """Every node must have a single fan of facets: corners that share a node and an edge are joined and counted."""
+    corners = np.arange(triangles.size).reshape(-1, 3)
+    # each edge has one forward and one backward half: its two facets' corners at either end belong together
+    order = np.argsort(facet_edges.ravel(), kind="stable").reshape(-1, 2)
+    start, end = corners.ravel(), np.roll(corners, -1, axis=1).ravel()
+    first, second = order[:, 0], order[:, 1]
+    rows = np.concatenate([start[first], end[first]])
+    columns = np.concatenate([end[second], start[second]])
+    graph = sparse.coo_array((np.ones(len(rows)), (rows, columns)), shape=(triangles.size, triangles.size))
+    fans = connected_components(graph, directed=False, return_labels=False)
+    if fans != n_nodes:
+        raise SurfaceError(
+            f"the surface touches itself at {fans - n_nodes} nodes (two fans of facets share a node); split them"
+        )
