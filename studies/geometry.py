@@ -2,19 +2,44 @@
 
 from __future__ import annotations
 
+import tempfile
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
+from pathlib import Path
 
 import gmsh
 import numpy as np
 
-from studies.geometry_spec import Geometry, area_and_volume, check_geometry, check_node_budget, extents
-from studies.mesh import Index, Mesh, MeshError
-from studies.topology import mesh_from_tetrahedra, mesh_from_triangles
+from numpy.typing import NDArray
+
+from studies.geometry_spec import (
+    Geometry,
+    area_and_volume,
+    check_extent,
+    check_geometry,
+    check_mesh_size,
+    check_node_budget,
+    extents,
+)
+from studies.intersections import without_intersections
+from studies.mesh import Array, Index, Mask, Mesh, MeshError
+from studies.mesh_file import check_readable, read_surface, read_tetrahedra
+from studies.organ import liver_points
+from studies.remesh import surface_distance, uniform_surface, unit_sphere
+from studies.repair import clean_surface, clean_tetrahedra
+from studies.topology import (
+    area_vectors,
+    mesh_from_tetrahedra,
+    mesh_from_triangles,
+    surface_only,
+    surface_volume,
+)
 
 _TRIANGLE, _TETRAHEDRON = 2, 4  # gmsh's element types
+_DIMENSIONS = ("point", "curve", "surface", "volume")
+_ORGAN_SUBDIVISIONS = 6  # 40,962 points, far finer than any mesh of it
 
 _OPTIONS = {
     "General.Terminal": 0,
@@ -39,22 +64,126 @@ def build_mesh(geometry: Geometry, *, volume: bool = True, max_nodes: int = 2_00
     """Mesh a geometry: tetrahedra and their boundary, or with `volume=False` the same surface alone.
 
     Deterministic: equal inputs and package versions give equal bytes. `Mesh.quality` holds counts, volume
-    [m^3], area [m^2], `worst_sicn`, `seconds` and, for an imported surface, what was repaired.
+    [m^3], area [m^2], `worst_sicn`, `seconds` and, for an imported mesh, what was repaired and how far the
+    new surface is from the imported one [m].
 
     Raises MeshError, in one sentence, for a geometry, a file or a mesh size that cannot be used; the number
     of nodes is estimated against `max_nodes` before anything is meshed.
     """
     check_geometry(geometry)
     started = time.perf_counter()
-    area, inside = area_and_volume(geometry)
-    check_node_budget(area, inside if volume else 0.0, geometry.mesh_size, max_nodes)
-    unit = max(extents(geometry))
-    mesh = _mesh_with_gmsh(lambda: _add_solid(geometry, unit), geometry.mesh_size, unit, volume=volume)
+    if geometry.shape == "file":
+        try:
+            build = _tetrahedra_of_file if geometry.has_own_tetrahedra else _fill_surface_of_file
+            mesh = build(geometry, volume, max_nodes)
+        except MeshError as error:
+            raise MeshError(f"{geometry.path.name}: {error}") from error
+    else:
+        area, inside = area_and_volume(geometry)
+        check_node_budget(area, inside if volume else 0.0, geometry.mesh_size, max_nodes)
+        mesh = _organ(geometry, volume) if geometry.shape == "organ" else _solid(geometry, volume)
     return replace(mesh, quality={**mesh.quality, "seconds": time.perf_counter() - started})
 
 
+def _solid(geometry: Geometry, volume: bool) -> Mesh:
+    unit = _unit(max(extents(geometry)))
+    return _mesh_with_gmsh(lambda: _add_solid(geometry, unit), geometry.mesh_size, unit, volume=volume)
+
+
+def _organ(geometry: Geometry, volume: bool) -> Mesh:
+    sphere, triangles = unit_sphere(_ORGAN_SUBDIVISIONS)
+    points = liver_points(sphere)
+    return _remeshed_and_filled(
+        centred(points, geometry.number("size")), triangles, geometry.mesh_size, volume
+    )
+
+
+def _fill_surface_of_file(geometry: Geometry, volume: bool, max_nodes: int) -> Mesh:
+    clean = clean_surface(*read_surface(geometry.path))
+    points, factor = _placed(clean.points, geometry)
+    check_mesh_size(geometry.mesh_size, float(np.ptp(points, axis=0).min()))
+    area = float(np.linalg.norm(area_vectors(points, clean.triangles), axis=1).sum())
+    inside = surface_volume(points, clean.triangles) if volume else 0.0
+    check_node_budget(area, inside, geometry.mesh_size, max_nodes)
+    mesh = _remeshed_and_filled(points, clean.triangles, geometry.mesh_size, volume)
+    repairs = {
+        "scale": factor,
+        "imported_points": float(len(clean.points)),
+        "points_merged": float(clean.points_merged),
+        "points_dropped": float(clean.points_dropped),
+        "facets_dropped": float(clean.facets_dropped),
+        "facets_flipped": float(clean.facets_flipped),
+    }
+    return replace(mesh, quality={**mesh.quality, **repairs})
+
+
+def _tetrahedra_of_file(geometry: Geometry, volume: bool, max_nodes: int) -> Mesh:
+    if geometry.path.suffix.lower() == ".msh":
+        points, tetrahedra, groups = _read_msh(geometry.path)
+    else:
+        points, tetrahedra = read_tetrahedra(geometry.path)
+        groups = {}
+    clean = clean_tetrahedra(points, tetrahedra, groups)
+    if len(clean.points) > max_nodes:
+        raise MeshError(f"has {len(clean.points)} nodes, more than the {max_nodes} allowed; coarsen it")
+    points, factor = _placed(clean.points, geometry)
+    repairs = {
+        "scale": factor,
+        "points_dropped": float(clean.points_dropped),
+        "tetrahedra_turned": float(clean.tetrahedra_turned),
+    }
+    mesh = mesh_from_tetrahedra(points, clean.tetrahedra, groups=clean.groups, quality=repairs)
+    return mesh if volume else surface_only(mesh)
+
+
+def _placed(points: Array, geometry: Geometry) -> tuple[Array, float]:
+    """Points of a file scaled to m, with the centre of their bounding box in the origin; and the factor."""
+    extent = float(np.ptp(points, axis=0).max())
+    size = geometry.number("size") if "size" in geometry.parameters else None
+    factor = geometry.number("scale") if "scale" in geometry.parameters else 1.0
+    if size is None:
+        size = factor * extent
+        check_extent(size, "give `size`, its largest extent in metres, or `scale`, the file's unit in metres")
+    return centred(points, size), size / extent
+
+
+def _remeshed_and_filled(points: Array, triangles: Index, mesh_size: float, volume: bool) -> Mesh:
+    """Remesh a closed surface [m] uniformly, free it of intersections and fill it with tetrahedra."""
+    nodes, facets = uniform_surface(points, triangles, mesh_size)
+    nodes, fixed = without_intersections(nodes, facets)
+    mean_distance, max_distance = surface_distance(points, triangles, nodes, facets)
+    quality = {
+        "surface_distance_mean": mean_distance,
+        "surface_distance_max": max_distance,
+        "volume_change": surface_volume(nodes, facets) / surface_volume(points, triangles) - 1.0,
+        "self_intersections_fixed": float(fixed),
+    }
+    surface = mesh_from_triangles(nodes, facets, quality=quality)
+    if not volume:
+        return surface
+    unit = _unit(float(np.ptp(nodes, axis=0).max()))
+    mesh = _mesh_with_gmsh(lambda: _add_surface(nodes / unit, facets), mesh_size, unit, volume=True)
+    if surface_only(mesh).content_hash != surface.content_hash:
+        raise MeshError("gmsh changed the surface while it filled it; use another mesh_size")
+    return replace(mesh, quality={**mesh.quality, **quality})
+
+
+def centred(points: Array, size: float) -> Array:
+    """Points scaled to a largest extent `size`, with the centre of their bounding box in the origin."""
+    low, high = points.min(axis=0), points.max(axis=0)
+    return (points - 0.5 * (low + high)) * (size / float((high - low).max()))
+
+
+def _unit(extent: float) -> float:
+    """The power of two nearest to a body's extent: gmsh's lengths, where its fixed tolerances do no harm.
+
+    Scaling by a power of two is exact: nodes come back as they were given.
+    """
+    return 2.0 ** round(np.log2(extent))
+
+
 @contextmanager
-def _gmsh_session(mesh_size: float) -> Iterator[None]:
+def _gmsh_session(task: str, mesh_size: float) -> Iterator[None]:
     """A silent gmsh with fixed options that leaves signals alone; its errors become MeshError."""
     gmsh.initialize([], readConfigFiles=False, run=False, interruptible=False)
     try:
@@ -63,17 +192,17 @@ def _gmsh_session(mesh_size: float) -> Iterator[None]:
         gmsh.option.setNumber("Mesh.MeshSizeMin", mesh_size)
         gmsh.option.setNumber("Mesh.MeshSizeMax", mesh_size)
         yield
-    except MeshError:
-        raise
-    except Exception as error:  # gmsh raises nothing more specific
-        raise MeshError(f"gmsh could not mesh this geometry ({error}); try another mesh_size") from error
+    except Exception as error:
+        if type(error) is not Exception:  # gmsh raises nothing more specific than Exception itself
+            raise
+        raise MeshError(f"gmsh cannot {task} ({error})") from error
     finally:
         gmsh.finalize()
 
 
 def _mesh_with_gmsh(add_model: Callable[[], None], mesh_size: float, unit: float, *, volume: bool) -> Mesh:
     """Mesh the model that `add_model` makes in lengths of `unit` [m], so that no tolerance depends on its size."""
-    with _gmsh_session(mesh_size / unit):
+    with _gmsh_session("mesh this geometry; try another mesh_size", mesh_size / unit):
         add_model()
         gmsh.model.mesh.generate(3 if volume else 2)
         tags, coordinates, _ = gmsh.model.mesh.getNodes()
@@ -107,3 +236,53 @@ def _add_solid(geometry: Geometry, unit: float) -> None:
         ball = occ.addSphere(0.0, 0.0, 0.0, 0.5)
         occ.dilate([(3, ball)], 0.0, 0.0, 0.0, *size)
     occ.synchronize()
+
+
+def _add_surface(points: Array, triangles: Index) -> None:
+    """Add the inside of a closed triangle surface, which stays as it is."""
+    surface = gmsh.model.addDiscreteEntity(2)
+    gmsh.model.mesh.addNodes(2, surface, np.arange(1, len(points) + 1), points.ravel())
+    gmsh.model.mesh.addElementsByType(surface, _TRIANGLE, [], (triangles + 1).ravel())
+    gmsh.model.geo.addVolume([gmsh.model.geo.addSurfaceLoop([surface])])
+    gmsh.model.geo.synchronize()
+
+
+def _read_msh(path: Path) -> tuple[Array, Index, dict[str, Mask]]:
+    """Points, tetrahedra and physical groups of an MSH file (versions 2 and 4, ASCII and binary).
+
+    gmsh runs what is not one of its mesh files as a script, obeys an option file beside it, and is content
+    with damaged sections: the bytes are checked first and read from a copy on its own. A group without a
+    name is called by its dimension and number, as in `surface-3`; of two with one name the lower dimension
+    counts.
+    """
+    check_readable(path)
+    data = path.read_bytes()
+    _check_msh(data)
+    with tempfile.TemporaryDirectory() as directory, _gmsh_session("read the file; it is damaged", 1.0):
+        copy = Path(directory) / "mesh.msh"
+        copy.write_bytes(data)
+        gmsh.merge(str(copy))
+        kinds = [int(kind) for kind in gmsh.model.mesh.getElementTypes(dim=3)]
+        wrong = [gmsh.model.mesh.getElementProperties(kind)[0] for kind in kinds if kind != _TETRAHEDRON]
+        if wrong:
+            raise MeshError(
+                f"holds cells of kind {', '.join(wrong)}; only four-node (first-order) tetrahedra can be used"
+            )
+        tags, coordinates, _ = gmsh.model.mesh.getNodes()
+        tetrahedra = _elements(_TETRAHEDRON, 4)
+        members: dict[str, NDArray[np.uint64]] = {}
+        for dim, tag in sorted(gmsh.model.getPhysicalGroups()):
+            name = gmsh.model.getPhysicalName(dim, tag) or f"{_DIMENSIONS[dim]}-{tag}"
+            members.setdefault(name, gmsh.model.mesh.getNodesForPhysicalGroup(dim, tag)[0])
+    order = np.argsort(tags)
+    tags, points = tags[order], coordinates.reshape(-1, 3)[order]
+    groups = {name: np.isin(tags, nodes) for name, nodes in members.items()}
+    return points, np.searchsorted(tags, tetrahedra).astype(np.int64), groups
+
+
+def _check_msh(data: bytes) -> None:
+    if not data.startswith((b"$MeshFormat", b"$Comments")):
+        raise MeshError("is not a gmsh mesh file")
+    for section in (b"Nodes", b"Elements"):
+        if b"$" + section not in data or b"$End" + section not in data:
+            raise MeshError(f"is truncated or has no {section.decode()} section; write it again")

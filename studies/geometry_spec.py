@@ -21,6 +21,11 @@ VOLUME_SUFFIXES = (".msh", ".vtu", ".vtk")
 SMALLEST_EXTENT = 1e-3  # m; outside these two a length in the wrong unit is far likelier than such an organ
 LARGEST_EXTENT = 10.0  # m
 
+# The organ's extents, area and volume for size 1, measured on its finest surface.
+_ORGAN_EXTENTS = (1.0, 0.606, 0.586)
+_ORGAN_AREA = 1.5155
+_ORGAN_VOLUME = 0.14533
+
 _REQUIRED: dict[str, dict[str, int]] = {  # shape -> parameter -> how many numbers
     "sphere": {"radius": 1},
     "ellipsoid": {"semi_axes": 3},
@@ -100,11 +105,9 @@ def check_geometry(geometry: Geometry) -> None:
         raise MeshError(f"cylinder: axis must be x, y or z, not {geometry.parameters['axis']!r}")
     if shape == "file":
         _check_file_parameters(geometry)
-    elif (extent := max(extents(geometry))) > LARGEST_EXTENT or extent < SMALLEST_EXTENT:
-        raise MeshError(
-            f"{shape}: the largest extent is {extent:g} m, which looks like a mixed-up unit; "
-            f'lengths are in metres, so write "{extent:g} mm" if millimetres are meant'
-        )
+    else:
+        extent = max(extents(geometry))
+        check_extent(extent, f'lengths are in metres, so write "{extent:g} mm" if millimetres are meant')
     if not geometry.has_own_tetrahedra:
         if not (math.isfinite(geometry.mesh_size) and geometry.mesh_size > 0):
             raise MeshError("mesh_size must be positive and finite")
@@ -127,17 +130,27 @@ def _check_file_parameters(geometry: Geometry) -> None:
         raise MeshError("file: give size or scale, not both")
 
 
-def extents(geometry: Geometry) -> tuple[float, ...]:
-    """Extents [m] of a shape that is not a file; for the organ the largest and a lower bound of the others."""
-    if geometry.shape == "sphere":
-        return (2 * geometry.number("radius"),) * 3
-    if geometry.shape == "ellipsoid":
-        return tuple(2 * a for a in geometry.numbers("semi_axes"))
+def extents(geometry: Geometry) -> tuple[float, float, float]:
+    """Extents along x, y and z [m] of a shape that is not a file."""
     if geometry.shape == "box":
-        return geometry.numbers("size")
-    if geometry.shape == "cylinder":
-        return (2 * geometry.number("radius"),) * 2 + (geometry.number("length"),)
-    return (geometry.number("size"), 0.4 * geometry.number("size"))
+        a, b, c = geometry.numbers("size")
+    elif geometry.shape == "ellipsoid":
+        a, b, c = (2 * semi_axis for semi_axis in geometry.numbers("semi_axes"))
+    elif geometry.shape == "cylinder":
+        along = "xyz".index(str(geometry.parameters.get("axis", "z")))
+        diameter, length = 2 * geometry.number("radius"), geometry.number("length")
+        a, b, c = (length if k == along else diameter for k in range(3))
+    elif geometry.shape == "organ":
+        a, b, c = (share * geometry.number("size") for share in _ORGAN_EXTENTS)
+    else:
+        a = b = c = 2 * geometry.number("radius")
+    return a, b, c
+
+
+def check_extent(extent: float, remedy: str) -> None:
+    """Raise MeshError, ending with `remedy`, for a largest extent [m] that no organ has."""
+    if not SMALLEST_EXTENT * (1 - 1e-9) <= extent <= LARGEST_EXTENT * (1 + 1e-9):
+        raise MeshError(f"the largest extent is {extent:.6g} m, which looks like a mixed-up unit; {remedy}")
 
 
 def check_mesh_size(mesh_size: float, smallest_extent: float) -> None:
@@ -150,20 +163,21 @@ def check_mesh_size(mesh_size: float, smallest_extent: float) -> None:
 
 
 def area_and_volume(geometry: Geometry) -> tuple[float, float]:
-    """Surface area [m^2] and volume [m^3] of a sphere, ellipsoid, box or cylinder.
+    """Surface area [m^2] and volume [m^3] of a shape that is not a file.
 
     The ellipsoid's area is Thomsen's formula (p = 1.6075), within 1.1 %.
     """
+    a, b, c = extents(geometry)
+    if geometry.shape == "organ":
+        return _ORGAN_AREA * a**2, _ORGAN_VOLUME * a**3
     if geometry.shape == "box":
-        a, b, c = geometry.numbers("size")
         return 2 * (a * b + b * c + c * a), a * b * c
     if geometry.shape == "cylinder":
         radius, length = geometry.number("radius"), geometry.number("length")
         return 2 * math.pi * radius * (radius + length), math.pi * radius**2 * length
-    a, b, c = (0.5 * extent for extent in extents(geometry))
     p = 1.6075
     mean = ((a * b) ** p + (b * c) ** p + (c * a) ** p) / 3
-    return 4 * math.pi * mean ** (1 / p), 4 / 3 * math.pi * a * b * c
+    return math.pi * mean ** (1 / p), math.pi / 6 * a * b * c
 
 
 def estimated_nodes(area: float, volume: float, mesh_size: float) -> float:
@@ -218,9 +232,9 @@ def geometry_key(geometry: Geometry, *, volume: bool) -> str:
 def _packages(geometry: Geometry) -> tuple[str, ...]:
     """The distributions whose version can change the mesh."""
     if geometry.has_own_tetrahedra:
-        return ("meshio",)
+        return ("gmsh", "meshio")
     if geometry.shape in ("file", "organ"):
-        return ("gmsh", "pyacvd")
+        return ("gmsh", "pyacvd", "vtk")
     return ("gmsh",)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -253,6 +254,12 @@ def mesh_from_triangles(
         triangles=np.ascontiguousarray(local.reshape(-1, 3), dtype=np.int64),
         quality={**figures, **(quality or {})},
     )
+
+
+def surface_only(mesh: Mesh) -> Mesh:
+    """The same surface nodes, facets and groups without the inside."""
+    surface = mesh_from_triangles(mesh.surface_points, mesh.triangles)
+    return replace(surface, groups=mesh.groups, quality={**mesh.quality, **surface.quality})
 
 
 def check_tetrahedra(points: Array, tetrahedra: Index) -> None:

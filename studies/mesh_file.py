@@ -1,0 +1,104 @@
+"""Surface and tetrahedral mesh files to arrays: the only module that imports meshio.
+
+Its errors do not name the file; the caller does."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import warnings
+from collections.abc import Callable
+from pathlib import Path
+
+import meshio
+import numpy as np
+
+from studies.mesh import Array, Index, MeshError
+
+_READERS: dict[str, Callable[[str], meshio.Mesh]] = {
+    ".stl": meshio.stl.read,
+    ".obj": meshio.obj.read,
+    ".vtu": meshio.vtu.read,
+    ".vtk": meshio.vtk.read,
+}
+_FLAT_CELLS = ("vertex", "line", "triangle", "quad", "polygon")  # allowed beside tetrahedra, and not used
+
+
+def read_surface(path: Path) -> tuple[Array, Index]:
+    """Points (n, 3) and triangles (F, 3) of an STL, OBJ, PLY or VTP file; polygons are cut into triangles.
+
+    Raises MeshError for a missing, unreadable or truncated file and one without facets.
+    """
+    if path.suffix.lower() in (".ply", ".vtp"):
+        from studies.remesh import read_polydata  # VTK knows more of these two than meshio does
+
+        check_readable(path)
+        points, triangles = read_polydata(path)
+    else:
+        mesh = _read(path)
+        points = _coordinates(mesh.points)
+        triangles = _triangles(mesh)
+    if len(triangles) == 0:
+        raise MeshError("holds no facets; give the closed surface of a solid")
+    return points, triangles
+
+
+def read_tetrahedra(path: Path) -> tuple[Array, Index]:
+    """Points (n, 3) and tetrahedra (m, 4) of a VTU or legacy VTK file, as they stand in it.
+
+    Raises MeshError for a missing, unreadable or truncated file and for other cells than four-node
+    tetrahedra (facets, lines and vertices beside them are passed over).
+    """
+    mesh = _read(path)
+    wrong = sorted({block.type for block in mesh.cells} - {"tetra", *_FLAT_CELLS})
+    if wrong:
+        raise MeshError(
+            f"holds {', '.join(wrong)} cells; only four-node (first-order) tetrahedra can be used"
+        )
+    blocks = [np.asarray(block.data, dtype=np.int64) for block in mesh.cells if block.type == "tetra"]
+    return _coordinates(mesh.points), np.concatenate([np.empty((0, 4), dtype=np.int64), *blocks])
+
+
+def check_readable(path: Path) -> None:
+    """Raise MeshError for a file that is missing, empty, a directory, or closed to this user."""
+    if not path.exists():
+        raise MeshError("no such file")
+    if not path.is_file():
+        raise MeshError(f"{path}: is not a file")
+    try:
+        with path.open("rb") as file:
+            head = file.read(1)
+    except OSError as error:
+        raise MeshError(f"cannot be read ({error.strerror})") from error
+    if not head:
+        raise MeshError("is empty")
+
+
+def _read(path: Path) -> meshio.Mesh:
+    """Read by the format's own reader: `meshio.read` prints and ends the process where it fails."""
+    suffix = path.suffix.lower()
+    check_readable(path)
+    try:
+        with warnings.catch_warnings(), contextlib.redirect_stdout(io.StringIO()):
+            warnings.filterwarnings("error", message="string or file could not be read to its end")
+            return _READERS[suffix](str(path))
+    except Exception as error:  # meshio fails on damaged files with whatever its parsing runs into
+        raise MeshError(f"cannot be read as {suffix}; it is damaged, truncated or of another kind") from error
+
+
+def _coordinates(points: object) -> Array:
+    coordinates = np.asarray(points, dtype=np.float64)
+    if coordinates.ndim != 2 or coordinates.shape[1] != 3:
+        raise MeshError("points must have three coordinates each")
+    return coordinates
+
+
+def _triangles(mesh: meshio.Mesh) -> Index:
+    """Triangles of a surface file; a polygon becomes a fan about its first corner."""
+    parts = [np.empty((0, 3), dtype=np.int64)]
+    for block in mesh.cells:
+        if block.type not in ("triangle", "quad", "polygon"):
+            raise MeshError(f"holds {block.type} cells; give a surface of triangles")
+        corners = np.asarray(block.data, dtype=np.int64)
+        parts += [corners[:, [0, k, k + 1]] for k in range(1, corners.shape[1] - 1)]
+    return np.concatenate(parts)

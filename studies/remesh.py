@@ -1,0 +1,139 @@
+"""Uniform remeshing of closed surfaces, and surface files of VTK: pyvista and pyacvd for geometry live here."""
+
+from __future__ import annotations
+
+import warnings
+from pathlib import Path
+
+import numpy as np
+import pyacvd
+import pyvista as pv
+
+from studies.mesh import Array, Index, MeshError
+from studies.topology import area_vectors, check_vertex_fans, consistent_orientation
+
+# Edges of the sampled surface are at most mesh_size / 2.5: about 17 points for each node of the new surface.
+# Fewer leave uneven triangles, more only take longer.
+_SAMPLES_PER_EDGE = 2.5
+_ATTEMPTS = 4  # with finer samples each: clusters of a coarse sample can touch themselves
+
+
+def read_polydata(path: Path) -> tuple[Array, Index]:
+    """Points (n, 3) and triangles (F, 3) of a PLY or VTP file; polygons are cut into triangles.
+
+    Raises MeshError where VTK complains or finds no facets.
+    """
+    with pv.VtkErrorCatcher(raise_errors=False, send_to_logging=False) as caught:
+        surface = pv.read(path)
+    if caught.events:
+        raise MeshError("cannot be read; it is damaged or of another kind")
+    if not isinstance(surface, pv.PolyData):
+        raise MeshError("holds no surface; give the closed surface of a solid")
+    surface = surface.triangulate()
+    return _arrays(surface)
+
+
+def unit_sphere(subdivisions: int) -> tuple[Array, Index]:
+    """A nearly uniform triangulation of the unit sphere, 10 * 4^subdivisions + 2 points."""
+    return _arrays(pv.Icosphere(radius=1.0, nsub=subdivisions))
+
+
+def uniform_surface(points: Array, triangles: Index, mesh_size: float) -> tuple[Array, Index]:
+    """Cover a closed surface with nearly equilateral triangles of edge `mesh_size` [m].
+
+    Approximated centroidal Voronoi clustering (Valette and Chassery 2004, doi
+    10.1111/j.1467-8659.2004.00769.x): the surface is sampled, the samples are gathered in clusters of equal
+    area, each cluster becomes a node on the imported surface and clusters that meet become triangles. The
+    number of nodes is that of equilateral triangles, area / (mesh_size^2 sqrt(3) / 2).
+
+    Raises MeshError where the clusters do not make one closed manifold surface.
+    """
+    imported = _polydata(points, triangles)
+    area = float(np.linalg.norm(area_vectors(points, triangles), axis=1).sum())
+    n_nodes = max(round(2 / np.sqrt(3) * area / mesh_size**2), 12)
+    complaint = ""
+    for attempt in range(_ATTEMPTS):
+        samples = _sampled(imported, mesh_size / (_SAMPLES_PER_EDGE * 1.2**attempt))
+        clusters, weights = _clustered(samples, n_nodes)
+        facets = _cluster_facets(clusters[_arrays(samples)[1]])
+        try:
+            if len(np.unique(facets)) != n_nodes:
+                raise MeshError("some nodes have no facet")
+            nodes = _cluster_nodes(np.asarray(samples.points), clusters, weights)
+            nodes = _closest(imported, nodes)
+            facets, _ = consistent_orientation(nodes, facets)
+            check_vertex_fans(facets)
+        except MeshError as error:
+            complaint = str(error)
+            continue
+        return nodes, facets
+    raise MeshError(
+        f"the surface cannot be remeshed uniformly at mesh_size {mesh_size:g} m ({complaint}); "
+        "use a smaller mesh_size, or mend parts thinner than it"
+    )
+
+
+def surface_distance(
+    points: Array, triangles: Index, other_points: Array, other_triangles: Index
+) -> tuple[float, float]:
+    """Mean and largest distance between two surfaces [unit of the points], each seen from the other.
+
+    The mean is weighted by area, over the middles of all edges; the largest includes nodes and centroids.
+    """
+    distances, weights, largest = [], [], 0.0
+    for (p, t), target in (
+        ((points, triangles), _polydata(other_points, other_triangles)),
+        ((other_points, other_triangles), _polydata(points, triangles)),
+    ):
+        middles = 0.5 * (p[t] + p[np.roll(t, 1, axis=1)]).reshape(-1, 3)
+        probes = np.concatenate([middles, p[t].mean(axis=1), p])
+        found = np.linalg.norm(_closest(target, probes) - probes, axis=1)
+        largest = max(largest, float(found.max()))
+        distances.append(found[: len(middles)])
+        weights.append(np.repeat(np.linalg.norm(area_vectors(p, t), axis=1), 3))
+    return float(np.average(np.concatenate(distances), weights=np.concatenate(weights))), largest
+
+
+def _polydata(points: Array, triangles: Index) -> pv.PolyData:
+    padded = np.concatenate([np.full((len(triangles), 1), 3), triangles], axis=1)
+    return pv.PolyData(points, faces=padded.ravel())
+
+
+def _arrays(surface: pv.PolyData) -> tuple[Array, Index]:
+    triangles = np.asarray(surface.faces).reshape(-1, 4)[:, 1:] if surface.n_cells else np.empty((0, 3))
+    return np.asarray(surface.points, dtype=np.float64), triangles.astype(np.int64)
+
+
+def _closest(surface: pv.PolyData, points: Array) -> Array:
+    """The point of the surface nearest to each of `points`."""
+    found: tuple[object, Array] = surface.find_closest_cell(points, return_closest_point=True)  # type: ignore[assignment]
+    return np.asarray(found[1], dtype=np.float64)
+
+
+def _sampled(surface: pv.PolyData, longest_edge: float) -> pv.PolyData:
+    """The same surface with no edge longer than `longest_edge`."""
+    return surface.subdivide_adaptive(max_edge_len=longest_edge, max_n_passes=50).triangulate()
+
+
+def _clustered(samples: pv.PolyData, n_clusters: int) -> tuple[Index, Array]:
+    """Cluster of each sample, and the area each sample stands for."""
+    with warnings.catch_warnings():
+        # pyacvd 0.3 uses an attribute that pyvista has renamed
+        warnings.filterwarnings("ignore", message=".*_connectivity_array")
+        clustering = pyacvd.Clustering(samples)
+        clusters = clustering.cluster(n_clusters)
+    return clusters.astype(np.int64), np.asarray(clustering.area)
+
+
+def _cluster_nodes(samples: Array, clusters: Index, weights: Array) -> Array:
+    """Centroid of each cluster."""
+    total = np.bincount(clusters, weights)
+    return np.stack([np.bincount(clusters, weights * samples[:, k]) / total for k in range(3)], axis=1)
+
+
+def _cluster_facets(corners: Index) -> Index:
+    """Triangles between clusters: one for each triple of clusters that meets in a sample triangle."""
+    a, b, c = corners.T
+    corners = corners[(a != b) & (b != c) & (c != a)]
+    start = np.argmin(corners, axis=1)
+    return np.unique(np.take_along_axis(corners, (start[:, None] + np.arange(3)) % 3, axis=1), axis=0)
