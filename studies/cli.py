@@ -341,8 +341,7 @@ class _Progress:
             advance = event.kind in ("done", "failed")
             self.bar.update(self.task, description=label[:60], advance=1 if advance else 0)
         elif not self.quiet and event.kind in ("done", "failed"):
-            reason = f": {event.message}" if event.kind == "failed" else ""
-            print(f"{event.kind} {label} ({event.seconds:.1f} s){reason}", file=sys.stderr, flush=True)
+            print(f"{event.kind} {label} ({event.seconds:.1f} s)", file=sys.stderr, flush=True)
 
 
 def _print_json(value: Any) -> int:

@@ -5,10 +5,11 @@ A model is one decorated function. Solver packages are imported inside, so that 
 
 from __future__ import annotations
 
+import dataclasses
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -111,14 +112,46 @@ def _fem_linear(scene: Scene, solver: str, name: str) -> FemSolution:  # noqa: A
 
 
 def _vdm(scene: Scene, formulation: str, solver: str, name: str) -> VdmSolution:
+    """A VDM formulation: parameters by the study, by the model's own table, else by rule from the tissue."""
+    from vdm.constraints import Load
     from vdm.material import Parameters
-    from vdm.model import Load, Model
-
+    from vdm.model import Model as VdmModel
     from vdm.surface import SurfaceMesh
 
-    surface = SurfaceMesh(scene.mesh.surface_points, scene.mesh.triangles)
-    raise NotImplementedError
-    _ = (Load, Model, Parameters, surface, formulation, solver, name)
+    points, triangles = scene.mesh.surface_points, scene.mesh.triangles
+    tissue = scene.tissue
+    given: dict[str, Any] = {**scene.parameters, **scene.overrides.get(name, {})}
+    penalty = given.pop("penalty", None)
+    rule = Parameters.from_tissue(
+        tissue.youngs_modulus, tissue.poisson_ratio, SurfaceMesh(points, triangles), formulation
+    )
+    options: dict[str, Any] = {}
+    if penalty is not None:
+        options = {"constraint_method": "penalty-replaced", "penalty": penalty}  # (25) and (26) as printed
+        solver = "lu"
+    model = VdmModel(
+        points,
+        triangles,
+        dataclasses.replace(rule, **given),
+        formulation=formulation,
+        fixed=scene.fixed,
+        constrained=scene.constrained,
+        density=tissue.density,
+        gravity=scene.gravity,
+        environment_pressure=scene.environment_pressure,
+        solver=solver,
+        **options,
+    )
+    return model.solve(
+        [
+            Load(
+                contact_pressure=factor * scene.contact_pressure,
+                contact_force=factor * scene.contact_force,
+                prescribed=factor * scene.prescribed,
+            )
+            for factor in scene.load_factors
+        ]
+    )
 
 
 def run_model(scene: Scene, name: str) -> ModelResult:
@@ -127,19 +160,22 @@ def run_model(scene: Scene, name: str) -> ModelResult:
     A model that cannot be set up gives a result of NaN with the reason in its status: the other models of the
     case are not affected.
     """
-    from fem_reference.solution import SolverError as FemError
-    from vdm.solution import SolverError as VdmError
-
     model, solver = find(name)
     resident = reset_peak()
     began = time.perf_counter()
     try:
         solution = model.solve(scene, solver, name)
-    except (FemError, VdmError) as error:
-        return _failed(scene, model, StepStatus(error.status.code, error.status.message, error.status.remedy))
+    except ValueError as error:  # the sentence of a surface, parameter, support or solver that does not work
+        status = getattr(error, "status", None)
+        reason = (
+            StepStatus(status.code, status.message, status.remedy)
+            if status
+            else StepStatus("refused", f"{error}")
+        )
+        return _failed(scene, model, reason)
     seconds_total = time.perf_counter() - began
-    status = tuple(StepStatus(s.code, s.message, s.remedy) for s in solution.status)
-    usable = np.array([s.ok for s in status])
+    statuses = tuple(StepStatus(s.code, s.message, s.remedy) for s in solution.status)
+    usable = np.array([s.ok for s in statuses])
     displacement = np.where(usable[:, None, None], solution.displacement, np.nan)
     points, triangles = scene.mesh.surface_points, scene.mesh.triangles
     return ModelResult(
@@ -149,7 +185,7 @@ def run_model(scene: Scene, name: str) -> ModelResult:
         energy=np.where(usable, solution.energy, np.nan),
         volume=np.array([enclosed_volume(points + u, triangles) for u in displacement]),
         iterations=solution.iterations,
-        status=status,
+        status=statuses,
         seconds_setup=solution.seconds_setup,
         seconds_per_step=solution.seconds_per_step,
         peak_bytes=peak_bytes_since(resident),

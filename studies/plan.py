@@ -27,7 +27,7 @@ class PlannedCase:
     swept: Mapping[str, float | str]
     swept_units: Mapping[str, str]
     study: Study
-    meshes: tuple[str, ...]  # keys, the case's own first, then its coarser levels
+    mesh: str  # key of its mesh
 
 
 @dataclass(frozen=True)
@@ -62,27 +62,23 @@ class Plan:
 
     def missing_meshes(self, cases: Sequence[PlannedCase]) -> list[PlannedMesh]:
         """The meshes that these cases need and the cache does not hold."""
-        keys = dict.fromkeys(key for case in cases for key in case.meshes)
+        keys = dict.fromkeys(case.mesh for case in cases)
         return [self.meshes[key] for key in keys if not mesh_path(self.cache, key).exists()]
 
     def summary(self) -> dict[str, Any]:
         """The plan as plain data: `plan.json`, and what `vdmbench plan` prints."""
         missing = self.cases_to_run()
-        needed = dict.fromkeys(key for case in self.cases for key in case.meshes)
-        volumetric = needs_volume(self.study)
         skipped = []
-        if not volumetric:
+        if not needs_volume(self.study):
             skipped.append("tetrahedra: no model of this study needs the inside")
         if len(self.cases) > len(self.state):
             skipped.append(f"{len(self.cases) - len(self.state)} cases that repeat another one of the sweep")
-        if len(needed) < sum(len(case.meshes) for case in self.cases):
-            skipped.append(
-                f"{sum(len(case.meshes) for case in self.cases) - len(needed)} meshes: shared by cases"
-            )
+        if len(self.meshes) < len(self.state):
+            skipped.append(f"{len(self.state) - len(self.meshes)} meshes: shared by cases")
         done = sum(state == "done" for state in self.state.values())
         if done:
             skipped.append(f"{done} cases: already in {self.directory}")
-        cached = len(needed) - len(self.missing_meshes(self.cases))
+        cached = len(self.meshes) - len(self.missing_meshes(self.cases))
         if cached:
             skipped.append(f"{cached} meshes: already in the cache")
         return {
@@ -99,11 +95,11 @@ class Plan:
                     "swept": dict(case.swept),
                     "swept_units": dict(case.swept_units),
                     "state": self.state[case.hash],
-                    "meshes": list(case.meshes),
+                    "mesh": case.mesh,
                 }
                 for case in self.cases
             ],
-            "meshes": len(needed),
+            "meshes": len(self.meshes),
             "meshes_to_make": len(self.missing_meshes(missing)),
             "cases_to_run": len(missing),
             "skipped": skipped,
@@ -121,20 +117,17 @@ def make_plan(study: Study, cases: Sequence[ResolvedCase], directory: Path, cach
     meshes: dict[str, PlannedMesh] = {}
     planned = []
     for case in cases:
-        keys = []
-        for geometry in level_geometries(case.study):
-            volume = needs_volume(case.study)
-            key = geometry_key(geometry, volume=volume)
-            meshes[key] = PlannedMesh(key, geometry, volume)
-            keys.append(key)
+        geometry, volume = geometry_of(case.study), needs_volume(case.study)
+        key = geometry_key(geometry, volume=volume)
+        meshes[key] = PlannedMesh(key, geometry, volume)
         planned.append(
             PlannedCase(
-                hash=case_hash(case.study, keys[0]),
+                hash=case_hash(case.study, key),
                 label=case.label,
                 swept=case.swept,
                 swept_units=case.swept_units,
                 study=case.study,
-                meshes=tuple(keys),
+                mesh=key,
             )
         )
     return Plan(study, tuple(planned), meshes, directory, cache)
@@ -143,23 +136,6 @@ def make_plan(study: Study, cases: Sequence[ResolvedCase], directory: Path, cach
 def needs_volume(study: Study) -> bool:
     """Whether any model of a study needs tetrahedra."""
     return any(models.find(name)[0].volumetric for name in study.study.models)
-
-
-def level_geometries(study: Study) -> list[Geometry]:
-    """The case's geometry and, where the reference's error is asked for, its coarser levels."""
-    geometry = geometry_of(study)
-    levels = 1
-    if (
-        study.uncertainty is not None
-        and study.study.reference is not None
-        and not geometry.has_own_tetrahedra
-    ):
-        levels = study.uncertainty.levels
-    ratio = study.uncertainty.ratio if study.uncertainty else 1.0
-    return [
-        Geometry(geometry.shape, geometry.mesh_size * ratio**level, geometry.parameters)
-        for level in range(levels)
-    ]
 
 
 def case_hash(study: Study, mesh_key: str) -> str:

@@ -90,12 +90,11 @@ def _run_missing(plan: Plan, options: Options, watch: Callable[[Event], None]) -
     runnable = []
     for case in cases:
         task = task_of(case, plan)
-        failed = next((broken[key] for key in case.meshes if key in broken), None)
-        if failed is None:
-            runnable.append(task)
+        if case.mesh in broken:
+            _keep_failure(plan, dataclasses.replace(broken[case.mesh], task=task))
+            watch(Event("failed", case.label, message=broken[case.mesh].message))
         else:
-            _keep_failure(plan, dataclasses.replace(failed, task=task))
-            watch(Event("failed", case.label, message=failed.message))
+            runnable.append(task)
     for outcome in _watched(runnable, run_case, logs, options, watch, "case"):
         if outcome.ok:
             failure_path(plan.directory, outcome.task["id"]).unlink(missing_ok=True)

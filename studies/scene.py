@@ -90,15 +90,18 @@ class Scene:
         return self.contact_pressure != 0.0
 
 
-def build_scene(study: Study, mesh: Mesh) -> Scene:
+def build_scene(study: Study, mesh: Mesh, masks: Mapping[str, Mask] | None = None) -> Scene:
     """Put a study's regions, constraints and loads on a mesh.
+
+    `masks` gives the regions' nodes where the mesh is a refinement, whose regions are those of the coarse mesh.
 
     Raises
     ------
     SceneError
         a region that selects nothing, or contact on a node that is held.
     """
-    masks = {name: select(region, mesh, study.regions) for name, region in study.regions.items()}
+    if masks is None:
+        masks = {name: select(region, mesh, study.regions) for name, region in study.regions.items()}
     n_nodes = len(mesh.surface_nodes)
     fixed, constrained = np.zeros(n_nodes, dtype=bool), np.zeros(n_nodes, dtype=bool)
     prescribed = np.zeros((n_nodes, 3))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import itertools
 import platform
 from collections.abc import Mapping
@@ -14,12 +15,14 @@ import numpy as np
 
 from . import models, uncertainty
 from .case import CaseResult, MetricSeries, ModelResult
+from .config import geometry_of
 from .execute import TaskError
 from .geometry_spec import Geometry
 from .mesh import Mesh
 from .mesh_cache import mesh_from_cache
 from .metrics import METRICS, History, Surface, evaluate, relative_l2, rigid_motion_removed
-from .plan import level_geometries, needs_volume
+from .plan import needs_volume
+from .refine import inherit, refine
 from .scene import Scene, build_scene
 from .schema import Study
 from .store import write_case
@@ -54,24 +57,17 @@ def run_case(task: Mapping[str, Any]) -> None:
         the reference failed, so that there is nothing to compare with.
     """
     study = Study.model_validate(task["study"])
-    cache = Path(task["cache"])
     names = list(study.study.models)
     reference = study.study.reference
-    geometry, *coarser = level_geometries(study)
-    mesh = mesh_from_cache(geometry, cache, volume=needs_volume(study))
+    mesh = mesh_from_cache(geometry_of(study), Path(task["cache"]), volume=needs_volume(study))
     scene = build_scene(study, mesh)
     results = {name: models.run_model(scene, name) for name in names}
     reference_error: dict[str, float] = {}
     if reference is not None:
         _require_converged(reference, results[reference])
-        if coarser and study.uncertainty is not None:
-            levels = [(mesh, results[reference])]
-            for level in coarser:
-                coarse_mesh = mesh_from_cache(level, cache, volume=True)
-                coarse = models.run_model(build_scene(study, coarse_mesh), reference)
-                _require_converged(f"{reference} on a coarser mesh", coarse)
-                levels.append((coarse_mesh, coarse))
-            reference_error = mesh_level_error(levels, study.uncertainty.ratio)
+        if study.uncertainty is not None:
+            levels = study.uncertainty.levels
+            reference_error = measure_reference(study, scene, reference, results[reference], levels)
     write_case(
         Path(task["path"]),
         CaseResult(
@@ -119,30 +115,34 @@ def compare(
     return out
 
 
-def mesh_level_error(levels: list[tuple[Mesh, ModelResult]], ratio: float) -> dict[str, float]:
-    """The reference's error at the last load step from mesh levels, finest first.
+def measure_reference(
+    study: Study, scene: Scene, reference: str, result: ModelResult, n_levels: int
+) -> dict[str, float]:
+    """The reference's discretisation error at the last load step, from the same scene on refined meshes.
 
-    Neighbouring levels are compared at the coarser one's surface nodes, relative to the finer one's displacement;
-    the error holds what the mesh changes in the solution, the shape, the support and the load.
+    Every level splits each tetrahedron of the one before into eight; levels are compared at the surface nodes of
+    the case's mesh, which all of them share. For its smooth profiles the load is evaluated anew on each level.
     """
-    vector, deformation = [], []
-    for (fine, fine_result), (coarse, coarse_result) in itertools.pairwise(levels):
-        points = coarse.surface_points
-        areas = Surface(points, coarse.triangles).areas
-        u = coarse_result.displacement[-1]
-        v = uncertainty.interpolate_on_surface(
-            points, fine.surface_points, fine.triangles, fine_result.displacement[-1]
-        )
-        vector.append(relative_l2(u, v, areas))
-        u, v = (rigid_motion_removed(points, w, areas) for w in (u, v))
-        deformation.append(relative_l2(u, v, areas))
-    estimate = uncertainty.estimate_error(vector, ratio)
+    surface = Surface(scene.mesh.surface_points, scene.mesh.triangles)
+    levels = [result.displacement[-1]]
+    for _ in range(n_levels - 1):
+        mesh, parents = refine(scene.mesh)
+        masks = {name: inherit(mask, scene.mesh, parents) for name, mask in scene.regions.items()}
+        scene = build_scene(study, mesh, masks)
+        last = dataclasses.replace(scene, load_factors=scene.load_factors[-1:])
+        finer = models.run_model(last, reference)
+        _require_converged(f"{reference} on the refined mesh", finer)
+        levels.append(finer.displacement[-1, : len(surface.points)])
+    pairs = list(itertools.pairwise(levels))
+    vector = uncertainty.estimate_error([relative_l2(u, v, surface.areas) for u, v in pairs])
+    without = [[rigid_motion_removed(surface.points, w, surface.areas) for w in pair] for pair in pairs]
+    deformation = uncertainty.estimate_error([relative_l2(u, v, surface.areas) for u, v in without])
     return {
-        "relative_l2": estimate.error,
-        "gci": estimate.gci,
-        "observed_order": estimate.observed_order,
-        "order_is_reasonable": float(estimate.reasonable),
-        "relative_l2_deformation": uncertainty.estimate_error(deformation, ratio).error,
+        "relative_l2": vector.error,
+        "gci": vector.gci,
+        "observed_order": vector.observed_order,
+        "relative_l2_deformation": deformation.error,
+        "gci_deformation": deformation.gci,
         "levels": float(len(levels)),
     }
 

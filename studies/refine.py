@@ -1,0 +1,71 @@
+"""Uniform refinement of a mesh, every tetrahedron into eight, with the same body, supports and loads.
+
+The flat facets of the coarse mesh stay flat: what changes from one level to the next is the discretisation alone,
+not the shape, not the area of a support.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import skfem
+
+from .mesh import Index, Mask, Mesh
+
+
+def refine(mesh: Mesh) -> tuple[Mesh, Index]:
+    """Split every tetrahedron into eight and every facet into four.
+
+    Returns
+    -------
+    mesh : its first surface nodes are those of the coarse mesh, in their order
+    parents : (N, 2) for each surface node of the new mesh the two ends of the coarse edge that it halves;
+        an old node twice
+    """
+    coarse = skfem.MeshTet(mesh.points.T.copy(), mesh.tetrahedra.T.copy())
+    fine = coarse.refined()
+    n_old = len(mesh.points)
+    # the halves of a tetrahedron come with either orientation
+    tetrahedra = fine.t.T.astype(np.int64)
+    a, b, c, d = (fine.p.T[tetrahedra[:, k]] for k in range(4))
+    inverted = np.einsum("ij,ij->i", np.cross(b - a, c - a), d - a) < 0
+    tetrahedra[inverted, :2] = tetrahedra[inverted, 1::-1]
+    ends = coarse.edges.T  # node n_old + e halves edge e
+
+    surface_index = np.full(n_old, -1)
+    surface_index[mesh.surface_nodes] = np.arange(len(mesh.surface_nodes))
+    # edges of the body may join two surface nodes through the inside: only those of facets lie on the surface
+    facets = np.sort(mesh.triangles, axis=1)
+    pairs = np.unique(np.concatenate([facets[:, [0, 1]], facets[:, [1, 2]], facets[:, [0, 2]]]), axis=0)
+    edge_of = {tuple(sorted(pair)): edge for edge, pair in enumerate(ends.tolist())}
+    middles = np.array([n_old + edge_of[tuple(sorted(p))] for p in mesh.surface_nodes[pairs].tolist()])
+    order = np.argsort(middles)
+    pairs, middles = pairs[order], middles[order]
+
+    n_surface = len(mesh.surface_nodes)
+    middle_of = {tuple(pair): n_surface + k for k, pair in enumerate(pairs.tolist())}
+    triangles = []
+    for a, b, c in mesh.triangles.tolist():
+        ab, bc, ca = (middle_of[min(p, q), max(p, q)] for p, q in ((a, b), (b, c), (c, a)))
+        triangles += [(a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca)]
+    old = np.arange(n_surface)
+    refined = Mesh(
+        points=np.ascontiguousarray(fine.p.T),
+        tetrahedra=tetrahedra,
+        surface_nodes=np.concatenate([mesh.surface_nodes, middles]),
+        triangles=np.array(triangles),
+    )
+    return refined, np.concatenate([np.column_stack([old, old]), pairs])
+
+
+def inherit(mask: Mask, mesh: Mesh, parents: Index) -> Mask:
+    """A region's nodes on the refined mesh: its old nodes, and the middles of the edges of its facets.
+
+    Parameters
+    ----------
+    mask : (n,) nodes on the coarse mesh
+    mesh : the coarse mesh
+    parents : (N, 2) from `refine`
+    """
+    inside = np.sort(mesh.triangles[np.all(mask[mesh.triangles], axis=1)], axis=1)
+    edges = {tuple(edge) for i, j in ((0, 1), (1, 2), (0, 2)) for edge in inside[:, [i, j]].tolist()}
+    return np.array([mask[a] if a == b else (a, b) in edges for a, b in parents.tolist()])
