@@ -1,0 +1,295 @@
+"""A study's scene on real meshes: regions, and the same load for every model."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from fem_reference.linear import LinearProblem, Load
+from fem_reference.mesh import facet_quadrature
+from studies import models
+from studies.config import geometry_of
+from studies.geometry import build_mesh
+from studies.mesh import Mesh, MeshError
+from studies.metrics import Surface, facet_area_vectors, nodal_sum
+from studies.refine import inherit, refine
+from studies.regions import select
+from studies.scene import Scene, SceneError, build_scene
+from studies.schema import Region, Study
+
+BASE: dict[str, Any] = {
+    "study": {"name": "test", "models": ["vdm-paper", "fem-linear"], "reference": "fem-linear"},
+    "geometry": {"shape": "sphere", "radius": 0.05, "mesh_size": 0.015},
+    "tissue": {"youngs_modulus": 5000.0, "poisson_ratio": 0.49},
+    "regions": {
+        "base": {"below": {"axis": "z", "fraction": 0.2}},
+        "finger": {"cap": {"direction": [0.3, 0.0, 1.0], "angle": 0.6}},
+    },
+    "constraints": [
+        {"kind": "fixed", "region": "base"},
+        {"kind": "contact", "region": "finger", "pressure": 200.0},
+    ],
+}
+
+
+def study(**tables: Any) -> Study:
+    return Study.model_validate(BASE | tables)
+
+
+@pytest.fixture(scope="module")
+def sphere() -> Mesh:
+    return build_mesh(geometry_of(study()))
+
+
+def contact(**keys: Any) -> list[dict[str, Any]]:
+    return [{"kind": "fixed", "region": "base"}, {"kind": "contact", "region": "finger", **keys}]
+
+
+def exact_resultant(scene: Scene) -> np.ndarray:
+    """Minus the integral of p n over the facets, summed facet by facet."""
+    _, weights = facet_quadrature()
+    vectors = facet_area_vectors(scene.mesh.surface_points, scene.mesh.triangles)
+    return -((scene.facet_pressure @ weights) @ vectors)
+
+
+# --- regions ---
+
+
+def nodes(mesh: Mesh, region: dict[str, Any], **named: Any) -> np.ndarray:
+    regions = {name: Region.model_validate(value) for name, value in named.items()}
+    return select(Region.model_validate(region), mesh, regions)
+
+
+def test_half_spaces_by_value_and_fraction(sphere: Mesh) -> None:
+    z = sphere.surface_points[:, 2]
+    level = z.min() + 0.3 * np.ptp(z)
+    assert (nodes(sphere, {"below": {"axis": "z", "value": 0.01}}) == (z <= 0.01)).all()
+    assert (nodes(sphere, {"above": {"axis": "z", "value": 0.01}}) == (z >= 0.01)).all()
+    assert (nodes(sphere, {"below": {"axis": "z", "fraction": 0.3}}) == (z <= level)).all()
+    assert nodes(sphere, {"above": {"axis": "x", "fraction": 0.0}}).all()
+    lowest = nodes(sphere, {"below": {"axis": "z", "fraction": 0.0}})
+    assert lowest.sum() == (z == z.min()).sum(), "nodes on the border belong to the region"
+
+
+def test_ball_box_and_cap(sphere: Mesh) -> None:
+    points = sphere.surface_points
+    centre = np.array([0.05, 0, 0])
+    ball = nodes(sphere, {"ball": {"center": centre.tolist(), "radius": 0.03}})
+    assert (ball == (np.linalg.norm(points - centre, axis=1) <= 0.03)).all()
+    box = nodes(sphere, {"box": {"min": [-1, 0.01, -1], "max": [1, 1, 0.02]}})
+    assert (box == ((points[:, 1] >= 0.01) & (points[:, 2] <= 0.02))).all()
+    cap = nodes(sphere, {"cap": {"direction": [0, 0, 2], "angle": np.pi / 2}})
+    # the body's centroid lies within 1e-5 m of the origin, nodes nearer to the plane may fall on either side
+    clear = np.abs(points[:, 2]) > 1e-4
+    assert (cap == (points[:, 2] > 0))[clear].all()
+
+
+def test_combinations(sphere: Mesh) -> None:
+    low, right = {"below": {"axis": "z", "fraction": 0.4}}, {"above": {"axis": "x", "value": 0.0}}
+    a, b = nodes(sphere, low), nodes(sphere, right)
+    assert (nodes(sphere, {"all": ["low", right]}, low=low) == (a & b)).all()
+    assert (nodes(sphere, {"any": [low, "right"]}, right=right) == (a | b)).all()
+    assert (nodes(sphere, {"not": {"all": [low, {"not": "right"}]}}, right=right) == ~(a & ~b)).all()
+
+
+def test_groups_come_from_the_mesh(sphere: Mesh) -> None:
+    mask = np.arange(len(sphere.surface_nodes)) < 5
+    marked = Mesh(
+        sphere.points, sphere.tetrahedra, sphere.surface_nodes, sphere.triangles, {"ligament": mask}
+    )
+    assert (nodes(marked, {"group": "ligament"}) == mask).all()
+    with pytest.raises(MeshError, match="no group 'hook'; it has: ligament"):
+        nodes(marked, {"group": "hook"})
+
+
+# --- the load is the same for every model ---
+
+
+LOADS = [
+    contact(pressure=200.0),
+    contact(pressure=200.0, profile="hertz"),
+    contact(force=0.3, profile="gaussian"),
+    contact(force=0.3),
+]
+
+
+@pytest.mark.parametrize("constraints", LOADS, ids=lambda c: "-".join(map(str, c[1].values())))
+def test_both_models_get_the_same_resultant(sphere: Mesh, constraints: list[dict[str, Any]]) -> None:
+    scene = build_scene(study(constraints=constraints), sphere)
+    exact = exact_resultant(scene)
+    assert np.linalg.norm(exact) > 0.05
+    assert exact[2] < 0, "a finger on top pushes down"
+    # VDM: nodal forces; the nodal pressures have the same thrust
+    assert_allclose(scene.contact_force.sum(axis=0), exact, rtol=1e-12, atol=1e-15)
+    _, weights = facet_quadrature()
+    areas = np.linalg.norm(facet_area_vectors(sphere.surface_points, sphere.triangles), axis=1)
+    nodal_areas = nodal_sum(areas, sphere.triangles, len(scene.fixed))
+    thrust = areas @ (scene.facet_pressure @ weights)
+    assert_allclose(nodal_areas @ scene.contact_pressure, thrust, rtol=1e-12, atol=0)
+    # FEM: what the supports give back
+    problem = LinearProblem(
+        sphere.points,
+        sphere.tetrahedra,
+        sphere.surface_nodes,
+        sphere.triangles,
+        youngs_modulus=5000.0,
+        poisson_ratio=0.49,
+        held=scene.held,
+    )
+    solution = problem.solve([Load(scene.facet_pressure, scene.prescribed, scene.gravity)])
+    assert_allclose(solution.reaction_force[0].sum(axis=0), -exact, rtol=1e-9, atol=1e-12)
+
+
+def test_a_force_is_the_resultant(sphere: Mesh) -> None:
+    for profile in ("uniform", "hertz", "gaussian"):
+        scene = build_scene(study(constraints=contact(force=0.3, profile=profile)), sphere)
+        assert_allclose(np.linalg.norm(scene.contact_force.sum(axis=0)), 0.3, rtol=1e-12, atol=0)
+
+
+def test_uniform_pressure_acts_on_whole_facets_only(sphere: Mesh) -> None:
+    scene = build_scene(study(), sphere)
+    inside = scene.regions["finger"][sphere.triangles].all(axis=1)
+    assert 0 < inside.sum() < len(inside)
+    assert (scene.facet_pressure == np.where(inside, 200.0, 0.0)[:, None]).all()
+
+
+@pytest.mark.parametrize(
+    ("profile", "mean"),
+    # means over the disc rho < 1 of sqrt(1 - rho^2), and of exp(-9/2 rho^2)
+    [("hertz", 2 / 3), ("gaussian", (1 - np.exp(-4.5)) / 4.5)],
+)
+def test_smooth_profiles_have_their_exact_resultant(profile: str, mean: float) -> None:
+    """On the flat top of a box a ball region is a disc: the resultant is known, and does not depend on the mesh."""
+    geometry = {"shape": "box", "size": [0.1, 0.1, 0.04], "mesh_size": 0.008}
+    regions = {
+        "base": {"below": {"axis": "z", "value": -0.02}},
+        "finger": {"ball": {"center": [0, 0, 0.02], "radius": 0.03}},
+    }
+    scene_study = study(
+        geometry=geometry, regions=regions, constraints=contact(pressure=100.0, profile=profile)
+    )
+    for mesh_size in (0.008, 0.005):
+        mesh = build_mesh(geometry_of(study(geometry=geometry | {"mesh_size": mesh_size})))
+        scene = build_scene(scene_study, mesh)
+        # the pressure's gradient is infinite at the Hertz rim, whole facets are cut there: 2 % at this mesh
+        assert_allclose(
+            -scene.contact_force.sum(axis=0)[2], 100.0 * mean * np.pi * 0.03**2, rtol=0.02, atol=0
+        )
+        assert_allclose(scene.contact_force.sum(axis=0)[:2], 0.0, atol=1e-12, rtol=0)
+
+
+def test_contacts_add_up(sphere: Mesh) -> None:
+    one = build_scene(study(), sphere)
+    two = build_scene(
+        study(constraints=[*BASE["constraints"], {**BASE["constraints"][1], "name": "again"}]), sphere
+    )
+    assert_allclose(two.facet_pressure, 2 * one.facet_pressure, rtol=0, atol=0)
+
+
+def test_a_refined_scene_carries_the_same_load_and_support(sphere: Mesh) -> None:
+    scene = build_scene(study(), sphere)
+    fine_mesh, parents = refine(sphere)
+    masks = {name: inherit(mask, sphere, parents) for name, mask in scene.regions.items()}
+    fine = build_scene(study(), fine_mesh, masks)
+    assert_allclose(fine.contact_force.sum(axis=0), scene.contact_force.sum(axis=0), rtol=1e-12, atol=1e-15)
+
+    def held_area(s: Scene) -> float:
+        areas = np.linalg.norm(facet_area_vectors(s.mesh.surface_points, s.mesh.triangles), axis=1)
+        return float(areas[s.held[s.mesh.triangles].all(axis=1)].sum())
+
+    assert_allclose(held_area(fine), held_area(scene), rtol=1e-12, atol=0)
+
+
+# --- constraints ---
+
+
+def test_constrained_nodes_move_as_told(sphere: Mesh) -> None:
+    tool = {"kind": "constrained", "region": "finger", "displacement": [0.0, 0.001, -0.002]}
+    scene = build_scene(
+        study(constraints=[BASE["constraints"][0], tool], load={"factors": [0.5, 1.0]}), sphere
+    )
+    assert (scene.constrained == scene.regions["finger"]).all()
+    assert (scene.held == (scene.regions["finger"] | scene.regions["base"])).all()
+    result = models.run_model(scene, "fem-linear")
+    moved = result.displacement[:, scene.constrained]
+    assert_allclose(moved[1], np.broadcast_to([0.0, 0.001, -0.002], moved[1].shape), rtol=1e-12, atol=1e-18)
+    assert_allclose(moved[0], 0.5 * moved[1], rtol=1e-12, atol=1e-18)
+    assert_allclose(result.displacement[:, scene.fixed], 0.0, atol=0, rtol=0)
+    paper = models.run_model(scene, "vdm-paper")
+    normal = np.einsum(
+        "sij,ij->si", paper.displacement[:, scene.constrained], _normals(scene)[scene.constrained]
+    )
+    wanted = _normals(scene)[scene.constrained] @ [0.0, 0.001, -0.002]
+    assert_allclose(normal[1], wanted, rtol=1e-9, atol=1e-15)
+
+
+def _normals(scene: Scene) -> np.ndarray:
+    return Surface(scene.mesh.surface_points, scene.mesh.triangles).normals
+
+
+@pytest.mark.parametrize("model", ["vdm-paper", "fem-linear"])
+def test_gravity_is_constant_and_linear_models_scale(sphere: Mesh, model: str) -> None:
+    weight = {"acceleration": [0.0, 0.0, -9.81]}
+    loaded = build_scene(study(gravity=weight, load={"factors": [0.0, 1.0, 2.0]}), sphere)
+    without = build_scene(study(load={"factors": [1.0]}), sphere)
+    u, v = models.run_model(loaded, model).displacement, models.run_model(without, model).displacement[0]
+    size = np.abs(u).max()
+    assert np.abs(u[0]).max() > 1e-6, "the body sags under its own weight"
+    assert_allclose(u[1] - u[0], v, rtol=0, atol=1e-9 * size)
+    assert_allclose(u[2] - u[0], 2 * v, rtol=0, atol=1e-9 * size)
+
+
+def test_environment_pressure_moves_the_datum_only(sphere: Mesh) -> None:
+    bare, deep = (build_scene(study(environment={"pressure": p}), sphere) for p in (0.0, 101325.0))
+    a, b = (models.run_model(scene, "vdm-paper") for scene in (bare, deep))
+    assert_allclose(a.displacement, b.displacement, rtol=0, atol=0)
+    assert_allclose(b.fluid_pressure - a.fluid_pressure, 101325.0, rtol=1e-12, atol=0)
+
+
+@pytest.mark.parametrize(
+    ("tables", "message"),
+    [
+        (
+            {"regions": BASE["regions"] | {"finger": {"above": {"axis": "z", "value": 0.06}}}},
+            "selects no node",
+        ),
+        ({"regions": BASE["regions"] | {"finger": {"cap": {"direction": [0, 0, 1], "angle": 0.02}}}}, "no "),
+        (
+            {"regions": BASE["regions"] | {"finger": {"above": {"axis": "z", "fraction": 0.1}}}},
+            "fixed or constrained",
+        ),
+        (
+            {
+                "constraints": [
+                    BASE["constraints"][0],
+                    {"kind": "constrained", "region": "base", "displacement": [0, 0, 0.001]},
+                ]
+            },
+            "fixed and constrained",
+        ),
+        (
+            {
+                "constraints": [
+                    {"kind": "constrained", "region": "base", "displacement": [0, 0, 0.001]},
+                    {"kind": "constrained", "region": "base", "name": "b", "displacement": [0, 0, 0.002]},
+                ]
+            },
+            "differently",
+        ),
+    ],
+)
+def test_scenes_that_make_no_sense(sphere: Mesh, tables: dict[str, Any], message: str) -> None:
+    with pytest.raises(SceneError, match=message):
+        build_scene(study(**tables), sphere)
+
+
+def test_a_model_that_refuses_says_why_and_spoils_nothing(sphere: Mesh) -> None:
+    scene = build_scene(study(constraints=[BASE["constraints"][1]]), sphere)
+    floating = models.run_model(scene, "fem-linear")
+    assert not floating.status[0].ok
+    assert "held" in floating.status[0].message
+    assert np.isnan(floating.displacement).all()
+    assert models.run_model(scene, "vdm-paper").status[0].ok, "VDM stands on its own foundation"
