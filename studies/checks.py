@@ -241,7 +241,7 @@ def _check_constraints(study: Study) -> Iterator[Finding]:
             and constraint.region not in study.regions
         ):
             yield (*loc, "region"), unknown(constraint.region, list(study.regions), "region")
-        if constraint.name is not None and first.setdefault(constraint.name, place) != place:
+        if constraint.name and first.setdefault(constraint.name, place) != place:
             yield (
                 (*loc, "name"),
                 f"{shown(constraint.name)} is the name of another constraint; give each its own name",
@@ -260,7 +260,7 @@ def _check_kind(constraint: Constraint, loc: Loc, regions: dict[str, Region]) ->
         yield loc, "a contact needs either pressure or force"
     if constraint.kind == "constrained" and "displacement" not in given:
         yield (*loc, "displacement"), 'is missing; give three lengths, such as ["0 mm", "0 mm", "-5 mm"]'
-    region = regions.get(constraint.region)
+    region = regions.get(constraint.region) if constraint.kind == "contact" else None
     if (
         constraint.profile in ("hertz", "gaussian")
         and region is not None

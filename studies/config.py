@@ -12,7 +12,7 @@ from typing import Any
 from .checks import geometry_spec, unknown
 from .fields import FieldRow, field_table, targets
 from .geometry_spec import Geometry as GeometrySpec
-from .problems import Finding, Problem, Source, StudyError
+from .problems import Finding, Problem, Source, StudyError, file_fault
 from .schema import Constraint, Region, Study, Tissue
 from .sweep import ResolvedCase, check_cases, first_case, read_axes
 from .toml_lines import NotToml, TooDeep, key_lines
@@ -164,15 +164,14 @@ def _read_text(path: Path) -> str:
     def wrong(message: str, line: int = 1) -> StudyError:
         return StudyError([Problem(str(path), line, "", message)])
 
+    fault = file_fault(path)
+    if fault:
+        raise wrong(fault)
     try:
-        if not path.is_file():
-            raise wrong("is not a file" if path.exists() else "no such file")
         with path.open("rb") as file:
             raw = file.read(MAX_BYTES + 1)
     except OSError as error:
         raise wrong(f"cannot be read: {error.strerror}") from None
-    except ValueError:  # a NUL in the path
-        raise wrong("is not a usable path") from None
     if len(raw) > MAX_BYTES:
         raise wrong(f"is larger than {MAX_BYTES // 1_000_000} MB; a study file is text of some hundred lines")
     try:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import stat
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -59,20 +60,13 @@ class Source:
         if self.directory is None:
             return Path(path)
         name = shown(str(path), 200)
-        if "\0" in str(path):
-            raise ValueError(f"{name} is not a usable path")
-        try:
-            found = (self.directory / path).resolve()
-            trusted = self.allow_outside or (self.trusted is not None and found == self.trusted.resolve())
-            if not trusted and not found.is_relative_to(self.directory):
-                raise ValueError(
-                    f"{name} is outside the study's directory; move it there or use --allow-outside"
-                )
-            if not found.is_file():
-                raise ValueError(f"{name} {'is not a file' if found.exists() else 'does not exist'}")
-        except (OSError, RuntimeError) as error:  # too long a name, no permission, a loop of links
-            reason = getattr(error, "strerror", None) or "cannot be followed"
-            raise ValueError(f"{name} cannot be read: {reason}") from None
+        fault = file_fault(self.directory / path)
+        if fault:
+            raise ValueError(f"{name} {fault}")
+        found = (self.directory / path).resolve()
+        trusted = self.allow_outside or (self.trusted is not None and found == self.trusted.resolve())
+        if not trusted and not found.is_relative_to(self.directory):
+            raise ValueError(f"{name} is outside the study's directory; move it there or use --allow-outside")
         return found
 
     def error(self, findings: Sequence[Finding], data: Mapping[str, Any]) -> StudyError:
@@ -80,6 +74,19 @@ class Source:
         unique = dict.fromkeys(findings)
         problems = [Problem(self.path, self.line(loc), key_text(loc, data), text) for loc, text in unique]
         return StudyError(sorted(problems, key=lambda problem: problem.line))
+
+
+def file_fault(path: Path) -> str | None:
+    """Why a path does not lead to a file, None where it does."""
+    try:
+        mode = path.stat().st_mode
+    except (FileNotFoundError, NotADirectoryError):
+        return "does not exist"
+    except OSError as error:  # too long a name, no permission, a loop of links
+        return f"cannot be read: {error.strerror}"
+    except ValueError:  # a NUL
+        return "is not a usable path"
+    return None if stat.S_ISREG(mode) else "is not a file"
 
 
 def key_text(loc: Loc, data: Mapping[str, Any]) -> str:

@@ -59,7 +59,7 @@ class SI:
             if 1 not in self.counts:
                 raise QuantityError(f"must be a list of {self._wanted()}, not {type_name(value)}")
             return to_si(value, self.unit)
-        if len(value) not in self.counts and not (0 in self.counts and value):
+        if not value or not {0, len(value)} & set(self.counts):
             if self.counts == (1,):
                 to_si(value, self.unit)  # says what is wanted instead of a list
             raise QuantityError(f"must have {self._wanted()}, not {len(value)}")
@@ -92,9 +92,14 @@ _positive = _number_check(lambda v: v > 0, "must be positive")
 _not_negative = _number_check(lambda v: v >= 0, "must be positive or zero")
 
 
+def is_safe_name(value: Any) -> bool:
+    """Whether a value is a name that `safe_name` lets pass."""
+    return isinstance(value, str) and _NAME.fullmatch(value) is not None
+
+
 def safe_name(value: str) -> str:
     """A name that is safe in a path, an HTML page and a key. Raises ValueError."""
-    if not _NAME.fullmatch(value):
+    if not is_safe_name(value):
         raise ValueError(
             f"{shown(value)} is not a usable name: begin with a letter or digit, then letters, digits, _ . - "
             "(64 characters at most)"
@@ -204,7 +209,7 @@ class StudyInfo(Table):
 
     @classmethod
     def with_defaults(cls, data: dict[str, Any]) -> dict[str, Any]:
-        return {"title": data.get("name", ""), **data}
+        return {"title": data["name"], **data} if is_safe_name(data.get("name")) else data
 
 
 class Geometry(Table):
@@ -368,7 +373,7 @@ class Constraint(Table):
 
     @classmethod
     def with_defaults(cls, data: dict[str, Any]) -> dict[str, Any]:
-        defaults = {"name": data["region"]} if isinstance(data.get("region"), str) else {}
+        defaults = {"name": data["region"]} if is_safe_name(data.get("region")) else {}
         if data.get("kind") == "contact":
             defaults["profile"] = "uniform"
         return defaults | data

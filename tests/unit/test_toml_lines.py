@@ -64,7 +64,9 @@ def test_every_kind_of_key_is_on_its_line() -> None:
         ("a", "b", "c.d", "e f", 2, "y", "z"): 6,
         ("multi",): 8,
         ("literal",): source.index("literal = '''"),
-        ("table", "dotted key", "inline", "p", "q", 0, "r"): source.index('inline = { p = { q = [ { r = 1 } ] } }'),
+        ("table", "dotted key", "inline", "p", "q", 0, "r"): source.index(
+            "inline = { p = { q = [ { r = 1 } ] } }"
+        ),
         ("items",): source.index("[[items]]"),
         ("items", 0, "sub", "deep"): source.index("deep = 1"),
         ("items", 1): source.index('name = "second"') - 1,
@@ -114,7 +116,9 @@ def value_texts(draw: st.DrawFn, depth: int = 3) -> str:
         items = draw(st.lists(value_texts(depth=depth - 1), max_size=3))
         return "[" + "".join(f"{draw(gaps)}{item}{draw(gaps)}," for item in items) + draw(gaps) + "]"
     keys = draw(st.lists(KEYS, max_size=3, unique=True))
-    inside = ", ".join(f"{quoted(k, draw(st.booleans()))} = {draw(value_texts(depth=depth - 1))}" for k in keys)
+    inside = ", ".join(
+        f"{quoted(k, draw(st.booleans()))} = {draw(value_texts(depth=depth - 1))}" for k in keys
+    )
     return "{ " + inside + " }"
 
 
@@ -132,7 +136,9 @@ def documents(draw: st.DrawFn) -> str:
     """A TOML text that is often valid: headers and dotted keys of few names, so that they meet."""
     parts = []
     for _ in range(draw(st.integers(0, 6))):
-        dotted = ".".join(quoted(k, draw(st.booleans())) for k in draw(st.lists(KEYS, min_size=1, max_size=3)))
+        dotted = ".".join(
+            quoted(k, draw(st.booleans())) for k in draw(st.lists(KEYS, min_size=1, max_size=3))
+        )
         kind = draw(st.sampled_from(["key", "key", "table", "array", "comment"]))
         if kind == "key":
             parts.append(f"{dotted} = {draw(value_texts())}")

@@ -1,0 +1,359 @@
+"""Whatever the study file holds, it is a Study or a StudyError with sentences: never another exception."""
+
+from __future__ import annotations
+
+import json
+import os
+from pathlib import Path
+from typing import Any
+
+import pytest
+import tomli_w
+from hypothesis import HealthCheck, example, given, settings
+from hypothesis import strategies as st
+
+from studies.config import Study, StudyError, expand, load_study, resolved
+
+SHIPPED = sorted((Path(__file__).parents[2] / "studies" / "cases").glob("*.toml"))
+
+BASE: dict[str, Any] = {
+    "study": {"name": "base", "title": "x", "models": ["vdm-paper", "fem-linear"], "reference": "fem-linear"},
+    "geometry": {"shape": "cylinder", "radius": "50 mm", "length": 0.2, "axis": "x", "mesh_size": "6 mm"},
+    "tissue": {"youngs_modulus": "5 kPa", "poisson_ratio": 0.49, "density": "1060 kg/m^3"},
+    "vdm": {"bulk_modulus": 10, "rotation": "global", "penalty": 1e6},
+    "regions": {
+        "base": {"below": {"axis": "z", "fraction": 0.15}},
+        "finger": {"cap": {"direction": [0, 0, 1], "angle": "25 deg"}},
+        "spot": {"ball": {"center": [0, 0, "5 cm"], "radius": 0.01}},
+        "rest": {
+            "all": [{"not": "base"}, {"any": ["finger", {"box": {"min": [0, 0, 0], "max": [1, 1, 1]}}]}]
+        },
+        "named": {"group": "left"},
+    },
+    "constraints": [
+        {"kind": "fixed", "region": "base"},
+        {"name": "tip", "kind": "contact", "region": "finger", "pressure": 200, "profile": "hertz"},
+        {"kind": "constrained", "region": "named", "displacement": [0, 0, "-5 mm"]},
+    ],
+    "load": {"factors": [0.5, 1]},
+    "gravity": {"acceleration": [0, 0, -9.81]},
+    "environment": {"pressure": 100},
+    "anisotropy": {"fibre_direction": [1, 0, 0], "contrast": 2},
+    "sweep": {
+        "mode": "grid",
+        "tissue.poisson_ratio": [0.3, 0.4],
+        "constraints.tip.pressure": {"start": 100, "stop": "1 kPa", "num": 3, "scale": "log"},
+    },
+    "limits": {"along": "constraints.tip.pressure", "thresholds": [0.05]},
+    "uncertainty": {"levels": 2, "ratio": 1.5},
+    "models": {"vdm-paper": {"bulk_modulus": "1 kPa"}},
+}
+
+
+def attempt(path: Path) -> StudyError | None:
+    """Load and expand a study file; the error, after a look at its sentences, where there is one."""
+    try:
+        study = load_study(path)
+        for case in expand(study):
+            json.dumps(resolved(case.study), allow_nan=False)
+        Study.model_validate(resolved(study))
+    except StudyError as error:
+        lines = path.read_bytes().count(b"\n") + 1
+        assert error.problems
+        for problem in error.problems:
+            assert 1 <= problem.line <= lines
+            assert problem.message
+            assert str(problem).replace(str(path), "").isprintable()
+            assert len(str(problem)) < 2000
+        return error
+    return None
+
+
+def fails(path: Path, content: bytes | str) -> str:
+    """The one problem of a file with this content."""
+    path.write_bytes(content.encode() if isinstance(content, str) else content)
+    error = attempt(path)
+    assert error is not None
+    [problem] = error.problems
+    return f"{problem.line}: {problem.key}: {problem.message}"
+
+
+@pytest.fixture(scope="module")
+def path(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("study") / "study.toml"
+
+
+def test_the_base_of_these_tests_is_sound(path: Path) -> None:
+    path.write_text(tomli_w.dumps(BASE))
+    assert attempt(path) is None
+
+
+@pytest.mark.parametrize("shipped", SHIPPED, ids=lambda p: p.stem)
+def test_shipped_studies_are_sound(shipped: Path) -> None:
+    assert attempt(shipped) is None
+    assert load_study(shipped).study.name == shipped.stem
+
+
+# --- files ---
+
+
+def test_a_byte_order_mark_and_windows_line_ends_are_fine(path: Path) -> None:
+    text = tomli_w.dumps(BASE)
+    path.write_text(text)
+    plain = resolved(load_study(path))
+    path.write_bytes(b"\xef\xbb\xbf" + text.replace("\n", "\r\n").encode())
+    assert resolved(load_study(path)) == plain
+
+
+def test_a_file_that_cannot_be_read_is_told(tmp_path: Path) -> None:
+    for name, message in (
+        ("none.toml", "does not exist"),
+        (".", "is not a file"),
+        ("x" * 300, "cannot be read: File name too long"),
+        ("a\0b", "is not a usable path"),
+        ("none.toml/x", "does not exist"),
+    ):
+        with pytest.raises(StudyError) as caught:
+            load_study(tmp_path / name)
+        assert caught.value.problems[0].message == message
+    fifo = tmp_path / "fifo"
+    os.mkfifo(fifo)
+    with pytest.raises(StudyError, match="is not a file"):
+        load_study(fifo)
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="root reads everything")
+def test_a_file_without_permission_is_told(tmp_path: Path) -> None:
+    file = tmp_path / "study.toml"
+    file.write_text("")
+    file.chmod(0)
+    with pytest.raises(StudyError, match="cannot be read: Permission denied"):
+        load_study(file)
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        (b"a = 1\nb = '\xff'\n", "2: : is not UTF-8 text; save the file in UTF-8"),
+        ("a = 1".encode("utf-16"), "1: : is not UTF-8 text"),
+        ("\n\na = = 1", "3: : TOML syntax: invalid value"),
+        ("a = 1\n\n[b", "3: : TOML syntax: expected"),
+        ("a = 1\na = 2", "2: : TOML syntax: cannot overwrite a value"),
+        ("a = 2020-13-40", "1: : TOML syntax: "),
+        ("a = 1\nb = \x00", "2: : TOML syntax: "),
+        ("#" * 1_000_001, "1: : is larger than 1 MB"),
+        ("a = 1\nb = " + "[" * 5000 + "]" * 5000, "2: : nested more than 64 levels deep"),
+        ("a = 1\nb = " + "[" * 300 + "]" * 300, "2: : nested more than 64 levels deep"),
+        ("b = " + "{a=" * 5000 + "1" + "}" * 5000, "1: : nested more than 64 levels deep"),
+        ("\n" + "a." * 5000 + "a = 1", "2: : nested more than 64 levels deep"),
+        ("[" + "a." * 5000 + "a]", "1: : nested more than 64 levels deep"),
+        ("[" * 5000, "1: : TOML syntax: "),
+        ("\nb = " + "1" * 5000, "2: : a number is too long"),
+        ("\nb = -" + "1_1" * 2500, "2: : a number is too long"),
+    ],
+    ids=lambda value: repr(value[:20]),
+)
+def test_a_file_that_cannot_be_parsed_is_told(path: Path, content: bytes | str, message: str) -> None:
+    assert fails(path, content).startswith(message)
+
+
+@pytest.mark.parametrize(
+    ("radius", "message"),
+    [
+        ("0x" + "f" * 5000, "must be a finite number"),
+        ("1" * 4200, "must be a finite number"),
+        ("1e999", "must be a finite number"),
+        ("-inf", "must be a finite number"),
+        ("'" + "1" * 5000 + " m'", "is not a length"),
+        ("'" + "9" * 70 + " km'", "m across"),
+        ("1979-05-27T07:32:00Z", "not a date or time"),
+        ("07:32:00", "not a date or time"),
+    ],
+    ids=lambda value: repr(value[:20]),
+)
+def test_a_number_beyond_all_bounds_is_told(path: Path, radius: str, message: str) -> None:
+    text = tomli_w.dumps(BASE).replace('radius = "50 mm"', f"radius = {radius}", 1)
+    found = fails(path, text)
+    assert found.startswith(f"{text[: text.index('radius')].count(chr(10)) + 1}: geometry.radius: ")
+    assert message in found
+
+
+def test_a_deep_region_is_told(path: Path) -> None:
+    text = tomli_w.dumps({**BASE, "sweep": {}}) + "[regions.deep]\nnot = "
+    assert "made of more than" in fails(path, text + "{ not = " * 55 + "'base'" + " }" * 55)
+
+
+def test_thousands_of_mistakes_are_all_told(path: Path) -> None:
+    lines = "".join(f"unknown_{n} = {n}\n" for n in range(5_000))
+    path.write_text(lines)
+    error = attempt(path)
+    assert error is not None
+    assert len(error.problems) == 5_003  # and study, geometry, tissue are missing
+
+
+# --- anything at all ---
+
+VALUES = st.one_of(
+    st.booleans(),
+    st.integers(-(10**20), 10**20),
+    st.floats(),
+    st.sampled_from(
+        [
+            0,
+            1,
+            -1,
+            0.5,
+            1e-300,
+            1e300,
+            "",
+            "5 kPa",
+            "50 mm",
+            "-3 mm",
+            "25 deg",
+            "1e999 m",
+            "9 **",
+            "nan",
+            "\0",
+            "x",
+        ]
+        + [
+            "base",
+            "finger",
+            "sphere",
+            "box",
+            "file",
+            "organ",
+            "contact",
+            "fixed",
+            "z",
+            "zip",
+            "latin-hypercube",
+        ]
+        + [
+            "../..",
+            ".",
+            "study.toml",
+            "/etc/passwd",
+            "a" * 5000,
+            "<script>",
+            "\u2028",
+            "constraints.tip.pressure",
+        ]
+    ),
+    st.text(max_size=8),
+    st.dates(),
+)
+KEYS = st.sampled_from(
+    [
+        "start",
+        "stop",
+        "num",
+        "scale",
+        "mode",
+        "samples",
+        "seed",
+        "all",
+        "any",
+        "not",
+        "below",
+        "cap",
+        "tip",
+        "base",
+    ]
+    + [
+        "name",
+        "region",
+        "tissue",
+        "poisson_ratio",
+        "tissue.poisson_ratio",
+        "geometry.radius",
+        "geometry.shape",
+    ]
+    + [
+        "load.factors.0",
+        "regions.finger.cap.angle",
+        "vdm.rotation",
+        "uncertainty.levels",
+        "force",
+        "size",
+        "path",
+    ]
+) | st.text(max_size=6)
+TREES = st.recursive(
+    VALUES, lambda inner: st.lists(inner, max_size=4) | st.dictionaries(KEYS, inner, max_size=4), max_leaves=8
+)
+
+
+def places(tree: Any, at: tuple[str | int, ...] = ()) -> list[tuple[str | int, ...]]:
+    pairs = tree.items() if isinstance(tree, dict) else enumerate(tree) if isinstance(tree, list) else ()
+    return [at, *(place for key, value in pairs for place in places(value, (*at, key)))]
+
+
+def changed(tree: Any, at: tuple[str | int, ...], change: str, key: str, value: Any) -> Any:
+    """A copy of `tree` with one place set, removed, or given one more item."""
+    if not at:
+        if change == "add" and isinstance(tree, dict):
+            return {**tree, key: value}
+        return [*tree, value] if change == "add" and isinstance(tree, list) else value
+    first, rest = at[0], at[1:]
+    if isinstance(tree, dict):
+        if change == "remove" and not rest:
+            return {k: v for k, v in tree.items() if k != first}
+        return {k: changed(v, rest, change, key, value) if k == first else v for k, v in tree.items()}
+    if change == "remove" and not rest:
+        return [v for k, v in enumerate(tree) if k != first]
+    return [changed(v, rest, change, key, value) if k == first else v for k, v in enumerate(tree)]
+
+
+@st.composite
+def mutated(draw: st.DrawFn) -> dict[str, Any]:
+    tree: Any = BASE
+    for _ in range(draw(st.integers(1, 4))):
+        at = draw(st.sampled_from(places(tree)[1:] or [("study",)]))
+        change = draw(st.sampled_from(["set", "set", "add", "remove"]))
+        value = draw(TREES | st.sampled_from([BASE[k] for k in ("regions", "sweep", "constraints", "study")]))
+        tree = changed(tree, at, change, draw(KEYS), value)
+    assert isinstance(tree, dict)
+    return tree
+
+
+RELAXED = settings(deadline=None, suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large])
+
+
+@pytest.mark.slow
+@settings(RELAXED, max_examples=5000)
+@given(data=mutated())
+def test_many_mutated_studies_never_break_the_reader(path: Path, data: dict[str, Any]) -> None:
+    path.write_text(tomli_w.dumps(data), encoding="utf-8")
+    attempt(path)
+
+
+@settings(RELAXED, max_examples=150)
+@given(data=mutated())
+@example(data={**BASE, "regions": {"": {"all": [""]}}})
+@example(data={**BASE, "geometry": 5, "sweep": {"geometry.mesh_size": [1]}})
+@example(data={**BASE, "constraints": {"tip": {}}})
+@example(data={**BASE, "sweep": {"study": {"start": 1}}})
+def test_a_mutated_study_never_breaks_the_reader(path: Path, data: dict[str, Any]) -> None:
+    path.write_text(tomli_w.dumps(data), encoding="utf-8")
+    attempt(path)
+
+
+@settings(RELAXED, max_examples=200)
+@given(st.data())
+def test_a_damaged_text_never_breaks_the_reader(path: Path, data: st.DataObject) -> None:
+    text = tomli_w.dumps(BASE)
+    for _ in range(data.draw(st.integers(1, 3))):
+        start = data.draw(st.integers(0, len(text)))
+        length = data.draw(st.sampled_from([0, 1, 1, 2, 10, 1000]))
+        patch = data.draw(st.text("[]{}=.,'\"#\\ab1 \n\r\t\0é_-", max_size=4))
+        text = text[:start] + patch + text[start + length :]
+    path.write_bytes(text.encode())
+    attempt(path)
+
+
+@settings(RELAXED, max_examples=100)
+@given(st.binary(max_size=60))
+def test_any_bytes_never_break_the_reader(path: Path, content: bytes) -> None:
+    path.write_bytes(content)
+    assert attempt(path) is not None  # no 60 bytes are a study
