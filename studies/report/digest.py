@@ -18,6 +18,8 @@ VECTOR = "relative_l2_displacement_error"
 DEFORMATION = "relative_l2_deformation_error"
 # a discrepancy counts as resolved where the reference's own error is at most this share of it
 RESOLUTION = 0.1
+# number of the reference in the palette; the other models count from 0
+REFERENCE = -1
 
 
 def full_load(case: CaseResult) -> int:
@@ -153,14 +155,16 @@ class Digest:
         )
 
     def colour(self, model: str) -> int:
-        """The model's number in the palette; the reference takes none of them."""
+        """The model's number in the palette."""
+        if model == self.reference:
+            return REFERENCE
         return [name for name in self.models if name != self.reference].index(model)
 
     @cached_property
     def legend(self) -> list[tuple[int, str, bool]]:
         """(number in the palette, name, is the reference) of every model; the reference comes last."""
         others = [(self.colour(name), name, False) for name in self.models if name != self.reference]
-        return [*others, (-1, self.reference, True)] if self.reference in self.models else others
+        return [*others, (REFERENCE, self.reference, True)] if self.reference in self.models else others
 
     def case_name(self, case: CaseResult) -> str:
         """What a case is called on the page."""
@@ -203,7 +207,7 @@ class Digest:
         if rated:
             return min(rated, key=lambda pair: pair[0])[1]
         others = [name for name in self.models if name != self.reference]
-        return (others or list(self.models) or [None])[0]
+        return next(iter([*others, *self.models]), None)
 
     @cached_property
     def key_cases(self) -> list[tuple[str, CaseResult]]:

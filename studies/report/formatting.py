@@ -41,13 +41,23 @@ def number(value: float, digits: int = 3, *, signed: bool = False) -> str:
     return f"{sign}{float(mantissa):g}×10{str(power).translate(_SUPERSCRIPT)}"
 
 
+def plain(value: float, digits: int = 3) -> str:
+    """As `number`, without zeros at the end: for ticks and sentences."""
+    text = number(value, digits)
+    return text.rstrip("0").rstrip(".") if "." in text and "×" not in text else text
+
+
 def percent(ratio: float, *, signed: bool = False) -> str:
-    """A ratio as a percentage."""
+    """A ratio as a percentage, for a table."""
     if math.isnan(ratio):
         return NOTHING
-    size = abs(ratio) * 100.0
-    digits = 3 if size >= 1.0 else 2
+    digits = 3 if abs(ratio) >= 0.01 else 2
     return f"{number(ratio * 100.0, digits, signed=signed)} %"
+
+
+def short_percent(ratio: float) -> str:
+    """A ratio as a percentage, for a sentence."""
+    return f"{plain(ratio * 100.0, 2 if abs(ratio) < 1.0 else 3)} %"
 
 
 def scale_of(unit: str, values: Iterable[float]) -> tuple[float, str]:

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
 
 from ..case import Run
 from .blocks import Block, Cell, Column, Section, Table, Text
-from .digest import RESOLUTION, Digest, ModelSummary, Spread, at_full_load, full_load
-from .digest import VECTOR as VECTOR_ERROR
-from .formatting import NOT_MEASURED, NOTHING, listed, number, percent, plural, quantity
+from .digest import RESOLUTION, VECTOR, Digest, ModelSummary, Spread, at_full_load, full_load
+from .formatting import NOT_MEASURED, NOTHING, listed, percent, plain, plural, quantity, short_percent
 
 CLOSE = 0.10  # "within 10 %", the threshold that the paper's claim speaks of
 
@@ -22,7 +20,8 @@ def headline_rows(run: Run) -> list[dict[str, str]]:
     table = _table(digest)
     rows = []
     for row in table.rows:
-        texts = [f"{cell.text} {cell.detail}".strip() for cell in row]
+        texts = [f"{row[0].text} ({row[0].detail})" if row[0].detail else row[0].text]
+        texts += [f"{cell.text} {cell.detail}".strip() for cell in row[1:]]
         titles = [
             f"{column.title}, {column.detail}" if column.detail else column.title for column in table.columns
         ]
@@ -45,62 +44,56 @@ def verdict(digest: Digest) -> list[str]:
     asked = len(digest.cases) + len(run.failed) + len(run.missing)
     if not digest.cases:
         return [f"None of the {plural(asked, 'case')} has a result yet, so there is nothing to compare."]
-    if not digest.compared:
+    if digest.reference is None:
         return [
             "The models were run without a reference, so this page shows what they answer "
             "and not how far they are from the truth."
         ]
-    rated = [s for s in digest.summaries if s.name in digest.compared and s.vector]
-    if not rated:
-        return [f"No model reached full load, so none can be compared with {digest.reference}."]
-    best = next(s for s in rated if s.name == digest.focus)
-    sentences = [_accuracy(digest, best, among=len(rated))]
-    if others := [s for s in rated if s is not best]:
-        sentences.append(_others(others))
-    sentences += [_resolution(digest, best), _cost(digest, best)]
+    rated = {s.name: s.vector for s in digest.summaries if s.name in digest.compared and s.vector}
+    if not rated or digest.focus not in rated:
+        return [f"No model has a result at full load to hold against {digest.reference}."]
+    best = next(s for s in digest.summaries if s.name == digest.focus)
+    error = rated.pop(best.name)
+    sentences = [_accuracy(digest, best, error, among=len(rated) + 1)]
+    if rated:
+        many = " (medians)" if len(digest.cases) > 1 else ""
+        sentences.append(
+            f"The others: {listed(f'{n} {short_percent(e.median)}' for n, e in rated.items())}{many}."
+        )
+    sentences += [_stops(digest), _resolution(digest, error), _cost(digest, best)]
     return [sentence for sentence in sentences if sentence]
 
 
-def _accuracy(digest: Digest, best: ModelSummary, among: int) -> str:
-    error = best.vector
-    if error is None:
-        return ""
+def _accuracy(digest: Digest, best: ModelSummary, error: Spread, among: int) -> str:
     subject = f"{best.name}, the closest of {among} models," if among > 1 else best.name
-    if len(digest.cases) == 1:
-        text = f"At full load {subject} is {percent(error.median)} off {digest.reference} in surface displacement"
-    else:
-        text = (
-            f"At full load {subject} is {percent(error.median)} off {digest.reference} in surface displacement in "
-            f"the median case and {percent(error.worst)} in the worst"
-        )
+    text = f"At full load {subject} is {short_percent(error.median)} off {digest.reference} in surface displacement"
+    if error.cases > 1:
+        text += f" in the median case and {short_percent(error.worst)} in the worst"
     if best.deformation:
-        text += f"; with rigid motion taken out of both, {percent(best.deformation.median)} in deformation"
-    values = [at_full_load(case, best.name, VECTOR_ERROR) for case in digest.cases]
+        text += (
+            f"; with rigid motion taken out of both, {short_percent(best.deformation.median)} in deformation"
+        )
+    values = [at_full_load(case, best.name, VECTOR) for case in digest.cases]
     within = sum(math.isfinite(v) and v <= CLOSE for v in values)
+    limit = short_percent(CLOSE)
     if len(values) == 1:
-        return f"{text}. That is {'within' if within else 'outside'} {percent(CLOSE)}."
-    share = (
-        "every case"
-        if within == len(values)
-        else "no case"
-        if not within
-        else f"{within} of {len(values)} cases"
-    )
-    return f"{text}. It stays within {percent(CLOSE)} in {share}."
+        return f"{text}. That is {'within' if within else 'outside'} {limit}."
+    share = {0: "no case", len(values): "every case"}.get(within, f"{within} of {len(values)} cases")
+    return f"{text}. It stays within {limit} in {share}."
 
 
-def _others(others: Sequence[ModelSummary]) -> str:
-    parts = [f"{s.name} {percent(s.vector.median)}" for s in others if s.vector]
-    return f"The others: {listed(parts)}{' (medians)' if any(s.vector and s.vector.cases > 1 for s in others) else ''}."
+def _stops(digest: Digest) -> str:
+    """Models that did not reach the end of their load history."""
+    parts = [f"{s.name} in {plural(s.failed_cases, 'case')}" for s in digest.summaries if s.failed_cases]
+    return f"Stopped before the end of the load: {listed(parts)}; the reasons are below." if parts else ""
 
 
-def _resolution(digest: Digest, best: ModelSummary) -> str:
-    error = best.vector
-    if error is None or not error.measured:
+def _resolution(digest: Digest, error: Spread) -> str:
+    if not error.measured:
         return (
             f"The error of {digest.reference} itself was not measured, so these figures carry no error bar."
         )
-    bar = f"{digest.reference} itself is uncertain by {percent(error.median_bar)}"
+    bar = f"{digest.reference} itself is uncertain by {short_percent(error.median_bar)}"
     if error.resolved == error.cases:
         return f"{bar}, small enough to resolve the difference."
     if not error.resolved:
@@ -114,61 +107,58 @@ def _cost(digest: Digest, best: ModelSummary) -> str:
         return ""
     ratio = reference.seconds_per_step / best.seconds_per_step
     text = (
-        f"A frame costs {quantity(best.seconds_per_step, 's')} after {quantity(best.seconds_setup, 's')} of set-up, "
-        f"against {quantity(reference.seconds_per_step, 's')} for {digest.reference}"
+        f"A frame of {best.name} costs {quantity(best.seconds_per_step, 's', 2)} after "
+        f"{quantity(best.seconds_setup, 's', 2)} of set-up, one of {digest.reference} "
+        f"{quantity(reference.seconds_per_step, 's', 2)} after {quantity(reference.seconds_setup, 's', 2)}"
     )
     if ratio >= 1.5:
-        return f"{text}: {number(ratio, 2)} times faster."
-    return f"{text}: {number(1 / ratio, 2)} times slower." if ratio <= 1 / 1.5 else f"{text}: about the same."
+        return f"{text}: {plain(ratio, 2)} times faster per frame."
+    return (
+        f"{text}: {plain(1 / ratio, 2)} times slower per frame."
+        if ratio <= 1 / 1.5
+        else f"{text}: about the same."
+    )
 
 
 def _table(digest: Digest) -> Table:
-    many = len(digest.cases) > 1
-    bars = bool(digest.compared)
+    many, stopped = len(digest.cases) > 1, any(s.failed_cases for s in digest.summaries)
     columns = [Column("Model", numeric=False)]
-    makers: list[Callable[[ModelSummary], Cell]] = [
-        lambda s: Cell(s.name, "reference" if s.is_reference else "")
-    ]
-
-    def add(title: str, detail: str, unit: str, make: Callable[[ModelSummary], Cell]) -> None:
-        columns.append(Column(title, detail, unit=unit))
-        makers.append(make)
-
-    if bars:
-        for title, pick in (
-            ("Displacement error", lambda s: s.vector),
-            ("Deformation error", lambda s: s.deformation),
-        ):
-            if many:
-                add(title, "median", "1", lambda s, pick=pick: _median(pick(s), s.is_reference))
-                add(title, "worst", "1", lambda s, pick=pick: _worst(pick(s), s.is_reference))
-            else:
-                add(title, "", "1", lambda s, pick=pick: _worst(pick(s), s.is_reference))
-    add("Volume drift", "largest" if many else "", "1", lambda s: _drift(s.drift))
-    add("Set-up", "", "s", lambda s: _quantity(s.seconds_setup, "s"))
-    add("Per frame", "", "s", lambda s: _quantity(s.seconds_per_step, "s"))
-    add("Memory", "", "B", lambda s: _quantity(s.peak_bytes, "B"))
-    if any(s.failed_cases for s in digest.summaries):
-        add("Failed", "", "", _failures)
-    return Table(
-        name="headline",
-        caption="",
-        columns=columns,
-        rows=[[make(s) for make in makers] for s in digest.summaries],
-        marks=[-1 if s.is_reference else digest.colour(s.name) for s in digest.summaries],
-    )
+    if digest.compared:
+        for title in ("Displacement error", "Deformation error"):
+            columns += [
+                Column(title, detail, unit="1") for detail in (("median", "worst") if many else ("",))
+            ]
+    columns.append(Column("Volume drift", "largest" if many else "", unit="1"))
+    columns += [Column("Set-up", unit="s"), Column("Per frame", unit="s"), Column("Memory", unit="B")]
+    columns += [Column("Stopped early")] if stopped else []
+    rows = []
+    for summary in digest.summaries:
+        row = [Cell(summary.name, "reference" if summary.is_reference else "")]
+        if digest.compared:
+            for spread in (summary.vector, summary.deformation):
+                row += [_median(spread), _worst(spread)] if many else [_worst(spread)]
+        row += [
+            _drift(summary.drift),
+            Cell(quantity(summary.seconds_setup, "s"), value=summary.seconds_setup),
+            Cell(quantity(summary.seconds_per_step, "s"), value=summary.seconds_per_step),
+            Cell(quantity(summary.peak_bytes, "B"), value=summary.peak_bytes),
+        ]
+        row += [_failures(summary)] if stopped else []
+        rows.append(row)
+    marks = [digest.colour(s.name) for s in digest.summaries]
+    return Table(name="headline", caption="", columns=columns, rows=rows, marks=marks)
 
 
-def _median(spread: Spread | None, is_reference: bool) -> Cell:
-    if spread is None:
-        return Cell(NOTHING, "is the reference" if is_reference else "")
-    return Cell(percent(spread.median), _bar(spread.median, spread.median_bar), spread.median)
+def _median(spread: Spread | None) -> Cell:
+    return Cell(NOTHING) if spread is None else _with_bar(spread.median, spread.median_bar)
 
 
-def _worst(spread: Spread | None, is_reference: bool) -> Cell:
-    if spread is None:
-        return Cell(NOTHING, "is the reference" if is_reference else "")
-    return Cell(percent(spread.worst), _bar(spread.worst, spread.worst_bar), spread.worst)
+def _worst(spread: Spread | None) -> Cell:
+    return Cell(NOTHING) if spread is None else _with_bar(spread.worst, spread.worst_bar)
+
+
+def _with_bar(value: float, bar: float) -> Cell:
+    return Cell(percent(value), _bar(value, bar), value)
 
 
 def _bar(value: float, bar: float) -> str:
@@ -181,10 +171,6 @@ def _drift(spread: Spread | None) -> Cell:
     return Cell(NOTHING) if spread is None else Cell(percent(spread.worst, signed=True), value=spread.worst)
 
 
-def _quantity(value: float, unit: str) -> Cell:
-    return Cell(quantity(value, unit), value=value)
-
-
 def _failures(summary: ModelSummary) -> Cell:
     count = summary.failed_cases
     return Cell(plural(count, "case"), value=float(count), tone="bad") if count else Cell(NOTHING, value=0.0)
@@ -195,7 +181,7 @@ def _reading(digest: Digest) -> str:
     loads = {float(case.load_factors[full_load(case)]) for case in digest.cases}
     parts.append(
         "All figures at full load"
-        + (f" (load factor {number(loads.pop())})" if len(loads) == 1 else "")
+        + (f" (load factor {plain(loads.pop())})" if len(loads) == 1 else "")
         + (f", over {len(digest.cases)} cases" if len(digest.cases) > 1 else "")
         + "."
     )
@@ -204,7 +190,7 @@ def _reading(digest: Digest) -> str:
             "Errors are area-weighted L2 norms over the surface, relative to the reference; deformation error "
             "leaves out the best-fit rigid motion, which a model with a small support gets right almost for free. "
             "± is the reference's own error from its mesh levels: a difference counts as resolved only where that "
-            f"is at most a tenth of it."
+            "is at most a tenth of it."
         )
     parts.append(
         "Volume drift is the change of the exact enclosed volume. Times are medians, memory is the largest amount "

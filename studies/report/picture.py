@@ -15,6 +15,7 @@ import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -42,7 +43,7 @@ def render(pictures: Sequence[Sequence[Panel]]) -> tuple[list[bytes], str]:
     with tempfile.TemporaryDirectory(prefix="vdmbench-pictures-") as name:
         directory = Path(name)
         for k, panels in enumerate(pictures):
-            arrays = {}
+            arrays: dict[str, Any] = {}
             for j, panel in enumerate(panels):
                 arrays |= {
                     f"points{j}": panel.points,
@@ -107,11 +108,11 @@ def main(arguments: Sequence[str]) -> None:
             _draw(dict(arrays), json.loads(file.with_suffix(".json").read_text()), file.with_suffix(".png"))
 
 
-def _draw(arrays: Mapping[str, np.ndarray], panels: Sequence[Mapping[str, object]], path: Path) -> None:
+def _draw(arrays: Mapping[str, np.ndarray], panels: Sequence[Mapping[str, Any]], path: Path) -> None:
     import pyvista  # only here, in the child
 
-    plotter = pyvista.Plotter(
-        off_screen=True, shape=(1, len(panels)), border=False, window_size=(_PANEL * len(panels), _PANEL)
+    plotter: Any = pyvista.Plotter(
+        off_screen=True, shape=(1, len(panels)), border=False, window_size=[_PANEL * len(panels), _PANEL]
     )
     for j, about in enumerate(panels):
         plotter.subplot(0, j)
@@ -121,14 +122,14 @@ def _draw(arrays: Mapping[str, np.ndarray], panels: Sequence[Mapping[str, object
             mesh,
             scalars=arrays[f"values{j}"],
             clim=(0.0, 1.0),
-            cmap=str(about["colour_map"]),
+            cmap=about["colour_map"],
             show_scalar_bar=False,
             smooth_shading=False,
             ambient=0.35,
             diffuse=0.7,
             specular=0.0,
         )
-        azimuth = float(str(about["azimuth"]))
+        azimuth = float(about["azimuth"])
         towards = np.array(
             [np.cos(azimuth) * np.cos(_ELEVATION), np.sin(azimuth) * np.cos(_ELEVATION), np.sin(_ELEVATION)]
         )

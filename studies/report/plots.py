@@ -8,7 +8,9 @@ from __future__ import annotations
 
 import io
 import re
+import warnings
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from markupsafe import Markup, escape
@@ -24,21 +26,20 @@ from matplotlib.ticker import (
     NullLocator,
 )
 
-from .digest import Array
-from .formatting import number
+from .digest import REFERENCE, Array
+from .formatting import plain, quantity
 
 PALETTE_SIZE = 7
+_MOST_TICKS = 16
 MARKERS = ("o", "s", "^", "D", "v", "P", "X")
 LINES = ("-", "--", "-.", ":")
-REFERENCE = -1
 _INK, _GRID, _REFERENCE = "#010203", "#020304", "#030405"
 _MODELS = tuple(f"#0405{k:02x}" for k in range(PALETTE_SIZE))
 _WIDTH, _HEIGHT = 4.4, 3.0  # inches of 72 points: as wide as a phone, so that text stays readable there
-_STYLE = {
+_STYLE: dict[str, Any] = {
     "svg.fonttype": "none",
     "font.family": "DejaVu Sans",
-    "font.size": 9.0,
-    "axes.titlesize": 9.5,
+    "font.size": 8.3,
     "axes.edgecolor": _INK,
     "axes.labelcolor": _INK,
     "xtick.color": _INK,
@@ -75,13 +76,20 @@ def line(model: int) -> str:
     return LINES[(max(model, 0) // PALETTE_SIZE) % len(LINES)]
 
 
+def shortened(text: str, most: int = 22) -> str:
+    """A name from a study file as a label: one line, no control characters, not too long."""
+    text = "".join(c if c.isprintable() else "\N{REPLACEMENT CHARACTER}" for c in text)
+    return text if len(text) <= most else f"{text[: most - 1]}…"
+
+
 class Plot:
     """One panel: draw on its axes inside the `with` block, then take `drawn`."""
 
     def __init__(self, x_label: str, y_label: str, salt: str) -> None:
         self.salt = salt
         self._svg = ""
-        self._style = rc_context({**_STYLE, "svg.hashsalt": salt})
+        style: Any = {**_STYLE, "svg.hashsalt": salt}
+        self._style = rc_context(style)
         self._labels = (x_label, y_label)
 
     def __enter__(self) -> Axes:
@@ -90,8 +98,8 @@ class Plot:
         self._canvas.patch.set_visible(False)
         self.axes: Axes = self._canvas.add_subplot()
         self.axes.patch.set_visible(False)
-        self.axes.set_xlabel(self._labels[0])
-        self.axes.set_ylabel(self._labels[1])
+        self.axes.set_xlabel(shortened(self._labels[0], 60))
+        self.axes.set_ylabel(shortened(self._labels[1], 40))
         return self.axes
 
     def __exit__(self, kind: type[BaseException] | None, *rest: object) -> None:
@@ -104,7 +112,10 @@ class Plot:
     def _draw(self) -> str:
         out = io.StringIO()
         metadata = dict.fromkeys(("Date", "Creator", "Format", "Type"))
-        self._canvas.savefig(out, format="svg", metadata=metadata, transparent=True)
+        with warnings.catch_warnings():
+            # a glyph that matplotlib's own font lacks is drawn by the browser's
+            warnings.filterwarnings("ignore", "Glyph .* missing", UserWarning)
+            self._canvas.savefig(out, format="svg", metadata=metadata, transparent=True)
         return out.getvalue()
 
     def drawn(self, alt: str) -> Markup:
@@ -143,19 +154,32 @@ def percent_axis(axes: Axes, values: Sequence[float]) -> None:
     else:
         axes.set_ylim(0.0, 1.08 * max(finite) if finite else 1.0)
         axes.yaxis.set_major_locator(MaxNLocator(6))
-    axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{number(value * 100)} %"))
+    percent_ticks(axes)
+
+
+def percent_ticks(axes: Axes) -> None:
+    """Ratios on the y axis named as percentages."""
+    axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{plain(value * 100)} %"))
+
+
+def time_ticks(axes: Axes) -> None:
+    """Seconds on a logarithmic x axis, named with their prefix."""
+    log_axis(axes, "x")
+    axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: quantity(value, "s", 1)))
 
 
 def log_axis(axes: Axes, which: str) -> None:
-    """Decades without minor clutter, labels in plain numbers where they are short."""
+    """Decades without minor clutter; 1-2-5 steps where there are fewer than two decades."""
     if which == "x":
         axes.set_xscale("log")
     else:
         axes.set_yscale("log")
     axis = axes.xaxis if which == "x" else axes.yaxis
-    axis.set_major_locator(LogLocator(numticks=6))
+    low, high = axes.get_xlim() if which == "x" else axes.get_ylim()
+    subdivisions = (1.0, 2.0, 5.0) if high < 100 * low else (1.0,)
+    axis.set_major_locator(LogLocator(subs=subdivisions, numticks=7))
     axis.set_minor_locator(NullLocator())
-    axis.set_major_formatter(FuncFormatter(lambda value, _: number(value)))
+    axis.set_major_formatter(FuncFormatter(lambda value, _: plain(value)))
 
 
 def place(values: Sequence[float]) -> tuple[str, dict[float, float]]:
@@ -179,10 +203,12 @@ def _spacing(values: Array) -> float:
     return float(gaps.max() / gaps.min())
 
 
-def name_ticks(axes: Axes, positions: Sequence[float], names: Sequence[str]) -> None:
-    """One named tick per value on the x axis; slanted where the names would collide."""
-    axes.xaxis.set_major_locator(FixedLocator(list(positions)))
-    axes.xaxis.set_major_formatter(FixedFormatter(list(names)))
+def name_ticks(axes: Axes, ticks: Sequence[tuple[float, str]]) -> None:
+    """Named ticks (position, name) on the x axis: thinned where there are many, slanted where they collide."""
+    ticks = ticks[:: max(1, -(-len(ticks) // _MOST_TICKS))]
+    names = [shortened(name) for _, name in ticks]
+    axes.xaxis.set_major_locator(FixedLocator([x for x, _ in ticks]))
+    axes.xaxis.set_major_formatter(FixedFormatter(names))
     axes.xaxis.set_minor_locator(NullLocator())
     if sum(len(name) for name in names) > 34:
         for label in axes.get_xticklabels():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Mapping
 
 from .blocks import Block, Code, Facts, Section, Text
@@ -13,16 +14,20 @@ _SHORT = 16  # hex digits of a hash that are shown
 
 def how_to_reproduce(digest: Digest) -> Section:
     """The commands, and the study as it was written."""
-    name = str(digest.run.study.get("name", "study"))
+    name = shlex.quote(str(digest.run.study.get("name", "study")))
     commands = [
-        f"vdmbench run {name}                       # or the path of the study file below; does only what is missing",
-        f"vdmbench report results/runs/{name}       # this page again, from the stored results alone",
+        f"vdmbench run {name}",
+        f"vdmbench report results/runs/{name}",
     ]
     blocks: list[Block] = [
+        Text(
+            "The first command runs the study, or only what is missing of it; a study of your own goes by the path "
+            "of its file. The second makes this page again from the stored results alone."
+        ),
         Code("\n".join(commands)),
         Text(
-            "Every number on this page is computed from the case files of the run directory, "
-            "cases/<hash>.vtkhdf, which ParaView opens too; study.h5 and metrics.csv hold all metrics of all cases.",
+            "Every number on this page is computed from the case files of the run directory, cases/<hash>.vtkhdf, "
+            "which ParaView opens too; study.h5 and metrics.csv hold all metrics of all cases.",
             kind="note",
         ),
     ]

@@ -98,11 +98,8 @@ def failures(digest: Digest) -> Section | None:
     if digest.run.missing:
         names = [label or "a case" for label in digest.run.missing]
         shown = names if len(names) <= 8 else [*names[:7], f"{len(names) - 7} more"]
-        blocks.append(
-            Text(
-                f"{plural(len(names), 'case')} not run yet: {listed(shown)}. Run the study again to do what is missing."
-            )
-        )
+        text = f"{plural(len(names), 'case')} not run yet: {listed(shown)}."
+        blocks.append(Text(f"{text} Run the study again to do what is missing."))
     return Section("failures", "What failed or is missing", blocks) if blocks else None
 
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 
 from .blocks import Figure, Figures, Section, Text
-from .digest import DEFORMATION, VECTOR, Digest, Spread
+from .digest import DEFORMATION, REFERENCE, VECTOR, Digest, Spread
 from .formatting import listed, percent, quantity
-from .plots import Plot, colour, log_axis, marker, percent_axis
+from .plots import Plot, colour, marker, percent_axis, time_ticks
 
 
 def run_time_against_error(digest: Digest) -> Section | None:
@@ -37,7 +37,7 @@ def _pareto(digest: Digest, metric: str, title: str, salt: str) -> Figure | None
     if not points:
         return None
     reference = next((s for s in digest.summaries if s.is_reference), None)
-    plot = Plot("time [s]", f"{title} (median)", salt)
+    plot = Plot("time", f"{title} (median)", salt)
     with plot as axes:
         for model, frame, setup, spread in points:
             k = digest.colour(model)
@@ -52,8 +52,8 @@ def _pareto(digest: Digest, metric: str, title: str, salt: str) -> Figure | None
                 [frame], [spread.median], marker=marker(k), color=colour(k), markersize=6.5, linestyle="none"
             )
         if reference is not None and reference.seconds_per_step > 0:
-            axes.axvline(reference.seconds_per_step, linestyle="--", color=colour(-1), linewidth=1.0)
-        log_axis(axes, "x")
+            axes.axvline(reference.seconds_per_step, linestyle="--", color=colour(REFERENCE), linewidth=1.0)
+        time_ticks(axes)
         percent_axis(axes, [h for *_, spread in points for h in (spread.best, spread.median, spread.worst)])
     described = [
         f"{model} {quantity(frame, 's')} per frame at {percent(spread.median)}"

@@ -12,7 +12,7 @@ from ..metrics import Surface, facet_area_vectors
 from .blocks import Block, Figure, Figures, Section, Text
 from .digest import Array, Digest, full_load, series
 from .formatting import listed, percent, quantity, scale_of
-from .plots import Plot, colour, line, log_axis, marker
+from .plots import Plot, colour, line, log_axis, marker, percent_ticks
 
 _DRIFT_FLOOR = 1e-16  # below what double precision can tell from zero
 
@@ -31,7 +31,9 @@ def force_against_indentation(digest: Digest) -> Section | None:
         figures += [figure] if figure else []
     if not figures:
         return None
-    note = "Indentation is the largest inward displacement of the nodes in contact, measured along the undeformed normal."
+    note = (
+        "Indentation: the largest inward displacement of the nodes in contact, along the undeformed normal."
+    )
     return Section(
         "force", "Force against indentation", [Text(note, kind="note"), Figures(figures, digest.legend)]
     )
@@ -104,7 +106,7 @@ def _stiffness(digest: Digest, cases: list[CaseResult], title: str, salt: str) -
     plot = Plot(f"indentation [{length_unit}]", y_label, salt)
     with plot as axes:
         for model, (x, y) in curves.items():
-            k = -1 if model == digest.reference else digest.colour(model)
+            k = digest.colour(model)
             style = line(k) if len(cases) == 1 else "none"
             axes.plot(x / length, y / force, linestyle=style, marker=marker(k), color=colour(k))
         axes.set_xlim(left=min(0.0, axes.get_xlim()[0]))
@@ -157,10 +159,11 @@ def _drift(digest: Digest, metric: str, label: str, title: str, salt: str) -> Fi
     plot = Plot("load factor", label, salt)
     with plot as axes:
         for model, curve in curves.items():
-            k = -1 if model == digest.reference else digest.colour(model)
+            k = digest.colour(model)
             factors = sorted(curve)
             axes.plot(factors, [curve[f] for f in factors], line(k), marker=marker(k), color=colour(k))
             described.append(f"{model} up to {percent(max(curve.values()))}")
         log_axis(axes, "y")
+        percent_ticks(axes)
         axes.set_xlim(left=min(0.0, axes.get_xlim()[0]))
     return Figure(plot.drawn(f"{title}: {listed(described)}."), title)

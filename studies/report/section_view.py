@@ -11,9 +11,8 @@ import numpy as np
 
 from ..case import CaseResult
 from .blocks import Section, Text, Viewer
-from .digest import Array, Digest, at_full_load, full_load
-from .digest import VECTOR as VECTOR_ERROR
-from .formatting import number, percent, quantity
+from .digest import VECTOR, Array, Digest, at_full_load, full_load
+from .formatting import plain, quantity, short_percent
 from .picture import Panel
 from .view import azimuth, candidates, displacement_scale, payload
 
@@ -104,8 +103,8 @@ def _alternative(digest: Digest, case: CaseResult, panels: int) -> str:
         parts.append(f"{name}, largest displacement {quantity(float(np.linalg.norm(u, axis=1).max()), 'm')}")
     text = f"Left to right: {'; '.join(parts)}"
     if panels == 3:
-        error = at_full_load(case, digest.focus or "", VECTOR_ERROR)
+        error = at_full_load(case, digest.focus or "", VECTOR)
         text += "; their difference" + (
-            f", {percent(error)} of the reference" if math.isfinite(error) else ""
+            f", {short_percent(error)} of the reference" if math.isfinite(error) else ""
         )
-    return f"{text}. Displacements are drawn {number(scale)} times as large as they are."
+    return f"{text}. Displacements are drawn {plain(scale)} times as large as they are."

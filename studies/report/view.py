@@ -86,6 +86,7 @@ def payload(view: View, digest: Digest) -> dict[str, object]:
                 "title": f"{role[:1].upper()}{role[1:]}: {digest.case_name(case)}"
                 if role
                 else digest.case_name(case),
+                "name": case.label,
                 "geometry": surfaces[key],
                 "reference": case.reference if case.reference in names else None,
                 "factors": [float(case.load_factors[step]) for step in steps],

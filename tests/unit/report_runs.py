@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Mapping, Sequence
 
 import numpy as np
@@ -131,12 +132,10 @@ def make_case(
     }
     swept = swept or {}
     return CaseResult(
-        hash=f"{abs(hash((label, tuple(swept.values()), tuple(errors.values())))) % 16**12:012x}".ljust(
-            64, "0"
-        ),
+        hash=hashlib.sha256(repr((label, swept, errors)).encode()).hexdigest(),
         label=label,
         swept=swept,
-        swept_units={key: "1" for key in swept} | dict(units or {}),
+        swept_units=dict.fromkeys(swept, "1") | dict(units or {}),
         resolved={"constraints": [{"kind": "fixed", "region": "base"}, constraint]},
         provenance={
             "package.numpy": "2.1.0",

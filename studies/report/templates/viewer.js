@@ -39,7 +39,9 @@
       high[k % 3] = Math.max(high[k % 3], points[k]);
     }
     const centre = low.map((v, k) => (v + high[k]) / 2);
-    return { centre, radius: Math.hypot(...low.map((v, k) => high[k] - v)) / 2 };
+    let radius = 0;
+    for (let k = 0; k < points.length; k += 3) radius = Math.max(radius, Math.hypot(points[k] - centre[0], points[k + 1] - centre[1], points[k + 2] - centre[2]));
+    return { centre, radius };
   }
 
   const cases = data.cases.map((c) => ({
@@ -129,7 +131,7 @@
   };
   const sizes = () => {
     const aspect = canvas.width / canvas.height;
-    const s = (0.9 * state.zoom * Math.min(aspect, 1)) / scene.geometry.radius;
+    const s = (0.78 * state.zoom * Math.min(aspect, 1)) / scene.geometry.radius;
     return [s / aspect, s, -0.2 / scene.geometry.radius];
   };
 
@@ -232,7 +234,7 @@
     box.querySelector(".bar .high").textContent = `${digits(scene.top / factor)} ${unit}`;
     box.querySelector(".bar .low").textContent = "0";
     const what = state.show === "difference" ? `|${state.model} − ${shown.reference}|` : `${name}: |displacement|`;
-    box.querySelector(".quantity").textContent = what + (message ? `\nstopped at this load: ${message}` : "");
+    box.querySelector(".quantity").textContent = `${what}\n${shown.name}` + (message ? `\nstopped at this load: ${message}` : "");
     output("step").textContent = `× ${digits(shown.factors[state.step])}`;
     output("scale").textContent = `drawn × ${digits(state.scale)}`;
     const ramp = box.querySelector(".ramp").getContext("2d");
