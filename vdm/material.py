@@ -1,4 +1,4 @@
-"""Material parameters of the three formulations, and the rule that chooses them from a tissue's elastic constants."""
+"""Material parameters of the three formulations, and the rule that chooses them from a tissue."""
 
 from __future__ import annotations
 
@@ -134,14 +134,18 @@ def connectivity_modulus_from_tension(surface_tension: float, surface: SurfaceMe
     return surface_tension * (surface.volume / surface.area) / (np.sqrt(3.0) * mean_nodal_area)
 
 
-def per_item(value: float | Array | None, name: str, count: int, formulation: str) -> Array:
-    """A scalar or array parameter as (count,) values.
+def per_item(
+    value: float | Array | None, name: str, count: int, formulation: str, default: float | None = None
+) -> Array:
+    """A scalar or array parameter as (count,) values; `default` stands for one that is not set.
 
     Raises
     ------
     ParameterError
         where it is missing or has another length.
     """
+    if value is None and default is not None:
+        return np.full(count, default)
     if value is None:
         raise ParameterError(
             f"the {formulation} formulation needs {name}; set it or use Parameters.from_tissue"

@@ -60,7 +60,7 @@ class SurfaceMesh:
         self.volume = float(np.einsum("fi,fi->", centred[:, 0], self.facet_vectors)) / 3.0
         if self.volume <= 0.0:
             raise SurfaceError(
-                f"the surface is inverted (volume {self.volume:.3g} m^3); reverse the order of each triangle's nodes"
+                f"the surface is inverted (volume {self.volume:.3g} m^3); reverse each triangle"
             )
         self.area = float(self.facet_areas.sum())
 
@@ -154,7 +154,8 @@ class SurfaceMesh:
         return np.stack([self._to_nodes(vectors[:, c]) for c in range(3)], axis=1) / 3.0, volume
 
     def _to_nodes(self, facet_values: Array) -> Array:
-        return np.bincount(self.triangles.ravel(), np.repeat(facet_values, 3), self.n_nodes)
+        sums = np.bincount(self.triangles.ravel(), np.repeat(facet_values, 3), self.n_nodes)
+        return np.asarray(sums, dtype=np.float64)
 
 
 def _triangle_array(triangles: ArrayLike) -> Index:
@@ -216,7 +217,7 @@ def _check_topology(triangles: Index, facet_edges: Index, edges: Index, n_nodes:
             f"neighbouring facets are oriented against each other at edge {i}-{j}; orient all outward"
         )
     graph = sparse.coo_array((np.ones(len(edges)), (edges[:, 0], edges[:, 1])), shape=(n_nodes, n_nodes))
-    pieces = connected_components(graph, directed=False, return_labels=False)
+    pieces = int(connected_components(graph, directed=False)[0])
     if pieces != 1:
         raise SurfaceError(
             f"the surface has {pieces} components; keep one closed body (cavities are not supported)"
@@ -234,7 +235,7 @@ def _check_fans(triangles: Index, facet_edges: Index, n_nodes: int) -> None:
     rows = np.concatenate([start[first], end[first]])
     columns = np.concatenate([end[second], start[second]])
     graph = sparse.coo_array((np.ones(len(rows)), (rows, columns)), shape=(triangles.size, triangles.size))
-    fans = connected_components(graph, directed=False, return_labels=False)
+    fans = int(connected_components(graph, directed=False)[0])
     if fans != n_nodes:
         raise SurfaceError(
             f"the surface touches itself at {fans - n_nodes} nodes (two fans of facets share a node); split them"

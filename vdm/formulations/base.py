@@ -72,16 +72,13 @@ class Formulation(ABC):
         """(N, 3) force [N] of a generalised force (N, d)."""
 
     def state_matrix(self) -> sparse.csr_array:
-        """K of equation 22 with its border, (N d + m, N d + m), in the unknowns and row units of the formulation."""
+        """K of equation 22 with its border, (N d + m, N d + m), in the formulation's own unknowns and rows."""
         columns, rows = (a.reshape(-1, a.shape[2]) for a in (self.columns, self.rows))
         unit_rows, unit_columns = sparse.diags_array(self.row_scale), sparse.diags_array(self.column_scale)
         block = unit_rows @ self.stiffness() @ unit_columns
-        return sparse.block_array(
-            [
-                [block, -self.row_scale[:, None] * columns],
-                [(rows * self.column_scale[:, None]).T, self.corner],
-            ]
-        ).tocsr()
+        right = sparse.csr_array(-self.row_scale[:, None] * columns)
+        below = sparse.csr_array((rows * self.column_scale[:, None]).T)
+        return sparse.csr_array(sparse.block_array([[block, right], [below, sparse.csr_array(self.corner)]]))
 
     @property
     def row_scale(self) -> Array:

@@ -40,9 +40,8 @@ class PaperFormulation(ScalarFormulation):
             raise ParameterError("bulk_modulus and connectivity_modulus are both zero; make one positive")
         self.scale = surface.nodal_areas
         height = surface.volume / surface.area
-        self.operator = (
-            surface.laplacian(self.connectivity_modulus) + sparse.diags_array(self.bulk_modulus)
-        ).tocsr() / height
+        coupling = surface.laplacian(self.connectivity_modulus)
+        self.operator = sparse.csr_array((coupling + sparse.diags_array(self.bulk_modulus)) / height)
         self.columns = surface.nodal_areas[:, None, None]
         self.rows = np.ones((surface.n_nodes, 1, 1))
         self.corner = np.zeros((1, 1))

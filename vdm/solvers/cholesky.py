@@ -11,6 +11,8 @@ from vdm.solution import SolverError, Status
 
 Array = NDArray[np.float64]
 
+# growth of a random load, times the largest entry, beyond which the matrix counts as singular
+CONDITION_LIMIT = 1e14
 SINGULAR = Status(
     "singular",
     "the operator is not positive definite",
@@ -35,6 +37,11 @@ class Cholesky:
             self._factor = CholeskySolverD(self.size, indptr, indices, matrix.data, MatrixType.CSR)
         except ValueError as error:
             raise SolverError(SINGULAR) from error
+        # a singular matrix can pass with pivots of rounding size: a random load then moves without bound
+        probe = np.random.default_rng(0).standard_normal(self.size)
+        growth = np.linalg.norm(self.solve(probe)) / np.linalg.norm(probe)
+        if not growth * np.abs(matrix.data).max() < CONDITION_LIMIT:
+            raise SolverError(SINGULAR)
 
     def solve(self, right_hand_side: Array) -> Array:
         """Solution of (n,) or (n, m) right-hand sides, all columns in one pass through the factor."""

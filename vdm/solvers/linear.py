@@ -8,9 +8,12 @@ from numpy.typing import NDArray
 from vdm.constraints import Load
 from vdm.problem import Problem, Step
 from vdm.solution import SolverError, Status
+from vdm.solvers.cholesky import SINGULAR
 
 Array = NDArray[np.float64]
 
+# smallest singular value of the scaled border system that is told from rounding
+BORDER_TOLERANCE = 1e-11
 NOT_FINITE = Status("not-finite", "the solution holds nan or inf", "check the size of the loads and moduli")
 
 
@@ -29,15 +32,19 @@ class BorderedFactor:
         self.free_rows = formulation.rows[self.free].reshape(-1, self.n_border)
         self.response = self.block.solve(formulation.columns[self.free].reshape(-1, self.n_border))
         self.schur = self.free_rows.T @ self.response + formulation.corner
-        if not np.isfinite(self.schur).all() or np.linalg.cond(self.schur) > 1.0 / np.finfo(np.float64).eps:
-            raise SolverError(
-                Status("singular", "the border system is singular", "hold fewer nodes or loosen the supports")
-            )
+        self._check_border(formulation.corner)
+
+    def _check_border(self, corner: Array) -> None:
+        # each border unknown in its own unit: what is left of it is compared with what went into it
+        size = np.sqrt(np.maximum(np.abs(corner).diagonal(), np.abs(self.schur - corner).diagonal()))
+        scaled = self.schur / np.outer(size, size)
+        if not np.isfinite(scaled).all() or np.linalg.svd(scaled, compute_uv=False)[-1] < BORDER_TOLERANCE:
+            raise SolverError(SINGULAR)
 
     def solve(self, force: Array, target: Array) -> tuple[Array, Array]:
         """Free unknowns (n_free d,) and border unknowns (m,) of a force (n_free d,) and border values (m,)."""
         first = self.block.solve(force)
-        border = np.linalg.solve(self.schur, target - self.free_rows.T @ first)
+        border = np.asarray(np.linalg.solve(self.schur, target - self.free_rows.T @ first), dtype=np.float64)
         return first + self.response @ border, border
 
 

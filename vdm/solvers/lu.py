@@ -24,8 +24,8 @@ class LuSolver:
     Parameters
     ----------
     problem : formulation and supports
-    method : "elimination"; "penalty-added", alpha added to K_ii as the text has it; "penalty-replaced", K_ii = alpha
-        as equations 25 and 26 have it. Both leave an error of the order of dP / alpha at the held nodes.
+    method : "elimination"; "penalty-added", alpha added to K_ii as the text has it; "penalty-replaced",
+        K_ii = alpha as equations 25 and 26 have it. Both leave an error of the order of dP / alpha.
     penalty : alpha as a multiple of the largest diagonal entry of K
 
     Raises

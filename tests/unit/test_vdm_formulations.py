@@ -1,0 +1,150 @@
+"""Each operator against the energy or the equation it stands for, summed edge by edge in plain loops."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from tests.unit.vdm_shapes import icosphere, torus
+from vdm import Load, Model, Parameters, SurfaceMesh
+from vdm.formulations.consistent import ConsistentFormulation
+from vdm.formulations.paper import PaperFormulation
+from vdm.formulations.vector import VectorFormulation
+
+BODY = SurfaceMesh(*icosphere(1, (0.05, 0.06, 0.045)))
+
+
+def rotation_of(surface: SurfaceMesh, weights: np.ndarray, u: np.ndarray, edges: list[int]) -> np.ndarray:
+    """The omega that minimises sum w |u_i - u_j - omega x (x_i - x_j)|^2, by least squares."""
+    rows, right = [], []
+    for e in edges:
+        i, j = surface.edges[e]
+        d = surface.points[i] - surface.points[j]
+        root = np.sqrt(weights[e])
+        rows.append(root * np.array([[0, d[2], -d[1]], [-d[2], 0, d[0]], [d[1], -d[0], 0]]))
+        right.append(root * (u[i] - u[j]))
+    return np.linalg.lstsq(np.concatenate(rows), np.concatenate(right), rcond=None)[0]
+
+
+def tension_energy(surface: SurfaceMesh, tension: float, u: np.ndarray, rotation: str) -> float:
+    """1/2 T min_omega sum w |u_i - u_j - omega x d|^2 of the three settings, by the definition."""
+    weights = surface.cotangent_weights
+    every = list(range(len(surface.edges)))
+    if rotation == "nodal":
+        groups = [[e for e in every if node in surface.edges[e]] for node in range(surface.n_nodes)]
+    else:
+        groups = [every]
+    energy = 0.0
+    for group in groups:
+        omega = np.zeros(3) if rotation == "none" else rotation_of(surface, weights, u, group)
+        for e in group:
+            i, j = surface.edges[e]
+            gap = u[i] - u[j] - np.cross(omega, surface.points[i] - surface.points[j])
+            energy += 0.5 * tension * weights[e] * gap @ gap * (0.5 if rotation == "nodal" else 1.0)
+    return energy
+
+
+@pytest.mark.parametrize("rotation", ["none", "global", "nodal"])
+def test_vector_operator_is_the_stated_energy(rotation):
+    k, tension, stretch = 3e4, 50.0, 20.0
+    form = VectorFormulation(
+        BODY, Parameters(foundation=k, surface_tension=tension, stretch_stiffness=stretch, rotation=rotation)
+    )
+    u = np.random.default_rng(1).standard_normal(BODY.points.shape)
+    expected = tension_energy(BODY, tension, u, rotation)
+    for node in range(BODY.n_nodes):
+        expected += 0.5 * k * BODY.vector_areas[node] * (u[node] @ BODY.normals[node]) ** 2
+    for e, (i, j) in enumerate(BODY.edges):
+        along = (BODY.points[i] - BODY.points[j]) / np.linalg.norm(BODY.points[i] - BODY.points[j])
+        expected += 0.5 * stretch * BODY.cotangent_weights[e] * ((u[i] - u[j]) @ along) ** 2
+    border = np.zeros(form.columns.shape[2])
+    if rotation == "global":
+        border[1:] = np.linalg.solve(
+            -form.corner[1:, 1:], form.rows[:, :, 1:].reshape(-1, 3).T @ u.reshape(-1)
+        )
+    # rtol: sums of some hundred terms in another order
+    assert_allclose(0.5 * np.vdot(u, form.internal_force(u, border)), expected, rtol=1e-11, atol=0.0)
+    assert_allclose(form.apply(u).reshape(-1), form.stiffness() @ u.reshape(-1), rtol=0.0, atol=1e-9)
+
+
+def test_paper_operator_is_equation_27():
+    rng = np.random.default_rng(2)
+    bulk, links = rng.uniform(5.0, 20.0, BODY.n_nodes), rng.uniform(1e3, 5e3, len(BODY.edges))
+    form = PaperFormulation(BODY, Parameters(bulk_modulus=bulk, connectivity_modulus=links))
+    length, pressure = rng.standard_normal(BODY.n_nodes), 1.7
+    area, volume = BODY.nodal_areas, BODY.nodal_volumes
+    expected = bulk / volume * area * length - pressure
+    for e, (i, j) in enumerate(BODY.edges):
+        gap = links[e] * (area[i] * length[i] - area[j] * length[j])
+        expected[i] += gap / volume[i]
+        expected[j] -= gap / volume[j]
+    state = form.state_matrix() @ np.append(length, pressure)
+    assert_allclose(state[:-1], expected, rtol=1e-12, atol=1e-12 * np.abs(expected).max())
+    assert_allclose(state[-1], area @ length, rtol=1e-12, atol=0.0)
+    # (16): volumic pressure and tension (6)-(8) are the two terms of the same row
+    rows = form.volumic_pressure(length) + form.volumic_tension(length) - pressure
+    assert_allclose(rows, expected, rtol=1e-12, atol=1e-12 * np.abs(expected).max())
+
+
+def test_nodal_stress_as_printed_gives_one_minus_valence_for_a_uniform_change():
+    form = PaperFormulation(BODY, Parameters(bulk_modulus=10.0, connectivity_modulus=100.0))
+    uniform = 1e-3 / BODY.nodal_areas
+    valence = np.bincount(BODY.edges.ravel())
+    expected = (1 - valence) * form.volumic_pressure(uniform)
+    assert_allclose(form.nodal_stress(uniform), expected, rtol=1e-12, atol=0.0)
+    # the corrected tension of the same state is zero
+    assert_allclose(form.volumic_tension(uniform), 0.0, rtol=0.0, atol=1e-9 * np.abs(expected).max())
+
+
+def test_consistent_operator_is_its_equation():
+    k, tension = 2e4, 40.0
+    form = ConsistentFormulation(BODY, Parameters(foundation=k, surface_tension=tension))
+    length = np.random.default_rng(3).standard_normal(BODY.n_nodes)
+    expected = k * BODY.vector_areas * length
+    for e, (i, j) in enumerate(BODY.edges):
+        gap = tension * BODY.cotangent_weights[e] * (length[i] - length[j])
+        expected[i] += gap
+        expected[j] -= gap
+    assert_allclose(form.apply(length[:, None])[:, 0], expected, rtol=1e-11, atol=1e-13)
+
+
+@pytest.mark.parametrize("shape", ["sphere", "torus"])
+@pytest.mark.parametrize("formulation", ["paper", "consistent", "vector"])
+def test_linear_solver_equals_lu_of_the_whole_state_matrix(formulation, shape):
+    points, triangles = icosphere(2, (0.05, 0.06, 0.045)) if shape == "sphere" else torus()
+    surface = SurfaceMesh(points, triangles)
+    rng = np.random.default_rng(4)
+    fixed = points[:, 2] < np.quantile(points[:, 2], 0.2)
+    constrained = points[:, 2] > np.quantile(points[:, 2], 0.9)
+    loads = [
+        Load(rng.uniform(0.0, 300.0, len(points)), None, rng.uniform(-1e-3, 1e-3, points.shape))
+        for _ in range(2)
+    ]
+    results = [
+        Model(
+            points,
+            triangles,
+            Parameters.from_tissue(5000.0, 0.4999, surface, formulation),
+            formulation=formulation,
+            fixed=fixed,
+            constrained=constrained,
+            density=1060.0,
+            gravity=(0.0, 1.0, -9.81),
+            environment_pressure=50.0,
+            solver=solver,
+        ).solve(loads)
+        for solver in ("linear", "lu")
+    ]
+    for name in ("displacement", "fluid_pressure", "reaction_force", "energy"):
+        first, second = (getattr(r, name) for r in results)
+        # two direct solvers of a system of condition 1e4
+        assert_allclose(first, second, rtol=1e-10, atol=1e-10 * np.abs(second).max())
+    moved = results[0].displacement[1][constrained]
+    if formulation == "vector":
+        assert_allclose(moved, loads[1].prescribed[constrained], rtol=0.0, atol=0.0)
+    else:
+        normal = np.einsum("ic,ic->i", moved, surface.normals[constrained])
+        target = np.einsum("ic,ic->i", loads[1].prescribed[constrained], surface.normals[constrained])
+        assert_allclose(normal, target, rtol=1e-14, atol=1e-18)
+    assert_allclose(results[0].displacement[:, fixed], 0.0, rtol=0.0, atol=0.0)

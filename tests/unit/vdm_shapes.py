@@ -1,0 +1,81 @@
+"""Closed surfaces made in plain numpy for the tests of `vdm`."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+
+GOLDEN = (1.0 + 5.0**0.5) / 2.0
+
+
+def icosahedron() -> tuple[Array, Index]:
+    """12 nodes on the unit sphere and 20 outward facets."""
+    corners = [(0.0, s, t * GOLDEN) for s in (-1.0, 1.0) for t in (-1.0, 1.0)]
+    points = np.array([np.roll(c, k) for k in range(3) for c in corners])
+    points /= np.linalg.norm(points[0])
+    edge = np.sort(np.linalg.norm(points[0] - points, axis=1))[1]
+    near = np.abs(np.linalg.norm(points[:, None] - points, axis=2) - edge) < 1e-9
+    facets = [
+        (i, j, k)
+        for i in range(12)
+        for j in range(i)
+        for k in range(j)
+        if near[i, j] and near[j, k] and near[i, k]
+    ]
+    outward = [f if np.linalg.det(points[list(f)]) > 0.0 else (f[0], f[2], f[1]) for f in facets]
+    return points, np.array(outward)
+
+
+def icosphere(levels: int, semi_axes: tuple[float, float, float] = (1.0, 1.0, 1.0)) -> tuple[Array, Index]:
+    """An icosahedron split `levels` times on the unit sphere (10 * 4^levels + 2 nodes), then stretched."""
+    points, triangles = icosahedron()
+    for _ in range(levels):
+        n = len(points)
+        start, end = triangles.ravel(), np.roll(triangles, -1, axis=1).ravel()
+        keys = np.minimum(start, end) * n + np.maximum(start, end)
+        unique, inverse = np.unique(keys, return_inverse=True)
+        middle = points[unique // n] + points[unique % n]
+        points = np.concatenate([points, middle / np.linalg.norm(middle, axis=1)[:, None]])
+        ab, bc, ca = (n + inverse.reshape(-1, 3)).T
+        a, b, c = triangles.T
+        parts = [(a, ab, ca), (b, bc, ab), (c, ca, bc), (ab, bc, ca)]
+        triangles = np.concatenate([np.stack(t, axis=1) for t in parts])
+    return points * np.array(semi_axes), triangles
+
+
+def torus(major: float = 0.05, minor: float = 0.02, n: int = 24, m: int = 12) -> tuple[Array, Index]:
+    """A torus of n x m nodes about the z axis: genus 1."""
+    u, v = np.meshgrid(2 * np.pi * np.arange(n) / n, 2 * np.pi * np.arange(m) / m, indexing="ij")
+    ring = major + minor * np.cos(v)
+    points = np.stack([ring * np.cos(u), ring * np.sin(u), minor * np.sin(v)], axis=2).reshape(-1, 3)
+    i, j = np.meshgrid(np.arange(n), np.arange(m), indexing="ij")
+    a, b = i * m + j, (i + 1) % n * m + j
+    c, d = (i + 1) % n * m + (j + 1) % m, i * m + (j + 1) % m
+    triangles = np.concatenate([np.stack([a, b, c], axis=2), np.stack([a, c, d], axis=2)]).reshape(-1, 3)
+    return points, triangles
+
+
+def box(n: int = 4, size: tuple[float, float, float] = (1.0, 1.0, 1.0)) -> tuple[Array, Index]:
+    """The surface of a box, n x n squares of two triangles per face."""
+    corners: dict[tuple[int, int, int], int] = {}
+    triangles: list[tuple[int, int, int]] = []
+
+    def node(p: tuple[int, int, int]) -> int:
+        return corners.setdefault(p, len(corners))
+
+    for axis in range(3):
+        for side in (0, n):
+            for i in range(n):
+                for j in range(n):
+                    square = []
+                    for di, dj in ((0, 0), (1, 0), (1, 1), (0, 1)):
+                        p = [0, 0, 0]
+                        p[axis], p[(axis + 1) % 3], p[(axis + 2) % 3] = side, i + di, j + dj
+                        square.append(node((p[0], p[1], p[2])))
+                    a, b, c, d = square if side else square[::-1]
+                    triangles += [(a, b, c), (a, c, d)]
+    points = np.array(list(corners), dtype=np.float64) / n * np.array(size)
+    return points, np.array(triangles)

@@ -1,0 +1,50 @@
+"""The model made consistent: a membrane on a foundation with exact area vectors, symmetric and convergent."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+
+from vdm.constraints import Load
+from vdm.formulations.base import ScalarFormulation
+from vdm.material import ParameterError, Parameters, per_item
+from vdm.surface import SurfaceMesh
+
+Array = NDArray[np.float64]
+
+
+class ConsistentFormulation(ScalarFormulation):
+    """`k a_i L_i + T (Lc L)_i - a_i dP = a_i rho g delta_i + F_i . n_i`, `sum a_i L_i = 0`.
+
+    L_i is the displacement along n_i = g_i / |g_i| and a_i = |g_i| stands wherever an area does, so that
+    `sum a_i L_i` is the exact first-order change of volume. Lc is the cotangent Laplacian (negative weights set to
+    zero), for which T does not depend on the mesh. The contact's force is projected on the normal; it is
+    -a_i p_i where only a nodal pressure is given.
+
+    Raises
+    ------
+    ParameterError
+        k or T missing, of the wrong length, or both zero.
+    """
+
+    name = "consistent"
+
+    def __init__(self, surface: SurfaceMesh, parameters: Parameters) -> None:
+        super().__init__(surface, parameters)
+        foundation = per_item(parameters.foundation, "foundation", surface.n_nodes, self.name)
+        tension = per_item(parameters.surface_tension, "surface_tension", len(surface.edges), self.name)
+        if not (foundation.any() or tension.any()):
+            raise ParameterError("foundation and surface_tension are both zero; make one positive")
+        areas = surface.vector_areas
+        self.scale = np.ones(surface.n_nodes)
+        membrane = surface.laplacian(tension * surface.cotangent_weights)
+        self.operator = sparse.csr_array(membrane + sparse.diags_array(foundation * areas))
+        self.columns = areas[:, None, None]
+        self.rows = self.columns
+        self.corner = np.zeros((1, 1))
+
+    def contact_force(self, load: Load) -> Array:
+        if load.contact_force is None:
+            return (-self.surface.vector_areas * load.contact_pressure)[:, None]
+        return np.einsum("ic,ic->i", load.contact_force, self.surface.normals)[:, None]

@@ -1,0 +1,181 @@
+"""Three unknowns per node: the fluid pushes along the normal, the skin's tension acts in every direction."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+
+from vdm.constraints import Load
+from vdm.formulations.base import Factor, Formulation, Mask
+from vdm.material import ParameterError, Parameters, per_item
+from vdm.solvers.cholesky import Cholesky
+from vdm.surface import SurfaceMesh
+
+Array = NDArray[np.float64]
+
+
+class VectorFormulation(Formulation):
+    """Stationary point of
+
+    `1/2 k sum a_i (u_i.n_i)^2 + 1/2 T min_omega sum w_ij |u_i - u_j - omega x (x_i - x_j)|^2
+    + 1/2 E_s sum w_ij ((u_i - u_j).e_ij)^2 - sum (dP + rho g delta_i) g_i.u_i - sum F_i.u_i`
+
+    under `sum g_i.u_i = 0`, with cotangent weights w_ij (negative ones set to zero). `Parameters.rotation`:
+
+    - "none": omega = 0, every rotation costs energy;
+    - "global": one omega for the body, three border unknowns beside dP;
+    - "nodal": one omega_i per node over the edges that meet there (each edge counted half at either end),
+      eliminated node by node: resists bending and leaves rigid motion free.
+
+    With k = E_s = 0 and no nodal rotation, the three components share one scalar (N, N) factor.
+
+    Raises
+    ------
+    ParameterError
+        T missing, a parameter of the wrong length, or all of them zero.
+    """
+
+    name = "vector"
+    components = 3
+
+    def __init__(self, surface: SurfaceMesh, parameters: Parameters) -> None:
+        super().__init__(surface, parameters)
+        n_edges = len(surface.edges)
+        tension = per_item(parameters.surface_tension, "surface_tension", n_edges, self.name)
+        foundation = per_item(parameters.foundation, "foundation", surface.n_nodes, self.name, 0.0)
+        stretch = per_item(parameters.stretch_stiffness, "stretch_stiffness", n_edges, self.name, 0.0)
+        if not (tension.any() or stretch.any()):
+            raise ParameterError("surface_tension and stretch_stiffness are both zero; make one positive")
+        weights = tension * surface.cotangent_weights
+        self.tension = surface.laplacian(weights)
+        # (3N, 3N) part that couples the components, None where one scalar factor serves all three
+        self.coupling: sparse.csr_array | None = None
+        if parameters.rotation == "nodal" or foundation.any() or stretch.any():
+            blocks = np.einsum(
+                "e,ea,eb->eab", stretch * surface.cotangent_weights, *2 * (edge_directions(surface),)
+            )
+            normal = surface.area_vectors / np.sqrt(surface.vector_areas)[:, None]
+            diagonal = np.einsum("n,na,nb->nab", foundation, normal, normal)
+            self.coupling = block_laplacian(surface, blocks) + block_diagonal(diagonal)
+            if parameters.rotation == "nodal":
+                self.coupling = self.coupling - nodal_rotation_relief(surface, weights)
+        pressure = surface.area_vectors[:, :, None]
+        self.columns, self.corner = pressure, np.zeros((1, 1))
+        if parameters.rotation == "global":
+            self.columns, self.corner = self._with_global_rotation(pressure, weights)
+        self.rows = self.columns
+
+    def _with_global_rotation(self, pressure: Array, weights: Array) -> tuple[Array, Array]:
+        """Border of (dP, omega): stationarity in omega reads `sum_e w d x (u_i - u_j) = T J omega`."""
+        surface = self.surface
+        centred = surface.points - surface.points.mean(axis=0)
+        pull = self.tension @ centred
+        # column k is the tension force of the rotation e_k: L (e_k x X) = e_k x (L X)
+        columns = np.stack([np.cross(axis, pull) for axis in np.eye(3)], axis=2)
+        corner = np.zeros((4, 4))
+        corner[1:, 1:] = -edge_inertia(edge_vectors(surface), weights).sum(axis=0)
+        return np.concatenate([pressure, columns], axis=2), corner
+
+    def apply(self, x: Array) -> Array:
+        force = np.asarray(self.tension @ x)
+        if self.coupling is not None:
+            force = force + (self.coupling @ x.reshape(-1)).reshape(-1, 3)
+        return force
+
+    def factor(self, free: Mask) -> Factor:
+        if self.coupling is None:
+            return SharedFactor(Cholesky(self.tension[free][:, free]))
+        dofs = np.repeat(free, 3)
+        return Cholesky(self.stiffness()[dofs][:, dofs])
+
+    def stiffness(self) -> sparse.csr_array:
+        matrix = sparse.csr_array(sparse.kron(self.tension, sparse.eye_array(3), format="csr"))
+        return matrix if self.coupling is None else sparse.csr_array(matrix + self.coupling)
+
+    def contact_force(self, load: Load) -> Array:
+        if load.contact_force is None:
+            return -self.surface.area_vectors * load.contact_pressure[:, None]
+        return load.contact_force
+
+    def unknown(self, displacement: Array) -> Array:
+        return displacement
+
+    def displacement(self, x: Array) -> Array:
+        return x
+
+    def nodal_force(self, generalised: Array) -> Array:
+        return generalised
+
+
+class SharedFactor:
+    """One scalar factor for three components: right-hand sides (3 n,) or (3 n, m), three per node."""
+
+    def __init__(self, factor: Cholesky) -> None:
+        self.factor = factor
+
+    def solve(self, right_hand_side: Array) -> Array:
+        """The solution, same shape, all components in one pass through the factor."""
+        return self.factor.solve(right_hand_side.reshape(self.factor.size, -1)).reshape(right_hand_side.shape)
+
+
+def edge_vectors(surface: SurfaceMesh) -> Array:
+    """(E, 3) x_i - x_j [m] of `surface.edges`."""
+    i, j = surface.edges.T
+    return surface.points[i] - surface.points[j]
+
+
+def edge_directions(surface: SurfaceMesh) -> Array:
+    """(E, 3) unit vectors along the edges."""
+    vectors = edge_vectors(surface)
+    directions: Array = vectors / np.linalg.norm(vectors, axis=1)[:, None]
+    return directions
+
+
+def edge_inertia(vectors: Array, weights: Array) -> Array:
+    """(E, 3, 3) w (|d|^2 I - d d^T): the quadratic form of omega -> w |omega x d|^2."""
+    square = np.einsum("ec,ec->e", vectors, vectors)
+    form = square[:, None, None] * np.eye(3) - vectors[:, :, None] * vectors[:, None, :]
+    inertia: Array = weights[:, None, None] * form
+    return inertia
+
+
+def block_diagonal(blocks: Array) -> sparse.csr_array:
+    """(3N, 3N) of (N, 3, 3) blocks."""
+    n = len(blocks)
+    matrix = sparse.bsr_array((blocks, np.arange(n), np.arange(n + 1)), shape=(3 * n, 3 * n))
+    return sparse.csr_array(matrix)
+
+
+def block_laplacian(surface: SurfaceMesh, blocks: Array) -> sparse.csr_array:
+    """(3N, 3N) matrix of sum_e (u_i - u_j)^T B_e (u_i - u_j), blocks (E, 3, 3)."""
+    incidence = sparse.kron(_incidence(surface), sparse.eye_array(3), format="csr")
+    return sparse.csr_array(incidence.T @ block_diagonal(blocks) @ incidence)
+
+
+def nodal_rotation_relief(surface: SurfaceMesh, weights: Array) -> sparse.csr_array:
+    """(3N, 3N) energy that free rotations omega_i take off the tension: 1/2 sum_i b_i^T J_i^-1 b_i, twice.
+
+    b_i = sum_j w_ij d_ij x (u_i - u_j) and J_i = sum_j w_ij (|d|^2 I - d d^T) over the edges of node i; every
+    edge counts half at either end.
+    """
+    n = surface.n_nodes
+    vectors = edge_vectors(surface)
+    inertia = edge_inertia(vectors, weights).reshape(-1, 9)
+    touch = sparse.csr_array(abs(_incidence(surface)).T)
+    inverse = np.linalg.inv((touch @ inertia).reshape(n, 3, 3))
+    cross = np.zeros((len(vectors), 3, 3))
+    x, y, z = (weights[:, None] * vectors).T
+    cross[:, 0, 1], cross[:, 0, 2], cross[:, 1, 2] = -z, y, -x
+    cross -= cross.transpose(0, 2, 1)
+    turning = sparse.kron(touch, sparse.eye_array(3), format="csr") @ block_diagonal(cross)
+    turning = turning @ sparse.kron(_incidence(surface), sparse.eye_array(3), format="csr")
+    return sparse.csr_array(0.5 * (turning.T @ block_diagonal(inverse) @ turning))
+
+
+def _incidence(surface: SurfaceMesh) -> sparse.csr_array:
+    """(E, N) with +1 at the first and -1 at the second node of each edge."""
+    n_edges = len(surface.edges)
+    values = np.tile([1.0, -1.0], n_edges)
+    indices, indptr = surface.edges.ravel(), np.arange(0, 2 * n_edges + 1, 2)
+    return sparse.csr_array((values, indices, indptr), shape=(n_edges, surface.n_nodes))
