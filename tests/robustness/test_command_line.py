@@ -1,0 +1,322 @@
+"""The command line on good days and bad ones: exit codes, one clear line, nothing lost."""
+
+from __future__ import annotations
+
+import fcntl
+import json
+import os
+import shutil
+import signal
+import subprocess
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from studies import store
+from tests.command import SCRIPT, vdmbench, write_study
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A directory with a study of two cases, run once."""
+    directory = tmp_path_factory.mktemp("finished")
+    write_study(directory, sweep=("[load]", '[sweep]\n"tissue.poisson_ratio" = [0.45, 0.49]\n[load]'))
+    result = vdmbench("run", "small.toml", cwd=directory)
+    assert result.returncode == 0, result.stderr
+    return directory
+
+
+@pytest.fixture
+def copy(finished: Path, tmp_path: Path) -> Path:
+    """The same, to be broken."""
+    return Path(shutil.copytree(finished, tmp_path / "copy"))
+
+
+RUN = Path("results/runs/small")
+
+
+def test_a_run_leaves_all_that_the_contract_names(finished: Path) -> None:
+    run = finished / RUN
+    for name in ("study.toml", "resolved.toml", "plan.json", "study.h5", "metrics.csv", "report.html"):
+        assert (run / name).stat().st_size > 0, name
+    assert len(list((run / "cases").glob("*.vtkhdf"))) == 2
+    assert len(list((finished / "results/cache/meshes").glob("*.npz"))) == 1, "both cases share a mesh"
+    assert (run / "study.toml").read_text() == (finished / "small.toml").read_text()
+
+
+def test_resolved_toml_says_the_same(finished: Path) -> None:
+    resolved = finished / RUN / "resolved.toml"
+    a, b = (json.loads(vdmbench("plan", p, "--json", cwd=finished).stdout) for p in ("small.toml", resolved))
+    assert [case["hash"] for case in a["cases"]] == [case["hash"] for case in b["cases"]]
+
+
+def test_numbers_are_plausible(finished: Path) -> None:
+    for case in store.read_run(finished / RUN).cases:
+        paper, fem = case.models["vdm-paper"], case.models["fem-linear"]
+        error = case.metrics["vdm-paper"]["relative_l2_displacement_error"].values
+        assert 0.3 < error[-1] < 1.0, "VDM as printed is far off, but not in the wrong direction"
+        np.testing.assert_allclose(error[0], error[1], rtol=1e-9, atol=0, err_msg="both models are linear")
+        np.testing.assert_allclose(fem.reaction_force[-1].sum(axis=0)[2], 0.1, rtol=1e-3, atol=0)
+        top = np.argmax(case.points[:, 2])
+        assert fem.displacement[-1, top, 2] < 0
+        assert paper.displacement[-1, top, 2] < 0
+
+
+def test_a_second_run_does_nothing_again(copy: Path) -> None:
+    before = {path: path.stat().st_mtime_ns for path in (copy / RUN / "cases").iterdir()}
+    result = vdmbench("run", "small.toml", cwd=copy)
+    assert result.returncode == 0
+    assert "done " not in result.stderr, "no case was run"
+    assert {path: path.stat().st_mtime_ns for path in (copy / RUN / "cases").iterdir()} == before
+    plan = vdmbench("plan", "small.toml", cwd=copy).stdout
+    assert "to run: 0 cases, 0 meshes" in plan
+
+
+def test_only_what_is_missing_is_run(copy: Path) -> None:
+    cases = sorted((copy / RUN / "cases").iterdir())
+    kept = cases[1].stat().st_mtime_ns
+    cases[0].unlink()
+    assert "1 done, 0 failed, 0 damaged, 1 missing" in vdmbench("status", RUN, cwd=copy).stdout
+    assert vdmbench("run", "small.toml", cwd=copy).returncode == 0
+    assert cases[0].exists()
+    assert cases[1].stat().st_mtime_ns == kept
+
+
+def test_one_more_value_costs_one_more_case(copy: Path) -> None:
+    text = (copy / "small.toml").read_text()
+    (copy / "small.toml").write_text(text.replace("[0.45, 0.49]", "[0.45, 0.47, 0.49]"))
+    plan = json.loads(vdmbench("plan", "small.toml", "--json", cwd=copy).stdout)
+    assert (plan["cases_to_run"], plan["meshes_to_make"]) == (1, 0)
+
+
+def test_fresh_runs_everything_again(copy: Path) -> None:
+    before = {path: path.stat().st_mtime_ns for path in (copy / RUN / "cases").iterdir()}
+    assert vdmbench("run", "small.toml", "--fresh", cwd=copy).returncode == 0
+    after = {path: path.stat().st_mtime_ns for path in (copy / RUN / "cases").iterdir()}
+    assert after.keys() == before.keys()
+    assert all(after[path] > before[path] for path in before)
+
+
+def test_shards_share_the_work(copy: Path) -> None:
+    shutil.rmtree(copy / RUN / "cases")
+    assert vdmbench("run", "small.toml", "--shard", "1/2", cwd=copy).returncode == 0
+    assert "1 done, 0 failed, 0 damaged, 1 missing" in vdmbench("status", RUN, cwd=copy).stdout
+    assert vdmbench("run", "small.toml", "--shard", "2/2", cwd=copy).returncode == 0
+    assert "2 done" in vdmbench("status", RUN, cwd=copy).stdout
+
+
+def test_numbers_do_not_depend_on_the_number_of_jobs(copy: Path, finished: Path) -> None:
+    shutil.rmtree(copy / RUN / "cases")
+    assert vdmbench("run", "small.toml", "--jobs", "1", cwd=copy).returncode == 0
+    for a, b in zip(store.read_run(copy / RUN).cases, store.read_run(finished / RUN).cases, strict=True):
+        for name in a.models:
+            # threads may add up in another order
+            np.testing.assert_allclose(
+                a.models[name].displacement, b.models[name].displacement, rtol=0, atol=1e-12 * 0.05
+            )
+
+
+def test_the_report_is_rebuilt_from_a_copied_directory(copy: Path, tmp_path: Path) -> None:
+    elsewhere = Path(shutil.copytree(copy / RUN, tmp_path / "elsewhere"))
+    (elsewhere / "report.html").unlink()
+    result = vdmbench("report", "elsewhere", cwd=tmp_path)
+    assert result.returncode == 0, result.stderr
+    assert (elsewhere / "report.html").stat().st_size > 10_000
+    rows = json.loads(vdmbench("report", "elsewhere", "--json", cwd=tmp_path).stdout)
+    assert [row["Model"].split()[0] for row in rows["headline"]] == ["vdm-paper", "fem-linear"]
+
+
+@pytest.mark.parametrize("verb", ["list", "doctor", "check small.toml", "plan small.toml", f"status {RUN}"])
+def test_every_verb_speaks_json(finished: Path, verb: str) -> None:
+    result = vdmbench(*verb.split(), "--json", cwd=finished)
+    assert result.returncode == 0, result.stderr
+    assert json.loads(result.stdout)
+
+
+def test_list_names_the_shipped_studies(tmp_path: Path) -> None:
+    titles = json.loads(vdmbench("list", "--json", cwd=tmp_path).stdout)
+    assert {"quickstart", "liver-palpation", "poisson-sweep", "mesh-sweep"} <= titles.keys()
+    for name in titles:
+        assert vdmbench("check", name, cwd=tmp_path).returncode == 0, name
+
+
+# --- mistakes ---
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ([], "required"),
+        (["fly"], "invalid choice"),
+        (["run"], "required"),
+        (["run", "small.toml", "--jobs", "0"], "1 or more"),
+        (["run", "small.toml", "--jobs", "many"], "invalid"),
+        (["run", "small.toml", "--shard", "3/2"], "1 <= I <= N"),
+        (["run", "small.toml", "--timeout", "-1"], "more than 0"),
+        (["run", "sphere"], "no shipped study of that name"),
+        (["run", "../cases/quickstart"], "no shipped study"),
+        (["check", "nowhere.toml"], "no such file"),
+        (["check", "small.toml", "--surface", "nowhere.stl"], "does not exist"),
+    ],
+)
+def test_usage_mistakes(tmp_path: Path, arguments: list[str], words: str) -> None:
+    write_study(tmp_path)
+    result = vdmbench(*arguments, cwd=tmp_path)
+    assert result.returncode == 2
+    assert words in result.stderr
+    assert not (tmp_path / "results").exists(), "nothing was begun"
+
+
+def test_every_problem_of_a_study_at_once(tmp_path: Path) -> None:
+    write_study(
+        tmp_path,
+        a=('"5 kPa"', '"5 kg"'),
+        b=("poisson_ratio = 0.49", "poisson_ratio = 0.6"),
+        c=("mesh_size", "mesh_sice"),
+        d=('region = "finger"', 'region = "thumb"'),
+    )
+    result = vdmbench("check", "small.toml", cwd=tmp_path)
+    assert result.returncode == 2
+    lines = result.stderr.splitlines()
+    assert len(lines) >= 4
+    for words in ("youngs_modulus", "poisson_ratio", "mesh_size", "thumb"):
+        assert any(words in line and "small.toml:" in line for line in lines), words
+    problems = json.loads(vdmbench("check", "small.toml", "--json", cwd=tmp_path).stdout)["problems"]
+    assert {problem["line"] for problem in problems} >= {11, 14, 15}
+
+
+def test_a_mesh_that_cannot_be_made_is_found_before_the_run(tmp_path: Path) -> None:
+    write_study(tmp_path, a=('"16 mm"', '"0.05 mm"'))
+    for verb in ("check", "plan", "run"):
+        result = vdmbench(verb, "small.toml", cwd=tmp_path)
+        assert result.returncode == 2, verb
+        assert "nodes" in result.stderr
+
+
+def test_a_bad_case_costs_itself_only(tmp_path: Path) -> None:
+    # at 3 degrees no facet of the coarse mesh lies in the cap
+    write_study(tmp_path, a=("[load]", '[sweep]\n"regions.finger.cap.angle" = ["2 deg", "30 deg"]\n[load]'),
+                b=('profile = "hertz"', 'profile = "uniform"'))  # fmt: skip
+    result = vdmbench("run", "small.toml", cwd=tmp_path)
+    assert result.returncode == 3
+    assert "1 done, 1 failed, 0 missing" in result.stdout
+    assert "finger" in result.stderr
+    assert (tmp_path / RUN / "report.html").exists()
+    status = json.loads(vdmbench("status", RUN, "--json", cwd=tmp_path).stdout)
+    assert len(status["failed"]) == 1
+    assert status["failed"][0]["message"]
+    # the failure is tried again, the success is not
+    again = vdmbench("run", "small.toml", cwd=tmp_path)
+    assert again.returncode == 3
+    assert again.stderr.count("failed ") == 1
+    assert "done angle" not in again.stderr
+
+
+def test_a_timeout_is_a_failure_with_a_remedy(tmp_path: Path) -> None:
+    write_study(tmp_path, a=('"16 mm"', '"5 mm"'))
+    result = vdmbench("run", "small.toml", "--timeout", "0.7", cwd=tmp_path)
+    assert result.returncode == 3
+    assert "stopped after 0.7 s; allow more with --timeout" in result.stderr
+
+
+def test_damage_is_named_and_mended(copy: Path) -> None:
+    case = sorted((copy / RUN / "cases").iterdir())[0]
+    case.write_bytes(case.read_bytes()[:5000])
+    status = vdmbench("status", RUN, cwd=copy)
+    assert status.returncode == 5
+    assert "1 damaged" in status.stdout
+    report = vdmbench("report", RUN, cwd=copy)
+    assert report.returncode == 5
+    assert case.name in report.stderr
+    assert vdmbench("run", "small.toml", cwd=copy).returncode == 0, "run makes it anew"
+    assert vdmbench("status", RUN, cwd=copy).returncode == 0
+
+
+def test_a_damaged_mesh_is_made_again(copy: Path) -> None:
+    mesh = next((copy / "results/cache/meshes").iterdir())
+    mesh.write_bytes(mesh.read_bytes()[:1000])
+    result = vdmbench("run", "small.toml", "--fresh", cwd=copy)
+    assert result.returncode == 0, result.stderr
+
+
+@pytest.mark.parametrize("verb", ["status", "report"])
+def test_a_directory_without_a_run(tmp_path: Path, verb: str) -> None:
+    result = vdmbench(verb, tmp_path, cwd=tmp_path)
+    assert result.returncode == 5
+    assert "not a run directory" in result.stderr
+
+
+def test_two_runs_in_one_directory(copy: Path) -> None:
+    with (copy / RUN / ".lock").open("a+") as file:
+        fcntl.flock(file, fcntl.LOCK_EX)
+        result = vdmbench("run", "small.toml", cwd=copy)
+    assert result.returncode == 2
+    assert "another run is at work" in result.stderr
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="root may write everywhere")
+def test_a_read_only_directory(tmp_path: Path) -> None:
+    write_study(tmp_path)
+    (tmp_path / "results").mkdir(mode=0o500)
+    result = vdmbench("run", "small.toml", cwd=tmp_path)
+    assert result.returncode == 4
+    assert "Permission denied" in result.stderr
+
+
+def test_results_that_cannot_be_written(tmp_path: Path) -> None:
+    write_study(tmp_path)
+    (tmp_path / "results").write_text("a file where a directory should be")
+    result = vdmbench("run", "small.toml", cwd=tmp_path)
+    assert result.returncode == 4
+    assert "results" in result.stderr
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_an_interrupted_run_goes_on(tmp_path: Path, number: signal.Signals) -> None:
+    write_study(
+        tmp_path,
+        a=("[load]", '[sweep]\n"tissue.poisson_ratio" = { start = 0.3, stop = 0.49, num = 6 }\n[load]'),
+        b=('"16 mm"', '"9 mm"'),
+    )
+    process = subprocess.Popen(
+        [SCRIPT, "run", "small.toml", "--jobs", "1"], cwd=tmp_path, stderr=subprocess.PIPE, text=True
+    )
+    cases = tmp_path / RUN / "cases"
+    deadline = time.monotonic() + 120
+    while not (cases.exists() and list(cases.glob("*.vtkhdf"))):
+        assert time.monotonic() < deadline
+        time.sleep(0.05)
+    process.send_signal(number)
+    _, stderr = process.communicate(timeout=60)
+    assert process.returncode == 130
+    assert "interrupted" in stderr
+    assert "Traceback" not in stderr
+    done = len(list(cases.glob("*.vtkhdf")))
+    assert 1 <= done < 6
+    assert not [path for path in cases.iterdir() if path.suffix != ".vtkhdf"], "nothing half-written is left"
+    result = vdmbench("run", "small.toml", cwd=tmp_path)
+    assert result.returncode == 0
+    assert result.stderr.count("done poisson_ratio") == 6 - done
+
+
+def test_output_into_a_closed_pipe(finished: Path) -> None:
+    process = subprocess.run(
+        f"'{SCRIPT}' plan small.toml | true", shell=True, cwd=finished, capture_output=True, text=True
+    )
+    assert process.stderr == ""
+
+
+def test_no_reference_no_volume(tmp_path: Path) -> None:
+    write_study(
+        tmp_path, a=('["vdm-paper", "fem-linear"]', '["vdm-paper"]'), b=('reference = "fem-linear"\n', "")
+    )
+    plan = vdmbench("plan", "small.toml", cwd=tmp_path).stdout
+    assert "skipped: tetrahedra" in plan
+    result = vdmbench("run", "small.toml", cwd=tmp_path)
+    assert result.returncode == 0, result.stderr
+    case = store.read_run(tmp_path / RUN).cases[0]
+    assert case.reference is None
+    assert case.mesh_quality["tetrahedra"] == 0
+    assert set(case.metrics["vdm-paper"]) == {"volume_drift", "volume_drift_of_displaced"}
