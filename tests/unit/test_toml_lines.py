@@ -54,7 +54,7 @@ def paths_of(value: Any, path: tuple[str | int, ...] = ()) -> set[tuple[str | in
 def test_every_kind_of_key_is_on_its_line() -> None:
     lines = key_lines(TEXT)
     assert set(lines) == paths_of(tomllib.loads(TEXT))
-    source = [""] + TEXT.split("\n")
+    source = ["", *TEXT.split("\n")]
     expected = {
         ("title",): 2,
         ("quoted.dot",): 3,

@@ -1,0 +1,331 @@
+"""Every mistake in a study file is told with its line, its key and a sentence that helps."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from studies.config import StudyError, load_study
+
+from .study_texts import SMALL, problems
+
+
+def test_every_problem_at_once_in_the_order_of_the_file(tmp_path: Path) -> None:
+    text = """\
+[study]
+name = "../x"
+models = ["vdm-papr", "fem", "fem"]
+reference = "fem-linear"
+[geometry]
+shape = "sphere"
+radius = 50
+semi_axes = [1, 2]
+mesh_sise = 1
+[tissue]
+youngs_modulus = true
+poisson_ratio = 0.51
+density = "5 m"
+[regions.a]
+below = { axis = "w", fraction = 0.1 }
+[regions.b]
+all = [ "a",
+  "c" ]
+[[constraints]]
+kind = "contact"
+region = "d"
+pressure = "1 Pa"
+force = "1 N"
+[[constraints]]
+name = "d"
+kind = "fixed"
+region = "a"
+profile = "hertz"
+[sweep]
+"tissue.poison_ratio" = [0.3]
+"""
+    found = problems(tmp_path, text)
+    assert [(line, key) for line, key, _ in found] == [
+        (2, "study.name"),
+        (3, "study.models[2]"),
+        (3, "study.models[0]"),
+        (4, "study.reference"),
+        (5, "geometry.mesh_size"),
+        (8, "geometry.semi_axes"),
+        (9, "geometry.mesh_sise"),
+        (11, "tissue.youngs_modulus"),
+        (12, "tissue.poisson_ratio"),
+        (13, "tissue.density"),
+        (15, "regions.a.below.axis"),
+        (18, "regions.b.all[1]"),
+        (19, "constraints.d"),
+        (21, "constraints.d.region"),
+        (25, "constraints.d.name"),
+        (28, "constraints.d.profile"),
+        (30, 'sweep."tissue.poison_ratio"'),
+    ]
+    messages = "\n".join(message for _, _, message in found)
+    for hint in ("vdm-paper", "mesh_size", "tissue.poisson_ratio"):
+        assert f'did you mean "{hint}"?' in messages
+
+
+def line_of(text: str, start: str) -> int:
+    return next(n for n, line in enumerate(text.split("\n"), start=1) if line.startswith(start))
+
+
+CASES = {
+    # change of SMALL: (old, new), line start that is blamed, key, part of the message
+    "unknown key": ("= 5e3", "= 5e3\ndensty = 1000", "densty", "tissue.densty", 'did you mean "density"?'),
+    "unknown table": ("[tissue]", "[tisue]\n[tissue]", "[tisue]", "tisue", 'did you mean "tissue"?'),
+    "unknown choice": ('"sphere"', '"spere"', "shape", "geometry.shape", 'did you mean "sphere"?'),
+    "choice of a wrong type": ('"sphere"', "3", "shape", "geometry.shape", "must be one of sphere, "),
+    "missing key": ('name = "small"', "", "[study]", "study.name", "is missing: names the run directory"),
+    "missing for the shape": ("radius = 0.05", "", "[geometry]", "geometry.radius", "a sphere needs"),
+    "unused by the shape": (
+        "radius = 0.05",
+        "radius = 0.05\nlength = 1",
+        "length",
+        "geometry.length",
+        "has no length",
+    ),
+    "text for a table": ("[load]", "load = 'x'", "load", "load", "must be a table, not a text"),
+    "bool as number": ("radius = 0.05", "radius = true", "radius", "geometry.radius", "not true or false"),
+    "nan": ("= 5e3", "= nan", "youngs", "tissue.youngs_modulus", "finite"),
+    "overflow": ("= 5e3", "= 1e999", "youngs", "tissue.youngs_modulus", "finite"),
+    "E of zero": ("= 5e3", "= 0", "youngs", "tissue.youngs_modulus", "must be positive, not 0"),
+    "E in kPa": ("= 5e3", "= 5", "youngs", "tissue.youngs_modulus", "mixed-up unit"),
+    "nu too large": ("= 0.45", "= 0.5000001", "poisson", "tissue.poisson_ratio", "at most 0.5"),
+    "nu of -1": ("= 0.45", "= -1", "poisson", "tissue.poisson_ratio", "above -1"),
+    "density in g/cm^3": ("= 0.45", "= 0.45\ndensity = 1.06", "density", "tissue.density", "mixed-up unit"),
+    "radius in mm": ("radius = 0.05", "radius = 50", "radius", "geometry.radius", "100 m across"),
+    "radius in km": ("radius = 0.05", "radius = 0.0004", "radius", "geometry.radius", "mixed-up unit"),
+    "coarse mesh": ("= 0.006", "= 0.06", "mesh_size", "geometry.mesh_size", "too large for a body"),
+    "angle in degrees": ("angle = 0.4", "angle = 25", "cap", "regions.tip.cap.angle", 'write "25 deg"'),
+    "zero direction": ("[0, 0, 1]", "[0, 0, 0]", "cap", "regions.tip.cap.direction", "zero vector"),
+    "vector of two": (
+        "[0, 0, 1]",
+        "[0, 1]",
+        "cap",
+        "regions.tip.cap.direction",
+        "must have 3 numbers, not 2",
+    ),
+    "item of a vector": ("[0, 0, 1]", "[0, '1 m', 1]", "cap", "regions.tip.cap.direction", "item 2: "),
+    "fraction": ("= 0.15", "= 1.5", "below", "regions.base.below.fraction", "between 0 and 1"),
+    "half-space twice": (
+        "= 0.15",
+        "= 0.15, value = 1",
+        "below",
+        "regions.base.below",
+        "either fraction or value",
+    ),
+    "pressure in kPa": (
+        "pressure = 200",
+        "pressure = 2e5",
+        "pressure",
+        "constraints.tip.pressure",
+        "mixed-up unit",
+    ),
+    "force": ("pressure = 200", "force = 2e5", "force", "constraints.tip.force", "mixed-up unit"),
+    "region twice": (
+        "[regions.tip]",
+        "[regions.tip]\ngroup = 'a'",
+        "[regions.tip]",
+        "regions.tip",
+        "exactly one of",
+    ),
+    "region empty": (
+        "[regions.tip]",
+        "[regions.x]\n[regions.tip]",
+        "[regions.x]",
+        "regions.x",
+        "exactly one of",
+    ),
+    "empty list of regions": (
+        "[tissue]",
+        "[regions.x]\nany = []\n[tissue]",
+        "any",
+        "regions.x.any",
+        "at least 1 item",
+    ),
+    "unsafe region": (
+        "[tissue]",
+        "[regions.'<b>']\ngroup = 'a'\n[tissue]",
+        "[regions.'<",
+        'regions."<b>"',
+        "not a usable",
+    ),
+    "unknown region": (
+        'region = "tip"',
+        'region = "tp"',
+        'region = "tp"',
+        "constraints.tp.region",
+        'mean "tip"?',
+    ),
+    "contact without region": (
+        'region = "tip"\n',
+        "",
+        '[[constraints]]\nkind = "contact"',
+        "constraints[1].region",
+        "is missing",
+    ),
+    "contact without load": (
+        "pressure = 200",
+        "",
+        '[[constraints]]\nkind = "contact"',
+        "constraints.tip",
+        "either pressure or force",
+    ),
+    "load on fixed": ('"contact"', '"fixed"', "pressure", "constraints.tip.pressure", "has no pressure"),
+    "unknown kind": (
+        '"contact"',
+        '"kontact"',
+        'kind = "k',
+        "constraints.tip.kind",
+        'did you mean "contact"?',
+    ),
+    "kind free": ('"contact"', '"free"', 'kind = "free', "constraints.tip.kind", "unknown choice"),
+    "constrained without": (
+        'kind = "fixed"',
+        'kind = "constrained"',
+        "[[constraints]]",
+        "constraints.base.displacement",
+        "is missing",
+    ),
+    "profile of a half-space": (
+        'region = "tip"',
+        'region = "base"\nname = "t"\nprofile = "hertz"',
+        "profile",
+        "constraints.t.profile",
+        "needs a region that is a cap or a ball",
+    ),
+    "two of one name": (
+        'region = "tip"',
+        'region = "tip"\nname = "base"',
+        'name = "base"',
+        "constraints.base.name",
+        "another constraint",
+    ),
+    "no models": ('["vdm-paper"]', "[]", "models", "study.models", "at least one model"),
+    "unknown model": (
+        '["vdm-paper"]',
+        '["vdm-pape"]',
+        "models",
+        "study.models[0]",
+        'did you mean "vdm-paper"?',
+    ),
+    "unknown solver": ('["vdm-paper"]', '["vdm-paper:lu"]', "models", "study.models[0]", "unknown model"),
+    "reference left out": (
+        "[geometry]",
+        'reference = "fem"\n[geometry]',
+        "reference",
+        "study.reference",
+        "not among the models",
+    ),
+    "override of another": (
+        "[tissue]",
+        "[models.fem]\npenalty = 1\n[tissue]",
+        "[models.fem]",
+        "models.fem",
+        "model of this study",
+    ),
+    "negative modulus": (
+        "[tissue]",
+        "[vdm]\nbulk_modulus = -1\n[tissue]",
+        "bulk",
+        "vdm.bulk_modulus",
+        "positive or zero",
+    ),
+    "no load factors": (
+        "[tissue]",
+        "[load]\nfactors = []\n[tissue]",
+        "factors",
+        "load.factors",
+        "at least one number",
+    ),
+    "infinite factor": (
+        "[tissue]",
+        "[load]\nfactors = [1, inf]\n[tissue]",
+        "factors",
+        "load.factors",
+        "item 2: must be a finite",
+    ),
+    "levels": (
+        "[tissue]",
+        "[uncertainty]\nlevels = 5\n[tissue]",
+        "levels",
+        "uncertainty.levels",
+        "less than or equal to 4",
+    ),
+    "levels as bool": (
+        "[tissue]",
+        "[uncertainty]\nlevels = true\n[tissue]",
+        "levels",
+        "uncertainty.levels",
+        "a whole number, not true",
+    ),
+    "levels as float": (
+        "[tissue]",
+        "[uncertainty]\nlevels = 3.5\n[tissue]",
+        "levels",
+        "uncertainty.levels",
+        "a whole number, not a number",
+    ),
+    "limits along nothing": (
+        "[tissue]",
+        "[limits]\nalong = 'constraints.tip.presure'\n[tissue]",
+        "along",
+        "limits.along",
+        'mean "constraints.tip.pressure"?',
+    ),
+    "date": ("radius = 0.05", "radius = 2020-01-02", "radius", "geometry.radius", "not a date or time"),
+    "title of two lines": (
+        'name = "small"',
+        'name = "small"\ntitle = "a\\nb"',
+        "title",
+        "study.title",
+        "one line",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_a_mistake_is_told_with_its_line_and_key(tmp_path: Path, case: str) -> None:
+    old, new, start, key, message = CASES[case]
+    text = SMALL.replace(old, new, 1) if old in SMALL else f"{new}\n{SMALL}"
+    [found] = problems(tmp_path, text)
+    before, _, second = start.partition("\n")
+    line = text[: text.index(start)].count("\n") + 1 if second else line_of(text, before)
+    assert found[:2] == (line, key)
+    assert message in found[2]
+
+
+@pytest.mark.parametrize(
+    "name", ["../x", "a/b", ".x", "", "a" * 65, "a\\u0000b", "<script>", "a b", "é", "a\\n"]
+)
+def test_unsafe_names_are_refused(tmp_path: Path, name: str) -> None:
+    [(line, key, message)] = problems(tmp_path, SMALL.replace('name = "small"', f'name = "{name}"'))
+    assert (line, key) == (2, "study.name")
+    assert "is not a usable name" in message
+    assert message.isprintable()
+
+
+def test_regions_that_refer_to_themselves_or_grow_without_end_are_refused(tmp_path: Path) -> None:
+    chain = "".join(f"[regions.r{n}]\nall = ['r{n + 1}', {{ not = 'r{n + 1}' }}]\n" for n in range(30))
+    cycle = "[regions.p]\nnot = { any = ['q'] }\n[regions.q]\nall = ['p']\n[regions.into]\nnot = 'p'\n"
+    found = problems(tmp_path, SMALL + chain + "[regions.r30]\ngroup = 'g'\n" + cycle)
+    by_key = {key: message for _, key, message in found}
+    assert {key for key, message in by_key.items() if "refers to itself" in message} == {
+        "regions.p",
+        "regions.q",
+    }
+    # r30 takes 1 step, r(n) takes 2 + 2 r(n+1): 1 + 3 (2^k - 1) steps, past 1,000 from k = 9 on
+    too_large = {key for key, message in by_key.items() if "is made of more than" in message}
+    assert {f"regions.r{n}" for n in range(22)} | {"regions.into"} == too_large
+
+
+def test_known_models_can_be_asked_for(tmp_path: Path) -> None:
+    path = tmp_path / "study.toml"
+    path.write_text(SMALL.replace("vdm-paper", "mine:fast"))
+    assert load_study(path, known_models=lambda: ["mine", "mine:fast"]).study.models == ("mine:fast",)
+    with pytest.raises(StudyError, match='did you mean "mine:slow"'):
+        load_study(path, known_models=["mine:slow"])
