@@ -2,17 +2,13 @@
 
 from __future__ import annotations
 
-import tempfile
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
-from pathlib import Path
 
 import gmsh
 import numpy as np
-
-from numpy.typing import NDArray
 
 from studies.geometry_spec import (
     Geometry,
@@ -24,8 +20,9 @@ from studies.geometry_spec import (
     extents,
 )
 from studies.intersections import without_intersections
-from studies.mesh import Array, Index, Mask, Mesh, MeshError
+from studies.mesh import Array, Index, Mesh, MeshError
 from studies.mesh_file import check_readable, read_surface, read_tetrahedra
+from studies.msh_file import read_msh
 from studies.organ import liver_points
 from studies.remesh import surface_distance, uniform_surface, unit_sphere
 from studies.repair import clean_surface, clean_tetrahedra
@@ -38,7 +35,6 @@ from studies.topology import (
 )
 
 _TRIANGLE, _TETRAHEDRON = 2, 4  # gmsh's element types
-_DIMENSIONS = ("point", "curve", "surface", "volume")
 _ORGAN_SUBDIVISIONS = 6  # 40,962 points, far finer than any mesh of it
 
 _OPTIONS = {
@@ -119,7 +115,8 @@ def _fill_surface_of_file(geometry: Geometry, volume: bool, max_nodes: int) -> M
 
 def _tetrahedra_of_file(geometry: Geometry, volume: bool, max_nodes: int) -> Mesh:
     if geometry.path.suffix.lower() == ".msh":
-        points, tetrahedra, groups = _read_msh(geometry.path)
+        check_readable(geometry.path)
+        points, tetrahedra, groups = read_msh(geometry.path)
     else:
         points, tetrahedra = read_tetrahedra(geometry.path)
         groups = {}
@@ -183,7 +180,7 @@ def _unit(extent: float) -> float:
 
 
 @contextmanager
-def _gmsh_session(task: str, mesh_size: float) -> Iterator[None]:
+def _gmsh_session(mesh_size: float) -> Iterator[None]:
     """A silent gmsh with fixed options that leaves signals alone; its errors become MeshError."""
     gmsh.initialize([], readConfigFiles=False, run=False, interruptible=False)
     try:
@@ -195,14 +192,14 @@ def _gmsh_session(task: str, mesh_size: float) -> Iterator[None]:
     except Exception as error:
         if type(error) is not Exception:  # gmsh raises nothing more specific than Exception itself
             raise
-        raise MeshError(f"gmsh cannot {task} ({error})") from error
+        raise MeshError(f"gmsh cannot mesh this geometry ({error}); try another mesh_size") from error
     finally:
         gmsh.finalize()
 
 
 def _mesh_with_gmsh(add_model: Callable[[], None], mesh_size: float, unit: float, *, volume: bool) -> Mesh:
     """Mesh the model that `add_model` makes in lengths of `unit` [m], so that no tolerance depends on its size."""
-    with _gmsh_session("mesh this geometry; try another mesh_size", mesh_size / unit):
+    with _gmsh_session(mesh_size / unit):
         add_model()
         gmsh.model.mesh.generate(3 if volume else 2)
         tags, coordinates, _ = gmsh.model.mesh.getNodes()
@@ -245,44 +242,3 @@ def _add_surface(points: Array, triangles: Index) -> None:
     gmsh.model.mesh.addElementsByType(surface, _TRIANGLE, [], (triangles + 1).ravel())
     gmsh.model.geo.addVolume([gmsh.model.geo.addSurfaceLoop([surface])])
     gmsh.model.geo.synchronize()
-
-
-def _read_msh(path: Path) -> tuple[Array, Index, dict[str, Mask]]:
-    """Points, tetrahedra and physical groups of an MSH file (versions 2 and 4, ASCII and binary).
-
-    gmsh runs what is not one of its mesh files as a script, obeys an option file beside it, and is content
-    with damaged sections: the bytes are checked first and read from a copy on its own. A group without a
-    name is called by its dimension and number, as in `surface-3`; of two with one name the lower dimension
-    counts.
-    """
-    check_readable(path)
-    data = path.read_bytes()
-    _check_msh(data)
-    with tempfile.TemporaryDirectory() as directory, _gmsh_session("read the file; it is damaged", 1.0):
-        copy = Path(directory) / "mesh.msh"
-        copy.write_bytes(data)
-        gmsh.merge(str(copy))
-        kinds = [int(kind) for kind in gmsh.model.mesh.getElementTypes(dim=3)]
-        wrong = [gmsh.model.mesh.getElementProperties(kind)[0] for kind in kinds if kind != _TETRAHEDRON]
-        if wrong:
-            raise MeshError(
-                f"holds cells of kind {', '.join(wrong)}; only four-node (first-order) tetrahedra can be used"
-            )
-        tags, coordinates, _ = gmsh.model.mesh.getNodes()
-        tetrahedra = _elements(_TETRAHEDRON, 4)
-        members: dict[str, NDArray[np.uint64]] = {}
-        for dim, tag in sorted(gmsh.model.getPhysicalGroups()):
-            name = gmsh.model.getPhysicalName(dim, tag) or f"{_DIMENSIONS[dim]}-{tag}"
-            members.setdefault(name, gmsh.model.mesh.getNodesForPhysicalGroup(dim, tag)[0])
-    order = np.argsort(tags)
-    tags, points = tags[order], coordinates.reshape(-1, 3)[order]
-    groups = {name: np.isin(tags, nodes) for name, nodes in members.items()}
-    return points, np.searchsorted(tags, tetrahedra).astype(np.int64), groups
-
-
-def _check_msh(data: bytes) -> None:
-    if not data.startswith((b"$MeshFormat", b"$Comments")):
-        raise MeshError("is not a gmsh mesh file")
-    for section in (b"Nodes", b"Elements"):
-        if b"$" + section not in data or b"$End" + section not in data:
-            raise MeshError(f"is truncated or has no {section.decode()} section; write it again")

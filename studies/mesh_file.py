@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import contextlib
 import io
+import re
 import warnings
 from collections.abc import Callable
 from pathlib import Path
@@ -14,6 +15,7 @@ import meshio
 import numpy as np
 
 from studies.mesh import Array, Index, MeshError
+from studies.ply_file import read_ply
 
 _READERS: dict[str, Callable[[str], meshio.Mesh]] = {
     ".stl": meshio.stl.read,
@@ -29,15 +31,17 @@ def read_surface(path: Path) -> tuple[Array, Index]:
 
     Raises MeshError for a missing, unreadable or truncated file and one without facets.
     """
-    if path.suffix.lower() in (".ply", ".vtp"):
-        from studies.remesh import read_polydata  # VTK knows more of these two than meshio does
+    check_readable(path)
+    suffix = path.suffix.lower()
+    if suffix == ".ply":
+        points, triangles = read_ply(path)
+    elif suffix == ".vtp":
+        from studies.remesh import read_vtp  # meshio does not know this format
 
-        check_readable(path)
-        points, triangles = read_polydata(path)
+        points, triangles = read_vtp(path)
     else:
         mesh = _read(path)
-        points = _coordinates(mesh.points)
-        triangles = _triangles(mesh)
+        points, triangles = _coordinates(mesh.points), _triangles(mesh)
     if len(triangles) == 0:
         raise MeshError("holds no facets; give the closed surface of a solid")
     return points, triangles
@@ -49,7 +53,10 @@ def read_tetrahedra(path: Path) -> tuple[Array, Index]:
     Raises MeshError for a missing, unreadable or truncated file and for other cells than four-node
     tetrahedra (facets, lines and vertices beside them are passed over).
     """
+    check_readable(path)
     mesh = _read(path)
+    if path.suffix.lower() == ".vtk":
+        _check_cell_count(path, sum(len(block.data) for block in mesh.cells))
     wrong = sorted({block.type for block in mesh.cells} - {"tetra", *_FLAT_CELLS})
     if wrong:
         raise MeshError(
@@ -77,13 +84,25 @@ def check_readable(path: Path) -> None:
 def _read(path: Path) -> meshio.Mesh:
     """Read by the format's own reader: `meshio.read` prints and ends the process where it fails."""
     suffix = path.suffix.lower()
-    check_readable(path)
+    silent = io.StringIO()
     try:
-        with warnings.catch_warnings(), contextlib.redirect_stdout(io.StringIO()):
+        with (
+            warnings.catch_warnings(),
+            contextlib.redirect_stdout(silent),
+            contextlib.redirect_stderr(silent),
+        ):
+            warnings.simplefilter("ignore")
             warnings.filterwarnings("error", message="string or file could not be read to its end")
             return _READERS[suffix](str(path))
     except Exception as error:  # meshio fails on damaged files with whatever its parsing runs into
         raise MeshError(f"cannot be read as {suffix}; it is damaged, truncated or of another kind") from error
+
+
+def _check_cell_count(path: Path, found: int) -> None:
+    """meshio does not miss the last cells of a legacy VTK file that is cut."""
+    announced = re.search(rb"^CELL_TYPES[ \t]+(\d+)", path.read_bytes(), re.MULTILINE)
+    if announced is None or int(announced[1]) != found:
+        raise MeshError("is truncated: it announces more cells than it holds")
 
 
 def _coordinates(points: object) -> Array:

@@ -8,6 +8,8 @@ from pathlib import Path
 import numpy as np
 import pyacvd
 import pyvista as pv
+from vtkmodules.vtkCommonCore import vtkLogger
+from vtkmodules.vtkIOXML import vtkXMLPolyDataReader
 
 from studies.mesh import Array, Index, MeshError
 from studies.topology import area_vectors, check_vertex_fans, consistent_orientation
@@ -18,19 +20,23 @@ _SAMPLES_PER_EDGE = 2.5
 _ATTEMPTS = 4  # with finer samples each: clusters of a coarse sample can touch themselves
 
 
-def read_polydata(path: Path) -> tuple[Array, Index]:
-    """Points (n, 3) and triangles (F, 3) of a PLY or VTP file; polygons are cut into triangles.
+def read_vtp(path: Path) -> tuple[Array, Index]:
+    """Points (n, 3) and triangles (F, 3) of a VTP file; polygons are cut into triangles.
 
-    Raises MeshError where VTK complains or finds no facets.
+    Raises MeshError where VTK has anything to complain about.
     """
-    with pv.VtkErrorCatcher(raise_errors=False, send_to_logging=False) as caught:
-        surface = pv.read(path)
+    reader = vtkXMLPolyDataReader()
+    reader.SetFileName(str(path))
+    verbosity = vtkLogger.GetCurrentVerbosityCutoff()
+    vtkLogger.SetStderrVerbosity(vtkLogger.VERBOSITY_OFF)
+    try:
+        with pv.VtkErrorCatcher(raise_errors=False, send_to_logging=False) as caught:
+            reader.Update()
+    finally:
+        vtkLogger.SetStderrVerbosity(verbosity)
     if caught.events:
-        raise MeshError("cannot be read; it is damaged or of another kind")
-    if not isinstance(surface, pv.PolyData):
-        raise MeshError("holds no surface; give the closed surface of a solid")
-    surface = surface.triangulate()
-    return _arrays(surface)
+        raise MeshError("cannot be read as .vtp; it is damaged, truncated or of another kind")
+    return _arrays(pv.PolyData(reader.GetOutput()).triangulate())
 
 
 def unit_sphere(subdivisions: int) -> tuple[Array, Index]:
