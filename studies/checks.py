@@ -106,14 +106,14 @@ def _check_geometry(geometry: Geometry) -> Iterator[Finding]:
         wanted = "three lengths, along x, y and z" if wants_list else "one length, the largest extent"
         yield ("geometry", "size"), f"a {geometry.shape} takes {wanted}"
         return
-    if not missing and not (given - needed - allowed):
+    if needed - given <= {"mesh_size"}:
         yield from _check_extent(geometry)
 
 
 def _check_extent(geometry: Geometry) -> Iterator[Finding]:
     spec = geometry_spec(geometry)
-    if None in spec.parameters.values() or ("mesh_size" in _given(geometry) and geometry.mesh_size is None):
-        return
+    if None in spec.parameters.values():
+        return  # a faulty one, which has been told
     if geometry.shape == "file" and geometry.size is None:
         return  # its extent is known once it is read
     sizes = (geometry.size,) if isinstance(geometry.size, float) else extents(spec)

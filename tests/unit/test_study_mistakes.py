@@ -51,6 +51,7 @@ profile = "hertz"
         (3, "study.models[0]"),
         (4, "study.reference"),
         (5, "geometry.mesh_size"),
+        (7, "geometry.radius"),
         (8, "geometry.semi_axes"),
         (9, "geometry.mesh_sise"),
         (11, "tissue.youngs_modulus"),
