@@ -68,7 +68,9 @@ class Support:
     ----------
     fixed : (N,) nodes that do not move (25)
     constrained : (N,) nodes moved by `Load.prescribed` (26)
-    hydrostatic : (N,) rho g delta_i [Pa] (12), None without gravity
+    hydrostatic : (N,) rho g delta_i [Pa] on the rest surface (12), None without gravity
+    density : of the fluid [kg/m^3]
+    gravity : (3,) [m/s^2], None without
     environment_pressure : P_ep [Pa] (11)
     contact_sign : "inward", or "printed" for +P_cp as equation 24 has it, which bulges towards the finger
     """
@@ -76,6 +78,8 @@ class Support:
     fixed: Mask
     constrained: Mask
     hydrostatic: Array | None = None
+    density: float = 0.0
+    gravity: Array | None = None
     environment_pressure: float = 0.0
     contact_sign: ContactSign = "inward"
 

@@ -17,6 +17,7 @@ from vdm.problem import Problem, Step
 from vdm.solution import Solution
 from vdm.solvers.linear import LinearSolver
 from vdm.solvers.lu import CONSTRAINT_METHODS, ConstraintMethod, LuSolver
+from vdm.solvers.nonlinear import NonlinearSolver
 from vdm.surface import SurfaceMesh
 
 Array = NDArray[np.float64]
@@ -30,7 +31,7 @@ class Solver(Protocol):
         ...
 
 
-SOLVERS: tuple[str, ...] = ("linear", "lu")
+SOLVERS: tuple[str, ...] = ("linear", "lu", "nonlinear")
 OUTPUTS: tuple[str, ...] = ("nodal_stress", "normal_traction")
 
 
@@ -81,12 +82,15 @@ class Model:
         _check_choices(formulation, solver, outputs, constraint_method)
         self.surface = SurfaceMesh(points, triangles)
         n_nodes = self.surface.n_nodes
+        hydrostatic = hydrostatic_pressure(self.surface, density, gravity)
         support = Support(
-            node_mask(fixed, "fixed", n_nodes),
-            node_mask(constrained, "constrained", n_nodes),
-            hydrostatic_pressure(self.surface, density, gravity),
-            float(environment_pressure),
-            contact_sign,
+            fixed=node_mask(fixed, "fixed", n_nodes),
+            constrained=node_mask(constrained, "constrained", n_nodes),
+            hydrostatic=hydrostatic,
+            density=float(density),
+            gravity=None if hydrostatic is None else np.asarray(gravity, dtype=np.float64),
+            environment_pressure=float(environment_pressure),
+            contact_sign=contact_sign,
         )
         self.formulation = FORMULATIONS[formulation](self.surface, parameters)
         self.problem = Problem(self.formulation, support)
@@ -95,6 +99,8 @@ class Model:
         self.solver: Solver
         if solver == "lu":
             self.solver = LuSolver(self.problem, constraint_method, penalty)
+        elif solver == "nonlinear":
+            self.solver = NonlinearSolver(self.problem)
         else:
             self.solver = LinearSolver(self.problem)
         self.seconds_setup = time.perf_counter() - start

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from vdm.constraints import ConstraintError, Load, Mask, Support
+from vdm.deformed import DeformableSurface, DeformedSurface
 from vdm.formulations.base import Formulation
 from vdm.solution import CONVERGED, Status
 
@@ -26,7 +28,6 @@ class Step:
     border: Array
     iterations: int = 0
     status: Status = CONVERGED
-    scalars: dict[str, float] | None = None
 
 
 @dataclass(frozen=True)
@@ -66,6 +67,25 @@ class Problem:
             values[self.support.constrained] = moved[self.support.constrained]
         return values
 
+    @cached_property
+    def body(self) -> DeformableSurface:
+        """The surface, ready to be deformed."""
+        return DeformableSurface(self.formulation.surface)
+
+    def deformed(self, x: Array) -> DeformedSurface:
+        """The surface at x (N, d)."""
+        return self.body.at(self.formulation.displacement(x))
+
+    def deformed_force(self, load: Load, state: DeformedSurface, column: Array) -> Array:
+        """(N, d) force of contact and gravity on the deformed surface; `column` is that of a unit pressure."""
+        force = self.formulation.deformed_contact_force(self.support.signed(load), state)
+        if self.support.gravity is not None:
+            depth = state.positions @ self.support.gravity
+            # the datum stays at the highest point of the rest surface
+            datum = float((self.body.rest @ self.support.gravity).min())
+            force = force + column * (self.support.density * (depth - datum))[:, None]
+        return force
+
     def finish(
         self, x: Array, border: Array, force: Array, iterations: int = 0, status: Status = CONVERGED
     ) -> Step:
@@ -74,10 +94,22 @@ class Problem:
         The reaction is what the balance lacks at held nodes: internal force less fluid and contact. The energy is
         half the work of the material's nodal forces on the displacement.
         """
-        formulation = self.formulation
-        displacement = formulation.displacement(x)
-        internal = formulation.internal_force(x, border)
-        lacking = internal - formulation.columns[:, :, 0] * border[0] - force
-        reaction = formulation.nodal_force(np.where(self.support.held[:, None], lacking, 0.0))
-        energy = 0.5 * float(np.vdot(displacement, formulation.nodal_force(internal)))
+        internal = self.formulation.internal_force(x, border)
+        displacement = self.formulation.displacement(x)
+        energy = 0.5 * float(np.vdot(displacement, self.formulation.nodal_force(internal)))
+        lacking = internal - self.formulation.columns[:, :, 0] * border[0] - force
+        return self.package(x, border, lacking, energy, iterations, status)
+
+    def package(
+        self,
+        x: Array,
+        border: Array,
+        lacking: Array,
+        energy: float,
+        iterations: int = 0,
+        status: Status = CONVERGED,
+    ) -> Step:
+        """A step whose balance lacks the generalised force (N, d) `lacking` at held nodes."""
+        reaction = self.formulation.nodal_force(np.where(self.support.held[:, None], lacking, 0.0))
+        displacement = self.formulation.displacement(x)
         return Step(displacement, float(border[0]), reaction, energy, x, border, iterations, status)

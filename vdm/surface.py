@@ -145,14 +145,6 @@ class SurfaceMesh:
         values = np.concatenate([-weights, -weights, diagonal])
         return sparse.csr_array((values, (rows, columns)), shape=(self.n_nodes, self.n_nodes))
 
-    def moved(self, displacement: Array) -> tuple[Array, float]:
-        """Area vectors (N, 3) [m^2] and exact polyhedral volume [m^3] after a displacement (N, 3) [m]."""
-        origin = self.points.mean(axis=0)
-        corners = (self.points - origin + displacement)[self.triangles]
-        vectors = 0.5 * np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-        volume = float(np.einsum("fi,fi->", corners[:, 0], vectors)) / 3.0
-        return np.stack([self._to_nodes(vectors[:, c]) for c in range(3)], axis=1) / 3.0, volume
-
     def _to_nodes(self, facet_values: Array) -> Array:
         sums = np.bincount(self.triangles.ravel(), np.repeat(facet_values, 3), self.n_nodes)
         return np.asarray(sums, dtype=np.float64)

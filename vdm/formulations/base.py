@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from scipy import sparse
 
 from vdm.constraints import Load
+from vdm.deformed import DeformedSurface
 from vdm.material import Parameters
 from vdm.solvers.cholesky import Cholesky
 from vdm.surface import SurfaceMesh
@@ -90,6 +91,22 @@ class Formulation(ABC):
         """(N d,) x per unknown of the state matrix."""
         return np.ones(self.rows.shape[0] * self.components)
 
+    @abstractmethod
+    def deformed_internal_force(self, x: Array, state: DeformedSurface) -> Array:
+        """Generalised force (N, d) of the material at a large displacement."""
+
+    @abstractmethod
+    def deformed_energy(self, x: Array, state: DeformedSurface) -> float:
+        """Elastic energy [J] of that force."""
+
+    @abstractmethod
+    def deformed_columns(self, state: DeformedSurface) -> tuple[Array, Array]:
+        """Generalised force of a unit fluid pressure, and the gradient of the exact volume in x; (N, d) each."""
+
+    @abstractmethod
+    def deformed_contact_force(self, load: Load, state: DeformedSurface) -> Array:
+        """Generalised force (N, d) of a contact that follows the surface."""
+
     def pressure_force(self, pressure: Array) -> Array:
         """Generalised force (N, d) of a pressure (N,) that pushes outward from inside."""
         force: Array = self.columns[:, :, 0] * pressure[:, None]
@@ -112,6 +129,12 @@ class ScalarFormulation(Formulation):
 
     def apply(self, x: Array) -> Array:
         return np.asarray(self.operator @ x)
+
+    def volume_gradient(self, state: DeformedSurface) -> Array:
+        """(N, 1) gradient of the exact volume in x: g_i . n_i / scale_i."""
+        along = np.einsum("ic,ic->i", state.area_vectors, self.surface.normals)
+        gradient: Array = (along / self.scale)[:, None]
+        return gradient
 
     def factor(self, free: Mask) -> Factor:
         # imported here: the solvers package imports the formulations

@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 from scipy import sparse
 
 from vdm.constraints import Load
+from vdm.deformed import DeformedSurface, follow
 from vdm.formulations.base import ScalarFormulation
 from vdm.material import ParameterError, Parameters, per_item
 from vdm.surface import SurfaceMesh
@@ -48,3 +49,20 @@ class ConsistentFormulation(ScalarFormulation):
         if load.contact_force is None:
             return (-self.surface.vector_areas * load.contact_pressure)[:, None]
         return np.einsum("ic,ic->i", load.contact_force, self.surface.normals)[:, None]
+
+    def deformed_internal_force(self, x: Array, state: DeformedSurface) -> Array:  # noqa: ARG002 - rest metric
+        return self.apply(x)
+
+    def deformed_energy(self, x: Array, state: DeformedSurface) -> float:  # noqa: ARG002 - rest metric
+        return 0.5 * float(np.vdot(x, self.apply(x)))
+
+    def deformed_columns(self, state: DeformedSurface) -> tuple[Array, Array]:
+        gradient = self.volume_gradient(state)
+        return gradient, gradient
+
+    def deformed_contact_force(self, load: Load, state: DeformedSurface) -> Array:
+        normals = self.surface.normals
+        if load.contact_force is None:
+            return -load.contact_pressure[:, None] * self.volume_gradient(state)
+        force = follow(load.contact_force, self.surface.area_vectors, state.area_vectors)
+        return np.einsum("ic,ic->i", force, normals)[:, None]

@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 from scipy import sparse
 
 from vdm.constraints import Load
+from vdm.deformed import DeformedSurface
 from vdm.formulations.base import ScalarFormulation
 from vdm.material import ParameterError, Parameters, per_item
 from vdm.surface import SurfaceMesh
@@ -85,3 +86,21 @@ class PaperFormulation(ScalarFormulation):
     def column_scale(self) -> Array:
         """(N,) A_i: the printed unknown is L_i (22)."""
         return self.surface.nodal_areas
+
+    def deformed_internal_force(self, x: Array, state: DeformedSurface) -> Array:
+        """All A_i terms updated: A_i (P_vp + P_vt) with dV_i = A_i L_i and V_i = A_i V / A of the current areas."""
+        areas = state.nodal_areas
+        change = areas * (x[:, 0] / self.scale)
+        current_height = self.surface.volume / areas.sum()
+        rest_height = self.surface.volume / self.surface.area
+        return (self.operator @ change * (rest_height / current_height))[:, None]
+
+    def deformed_energy(self, x: Array, state: DeformedSurface) -> float:
+        """Half the work of the pressures on the displacement; the printed model has no potential."""
+        return 0.5 * float((x[:, 0] / self.scale) @ self.deformed_internal_force(x, state)[:, 0])
+
+    def deformed_columns(self, state: DeformedSurface) -> tuple[Array, Array]:
+        return state.nodal_areas[:, None], self.volume_gradient(state)
+
+    def deformed_contact_force(self, load: Load, state: DeformedSurface) -> Array:
+        return (-state.nodal_areas * load.contact_pressure)[:, None]

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from functools import cached_property
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
 from vdm.constraints import Load
+from vdm.deformed import DeformedSurface, follow
 from vdm.formulations.base import Factor, Formulation, Mask
 from vdm.material import ParameterError, Parameters, per_item
 from vdm.solvers.cholesky import Cholesky
@@ -48,6 +51,8 @@ class VectorFormulation(Formulation):
         if not (tension.any() or stretch.any()):
             raise ParameterError("surface_tension and stretch_stiffness are both zero; make one positive")
         weights = tension * surface.cotangent_weights
+        self.weights, self.stretch = weights, stretch * surface.cotangent_weights
+        self.foundation = foundation * surface.vector_areas
         self.tension = surface.laplacian(weights)
         # (3N, 3N) part that couples the components, None where one scalar factor serves all three
         self.coupling: sparse.csr_array | None = None
@@ -55,8 +60,7 @@ class VectorFormulation(Formulation):
             blocks = np.einsum(
                 "e,ea,eb->eab", stretch * surface.cotangent_weights, *2 * (edge_directions(surface),)
             )
-            normal = surface.area_vectors / np.sqrt(surface.vector_areas)[:, None]
-            diagonal = np.einsum("n,na,nb->nab", foundation, normal, normal)
+            diagonal = np.einsum("n,na,nb->nab", self.foundation, *2 * (surface.normals,))
             self.coupling = block_laplacian(surface, blocks) + block_diagonal(diagonal)
             if parameters.rotation == "nodal":
                 self.coupling = self.coupling - nodal_rotation_relief(surface, weights)
@@ -107,6 +111,63 @@ class VectorFormulation(Formulation):
     def nodal_force(self, generalised: Array) -> Array:
         return generalised
 
+    def deformed_internal_force(self, x: Array, state: DeformedSurface) -> Array:
+        """Tension about the best-fit finite rotation, stretch by the change of edge lengths, foundation at rest."""
+        return self._deformed(x, state)[0]
+
+    def deformed_energy(self, x: Array, state: DeformedSurface) -> float:
+        return self._deformed(x, state)[1]
+
+    def deformed_columns(self, state: DeformedSurface) -> tuple[Array, Array]:
+        return state.area_vectors, state.area_vectors
+
+    def deformed_contact_force(self, load: Load, state: DeformedSurface) -> Array:
+        if load.contact_force is None:
+            return -load.contact_pressure[:, None] * state.area_vectors
+        return follow(load.contact_force, self.surface.area_vectors, state.area_vectors)
+
+    def _deformed(self, x: Array, state: DeformedSurface) -> tuple[Array, float]:
+        rest = state.body.rest
+        if self.parameters.rotation == "nodal":
+            force, energy = self._nodal_tension(state)
+        else:
+            turned = rest
+            if self.parameters.rotation == "global":
+                turned = rest @ best_rotation((self.tension @ rest).T @ state.positions)
+            change = state.positions - turned
+            force = np.asarray(self.tension @ change)
+            energy = 0.5 * float(np.vdot(change, force))
+        if self.foundation.any():
+            along = np.einsum("ic,ic->i", x, self.surface.normals)
+            force = force + (self.foundation * along)[:, None] * self.surface.normals
+            energy += 0.5 * float(self.foundation @ along**2)
+        if self.stretch.any():
+            i, j = self.surface.edges.T
+            rest_length = np.linalg.norm(rest[i] - rest[j], axis=1)
+            vectors = state.positions[i] - state.positions[j]
+            length = np.linalg.norm(vectors, axis=1)
+            force = force + self._incidence.T @ (
+                (self.stretch * (1.0 - rest_length / length))[:, None] * vectors
+            )
+            energy += 0.5 * float(self.stretch @ (length - rest_length) ** 2)
+        return force, energy
+
+    def _nodal_tension(self, state: DeformedSurface) -> tuple[Array, float]:
+        i, j = self.surface.edges.T
+        before = state.body.rest[i] - state.body.rest[j]
+        after = state.positions[i] - state.positions[j]
+        moments = np.einsum("e,ea,eb->eab", self.weights, before, after).reshape(-1, 9)
+        rotations = best_rotation((abs(self._incidence).T @ moments).reshape(-1, 3, 3))
+        first = after - np.einsum("ea,eab->eb", before, rotations[i])
+        second = after - np.einsum("ea,eab->eb", before, rotations[j])
+        force = self._incidence.T @ (0.5 * self.weights[:, None] * (first + second))
+        energy = 0.25 * float(self.weights @ (first**2 + second**2).sum(axis=1))
+        return np.asarray(force), energy
+
+    @cached_property
+    def _incidence(self) -> sparse.csr_array:
+        return _incidence(self.surface)
+
 
 class SharedFactor:
     """One scalar factor for three components: right-hand sides (3 n,) or (3 n, m), three per node."""
@@ -117,6 +178,15 @@ class SharedFactor:
     def solve(self, right_hand_side: Array) -> Array:
         """The solution, same shape, all components in one pass through the factor."""
         return self.factor.solve(right_hand_side.reshape(self.factor.size, -1)).reshape(right_hand_side.shape)
+
+
+def best_rotation(moment: Array) -> Array:
+    """Q (..., 3, 3) that minimises sum w |after - before Q|^2, of the moment sum w before^T after (rows)."""
+    left, _, right = np.linalg.svd(moment)
+    sign = np.where(np.linalg.det(left @ right) < 0.0, -1.0, 1.0)
+    left[..., :, 2] *= sign[..., None]
+    rotation: Array = left @ right
+    return rotation
 
 
 def edge_vectors(surface: SurfaceMesh) -> Array:

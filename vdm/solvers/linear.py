@@ -32,14 +32,35 @@ class BorderedFactor:
         self.free_rows = formulation.rows[self.free].reshape(-1, self.n_border)
         self.response = self.block.solve(formulation.columns[self.free].reshape(-1, self.n_border))
         self.schur = self.free_rows.T @ self.response + formulation.corner
-        self._check_border(formulation.corner)
+        self.corner = formulation.corner
+        self._check_border()
 
-    def _check_border(self, corner: Array) -> None:
+    def _check_border(self) -> None:
         # each border unknown in its own unit: what is left of it is compared with what went into it
-        size = np.sqrt(np.maximum(np.abs(corner).diagonal(), np.abs(self.schur - corner).diagonal()))
+        size = np.sqrt(
+            np.maximum(np.abs(self.corner).diagonal(), np.abs(self.schur - self.corner).diagonal())
+        )
         scaled = self.schur / np.outer(size, size)
         if not np.isfinite(scaled).all() or np.linalg.svd(scaled, compute_uv=False)[-1] < BORDER_TOLERANCE:
             raise SolverError(SINGULAR)
+
+    def solve_updated(
+        self, force: Array, target: Array, column: Array, row: Array, same_column: bool = False
+    ) -> tuple[Array, Array]:
+        """The same with another pressure column and volume row (n_free d,); K is not factored again.
+
+        `same_column` says that only the row is new, which saves the solve for the column.
+        """
+        response, rows = self.response, self.free_rows.copy()
+        rows[:, 0] = row
+        if same_column:
+            first = self.block.solve(force)
+        else:
+            both = self.block.solve(np.stack([force, column], axis=1))
+            first, response = both[:, 0], np.column_stack([both[:, 1], self.response[:, 1:]])
+        schur = rows.T @ response + self.corner
+        border = np.asarray(np.linalg.solve(schur, target - rows.T @ first), dtype=np.float64)
+        return first + response @ border, border
 
     def solve(self, force: Array, target: Array) -> tuple[Array, Array]:
         """Free unknowns (n_free d,) and border unknowns (m,) of a force (n_free d,) and border values (m,)."""

@@ -1,0 +1,79 @@
+"""A deformed surface: current areas, area vectors and the exact volume of the polyhedron."""
+
+from __future__ import annotations
+
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+
+from vdm.surface import SurfaceMesh
+
+Array = NDArray[np.float64]
+
+
+class DeformableSurface:
+    """Evaluates displaced copies of a surface; holds what does not change with the displacement."""
+
+    def __init__(self, surface: SurfaceMesh) -> None:
+        self.surface = surface
+        # about the centroid, so that a body far from the origin loses no digits of volume
+        self.origin: Array = surface.points.mean(axis=0)
+        self.rest: Array = surface.points - self.origin
+        n_facets = len(surface.triangles)
+        facets = np.repeat(np.arange(n_facets), 3)
+        thirds = np.full(3 * n_facets, 1.0 / 3.0)
+        self.gather = sparse.csr_array(
+            sparse.coo_array((thirds, (surface.triangles.ravel(), facets)), shape=(surface.n_nodes, n_facets))
+        )
+
+    def at(self, displacement: Array) -> DeformedSurface:
+        """The surface after a displacement (N, 3) [m]."""
+        return DeformedSurface(self, self.rest + displacement)
+
+
+class DeformedSurface:
+    """Positions (N, 3) [m] about the rest centroid, and what follows from them."""
+
+    def __init__(self, body: DeformableSurface, positions: Array) -> None:
+        self.body = body
+        self.positions = positions
+        # (3, F) arrays: plain products are several times faster than np.cross
+        corners = np.ascontiguousarray(positions.T)[:, body.surface.triangles.T]
+        a = corners[:, 0]
+        (px, py, pz), (qx, qy, qz) = corners[:, 1] - a, corners[:, 2] - a
+        self.facet_vectors: Array = 0.5 * np.stack([py * qz - pz * qy, pz * qx - px * qz, px * qy - py * qx])
+        self.volume = float(np.vdot(a, self.facet_vectors)) / 3.0
+
+    @cached_property
+    def area_vectors(self) -> Array:
+        """(N, 3) g_i [m^2], the exact gradient of `volume`."""
+        return np.asarray(self.body.gather @ np.ascontiguousarray(self.facet_vectors.T))
+
+    @cached_property
+    def nodal_areas(self) -> Array:
+        """(N,) A_i [m^2] of the deformed facets (1)."""
+        return np.asarray(
+            self.body.gather @ np.sqrt(np.einsum("cf,cf->f", self.facet_vectors, self.facet_vectors))
+        )
+
+
+def follow(force: Array, rest_vectors: Array, vectors: Array) -> Array:
+    """Nodal forces (N, 3) turned with their nodes: scaled by |g| / |g0|, rotated by the least turn from g0 to g.
+
+    A force -p g0 becomes -p g exactly; a force along a patch's rim keeps its angle to the normal.
+    """
+    rest_size = np.linalg.norm(rest_vectors, axis=1)
+    size = np.linalg.norm(vectors, axis=1)
+    loaded = np.flatnonzero(force.any(axis=1))
+    turned = np.zeros_like(force)
+    f, before = force[loaded], rest_vectors[loaded] / rest_size[loaded, None]
+    after = vectors[loaded] / size[loaded, None]
+    axis = np.cross(before, after)
+    cosine = np.einsum("ic,ic->i", before, after)[:, None]
+    once = np.cross(axis, f)
+    # at a half turn no least rotation exists; such a node has long left the range of the model
+    turned[loaded] = f + once + np.cross(axis, once) / np.maximum(1.0 + cosine, 1e-12)
+    scaled: Array = turned * (size / rest_size)[:, None]
+    return scaled
