@@ -87,6 +87,16 @@ def _vdm_paper(scene: Scene, solver: str, name: str) -> VdmSolution:
     return _vdm(scene, "paper", solver, name)
 
 
+@_model("vdm-consistent", version="1")
+def _vdm_consistent(scene: Scene, solver: str, name: str) -> VdmSolution:
+    return _vdm(scene, "consistent", solver, name)
+
+
+@_model("vdm-vector", version="1")
+def _vdm_vector(scene: Scene, solver: str, name: str) -> VdmSolution:
+    return _vdm(scene, "vector", solver, name)
+
+
 @_model("fem-linear", version="1", volumetric=True)
 def _fem_linear(scene: Scene, solver: str, name: str) -> FemSolution:  # noqa: ARG001
     from fem_reference.linear import LinearProblem, Load

@@ -157,7 +157,7 @@ def test_list_names_the_shipped_studies(tmp_path: Path) -> None:
         (["run", "small.toml", "--timeout", "-1"], "more than 0"),
         (["run", "sphere"], "no shipped study of that name"),
         (["run", "../cases/quickstart"], "no shipped study"),
-        (["check", "nowhere.toml"], "no such file"),
+        (["check", "nowhere.toml"], "does not exist"),
         (["check", "small.toml", "--surface", "nowhere.stl"], "does not exist"),
     ],
 )

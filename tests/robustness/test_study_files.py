@@ -45,7 +45,7 @@ BASE: dict[str, Any] = {
         "constraints.tip.pressure": {"start": 100, "stop": "1 kPa", "num": 3, "scale": "log"},
     },
     "limits": {"along": "constraints.tip.pressure", "thresholds": [0.05]},
-    "uncertainty": {"levels": 2, "ratio": 1.5},
+    "uncertainty": {"levels": 2},
     "models": {"vdm-paper": {"bulk_modulus": "1 kPa"}},
 }
 

@@ -255,7 +255,7 @@ CASES = {
         "[uncertainty]\nlevels = 5\n[tissue]",
         "levels",
         "uncertainty.levels",
-        "less than or equal to 4",
+        "less than or equal to 3",
     ),
     "levels as bool": (
         "[tissue]",
