@@ -21,7 +21,7 @@ def headline_rows(run: Run) -> list[dict[str, str]]:
     rows = []
     for row in table.rows:
         texts = [f"{row[0].text} ({row[0].detail})" if row[0].detail else row[0].text]
-        texts += [f"{cell.text} {cell.detail}".strip() for cell in row[1:]]
+        texts += [f"{cell.text} {cell.detail}".strip().replace("\n", ", ") for cell in row[1:]]
         titles = [
             f"{column.title}, {column.detail}" if column.detail else column.title for column in table.columns
         ]
@@ -121,7 +121,7 @@ def _cost(digest: Digest, best: ModelSummary) -> str:
 
 
 def _table(digest: Digest) -> Table:
-    many, stopped = len(digest.cases) > 1, any(s.failed_cases for s in digest.summaries)
+    many = len(digest.cases) > 1
     columns = [Column("Model", numeric=False)]
     if digest.compared:
         for title in ("Displacement error", "Deformation error"):
@@ -130,10 +130,12 @@ def _table(digest: Digest) -> Table:
             ]
     columns.append(Column("Volume drift", "largest" if many else "", unit="1"))
     columns += [Column("Set-up", unit="s"), Column("Per frame", unit="s"), Column("Memory", unit="B")]
-    columns += [Column("Stopped early")] if stopped else []
     rows = []
     for summary in digest.summaries:
-        row = [Cell(summary.name, "reference" if summary.is_reference else "")]
+        about = ["reference"] if summary.is_reference else []
+        if summary.failed_cases:
+            about.append(f"stopped early in {plural(summary.failed_cases, 'case')}")
+        row = [Cell(summary.name, ", ".join(about))]
         if digest.compared:
             for spread in (summary.vector, summary.deformation):
                 row += [_median(spread), _worst(spread)] if many else [_worst(spread)]
@@ -143,7 +145,6 @@ def _table(digest: Digest) -> Table:
             Cell(quantity(summary.seconds_per_step, "s"), value=summary.seconds_per_step),
             Cell(quantity(summary.peak_bytes, "B"), value=summary.peak_bytes),
         ]
-        row += [_failures(summary)] if stopped else []
         rows.append(row)
     marks = [digest.colour(s.name) for s in digest.summaries]
     return Table(name="headline", caption="", columns=columns, rows=rows, marks=marks)
@@ -164,16 +165,11 @@ def _with_bar(value: float, bar: float) -> Cell:
 def _bar(value: float, bar: float) -> str:
     if not math.isfinite(bar):
         return f"± {NOT_MEASURED}"
-    return f"± {percent(bar)}" if bar <= RESOLUTION * abs(value) else f"± {percent(bar)}, unresolved"
+    return f"± {percent(bar)}" if bar <= RESOLUTION * abs(value) else f"± {percent(bar)}\nunresolved"
 
 
 def _drift(spread: Spread | None) -> Cell:
     return Cell(NOTHING) if spread is None else Cell(percent(spread.worst, signed=True), value=spread.worst)
-
-
-def _failures(summary: ModelSummary) -> Cell:
-    count = summary.failed_cases
-    return Cell(plural(count, "case"), value=float(count), tone="bad") if count else Cell(NOTHING, value=0.0)
 
 
 def _reading(digest: Digest) -> str:

@@ -114,6 +114,9 @@ def _draw(arrays: Mapping[str, np.ndarray], panels: Sequence[Mapping[str, Any]],
     plotter: Any = pyvista.Plotter(
         off_screen=True, shape=(1, len(panels)), border=False, window_size=[_PANEL * len(panels), _PANEL]
     )
+    everything = np.concatenate([arrays[f"points{j}"] for j in range(len(panels))])
+    centre = (everything.min(axis=0) + everything.max(axis=0)) / 2
+    radius = float(np.linalg.norm(everything - centre, axis=1).max())
     for j, about in enumerate(panels):
         plotter.subplot(0, j)
         points, triangles = arrays[f"points{j}"], arrays[f"triangles{j}"]
@@ -133,10 +136,10 @@ def _draw(arrays: Mapping[str, np.ndarray], panels: Sequence[Mapping[str, Any]],
         towards = np.array(
             [np.cos(azimuth) * np.cos(_ELEVATION), np.sin(azimuth) * np.cos(_ELEVATION), np.sin(_ELEVATION)]
         )
-        centre = points.mean(axis=0)
-        plotter.camera_position = [tuple(centre + towards), tuple(centre), (0.0, 0.0, 1.0)]
-        plotter.reset_camera()
-        plotter.camera.zoom(1.25)
+        plotter.enable_parallel_projection()
+        plotter.camera_position = [tuple(centre + 4 * radius * towards), tuple(centre), (0.0, 0.0, 1.0)]
+        plotter.camera.parallel_scale = 1.06 * radius
+        plotter.reset_camera_clipping_range()
     plotter.enable_anti_aliasing("ssaa")
     plotter.screenshot(str(path), transparent_background=True)
     plotter.close()

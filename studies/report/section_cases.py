@@ -11,6 +11,7 @@ from .formatting import NOTHING, listed, percent, plural, swept_value
 from .section_errors import parameter_name
 
 _OPEN_ROWS = 12
+_MOST_CELLS = 9000  # of the page; the rest is in metrics.csv
 
 
 def case_table(digest: Digest) -> Section | None:
@@ -34,11 +35,14 @@ def case_table(digest: Digest) -> Section | None:
         columns.append(Column("Reference's own error", unit="1"))
     roles = {case.hash: role for role, case in digest.key_cases if role}
     ranked = sorted(digest.cases, key=lambda case: _rank(digest, case))
-    rows = [_row(digest, case, keys, units, roles.get(case.hash, "")) for case in ranked]
+    most = max(_OPEN_ROWS, _MOST_CELLS // len(columns))
+    rows = [_row(digest, case, keys, units, roles.get(case.hash, "")) for case in ranked[:most]]
     blocks: list[Block] = [Table("cases", "", columns, rows, open_rows=_OPEN_ROWS)]
     note = "Errors at full load."
     if len(digest.cases) > 1 and digest.focus and digest.compared:
         note += f" Sorted by the displacement error of {digest.focus}, the largest first."
+    if len(rows) < len(ranked):
+        note += f" To keep the page small only the first {len(rows)} of {len(ranked)} are listed."
     return Section("cases", "Cases", [Text(note, kind="note"), *blocks])
 
 

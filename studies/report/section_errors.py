@@ -17,6 +17,7 @@ from .plots import Plot, colour, line, log_axis, marker, name_ticks, percent_axi
 
 QUANTITIES = ((VECTOR, "Displacement error"), (DEFORMATION, "Deformation error"))
 _MOST_POINTS = 240  # per model and figure; beyond, every k-th case is drawn
+_ASIDE = 0.05  # between the clouds of two models at a named value, where neighbours are 1 apart
 _MOST_JOINED = 12  # values of a parameter that a line through medians joins
 
 
@@ -96,18 +97,20 @@ def _axis(all_cases: Iterable[CaseResult], key: str) -> _Axis:
 
 def _against_parameter(digest: Digest, axis: _Axis, metric: str, title: str, salt: str) -> Figure | None:
     described = []
+    alone = len(digest.swept_keys) == 1
     plot = Plot(axis.label, title, salt)
     with plot as axes:
-        for model in digest.compared:
+        for rank, model in enumerate(digest.compared):
             errors = [at_full_load(case, model, metric) for case in axis.cases]
             points = [(x, y) for x, y in zip(axis.positions, errors, strict=True) if math.isfinite(y)]
             if not points:
                 continue
             k = digest.colour(model)
             medians = _medians(points)
-            joined = len(medians) <= _MOST_JOINED or len(medians) == len(points)
+            joined = len(medians) <= _MOST_JOINED or (alone and len(medians) == len(points))
             if len(medians) < len(points) or not joined:
-                some = points[:: _stride(axis.cases)]
+                aside = _ASIDE * (rank - (len(digest.compared) - 1) / 2) if axis.kind == "even" else 0.0
+                some = [(x + aside, y) for x, y in points[:: _stride(axis.cases)]]
                 style: dict[str, Any] = {
                     "marker": marker(k),
                     "color": colour(k),
@@ -124,7 +127,9 @@ def _against_parameter(digest: Digest, axis: _Axis, metric: str, title: str, sal
         bars = [(x, reference_bar(case, metric)) for x, case in zip(axis.positions, axis.cases, strict=True)]
         if known := _medians([(x, bar) for x, bar in bars if math.isfinite(bar)]):
             style = {"color": colour(REFERENCE), "linewidth": 1.0, "marker": "o", "markersize": 2.5}
-            axes.plot(*zip(*known, strict=True), "--", **style)
+            axes.plot(
+                *zip(*known, strict=True), "--" if alone or len(known) <= _MOST_JOINED else "none", **style
+            )
         if axis.kind == "even":
             name_ticks(axes, axis.ticks)
         elif axis.kind == "log":

@@ -4,15 +4,14 @@ from __future__ import annotations
 
 import base64
 import json
-import math
 from collections.abc import Callable, Sequence
 
 import numpy as np
 
 from ..case import CaseResult
 from .blocks import Section, Text, Viewer
-from .digest import VECTOR, Array, Digest, at_full_load, full_load
-from .formatting import plain, quantity, short_percent
+from .digest import Array, Digest, full_load
+from .formatting import plain, quantity
 from .picture import Panel
 from .view import azimuth, candidates, displacement_scale, payload
 
@@ -26,15 +25,13 @@ def surfaces(digest: Digest, room: int, render: Renderer) -> Section | None:
         return None
     notes: list[str] = []
     pictures: list[tuple[str, str, str]] = []
-    drawn = [(role, case, panels) for role, case in digest.key_cases if (panels := _panels(digest, case))]
-    files, why = render([panels for *_, panels in drawn]) if drawn else ([], "")
-    for (role, case, panels), file in zip(drawn, files, strict=False):
+    stills = [(_title(digest, role, case), *_still(digest, case)) for role, case in digest.key_cases]
+    stills = [still for still in stills if still[1]]
+    files, why = render([panels for _, panels, _ in stills]) if stills else ([], "")
+    for (title, _, words), file in zip(stills, files, strict=False):
         url = "data:image/png;base64," + base64.b64encode(file).decode("ascii")
-        if len(url) > room // 4:
-            notes.append("A still picture was left out to keep the page small.")
-            continue
         room -= len(url)
-        pictures.append((_title(digest, role, case), url, _alternative(digest, case, len(panels))))
+        pictures.append((title, url, words))
     if why:
         notes.append(f"No still pictures: {why}.")
     chosen: dict[str, object] | None = None
@@ -68,43 +65,32 @@ def _title(digest: Digest, role: str, case: CaseResult) -> str:
     return f"{role[:1].upper()}{role[1:]}: {name}" if role else name
 
 
-def _panels(digest: Digest, case: CaseResult) -> list[Panel]:
-    """Reference, focus model and their difference at full load, deformed alike."""
-    step, focus, reference = full_load(case), digest.focus or "", case.reference
-    shown = [name for name in (reference, focus) if name in case.models]
-    fields = {name: case.models[name].displacement[step] for name in dict.fromkeys(shown) if name}
+def _still(digest: Digest, case: CaseResult) -> tuple[list[Panel], str]:
+    """Reference, focus model and their difference at full load, drawn alike, and what they show in words."""
+    step, scale, seen_from = full_load(case), displacement_scale(case), azimuth(case)
+    names = [name for name in dict.fromkeys((case.reference, digest.focus)) if name in case.models]
+    fields = {str(name): case.models[str(name)].displacement[step] for name in names}
     fields = {name: u for name, u in fields.items() if np.isfinite(u).all()}
     if not fields:
-        return []
-    scale = displacement_scale(case)
-    largest = max(float(np.linalg.norm(u, axis=1).max()) for u in fields.values())
-    turned = azimuth(case)
+        return [], ""
+    sizes = {name: np.linalg.norm(u, axis=1) for name, u in fields.items()}
+    largest = max(float(size.max()) for size in sizes.values())
 
-    def panel(u: Array, values: Array, top: float, colour_map: str) -> Panel:
-        return Panel(
-            case.points + scale * u, case.triangles, values / top if top > 0 else values, colour_map, turned
-        )
+    def panel(name: str, values: Array, top: float, colour_map: str) -> Panel:
+        points = case.points + scale * fields[name]
+        return Panel(points, case.triangles, values / top if top > 0 else values, colour_map, seen_from)
 
-    panels = [panel(u, np.linalg.norm(u, axis=1), largest, _COLOUR_MAPS[0]) for u in fields.values()]
+    panels = [panel(name, size, largest, _COLOUR_MAPS[0]) for name, size in sizes.items()]
+    parts = [f"{name}, displaced by up to {quantity(float(size.max()), 'm')}" for name, size in sizes.items()]
+    colours = f"from 0, dark, to {quantity(largest, 'm')}, light"
     if len(fields) == 2:
-        u, r = fields[focus], fields[str(reference)]
-        gap = np.linalg.norm(u - r, axis=1)
-        panels.append(panel(u, gap, float(gap.max()), _COLOUR_MAPS[1]))
-    return panels
-
-
-def _alternative(digest: Digest, case: CaseResult, panels: int) -> str:
-    """What a still picture shows, in words and numbers."""
-    step, scale = full_load(case), displacement_scale(case)
-    names = [name for name in (case.reference, digest.focus) if name in case.models]
-    parts = []
-    for name in dict.fromkeys(names):
-        u = case.models[str(name)].displacement[step]
-        parts.append(f"{name}, largest displacement {quantity(float(np.linalg.norm(u, axis=1).max()), 'm')}")
-    text = f"Left to right: {'; '.join(parts)}"
-    if panels == 3:
-        error = at_full_load(case, digest.focus or "", VECTOR)
-        text += "; their difference" + (
-            f", {short_percent(error)} of the reference" if math.isfinite(error) else ""
-        )
-    return f"{text}. Displacements are drawn {plain(scale)} times as large as they are."
+        reference, model = fields
+        gap = np.linalg.norm(fields[model] - fields[reference], axis=1)
+        panels.append(panel(model, gap, float(gap.max()), _COLOUR_MAPS[1]))
+        parts.append(f"their difference, up to {quantity(float(gap.max()), 'm')}")
+        colours += f", and to {quantity(float(gap.max()), 'm')} for the difference"
+    order = "Left to right: " if len(panels) > 1 else ""
+    return (
+        panels,
+        f"{order}{'; '.join(parts)}. Colours run {colours}. Drawn with {plain(scale)} times the displacement.",
+    )

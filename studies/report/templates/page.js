@@ -6,7 +6,7 @@
   const words = (cell) => {
     const detail = cell.querySelector(".detail");
     const own = cell.textContent.slice(0, cell.textContent.length - (detail ? detail.textContent.length : 0));
-    return [own.trim(), detail ? detail.textContent.trim() : ""];
+    return [own.trim(), detail ? detail.textContent.trim().replaceAll("\n", ", ") : ""];
   };
 
   // a text that a spreadsheet would run as a formula gets a quote in front; numbers stay numbers
