@@ -188,8 +188,8 @@ def gravity_weights(mesh: TetMesh) -> Array:
     # P2: a vertex function integrates to -V/20, an edge function to V/5.
     share = np.array([-0.05] * 4 + [0.2] * 6) if mesh.order == 2 else np.full(4, 0.25)
     values = (mesh.volumes[:, None] * share).ravel()
-    total: Array = np.bincount(mesh.element_nodes.ravel(), weights=values, minlength=mesh.n_nodes)
-    return total
+    totals = np.bincount(mesh.element_nodes.ravel(), weights=values, minlength=mesh.n_nodes)
+    return np.asarray(totals, dtype=np.float64)
 
 
 def _chunks(count: int) -> list[slice]:

@@ -19,7 +19,7 @@ from fem_reference.loads import (
     prescribed_nodes,
 )
 from fem_reference.mesh import TetMesh
-from fem_reference.outputs import OUTPUTS, StrainOutputs, mean_pressure
+from fem_reference.outputs import OUTPUTS, mean_pressure, strain_outputs
 from fem_reference.solution import CONVERGED, Solution, SolverError, Status
 from fem_reference.system import LinearSystem, build_system
 
@@ -37,7 +37,7 @@ class Fields:
     Attributes
     ----------
     displacement : (S, n_nodes, 3) [m]
-    pressure : (S, n) -tr(stress)/3 at the vertices; (S, 0) for a displacement element [Pa]
+    pressure : (S, n) p = -lambda div u at the vertices; (S, 0) for a displacement element [Pa]
     reaction : (S, n_nodes, 3) force of the support on the body [N]
     residual : (S,) true relative residual of the scaled system
     iterations : (S,) Krylov iterations, 0 for a direct solve
@@ -53,10 +53,9 @@ class Fields:
 class LinearProblem:
     """One body, one material and one set of supports, ready for many loads.
 
-    Mixed displacement-pressure Taylor-Hood elements (P2-P1) on stress = 2 G dev(strain) - p I with
-    p = -K div u (Hughes, The Finite Element Method, section 4.3, with the bulk modulus K in place of lambda,
-    so that p is -tr(stress)/3 and every Poisson ratio down to -1 is allowed). The displacement elements "P2" and
-    "P1" exist to show locking.
+    Mixed displacement-pressure Taylor-Hood elements (P2-P1) on stress = 2 G strain - p I with
+    p = -lambda div u (Hughes, The Finite Element Method, section 4.3). The displacement elements "P2" and "P1"
+    exist to show locking.
 
     Parameters
     ----------
@@ -140,9 +139,7 @@ class LinearProblem:
         fields = self.solve_nodal(forces, prescribed_nodes(self.mesh, loads))
         work = np.einsum("snk,snk->s", forces, fields.displacement)
         reaction_work = np.einsum("snk,snk->s", fields.reaction, fields.displacement)
-        scalars: dict[str, Array] = {}
-        if outputs:
-            scalars = StrainOutputs(self, fields).compute(outputs - {"compliance"})
+        scalars = strain_outputs(self.mesh, fields.displacement, outputs - {"compliance"})
         if "compliance" in outputs:
             scalars["compliance"] = work
         steps = len(loads)

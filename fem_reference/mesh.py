@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from functools import cached_property
 
 import numpy as np
@@ -71,6 +72,7 @@ class TetMesh:
     barycentric_gradients : (m, 3, 3), row a the gradient of the coordinate of vertex a + 1 [1/m]
     area_vectors : (F, 3) outward area vectors of the facets [m^2]
     facet_nodes : (F, 3 or 6) node numbers: vertices, then edges 01, 12, 20
+    facet_edges : (F, 3 or 0) which boundary edge each edge of a facet is
     surface_edges : (E, 2) surface-node indices of the ends of each boundary edge
     surface_edge_nodes : (E,) node number of each boundary edge; empty for P1
 
@@ -98,15 +100,10 @@ class TetMesh:
         self._check_arrays()
         self.volumes, self.barycentric_gradients = self._affine_maps()
         self.area_vectors = self._area_vectors()
-
-        element = ElementTetP2() if order == 2 else ElementTetP1()
         self.skfem_mesh = MeshTet(
             np.ascontiguousarray(self.points.T), np.ascontiguousarray(self.tetrahedra.T.astype(np.int32))
         )
-        dofs = Dofs(self.skfem_mesh, element)
-        self.element_nodes: Index = np.ascontiguousarray(dofs.element_dofs.T, dtype=np.int64)
-        self.n_nodes = int(dofs.N)
-        self._number_surface(dofs)
+        self._number_nodes()
 
     @property
     def n_vertices(self) -> int:
@@ -149,6 +146,14 @@ class TetMesh:
         )
         return int(count), np.asarray(labels, dtype=np.int64)
 
+    def with_order(self, order: int) -> TetMesh:
+        """The same mesh with the nodes of another element; the geometry is shared, not checked again."""
+        other = copy.copy(self)
+        other.order = order
+        other.__dict__.pop("node_points", None)
+        other._number_nodes()
+        return other
+
     def _check_arrays(self) -> None:
         for name, array, width in (
             ("points", self.points, 3),
@@ -166,7 +171,7 @@ class TetMesh:
         ):
             if index.min() < 0 or index.max() >= size:
                 raise _bad_mesh(f"{name} has an index outside 0..{size - 1}", "repair the mesh")
-        unused = len(self.points) - len(np.unique(self.tetrahedra))
+        unused = int((np.bincount(self.tetrahedra.ravel(), minlength=len(self.points)) == 0).sum())
         if unused:
             raise _bad_mesh(f"{unused} points belong to no tetrahedron", "remove them from the mesh")
 
@@ -208,8 +213,17 @@ class TetMesh:
             )
         return area
 
-    def _number_surface(self, dofs: Dofs) -> None:
+    def _number_nodes(self) -> None:
+        dofs = Dofs(self.skfem_mesh, ElementTetP2() if self.order == 2 else ElementTetP1())
+        self.element_nodes: Index = np.ascontiguousarray(dofs.element_dofs.T, dtype=np.int64)
+        self.n_nodes = int(dofs.N)
         corners = self.surface_nodes[self.triangles]
+        self.facet_nodes: Index = corners
+        self.facet_edges: Index = np.empty((len(corners), 0), dtype=np.int64)
+        self.surface_edges: Index = np.empty((0, 2), dtype=np.int64)
+        self.surface_edge_nodes: Index = np.empty(0, dtype=np.int64)
+        if self.order == 1:
+            return
         pairs = np.stack([self.triangles, np.roll(self.triangles, -1, axis=1)], axis=2).reshape(-1, 2)
         vertex_pairs = self.surface_nodes[pairs]
         n = self.n_vertices
@@ -223,18 +237,13 @@ class TetMesh:
             raise _bad_mesh(
                 "a triangle has an edge that no tetrahedron has", "give the boundary of the tetrahedra"
             )
-        self.facet_nodes: Index = corners
-        self.surface_edges: Index = np.empty((0, 2), dtype=np.int64)
-        self.surface_edge_nodes: Index = np.empty(0, dtype=np.int64)
-        self.facet_edges: Index = np.empty((len(corners), 0), dtype=np.int64)
-        if self.order == 2:
-            edge_nodes = np.asarray(dofs.edge_dofs[0], dtype=np.int64)[edges]
-            self.facet_nodes = np.hstack([corners, edge_nodes.reshape(-1, 3)])
-            self.surface_edge_nodes, first, facet_edges = np.unique(
-                edge_nodes, return_index=True, return_inverse=True
-            )
-            self.surface_edges = pairs[first]
-            self.facet_edges = facet_edges.reshape(-1, 3)
+        edge_nodes = np.asarray(dofs.edge_dofs[0], dtype=np.int64)[edges]
+        self.facet_nodes = np.hstack([corners, edge_nodes.reshape(-1, 3)])
+        self.surface_edge_nodes, first, facet_edges = np.unique(
+            edge_nodes, return_index=True, return_inverse=True
+        )
+        self.surface_edges = pairs[first]
+        self.facet_edges = facet_edges.reshape(-1, 3)
 
 
 def _bad_mesh(message: str, remedy: str) -> SolverError:

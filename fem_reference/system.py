@@ -1,22 +1,23 @@
 """The scaled linear system of one mesh, one Poisson ratio and one set of supports.
 
 Lengths are measured in mean edges and stresses in shear moduli, so every entry is of order one and the system
-does not depend on Young's modulus. In these units, with u the displacement and p the pressure -tr(stress)/3:
+does not depend on Young's modulus. In these units stress = 2 eps(u) - p I with p = -lambda div u, and with the
+scaled pressure q = p / a, a = sqrt(2 |nu|), lambda = 2 nu / (1 - 2 nu):
 
-    [  A   -B^T ] [u]   [f]        A: deviatoric form, B: div, M: P1 mass, c = shear modulus / bulk modulus
-    [ -B   -c M ] [p] = [0]
+    [   A   -a B^T ] [u]   [f]      A: 2 eps(u) : eps(v),  B: q div u,  M: P1 mass
+    [ -a B   -c M  ] [q] = [0]      c = (1 - 2 nu) sign(nu)
 
-c is zero for an incompressible body and positive for every Poisson ratio in (-1, 0.5). A displacement element
-has Hooke's law in A and no pressure rows.
+The scaling keeps every block finite for any Poisson ratio in (-1, 0.5]: c is zero for an incompressible body and
+the pressure uncouples at nu = 0. A displacement element has Hooke's law in A and no pressure rows.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import block_array, bsr_array, csc_array, csr_array
+from scipy.sparse import block_array, bsr_array, bsr_matrix, csc_array, csr_array
 
 from fem_reference.assembly import (
     Pattern,
@@ -43,9 +44,13 @@ class LinearSystem:
     held : (n_nodes, 3) components whose displacement is given
     kept : (K,) nodes in the system
     stiffness : (3K, 3K) A
-    divergence : (n, 3K) B, or None for a displacement element
+    divergence : (n, 3K) a B, or None for a displacement element
+    gradient : (3K, n) its transpose, or None
     mass : (n, n) M, or None
     compressibility : c
+    pressure_scale : a
+    divergence_coefficient : lambda of the displacement element, 0 where the pressure carries it
+    schur_factor : the pressure's Schur complement is about -schur_factor M
     support : nodes with a held component
     support_rows : (3 * supports, 3 n_nodes) their rows of A, no row or column taken out
     support_divergence : (n, 3 * supports) their columns of B, or None
@@ -55,9 +60,13 @@ class LinearSystem:
     held: Mask
     kept: Index
     stiffness: bsr_array
-    divergence: bsr_array | None
+    divergence: csr_array | None
+    gradient: csr_array | None
     mass: csr_array | None
     compressibility: float
+    pressure_scale: float
+    divergence_coefficient: float
+    schur_factor: float
     support: Index
     support_rows: bsr_array
     support_divergence: csr_array | None
@@ -79,25 +88,26 @@ class LinearSystem:
 
     def apply(self, x: Array) -> Array:
         """The system matrix times (size,) or (size, S)."""
-        if self.divergence is None or self.mass is None:
-            return np.asarray(self.stiffness @ x)
-        u, p = x[: self.n_displacements], x[self.n_displacements :]
-        top = self.stiffness @ u - self.divergence.T @ p
-        bottom = self.divergence @ u
-        if self.compressibility:
-            bottom = bottom + self.compressibility * (self.mass @ p)
-        return np.concatenate([top, -bottom])
+        u, q = x[: self.n_displacements], x[self.n_displacements :]
+        out = np.empty_like(x)
+        out[: len(u)] = self.stiffness @ u
+        if self.divergence is not None and self.gradient is not None and self.mass is not None:
+            out[: len(u)] -= self.gradient @ q
+            out[len(u) :] = -(self.divergence @ u)
+            if self.compressibility:
+                out[len(u) :] -= self.compressibility * (self.mass @ q)
+        return out
 
     def lower_triangle(self, compressibility: float) -> csc_array:
         """Lower triangle of the matrix by columns, with `compressibility` in place of c."""
-        if self.divergence is None or self.mass is None:
-            matrix = csr_array(self.stiffness)
-        else:
-            b = csr_array(self.divergence)
-            matrix = block_array(
-                [[csr_array(self.stiffness), -b.T], [-b, -compressibility * self.mass]], format="csr"
+        stiffness = csr_array(self.stiffness)
+        if self.divergence is None or self.gradient is None or self.mass is None:
+            return _lower(stiffness)
+        return _lower(
+            block_array(
+                [[stiffness, -self.gradient], [-self.divergence, -compressibility * self.mass]], format="csr"
             )
-        return _lower(matrix)
+        )
 
     def right_hand_side(self, forces: Array, prescribed: Array) -> Array:
         """(size, S) from scaled nodal forces and held values, both (S, n_nodes, 3)."""
@@ -109,7 +119,7 @@ class LinearSystem:
         top = top.reshape(-1, steps)
         if self.support_divergence is None:
             return np.ascontiguousarray(top)
-        return np.concatenate([top, self.support_divergence @ given])
+        return np.concatenate([top, self.pressure_scale * (self.support_divergence @ given)])
 
     def expand(self, x: Array, prescribed: Array) -> tuple[Array, Array]:
         """Nodal displacements (S, n_nodes, 3) and pressures (S, n or 0) from the (size, S) solution."""
@@ -117,7 +127,7 @@ class LinearSystem:
         u = np.where(self.held, prescribed, 0.0)
         found = x[: self.n_displacements].T.reshape(steps, -1, 3)
         u[:, self.kept] = np.where(self.held[self.kept], u[:, self.kept], found)
-        return u, np.ascontiguousarray(x[self.n_displacements :].T)
+        return u, self.pressure_scale * x[self.n_displacements :].T
 
     def reactions(self, displacement: Array, pressure: Array, forces: Array) -> Array:
         """(S, n_nodes, 3) forces of the support on the body at held components, scaled."""
@@ -147,7 +157,7 @@ def build_system(mesh: TetMesh, held: Mask, *, mixed: bool, poisson_ratio: float
     """
     length = mesh.mean_edge
     pattern = scalar_pattern(mesh)
-    lame = 2.0 * poisson_ratio / (1.0 - 2.0 * poisson_ratio) if not mixed else -2.0 / 3.0
+    lame = 0.0 if mixed else 2.0 * poisson_ratio / (1.0 - 2.0 * poisson_ratio)
     blocks = elasticity_blocks(mesh, pattern, lame) / length
     kept = np.flatnonzero(~held.all(axis=1))
     support = np.flatnonzero(held.any(axis=1))
@@ -158,36 +168,54 @@ def build_system(mesh: TetMesh, held: Mask, *, mixed: bool, poisson_ratio: float
     support_rows = _bsr(blocks[rows.data], rows, (3 * len(support), width))
     inner = numbered[kept][:, kept]
     stiffness = _bsr(blocks[inner.data], inner, (3 * len(kept), 3 * len(kept)))
-    _hold_components(stiffness, held[kept])
+    hold_components(stiffness, held[kept])
     del blocks
+    displacement = LinearSystem(
+        mesh=mesh,
+        held=held,
+        kept=kept,
+        stiffness=stiffness,
+        divergence=None,
+        gradient=None,
+        mass=None,
+        compressibility=0.0,
+        pressure_scale=0.0,
+        divergence_coefficient=lame,
+        schur_factor=0.0,
+        support=support,
+        support_rows=support_rows,
+        support_divergence=None,
+    )
     if not mixed:
-        return LinearSystem(mesh, held, kept, stiffness, None, None, 0.0, support, support_rows, None)
+        return displacement
 
-    compressibility = 1.5 * (1.0 - 2.0 * poisson_ratio) / (1.0 + poisson_ratio)
-    divergence, support_divergence = _divergence(mesh, pattern, held, kept, support, length)
+    scale = float(np.sqrt(2.0 * abs(poisson_ratio)))
+    compressibility = (1.0 - 2.0 * poisson_ratio) * (-1.0 if poisson_ratio < 0.0 else 1.0)
+    inner_divergence, support_divergence = _divergence(mesh, pattern, held, kept, support)
+    inner_divergence.data *= scale / length**2
+    support_divergence.data /= length**2
     mass = mass_matrix(mesh)
     mass.data /= length**3
-    system = LinearSystem(
-        mesh,
-        held,
-        kept,
-        stiffness,
-        divergence,
-        mass,
-        compressibility,
-        support,
-        support_rows,
-        support_divergence,
+    system = replace(
+        displacement,
+        divergence=inner_divergence,
+        gradient=csr_array(inner_divergence.T),
+        mass=mass,
+        compressibility=compressibility,
+        pressure_scale=scale,
+        # A pressure drives a gradient field, on which 2 eps : eps is twice (div u)^2: a^2 / 2 = |nu|.
+        schur_factor=compressibility + abs(poisson_ratio),
+        support_divergence=support_divergence,
     )
     if compressibility == 0.0:
-        _check_pressure_datum(system)
+        _check_pressure_datum(mesh, inner_divergence)
     return system
 
 
 def _divergence(
-    mesh: TetMesh, pattern: Pattern, held: Mask, kept: Index, support: Index, length: float
-) -> tuple[bsr_array, csr_array]:
-    blocks = divergence_blocks(mesh, pattern) / length**2
+    mesh: TetMesh, pattern: Pattern, held: Mask, kept: Index, support: Index
+) -> tuple[csr_array, csr_array]:
+    blocks = divergence_blocks(mesh, pattern)
     numbered = pattern.numbered[: mesh.n_vertices]
     inner = numbered[:, kept]
     data = blocks[inner.data]
@@ -195,7 +223,7 @@ def _divergence(
     outer = numbered[:, support]
     n = mesh.n_vertices
     return (
-        _bsr(data, inner, (n, 3 * len(kept))),
+        csr_array(_bsr(data, inner, (n, 3 * len(kept)))),
         csr_array(_bsr(blocks[outer.data], outer, (n, 3 * len(support)))),
     )
 
@@ -204,7 +232,7 @@ def _bsr(blocks: Array, pattern: csr_array, shape: tuple[int, int]) -> bsr_array
     return bsr_array((blocks, pattern.indices, pattern.indptr), shape=shape)
 
 
-def _hold_components(stiffness: bsr_array, held: Mask) -> None:
+def hold_components(stiffness: bsr_array | bsr_matrix, held: Mask) -> None:
     """Turn held components of nodes that stay in the system into identity rows and columns, in place."""
     if not held.any():
         return
@@ -218,11 +246,8 @@ def _hold_components(stiffness: bsr_array, held: Mask) -> None:
     stiffness.data[touched] = values
 
 
-def _check_pressure_datum(system: LinearSystem) -> None:
-    count, label = system.mesh.components
-    divergence = system.divergence
-    if divergence is None:
-        return
+def _check_pressure_datum(mesh: TetMesh, divergence: csr_array) -> None:
+    count, label = mesh.components
     for body in range(count):
         flux = divergence.T @ (label == body).astype(np.float64)
         if np.abs(flux).max(initial=0.0) < 1e-10:
