@@ -23,7 +23,8 @@ from typing import Any
 from .files import write_atomically
 
 Task = Mapping[str, Any]
-PRELOAD = ["studies.worker"]
+# imported once, before the workers are forked: what every case needs, and no case should be timed with
+PRELOAD = ["studies.worker", "vdm.model", "fem_reference.linear"]
 _GRACE = 5.0  # s between asking a worker to stop and killing it
 
 
