@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Collection, Sequence
+from collections.abc import Callable, Collection, Sequence
 from typing import Protocol
 
 import numpy as np
@@ -15,9 +15,11 @@ from vdm.formulations.paper import PaperFormulation
 from vdm.material import ParameterError, Parameters
 from vdm.problem import Problem, Step
 from vdm.solution import Solution
+from vdm.solvers.krylov import KrylovSolver
 from vdm.solvers.linear import LinearSolver
 from vdm.solvers.lu import CONSTRAINT_METHODS, ConstraintMethod, LuSolver
 from vdm.solvers.nonlinear import NonlinearSolver
+from vdm.solvers.quasi_linear import QuasiLinearSolver, VolumeRow
 from vdm.surface import SurfaceMesh
 
 Array = NDArray[np.float64]
@@ -31,7 +33,7 @@ class Solver(Protocol):
         ...
 
 
-SOLVERS: tuple[str, ...] = ("linear", "lu", "nonlinear")
+SOLVERS: tuple[str, ...] = ("linear", "lu", "quasi-linear", "nonlinear", "bicg", "bicg-cold", "cg", "minres")
 OUTPUTS: tuple[str, ...] = ("nodal_stress", "normal_traction")
 
 
@@ -53,6 +55,7 @@ class Model:
     contact_sign : "inward", or "printed" for the sign of equation 24
     constraint_method : "elimination", or one of the paper's two penalties (solver "lu")
     penalty : alpha over the largest diagonal entry of the state matrix
+    volume_row : of the quasi-linear solver: "exact", or "printed" as in equation 33
 
     Raises
     ------
@@ -77,6 +80,7 @@ class Model:
         contact_sign: ContactSign = "inward",
         constraint_method: ConstraintMethod = "elimination",
         penalty: float = 1e8,
+        volume_row: VolumeRow = "exact",
     ) -> None:
         start = time.perf_counter()
         _check_choices(formulation, solver, outputs, constraint_method)
@@ -97,12 +101,7 @@ class Model:
         self.outputs = tuple(outputs)
         self.solver_name = solver
         self.solver: Solver
-        if solver == "lu":
-            self.solver = LuSolver(self.problem, constraint_method, penalty)
-        elif solver == "nonlinear":
-            self.solver = NonlinearSolver(self.problem)
-        else:
-            self.solver = LinearSolver(self.problem)
+        self.solver = _make_solver(solver, self.problem, constraint_method, penalty, volume_row)
         self.seconds_setup = time.perf_counter() - start
 
     def solve(self, loads: Sequence[Load]) -> Solution:
@@ -161,6 +160,22 @@ class Model:
                 )
                 fields.append(np.einsum("ic,ic->i", force, surface.normals) / area)
         return np.array(fields).reshape(-1, surface.n_nodes)
+
+
+def _make_solver(
+    name: str, problem: Problem, constraint_method: ConstraintMethod, penalty: float, volume_row: VolumeRow
+) -> Solver:
+    makers: dict[str, Callable[[], Solver]] = {
+        "linear": lambda: LinearSolver(problem),
+        "lu": lambda: LuSolver(problem, constraint_method, penalty),
+        "quasi-linear": lambda: QuasiLinearSolver(problem, volume_row),
+        "nonlinear": lambda: NonlinearSolver(problem),
+        "bicg": lambda: KrylovSolver(problem, "bicg"),
+        "bicg-cold": lambda: KrylovSolver(problem, "bicg", warm_start=False),
+        "cg": lambda: KrylovSolver(problem, "cg"),
+        "minres": lambda: KrylovSolver(problem, "minres"),
+    }
+    return makers[name]()
 
 
 def _check_choices(

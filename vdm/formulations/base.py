@@ -103,6 +103,10 @@ class Formulation(ABC):
     def deformed_columns(self, state: DeformedSurface) -> tuple[Array, Array]:
         """Generalised force of a unit fluid pressure, and the gradient of the exact volume in x; (N, d) each."""
 
+    def printed_volume_row(self, state: DeformedSurface) -> Array:
+        """Row of equation 33 (N, d) on a deformed surface; the exact gradient unless the paper differs."""
+        return self.deformed_columns(state)[1]
+
     @abstractmethod
     def deformed_contact_force(self, load: Load, state: DeformedSurface) -> Array:
         """Generalised force (N, d) of a contact that follows the surface."""

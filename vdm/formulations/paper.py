@@ -104,3 +104,7 @@ class PaperFormulation(ScalarFormulation):
 
     def deformed_contact_force(self, load: Load, state: DeformedSurface) -> Array:
         return (-state.nodal_areas * load.contact_pressure)[:, None]
+
+    def printed_volume_row(self, state: DeformedSurface) -> Array:
+        """`sum A_i L_i` with the current scalar A_i: as a row in x, A_i / A_i at rest."""
+        return (state.nodal_areas / self.scale)[:, None]

@@ -1,0 +1,149 @@
+"""Iterative solvers (equation 38): BiCG on the printed matrix, CG and MINRES on the symmetric one."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+from scipy.sparse import linalg
+
+from vdm.constraints import Load
+from vdm.problem import Problem, Step
+from vdm.solution import CONVERGED, SolverError, Status
+
+Array = NDArray[np.float64]
+Method = Literal["bicg", "cg", "minres"]
+
+NOT_CONVERGED = Status(
+    "not-converged",
+    "the iterative solver did not reach its tolerance",
+    "use the linear solver, or a larger tolerance",
+)
+
+
+class KrylovSolver:
+    """Solves the state matrix with held nodes eliminated, without factors of the whole.
+
+    Parameters
+    ----------
+    problem : formulation and supports
+    method : "bicg": on the state matrix as printed, no preconditioner (Fig. 8). "minres": on the symmetric bordered
+        matrix, which the paper's formulation does not have. "cg": on the block K alone, once for the load and
+        once, at set-up, for the border columns. MINRES and CG are scaled by the diagonal.
+    warm_start : begin with the previous step's solution instead of zero
+    tolerance : of the true residual, relative to the right-hand side
+
+    Raises
+    ------
+    SolverError
+        MINRES asked for an unsymmetric state matrix.
+    """
+
+    def __init__(
+        self, problem: Problem, method: Method = "bicg", warm_start: bool = True, tolerance: float = 1e-10
+    ) -> None:
+        self.problem, self.method, self.warm_start, self.tolerance = problem, method, warm_start, tolerance
+        formulation = problem.formulation
+        self.n_border = formulation.columns.shape[2]
+        held = np.repeat(problem.support.held, formulation.components)
+        self.free = np.concatenate([~held, np.ones(self.n_border, dtype=np.bool_)])
+        matrix = formulation.state_matrix()
+        self.row_scale, self.column_scale = formulation.row_scale, formulation.column_scale
+        if method != "bicg":
+            self.row_scale = self.column_scale = np.ones_like(self.row_scale)
+            columns, rows = (a.reshape(-1, self.n_border) for a in (formulation.columns, formulation.rows))
+            if method == "minres" and not np.array_equal(columns, rows):
+                raise SolverError(
+                    Status(
+                        "unsymmetric",
+                        "MINRES needs a symmetric state matrix",
+                        "use cg, or another formulation",
+                    )
+                )
+            right, below = sparse.csr_array(-columns), sparse.csr_array(-rows.T)
+            corner = sparse.csr_array(-formulation.corner)
+            matrix = sparse.csr_array(sparse.block_array([[formulation.stiffness(), right], [below, corner]]))
+        self.full = matrix
+        self.matrix = matrix[self.free][:, self.free]
+        self._prepare()
+        self._guess: Array | None = None
+
+    def _prepare(self) -> None:
+        if self.method != "cg":
+            return
+        m = self.n_border
+        self.block, self.right = self.matrix[:-m, :-m], self.matrix[:-m, -m:].toarray()
+        self.below, self.corner = self.matrix[-m:, :-m].toarray(), self.matrix[-m:, -m:].toarray()
+        solved = [self._iterate(self.block, column, None) for column in self.right.T]
+        self.response = np.stack([s for s, _, _ in solved], axis=1)
+
+    def step(self, load: Load, previous: Step | None = None) -> Step:
+        """Solution of one load; `iterations` counts products with the matrix (BiCG: with its transpose too)."""
+        problem = self.problem
+        force = problem.force(load)
+        n = force.size
+        right_hand_side = np.concatenate([self.row_scale * force.reshape(-1), np.zeros(self.n_border)])
+        given = np.zeros(n + self.n_border)
+        given[:n] = problem.held_unknown(load).reshape(-1) / self.column_scale
+        b = (right_hand_side - self.full @ given)[self.free]
+        guess = self._guess if self.warm_start and previous is not None else None
+        if self.method == "cg":
+            solution, iterations, converged = self._by_blocks(b, guess)
+        else:
+            solution, iterations, converged = self._iterate(self.matrix, b, guess)
+        status = CONVERGED if converged else NOT_CONVERGED
+        if converged:
+            self._guess = solution
+        given[self.free] = solution
+        x = (given[:n] * self.column_scale).reshape(force.shape)
+        return problem.finish(x, given[n:], force, iterations, status)
+
+    def _by_blocks(self, b: Array, guess: Array | None) -> tuple[Array, int, bool]:
+        m = self.n_border
+        start = None if guess is None else guess[:-m] + self.response @ guess[-m:]
+        first, iterations, converged = self._iterate(self.block, b[:-m], start)
+        schur = self.corner - self.below @ self.response
+        border = np.linalg.solve(schur, b[-m:] - self.below @ first)
+        return np.concatenate([first - self.response @ border, border]), iterations, converged
+
+    def _iterate(self, matrix: sparse.csr_array, b: Array, guess: Array | None) -> tuple[Array, int, bool]:
+        """Restarted until the true residual is small: the recursive one of MINRES and BiCG drifts away from it."""
+        count = 0
+
+        def counted(_: Array) -> None:
+            nonlocal count
+            count += 1
+
+        size = float(np.linalg.norm(b))
+        x = np.zeros_like(b) if guess is None else guess
+        limit = 10 * len(b)
+        if size == 0.0:
+            return np.zeros_like(b), 0, True
+        for _ in range(4):
+            residual = b - matrix @ x
+            if float(np.linalg.norm(residual)) <= self.tolerance * size:
+                return x, count, True
+            share = 0.5 * self.tolerance * size / float(np.linalg.norm(residual))
+            if self.method == "minres":
+                # its own measure divides by the norms of matrix and solution, which in mixed units is far too kind
+                share *= 1e-4
+            if self.method == "bicg":
+                change, _info = linalg.bicg(matrix, residual, rtol=share, maxiter=limit, callback=counted)
+            else:
+                solver = linalg.cg if self.method == "cg" else linalg.minres
+                scale = sparse.diags_array(_jacobi(matrix, self.n_border if self.method == "minres" else 0))
+                change, _info = solver(matrix, residual, rtol=share, maxiter=limit, M=scale, callback=counted)
+            x = x + change
+        return x, count, bool(np.linalg.norm(b - matrix @ x) <= self.tolerance * size)
+
+
+def _jacobi(matrix: sparse.csr_array, n_border: int) -> Array:
+    """Inverse diagonal; for the border rows that of the Schur complement with the diagonal of the block."""
+    inverse = 1.0 / np.abs(matrix.diagonal()[: matrix.shape[0] - n_border])
+    if n_border == 0:
+        return np.asarray(inverse)
+    below = matrix[-n_border:]
+    schur = (below[:, :-n_border] ** 2) @ inverse + np.abs(below[:, -n_border:].diagonal())
+    return np.concatenate([inverse, 1.0 / schur])

@@ -1,0 +1,86 @@
+"""Quasi-linear analysis (equations 33-37): the block stays, only the volume row follows the surface."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vdm.constraints import Load
+from vdm.problem import Problem, Step
+from vdm.solvers.linear import NOT_FINITE, BorderedFactor
+
+Array = NDArray[np.float64]
+VolumeRow = Literal["exact", "printed"]
+
+
+class QuasiLinearSolver:
+    """One load step is one solve with the volume row of the surface as the last step left it.
+
+    The block K is factored once; a new row only changes the m x m border system. In exact arithmetic this is the
+    Sherman-Morrison update (`sherman_morrison`) without its dense inverse.
+
+    Parameters
+    ----------
+    problem : formulation and supports
+    volume_row : "exact": the gradient of the polyhedron's volume, and the step closes what the last one left:
+        `row . (x - x_last) = -(V_last - V0)`, a drift of second order in the increment. "printed" (equation 33 with
+        its total displacement): `sum A_i L_i = 0` with the updated A_i, a drift of second order in the
+        displacement itself, however small the steps.
+    """
+
+    def __init__(self, problem: Problem, volume_row: VolumeRow = "exact") -> None:
+        self.problem = problem
+        self.volume_row = volume_row
+        self.factor = BorderedFactor(problem)
+        self.rest_volume = problem.body.at(np.zeros_like(problem.body.rest)).volume
+
+    def step(self, load: Load, previous: Step | None = None) -> Step:
+        """Solution of one load; the previous step says which surface the volume row is taken on."""
+        problem, factor, formulation = self.problem, self.factor, self.problem.formulation
+        free = factor.free
+        force = problem.force(load)
+        x = problem.held_unknown(load)
+        last = np.zeros_like(x) if previous is None else previous.unknown
+        state = problem.deformed(last)
+        target = -factor.held_rows.T @ x[~free].reshape(-1)
+        if self.volume_row == "exact":
+            row = formulation.deformed_columns(state)[1]
+            target[0] = float(np.vdot(row, last)) - (state.volume - self.rest_volume)
+        else:
+            row = formulation.printed_volume_row(state)
+            target[0] = 0.0
+        target[0] -= float(np.vdot(row[~free], x[~free]))
+        right_hand_side = force - formulation.apply(x) if x.any() else force
+        column = formulation.columns[free, :, 0].reshape(-1)
+        free_x, border = factor.solve_updated(
+            right_hand_side[free].reshape(-1), target, column, row[free].reshape(-1), same_column=True
+        )
+        x[free] = free_x.reshape(-1, x.shape[1])
+        if not np.isfinite(free_x).all():
+            return problem.finish(x, border, force, status=NOT_FINITE)
+        return problem.finish(x, border, force)
+
+
+def sherman_morrison(inverse: Array, change_of_row: Array) -> Array:
+    """Inverse of K + u v^T, u = e_n: the last row of K changed by v (n,) (equations 34-37).
+
+    `K^-1 - (z w^T) / (1 + lambda)`, z = K^-1 u, w = K^-T v, lambda = v . z. The paper prints a plus sign and a
+    vector in the denominator; neither inverts K + u v^T. Dense, O(n^2) a step: what `QuasiLinearSolver`
+    is compared with.
+
+    Raises
+    ------
+    ValueError
+        where the changed matrix is singular.
+    """
+    z = inverse[:, -1]
+    w = inverse.T @ change_of_row
+    denominator = 1.0 + float(change_of_row @ z)
+    if abs(denominator) < np.finfo(np.float64).eps * (1.0 + float(np.abs(change_of_row) @ np.abs(z))):
+        raise ValueError(
+            "the updated matrix is singular; the new volume row does not see the pressure's response"
+        )
+    updated: Array = inverse - np.outer(z, w) / denominator
+    return updated
