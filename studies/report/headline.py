@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from ..case import Run
-from .blocks import Block, Cell, Column, Section, Table, Text
+from .blocks import Cell, Column, Section, Table, Text
 from .digest import RESOLUTION, VECTOR, Digest, ModelSummary, Spread, at_full_load, full_load
 from .formatting import NOT_MEASURED, NOTHING, listed, percent, plain, plural, quantity, short_percent
 
@@ -17,25 +17,42 @@ def headline_rows(run: Run) -> list[dict[str, str]]:
     digest = Digest(run)
     if not digest.cases:
         return []
-    table = _table(digest)
     rows = []
-    for row in table.rows:
-        texts = [f"{row[0].text} ({row[0].detail})" if row[0].detail else row[0].text]
-        texts += [f"{cell.text} {cell.detail}".strip().replace("\n", ", ") for cell in row[1:]]
-        titles = [
-            f"{column.title}, {column.detail}" if column.detail else column.title for column in table.columns
-        ]
-        rows.append(dict(zip(titles, texts, strict=True)))
+    for summary in digest.summaries:
+        row = {"model": f"{summary.name} (reference)" if summary.is_reference else summary.name}
+        if digest.compared:
+            row["displacement error"] = _one_line(summary.vector)
+            row["deformation error"] = _one_line(summary.deformation)
+            row["reference's own"] = _bar_in_words(summary.vector)
+        row["volume drift"] = _drift(summary.drift).text
+        row["set-up"] = quantity(summary.seconds_setup, "s")
+        row["per frame"] = quantity(summary.seconds_per_step, "s")
+        row["memory"] = quantity(summary.peak_bytes, "B")
+        rows.append(row)
     return rows
 
 
-def headline(digest: Digest) -> Section:
+def _one_line(spread: Spread | None) -> str:
+    if spread is None:
+        return NOTHING
+    return (
+        percent(spread.median)
+        if spread.cases == 1
+        else f"{percent(spread.median)}, worst {percent(spread.worst)}"
+    )
+
+
+def _bar_in_words(spread: Spread | None) -> str:
+    if spread is None:
+        return NOTHING
+    return _bar(spread.median, spread.median_bar).replace("\n", ", ")
+
+
+def headline(digest: Digest) -> Section | None:
     """The headline table with how to read it."""
-    blocks: list[Block] = []
-    if digest.cases:
-        blocks.append(_table(digest))
-        blocks.append(Text(_reading(digest), kind="note"))
-    return Section("headline", "Headline", blocks)
+    if not digest.cases:
+        return None
+    return Section("headline", "Headline", [_table(digest), Text(_reading(digest), kind="note")])
 
 
 def verdict(digest: Digest) -> list[str]:
@@ -95,9 +112,9 @@ def _resolution(digest: Digest, error: Spread) -> str:
         )
     bar = f"{digest.reference} itself is uncertain by {short_percent(error.median_bar)}"
     if error.resolved == error.cases:
-        return f"{bar}, small enough to resolve the difference."
+        return f"{bar}, at most a tenth of the difference, which is thereby resolved."
     if not error.resolved:
-        return f"{bar}, too much to resolve the difference: take it as unresolved."
+        return f"{bar}, more than a tenth of the difference, which counts as unresolved."
     return f"{bar}; the difference is resolved in {error.resolved} of {plural(error.cases, 'case')}."
 
 

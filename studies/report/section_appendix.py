@@ -7,8 +7,9 @@ from collections.abc import Mapping
 
 from .blocks import Block, Code, Facts, Section, Text
 from .digest import Digest
-from .formatting import listed, number, plural
+from .formatting import listed, plain, plural
 
+_MESH_UNITS = {"area": "m²", "volume": "m³", "seconds": "s", "surface_distance": "m"}
 _SHORT = 16  # hex digits of a hash that are shown
 
 
@@ -41,7 +42,7 @@ def provenance(digest: Digest) -> Section | None:
     if not digest.cases:
         return None
     keys = dict.fromkeys(key for case in digest.cases for key in case.provenance)
-    rows = [(key.removeprefix("package."), _over_cases(digest, key)) for key in keys]
+    rows = [(key.removeprefix("package.").replace("_", " "), _over_cases(digest, key)) for key in keys]
     nodes = sorted({len(case.points) for case in digest.cases})
     meshes = f"{nodes[0]}" if len(nodes) == 1 else f"{nodes[0]} to {nodes[-1]}"
     rows.insert(0, ("surface nodes", meshes))
@@ -49,7 +50,10 @@ def provenance(digest: Digest) -> Section | None:
         key: [c.mesh_quality[key] for c in digest.cases if key in c.mesh_quality]
         for key in _quality_keys(digest)
     }
-    rows[1:1] = [(f"mesh: {key.replace('_', ' ')}", _range(values)) for key, values in quality.items()]
+    rows[1:1] = [
+        (f"mesh: {key.replace('_', ' ')}", _range(values, _MESH_UNITS.get(key, "")))
+        for key, values in quality.items()
+    ]
     blocks: list[Block] = [Facts(rows)]
     for model in digest.models:
         case = next((case for case in digest.cases if model in case.models), None)
@@ -71,9 +75,9 @@ def _quality_keys(digest: Digest) -> list[str]:
     )
 
 
-def _range(values: list[float]) -> str:
-    low, high = min(values), max(values)
-    return number(low) if low == high else f"{number(low)} to {number(high)}"
+def _range(values: list[float], unit: str) -> str:
+    low, high = (plain(float(f(values)), 6 if float(f(values)).is_integer() else 3) for f in (min, max))
+    return f"{low if low == high else f'{low} to {high}'} {unit}".strip()
 
 
 def _over_cases(digest: Digest, key: str) -> str:
@@ -88,4 +92,4 @@ def _over_cases(digest: Digest, key: str) -> str:
 
 
 def _parameter(value: Mapping[str, object] | float | str) -> str:
-    return number(float(value), 6) if isinstance(value, int | float) else str(value)
+    return plain(float(value), 6) if isinstance(value, int | float) else str(value)

@@ -32,7 +32,7 @@ def case_table(digest: Digest) -> Section | None:
         columns.append(Column(model, "displacement", unit="1"))
         columns.append(Column(model, "deformation", unit="1"))
     if digest.compared:
-        columns.append(Column("Reference's own error", unit="1"))
+        columns.append(Column("Reference", "own error", unit="1"))
     roles = {case.hash: role for role, case in digest.key_cases if role}
     ranked = sorted(digest.cases, key=lambda case: _rank(digest, case))
     most = max(_OPEN_ROWS, _MOST_CELLS // len(columns))

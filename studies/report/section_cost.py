@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 from .blocks import Figure, Figures, Section, Text
 from .digest import DEFORMATION, REFERENCE, VECTOR, Digest, Spread
@@ -13,8 +14,12 @@ from .plots import Plot, colour, marker, percent_axis, time_ticks
 def run_time_against_error(digest: Digest) -> Section | None:
     """Time per frame, and set-up as a hollow marker, against the median error; whiskers reach best and worst."""
     figures = []
+    spreads = [digest.spread(model, metric) for model in digest.compared for metric in (VECTOR, DEFORMATION)]
+    heights = [
+        height for spread in spreads if spread for height in (spread.best, spread.median, spread.worst)
+    ]
     for k, (metric, title) in enumerate(((VECTOR, "Displacement error"), (DEFORMATION, "Deformation error"))):
-        figure = _pareto(digest, metric, title, f"c{k}")
+        figure = _pareto(digest, metric, title, heights, f"c{k}")
         figures += [figure] if figure else []
     if not figures:
         return None
@@ -28,7 +33,7 @@ def run_time_against_error(digest: Digest) -> Section | None:
     )
 
 
-def _pareto(digest: Digest, metric: str, title: str, salt: str) -> Figure | None:
+def _pareto(digest: Digest, metric: str, title: str, heights: Sequence[float], salt: str) -> Figure | None:
     points: list[tuple[str, float, float, Spread]] = []
     for summary in digest.summaries:
         spread = digest.spread(summary.name, metric)
@@ -54,7 +59,7 @@ def _pareto(digest: Digest, metric: str, title: str, salt: str) -> Figure | None
         if reference is not None and reference.seconds_per_step > 0:
             axes.axvline(reference.seconds_per_step, linestyle="--", color=colour(REFERENCE), linewidth=1.0)
         time_ticks(axes)
-        percent_axis(axes, [h for *_, spread in points for h in (spread.best, spread.median, spread.worst)])
+        percent_axis(axes, heights)
     described = [
         f"{model} {quantity(frame, 's')} per frame at {percent(spread.median)}"
         for model, frame, _, spread in points

@@ -27,7 +27,7 @@ def force_against_indentation(digest: Digest) -> Section | None:
             )
             figures += [figure] if figure else []
     elif len(digest.cases) > 1:
-        figure = _stiffness(digest, list(digest.cases), "all cases", "f0")
+        figure = _stiffness(digest, list(digest.cases), "All cases", "f0")
         figures += [figure] if figure else []
     if not figures:
         return None
@@ -120,6 +120,8 @@ def _stiffness(digest: Digest, cases: list[CaseResult], title: str, salt: str) -
 
 def volume_drift(digest: Digest) -> Section | None:
     """Change of the exact enclosed volume, as a share of the volume and of the displaced volume."""
+    if not digest.has_steps:
+        return None  # one point per model: the headline has it
     quantities = (
         ("volume_drift", "|V − V0| / V0", "Drift as a share of the volume"),
         (
