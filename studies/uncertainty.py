@@ -1,8 +1,8 @@
 """The reference's own error from mesh levels: observed order, Richardson estimate and GCI. Pure functions.
 
-Level 0 is the mesh of the case, each next level `ratio` times finer. The differences of neighbours
-d01 = |f0 - f1| and d12 = |f1 - f2| give the observed order p = ln(d01/d12)/ln(ratio), the estimated error of
-level 0, d01 ratio^p/(ratio^p - 1), and its grid convergence index, a safety factor times that error
+Levels are named from the finest, 0, each `ratio` times coarser than the one before. The differences of
+neighbours d01 = |f0 - f1| and d12 = |f1 - f2| give the observed order p = ln(d12/d01)/ln(ratio), the estimated
+error of level 0, d01/(ratio^p - 1), and its grid convergence index, a safety factor times that error
 (Roache 1994, doi 10.1115/1.2910291; Celik et al. 2008, doi 10.1115/1.2960953).
 """
 
@@ -18,7 +18,7 @@ REASONABLE_ORDERS = (0.5, 4.0)
 
 @dataclass(frozen=True)
 class ErrorEstimate:
-    """An estimate of level 0's error, in the unit of the differences that it was made from."""
+    """An estimate of the finest level's error, in the unit of the differences that it was made from."""
 
     error: float
     gci: float
@@ -27,7 +27,7 @@ class ErrorEstimate:
 
 
 def estimate_error(differences: Sequence[float], ratio: float = 2.0) -> ErrorEstimate:
-    """Error of level 0 from [d01] or [d01, d12].
+    """Error of the finest level from [d01] or [d01, d12].
 
     With one difference, or an order outside 0.5 to 4, order 2 is assumed and the safety factor is 3, not 1.25.
 
@@ -37,13 +37,12 @@ def estimate_error(differences: Sequence[float], ratio: float = 2.0) -> ErrorEst
         no difference, or a ratio that is not above 1.
     """
     if not differences or ratio <= 1.0:
-        raise ValueError("an error estimate needs two mesh levels or more, each finer than the one before")
+        raise ValueError("an error estimate needs two mesh levels or more, each coarser than the one before")
     first = differences[0]
     order = math.nan
     if len(differences) > 1 and first > 0 and differences[1] > 0:
-        order = math.log(first / differences[1]) / math.log(ratio)
+        order = math.log(differences[1] / first) / math.log(ratio)
     low, high = REASONABLE_ORDERS
     reasonable = low <= order <= high
-    gain = ratio ** (order if reasonable else FORMAL_ORDER)
-    error = first * gain / (gain - 1.0)
+    error = first / (ratio ** (order if reasonable else FORMAL_ORDER) - 1.0)
     return ErrorEstimate(error, (1.25 if reasonable else 3.0) * error, order, reasonable)

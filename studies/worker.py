@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
-import itertools
 import platform
 from collections.abc import Mapping
 from datetime import UTC, datetime
@@ -11,22 +9,20 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
-from . import models, uncertainty
+from . import models
 from .case import CaseResult, MetricSeries, ModelResult
 from .config import geometry_of
-from .execute import TaskError
 from .geometry_spec import Geometry
 from .mesh import Mesh
 from .mesh_cache import mesh_from_cache
-from .metrics import METRICS, History, Surface, evaluate, relative_l2, rigid_motion_removed
+from .metrics import METRICS, History, Surface, evaluate
 from .plan import needs_volume
-from .refine import inherit, refine
+from .reference import refined_reference, require_converged
 from .scene import Scene, build_scene
 from .schema import Study
 from .store import write_case
 
+REFINED = " refined"  # what the reference's name gets where it is solved on refinements of the case's mesh
 PACKAGES = (
     "vdmbench",
     "numpy",
@@ -64,10 +60,12 @@ def run_case(task: Mapping[str, Any]) -> None:
     results = {name: models.run_model(scene, name) for name in names}
     reference_error: dict[str, float] = {}
     if reference is not None:
-        _require_converged(reference, results[reference])
+        require_converged(reference, results[reference])
         if study.uncertainty is not None:
-            levels = study.uncertainty.levels
-            reference_error = measure_reference(study, scene, reference, results[reference], levels)
+            on_case_mesh, n_levels = results[reference], study.uncertainty.levels
+            finest, reference_error = refined_reference(study, scene, reference, on_case_mesh, n_levels)
+            reference += REFINED
+            results[reference] = finest
     write_case(
         Path(task["path"]),
         CaseResult(
@@ -115,38 +113,6 @@ def compare(
     return out
 
 
-def measure_reference(
-    study: Study, scene: Scene, reference: str, result: ModelResult, n_levels: int
-) -> dict[str, float]:
-    """The reference's discretisation error at the last load step, from the same scene on refined meshes.
-
-    Every level splits each tetrahedron of the one before into eight; levels are compared at the surface nodes of
-    the case's mesh, which all of them share. For its smooth profiles the load is evaluated anew on each level.
-    """
-    surface = Surface(scene.mesh.surface_points, scene.mesh.triangles)
-    levels = [result.displacement[-1]]
-    for _ in range(n_levels - 1):
-        mesh, parents = refine(scene.mesh)
-        masks = {name: inherit(mask, scene.mesh, parents) for name, mask in scene.regions.items()}
-        scene = build_scene(study, mesh, masks)
-        last = dataclasses.replace(scene, load_factors=scene.load_factors[-1:])
-        finer = models.run_model(last, reference)
-        _require_converged(f"{reference} on the refined mesh", finer)
-        levels.append(finer.displacement[-1, : len(surface.points)])
-    pairs = list(itertools.pairwise(levels))
-    vector = uncertainty.estimate_error([relative_l2(u, v, surface.areas) for u, v in pairs])
-    without = [[rigid_motion_removed(surface.points, w, surface.areas) for w in pair] for pair in pairs]
-    deformation = uncertainty.estimate_error([relative_l2(u, v, surface.areas) for u, v in without])
-    return {
-        "relative_l2": vector.error,
-        "gci": vector.gci,
-        "observed_order": vector.observed_order,
-        "relative_l2_deformation": deformation.error,
-        "gci_deformation": deformation.gci,
-        "levels": float(len(levels)),
-    }
-
-
 def provenance(mesh: Mesh) -> dict[str, str]:
     """Where a case comes from: packages, platform, mesh, time."""
     return {
@@ -165,13 +131,3 @@ def _processor() -> str:
     except OSError:
         return platform.processor()
     return next((line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")), "unknown")
-
-
-def _require_converged(name: str, result: ModelResult) -> None:
-    for status in result.status:
-        if not status.ok:
-            raise TaskError(f"{name}: {status.message}", status.remedy)
-    if not np.isfinite(result.displacement).all():
-        raise TaskError(
-            f"{name} gave a displacement that is not finite", "check the scene's supports and loads"
-        )
