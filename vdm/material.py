@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
-from typing import Literal
+from dataclasses import dataclass, replace
+from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from vdm.surface import SurfaceMesh
 
@@ -20,6 +20,11 @@ BALL_FOUNDATION = 46.0 / 35.0  # k R / mu
 BALL_TENSION = 29.0 / 70.0  # T / (mu R)
 # Vector form: T / (mu R) that fits an incompressible ball under a finger's patch.
 VECTOR_TENSION = 0.70
+
+
+NODE_MODULI = ("bulk_modulus", "foundation")
+EDGE_MODULI = ("connectivity_modulus", "surface_tension", "stretch_stiffness")
+MODULI = NODE_MODULI + EDGE_MODULI
 
 
 class ParameterError(ValueError):
@@ -38,6 +43,8 @@ class Parameters:
     surface_tension : T [N/m], scalar or (E,) (consistent, vector)
     stretch_stiffness : E_s [N/m], scalar or (E,) (vector)
     rotation : which rotation is free of tension: none, one for the body, one per node (vector)
+    tension_stiffening : gamma of the nonlinear volumic tension B_ij (1 + gamma s^2) s, s the difference of two
+        neighbours' dV over their mean V_i (paper, nonlinear solver); zero is equation 8
     """
 
     bulk_modulus: float | Array | None = None
@@ -46,6 +53,7 @@ class Parameters:
     surface_tension: float | Array | None = None
     stretch_stiffness: float | Array | None = None
     rotation: Rotation = "global"
+    tension_stiffening: float = 0.0
 
     def __post_init__(self) -> None:
         if self.rotation not in ROTATIONS:
@@ -54,6 +62,10 @@ class Parameters:
             array = np.asarray(value, dtype=np.float64)
             if not np.isfinite(array).all() or np.any(array < 0.0):
                 raise ParameterError(f"{name} must be finite and not negative")
+        if not (np.isfinite(self.tension_stiffening) and self.tension_stiffening >= 0.0):
+            raise ParameterError(
+                f"tension_stiffening must be finite and not negative, not {self.tension_stiffening}"
+            )
 
     @classmethod
     def from_tissue(
@@ -99,14 +111,53 @@ class Parameters:
             return cls(surface_tension=VECTOR_TENSION * mu * radius)
         raise ParameterError(f"unknown formulation {formulation!r}; use paper, consistent or vector")
 
+    def anisotropic(self, surface: SurfaceMesh, fibre: ArrayLike, contrast: float) -> Parameters:
+        """The same material with a fibre direction (ANISOTROPIC): moduli per node and per edge.
+
+        A modulus of an edge is multiplied by 1 + (c - 1) cos^2 of its angle to the fibre, one of a node by the
+        same of its normal's angle: c > 1 is stiffer along the fibre, c < 1 prefers to deform along it.
+
+        Parameters
+        ----------
+        surface : the body's surface
+        fibre : (3,) direction, of any length
+        contrast : c, the modulus along the fibre over the one across it
+
+        Raises
+        ------
+        ParameterError
+            a zero direction or a contrast that is not positive.
+        """
+        direction = np.asarray(fibre, dtype=np.float64)
+        length = float(np.linalg.norm(direction))
+        if direction.shape != (3,) or not np.isfinite(length) or length == 0.0:
+            raise ParameterError("the fibre direction must be three finite numbers, not all zero")
+        if not (np.isfinite(contrast) and contrast > 0.0):
+            raise ParameterError(f"contrast must be positive, not {contrast}")
+        i, j = surface.edges.T
+        along = surface.points[i] - surface.points[j]
+        along /= np.linalg.norm(along, axis=1)[:, None]
+        of_edge = 1.0 + (contrast - 1.0) * (along @ direction / length) ** 2
+        of_node = 1.0 + (contrast - 1.0) * (surface.normals @ direction / length) ** 2
+        changed: dict[str, Any] = {
+            name: np.asarray(value) * (of_node if name in NODE_MODULI else of_edge)
+            for name, value in self.moduli().items()
+        }
+        return replace(self, **changed)
+
     def moduli(self) -> dict[str, float | Array]:
         """The moduli that are set, by name."""
-        values = {f.name: getattr(self, f.name) for f in fields(self) if f.name != "rotation"}
+        values = {name: getattr(self, name) for name in MODULI}
         return {name: value for name, value in values.items() if value is not None}
 
     def record(self) -> dict[str, float | str]:
         """For the record of a run: scalars as they are, arrays by their mean."""
-        return {name: float(np.mean(value)) for name, value in self.moduli().items()}
+        record: dict[str, float | str] = {
+            name: float(np.mean(value)) for name, value in self.moduli().items()
+        }
+        if self.tension_stiffening:
+            record["tension_stiffening"] = self.tension_stiffening
+        return record
 
 
 def ball_compliance(degree: int) -> float:

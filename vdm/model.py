@@ -84,6 +84,8 @@ class Model:
     ) -> None:
         start = time.perf_counter()
         _check_choices(formulation, solver, outputs, constraint_method)
+        if parameters.tension_stiffening and (formulation, solver) != ("paper", "nonlinear"):
+            raise ParameterError("tension_stiffening needs the paper formulation and the nonlinear solver")
         self.surface = SurfaceMesh(points, triangles)
         n_nodes = self.surface.n_nodes
         hydrostatic = hydrostatic_pressure(self.surface, density, gravity)

@@ -93,7 +93,15 @@ class PaperFormulation(ScalarFormulation):
         change = areas * (x[:, 0] / self.scale)
         current_height = self.surface.volume / areas.sum()
         rest_height = self.surface.volume / self.surface.area
-        return (self.operator @ change * (rest_height / current_height))[:, None]
+        force = self.operator @ change
+        if self.parameters.tension_stiffening:
+            i, j = self.surface.edges.T
+            gap = change[i] - change[j]
+            volume = 0.5 * (self.surface.nodal_volumes[i] + self.surface.nodal_volumes[j])
+            stiffening = self.parameters.tension_stiffening * (gap / volume) ** 2
+            extra = self.connectivity_modulus * stiffening * gap / rest_height
+            force = force + np.bincount(i, extra, len(force)) - np.bincount(j, extra, len(force))
+        return (force * (rest_height / current_height))[:, None]
 
     def deformed_energy(self, x: Array, state: DeformedSurface) -> float:
         """Half the work of the pressures on the displacement; the printed model has no potential."""

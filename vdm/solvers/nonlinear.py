@@ -18,6 +18,7 @@ Array = NDArray[np.float64]
 
 MAX_ITERATIONS = 60
 HISTORY = 10
+FURTHEST = 3.0  # sizes of the body
 SMALLEST_SUBSTEP = 1.0 / 64.0
 GROWTH_LIMIT = 1e3  # a residual that grew by this much will not come back
 
@@ -63,6 +64,8 @@ class NonlinearSolver:
         self.factor = BorderedFactor(problem)
         self.free = problem.free
         self.rest_volume = problem.body.at(np.zeros_like(problem.body.rest)).volume
+        # a node that leaves the body by several of its sizes will not come back
+        self.reach = FURTHEST * float(np.ptp(problem.body.rest, axis=0).max())
         n, d = problem.formulation.surface.n_nodes, problem.formulation.components
         zero = np.zeros((n, d))
         self._unloaded = Load(np.zeros(n), np.zeros((n, 3)), np.zeros((n, 3)))
@@ -117,6 +120,8 @@ class NonlinearSolver:
         anderson = Anderson(HISTORY)
         smallest = np.inf
         for iteration in range(MAX_ITERATIONS):
+            if not np.abs(self.problem.formulation.displacement(x)).max() < self.reach:
+                return None, iteration
             balance = self._balance(load, x, pressure)
             residual = float(np.linalg.norm(balance.lacking[free]))
             gap = (balance.state.volume - self.rest_volume) / self.rest_volume

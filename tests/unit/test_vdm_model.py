@@ -1,0 +1,373 @@
+"""The entry `Model`: identities of the linear model, shortcuts against the long way, and bad input."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from tests.unit.vdm_shapes import box, icosphere, torus
+from vdm import (
+    FORMULATIONS,
+    ConstraintError,
+    Load,
+    Model,
+    ParameterError,
+    Parameters,
+    SolverError,
+    SurfaceMesh,
+)
+from vdm.deformed import DeformableSurface
+from vdm.material import ball_compliance
+from vdm.solvers.compliance import ContactCompliance
+
+POINTS, TRIANGLES = icosphere(2, (0.05, 0.06, 0.045))
+BODY = SurfaceMesh(POINTS, TRIANGLES)
+BASE = POINTS[:, 2] < -0.03
+FINGER = Load(np.where(POINTS[:, 2] > 0.035, 200.0, 0.0))
+NAMES = list(FORMULATIONS)
+
+
+def model(formulation: str, **options) -> Model:
+    parameters = options.pop("parameters", None) or Parameters.from_tissue(5000.0, 0.4999, BODY, formulation)
+    return Model(POINTS, TRIANGLES, parameters, formulation=formulation, **options)
+
+
+@pytest.mark.parametrize("links", ["constant", "random"])
+@pytest.mark.parametrize("shape", [lambda: (POINTS, TRIANGLES), torus, lambda: box(4, (0.1, 0.1, 0.05))])
+def test_fluid_pressure_of_a_free_body_is_the_mean_contact_pressure(shape, links):
+    points, triangles = shape()
+    surface = SurfaceMesh(points, triangles)
+    rng = np.random.default_rng(0)
+    coupling = rng.uniform(10.0, 1e4, len(surface.edges)) if links == "random" else 3000.0
+    pressure = rng.uniform(0.0, 500.0, len(points))
+    solution = Model(points, triangles, Parameters(bulk_modulus=7.0, connectivity_modulus=coupling)).solve(
+        [Load(pressure)]
+    )
+    expected = surface.nodal_areas @ pressure / surface.area
+    # the matrix has condition 1e3 to 1e5
+    assert_allclose(solution.fluid_pressure, expected, rtol=1e-10, atol=0.0)
+
+
+@pytest.mark.parametrize("formulation", ["paper", "consistent"])
+def test_uniform_pressure_moves_nothing(formulation):
+    solution = model(formulation).solve([Load(np.full(len(POINTS), 300.0)), FINGER])
+    assert_allclose(solution.fluid_pressure[0], 300.0, rtol=1e-12, atol=0.0)
+    assert_allclose(
+        solution.displacement[0], 0.0, rtol=0.0, atol=1e-12 * np.abs(solution.displacement[1]).max()
+    )
+
+
+def test_uniform_pressure_moves_nothing_in_the_vector_form():
+    solution = model("vector", fixed=BASE).solve([Load(np.full(len(POINTS), 300.0)), FINGER])
+    assert_allclose(solution.fluid_pressure[0], 300.0, rtol=1e-12, atol=0.0)
+    assert_allclose(
+        solution.displacement[0], 0.0, rtol=0.0, atol=1e-12 * np.abs(solution.displacement[1]).max()
+    )
+
+
+@pytest.mark.parametrize("formulation", NAMES)
+def test_a_push_dents_and_the_printed_sign_bulges(formulation):
+    inward = model(formulation, fixed=BASE).solve([FINGER])
+    printed = model(formulation, fixed=BASE, contact_sign="printed").solve([FINGER])
+    top = np.argmax(POINTS[:, 2])
+    assert inward.displacement[0, top, 2] < -1e-4
+    assert_allclose(printed.displacement, -inward.displacement, rtol=0.0, atol=1e-17)
+    # an environment's pressure only shifts the fluid's
+    shifted = model(formulation, fixed=BASE, environment_pressure=1e3).solve([FINGER])
+    assert_allclose(shifted.fluid_pressure, inward.fluid_pressure + 1e3, rtol=1e-14, atol=0.0)
+    assert_allclose(shifted.displacement, inward.displacement, rtol=0.0, atol=0.0)
+
+
+@pytest.mark.parametrize("formulation", NAMES)
+def test_linear_solutions_scale_and_superpose(formulation):
+    solver = model(formulation, fixed=BASE)
+    other = Load(np.where(POINTS[:, 0] > 0.035, 90.0, 0.0))
+    both = Load(2.0 * FINGER.contact_pressure - 0.5 * other.contact_pressure)
+    solution = solver.solve([FINGER, other, both])
+    first, second, third = solution.displacement
+    size = np.abs(third).max()
+    assert_allclose(third, 2.0 * first - 0.5 * second, rtol=0.0, atol=1e-12 * size)
+    # a history is the same as its steps one by one, and the factor is made once
+    again = [solver.solve([load]).displacement[0] for load in (both, FINGER)]
+    assert_allclose(again[0], third, rtol=0.0, atol=1e-14 * size)
+    assert_allclose(again[1], first, rtol=0.0, atol=1e-14 * size)
+
+
+@pytest.mark.parametrize("formulation", NAMES)
+def test_compliance_columns_equal_the_full_solve(formulation):
+    solver = model(formulation, fixed=BASE)
+    compliance = ContactCompliance(solver.problem)
+    nodes = np.flatnonzero(FINGER.contact_pressure)
+    unknown, pressure = compliance.frame(nodes, FINGER.contact_pressure[nodes])
+    full = solver.solve([FINGER])
+    moved = solver.formulation.displacement(unknown)
+    assert_allclose(moved, full.displacement[0], rtol=0.0, atol=1e-13 * np.abs(moved).max())
+    assert_allclose(pressure, full.fluid_pressure[0], rtol=1e-12, atol=0.0)
+    coarse = ContactCompliance(solver.problem, single_precision=True)
+    unknown, _ = coarse.frame(nodes[::-1], FINGER.contact_pressure[nodes[::-1]])
+    moved_32 = solver.formulation.displacement(unknown)
+    assert_allclose(moved_32, moved, rtol=0.0, atol=2e-6 * np.abs(moved).max())
+    with pytest.raises(ConstraintError, match="contact nodes"):
+        compliance.prepare(np.array([len(POINTS)]))
+
+
+def test_one_scalar_factor_equals_the_full_vector_factor():
+    # a foundation too weak to matter forces the 3N x 3N factor
+    parameters = Parameters(surface_tension=60.0)
+    shared = model("vector", fixed=BASE, parameters=parameters)
+    whole = model("vector", fixed=BASE, parameters=replace(parameters, foundation=1e-12))
+    assert shared.formulation.coupling is None
+    assert whole.formulation.coupling is not None
+    first, second = (m.solve([FINGER]).displacement for m in (shared, whole))
+    assert_allclose(first, second, rtol=0.0, atol=1e-12 * np.abs(first).max())
+
+
+@pytest.mark.parametrize("formulation", NAMES)
+def test_gravity_datum_changes_the_pressure_only(formulation):
+    def hanging(gravity, shift):
+        points = POINTS + np.array([0.0, 0.0, shift])
+        return Model(
+            points,
+            TRIANGLES,
+            Parameters.from_tissue(5000.0, 0.4999, BODY, formulation),
+            formulation=formulation,
+            fixed=BASE,
+            density=1060.0,
+            gravity=gravity,
+        ).solve([Load(np.zeros(len(points)))])
+
+    low, high = hanging((0.0, 0.0, -9.81), 0.0), hanging((0.0, 0.0, -9.81), 2.0)
+    size = np.abs(low.displacement).max()
+    assert size > 1e-5
+    assert_allclose(high.displacement, low.displacement, rtol=0.0, atol=1e-9 * size)
+    assert_allclose(high.fluid_pressure, low.fluid_pressure, rtol=1e-9, atol=0.0)
+    # delta_i as a further contact: a datum 1 m higher adds rho g to every delta and takes it from dP
+    depth = POINTS[:, 2].max() - POINTS[:, 2]
+    by_hand = model(formulation, fixed=BASE).solve([Load(-1060.0 * 9.81 * (depth + 1.0))])
+    assert_allclose(by_hand.displacement, low.displacement, rtol=0.0, atol=1e-9 * size)
+    assert_allclose(by_hand.fluid_pressure, low.fluid_pressure - 1060.0 * 9.81, rtol=1e-10, atol=0.0)
+
+
+def test_vector_reactions_balance_load_and_weight():
+    solution = model("vector", fixed=BASE, density=1060.0, gravity=(1.0, 0.0, -9.81)).solve([FINGER])
+    weight = 1060.0 * BODY.volume * np.array([1.0, 0.0, -9.81])
+    load = -(BODY.area_vectors * FINGER.contact_pressure[:, None]).sum(axis=0)
+    total = solution.reaction_force[0].sum(axis=0)
+    assert_allclose(total, -(weight + load), rtol=0.0, atol=1e-10 * np.linalg.norm(weight))
+    # off the axis, so that there is a torque to balance; the fluid's pressure has none about any point
+    pressure = np.where((POINTS[:, 0] > 0.02) & (POINTS[:, 1] > 0.02), 200.0, 0.0)
+    torque = np.cross(BODY.points, -pressure[:, None] * BODY.area_vectors).sum(axis=0)
+    reaction = model("vector", fixed=BASE).solve([Load(pressure)]).reaction_force[0]
+    size = np.linalg.norm(torque)
+    assert size > 1e-3
+    assert_allclose(np.cross(BODY.points, reaction).sum(axis=0), -torque, rtol=0.0, atol=1e-11 * size)
+
+
+@pytest.mark.parametrize("formulation", NAMES)
+def test_energy_is_the_work_done_and_shrinks_as_the_load_goes(formulation):
+    solution = model(formulation, fixed=BASE).solve([FINGER.scaled(s) for s in (1.0, 0.7, 0.2, 0.0)])
+    assert np.all(np.diff(solution.energy) < 0.0)
+    assert_allclose(
+        solution.energy[1:], solution.energy[0] * np.array([0.49, 0.04, 0.0]), rtol=1e-10, atol=1e-25
+    )
+    if formulation != "paper":
+        area = BODY.area_vectors * FINGER.contact_pressure[:, None]
+        work = -0.5 * np.vdot(area, solution.displacement[0])
+        assert_allclose(solution.energy[0], work, rtol=1e-10, atol=0.0)
+
+
+@pytest.mark.parametrize("formulation", NAMES)
+def test_normal_traction_balances_fluid_and_contact(formulation):
+    solver = model(formulation, fixed=BASE, outputs=("normal_traction",))
+    solution = solver.solve([FINGER])
+    expected = solution.fluid_pressure[0] - FINGER.contact_pressure
+    assert_allclose(solution.point_fields["normal_traction"][0][~BASE], expected[~BASE], rtol=0.0, atol=1e-8)
+    assert solver.solve([]).displacement.shape == (0, len(POINTS), 3)
+    assert not model(formulation, fixed=BASE).solve([FINGER]).point_fields
+
+
+def test_nodal_stress_is_given_when_asked():
+    solver = model("paper", fixed=BASE, outputs=("nodal_stress",))
+    solution = solver.solve([FINGER])
+    normal = np.einsum("ic,ic->i", solution.displacement[0], BODY.normals)
+    change = BODY.nodal_areas * normal
+    node = int(np.argmax(POINTS[:, 2]))
+    neighbours = BODY.edges[(BODY.edges == node).any(axis=1)].sum(axis=1) - node
+    factor = solver.formulation.bulk_modulus[node] / BODY.nodal_volumes[node]
+    expected = factor * (change[node] - change[neighbours].sum())
+    assert_allclose(solution.point_fields["nodal_stress"][0, node], expected, rtol=1e-12, atol=0.0)
+
+
+def test_penalty_error_falls_as_one_over_alpha():
+    constrained = POINTS[:, 0] > 0.045
+    load = Load(FINGER.contact_pressure, None, np.where(constrained[:, None], [1e-3, 0.0, 0.0], 0.0))
+    options = {"fixed": BASE, "constrained": constrained}
+    exact = model("paper", **options).solve([load]).displacement
+    for method in ("penalty-added", "penalty-replaced"):
+        errors = [
+            np.abs(
+                model("paper", solver="lu", constraint_method=method, penalty=alpha, **options)
+                .solve([load])
+                .displacement
+                - exact
+            ).max()
+            for alpha in (1e3, 1e5)
+        ]
+        assert 0.98e2 < errors[0] / errors[1] < 1.02e2
+        assert errors[0] < 1e-2 * np.abs(exact).max()
+
+
+def test_exact_pressure_per_facet_gives_its_resultant():
+    pressure = np.random.default_rng(5).uniform(0.0, 100.0, len(TRIANGLES))
+    load = Load.from_facet_pressure(BODY, pressure)
+    assert_allclose(load.contact_force.sum(axis=0), -(pressure @ BODY.facet_vectors), rtol=1e-12, atol=1e-15)
+    assert_allclose(
+        BODY.nodal_areas @ load.contact_pressure, pressure @ BODY.facet_areas, rtol=1e-12, atol=0.0
+    )
+
+
+def test_rule_from_tissue_matches_the_ball():
+    ball = SurfaceMesh(*icosphere(4, (0.05, 0.05, 0.05)))
+    mu, radius = 5000.0 / 2.9998, ball.equivalent_radius
+    rule = Parameters.from_tissue(5000.0, 0.4999, ball, "consistent")
+    for degree in (2, 3):
+        compliance = 1.0 / (rule.foundation + degree * (degree + 1) * rule.surface_tension / radius**2)
+        assert_allclose(compliance, ball_compliance(degree) * radius / mu, rtol=1e-13, atol=0.0)
+    assert_allclose(
+        [ball_compliance(n) for n in (2, 3, 4, 5)], [0.26316, 0.15909, 0.11765, 0.09418], rtol=0.0, atol=5e-6
+    )
+    paper = Parameters.from_tissue(5000.0, 0.4999, ball, "paper")
+    assert_allclose(paper.bulk_modulus * ball.area / ball.volume, rule.foundation, rtol=1e-14, atol=0.0)
+
+
+def test_anisotropy_follows_the_fibre():
+    parameters = Parameters(bulk_modulus=10.0, connectivity_modulus=100.0).anisotropic(
+        BODY, (0.0, 0.0, 2.0), 5.0
+    )
+    assert_allclose(
+        parameters.bulk_modulus, 10.0 * (1.0 + 4.0 * BODY.normals[:, 2] ** 2), rtol=1e-12, atol=0.0
+    )
+    along = np.diff(BODY.points[BODY.edges], axis=1)[:, 0]
+    cosine = along[:, 2] / np.linalg.norm(along, axis=1)
+    assert_allclose(parameters.connectivity_modulus, 100.0 * (1.0 + 4.0 * cosine**2), rtol=1e-12, atol=0.0)
+    # a body of revolution answers a push along a stiffer direction with a smaller dent
+    points, triangles = icosphere(3)
+    ball = SurfaceMesh(points, triangles)
+    stiff = Parameters(foundation=1e4, surface_tension=1e3).anisotropic(ball, (0.0, 0.0, 1.0), 5.0)
+    dents = []
+    for axis in (0, 2):
+        pushed = Load(np.where(points[:, axis] > 0.9, 100.0, 0.0))
+        solution = Model(points, triangles, stiff, formulation="consistent").solve([pushed])
+        dents.append(-solution.displacement[0, np.argmax(points[:, axis]), axis])
+    assert dents[0] > 1.2 * dents[1] > 0.0
+
+
+@pytest.mark.parametrize("formulation", NAMES)
+def test_linear_volume_drift_is_of_second_order(formulation):
+    body = DeformableSurface(BODY)
+    solution = model(formulation, fixed=BASE).solve([FINGER.scaled(s) for s in (0.01, 0.1, 1.0)])
+    drift = np.array([body.at(u).volume / BODY.volume - 1.0 for u in solution.displacement])
+    if formulation == "paper":
+        # A_i is not |g_i|: a first-order drift, small on a smooth body
+        first = np.vdot(BODY.area_vectors, solution.displacement[2]) / BODY.volume
+        assert abs(first) > 1e-8
+        drift = drift - first * np.array([0.01, 0.1, 1.0])
+    assert_allclose(drift[1:] / drift[:-1], 100.0, rtol=0.05, atol=0.0)
+
+
+BAD_PARAMETERS = [
+    ({"parameters": Parameters(bulk_modulus=1.0)}, "needs connectivity_modulus"),
+    ({"parameters": Parameters(bulk_modulus=0.0, connectivity_modulus=0.0)}, "both zero"),
+    ({"parameters": Parameters(bulk_modulus=np.ones(3), connectivity_modulus=1.0)}, "162 entries"),
+    ({"solver": "magic"}, "solver must be one of"),
+    ({"outputs": ("colour",)}, "outputs must be one of"),
+    ({"constraint_method": "penalty-added"}, 'needs solver "lu"'),
+    (
+        {"parameters": Parameters(bulk_modulus=1.0, connectivity_modulus=1.0, tension_stiffening=1.0)},
+        "nonlinear",
+    ),
+]
+
+
+@pytest.mark.parametrize(("options", "message"), BAD_PARAMETERS)
+def test_bad_parameters(options, message):
+    with pytest.raises(ParameterError, match=message):
+        model("paper", **options)
+
+
+@pytest.mark.parametrize(
+    ("values", "message"),
+    [
+        ({"bulk_modulus": -1.0}, "bulk_modulus"),
+        ({"surface_tension": np.nan}, "surface_tension"),
+        ({"rotation": "some"}, "rotation"),
+        ({"tension_stiffening": -1.0}, "tension_stiffening"),
+    ],
+)
+def test_bad_moduli(values, message):
+    with pytest.raises(ParameterError, match=message):
+        Parameters(**values)
+
+
+@pytest.mark.parametrize(
+    ("youngs", "poisson"), [(0.0, 0.4), (np.nan, 0.4), (1.0, 0.6), (1.0, -1.0), (1.0, np.nan)]
+)
+def test_bad_tissue(youngs, poisson):
+    with pytest.raises(ParameterError):
+        Parameters.from_tissue(youngs, poisson, BODY, "paper")
+
+
+BAD_SCENES = [
+    ({"fixed": np.ones(len(POINTS), dtype=bool)}, "every node"),
+    ({"fixed": np.ones(3, dtype=bool)}, "mask of 162"),
+    ({"fixed": np.zeros(len(POINTS))}, "mask of 162"),
+    ({"density": -1.0}, "density"),
+    ({"gravity": (0.0, np.inf, 0.0)}, "gravity"),
+    ({"solver": "lu", "penalty": 0.0}, "penalty"),
+]
+
+
+@pytest.mark.parametrize(("options", "message"), BAD_SCENES)
+def test_bad_scenes(options, message):
+    with pytest.raises(ConstraintError, match=message):
+        model("paper", **options)
+
+
+@pytest.mark.parametrize(
+    ("load", "message"),
+    [
+        (Load(np.zeros(3)), "contact_pressure must have shape"),
+        (Load(np.full(len(POINTS), np.nan)), "nan or inf"),
+        (Load(np.zeros(len(POINTS)), np.zeros((len(POINTS), 2))), "contact_force must have shape"),
+        (Load(np.zeros(len(POINTS))), "prescribed displacement"),
+    ],
+)
+def test_bad_loads(load, message):
+    solver = model("consistent", constrained=BASE)
+    with pytest.raises(ConstraintError, match=message):
+        solver.solve([load])
+
+
+SINGULAR = [
+    ("vector", Parameters(surface_tension=1.0, rotation="none"), 0),
+    ("vector", Parameters(surface_tension=1.0, rotation="global"), 1),
+    ("vector", Parameters(surface_tension=1.0, rotation="nodal"), 2),
+    ("paper", Parameters(bulk_modulus=0.0, connectivity_modulus=1.0), 0),
+    ("consistent", Parameters(foundation=0.0, surface_tension=1.0), 0),
+]
+
+
+@pytest.mark.parametrize(("formulation", "parameters", "held"), SINGULAR)
+def test_nothing_held_where_the_operator_needs_it(formulation, parameters, held):
+    fixed = np.zeros(len(POINTS), dtype=bool)
+    fixed[:held] = True
+    with pytest.raises(SolverError, match="hold at least three nodes") as error:
+        model(formulation, parameters=parameters, fixed=fixed)
+    assert error.value.status.code == "singular"
+    fixed[:4] = True
+    assert np.isfinite(
+        model(formulation, parameters=parameters, fixed=fixed).solve([FINGER]).displacement
+    ).all()

@@ -1,0 +1,255 @@
+"""Every solver against the direct one, the quasi-linear border against Sherman-Morrison, and large deformation."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from tests.unit.vdm_shapes import icosphere, torus
+from vdm import FORMULATIONS, Load, Model, Parameters, SolverError, SurfaceMesh
+from vdm.deformed import DeformableSurface
+from vdm.solvers.anderson import Anderson
+from vdm.solvers.quasi_linear import sherman_morrison
+
+POINTS, TRIANGLES = icosphere(2, (0.05, 0.06, 0.045))
+BODY = SurfaceMesh(POINTS, TRIANGLES)
+DEFORMABLE = DeformableSurface(BODY)
+BASE = POINTS[:, 2] < -0.03
+TOP = (POINTS[TRIANGLES][:, :, 2] > 0.03).all(axis=1)
+PUSH = Load.from_facet_pressure(BODY, np.where(TOP, 100.0, 0.0))
+NAMES = list(FORMULATIONS)
+VECTOR_FORMS = [
+    Parameters(surface_tension=60.0, rotation="none"),
+    Parameters(surface_tension=60.0, rotation="global", stretch_stiffness=10.0, foundation=1e3),
+    Parameters(surface_tension=200.0, rotation="nodal"),
+]
+
+
+def model(formulation: str, parameters: Parameters | None = None, **options) -> Model:
+    material = parameters or Parameters.from_tissue(5000.0, 0.4999, BODY, formulation)
+    return Model(POINTS, TRIANGLES, material, formulation=formulation, **{"fixed": BASE, **options})
+
+
+def drift(displacement) -> float:
+    return DEFORMABLE.at(displacement).volume / BODY.volume - 1.0
+
+
+@pytest.mark.parametrize("solver", ["bicg", "bicg-cold", "cg", "minres"])
+@pytest.mark.parametrize("formulation", NAMES)
+def test_iterative_solvers_equal_the_direct_one(formulation, solver):
+    constrained = POINTS[:, 0] > 0.045
+    moved = np.where(constrained[:, None], [1e-3, 0.0, 2e-3], 0.0)
+    loads = [Load(s * PUSH.contact_pressure, s * PUSH.contact_force, s * moved) for s in (0.5, 1.0)]
+    options = {"constrained": constrained, "density": 1060.0, "gravity": (0.0, 0.0, -9.81)}
+    direct = model(formulation, **options).solve(loads)
+    if (formulation, solver) == ("paper", "minres"):
+        with pytest.raises(SolverError, match="symmetric"):
+            model(formulation, solver=solver, **options)
+        return
+    solution = model(formulation, solver=solver, **options).solve(loads)
+    assert all(status.ok for status in solution.status)
+    assert np.all(solution.iterations > 5)
+    # residual 1e-10 times a condition of some 1e3
+    size = np.abs(direct.displacement).max()
+    assert_allclose(solution.displacement, direct.displacement, rtol=0.0, atol=1e-8 * size)
+    assert_allclose(solution.fluid_pressure, direct.fluid_pressure, rtol=1e-7, atol=0.0)
+
+
+def test_warm_start_saves_iterations_only_where_the_load_hardly_changes():
+    loads = [PUSH.scaled(s) for s in (1.0, 1.000001, 1.000002)]
+    warm = model("paper", solver="bicg").solve(loads).iterations
+    cold = model("paper", solver="bicg-cold").solve(loads).iterations
+    assert warm[0] == cold[0]
+    assert np.all(warm[1:] < 0.75 * cold[1:])
+
+
+@pytest.mark.parametrize("formulation", NAMES)
+def test_border_update_equals_dense_sherman_morrison(formulation):
+    solver = model(formulation, fixed=None if formulation == "paper" else BASE, solver="quasi-linear")
+    first, second = solver.solve([PUSH.scaled(3.0), PUSH.scaled(4.0)]).displacement
+    problem, form = solver.problem, solver.formulation
+    free = np.repeat(problem.free, form.components)
+    keep = np.append(free, np.ones(form.columns.shape[2], dtype=bool))
+    matrix = form.state_matrix().toarray()[np.ix_(keep, keep)]
+    # move the volume row to the end, where the paper has it
+    order = np.r_[: free.sum(), free.sum() + np.arange(1, form.columns.shape[2]), free.sum()].astype(int)
+    matrix = matrix[np.ix_(order, order)]
+    state = DEFORMABLE.at(first)
+    row = form.deformed_columns(state)[1].reshape(-1) * form.column_scale
+    change = np.append(row[free], np.zeros(form.columns.shape[2])) - matrix[-1]
+    inverse = sherman_morrison(np.linalg.inv(matrix), change)
+    target = row @ (form.unknown(first).reshape(-1) / form.column_scale) - (state.volume - BODY.volume)
+    force = form.row_scale * problem.force(PUSH.scaled(4.0)).reshape(-1)
+    right = np.concatenate([force[free], np.zeros(form.columns.shape[2] - 1), [target]])
+    x = np.zeros(free.size)
+    x[free] = (inverse @ right)[: free.sum()]
+    by_formula = form.displacement((x * form.column_scale).reshape(-1, form.components))
+    assert_allclose(second, by_formula, rtol=0.0, atol=1e-10 * np.abs(second).max())
+
+
+def test_sherman_morrison_as_printed_is_no_inverse():
+    rng = np.random.default_rng(0)
+    matrix, v = rng.standard_normal((6, 6)) + 6.0 * np.eye(6), rng.standard_normal(6)
+    changed = matrix.copy()
+    changed[-1] += v
+    inverse = np.linalg.inv(matrix)
+    assert_allclose(sherman_morrison(inverse, v) @ changed, np.eye(6), rtol=0.0, atol=1e-13)
+    z, w = inverse[:, -1], inverse.T @ v
+    # equation 37: a plus sign, and 1 + (K^-1 u) in the denominator, taken entry by entry
+    printed = inverse + np.outer(z, w) / (1.0 + z)[:, None]
+    assert np.abs(printed @ changed - np.eye(6)).max() > 0.05
+    # the sign alone does not mend it
+    assert np.abs((inverse + np.outer(z, w) / (1.0 + v @ z)) @ changed - np.eye(6)).max() > 0.05
+    singular = -matrix[-1]
+    with pytest.raises(ValueError, match="singular"):
+        sherman_morrison(inverse, singular)
+
+
+@pytest.mark.parametrize("formulation", NAMES)
+def test_quasi_linear_drift_falls_with_the_square_of_the_step(formulation):
+    def last_drift(row, steps):
+        loads = [PUSH.scaled(4.0 * s) for s in np.arange(1, steps + 1) / steps]
+        return drift(model(formulation, solver="quasi-linear", volume_row=row).solve(loads).displacement[-1])
+
+    exact = [last_drift("exact", n) for n in (4, 16)]
+    assert 13.0 < exact[0] / exact[1] < 19.0
+    # the printed row does not converge to the rest volume
+    printed = [abs(last_drift("printed", n)) for n in (4, 16)]
+    assert printed[1] > 0.5 * printed[0]
+    assert printed[1] > 20.0 * abs(exact[1])
+
+
+@pytest.mark.parametrize(
+    ("formulation", "parameters"), [(n, None) for n in NAMES] + [("vector", p) for p in VECTOR_FORMS]
+)
+def test_nonlinear_keeps_the_volume_and_meets_the_linear_model_at_small_loads(formulation, parameters):
+    loads = [PUSH.scaled(s) for s in (1e-4, 1e-3, 1.0, 4.0)]
+    solution = model(formulation, parameters, solver="nonlinear").solve(loads)
+    linear = model(formulation, parameters).solve(loads)
+    assert all(status.ok for status in solution.status)
+    for displacement in solution.displacement:
+        assert abs(drift(displacement)) < 1e-12
+    assert abs(drift(linear.displacement[-1])) > 1e-6
+    gaps = [
+        np.abs(a - b).max() / np.abs(b).max()
+        for a, b in zip(solution.displacement, linear.displacement, strict=True)
+    ]
+    # the paper's volume row sum A_i L_i is not the exact one: its two models differ by a constant share
+    floor = gaps[0] if formulation == "paper" else 0.0
+    assert gaps[1] < 2e-5 + 1.01 * floor
+    assert gaps[3] > 1e-3
+    if formulation != "paper":
+        assert_allclose(gaps[1] / gaps[0], 10.0, rtol=0.1, atol=0.0)
+    assert np.all(np.diff(solution.energy) > 0.0)
+
+
+@pytest.mark.parametrize("parameters", [None, *VECTOR_FORMS])
+def test_nonlinear_force_is_the_gradient_of_its_energy(parameters):
+    form = model("vector", parameters).formulation
+    rng = np.random.default_rng(1)
+    u = 0.005 * rng.standard_normal(POINTS.shape)
+    direction = rng.standard_normal(POINTS.shape)
+
+    def energy(t):
+        x = u + t * direction
+        return form.deformed_energy(x, DEFORMABLE.at(x))
+
+    step = 1e-6
+    slope = (energy(step) - energy(-step)) / (2.0 * step)
+    force = form.deformed_internal_force(u, DEFORMABLE.at(u))
+    # central differences: truncation 1e-8, rounding 1e-9
+    assert_allclose(np.vdot(force, direction), slope, rtol=1e-6, atol=0.0)
+
+
+@pytest.mark.parametrize("rotation", ["global", "nodal"])
+def test_finite_rigid_motion_costs_no_energy(rotation):
+    form = model(
+        "vector", Parameters(surface_tension=60.0, stretch_stiffness=5.0, rotation=rotation)
+    ).formulation
+    angle = 2.0
+    turn = np.array([[np.cos(angle), -np.sin(angle), 0], [np.sin(angle), np.cos(angle), 0], [0, 0, 1]])
+    u = DEFORMABLE.rest @ turn.T - DEFORMABLE.rest + 0.1
+    stretched = form.deformed_energy(0.1 * POINTS, DEFORMABLE.at(0.1 * POINTS))
+    assert abs(form.deformed_energy(u, DEFORMABLE.at(u))) < 1e-11 * stretched
+
+
+def test_nonlinear_follower_pressure_balances_in_the_deformed_state():
+    solver = model("vector", solver="nonlinear")
+    pressure = np.where(POINTS[:, 0] > 0.02, 500.0, 0.0)
+    solution = solver.solve([Load(pressure)])
+    state = DEFORMABLE.at(solution.displacement[0])
+    applied = (solution.fluid_pressure[0] - pressure)[:, None] * state.area_vectors
+    total = solution.reaction_force[0].sum(axis=0) + applied.sum(axis=0)
+    size = np.abs(solution.reaction_force[0].sum(axis=0)).max()
+    assert_allclose(total, 0.0, rtol=0.0, atol=1e-6 * size)
+    positions = POINTS + solution.displacement[0]
+    torque = np.cross(positions, solution.reaction_force[0] + applied).sum(axis=0)
+    assert_allclose(torque, 0.0, rtol=0.0, atol=1e-6 * np.abs(np.cross(positions, applied)).sum())
+
+
+def test_nonlinear_result_does_not_depend_on_the_path():
+    loads = [PUSH.scaled(s) for s in (1.0, 3.0, 2.0)]
+    solver = model("vector", solver="nonlinear")
+    history, direct = solver.solve(loads), solver.solve(loads[2:])
+    size = np.abs(direct.displacement).max()
+    assert_allclose(history.displacement[2], direct.displacement[0], rtol=0.0, atol=1e-6 * size)
+
+
+@pytest.mark.parametrize("formulation", NAMES)
+def test_nonlinear_prescribed_displacement_and_genus_one(formulation):
+    points, triangles = torus()
+    surface = SurfaceMesh(points, triangles)
+    base, top = points[:, 2] < -0.015, points[:, 2] > 0.018
+    load = Load(np.zeros(len(points)), None, np.where(top[:, None], [0.0, 0.0, -0.004], 0.0))
+    parameters = Parameters.from_tissue(5000.0, 0.5, surface, formulation)
+    solution = Model(
+        points,
+        triangles,
+        parameters,
+        formulation=formulation,
+        fixed=base,
+        constrained=top,
+        solver="nonlinear",
+    ).solve([load])
+    assert solution.status[0].ok
+    moved = np.einsum("ic,ic->i", solution.displacement[0], surface.normals)[top]
+    expected = np.einsum("ic,ic->i", load.prescribed, surface.normals)[top]
+    assert_allclose(moved, expected, rtol=1e-12, atol=1e-16)
+    assert abs(DeformableSurface(surface).at(solution.displacement[0]).volume / surface.volume - 1.0) < 1e-12
+    # the support below pushes up what the tool above pushes down
+    assert solution.reaction_force[0, top, 2].sum() < 0.0 < solution.reaction_force[0, base, 2].sum()
+
+
+def test_tension_that_stiffens_moves_less_at_large_loads_only():
+    plain = Parameters(bulk_modulus=20.0, connectivity_modulus=200.0)
+    stiffer = Parameters(bulk_modulus=20.0, connectivity_modulus=200.0, tension_stiffening=50.0)
+    loads = [PUSH.scaled(s) for s in (1e-5, 1.0)]
+    first, second = (model("paper", p, solver="nonlinear").solve(loads) for p in (plain, stiffer))
+    assert all(status.ok for status in first.status + second.status)
+    share = np.abs(second.displacement).max(axis=(1, 2)) / np.abs(first.displacement).max(axis=(1, 2))
+    assert_allclose(share[0], 1.0, rtol=0.0, atol=1e-6)
+    assert share[1] < 0.99
+
+
+def test_failed_step_is_nan_with_a_remedy_and_the_history_goes_on():
+    loads = [PUSH, PUSH.scaled(1e5), PUSH.scaled(1.1)]
+    solution = model("vector", solver="nonlinear").solve(loads)
+    assert [status.ok for status in solution.status] == [True, False, True]
+    assert solution.status[1].code == "not-converged"
+    assert "smaller load" in solution.status[1].remedy
+    assert np.isnan(solution.displacement[1]).all()
+    assert np.isnan(solution.fluid_pressure[1])
+    alone = model("vector", solver="nonlinear").solve([PUSH.scaled(1.1)])
+    size = np.abs(alone.displacement).max()
+    assert_allclose(solution.displacement[2], alone.displacement[0], rtol=0.0, atol=1e-6 * size)
+
+
+def test_anderson_solves_a_linear_fixed_point_in_as_many_steps_as_unknowns():
+    rng = np.random.default_rng(2)
+    matrix = 0.9 * np.linalg.qr(rng.standard_normal((5, 5)))[0]
+    right = rng.standard_normal(5)
+    x, mixing = np.zeros(5), Anderson(6)
+    for _ in range(7):
+        x = mixing.next(x, matrix @ x + right - x)
+    assert_allclose(x, np.linalg.solve(np.eye(5) - matrix, right), rtol=0.0, atol=1e-8)

@@ -1,0 +1,160 @@
+"""Areas, volumes, normals and the checks of `SurfaceMesh` and of the deformed surface."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from tests.unit.vdm_shapes import box, icosphere, torus
+from vdm import SurfaceError, SurfaceMesh
+from vdm.deformed import DeformableSurface, follow
+
+
+def test_box_by_hand():
+    surface = SurfaceMesh(*box(1, (1.0, 2.0, 3.0)))
+    assert_allclose(surface.volume, 6.0, rtol=1e-15, atol=0.0)
+    assert_allclose(surface.area, 22.0, rtol=1e-15, atol=0.0)
+    # equations 2 and 4
+    assert_allclose(surface.nodal_areas.sum(), surface.area, rtol=1e-15, atol=0.0)
+    assert_allclose(surface.nodal_volumes.sum(), surface.volume, rtol=1e-15, atol=0.0)
+    assert_allclose(surface.area_vectors.sum(axis=0), 0.0, rtol=0.0, atol=1e-14)
+    assert surface.genus == 0
+    assert len(surface.edges) == 18
+
+
+def test_equation_1_facet_by_facet():
+    surface = SurfaceMesh(*icosphere(1, (1.0, 2.0, 0.5)))
+    expected = np.zeros(surface.n_nodes)
+    for a, b, c in surface.triangles:
+        p, q, r = surface.points[[a, b, c]]
+        expected[[a, b, c]] += np.linalg.norm(np.cross(q - p, r - p)) / 6.0
+    assert_allclose(surface.nodal_areas, expected, rtol=1e-14, atol=0.0)
+    assert_allclose(surface.nodal_volumes, expected * surface.volume / surface.area, rtol=1e-14, atol=0.0)
+
+
+def test_vector_areas_of_a_box_edge_and_corner():
+    surface = SurfaceMesh(*box(4))
+    share = surface.vector_areas / surface.nodal_areas
+    on_sides = np.count_nonzero((surface.points == 0.0) | (surface.points == 1.0), axis=1)
+    assert_allclose(share[on_sides == 1], 1.0, rtol=1e-14, atol=0.0)
+    # equal areas on two faces of an edge; the corners' split depends on the diagonals
+    assert_allclose(share[on_sides == 2], np.sqrt(0.5), rtol=1e-14, atol=0.0)
+    equal = SurfaceMesh(*icosphere(0))
+    assert np.all(equal.vector_areas < equal.nodal_areas)
+
+
+def test_area_vectors_are_the_gradient_of_the_volume():
+    surface = SurfaceMesh(*icosphere(1, (1.0, 0.8, 1.3)))
+    body = DeformableSurface(surface)
+    direction = np.random.default_rng(0).standard_normal(surface.points.shape)
+    step = 1e-4
+    volumes = [body.at(s * step * direction).volume for s in (-2, -1, 0, 1, 2)]
+    # V is cubic in the step, so that the five-point rule is exact up to rounding / step
+    slope = (volumes[0] - 8 * volumes[1] + 8 * volumes[3] - volumes[4]) / (12 * step)
+    assert_allclose(np.vdot(surface.area_vectors, direction), slope, rtol=0.0, atol=1e-10)
+    assert_allclose(body.at(np.zeros_like(direction)).volume, surface.volume, rtol=1e-14, atol=0.0)
+    fourth = volumes[0] - 4 * volumes[1] + 6 * volumes[2] - 4 * volumes[3] + volumes[4]
+    assert_allclose(fourth, 0.0, rtol=0.0, atol=1e-14)
+
+
+def test_deformed_areas_are_those_of_a_new_surface():
+    points, triangles = torus()
+    displacement = 0.003 * np.random.default_rng(1).standard_normal(points.shape)
+    new, moved = (
+        SurfaceMesh(points + displacement, triangles),
+        DeformableSurface(SurfaceMesh(points, triangles)),
+    )
+    state = moved.at(displacement)
+    assert_allclose(state.nodal_areas, new.nodal_areas, rtol=1e-13, atol=0.0)
+    assert_allclose(state.area_vectors, new.area_vectors, rtol=0.0, atol=1e-13 * new.area)
+    assert_allclose(state.volume, new.volume, rtol=1e-13, atol=0.0)
+    assert new.genus == 1
+
+
+def test_volume_far_from_the_origin():
+    points, triangles = icosphere(2)
+    near, far = SurfaceMesh(points, triangles), SurfaceMesh(points + 1e4, triangles)
+    assert_allclose(far.volume, near.volume, rtol=1e-11, atol=0.0)
+
+
+def test_cotangent_weights_of_a_regular_tetrahedron_and_a_flat_box():
+    points = np.array([[1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]], dtype=float)
+    surface = SurfaceMesh(points, np.array([[0, 1, 2], [0, 3, 1], [0, 2, 3], [1, 3, 2]]))
+    # both angles opposite an edge are 60 degrees
+    assert_allclose(surface.cotangent_weights, 1.0 / np.sqrt(3.0), rtol=1e-14, atol=0.0)
+    grid = SurfaceMesh(*box(3))
+    # the Laplacian of a coordinate is zero inside a flat face
+    laplacian = grid.laplacian(grid.cotangent_weights) @ grid.points
+    inside = np.count_nonzero((grid.points == 0.0) | (grid.points == 1.0), axis=1) == 1
+    assert_allclose(laplacian[inside], 0.0, rtol=0.0, atol=1e-14)
+
+
+def test_negative_cotangents_are_clamped_and_counted():
+    points, triangles = icosphere(1, (1.0, 1.0, 0.05))
+    surface = SurfaceMesh(points, triangles)
+    assert surface.clamped_edges == np.count_nonzero(surface.raw_cotangent_weights < 0.0) > 0
+    assert surface.cotangent_weights.min() == 0.0
+
+
+def test_a_following_force_is_the_follower_pressure():
+    surface = SurfaceMesh(*icosphere(1))
+    turn = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    force = np.random.default_rng(2).standard_normal(surface.points.shape)
+    grown = 4.0 * surface.area_vectors
+    pressed = follow(-3.0 * surface.area_vectors, surface.area_vectors, grown @ turn.T)
+    assert_allclose(pressed, -3.0 * grown @ turn.T, rtol=0.0, atol=1e-14)
+    same = follow(force, surface.area_vectors, surface.area_vectors)
+    assert_allclose(same, force, rtol=1e-14, atol=0.0)
+    assert_allclose(
+        np.linalg.norm(follow(force, surface.area_vectors, surface.area_vectors @ turn.T), axis=1),
+        np.linalg.norm(force, axis=1),
+        rtol=1e-13,
+        atol=0.0,
+    )
+
+
+def _bad_surfaces():
+    points, triangles = icosphere(1)
+    other = points + 5.0
+    swapped = triangles.copy()
+    swapped[0] = swapped[0][[0, 2, 1]]
+    flat = points.copy()
+    a, b, c = triangles[0]
+    flat[c] = 0.5 * (flat[a] + flat[b])
+    nan = points.copy()
+    nan[3, 1] = np.nan
+    # two bodies that share one node
+    joined = np.concatenate([points, (2.0 * points[0] - points)[1:]])
+    mirrored = np.where(triangles == 0, 0, triangles + len(points) - 1)[:, ::-1]
+    return {
+        "open": (points, triangles[1:], "open"),
+        "duplicate": (points, np.concatenate([triangles, triangles[:1]]), "not manifold"),
+        "swapped": (points, swapped, "oriented against"),
+        "inverted": (points, triangles[:, ::-1], "inverted"),
+        "flat": (flat, triangles, "no area"),
+        "repeated": (
+            points,
+            np.where(np.arange(len(triangles))[:, None] == 0, triangles[0, 0], triangles),
+            "no area",
+        ),
+        "two": (
+            np.concatenate([points, other]),
+            np.concatenate([triangles, triangles + len(points)]),
+            "2 components",
+        ),
+        "pinched": (joined, np.concatenate([triangles, mirrored]), "touches itself at 1 nodes"),
+        "nan": (nan, triangles, "nan or inf"),
+        "orphan": (np.concatenate([points, [[0, 0, 0]]]), triangles, "no facet"),
+        "range": (points[:-1], triangles, "outside 0..40"),
+        "float": (points, triangles.astype(float), "integers"),
+        "shape": (points[:, :2], triangles, "shape"),
+        "few": (points, triangles[:2], "F >= 4"),
+    }
+
+
+@pytest.mark.parametrize("name", _bad_surfaces())
+def test_bad_surfaces_have_one_clear_error(name):
+    points, triangles, message = _bad_surfaces()[name]
+    with pytest.raises(SurfaceError, match=message):
+        SurfaceMesh(points, triangles)
