@@ -1,0 +1,240 @@
+"""What the report says, against numbers known from how the runs were made."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from studies.report import headline
+from studies.report.digest import (
+    DEFORMATION,
+    VECTOR,
+    Digest,
+    at_full_load,
+    full_load,
+    reference_bar,
+    spread_of,
+)
+from studies.report.section_mechanics import contact_resultant, indentation
+
+from .report_runs import AMPLITUDE, REFERENCE, make_case, make_run, sweep_run
+
+RTOL, ATOL = 1e-9, 1e-12  # the runs are exact but for rounding
+
+
+@pytest.fixture(scope="module")
+def digest() -> Digest:
+    return Digest(sweep_run())
+
+
+def test_spread_takes_medians_the_largest_size_and_its_own_bar() -> None:
+    spread = spread_of([(0.1, 0.02), (-0.5, 0.01), (0.3, math.nan), (math.nan, 0.1)])
+    assert spread is not None
+    assert (spread.median, spread.worst, spread.worst_bar, spread.best) == (0.1, -0.5, 0.01, 0.1)
+    assert_allclose(spread.median_bar, 0.015, rtol=RTOL, atol=ATOL)
+    assert (spread.cases, spread.measured, spread.resolved) == (3, 2, 1)
+    assert spread_of([(math.nan, 0.1)]) is None
+
+
+def test_a_difference_is_resolved_where_the_reference_is_ten_times_better() -> None:
+    for bar, resolved in ((0.0099, 1), (0.0101, 0)):
+        spread = spread_of([(0.1, bar)])
+        assert spread is not None
+        assert spread.resolved == resolved
+
+
+def test_errors_over_the_cases(digest: Digest) -> None:
+    vector = digest.spread("vdm-vector", VECTOR)
+    paper = digest.spread("vdm-paper", VECTOR)
+    assert vector is not None
+    assert paper is not None
+    assert_allclose([vector.median, vector.worst, vector.best], [0.078, 0.106, 0.05], rtol=RTOL, atol=ATOL)
+    assert_allclose([paper.median, paper.worst, paper.best], [0.66, 0.72, 0.6], rtol=RTOL, atol=ATOL)
+    assert (vector.measured, vector.resolved) == (
+        6,
+        4,
+    )  # 0.0068 is at most a tenth of 0.07, 0.086, 0.09, 0.106
+    deformation = digest.spread("vdm-vector", DEFORMATION)
+    assert deformation is not None
+    assert deformation.resolved == 3  # 0.0074 of 0.086, 0.09, 0.106
+
+
+def test_the_error_bar_is_the_convergence_index_with_its_margin() -> None:
+    measured = {"relative_l2": 0.01, "gci": 0.0125, "relative_l2_deformation": 0.02}
+    case = make_case({"m": 0.1}, reference_error=measured, subdivisions=0)
+    assert reference_bar(case) == 0.0125
+    assert_allclose(reference_bar(case, DEFORMATION), 0.025, rtol=RTOL, atol=ATOL)
+    plain = make_case({"m": 0.1}, reference_error={"relative_l2": 0.01}, subdivisions=0)
+    assert reference_bar(plain) == 0.01
+    assert math.isnan(reference_bar(plain, DEFORMATION))
+    assert math.isnan(reference_bar(plain, "volume_drift"))
+    assert math.isnan(reference_bar(make_case({"m": 0.1}, subdivisions=0)))
+
+
+def test_full_load_is_the_largest_of_a_history_that_comes_back() -> None:
+    case = make_case({"m": 0.2}, steps=(0.5, 1.0, 0.5, 0.0), subdivisions=1)
+    assert full_load(case) == 1
+    assert_allclose(at_full_load(case, "m", VECTOR), 0.2, rtol=RTOL, atol=ATOL)
+
+
+def test_the_closest_model_is_looked_at_and_its_cases_ranked(digest: Digest) -> None:
+    assert digest.focus == "vdm-vector"
+    ranked = [(role, case.swept) for role, case in digest.key_cases]
+    assert ranked[0] == ("worst", {"tissue.poisson_ratio": 0.4999, "constraints.finger.pressure": 800.0})
+    assert ranked[1] == ("median", {"tissue.poisson_ratio": 0.45, "constraints.finger.pressure": 200.0})
+    assert ranked[2] == ("best", {"tissue.poisson_ratio": 0.3, "constraints.finger.pressure": 200.0})
+
+
+def test_two_cases_have_no_median_and_one_has_no_role() -> None:
+    two = [make_case({"m": e}, label=str(e), swept={"k": e}, subdivisions=0) for e in (0.1, 0.3)]
+    assert [role for role, _ in Digest(make_run(two)).key_cases] == ["worst", "best"]
+    assert [role for role, _ in Digest(make_run(two[:1])).key_cases] == [""]
+
+
+def test_without_a_reference_cases_are_ranked_by_displacement() -> None:
+    cases = [
+        make_case({"m": e}, label=str(e), swept={"k": e}, reference=None, subdivisions=0)
+        for e in (0.1, 0.9, 0.4)
+    ]
+    digest = Digest(make_run(cases))
+    assert digest.compared == ()
+    assert [(role, case.label) for role, case in digest.key_cases] == [
+        ("largest", "0.9"),
+        ("median", "0.4"),
+        ("smallest", "0.1"),
+    ]
+
+
+def test_a_failed_case_is_no_key_case() -> None:
+    cases = [
+        make_case(
+            {"m": e}, label=str(e), swept={"k": e}, stopped={"m": 1} if e == 0.9 else None, subdivisions=0
+        )
+        for e in (0.1, 0.9, 0.4, 0.2)
+    ]
+    digest = Digest(make_run(cases))
+    assert [(role, case.label) for role, case in digest.key_cases] == [
+        ("worst", "0.4"),
+        ("median", "0.2"),
+        ("best", "0.1"),
+    ]
+    summary = next(s for s in digest.summaries if s.name == "m")
+    assert summary.failed_cases == 1
+    assert summary.vector is not None
+    assert summary.vector.cases == 3
+
+
+def test_only_what_varies_counts_as_swept() -> None:
+    cases = [
+        make_case({"m": 0.1}, label=str(k), swept={"a": 1.0, "b": float(k)}, subdivisions=0) for k in range(2)
+    ]
+    assert Digest(make_run(cases)).swept_keys == ["b"]
+
+
+def test_times_and_memory_of_a_model(digest: Digest) -> None:
+    summary = {s.name: s for s in digest.summaries}[REFERENCE]
+    assert (summary.seconds_setup, summary.seconds_per_step, summary.peak_bytes) == (2.5, 0.8, 350e6)
+    assert summary.is_reference
+
+
+# --- the verdict ---
+
+
+def test_verdict_in_words(digest: Digest) -> None:
+    accuracy, others, resolution, cost = headline.verdict(digest)
+    assert accuracy == (
+        "At full load vdm-vector, the closest of 2 models, is 7.8 % off fem-linear in surface displacement in the "
+        "median case and 11 % in the worst; with rigid motion taken out of both, 7.8 % in deformation. "
+        "It stays within 10 % in 5 of 6 cases."
+    )
+    assert others == "The others: vdm-paper 66 % (medians)."
+    assert (
+        resolution == "fem-linear itself is uncertain by 0.68 %; the difference is resolved in 4 of 6 cases."
+    )
+    assert cost == (
+        "A frame of vdm-vector costs 800 µs after 40 ms of set-up, one of fem-linear 800 ms after 2.5 s: "
+        "1000 times faster per frame."
+    )
+
+
+@pytest.mark.parametrize(
+    ("error", "measured", "words"),
+    [
+        (0.04, {"relative_l2": 0.003}, "at most a tenth of the difference, which is thereby resolved"),
+        (0.04, {"relative_l2": 0.005}, "more than a tenth of the difference, which counts as unresolved"),
+        (0.04, {}, "was not measured"),
+    ],
+)
+def test_verdict_says_whether_the_difference_is_resolved(
+    error: float, measured: dict[str, float], words: str
+) -> None:
+    run = make_run([make_case({"m": error}, reference_error=measured, subdivisions=0)])
+    sentences = headline.verdict(Digest(run))
+    assert sum(words in sentence for sentence in sentences) == 1
+    assert "That is within 10 %." in sentences[0]
+
+
+def test_verdict_names_who_stopped_early() -> None:
+    run = make_run([make_case({"a": 0.1, "b": 0.2}, stopped={"b": 2}, subdivisions=0)])
+    assert any("Stopped before the end of the load: b in 1 case" in s for s in headline.verdict(Digest(run)))
+
+
+def test_verdict_without_a_result_or_a_reference() -> None:
+    empty = dataclasses.replace(make_run([]), missing=["a", "b"])
+    assert headline.verdict(Digest(empty)) == [
+        "None of the 2 cases has a result yet, so there is nothing to compare."
+    ]
+    alone = make_run([make_case({"m": 0.1}, reference=None, subdivisions=0)])
+    assert "without a reference" in headline.verdict(Digest(alone))[0]
+    lost = make_run([make_case({"m": 0.1}, stopped={"m": 0}, subdivisions=0)])
+    assert headline.verdict(Digest(lost)) == [
+        "No model has a result at full load to hold against fem-linear."
+    ]
+
+
+def test_terminal_rows(digest: Digest) -> None:
+    rows = headline.headline_rows(digest.run)
+    assert [row["model"] for row in rows] == ["vdm-paper", "vdm-vector", "fem-linear (reference)"]
+    assert rows[1]["displacement error"] == "7.80 %, worst 10.6 %"
+    assert rows[1]["reference's own"] == "± 0.68 %"
+    assert rows[2]["displacement error"] == "–"
+    assert rows[2]["per frame"] == "800 ms"
+    assert len({tuple(row) for row in rows}) == 1, "all rows have the same columns"
+    assert headline.headline_rows(make_run([])) == []
+
+
+# --- force and indentation ---
+
+
+def test_contact_resultant_from_a_force_or_a_uniform_pressure() -> None:
+    assert contact_resultant(make_case({"m": 0.1}, contact={"force": 0.4}, subdivisions=1)) == 0.4
+    case = make_case({"m": 0.1}, contact={"force": None, "pressure": 300.0}, subdivisions=3)
+    loaded = case.regions["finger"][case.triangles].all(axis=1)
+    a, b, c = (case.points[case.triangles[loaded, k]] for k in range(3))
+    expected = 300.0 * np.linalg.norm(0.5 * np.cross(b - a, c - a).sum(axis=0))
+    found = contact_resultant(case)
+    assert found is not None
+    assert_allclose(found, expected, rtol=RTOL, atol=ATOL)
+    assert (
+        0.2 < found < 300.0 * math.pi * (0.05 * math.sin(math.radians(25))) ** 2
+    )  # below pressure x whole cap
+
+
+@pytest.mark.parametrize(
+    "contact", [{"force": None, "pressure": 300.0, "profile": "hertz"}, {"kind": "fixed"}]
+)
+def test_contact_resultant_is_unknown_where_the_inputs_do_not_tell(contact: dict[str, object]) -> None:
+    assert contact_resultant(make_case({"m": 0.1}, contact=contact, subdivisions=1)) is None
+
+
+def test_indentation_is_the_deepest_node_of_the_contact() -> None:
+    case = make_case({"m": 0.5}, steps=(0.5, 1.0), subdivisions=3)
+    # no node of this ball sits on the pole: the deepest is the nearest one, pushed in by P_2 of its angle
+    top = case.points[:, 2].max() / np.linalg.norm(case.points[0])
+    depth = AMPLITUDE * (1.5 * top**2 - 0.5)
+    assert_allclose(indentation(case, REFERENCE), [0.5 * depth, depth], rtol=2e-3, atol=ATOL)  # facet normals
+    assert_allclose(indentation(case, "m"), 1.5 * indentation(case, REFERENCE), rtol=RTOL, atol=ATOL)

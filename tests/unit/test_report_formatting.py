@@ -1,0 +1,105 @@
+"""Numbers as text."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+
+from studies.report.formatting import (
+    listed,
+    number,
+    of_unit,
+    percent,
+    plain,
+    plural,
+    quantity,
+    scale_of,
+    short_percent,
+    swept_value,
+)
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [
+        (0.0, "0"),
+        (1.0, "1.00"),
+        (-2.5, "−2.50"),
+        (0.09996, "0.100"),
+        (999.6, "1000"),
+        (123456.0, "123000"),
+        (1e6, "10⁶"),
+        (2.34e-7, "2.34×10⁻⁷"),
+        (0.0001234, "0.000123"),
+        (math.inf, "∞"),
+        (math.nan, "–"),
+    ],
+)
+def test_number(value: float, text: str) -> None:
+    assert number(value) == text
+
+
+def test_plain_drops_zeros_but_no_digits() -> None:
+    assert [plain(v) for v in (0.1, 75.0, 100.0, 0.005, 1e-9)] == ["0.1", "75", "100", "0.005", "10⁻⁹"]
+
+
+def test_percent_is_the_ratio_times_a_hundred() -> None:
+    assert percent(0.2134) == "21.3 %"
+    assert percent(0.0) == "0 %"
+    assert percent(0.00062, signed=True) == "+0.062 %"
+    assert percent(-0.00062, signed=True) == "−0.062 %"
+    assert percent(1.1e-14) == "1.1×10⁻¹² %"
+    assert percent(math.nan) == "–"
+    assert short_percent(0.2134) == "21 %"
+    assert short_percent(0.1) == "10 %"
+    assert short_percent(1.234) == "123 %"
+
+
+@pytest.mark.parametrize(
+    ("value", "unit", "text"),
+    [
+        (0.0004, "s", "400 µs"),
+        (0.0123, "s", "12.3 ms"),
+        (2.5, "s", "2.50 s"),
+        (12e6, "B", "12.0 MB"),
+        (0.0, "B", "0 B"),
+        (0.002, "m", "2.00 mm"),
+        (0.19, "m", "190 mm"),
+        (2e-6, "m", "2.00 µm"),
+        (1.2, "m", "1.20 m"),
+        (5000.0, "Pa", "5.00 kPa"),
+        (0.5, "N", "500 mN"),
+        (3.0, "kg", "3.00 kg"),
+    ],
+)
+def test_quantity_takes_the_prefix_that_fits(value: float, unit: str, text: str) -> None:
+    assert quantity(value, unit) == text
+
+
+def test_one_scale_for_all_values() -> None:
+    assert scale_of("Pa", [50.0, 800.0]) == (1.0, "Pa")
+    assert scale_of("Pa", [50.0, 8000.0, math.nan]) == (1e3, "kPa")
+    assert scale_of("1", [3.0]) == (1.0, "")
+    assert scale_of("m", []) == (1.0, "m")
+
+
+def test_swept_values_keep_what_tells_them_apart() -> None:
+    assert swept_value(0.4999, "1") == "0.4999"
+    assert swept_value(0.49999, "1") == "0.49999"
+    assert swept_value(800.0, "Pa") == "800 Pa"
+    assert swept_value(-0.005, "m") == "−5 mm"
+    assert swept_value("sphere", "1") == "sphere"
+
+
+def test_of_unit() -> None:
+    assert of_unit(0.5, "1") == "50.0 %"
+    assert of_unit(0.0005, "m") == "500 µm"
+
+
+def test_words() -> None:
+    assert plural(1, "case") == "1 case"
+    assert plural(0, "case") == "0 cases"
+    assert listed(["a"]) == "a"
+    assert listed(iter("abc")) == "a, b and c"
+    assert listed([]) == ""
