@@ -7,7 +7,7 @@ PYTHON ?= python3
 RUN := .venv/bin/
 PYTEST := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(RUN)python -m pytest
 
-.PHONY: demo test verify setup libraries clean
+.PHONY: demo test verify docs setup libraries clean
 
 demo: setup
 	$(RUN)vdmbench run quickstart
@@ -20,6 +20,10 @@ test: setup
 
 verify: setup
 	$(PYTEST)
+
+# the generated parts of the documents; SURFACE=liver.obj draws the README's picture with a real liver
+docs: setup
+	$(RUN)python -m tests.docs.regenerate $(SURFACE)
 
 setup: libraries .venv/ready
 

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from .run import Event
     from .schema import Study
 
-OK, REGRESSED, USAGE, FAILED, MACHINE, DAMAGED, NOTHING, INTERRUPTED = 0, 1, 2, 3, 4, 5, 6, 130
+OK, USAGE, FAILED, MACHINE, DAMAGED, INTERRUPTED = 0, 2, 3, 4, 5, 130
 SHIPPED = Path(__file__).parent / "cases"
 
 

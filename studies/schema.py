@@ -454,9 +454,9 @@ class Study(Table):
     load: Load = Field(Load(), description="the load history")
     gravity: Gravity | None = Field(None, description="weight")
     environment: Environment | None = Field(None, description="surroundings")
-    anisotropy: Anisotropy | None = Field(None, description="fibres")
+    anisotropy: Anisotropy | None = Field(None, description="fibres; not in this version")
     sweep: Sweep = Field(Sweep(), description="what is varied")
-    limits: Limits | None = Field(None, description="small-strain limits")
+    limits: Limits | None = Field(None, description="small-strain limits; not in this version")
     uncertainty: Uncertainty | None = Field(None, description="the reference's own error")
     models: dict[str, VdmTable] = Field({}, description="[vdm] keys for one model only")
 

@@ -1,0 +1,82 @@
+"""README.md is true: its commands run, its table is what they print, its links lead somewhere."""
+
+from __future__ import annotations
+
+import json
+import re
+import shlex
+from pathlib import Path
+
+import pytest
+
+from tests.command import vdmbench
+from tests.docs import regenerate
+
+TEXT = regenerate.README.read_text()
+
+
+def blocks(language: str) -> list[str]:
+    return re.findall(rf"^```{language}\n(.*?)^```", TEXT, flags=re.MULTILINE | re.DOTALL)
+
+
+def test_the_result_table_is_what_the_command_prints(tmp_path: Path) -> None:
+    assert regenerate.headline_table(tmp_path) == regenerate.table_in_readme(), "run `make docs` and look at it"
+
+
+def test_the_first_study_and_its_commands(tmp_path: Path) -> None:
+    (study,) = blocks("toml")
+    assert len(study.splitlines()) <= 10, "ten lines were promised"
+    (tmp_path / "mine.toml").write_text(study)
+    (commands,) = (block for block in blocks("sh") if "mine.toml" in block)
+    for line in commands.splitlines():
+        words = shlex.split(line, comments=True)
+        assert words[0] == "vdmbench"
+        result = vdmbench(*words[1:], cwd=tmp_path)
+        assert result.returncode == 0, f"{line}\n{result.stderr}"
+    assert (tmp_path / "results/runs/mine/report.html").exists()
+    rows = json.loads(vdmbench("report", "results/runs/mine", "--json", cwd=tmp_path).stdout)["headline"]
+    assert [row["model"].split()[0] for row in rows] == ["vdm-paper", "vdm-vector", "fem-linear"]
+
+
+def test_a_surface_of_ones_own(tmp_path: Path, liver: Path) -> None:
+    (command,) = (block for block in blocks("sh") if "--surface" in block)
+    words = shlex.split(command, comments=True)
+    (tmp_path / "liver.obj").write_bytes(liver.read_bytes())
+    assert vdmbench("check", *words[2:], cwd=tmp_path).returncode == 0
+    plan = json.loads(vdmbench("plan", *words[2:], "--json", cwd=tmp_path).stdout)
+    assert plan["cases_to_run"] == 1
+
+
+def test_make_targets_exist() -> None:
+    makefile = (regenerate.ROOT / "Makefile").read_text()
+    for target in re.findall(r"\bmake (\w+)", TEXT):
+        if target not in {"demo", "test", "verify", "docs"}:
+            continue
+        assert re.search(rf"^{target}:", makefile, flags=re.MULTILINE), target
+    assert "make demo" in TEXT
+    assert "make test" in TEXT
+
+
+@pytest.mark.parametrize("document", ["README.md", "results/FORMAT.md", "vdm/README.md"])
+def test_links_lead_somewhere(document: str) -> None:
+    path = regenerate.ROOT / document
+    for target in re.findall(r"\]\(([^)#]+)\)", path.read_text()):
+        if not target.startswith("http"):
+            assert (path.parent / target).exists(), target
+
+
+def test_the_key_reference_is_the_schema() -> None:
+    assert regenerate.STUDY_KEYS.read_text() == regenerate.study_keys(), "run `make docs`"
+
+
+def test_exit_codes_are_those_of_the_program() -> None:
+    from studies import cli
+
+    documented = {int(code) for code in re.findall(r"^\| (\d+) \|", TEXT, flags=re.MULTILINE)}
+    assert documented == {cli.OK, cli.USAGE, cli.FAILED, cli.MACHINE, cli.DAMAGED, cli.INTERRUPTED}
+
+
+def test_every_shipped_study_is_listed_with_its_title(tmp_path: Path) -> None:
+    listed = vdmbench("list", cwd=tmp_path).stdout
+    for path in (regenerate.ROOT / "studies" / "cases").glob("*.toml"):
+        assert path.stem in listed
