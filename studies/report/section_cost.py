@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 from .blocks import Figure, Figures, Section, Text
 from .digest import DEFORMATION, REFERENCE, VECTOR, Digest, Spread
-from .formatting import listed, percent, quantity
+from .formatting import listed, quantity, short_percent
 from .plots import Plot, colour, marker, percent_axis, time_ticks
 
 
@@ -25,9 +25,10 @@ def run_time_against_error(digest: Digest) -> Section | None:
         return None
     note = (
         "Further left is faster, lower is closer. Filled: time per frame. Hollow, at the end of the dotted line: "
-        "set-up, paid once. Whiskers reach from the best to the worst case. Dashed grey: what a frame of the "
-        "reference costs."
+        "set-up, paid once. Dashed grey: what a frame of the reference costs."
     )
+    if len(digest.cases) > 1:
+        note += " Points are medians over the cases, whiskers reach from the best to the worst."
     return Section(
         "cost", "Run time against error", [Text(note, kind="note"), Figures(figures, digest.legend)]
     )
@@ -42,7 +43,8 @@ def _pareto(digest: Digest, metric: str, title: str, heights: Sequence[float], s
     if not points:
         return None
     reference = next((s for s in digest.summaries if s.is_reference), None)
-    plot = Plot("time", f"{title} (median)", salt)
+    many = len(digest.cases) > 1
+    plot = Plot("time", f"{title} (median)" if many else title, salt)
     with plot as axes:
         for model, frame, setup, spread in points:
             k = digest.colour(model)
@@ -61,7 +63,7 @@ def _pareto(digest: Digest, metric: str, title: str, heights: Sequence[float], s
         time_ticks(axes)
         percent_axis(axes, heights)
     described = [
-        f"{model} {quantity(frame, 's')} per frame at {percent(spread.median)}"
+        f"{model} {quantity(frame, 's')} per frame at {short_percent(spread.median)}"
         for model, frame, _, spread in points
     ]
     heading = f"Run time against {title.lower()}"

@@ -11,7 +11,7 @@ from ..case import CaseResult
 from ..metrics import Surface, facet_area_vectors
 from .blocks import Block, Figure, Figures, Section, Text
 from .digest import Array, Digest, full_load, series
-from .formatting import listed, percent, quantity, scale_of
+from .formatting import listed, quantity, scale_of, short_percent
 from .plots import Plot, colour, line, log_axis, marker, percent_ticks
 
 _DRIFT_FLOOR = 1e-16  # below what double precision can tell from zero
@@ -164,7 +164,7 @@ def _drift(digest: Digest, metric: str, label: str, title: str, salt: str) -> Fi
             k = digest.colour(model)
             factors = sorted(curve)
             axes.plot(factors, [curve[f] for f in factors], line(k), marker=marker(k), color=colour(k))
-            described.append(f"{model} up to {percent(max(curve.values()))}")
+            described.append(f"{model} up to {short_percent(max(curve.values()))}")
         log_axis(axes, "y")
         percent_ticks(axes)
         axes.set_xlim(left=min(0.0, axes.get_xlim()[0]))

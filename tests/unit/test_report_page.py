@@ -1,0 +1,394 @@
+"""The page as text: what stands in it, the same bytes from the same run, its size, its security policy."""
+
+from __future__ import annotations
+
+import base64
+import dataclasses
+import hashlib
+import json
+import re
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from studies.report import page as page_module
+from studies.report.digest import Digest
+from studies.report.page import MOST_BYTES, page_html, script_json, write_report
+from studies.report.picture import Panel
+from studies.report.plots import place
+from studies.report.view import View, candidates, displacement_scale, payload
+
+from .report_runs import REFERENCE, cheap_run, make_case, make_run, sweep_run
+
+
+def no_pictures(_: Sequence[Sequence[Panel]]) -> tuple[list[bytes], str]:
+    return [], "none asked for"
+
+
+def section(html: str, name: str) -> str:
+    found = re.search(rf'<section id="{name}".*?</section>', html, re.S)
+    assert found is not None, f"no section {name}"
+    return found[0]
+
+
+def words(html: str) -> str:
+    """Text of some markup, blanks collapsed."""
+    return re.sub(r"\s+", " ", re.sub(r"<[^>]*>", " ", html)).strip()
+
+
+def viewer_data(html: str) -> dict[str, object]:
+    found = re.search(r'<script type="application/json" class="viewer-data">(.*?)</script>', html, re.S)
+    assert found is not None
+    data: dict[str, object] = json.loads(found[1])
+    return data
+
+
+@pytest.fixture(scope="module")
+def html() -> str:
+    failed = [
+        {
+            "hash": "ab" * 32,
+            "label": "nu = 0.5",
+            "code": "timeout",
+            "message": "took 60 s",
+            "remedy": "raise it",
+        }
+    ]
+    return page_html(dataclasses.replace(sweep_run(), failed=failed, missing=["nu = 0.2"]), no_pictures)
+
+
+# --- what stands in it ---
+
+
+def test_header_counts_and_names(html: str) -> None:
+    head = words(html[html.index("<header>") : html.index("</header>")])
+    assert "A ball under a fingertip" in head
+    assert "6 cases done 1 failed 1 missing" in head
+    assert "vdm-vector fem-linear (reference)" in head
+    assert "It stays within 10 % in 5 of 6 cases." in head
+
+
+def test_headline_table_has_each_number_with_its_error_bar(html: str) -> None:
+    text = words(section(html, "headline"))
+    assert "vdm-paper 66.0 % ± 0.68 % 72.0 % ± 0.68 % 66.0 % ± 0.74 % 72.0 % ± 0.74 %" in text
+    assert "vdm-vector 7.80 % ± 0.68 % 10.6 % ± 0.68 % 7.80 % ± 0.74 % 10.6 % ± 0.74 %" in text
+    assert "fem-linear reference – – – –" in text
+    assert "2.50 s 800 ms 350 MB" in text
+
+
+def test_an_unresolved_difference_is_called_so() -> None:
+    run = make_run([make_case({"m": 0.05}, reference_error={"relative_l2": 0.01}, subdivisions=0)])
+    assert "5.00 % ± 1.00 % unresolved ± not measured" not in words(page_html(run, no_pictures))
+    assert "5.00 % ± 1.00 % unresolved 5.00 % ± not measured" in words(page_html(run, no_pictures))
+
+
+def test_every_section_is_there_and_linked(html: str) -> None:
+    names = re.findall(r'<section id="(\w+)"', html)
+    assert names == [
+        "headline",
+        "parameters",
+        "load",
+        "surface",
+        "force",
+        "volume",
+        "cost",
+        "measures",
+        "cases",
+        "failures",
+        "provenance",
+        "reproduce",
+    ]
+    assert list(re.findall(r'<a href="#(\w+)"', html)) == names
+
+
+def test_figures_carry_numbers_in_words_and_units_on_their_axes(html: str) -> None:
+    parameters = section(html, "parameters")
+    assert (
+        "Displacement error against Poisson ratio: vdm-paper from 60 % to 72 % and vdm-vector from 5 % to 11 %."
+        in (parameters)
+    )
+    assert parameters.count("<svg") == 4
+    for label in ("pressure of finger [Pa]", "Poisson ratio", "60 %"):
+        assert f">{label}</text>" in parameters
+    assert "indentation [mm]</text>" in section(html, "force")
+    assert "contact force [mN]</text>" in section(html, "force")
+    assert ">1 ms</text>" in section(html, "cost")
+    assert "vdm-vector 800 µs per frame at 7.8 %" in section(html, "cost")
+
+
+def test_case_table_is_sorted_by_the_error_of_the_closest_model(html: str) -> None:
+    rows = re.findall(r"<tr>.*?</tr>", section(html, "cases"), re.S)[1:]
+    values = [[float(v) for v in re.findall(r'data-value="([^"]+)"', row)] for row in rows]
+    vector = [row[5] for row in values]  # nu, pressure, nodes, paper twice, then vector
+    assert_allclose(vector, [0.106, 0.09, 0.086, 0.07, 0.066, 0.05], rtol=1e-9, atol=1e-12)
+    assert_allclose([row[0] for row in values], [0.4999, 0.4999, 0.45, 0.45, 0.3, 0.3], rtol=0, atol=0)
+
+
+def test_failures_come_with_remedies(html: str) -> None:
+    text = words(section(html, "failures"))
+    assert "nu = 0.5 timeout took 60 s raise it" in text
+    assert "1 case not run yet: nu = 0.2." in text
+
+
+def test_a_model_that_stopped_is_listed_once_with_where_and_why() -> None:
+    cases = [
+        make_case(
+            {"a": 0.1, "b": 0.2}, label=f"k = {k}", swept={"k": float(k)}, stopped={"b": 2}, subdivisions=0
+        )
+        for k in range(3)
+    ]
+    html = page_html(make_run(cases), no_pictures)
+    text = words(section(html, "failures"))
+    assert (
+        "b k = 0, load factor 0.75, and in 2 other cases the volume could not be held take smaller load steps"
+        in text
+    )
+    assert (
+        words(section(html, "cases")).count("failed") == 6
+    )  # displacement and deformation of b, three cases
+    assert "stopped early in 3 cases" in words(section(html, "headline"))
+
+
+def test_all_measures_with_definitions(html: str) -> None:
+    text = words(section(html, "measures"))
+    assert "Displacement error area-weighted ||u - r|| / ||r||" in text
+    assert "Hausdorff distance" in text
+    assert "Volume drift (V - V0)/V0" not in text, "in the headline already"
+
+
+def test_reproduce_shows_commands_and_the_study_file(html: str) -> None:
+    text = section(html, "reproduce")
+    assert "vdmbench run ball\nvdmbench report results/runs/ball" in text
+    assert "name = &#34;ball&#34;" in text
+
+
+def test_provenance(html: str) -> None:
+    text = words(section(html, "provenance"))
+    assert "surface nodes 162" in text
+    assert "mesh: tetrahedra 4000" in text
+    assert "numpy 2.1.0" in text
+    assert "bulk modulus" in text.replace("_", " ")
+
+
+# --- partial and odd runs ---
+
+
+def test_without_a_reference_no_error_is_claimed() -> None:
+    cases = [
+        make_case({"m": 0.1 * k}, label=str(k), swept={"k": float(k)}, reference=None, subdivisions=0)
+        for k in (1, 2)
+    ]
+    html = page_html(make_run(cases), no_pictures)
+    names = re.findall(r'<section id="(\w+)"', html)
+    assert names == ["headline", "surface", "force", "volume", "cases", "provenance", "reproduce"]
+    assert "error" not in words(section(html, "headline")).lower()
+
+
+def test_nothing_finished() -> None:
+    failed = [{"hash": "ab" * 32, "label": "", "code": "crash", "message": "killed", "remedy": ""}]
+    html = page_html(dataclasses.replace(make_run([]), failed=failed, missing=["k = 1"]), no_pictures)
+    assert "None of the 2\u00a0cases has a result yet" in html
+    assert "abababab crash killed –" in words(section(html, "failures"))
+    assert "viewer-data" not in html.split("</style>")[1]
+
+
+def test_a_single_case_has_no_medians() -> None:
+    html = page_html(make_run([make_case({"m": 0.25}, subdivisions=0)]), no_pictures)
+    text = words(html[html.index("<body>") : html.index("<script")])
+    assert "At full load m is 25 % off fem-linear" in text
+    assert "Times are medians" in text
+    assert "median" not in html[html.index("<body>") : html.index("<script")].replace("Times are medians", "")
+
+
+def test_models_and_metrics_may_be_missing_in_a_case() -> None:
+    whole = make_case({"a": 0.1, "b": 0.2}, label="k = 0", swept={"k": 0.0}, subdivisions=0)
+    partly = make_case({"a": 0.3}, label="k = 1", swept={"k": 1.0}, subdivisions=0)
+    bare = dataclasses.replace(partly, label="k = 2", hash="c" * 64, swept={"k": 2.0}, metrics={})
+    html = page_html(make_run([whole, partly, bare]), no_pictures)
+    assert "20.0 %" in words(section(html, "headline"))
+
+
+def test_text_parameters_and_text_in_the_labels_of_axes() -> None:
+    run = cheap_run(6)
+    html = page_html(run, no_pictures)
+    parameters = section(html, "parameters")
+    for label in ("box", "organ", "sphere", "Young's modulus [kPa]"):
+        assert f">{label}</text>" in parameters.replace("&#39;", "'").replace("&apos;", "'")
+
+
+# --- bytes ---
+
+
+def test_same_run_same_bytes_and_unique_ids(
+    html: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(page_module.picture, "render", no_pictures)
+    run = make_run([make_case({"m": e}, label=str(e), swept={"k": e}, subdivisions=0) for e in (0.1, 0.2)])
+    for name in ("a.html", "b.html"):
+        write_report(run, tmp_path / name)
+    assert (tmp_path / "a.html").read_bytes() == (tmp_path / "b.html").read_bytes()
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["a.html", "b.html"], (
+        "no temporary file is left"
+    )
+    ids = re.findall(r'\bid="([^"]+)"', html)
+    assert len(ids) == len(set(ids)) > 20
+    for target in re.findall(r'(?:href="#|url\(#)([^")]+)', html):
+        assert target in ids
+
+
+def test_nothing_of_the_page_comes_from_elsewhere(html: str) -> None:
+    assert not re.findall(r"https?://(?!www\.w3\.org)", html)
+    assert not re.findall(r'(?:src|href)="(?!#|data:)', html)
+
+
+def test_policy_allows_the_two_scripts_of_the_page_and_no_other(html: str) -> None:
+    policy = re.search(r'Content-Security-Policy" content="([^"]+)"', html)
+    assert policy is not None
+    directives = dict(part.strip().split(" ", 1) for part in policy[1].replace("&#39;", "'").split(";"))
+    assert directives["default-src"] == "'none'"
+    assert directives["img-src"] == "data:"
+    scripts = re.findall(r"<script>(.*?)</script>", html, re.S)
+    assert len(scripts) == 2
+    digests = [base64.b64encode(hashlib.sha256(s.encode()).digest()).decode() for s in scripts]
+    assert directives["script-src"].split() == [f"'sha256-{digest}'" for digest in digests]
+
+
+def test_json_cannot_leave_its_script_element() -> None:
+    hostile = {"a": "</script><script>alert(1)</script>&\u2028\u2029"}
+    text = str(script_json(hostile))
+    assert not set("<>&\u2028\u2029") & set(text)
+    assert json.loads(text) == hostile
+    with pytest.raises(ValueError, match="JSON"):
+        script_json({"a": float("nan")})
+
+
+def test_hundreds_of_cases_stay_small() -> None:
+    html = page_html(cheap_run(300), no_pictures)
+    assert len(html.encode()) < 1_500_000
+    assert "Show all 300 rows" in html
+    assert html.count("<svg") < 20
+    cases = viewer_data(html)["cases"]
+    assert isinstance(cases, list)
+    assert [case["title"].split(":")[0] for case in cases] == ["Worst", "Median", "Best"]
+
+
+def test_thousands_of_cases_are_cut_and_say_so() -> None:
+    html = page_html(cheap_run(2000), no_pictures)
+    assert len(html.encode()) < MOST_BYTES
+    assert "of 2000 are listed" in words(section(html, "cases"))
+    assert "cases is drawn" in words(section(html, "parameters"))
+
+
+# --- the viewer's data ---
+
+
+def unpack(text: object, kind: str) -> np.ndarray:
+    return np.frombuffer(base64.b64decode(str(text)), dtype=kind)
+
+
+def test_viewer_data_hold_the_displacements() -> None:
+    cases = [make_case({"m": e}, label=str(e), swept={"k": e}, subdivisions=2) for e in (0.1, 0.4)]
+    digest = Digest(make_run(cases))
+    view, note = candidates(digest)[0]
+    assert note == ""
+    data = json.loads(json.dumps(payload(view, digest)))
+    (geometry,) = data["geometries"]  # one for both cases
+    low, step = np.array(geometry["low"]), np.array(geometry["step"])
+    points = low + step * unpack(geometry["points"], "<u2").reshape(-1, 3)
+    assert_allclose(points, cases[0].points, rtol=0, atol=0.1 / 65535)
+    assert (unpack(geometry["triangles"], "<u2").reshape(-1, 3) == cases[0].triangles).all()
+    worst = data["cases"][0]
+    assert worst["reference"] == REFERENCE
+    assert worst["factors"] == [0.25, 0.5, 0.75, 1.0]
+    for model in worst["models"]:
+        for k, packed in enumerate(model["steps"]):
+            found = packed["scale"] * unpack(packed["data"], "<i2").reshape(-1, 3)
+            true = cases[1].models[model["name"]].displacement[k]
+            assert_allclose(found, true, rtol=0, atol=0.51 * np.abs(true).max() / 32767)
+
+
+def test_a_failed_step_is_a_message_to_the_viewer() -> None:
+    digest = Digest(make_run([make_case({"m": 0.1}, stopped={"m": 1}, subdivisions=0)]))
+    data = json.loads(json.dumps(payload(candidates(digest)[0][0], digest), allow_nan=False))
+    steps = next(m["steps"] for m in data["cases"][0]["models"] if m["name"] == "m")
+    assert "data" in steps[0]
+    assert steps[1:] == [{"message": "the volume could not be held"}] * 3
+
+
+def test_views_get_leaner_and_say_so() -> None:
+    cases = [
+        make_case(
+            {"a": e, "b": e + 0.5},
+            label=str(e),
+            swept={"k": e},
+            steps=np.linspace(0.1, 1, 10),
+            subdivisions=0,
+        )
+        for e in (0.1, 0.2, 0.3)
+    ]
+    digest = Digest(make_run(cases))
+    sizes = [len(json.dumps(payload(view, digest))) for view, _ in candidates(digest)]
+    assert sizes == sorted(sizes, reverse=True)
+    assert len(set(sizes)) == 5
+    assert all(note for _, note in candidates(digest)[1:])
+
+
+def test_kept_steps_always_hold_full_load() -> None:
+    case = make_case({"a": 0.1}, steps=(0.2, 0.4, 1.0, 0.8, 0.6, 0.4, 0.2), subdivisions=0)
+    for most in range(1, 8):
+        steps = View([("", case)], ["a"], most).steps_of(case)
+        assert 2 in steps
+        assert len(steps) <= most
+        assert steps == sorted(set(steps))
+
+
+def test_a_surface_too_large_for_the_page_is_left_to_other_tools(monkeypatch: pytest.MonkeyPatch) -> None:
+    run = make_run([make_case({"m": 0.1}, subdivisions=3)])
+    whole = len(page_html(run, no_pictures).encode())
+    monkeypatch.setattr(page_module, "MOST_BYTES", 140_000)
+    html = page_html(run, no_pictures)
+    assert len(html.encode()) < 140_000 < whole
+    assert "too many nodes for a viewer" in html
+
+
+def test_displacement_scale_is_round_and_shows_a_tenth_of_the_body() -> None:
+    case = make_case({"m": 0.0}, reference=None, subdivisions=2)
+    largest = np.abs(case.models["m"].displacement).max()
+    diagonal = np.linalg.norm(np.ptp(case.points, axis=0))
+    scale = displacement_scale(case)
+    assert scale in (1.0, 2.0, 5.0, 10.0)
+    assert 0.04 < scale * largest / diagonal <= 0.1
+    still = dataclasses.replace(
+        case,
+        models={
+            "m": dataclasses.replace(
+                case.models["m"], displacement=np.zeros_like(case.models["m"].displacement)
+            )
+        },
+    )
+    assert displacement_scale(still) == 1.0
+
+
+# --- axes ---
+
+
+@pytest.mark.parametrize(
+    ("values", "kind"),
+    [
+        ([1.0, 2.0, 3.0, 4.0], "linear"),
+        ([0.45, 0.49, 0.499], "linear"),
+        ([50.0, 100.0, 200.0, 400.0, 800.0, 1600.0], "log"),
+        ([1e-8, 1e-4, 1.0, 1e4], "log"),
+        ([0.3, 0.4, 0.45, 0.49, 0.499, 0.4999, 0.5], "even"),
+        ([5.0], "linear"),
+        ([-1.0, 0.0, 1000.0], "even"),
+    ],
+)
+def test_axis_keeps_neighbours_apart(values: list[float], kind: str) -> None:
+    found, positions = place(values)
+    assert found == kind
+    assert list(positions) == sorted(set(values))
+    assert sorted(positions.values()) == list(positions.values())
