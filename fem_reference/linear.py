@@ -182,11 +182,14 @@ class LinearProblem:
     def _status(self, residual: float) -> Status:
         if residual <= self.solver.tolerance:
             return CONVERGED
+        remedy = 'improve the worst tetrahedra of the mesh or use solver="direct"'
+        if not self.system.mixed:
+            remedy = "use the element P2-P1: a displacement element is ill-conditioned near incompressibility"
         return Status(
             "not-converged",
             f"the {self.solver.name} solver reached a relative residual of {residual:.1e},"
             f" {self.solver.tolerance:.0e} is needed",
-            'improve the worst tetrahedra of the mesh or use solver="direct"',
+            remedy,
         )
 
     def _parameters(self, fields: Fields) -> dict[str, float | str]:

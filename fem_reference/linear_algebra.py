@@ -109,7 +109,10 @@ class DirectSolver:
         check_memory(self.estimated_bytes, self._memory_limit, self.name)
         try:
             self._factor = self._symbolic.factor(self._matrix(), factor_dtype=precision)
-        except RuntimeError as error:
+        except RuntimeError as error:  # a pivot is zero at this precision
+            if precision == "float32":
+                self._factorise("float64")
+                return
             raise SolverError(
                 Status(
                     "singular",

@@ -146,9 +146,8 @@ def _rigid_rank(points: Array, held: Mask) -> int:
         return 0
     x = points - points.mean(axis=0)
     x = x / max(float(np.abs(x).max()), np.finfo(np.float64).tiny)
-    modes = rigid_modes(x)
-    gram = np.einsum("nki,nkj->ij", modes * held[:, :, None], modes * held[:, :, None])
-    return int(np.linalg.matrix_rank(gram / len(points), tol=1e-12, hermitian=True))
+    modes = (rigid_modes(x) * held[:, :, None]).reshape(-1, 6)
+    return int(np.linalg.matrix_rank(modes, tol=1e-9 * np.sqrt(len(points))))
 
 
 def rigid_modes(points: Array) -> Array:

@@ -173,7 +173,7 @@ class TetMesh:
                 raise _bad_mesh(f"{name} has an index outside 0..{size - 1}", "repair the mesh")
         unused = int((np.bincount(self.tetrahedra.ravel(), minlength=len(self.points)) == 0).sum())
         if unused:
-            raise _bad_mesh(f"{unused} points belong to no tetrahedron", "remove them from the mesh")
+            raise _bad_mesh(f"{unused} of {len(self.points)} points belong to no tetrahedron", "remove them from the mesh")
 
     def _affine_maps(self) -> tuple[Array, Array]:
         corners = self.points[self.tetrahedra]
@@ -188,13 +188,13 @@ class TetMesh:
         flat = np.abs(six_volumes) <= _FLAT * size**3
         if flat.any():
             raise _bad_mesh(
-                f"{flat.sum()} tetrahedra have no volume (the first is number {np.argmax(flat)})",
+                f"{flat.sum()} of {len(flat)} tetrahedra have no volume (the first is number {np.argmax(flat)})",
                 "remesh the body",
             )
         inverted = six_volumes < 0
         if inverted.any():
             raise _bad_mesh(
-                f"{inverted.sum()} tetrahedra are inverted (the first is number {np.argmax(inverted)})",
+                f"{inverted.sum()} of {len(inverted)} tetrahedra are inverted (the first is number {np.argmax(inverted)})",
                 "swap two of their vertices or remesh the body",
             )
         return six_volumes / 6.0, cofactors / six_volumes[:, None, None]
@@ -203,9 +203,12 @@ class TetMesh:
         corners = self.points[self.surface_nodes[self.triangles]]
         area = 0.5 * np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         enclosed = np.einsum("fi,fi->", area, corners.mean(axis=1)) / 3.0
-        # Closed and outward, the surface encloses what the tetrahedra fill; the sum is taken about the origin,
-        # so the tolerance grows with the distance from it.
-        reach = np.abs(corners).max() * np.linalg.norm(area, axis=1).sum()
+        # A closed surface has no net area vector. Outward, it encloses what the tetrahedra fill; that sum is
+        # taken about the origin, so its tolerance grows with the distance from it.
+        total = np.linalg.norm(area, axis=1).sum()
+        if np.linalg.norm(area.sum(axis=0)) > 1e-10 * total:
+            raise _bad_mesh("the triangles leave a hole", "give the whole boundary of the tetrahedra")
+        reach = np.abs(corners).max() * total
         if abs(enclosed - self.volume) > 1e-9 * self.volume + 1e-13 * reach:
             raise _bad_mesh(
                 f"the triangles enclose {enclosed:.6g} m^3 but the tetrahedra fill {self.volume:.6g} m^3",

@@ -14,6 +14,7 @@ from scipy.sparse import bsr_array, bsr_matrix, coo_array, csr_array
 from fem_reference.assembly import elasticity_blocks, scalar_pattern
 from fem_reference.loads import rigid_modes
 from fem_reference.mesh import TetMesh
+from fem_reference.solution import SolverError, Status
 from fem_reference.system import LinearSystem, hold_components
 
 Array = NDArray[np.float64]
@@ -65,7 +66,13 @@ class Chebyshev:
 
 
 class DisplacementPreconditioner:
-    """One multigrid cycle for the displacement block of a `LinearSystem`."""
+    """One multigrid cycle for the displacement block of a `LinearSystem`.
+
+    Raises
+    ------
+    SolverError
+        If every vertex is held.
+    """
 
     def __init__(self, system: LinearSystem) -> None:
         mesh = system.mesh
@@ -73,6 +80,10 @@ class DisplacementPreconditioner:
         vertices = system.kept[system.kept < mesh.n_vertices]
         self._free = ~system.held[vertices]
         self._levels: tuple[csr_array, csr_array] | None = None
+        if not len(vertices):
+            raise SolverError(
+                Status("bad-solver", "every vertex is held, so multigrid has no coarse level", 'use "direct"')
+            )
         if mesh.order == 1:
             coarse = bsr_matrix(system.stiffness)
         else:
@@ -83,7 +94,7 @@ class DisplacementPreconditioner:
             self._levels = (prolongation, csr_array(prolongation.T))
             coarse = _p1_stiffness(system, vertices, self._free)
         x = mesh.points[vertices] - mesh.points[vertices].mean(axis=0)
-        modes = rigid_modes(x / np.abs(x).max()) * self._free[:, :, None]
+        modes = rigid_modes(x / mesh.mean_edge) * self._free[:, :, None]
         smoother = ("block_gauss_seidel", {"sweep": "symmetric"})
         self.hierarchy = pyamg.smoothed_aggregation_solver(
             coarse,
