@@ -402,9 +402,11 @@ class Environment(Table):
 class Anisotropy(Table):
     """[anisotropy]"""
 
-    fibre_direction: Direction = Field(description="direction of the fibres, of any length")
+    fibre_direction: Direction = Field(
+        description="direction of the fibres, of any length (not in this version)"
+    )
     contrast: Annotated[float, SI("1"), _positive] = Field(
-        description="stiffness along the fibres over the stiffness across"
+        description="stiffness along the fibres over that across (not in this version)"
     )
 
 
@@ -423,10 +425,10 @@ class Sweep(Table):
 class Limits(Table):
     """[limits]: search the small-strain limits"""
 
-    along: str = Field(description="dotted path of the key to raise, as in a sweep")
+    along: str = Field(description="dotted path of the key to raise, as in a sweep (not in this version)")
     thresholds: Annotated[
         tuple[float, ...], SI("1", (0,)), _number_check(lambda v: 0 < v < 1, "must lie between 0 and 1")
-    ] = Field((0.05, 0.10), description="relative errors to find")
+    ] = Field((0.05, 0.10), description="relative errors to find (not in this version)")
 
 
 class Uncertainty(Table):

@@ -125,7 +125,7 @@ def test_the_report_is_rebuilt_from_a_copied_directory(copy: Path, tmp_path: Pat
     assert result.returncode == 0, result.stderr
     assert (elsewhere / "report.html").stat().st_size > 10_000
     rows = json.loads(vdmbench("report", "elsewhere", "--json", cwd=tmp_path).stdout)
-    assert [row["Model"].split()[0] for row in rows["headline"]] == ["vdm-paper", "fem-linear"]
+    assert [row["model"].split()[0] for row in rows["headline"]] == ["vdm-paper", "fem-linear"]
 
 
 @pytest.mark.parametrize("verb", ["list", "doctor", "check small.toml", "plan small.toml", f"status {RUN}"])
