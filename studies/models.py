@@ -82,17 +82,21 @@ def find(name: str) -> tuple[Model, str]:
     return model, solver or model.solvers[0]
 
 
-@_model("vdm-paper", version="1")
+VDM_SOLVERS = ("linear", "lu", "quasi-linear", "nonlinear", "bicg", "bicg-cold", "cg", "minres")
+
+
+# MINRES needs a symmetric matrix, which the printed form has not
+@_model("vdm-paper", version="1", solvers=tuple(name for name in VDM_SOLVERS if name != "minres"))
 def _vdm_paper(scene: Scene, solver: str, name: str) -> VdmSolution:
     return _vdm(scene, "paper", solver, name)
 
 
-@_model("vdm-consistent", version="1")
+@_model("vdm-consistent", version="1", solvers=VDM_SOLVERS)
 def _vdm_consistent(scene: Scene, solver: str, name: str) -> VdmSolution:
     return _vdm(scene, "consistent", solver, name)
 
 
-@_model("vdm-vector", version="1")
+@_model("vdm-vector", version="1", solvers=VDM_SOLVERS)
 def _vdm_vector(scene: Scene, solver: str, name: str) -> VdmSolution:
     return _vdm(scene, "vector", solver, name)
 

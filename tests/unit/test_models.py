@@ -1,0 +1,83 @@
+"""The registry: every name that a study can write runs, and agrees with its siblings where it must."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from studies import models
+from studies.config import geometry_of
+from studies.geometry import build_mesh
+from studies.metrics import Surface, relative_l2
+from studies.scene import Scene, build_scene
+from studies.schema import Study
+
+STUDY = {
+    "study": {"name": "test", "models": ["vdm-paper"]},
+    "geometry": {"shape": "sphere", "radius": 0.05, "mesh_size": 0.016},
+    "tissue": {"youngs_modulus": 5000.0, "poisson_ratio": 0.4999},
+    "regions": {
+        "base": {"below": {"axis": "z", "fraction": 0.2}},
+        "finger": {"cap": {"direction": [0.3, 0.0, 1.0], "angle": 0.5}},
+    },
+    "constraints": [
+        {"kind": "fixed", "region": "base"},
+        {"kind": "contact", "region": "finger", "force": 0.002},
+    ],
+    "load": {"factors": [0.5, 1.0]},
+}
+
+
+@pytest.fixture(scope="module")
+def scene() -> Scene:
+    study = Study.model_validate(STUDY)
+    return build_scene(study, build_mesh(geometry_of(study)))
+
+
+@pytest.mark.parametrize("name", models.model_names())
+def test_every_name_runs(scene: Scene, name: str) -> None:
+    result = models.run_model(scene, name)
+    assert all(status.ok for status in result.status), result.status
+    model, solver = models.find(name)
+    first = models.run_model(scene, model.name)
+    areas = Surface(scene.mesh.surface_points, scene.mesh.triangles).areas
+    # at 2 mN, some 10 micrometres, all solvers of a formulation are in the linear range
+    difference = relative_l2(result.displacement[-1], first.displacement[-1], areas)
+    assert difference < (5e-3 if solver in ("quasi-linear", "nonlinear") else 1e-6)
+    assert result.version == model.version
+    assert (result.seconds_per_step > 0).all()
+    assert result.seconds_setup > 0
+
+
+def test_solver_names_are_those_of_the_library() -> None:
+    from vdm.model import SOLVERS
+
+    assert models.VDM_SOLVERS == SOLVERS
+
+
+@pytest.mark.parametrize("name", ["vdm", "vdm-paper:", "vdm-paper:magic", "fem-linear:lu", ""])
+def test_other_names_are_unknown(name: str) -> None:
+    if name == "vdm-paper:":
+        assert name not in models.model_names()
+    else:
+        with pytest.raises(KeyError):
+            models.find(name)
+
+
+def test_parameters_come_from_the_study_the_model_or_the_rule() -> None:
+    study = Study.model_validate(
+        STUDY
+        | {
+            "vdm": {"bulk_modulus": 300.0},
+            "models": {"vdm-paper:lu": {"bulk_modulus": 500.0, "penalty": 1e9}},
+        }
+    )
+    scene = build_scene(study, build_mesh(geometry_of(study)))
+    plain, own = (models.run_model(scene, name) for name in ("vdm-paper", "vdm-paper:lu"))
+    assert plain.parameters["bulk_modulus"] == 300.0
+    assert own.parameters["bulk_modulus"] == 500.0
+    assert plain.parameters["connectivity_modulus"] == own.parameters["connectivity_modulus"] > 0, "by rule"
+    # a penalty lets held nodes move a little; elimination does not
+    assert_allclose(plain.displacement[:, scene.fixed], 0.0, rtol=0, atol=0)
+    assert 0 < np.abs(own.displacement[:, scene.fixed]).max() < 1e-6
