@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
@@ -81,3 +83,20 @@ def test_parameters_come_from_the_study_the_model_or_the_rule() -> None:
     # a penalty lets held nodes move a little; elimination does not
     assert_allclose(plain.displacement[:, scene.fixed], 0.0, rtol=0, atol=0)
     assert 0 < np.abs(own.displacement[:, scene.fixed]).max() < 1e-6
+
+
+def test_scaled_steps_are_those_solved_one_by_one() -> None:
+    """The shortcut for loads that are multiples of one, against the long way: every step a study of its own."""
+    tables = STUDY | {"load": {"factors": [0.3, -1.0, 2.0]}}
+    study = Study.model_validate(tables)
+    mesh = build_mesh(geometry_of(study))
+    together = models.run_model(build_scene(study, mesh), "fem-linear")
+    for step, factor in enumerate((0.3, -1.0, 2.0)):
+        alone = Study.model_validate(tables | {"load": {"factors": [factor]}})
+        scene = build_scene(alone, mesh)
+        weightless = dataclasses.replace(scene, gravity=np.array([0.0, 0.0, 1e-300]))  # takes the long way
+        for way in (scene, weightless):
+            single = models.run_model(way, "fem-linear")
+            for field in ("displacement", "reaction_force", "energy", "fluid_pressure", "volume"):
+                a, b = getattr(together, field)[step], getattr(single, field)[0]
+                assert_allclose(a, b, rtol=1e-12, atol=1e-12 * np.abs(b).max(), err_msg=field)
