@@ -240,7 +240,7 @@ def test_three_nodes_off_one_line_hold_a_body() -> None:
 def test_every_separate_body_needs_support() -> None:
     one = cube(1)
     both = body(
-        np.vstack([one.points, one.points + [3.0, 0.0, 0.0]]),
+        np.vstack([one.points, one.points + np.array([3.0, 0.0, 0.0])]),
         np.vstack([one.tetrahedra, one.tetrahedra + len(one.points)]),
     )
     with pytest.raises(SolverError, match="body 1 of 2 can still move"):

@@ -1,0 +1,284 @@
+"""The linear problem's interface: outputs, balance, superposition, refusals."""
+
+from __future__ import annotations
+
+from dataclasses import fields, replace
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+
+import vdm.solution
+from fem_reference import solution
+from fem_reference.linear import ELEMENTS, LinearProblem
+from fem_reference.outputs import OUTPUTS
+from fem_reference.solution import SolverError
+from tests.unit.fem_shapes import Body, ball, cube
+
+
+@pytest.fixture(scope="module")
+def block() -> Body:
+    return cube(3, distort=0.2)
+
+
+def _bottom(b: Body) -> np.ndarray:
+    return b.surface[:, 2] < 1e-12
+
+
+def _top(b: Body) -> np.ndarray:
+    return b.facets_where(lambda x: x[:, 2] > 1.0 - 1e-12).astype(float)
+
+
+def test_solution_has_the_fields_of_the_surface_model() -> None:
+    for name in ("Solution", "Status"):
+        ours, theirs = getattr(solution, name), getattr(vdm.solution, name)
+        assert [f.name for f in fields(ours)] == [f.name for f in fields(theirs)]
+
+
+@pytest.mark.parametrize("poisson_ratio", [-0.5, 0.0, 0.3, 0.4999, 0.5])
+@pytest.mark.parametrize("element", list(ELEMENTS))
+@pytest.mark.parametrize("solver", ["direct", "iterative"])
+def test_reactions_balance_pressure_and_weight(
+    block: Body, solver: str, element: str, poisson_ratio: float
+) -> None:
+    if poisson_ratio == 0.5 and element != "P2-P1":
+        pytest.skip("refused, see below")
+    problem = block.problem(
+        _bottom(block),
+        poisson_ratio=poisson_ratio,
+        element=element,
+        solver=solver,
+        density=2.0,
+        youngs_modulus=50.0,
+    )
+    pressure = np.random.default_rng(0).uniform(0.0, 2.0, (len(block.triangles), 6))
+    given = np.where(_bottom(block)[:, None], 0.01 * np.sin(7.0 * block.surface), 0.0)
+    s = problem.solve([block.load(pressure, given, (1.0, 2.0, -9.81))])
+    q = np.array([0.223381589678011] * 3 + [0.109951743655322] * 3)
+    applied = -block.area_vectors.T @ (pressure @ q) + 2.0 * np.array([1.0, 2.0, -9.81])  # volume one
+    assert s.status[0].ok
+    # Locked, the moved support's forces on itself are thousands of times the load: they set the scale there.
+    size = np.abs(applied).max() if element == "P2-P1" else np.abs(s.reaction_force).sum()
+    assert_allclose(s.reaction_force[0].sum(axis=0), -applied, rtol=0, atol=1e-9 * size)
+    assert_array_equal(s.reaction_force[0][~_bottom(block)], 0.0)
+    assert_allclose(s.displacement[0][_bottom(block)], given[_bottom(block)], rtol=0, atol=1e-16)
+
+
+@pytest.mark.parametrize("solver", ["direct", "iterative"])
+def test_many_loads_equal_one_by_one_and_superpose(block: Body, solver: str) -> None:
+    problem = block.problem(_bottom(block), poisson_ratio=0.4999, solver=solver, density=1.0)
+    rng = np.random.default_rng(1)
+    loads = [
+        block.load(
+            rng.standard_normal((len(block.triangles), 6)),
+            rng.standard_normal((len(block.surface_nodes), 3)),
+            rng.standard_normal(3),
+        )
+        for _ in range(3)
+    ]
+    mixed = block.load(
+        2.0 * loads[0].facet_pressure - 0.5 * loads[1].facet_pressure,
+        2.0 * loads[0].prescribed - 0.5 * loads[1].prescribed,
+        2.0 * loads[0].gravity - 0.5 * loads[1].gravity,
+    )
+    together = problem.solve([*loads, mixed])
+    scale = np.abs(together.displacement).max()
+    tolerance = 1e-10 if solver == "direct" else 1e-8
+    for step, load in enumerate(loads):
+        alone = problem.solve([load])
+        difference = together.displacement[step] - alone.displacement[0]
+        assert np.abs(difference).max() <= tolerance * scale
+        assert_allclose(together.energy[step], alone.energy[0], rtol=tolerance, atol=0)
+    for name in ("displacement", "reaction_force", "fluid_pressure"):
+        values = getattr(together, name)
+        combined = 2.0 * values[0] - 0.5 * values[1]
+        assert_allclose(values[3], combined, rtol=0, atol=10 * tolerance * np.abs(values).max())
+
+
+def test_the_two_paths_agree() -> None:
+    b = ball(2, radius=0.05)
+    held = b.surface[:, 2] < -0.035
+    pressure = 200.0 * b.facets_where(lambda x: x[:, 2] > 0.035)
+    given = np.outer(held, [1e-3, 0.0, -1e-3])
+    loads = [b.load(pressure), b.load(prescribed=given), b.load(gravity=(0.0, 0.0, -9.81))]
+    for poisson_ratio in (0.3, 0.4999, 0.5):
+        one, other = (
+            b.problem(
+                held, youngs_modulus=5e3, poisson_ratio=poisson_ratio, density=1060.0, solver=solver
+            ).solve(loads)
+            for solver in ("direct", "iterative")
+        )
+        size = np.linalg.norm(one.displacement, axis=(1, 2))
+        difference = np.linalg.norm(one.displacement - other.displacement, axis=(1, 2))
+        assert (difference <= 1e-8 * size).all()
+        atol = 1e-8 * np.abs(one.fluid_pressure).max()
+        assert_allclose(other.fluid_pressure, one.fluid_pressure, rtol=0, atol=atol)
+        assert_array_equal(one.iterations, 0)
+        assert (other.iterations > 0).all()
+
+
+def test_energy_is_half_the_work(block: Body) -> None:
+    problem = block.problem(_bottom(block), poisson_ratio=0.3)
+    s = problem.solve([block.load(_top(block))], frozenset({"compliance"}))
+    assert_allclose(s.energy, 0.5 * s.scalars["compliance"], rtol=1e-12, atol=0)
+    assert s.energy[0] > 0.0
+    # moving the support instead of loading it: the energy is the work of the reactions
+    lifted = block.problem(_bottom(block) | (block.surface[:, 2] > 1.0 - 1e-12), poisson_ratio=0.3)
+    given = np.outer(block.surface[:, 2] > 0.5, [0.0, 0.0, 0.1])
+    stretched = lifted.solve([block.load(prescribed=given)], frozenset({"compliance"}))
+    work = np.einsum("ni,ni->", stretched.reaction_force[0], stretched.displacement[0])
+    assert_allclose(stretched.energy[0], 0.5 * work, rtol=1e-9, atol=0)
+    assert_array_equal(stretched.scalars["compliance"], 0.0)
+
+
+@pytest.mark.parametrize("element", ["P2-P1", "P2", "P1"])
+def test_scalars_of_a_uniform_stretch(element: str) -> None:
+    """u = G x held all over: F is uniform, the bar's exact values are known."""
+    b = cube(2, distort=0.2)
+    stretch = np.diag([0.1, -0.03, -0.02])
+    stretch[0, 1] = 0.05
+    held = np.ones(len(b.surface_nodes), dtype=bool)
+    problem = b.problem(held, youngs_modulus=3.0, poisson_ratio=0.3, element=element)
+    s = problem.solve([b.load(prescribed=b.surface @ stretch.T)], frozenset(OUTPUTS))
+    f = np.eye(3) + stretch
+    strain = 0.5 * (stretch + stretch.T)
+    lame, shear = 3.0 * 0.3 / (1.3 * 0.4), 3.0 / 2.6
+    energy = 0.5 * lame * np.trace(strain) ** 2 + shear * (strain**2).sum()
+    assert_allclose(s.energy, energy, rtol=1e-12, atol=0)
+    assert_allclose(s.fluid_pressure, -3.0 / (3.0 * 0.4) * np.trace(strain), rtol=1e-11, atol=0)
+    assert_allclose(s.scalars["max_det_f_deviation"], abs(np.linalg.det(f) - 1.0), rtol=1e-11, atol=0)
+    green = np.linalg.eigvalsh(0.5 * (f.T @ f - np.eye(3))).max()
+    assert_allclose(s.scalars["max_principal_strain"], green, rtol=1e-11, atol=0)
+    assert s.scalars["discretisation_error"][0] < 1e-11, "a linear field is represented exactly"
+
+
+def test_hydrostatic_pressure_is_felt_inside(block: Body) -> None:
+    """Uniform pressure all round an incompressible body moves nothing and is its pressure."""
+    problem = block.problem(_bottom(block), poisson_ratio=0.5)
+    s = problem.solve([block.load(7.0)])
+    assert_allclose(s.fluid_pressure, 7.0, rtol=1e-12, atol=0)
+    assert_allclose(s.displacement, 0.0, rtol=0, atol=1e-11)
+
+
+def test_units_scale(block: Body) -> None:
+    """Ten times stiffer, a thousand times smaller: the same strains under ten times the pressure."""
+    small = Body(1e-3 * block.points, block.tetrahedra, block.surface_nodes, block.triangles)
+    outputs = frozenset({"max_principal_strain", "discretisation_error"})
+    one = block.problem(_bottom(block), poisson_ratio=0.45).solve([block.load(_top(block))], outputs)
+    other = small.problem(_bottom(block), poisson_ratio=0.45, youngs_modulus=10.0).solve(
+        [small.load(10.0 * _top(block))], outputs
+    )
+    scale = np.abs(one.displacement).max()
+    assert_allclose(1e3 * other.displacement, one.displacement, rtol=0, atol=1e-11 * scale)
+    assert_allclose(1e8 * other.energy, one.energy, rtol=1e-10, atol=0)
+    assert_allclose(other.fluid_pressure, 10.0 * one.fluid_pressure, rtol=1e-10, atol=0)
+    for name in outputs:
+        assert_allclose(other.scalars[name], one.scalars[name], rtol=1e-9, atol=0)
+
+
+def test_where_the_body_lies_does_not_matter(block: Body) -> None:
+    turn, _ = np.linalg.qr(np.random.default_rng(5).standard_normal((3, 3)))
+    turn *= np.sign(np.linalg.det(turn))
+    moved = Body(
+        block.points @ turn.T + [3.0, -2.0, 5.0], block.tetrahedra, block.surface_nodes, block.triangles
+    )
+    load = block.load(_top(block))
+    for poisson_ratio in (0.3, 0.5):
+        one = block.problem(_bottom(block), poisson_ratio=poisson_ratio).solve([load])
+        other = moved.problem(_bottom(block), poisson_ratio=poisson_ratio).solve([load])
+        scale = np.abs(one.displacement).max()
+        assert_allclose(other.displacement @ turn, one.displacement, rtol=0, atol=1e-10 * scale)
+
+
+def test_a_rigid_support_motion_moves_the_body_rigidly(block: Body) -> None:
+    spin = np.array([[0.0, -0.3, 0.2], [0.3, 0.0, -0.1], [-0.2, 0.1, 0.0]])
+    rigid = block.surface @ spin.T + [1.0, 2.0, 3.0]
+    for element, poisson_ratio in (("P2-P1", 0.5), ("P2", 0.3), ("P1", 0.3)):
+        problem = block.problem(_bottom(block), poisson_ratio=poisson_ratio, element=element)
+        s = problem.solve([block.load(prescribed=rigid)])
+        assert_allclose(s.displacement[0], rigid, rtol=0, atol=1e-11)
+        assert_allclose(s.energy, 0.0, rtol=0, atol=1e-11 * (rigid**2).sum())
+
+
+def test_parameters_record_how_it_was_solved(block: Body) -> None:
+    problem = block.problem(_bottom(block), poisson_ratio=0.45)
+    s = problem.solve([block.load(_top(block)), block.load(2.0 * _top(block))])
+    assert s.parameters["solver"] == "direct"
+    assert "unknowns" in str(s.parameters["solver_reason"])
+    assert s.parameters["dofs"] == problem.system.size
+    assert s.parameters["tetrahedra"] == len(block.tetrahedra)
+    assert 0.0 < float(s.parameters["relative_residual"]) <= 1e-9
+    assert s.scalars == {}
+    assert s.seconds_per_step.shape == (2,)
+    assert s.seconds_setup > 0.0
+
+
+def test_a_load_that_is_not_reached_is_no_success(block: Body) -> None:
+    problem = block.problem(_bottom(block), poisson_ratio=0.4999999, element="P2", solver="direct")
+    s = problem.solve([block.load(_top(block))])
+    assert float(s.parameters["relative_residual"]) > 1e-9
+    assert s.status[0].code == "not-converged"
+    assert "P2-P1" in s.status[0].remedy
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"youngs_modulus": 0.0}, "youngs_modulus is 0.0; give a positive"),
+        ({"youngs_modulus": float("nan")}, "youngs_modulus is nan"),
+        ({"poisson_ratio": -1.0}, r"poisson_ratio is -1.0; give a number in \(-1, 0.5\]"),
+        ({"poisson_ratio": 0.5000001}, "poisson_ratio is 0.5000001"),
+        ({"poisson_ratio": float("nan")}, "poisson_ratio is nan"),
+        ({"poisson_ratio": 0.5, "element": "P2"}, "a displacement element cannot be incompressible"),
+        ({"density": -1.0}, "density is -1.0"),
+        ({"element": "P3"}, "element 'P3' is unknown; use one of P2-P1, P2, P1"),
+        ({"solver": "magic"}, "solver 'magic' is unknown"),
+        ({"memory_limit": 10.0}, "MB are available"),
+    ],
+)
+def test_bad_settings_are_told(block: Body, change: dict[str, object], words: str) -> None:
+    with pytest.raises(SolverError, match=words) as caught:
+        block.problem(_bottom(block), **change)
+    assert caught.value.status.remedy
+    assert not caught.value.status.ok
+
+
+def test_an_enclosed_incompressible_body_is_told(block: Body) -> None:
+    held = np.ones(len(block.surface_nodes), dtype=bool)
+    with pytest.raises(SolverError, match="held over its whole surface") as caught:
+        block.problem(held, poisson_ratio=0.5)
+    assert caught.value.status.code == "enclosed"
+    block.problem(held, poisson_ratio=0.4999)
+
+
+def test_bad_loads_are_told(block: Body) -> None:
+    problem = block.problem(_bottom(block))
+    good = block.load(_top(block))
+    infinite = np.array(good.prescribed)
+    infinite[0, 0] = np.inf
+    for load, words in (
+        (replace(good, prescribed=infinite), "prescribed of load step 1 has values that are not finite"),
+        (block.load(float("nan")), "facet_pressure of load step 1 has values that are not finite"),
+        (replace(good, gravity=np.zeros(2)), r"gravity of load step 1 has shape \(2,\); give shape \(3,\)"),
+        (replace(good, facet_pressure=good.facet_pressure[:, :1]), "facet_pressure of load step 1 has shape"),
+    ):
+        with pytest.raises(SolverError, match=words):
+            problem.solve([good, load])
+    with pytest.raises(SolverError, match="there is no load step"):
+        problem.solve([])
+    with pytest.raises(SolverError, match="output 'colour' is unknown; use some of compliance"):
+        problem.solve([good], frozenset({"colour"}))
+
+
+def test_the_arrays_given_are_left_alone(block: Body) -> None:
+    copies = [np.array(a) for a in block.arrays]
+    for a in block.arrays:
+        a.setflags(write=False)
+    try:
+        problem = LinearProblem(*block.arrays, youngs_modulus=1.0, poisson_ratio=0.3, held=_bottom(block))
+        problem.solve([block.load(_top(block))], frozenset(OUTPUTS))
+    finally:
+        for a in block.arrays:
+            a.setflags(write=True)
+    for a, copy in zip(block.arrays, copies, strict=True):
+        assert_array_equal(a, copy)

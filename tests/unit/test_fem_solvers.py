@@ -1,0 +1,230 @@
+"""Sparse solvers, their choice and their limits."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+from scipy.sparse import csc_array
+from scipy.sparse.linalg import spsolve
+
+from fem_reference import krylov, linear_algebra
+from fem_reference.krylov import gmres, independent_columns
+from fem_reference.linear_algebra import (
+    DirectSolver,
+    Estimate,
+    IterativeSolver,
+    choose_solver,
+    estimate_costs,
+    refine,
+    relative_residual,
+)
+from fem_reference.loads import held_nodes
+from fem_reference.memory import available_memory
+from fem_reference.mesh import TetMesh
+from fem_reference.multigrid import DisplacementPreconditioner
+from fem_reference.solution import SolverError
+from fem_reference.system import LinearSystem, build_system
+from tests.unit.fem_shapes import cube
+
+
+def _system(n: int = 3, poisson_ratio: float = 0.4999, *, order: int = 2, mixed: bool = True) -> LinearSystem:
+    b = cube(n, distort=0.2)
+    mesh = TetMesh(*b.arrays, order=order)
+    held = held_nodes(mesh, b.surface[:, 2] < 1e-12)
+    return build_system(mesh, held, mixed=mixed, poisson_ratio=poisson_ratio)
+
+
+def _exact(system: LinearSystem, rhs: np.ndarray) -> np.ndarray:
+    lower = system.lower_triangle(system.compressibility)
+    lower.setdiag(lower.diagonal() / 2.0)
+    return np.asarray(spsolve(csc_array(lower + lower.T), rhs))
+
+
+@pytest.mark.parametrize("poisson_ratio", [-0.5, 0.0, 0.3, 0.4999, 0.5])
+@pytest.mark.parametrize("path", [DirectSolver, IterativeSolver])
+def test_both_paths_equal_an_independent_solver(path: type, poisson_ratio: float) -> None:
+    system = _system(poisson_ratio=poisson_ratio)
+    rhs = np.random.default_rng(0).standard_normal((system.size, 3))
+    solved = path(system, None, "").solve(rhs)
+    exact = _exact(system, rhs)
+    tolerance = 1e-10 if path is DirectSolver else 1e-7  # of a random load: the residual times the condition
+    assert_allclose(solved.x, exact, rtol=0, atol=tolerance * np.abs(exact).max())
+    assert_allclose(solved.residual, relative_residual(system, solved.x, rhs), rtol=1e-6, atol=1e-14)
+    assert solved.residual.max() <= path.tolerance  # type: ignore[attr-defined]
+    assert (solved.iterations > 0).all() == (path is IterativeSolver)
+
+
+def test_more_loads_than_a_batch() -> None:
+    system = _system(2)
+    rhs = np.random.default_rng(0).standard_normal((system.size, 70))
+    solved = DirectSolver(system, None, "").solve(rhs)
+    assert_allclose(solved.x, _exact(system, rhs), rtol=0, atol=1e-10 * np.abs(solved.x).max())
+
+
+def test_a_zero_load_moves_nothing() -> None:
+    system = _system(2)
+    for path in (DirectSolver, IterativeSolver):
+        solved = path(system, None, "").solve(np.zeros((system.size, 2)))
+        assert_array_equal(solved.x, 0.0)
+        assert_array_equal(solved.residual, 0.0)
+
+
+def test_single_precision_gives_way_to_double_where_it_is_too_coarse() -> None:
+    gentle = DirectSolver(_system(3, 0.3), None, "")
+    gentle.solve(np.ones((gentle._system.size, 1)))
+    assert gentle.precision == "float32"
+    stiff = _system(3, 0.4999999, mixed=False)
+    solver = DirectSolver(stiff, None, "")
+    assert solver.precision == "float32"
+    rhs = np.random.default_rng(0).standard_normal((stiff.size, 1))
+    solved = solver.solve(rhs)
+    assert solver.precision == "float64"
+    assert_allclose(solved.x, _exact(stiff, rhs[:, 0])[:, None], rtol=0, atol=1e-6 * np.abs(solved.x).max())
+
+
+def test_refinement_reaches_rounding_with_a_poor_inverse() -> None:
+    rng = np.random.default_rng(0)
+    a = np.eye(30) + 0.1 * rng.standard_normal((30, 30))
+    poor = np.linalg.inv(a) * (1.0 + 1e-4 * rng.standard_normal((30, 30)))
+    b = rng.standard_normal((30, 2))
+    x, residual = refine(lambda v: a @ v, lambda v: poor @ v, b)
+    assert_allclose(x, np.linalg.solve(a, b), rtol=0, atol=1e-11)
+    assert_allclose(
+        residual, np.linalg.norm(b - a @ x, axis=0) / np.linalg.norm(b, axis=0), rtol=1e-3, atol=0
+    )
+
+
+def test_refinement_keeps_the_best_and_owns_up() -> None:
+    b = np.ones((4, 1))
+    x, residual = refine(lambda v: v, lambda v: 3.0 * v, b)  # each step would double the error
+    assert_allclose(residual, 2.0, rtol=1e-12, atol=0)
+    assert_allclose(x, 3.0, rtol=1e-12, atol=0)
+
+
+def test_gmres_solves_across_restarts(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(krylov, "RESTART", 7)
+    rng = np.random.default_rng(0)
+    a = np.diag(np.linspace(1.0, 30.0, 60)) + 0.2 * rng.standard_normal((60, 60))
+    b = rng.standard_normal(60)
+    half = np.linalg.inv(np.diag(np.diag(a)))
+    x, used = gmres(lambda v: a @ v, lambda v: half @ v, b, np.zeros(60), tolerance=1e-10, max_iterations=200)
+    assert np.linalg.norm(b - a @ x) <= 1e-10 * np.linalg.norm(b)
+    assert 7 < used < 100
+    again, none = gmres(lambda v: a @ v, lambda v: half @ v, b, x, tolerance=1e-10, max_iterations=200)
+    assert none == 0
+    assert_array_equal(again, x)
+
+
+def test_gmres_stops_at_its_limit_without_a_wrong_word() -> None:
+    shift = np.roll(np.eye(20), 1, axis=0)  # GMRES learns nothing before the last step
+    b = np.eye(20)[0]
+    x, used = gmres(lambda v: shift @ v, lambda v: v, b, np.zeros(20), tolerance=1e-10, max_iterations=15)
+    assert used == 15
+    assert np.linalg.norm(b - shift @ x) > 0.5
+
+
+def test_gmres_ends_on_an_exact_answer() -> None:
+    b = np.arange(1.0, 6.0)
+    x, used = gmres(
+        lambda v: 2.0 * v, lambda v: v.copy(), b, np.zeros(5), tolerance=1e-300, max_iterations=50
+    )
+    assert used == 1
+    assert_allclose(x, b / 2.0, rtol=1e-15, atol=0)
+
+
+def test_dependent_columns_are_found() -> None:
+    rng = np.random.default_rng(0)
+    basis = rng.standard_normal((50, 2))
+    mix = np.array([[1.0, 0.25, 0.0, 1e6, -3.0], [0.0, 0.0, 2.0, 0.0, 1e-3]])
+    columns = np.column_stack([basis @ mix, np.zeros(50)])
+    chosen, coefficients = independent_columns(columns)
+    assert len(chosen) == 2
+    atol = 1e-9 * np.linalg.norm(columns, axis=0)
+    assert (np.linalg.norm(columns[:, chosen] @ coefficients - columns, axis=0) <= atol).all()
+    assert len(independent_columns(rng.standard_normal((50, 4)))[0]) == 4
+    assert len(independent_columns(np.zeros((50, 2)))[0]) == 0
+
+
+def test_a_load_history_is_one_iterative_solve() -> None:
+    system = _system()
+    load = np.random.default_rng(0).standard_normal(system.size)
+    solved = IterativeSolver(system, None, "").solve(np.outer(load, [0.25, 1.0, 0.5]))
+    assert (solved.iterations > 0).sum() == 1
+    assert solved.residual.max() <= 1e-8
+    assert_allclose(solved.x[:, 0] * 4.0, solved.x[:, 1], rtol=1e-9, atol=1e-12 * np.abs(solved.x).max())
+
+
+def test_the_coarse_level_is_the_galerkin_product() -> None:
+    system = _system()
+    preconditioner = DisplacementPreconditioner(system)
+    prolong, restrict = preconditioner._levels  # type: ignore[misc]
+    vector = np.kron(prolong.toarray(), np.eye(3))
+    galerkin = vector.T @ system.stiffness.toarray() @ vector
+    coarse = preconditioner.hierarchy.levels[0].A.toarray()
+    assert_allclose(coarse, galerkin, rtol=0, atol=1e-13 * np.abs(galerkin).max())
+    assert_array_equal(restrict.toarray(), prolong.toarray().T)
+
+
+def test_iterations_do_not_grow_towards_incompressibility() -> None:
+    counts = []
+    for poisson_ratio in (0.45, 0.4999, 0.5):
+        system = _system(4, poisson_ratio)
+        rhs = system.right_hand_side(
+            np.ones((1, system.mesh.n_nodes, 3)), np.zeros((1, system.mesh.n_nodes, 3))
+        )
+        counts.append(int(IterativeSolver(system, None, "").solve(rhs).iterations[0]))
+    assert max(counts) <= 45
+    assert max(counts) - min(counts) <= 12
+
+
+def test_the_choice_follows_size_and_number_of_loads() -> None:
+    def faster(unknowns: int, loads: int, stiffening: float = 1.0) -> str:
+        costs = estimate_costs(unknowns, unknowns // 22, loads, stiffening)
+        return min(costs, key=lambda name: costs[name].seconds)
+
+    assert faster(16_500, 1) == "direct"
+    assert faster(417_000, 1) == "iterative"
+    assert faster(107_000, 1) == "iterative"
+    assert faster(107_000, 32) == "direct"
+    assert faster(107_000, 1, stiffening=5000.0) == "direct"
+    direct = [estimate_costs(n, n // 22, 1)["direct"].bytes for n in (16_500, 107_000)]
+    assert_allclose(direct, [90e6, 905e6], rtol=0.15, atol=0)  # as planned by the analysis of these systems
+
+
+def test_the_choice_respects_memory() -> None:
+    system = _system(5)
+    assert choose_solver(system, "auto", 40, None).name == "direct"
+    direct, iterative = (DirectSolver(system, None, ""), IterativeSolver(system, None, ""))
+    assert iterative.estimated_bytes < direct.estimated_bytes
+    between = 0.5 * (iterative.estimated_bytes + direct.estimated_bytes)
+    assert choose_solver(system, "auto", 40, between).name == "iterative"
+    with pytest.raises(SolverError, match=r"the direct solver needs about \d+ MB but \d+ MB") as caught:
+        choose_solver(system, "direct", 1, between)
+    assert 'solver="iterative"' in caught.value.status.remedy
+    for name in ("auto", "iterative", "direct"):
+        with pytest.raises(SolverError, match="MB are available") as caught:
+            choose_solver(system, name, 1, 1000.0)
+        assert caught.value.status.code == "memory"
+
+
+def test_auto_turns_to_the_iterative_path_when_the_analysis_finds_too_much_fill(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    system = _system(5)
+    limit = 0.9 * DirectSolver(system, None, "").estimated_bytes
+    hopeful = estimate_costs(system.size, system.mesh.n_vertices, 40)
+    hopeful["direct"] = Estimate(hopeful["direct"].seconds, 0.0)
+    monkeypatch.setattr(linear_algebra, "estimate_costs", lambda *_: hopeful)
+    solver = choose_solver(system, "auto", 40, limit)
+    assert solver.name == "iterative"
+    assert "the analysis found that the factors need more" in solver.reason
+
+
+def test_an_unknown_solver_is_told() -> None:
+    with pytest.raises(SolverError, match="solver 'magic' is unknown; use one of auto, direct, iterative"):
+        choose_solver(_system(2), "magic", 1, None)
+
+
+def test_available_memory_is_plausible() -> None:
+    assert 1e7 < available_memory() < 1e14
