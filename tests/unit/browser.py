@@ -15,7 +15,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
-PATIENCE = 60.0  # seconds for one answer
+PATIENCE = 30.0  # seconds for one answer
 
 FLAGS = (
     "--headless",
@@ -122,25 +122,27 @@ class Browser:
         return message
 
     def open(
-        self, path: Path, width: int, height: int = 900, *, dark: bool = False, scale: float = 1.0
+        self, path: Path, width: int, height: int = 900, *, dark: bool = False, scripts: bool = True
     ) -> None:
-        """Load a file and wait until it is drawn."""
+        """Load a file and wait until it is drawn; `scripts=False` as where they are switched off."""
+        self.send("Emulation.setScriptExecutionDisabled", value=not scripts)
         media = [{"name": "prefers-color-scheme", "value": "dark" if dark else "light"}]
         self.send("Emulation.setEmulatedMedia", features=media)
-        self.resize(width, height, scale)
+        self.resize(width, height)
         self.events.clear()
         self.send("Page.navigate", url=path.resolve().as_uri())
         while not any(event["method"] == "Page.loadEventFired" for event in self.events):
             self._receive(PATIENCE)
-        self.settle()
+        if scripts:
+            self.settle()
 
-    def resize(self, width: int, height: int, scale: float = 1.0) -> None:
+    def resize(self, width: int, height: int) -> None:
         """Size of the window in CSS pixels."""
         self.send(
             "Emulation.setDeviceMetricsOverride",
             width=width,
             height=height,
-            deviceScaleFactor=scale,
+            deviceScaleFactor=1,
             mobile=width < 700,
         )
 
@@ -169,14 +171,16 @@ class Browser:
         return base64.b64decode(data)
 
     def complaints(self) -> list[str]:
-        """Errors and warnings of the page: exceptions, console errors, refused loads."""
+        """Errors of the page: exceptions, console errors and warnings, refused loads and scripts, dialogs."""
         out = []
         for event in self.events:
             params = event["params"]
             if event["method"] == "Runtime.exceptionThrown":
                 out.append(str(params["exceptionDetails"]))
-            elif event["method"] == "Log.entryAdded" and params["entry"]["level"] in ("error", "warning"):
+            elif event["method"] == "Log.entryAdded" and params["entry"]["level"] == "error":
                 out.append(params["entry"]["text"])
+            elif event["method"] == "Page.javascriptDialogOpening":
+                out.append(f"dialog: {params['message']}")
             elif event["method"] == "Runtime.consoleAPICalled" and params["type"] in (
                 "error",
                 "warning",

@@ -276,9 +276,9 @@ def test_hundreds_of_cases_stay_small() -> None:
 
 
 def test_thousands_of_cases_are_cut_and_say_so() -> None:
-    html = page_html(cheap_run(2000), no_pictures)
+    html = page_html(cheap_run(1200), no_pictures)
     assert len(html.encode()) < MOST_BYTES
-    assert "of 2000 are listed" in words(section(html, "cases"))
+    assert "of 1200 are listed" in words(section(html, "cases"))
     assert "cases is drawn" in words(section(html, "parameters"))
 
 

@@ -1,0 +1,327 @@
+"""The page in a real browser: nothing complains, nothing is fetched, the viewer draws what the numbers say."""
+
+from __future__ import annotations
+
+import csv
+import io
+import urllib.parse
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+from PIL import Image
+
+from studies.case import Run
+from studies.report.page import page_html
+
+from .browser import Browser, chromium
+from .report_runs import REFERENCE, cheap_run, make_case, make_run, sweep_run
+from .test_report_page import no_pictures
+
+pytestmark = pytest.mark.skipif(chromium() is None, reason="chromium is not installed")
+
+SMALL_PNG = (
+    b"\x89PNG\r\n\x1a\n\x00\x00\x00\rIHDR\x00\x00\x00\x01\x00\x00\x00\x01\x08\x06\x00\x00\x00\x1f\x15\xc4\x89"
+    b"\x00\x00\x00\rIDATx\x9cc\xf8\xcf\xc0\xf0\x1f\x00\x05\x00\x01\xff\x89\x99=\x1d\x00\x00\x00\x00IEND\xaeB`\x82"
+)
+VIEWER = "document.querySelector('.viewer')"
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Browser]:
+    with Browser() as opened:
+        yield opened
+
+
+@pytest.fixture(scope="module")
+def run() -> Run:
+    return sweep_run()
+
+
+@pytest.fixture(scope="module")
+def page(run: Run, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("report") / "report.html"
+    path.write_text(page_html(run, lambda pictures: ([SMALL_PNG] * len(pictures), "")))
+    return path
+
+
+def visible(browser: Browser, selector: str) -> bool:
+    """Whether an element takes room on the page."""
+    return bool(browser.evaluate(f"document.querySelector({selector!r}).getBoundingClientRect().height > 0"))
+
+
+def stage(browser: Browser) -> np.ndarray:
+    """Pixels of the viewer's drawing, (height, width, 3)."""
+    browser.settle()
+    box = "(r => ({x: r.x, y: r.y + scrollY, width: r.width, height: r.height}))"
+    clip = browser.evaluate(f"{box}(document.querySelector('.stage > canvas').getBoundingClientRect())")
+    return np.asarray(Image.open(io.BytesIO(browser.picture(clip=clip))).convert("RGB")).astype(int)
+
+
+def changed(before: np.ndarray, after: np.ndarray) -> float:
+    """Share of pixels that differ visibly."""
+    return float((np.abs(before - after).max(axis=2) > 24).mean())
+
+
+def move(browser: Browser, control: str, value: float) -> None:
+    browser.evaluate(
+        f"(c => {{ c.value = {value}; for (const kind of ['input', 'change']) c.dispatchEvent(new Event(kind)); }})"
+        f"({VIEWER}.querySelector('[data-control={control}]'))"
+    )
+
+
+def show(browser: Browser, kind: str) -> None:
+    browser.evaluate(f"{VIEWER}.querySelector('input[value={kind}]').click()")
+
+
+# --- the page ---
+
+
+@pytest.mark.parametrize("dark", [False, True], ids=["light", "dark"])
+@pytest.mark.parametrize("width", [400, 1400])
+def test_opens_without_complaint_and_fits(browser: Browser, page: Path, width: int, dark: bool) -> None:
+    browser.open(page, width, dark=dark)
+    assert browser.complaints() == []
+    assert browser.requests() == []
+    assert browser.evaluate("document.documentElement.scrollWidth") <= width
+    colours = browser.evaluate("(s => [s.color, s.backgroundColor])(getComputedStyle(document.body))")
+    text, paper = (np.array([int(v) for v in c[4:-1].split(",")]) for c in colours)
+    assert (paper.mean() < 60) == dark
+    assert abs(text - paper).min() > 150
+    ink = browser.evaluate("getComputedStyle(document.querySelector('.plot text')).fill")
+    assert ink == colours[0], "figures take the colour of the page's text"
+
+
+def test_three_hundred_cases_fit_a_phone(browser: Browser, tmp_path: Path) -> None:
+    path = tmp_path / "many.html"
+    path.write_text(page_html(cheap_run(300), no_pictures))
+    browser.open(path, 400)
+    assert browser.complaints() == []
+    assert browser.evaluate("document.documentElement.scrollWidth") <= 400
+    rows = "[...document.querySelectorAll('[data-name=cases] tbody tr')].filter(r => r.offsetHeight).length"
+    assert browser.evaluate(rows) == 12
+    browser.evaluate("document.querySelector('#cases [data-action=unfold]').click()")
+    assert browser.evaluate(rows) == 300
+
+
+def test_print_shows_the_still_pictures_and_every_row(browser: Browser, page: Path) -> None:
+    browser.open(page, 1000)
+    assert visible(browser, ".viewer")
+    assert not visible(browser, ".stills")
+    browser.send("Emulation.setEmulatedMedia", media="print")
+    assert visible(browser, ".stills")
+    assert not visible(browser, ".viewer")
+    assert not visible(browser, ".tools")
+    browser.send("Emulation.setEmulatedMedia", media="")
+
+
+@pytest.mark.parametrize("without", ["WebGL", "scripts"])
+def test_without_webgl_or_scripts_there_are_pictures_and_a_reason(
+    browser: Browser, page: Path, without: str
+) -> None:
+    if without == "WebGL":
+        code = "HTMLCanvasElement.prototype.getContext = () => null"
+        added = browser.send("Page.addScriptToEvaluateOnNewDocument", source=code)["identifier"]
+        browser.open(page, 1000)
+        browser.send("Page.removeScriptToEvaluateOnNewDocument", identifier=added)
+    else:
+        browser.open(page, 1000, scripts=False)
+    assert browser.complaints() == []
+    assert not visible(browser, ".viewer")
+    assert visible(browser, ".stills img")
+    assert visible(browser, ".no-viewer")
+
+
+# --- tables ---
+
+
+def csv_of(browser: Browser, table: str) -> list[list[str]]:
+    """What the table's CSV button downloads."""
+    browser.evaluate("HTMLAnchorElement.prototype.click = function () { window.lastLink = this.href; }")
+    browser.evaluate(
+        f"document.querySelector('[data-name={table}]').closest('.table').querySelector('[data-action=csv]').click()"
+    )
+    link = browser.evaluate("window.lastLink")
+    header, _, body = link.partition(",")
+    assert header == "data:text/csv;charset=utf-8"
+    return list(csv.reader(io.StringIO(urllib.parse.unquote(body))))
+
+
+def test_csv_holds_full_numbers_and_their_units(browser: Browser, page: Path) -> None:
+    browser.open(page, 1000)
+    head, *rows = csv_of(browser, "headline")
+    assert head[:3] == ["Model", "Displacement error, median", "Displacement error, worst"]
+    assert head[-3:] == ["Set-up [s]", "Per frame [s]", "Memory [B]"]
+    assert rows[2][0] == "fem-linear, reference"
+    assert_allclose([float(v) for v in rows[1][1:5]], [0.078, 0.106, 0.078, 0.106], rtol=1e-9, atol=1e-12)
+    head, *rows = csv_of(browser, "cases")
+    assert head[2] == "pressure of finger [Pa]"
+    assert [float(row[2]) for row in rows] == [800.0, 200.0, 800.0, 200.0, 800.0, 200.0]
+
+
+def test_csv_neutralises_text_that_a_spreadsheet_would_run(browser: Browser, tmp_path: Path) -> None:
+    texts = ["=cmd()", "+1", "-1", "@x", 'a "b", c', "plain"]
+    cases = [
+        make_case({"m": 0.1 * (k + 1)}, label=t, swept={"k": t}, subdivisions=0) for k, t in enumerate(texts)
+    ]
+    path = tmp_path / "hostile.html"
+    path.write_text(page_html(make_run(cases), no_pictures))
+    browser.open(path, 1000)
+    _, *rows = csv_of(browser, "cases")
+    assert {row[1] for row in rows} == {"'=cmd()", "'+1", "'-1", "'@x", 'a "b", c', "plain"}
+    assert all(float(row[-2]) > 0 for row in rows), "numbers stay numbers"
+
+
+def test_a_click_on_a_heading_sorts(browser: Browser, page: Path) -> None:
+    browser.open(page, 1000)
+    rows = "[...document.querySelectorAll('[data-name=cases] tbody tr')]"
+    column = f"{rows}.map(r => Number(r.cells[2].dataset.value))"
+    click = "document.querySelector('[data-name=cases] thead th:nth-child(3) button').click()"
+    browser.evaluate(click)
+    assert browser.evaluate(column) == [800, 800, 800, 200, 200, 200]
+    browser.evaluate(click)
+    assert browser.evaluate(column) == [200, 200, 200, 800, 800, 800]
+    head = "document.querySelector('[data-name=cases] thead th:nth-child(3)').getAttribute('aria-sort')"
+    assert browser.evaluate(head) == "ascending"
+
+
+# --- the viewer ---
+
+
+def test_viewer_draws_the_surface_in_its_colours(browser: Browser, page: Path) -> None:
+    browser.open(page, 1400)
+    pixels = stage(browser)
+    background = pixels[-1, 0]
+    drawn = np.abs(pixels - background).max(axis=2) > 24
+    assert 0.1 < drawn.mean() < 0.9
+    saturation = np.ptp(pixels[drawn], axis=1)
+    assert (saturation > 40).mean() > 0.8, "viridis is colourful, an unlit or empty drawing is not"
+
+
+def test_controls_change_the_drawing(browser: Browser, page: Path) -> None:
+    browser.open(page, 1400)
+    first = stage(browser)
+    assert changed(first, stage(browser)) == 0.0
+    move(browser, "step", 0)
+    early = stage(browser)
+    assert changed(first, early) > 0.05
+    move(browser, "step", 3)
+    assert changed(first, stage(browser)) == 0.0
+    move(browser, "scale", 0)
+    assert changed(first, stage(browser)) > 0.02
+    move(browser, "scale", 50)
+    show(browser, "difference")
+    difference = stage(browser)
+    assert changed(first, difference) > 0.1
+    show(browser, "reference")
+    assert changed(first, stage(browser)) > 0.01
+    show(browser, "model")
+    for box in ("edges", "rest"):
+        browser.evaluate(f"{VIEWER}.querySelector('[data-control={box}]').click()")
+        assert changed(first, stage(browser)) > 0.005
+        browser.evaluate(f"{VIEWER}.querySelector('[data-control={box}]').click()")
+    assert changed(first, stage(browser)) == 0.0
+    move(browser, "case", 2)
+    assert changed(first, stage(browser)) > 0.01
+    assert browser.complaints() == []
+
+
+def test_keys_mouse_and_touch_turn_and_zoom(browser: Browser, page: Path) -> None:
+    browser.open(page, 1400)
+    browser.evaluate("document.querySelector('#surface').scrollIntoView({behavior: 'instant'})")
+    browser.evaluate("document.querySelector('.stage > canvas').focus()")
+
+    def press(key: str) -> None:
+        for kind in ("keyDown", "keyUp"):
+            browser.send("Input.dispatchKeyEvent", type=kind, key=key)
+
+    press("0")  # the first key also draws the ring of the focus
+    first = stage(browser)
+    for keys in (("ArrowUp", "ArrowUp", "ArrowUp"), ("-", "-", "-"), ("+", "+", "+")):
+        for key in keys:
+            press(key)
+        assert changed(first, stage(browser)) > 0.02
+        press("0")
+        assert changed(first, stage(browser)) == 0.0
+    x, y = middle(browser)
+    for kind, dy in (("mousePressed", 0), ("mouseMoved", 60), ("mouseReleased", 60)):
+        browser.send("Input.dispatchMouseEvent", type=kind, x=x, y=y + dy, button="left", clickCount=1)
+    assert changed(first, stage(browser)) > 0.02
+    press("0")
+    spread = [[(-30, 0), (30, 0)], [(-90, 0), (90, 0)]]
+    for kind, points in zip(("touchStart", "touchMove", "touchEnd"), [*spread, []], strict=True):
+        touches = [{"x": x + dx, "y": y + dy, "id": k} for k, (dx, dy) in enumerate(points)]
+        browser.send("Input.dispatchTouchEvent", type=kind, touchPoints=touches)
+    zoomed = stage(browser)
+    background = first[-20, 20]
+    shares = [(np.abs(image - background).max(axis=2) > 24).mean() for image in (first, zoomed)]
+    assert shares[1] > 1.3 * shares[0]
+
+
+def middle(browser: Browser) -> tuple[float, float]:
+    """Centre of the viewer in the window."""
+    centre = "(r => [r.x + r.width / 2, r.y + r.height / 2])"
+    x, y = browser.evaluate(f"{centre}({VIEWER}.querySelector('canvas').getBoundingClientRect())")
+    return x, y
+
+
+def read_out(browser: Browser) -> list[list[str]]:
+    rows = (
+        f"[...{VIEWER}.querySelectorAll('.readout tbody tr')].map(r => [...r.cells].map(c => c.textContent))"
+    )
+    found: list[list[str]] = browser.evaluate(rows)
+    return found
+
+
+def numbers(texts: list[str]) -> list[float]:
+    return [float(text.replace("−", "-")) for text in texts]
+
+
+def test_a_node_shows_its_numbers(browser: Browser, page: Path, run: Run) -> None:
+    browser.open(page, 1400)
+    move(browser, "node", 17)
+    worst = max(run.cases, key=lambda c: c.metrics["vdm-vector"]["relative_l2_displacement_error"].values[-1])
+    u = worst.models["vdm-vector"].displacement[-1, 17] * 1e3
+    r = worst.models[REFERENCE].displacement[-1, 17] * 1e3
+    rows = read_out(browser)
+    assert [row[0] for row in rows] == ["vdm-vector", f"{REFERENCE} (reference)", "difference"]
+    for row, value in zip(rows, (u, r, u - r), strict=True):
+        # three digits are shown, and packing rounds to 1.5e-5 of the largest displacement
+        assert_allclose(numbers(row[1:]), [*value, np.linalg.norm(value)], rtol=5.1e-3, atol=2e-4)
+    caption = browser.evaluate(f"{VIEWER}.querySelector('.readout caption').textContent")
+    place = numbers(caption[caption.index("(") + 1 : caption.index(")")].split(","))
+    assert_allclose(place, worst.points[17] * 1e3, rtol=5.1e-3, atol=2e-3)
+    move(browser, "node", 100000)
+    assert read_out(browser) == []
+
+
+def test_a_click_picks_the_node_in_front(browser: Browser, page: Path, run: Run) -> None:
+    browser.open(page, 1400)
+    browser.evaluate("document.querySelector('#surface').scrollIntoView({behavior: 'instant'})")
+    x, y = middle(browser)
+    for kind in ("mousePressed", "mouseReleased"):
+        browser.send("Input.dispatchMouseEvent", type=kind, x=x, y=y, button="left", clickCount=1)
+    picked = int(browser.evaluate(f"{VIEWER}.querySelector('[data-control=node]').value"))
+    # the camera looks from azimuth -1 and 0.38 above the horizon onto the middle of a ball
+    azimuth, elevation = -1.0, 0.38
+    towards = np.array(
+        [np.cos(azimuth) * np.cos(elevation), np.sin(azimuth) * np.cos(elevation), np.sin(elevation)]
+    )
+    directions = run.cases[0].points / np.linalg.norm(run.cases[0].points, axis=1, keepdims=True)
+    assert directions[picked] @ towards > 0.97
+    assert len(read_out(browser)) == 3
+
+
+def test_a_step_that_failed_says_so(browser: Browser, tmp_path: Path) -> None:
+    path = tmp_path / "stopped.html"
+    path.write_text(
+        page_html(make_run([make_case({"m": 0.1}, stopped={"m": 2}, subdivisions=1)]), no_pictures)
+    )
+    browser.open(path, 1000)
+    note = f"{VIEWER}.querySelector('.quantity').textContent"
+    assert "stopped at this load: the volume could not be held" in browser.evaluate(note)
+    move(browser, "step", 1)
+    assert "stopped" not in browser.evaluate(note)
+    assert browser.complaints() == []
