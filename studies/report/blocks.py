@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import ClassVar
@@ -25,7 +26,12 @@ class Cell:
     text: str
     detail: str = ""
     value: float | None = None
-    tone: str = ""  # "bad", "muted" or "best"
+    tone: str = ""  # "bad" or "muted"
+
+    @property
+    def exact(self) -> float | None:
+        """The full number, None where there is none or it is not finite."""
+        return self.value if self.value is not None and math.isfinite(self.value) else None
 
 
 @dataclass(frozen=True)

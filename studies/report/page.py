@@ -9,6 +9,7 @@ import re
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
 
@@ -57,12 +58,18 @@ def write_report(run: Run, path: Path) -> None:
     OSError
         disk full or read-only.
     """
-    write_atomically(path, page_html(run, picture.render).encode())
+    write_atomically(path, _encoded(page_html(run, picture.render)))
 
 
 def page_html(run: Run, render: Renderer) -> str:
     """The page as text. `render` makes the still pictures of the surface."""
-    digest = Digest(run)
+    # overflow is no surprise in what a model that broke down left behind; its numbers are shown as not finite
+    with np.errstate(all="ignore"):
+        return _page_html(Digest(run), render)
+
+
+def _page_html(digest: Digest, render: Renderer) -> str:
+    run = digest.run
     environment = _environment()
     scripts = [_asset("page.js"), _asset("viewer.js")]
     before, after = (
@@ -87,9 +94,14 @@ def page_html(run: Run, render: Renderer) -> str:
             policy=_policy(shown),
         )
 
-    room = MOST_BYTES - len(page(before + after).encode()) - len("".join(scripts).encode()) - _MARGIN
+    room = MOST_BYTES - len(_encoded(page(before + after))) - len("".join(scripts).encode()) - _MARGIN
     view = surfaces(digest, room, render)
     return page([*before, *([view] if view else []), *after])
+
+
+def _encoded(text: str) -> bytes:
+    """UTF-8; half a surrogate pair, which JSON can carry into a name, becomes a question mark."""
+    return text.encode("utf-8", "replace")
 
 
 def _counts(run: Run) -> list[tuple[str, str]]:

@@ -81,8 +81,8 @@ def _run_child(directory: Path) -> str:
     return ""
 
 
-def _off_screen_window(libraries: Sequence[tuple[str, str]] = _LIBRARIES) -> str | None:
-    for library, window in libraries:
+def _off_screen_window() -> str | None:
+    for library, window in _LIBRARIES:
         try:
             ctypes.CDLL(library)
         except OSError:

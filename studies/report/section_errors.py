@@ -73,8 +73,12 @@ class _Axis:
     ticks: Sequence[tuple[float, str]]  # of an even axis
 
 
+def _is_placed(value: float | str | None) -> bool:
+    return isinstance(value, str) or (value is not None and math.isfinite(value))
+
+
 def _axis(all_cases: Iterable[CaseResult], key: str) -> _Axis:
-    cases = [case for case in all_cases if key in case.swept]
+    cases = [case for case in all_cases if _is_placed(case.swept.get(key))]
     values = [case.swept[key] for case in cases]
     name = parameter_name(key)
     numbers = [float(value) for value in values if not isinstance(value, str)]
@@ -83,7 +87,7 @@ def _axis(all_cases: Iterable[CaseResult], key: str) -> _Axis:
         at = {text: float(k) for k, text in enumerate(names)}
         ticks = [(at[text], text) for text in names]
         return _Axis(name, name, "even", cases, [at[str(value)] for value in values], ticks)
-    factor, unit = scale_of(cases[0].swept_units.get(key, "1"), numbers)
+    factor, unit = scale_of(next((case.swept_units.get(key, "1") for case in cases), "1"), numbers)
     kind, where = place([value / factor for value in numbers])
     return _Axis(
         name=name,

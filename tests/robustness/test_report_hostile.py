@@ -1,0 +1,200 @@
+"""Names, texts and numbers from elsewhere: none of them may become markup, script or a crash of the report."""
+
+from __future__ import annotations
+
+import dataclasses
+import html.parser
+import re
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from studies.case import CaseResult, Run, StepStatus
+from studies.report.headline import headline_rows
+from studies.report.page import page_html, write_report
+from studies.report.picture import Panel
+from tests.unit.browser import Browser, chromium
+from tests.unit.report_runs import make_case, make_run
+
+ATTACKS = (
+    "<script>window.owned = 1</script>",
+    '"><img src=x onerror="window.owned = 2">',
+    "</script><script>window.owned = 3</script>",
+    "'-window.owned-'<svg onload=window.owned=4>",
+    "{{ 7 * 7 }}{% include 'page.css' %}",
+    "]]><!-- --></style></title><iframe src=javascript:window.owned=5>",
+    "$\\frac{1}{2}$ \\N{BULLET} %s {0}",
+    "=cmd()|' /C calc'!A0",
+    "\u202egnirts\u2028\u2029\x00\x07\ud800 \U0001f9a0",
+    "x" * 5000,
+)
+
+
+def no_pictures(_: Sequence[Sequence[Panel]]) -> tuple[list[bytes], str]:
+    return [], ATTACKS[0]
+
+
+def hostile_run() -> Run:
+    """Attacks in every text that the report shows."""
+    cases = []
+    for k, attack in enumerate(ATTACKS):
+        model, other = f"m{ATTACKS[0]}", f"n{ATTACKS[1]}"
+        case = make_case(
+            {model: 0.1 + 0.01 * k, other: 0.2},
+            label=attack,
+            swept={f"a.{ATTACKS[2]}": attack, ATTACKS[1]: float(k)},
+            units={ATTACKS[1]: ATTACKS[0]},
+            reference=f"r{ATTACKS[3]}",
+            steps=(0.5, 1.0),
+            subdivisions=0,
+        )
+        bad = StepStatus(attack, attack, attack)
+        models = {
+            name: dataclasses.replace(
+                result,
+                status=(bad, bad) if name == other else result.status,
+                parameters={attack: attack, "number": 1.0},
+                version=attack,
+            )
+            for name, result in case.models.items()
+        }
+        metrics = {
+            name: {
+                **entries,
+                attack: dataclasses.replace(next(iter(entries.values())), unit=attack, definition=attack),
+            }
+            for name, entries in case.metrics.items()
+        }
+        provenance = {attack: attack, "package.numpy": attack, "mesh_hash": attack}
+        cases.append(
+            dataclasses.replace(
+                case, models=models, metrics=metrics, provenance=provenance, mesh_quality={attack: 1.0}
+            )
+        )
+    failed = [
+        {"hash": attack, "label": attack, "code": attack, "message": attack, "remedy": attack}
+        for attack in ATTACKS
+    ]
+    run = make_run(cases, name=ATTACKS[0], title=ATTACKS[2])
+    return dataclasses.replace(run, study_text="\n".join(ATTACKS), failed=failed, missing=list(ATTACKS))
+
+
+@pytest.fixture(scope="module")
+def page(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("hostile") / "report.html"
+    path.write_bytes(page_html(hostile_run(), no_pictures).encode("utf-8", "replace"))
+    return path
+
+
+class Tags(html.parser.HTMLParser):
+    """Elements and attributes as a parser sees them."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.tags: list[str] = []
+        self.attributes: list[tuple[str, str | None]] = []
+        self.feed(text)
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.tags.append(tag)
+        self.attributes += attrs
+
+
+def test_texts_stay_texts(page: Path) -> None:
+    found = Tags(page.read_text())
+    assert found.tags.count("script") == 3  # the page's two and the viewer's data
+    assert not {"iframe", "img", "object", "embed", "form", "link", "base"} & set(found.tags)
+    assert not [name for name, _ in found.attributes if name.startswith("on")]
+    assert not [
+        value for _, value in found.attributes if (value or "").lower().lstrip().startswith("javascript:")
+    ]
+    text = page.read_text()
+    assert "49" not in re.findall(r"<h1>(.*?)</h1>", text, re.S)[0], "a template in a title is not run"
+    assert "{{ 7 * 7 }}" in text
+
+
+@pytest.mark.skipif(chromium() is None, reason="chromium is not installed")
+def test_no_script_of_theirs_runs(page: Path) -> None:
+    with Browser() as browser:
+        for width in (1400, 400):
+            browser.open(page, width)
+            assert browser.evaluate("window.owned") is None
+            assert browser.evaluate("document.scripts.length") == 3
+            assert browser.evaluate("document.querySelectorAll('iframe, img').length") == 0
+            assert browser.complaints() == []
+            assert browser.requests() == []
+            assert browser.evaluate("document.documentElement.scrollWidth") <= width
+        titles = browser.evaluate(
+            "[...document.querySelectorAll('[data-control=case] option')].map(o => o.textContent)"
+        )
+        assert any("<script>window.owned = 1</script>" in title for title in titles), "shown as it is written"
+
+
+def test_the_policy_stops_a_script_that_slipped_through(page: Path, tmp_path: Path) -> None:
+    if chromium() is None:
+        pytest.skip("chromium is not installed")
+    slipped = tmp_path / "slipped.html"
+    slipped.write_bytes(page.read_bytes().replace(b"</body>", b"<script>window.owned = 1</script></body>"))
+    with Browser() as browser:
+        browser.open(slipped, 1000)
+        assert browser.evaluate("window.owned") is None
+        assert any("Content Security Policy" in text for text in browser.complaints())
+
+
+def test_a_lone_surrogate_does_not_stop_the_writing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("studies.report.picture.render", no_pictures)
+    run = make_run([make_case({"m": 0.1}, label="a\ud800b", subdivisions=0)])
+    write_report(run, tmp_path / "report.html")
+    assert "a?b" in (tmp_path / "report.html").read_text()
+
+
+# --- numbers ---
+
+
+def with_numbers(case: CaseResult, value: float) -> CaseResult:
+    """Every number of a case replaced."""
+    models = {
+        name: dataclasses.replace(
+            result,
+            displacement=np.full_like(result.displacement, value),
+            seconds_setup=value,
+            seconds_per_step=np.full_like(result.seconds_per_step, value),
+            volume=np.full_like(result.volume, value),
+        )
+        for name, result in case.models.items()
+    }
+    metrics = {
+        name: {
+            metric: dataclasses.replace(entry, values=np.full_like(entry.values, value))
+            for metric, entry in entries.items()
+        }
+        for name, entries in case.metrics.items()
+    }
+    error = {"relative_l2": value, "gci": value, "relative_l2_deformation": value}
+    return dataclasses.replace(case, models=models, metrics=metrics, reference_error=error)
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf, 0.0, -1.0, 1e300, 1e-300])
+def test_numbers_that_are_none(value: float) -> None:
+    case = with_numbers(make_case({"m": 0.1}, swept={"k": 1.0}, label="k = 1", subdivisions=0), value)
+    ordinary = make_case({"m": 0.2}, swept={"k": 2.0}, label="k = 2", subdivisions=0)
+    for cases in ([case], [case, ordinary]):
+        html_text = page_html(make_run(cases), no_pictures)
+        assert not re.search(r'data-value="(nan|inf|-inf)"', html_text)
+        assert "nan" not in re.sub(r"<script.*?</script>", "", html_text, flags=re.S).lower().replace(
+            "provenance", ""
+        )
+        assert len(headline_rows(make_run(cases))) == 2
+
+
+@pytest.mark.parametrize(
+    "swept", [[1e300, -1e300], [0.0, 0.0, 1e-300], [1e-8, 1.0, 1e16], [np.nan, 1.0], [np.nan, np.inf]]
+)
+def test_swept_values_at_the_edge(swept: list[float]) -> None:
+    cases = [
+        make_case({"m": 0.1 * (k + 1)}, label=f"case {k}", swept={"k": v, "j": float(k)}, subdivisions=0)
+        for k, v in enumerate(swept)
+    ]
+    assert "Error against each swept parameter" in page_html(make_run(cases), no_pictures)
