@@ -12,7 +12,7 @@ from pathlib import Path
 
 from studies.mesh import MeshError
 
-MESHER_VERSION = "1"  # raise it with every change that alters a mesh
+MESHER_VERSION = "2"  # raise it with every change that alters a mesh
 
 SHAPES = ("sphere", "ellipsoid", "box", "cylinder", "organ", "file")
 SURFACE_SUFFIXES = (".stl", ".obj", ".ply", ".vtp")
@@ -183,10 +183,11 @@ def area_and_volume(geometry: Geometry) -> tuple[float, float]:
 def estimated_nodes(area: float, volume: float, mesh_size: float) -> float:
     """Nodes of a uniform mesh: those on `area` plus those inside `volume` (0 where only the surface is meshed).
 
-    Equilateral triangles of edge h give area / (h^2 sqrt(3)/2) surface nodes; inside, meshes of this kind
-    hold about sqrt(2) volume / h^3 nodes (close packing).
+    Equilateral triangles of edge h give area / (h^2 sqrt(3)/2) surface nodes. The number inside is a fit to
+    meshes of this module from 400 to 90,000 nodes: gmsh leaves the inside somewhat coarser than the surface.
     """
-    return 2 / math.sqrt(3) * area / mesh_size**2 + math.sqrt(2) * volume / mesh_size**3
+    on_surface = 2 / math.sqrt(3) * area / mesh_size**2
+    return on_surface + max(0.0, 0.6 * volume / mesh_size**3 - 0.37 * area / mesh_size**2)
 
 
 def check_node_budget(area: float, volume: float, mesh_size: float, max_nodes: int) -> None:

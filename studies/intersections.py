@@ -10,16 +10,18 @@ from studies.mesh import Array, Index, Mask, MeshError
 from studies.topology import area_vectors, facet_pairs, half_edges
 
 _FOLD = -0.98  # cosine between the normals of facets on one edge: below it they lie on each other
+_ROUNDING = 1e-12  # of the longest edge cubed
 _ROUNDS = 30
 _RINGS = 2  # how far around a bad facet nodes are moved
 _STEPS = 3  # of smoothing in a round
+_FARTHEST = 3.0  # mean edge lengths that a node may move: more would be another body
 
 
 def intersecting_facets(points: Array, triangles: Index) -> Index:
     """Pairs (P, 2) of facets that cut through each other, or share an edge and are folded onto each other.
 
     Candidates are facets whose circumscribed balls about their centroids touch; a pair counts where an edge
-    of one passes strictly through the inside of the other. The surface must be closed and manifold.
+    of one passes through the other or its rim. The surface must be closed and manifold.
     """
     first, second = _candidates(points, triangles)
     cut = np.zeros(len(first), dtype=bool)
@@ -45,12 +47,14 @@ def without_intersections(points: Array, triangles: Index) -> tuple[Array, int]:
     """Points (n, 3) moved so that no facets intersect, and how many pairs did before.
 
     Nodes about the bad places are drawn to the mean of their neighbours, over and over. Raises MeshError
-    where that does not help.
+    where that does not help within `_FARTHEST` edges.
     """
     bad = intersecting_facets(points, triangles)
     found = len(bad)
     if not found:
         return points, 0
+    before, edges = points, half_edges(triangles)
+    reach = _FARTHEST * np.linalg.norm(points[edges[:, 0]] - points[edges[:, 1]], axis=1).mean()
     average = _neighbour_average(triangles, len(points))
     moving = np.zeros(len(points), dtype=bool)
     for _ in range(_ROUNDS):
@@ -58,6 +62,8 @@ def without_intersections(points: Array, triangles: Index) -> tuple[Array, int]:
         points = points.copy()
         for _ in range(_STEPS):
             points[moving] = 0.5 * (points + average @ points)[moving]
+        if np.linalg.norm(points - before, axis=1).max() > reach:
+            break
         bad = intersecting_facets(points, triangles)
         if not len(bad):
             return points, found
@@ -79,12 +85,19 @@ def _candidates(points: Array, triangles: Index) -> tuple[Index, Index]:
 
 
 def _segment_through_triangle(p: Array, q: Array, a: Array, b: Array, c: Array) -> Mask:
-    """Whether each segment pq passes strictly through the inside of triangle abc, by signs of volumes."""
-    normal = np.cross(b - a, c - a)
-    separated = np.einsum("ij,ij->i", normal, p - a) * np.einsum("ij,ij->i", normal, q - a) < 0
-    direction = q - p
-    sides = [np.einsum("ij,ij->i", direction, np.cross(u - p, v - p)) for u, v in ((a, b), (b, c), (c, a))]
-    inside = (sides[0] * sides[1] > 0) & (sides[1] * sides[2] > 0)
+    """Whether each segment pq passes through triangle abc or its rim from one side to the other.
+
+    By signs of volumes; what is smaller than rounding counts as on the rim, and as not off the plane.
+    """
+    normal, direction = np.cross(b - a, c - a), q - p
+    rounding = _ROUNDING * float(max(np.abs(direction).max(initial=0.0), np.abs(c - a).max(initial=0.0))) ** 3
+    start = np.einsum("ij,ij->i", normal, p - a)
+    end = np.einsum("ij,ij->i", normal, q - a)
+    separated = (np.minimum(start, end) < -rounding) & (np.maximum(start, end) > rounding)
+    sides = np.stack(
+        [np.einsum("ij,ij->i", direction, np.cross(u - p, v - p)) for u, v in ((a, b), (b, c), (c, a))]
+    )
+    inside = (sides >= -rounding).all(axis=0) | (sides <= rounding).all(axis=0)
     through: Mask = separated & inside
     return through
 

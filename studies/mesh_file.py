@@ -15,15 +15,16 @@ import meshio
 import numpy as np
 
 from studies.mesh import Array, Index, MeshError
+from studies.obj_file import read_obj
 from studies.ply_file import read_ply
 
 _READERS: dict[str, Callable[[str], meshio.Mesh]] = {
     ".stl": meshio.stl.read,
-    ".obj": meshio.obj.read,
     ".vtu": meshio.vtu.read,
     ".vtk": meshio.vtk.read,
 }
-_FLAT_CELLS = ("vertex", "line", "triangle", "quad", "polygon")  # allowed beside tetrahedra, and not used
+# cells that are passed over beside tetrahedra, and their number of nodes
+_FLAT_CELLS = {"vertex": 1, "line": 2, "triangle": 3, "quad": 4}
 
 
 def read_surface(path: Path) -> tuple[Array, Index]:
@@ -35,6 +36,8 @@ def read_surface(path: Path) -> tuple[Array, Index]:
     suffix = path.suffix.lower()
     if suffix == ".ply":
         points, triangles = read_ply(path)
+    elif suffix == ".obj":
+        points, triangles = read_obj(path)
     elif suffix == ".vtp":
         from studies.remesh import read_vtp  # meshio does not know this format
 
@@ -56,12 +59,15 @@ def read_tetrahedra(path: Path) -> tuple[Array, Index]:
     check_readable(path)
     mesh = _read(path)
     if path.suffix.lower() == ".vtk":
-        _check_cell_count(path, sum(len(block.data) for block in mesh.cells))
-    wrong = sorted({block.type for block in mesh.cells} - {"tetra", *_FLAT_CELLS})
+        _check_legacy_vtk(path, sum(len(block.data) for block in mesh.cells))
+    nodes = {"tetra": 4, **_FLAT_CELLS}
+    wrong = sorted({block.type for block in mesh.cells} - set(nodes))
     if wrong:
         raise MeshError(
             f"holds {', '.join(wrong)} cells; only four-node (first-order) tetrahedra can be used"
         )
+    if any(np.shape(block.data)[1:] != (nodes[block.type],) for block in mesh.cells):
+        raise MeshError("is damaged: it has cells whose number of nodes does not fit their kind")
     blocks = [np.asarray(block.data, dtype=np.int64) for block in mesh.cells if block.type == "tetra"]
     return _coordinates(mesh.points), np.concatenate([np.empty((0, 4), dtype=np.int64), *blocks])
 
@@ -98,11 +104,14 @@ def _read(path: Path) -> meshio.Mesh:
         raise MeshError(f"cannot be read as {suffix}; it is damaged, truncated or of another kind") from error
 
 
-def _check_cell_count(path: Path, found: int) -> None:
-    """meshio does not miss the last cells of a legacy VTK file that is cut."""
-    announced = re.search(rb"^CELL_TYPES[ \t]+(\d+)", path.read_bytes(), re.MULTILINE)
-    if announced is None or int(announced[1]) != found:
+def _check_legacy_vtk(path: Path, cells: int) -> None:
+    """meshio does not miss the last cells of a legacy VTK file that is cut, nor the end of its last number."""
+    data = path.read_bytes()
+    announced = re.search(rb"^CELL_TYPES[ \t]+(\d+)", data, re.MULTILINE)
+    if announced is None or int(announced[1]) != cells:
         raise MeshError("is truncated: it announces more cells than it holds")
+    if re.search(rb"^ASCII\b", data[:600], re.MULTILINE) and not data.endswith(b"\n"):
+        raise MeshError("is truncated: its last line has no end; write it again")
 
 
 def _coordinates(points: object) -> Array:
@@ -113,11 +122,5 @@ def _coordinates(points: object) -> Array:
 
 
 def _triangles(mesh: meshio.Mesh) -> Index:
-    """Triangles of a surface file; a polygon becomes a fan about its first corner."""
-    parts = [np.empty((0, 3), dtype=np.int64)]
-    for block in mesh.cells:
-        if block.type not in ("triangle", "quad", "polygon"):
-            raise MeshError(f"holds {block.type} cells; give a surface of triangles")
-        corners = np.asarray(block.data, dtype=np.int64)
-        parts += [corners[:, [0, k, k + 1]] for k in range(1, corners.shape[1] - 1)]
-    return np.concatenate(parts)
+    blocks = [np.asarray(block.data, dtype=np.int64) for block in mesh.cells if block.type == "triangle"]
+    return np.concatenate([np.empty((0, 3), dtype=np.int64), *blocks])

@@ -227,5 +227,5 @@ def _groups(blocks: list[_Block], n_points: int, names: Mapping[tuple[int, int],
             members[_ELEMENTS[block.kind][0], group][block.nodes.ravel()] = True
     groups: dict[str, Mask] = {}
     for (dim, group), mask in sorted(members.items(), key=lambda item: item[0]):
-        groups.setdefault(names.get((dim, group), f"{_DIMENSIONS[dim]}-{group}"), mask)
+        groups.setdefault(names.get((dim, group)) or f"{_DIMENSIONS[dim]}-{group}", mask)
     return groups

@@ -17,6 +17,7 @@ from studies.topology import area_vectors, check_vertex_fans, consistent_orienta
 # Edges of the sampled surface are at most mesh_size / 2.5: about 17 points for each node of the new surface.
 # Fewer leave uneven triangles, more only take longer.
 _SAMPLES_PER_EDGE = 2.5
+_MOST_SAMPLES = 100  # for each node; more only where facets are needles
 _ATTEMPTS = 4  # with finer samples each: clusters of a coarse sample can touch themselves
 
 
@@ -59,13 +60,16 @@ def uniform_surface(points: Array, triangles: Index, mesh_size: float) -> tuple[
     n_nodes = max(round(2 / np.sqrt(3) * area / mesh_size**2), 12)
     complaint = ""
     for attempt in range(_ATTEMPTS):
-        samples = _sampled(imported, mesh_size / (_SAMPLES_PER_EDGE * 1.2**attempt))
-        clusters, weights = _clustered(samples, n_nodes)
-        facets = _cluster_facets(clusters[_arrays(samples)[1]])
+        longest_edge = mesh_size / (_SAMPLES_PER_EDGE * 1.2**attempt)
+        samples, sample_triangles = subdivided(
+            points, triangles, longest_edge, max_points=max(_MOST_SAMPLES * n_nodes, 4 * len(points))
+        )
+        clusters, weights = _clustered(_polydata(samples, sample_triangles), n_nodes)
+        facets = _cluster_facets(clusters[sample_triangles])
         try:
             if len(np.unique(facets)) != n_nodes:
                 raise MeshError("some nodes have no facet")
-            nodes = _cluster_nodes(np.asarray(samples.points), clusters, weights)
+            nodes = _cluster_nodes(samples, clusters, weights)
             nodes = _closest(imported, nodes)
             facets, _ = consistent_orientation(nodes, facets)
             check_vertex_fans(facets)
@@ -93,7 +97,8 @@ def surface_distance(
     ):
         middles = 0.5 * (p[t] + p[np.roll(t, 1, axis=1)]).reshape(-1, 3)
         probes = np.concatenate([middles, p[t].mean(axis=1), p])
-        found = np.linalg.norm(_closest(target, probes) - probes, axis=1)
+        signed = pv.PolyData(probes).compute_implicit_distance(target)["implicit_distance"]
+        found = np.abs(np.asarray(signed, dtype=np.float64))
         largest = max(largest, float(found.max()))
         distances.append(found[: len(middles)])
         weights.append(np.repeat(np.linalg.norm(area_vectors(p, t), axis=1), 3))
@@ -116,9 +121,48 @@ def _closest(surface: pv.PolyData, points: Array) -> Array:
     return np.asarray(found[1], dtype=np.float64)
 
 
-def _sampled(surface: pv.PolyData, longest_edge: float) -> pv.PolyData:
-    """The same surface with no edge longer than `longest_edge`."""
-    return surface.subdivide_adaptive(max_edge_len=longest_edge, max_n_passes=50).triangulate()
+def subdivided(
+    points: Array, triangles: Index, longest_edge: float, *, max_points: int
+) -> tuple[Array, Index]:
+    """The same surface with no edge longer than `longest_edge`: long edges are halved until none is left.
+
+    Raises MeshError where that takes more than `max_points`: the facets are needles.
+    """
+    while len(points) <= max_points:
+        n = len(points)
+        ends = np.stack(
+            [triangles, np.roll(triangles, -1, axis=1)], axis=2
+        )  # edge k runs from corner k to k + 1
+        low, high = ends.min(axis=2), ends.max(axis=2)
+        _, first, edge = np.unique((low * n + high).ravel(), return_index=True, return_inverse=True)
+        a, b = points[low.ravel()[first]], points[high.ravel()[first]]
+        long = np.linalg.norm(a - b, axis=1) > longest_edge
+        if not long.any():
+            return points, triangles
+        middle = np.where(long, n + np.cumsum(long) - 1, -1)[edge.reshape(-1, 3)]
+        points = np.concatenate([points, 0.5 * (a + b)[long]])
+        triangles = _split(triangles, middle)
+    raise MeshError("the surface has needles far longer than mesh_size; mend them, or use a larger mesh_size")
+
+
+def _split(triangles: Index, middle: Index) -> Index:
+    """Facets cut at the middles of their edges (-1 where an edge stays whole)."""
+    cuts = (middle >= 0).sum(axis=1)
+    # turn each facet so that with one cut edge 0 is cut, with two edge 2 is whole
+    turn = np.where(cuts == 2, (np.argmin(middle, axis=1) + 1) % 3, np.argmax(middle >= 0, axis=1))
+    order = (turn[:, None] + np.arange(3)) % 3
+    v = np.take_along_axis(triangles, order, axis=1)
+    m = np.take_along_axis(middle, order, axis=1)
+    corners = np.concatenate([v, m], axis=1)  # columns 0..2 the corners, 3..5 the middles of edges 0..2
+    templates = {
+        0: [[0, 1, 2]],
+        1: [[0, 3, 2], [3, 1, 2]],
+        2: [[0, 3, 4], [3, 1, 4], [0, 4, 2]],
+        3: [[0, 3, 5], [3, 1, 4], [5, 4, 2], [3, 4, 5]],
+    }
+    return np.concatenate(
+        [corners[cuts == n][:, template].reshape(-1, 3) for n, template in templates.items()]
+    )
 
 
 def _clustered(samples: pv.PolyData, n_clusters: int) -> tuple[Index, Array]:

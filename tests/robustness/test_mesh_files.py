@@ -1,0 +1,513 @@
+"""Mesh files that are broken, cut, mixed up or malicious: one clear line each, no output, no wrong mesh."""
+
+from __future__ import annotations
+
+import os
+import stat
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import gmsh
+import meshio
+import numpy as np
+import pytest
+import pyvista as pv
+from numpy.testing import assert_allclose, assert_array_equal
+
+from studies.geometry import build_mesh
+from studies.geometry_spec import Geometry
+from studies.mesh import Array, Index, Mesh, MeshError
+from studies.topology import tetrahedron_volumes
+
+SUFFIXES = ["a.stl", "b.stl", "a.obj", "a.ply", "b.ply", "a.vtp", "b.vtp"]
+VOLUMES = [
+    "2.2-text.msh",
+    "2.2-binary.msh",
+    "4.1-text.msh",
+    "4.1-binary.msh",
+    "a.vtu",
+    "b.vtu",
+    "a.vtk",
+    "b.vtk",
+    "c.vtk",
+]
+
+
+@pytest.fixture(scope="module")
+def ball() -> Mesh:
+    return build_mesh(Geometry("sphere", 0.02, {"radius": 0.05}))
+
+
+def from_file(path: Path, **parameters: float) -> Mesh:
+    return build_mesh(Geometry("file", 0.025, {"path": str(path), **parameters}), volume=False)
+
+
+def refused(path: Path, words: str, **parameters: float) -> None:
+    """The file gives a MeshError of one line that names the file and matches `words`."""
+    with pytest.raises(MeshError, match=words) as caught:
+        from_file(path, **parameters)
+    assert "\n" not in str(caught.value)
+    assert path.name in str(caught.value)
+    assert len(str(caught.value)) < 300
+
+
+def write_surface(path: Path, points: Array, triangles: Index, *, binary: bool = True) -> Path:
+    if path.suffix == ".obj":
+        meshio.Mesh(points, [("triangle", triangles)]).write(path)
+    else:
+        pv.PolyData(points, faces=np.insert(triangles, 0, 3, axis=1).ravel()).save(path, binary=binary)
+    return path
+
+
+def write_named(path: Path, ball: Mesh) -> Path:
+    """One of `SUFFIXES` (a binary, b text) or `VOLUMES`."""
+    stem, suffix = path.stem, path.suffix
+    if suffix in (".stl", ".obj", ".ply", ".vtp"):
+        return write_surface(path, ball.surface_points, ball.triangles, binary=stem == "a")
+    if suffix == ".msh":
+        version, _, kind = stem.partition("-")
+        return write_msh(
+            path, ball.points, {4: ball.tetrahedra}, version=float(version), binary=kind == "binary"
+        )
+    if stem == "c":
+        pv.UnstructuredGrid({10: ball.tetrahedra}, ball.points).save(path)
+        return path
+    mesh = meshio.Mesh(ball.points, [("tetra", ball.tetrahedra)])
+    if suffix == ".vtu":
+        meshio.vtu.write(path, mesh, binary=stem == "a")
+    else:
+        meshio.vtk.write(path, mesh, "4.2" if stem == "a" else "5.1", binary=stem == "a")
+    return path
+
+
+def write_msh(
+    path: Path, points: Array, cells: dict[int, Index], *, version: float = 4.1, binary: bool = False
+) -> Path:
+    """Elements by gmsh's type number, written by gmsh."""
+    gmsh.initialize([], readConfigFiles=False, run=False, interruptible=False)
+    try:
+        gmsh.option.setNumber("General.Terminal", 0)
+        gmsh.option.setNumber("Mesh.MshFileVersion", version)
+        gmsh.option.setNumber("Mesh.Binary", int(binary))
+        entity = gmsh.model.addDiscreteEntity(3)
+        gmsh.model.mesh.addNodes(3, entity, np.arange(1, len(points) + 1), points.ravel())
+        for kind, elements in cells.items():
+            gmsh.model.mesh.addElementsByType(entity, kind, [], (elements + 1).ravel())
+        gmsh.write(str(path))
+    finally:
+        gmsh.finalize()
+    return path
+
+
+# --- files that are not there, not readable, or not what their name says ------------------------------
+
+
+@pytest.mark.parametrize("suffix", [".stl", ".obj", ".ply", ".vtp", ".msh", ".vtu", ".vtk"])
+def test_missing_empty_and_foreign_files(tmp_path: Path, suffix: str) -> None:
+    refused(tmp_path / f"missing{suffix}", "no such file")
+    directory = tmp_path / f"directory{suffix}"
+    directory.mkdir()
+    refused(directory, "not a file")
+    empty = tmp_path / f"empty{suffix}"
+    empty.touch()
+    refused(empty, "is empty")
+    for content in (b"\x00\xff" * 300, b"<html>no</html>\n", b"1 2 3\n" * 50):
+        foreign = tmp_path / f"foreign{suffix}"
+        foreign.write_bytes(content)
+        refused(foreign, "cannot be read|is not a|has no|holds no|header|three coordinates|cannot be read")
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="root reads everything")
+def test_a_file_closed_to_the_user(tmp_path: Path) -> None:
+    path = tmp_path / "a.stl"
+    path.write_bytes(b"solid")
+    path.chmod(stat.S_IWUSR)
+    refused(path, "cannot be read")
+
+
+def test_scripts_are_not_run_whatever_they_are_called(tmp_path: Path, ball: Mesh) -> None:
+    """gmsh takes a .msh that is none for a script, and obeys an option file beside a mesh."""
+    trace = tmp_path / "trace"
+    script = f'SystemCall "touch {trace}";\n'
+    for name in ("a.msh", "b.geo"):
+        (tmp_path / name).write_text(script)
+        refused(tmp_path / name, "is not a mesh file of gmsh|scripts and are not run")
+    path = write_named(tmp_path / "4.1-text.msh", ball)
+    (tmp_path / "4.1-text.msh.opt").write_text(script)
+    from_file(path)
+    assert not trace.exists()
+
+
+# --- damage: cut and flipped --------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", SUFFIXES + VOLUMES)
+def test_sound_files_are_read_and_cut_ones_refused(
+    tmp_path: Path, ball: Mesh, name: str, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """A cut file is refused, or gives the very same mesh (only its last blank was lost)."""
+    path = write_named(tmp_path / name, ball)
+    capfd.readouterr()
+    whole = from_file(path)
+    if path.name in VOLUMES:
+        assert len(whole.surface_nodes) == len(ball.surface_nodes)
+        assert_array_equal(whole.triangles, ball.triangles)
+        centre = 0.5 * (ball.surface_points.max(axis=0) + ball.surface_points.min(axis=0))
+        assert_allclose(whole.surface_points, ball.surface_points - centre, rtol=0, atol=1e-9)
+    else:
+        assert whole.quality["imported_points"] == len(ball.surface_nodes)
+    data = path.read_bytes()
+    cuts = {*range(0, len(data), max(len(data) // 40, 1)), *range(len(data) - 24, len(data))}
+    survived = 0
+    messages: list[str] = []
+    for cut in sorted(cuts):
+        path.write_bytes(data[:cut])
+        try:
+            assert from_file(path).content_hash == whole.content_hash, f"cut at {cut} of {len(data)}"
+            survived += 1
+        except MeshError as error:
+            messages.append(str(error))
+    assert survived < len(cuts) / 2
+    assert not any("\n" in message for message in messages)
+    assert capfd.readouterr() == ("", "")
+
+
+@pytest.mark.parametrize("name", SUFFIXES + VOLUMES)
+def test_flipped_bytes_never_give_a_traceback(tmp_path: Path, ball: Mesh, name: str) -> None:
+    """Formats without checksums cannot tell a changed coordinate; what is read is still a sound closed mesh."""
+    path = write_named(tmp_path / name, ball)
+    data = path.read_bytes()
+    rng = np.random.default_rng(1)
+    places = np.concatenate([rng.integers(0, len(data), 40), rng.integers(0, min(len(data), 300), 40)])
+    messages: list[str] = []
+    for place in places.tolist():
+        changed = bytearray(data)
+        changed[place] = int(rng.integers(0, 256))
+        path.write_bytes(bytes(changed))
+        try:
+            mesh = build_mesh(Geometry("file", 0.025, {"path": str(path)}), volume=False, max_nodes=1_000)
+        except MeshError as error:
+            messages.append(str(error))
+        else:
+            assert mesh.quality["volume"] > 0
+            assert np.isfinite(mesh.points).all()
+    assert not any("\n" in message for message in messages)
+
+
+# --- surfaces that bound no solid, or not well --------------------------------------------------------
+
+
+def opened(points: Array, triangles: Index) -> tuple[Array, Index]:
+    return points, triangles[:-1]
+
+
+def with_inner_wall(points: Array, triangles: Index) -> tuple[Array, Index]:
+    a, b = triangles[0, :2]
+    far = int(np.argmax(np.linalg.norm(points - points[a], axis=1)))
+    return points, np.concatenate([triangles, [[a, b, far]]])
+
+
+def in_two_pieces(points: Array, triangles: Index) -> tuple[Array, Index]:
+    return np.concatenate([points, points + 0.2]), np.concatenate([triangles, triangles + len(points)])
+
+
+def with_a_hole_in_numbers(points: Array, triangles: Index) -> tuple[Array, Index]:
+    points = points.copy()
+    points[3] = np.nan
+    return points, triangles
+
+
+def flat(points: Array, triangles: Index) -> tuple[Array, Index]:
+    return points * [1, 1, 0], triangles
+
+
+def in_millimetres(points: Array, triangles: Index) -> tuple[Array, Index]:
+    return points * 1000, triangles
+
+
+def in_kilometres(points: Array, triangles: Index) -> tuple[Array, Index]:
+    return points / 1000, triangles
+
+
+@pytest.mark.parametrize("suffix", [".ply", ".obj", ".stl", ".vtp"])
+@pytest.mark.parametrize(
+    ("spoil", "words"),
+    [
+        (opened, "open: 3 edges"),
+        (with_inner_wall, "open: 2 edges"),
+        (in_two_pieces, r"2 separate pieces \(.* facets\); keep one"),
+        (with_a_hole_in_numbers, "points have coordinates that are not finite"),
+        (flat, "no volume|smallest extent|open|not manifold"),
+        (in_millimetres, "mixed-up unit; give `size`"),
+        (in_kilometres, "mixed-up unit; give `size`"),
+    ],
+)
+def test_surfaces_that_cannot_be_meshed(
+    tmp_path: Path, ball: Mesh, suffix: str, spoil: Callable[[Array, Index], tuple[Array, Index]], words: str
+) -> None:
+    path = tmp_path / f"{spoil.__name__}{suffix}"
+    refused(write_surface(path, *spoil(ball.surface_points, ball.triangles)), words)
+
+
+def test_more_than_two_facets_on_an_edge(tmp_path: Path, ball: Mesh) -> None:
+    """Two balls that share one edge."""
+    points, triangles = ball.surface_points, ball.triangles
+    a, b = triangles[0, :2]
+    middle, along = 0.5 * (points[a] + points[b]), points[b] - points[a]
+    along = along / np.linalg.norm(along)
+    turned = 2 * ((points - middle) @ along)[:, None] * along - (points - middle) + middle
+    refused(
+        write_surface(
+            tmp_path / "a.ply",
+            np.concatenate([points, turned]),
+            np.concatenate([triangles, triangles + len(points)]),
+        ),
+        "not manifold: 1 edges have more than two facets",
+    )
+
+
+def test_inside_out_repeated_and_flat_facets_are_mended_and_counted(tmp_path: Path, ball: Mesh) -> None:
+    points, triangles = ball.surface_points, ball.triangles
+    a, b, c = triangles[0]
+    # split the edge ab at its middle on one side only and close the slit with a facet on a line
+    middle = len(points)
+    points = np.concatenate([points, [0.5 * (points[a] + points[b])], [[9.0, 9.0, 9.0]]])
+    split = np.concatenate(
+        [triangles[1:], [[a, middle, c], [middle, b, c], [a, b, middle]], triangles[5:8], [[a, a, b]]]
+    )
+    mesh = from_file(write_surface(tmp_path / "a.vtp", points, split[:, ::-1]))
+    assert mesh.quality["facets_dropped"] == 4
+    assert mesh.quality["facets_flipped"] == len(triangles) + 2
+    assert mesh.quality["points_dropped"] == 1
+    clean = from_file(write_surface(tmp_path / "b.vtp", ball.surface_points, ball.triangles))
+    assert mesh.quality["volume"] == pytest.approx(clean.quality["volume"], rel=0.02)
+
+
+@pytest.mark.parametrize("name", ["a.stl", "a.vtp"])
+def test_mesh_size_beyond_the_body_and_over_the_budget(tmp_path: Path, ball: Mesh, name: str) -> None:
+    parameters = {"path": str(write_named(tmp_path / name, ball))}
+    with pytest.raises(MeshError, match="too large for a body whose smallest extent"):
+        build_mesh(Geometry("file", 0.06, parameters))
+    with pytest.raises(MeshError, match=r"would give about .* nodes, more than the 2000000 allowed"):
+        build_mesh(Geometry("file", 1e-5, parameters))
+
+
+def test_no_facets_or_other_cells(tmp_path: Path, ball: Mesh) -> None:
+    points = ball.surface_points
+    meshio.Mesh(points, [("line", ball.triangles[:, :2])]).write(tmp_path / "lines.vtk")
+    refused(tmp_path / "lines.vtk", "holds no tetrahedra; give a volume mesh, or a surface as STL")
+    pv.PolyData(points).save(tmp_path / "points.vtp")
+    refused(tmp_path / "points.vtp", "holds no facets")
+    (tmp_path / "points.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\n")
+    refused(tmp_path / "points.obj", "holds no facets")
+    (tmp_path / "index.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 7\n")
+    refused(tmp_path / "index.obj", "do not exist")
+
+
+def test_polygons_are_cut_into_triangles(tmp_path: Path) -> None:
+    box = pv.Box((-0.05, 0.05, -0.05, 0.05, -0.05, 0.05)).clean()
+    quads = box.faces.reshape(-1, 5)[:, 1:]
+    lines = [f"v {x} {y} {z}" for x, y, z in box.points] + [
+        "f " + " ".join(f"{corner + 1}/1/1" for corner in quad) for quad in quads
+    ]
+    (tmp_path / "a.obj").write_text("\n".join(["vt 0 0", "vn 0 0 1", *lines, ""]))
+    header = ["ply", "format ascii 1.0", "comment a box", "element vertex 8", "property double x"]
+    header += ["property double y", "property double z", "element face 6"]
+    header += ["property list uchar int vertex_index", "property uchar red", "end_header"]
+    rows = [" ".join(map(str, p)) for p in box.points] + [
+        f"4 {' '.join(map(str, quad))} 255" for quad in quads
+    ]
+    (tmp_path / "a.ply").write_text("\n".join([*header, *rows, ""]))
+    box.save(tmp_path / "a.vtp")
+    for name in ("a.obj", "a.ply", "a.vtp"):
+        mesh = from_file(tmp_path / name)
+        assert mesh.quality["imported_points"] == 8
+        assert mesh.quality["volume"] / (1 + mesh.quality["volume_change"]) == pytest.approx(1e-3, rel=1e-6)
+
+
+def test_big_endian_ply(tmp_path: Path, ball: Mesh) -> None:
+    vertices = ball.surface_points.astype(">f8").tobytes()
+    faces = np.empty(len(ball.triangles), dtype=[("n", "u1"), ("corners", ">i4", 3), ("flag", ">i2")])
+    faces["n"], faces["corners"], faces["flag"] = 3, ball.triangles, 7
+    header = (
+        "ply\nformat binary_big_endian 1.0\n"
+        f"element vertex {len(ball.surface_points)}\nproperty double x\nproperty double y\nproperty double z\n"
+        f"element face {len(faces)}\nproperty list uchar int vertex_indices\nproperty short flag\nend_header\n"
+    )
+    (tmp_path / "a.ply").write_bytes(header.encode() + vertices + faces.tobytes())
+    expected = from_file(write_surface(tmp_path / "b.vtp", ball.surface_points, ball.triangles))
+    assert from_file(tmp_path / "a.ply").content_hash == expected.content_hash
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (("element vertex 12", "element vertex 1200000000000"), "truncated"),
+        (("property float x", "property float w"), "without x, y and z"),
+        (("property float y", "property float x"), "twice in one element"),
+        (("format ascii 1.0", "format ebcdic 1.0"), "header line that cannot be read"),
+        (("end_header", "end_heather"), "header is cut"),
+        (("property list uchar int", "property list float int"), "do not exist|truncated|damaged|open"),
+    ],
+)
+def test_ply_headers(tmp_path: Path, change: tuple[str, str], words: str) -> None:
+    path = tmp_path / "a.ply"
+    pv.Icosahedron(radius=0.05).clean().save(path, binary=False)
+    text = path.read_text()
+    assert change[0] in text
+    path.write_text(text.replace(*change, 1))
+    if "float int" in change[1]:  # a length written as a float still is one in text
+        assert from_file(path).quality["imported_points"] == 12
+    else:
+        refused(path, words)
+
+
+# --- files with tetrahedra ----------------------------------------------------------------------------
+
+
+def two_boxes(path: Path, version: float, binary: bool, save_all: bool) -> int:
+    """Two unit boxes side by side with named, unnamed and overlapping groups; the number of tetrahedra."""
+    gmsh.initialize([], readConfigFiles=False, run=False, interruptible=False)
+    try:
+        gmsh.option.setNumber("General.Terminal", 0)
+        occ, model = gmsh.model.occ, gmsh.model
+        occ.fragment([(3, occ.addBox(0, 0, 0, 1, 1, 1))], [(3, occ.addBox(1, 0, 0, 1, 1, 1))])
+        occ.synchronize()
+        gmsh.option.setNumber("Mesh.MeshSizeMax", 0.5)
+
+        def inside(x0: float, x1: float, y1: float) -> list[int]:
+            return [
+                tag
+                for _, tag in model.getEntitiesInBoundingBox(
+                    x0 - 0.01, -0.01, -0.01, x1 + 0.01, y1 + 0.01, 1.01, 2
+                )
+            ]
+
+        left, front = inside(0, 0, 1), inside(0, 2, 0)
+        for dim, members, name in (
+            (2, left, "left side"),
+            (2, left + front, "left and front"),
+            (3, [1], "first"),
+            (3, [2], ""),
+            (3, [1, 2], "all"),
+            (0, [1], "corner"),
+        ):
+            model.setPhysicalName(dim, model.addPhysicalGroup(dim, members), name)
+        model.mesh.generate(3)
+        gmsh.option.setNumber("Mesh.MshFileVersion", version)
+        gmsh.option.setNumber("Mesh.Binary", int(binary))
+        gmsh.option.setNumber("Mesh.SaveAll", int(save_all))
+        gmsh.write(str(path))
+        return len(model.mesh.getElementsByType(4)[0])
+    finally:
+        gmsh.finalize()
+
+
+@pytest.mark.parametrize(
+    ("version", "binary", "save_all"),
+    [(2.2, False, False), (2.2, True, False), (4.1, False, False), (4.1, True, False), (4.1, True, True)],
+)
+def test_physical_groups_become_masks_of_surface_nodes(
+    tmp_path: Path, version: float, binary: bool, save_all: bool
+) -> None:
+    path = tmp_path / "boxes.msh"
+    tetrahedra = two_boxes(path, version, binary, save_all)
+    mesh = build_mesh(Geometry("file", 0.01, {"path": str(path), "scale": 0.1}))
+    assert len(mesh.tetrahedra) == tetrahedra
+    assert_allclose(tetrahedron_volumes(mesh.points, mesh.tetrahedra).sum(), 2e-3, rtol=1e-12, atol=0)
+    x, y, z = 10 * mesh.surface_points.T + np.array([[1.0], [0.5], [0.5]])  # the box is centred by reading
+    near = 1e-9
+    expected = {
+        "left side": x < near,
+        "left and front": (x < near) | (y < near),
+        "first": x < 1 + near,
+        "volume-4": x > 1 - near,
+        "all": np.ones(len(x), dtype=bool),
+        "corner": (x < near) & (y < near) & (z > 1 - near),
+    }
+    assert set(mesh.groups) == set(expected)
+    for name, mask in expected.items():
+        assert_array_equal(mesh.groups[name], mask, err_msg=name)
+    surface = build_mesh(Geometry("file", 0.01, {"path": str(path), "scale": 0.1}), volume=False)
+    assert_array_equal(surface.surface_points, mesh.surface_points)
+    assert_array_equal(surface.groups["left side"], mesh.groups["left side"])
+
+
+@pytest.mark.parametrize("suffix", [".msh", ".vtu", ".vtk"])
+def test_inverted_flat_and_orphan(tmp_path: Path, ball: Mesh, suffix: str) -> None:
+    def written(name: str, points: Array, tetrahedra: Index) -> Path:
+        path = tmp_path / f"{name}{suffix}"
+        if suffix == ".msh":
+            return write_msh(path, points, {4: tetrahedra})
+        pv.UnstructuredGrid({10: tetrahedra}, points).save(path)
+        return path
+
+    points, tetrahedra = ball.points, ball.tetrahedra
+    mirrored = tetrahedra[:, [1, 0, 2, 3]]
+    some = np.concatenate([mirrored[:7], tetrahedra[7:]])
+    refused(written("some", points, some), f"7 of {len(tetrahedra)} tetrahedra are inverted")
+    turned = from_file(written("all", points, mirrored))
+    assert turned.quality["tetrahedra_turned"] == len(tetrahedra)
+    assert turned.quality["volume"] == pytest.approx(ball.quality["volume"], rel=1e-9)
+    refused(written("flat", points * [1, 1, 0], tetrahedra), "tetrahedra have no volume")
+    with_orphans = from_file(
+        written("orphans", np.concatenate([points, [[0.0, 0, 1], [0, 0, 2]]]), tetrahedra)
+    )
+    assert with_orphans.quality["points_dropped"] == 2
+    assert with_orphans.quality["volume"] == pytest.approx(ball.quality["volume"], rel=1e-9)
+    half = tetrahedra[points[tetrahedra].mean(axis=1)[:, 2] > 0.01]
+    other = half + len(points)
+    apart = written(
+        "apart", np.concatenate([points, points + np.array([0, 0, 0.2])]), np.concatenate([half, other])
+    )
+    refused(apart, "2 separate pieces|not manifold")
+    not_finite = points.copy()
+    not_finite[tetrahedra[0, 0]] = np.nan
+    refused(written("nan", not_finite, tetrahedra), "1 points have coordinates that are not finite|damaged")
+    refused(written("metres", points * 1000, tetrahedra), "mixed-up unit; give `size`")
+    scaled = from_file(written("metres", points * 1000, tetrahedra), size=0.1)
+    assert_allclose(np.ptp(scaled.points, axis=0).max(), 0.1, rtol=1e-12, atol=0)
+
+
+def test_other_cells_are_named(tmp_path: Path) -> None:
+    cube = np.array([[x, y, z] for z in (0.0, 0.1) for x, y in ((0, 0), (0.1, 0), (0.1, 0.1), (0, 0.1))])
+    hexahedron = np.arange(8)[None]
+    write_msh(tmp_path / "hexahedron.msh", cube, {5: hexahedron})
+    refused(tmp_path / "hexahedron.msh", "holds hexahedron cells; only four-node")
+    quadratic = np.concatenate([np.eye(4)[:, 1:], np.random.default_rng(0).random((6, 3))]) * 0.1
+    write_msh(tmp_path / "quadratic.msh", quadratic, {11: np.arange(10)[None]})
+    refused(tmp_path / "quadratic.msh", "holds second-order tetrahedron cells")
+    for suffix in (".vtu", ".vtk"):
+        grid = pv.UnstructuredGrid({12: hexahedron, 10: np.array([[0, 1, 2, 4]])}, cube)
+        grid.save(tmp_path / f"mixed{suffix}")
+        refused(tmp_path / f"mixed{suffix}", "holds hexahedron cells; only four-node")
+        pv.UnstructuredGrid({24: np.arange(10)[None]}, quadratic).save(tmp_path / f"quadratic{suffix}")
+        refused(tmp_path / f"quadratic{suffix}", "holds tetra10 cells")
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ((b"4.1 0 8", b"4 0 8"), "has version '4'; write it as MSH 4.1 or 2.2"),
+        ((b"4.1 0 8", b"4.1 1 8"), "byte order|truncated"),
+        ((b"4.1 0 8", b"9 9"), "has version '9'"),
+        ((b"$EndElements", b""), "no complete Elements section"),
+        ((b"$Nodes", b"$Knots"), "no complete Nodes section"),
+        ((b"$Nodes\n1 ", b"$Nodes\n1000000000 "), "truncated"),
+        ((b"$Elements\n1 ", b"$Elements\n-1 "), "Elements section|truncated"),
+    ],
+)
+def test_msh_sections(tmp_path: Path, ball: Mesh, change: tuple[bytes, bytes], words: str) -> None:
+    path = write_named(tmp_path / "4.1-text.msh", ball)
+    data = path.read_bytes()
+    assert change[0] in data
+    path.write_bytes(data.replace(*change, 1))
+    refused(path, words)
+
+
+def test_too_many_nodes_in_a_file(tmp_path: Path, ball: Mesh) -> None:
+    geometry = Geometry("file", 0.01, {"path": str(write_named(tmp_path / "a.vtu", ball))})
+    with pytest.raises(MeshError, match=f"has {len(ball.points)} nodes, more than the 50 allowed"):
+        build_mesh(geometry, max_nodes=50)
+    assert build_mesh(replace(geometry, mesh_size=5.0)).content_hash == build_mesh(geometry).content_hash

@@ -1,0 +1,451 @@
+"""Shapes to meshes: exactness, order, determinism, the surface alone, the organ, files and the cache."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import gmsh
+import meshio
+import numpy as np
+import pytest
+import pyvista as pv
+from numpy.testing import assert_allclose, assert_array_equal
+
+from studies import geometry_spec
+from studies.geometry import build_mesh
+from studies.geometry_spec import Geometry, area_and_volume, check_geometry, extents, geometry_key
+from studies.intersections import intersecting_facets
+from studies.mesh import Mesh, MeshError
+from studies.mesh_cache import mesh_from_cache, read_mesh, write_mesh
+from studies.organ import liver_points
+from studies.remesh import subdivided, surface_distance, uniform_surface, unit_sphere
+from studies.topology import (
+    area_vectors,
+    consistent_orientation,
+    surface_volume,
+    tetrahedron_sicn,
+    tetrahedron_volumes,
+)
+
+SPHERE = Geometry("sphere", 0.012, {"radius": 0.05})
+ELLIPSOID = Geometry("ellipsoid", 0.010, {"semi_axes": (0.06, 0.04, 0.03)})
+BOX = Geometry("box", 0.010, {"size": (0.1, 0.05, 0.04)})
+CYLINDER = Geometry("cylinder", 0.010, {"radius": 0.03, "length": 0.1, "axis": "y"})
+ORGAN = Geometry("organ", 0.011, {"size": 0.19})
+SHAPES = [SPHERE, ELLIPSOID, BOX, CYLINDER, ORGAN]
+NAMES = [geometry.shape for geometry in SHAPES]
+
+
+def squared_level(geometry: Geometry, points: np.ndarray) -> np.ndarray:
+    """1 on the shape's curved surface, less inside."""
+    if geometry.shape == "box":
+        return np.max(np.abs(points) / (0.5 * np.array(geometry.numbers("size"))), axis=1)
+    if geometry.shape == "cylinder":
+        across = np.hypot(points[:, 0], points[:, 2]) / geometry.number("radius")
+        return np.maximum(across, np.abs(points[:, 1]) / (0.5 * geometry.number("length")))
+    return ((points / (0.5 * np.array(extents(geometry)))) ** 2).sum(axis=1)
+
+
+@pytest.mark.parametrize("geometry", SHAPES, ids=NAMES)
+def test_every_shape_is_a_sound_mesh(geometry: Geometry) -> None:
+    mesh = build_mesh(geometry)
+    assert (tetrahedron_volumes(mesh.points, mesh.tetrahedra) > 0).all()
+    assert_array_equal(np.unique(mesh.tetrahedra), np.arange(len(mesh.points)))
+    assert (np.diff(mesh.surface_nodes) > 0).all()
+    assert_array_equal(np.unique(mesh.triangles), np.arange(len(mesh.surface_nodes)))
+    # outward and closed: the surface holds the volume of the tetrahedra, its area vectors cancel, Euler's 2
+    volume = tetrahedron_volumes(mesh.points, mesh.tetrahedra).sum()
+    assert_allclose(surface_volume(mesh.surface_points, mesh.triangles), volume, rtol=1e-12, atol=0)
+    area = area_vectors(mesh.surface_points, mesh.triangles)
+    assert_allclose(area.sum(axis=0), 0, rtol=0, atol=1e-12 * np.abs(area).sum())
+    assert len(mesh.surface_nodes) - len(mesh.triangles) // 2 == 2
+    edges = mesh.surface_points[mesh.triangles] - mesh.surface_points[np.roll(mesh.triangles, 1, axis=1)]
+    lengths = np.linalg.norm(edges, axis=2)
+    assert_allclose(lengths.mean(), geometry.mesh_size, rtol=0.15, atol=0)
+    assert lengths.max() < 2.2 * geometry.mesh_size
+    assert mesh.quality["worst_sicn"] == tetrahedron_sicn(mesh.points, mesh.tetrahedra).min() >= 0.25
+    assert mesh.quality["surface_nodes"] == len(mesh.surface_nodes)
+    assert mesh.quality["volume"] == pytest.approx(volume, rel=1e-12)
+
+
+@pytest.mark.parametrize("geometry", SHAPES, ids=NAMES)
+def test_the_surface_alone_is_the_surface_of_the_volume_mesh(geometry: Geometry) -> None:
+    mesh, surface = build_mesh(geometry), build_mesh(geometry, volume=False)
+    assert_array_equal(surface.surface_points, mesh.surface_points)
+    assert_array_equal(surface.triangles, mesh.triangles)
+    assert len(surface.tetrahedra) == 0
+    assert len(surface.points) == len(mesh.surface_nodes)
+
+
+@pytest.mark.parametrize("geometry", SHAPES[:4], ids=NAMES[:4])
+def test_surface_nodes_lie_on_the_exact_surface(geometry: Geometry) -> None:
+    mesh = build_mesh(geometry)
+    assert_allclose(squared_level(geometry, mesh.surface_points), 1, rtol=1e-9, atol=0)
+    inner = np.setdiff1d(np.arange(len(mesh.points)), mesh.surface_nodes)
+    assert (squared_level(geometry, mesh.points[inner]) < 1).all()
+
+
+def test_a_box_is_exact() -> None:
+    mesh = build_mesh(BOX)
+    assert_allclose(mesh.quality["volume"], 0.1 * 0.05 * 0.04, rtol=1e-13, atol=0)
+    assert_allclose(mesh.quality["area"], 2 * (0.005 + 0.002 + 0.004), rtol=1e-13, atol=0)
+    assert_array_equal(mesh.points.max(axis=0), [0.05, 0.025, 0.02])
+    assert_array_equal(mesh.points.min(axis=0), [-0.05, -0.025, -0.02])
+
+
+@pytest.mark.parametrize("geometry", [SPHERE, ELLIPSOID, CYLINDER], ids=["sphere", "ellipsoid", "cylinder"])
+def test_volume_converges_with_the_square_of_the_mesh_size(geometry: Geometry) -> None:
+    _, exact = area_and_volume(geometry)
+    sizes = geometry.mesh_size * np.array([1.0, 0.7, 0.5])
+    errors = [
+        1 - build_mesh(replace(geometry, mesh_size=h), volume=False).quality["volume"] / exact for h in sizes
+    ]
+    order = np.polyfit(np.log(sizes), np.log(errors), 1)[0]
+    assert 1.7 < order < 2.3, errors
+    assert 0 < errors[-1] < 0.01
+
+
+@pytest.mark.parametrize("axis", ["x", "y", "z"])
+def test_a_cylinder_lies_along_its_axis(axis: str) -> None:
+    mesh = build_mesh(Geometry("cylinder", 0.02, {"radius": 0.03, "length": 0.1, "axis": axis}), volume=False)
+    expected = np.where(np.array(list("xyz")) == axis, 0.05, 0.03)
+    assert_allclose(mesh.points.max(axis=0), expected, rtol=0.02, atol=0)
+    assert_allclose(mesh.points.min(axis=0), -expected, rtol=0.02, atol=0)
+
+
+def test_a_scaled_shape_has_the_scaled_mesh() -> None:
+    """No tolerance in metres takes part: R = 50 mm and R = 1.6 m give the same mesh but for the factor."""
+    small, large = build_mesh(SPHERE), build_mesh(Geometry("sphere", 0.012 * 32, {"radius": 0.05 * 32}))
+    assert_array_equal(small.points * 32, large.points)
+    assert_array_equal(small.tetrahedra, large.tetrahedra)
+
+
+def test_worst_sicn_is_the_mesher_s_own_measure() -> None:
+    mesh = build_mesh(SPHERE)
+    gmsh.initialize([], readConfigFiles=False, run=False, interruptible=False)
+    try:
+        gmsh.option.setNumber("General.Terminal", 0)
+        entity = gmsh.model.addDiscreteEntity(3)
+        gmsh.model.mesh.addNodes(3, entity, np.arange(1, len(mesh.points) + 1), mesh.points.ravel())
+        gmsh.model.mesh.addElementsByType(entity, 4, [], (mesh.tetrahedra + 1).ravel())
+        tags, _ = gmsh.model.mesh.getElementsByType(4)
+        expected = gmsh.model.mesh.getElementQualities(tags, "minSICN")
+    finally:
+        gmsh.finalize()
+    assert_allclose(tetrahedron_sicn(mesh.points, mesh.tetrahedra), expected, rtol=1e-10, atol=1e-12)
+
+
+@pytest.mark.parametrize("geometry", [CYLINDER, ORGAN], ids=["cylinder", "organ"])
+def test_another_process_makes_the_same_bytes(geometry: Geometry) -> None:
+    script = (
+        "from studies.geometry import build_mesh; from studies.geometry_spec import Geometry;"
+        f"print(build_mesh({geometry!r}).content_hash)"
+    )
+    environment = {**os.environ, "PYTHONHASHSEED": "7", "OMP_NUM_THREADS": "2"}
+    run = subprocess.run(
+        [sys.executable, "-c", script], capture_output=True, text=True, check=True, env=environment
+    )
+    assert run.stdout.strip() == build_mesh(geometry).content_hash
+
+
+def test_meshing_is_silent_and_leaves_gmsh_closed(capfd: pytest.CaptureFixture[str]) -> None:
+    build_mesh(SPHERE)
+    build_mesh(ORGAN, volume=False)
+    assert capfd.readouterr() == ("", "")
+    assert not gmsh.isInitialized()
+
+
+# --- the organ ----------------------------------------------------------------------------------------
+
+
+def test_the_organ_s_stated_measures_are_those_of_its_surface() -> None:
+    sphere, triangles = unit_sphere(6)
+    points = liver_points(sphere)
+    width = np.ptp(points, axis=0)[0]
+    geometry = Geometry("organ", 0.1, {"size": 1.0})
+    assert_allclose(np.ptp(points, axis=0) / width, extents(geometry), rtol=0, atol=6e-4)
+    area = np.linalg.norm(area_vectors(points, triangles), axis=1).sum()
+    measured = area / width**2, surface_volume(points, triangles) / width**3
+    assert_allclose(measured, area_and_volume(geometry), rtol=1e-3, atol=0)
+
+
+def test_the_organ_does_not_meet_itself() -> None:
+    """For each x and y the height grows with the sphere's own, so a vertical line enters the body once."""
+    sphere, triangles = unit_sphere(5)
+    points = liver_points(sphere)
+    assert len(intersecting_facets(points, triangles)) == 0
+    surface = pv.PolyData(points, faces=np.insert(triangles, 0, 3, axis=1).ravel())
+    rng = np.random.default_rng(0)
+    hits = [len(surface.ray_trace([x, y, -5.0], [x, y, 5.0])[0]) for x, y in rng.uniform(-1, 1, (400, 2))]
+    assert set(hits) == {0, 2}
+    assert hits.count(2) > 100
+
+
+def test_the_organ_is_a_liver_in_outline() -> None:
+    """Thick right lobe, thin left lobe, hollow underside: measured across its finest surface."""
+    sphere, triangles = unit_sphere(6)
+    surface = pv.PolyData(liver_points(sphere), faces=np.insert(triangles, 0, 3, axis=1).ravel())
+
+    def thickness(x: float, y: float) -> float:
+        hits, _ = surface.ray_trace([x, y, -5.0], [x, y, 5.0])
+        assert len(hits) == 2
+        return float(abs(hits[0, 2] - hits[1, 2]))
+
+    assert thickness(-0.4, 0.0) > 0.9
+    assert thickness(0.75, -0.1) < 0.4
+    bottom = [surface.ray_trace([0.1, y, -5.0], [0.1, y, 5.0])[0][:, 2].min() for y in (-0.4, 0.05, 0.4)]
+    assert bottom[1] > max(bottom[0], bottom[2]) + 0.02
+
+
+@pytest.mark.parametrize(
+    "nodes", [500, pytest.param(5000, marks=pytest.mark.slow), pytest.param(20000, marks=pytest.mark.slow)]
+)
+def test_the_organ_meshes_well_at_every_size(nodes: int) -> None:
+    area, _ = area_and_volume(ORGAN)
+    mesh = build_mesh(replace(ORGAN, mesh_size=float(np.sqrt(2 / np.sqrt(3) * area / nodes))))
+    assert abs(len(mesh.surface_nodes) / nodes - 1) < 0.01
+    assert mesh.quality["worst_sicn"] >= 0.1
+    assert mesh.quality["self_intersections_fixed"] == 0
+    # chords of edge h over a curvature c are apart by c h^2 / 8: of second order, hence 1 / nodes
+    assert mesh.quality["surface_distance_mean"] < mesh.quality["area"] ** 0.5 / nodes
+    assert abs(mesh.quality["volume_change"]) < 10 / nodes
+
+
+# --- imported surfaces --------------------------------------------------------------------------------
+
+
+def test_uniform_remeshing_keeps_a_ball() -> None:
+    """Nodes lie on the facets of the fine ball; the surfaces are apart as chords are, by about h^2 / 8 R."""
+    points, triangles = unit_sphere(5)
+    h = 0.2
+    nodes, facets = uniform_surface(points, triangles, h)
+    assert abs(len(nodes) / (2 / np.sqrt(3) * 4 * np.pi / h**2) - 1) < 0.01
+    assert_allclose(np.linalg.norm(nodes, axis=1), 1, rtol=0, atol=1e-3)
+    mean, largest = surface_distance(points, triangles, nodes, facets)
+    assert h**2 / 8 * 0.5 < mean < largest < h**2 / 8 * 4
+    edges = np.linalg.norm(nodes[facets] - nodes[np.roll(facets, 1, axis=1)], axis=2)
+    assert edges.std() / edges.mean() < 0.15
+
+
+@pytest.mark.parametrize("longest", [0.9, 0.55, 0.3, 0.17])
+def test_subdivision_keeps_the_surface(longest: float) -> None:
+    points, triangles = unit_sphere(1)
+    points = points * [1.0, 2.0, 0.5]
+    fine, facets = subdivided(points, triangles, longest, max_points=10_000)
+    edges = np.linalg.norm(fine[facets] - fine[np.roll(facets, 1, axis=1)], axis=2)
+    assert edges.max() <= longest
+    assert_array_equal(consistent_orientation(fine, facets)[0], facets)  # closed, and facing as before
+    assert_array_equal(fine[: len(points)], points)
+    before, after = area_vectors(points, triangles), area_vectors(fine, facets)
+    assert_allclose(surface_volume(fine, facets), surface_volume(points, triangles), rtol=1e-13, atol=0)
+    assert_allclose(
+        np.linalg.norm(after, axis=1).sum(), np.linalg.norm(before, axis=1).sum(), rtol=1e-13, atol=0
+    )
+    with pytest.raises(MeshError, match="needles"):
+        subdivided(points, triangles, longest, max_points=len(points) - 1)
+
+
+def test_distance_between_concentric_cubes_is_known() -> None:
+    cube = pv.Box((-1, 1, -1, 1, -1, 1)).triangulate().clean()
+    points, triangles = (
+        np.asarray(cube.points, dtype=float),
+        cube.faces.reshape(-1, 4)[:, 1:].astype(np.int64),
+    )
+    mean, largest = surface_distance(points, triangles, 1.5 * points, triangles)
+    # edges lie sqrt(2)/2 from the inner cube and corners sqrt(3)/2; from within every probe is 1/2 away
+    assert_allclose(largest, np.sqrt(3) / 2, rtol=1e-12, atol=0)
+    diagonal, rim = 0.5, np.sqrt(0.5)
+    inner, outer = 24.0, 54.0
+    assert_allclose(
+        mean, (inner * 0.5 + outer * (diagonal + 2 * rim) / 3) / (inner + outer), rtol=1e-12, atol=0
+    )
+
+
+def surface_file(path: Path, mesh: Mesh, unit: float = 1e-3, shift: float = 0.0) -> Path:
+    surface = pv.PolyData(
+        mesh.surface_points / unit + shift, faces=np.insert(mesh.triangles, 0, 3, axis=1).ravel()
+    )
+    if path.suffix == ".obj":
+        meshio.Mesh(surface.points, [("triangle", mesh.triangles)]).write(path)
+    else:
+        surface.save(path)
+    return path
+
+
+@pytest.mark.parametrize("suffix", [".stl", ".obj", ".ply", ".vtp"])
+def test_a_surface_file_is_scaled_centred_remeshed_and_filled(tmp_path: Path, suffix: str) -> None:
+    original = build_mesh(replace(ELLIPSOID, mesh_size=0.005))
+    path = surface_file(tmp_path / f"a{suffix}", original, shift=300.0)
+    mesh = build_mesh(Geometry("file", 0.01, {"path": str(path), "scale": 1e-3}))
+    _, exact = area_and_volume(ELLIPSOID)
+    assert_allclose(mesh.quality["volume"], exact, rtol=0.04, atol=0)
+    assert_allclose(mesh.points.max(axis=0) + mesh.points.min(axis=0), 0, rtol=0, atol=2e-3)
+    assert mesh.quality["worst_sicn"] > 0.2
+    assert mesh.quality["imported_points"] == len(original.surface_nodes)
+    assert mesh.quality["scale"] == pytest.approx(1e-3, rel=1e-12)
+    assert mesh.quality["volume_change"] == pytest.approx(
+        mesh.quality["volume"] / original.quality["volume"] - 1, abs=1e-5
+    )
+    assert 0 < mesh.quality["surface_distance_mean"] < mesh.quality["surface_distance_max"] < 2e-3
+    alone = build_mesh(Geometry("file", 0.01, {"path": str(path), "scale": 1e-3}), volume=False)
+    assert_array_equal(alone.surface_points, mesh.surface_points)
+    assert_array_equal(alone.triangles, mesh.triangles)
+
+
+def test_size_and_scale_say_the_same(tmp_path: Path) -> None:
+    path = surface_file(tmp_path / "a.vtp", build_mesh(BOX), unit=1e-3)
+    by_scale = build_mesh(Geometry("file", 0.01, {"path": str(path), "scale": 2e-3}), volume=False)
+    by_size = build_mesh(Geometry("file", 0.01, {"path": str(path), "size": 0.2}), volume=False)
+    assert by_size.quality["scale"] == pytest.approx(2e-3, rel=1e-12)
+    assert_allclose(by_size.points, by_scale.points, rtol=0, atol=1e-12)
+    assert_allclose(np.ptp(by_size.points, axis=0), [0.2, 0.1, 0.08], rtol=0.05, atol=0)
+
+
+@pytest.mark.liver
+@pytest.mark.parametrize("nodes", [1000, 5000, pytest.param(20000, marks=pytest.mark.slow)])
+def test_a_real_liver(liver: Path, nodes: int) -> None:
+    geometry = Geometry("file", 0.02, {"path": str(liver), "size": 0.19})
+    area = build_mesh(geometry, volume=False).quality["area"] * 1.03
+    mesh = build_mesh(replace(geometry, mesh_size=float(np.sqrt(2 / np.sqrt(3) * area / nodes))))
+    assert abs(len(mesh.surface_nodes) / nodes - 1) < 0.05
+    assert mesh.quality["worst_sicn"] >= 0.1
+    assert mesh.quality["surface_distance_mean"] < 0.3e-3
+    assert abs(mesh.quality["volume_change"]) < 0.015
+
+
+# --- the specification and the cache -----------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("geometry", "words"),
+    [
+        (Geometry("torus", 0.01, {}), "unknown shape 'torus'; choose one of sphere"),
+        (Geometry("sphere", 0.01, {}), "radius is missing"),
+        (Geometry("file", 0.01, {}), "path is missing"),
+        (Geometry("sphere", 0.01, {"radius": 0.05, "diameter": 0.1}), "unknown parameter 'diameter'"),
+        (Geometry("sphere", 0.01, {"radius": -0.05}), "radius must be positive"),
+        (Geometry("sphere", 0.01, {"radius": float("nan")}), "radius must be positive and finite"),
+        (Geometry("sphere", 0.01, {"radius": "wide"}), "radius must be a number"),
+        (Geometry("box", 0.01, {"size": (0.1, 0.1)}), "size must have 3 numbers, not 2"),
+        (Geometry("sphere", 0.0, {"radius": 0.05}), "mesh_size must be positive"),
+        (Geometry("sphere", float("inf"), {"radius": 0.05}), "mesh_size must be positive and finite"),
+        (Geometry("cylinder", 0.01, {"radius": 0.05, "length": 0.1, "axis": "w"}), "axis must be x, y or z"),
+        (Geometry("sphere", 6.0, {"radius": 50.0}), "largest extent is 100 m, .* mixed-up unit"),
+        (Geometry("organ", 1e-5, {"size": 1.9e-4}), "mixed-up unit"),
+        (Geometry("box", 0.03, {"size": (0.1, 0.1, 0.05)}), "too large .* use at most 0.025 m"),
+        (Geometry("file", 0.01, {"path": "a.geo"}), "scripts and are not run"),
+        (Geometry("file", 0.01, {"path": "a.step"}), "unknown kind of file"),
+        (Geometry("file", 0.01, {"path": "a.stl", "size": 0.1, "scale": 1.0}), "size or scale, not both"),
+    ],
+)
+def test_specifications_that_cannot_be_used(geometry: Geometry, words: str) -> None:
+    with pytest.raises(MeshError, match=words) as caught:
+        check_geometry(geometry)
+    assert "\n" not in str(caught.value)
+    with pytest.raises(MeshError, match=words):
+        build_mesh(geometry)
+
+
+@pytest.mark.parametrize("geometry", SHAPES, ids=NAMES)
+def test_the_node_budget_is_checked_before_meshing_and_estimates_well(
+    geometry: Geometry, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    mesh = build_mesh(geometry)
+    for volume, nodes in ((True, len(mesh.points)), (False, len(mesh.surface_nodes))):
+        area, inside = area_and_volume(geometry)
+        estimate = geometry_spec.estimated_nodes(area, inside if volume else 0.0, geometry.mesh_size)
+        assert 0.8 < nodes / estimate < 1.25
+        monkeypatch.setattr("studies.geometry.gmsh.initialize", None)  # meshing would fail
+        with pytest.raises(MeshError, match="nodes, more than the 100 allowed; use a larger mesh_size"):
+            build_mesh(geometry, volume=volume, max_nodes=100)
+        monkeypatch.undo()
+
+
+def test_the_key_covers_what_decides_the_mesh(monkeypatch: pytest.MonkeyPatch) -> None:
+    key = geometry_key(CYLINDER, volume=True)
+    assert len(key) == 64
+    assert geometry_key(replace(CYLINDER, parameters=dict(CYLINDER.parameters)), volume=True) == key
+    others = [
+        geometry_key(CYLINDER, volume=False),
+        geometry_key(replace(CYLINDER, mesh_size=0.0100001), volume=True),
+        geometry_key(replace(CYLINDER, parameters={**CYLINDER.parameters, "radius": 0.031}), volume=True),
+        geometry_key(replace(CYLINDER, parameters={**CYLINDER.parameters, "axis": "z"}), volume=True),
+    ]
+    monkeypatch.setattr(geometry_spec, "MESHER_VERSION", "another")
+    others.append(geometry_key(CYLINDER, volume=True))
+    assert len({key, *others}) == 6
+
+
+def test_defaults_and_lists_do_not_change_the_key() -> None:
+    named = Geometry("cylinder", 0.01, {"radius": 0.03, "length": 0.1, "axis": "z"})
+    assert geometry_key(named, volume=True) == geometry_key(
+        Geometry("cylinder", 0.01, {"length": 0.1, "radius": 0.03}), volume=True
+    )
+    as_list = Geometry("box", 0.01, {"size": [0.1, 0.05, 0.04]})  # type: ignore[dict-item]
+    assert geometry_key(as_list, volume=True) == geometry_key(BOX, volume=True)
+
+
+def test_a_file_counts_by_its_content_not_its_path(tmp_path: Path) -> None:
+    (tmp_path / "a.stl").write_bytes(b"one")
+    (tmp_path / "b.stl").write_bytes(b"one")
+    (tmp_path / "c.stl").write_bytes(b"two")
+    keys = [
+        geometry_key(Geometry("file", 0.01, {"path": str(tmp_path / f"{n}.stl")}), volume=True) for n in "abc"
+    ]
+    assert keys[0] == keys[1] != keys[2]
+    with pytest.raises(MeshError, match=r"missing\.stl: cannot be read"):
+        geometry_key(Geometry("file", 0.01, {"path": str(tmp_path / "missing.stl")}), volume=True)
+
+
+def test_mesh_size_does_not_count_where_the_file_brings_its_tetrahedra(tmp_path: Path) -> None:
+    (tmp_path / "a.msh").write_bytes(b"one")
+    parameters = {"path": str(tmp_path / "a.msh")}
+    assert geometry_key(Geometry("file", 0.01, parameters), volume=True) == geometry_key(
+        Geometry("file", 0.02, parameters), volume=True
+    )
+
+
+def test_a_cached_mesh_comes_back_whole(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    built = mesh_from_cache(BOX, tmp_path)
+    monkeypatch.setattr("studies.geometry.build_mesh", None)  # a second build would fail
+    again = mesh_from_cache(BOX, tmp_path)
+    assert again.content_hash == built.content_hash
+    assert again.quality == built.quality
+    names = [path.name for path in (tmp_path / "meshes").iterdir()]
+    assert names == [f"{geometry_key(BOX, volume=True)}.npz"]
+    with np.load(tmp_path / "meshes" / names[0]) as stored:  # numpy's own reader opens it
+        assert_array_equal(stored["tetrahedra"], built.tetrahedra)
+
+
+def test_groups_survive_the_cache(tmp_path: Path) -> None:
+    mesh = build_mesh(BOX)
+    grouped = replace(mesh, groups={"a floor": mesh.surface_points[:, 2] < 0})
+    write_mesh(tmp_path / "deep" / "mesh.npz", grouped)
+    stored = read_mesh(tmp_path / "deep" / "mesh.npz")
+    assert stored is not None
+    assert stored.content_hash == grouped.content_hash != mesh.content_hash
+
+
+@pytest.mark.parametrize("damage", ["flip", "cut", "empty"])
+def test_a_damaged_cached_mesh_is_built_anew(tmp_path: Path, damage: str) -> None:
+    built = mesh_from_cache(BOX, tmp_path)
+    (path,) = (tmp_path / "meshes").iterdir()
+    whole = path.read_bytes()
+    middle = len(whole) // 2
+    flipped = whole[:middle] + bytes([whole[middle] ^ 1]) + whole[middle + 1 :]
+    path.write_bytes({"flip": flipped, "cut": whole[:middle], "empty": b""}[damage])
+    assert read_mesh(path) is None
+    assert mesh_from_cache(BOX, tmp_path).content_hash == built.content_hash
+    assert read_mesh(path) is not None
+
+
+def test_specification_and_cache_import_no_mesher() -> None:
+    script = (
+        "import sys, studies.mesh_cache; print({'gmsh', 'meshio', 'pyvista', 'pyacvd'} & set(sys.modules))"
+    )
+    run = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
+    assert run.stdout.strip() == "set()"

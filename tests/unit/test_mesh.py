@@ -1,0 +1,330 @@
+"""Meshes as arrays: measures, boundaries, orientation and the checks of closed surfaces."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+
+from studies.intersections import intersecting_facets, without_intersections
+from studies.mesh import Array, Index, MeshError
+from studies.remesh import unit_sphere
+from studies.repair import clean_surface, clean_tetrahedra
+from studies.topology import (
+    area_vectors,
+    boundary_triangles,
+    canonical_triangles,
+    check_vertex_fans,
+    consistent_orientation,
+    mesh_from_tetrahedra,
+    mesh_from_triangles,
+    surface_only,
+    surface_volume,
+    tetrahedron_sicn,
+    tetrahedron_volumes,
+)
+
+CORNER = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]])
+ONE = np.array([[0, 1, 2, 3]])
+FACES = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])
+
+
+def cube() -> tuple[Array, Index]:
+    """The unit cube as 5 tetrahedra: one regular in the middle, four corners of it cut off."""
+    points = np.array([[x, y, z] for x in (0.0, 1) for y in (0.0, 1) for z in (0.0, 1)])
+    tetrahedra = np.array([[0, 3, 5, 6], [0, 3, 1, 5], [0, 6, 2, 3], [0, 5, 4, 6], [3, 6, 7, 5]])
+    inverted = tetrahedron_volumes(points, tetrahedra) < 0
+    tetrahedra[inverted] = tetrahedra[inverted][:, [0, 2, 1, 3]]
+    return points, tetrahedra
+
+
+def test_volumes_and_quality_of_known_tetrahedra() -> None:
+    regular = np.array([[1.0, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]])
+    points = np.concatenate([regular, CORNER, [[0.3, 0.3, 0.0]]])
+    tetrahedra = np.array([[0, 2, 1, 3], [0, 1, 2, 3], [4, 5, 6, 7], [4, 5, 6, 8]])
+    signed = tetrahedron_volumes(points, tetrahedra)
+    assert_allclose(np.abs(signed), [8 / 3, 8 / 3, 1 / 6, 0], rtol=1e-14, atol=1e-16)
+    assert signed[0] * signed[1] < 0
+    # the corner: |S|^2 = tr G^-1 = 4.5 and |S^-1|^2 = tr G = 3, G the Gram matrix of a regular one's edges
+    expected = [np.sign(signed[0]), np.sign(signed[1]), 3 / np.sqrt(4.5 * 3), 0]
+    assert_allclose(tetrahedron_sicn(points, tetrahedra), expected, rtol=1e-12, atol=1e-12)
+
+
+def test_boundary_of_one_tetrahedron_faces_outward() -> None:
+    triangles = boundary_triangles(ONE)
+    assert_array_equal(triangles, canonical_triangles(FACES))
+    assert_allclose(surface_volume(CORNER, triangles), 1 / 6, rtol=1e-15, atol=0)
+    assert_allclose(area_vectors(CORNER, triangles).sum(axis=0), 0, rtol=0, atol=1e-16)
+
+
+def test_cube_of_five_tetrahedra() -> None:
+    points, tetrahedra = cube()
+    groups = {"floor": points[:, 2] == 0, "nothing": np.zeros(8, dtype=bool)}
+    mesh = mesh_from_tetrahedra(points, tetrahedra, groups=groups, quality={"scale": 1.0})
+    assert mesh.triangles.shape == (12, 3)
+    assert_allclose([mesh.quality["volume"], mesh.quality["area"]], [1, 6], rtol=1e-14, atol=0)
+    assert mesh.quality["worst_sicn"] == tetrahedron_sicn(points, tetrahedra).min() > 0
+    assert list(mesh.groups) == ["floor"]
+    assert_array_equal(mesh.groups["floor"], points[:, 2] == 0)
+    surface = surface_only(mesh)
+    assert surface.tetrahedra.shape == (0, 4)
+    assert_array_equal(surface.triangles, mesh.triangles)
+    assert_array_equal(surface.groups["floor"], mesh.groups["floor"])
+
+
+def test_inner_points_are_not_surface_nodes() -> None:
+    points = np.concatenate([[[0.2, 0.2, 0.2]], CORNER])
+    tetrahedra = np.array([[0, *(face + 1)] for face in FACES])[:, [1, 2, 3, 0]]
+    tetrahedra = np.where(
+        (tetrahedron_volumes(points, tetrahedra) < 0)[:, None], tetrahedra[:, [0, 2, 1, 3]], tetrahedra
+    )
+    mesh = mesh_from_tetrahedra(points, tetrahedra)
+    assert_array_equal(mesh.surface_nodes, [1, 2, 3, 4])
+    assert_array_equal(mesh.surface_points, CORNER)
+    assert_allclose(surface_volume(mesh.surface_points, mesh.triangles), 1 / 6, rtol=1e-14, atol=0)
+
+
+def test_content_hash_sees_points_connectivity_and_groups_but_not_quality() -> None:
+    points, tetrahedra = cube()
+    mesh = mesh_from_tetrahedra(points, tetrahedra)
+    moved = points.copy()
+    moved[0, 0] -= 1e-15
+    others = [
+        mesh_from_tetrahedra(moved, tetrahedra),
+        mesh_from_tetrahedra(points, tetrahedra[::-1]),
+        mesh_from_tetrahedra(points, tetrahedra, groups={"floor": points[:, 2] == 0}),
+    ]
+    assert len({mesh.content_hash, *(other.content_hash for other in others)}) == 4
+    assert replace(mesh, quality={"seconds": 3.0}).content_hash == mesh.content_hash
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_orientation_is_mended_whatever_the_facets_were(seed: int) -> None:
+    points, triangles = unit_sphere(2)
+    rng = np.random.default_rng(seed)
+    turned = rng.random(len(triangles)) < 0.5
+    mixed = np.where(turned[:, None], triangles[:, ::-1], triangles)
+    outward, flipped = consistent_orientation(points + 5.0, mixed)
+    assert flipped == np.count_nonzero(turned)
+    assert_array_equal(canonical_triangles(outward), canonical_triangles(triangles))
+
+
+def test_inside_out_is_turned() -> None:
+    points, triangles = unit_sphere(1)
+    outward, flipped = consistent_orientation(points, triangles[:, ::-1])
+    assert flipped == len(triangles)
+    assert surface_volume(points, outward) == pytest.approx(surface_volume(points, triangles), rel=1e-14)
+
+
+def projective_plane() -> Index:
+    """The six-vertex projective plane: closed, every edge with two facets, and one-sided."""
+    return np.array(
+        [
+            [0, 1, 2],
+            [0, 2, 3],
+            [0, 3, 4],
+            [0, 4, 5],
+            [0, 5, 1],
+            [1, 2, 4],
+            [2, 3, 5],
+            [3, 4, 1],
+            [4, 5, 2],
+            [5, 1, 3],
+        ]
+    )
+
+
+def two_cubes_on_an_edge() -> tuple[Array, Index]:
+    points, tetrahedra = cube()
+    mesh = mesh_from_tetrahedra(points, tetrahedra)
+    shift = np.array([1.0, 1.0, 0.0])
+    both = np.concatenate([points, points + shift])
+    merged = clean_surface_points(both)
+    return both, merged[np.concatenate([mesh.triangles, mesh.triangles + 8])]
+
+
+def clean_surface_points(points: Array) -> Index:
+    """For each point the first equal one."""
+    return np.array([int(np.flatnonzero((points == point).all(axis=1))[0]) for point in points])
+
+
+@pytest.mark.parametrize(
+    ("points", "triangles", "words"),
+    [
+        (CORNER, FACES[:3], "open: 3 edges"),
+        (*two_cubes_on_an_edge(), "not manifold: 1 edges"),
+        (np.concatenate([CORNER, CORNER + 5]), np.concatenate([FACES, FACES + 4]), "2 separate pieces"),
+        (np.random.default_rng(0).random((6, 3)), projective_plane(), "one-sided"),
+        (CORNER * [1, 1, 0], FACES, "no volume"),
+    ],
+)
+def test_surfaces_that_bound_no_solid(points: Array, triangles: Index, words: str) -> None:
+    with pytest.raises(MeshError, match=words):
+        mesh_from_triangles(points, triangles)
+
+
+def test_pieces_that_touch_at_a_vertex_are_found() -> None:
+    points = np.concatenate([CORNER, -CORNER[1:]])
+    mirrored = np.where(FACES > 0, FACES + 3, 0)[:, ::-1]
+    with pytest.raises(MeshError, match="at 1 vertices"):
+        check_vertex_fans(np.concatenate([FACES, mirrored]))
+    check_vertex_fans(FACES)
+    with pytest.raises(MeshError, match="2 separate pieces"):
+        mesh_from_triangles(points, np.concatenate([FACES, mirrored]))
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"points": np.where(np.arange(8)[:, None] == 3, np.nan, cube()[0])}, "1 points .* not finite"),
+        ({"tetrahedra": cube()[1][:0]}, "no tetrahedra"),
+        ({"tetrahedra": cube()[1] + 1}, "do not exist"),
+        ({"tetrahedra": cube()[1][:, [1, 0, 2, 3]]}, "5 of 5 tetrahedra are inverted"),
+        ({"points": cube()[0] * [1, 1, 0]}, "5 of 5 tetrahedra have no volume"),
+        ({"points": np.concatenate([cube()[0], [[9.0, 9, 9]]])}, "1 points belong to no tetrahedron"),
+        ({"tetrahedra": cube()[1][[1, 2]]}, "no tetrahedron"),
+    ],
+)
+def test_tetrahedra_that_cannot_be_used(change: dict[str, Any], words: str) -> None:
+    points, tetrahedra = cube()
+    with pytest.raises(MeshError, match=words):
+        mesh_from_tetrahedra(change.get("points", points), change.get("tetrahedra", tetrahedra))
+
+
+def test_a_face_of_three_tetrahedra_is_refused() -> None:
+    points = np.concatenate([CORNER, [[0, 0, 2.0], [0.1, 0.1, 3.0]]])
+    with pytest.raises(MeshError, match="1 faces belong to more than two"):
+        mesh_from_tetrahedra(points, np.array([[0, 1, 2, 3], [0, 1, 2, 4], [0, 1, 2, 5]]))
+
+
+def test_tetrahedra_in_each_other_are_refused() -> None:
+    points = np.concatenate([CORNER, [[0.1, 0.1, 0.5]]])
+    with pytest.raises(MeshError, match="overlap"):
+        mesh_from_tetrahedra(points, np.array([[0, 1, 2, 3], [0, 1, 2, 4]]))
+
+
+# --- repair -------------------------------------------------------------------------------------------
+
+
+def test_soup_becomes_a_clean_surface() -> None:
+    points, triangles = unit_sphere(2)
+    soup = points[triangles].reshape(-1, 3) * (
+        1 + 1e-8 * np.random.default_rng(0).random((3 * len(triangles), 1))
+    )
+    facets = np.arange(len(soup)).reshape(-1, 3)
+    facets = np.concatenate([facets[:, ::-1], facets[:5], [[0, 1, 1]]])  # inside out, 5 repeated, one a line
+    clean = clean_surface(np.concatenate([soup, [[7.0, 7, 7]]]), facets)
+    assert len(clean.points) == len(points)
+    assert len(clean.triangles) == len(triangles)
+    assert clean.points_dropped == 1
+    assert clean.points_merged == len(soup) - len(points)
+    assert clean.facets_dropped == 6
+    assert clean.facets_flipped == len(triangles)
+    assert_allclose(
+        surface_volume(clean.points, clean.triangles), surface_volume(points, triangles), rtol=1e-7, atol=0
+    )
+
+
+def test_a_double_fin_is_removed() -> None:
+    points, triangles = unit_sphere(1)
+    a, b = triangles[0, :2]
+    fin = [[a, b, len(points)], [b, a, len(points)]]
+    clean = clean_surface(np.concatenate([points, [[3.0, 0, 0]]]), np.concatenate([triangles, fin]))
+    assert_array_equal(canonical_triangles(clean.triangles), canonical_triangles(triangles))
+
+
+@pytest.mark.parametrize(
+    ("points", "triangles", "words"),
+    [
+        (CORNER, FACES[:0], "no facets"),
+        (CORNER, FACES + 1, "do not exist"),
+        (CORNER, FACES - 1, "do not exist"),
+        (np.where(CORNER == 1, np.inf, CORNER), FACES, "3 points .* not finite"),
+        (CORNER * 0, FACES, "all points are the same"),
+        (CORNER, np.array([[0, 1, 1], [2, 2, 3]]), "no facet has an area"),
+        (CORNER, FACES[:3], "open"),
+    ],
+)
+def test_soup_beyond_repair(points: Array, triangles: Index, words: str) -> None:
+    with pytest.raises(MeshError, match=words):
+        clean_surface(points, triangles)
+
+
+def test_tetrahedra_are_cleaned() -> None:
+    points, tetrahedra = cube()
+    points = np.concatenate([[[9.0, 9, 9]], points])
+    mirrored = tetrahedra[:, [1, 0, 2, 3]] + 1
+    clean = clean_tetrahedra(points, np.concatenate([mirrored, mirrored[:2]]), {"low": points[:, 2] == 0})
+    assert (clean.points_dropped, clean.tetrahedra_turned) == (1, 5)
+    assert_array_equal(clean.points, cube()[0])
+    assert_allclose(tetrahedron_volumes(clean.points, clean.tetrahedra).sum(), 1, rtol=1e-14, atol=0)
+    assert_array_equal(clean.groups["low"], cube()[0][:, 2] == 0)
+
+
+def test_some_inverted_tetrahedra_are_counted() -> None:
+    points, tetrahedra = cube()
+    tetrahedra[[1, 3]] = tetrahedra[[1, 3]][:, [1, 0, 2, 3]]
+    with pytest.raises(MeshError, match="2 of 5 tetrahedra are inverted"):
+        clean_tetrahedra(points, tetrahedra, {})
+
+
+# --- self-intersections -------------------------------------------------------------------------------
+
+
+def test_a_ball_does_not_intersect_itself() -> None:
+    assert len(intersecting_facets(*unit_sphere(3))) == 0
+
+
+def test_intersections_are_those_that_sampling_finds() -> None:
+    """Two balls cut each other: a facet is hit where its edges, finely sampled, change sides of the other."""
+    points, triangles = unit_sphere(2)
+    n = len(points)
+    shift = np.array([0.9, 0.13, 0.07])
+    found = intersecting_facets(
+        np.concatenate([points, points + shift]), np.concatenate([triangles, triangles + n])
+    )
+    assert (found[:, 0] < len(triangles)).all()
+    assert (found[:, 1] >= len(triangles)).all()
+    normals = area_vectors(points, triangles)
+
+    def inside(x: Array) -> Array:  # of the convex polyhedron about the origin
+        return (
+            np.einsum("ij,fj->if", x, normals) < np.einsum("fj,fj->f", points[triangles[:, 0]], normals)
+        ).all(axis=1)
+
+    samples = np.linspace(0, 1, 401)[:, None]
+    crossed = set()
+    for facet, (a, b, c) in enumerate(points[triangles]):
+        path = np.concatenate([a + samples * (b - a), b + samples * (c - b), c + samples * (a - c)])
+        within = inside(path - shift)
+        if within.any() and not within.all():
+            crossed.add(facet)
+    # a facet can be cut without its edges changing sides (a corner of the other pokes through): a superset
+    assert crossed <= set(found[:, 0].tolist())
+    assert len(crossed) > 20
+
+
+def test_a_tangle_is_smoothed_out() -> None:
+    points, triangles = unit_sphere(3)
+    second_ring = np.flatnonzero(np.linalg.norm(points - points[0], axis=1) > 0.25)
+    other = second_ring[np.argmin(np.linalg.norm(points[second_ring] - points[0], axis=1))]
+    broken = points.copy()
+    broken[[0, other]] = points[[other, 0]]
+    assert len(intersecting_facets(broken, triangles)) > 0
+    mended, found = without_intersections(broken, triangles)
+    assert found == len(intersecting_facets(broken, triangles))
+    assert len(intersecting_facets(mended, triangles)) == 0
+    moved = np.linalg.norm(mended - broken, axis=1) > 0
+    assert np.count_nonzero(moved) < 60
+    assert surface_volume(mended, triangles) == pytest.approx(surface_volume(points, triangles), rel=0.02)
+
+
+def test_a_surface_pushed_through_itself_is_refused() -> None:
+    points, triangles = unit_sphere(3)
+    pushed = points.copy()
+    pushed[points[:, 2] > 0.6, 2] -= 2.5
+    with pytest.raises(MeshError, match="cuts through itself"):
+        without_intersections(pushed, triangles)
