@@ -24,7 +24,7 @@ VECTOR_TENSION = 0.70
 
 NODE_MODULI = ("bulk_modulus", "foundation")
 EDGE_MODULI = ("connectivity_modulus", "surface_tension", "stretch_stiffness")
-MODULI = NODE_MODULI + EDGE_MODULI
+MODULI = (*NODE_MODULI, *EDGE_MODULI, "shear_modulus")
 
 
 class ParameterError(ValueError):
@@ -42,6 +42,7 @@ class Parameters:
     foundation : k [Pa/m], scalar or (N,) (consistent; vector, where zero is the default)
     surface_tension : T [N/m], scalar or (E,) (consistent, vector)
     stretch_stiffness : E_s [N/m], scalar or (E,) (vector)
+    shear_modulus : mu [Pa], one number (boundary)
     rotation : which rotation is free of tension: none, one for the body, one per node (vector)
     tension_stiffening : gamma of the nonlinear volumic tension B_ij (1 + gamma s^2) s, s the difference of two
         neighbours' dV over their mean V_i (paper, nonlinear solver); zero is equation 8
@@ -52,6 +53,7 @@ class Parameters:
     foundation: float | Array | None = None
     surface_tension: float | Array | None = None
     stretch_stiffness: float | Array | None = None
+    shear_modulus: float | None = None
     rotation: Rotation = "global"
     tension_stiffening: float = 0.0
 
@@ -79,14 +81,15 @@ class Parameters:
         - paper: B = k V / A, and B_ij = T (V / A) / (sqrt(3) A / N), the constant that a mesh of N equal
           nodes of six neighbours needs for the same T: sum_j (L_i - L_j) = -(3/2) h^2 lap L and
           A_i = (sqrt(3)/2) h^2. A constant B_ij does not converge under refinement: it belongs to this mesh;
-        - vector: T = 0.70 mu R with one free rotation of the body.
+        - vector: T = 0.70 mu R with one free rotation of the body;
+        - boundary: mu itself.
 
         Parameters
         ----------
         youngs_modulus : E [Pa]
         poisson_ratio : nu, in (-1, 0.5]
         surface : the body's surface
-        formulation : "paper", "consistent" or "vector"
+        formulation : "paper", "consistent", "vector" or "boundary"
 
         Raises
         ------
@@ -109,7 +112,11 @@ class Parameters:
             return cls(foundation=foundation, surface_tension=tension)
         if formulation == "vector":
             return cls(surface_tension=VECTOR_TENSION * mu * radius)
-        raise ParameterError(f"unknown formulation {formulation!r}; use paper, consistent or vector")
+        if formulation == "boundary":
+            return cls(shear_modulus=mu)
+        raise ParameterError(
+            f"unknown formulation {formulation!r}; use paper, consistent, vector or boundary"
+        )
 
     def anisotropic(self, surface: SurfaceMesh, fibre: ArrayLike, contrast: float) -> Parameters:
         """The same material with a fibre direction (ANISOTROPIC): moduli per node and per edge.
@@ -126,8 +133,10 @@ class Parameters:
         Raises
         ------
         ParameterError
-            a zero direction or a contrast that is not positive.
+            a zero direction, a contrast that is not positive, or a shear modulus, which is isotropic.
         """
+        if self.shear_modulus is not None:
+            raise ParameterError("the boundary formulation is isotropic; use another one for fibres")
         direction = np.asarray(fibre, dtype=np.float64)
         length = float(np.linalg.norm(direction))
         if direction.shape != (3,) or not np.isfinite(length) or length == 0.0:

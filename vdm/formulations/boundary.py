@@ -1,0 +1,172 @@
+"""The surface that knows its inside: elastic forces by boundary integrals of the incompressible body, no fit."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import linalg, sparse
+
+from vdm.constraints import Load
+from vdm.deformed import DeformedSurface, follow
+from vdm.formulations.base import Factor, Formulation, Mask
+from vdm.formulations.boundary_integrals import layer_potentials, mass_matrix
+from vdm.formulations.vector import best_rotation
+from vdm.material import ParameterError, Parameters
+from vdm.solution import SolverError, Status
+from vdm.solvers.cholesky import SINGULAR
+from vdm.surface import SurfaceMesh
+
+Array = NDArray[np.float64]
+
+# four dense matrices of (3 x 3000)^2 doubles take 2.6 GB while they are made
+MAX_NODES = 3000
+# smallest over largest pivot of a factor that is told from a singular one
+PIVOT_TOLERANCE = 1e-6
+
+
+class BoundaryFormulation(Formulation):
+    """Stationary point of `1/2 u.S u - sum (dP + rho g delta_i) g_i.u_i - sum F_i.u_i` under `sum g_i.u_i = 0`.
+
+    S is the body's surface stiffness: the work of the tractions that an incompressible solid of shear modulus mu
+    needs for u, from the layer potentials, `S = mass V^-1 (I/2 - D)`. Two things that hold for the solid and only
+    nearly for the discrete operator are imposed: S is made symmetric, and rigid motions cost nothing, so that
+    reactions balance the load. The traction of V^-1 is taken without its mean pressure: that pressure is dP.
+
+    Dense, (3N)^2 numbers, set-up of order N^3. At large displacements S turns with the body's best-fit rotation.
+
+    Raises
+    ------
+    ParameterError
+        shear_modulus missing, zero or not a scalar.
+    SolverError
+        more than `MAX_NODES` nodes.
+    """
+
+    name = "boundary"
+    components = 3
+
+    def __init__(self, surface: SurfaceMesh, parameters: Parameters) -> None:
+        super().__init__(surface, parameters)
+        modulus = parameters.shear_modulus
+        if modulus is None or np.ndim(modulus) != 0 or not modulus > 0.0:
+            raise ParameterError("the boundary formulation needs shear_modulus, one positive number")
+        if surface.n_nodes > MAX_NODES:
+            raise SolverError(
+                Status(
+                    "too-large",
+                    f"the boundary formulation is dense: {surface.n_nodes} nodes are more than {MAX_NODES}",
+                    "use a coarser mesh or the vector formulation",
+                )
+            )
+        self.shear_modulus = float(modulus)
+        self.matrix = self.shear_modulus * surface_stiffness(surface)
+        self.columns = surface.area_vectors[:, :, None]
+        self.rows = self.columns
+        self.corner = np.zeros((1, 1))
+
+    def apply(self, x: Array) -> Array:
+        force: Array = (self.matrix @ x.reshape(-1)).reshape(-1, 3)
+        return force
+
+    def factor(self, free: Mask) -> Factor:
+        dofs = np.repeat(free, 3)
+        return DenseFactor(self.matrix[np.ix_(dofs, dofs)])
+
+    def stiffness(self) -> sparse.csr_array:
+        return sparse.csr_array(self.matrix)
+
+    def contact_force(self, load: Load) -> Array:
+        if load.contact_force is None:
+            return -self.surface.area_vectors * load.contact_pressure[:, None]
+        return load.contact_force
+
+    def unknown(self, displacement: Array) -> Array:
+        return displacement
+
+    def displacement(self, x: Array) -> Array:
+        return x
+
+    def nodal_force(self, generalised: Array) -> Array:
+        return generalised
+
+    def deformed_internal_force(self, x: Array, state: DeformedSurface) -> Array:  # noqa: ARG002 - x is in state
+        turn, unturned = self._unturned(state)
+        return self.apply(unturned) @ turn
+
+    def deformed_energy(self, x: Array, state: DeformedSurface) -> float:  # noqa: ARG002 - x is in state
+        unturned = self._unturned(state)[1]
+        return 0.5 * float(np.vdot(unturned, self.apply(unturned)))
+
+    def deformed_columns(self, state: DeformedSurface) -> tuple[Array, Array]:
+        return state.area_vectors, state.area_vectors
+
+    def deformed_contact_force(self, load: Load, state: DeformedSurface) -> Array:
+        if load.contact_force is None:
+            return -load.contact_pressure[:, None] * state.area_vectors
+        return follow(load.contact_force, self.surface.area_vectors, state.area_vectors)
+
+    def _unturned(self, state: DeformedSurface) -> tuple[Array, Array]:
+        """The best-fit rotation Q of the nodes and the displacement left after it is undone."""
+        rest = state.body.rest
+        turn = best_rotation(rest.T @ (state.positions - state.positions.mean(axis=0)))
+        return turn, state.positions @ turn.T - rest
+
+
+class DenseFactor:
+    """Cholesky factor of a symmetric positive definite dense matrix.
+
+    Raises
+    ------
+    SolverError
+        a matrix that is not positive definite.
+    """
+
+    def __init__(self, matrix: Array) -> None:
+        try:
+            self._factor = linalg.cho_factor(matrix, lower=True, check_finite=False)
+        except linalg.LinAlgError as error:
+            raise SolverError(SINGULAR) from error
+        diagonal = np.abs(np.diagonal(self._factor[0]))
+        if diagonal.min() < PIVOT_TOLERANCE * diagonal.max():
+            raise SolverError(SINGULAR)
+
+    def solve(self, right_hand_side: Array) -> Array:
+        """Solution of (n,) or (n, m) right-hand sides."""
+        return np.asarray(linalg.cho_solve(self._factor, right_hand_side, check_finite=False))
+
+
+def surface_stiffness(surface: SurfaceMesh) -> Array:
+    """(3N, 3N) symmetric stiffness [m] for mu = 1, rigid motions in its null space."""
+    single, jump = layer_potentials(surface)
+    normals = surface.normals.reshape(-1)
+    size = len(normals)
+    # V t + n lambda = (I/2 - D) u with g.t = 0: V is singular along n, and the border takes that pressure out
+    bordered = np.zeros((size + 1, size + 1))
+    bordered[:size, :size] = single
+    scale = float(np.abs(single).sum(axis=1).max())
+    bordered[:size, size] = scale * normals
+    bordered[size, :size] = scale * surface.area_vectors.reshape(-1) / surface.area
+    right = np.concatenate([jump, np.zeros((1, size))])
+    tractions = linalg.solve(bordered, right, overwrite_a=True, overwrite_b=True, check_finite=False)[:size]
+    mass = mass_matrix(surface)
+    stiffness = np.asarray(mass @ tractions.reshape(surface.n_nodes, -1)).reshape(size, size)
+    stiffness = 0.5 * (stiffness + stiffness.T)
+    rigid = rigid_motions(surface)
+    stiffness -= rigid @ (rigid.T @ stiffness)
+    stiffness -= (stiffness @ rigid) @ rigid.T
+    # a change of volume, which the constraint rules out, must not be free: it would make the block indefinite
+    gradient = surface.area_vectors.reshape(-1)
+    gradient = gradient - rigid @ (rigid.T @ gradient)
+    gradient /= np.linalg.norm(gradient)
+    stiffness += np.abs(np.diagonal(stiffness)).max() * np.outer(gradient, gradient)
+    return 0.5 * (stiffness + stiffness.T)
+
+
+def rigid_motions(surface: SurfaceMesh) -> Array:
+    """(3N, 6) orthonormal basis of the infinitesimal rigid motions."""
+    centred = surface.points - surface.points.mean(axis=0)
+    motions = [np.broadcast_to(axis, centred.shape) for axis in np.eye(3)]
+    motions += [np.cross(axis, centred) for axis in np.eye(3)]
+    flat = np.stack([motion.reshape(-1) / np.linalg.norm(motion) for motion in motions], axis=1)
+    basis: Array = np.linalg.qr(flat)[0]
+    return basis
