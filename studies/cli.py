@@ -105,11 +105,13 @@ def _parser() -> argparse.ArgumentParser:
     run.add_argument("--fresh", action="store_true", help="run every case again")
     run.add_argument("--fail-fast", action="store_true", help="stop at the first failure")
     run.add_argument("--timeout", type=_positive_seconds, metavar="S", help="seconds that one case may take")
-    for name, function, text in (
-        ("status", _status, "say what is done, failed and missing"),
-        ("report", _report, "rebuild the report from the stored results"),
-    ):
-        verb(name, function, text).add_argument("directory", type=Path, metavar="DIR", help="run directory")
+    status = verb("status", _status, "say what is done, failed and missing")
+    report = verb("report", _report, "rebuild the report from the stored results")
+    for sub in (status, report):
+        sub.add_argument("directory", type=Path, metavar="DIR", help="run directory")
+    report.add_argument(
+        "--picture", type=Path, metavar="FILE", help="write a PNG of reference, model and difference too"
+    )
     verb("doctor", _doctor, "say what the machine has and lacks")
     return parser
 
@@ -174,7 +176,6 @@ def _plan(options: argparse.Namespace) -> int:
 def _run(options: argparse.Namespace) -> int:
     from .config import expand
     from .run import Options, run_plan
-    from .store import read_run
 
     study, path = _load(options)
     plan = _make_plan(study, expand(study), options)
@@ -187,8 +188,8 @@ def _run(options: argparse.Namespace) -> int:
     )
     cases = plan.cases_to_run(how.shard, fresh=how.fresh)
     with _Progress(len(cases) + len(plan.missing_meshes(cases)), quiet=options.json) as progress:
-        report = run_plan(plan, path.read_text(), how, progress.show)
-    return _print_run(read_run(plan.directory), plan.directory, report, options.json)
+        run, report = run_plan(plan, path.read_text(), how, progress.show)
+    return _print_run(run, plan.directory, report, options.json)
 
 
 def _status(options: argparse.Namespace) -> int:
@@ -212,11 +213,13 @@ def _status(options: argparse.Namespace) -> int:
 
 def _report(options: argparse.Namespace) -> int:
     from .run import rebuild
-    from .store import read_run
 
-    return _print_run(
-        read_run(options.directory), options.directory, rebuild(options.directory), options.json
-    )
+    run, report = rebuild(options.directory)
+    if options.picture:
+        from .report.page import write_picture
+
+        write_picture(run, options.picture)
+    return _print_run(run, options.directory, report, options.json)
 
 
 def _doctor(options: argparse.Namespace) -> int:

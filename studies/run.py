@@ -14,6 +14,7 @@ from typing import Any
 
 import tomli_w
 
+from .case import Run
 from .config import resolved
 from .execute import Outcome, run_tasks, write_failure
 from .files import write_atomically
@@ -47,8 +48,10 @@ class Options:
     fresh: bool = False
 
 
-def run_plan(plan: Plan, study_text: str, options: Options, watch: Callable[[Event], None]) -> Path:
-    """Do what is missing of a plan, then write the tables and the report; returns the report's path.
+def run_plan(
+    plan: Plan, study_text: str, options: Options, watch: Callable[[Event], None]
+) -> tuple[Run, Path]:
+    """Do what is missing of a plan, then write the tables and the report; returns the run and the report's path.
 
     Raises
     ------
@@ -66,15 +69,15 @@ def run_plan(plan: Plan, study_text: str, options: Options, watch: Callable[[Eve
         return rebuild(plan.directory)
 
 
-def rebuild(directory: Path) -> Path:
-    """Write the tables and the report from the stored results alone; returns the report's path."""
+def rebuild(directory: Path) -> tuple[Run, Path]:
+    """Write the tables and the report from the stored results alone; returns the run and the report's path."""
     from .report.page import write_report  # plotting takes a second to load: after the work, not before
 
     run = read_run(directory)
     write_study(directory, run)
     report = directory / "report.html"
     write_report(run, report)
-    return report
+    return run, report
 
 
 def _run_missing(plan: Plan, options: Options, watch: Callable[[Event], None]) -> None:

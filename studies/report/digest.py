@@ -154,6 +154,17 @@ class Digest:
             if name != self.reference and any(series(case, name, VECTOR) is not None for case in self.cases)
         )
 
+    @cached_property
+    def coarse_reference(self) -> str | None:
+        """The reference's own model on the case's mesh, where the cases were held against it on a refined one."""
+        asked = self.run.study.get("reference")
+        return asked if asked != self.reference and asked in self.compared else None
+
+    @cached_property
+    def on_trial(self) -> tuple[str, ...]:
+        """The compared models that are not the reference's own on a coarser mesh."""
+        return tuple(name for name in self.compared if name != self.coarse_reference)
+
     def colour(self, model: str) -> int:
         """The model's number in the palette."""
         if model == self.reference:
@@ -202,8 +213,9 @@ class Digest:
 
     @cached_property
     def focus(self) -> str | None:
-        """The model that the page looks at closely: the compared one with the smallest median error."""
-        rated = [(s.vector.median, s.name) for s in self.summaries if s.vector and s.name in self.compared]
+        """The model that the page looks at closely: the one on trial with the smallest median error."""
+        candidates = self.on_trial or self.compared
+        rated = [(s.vector.median, s.name) for s in self.summaries if s.vector and s.name in candidates]
         if rated:
             return min(rated, key=lambda pair: pair[0])[1]
         others = [name for name in self.models if name != self.reference]

@@ -66,7 +66,8 @@ def verdict(digest: Digest) -> list[str]:
             "The models were run without a reference, so this page shows what they answer "
             "and not how far they are from the truth."
         ]
-    rated = {s.name: s.vector for s in digest.summaries if s.name in digest.compared and s.vector}
+    candidates = digest.on_trial or digest.compared
+    rated = {s.name: s.vector for s in digest.summaries if s.name in candidates and s.vector}
     if not rated or digest.focus not in rated:
         return [f"No model has a result at full load to hold against {digest.reference}."]
     best = next(s for s in digest.summaries if s.name == digest.focus)
@@ -119,13 +120,15 @@ def _resolution(digest: Digest, error: Spread) -> str:
 
 
 def _cost(digest: Digest, best: ModelSummary) -> str:
-    reference = next((s for s in digest.summaries if s.is_reference), None)
+    """Against the reference's own model on the same mesh where there is one: a finer mesh costs more by choice."""
+    peer = digest.coarse_reference or digest.reference
+    reference = next((s for s in digest.summaries if s.name == peer), None)
     if reference is None or not (best.seconds_per_step > 0 and reference.seconds_per_step > 0):
         return ""
     ratio = reference.seconds_per_step / best.seconds_per_step
     text = (
         f"A frame of {best.name} costs {quantity(best.seconds_per_step, 's', 2)} after "
-        f"{quantity(best.seconds_setup, 's', 2)} of set-up, one of {digest.reference} "
+        f"{quantity(best.seconds_setup, 's', 2)} of set-up, one of {peer} "
         f"{quantity(reference.seconds_per_step, 's', 2)} after {quantity(reference.seconds_setup, 's', 2)}"
     )
     if ratio >= 1.5:

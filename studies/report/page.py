@@ -25,7 +25,12 @@ from .section_cost import run_time_against_error
 from .section_errors import error_against_load, error_against_parameters
 from .section_measures import all_measures
 from .section_mechanics import force_against_indentation, volume_drift
-from .section_view import Renderer, surfaces
+from .section_view import Renderer, still, surfaces
+
+
+class PictureError(ValueError):
+    """A picture that cannot be drawn, and why."""
+
 
 MOST_BYTES = 5_000_000
 _TEMPLATES = Path(__file__).parent / "templates"
@@ -48,6 +53,26 @@ SECTIONS_AFTER: tuple[Callable[[Digest], Section | None], ...] = (
     how_to_reproduce,
 )
 _JSON_ESCAPES = {"<": "\\u003c", ">": "\\u003e", "&": "\\u0026", "\u2028": "\\u2028", "\u2029": "\\u2029"}
+
+
+def write_picture(run: Run, path: Path) -> None:
+    """Write a PNG of the first key case: the reference, the model that comes closest, and their difference.
+
+    Raises
+    ------
+    PictureError
+        nothing to draw, or no off-screen renderer on this machine.
+    OSError
+        disk full or read-only.
+    """
+    digest = Digest(run)
+    panels = still(digest, digest.key_cases[0][1])[0] if digest.cases else []
+    if not panels:
+        raise PictureError("there is no finished case to draw")
+    files, why = picture.render([panels])
+    if why:
+        raise PictureError(why)
+    write_atomically(path, files[0])
 
 
 def write_report(run: Run, path: Path) -> None:

@@ -36,6 +36,9 @@ LINES = ("-", "--", "-.", ":")
 _INK, _GRID, _REFERENCE = "#010203", "#020304", "#030405"
 _MODELS = tuple(f"#0405{k:02x}" for k in range(PALETTE_SIZE))
 _WIDTH, _HEIGHT = 4.4, 3.0  # inches of 72 points: as wide as a phone, so that text stays readable there
+# the same for all plots, so that their axes line up on the page; room for a label and ticks of eight characters
+_MARGINS = {"left": 0.18, "right": 0.97, "bottom": 0.155, "top": 0.98}
+_BOTTOM_FOR_SLANTED_NAMES = 0.34
 _STYLE: dict[str, Any] = {
     "svg.fonttype": "none",
     "font.family": "DejaVu Sans",
@@ -94,7 +97,8 @@ class Plot:
 
     def __enter__(self) -> Axes:
         self._style.__enter__()
-        self._canvas = Canvas(figsize=(_WIDTH, _HEIGHT), layout="constrained")
+        self._canvas = Canvas(figsize=(_WIDTH, _HEIGHT))
+        self._canvas.subplots_adjust(**_MARGINS)
         self._canvas.patch.set_visible(False)
         self.axes: Axes = self._canvas.add_subplot()
         self.axes.patch.set_visible(False)
@@ -224,11 +228,12 @@ def _spacing(values: Array) -> float:
 def name_ticks(axes: Axes, ticks: Sequence[tuple[float, str]]) -> None:
     """Named ticks (position, name) on the x axis: thinned where there are many, slanted where they collide."""
     ticks = ticks[:: max(1, -(-len(ticks) // _MOST_TICKS))]
-    names = [shortened(name) for _, name in ticks]
+    names = [shortened(name, 16) for _, name in ticks]
     axes.xaxis.set_major_locator(FixedLocator([x for x, _ in ticks]))
     axes.xaxis.set_major_formatter(FixedFormatter(names))
     axes.xaxis.set_minor_locator(NullLocator())
     if sum(len(name) for name in names) > 34:
+        axes.figure.subplots_adjust(bottom=_BOTTOM_FOR_SLANTED_NAMES)
         for label in axes.get_xticklabels():
             label.set_rotation(30)
             label.set_horizontalalignment("right")

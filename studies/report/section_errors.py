@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
 
 from ..case import CaseResult
 from .blocks import Block, Figure, Figures, Section, Text
@@ -35,7 +35,7 @@ def error_against_parameters(digest: Digest) -> Section | None:
         return None
     pairs = []
     for k, key in enumerate(digest.swept_keys):
-        axis = _axis(digest.cases, key)
+        axis = _axis(digest.cases, key, alone=len(digest.swept_keys) == 1)
         shown = [
             figure
             for j, (metric, title) in enumerate(QUANTITIES)
@@ -67,26 +67,31 @@ class _Axis:
 
     name: str
     label: str
-    kind: str  # "linear", "log" or "even"
+    kind: str  # "linear", "log", "even" (numbers, evenly spaced) or "names"
     cases: Sequence[CaseResult]  # those that have the parameter
     positions: Sequence[float]  # one per case
-    ticks: Sequence[tuple[float, str]]  # of an even axis
+    ticks: Sequence[tuple[float, str]]  # of an even axis or one of names
+    alone: bool  # whether nothing else is swept
+
+    def line(self, style: str, points: int, values: int) -> str:
+        """`style` where a line through `values` values of `points` cases means something, else "none"."""
+        ordered = self.kind != "names"
+        return style if ordered and (values <= _MOST_JOINED or (self.alone and values == points)) else "none"
 
 
 def _is_placed(value: float | str | None) -> bool:
     return isinstance(value, str) or (value is not None and math.isfinite(value))
 
 
-def _axis(all_cases: Iterable[CaseResult], key: str) -> _Axis:
+def _axis(all_cases: Iterable[CaseResult], key: str, *, alone: bool) -> _Axis:
     cases = [case for case in all_cases if _is_placed(case.swept.get(key))]
     values = [case.swept[key] for case in cases]
     name = parameter_name(key)
     numbers = [float(value) for value in values if not isinstance(value, str)]
     if len(numbers) < len(values):
-        names = sorted({str(value) for value in values})
-        at = {text: float(k) for k, text in enumerate(names)}
-        ticks = [(at[text], text) for text in names]
-        return _Axis(name, name, "even", cases, [at[str(value)] for value in values], ticks)
+        at = {text: float(k) for k, text in enumerate(dict.fromkeys(str(value) for value in values))}
+        ticks = [(x, text) for text, x in at.items()]
+        return _Axis(name, name, "names", cases, [at[str(value)] for value in values], ticks, alone)
     factor, unit = scale_of(next((case.swept_units.get(key, "1") for case in cases), "1"), numbers)
     kind, where = place([value / factor for value in numbers])
     return _Axis(
@@ -96,12 +101,12 @@ def _axis(all_cases: Iterable[CaseResult], key: str) -> _Axis:
         cases=cases,
         positions=[where[value / factor] for value in numbers],
         ticks=[(x, swept_value(value, "1")) for value, x in where.items()],
+        alone=alone,
     )
 
 
 def _against_parameter(digest: Digest, axis: _Axis, metric: str, title: str, salt: str) -> Figure | None:
     described = []
-    alone = len(digest.swept_keys) == 1
     plot = Plot(axis.label, title, salt)
     with plot as axes:
         for rank, model in enumerate(digest.compared):
@@ -109,40 +114,41 @@ def _against_parameter(digest: Digest, axis: _Axis, metric: str, title: str, sal
             points = [(x, y) for x, y in zip(axis.positions, errors, strict=True) if math.isfinite(y)]
             if not points:
                 continue
-            k = digest.colour(model)
-            medians = _medians(points)
-            joined = len(medians) <= _MOST_JOINED or (alone and len(medians) == len(points))
-            if len(medians) < len(points) or not joined:
-                aside = _ASIDE * (rank - (len(digest.compared) - 1) / 2) if axis.kind == "even" else 0.0
-                some = [(x + aside, y) for x, y in points[:: _stride(axis.cases)]]
-                style: dict[str, Any] = {
-                    "marker": marker(k),
-                    "color": colour(k),
-                    "markersize": 2.6,
-                    "alpha": 0.45,
-                }
-                axes.plot(*zip(*some, strict=True), linestyle="none", **style)
-            if joined:
-                axes.plot(*zip(*medians, strict=True), line(k), marker=marker(k), color=colour(k))
+            aside = rank - (len(digest.compared) - 1) / 2
+            _draw_model(axes, axis, points, digest.colour(model), _ASIDE * aside)
             low, high = min(y for _, y in points), max(y for _, y in points)
             described.append(f"{model} from {short_percent(low)} to {short_percent(high)}")
         if not described:
             return None
         bars = [(x, reference_bar(case, metric)) for x, case in zip(axis.positions, axis.cases, strict=True)]
         if known := _medians([(x, bar) for x, bar in bars if math.isfinite(bar)]):
-            style = {"color": colour(REFERENCE), "linewidth": 1.0, "marker": "o", "markersize": 2.5}
-            axes.plot(
-                *zip(*known, strict=True), "--" if alone or len(known) <= _MOST_JOINED else "none", **style
-            )
-        if axis.kind == "even":
+            style = axis.line("--", len(axis.cases), len(known))
+            x, y = zip(*known, strict=True)
+            axes.plot(x, y, style, color=colour(REFERENCE), linewidth=1.0, marker="o", markersize=2.5)
+        if axis.kind in ("even", "names"):
             name_ticks(axes, axis.ticks)
         elif axis.kind == "log":
             log_axis(axes, "x")
-        percent_axis(
-            axes, [at_full_load(c, m, q) for c in axis.cases for m in digest.compared for q, _ in QUANTITIES]
-        )
+        both = [at_full_load(c, m, q) for c in axis.cases for m in digest.compared for q, _ in QUANTITIES]
+        percent_axis(axes, both)
     heading = f"{title} against {axis.name}"
     return Figure(plot.drawn(f"{heading}: {listed(described)}."), heading)
+
+
+def _draw_model(
+    axes: Axes, axis: _Axis, points: Sequence[tuple[float, float]], number: int, aside: float
+) -> None:
+    """The cases of one model, and the medians over the cases that share a value where they do or form a line."""
+    medians = _medians(points)
+    style = axis.line(line(number), len(points), len(medians))
+    shared = len(medians) < len(points)
+    if shared or (style == "none" and axis.kind != "names"):
+        shift = aside if axis.kind in ("even", "names") else 0.0
+        x, y = zip(*points[:: _stride(axis.cases)], strict=True)
+        at = [position + shift for position in x]
+        axes.plot(at, y, "none", marker=marker(number), color=colour(number), markersize=2.6, alpha=0.45)
+    if style != "none" or axis.kind == "names":
+        axes.plot(*zip(*medians, strict=True), linestyle=style, marker=marker(number), color=colour(number))
 
 
 def _medians(points: Iterable[tuple[float, float]]) -> list[tuple[float, float]]:

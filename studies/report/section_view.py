@@ -25,7 +25,7 @@ def surfaces(digest: Digest, room: int, render: Renderer) -> Section | None:
         return None
     notes: list[str] = []
     pictures: list[tuple[str, str, str]] = []
-    stills = [(_title(digest, role, case), *_still(digest, case)) for role, case in digest.key_cases]
+    stills = [(_title(digest, role, case), *still(digest, case)) for role, case in digest.key_cases]
     stills = [still for still in stills if still[1]]
     files, why = render([panels for _, panels, _ in stills]) if stills else ([], "")
     for (title, _, words), file in zip(stills, files, strict=False):
@@ -65,7 +65,7 @@ def _title(digest: Digest, role: str, case: CaseResult) -> str:
     return f"{role[:1].upper()}{role[1:]}: {name}" if role else name
 
 
-def _still(digest: Digest, case: CaseResult) -> tuple[list[Panel], str]:
+def still(digest: Digest, case: CaseResult) -> tuple[list[Panel], str]:
     """Reference, focus model and their difference at full load, drawn alike, and what they show in words."""
     step, scale, seen_from = full_load(case), displacement_scale(case), azimuth(case)
     names = [name for name in dict.fromkeys((case.reference, digest.focus)) if name in case.models]

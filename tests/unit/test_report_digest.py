@@ -238,3 +238,18 @@ def test_indentation_is_the_deepest_node_of_the_contact() -> None:
     depth = AMPLITUDE * (1.5 * top**2 - 0.5)
     assert_allclose(indentation(case, REFERENCE), [0.5 * depth, depth], rtol=2e-3, atol=ATOL)  # facet normals
     assert_allclose(indentation(case, "m"), 1.5 * indentation(case, REFERENCE), rtol=RTOL, atol=ATOL)
+
+
+def test_the_reference_on_the_coarser_mesh_is_not_on_trial() -> None:
+    refined = f"{REFERENCE} refined"
+    case = make_case({"vdm": 0.2, "other": 0.3, REFERENCE: 0.01}, reference=refined)
+    run = make_run([case], models=["vdm", "other", REFERENCE], reference=REFERENCE)
+    digest = Digest(run)
+    assert digest.reference == refined
+    assert digest.compared == ("vdm", "other", REFERENCE)
+    assert digest.on_trial == ("vdm", "other")
+    assert digest.focus == "vdm", "not the one that is nearly the reference itself"
+    words = " ".join(headline.verdict(digest))
+    assert "vdm, the closest of 2 models" in words
+    assert f"one of {REFERENCE} 1.2 ms" in words, "cost is told beside the same mesh"
+    assert [row["model"] for row in headline.headline_rows(run)][-2:] == [REFERENCE, f"{refined} (reference)"]
