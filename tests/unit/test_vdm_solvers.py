@@ -253,3 +253,11 @@ def test_anderson_solves_a_linear_fixed_point_in_as_many_steps_as_unknowns():
     for _ in range(7):
         x = mixing.next(x, matrix @ x + right - x)
     assert_allclose(x, np.linalg.solve(np.eye(5) - matrix, right), rtol=0.0, atol=1e-8)
+
+
+@pytest.mark.parametrize("formulation", NAMES)
+def test_nonlinear_corrections_point_the_right_way(formulation):
+    loads = [PUSH, PUSH.scaled(1.05)]
+    iterations = model(formulation, solver="nonlinear").solve(loads).iterations
+    # the mixing converges even with a wrong sign in a correction, but then needs six
+    assert np.all(iterations <= 5)

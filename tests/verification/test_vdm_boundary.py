@@ -62,7 +62,7 @@ def test_single_layer_of_a_constant_traction_on_the_ball():
 
 
 def ball_error(degree: int, level: int) -> float:
-    """Relative error of u_r under P_n against the exact c_n; the load has no resultant: rigid motions may be held."""
+    """Relative error of u_r under P_n against the exact c_n; no resultant, so rigid motions may be held."""
     surface = ball(level)
     stiffness = surface_stiffness(surface)
     harmonic = eval_legendre(degree, surface.points[:, 2])
