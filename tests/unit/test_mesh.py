@@ -296,15 +296,16 @@ def test_intersections_are_those_that_sampling_finds() -> None:
         ).all(axis=1)
 
     samples = np.linspace(0, 1, 401)[:, None]
-    crossed = set()
-    for facet, (a, b, c) in enumerate(points[triangles]):
-        path = np.concatenate([a + samples * (b - a), b + samples * (c - b), c + samples * (a - c)])
-        within = inside(path - shift)
-        if within.any() and not within.all():
-            crossed.add(facet)
-    # a facet can be cut without its edges changing sides (a corner of the other pokes through): a superset
-    assert crossed <= set(found[:, 0].tolist())
-    assert len(crossed) > 20
+    # a facet can be cut without its edges changing sides (a corner of the other pokes through): supersets
+    for column, offset in ((0, -shift), (1, shift)):
+        crossed = set()
+        for facet, (a, b, c) in enumerate(points[triangles] + offset):
+            path = np.concatenate([a + samples * (b - a), b + samples * (c - b), c + samples * (a - c)])
+            within = inside(path)
+            if within.any() and not within.all():
+                crossed.add(facet + column * len(triangles))
+        assert crossed <= set(found[:, column].tolist())
+        assert len(crossed) > 20
 
 
 def test_a_tangle_is_smoothed_out() -> None:
