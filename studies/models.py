@@ -101,6 +101,11 @@ def _vdm_vector(scene: Scene, solver: str, name: str) -> VdmSolution:
     return _vdm(scene, "vector", solver, name)
 
 
+@_model("vdm-boundary", version="1", solvers=("linear", "nonlinear"))
+def _vdm_boundary(scene: Scene, solver: str, name: str) -> VdmSolution:
+    return _vdm(scene, "boundary", solver, name)
+
+
 @_model("fem-linear", version="1", volumetric=True)
 def _fem_linear(scene: Scene, solver: str, name: str) -> FemSolution:  # noqa: ARG001
     from fem_reference.linear import LinearProblem, Load

@@ -273,6 +273,7 @@ class VdmTable(Table):
 
     bulk_modulus: Modulus | None = Field(None, description="B of the paper")
     connectivity_modulus: Modulus | None = Field(None, description="B_ij of the paper")
+    shear_modulus: Modulus | None = Field(None, description="mu of the boundary form")
     foundation: Annotated[float, SI("Pa/m"), _not_negative] | None = Field(
         None, description="k, stiffness against normal displacement per area"
     )

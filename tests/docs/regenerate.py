@@ -59,7 +59,9 @@ def main() -> None:
     surface = ["--surface", str(Path(sys.argv[1]).resolve())] if len(sys.argv) > 1 else []
     with tempfile.TemporaryDirectory() as name:
         table = headline_table(Path(name))
-        README.write_text(_TABLE.sub(lambda found: found.group(1) + table + found.group(2), README.read_text()))
+        README.write_text(
+            _TABLE.sub(lambda found: found.group(1) + table + found.group(2), README.read_text())
+        )
         STUDY_KEYS.write_text(study_keys())
         vdmbench("run", "liver-palpation", *surface, "--out", "liver", cwd=Path(name))
         result = vdmbench("report", "liver", "--picture", "liver.png", cwd=Path(name))

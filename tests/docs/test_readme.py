@@ -20,7 +20,9 @@ def blocks(language: str) -> list[str]:
 
 
 def test_the_result_table_is_what_the_command_prints(tmp_path: Path) -> None:
-    assert regenerate.headline_table(tmp_path) == regenerate.table_in_readme(), "run `make docs` and look at it"
+    assert regenerate.headline_table(tmp_path) == regenerate.table_in_readme(), (
+        "run `make docs` and look at it"
+    )
 
 
 def test_the_first_study_and_its_commands(tmp_path: Path) -> None:
