@@ -10,7 +10,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 import vdm.solution
 from fem_reference import solution
-from fem_reference.linear import ELEMENTS, LinearProblem
+from fem_reference.linear import LinearProblem
 from fem_reference.outputs import OUTPUTS
 from fem_reference.solution import SolverError
 from tests.unit.fem_shapes import Body, ball, cube
@@ -35,14 +35,15 @@ def test_solution_has_the_fields_of_the_surface_model() -> None:
         assert [f.name for f in fields(ours)] == [f.name for f in fields(theirs)]
 
 
-@pytest.mark.parametrize("poisson_ratio", [-0.5, 0.0, 0.3, 0.4999, 0.5])
-@pytest.mark.parametrize("element", list(ELEMENTS))
+@pytest.mark.parametrize(
+    ("element", "poisson_ratio"),
+    [("P2-P1", nu) for nu in (-0.5, 0.0, 0.3, 0.4999, 0.5)]
+    + [(e, nu) for e in ("P2", "P1") for nu in (-0.5, 0.45)],
+)
 @pytest.mark.parametrize("solver", ["direct", "iterative"])
 def test_reactions_balance_pressure_and_weight(
     block: Body, solver: str, element: str, poisson_ratio: float
 ) -> None:
-    if poisson_ratio == 0.5 and element != "P2-P1":
-        pytest.skip("refused, see below")
     problem = block.problem(
         _bottom(block),
         poisson_ratio=poisson_ratio,
@@ -57,9 +58,7 @@ def test_reactions_balance_pressure_and_weight(
     q = np.array([0.223381589678011] * 3 + [0.109951743655322] * 3)
     applied = -block.area_vectors.T @ (pressure @ q) + 2.0 * np.array([1.0, 2.0, -9.81])  # volume one
     assert s.status[0].ok
-    # Locked, the moved support's forces on itself are thousands of times the load: they set the scale there.
-    size = np.abs(applied).max() if element == "P2-P1" else np.abs(s.reaction_force).sum()
-    assert_allclose(s.reaction_force[0].sum(axis=0), -applied, rtol=0, atol=1e-9 * size)
+    assert_allclose(s.reaction_force[0].sum(axis=0), -applied, rtol=0, atol=1e-9 * np.abs(applied).max())
     assert_array_equal(s.reaction_force[0][~_bottom(block)], 0.0)
     assert_allclose(s.displacement[0][_bottom(block)], given[_bottom(block)], rtol=0, atol=1e-16)
 
