@@ -11,6 +11,7 @@ import gmsh
 import numpy as np
 
 from studies.geometry_spec import (
+    MAX_NODES,
     Geometry,
     area_and_volume,
     check_extent,
@@ -56,7 +57,7 @@ _OPTIONS = {
 }
 
 
-def build_mesh(geometry: Geometry, *, volume: bool = True, max_nodes: int = 2_000_000) -> Mesh:
+def build_mesh(geometry: Geometry, *, volume: bool = True, max_nodes: int = MAX_NODES) -> Mesh:
     """Mesh a geometry: tetrahedra and their boundary, or with `volume=False` the same surface alone.
 
     Deterministic: equal inputs and package versions give equal bytes. `Mesh.quality` holds counts, volume

@@ -19,6 +19,7 @@ SURFACE_SUFFIXES = (".stl", ".obj", ".ply", ".vtp")
 VOLUME_SUFFIXES = (".msh", ".vtu", ".vtk")
 
 SMALLEST_EXTENT = 1e-3  # m; outside these two a length in the wrong unit is far likelier than such an organ
+MAX_NODES = 2_000_000  # of a mesh
 LARGEST_EXTENT = 10.0  # m
 
 # The organ's extents, area and volume for size 1, measured on its finest surface.

@@ -12,7 +12,7 @@ from typing import Any
 
 from . import models
 from .config import ResolvedCase, case_inputs, geometry_of, resolved
-from .geometry_spec import Geometry, geometry_key
+from .geometry_spec import MAX_NODES, Geometry, area_and_volume, check_node_budget, geometry_key
 from .mesh_cache import mesh_path
 from .schema import Study
 from .store import case_path, case_state
@@ -129,6 +129,9 @@ def make_plan(study: Study, cases: Sequence[ResolvedCase], directory: Path, cach
     planned = []
     for case in cases:
         geometry, volume = geometry_of(case.study), needs_volume(case.study)
+        if geometry.shape != "file":  # whose size is known only once it is read
+            area, inside = area_and_volume(geometry)
+            check_node_budget(area, inside if volume else 0.0, geometry.mesh_size, MAX_NODES)
         key = geometry_key(geometry, volume=volume)
         meshes[key] = PlannedMesh(key, geometry, volume)
         planned.append(
