@@ -22,6 +22,8 @@ import numpy as np
 # off-screen GL: the library and the VTK window class that uses it
 _LIBRARIES = (("libEGL.so.1", "vtkEGLRenderWindow"), ("libOSMesa.so.8", "vtkOSOpenGLRenderWindow"))
 _PANEL = 420  # pixels
+_MARGIN = 1.06  # of the body's extent, seen from the camera
+_SHAPES = (0.45, 1.1)  # least and largest height of a panel over its width
 _TIMEOUT = 120.0  # seconds for all pictures together
 _ELEVATION = np.radians(22.0)
 _PACKAGE_ROOT = Path(__file__).parents[2]
@@ -108,15 +110,28 @@ def main(arguments: Sequence[str]) -> None:
             _draw(dict(arrays), json.loads(file.with_suffix(".json").read_text()), file.with_suffix(".png"))
 
 
+def _directions(azimuth: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Unit vectors towards the viewer, to the right and up, seen from an azimuth about z [rad]."""
+    cos, sin, level, rise = np.cos(azimuth), np.sin(azimuth), np.cos(_ELEVATION), np.sin(_ELEVATION)
+    return (
+        np.array([cos * level, sin * level, rise]),
+        np.array([-sin, cos, 0.0]),
+        np.array([-cos * rise, -sin * rise, level]),
+    )
+
+
 def _draw(arrays: Mapping[str, np.ndarray], panels: Sequence[Mapping[str, Any]], path: Path) -> None:
     import pyvista  # only here, in the child
 
-    plotter: Any = pyvista.Plotter(
-        off_screen=True, shape=(1, len(panels)), border=False, window_size=[_PANEL * len(panels), _PANEL]
-    )
     everything = np.concatenate([arrays[f"points{j}"] for j in range(len(panels))])
-    centre = (everything.min(axis=0) + everything.max(axis=0)) / 2
-    radius = float(np.linalg.norm(everything - centre, axis=1).max())
+    towards, right, up = _directions(float(panels[0]["azimuth"]))
+    low, high = (f([everything @ axis for axis in (right, up, towards)], axis=1) for f in (np.min, np.max))
+    half_width, half_height, half_depth = np.maximum(_MARGIN * (high - low) / 2, 1e-12)
+    centre = np.stack([right, up, towards], axis=1) @ ((low + high) / 2)
+    height = round(_PANEL * float(np.clip(half_height / half_width, *_SHAPES)))
+    plotter: Any = pyvista.Plotter(
+        off_screen=True, shape=(1, len(panels)), border=False, window_size=[_PANEL * len(panels), height]
+    )
     for j, about in enumerate(panels):
         plotter.subplot(0, j)
         points, triangles = arrays[f"points{j}"], arrays[f"triangles{j}"]
@@ -132,13 +147,9 @@ def _draw(arrays: Mapping[str, np.ndarray], panels: Sequence[Mapping[str, Any]],
             diffuse=0.7,
             specular=0.0,
         )
-        azimuth = float(about["azimuth"])
-        towards = np.array(
-            [np.cos(azimuth) * np.cos(_ELEVATION), np.sin(azimuth) * np.cos(_ELEVATION), np.sin(_ELEVATION)]
-        )
         plotter.enable_parallel_projection()
-        plotter.camera_position = [tuple(centre + 4 * radius * towards), tuple(centre), (0.0, 0.0, 1.0)]
-        plotter.camera.parallel_scale = 1.06 * radius
+        plotter.camera_position = [tuple(centre + 4 * half_depth * towards), tuple(centre), (0.0, 0.0, 1.0)]
+        plotter.camera.parallel_scale = max(half_height, half_width * height / _PANEL)
         plotter.reset_camera_clipping_range()
     plotter.enable_anti_aliasing("ssaa")
     plotter.screenshot(str(path), transparent_background=True)

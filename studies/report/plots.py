@@ -37,7 +37,7 @@ _INK, _GRID, _REFERENCE = "#010203", "#020304", "#030405"
 _MODELS = tuple(f"#0405{k:02x}" for k in range(PALETTE_SIZE))
 _WIDTH, _HEIGHT = 4.4, 3.0  # inches of 72 points: as wide as a phone, so that text stays readable there
 # the same for all plots, so that their axes line up on the page; room for a label and ticks of eight characters
-_MARGINS = {"left": 0.18, "right": 0.97, "bottom": 0.155, "top": 0.98}
+_MARGINS = {"left": 0.19, "right": 0.97, "bottom": 0.155, "top": 0.98}
 _BOTTOM_FOR_SLANTED_NAMES = 0.34
 _STYLE: dict[str, Any] = {
     "svg.fonttype": "none",

@@ -32,14 +32,25 @@ def test_panels_side_by_side_on_nothing() -> None:
     pixels = np.asarray(Image.open(io.BytesIO(png)))
     height, width, channels = pixels.shape
     assert channels == 4
-    assert width == 2 * height
+    assert abs(width / height - 2) < 0.05
     opaque = pixels[..., 3] > 128
-    for half in (opaque[:, :height], opaque[:, height:]):
-        assert 0.5 < half.mean() < np.pi / 4  # a disc that nearly fills its square
+    for half in (opaque[:, : width // 2], opaque[:, width // 2 :]):
+        assert 0.62 < half.mean() < np.pi / 4  # a disc that nearly fills its square
         assert not half[:4].any()
-    yellow, purple = pixels[int(0.1 * height), height // 2], pixels[int(0.9 * height), height // 2]
+    yellow, purple = pixels[int(0.1 * height), width // 4], pixels[int(0.9 * height), width // 4]
     assert yellow[0] > yellow[2], "the top has the largest value: viridis ends in yellow"
     assert purple[2] > purple[1], "and begins in purple"
+
+
+@has_gl
+def test_a_flat_body_has_a_flat_picture() -> None:
+    panel = ball()
+    flat = Panel(panel.points * [1.0, 1.0, 0.2], panel.triangles, panel.values, "viridis", 0.0)
+    (png,), _ = render([[flat]])
+    pixels = np.asarray(Image.open(io.BytesIO(png)))
+    assert 0.44 < pixels.shape[0] / pixels.shape[1] < 0.47
+    columns = np.flatnonzero((pixels[..., 3] > 128).any(axis=0))
+    assert columns[-1] - columns[0] > 0.9 * pixels.shape[1]
 
 
 @has_gl

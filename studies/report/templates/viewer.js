@@ -116,7 +116,8 @@
     gl.vertexAttribPointer(index, size, gl.FLOAT, false, 0, 0);
   };
 
-  const state = { case: 0, model: "", show: "model", step: 0, scale: 1, node: null, yaw: 0, pitch: 0.38, zoom: 1 };
+  const PITCH = 0.38; // from where the view begins, above the horizon
+  const state = { case: 0, model: "", show: "model", step: 0, scale: 1, node: null, yaw: 0, pitch: PITCH, zoom: 1, fit: 1 };
   let scene = null; // what is uploaded: geometry, drawn positions, fields, range
   let waiting = false;
   const redraw = () => {
@@ -125,13 +126,13 @@
     requestAnimationFrame(() => { waiting = false; draw(); });
   };
 
-  const axes = () => {
-    const [cy, sy, cp, sp] = [Math.cos(state.yaw), Math.sin(state.yaw), Math.cos(state.pitch), Math.sin(state.pitch)];
+  const axes = (yaw = state.yaw, pitch = state.pitch) => {
+    const [cy, sy, cp, sp] = [Math.cos(yaw), Math.sin(yaw), Math.cos(pitch), Math.sin(pitch)];
     return [[-sy, cy, 0], [-cy * sp, -sy * sp, cp], [cy * cp, sy * cp, sp]]; // right, up, towards the viewer
   };
   const sizes = () => {
     const aspect = canvas.width / canvas.height;
-    const s = (0.78 * state.zoom * Math.min(aspect, 1)) / scene.geometry.radius;
+    const s = state.zoom * state.fit;
     return [s / aspect, s, -0.2 / scene.geometry.radius];
   };
 
@@ -286,7 +287,22 @@
     redraw();
   };
   const zoom = (factor) => { state.zoom = Math.max(0.4, Math.min(30, state.zoom * factor)); redraw(); };
-  const resetView = () => { Object.assign(state, { yaw: cases[state.case].azimuth, pitch: 0.38, zoom: 1 }); redraw(); };
+  const resetView = () => {
+    Object.assign(state, { yaw: cases[state.case].azimuth, pitch: PITCH, zoom: 1 });
+    fitBody();
+    redraw();
+  };
+
+  // the rest shape, seen from where the view begins, takes most of the stage
+  function fitBody() {
+    const [right, up] = axes(cases[state.case].azimuth, PITCH);
+    const { points, centre } = scene.geometry;
+    const reach = [0, 0];
+    for (let k = 0; k < points.length; k += 3) {
+      for (const [j, axis] of [right, up].entries()) reach[j] = Math.max(reach[j], Math.abs(axis[0] * (points[k] - centre[0]) + axis[1] * (points[k + 1] - centre[1]) + axis[2] * (points[k + 2] - centre[2])));
+    }
+    state.fit = Math.min((0.82 * canvas.width) / canvas.height / reach[0], 0.74 / reach[1]);
+  }
 
   function pick(clientX, clientY) {
     const area = canvas.getBoundingClientRect();
@@ -413,7 +429,9 @@
   const fit = () => {
     const ratio = Math.min(devicePixelRatio, 2);
     [canvas.width, canvas.height] = [canvas.clientWidth * ratio, canvas.clientHeight * ratio].map((v) => Math.max(1, Math.round(v)));
-    if (scene) redraw();
+    if (!scene) return;
+    fitBody();
+    redraw();
   };
   fit();
   new ResizeObserver(fit).observe(canvas);
