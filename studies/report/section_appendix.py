@@ -9,7 +9,13 @@ from .blocks import Block, Code, Facts, Section, Text
 from .digest import Digest
 from .formatting import listed, plain, plural
 
-_MESH_UNITS = {"area": "m²", "volume": "m³", "seconds": "s", "surface_distance": "m"}
+_MESH_UNITS = {
+    "area": "m²",
+    "volume": "m³",
+    "seconds": "s",
+    "surface_distance_max": "m",
+    "surface_distance_mean": "m",
+}
 _SHORT = 16  # hex digits of a hash that are shown
 
 

@@ -297,11 +297,17 @@
   function fitBody() {
     const [right, up] = axes(cases[state.case].azimuth, PITCH);
     const { points, centre } = scene.geometry;
-    const reach = [0, 0];
-    for (let k = 0; k < points.length; k += 3) {
-      for (const [j, axis] of [right, up].entries()) reach[j] = Math.max(reach[j], Math.abs(axis[0] * (points[k] - centre[0]) + axis[1] * (points[k + 1] - centre[1]) + axis[2] * (points[k + 2] - centre[2])));
-    }
-    state.fit = Math.min((0.82 * canvas.width) / canvas.height / reach[0], 0.74 / reach[1]);
+    const reach = [right, up].map((axis) => {
+      let low = Infinity, high = -Infinity;
+      for (let k = 0; k < points.length; k += 3) {
+        const along = axis[0] * (points[k] - centre[0]) + axis[1] * (points[k + 1] - centre[1]) + axis[2] * (points[k + 2] - centre[2]);
+        low = Math.min(low, along);
+        high = Math.max(high, along);
+      }
+      for (let k = 0; k < 3; k++) centre[k] += (axis[k] * (low + high)) / 2;
+      return (high - low) / 2;
+    });
+    state.fit = Math.min((0.82 * canvas.width) / canvas.height / reach[0], 0.78 / reach[1]);
   }
 
   function pick(clientX, clientY) {
