@@ -1,0 +1,46 @@
+"""Things that are written twice for a reason, held together."""
+
+from __future__ import annotations
+
+import dataclasses
+import re
+from pathlib import Path
+
+import fem_reference.solution
+import vdm.solution
+from studies.case import ModelResult
+from studies.doctor import LIBRARIES
+
+ROOT = Path(__file__).parents[2]
+
+
+def fields(cls: type) -> dict[str, object]:
+    return {field.name: field.type for field in dataclasses.fields(cls)}
+
+
+def test_both_libraries_answer_in_the_same_words() -> None:
+    """Neither may import the other, so each has its own `Solution`."""
+    for name in ("Solution", "Status"):
+        assert fields(getattr(vdm.solution, name)) == fields(getattr(fem_reference.solution, name)), name
+    assert vdm.solution.CONVERGED.ok
+    assert fem_reference.solution.CONVERGED.ok
+
+
+def test_the_stored_result_keeps_all_that_a_solution_has() -> None:
+    assert fields(vdm.solution.Solution).keys() <= fields(ModelResult).keys()
+
+
+def test_make_and_doctor_want_the_same_libraries() -> None:
+    """`make` looks for them before there is a Python environment to ask."""
+    makefile = (ROOT / "Makefile").read_text()
+    assert dict(re.findall(r'"(lib[^"]+\.so\.\d+)": "([^"]+)"', makefile)) == LIBRARIES
+
+
+def test_what_is_required_is_pinned() -> None:
+    pinned = set(
+        re.findall(r"^([A-Za-z0-9_.-]+)==", (ROOT / "constraints.txt").read_text(), flags=re.MULTILINE)
+    )
+    normal = {name.lower().replace("_", "-") for name in pinned}
+    wanted = re.findall(r'^ +"([A-Za-z0-9-]+)>=', (ROOT / "pyproject.toml").read_text(), flags=re.MULTILINE)
+    assert len(wanted) > 15
+    assert {name.lower() for name in wanted} <= normal
