@@ -127,7 +127,10 @@ def _monomials(x: Array, order: int) -> Array:
     x0, x1, x2 = x[..., 0], x[..., 1], x[..., 2]
     terms = [np.ones_like(x0), x0, x1, x2]
     if order == 2:
-        terms += [x0 * x0, x1 * x1, x2 * x2, x1 * x2, x0 * x2, x0 * x1]
+        # The root of two makes a rotation of the axes an orthogonal mix of the terms: which patches are good
+        # enough for a fit does not depend on how the body lies.
+        root = np.sqrt(2.0)
+        terms += [x0 * x0, x1 * x1, x2 * x2, root * x1 * x2, root * x0 * x2, root * x0 * x1]
     return np.stack(terms, axis=-1)
 
 

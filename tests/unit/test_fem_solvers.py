@@ -166,6 +166,20 @@ def test_the_coarse_level_is_the_galerkin_product() -> None:
     assert_array_equal(restrict.toarray(), prolong.toarray().T)
 
 
+def test_the_preconditioner_is_symmetric_and_leaves_held_components_alone() -> None:
+    b = cube(3, distort=0.2)
+    mesh = TetMesh(*b.arrays)
+    system = build_system(mesh, held_nodes(mesh, b.surface == 0.0), mixed=True, poisson_ratio=0.3)
+    preconditioner = DisplacementPreconditioner(system)
+    held = system.held[system.kept].ravel()
+    rng = np.random.default_rng(0)
+    x, y = (np.where(held, 0.0, rng.standard_normal(len(held))) for _ in range(2))
+    assert held.any()
+    assert_array_equal(preconditioner(x)[held], 0.0)
+    assert_allclose(x @ preconditioner(y), y @ preconditioner(x), rtol=1e-10, atol=0)
+    assert x @ preconditioner(x) > 0.0
+
+
 def test_iterations_do_not_grow_towards_incompressibility() -> None:
     counts = []
     for poisson_ratio in (0.45, 0.4999, 0.5):
@@ -174,8 +188,8 @@ def test_iterations_do_not_grow_towards_incompressibility() -> None:
             np.ones((1, system.mesh.n_nodes, 3)), np.zeros((1, system.mesh.n_nodes, 3))
         )
         counts.append(int(IterativeSolver(system, None, "").solve(rhs).iterations[0]))
-    assert max(counts) <= 45
-    assert max(counts) - min(counts) <= 12
+    assert max(counts) <= 30, "28 with the pressure block as it is, 35 with three times it"
+    assert max(counts) - min(counts) <= 4
 
 
 def test_the_choice_follows_size_and_number_of_loads() -> None:
