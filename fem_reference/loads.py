@@ -110,6 +110,27 @@ def prescribed_nodes(mesh: TetMesh, loads: Sequence[Load]) -> Array:
     return values
 
 
+def multiples_of_one(forces: Array, prescribed: Array) -> tuple[int, Array] | None:
+    """The step that all others are multiples of, to rounding, and their (S,) factors; None where there is none.
+
+    Parameters
+    ----------
+    forces : (S, n_nodes, 3) [N]
+    prescribed : (S, n_nodes, 3) [m]
+    """
+    steps = len(forces)
+    parts = [values for values in (forces.reshape(steps, -1), prescribed.reshape(steps, -1)) if values.any()]
+    if not parts:
+        return None
+    unit = int(np.argmax(np.linalg.norm(parts[0], axis=1)))
+    factors = parts[0] @ parts[0][unit] / (parts[0][unit] @ parts[0][unit])
+    for values in parts:
+        tolerance = 1e-14 * np.abs(values).max()
+        if np.abs(values - factors[:, None] * values[unit]).max() > tolerance:
+            return None
+    return unit, factors
+
+
 def gather_to_vertices(mesh: TetMesh, nodal: Array) -> Array:
     """(S, N, 3) sums at surface vertices of (S, n_nodes, 3), half of an edge's value to each of its ends."""
     out = np.array(nodal[:, mesh.surface_nodes])
