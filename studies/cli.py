@@ -241,7 +241,6 @@ def _doctor(options: argparse.Namespace) -> int:
 
 def _load(options: argparse.Namespace) -> tuple[Study, Path]:
     from .config import load_study
-    from .models import model_names
 
     path = Path(options.study)
     if path.suffix != ".toml" and not path.exists():
@@ -252,10 +251,7 @@ def _load(options: argparse.Namespace) -> tuple[Study, Path]:
                 f"no study file {options.study!r} and no shipped study of that name; shipped are: {known}"
             )
         path = shipped
-    study = load_study(
-        path, allow_outside=options.allow_outside, surface=options.surface, known_models=model_names()
-    )
-    return study, path
+    return load_study(path, allow_outside=options.allow_outside, surface=options.surface), path
 
 
 def _make_plan(study: Study, cases: Any, options: argparse.Namespace) -> Plan:

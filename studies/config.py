@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import tomllib
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -36,7 +36,6 @@ __all__ = [
 ]
 
 MAX_BYTES = 1_000_000  # of a study file
-KNOWN_MODELS = ("vdm-paper", "vdm-consistent", "vdm-vector", "vdm-vector:nonlinear", "fem-linear", "fem")
 
 _NOT_HASHED = {"study", "sweep", "limits"}
 _LONG_NUMBER = re.compile(r"\d[\d_]{4000,}")
@@ -47,7 +46,6 @@ def load_study(
     *,
     allow_outside: bool = False,
     surface: Path | None = None,
-    known_models: Sequence[str] | Callable[[], Sequence[str]] = KNOWN_MODELS,
 ) -> Study:
     """Read and validate a study file; all cases of its sweep are validated too.
 
@@ -57,7 +55,6 @@ def load_study(
     allow_outside : whether the study may name files outside its own directory
     surface : a mesh file to use as the geometry, wherever it lies; `mesh_size` and the largest extent `size` of
         the study are kept
-    known_models : the model names that a study may list, or what gives them
 
     Raises
     ------
@@ -77,7 +74,7 @@ def load_study(
     at_axis = {axis.target.loc: axis.loc for axis in axes if base is not data}
     findings = [(at_axis.get(loc, loc), text) for loc, text in faults]
     findings += axis_findings
-    findings += _check_model_names(data, known_models() if callable(known_models) else known_models)
+    findings += _check_model_names(data)
     findings += _check_limits(data)
     swept_well = not axis_findings and not any(loc[:1] == ("sweep",) for loc, _ in findings)
     if axes and swept_well:
@@ -225,7 +222,10 @@ def _surface_geometry(geometry: Any, surface: Path) -> dict[str, Any]:
     return kept
 
 
-def _check_model_names(data: Mapping[str, Any], known: Sequence[str]) -> list[Finding]:
+def _check_model_names(data: Mapping[str, Any]) -> list[Finding]:
+    from .models import model_names  # the registry knows the solvers: only where it is needed
+
+    known = model_names()
     study = data.get("study")
     names = study.get("models") if isinstance(study, dict) else None
     return [

@@ -196,8 +196,8 @@ radius = "5 cm"
 shape = "sphere"
 [study]
 title = "Another title"
-models = ["vdm-paper", "fem"]
-reference = "fem"
+models = ["vdm-paper", "fem-linear"]
+reference = "fem-linear"
 name = "other"
 """
     first, second = (load(tmp_path, text) for text in (SMALL, other))
