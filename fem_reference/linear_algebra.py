@@ -9,6 +9,7 @@ from typing import Protocol
 import numpy as np
 import rslab
 from numpy.typing import NDArray
+from scipy.sparse import csc_array
 
 from fem_reference.krylov import RESTART, gmres, independent_columns
 from fem_reference.memory import available_memory, check_memory
@@ -83,8 +84,9 @@ class DirectSolver:
         self.reason = reason
         self._system = system
         self._memory_limit = memory_limit
-        self._symbolic = rslab.analyze(self._matrix(), path="ldlt")
-        self._factorise("float32")
+        matrix = self._matrix()
+        self._symbolic = rslab.analyze(matrix, path="ldlt")
+        self._factorise("float32", matrix)
 
     def solve(self, rhs: Array) -> Solved:
         """Solve in batches; see `Solver`."""
@@ -94,24 +96,24 @@ class DirectSolver:
             part = slice(start, start + BATCH)
             x[:, part], residual[part] = self._refine(rhs[:, part])
             if self.precision == "float32" and not residual[part].max() <= DIRECT_TOLERANCE:
-                self._factorise("float64")
+                self._factorise("float64", self._matrix())
                 x[:, part], residual[part] = self._refine(rhs[:, part])
         return Solved(x, residual, np.zeros(rhs.shape[1], dtype=np.int64))
 
-    def _matrix(self) -> object:
+    def _matrix(self) -> csc_array:
         system = self._system
         floor = _LEAST_COMPRESSIBILITY if system.compressibility >= 0.0 else system.compressibility
         return system.lower_triangle(max(system.compressibility, floor))
 
-    def _factorise(self, precision: str) -> None:
+    def _factorise(self, precision: str, matrix: csc_array) -> None:
         self.precision = precision
         self.estimated_bytes = float(self._symbolic.memory_plan(dtype=precision, nrhs=BATCH)["peak_bytes"])
         check_memory(self.estimated_bytes, self._memory_limit, self.name)
         try:
-            self._factor = self._symbolic.factor(self._matrix(), factor_dtype=precision)
+            self._factor = self._symbolic.factor(matrix, factor_dtype=precision)
         except RuntimeError as error:  # a pivot is zero at this precision
             if precision == "float32":
-                self._factorise("float64")
+                self._factorise("float64", matrix)
                 return
             raise SolverError(
                 Status(
@@ -162,6 +164,38 @@ class IterativeSolver:
             tolerance=_GMRES_TARGET,
             max_iterations=_MAX_ITERATIONS,
         )
+
+
+class IterativeThenDirect:
+    """Iterative until it fails to converge, direct from then on where the factors fit into memory."""
+
+    tolerance = ITERATIVE_TOLERANCE
+
+    def __init__(self, system: LinearSystem, memory_limit: float | None, reason: str) -> None:
+        self._system = system
+        self._memory_limit = memory_limit
+        self._use(IterativeSolver(system, memory_limit, reason))
+
+    def solve(self, rhs: Array) -> Solved:
+        """Solve; see `Solver`."""
+        solved = self._current.solve(rhs)
+        failed = ~(solved.residual <= self.tolerance)
+        if self.name == "direct" or not failed.any():
+            return solved
+        try:
+            self._use(DirectSolver(self._system, self._memory_limit, f"{self.reason}; it did not converge"))
+        except SolverError:
+            return solved
+        again = self._current.solve(rhs[:, failed])
+        x, residual = solved.x.copy(), solved.residual.copy()
+        x[:, failed], residual[failed] = again.x, again.residual
+        return Solved(x, residual, solved.iterations)
+
+    def _use(self, solver: DirectSolver | IterativeSolver) -> None:
+        self._current = solver
+        self.name = solver.name
+        self.reason = solver.reason
+        self.estimated_bytes = solver.estimated_bytes
 
 
 def relative_residual(system: LinearSystem, x: Array, rhs: Array) -> Array:
@@ -219,8 +253,8 @@ def estimate_costs(unknowns: int, vertices: int, loads: int, stiffening: float =
     coarse = 3000.0 * vertices
     iterations = float(np.sqrt(max(1.0, stiffening)))
     return {
-        "direct": Estimate(6.5 * size**1.6 + loads * 0.1 * size**1.3, 8.4e8 * size**1.3),
-        "iterative": Estimate(size + loads * 2.3 * iterations * size**1.1, vectors + coarse),
+        "direct": Estimate(10.0 * size**1.6 + loads * 0.1 * size**1.3, 8.4e8 * size**1.3),
+        "iterative": Estimate(0.8 * size + loads * 2.8 * iterations * size**1.1, vectors + coarse),
     }
 
 
@@ -268,4 +302,4 @@ def choose_solver(
                 "use a larger mesh_size or a machine with more memory",
             )
         )
-    return IterativeSolver(system, memory_limit, reason)
+    return IterativeThenDirect(system, memory_limit, reason)

@@ -173,7 +173,9 @@ class TetMesh:
                 raise _bad_mesh(f"{name} has an index outside 0..{size - 1}", "repair the mesh")
         unused = int((np.bincount(self.tetrahedra.ravel(), minlength=len(self.points)) == 0).sum())
         if unused:
-            raise _bad_mesh(f"{unused} of {len(self.points)} points belong to no tetrahedron", "remove them from the mesh")
+            raise _bad_mesh(
+                f"{unused} of {len(self.points)} points belong to no tetrahedron", "remove them from the mesh"
+            )
 
     def _affine_maps(self) -> tuple[Array, Array]:
         corners = self.points[self.tetrahedra]
@@ -194,7 +196,8 @@ class TetMesh:
         inverted = six_volumes < 0
         if inverted.any():
             raise _bad_mesh(
-                f"{inverted.sum()} of {len(inverted)} tetrahedra are inverted (the first is number {np.argmax(inverted)})",
+                f"{inverted.sum()} of {len(inverted)} tetrahedra are inverted"
+                f" (the first is number {np.argmax(inverted)})",
                 "swap two of their vertices or remesh the body",
             )
         return six_volumes / 6.0, cofactors / six_volumes[:, None, None]

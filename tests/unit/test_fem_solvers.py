@@ -14,6 +14,7 @@ from fem_reference.linear_algebra import (
     DirectSolver,
     Estimate,
     IterativeSolver,
+    IterativeThenDirect,
     choose_solver,
     estimate_costs,
     refine,
@@ -197,7 +198,9 @@ def test_the_choice_follows_size_and_number_of_loads() -> None:
         costs = estimate_costs(unknowns, unknowns // 22, loads, stiffening)
         return min(costs, key=lambda name: costs[name].seconds)
 
-    assert faster(16_500, 1) == "direct"
+    assert faster(16_500, 1) == "iterative"
+    assert faster(16_500, 2) == "direct"
+    assert faster(4_000, 1) == "direct"
     assert faster(417_000, 1) == "iterative"
     assert faster(107_000, 1) == "iterative"
     assert faster(107_000, 32) == "direct"
@@ -233,6 +236,28 @@ def test_auto_turns_to_the_iterative_path_when_the_analysis_finds_too_much_fill(
     solver = choose_solver(system, "auto", 40, limit)
     assert solver.name == "iterative"
     assert "the analysis found that the factors need more" in solver.reason
+
+
+def test_auto_factorises_when_the_iterations_fail(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(linear_algebra, "_MAX_ITERATIONS", 3)
+    system = _system()
+    rhs = np.random.default_rng(0).standard_normal((system.size, 2))
+    rhs[:, 1] = 0.0  # nothing to do: stays as it is
+    solver = IterativeThenDirect(system, None, "for a test")
+    assert solver.name == "iterative"
+    solved = solver.solve(rhs)
+    assert solver.name == "direct"
+    assert solver.reason == "for a test; it did not converge"
+    assert_allclose(solved.x[:, 0], _exact(system, rhs[:, 0]), rtol=0, atol=1e-9 * np.abs(solved.x).max())
+    assert_array_equal(solved.x[:, 1], 0.0)
+    assert_array_equal(solved.iterations, [3, 0])
+    assert_array_equal(solver.solve(rhs).iterations, 0)
+
+    tight = IterativeThenDirect(system, 1.01 * solver.estimated_bytes, "")
+    monkeypatch.setattr(tight, "_memory_limit", 1.0)
+    unsolved = tight.solve(rhs)
+    assert tight.name == "iterative"
+    assert unsolved.residual[0] > tight.tolerance
 
 
 def test_an_unknown_solver_is_told() -> None:
