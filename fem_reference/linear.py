@@ -109,7 +109,7 @@ class LinearProblem:
                 Status("bad-element", f"element {element!r} is unknown", f"use one of {', '.join(ELEMENTS)}")
             )
         order, mixed = ELEMENTS[element]
-        _check_material(youngs_modulus, poisson_ratio, density, mixed=mixed)
+        check_material(youngs_modulus, poisson_ratio, density, mixed=mixed)
         self.mesh = TetMesh(points, tetrahedra, surface_nodes, triangles, order=order)
         self.element = element
         self.youngs_modulus = float(youngs_modulus)
@@ -228,7 +228,8 @@ class LinearProblem:
         }
 
 
-def _check_material(youngs_modulus: float, poisson_ratio: float, density: float, *, mixed: bool) -> None:
+def check_material(youngs_modulus: float, poisson_ratio: float, density: float, *, mixed: bool) -> None:
+    """Raise a `SolverError` for moduli that no element, or not this one, can take; see `LinearProblem`."""
     if not (np.isfinite(youngs_modulus) and youngs_modulus > 0.0):
         raise _bad_material(f"youngs_modulus is {youngs_modulus}", "give a positive number of pascals")
     if not -1.0 < poisson_ratio <= 0.5:
