@@ -1,0 +1,219 @@
+"""Finite-strain elasticity on tetrahedra: the reference for large deformation, up to Poisson ratio 0.5 included."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from fem_reference.assembly import scalar_pattern
+from fem_reference.finite_strain_assembly import ElementAssembly
+from fem_reference.finite_strain_outputs import OUTPUTS, Record
+from fem_reference.follower import FollowerPressure
+from fem_reference.linear import check_material
+from fem_reference.loads import (
+    Load,
+    check_loads,
+    held_nodes,
+    nodal_forces,
+    prescribed_nodes,
+)
+from fem_reference.materials import make_law
+from fem_reference.mesh import TetMesh
+from fem_reference.newton import Newton, ScaledLoad, Substep
+from fem_reference.solution import Solution, SolverError, Status
+from fem_reference.system import LinearSystem, build_system
+from fem_reference.tangent_solver import TangentSolver
+
+__all__ = ["OUTPUTS", "PRESSURES", "FiniteStrainProblem", "Load"]
+
+Array = NDArray[np.float64]
+
+PRESSURES = ("follower", "dead")
+
+
+class FiniteStrainProblem:
+    """One body, one material and one set of supports, for load histories of any size.
+
+    Mixed displacement-pressure Taylor-Hood elements (P2-P1), total Lagrangian, for the laws of
+    `fem_reference.materials`; its small-load limit is `fem_reference.linear.LinearProblem`. Newton's method with
+    the consistent tangent; a load step that does not converge is cut into substeps, which grow again where it is easy.
+
+    Parameters
+    ----------
+    points, tetrahedra, surface_nodes, triangles : see `fem_reference.mesh.TetMesh`
+    youngs_modulus : of the isotropic part [Pa], positive
+    poisson_ratio : of the isotropic part, in (-1, 0.5]
+    density : of the undeformed body [kg/m^3]
+    held : (N,) surface nodes whose displacement is given, or (N, 3) single components of them (rollers)
+    material : "neo-hookean" or "transversely-isotropic"
+    fibre_direction : (3,) of any length, for the transversely isotropic law
+    contrast : Young's modulus along the fibres over `youngs_modulus`, 1 or more
+    pressure : "follower" acts on the deformed surface along its normal; "dead" keeps its first forces
+    solver : "auto" chooses by size, `expected_loads` and memory; "direct" or "iterative" insist
+    expected_loads : number of load steps to come, for the choice
+    max_newton : iterations after which a substep is cut in two
+    tolerance : of the residual of the scaled system, relative to its internal forces
+    memory_limit : bytes the solver may take; None for what the machine has left
+
+    Raises
+    ------
+    SolverError
+        Before any solve: unusable mesh, material, support or option, or too little memory.
+    """
+
+    def __init__(
+        self,
+        points: ArrayLike,
+        tetrahedra: ArrayLike,
+        surface_nodes: ArrayLike,
+        triangles: ArrayLike,
+        *,
+        youngs_modulus: float,
+        poisson_ratio: float,
+        density: float = 0.0,
+        held: ArrayLike,
+        material: str = "neo-hookean",
+        fibre_direction: ArrayLike | None = None,
+        contrast: float = 1.0,
+        pressure: str = "follower",
+        solver: str = "auto",
+        expected_loads: int = 1,
+        max_newton: int = 12,
+        tolerance: float = 1e-9,
+        memory_limit: float | None = None,
+    ) -> None:
+        start = time.perf_counter()
+        check_material(youngs_modulus, poisson_ratio, density, mixed=True)
+        if pressure not in PRESSURES:
+            raise _bad_option(f"pressure {pressure!r} is unknown", f"use one of {', '.join(PRESSURES)}")
+        if max_newton < 1:
+            raise _bad_option(f"max_newton is {max_newton}", "give 1 or more")
+        if not 0.0 < tolerance < 1.0:
+            raise _bad_option(f"tolerance is {tolerance}", "give a number between 0 and 1")
+        self.youngs_modulus = float(youngs_modulus)
+        self.poisson_ratio = float(poisson_ratio)
+        self.density = float(density)
+        self.shear_modulus = self.youngs_modulus / (2.0 * (1.0 + self.poisson_ratio))
+        self.material = material
+        self.pressure = pressure
+        # In units of the shear modulus, as everything below.
+        self._law = make_law(material, 2.0 * (1.0 + self.poisson_ratio), 1.0, fibre_direction, contrast)
+        self._contrast = float(contrast)
+        self.mesh = TetMesh(points, tetrahedra, surface_nodes, triangles, order=2)
+        self.held = held_nodes(self.mesh, np.asarray(held))
+        self.system: LinearSystem = build_system(
+            self.mesh, self.held, mixed=True, poisson_ratio=self.poisson_ratio
+        )
+        self.solver = TangentSolver(self.system, solver, expected_loads, memory_limit)
+        pattern = scalar_pattern(self.mesh)
+        self._assembly = ElementAssembly(self.mesh, pattern, self._law)
+        self._newton = Newton(
+            self.system,
+            pattern,
+            self._assembly,
+            FollowerPressure(self.mesh, pattern),
+            self.solver,
+            max_newton,
+            float(tolerance),
+        )
+        self.seconds_setup = time.perf_counter() - start
+
+    def substeps(self, loads: Sequence[Load]) -> Iterator[tuple[int, Substep]]:
+        """Follow a load history from the undeformed body, one attempt at a time.
+
+        Yields the number of the load step and each attempt, converged or not; ends early where a load step cannot
+        be reached. See `fem_reference.newton.Substep`; its quantities are in mean edges and shear moduli.
+
+        Raises
+        ------
+        SolverError
+            For a load of the wrong shape or with values that are not finite.
+        """
+        check_loads(self.mesh, loads)
+        nothing = Load(
+            *(np.zeros(np.shape(a)) for a in (loads[0].facet_pressure, loads[0].prescribed, np.zeros(3)))
+        )
+        start, state = self._scaled(nothing), self._newton.rest
+        for number, load in enumerate(loads):
+            end = self._scaled(load)
+            attempt = None
+            for attempt in self._newton.follow(state, start, end):
+                yield number, attempt
+            if attempt is None or not attempt.converged:
+                return
+            start, state = end, attempt.state
+
+    def solve(self, loads: Sequence[Load], outputs: frozenset[str] = frozenset()) -> Solution:
+        """Follow a load history: each step starts from the one before it, the first from the undeformed body.
+
+        Parameters
+        ----------
+        loads : the load steps
+        outputs : further scalars, see `OUTPUTS`
+
+        Returns
+        -------
+        Solution
+            `iterations` counts Newton iterations. A step that failed holds the last state in equilibrium on the
+            way to it, at the share of the step in scalars["load_factor"]; the steps after it hold NaN.
+
+        Raises
+        ------
+        SolverError
+            For a load of the wrong shape or with values that are not finite, and for an unknown output.
+        """
+        unknown = outputs - OUTPUTS.keys()
+        if unknown:
+            raise SolverError(
+                Status(
+                    "bad-output",
+                    f"output {sorted(unknown)[0]!r} is unknown",
+                    f"use some of {', '.join(OUTPUTS)}",
+                )
+            )
+        record = Record(
+            self.mesh, self._assembly, self.shear_modulus, self.system.pressure_scale, len(loads), outputs
+        )
+        factorisations, steps = self.solver.factorisations, self.solver.steps
+        for number, attempt in self.substeps(loads):
+            record.add(number, attempt)
+        return record.solution(
+            self.seconds_setup,
+            {
+                "element": "P2-P1",
+                "material": self.material,
+                "contrast": self._contrast,
+                "pressure": self.pressure,
+                "youngs_modulus": self.youngs_modulus,
+                "poisson_ratio": self.poisson_ratio,
+                "density": self.density,
+                "solver": self.solver.preconditioner.name,
+                "solver_reason": self.solver.reason,
+                "solver_estimated_bytes": self.solver.preconditioner.estimated_bytes,
+                "factorisations": float(self.solver.factorisations - factorisations),
+                "linear_iterations": float(self.solver.steps - steps),
+                "dofs": float(self.system.size),
+                "tetrahedra": float(len(self.mesh.tetrahedra)),
+            },
+        )
+
+    def _scaled(self, load: Load) -> ScaledLoad:
+        dead = load
+        follower = np.zeros(np.shape(load.facet_pressure))
+        if self.pressure == "follower":
+            follower = np.asarray(load.facet_pressure, dtype=np.float64) / self.shear_modulus
+            dead = replace(load, facet_pressure=np.zeros_like(follower))
+        length = self.mesh.mean_edge
+        return ScaledLoad(
+            follower,
+            nodal_forces(self.mesh, [dead], self.density)[0] / (self.shear_modulus * length**2),
+            prescribed_nodes(self.mesh, [load])[0] / length,
+        )
+
+
+def _bad_option(message: str, remedy: str) -> SolverError:
+    return SolverError(Status("bad-option", message, remedy))

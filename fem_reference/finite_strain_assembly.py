@@ -1,0 +1,197 @@
+"""Residual and tangent of the mixed finite-strain element, total Lagrangian, from numpy products.
+
+Everything is scaled as in `fem_reference.system`: lengths in mean edges, stresses in shear moduli, and the pressure
+p = a q. With the tangent's factors (`fem_reference.materials.Tangent`) an element matrix is a sum of products of
+short vectors over the quadrature points, done for many elements at a time.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from skfem.quadrature import get_quadrature
+from skfem.refdom import RefTet
+
+from fem_reference.assembly import Pattern, reference_gradients
+from fem_reference.materials import Kinematics, Law
+from fem_reference.mesh import TetMesh
+
+Array = NDArray[np.float64]
+
+# The volume constraint is of degree 4: a rule exact to degree 5 (14 points, all weights positive).
+_DEGREE = 5
+_CHUNK = 1024  # elements per pass: its arrays stay near the caches
+_GATHER = 8  # passes whose element matrices are summed into the pattern at once
+
+
+@dataclass(frozen=True)
+class Forces:
+    """Internal forces of a state, scaled.
+
+    Attributes
+    ----------
+    nodal : (n_nodes, 3) integral of P : grad N
+    volume : (n,) integral of N (J - 1) over the P1 functions
+    least_determinant : the smallest det F at the quadrature points
+    """
+
+    nodal: Array
+    volume: Array
+    least_determinant: float
+
+
+class ElementAssembly:
+    """Internal forces and their derivative on one mesh, for one law in units of the shear modulus."""
+
+    def __init__(self, mesh: TetMesh, pattern: Pattern, law: Law) -> None:
+        self.mesh = mesh
+        self._pattern = pattern
+        self._law = law
+        points, weights = get_quadrature(RefTet, _DEGREE)
+        self._barycentric = np.vstack([1.0 - points.sum(axis=0), points]).T
+        self._reference = reference_gradients(mesh.order, self._barycentric)
+        self._to_gradient = np.ascontiguousarray(
+            self._reference.transpose(1, 0, 2).reshape(self._reference.shape[1], -1)
+        )
+        length = mesh.mean_edge
+        self._barycentric_gradients = mesh.barycentric_gradients * length
+        self._weights = (mesh.volumes / length**3)[:, None] * (6.0 * weights)
+
+    def forces(self, displacement: Array, pressure: Array) -> Forces:
+        """Internal forces for (n_nodes, 3) displacements and (n,) pressures p."""
+        mesh = self.mesh
+        nodal = np.zeros((mesh.n_nodes, 3))
+        volume = np.zeros(mesh.n_vertices)
+        least = np.inf
+        for part in self._parts():
+            k = self._kinematics(part, displacement)
+            least = min(least, 1.0 + float(k.dilation.min()))
+            if not least > 0.0:
+                return Forces(nodal, volume, least)
+            weights = self._weights[part]
+            stress = self._law.stress(k, self._at_points(part, pressure)) * weights[..., None, None]
+            # P : grad N = (P G^T) : reference gradient, G the constant barycentric gradients
+            pulled = stress @ np.swapaxes(self._barycentric_gradients[part], 1, 2)[:, None]
+            count = len(weights)
+            local = self._to_gradient @ pulled.swapaxes(2, 3).reshape(count, -1, 3)
+            nodes = mesh.element_nodes[part].ravel()
+            for i in range(3):
+                nodal[:, i] += np.bincount(nodes, weights=local[..., i].ravel(), minlength=mesh.n_nodes)
+            shares = (weights * k.dilation) @ self._barycentric
+            volume += np.bincount(
+                mesh.tetrahedra[part].ravel(), weights=shares.ravel(), minlength=mesh.n_vertices
+            )
+        return Forces(nodal, volume, least)
+
+    def tangent(self, displacement: Array, pressure: Array) -> tuple[Array, Array]:
+        """Derivatives of the nodal forces and of the volumes with respect to the displacement.
+
+        Returns
+        -------
+        stiffness : (pattern.size, 3, 3) blocks
+        divergence : (entries, 1, 3) blocks of the pattern's first n_vertices rows: integral of N J F^-T : grad v.
+            Its negative transpose is the derivative of the nodal forces with respect to p.
+        """
+        pattern, width = self._pattern, self.mesh.element_nodes.shape[1]
+        stiffness = np.zeros((pattern.size, 3, 3))
+        short = int(pattern.indptr[self.mesh.n_vertices])
+        divergence = np.zeros((short, 1, 3))
+        parts = list(self._parts())
+        for first in range(0, len(parts), _GATHER):
+            group = parts[first : first + _GATHER]
+            results = [self._element_matrices(part, displacement, pressure) for part in group]
+            whole = slice(group[0].start, group[-1].stop)
+            place = pattern.place[whole].ravel()
+            matrices = np.concatenate([matrix for matrix, _ in results])
+            for i in range(3):
+                for k in range(3):
+                    values = matrices[:, :, i, :, k].ravel()
+                    stiffness[:, i, k] += np.bincount(place, weights=values, minlength=pattern.size)
+            place = pattern.place[whole, : 4 * width].ravel()
+            couplings = np.concatenate([coupling for _, coupling in results])
+            for k in range(3):
+                values = couplings[:, :, :, k].ravel()
+                divergence[:, 0, k] += np.bincount(place, weights=values, minlength=short)
+        return stiffness, divergence
+
+    def strain_energy(self, displacement: Array) -> float:
+        """Integral of W."""
+        return self._integral(lambda part: self._law.energy(self._kinematics(part, displacement)))
+
+    def pressure_integral(self, displacement: Array, pressure: Array) -> float:
+        """Integral of -tr(Cauchy stress)/3 over the deformed body."""
+
+        def trace(part: slice) -> Array:
+            k = self._kinematics(part, displacement)
+            stress = self._law.stress(k, self._at_points(part, pressure))
+            return np.einsum("eqij,eqij->eq", stress, k.deformation_gradient) / -3.0
+
+        return self._integral(trace)
+
+    def volume(self, displacement: Array) -> float:
+        """Volume of the deformed body."""
+        return self._integral(lambda part: 1.0 + self._kinematics(part, displacement).dilation)
+
+    def largest(self, displacement: Array) -> tuple[float, float]:
+        """Largest |det F - 1| and largest principal Green-Lagrange strain at the quadrature points."""
+        deviation = strain = -np.inf
+        for part in self._parts():
+            k = self._kinematics(part, displacement)
+            deviation = max(deviation, float(np.abs(k.dilation).max()))
+            strain = max(strain, 0.5 * float(np.linalg.eigvalsh(k.doubled_strain)[..., -1].max()))
+        return deviation, strain
+
+    def _element_matrices(self, part: slice, displacement: Array, pressure: Array) -> tuple[Array, Array]:
+        """(e, n, 3, n, 3) stiffness and (e, 4, n, 3) divergence of the elements of one pass."""
+        k = self._kinematics(part, displacement)
+        tangent = self._law.tangent(k, self._at_points(part, pressure))
+        weights = self._weights[part]
+        count, points = weights.shape
+        width = self._reference.shape[1]
+        gradients = (self._reference.reshape(1, -1, 3) @ self._barycentric_gradients[part]).reshape(
+            count, points, width, 3
+        )
+        spatial = (gradients @ k.inverse).reshape(count, points, 3 * width)
+        shape = (count, width, 3, width, 3)
+        crossed = _gram(spatial, weights * tangent.crossed).reshape(shape)
+        out = np.swapaxes(crossed, 2, 4) + _gram(spatial, weights * tangent.dilational).reshape(shape)
+        if tangent.along is not None and self._law.fibre is not None:
+            fibre = self._law.fibre
+            along = (gradients @ fibre)[..., None] * (k.deformation_gradient @ fibre)[:, :, None, :]
+            out += _gram(along.reshape(count, points, -1), weights * tangent.along).reshape(shape)
+        weighted = (gradients @ tangent.metric) * weights[..., None, None]
+        scalar = weighted.transpose(0, 2, 1, 3).reshape(count, width, -1) @ (
+            gradients.transpose(0, 1, 3, 2).reshape(count, -1, width)
+        )
+        for i in range(3):
+            out[:, :, i, :, i] += scalar
+        volumes = (weights * (1.0 + k.dilation))[..., None] * self._barycentric
+        coupling = np.swapaxes(volumes, 1, 2) @ spatial
+        return out, coupling.reshape(count, 4, width, 3)
+
+    def _kinematics(self, part: slice, displacement: Array) -> Kinematics:
+        local = np.swapaxes(displacement[self.mesh.element_nodes[part]], 1, 2)
+        count = len(local)
+        by_coordinate = (local @ self._to_gradient).reshape(count, -1, 3)
+        gradient = (by_coordinate @ self._barycentric_gradients[part]).reshape(count, 3, -1, 3)
+        return Kinematics(np.ascontiguousarray(np.swapaxes(gradient, 1, 2)))
+
+    def _at_points(self, part: slice, pressure: Array) -> Array:
+        return np.asarray(pressure[self.mesh.tetrahedra[part]] @ self._barycentric.T)
+
+    def _integral(self, integrand: Callable[[slice], Array]) -> float:
+        return sum(
+            float(np.einsum("eq,eq->", self._weights[part], integrand(part))) for part in self._parts()
+        )
+
+    def _parts(self) -> Iterator[slice]:
+        count = len(self._weights)
+        return (slice(start, min(start + _CHUNK, count)) for start in range(0, count, _CHUNK))
+
+
+def _gram(vectors: Array, weights: Array) -> Array:
+    """(e, n, n) sums over the points q of weights[e, q] v v^T for (e, q, n) vectors."""
+    return np.asarray(np.swapaxes(vectors * weights[..., None], 1, 2) @ vectors)

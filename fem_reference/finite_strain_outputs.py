@@ -1,0 +1,143 @@
+"""Gathers the states of a finite-strain load history into a `Solution`."""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fem_reference.finite_strain_assembly import ElementAssembly
+from fem_reference.loads import gather_to_vertices
+from fem_reference.mesh import TetMesh
+from fem_reference.newton import Substep
+from fem_reference.solution import CONVERGED, Solution, Status
+
+Array = NDArray[np.float64]
+
+OUTPUTS = {
+    "max_det_f_deviation": "largest |det F - 1| at the quadrature points",
+    "max_principal_strain": "largest principal Green-Lagrange strain at the quadrature points",
+    "volume": "volume of the deformed body [m^3]",
+}
+
+_FAILURES = {
+    "not-converged": "Newton's method did not converge",
+    "inverted": "a tetrahedron would turn inside out",
+    "linear-solver": "the tangent system could not be solved, as where a body buckles",
+}
+_REMEDY = "load the body less, or use a finer mesh where it deforms most"
+
+
+class Record:
+    """The outcome of a load history so far.
+
+    Parameters
+    ----------
+    mesh : the mesh
+    assembly : for integrals over the deformed body
+    shear_modulus : unit of stress [Pa]
+    pressure_scale : a of the scaled pressure
+    steps : number of load steps
+    outputs : names out of `OUTPUTS`
+    """
+
+    def __init__(
+        self,
+        mesh: TetMesh,
+        assembly: ElementAssembly,
+        shear_modulus: float,
+        pressure_scale: float,
+        steps: int,
+        outputs: frozenset[str],
+    ) -> None:
+        self._mesh = mesh
+        self._assembly = assembly
+        self._shear_modulus = shear_modulus
+        self._pressure_scale = pressure_scale
+        self._outputs = outputs
+        nodes = len(mesh.surface_nodes)
+        self._displacement = np.full((steps, nodes, 3), np.nan)
+        self._reaction = np.full((steps, nodes, 3), np.nan)
+        self._fluid_pressure = np.full(steps, np.nan)
+        self._energy = np.full(steps, np.nan)
+        self._scalars = {
+            name: np.full(steps, np.nan) for name in ("load_factor", "substeps", *sorted(outputs))
+        }
+        self._iterations = np.zeros(steps, dtype=np.int64)
+        self._seconds = np.zeros(steps)
+        self._status = [Status("not-reached", "an earlier load step failed", "see that step")] * steps
+        self._converged: Substep | None = None  # the last one, of any step
+        self._open: tuple[int, float, Substep] | None = (
+            None  # a step under way: number, load factor, last attempt
+        )
+        self._clock = time.perf_counter()
+
+    def add(self, number: int, attempt: Substep) -> None:
+        """Take in one attempt of load step `number`."""
+        self._iterations[number] += len(attempt.residuals) - 1
+        reached = self._open[1] if self._open else 0.0
+        if attempt.converged:
+            self._converged = attempt
+            reached = attempt.load_factor
+            self._scalars["substeps"][number] = np.nan_to_num(self._scalars["substeps"][number]) + 1.0
+        self._open = (number, reached, attempt)
+        if reached == 1.0:
+            self._close(number, reached, CONVERGED)
+
+    def solution(self, seconds_setup: float, parameters: dict[str, float | str]) -> Solution:
+        """The whole history; a step that was not finished has failed."""
+        if self._open:
+            number, reached, attempt = self._open
+            self._close(number, reached, _failure(number, reached, attempt))
+        return Solution(
+            displacement=self._displacement,
+            fluid_pressure=self._fluid_pressure,
+            reaction_force=self._reaction,
+            energy=self._energy,
+            iterations=self._iterations,
+            status=tuple(self._status),
+            seconds_setup=seconds_setup,
+            seconds_per_step=self._seconds,
+            parameters=parameters,
+            scalars=self._scalars,
+        )
+
+    def _close(self, number: int, reached: float, status: Status) -> None:
+        self._status[number] = status
+        self._scalars["load_factor"][number] = reached
+        if self._converged is None:
+            self._displacement[number] = self._reaction[number] = 0.0
+        else:
+            self._store(number, self._converged)
+        self._open = None
+        now = time.perf_counter()
+        self._seconds[number] = now - self._clock
+        self._clock = now
+
+    def _store(self, number: int, substep: Substep) -> None:
+        mesh, length = self._mesh, self._mesh.mean_edge
+        u, p = substep.state.displacement, self._pressure_scale * substep.state.pressure
+        self._displacement[number] = u[mesh.surface_nodes] * length
+        force_unit = self._shear_modulus * length**2
+        self._reaction[number] = gather_to_vertices(mesh, substep.reaction[None])[0] * force_unit
+        volume = self._assembly.volume(u)
+        self._fluid_pressure[number] = self._shear_modulus * self._assembly.pressure_integral(u, p) / volume
+        self._energy[number] = self._assembly.strain_energy(u) * self._shear_modulus * length**3
+        deviation, strain = self._assembly.largest(u) if self._outputs - {"volume"} else (np.nan, np.nan)
+        values = {
+            "max_det_f_deviation": deviation,
+            "max_principal_strain": strain,
+            "volume": volume * length**3,
+        }
+        for name in self._outputs:
+            self._scalars[name][number] = values[name]
+
+
+def _failure(number: int, reached: float, attempt: Substep) -> Status:
+    return Status(
+        attempt.code,
+        f"{_FAILURES[attempt.code]} beyond {reached:.4g} of load step {number}"
+        f" (after {len(attempt.residuals) - 1} iterations the relative residual was {attempt.residuals[-1]:.1e})",
+        _REMEDY,
+    )

@@ -1,0 +1,280 @@
+"""Newton's method with load stepping for the mixed finite-strain problem, in the scaled units of `system`."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import bsr_array, csr_array
+
+from fem_reference.assembly import Pattern, mass_matrix
+from fem_reference.finite_strain_assembly import ElementAssembly
+from fem_reference.follower import FollowerPressure
+from fem_reference.system import LinearSystem, hold_components
+from fem_reference.tangent_solver import TangentSolver, TangentSystem
+
+Array = NDArray[np.float64]
+
+_LEAST_STEP = 2.0**-10  # of a load step
+_EASY = 5  # Newton iterations after which the next substep may be longer
+_LEAST_DAMPING = 0.1  # of an update that would turn an element inside out
+_ROUNDING = 4e-15
+# A linear solve need not be more exact than the quadratic model it serves.
+_LEAST_FORCING, _MOST_FORCING = 1e-10, 1e-3
+
+
+@dataclass(frozen=True)
+class ScaledLoad:
+    """A load in scaled units.
+
+    Attributes
+    ----------
+    pressure : (F, Q) on the deformed surface
+    forces : (n_nodes, 3) dead
+    given : (n_nodes, 3) displacement of held components
+    """
+
+    pressure: Array
+    forces: Array
+    given: Array
+
+    def towards(self, other: ScaledLoad, share: float) -> ScaledLoad:
+        """The load at `share` of the way to another."""
+        if share == 1.0:
+            return other
+        return ScaledLoad(
+            (1.0 - share) * self.pressure + share * other.pressure,
+            (1.0 - share) * self.forces + share * other.forces,
+            (1.0 - share) * self.given + share * other.given,
+        )
+
+
+@dataclass(frozen=True)
+class State:
+    """A state in scaled units.
+
+    Attributes
+    ----------
+    displacement : (n_nodes, 3)
+    pressure : (n,) q = p / a
+    """
+
+    displacement: Array
+    pressure: Array
+
+
+@dataclass(frozen=True)
+class Substep:
+    """The outcome of one attempted substep.
+
+    Attributes
+    ----------
+    load_factor : share of the load step that was tried
+    state : the converged state; that before the attempt where it failed
+    reaction : (n_nodes, 3) force of the support on the body, scaled
+    external : (n_nodes, 3) applied forces, scaled
+    residuals : relative residual before each Newton iteration, and after the last
+    code : "converged", or why not: "not-converged", "inverted" or "linear-solver"
+    """
+
+    load_factor: float
+    state: State
+    reaction: Array
+    external: Array
+    residuals: tuple[float, ...]
+    code: str
+
+    @property
+    def converged(self) -> bool:
+        """Whether equilibrium was found."""
+        return self.code == "converged"
+
+
+@dataclass(frozen=True)
+class _Residual:
+    vector: Array
+    relative: float
+    reaction: Array
+    external: Array
+    least_determinant: float
+
+
+class Newton:
+    """Equilibrium of one body under changing loads.
+
+    Parameters
+    ----------
+    system : the linear system of the undeformed body, whose numbering and pressure scale are used
+    pattern : the scalar pattern of its mesh
+    assembly : element forces and tangents
+    follower : the pressure on the deformed surface
+    solver : of the linear systems
+    max_newton : iterations after which a substep has failed
+    tolerance : of the residual, relative to the internal forces
+    """
+
+    def __init__(
+        self,
+        system: LinearSystem,
+        pattern: Pattern,
+        assembly: ElementAssembly,
+        follower: FollowerPressure,
+        solver: TangentSolver,
+        max_newton: int,
+        tolerance: float,
+    ) -> None:
+        self._system = system
+        self._pattern = pattern
+        self._assembly = assembly
+        self._follower = follower
+        self._solver = solver
+        self._max_newton = max_newton
+        self._tolerance = tolerance
+        mesh = system.mesh
+        self._points = mesh.node_points / mesh.mean_edge
+        self._mass = csr_array(mass_matrix(mesh) / mesh.mean_edge**3)
+        self._inner = pattern.numbered[system.kept][:, system.kept]
+        self._inner_divergence = pattern.numbered[: mesh.n_vertices][:, system.kept]
+
+    @property
+    def rest(self) -> State:
+        """The undeformed state."""
+        mesh = self._system.mesh
+        return State(np.zeros((mesh.n_nodes, 3)), np.zeros(mesh.n_vertices))
+
+    def follow(self, state: State, start: ScaledLoad, end: ScaledLoad) -> Iterator[Substep]:
+        """Go from one load to another in substeps as long as convergence allows.
+
+        Every attempt is yielded; the last one either reaches load factor one or has failed.
+        """
+        reached, step = 0.0, 1.0
+        while reached < 1.0:
+            target = 1.0 if reached + step > 1.0 - 0.5 * _LEAST_STEP else reached + step
+            attempt = self.solve(state, start.towards(end, target), target)
+            yield attempt
+            if attempt.converged:
+                state, reached = attempt.state, target
+                if len(attempt.residuals) - 1 <= _EASY:
+                    step *= 2.0
+            elif step <= _LEAST_STEP:
+                return
+            else:
+                step *= 0.5
+
+    def solve(self, state: State, load: ScaledLoad, load_factor: float) -> Substep:
+        """Newton iterations from a state to equilibrium under a load."""
+        u, q = state.displacement, state.pressure
+        found = self._residual(u, q, load)
+        residuals = [found.relative]
+        while True:
+            step = np.where(self._system.held, load.given - u, 0.0)
+            if found.relative <= self._tolerance and not step.any():
+                return self._outcome(load_factor, State(u, q), found, residuals, "converged")
+            if len(residuals) > self._max_newton or not np.isfinite(found.relative):
+                return self._outcome(load_factor, state, found, residuals, "not-converged")
+            update = self._update(u, q, load, step, found)
+            if update is None:
+                return self._outcome(load_factor, state, found, residuals, "linear-solver")
+            damping = 1.0
+            trial = self._residual(u + update[0], q + update[1], load)
+            while not trial.least_determinant > 0.0:
+                damping *= 0.5
+                if damping < _LEAST_DAMPING:
+                    return self._outcome(load_factor, state, found, residuals, "inverted")
+                trial = self._residual(u + damping * update[0], q + damping * update[1], load)
+            u, q, found = u + damping * update[0], q + damping * update[1], trial
+            residuals.append(found.relative)
+
+    def _outcome(
+        self, load_factor: float, state: State, found: _Residual, residuals: list[float], code: str
+    ) -> Substep:
+        return Substep(load_factor, state, found.reaction, found.external, tuple(residuals), code)
+
+    def _update(
+        self, u: Array, q: Array, load: ScaledLoad, step: Array, found: _Residual
+    ) -> tuple[Array, Array] | None:
+        """The Newton update that also moves held components by `step`; None if it cannot be computed."""
+        tangent, action = self._tangent(u, q, load)
+        forcing = _MOST_FORCING
+        if not step.any():
+            forcing = float(np.clip(0.1 * found.relative, _LEAST_FORCING, _MOST_FORCING))
+        x, solved = self._solver.solve(tangent, -found.vector - action(step), forcing)
+        if not solved:
+            return None
+        n = self._system.n_displacements
+        du = step.copy()
+        du[self._system.kept] += x[:n].reshape(-1, 3)
+        return du, x[n:]
+
+    def _residual(self, u: Array, q: Array, load: ScaledLoad) -> _Residual:
+        system = self._system
+        internal = self._assembly.forces(u, system.pressure_scale * q)
+        external = load.forces + self._follower.forces(self._points + u, load.pressure)
+        unbalanced = internal.nodal - external
+        vector = self._vector(unbalanced, internal.volume)
+        vector[system.n_displacements :] -= system.compressibility * (self._mass @ q)
+        # Forces below the rounding of the displacement gradient are none.
+        noise = _ROUNDING * np.sqrt(u.size) * (1.0 + float(np.abs(u).max()))
+        scale = max(float(np.linalg.norm(a)) for a in (internal.nodal, external))
+        return _Residual(
+            vector,
+            float(np.linalg.norm(vector)) / max(scale, noise / self._tolerance),
+            np.where(system.held, unbalanced, 0.0),
+            external,
+            internal.least_determinant,
+        )
+
+    def _vector(self, nodal: Array, volume: Array) -> Array:
+        """The rows of the system from nodal forces and volume changes."""
+        system = self._system
+        top = np.where(system.held, 0.0, nodal)[system.kept].ravel()
+        return np.concatenate([top, -system.pressure_scale * volume])
+
+    def _tangent(
+        self, u: Array, q: Array, load: ScaledLoad
+    ) -> tuple[TangentSystem, Callable[[Array], Array]]:
+        """The tangent at a state, and its product with a displacement of all nodes."""
+        system, pattern = self._system, self._pattern
+        blocks, volumes = self._assembly.tangent(u, system.pressure_scale * q)
+        divergence = self._divergence(volumes)
+        symmetric = blocks
+        if load.pressure.any():
+            places, pressed = self._follower.stiffness(self._points + u, load.pressure)
+            symmetric = blocks.copy()
+            symmetric[places] += 0.5 * pressed
+            symmetric[pattern.mirror[places]] += 0.5 * np.swapaxes(pressed, 1, 2)
+            blocks[places] += pressed
+        gradient = csr_array(divergence.T)
+        true = replace(system, stiffness=self._stiffness(blocks), divergence=divergence, gradient=gradient)
+        half = true if symmetric is blocks else replace(true, stiffness=self._stiffness(symmetric))
+
+        def action(step: Array) -> Array:
+            if not step.any():
+                return np.zeros(system.size)
+            size, rows = 3 * len(u), system.mesh.n_vertices
+            short = len(volumes)
+            flat = step.ravel()
+            nodal = bsr_array((blocks, pattern.indices, pattern.indptr), shape=(size, size)) @ flat
+            volume = (
+                bsr_array((volumes, pattern.indices[:short], pattern.indptr[: rows + 1]), shape=(rows, size))
+                @ flat
+            )
+            return self._vector(nodal.reshape(-1, 3), volume)
+
+        return TangentSystem(true, half), action
+
+    def _stiffness(self, blocks: Array) -> bsr_array:
+        inner, held = self._inner, self._system.held[self._system.kept]
+        size = self._system.n_displacements
+        matrix = bsr_array((blocks[inner.data], inner.indices, inner.indptr), shape=(size, size))
+        hold_components(matrix, held)
+        return matrix
+
+    def _divergence(self, volumes: Array) -> csr_array:
+        inner, held = self._inner_divergence, self._system.held[self._system.kept]
+        data = self._system.pressure_scale * volumes[inner.data]
+        data[held[inner.indices][:, None, :]] = 0.0
+        shape = (self._system.mesh.n_vertices, self._system.n_displacements)
+        return csr_array(bsr_array((data, inner.indices, inner.indptr), shape=shape))

@@ -1,0 +1,207 @@
+"""Linear solves of Newton's method: GMRES on the true tangent, preconditioned by a factor that is kept.
+
+A follower pressure makes the tangent unsymmetric, but only at loaded facets: the LDL^T factor of the symmetric
+part, or of an earlier tangent, is a close approximation at half the cost of an LU factor. It is made anew only when GMRES
+begins to need more steps than a factor is worth.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+import rslab
+from numpy.typing import NDArray
+
+from fem_reference.krylov import gmres
+from fem_reference.linear_algebra import SOLVERS, estimate_costs
+from fem_reference.memory import available_memory, check_memory
+from fem_reference.multigrid import BlockPreconditioner
+from fem_reference.solution import SolverError, Status
+from fem_reference.system import LinearSystem
+
+Array = NDArray[np.float64]
+Operator = Callable[[Array], Array]
+
+# Newton steps that a load step takes, for the estimate of costs.
+_NEWTON_STEPS = 5
+_LEAST_COMPRESSIBILITY = 1e-7
+
+
+@dataclass(frozen=True)
+class TangentSystem:
+    """A tangent, and its symmetric part, from which a preconditioner is made."""
+
+    true: LinearSystem
+    symmetric: LinearSystem
+
+
+class Preconditioner(Protocol):
+    """Makes approximate inverses of symmetric systems with one sparsity pattern.
+
+    `patience` is the number of GMRES steps after which a new one is cheaper, `limit` that which counts as failed.
+    `sharpen` makes it more exact for good and says whether it could.
+    """
+
+    name: str
+    patience: int
+    limit: int
+    estimated_bytes: float
+
+    def make(self, system: LinearSystem) -> Operator:
+        """The approximate inverse of a system."""
+        ...
+
+    def sharpen(self) -> bool:
+        """Trade memory for accuracy from now on; False if there is nothing to trade."""
+        ...
+
+
+class Factors:
+    """Sparse LDL^T in single precision, in double once that has failed; one symbolic analysis for all."""
+
+    name = "direct"
+    patience = 20
+    limit = 60
+
+    def __init__(self, system: LinearSystem, memory_limit: float | None) -> None:
+        self._precision = "float32"
+        self._memory_limit = memory_limit
+        self._symbolic = rslab.analyze(_lower_triangle(system), path="ldlt")
+        self._check_memory()
+
+    def make(self, system: LinearSystem) -> Operator:
+        """See `Preconditioner`."""
+        matrix = _lower_triangle(system)
+        try:
+            factor = self._symbolic.factor(matrix, factor_dtype=self._precision)
+        except RuntimeError as error:  # a pivot is zero at this precision
+            if self.sharpen():
+                return self.make(system)
+            raise SolverError(
+                Status(
+                    "singular", "the tangent matrix is singular", "hold more of the surface or load it less"
+                )
+            ) from error
+        return lambda residual: np.asarray(factor.solve(residual))
+
+    def sharpen(self) -> bool:
+        """See `Preconditioner`."""
+        if self._precision == "float64":
+            return False
+        self._precision = "float64"
+        self._check_memory()
+        return True
+
+    def _check_memory(self) -> None:
+        self.estimated_bytes = float(self._symbolic.memory_plan(dtype=self._precision, nrhs=1)["peak_bytes"])
+        check_memory(self.estimated_bytes, self._memory_limit, self.name)
+
+
+class Multigrid:
+    """The block-triangular multigrid preconditioner of the linear path, on the tangent."""
+
+    name = "iterative"
+    patience = 100
+    limit = 400
+
+    def __init__(self, system: LinearSystem, memory_limit: float | None) -> None:
+        self.estimated_bytes = estimate_costs(system.size, system.mesh.n_vertices, 1)[self.name].bytes
+        check_memory(self.estimated_bytes, memory_limit, self.name)
+
+    def make(self, system: LinearSystem) -> Operator:
+        """See `Preconditioner`."""
+        return BlockPreconditioner(system)
+
+    def sharpen(self) -> bool:
+        """See `Preconditioner`."""
+        return False
+
+
+class TangentSolver:
+    """Solves tangent systems of one sparsity pattern.
+
+    Parameters
+    ----------
+    system : that of the undeformed body
+    requested : "auto", "direct" or "iterative"
+    expected_loads : number of load steps to come, for the choice
+    memory_limit : bytes the solver may take; None for what the machine has left
+
+    Attributes
+    ----------
+    reason : why the preconditioner was chosen
+    factorisations, steps : preconditioners made and GMRES steps done so far
+
+    Raises
+    ------
+    SolverError
+        If the name is unknown or the memory does not suffice.
+    """
+
+    def __init__(
+        self, system: LinearSystem, requested: str, expected_loads: int, memory_limit: float | None
+    ) -> None:
+        if requested not in SOLVERS:
+            raise SolverError(
+                Status("bad-solver", f"solver {requested!r} is unknown", f"use one of {', '.join(SOLVERS)}")
+            )
+        name, self.reason = requested, "asked for"
+        if requested == "auto":
+            name, self.reason = _choose(system, expected_loads, memory_limit)
+        self.preconditioner: Preconditioner = (
+            Factors(system, memory_limit) if name == "direct" else Multigrid(system, memory_limit)
+        )
+        self.factorisations = 0
+        self.steps = 0
+        self._approximate: Operator | None = None
+
+    def solve(self, tangent: TangentSystem, rhs: Array, tolerance: float) -> tuple[Array, bool]:
+        """Solve to norm(rhs - K x) <= tolerance * norm(rhs); returns x and whether that was reached."""
+        patience, limit = self.preconditioner.patience, self.preconditioner.limit
+        x = np.zeros_like(rhs)
+        done = False
+        if self._approximate is not None:
+            x, done = self._gmres(tangent, rhs, x, tolerance, patience)
+        if not done:
+            self._renew(tangent)
+            x, done = self._gmres(tangent, rhs, x, tolerance, limit)
+        if not done and self.preconditioner.sharpen():
+            self._renew(tangent)
+            x, done = self._gmres(tangent, rhs, x, tolerance, limit)
+        return x, done
+
+    def _renew(self, tangent: TangentSystem) -> None:
+        self._approximate = None  # before the new one is made: both may not fit
+        self._approximate = self.preconditioner.make(tangent.symmetric)
+        self.factorisations += 1
+
+    def _gmres(
+        self, tangent: TangentSystem, rhs: Array, start: Array, tolerance: float, most: int
+    ) -> tuple[Array, bool]:
+        if self._approximate is None:
+            return start, False
+        apply = tangent.true.apply
+        x, steps = gmres(apply, self._approximate, rhs, start, tolerance=tolerance, max_iterations=most)
+        self.steps += steps
+        residual = float(np.linalg.norm(rhs - apply(x)))
+        # Rounding of the recurrence may leave the true residual a little above the target.
+        return x, residual <= 2.0 * tolerance * float(np.linalg.norm(rhs))
+
+
+def _choose(system: LinearSystem, expected_loads: int, memory_limit: float | None) -> tuple[str, str]:
+    solves = _NEWTON_STEPS * max(1, expected_loads)
+    costs = estimate_costs(system.size, system.mesh.n_vertices, solves)
+    allowed = available_memory() if memory_limit is None else memory_limit
+    reason = f"{system.size} unknowns, {solves} solves: " + ", ".join(
+        f"{name} about {cost.seconds:.2g} s and {cost.bytes / 1e6:.0f} MB" for name, cost in costs.items()
+    )
+    direct = costs["direct"].bytes <= allowed and costs["direct"].seconds <= costs["iterative"].seconds
+    return ("direct" if direct else "iterative"), reason
+
+
+def _lower_triangle(system: LinearSystem) -> object:
+    floor = _LEAST_COMPRESSIBILITY if system.compressibility >= 0.0 else system.compressibility
+    return system.lower_triangle(max(system.compressibility, floor))
