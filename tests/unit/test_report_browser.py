@@ -53,7 +53,17 @@ def visible(browser: Browser, selector: str) -> bool:
 
 
 def stage(browser: Browser) -> np.ndarray:
-    """Pixels of the viewer's drawing, (height, width, 3)."""
+    """Pixels of the viewer's drawing, (height, width, 3), once two pictures in a row are the same."""
+    last = _picture_of_stage(browser)
+    for _ in range(20):
+        image = _picture_of_stage(browser)
+        if np.array_equal(image, last):
+            return image
+        last = image
+    raise AssertionError("the drawing does not come to rest")
+
+
+def _picture_of_stage(browser: Browser) -> np.ndarray:
     browser.settle()
     box = "(r => ({x: r.x, y: r.y + scrollY, width: r.width, height: r.height}))"
     clip = browser.evaluate(f"{box}(document.querySelector('.stage > canvas').getBoundingClientRect())")

@@ -3,7 +3,7 @@
 (() => {
   const box = document.querySelector(".viewer");
   const canvas = box.querySelector(".stage > canvas");
-  const gl = canvas.getContext("webgl2", { antialias: true });
+  const gl = canvas.getContext("webgl2", { antialias: true, preserveDrawingBuffer: true });
   if (!gl) return; // the still pictures stay
   const data = JSON.parse(document.querySelector(".viewer-data").textContent);
   const control = (name) => box.querySelector(`[data-control="${name}"]`);
