@@ -287,6 +287,8 @@ def _print_run(run: Run, directory: Path, report: Path, as_json: bool) -> int:
             )
         print(f"{len(run.cases)} done, {len(run.failed)} failed, {len(run.missing)} missing")
         print(f"report: {report}")
+    if run.failed and not run.cases and all(failure["code"] == "input" for failure in run.failed):
+        return USAGE  # nothing could be done with what the user gave
     return FAILED if run.failed else OK
 
 

@@ -21,6 +21,7 @@ from pathlib import Path
 from typing import Any
 
 from .files import write_atomically
+from .mesh import InputError
 
 Task = Mapping[str, Any]
 # imported once, before the workers are forked: what every case needs, and no case should be timed with
@@ -30,7 +31,7 @@ _GRACE = 5.0  # s between asking a worker to stop and killing it
 
 @dataclass(frozen=True)
 class Outcome:
-    """What became of one task. `code` is "done", "error", "crashed" or "timeout"."""
+    """What became of one task. `code` is "done", "input" (the user's), "error", "crashed" or "timeout"."""
 
     task: Task
     code: str
@@ -170,6 +171,8 @@ def _main(work: Callable[[Task], None], task: Task, threads: int, answer: Any, l
             code, message, remedy = "error", "out of memory", "use a coarser mesh or fewer --jobs"
         except OSError as error:
             code, message, remedy = "error", f"{error}", "check free space and permissions"
+        except InputError as error:
+            code, message = "input", f"{error}"
         except ValueError as error:
             code, message, remedy = "error", f"{error}", getattr(error, "remedy", "")
             traceback.print_exc()

@@ -15,8 +15,12 @@ Index = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 
 
-class MeshError(ValueError):
-    """A geometry that cannot be used; the message says what is wrong and what to do."""
+class InputError(ValueError):
+    """What the user gave cannot be used; the message says what is wrong and what to do."""
+
+
+class MeshError(InputError):
+    """A geometry that cannot be used."""
 
 
 @dataclass(frozen=True)

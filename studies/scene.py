@@ -10,13 +10,13 @@ import numpy as np
 
 from fem_reference.mesh import facet_quadrature
 
-from .mesh import Array, Mask, Mesh
+from .mesh import Array, InputError, Mask, Mesh
 from .metrics import corner_sum, facet_area_vectors, nodal_sum
 from .regions import profile_coordinate, select
 from .schema import Constraint, Study, Tissue
 
 
-class SceneError(ValueError):
+class SceneError(InputError):
     """A scene that cannot be put on its mesh; the message says which part and what to change."""
 
 

@@ -320,3 +320,15 @@ def test_no_reference_no_volume(tmp_path: Path) -> None:
     assert case.reference is None
     assert case.mesh_quality["tetrahedra"] == 0
     assert set(case.metrics["vdm-paper"]) == {"volume_drift", "volume_drift_of_displaced"}
+
+
+def test_a_surface_that_bounds_nothing_is_a_mistake_of_the_input(tmp_path: Path) -> None:
+    write_study(tmp_path, a=('shape = "sphere"\nradius = "50 mm"', 'shape = "file"\npath = "open.obj"'))
+    facets = ["v 0 0 0", "v 0.1 0 0", "v 0 0.1 0", "v 0 0 0.1", "f 1 3 2", "f 1 2 4", "f 1 4 3"]
+    (tmp_path / "open.obj").write_text("\n".join(facets))
+    result = vdmbench("run", "small.toml", cwd=tmp_path)
+    assert result.returncode == 2
+    complaints = [line for line in result.stderr.splitlines() if line.startswith("vdmbench:")]
+    assert len(complaints) == 1
+    assert "open.obj" in complaints[0]
+    assert "closed" in complaints[0] or "open" in complaints[0]
