@@ -10,6 +10,7 @@ import numpy as np
 import rslab
 from numpy.typing import NDArray
 from scipy.sparse import csc_array
+from threadpoolctl import threadpool_limits
 
 from fem_reference.krylov import RESTART, gmres, independent_columns
 from fem_reference.memory import available_memory, check_memory
@@ -144,9 +145,12 @@ class IterativeSolver:
         """Solve for independent columns and combine; see `Solver`."""
         x = np.zeros_like(rhs)
         iterations = np.zeros(rhs.shape[1], dtype=np.int64)
-        chosen, coefficients = independent_columns(rhs)
-        for column in chosen:
-            x[:, column], iterations[column] = self._gmres(rhs[:, column], np.zeros(len(rhs)))
+        # The vectors are too short for threads to help, and on a busy machine threads that wait for each other
+        # make the same solve many times slower.
+        with threadpool_limits(limits=1, user_api="blas"):
+            chosen, coefficients = independent_columns(rhs)
+            for column in chosen:
+                x[:, column], iterations[column] = self._gmres(rhs[:, column], np.zeros(len(rhs)))
         combined = np.setdiff1d(np.arange(rhs.shape[1]), chosen)
         x[:, combined] = x[:, chosen] @ coefficients[:, combined]
         residual = relative_residual(self._system, x, rhs)
