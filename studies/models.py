@@ -46,6 +46,7 @@ class Model:
 
 
 MODELS: dict[str, Model] = {}
+REFUSED = "refused"  # status of a model that could not be set up: before any solve, for a reason of the input
 
 
 def _model(
@@ -182,12 +183,8 @@ def run_model(scene: Scene, name: str) -> ModelResult:
         solution = model.solve(scene, solver, name)
     except ValueError as error:  # the sentence of a surface, parameter, support or solver that does not work
         status = getattr(error, "status", None)
-        reason = (
-            StepStatus(status.code, status.message, status.remedy)
-            if status
-            else StepStatus("refused", f"{error}")
-        )
-        return _failed(scene, model, reason)
+        message, remedy = (status.message, status.remedy) if status else (f"{error}", "")
+        return _failed(scene, model, StepStatus(REFUSED, message, remedy))
     seconds_total = time.perf_counter() - began
     statuses = tuple(StepStatus(s.code, s.message, s.remedy) for s in solution.status)
     usable = np.array([s.ok for s in statuses])

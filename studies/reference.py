@@ -10,7 +10,7 @@ import numpy as np
 from . import models
 from .case import ModelResult
 from .execute import TaskError
-from .mesh import Array, Index
+from .mesh import Array, Index, InputError
 from .metrics import Surface, relative_l2, rigid_motion_removed
 from .refine import inherit, refine
 from .scene import Scene, build_scene
@@ -70,8 +70,10 @@ def refined_reference(
 
 
 def require_converged(name: str, result: ModelResult) -> None:
-    """Raise TaskError where a result cannot serve as a reference."""
+    """Raise TaskError, or InputError where the scene is at fault, if a result cannot serve as a reference."""
     for status in result.status:
+        if status.code == models.REFUSED:
+            raise InputError(f"{name}: {status.message}" + (f"; {status.remedy}" if status.remedy else ""))
         if not status.ok:
             raise TaskError(f"{name}: {status.message}", status.remedy)
     if not np.isfinite(result.displacement).all():

@@ -332,3 +332,10 @@ def test_a_surface_that_bounds_nothing_is_a_mistake_of_the_input(tmp_path: Path)
     assert len(complaints) == 1
     assert "open.obj" in complaints[0]
     assert "closed" in complaints[0] or "open" in complaints[0]
+
+
+def test_a_body_that_nothing_holds_is_a_mistake_of_the_input(tmp_path: Path) -> None:
+    write_study(tmp_path, a=('kind = "fixed"\nregion = "base"\n[[constraints]]\n', ""))
+    result = vdmbench("run", "small.toml", cwd=tmp_path)
+    assert result.returncode == 2
+    assert "nothing is held" in result.stderr
