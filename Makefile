@@ -7,7 +7,7 @@ PYTHON ?= python3
 RUN := .venv/bin/
 PYTEST := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(RUN)python -m pytest
 
-.PHONY: demo test verify docs setup libraries clean
+.PHONY: demo test verify docs accuracy bench-vdm setup libraries clean
 
 demo: setup
 	$(RUN)vdmbench run quickstart
@@ -24,6 +24,14 @@ verify: setup
 # the generated parts of the documents; SURFACE=liver.obj draws the README's picture with a real liver
 docs: setup
 	$(RUN)python -m tests.docs.regenerate $(SURFACE)
+
+# the accuracy table of vdm/README.md, from the shipped accuracy studies; SURFACE=liver.obj adds a row
+accuracy: setup
+	$(RUN)python -m tests.docs.vdm_accuracy $(SURFACE)
+
+# what the surface model costs on this machine, in one thread
+bench-vdm: setup
+	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(RUN)python -m tests.benchmarks.vdm_speed
 
 setup: libraries .venv/ready
 

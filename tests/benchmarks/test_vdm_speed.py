@@ -1,0 +1,24 @@
+"""The benchmark runs and prints one whole table; how fast anything is, no test says."""
+
+from __future__ import annotations
+
+import re
+
+from tests.benchmarks.vdm_speed import HEAD, Sizes, report
+
+
+def test_a_small_benchmark_prints_one_table() -> None:
+    small = Sizes(levels=3, fine_levels=2, tori=((12, 8),), contact=5, repeats=3, slow_repeats=2)
+    lines = list(report(small))
+    table = [line for line in lines if line.startswith("|")]
+    assert lines[-len(table) :] == table
+    assert {line.count("|") for line in table} == {len(HEAD) + 1}
+    rows = [[cell.strip() for cell in line.strip("|").split("|")] for line in table[2:]]
+    assert sum(row[0].startswith("set-up") for row in rows) == 7
+    for row in rows:
+        assert re.fullmatch(r"[\d.e+-]+ m?s", row[2]), row
+        # the ratios of the linear solves: positive numbers
+        assert all(float(cell) > 0.0 for cell in row[4:6] if cell), row
+    solves = [row for row in rows if "triangular" in row[0]]
+    assert len(solves) == 6
+    assert all(row[4] and row[5] for row in solves)

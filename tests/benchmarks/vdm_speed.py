@@ -1,0 +1,231 @@
+"""What `vdm` costs on this machine, as one Markdown table: `make bench-vdm`. Nothing here is asserted.
+
+The bound of a linear solve is the time that two readings of its factor take: of an array of the factor's
+size, 8 bytes a non-zero, indices not counted, so that a factor that fits into a cache is held against the
+cache. cholespy does not tell its non-zeros; they are those of SuperLU's symmetric minimum degree ordering, an
+upper bound as long as cholespy's ordering is no worse.
+"""
+
+from __future__ import annotations
+
+import platform
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+from scipy.sparse import linalg
+from threadpoolctl import threadpool_info
+
+from studies.memory import peak_bytes_since, reset_peak
+from tests.unit.vdm_shapes import icosphere, torus
+from vdm import Load, Model, Parameters, SurfaceMesh
+from vdm.formulations.vector import VectorFormulation
+from vdm.solvers.compliance import ContactCompliance
+from vdm.solvers.linear import LinearSolver
+
+Array = NDArray[np.float64]
+
+RADIUS = 0.05
+BYTES_PER_NONZERO = 8
+MEMORY_BYTES = 256_000_000  # far beyond any cache
+HEAD = (
+    "what",
+    "nodes",
+    "median",
+    "10 % to 90 %",
+    "over the bound",
+    "SuperLU over it",
+    "peak memory over factor",
+)
+
+
+@dataclass(frozen=True)
+class Sizes:
+    """What is measured, and how often: smaller sizes make a trial of the benchmark itself."""
+
+    levels: int = 5  # of the icosphere: 10,242 nodes
+    fine_levels: int = 7  # 163,842 nodes
+    tori: tuple[tuple[int, int], ...] = ((30, 20), (40, 30))  # 600 and 1,200 nodes
+    contact: int = 50
+    repeats: int = 101
+    slow_repeats: int = 3
+
+
+@dataclass(frozen=True)
+class Row:
+    """One line of the table: seconds of each repeat, and the ratios that make sense for it."""
+
+    what: str
+    nodes: int
+    seconds: Array
+    over_bound: float | None = None
+    superlu: float | None = None
+    memory: float | None = None
+
+    def cells(self) -> list[str]:
+        """As text."""
+        low, median, high = np.quantile(self.seconds, [0.1, 0.5, 0.9])
+        ratios = ("" if r is None else f"{r:.2g}" for r in (self.over_bound, self.superlu, self.memory))
+        return [self.what, f"{self.nodes:,}", shown(median), f"{shown(low)} to {shown(high)}", *ratios]
+
+
+def shown(seconds: float) -> str:
+    """Seconds in a readable unit."""
+    return f"{seconds:.3g} s" if seconds >= 1.0 else f"{1e3 * seconds:.3g} ms"
+
+
+def timed(function: Callable[[], object], repeats: int) -> Array:
+    """Seconds of each of `repeats` calls, after one that warms up."""
+    function()
+    seconds = np.empty(repeats)
+    for k in range(repeats):
+        start = time.perf_counter()
+        function()
+        seconds[k] = time.perf_counter() - start
+    return seconds
+
+
+def reading_seconds(n_bytes: int, repeats: int) -> float:
+    """Median time of reading an array of this size once."""
+    array = np.ones(max(n_bytes // 8, 1))
+    return float(np.median(timed(lambda: array @ array, repeats)))
+
+
+def copy_bandwidth() -> float:
+    """Bytes read and written per second while memory far beyond the caches is copied."""
+    source = np.ones(MEMORY_BYTES // 8)
+    target = np.empty_like(source)
+    return float(2 * MEMORY_BYTES / np.median(timed(lambda: np.copyto(target, source), 7)))
+
+
+def ball(formulation: str, levels: int, solver: str = "linear") -> Model:
+    """A ball of 10 * 4^levels + 2 nodes with its lowest cap held."""
+    points, triangles = icosphere(levels, (RADIUS, RADIUS, RADIUS))
+    parameters = Parameters.from_tissue(5000.0, 0.4999, SurfaceMesh(points, triangles), formulation)
+    fixed = points[:, 2] < -0.9 * RADIUS
+    return Model(points, triangles, parameters, formulation=formulation, fixed=fixed, solver=solver)
+
+
+def linear_rows(sizes: Sizes, levels: int, repeats: int) -> Iterator[Row]:
+    """Every node loaded, and the triangular solves in it, beside SuperLU's; set-up with its memory."""
+    for formulation in ("paper", "consistent", "vector"):
+        resident = reset_peak()
+        model = ball(formulation, levels)
+        peak = peak_bytes_since(resident)
+        n_nodes = model.surface.n_nodes
+        free, form = model.problem.free, model.formulation
+        # the vector form's three components share one scalar factor
+        block = scalar_block(model)
+        superlu = linalg.splu(
+            block, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True}
+        )
+        factor_bytes = BYTES_PER_NONZERO * superlu.L.nnz
+        bound = 2.0 * reading_seconds(factor_bytes, repeats)
+        set_up = timed(partial(ball, formulation, levels), sizes.slow_repeats)
+        yield Row(f"set-up, {formulation}", n_nodes, set_up, memory=peak / factor_bytes)
+        load = Load(100.0 * np.random.default_rng(0).random(n_nodes))
+        step = timed(partial(model.solver.step, load), repeats)
+        yield Row(
+            f"linear step, every node loaded, {formulation}", n_nodes, step, float(np.median(step)) / bound
+        )
+        right = np.random.default_rng(1).standard_normal((int(free.sum()) * form.components,))
+        factor = LinearSolver(model.problem).factor.block
+        solve = timed(partial(factor.solve, right), repeats)
+        other = timed(partial(superlu.solve, right.reshape(block.shape[0], -1)), sizes.slow_repeats)
+        typical = float(np.median(solve))
+        yield Row(
+            f"its triangular solves, {formulation}",
+            n_nodes,
+            solve,
+            typical / bound,
+            float(np.median(other)) / typical,
+        )
+
+
+def scalar_block(model: Model) -> sparse.csc_array:
+    """The matrix that the model's solver factors."""
+    free = model.problem.free
+    form = model.formulation
+    matrix = form.tension if isinstance(form, VectorFormulation) else form.stiffness()
+    return sparse.csc_array(matrix[free][:, free])
+
+
+def contact_rows(sizes: Sizes) -> Iterator[Row]:
+    """A local contact that stays where it is: all displacements, from the columns of its nodes."""
+    for formulation in ("consistent", "vector"):
+        model = ball(formulation, sizes.levels)
+        nodes = np.argsort(-model.surface.points[:, 2])[: sizes.contact]
+        pressure = 100.0 * np.random.default_rng(2).random(len(nodes))
+        for single in (False, True):
+            contact = ContactCompliance(model.problem, LinearSolver(model.problem), single)
+            seconds = timed(partial(contact.frame, nodes, pressure), 5 * sizes.repeats)
+            precision = "single" if single else "double"
+            what = f"local contact of {len(nodes)} nodes, {formulation}, {precision} precision"
+            yield Row(what, model.surface.n_nodes, seconds)
+
+
+def nonlinear_rows(sizes: Sizes) -> Iterator[Row]:
+    """Steps of a load that grows by a twentieth each, once the history has begun."""
+    for formulation in ("consistent", "vector"):
+        model = ball(formulation, sizes.levels, "nonlinear")
+        cap = model.surface.points[:, 2] > 0.9 * RADIUS
+        load = Load(np.where(cap, 100.0, 0.0))
+        solution = model.solve([load.scaled(1.0 + 0.05 * k) for k in range(3 + sizes.slow_repeats * 4)])
+        yield Row(f"warm nonlinear step, {formulation}", model.surface.n_nodes, solution.seconds_per_step[3:])
+
+
+def boundary_rows(sizes: Sizes) -> Iterator[Row]:
+    """Set-up and a frame of the dense form, on tori."""
+    for n, m in sizes.tori:
+        points, triangles = torus(n=n, m=m)
+        parameters = Parameters(shear_modulus=1667.0)
+        seconds = []
+        for _ in range(sizes.slow_repeats):
+            model = Model(points, triangles, parameters, formulation="boundary", fixed=points[:, 2] < -0.015)
+            seconds.append(model.seconds_setup)
+        load = Load(100.0 * np.random.default_rng(3).random(len(points)))
+        yield Row("set-up, boundary", len(points), np.array(seconds))
+        frame = timed(partial(model.solver.step, load), sizes.repeats)
+        yield Row("linear step, every node loaded, boundary", len(points), frame)
+
+
+def report(sizes: Sizes) -> Iterator[str]:
+    """The lines of the table, headed by the machine."""
+    threads = {f"{info['internal_api']}: {info['num_threads']}" for info in threadpool_info()}
+    yield f"{processor()}; threads: {', '.join(sorted(threads))}; {platform.platform()}."
+    yield f"Copying memory: {copy_bandwidth() / 1e9:.1f} GB/s read and written."
+    yield ""
+    yield f"| {' | '.join(HEAD)} |"
+    yield f"| {' | '.join(['---'] * len(HEAD))} |"
+    parts = (
+        linear_rows(sizes, sizes.levels, sizes.repeats),
+        contact_rows(sizes),
+        nonlinear_rows(sizes),
+        boundary_rows(sizes),
+        linear_rows(sizes, sizes.fine_levels, 3 * sizes.slow_repeats),
+    )
+    for rows in parts:
+        for row in rows:
+            yield f"| {' | '.join(row.cells())} |"
+
+
+def processor() -> str:
+    """Its name, where the system tells it."""
+    info = Path("/proc/cpuinfo")
+    lines = info.read_text().splitlines() if info.exists() else []
+    return next((line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")), "unknown")
+
+
+def main() -> None:
+    """Print the table line by line."""
+    for line in report(Sizes()):
+        print(line, flush=True)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,113 @@
+"""Writes the accuracy table of `vdm/README.md` from the stored results of the accuracy studies: `make accuracy`.
+
+A surface may be named as argument: it goes through `accuracy-organ` and gets a row of its own. Rows of surfaces
+that are not named stay as they are.
+"""
+
+from __future__ import annotations
+
+import re
+import sys
+import tempfile
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from studies.case import CaseResult, Run
+from studies.report.digest import DEFORMATION, RESOLUTION, VECTOR, at_full_load
+from studies.store import read_run
+from tests.command import vdmbench
+
+ROOT = Path(__file__).parents[2]
+README = ROOT / "vdm" / "README.md"
+STUDIES = ("sphere", "ellipsoid", "box", "cylinder", "organ")
+CHEAPEST = "box"
+# of the models in the studies, what the table calls them
+COLUMNS = {
+    "vdm-paper": "paper",
+    "vdm-consistent": "consistent",
+    "vdm-vector": "vector",
+    "vdm-vector:lu": "vector, nodal rotation",
+    "vdm-boundary": "boundary",
+    "fem-linear": "FEM, this mesh",
+}
+MEASURES = {VECTOR: "gci", DEFORMATION: "gci_deformation"}
+HEAD = ("body", "nodes", "loads", "reference's own", *COLUMNS.values())
+_TABLE = re.compile(r"(<!-- accuracy -->\n).*?(<!-- /accuracy -->)", re.DOTALL)
+
+
+def row_of(study: str, directory: Path, name: str, surface: Path | None = None) -> list[str]:
+    """Run a study in `directory` and give its row of the table, called `name`.
+
+    Raises
+    ------
+    RuntimeError
+        a study that did not finish all its cases.
+    """
+    given = ["--surface", str(surface)] if surface else []
+    result = vdmbench("run", study, *given, "--out", name, "--json", cwd=directory)
+    if result.returncode:
+        raise RuntimeError(result.stderr)
+    return [name, *cells(read_run(directory / name))]
+
+
+def cells(run: Run) -> Iterator[str]:
+    """What a row says of a run: size, the reference's own error, and each model's two errors in per cent."""
+    yield str(len(run.cases[0].points))
+    yield str(len(run.cases))
+    own = ([case.reference_error[key] for case in run.cases] for key in MEASURES.values())
+    yield " / ".join(_number(np.mean(values)) for values in own)
+    for model in COLUMNS:
+        means, worst = zip(*(_errors(run.cases, model, measure) for measure in MEASURES), strict=True)
+        yield f"{' / '.join(means)} ({' / '.join(worst)})"
+
+
+def _errors(cases: Sequence[CaseResult], model: str, measure: str) -> tuple[str, str]:
+    """Mean and worst over the loads; a tilde before a mean that the reference does not resolve for every load."""
+    errors = np.array([at_full_load(case, model, measure) for case in cases])
+    own = np.array([case.reference_error[MEASURES[measure]] for case in cases])
+    mark = "" if np.all(own <= RESOLUTION * errors) else "~"
+    return mark + _number(errors.mean()), _number(errors.max())
+
+
+def _number(share: np.floating[Any] | float) -> str:
+    """Per cent with two digits."""
+    per_cent = 100.0 * share
+    return f"{per_cent:.0f}" if per_cent >= 9.95 else f"{per_cent:.1f}"
+
+
+def rows_in_readme() -> dict[str, list[str]]:
+    """The rows that `vdm/README.md` shows now, by body."""
+    found = _TABLE.search(README.read_text(encoding="utf-8"))
+    if found is None:
+        raise RuntimeError("vdm/README.md has lost the marks of its accuracy table")
+    lines = found.group(0).splitlines()[3:-1]
+    rows = [[cell.strip() for cell in line.strip("|").split("|")] for line in lines]
+    return {row[0]: row for row in rows}
+
+
+def written(rows: dict[str, list[str]]) -> str:
+    """The table as Markdown."""
+    lines = [HEAD, ["---"] * len(HEAD), *rows.values()]
+    return "".join(f"| {' | '.join(line)} |\n" for line in lines)
+
+
+def main() -> None:
+    """Run all the studies and write the table."""
+    rows = rows_in_readme()
+    with tempfile.TemporaryDirectory() as name:
+        directory = Path(name)
+        for body in STUDIES:
+            rows[body] = row_of(f"accuracy-{body}", directory, body)
+        for surface in sys.argv[1:]:
+            body = Path(surface).stem
+            rows[body] = row_of("accuracy-organ", directory, body, Path(surface).resolve())
+    text = README.read_text(encoding="utf-8")
+    text = _TABLE.sub(lambda found: found.group(1) + written(rows) + found.group(2), text)
+    README.write_text(text, encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
