@@ -19,6 +19,7 @@ from .metrics import enclosed_volume
 from .scene import Scene
 
 if TYPE_CHECKING:
+    from fem_reference.loads import Load as FemLoad
     from fem_reference.solution import Solution as FemSolution
     from vdm.solution import Solution as VdmSolution
 
@@ -109,22 +110,40 @@ def _vdm_boundary(scene: Scene, solver: str, name: str) -> VdmSolution:
 
 @_model("fem-linear", version="2", volumetric=True)
 def _fem_linear(scene: Scene, solver: str, name: str) -> FemSolution:  # noqa: ARG001
-    from fem_reference.linear import LinearProblem, Load
+    from fem_reference.linear import LinearProblem
 
-    mesh = scene.mesh
-    problem = LinearProblem(
-        mesh.points,
-        mesh.tetrahedra,
-        mesh.surface_nodes,
-        mesh.triangles,
-        youngs_modulus=scene.tissue.youngs_modulus,
-        poisson_ratio=scene.tissue.poisson_ratio,
-        density=scene.tissue.density,
-        held=scene.held,
-        expected_loads=len(scene.load_factors) if scene.gravity.any() else 1,  # else all are multiples of one
-    )
-    loads = [Load(f * scene.facet_pressure, f * scene.prescribed, scene.gravity) for f in scene.load_factors]
-    return problem.solve(loads, frozenset({"max_det_f_deviation"}))
+    n_solves = len(scene.load_factors) if scene.gravity.any() else 1  # else all steps are multiples of one
+    problem = LinearProblem(**_body(scene), expected_loads=n_solves)
+    return problem.solve(_fem_loads(scene), frozenset({"max_det_f_deviation"}))
+
+
+@_model("fem", version="1", volumetric=True)
+def _fem(scene: Scene, solver: str, name: str) -> FemSolution:  # noqa: ARG001
+    from fem_reference.finite_strain import FiniteStrainProblem
+
+    problem = FiniteStrainProblem(**_body(scene), expected_loads=len(scene.load_factors))
+    return problem.solve(_fem_loads(scene), frozenset({"max_det_f_deviation", "max_principal_strain"}))
+
+
+def _body(scene: Scene) -> dict[str, Any]:
+    """What every volumetric model is built from."""
+    mesh, tissue = scene.mesh, scene.tissue
+    return {
+        "points": mesh.points,
+        "tetrahedra": mesh.tetrahedra,
+        "surface_nodes": mesh.surface_nodes,
+        "triangles": mesh.triangles,
+        "youngs_modulus": tissue.youngs_modulus,
+        "poisson_ratio": tissue.poisson_ratio,
+        "density": tissue.density,
+        "held": scene.held,
+    }
+
+
+def _fem_loads(scene: Scene) -> list[FemLoad]:
+    from fem_reference.loads import Load
+
+    return [Load(f * scene.facet_pressure, f * scene.prescribed, scene.gravity) for f in scene.load_factors]
 
 
 def _vdm(scene: Scene, formulation: str, solver: str, name: str) -> VdmSolution:
