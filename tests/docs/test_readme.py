@@ -82,3 +82,9 @@ def test_every_shipped_study_is_listed_with_its_title(tmp_path: Path) -> None:
     listed = vdmbench("list", cwd=tmp_path).stdout
     for path in (regenerate.ROOT / "studies" / "cases").glob("*.toml"):
         assert path.stem in listed
+
+
+def test_every_model_is_in_the_table() -> None:
+    from studies.models import MODELS
+
+    assert set(re.findall(r"^\| `((?:vdm|fem)[a-z-]*)` \|", TEXT, flags=re.MULTILINE)) == set(MODELS)
