@@ -13,7 +13,7 @@ from fem_reference.assembly import scalar_pattern
 from fem_reference.finite_strain_assembly import ElementAssembly
 from fem_reference.finite_strain_outputs import OUTPUTS, Record
 from fem_reference.follower import FollowerPressure
-from fem_reference.linear import check_material
+from fem_reference.linear import Fields, check_material
 from fem_reference.loads import (
     Load,
     check_loads,
@@ -22,7 +22,7 @@ from fem_reference.loads import (
     prescribed_nodes,
 )
 from fem_reference.materials import make_law
-from fem_reference.mesh import TetMesh
+from fem_reference.mesh import TetMesh, facet_quadrature
 from fem_reference.newton import Newton, ScaledLoad, Substep
 from fem_reference.solution import Solution, SolverError, Status
 from fem_reference.system import LinearSystem, build_system
@@ -40,7 +40,8 @@ class FiniteStrainProblem:
 
     Mixed displacement-pressure Taylor-Hood elements (P2-P1), total Lagrangian, for the laws of
     `fem_reference.materials`; its small-load limit is `fem_reference.linear.LinearProblem`. Newton's method with
-    the consistent tangent; a load step that does not converge is cut into substeps, which grow again where it is easy.
+    the consistent tangent; a load step that does not converge is cut into substeps, which grow again
+    where it is easy.
 
     Parameters
     ----------
@@ -134,18 +135,54 @@ class FiniteStrainProblem:
             For a load of the wrong shape or with values that are not finite.
         """
         check_loads(self.mesh, loads)
-        nothing = Load(
-            *(np.zeros(np.shape(a)) for a in (loads[0].facet_pressure, loads[0].prescribed, np.zeros(3)))
+        return self._follow([self._scaled(load) for load in loads])
+
+    def solve_nodal(self, forces: Array, prescribed: Array) -> Fields:
+        """Follow a history of dead forces and displacements that are given at the nodes.
+
+        Parameters
+        ----------
+        forces : (S, n_nodes, 3) [N]
+        prescribed : (S, n_nodes, 3) displacement of held nodes; ignored elsewhere [m]
+
+        Returns
+        -------
+        Fields
+            NaN from the first load step on that cannot be reached.
+        """
+        length, steps = self.mesh.mean_edge, len(forces)
+        force_unit = self.shear_modulus * length**2
+        nothing = np.zeros((len(self.mesh.triangles), len(facet_quadrature()[1])))
+        scaled = [
+            ScaledLoad(nothing, force / force_unit, given / length)
+            for force, given in zip(forces, prescribed, strict=True)
+        ]
+        fields = Fields(
+            displacement=np.full((steps, self.mesh.n_nodes, 3), np.nan),
+            pressure=np.full((steps, self.mesh.n_vertices), np.nan),
+            reaction=np.full((steps, self.mesh.n_nodes, 3), np.nan),
+            residual=np.full(steps, np.nan),
+            iterations=np.zeros(steps, dtype=np.int64),
         )
-        start, state = self._scaled(nothing), self._newton.rest
-        for number, load in enumerate(loads):
-            end = self._scaled(load)
-            attempt = None
+        for number, attempt in self._follow(scaled):
+            fields.iterations[number] += len(attempt.residuals) - 1
+            if attempt.converged and attempt.load_factor == 1.0:
+                fields.displacement[number] = attempt.state.displacement * length
+                stress_unit = self.system.pressure_scale * self.shear_modulus
+                fields.pressure[number] = attempt.state.pressure * stress_unit
+                fields.reaction[number] = attempt.reaction * force_unit
+                fields.residual[number] = attempt.residuals[-1]
+        return fields
+
+    def _follow(self, loads: Sequence[ScaledLoad]) -> Iterator[tuple[int, Substep]]:
+        start, state = ScaledLoad(*(np.zeros_like(a) for a in vars(loads[0]).values())), self._newton.rest
+        for number, end in enumerate(loads):
             for attempt in self._newton.follow(state, start, end):
                 yield number, attempt
-            if attempt is None or not attempt.converged:
+                state = attempt.state
+            if not (attempt.converged and attempt.load_factor == 1.0):
                 return
-            start, state = end, attempt.state
+            start = end
 
     def solve(self, loads: Sequence[Load], outputs: frozenset[str] = frozenset()) -> Solution:
         """Follow a load history: each step starts from the one before it, the first from the undeformed body.
@@ -175,9 +212,7 @@ class FiniteStrainProblem:
                     f"use some of {', '.join(OUTPUTS)}",
                 )
             )
-        record = Record(
-            self.mesh, self._assembly, self.shear_modulus, self.system.pressure_scale, len(loads), outputs
-        )
+        record = Record(self.system, self._assembly, self.shear_modulus, len(loads), outputs)
         factorisations, steps = self.solver.factorisations, self.solver.steps
         for number, attempt in self.substeps(loads):
             record.add(number, attempt)

@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 
 from fem_reference.finite_strain_assembly import ElementAssembly
 from fem_reference.loads import gather_to_vertices
-from fem_reference.mesh import TetMesh
-from fem_reference.newton import Substep
+from fem_reference.newton import State, Substep
 from fem_reference.solution import CONVERGED, Solution, Status
+from fem_reference.system import LinearSystem
 
 Array = NDArray[np.float64]
 
@@ -34,27 +34,25 @@ class Record:
 
     Parameters
     ----------
-    mesh : the mesh
+    system : that of the undeformed body
     assembly : for integrals over the deformed body
     shear_modulus : unit of stress [Pa]
-    pressure_scale : a of the scaled pressure
     steps : number of load steps
     outputs : names out of `OUTPUTS`
     """
 
     def __init__(
         self,
-        mesh: TetMesh,
+        system: LinearSystem,
         assembly: ElementAssembly,
         shear_modulus: float,
-        pressure_scale: float,
         steps: int,
         outputs: frozenset[str],
     ) -> None:
-        self._mesh = mesh
+        mesh = self._mesh = system.mesh
+        self._system = system
         self._assembly = assembly
         self._shear_modulus = shear_modulus
-        self._pressure_scale = pressure_scale
         self._outputs = outputs
         nodes = len(mesh.surface_nodes)
         self._displacement = np.full((steps, nodes, 3), np.nan)
@@ -67,7 +65,9 @@ class Record:
         self._iterations = np.zeros(steps, dtype=np.int64)
         self._seconds = np.zeros(steps)
         self._status = [Status("not-reached", "an earlier load step failed", "see that step")] * steps
-        self._converged: Substep | None = None  # the last one, of any step
+        nothing = np.zeros((mesh.n_nodes, 3))
+        rest = State(nothing, np.zeros(mesh.n_vertices))
+        self._converged = Substep(0.0, rest, nothing, nothing, (), "converged")  # the last one, of any step
         self._open: tuple[int, float, Substep] | None = (
             None  # a step under way: number, load factor, last attempt
         )
@@ -106,10 +106,7 @@ class Record:
     def _close(self, number: int, reached: float, status: Status) -> None:
         self._status[number] = status
         self._scalars["load_factor"][number] = reached
-        if self._converged is None:
-            self._displacement[number] = self._reaction[number] = 0.0
-        else:
-            self._store(number, self._converged)
+        self._store(number, self._converged)
         self._open = None
         now = time.perf_counter()
         self._seconds[number] = now - self._clock
@@ -117,13 +114,18 @@ class Record:
 
     def _store(self, number: int, substep: Substep) -> None:
         mesh, length = self._mesh, self._mesh.mean_edge
-        u, p = substep.state.displacement, self._pressure_scale * substep.state.pressure
+        u, q = substep.state.displacement, substep.state.pressure
+        p = self._system.pressure_scale * q
         self._displacement[number] = u[mesh.surface_nodes] * length
         force_unit = self._shear_modulus * length**2
         self._reaction[number] = gather_to_vertices(mesh, substep.reaction[None])[0] * force_unit
         volume = self._assembly.volume(u)
         self._fluid_pressure[number] = self._shear_modulus * self._assembly.pressure_integral(u, p) / volume
-        self._energy[number] = self._assembly.strain_energy(u) * self._shear_modulus * length**3
+        # p^2 / (2 lambda) = c q^2 / 2, the energy of the volume change
+        energy = self._assembly.strain_energy(u)
+        if self._system.mass is not None:
+            energy += 0.5 * self._system.compressibility * float(q @ (self._system.mass @ q))
+        self._energy[number] = energy * self._shear_modulus * length**3
         deviation, strain = self._assembly.largest(u) if self._outputs - {"volume"} else (np.nan, np.nan)
         values = {
             "max_det_f_deviation": deviation,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 
@@ -17,10 +18,12 @@ from fem_reference.tangent_solver import TangentSolver, TangentSystem
 
 Array = NDArray[np.float64]
 
-_LEAST_STEP = 2.0**-10  # of a load step
+_LEAST_STEP = 2.0**-8  # of a load step
 _EASY = 5  # Newton iterations after which the next substep may be longer
 _LEAST_DAMPING = 0.1  # of an update that would turn an element inside out
-_ROUNDING = 4e-15
+# Newton far from its goal may raise the residual, but one that keeps doing so may end on another branch.
+_MOST_RISES = 2
+_ROUNDING = 4e-15  # of a displacement gradient, with room
 # A linear solve need not be more exact than the quadratic model it serves.
 _LEAST_FORCING, _MOST_FORCING = 1e-10, 1e-3
 
@@ -151,7 +154,9 @@ class Newton:
         """
         reached, step = 0.0, 1.0
         while reached < 1.0:
-            target = 1.0 if reached + step > 1.0 - 0.5 * _LEAST_STEP else reached + step
+            # A remainder too short to be tried alone is taken along.
+            target = 1.0 if reached + step > 1.0 - _LEAST_STEP else reached + step
+            step = target - reached
             attempt = self.solve(state, start.towards(end, target), target)
             yield attempt
             if attempt.converged:
@@ -172,7 +177,8 @@ class Newton:
             step = np.where(self._system.held, load.given - u, 0.0)
             if found.relative <= self._tolerance and not step.any():
                 return self._outcome(load_factor, State(u, q), found, residuals, "converged")
-            if len(residuals) > self._max_newton or not np.isfinite(found.relative):
+            rises = sum(b > a for a, b in itertools.pairwise(residuals[1:]))
+            if len(residuals) > self._max_newton or rises > _MOST_RISES or not np.isfinite(found.relative):
                 return self._outcome(load_factor, state, found, residuals, "not-converged")
             update = self._update(u, q, load, step, found)
             if update is None:
@@ -214,7 +220,7 @@ class Newton:
         external = load.forces + self._follower.forces(self._points + u, load.pressure)
         unbalanced = internal.nodal - external
         vector = self._vector(unbalanced, internal.volume)
-        vector[system.n_displacements :] -= system.compressibility * (self._mass @ q)
+        vector[system.n_displacements :] -= system.compressibility * np.asarray(self._mass @ q)
         # Forces below the rounding of the displacement gradient are none.
         noise = _ROUNDING * np.sqrt(u.size) * (1.0 + float(np.abs(u).max()))
         scale = max(float(np.linalg.norm(a)) for a in (internal.nodal, external))

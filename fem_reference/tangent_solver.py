@@ -1,8 +1,8 @@
 """Linear solves of Newton's method: GMRES on the true tangent, preconditioned by a factor that is kept.
 
 A follower pressure makes the tangent unsymmetric, but only at loaded facets: the LDL^T factor of the symmetric
-part, or of an earlier tangent, is a close approximation at half the cost of an LU factor. It is made anew only when GMRES
-begins to need more steps than a factor is worth.
+part, or of an earlier tangent, is a close approximation at half the cost of an LU factor. It is made anew only when
+GMRES begins to need more steps than a factor is worth.
 """
 
 from __future__ import annotations
@@ -50,8 +50,8 @@ class Preconditioner(Protocol):
     limit: int
     estimated_bytes: float
 
-    def make(self, system: LinearSystem) -> Operator:
-        """The approximate inverse of a system."""
+    def make(self, system: LinearSystem) -> Operator | None:
+        """The approximate inverse of a system; None if it is singular."""
         ...
 
     def sharpen(self) -> bool:
@@ -70,34 +70,28 @@ class Factors:
         self._precision = "float32"
         self._memory_limit = memory_limit
         self._symbolic = rslab.analyze(_lower_triangle(system), path="ldlt")
-        self._check_memory()
+        self.estimated_bytes = self._needed(self._precision)
+        check_memory(self.estimated_bytes, memory_limit, self.name)
 
-    def make(self, system: LinearSystem) -> Operator:
+    def make(self, system: LinearSystem) -> Operator | None:
         """See `Preconditioner`."""
-        matrix = _lower_triangle(system)
         try:
-            factor = self._symbolic.factor(matrix, factor_dtype=self._precision)
-        except RuntimeError as error:  # a pivot is zero at this precision
-            if self.sharpen():
-                return self.make(system)
-            raise SolverError(
-                Status(
-                    "singular", "the tangent matrix is singular", "hold more of the surface or load it less"
-                )
-            ) from error
+            factor = self._symbolic.factor(_lower_triangle(system), factor_dtype=self._precision)
+        except RuntimeError:  # a pivot is zero at this precision
+            return self.make(system) if self.sharpen() else None
         return lambda residual: np.asarray(factor.solve(residual))
 
     def sharpen(self) -> bool:
         """See `Preconditioner`."""
-        if self._precision == "float64":
+        needed = self._needed("float64")
+        if self._precision == "float64" or needed > _allowed(self._memory_limit):
             return False
         self._precision = "float64"
-        self._check_memory()
+        self.estimated_bytes = needed
         return True
 
-    def _check_memory(self) -> None:
-        self.estimated_bytes = float(self._symbolic.memory_plan(dtype=self._precision, nrhs=1)["peak_bytes"])
-        check_memory(self.estimated_bytes, self._memory_limit, self.name)
+    def _needed(self, precision: str) -> float:
+        return float(self._symbolic.memory_plan(dtype=precision, nrhs=1)["peak_bytes"])
 
 
 class Multigrid:
@@ -194,7 +188,7 @@ class TangentSolver:
 def _choose(system: LinearSystem, expected_loads: int, memory_limit: float | None) -> tuple[str, str]:
     solves = _NEWTON_STEPS * max(1, expected_loads)
     costs = estimate_costs(system.size, system.mesh.n_vertices, solves)
-    allowed = available_memory() if memory_limit is None else memory_limit
+    allowed = _allowed(memory_limit)
     reason = f"{system.size} unknowns, {solves} solves: " + ", ".join(
         f"{name} about {cost.seconds:.2g} s and {cost.bytes / 1e6:.0f} MB" for name, cost in costs.items()
     )
@@ -205,3 +199,7 @@ def _choose(system: LinearSystem, expected_loads: int, memory_limit: float | Non
 def _lower_triangle(system: LinearSystem) -> object:
     floor = _LEAST_COMPRESSIBILITY if system.compressibility >= 0.0 else system.compressibility
     return system.lower_triangle(max(system.compressibility, floor))
+
+
+def _allowed(memory_limit: float | None) -> float:
+    return available_memory() if memory_limit is None else memory_limit

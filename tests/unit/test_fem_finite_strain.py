@@ -1,0 +1,506 @@
+"""The finite-strain problem: tangent, invariance, exact homogeneous states, balance, load histories, failure."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+from scipy.optimize import brentq
+from scipy.sparse import bsr_array
+
+from fem_reference.assembly import scalar_pattern
+from fem_reference.finite_strain import OUTPUTS, FiniteStrainProblem
+from fem_reference.finite_strain_assembly import ElementAssembly
+from fem_reference.follower import FollowerPressure
+from fem_reference.loads import nodal_forces
+from fem_reference.materials import make_law
+from fem_reference.mesh import TetMesh
+from fem_reference.solution import Solution, SolverError
+from tests.unit.fem_shapes import Body, ball, cube
+
+Array = np.ndarray
+
+RATIOS = pytest.mark.parametrize("poisson_ratio", [-0.3, 0.0, 0.3, 0.45, 0.4999, 0.5])
+EVERYTHING = frozenset(OUTPUTS)
+TILT = (0.3, -0.2, 1.0)
+FIBRES = {"material": "transversely-isotropic", "fibre_direction": TILT, "contrast": 5.0}
+
+
+@pytest.fixture(scope="module")
+def block() -> Body:
+    return cube(2, distort=0.25)
+
+
+def _problem(b: Body, held: Array, **options: object) -> FiniteStrainProblem:
+    """E = 1 and nu = 0.3 unless told otherwise."""
+    settings: dict[str, object] = {"youngs_modulus": 1.0, "poisson_ratio": 0.3, **options}
+    return FiniteStrainProblem(*b.arrays, held=held, **settings)  # type: ignore[arg-type]
+
+
+def _bottom(b: Body) -> Array:
+    return b.surface[:, 2] == 0.0
+
+
+def _top(b: Body) -> Array:
+    return b.facets_where(lambda x: x[:, 2] == 1.0)
+
+
+def _converged(solution: Solution) -> Solution:
+    assert [s.code for s in solution.status] == ["converged"] * len(solution.status), solution.status
+    return solution
+
+
+def _random_state(mesh: TetMesh) -> tuple[Array, Array]:
+    rng = np.random.default_rng(7)
+    smooth = mesh.node_points @ rng.uniform(-0.3, 0.3, (3, 3)).T
+    u = smooth + rng.uniform(-0.03, 0.03, (mesh.n_nodes, 3))
+    return u / mesh.mean_edge, rng.uniform(-1.0, 1.0, mesh.n_vertices)
+
+
+# ---------------------------------------------------------------- tangent
+
+
+@pytest.mark.parametrize("law", ["neo-hookean", "transversely-isotropic"])
+def test_element_tangent_by_finite_differences(block: Body, law: str) -> None:
+    mesh = TetMesh(*block.arrays)
+    pattern = scalar_pattern(mesh)
+    fibres = law == "transversely-isotropic"
+    assembly = ElementAssembly(
+        mesh, pattern, make_law(law, 2.6, 1.0, TILT if fibres else None, 5.0 if fibres else 1.0)
+    )
+    u, p = _random_state(mesh)
+    blocks, volumes = assembly.tangent(u, p)
+    size, n = 3 * mesh.n_nodes, mesh.n_vertices
+    stiffness = bsr_array((blocks, pattern.indices, pattern.indptr), shape=(size, size))
+    short = len(volumes)
+    divergence = bsr_array((volumes, pattern.indices[:short], pattern.indptr[: n + 1]), shape=(n, size))
+    rng = np.random.default_rng(8)
+    for _ in range(3):
+        du, dp = rng.standard_normal(u.shape), rng.standard_normal(p.shape)
+        h = 1e-6
+        ahead, behind = (assembly.forces(u + s * du, p + s * dp) for s in (h, -h))
+        nodal = (ahead.nodal - behind.nodal) / (2.0 * h)
+        expected = (stiffness @ du.ravel() - divergence.T @ dp).reshape(-1, 3)
+        assert_allclose(nodal, expected, rtol=0, atol=1e-8 * np.abs(expected).max())
+        volume = (ahead.volume - behind.volume) / (2.0 * h)
+        expected = divergence @ du.ravel()
+        assert_allclose(volume, expected, rtol=0, atol=1e-8 * np.abs(expected).max())
+
+
+def test_internal_forces_are_the_gradient_of_the_energy(block: Body) -> None:
+    mesh = TetMesh(*block.arrays)
+    assembly = ElementAssembly(mesh, scalar_pattern(mesh), make_law("neo-hookean", 2.6, 1.0, None, 1.0))
+    u, p = _random_state(mesh)
+    du = np.random.default_rng(9).standard_normal(u.shape)
+    h = 1e-6
+    slope = (assembly.strain_energy(u + h * du) - assembly.strain_energy(u - h * du)) / (2.0 * h)
+    assert_allclose(np.sum(assembly.forces(u, 0.0 * p).nodal * du), slope, rtol=1e-8, atol=0)
+    slope = (assembly.volume(u + h * du) - assembly.volume(u - h * du)) / (2.0 * h)
+    pushed = assembly.forces(u, 0.0 * p + 1.0).nodal - assembly.forces(u, 0.0 * p).nodal
+    assert_allclose(-np.sum(pushed * du), slope, rtol=1e-8, atol=0)
+
+
+def test_follower_tangent_by_finite_differences(block: Body) -> None:
+    """A pressure that varies over part of the surface: the tangent is not symmetric."""
+    mesh = TetMesh(*block.arrays)
+    pattern = scalar_pattern(mesh)
+    follower = FollowerPressure(mesh, pattern)
+    rng = np.random.default_rng(10)
+    x = mesh.node_points + rng.uniform(-0.05, 0.05, (mesh.n_nodes, 3))
+    pressure = rng.uniform(-1.0, 1.0, (len(block.triangles), 6)) * _top(block)[:, None]
+    places, blocks = follower.stiffness(x, pressure)
+    whole = np.zeros((pattern.size, 3, 3))
+    whole[places] = blocks
+    size = 3 * mesh.n_nodes
+    stiffness = bsr_array((whole, pattern.indices, pattern.indptr), shape=(size, size))
+    assert abs(stiffness - stiffness.T).max() > 0.1 * abs(stiffness).max()
+    for _ in range(3):
+        dx, h = rng.standard_normal(x.shape), 1e-6
+        slope = (follower.forces(x + h * dx, pressure) - follower.forces(x - h * dx, pressure)) / (2.0 * h)
+        expected = -(stiffness @ dx.ravel()).reshape(-1, 3)
+        assert_allclose(slope, expected, rtol=0, atol=1e-8 * np.abs(expected).max())
+
+
+def test_a_uniform_pressure_does_the_work_of_the_volume() -> None:
+    """Over a closed surface -p n da is -p times the gradient of the enclosed volume, which is a cubic."""
+    b = ball(1)
+    mesh = TetMesh(*b.arrays)
+    pattern = scalar_pattern(mesh)
+    assembly = ElementAssembly(mesh, pattern, make_law("neo-hookean", 2.6, 1.0, None, 1.0))
+    u, _ = _random_state(mesh)
+    du = np.random.default_rng(11).standard_normal(u.shape)
+    h = 1e-6
+    slope = (assembly.volume(u + h * du) - assembly.volume(u - h * du)) / (2.0 * h)
+    x = mesh.node_points / mesh.mean_edge + u
+    force = FollowerPressure(mesh, pattern).forces(x, np.full((len(b.triangles), 6), 0.7))
+    assert_allclose(np.sum(force * du), -0.7 * slope, rtol=1e-8, atol=0)
+    assert_allclose(force.sum(axis=0), 0.0, rtol=0, atol=1e-12 * np.abs(force).sum())
+
+
+@pytest.mark.parametrize("pressure", ["follower", "dead"])
+@pytest.mark.parametrize("poisson_ratio", [0.45, 0.5])
+def test_newton_converges_quadratically(block: Body, pressure: str, poisson_ratio: float) -> None:
+    problem = _problem(block, _bottom(block), poisson_ratio=poisson_ratio, pressure=pressure, tolerance=1e-12)
+    attempts = [a for _, a in problem.substeps([block.load(0.12 * _top(block))])]
+    assert [a.code for a in attempts] == ["converged"]
+    residuals = np.array(attempts[0].residuals)
+    assert len(residuals) <= 7
+    # The digits double from step to step until rounding.
+    assert np.all(residuals[3:] < 10.0 * residuals[2:-1] ** 2 + 1e-13), residuals
+
+
+# ---------------------------------------------------------------- exact states
+
+
+@RATIOS
+def test_patch_test_with_the_whole_surface_given(block: Body, poisson_ratio: float) -> None:
+    """Any homogeneous deformation is reproduced inside; an incompressible body needs a free face and is refused."""
+    stretch = np.array([[1.1, 0.3, 0.0], [-0.1, 0.9, 0.2], [0.15, 0.0, 1.05]])
+    held = np.ones(len(block.surface), dtype=bool)
+    given = block.surface @ (stretch - np.eye(3)).T
+    if poisson_ratio == 0.5:
+        with pytest.raises(SolverError, match="an incompressible body is held over its whole surface"):
+            _problem(block, held, poisson_ratio=poisson_ratio)
+        return
+    # Nearly incompressible, the residual is measured against a pressure that is thousands of moduli.
+    problem = _problem(block, held, poisson_ratio=poisson_ratio, tolerance=1e-12)
+    attempts = [a for _, a in problem.substeps([block.load(prescribed=given)])]
+    assert attempts[-1].converged
+    assert attempts[-1].load_factor == 1.0
+    mesh = problem.mesh
+    expected = mesh.node_points @ (stretch - np.eye(3)).T
+    assert_allclose(attempts[-1].state.displacement * mesh.mean_edge, expected, rtol=0, atol=1e-9)
+    s = _converged(problem.solve([block.load(prescribed=given)], EVERYTHING))
+    determinant = np.linalg.det(stretch)
+    assert_allclose(s.scalars["volume"], determinant, rtol=1e-9, atol=0)
+    assert_allclose(s.scalars["max_det_f_deviation"], abs(determinant - 1.0), rtol=0, atol=1e-8)
+    strain = 0.5 * np.linalg.eigvalsh(stretch.T @ stretch - np.eye(3))[-1]
+    assert_allclose(s.scalars["max_principal_strain"], strain, rtol=0, atol=1e-8)
+    # Energy density and mean stress from the closed form of the law.
+    g = 0.5 / (1.0 + poisson_ratio)
+    lame = 2.0 * g * poisson_ratio / (1.0 - 2.0 * poisson_ratio)
+    squares = np.sum(stretch**2)
+    energy = 0.5 * g * (squares - 3.0 - 2.0 * np.log(determinant)) + 0.5 * lame * (determinant - 1.0) ** 2
+    trace = g * (squares - 3.0) / determinant + 3.0 * lame * (determinant - 1.0)
+    assert_allclose(s.fluid_pressure, -trace / 3.0, rtol=1e-8, atol=1e-9)
+    assert_allclose(s.energy, energy, rtol=1e-8, atol=0)
+
+
+@RATIOS
+@pytest.mark.parametrize("stretch", [0.6, 1.7])
+def test_uniaxial_stretch_on_rollers(block: Body, poisson_ratio: float, stretch: float) -> None:
+    """Free sides: the lateral stretch, the force, the energy and the pressure follow from the law."""
+    g = 0.5 / (1.0 + poisson_ratio)
+    lame = 0.0 if poisson_ratio == 0.5 else 2.0 * g * poisson_ratio / (1.0 - 2.0 * poisson_ratio)
+
+    def lateral_stress(t: float) -> float:
+        return g * (t - 1.0 / t) + lame * (t * t * stretch - 1.0) * t * stretch
+
+    if poisson_ratio < 0.0:  # the law has no equilibrium at large stretch where lambda is negative
+        stretch = 1.0 + 0.1 * (stretch - 1.0)
+    t = stretch**-poisson_ratio  # exact where incompressible
+    if poisson_ratio < 0.5:
+        t = brentq(lateral_stress, t - 0.1, t + 0.1, xtol=1e-14)
+    volume = t * t * stretch
+    if poisson_ratio == 0.5:
+        nominal = g * (stretch - 1.0 / stretch**2)
+    else:
+        nominal = g * (stretch - 1.0 / stretch) + lame * (volume - 1.0) * t * t
+    squares = stretch**2 + 2.0 * t * t
+    energy = 0.5 * g * (squares - 3.0 - 2.0 * np.log(volume)) + 0.5 * lame * (volume - 1.0) ** 2
+
+    x = block.surface
+    held = x == 0.0
+    held[:, 2] |= x[:, 2] == 1.0
+    given = np.zeros_like(x)
+    given[x[:, 2] == 1.0, 2] = stretch - 1.0
+    s = _problem(block, held, poisson_ratio=poisson_ratio).solve([block.load(prescribed=given)], EVERYTHING)
+    _converged(s)
+    expected = x * (np.array([t, t, stretch]) - 1.0)
+    assert_allclose(s.displacement[0], expected, rtol=0, atol=1e-8)
+    force = s.reaction_force[0][x[:, 2] == 1.0, 2].sum()
+    assert_allclose(force, nominal, rtol=0, atol=1e-8)
+    assert_allclose(s.energy, energy, rtol=0, atol=1e-8)
+    assert_allclose(s.scalars["volume"], volume, rtol=1e-8, atol=0)
+    assert_allclose(s.fluid_pressure, -nominal * stretch / volume / 3.0, rtol=0, atol=1e-8)
+
+
+@pytest.mark.parametrize("poisson_ratio", [0.3, 0.5])
+def test_fibres_multiply_youngs_modulus_by_the_contrast(block: Body, poisson_ratio: float) -> None:
+    """At small strain along the fibres; across them hardly."""
+    x = block.surface
+    held = x == 0.0
+    moduli = []
+    for axis in range(3):
+        mask = held.copy()
+        mask[:, axis] |= x[:, axis] == 1.0
+        given = np.zeros_like(x)
+        given[x[:, axis] == 1.0, axis] = 1e-7
+        problem = _problem(
+            block, mask, poisson_ratio=poisson_ratio, **{**FIBRES, "fibre_direction": (0.0, 0.0, 3.0)}
+        )
+        s = _converged(problem.solve([block.load(prescribed=given)]))
+        moduli.append(s.reaction_force[0][x[:, axis] == 1.0, axis].sum() / 1e-7)
+    assert_allclose(moduli[2], 5.0, rtol=1e-6, atol=0)
+    # Fibres k = 4 E resist the lateral contraction nu: E / (1 - nu^2 k / (E + k))
+    assert_allclose(moduli[:2], 1.0 / (1.0 - poisson_ratio**2 * 4.0 / 5.0), rtol=1e-6, atol=0)
+
+
+# ---------------------------------------------------------------- invariance and balance
+
+
+@pytest.mark.parametrize("options", [{}, FIBRES], ids=["neo-hookean", "fibres"])
+def test_a_rigid_turn_of_the_support_strains_nothing(block: Body, options: dict[str, object]) -> None:
+    c, s = np.cos(0.7), np.sin(0.7)
+    turn = np.array([[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]])
+    given = block.surface @ (turn - np.eye(3)).T + np.array([3.0, -1.0, 2.0])
+    problem = _problem(block, _bottom(block), poisson_ratio=0.5, **options)
+    solution = _converged(problem.solve([block.load(prescribed=given)], EVERYTHING))
+    assert_allclose(solution.displacement[0], given, rtol=0, atol=1e-9)
+    assert_allclose(solution.energy, 0.0, rtol=0, atol=1e-16)
+    assert_allclose(solution.reaction_force, 0.0, rtol=0, atol=1e-9)
+    assert_allclose(solution.scalars["max_principal_strain"], 0.0, rtol=0, atol=1e-9)
+
+
+@pytest.mark.parametrize("pressure", ["follower", "dead"])
+def test_the_whole_scene_can_be_turned(block: Body, pressure: str) -> None:
+    turn, _ = np.linalg.qr(np.random.default_rng(1).standard_normal((3, 3)))
+    turn *= np.sign(np.linalg.det(turn))
+    gravity = np.array([0.05, 0.0, -0.1])
+    options: dict[str, object] = {**FIBRES, "poisson_ratio": 0.4999, "density": 1.0, "pressure": pressure}
+    problem = _problem(block, _bottom(block), **options)
+    here = _converged(problem.solve([block.load(0.1 * _top(block), gravity=gravity)], EVERYTHING))
+    there_body = Body(block.points @ turn.T, *block.arrays[1:])
+    options["fibre_direction"] = turn @ np.array(TILT)
+    problem = _problem(there_body, _bottom(block), **options)
+    there = _converged(problem.solve([block.load(0.1 * _top(block), gravity=turn @ gravity)], EVERYTHING))
+    assert_allclose(there.displacement[0], here.displacement[0] @ turn.T, rtol=0, atol=1e-9)
+    assert_allclose(there.reaction_force[0], here.reaction_force[0] @ turn.T, rtol=0, atol=1e-9)
+    assert_allclose(there.energy, here.energy, rtol=1e-8, atol=0)
+    for name in OUTPUTS:
+        assert_allclose(there.scalars[name], here.scalars[name], rtol=1e-7, atol=0)
+
+
+def test_units_do_not_matter(block: Body) -> None:
+    """Lengths in mm, moduli in kPa: the same shape."""
+    load = block.load(0.1 * _top(block), gravity=(0.0, 0.0, -0.1))
+    one = _problem(block, _bottom(block), density=1.0).solve([load], EVERYTHING)
+    small = Body(1e-3 * block.points, *block.arrays[1:])
+    # weight per volume in units of E / length
+    load = block.load(1e3 * 0.1 * _top(block), gravity=(0.0, 0.0, -0.1))
+    problem = _problem(small, _bottom(block), youngs_modulus=1e3, density=1e6)
+    two = problem.solve([load], EVERYTHING)
+    assert_allclose(two.displacement, 1e-3 * one.displacement, rtol=0, atol=1e-13)
+    assert_allclose(two.energy, 1e-6 * one.energy, rtol=1e-8, atol=0)
+    assert_allclose(two.reaction_force, 1e-3 * one.reaction_force, rtol=0, atol=1e-12)
+
+
+def test_reactions_balance_dead_loads(block: Body) -> None:
+    """Forces, and moments about the origin in the deformed body."""
+    problem = _problem(block, _bottom(block), poisson_ratio=0.5, density=1.0, pressure="dead")
+    pressed = block.load(0.15 * _top(block), gravity=(0.1, 0.0, -0.05))
+    s = _converged(problem.solve([pressed]))
+    assert_allclose(s.reaction_force[0].sum(axis=0), [-0.1, 0.0, 0.2], rtol=0, atol=1e-9)
+    *_, (_, last) = problem.substeps([pressed])
+    x = problem.mesh.node_points / problem.mesh.mean_edge + last.state.displacement
+    moment = np.cross(x, last.reaction + last.external).sum(axis=0)
+    assert_allclose(moment, 0.0, rtol=0, atol=1e-8 * np.abs(np.cross(x, last.external)).sum())
+
+
+@pytest.mark.parametrize("poisson_ratio", [0.3, 0.5])
+def test_reactions_balance_a_follower_pressure(block: Body, poisson_ratio: float) -> None:
+    """Pressure on all of the surface but a rigid face: the resultant is that on the face, however it deforms."""
+    pressure = -0.3 * ~block.facets_where(lambda x: x[:, 2] == 0.0)
+    s = _converged(_problem(block, _bottom(block), poisson_ratio=poisson_ratio).solve([block.load(pressure)]))
+    assert_allclose(s.reaction_force[0].sum(axis=0), [0.0, 0.0, -0.3], rtol=0, atol=1e-9)
+    if poisson_ratio < 0.5:
+        assert np.abs(s.displacement).max() > 0.05
+
+
+@pytest.mark.parametrize("pressure", ["follower", "dead"])
+@pytest.mark.parametrize("poisson_ratio", [0.3, 0.5])
+def test_small_loads_give_the_linear_solution(block: Body, pressure: str, poisson_ratio: float) -> None:
+    """The difference is quadratic in the load."""
+    held = _bottom(block)
+    linear = block.problem(held, poisson_ratio=poisson_ratio, density=1.0)
+    problem = _problem(block, held, poisson_ratio=poisson_ratio, density=1.0, pressure=pressure)
+    differences = []
+    for size in (1e-3, 1e-4, 1e-5):
+        given = held[:, None] * size * np.array([0.2, 0.0, 0.1]) * block.surface[:, :1]
+        load = block.load(size * _top(block), given, gravity=(size, 0.0, 0.0))
+        expected, found = linear.solve([load]), _converged(problem.solve([load]))
+        scale = np.abs(expected.displacement).max()
+        differences.append(np.abs(found.displacement - expected.displacement).max() / scale)
+        assert_allclose(found.energy, expected.energy, rtol=20.0 * size, atol=0)
+        assert_allclose(found.fluid_pressure, expected.fluid_pressure, rtol=20.0 * size, atol=0)
+        scale = np.abs(expected.reaction_force).max()
+        assert_allclose(found.reaction_force, expected.reaction_force, rtol=0, atol=20.0 * size * scale)
+    assert_allclose(differences[:2], [10.0 * differences[1], 10.0 * differences[2]], rtol=0.05, atol=0)
+    assert differences[0] < 0.02
+
+
+@pytest.mark.parametrize("poisson_ratio", [0.45, 0.5])
+def test_volume_is_kept_as_the_material_asks(poisson_ratio: float) -> None:
+    b = ball(2)
+    held = b.surface[:, 2] < -0.7
+    cap = b.facets_where(lambda x: x[:, 2] > 0.7)
+    problem = _problem(b, held, poisson_ratio=poisson_ratio)
+    s = _converged(problem.solve([b.load(0.4 * cap)], EVERYTHING))
+    change = s.scalars["volume"][0] / problem.mesh.volume - 1.0
+    if poisson_ratio == 0.5:
+        assert_allclose(change, 0.0, rtol=0, atol=1e-9)
+    else:
+        assert -0.05 < change < -1e-3
+    # The element keeps each patch's volume, not each point's: the local deviation must not hide behind the total.
+    assert s.scalars["max_det_f_deviation"][0] > 0.02
+
+
+def test_the_two_solvers_agree() -> None:
+    b = ball(2)
+    held = b.surface[:, 2] < -0.7
+    loads = [b.load(0.3 * b.facets_where(lambda x: x[:, 2] > 0.7))]
+    results = [
+        _converged(_problem(b, held, poisson_ratio=0.5, solver=solver).solve(loads))
+        for solver in ("direct", "iterative")
+    ]
+    assert [r.parameters["solver"] for r in results] == ["direct", "iterative"]
+    scale = np.abs(results[0].displacement).max()
+    assert_allclose(results[1].displacement, results[0].displacement, rtol=0, atol=1e-8 * scale)
+
+
+# ---------------------------------------------------------------- load histories
+
+
+def test_an_elastic_body_forgets_its_path(block: Body) -> None:
+    problem = _problem(block, _bottom(block), poisson_ratio=0.4999)
+    half, full = block.load(0.1 * _top(block)), block.load(0.2 * _top(block))
+    path = _converged(problem.solve([half, full, half, block.load()], EVERYTHING))
+    straight = _converged(problem.solve([full], EVERYTHING))
+    assert_allclose(path.displacement[1], straight.displacement[0], rtol=0, atol=1e-9)
+    assert_allclose(path.displacement[2], path.displacement[0], rtol=0, atol=1e-9)
+    assert_allclose(path.displacement[3], 0.0, rtol=0, atol=1e-9)
+    assert_allclose(path.scalars["volume"][3], 1.0, rtol=1e-9, atol=0)
+    assert_array_equal(path.scalars["load_factor"], 1.0)
+    assert np.all(path.iterations > 0)
+
+
+def test_a_load_that_costs_nothing(block: Body) -> None:
+    s = _converged(_problem(block, _bottom(block)).solve([block.load()], EVERYTHING))
+    assert_array_equal(s.displacement, 0.0)
+    assert_array_equal(s.iterations, 0)
+    assert_allclose(s.scalars["volume"], 1.0, rtol=1e-14, atol=0)
+
+
+def test_substeps_are_cut_and_grow(block: Body) -> None:
+    """Pressed flat in one load step: too much for one solve, not for several."""
+    x = block.surface
+    held = _bottom(block) | (x[:, 2] == 1.0)
+    given = (x[:, 2:] == 1.0) * np.array([0.0, 0.0, -0.75])
+    problem = _problem(block, held, poisson_ratio=0.45)
+    attempts = [a for _, a in problem.substeps([block.load(prescribed=given)])]
+    reached = [a.load_factor for a in attempts if a.converged]
+    assert not all(a.converged for a in attempts)
+    assert reached[-1] == 1.0
+    assert reached == sorted(reached)
+    s = _converged(problem.solve([block.load(prescribed=given)]))
+    assert s.scalars["substeps"][0] == len(reached)
+    assert s.iterations[0] == sum(len(a.residuals) - 1 for a in attempts)
+    assert_allclose(s.displacement[0][held], given[held], rtol=0, atol=1e-15)
+
+
+def test_a_load_out_of_reach_is_a_status_with_a_remedy(block: Body) -> None:
+    problem = _problem(block, _bottom(block), poisson_ratio=0.45)
+    small = block.load(-0.1 * _top(block))
+    absurd = block.load(-20.0 * _top(block))
+    s = problem.solve([small, absurd, small], EVERYTHING)
+    assert [status.code for status in s.status][::2] == ["converged", "not-reached"]
+    failed = s.status[1]
+    assert failed.code in {"not-converged", "inverted"}
+    assert not failed.ok
+    assert "of load step 1" in failed.message
+    assert "load the body less" in failed.remedy
+    # The last state in equilibrium is kept, and is one: the same load given alone leads there.
+    factor = s.scalars["load_factor"][1]
+    assert 0.0 < factor < 0.5
+    alone = problem.solve([small, block.load((-0.1 - 19.9 * factor) * _top(block))], EVERYTHING)
+    assert _converged(alone)
+    assert_allclose(s.displacement[1], alone.displacement[1], rtol=0, atol=1e-7)
+    assert_allclose(s.reaction_force[1], alone.reaction_force[1], rtol=0, atol=1e-7)
+    for values in (s.displacement, s.reaction_force, s.fluid_pressure, s.energy, *s.scalars.values()):
+        assert np.isfinite(values[:2]).all()
+        assert np.isnan(values[2]).all()
+    assert s.iterations[2] == 0
+    with pytest.raises(AssertionError):
+        _converged(s)
+
+
+def test_a_first_step_out_of_reach_leaves_the_body_at_rest(block: Body) -> None:
+    s = _problem(block, _bottom(block), pressure="dead").solve([block.load(1e9 * _top(block))], EVERYTHING)
+    assert s.status[0].code == "inverted"
+    assert s.scalars["load_factor"] == 0.0
+    assert_array_equal(s.displacement, 0.0)
+    assert_array_equal(s.reaction_force, 0.0)
+    assert_allclose(s.scalars["volume"], 1.0, rtol=1e-14, atol=0)
+
+
+def test_nodal_histories(block: Body) -> None:
+    """The same forces given at the nodes; NaN from a step out of reach on."""
+    problem = _problem(block, _bottom(block), pressure="dead", density=1.0)
+    loads = [block.load(size * _top(block)) for size in (0.1, 1e9, 0.1)]
+    forces = nodal_forces(problem.mesh, loads, 1.0)
+    fields = problem.solve_nodal(forces, np.zeros_like(forces))
+    s = problem.solve(loads[:1])
+    assert_allclose(fields.displacement[0][problem.mesh.surface_nodes], s.displacement[0], rtol=0, atol=1e-12)
+    assert fields.residual[0] <= 1e-9
+    assert np.isnan(fields.displacement[1:]).all()
+    assert np.isnan(fields.residual[1:]).all()
+
+
+# ---------------------------------------------------------------- refusals
+
+
+def test_parameters_say_what_was_solved(block: Body) -> None:
+    s = _problem(block, _bottom(block), **FIBRES).solve([block.load(0.05 * _top(block))])
+    for name, value in {
+        "material": "transversely-isotropic",
+        "contrast": 5.0,
+        "pressure": "follower",
+    }.items():
+        assert s.parameters[name] == value
+    assert s.parameters["factorisations"] >= 1.0
+    assert s.parameters["linear_iterations"] >= s.iterations.sum()
+    assert s.seconds_setup > 0.0
+    assert np.all(s.seconds_per_step > 0.0)
+
+
+def test_options_that_make_no_sense_are_refused(block: Body) -> None:
+    for options, words in (
+        ({"pressure": "wind"}, "pressure 'wind' is unknown; use one of follower, dead"),
+        ({"max_newton": 0}, "max_newton is 0; give 1 or more"),
+        ({"tolerance": 0.0}, "tolerance is 0.0; give a number between 0 and 1"),
+        ({"tolerance": float("nan")}, "tolerance is nan"),
+        ({"solver": "magic"}, "solver 'magic' is unknown; use one of auto, direct, iterative"),
+        ({"material": "rubber"}, "material 'rubber' is unknown"),
+        ({"poisson_ratio": 0.6}, "poisson_ratio is 0.6"),
+        ({"youngs_modulus": -1.0}, "youngs_modulus is -1.0"),
+        ({"solver": "direct", "memory_limit": 1e3}, "the direct solver needs about"),
+        ({"solver": "iterative", "memory_limit": 1e3}, "the iterative solver needs about"),
+    ):
+        with pytest.raises(SolverError, match=words):
+            _problem(block, _bottom(block), **options)
+    with pytest.raises(SolverError, match="nothing is held"):
+        _problem(block, np.zeros(len(block.surface), dtype=bool))
+
+
+def test_loads_that_make_no_sense_are_refused(block: Body) -> None:
+    problem = _problem(block, _bottom(block))
+    good = block.load(0.1 * _top(block))
+    bad = replace(good, gravity=np.array([0.0, np.nan, 0.0]))
+    with pytest.raises(SolverError, match="gravity of load step 1 has values that are not finite"):
+        problem.solve([good, bad])
+    with pytest.raises(SolverError, match="there is no load step"):
+        problem.solve([])
+    with pytest.raises(SolverError, match="output 'colour' is unknown; use some of max_det_f_deviation"):
+        problem.solve([good], frozenset({"colour"}))

@@ -1,0 +1,176 @@
+"""Finite-strain laws against finite differences, their symmetries and their small-strain limits."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from fractions import Fraction
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from fem_reference.materials import Kinematics, Law, Tangent, make_law
+from fem_reference.solution import SolverError
+
+Array = np.ndarray
+
+FIBRE = (1.0, -2.0, 0.5)
+LAWS = {
+    "neo-hookean": make_law("neo-hookean", 5.2, 2.0, None, 1.0),
+    "transversely-isotropic": make_law("transversely-isotropic", 5.2, 2.0, FIBRE, 6.0),
+}
+laws = pytest.mark.parametrize("law", LAWS.values(), ids=LAWS.keys())
+
+
+def _gradients(count: int = 20, size: float = 0.25) -> tuple[Array, Array]:
+    """Random displacement gradients with det F > 0, and pressures."""
+    rng = np.random.default_rng(3)
+    h = rng.uniform(-size, size, (count, 3, 3))
+    assert np.linalg.det(h + np.eye(3)).min() > 0.2
+    return h, rng.uniform(-3.0, 3.0, count)
+
+
+def _derivative(f: Callable[[Array], Array], h: Array, step: float = 1e-5) -> Array:
+    """(..., 3, 3) central differences of f with respect to the components of h, the last two axes."""
+    columns = []
+    for k in range(3):
+        for m in range(3):
+            d = np.zeros((3, 3))
+            d[k, m] = step
+            columns.append((f(h + d) - f(h - d)) / (2.0 * step))
+    out = np.stack(columns, axis=-1)
+    return out.reshape(*out.shape[:-1], 3, 3)
+
+
+def _dense(law: Law, k: Kinematics, t: Tangent) -> Array:
+    """(n, 3, 3, 3, 3) dP_iJ / dF_kL from the factors."""
+    inverse = np.linalg.inv(k.gradient + np.eye(3))
+    metric = np.broadcast_to(t.metric, inverse.shape)
+    out = np.einsum("ik,nJL->niJkL", np.eye(3), metric)
+    out += np.einsum("n,nJk,nLi->niJkL", t.crossed, inverse, inverse)
+    out += np.einsum("n,nJi,nLk->niJkL", t.dilational, inverse, inverse)
+    if t.along is not None:
+        a = law.fibre
+        f = (k.gradient + np.eye(3)) @ a
+        out += np.einsum("n,ni,J,nk,L->niJkL", t.along, f, a, f, a)
+    return out
+
+
+@laws
+def test_stress_is_the_derivative_of_the_energy(law: Law) -> None:
+    h, p = _gradients()
+
+    def potential(h: Array) -> Array:
+        return law.energy(Kinematics(h)) - p * (np.linalg.det(h + np.eye(3)) - 1.0)
+
+    stress = law.stress(Kinematics(h), p)
+    assert_allclose(stress, _derivative(potential, h), rtol=1e-7, atol=1e-8)
+
+
+@laws
+def test_tangent_is_the_derivative_of_the_stress(law: Law) -> None:
+    h, p = _gradients()
+    k = Kinematics(h)
+    dense = _dense(law, k, law.tangent(k, p))
+    expected = _derivative(lambda h: law.stress(Kinematics(h), p), h)
+    assert_allclose(dense, expected, rtol=1e-7, atol=1e-7)
+    assert_allclose(dense, dense.transpose(0, 3, 4, 1, 2), rtol=1e-12, atol=1e-12)
+
+
+@laws
+def test_a_pressure_pushes_along_the_cofactor(law: Law) -> None:
+    h, p = _gradients()
+    f = h + np.eye(3)
+    cofactor = np.linalg.det(f)[:, None, None] * np.linalg.inv(f).swapaxes(1, 2)
+    k = Kinematics(h)
+    assert_allclose(law.stress(k, p + 1.0) - law.stress(k, p), -cofactor, rtol=1e-10, atol=1e-12)
+
+
+@laws
+def test_a_rotation_of_the_deformed_body_turns_the_stress_along(law: Law) -> None:
+    h, p = _gradients()
+    turn, _ = np.linalg.qr(np.random.default_rng(4).standard_normal((3, 3)))
+    turn *= np.sign(np.linalg.det(turn))
+    turned = Kinematics(turn @ (h + np.eye(3)) - np.eye(3))
+    assert_allclose(law.stress(turned, p), turn @ law.stress(Kinematics(h), p), rtol=1e-11, atol=1e-12)
+    assert_allclose(law.energy(turned), law.energy(Kinematics(h)), rtol=1e-11, atol=1e-13)
+
+
+def test_turning_the_material_matters_only_with_fibres() -> None:
+    h, p = _gradients()
+    turn, _ = np.linalg.qr(np.random.default_rng(4).standard_normal((3, 3)))
+    turn *= np.sign(np.linalg.det(turn))
+    turned = Kinematics((h + np.eye(3)) @ turn - np.eye(3))
+    energies = {name: (law.energy(turned), law.energy(Kinematics(h))) for name, law in LAWS.items()}
+    assert_allclose(*energies["neo-hookean"], rtol=1e-11, atol=1e-13)
+    assert np.abs(np.subtract(*energies["transversely-isotropic"])).max() > 0.1
+
+
+@laws
+@pytest.mark.parametrize("size", [1e-3, 1e-6, 1e-9, 1e-12])
+def test_small_strains_keep_their_digits(law: Law, size: float) -> None:
+    """P -> 2 G eps - p I (+ k (a.eps a) a x a), with an error of first order in the size and no rounding noise."""
+    h, p = _gradients()
+    h, p = h * size, p * size
+    eps = 0.5 * (h + h.swapaxes(1, 2))
+    stress = 4.0 * eps - p[:, None, None] * np.eye(3)
+    energy = 2.0 * np.einsum("nij,nij->n", eps, eps)
+    if law.fibre is not None:
+        a = np.array(FIBRE) / np.linalg.norm(FIBRE)
+        along = np.einsum("i,nij,j->n", a, eps, a)
+        stress += 5.0 * 5.2 * along[:, None, None] * np.outer(a, a)
+        energy += 0.5 * 5.0 * 5.2 * along**2
+    k = Kinematics(h)
+    slack = 10.0 * size + 1e-13
+    assert_allclose(law.stress(k, p), stress, rtol=0, atol=slack * np.abs(stress).max())
+    assert_allclose(law.energy(k), energy, rtol=0, atol=slack * energy.max())
+
+
+@pytest.mark.parametrize("size", [1e-10, 1e-4, 0.9e-3, 1.1e-3, 0.2])
+def test_dilation_and_logarithm_in_exact_arithmetic(size: float) -> None:
+    """J - 1 of a rational H, and the energy of a pure dilation against its Taylor series in fractions."""
+    h = np.round(np.random.default_rng(5).uniform(-1.0, 1.0, (3, 3)) * 64.0) / 64.0 * size
+    f = [[Fraction(float(h[i, j])) + (i == j) for j in range(3)] for i in range(3)]
+    determinant = sum(
+        f[0][i] * (f[1][(i + 1) % 3] * f[2][(i + 2) % 3] - f[1][(i + 2) % 3] * f[2][(i + 1) % 3])
+        for i in range(3)
+    )
+    assert_allclose(Kinematics(h).dilation, float(determinant - 1), rtol=1e-13, atol=0)
+
+    # F = (1 + s) I: W / G = 3/2 ((1 + s)^2 - 1) - 3 log(1 + s)
+    s = Fraction(float(size))
+    logarithm = sum(-((-s) ** n) / n for n in range(1, 60))
+    exact = float(Fraction(3, 2) * (2 * s + s * s) - 3 * logarithm)
+    energy = LAWS["neo-hookean"].energy(Kinematics(np.eye(3) * size))
+    assert_allclose(energy, 2.0 * exact, rtol=1e-11, atol=0)
+
+
+def test_a_rigid_rotation_has_no_energy_and_no_stress() -> None:
+    angle = 1.3
+    c, s = np.cos(angle), np.sin(angle)
+    k = Kinematics(np.array([[c - 1.0, -s, 0.0], [s, c - 1.0, 0.0], [0.0, 0.0, 0.0]]))
+    for law in LAWS.values():
+        assert_allclose(law.energy(k), 0.0, rtol=0, atol=1e-15)
+        assert_allclose(law.stress(k, np.array(0.0)), 0.0, rtol=0, atol=1e-14)
+
+
+def test_materials_that_make_no_sense_are_refused() -> None:
+    for arguments, words in (
+        (("rubber", 1.0, 1.0, None, 1.0), "material 'rubber' is unknown; use one of neo-hookean"),
+        (("neo-hookean", 1.0, 1.0, FIBRE, 1.0), "a neo-Hookean body has no fibres"),
+        (("neo-hookean", 1.0, 1.0, None, 2.0), "a neo-Hookean body has no fibres"),
+        (("transversely-isotropic", 1.0, 1.0, None, 2.0), "there is no fibre_direction"),
+        (
+            ("transversely-isotropic", 1.0, 1.0, (0.0, 0.0, 0.0), 2.0),
+            r"fibre_direction \[0.0, 0.0, 0.0\] is no",
+        ),
+        (
+            ("transversely-isotropic", 1.0, 1.0, (1.0, 0.0), 2.0),
+            r"fibre_direction \[1.0, 0.0\] is no direction",
+        ),
+        (("transversely-isotropic", 1.0, 1.0, (np.nan, 0.0, 1.0), 2.0), "is no direction"),
+        (("transversely-isotropic", 1.0, 1.0, FIBRE, 0.9), "contrast is 0.9; give 1 or more"),
+        (("transversely-isotropic", 1.0, 1.0, FIBRE, np.inf), "contrast is inf"),
+    ):
+        with pytest.raises(SolverError, match=words):
+            make_law(*arguments)
