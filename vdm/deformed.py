@@ -21,6 +21,7 @@ class DeformableSurface:
         # about the centroid, so that a body far from the origin loses no digits of volume
         self.origin: Array = surface.points.mean(axis=0)
         self.rest: Array = surface.points - self.origin
+        self.corners = np.ascontiguousarray(surface.triangles.T)
         n_facets = len(surface.triangles)
         facets = np.repeat(np.arange(n_facets), 3)
         thirds = np.full(3 * n_facets, 1.0 / 3.0)
@@ -39,8 +40,8 @@ class DeformedSurface:
     def __init__(self, body: DeformableSurface, positions: Array) -> None:
         self.body = body
         self.positions = positions
-        # (3, F) arrays: plain products are several times faster than np.cross
-        corners = np.ascontiguousarray(positions.T)[:, body.surface.triangles.T]
+        # (3, F) arrays: plain products are several times faster than np.cross, and take than an index in brackets
+        corners = np.take(np.ascontiguousarray(positions.T), body.corners, axis=1)
         a = corners[:, 0]
         (px, py, pz), (qx, qy, qz) = corners[:, 1] - a, corners[:, 2] - a
         self.facet_vectors: Array = 0.5 * np.stack([py * qz - pz * qy, pz * qx - px * qz, px * qy - py * qx])

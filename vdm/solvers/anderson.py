@@ -7,27 +7,51 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
+# of changes of length one: a smaller singular value of their products says more of the path than of the slope
+DEPENDENT = 1e-6
+
 
 class Anderson:
-    """Mixes the last `depth` iterates so that the steps they predict cancel (type II, Walker and Ni 2011)."""
+    """Mixes the last `depth` changes so that the steps they predict cancel (type II, Walker and Ni 2011).
+
+    What is kept are changes of iterate and step from one iteration to the next, scaled to a step's change of length
+    one. They say how the map slopes, so they still serve after `begin` when a neighbouring map is iterated.
+    """
 
     def __init__(self, depth: int) -> None:
         self.depth = depth
-        self.iterates: list[Array] = []
-        self.steps: list[Array] = []
+        self._count = 0
+        self._last: tuple[Array, Array] | None = None
+        self._steps = np.zeros((depth, 0))
+        self._sums = np.zeros((depth, 0))  # of a change of iterate and the change of step that goes with it
+        self._gram = np.eye(depth)
+
+    def begin(self) -> None:
+        """Start on a neighbouring map: the next iterate does not follow from the last one."""
+        self._last = None
 
     def next(self, iterate: Array, step: Array) -> Array:
         """The next iterate (n,), from the present one and the step that the plain iteration would take."""
-        self.iterates.append(iterate)
-        self.steps.append(step)
-        if len(self.iterates) > self.depth + 1:
-            del self.iterates[0], self.steps[0]
-        if len(self.iterates) == 1:
+        if self._last is not None:
+            self._keep(iterate - self._last[0], step - self._last[1])
+        self._last = (iterate, step)
+        kept = min(self._count, self.depth)
+        if kept == 0:
             return iterate + step
-        change_of_steps = np.diff(np.stack(self.steps), axis=0)
-        change_of_iterates = np.diff(np.stack(self.iterates), axis=0)
-        # normal equations: a handful of unknowns, and the minimum-norm solution where the steps are dependent
-        gram = change_of_steps @ change_of_steps.T
-        mix = np.linalg.lstsq(gram, change_of_steps @ step, rcond=1e-14)[0]
-        mixed: Array = iterate + step - mix @ (change_of_iterates + change_of_steps)
+        # normal equations: a handful of unknowns, and the minimum-norm solution where the changes are dependent
+        mix = np.linalg.lstsq(self._gram[:kept, :kept], self._steps[:kept] @ step, rcond=DEPENDENT)[0]
+        mixed: Array = iterate + step - mix @ self._sums[:kept]
         return mixed
+
+    def _keep(self, change_of_iterate: Array, change_of_step: Array) -> None:
+        size = float(np.linalg.norm(change_of_step))
+        if not size > 0.0:
+            return
+        if self._steps.shape[1] != len(change_of_step):
+            self._steps = np.zeros((self.depth, len(change_of_step)))
+            self._sums = np.zeros_like(self._steps)
+        place = self._count % self.depth
+        self._steps[place] = change_of_step / size
+        self._sums[place] = (change_of_iterate + change_of_step) / size
+        self._gram[place] = self._gram[:, place] = self._steps @ self._steps[place]
+        self._count += 1

@@ -44,23 +44,14 @@ class BorderedFactor:
         if not np.isfinite(scaled).all() or np.linalg.svd(scaled, compute_uv=False)[-1] < BORDER_TOLERANCE:
             raise SolverError(SINGULAR)
 
-    def solve_updated(
-        self, force: Array, target: Array, column: Array, row: Array, same_column: bool = False
-    ) -> tuple[Array, Array]:
-        """The same with another pressure column and volume row (n_free d,); K is not factored again.
-
-        `same_column` says that only the row is new, which saves the solve for the column.
-        """
-        response, rows = self.response, self.free_rows.copy()
+    def solve_updated(self, force: Array, target: Array, row: Array) -> tuple[Array, Array]:
+        """The same with another volume row (n_free d,); K is not factored again, nor solved with the columns."""
+        rows = self.free_rows.copy()
         rows[:, 0] = row
-        if same_column:
-            first = self.block.solve(force)
-        else:
-            both = self.block.solve(np.stack([force, column], axis=1))
-            first, response = both[:, 0], np.column_stack([both[:, 1], self.response[:, 1:]])
-        schur = rows.T @ response + self.corner
+        first = self.block.solve(force)
+        schur = rows.T @ self.response + self.corner
         border = np.asarray(np.linalg.solve(schur, target - rows.T @ first), dtype=np.float64)
-        return first + response @ border, border
+        return first + self.response @ border, border
 
     def solve(self, force: Array, target: Array) -> tuple[Array, Array]:
         """Free unknowns (n_free d,) and border unknowns (m,) of a force (n_free d,) and border values (m,)."""

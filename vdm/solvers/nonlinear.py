@@ -20,6 +20,10 @@ MAX_ITERATIONS = 60
 HISTORY = 10
 FURTHEST = 3.0  # sizes of the body
 SMALLEST_SUBSTEP = 1.0 / 64.0
+FURTHEST_AHEAD = 2.0  # increments of load that are extrapolated
+SMALLEST_MOTION = (
+    1e-6  # sizes of the body; forces that move it less are measured by those that move it so far
+)
 GROWTH_LIMIT = 1e3  # a residual that grew by this much will not come back
 
 NOT_CONVERGED = Status(
@@ -42,6 +46,15 @@ class _Balance:
     scale: float
 
 
+@dataclass(frozen=True)
+class _Converged:
+    """A load and its solution."""
+
+    load: Load
+    x: Array
+    pressure: float
+
+
 class NonlinearSolver:
     """Finds x and dP with `internal(x) - dP column(x) - force(x) = 0` and V(x) = V0 exactly.
 
@@ -53,7 +66,8 @@ class NonlinearSolver:
     Parameters
     ----------
     problem : formulation and supports
-    tolerance : of the balance's residual, relative to the larger of the internal and the applied forces
+    tolerance : of the balance's residual, relative to the larger of the internal and the applied forces, and to
+        the force of a pressure that moves the body by 1e-6 of its size where both are smaller than that
     volume_tolerance : of |V - V0| / V0
     """
 
@@ -63,26 +77,43 @@ class NonlinearSolver:
         self.volume_tolerance = volume_tolerance
         self.factor = BorderedFactor(problem)
         self.free = problem.free
+        self._free_nodes = np.flatnonzero(self.free)
+        self._anderson = Anderson(HISTORY)
         self.rest_volume = problem.body.at(np.zeros_like(problem.body.rest)).volume
         # a node that leaves the body by several of its sizes will not come back
-        self.reach = FURTHEST * float(np.ptp(problem.body.rest, axis=0).max())
+        size = float(np.ptp(problem.body.rest, axis=0).max())
+        self.reach = FURTHEST * size
         n, d = problem.formulation.surface.n_nodes, problem.formulation.components
-        zero = np.zeros((n, d))
-        self._unloaded = Load(np.zeros(n), np.zeros((n, 3)), np.zeros((n, 3)))
-        self._last: tuple[Load, Array, float] = (self._unloaded, zero, 0.0)
+        answer = np.zeros((n, d))
+        answer[self._free_nodes] = self.factor.response[:, 0].reshape(-1, d)
+        moved = float(np.abs(problem.formulation.displacement(answer)).max())
+        push = float(np.linalg.norm(problem.formulation.columns[self._free_nodes, :, 0]))
+        self.smallest_force = SMALLEST_MOTION * size / moved * push
+        unloaded = Load(np.zeros(n), np.zeros((n, 3)), np.zeros((n, 3)))
+        self._rest = _Converged(unloaded, np.zeros((n, d)), 0.0)
+        self._last = self._before = self._rest
 
     def step(self, load: Load, previous: Step | None = None) -> Step:
-        """Solution of one load, started from the last converged one; without a previous step, from rest."""
+        """Solution of one load; with a previous step, started where the last two converged ones point to.
+
+        A start and what is known of the slope change the number of iterations, not what they converge to.
+        """
         if previous is None:
-            self._last = (self._unloaded, np.zeros_like(self._last[1]), 0.0)
-        start, x, pressure = self._last
+            self._last = self._before = self._rest
+            self._anderson = Anderson(HISTORY)
+        last = self._last
+        x, pressure = self._ahead(load)
         reached, width, iterations = 0.0, 1.0, 0
         balance: _Balance | None = None
         while reached < 1.0:
             target = min(reached + width, 1.0)
-            found, used = self._solve(_between(start, load, target), x, pressure)
+            found, used = self._solve(_between(last.load, load, target), x, pressure)
             iterations += used
+            if found is None or used > HISTORY:  # on so bent a path the slopes of here mislead further on
+                self._anderson = Anderson(HISTORY)
             if found is None:
+                if reached == 0.0:
+                    x, pressure = last.x, last.pressure
                 width *= 0.5
                 if width < SMALLEST_SUBSTEP:
                     return self._failed(x, iterations)
@@ -90,11 +121,19 @@ class NonlinearSolver:
             balance, x, pressure, reached = found, found.x, found.pressure, target
         if balance is None:
             return self._failed(x, iterations)
-        self._last = (load, x, pressure)
+        self._before, self._last = last, _Converged(load, x, pressure)
         border = np.zeros(self.factor.n_border)
         border[0] = pressure
         energy = self.problem.formulation.deformed_energy(x, balance.state)
         return self.problem.package(x, border, balance.lacking, energy, iterations)
+
+    def _ahead(self, load: Load) -> tuple[Array, float]:
+        """Where the last two converged steps point to under a load that goes on as it went between them."""
+        before, last = self._before, self._last
+        share = _share(before.load, last.load, load)
+        if share == 0.0:
+            return last.x, last.pressure
+        return last.x + share * (last.x - before.x), last.pressure + share * (last.pressure - before.pressure)
 
     def _failed(self, x: Array, iterations: int) -> Step:
         lost = np.full_like(x, np.nan)
@@ -107,37 +146,43 @@ class NonlinearSolver:
         column, row = problem.formulation.deformed_columns(state)
         internal = problem.formulation.deformed_internal_force(x, state)
         applied = problem.deformed_force(load, state, column) + pressure * column
-        free = self.free
-        scale = max(float(np.linalg.norm(internal[free])), float(np.linalg.norm(applied[free])))
+        nodes = self._free_nodes
+        scale = max(float(np.linalg.norm(internal[nodes])), float(np.linalg.norm(applied[nodes])))
         return _Balance(x, pressure, state, column, row, internal - applied, scale)
 
     def _solve(self, load: Load, x: Array, pressure: float) -> tuple[_Balance | None, int]:
-        free, factor = self.free, self.factor
+        free, nodes, factor = self.free, self._free_nodes, self.factor
         held = self.problem.held_unknown(load)
         x = np.where(free[:, None], x, held)
         # the pressure is mixed beside displacements: in units that make its column as long as theirs
         unit = float(np.linalg.norm(factor.response[:, 0]))
-        anderson = Anderson(HISTORY)
+        # what the last load step learnt of the slope holds here too, nearly
+        anderson = self._anderson
+        anderson.begin()
         smallest = np.inf
         for iteration in range(MAX_ITERATIONS):
             if not np.abs(self.problem.formulation.displacement(x)).max() < self.reach:
                 return None, iteration
             balance = self._balance(load, x, pressure)
-            residual = float(np.linalg.norm(balance.lacking[free]))
+            residual = float(np.linalg.norm(balance.lacking[nodes]))
             gap = (balance.state.volume - self.rest_volume) / self.rest_volume
             if not np.isfinite(residual) or residual > GROWTH_LIMIT * max(smallest, balance.scale):
                 return None, iteration
             smallest = min(smallest, residual)
-            if residual <= self.tolerance * balance.scale and abs(gap) <= self.tolerance:
+            if (
+                residual <= self.tolerance * max(balance.scale, self.smallest_force)
+                and abs(gap) <= self.tolerance
+            ):
                 return self._close_volume(load, balance), iteration
             target = np.zeros(factor.n_border)
             target[0] = -gap * self.rest_volume
-            column, row = balance.column[free].reshape(-1), balance.row[free].reshape(-1)
-            change, border = factor.solve_updated(-balance.lacking[free].reshape(-1), target, column, row)
-            iterate = np.append(x[free].reshape(-1), pressure * unit)
+            # the pressure's column stays that of the rest state: it moves no balance, only the way there
+            lacking, row = (part[nodes].reshape(-1) for part in (-balance.lacking, balance.row))
+            change, border = factor.solve_updated(lacking, target, row)
+            iterate = np.append(x[nodes].reshape(-1), pressure * unit)
             mixed = anderson.next(iterate, np.append(change, border[0] * unit))
             x = x.copy()
-            x[free] = mixed[:-1].reshape(-1, x.shape[1])
+            x[nodes] = mixed[:-1].reshape(-1, x.shape[1])
             pressure = float(mixed[-1]) / unit
         return None, MAX_ITERATIONS
 
@@ -147,11 +192,30 @@ class NonlinearSolver:
             gap = balance.state.volume - self.rest_volume
             if abs(gap) <= self.volume_tolerance * self.rest_volume:
                 return balance
-            amount = -gap / float(np.vdot(balance.row[self.free], shift))
+            amount = -gap / float(np.vdot(balance.row[self._free_nodes], shift))
             x = balance.x.copy()
-            x[self.free] += amount * shift
+            x[self._free_nodes] += amount * shift
             balance = self._balance(load, x, balance.pressure + amount)
         return None
+
+
+def _share(before: Load, last: Load, load: Load) -> float:
+    """The s for which load - last is s (last - before) to a tenth, in every part; 0 where there is none."""
+    shares: list[float] = []
+    for part in ("contact_pressure", "contact_force", "prescribed"):
+        values = (getattr(state, part) for state in (before, last, load))
+        a, b, c = (0.0 if value is None else value for value in values)
+        old, new = np.asarray(b - a), np.asarray(c - b)
+        if not old.any() and not new.any():
+            continue
+        size = float(np.vdot(old, old))
+        share = float(np.vdot(old, new)) / size if size > 0.0 else np.inf
+        if not abs(share) <= FURTHEST_AHEAD or np.linalg.norm(new - share * old) > 0.1 * np.linalg.norm(new):
+            return 0.0
+        shares.append(share)
+    if not shares or max(shares) - min(shares) > 0.1 * max(map(abs, shares)):
+        return 0.0
+    return shares[0]
 
 
 def _between(start: Load, end: Load, share: float) -> Load:

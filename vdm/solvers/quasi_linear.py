@@ -53,9 +53,8 @@ class QuasiLinearSolver:
             target[0] = 0.0
         target[0] -= float(np.vdot(row[~free], x[~free]))
         right_hand_side = force - formulation.apply(x) if x.any() else force
-        column = formulation.columns[free, :, 0].reshape(-1)
         free_x, border = factor.solve_updated(
-            right_hand_side[free].reshape(-1), target, column, row[free].reshape(-1), same_column=True
+            right_hand_side[free].reshape(-1), target, row[free].reshape(-1)
         )
         x[free] = free_x.reshape(-1, x.shape[1])
         if not np.isfinite(free_x).all():

@@ -1,0 +1,94 @@
+"""Warm nonlinear steps: what they take from the steps before saves work and changes no number."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from tests.unit.vdm_shapes import icosphere
+from vdm import FORMULATIONS, Load, Model, Parameters, SurfaceMesh
+from vdm.deformed import DeformableSurface
+from vdm.solvers.anderson import Anderson
+from vdm.solvers.nonlinear import _share
+
+POINTS, TRIANGLES = icosphere(2, (0.05, 0.06, 0.045))
+BODY = SurfaceMesh(POINTS, TRIANGLES)
+BASE = POINTS[:, 2] < -0.03
+TOP = (POINTS[TRIANGLES][:, :, 2] > 0.03).all(axis=1)
+SIDE = (POINTS[TRIANGLES][:, :, 0] > 0.03).all(axis=1)
+PUSH = Load.from_facet_pressure(BODY, np.where(TOP, 400.0, 0.0))
+NUDGE = Load.from_facet_pressure(BODY, np.where(SIDE, 400.0, 0.0))
+
+
+def model(formulation: str) -> Model:
+    material = Parameters.from_tissue(5000.0, 0.4999, BODY, formulation)
+    return Model(POINTS, TRIANGLES, material, formulation=formulation, fixed=BASE, solver="nonlinear")
+
+
+@pytest.mark.parametrize("formulation", list(FORMULATIONS))
+def test_warm_steps_equal_each_load_from_rest_in_fewer_iterations(formulation):
+    # on, a turn back, the same again, another finger, and nothing
+    loads = [PUSH.scaled(s) for s in (1.0, 1.1, 1.2, 1.3, 1.15, 1.15, 1.16)] + [NUDGE, PUSH.scaled(0.0)]
+    solver = model(formulation)
+    warm = solver.solve(loads)
+    cold = [solver.solve([load]) for load in loads]
+    assert all(status.ok for status in warm.status)
+    size = np.abs(warm.displacement).max()
+    body = DeformableSurface(BODY)
+    for k, alone in enumerate(cold):
+        # both stop at a residual of 1e-8 of the forces
+        assert_allclose(warm.displacement[k], alone.displacement[0], rtol=0.0, atol=1e-6 * size)
+        assert_allclose(warm.fluid_pressure[k], alone.fluid_pressure[0], rtol=1e-6, atol=1e-4)
+        assert_allclose(warm.energy[k], alone.energy[0], rtol=1e-5, atol=1e-6 * warm.energy.max())
+        assert abs(body.at(warm.displacement[k]).volume / BODY.volume - 1.0) < 1e-12
+    assert warm.iterations[0] == cold[0].iterations[0]
+    needed = [int(alone.iterations[0]) for alone in cold[1:7]]
+    assert warm.iterations[1:7].sum() < 0.7 * sum(needed)
+
+
+def test_a_history_does_not_remember_the_one_before():
+    solver = model("vector")
+    loads = [PUSH.scaled(s) for s in (1.0, 1.1, 1.2)]
+    first = solver.solve(loads)
+    solver.solve([NUDGE])
+    again = solver.solve(loads)
+    assert np.array_equal(first.displacement, again.displacement)
+    assert np.array_equal(first.iterations, again.iterations)
+
+
+def test_share_of_a_load_that_goes_on():
+    def between(a, b, c):
+        return _share(PUSH.scaled(a), PUSH.scaled(b), PUSH.scaled(c))
+
+    assert_allclose(between(1.0, 1.5, 1.75), 0.5, rtol=1e-12, atol=0.0)
+    assert_allclose(between(1.0, 1.5, 1.0), -1.0, rtol=1e-12, atol=0.0)
+    assert between(1.0, 1.1, 5.0) == 0.0, "too far ahead"
+    assert between(1.0, 1.0, 1.5) == 0.0, "nothing to go on from"
+    assert between(1.0, 1.5, 1.5) == 0.0, "no change"
+    assert _share(PUSH, PUSH.scaled(1.5), NUDGE) == 0.0, "another direction"
+    moved = np.ones((len(POINTS), 3))
+    grown = [
+        Load(s * PUSH.contact_pressure, None, r * moved) for s, r in ((1.0, 1.0), (2.0, 2.0), (3.0, 2.2))
+    ]
+    assert _share(*grown) == 0.0, "pressure and displacement part ways"
+
+
+def test_mixing_that_goes_on_to_a_neighbouring_map_reaches_its_own_fixed_point_sooner():
+    rng = np.random.default_rng(4)
+    matrix = 0.9 * np.linalg.qr(rng.standard_normal((8, 8)))[0]
+
+    def iterations(mixing, right):
+        solution, x = np.linalg.solve(np.eye(8) - matrix, right), np.zeros(8)
+        mixing.begin()
+        for count in range(60):
+            if np.abs(x - solution).max() < 1e-9 * np.abs(solution).max():
+                return count
+            x = mixing.next(x, matrix @ x + right - x)
+        return 60
+
+    first, second = rng.standard_normal((2, 8))
+    mixing = Anderson(10)
+    assert 8 <= iterations(mixing, first) <= 11
+    assert iterations(mixing, second) <= 3
+    assert iterations(Anderson(10), second) >= 8
