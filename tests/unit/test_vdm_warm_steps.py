@@ -43,8 +43,9 @@ def test_warm_steps_equal_each_load_from_rest_in_fewer_iterations(formulation):
         assert_allclose(warm.energy[k], alone.energy[0], rtol=1e-5, atol=1e-6 * warm.energy.max())
         assert abs(body.at(warm.displacement[k]).volume / BODY.volume - 1.0) < 1e-12
     assert warm.iterations[0] == cold[0].iterations[0]
-    needed = [int(alone.iterations[0]) for alone in cold[1:7]]
-    assert warm.iterations[1:7].sum() < 0.7 * sum(needed)
+    # where the load goes on; 0.7 of them without the start ahead
+    needed = [int(alone.iterations[0]) for alone in cold[1:5]]
+    assert warm.iterations[1:5].sum() < 0.6 * sum(needed)
 
 
 def test_a_history_does_not_remember_the_one_before():
@@ -55,6 +56,18 @@ def test_a_history_does_not_remember_the_one_before():
     again = solver.solve(loads)
     assert np.array_equal(first.displacement, again.displacement)
     assert np.array_equal(first.iterations, again.iterations)
+
+
+@pytest.mark.parametrize("formulation", ["consistent", "vector", "boundary"])
+def test_a_tiny_load_is_solved_as_well_as_a_large_one(formulation):
+    load = PUSH.scaled(1e-9)
+    material = Parameters.from_tissue(5000.0, 0.4999, BODY, formulation)
+    linear = Model(POINTS, TRIANGLES, material, formulation=formulation, fixed=BASE).solve([load])
+    found = model(formulation).solve([load])
+    size = np.abs(linear.displacement).max()
+    assert 0.0 < size < 1e-10 * np.ptp(POINTS)
+    # positions of 1e-16 of the body leave displacements of 1e-10 of it six digits
+    assert_allclose(found.displacement, linear.displacement, rtol=0.0, atol=1e-4 * size)
 
 
 def test_share_of_a_load_that_goes_on():
