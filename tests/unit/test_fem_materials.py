@@ -97,7 +97,7 @@ def test_a_rotation_of_the_deformed_body_turns_the_stress_along(law: Law) -> Non
 
 
 def test_turning_the_material_matters_only_with_fibres() -> None:
-    h, p = _gradients()
+    h, _ = _gradients()
     turn, _ = np.linalg.qr(np.random.default_rng(4).standard_normal((3, 3)))
     turn *= np.sign(np.linalg.det(turn))
     turned = Kinematics((h + np.eye(3)) @ turn - np.eye(3))

@@ -1,0 +1,219 @@
+"""Linear elasticity condensed to the surface: an exact answer per frame for the price of one dense product.
+
+For loads on a chosen contact region the linear problem is solved once per force component at its nodes. What a
+frame needs (surface displacement, reactions, mean pressure, work) is linear in those forces and kept as the rows of
+one dense matrix.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.sparse import csr_array
+
+from fem_reference.assembly import gravity_weights
+from fem_reference.linear import Fields, LinearProblem, Load
+from fem_reference.linear_algebra import BATCH
+from fem_reference.loads import check_loads, gather_to_vertices
+from fem_reference.memory import available_memory
+from fem_reference.mesh import facet_quadrature, triangle_p2
+from fem_reference.outputs import mean_pressure
+from fem_reference.solution import CONVERGED, Solution, SolverError, Status
+
+Array = NDArray[np.float64]
+
+
+class CondensedProblem:
+    """The response of a `LinearProblem` to pressure on a contact region and to weight, as one dense matrix.
+
+    Equal to the linear solve to the accuracy of that problem's own solver. Held nodes stay where they are.
+
+    Parameters
+    ----------
+    problem : the linear problem; make it with solver="direct" or many `expected_loads`
+    contact : (N,) surface nodes; a facet whose three vertices are all among them can be loaded
+    memory_limit : bytes the matrix may take; None for what the machine has left
+
+    Attributes
+    ----------
+    nodes : (L,) nodes that take force, vertices and edge middles of the contact facets
+    matrix : (rows, 3 L or 3 L + 3) response to unit forces [1/N] and, where the body has a density, unit
+        accelerations: displacement of the surface nodes, then of `nodes`, reactions at held nodes, mean pressure,
+        and the work of unit accelerations
+    seconds_setup : time of the set-up, that of `problem` included [s]
+    residual : largest relative residual of the solves
+
+    Raises
+    ------
+    SolverError
+        For a mask of a wrong shape or without a facet, and for a matrix that does not fit into memory.
+    """
+
+    def __init__(self, problem: LinearProblem, contact: ArrayLike, memory_limit: float | None = None) -> None:
+        start = time.perf_counter()
+        mesh = problem.mesh
+        self.problem = problem
+        mask = np.asarray(contact, dtype=bool)
+        count = len(mesh.surface_nodes)
+        if mask.shape != (count,):
+            raise _bad_contact(f"contact has shape {mask.shape}", f"give shape ({count},)")
+        self._facets = np.flatnonzero(mask[mesh.triangles].all(axis=1))
+        if not len(self._facets):
+            raise _bad_contact("contact has no whole facet", "choose more nodes")
+        self.nodes = np.unique(mesh.facet_nodes[self._facets])
+        self._held = np.flatnonzero(problem.held[mesh.surface_nodes].any(axis=1))
+        self._heavy = problem.density > 0.0
+        self._unit_weight = problem.density * gravity_weights(mesh)
+        columns = 3 * len(self.nodes) + 3 * self._heavy
+        sizes = np.array([3 * count, 3 * len(self.nodes), 3 * len(self._held), 1, 3])
+        self._rows = np.cumsum(sizes)[:-1]
+        needed = 8.0 * float(sizes.sum()) * columns
+        allowed = available_memory() if memory_limit is None else memory_limit
+        if needed > allowed:
+            raise SolverError(
+                Status(
+                    "memory",
+                    f"the compliance matrix needs {needed / 1e6:.0f} MB but {allowed / 1e6:.0f} MB are available",
+                    "choose fewer contact nodes or a larger mesh_size",
+                )
+            )
+        self.matrix = np.empty((int(sizes.sum()), columns))
+        self.residual = 0.0
+        for first in range(0, columns, BATCH):
+            chosen = np.arange(first, min(first + BATCH, columns))
+            fields = self._respond(chosen)
+            self.matrix[:, chosen] = self._observe(fields).T
+            self.residual = max(self.residual, float(fields.residual.max()))
+        self._to_forces = self._facet_forces()
+        self.seconds_precompute = time.perf_counter() - start
+        self.seconds_setup = problem.seconds_setup + self.seconds_precompute
+
+    @property
+    def bytes(self) -> int:
+        """Size of the dense matrix [B]."""
+        return self.matrix.nbytes
+
+    def solve(self, loads: Sequence[Load]) -> Solution:
+        """One frame per load: a dense product each.
+
+        Raises
+        ------
+        SolverError
+            For a load that `LinearProblem` would refuse, pressure outside the contact region, held nodes that
+            move, and weight where the problem was made without density.
+        """
+        mesh = self.problem.mesh
+        check_loads(mesh, loads)
+        frames = np.empty((len(loads), len(self.matrix)))
+        work = np.empty(len(loads))
+        seconds = np.empty(len(loads))
+        for step, load in enumerate(loads):
+            start = time.perf_counter()
+            amplitudes = self._amplitudes(step, load)
+            frames[step] = self.matrix @ amplitudes
+            observed = np.split(frames[step], self._rows)
+            response = np.concatenate([observed[1], observed[4]])[: len(amplitudes)]
+            work[step] = amplitudes @ response
+            seconds[step] = time.perf_counter() - start
+        displacement, _, held, pressure, _ = np.split(frames, self._rows, axis=1)
+        reaction = np.zeros((len(loads), len(mesh.surface_nodes), 3))
+        reaction[:, self._held] = held.reshape(len(loads), -1, 3)
+        return Solution(
+            displacement=displacement.reshape(len(loads), -1, 3),
+            fluid_pressure=pressure[:, 0].copy(),
+            reaction_force=reaction,
+            energy=0.5 * work,
+            iterations=np.zeros(len(loads), dtype=np.int64),
+            status=(self._status(),) * len(loads),
+            seconds_setup=self.seconds_setup,
+            seconds_per_step=seconds,
+            parameters={
+                "youngs_modulus": self.problem.youngs_modulus,
+                "poisson_ratio": self.problem.poisson_ratio,
+                "density": self.problem.density,
+                "solver": self.problem.solver.name,
+                "contact_nodes": float(len(self.nodes)),
+                "columns": float(self.matrix.shape[1]),
+                "matrix_bytes": float(self.bytes),
+                "seconds_precompute": self.seconds_precompute,
+                "relative_residual": self.residual,
+            },
+            scalars={"compliance": work},
+        )
+
+    def _amplitudes(self, step: int, load: Load) -> Array:
+        """(columns,) forces at `nodes` and accelerations of one load."""
+        pressure = np.asarray(load.facet_pressure, dtype=np.float64)
+        inside = pressure[self._facets]
+        if np.count_nonzero(pressure) > np.count_nonzero(inside):
+            raise _bad_load(f"load step {step} has pressure outside the contact region", "enlarge contact")
+        given = np.asarray(load.prescribed)[self.problem.held[self.problem.mesh.surface_nodes]]
+        if given.any():
+            raise _bad_load(f"load step {step} moves held nodes", "use LinearProblem for it")
+        forces = np.asarray(self._to_forces @ inside.ravel())
+        if not self._heavy:
+            return forces
+        return np.concatenate([forces, np.asarray(load.gravity, dtype=np.float64)])
+
+    def _facet_forces(self) -> csr_array:
+        """(3 L, facets * Q) nodal forces of unit pressures at the facets' quadrature points."""
+        mesh = self.problem.mesh
+        points, weights = facet_quadrature()
+        shape = (triangle_p2(points) if mesh.order == 2 else points) * weights[:, None]
+        area = mesh.area_vectors[self._facets]
+        values = -np.einsum("qa,fk->fqak", shape, area)
+        place = np.searchsorted(self.nodes, mesh.facet_nodes[self._facets])
+        rows = 3 * place[:, None, :, None] + np.arange(3)
+        points_of = np.arange(area.shape[0] * len(weights)).reshape(len(area), -1, 1, 1)
+        rows, columns = (np.broadcast_to(a, values.shape).ravel() for a in (rows, points_of))
+        return csr_array(
+            (values.ravel(), (rows, columns)), shape=(3 * len(self.nodes), len(area) * len(weights))
+        )
+
+    def _respond(self, chosen: NDArray[np.int64]) -> Fields:
+        """The fields for some columns of the matrix."""
+        mesh = self.problem.mesh
+        forces = np.zeros((len(chosen), mesh.n_nodes, 3))
+        for force, column in zip(forces, chosen.tolist(), strict=True):
+            place, component = divmod(column, 3)
+            if place < len(self.nodes):
+                force[self.nodes[place], component] = 1.0
+            else:
+                force[:, component] = self._unit_weight
+        return self.problem.solve_nodal(forces, np.zeros_like(forces))
+
+    def _observe(self, fields: Fields) -> Array:
+        """(S, rows) what is kept of fields."""
+        mesh, steps = self.problem.mesh, len(fields.displacement)
+        u = fields.displacement
+        reaction = gather_to_vertices(mesh, fields.reaction)[:, self._held]
+        parts = (
+            u[:, mesh.surface_nodes],
+            u[:, self.nodes],
+            reaction,
+            mean_pressure(self.problem, fields),
+            np.einsum("n,snk->sk", self._unit_weight, u),
+        )
+        return np.concatenate([part.reshape(steps, -1) for part in parts], axis=1)
+
+    def _status(self) -> Status:
+        tolerance = self.problem.solver.tolerance
+        if self.residual <= tolerance:
+            return CONVERGED
+        return Status(
+            "not-converged",
+            f"a column of the compliance reached a relative residual of {self.residual:.1e},"
+            f" {tolerance:.0e} is needed",
+            'improve the worst tetrahedra of the mesh or make the problem with solver="direct"',
+        )
+
+
+def _bad_contact(message: str, remedy: str) -> SolverError:
+    return SolverError(Status("bad-contact", message, remedy))
+
+
+def _bad_load(message: str, remedy: str) -> SolverError:
+    return SolverError(Status("bad-load", message, remedy))

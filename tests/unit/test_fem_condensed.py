@@ -1,0 +1,129 @@
+"""The condensed problem: equal to the linear solve, reciprocal, and clear about what it cannot do."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from fem_reference.condensed import CondensedProblem
+from fem_reference.linear import LinearProblem
+from fem_reference.solution import SolverError
+from tests.unit.fem_shapes import Body, ball
+
+
+@pytest.fixture(scope="module")
+def body() -> Body:
+    return ball(2, 0.05)
+
+
+def _linear(b: Body, **options: object) -> LinearProblem:
+    settings: dict[str, object] = {
+        "youngs_modulus": 5e3,
+        "poisson_ratio": 0.4999,
+        "solver": "direct",
+        **options,
+    }
+    return b.problem(b.surface[:, 2] < -0.03, **settings)
+
+
+def _upper(b: Body) -> np.ndarray:
+    return b.surface[:, 2] > 0.01
+
+
+@pytest.fixture(scope="module")
+def condensed(body: Body) -> CondensedProblem:
+    return CondensedProblem(_linear(body, density=1e3), _upper(body))
+
+
+@pytest.mark.parametrize("poisson_ratio", [0.3, 0.5])
+@pytest.mark.parametrize("element", ["P2-P1", "P2", "P1"])
+def test_equal_to_the_linear_solve(body: Body, element: str, poisson_ratio: float) -> None:
+    """Random pressures on the contact facets and weight in every direction, in every field."""
+    if poisson_ratio == 0.5 and element != "P2-P1":
+        poisson_ratio = 0.45
+    rng = np.random.default_rng(0)
+    linear = _linear(body, poisson_ratio=poisson_ratio, element=element, density=1e3)
+    model = CondensedProblem(linear, _upper(body))
+    inside = _upper(body)[body.triangles].all(axis=1)
+    loads = [
+        body.load(rng.uniform(-1e3, 1e3, (len(inside), 6)) * inside[:, None], gravity=rng.uniform(-9, 9, 3))
+        for _ in range(3)
+    ]
+    expected, found = linear.solve(loads, frozenset({"compliance"})), model.solve(loads)
+    for name in ("displacement", "reaction_force", "fluid_pressure", "energy"):
+        value = getattr(expected, name)
+        assert_allclose(getattr(found, name), value, rtol=0, atol=1e-10 * np.abs(value).max(), err_msg=name)
+    assert_allclose(found.scalars["compliance"], expected.scalars["compliance"], rtol=1e-10, atol=0)
+    assert all(s.ok for s in found.status)
+    assert found.iterations.sum() == 0
+
+
+def test_without_density_there_are_no_columns_for_weight(body: Body) -> None:
+    linear = _linear(body)
+    model = CondensedProblem(linear, _upper(body))
+    assert model.matrix.shape[1] == 3 * len(model.nodes)
+    load = body.load(200.0 * body.facets_where(lambda x: x[:, 2] > 0.03), gravity=(0.0, 0.0, -9.81))
+    expected = linear.solve([load]).displacement
+    assert_allclose(model.solve([load]).displacement, expected, rtol=0, atol=1e-10 * np.abs(expected).max())
+
+
+def test_the_compliance_is_reciprocal(condensed: CondensedProblem, body: Body) -> None:
+    """Betti: what force i moves at j, force j moves at i; weight included. Positive definite too."""
+    surface, own = 3 * len(body.surface), 3 * len(condensed.nodes)
+    work = np.vstack([condensed.matrix[surface : surface + own], condensed.matrix[-3:]])
+    assert work.shape[0] == work.shape[1]
+    scale = np.sqrt(np.outer(np.diag(work), np.diag(work)))
+    assert_allclose(work / scale, work.T / scale, rtol=0, atol=1e-10)
+    assert np.linalg.eigvalsh(work / scale).min() > 0.0
+
+
+def test_set_up_is_reported(condensed: CondensedProblem, body: Body) -> None:
+    s = condensed.solve([body.load(1.0 * body.facets_where(lambda x: x[:, 2] > 0.03))])
+    columns = 3 * len(condensed.nodes) + 3
+    held = np.count_nonzero(body.surface[:, 2] < -0.03)
+    rows = 3 * (len(body.surface) + len(condensed.nodes) + held) + 1 + 3
+    assert s.parameters["matrix_bytes"] == condensed.bytes == 8 * rows * columns
+    assert s.parameters["columns"] == columns
+    assert 0.0 < float(s.parameters["seconds_precompute"]) < s.seconds_setup
+    assert s.seconds_setup == condensed.seconds_setup
+    assert np.all(s.seconds_per_step > 0.0)
+
+
+def test_a_bad_column_is_reported(body: Body, monkeypatch: pytest.MonkeyPatch) -> None:
+    linear = _linear(body)
+    model = CondensedProblem(linear, _upper(body))
+    load = body.load(1.0 * body.facets_where(lambda x: x[:, 2] > 0.03))
+    monkeypatch.setattr(model, "residual", 1e-3)
+    status = model.solve([load]).status[0]
+    assert status.code == "not-converged"
+    assert "relative residual of 1.0e-03" in status.message
+    assert "worst tetrahedra" in status.remedy
+
+
+def test_what_it_cannot_do_is_refused(condensed: CondensedProblem, body: Body) -> None:
+    good = body.load(1.0 * body.facets_where(lambda x: x[:, 2] > 0.03))
+    everywhere = body.load(1.0)
+    moved = replace(good, prescribed=np.full((len(body.surface), 3), 1e-3))
+    for load, words in (
+        (everywhere, "load step 1 has pressure outside the contact region; enlarge contact"),
+        (moved, "load step 1 moves held nodes; use LinearProblem"),
+        (replace(good, gravity=np.full(3, np.nan)), "gravity of load step 1 has values that are not finite"),
+    ):
+        with pytest.raises(SolverError, match=words):
+            condensed.solve([good, load])
+    free = np.repeat(body.surface[:, 2:] >= -0.03, 3, axis=1) * 1.0
+    condensed.solve([replace(good, prescribed=free)])  # free nodes' values are ignored
+
+
+def test_contacts_that_make_no_sense_are_refused(body: Body) -> None:
+    linear = _linear(body)
+    for contact, limit, words in (
+        (np.ones(3, dtype=bool), None, r"contact has shape \(3,\); give shape"),
+        (np.zeros(len(body.surface), dtype=bool), None, "contact has no whole facet; choose more nodes"),
+        (_upper(body), 1e4, "the compliance matrix needs .* MB but 0 MB are available; choose fewer"),
+    ):
+        with pytest.raises(SolverError, match=words):
+            CondensedProblem(linear, contact, limit)
