@@ -82,12 +82,23 @@ def shown(seconds: float) -> str:
 def timed(function: Callable[[], object], repeats: int) -> Array:
     """Seconds of each of `repeats` calls, after one that warms up."""
     function()
-    seconds = np.empty(repeats)
-    for k in range(repeats):
-        start = time.perf_counter()
-        function()
-        seconds[k] = time.perf_counter() - start
-    return seconds
+    return np.array([timed_once(function) for _ in range(repeats)])
+
+
+def timed_in_turns(
+    first: Callable[[], object], second: Callable[[], object], repeats: int
+) -> tuple[Array, Array]:
+    """Seconds of two functions called in turns, so that what else the machine does weighs on both."""
+    pairs = [(timed_once(first), timed_once(second)) for _ in range(repeats + 1)]
+    seconds = np.array(pairs[1:]).T
+    return seconds[0], seconds[1]
+
+
+def timed_once(function: Callable[[], object]) -> float:
+    """Seconds of one call."""
+    start = time.perf_counter()
+    function()
+    return time.perf_counter() - start
 
 
 def reading_seconds(n_bytes: int, repeats: int) -> float:
@@ -135,8 +146,8 @@ def linear_rows(sizes: Sizes, levels: int, repeats: int) -> Iterator[Row]:
         )
         right = np.random.default_rng(1).standard_normal((int(free.sum()) * form.components,))
         factor = LinearSolver(model.problem).factor.block
-        solve = timed(partial(factor.solve, right), repeats)
-        other = timed(partial(superlu.solve, right.reshape(block.shape[0], -1)), sizes.slow_repeats)
+        others = partial(superlu.solve, right.reshape(block.shape[0], -1))
+        solve, other = timed_in_turns(partial(factor.solve, right), others, repeats)
         typical = float(np.median(solve))
         yield Row(
             f"its triangular solves, {formulation}",
@@ -162,7 +173,7 @@ def contact_rows(sizes: Sizes) -> Iterator[Row]:
         nodes = np.argsort(-model.surface.points[:, 2])[: sizes.contact]
         pressure = 100.0 * np.random.default_rng(2).random(len(nodes))
         for single in (False, True):
-            contact = ContactCompliance(model.problem, LinearSolver(model.problem), single)
+            contact = ContactCompliance(model.problem, LinearSolver(model.problem), single_precision=single)
             seconds = timed(partial(contact.frame, nodes, pressure), 5 * sizes.repeats)
             precision = "single" if single else "double"
             what = f"local contact of {len(nodes)} nodes, {formulation}, {precision} precision"

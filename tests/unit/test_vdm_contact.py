@@ -1,0 +1,67 @@
+"""Local contact in single precision and with a shortened far field: the same displacements as the long way."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from tests.unit.vdm_shapes import icosphere
+from vdm import Load, Model, Parameters, SurfaceMesh
+from vdm.solvers.compliance import ContactCompliance
+
+POINTS, TRIANGLES = icosphere(4, (0.06, 0.05, 0.045))
+BODY = SurfaceMesh(POINTS, TRIANGLES)
+BASE = POINTS[:, 2] < -0.035
+PATCH = np.argsort(-POINTS[:, 2])[:50]
+
+
+@pytest.fixture(scope="module", params=["paper", "consistent", "vector"])
+def solver(request) -> Model:
+    material = Parameters.from_tissue(5000.0, 0.4999, BODY, request.param)
+    return Model(POINTS, TRIANGLES, material, formulation=request.param, fixed=BASE)
+
+
+def displacement(solver: Model, nodes, pressure):
+    load = np.zeros(len(POINTS))
+    load[nodes] = pressure
+    solution = solver.solve([Load(load)])
+    return solution.displacement[0], solution.fluid_pressure[0]
+
+
+def test_frames_of_a_resting_contact_equal_the_full_solve(solver):
+    contact = ContactCompliance(solver.problem)
+    rng = np.random.default_rng(5)
+    pressures = [rng.random(50), rng.random(50) ** 8, np.eye(50)[7], np.eye(50)[49], np.zeros(50)]
+    for k, pressure in enumerate(100.0 * np.array(pressures)):
+        unknown, fluid = contact.frame(PATCH, pressure)
+        assert (contact._short is not None) == (k > 0), "shortened at the second frame"
+        moved, expected = displacement(solver, PATCH, pressure)
+        size = np.abs(moved).max()
+        found = solver.formulation.displacement(unknown)
+        assert_allclose(found, moved, rtol=0.0, atol=1e-6 * size)
+        assert_allclose(fluid, expected, rtol=1e-6, atol=0.0)
+    assert contact._short is not None
+    assert len(contact._short.mix) < 40
+
+
+def test_another_contact_starts_anew(solver):
+    contact = ContactCompliance(solver.problem)
+    other = np.argsort(-POINTS[:, 0])[:50]
+    for nodes in (PATCH, PATCH, other, PATCH[:20], PATCH[:20]):
+        pressure = np.full(len(nodes), 50.0)
+        unknown, _ = contact.frame(nodes, pressure)
+        moved, _ = displacement(solver, nodes, pressure)
+        found = solver.formulation.displacement(unknown)
+        assert_allclose(found, moved, rtol=0.0, atol=1e-6 * np.abs(moved).max())
+
+
+def test_a_contact_all_over_the_body_is_not_shortened(solver):
+    nodes = np.flatnonzero(~BASE)[::50]
+    contact = ContactCompliance(solver.problem)
+    for _ in range(3):
+        unknown, _ = contact.frame(nodes, np.full(len(nodes), 50.0))
+    assert contact._short is None
+    moved, _ = displacement(solver, nodes, np.full(len(nodes), 50.0))
+    found = solver.formulation.displacement(unknown)
+    assert_allclose(found, moved, rtol=0.0, atol=1e-6 * np.abs(moved).max())
