@@ -117,6 +117,19 @@ def _fem_linear(scene: Scene, solver: str, name: str) -> FemSolution:  # noqa: A
     return problem.solve(_fem_loads(scene), frozenset({"max_det_f_deviation"}))
 
 
+@_model("fem-condensed", version="1", volumetric=True)
+def _fem_condensed(scene: Scene, solver: str, name: str) -> FemSolution:  # noqa: ARG001
+    from fem_reference.condensed import CondensedProblem
+    from fem_reference.linear import LinearProblem
+
+    body = _body(scene)
+    if not scene.gravity.any():
+        body["density"] = 0.0  # no columns for a weight that does not act
+    n_columns = 12 * int(scene.contact.sum())  # three components at the vertices and three edge middles each
+    problem = CondensedProblem(LinearProblem(**body, expected_loads=n_columns), scene.contact)
+    return problem.solve(_fem_loads(scene))
+
+
 @_model("fem", version="1", volumetric=True)
 def _fem(scene: Scene, solver: str, name: str) -> FemSolution:  # noqa: ARG001
     from fem_reference.finite_strain import FiniteStrainProblem

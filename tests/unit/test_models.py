@@ -106,3 +106,10 @@ def test_a_history_equals_its_steps_one_by_one(gravity: dict[str, object] | None
             assert_allclose(
                 together.scalars[deviation][step], single.scalars[deviation][0], rtol=1e-8, atol=1e-15
             )
+
+
+def test_the_condensed_model_gives_the_linear_one(scene: Scene) -> None:
+    linear, condensed = (models.run_model(scene, name) for name in ("fem-linear", "fem-condensed"))
+    for field in ("displacement", "reaction_force", "energy", "fluid_pressure"):
+        a, b = getattr(condensed, field), getattr(linear, field)
+        assert_allclose(a, b, rtol=0, atol=1e-8 * np.abs(b).max(), err_msg=field)
