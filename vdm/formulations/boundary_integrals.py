@@ -41,29 +41,34 @@ def layer_potentials(surface: SurfaceMesh) -> tuple[Array, Array]:
     far = _Rule(surface, *_dunavant())
     near_points, near_weights = _split_rule(NEAR_SPLIT)
     pole_points, pole_weights = _pole_rule()
+    near_shares, pole_shares = near_weights[:, None] * near_points, pole_weights[:, None] * pole_points
+    near_samples = corners.transpose(2, 0, 1) @ near_points.T
     both = np.zeros((n_nodes, n_nodes, 12))
     for node, point in enumerate(points):
         own = (triangles == node).any(axis=1)
         close = (np.linalg.norm(centres - point, axis=1) < NEAR * size) & ~own
         row = far.integrate(point, own | close)
         facets = np.flatnonzero(close)
-        samples = np.einsum("qk,fkc->cfq", near_points, corners[facets])
-        kernel = _kernels(point, samples, normals[facets].T[:, :, None])
-        shares = areas[facets][:, None, None] * (near_weights[:, None] * near_points)
-        np.add.at(row, triangles[facets], np.einsum("fqk,sfq->fks", shares, kernel))
+        kernel = _kernels(point, near_samples[:, facets], normals[facets].T[:, :, None])
+        np.add.at(row, triangles[facets], _to_corners(kernel, areas[facets], near_shares))
         # own facets, the node turned to their first corner; r . n = 0 there: the single layer alone has a share
         facets = np.flatnonzero(own)
         first = np.argmax(triangles[facets] == node, axis=1)
         turned = triangles[facets][np.arange(len(facets))[:, None], (first[:, None] + np.arange(3)) % 3]
-        samples = np.einsum("qk,fkc->cfq", pole_points, points[turned])
+        samples = points[turned].transpose(2, 0, 1) @ pole_points.T
         kernel = _kernels(point, samples, normals[facets].T[:, :, None])[:6]
-        shares = areas[facets][:, None, None] * (pole_weights[:, None] * pole_points)
-        np.add.at(row[:, :6], turned, np.einsum("fqk,sfq->fks", shares, kernel))
+        np.add.at(row[:, :6], turned, _to_corners(kernel, areas[facets], pole_shares))
         both[node] = row
     nodes = np.arange(n_nodes)
     both[nodes, nodes, 6:] = 0.0
     both[nodes, nodes, 6:] = -both[:, :, 6:].sum(axis=1)
     return _as_matrix(both[:, :, :6]), -_as_matrix(both[:, :, 6:])
+
+
+def _to_corners(kernel: Array, areas: Array, shares: Array) -> Array:
+    """(f, 3, s) integrals against the corners' shape functions of kernels (s, f, q) on facets (f,)."""
+    integrals: Array = (kernel @ shares) * areas[:, None]
+    return integrals.transpose(1, 2, 0)
 
 
 def mass_matrix(surface: SurfaceMesh) -> sparse.csr_array:
@@ -101,15 +106,17 @@ class _Rule:
 
 def _kernels(point: Array, samples: Array, normals: Array) -> Array:
     """(12, ...) components xx, yy, zz, xy, xz, yz of the single and of the double layer at samples (3, ...)."""
-    x, y, z = r = samples - point.reshape(3, *[1] * (samples.ndim - 1))
+    x, y, z = samples - point.reshape(3, *[1] * (samples.ndim - 1))
     square = x * x + y * y + z * z
     inverse = 1.0 / np.sqrt(square)
-    outer = np.stack([x * x, y * y, z * z, x * y, x * z, y * z])
-    kernel = np.concatenate([outer, outer])
-    kernel[:6] *= inverse / square
-    kernel[:3] += inverse
-    kernel[:6] /= 8.0 * np.pi
-    kernel[6:] *= (0.75 / np.pi) * (r * normals).sum(axis=0) * inverse / square**2
+    single = inverse / (8.0 * np.pi * square)
+    double = (0.75 / np.pi) * (x * normals[0] + y * normals[1] + z * normals[2]) * inverse / square**2
+    kernel = np.empty((12, *square.shape))
+    for k, (a, b) in enumerate(((x, x), (y, y), (z, z), (x, y), (x, z), (y, z))):
+        product = a * b
+        np.multiply(product, single, out=kernel[k])
+        np.multiply(product, double, out=kernel[6 + k])
+    kernel[:3] += inverse / (8.0 * np.pi)
     return kernel
 
 

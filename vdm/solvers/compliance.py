@@ -120,8 +120,8 @@ class ContactCompliance:
         kept = np.sqrt(np.cumsum(np.maximum(squares, 0.0))) > LEFT_OUT * largest
         if kept.mean() > 1.0 - WORTH:
             return None
-        basis = (far @ directions[:, kept]).astype(self.dtype, order="F")
-        mix = directions[:, kept].T.astype(self.dtype, order="C")
+        basis: Array = (far @ directions[:, kept]).astype(self.dtype, order="F")
+        mix: Array = directions[:, kept].T.astype(self.dtype, order="C")
         return _Shortened(basis, mix, rows, np.asfortranarray(columns[rows]))
 
     def _compute(self, nodes: list[int]) -> None:
