@@ -12,10 +12,10 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class InflatedThickSphere:
-    """Incompressible neo-Hookean hollow sphere under inner pressure (Ogden, Non-Linear Elastic Deformations, 5.3.2).
+    """Incompressible neo-Hookean hollow sphere under inner pressure (Ogden 1984, Non-Linear Elastic Deformations).
 
-    A point at radius r0 moves to r with r^3 = r0^3 + a^3 (l_a^3 - 1); l = r / r0 is its hoop stretch. The pressure on
-    the deformed inner surface is P = (G/2) [4/l_b + l_b^-4 - 4/l_a - l_a^-4].
+    A point at radius r0 moves to r with r^3 = r0^3 + a^3 (l_a^3 - 1); l = r / r0 is its hoop stretch. The pressure
+    on the deformed inner surface is P = (G/2) [4/l_b + l_b^-4 - 4/l_a - l_a^-4].
 
     Attributes
     ----------

@@ -87,12 +87,13 @@ def test_inflated_sphere(poisson_ratio: float) -> None:
         u = np.einsum("ni,ni->n", s.displacement[0][at], b.surface[at])
         record.add(1.0 / n, float(np.abs(u / exact.radial_displacement(1.0) - 1.0).max()))
     record.check()
-    assert_allclose(8.0 * s.energy, exact.energy, rtol=0.01, atol=0)
+    # What the facets cut off is missing from the energy too: order 2.
+    assert_allclose(8.0 * s.energy, exact.energy, rtol=0.012, atol=0)
 
 
 @pytest.mark.parametrize("poisson_ratio", [0.3, 0.4999])
 def test_inflated_sphere_without_its_geometry_error(poisson_ratio: float) -> None:
-    """Compressible: the radial boundary value problem by collocation, its displacement given all over the surface."""
+    """Compressible: the radial boundary value problem by collocation, its solution given at the surface."""
     shear = 0.5 / (1.0 + poisson_ratio)
     lame = 2.0 * shear * poisson_ratio / (1.0 - 2.0 * poisson_ratio)
 
