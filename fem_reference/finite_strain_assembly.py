@@ -56,6 +56,7 @@ class ElementAssembly:
         self._to_gradient = np.ascontiguousarray(
             self._reference.transpose(1, 0, 2).reshape(self._reference.shape[1], -1)
         )
+        self._by_coordinate = np.ascontiguousarray(self._reference.transpose(2, 0, 1).reshape(3, -1))
         length = mesh.mean_edge
         self._barycentric_gradients = mesh.barycentric_gradients * length
         self._weights = (mesh.volumes / length**3)[:, None] * (6.0 * weights)
@@ -107,14 +108,16 @@ class ElementAssembly:
             place = pattern.place[whole].ravel()
             matrices = np.concatenate([matrix for matrix, _ in results])
             for i in range(3):
-                for k in range(3):
-                    values = matrices[:, :, i, :, k].ravel()
+                for k in range(i, 3):
+                    values = matrices[:, i, :, k].ravel()
                     stiffness[:, i, k] += np.bincount(place, weights=values, minlength=pattern.size)
             place = pattern.place[whole, : 4 * width].ravel()
             couplings = np.concatenate([coupling for _, coupling in results])
             for k in range(3):
-                values = couplings[:, :, :, k].ravel()
+                values = couplings[:, :, k].ravel()
                 divergence[:, 0, k] += np.bincount(place, weights=values, minlength=short)
+        for i, k in ((0, 1), (0, 2), (1, 2)):
+            stiffness[:, k, i] = stiffness[pattern.mirror, i, k]
         return stiffness, divergence
 
     def strain_energy(self, displacement: Array) -> float:
@@ -145,32 +148,33 @@ class ElementAssembly:
         return deviation, strain
 
     def _element_matrices(self, part: slice, displacement: Array, pressure: Array) -> tuple[Array, Array]:
-        """(e, n, 3, n, 3) stiffness and (e, 4, n, 3) divergence of the elements of one pass."""
+        """(e, 3, n, 3, n) stiffness and (e, 4, 3, n) divergence of the elements of one pass."""
         k = self._kinematics(part, displacement)
         tangent = self._law.tangent(k, self._at_points(part, pressure))
         weights = self._weights[part]
         count, points = weights.shape
         width = self._reference.shape[1]
-        gradients = (self._reference.reshape(1, -1, 3) @ self._barycentric_gradients[part]).reshape(
-            count, points, width, 3
-        )
-        spatial = (gradients @ k.inverse).reshape(count, points, 3 * width)
-        shape = (count, width, 3, width, 3)
+        shape = (count, 3, width, 3, width)
+        # (e, 3, points * n) from one product, then (e, points, 3, n)
+        gradients = np.swapaxes(self._barycentric_gradients[part], 1, 2) @ self._by_coordinate
+        gradients = np.ascontiguousarray(gradients.reshape(count, 3, points, width).swapaxes(1, 2))
+        spatial = (np.swapaxes(k.inverse, 2, 3) @ gradients).reshape(count, points, 3 * width)
         crossed = _gram(spatial, weights * tangent.crossed).reshape(shape)
-        out = np.swapaxes(crossed, 2, 4) + _gram(spatial, weights * tangent.dilational).reshape(shape)
+        out = _gram(spatial, weights * tangent.dilational).reshape(shape)
+        out += np.swapaxes(crossed, 1, 3)
         if tangent.along is not None and self._law.fibre is not None:
             fibre = self._law.fibre
-            along = (gradients @ fibre)[..., None] * (k.deformation_gradient @ fibre)[:, :, None, :]
+            stretched = k.deformation_gradient @ fibre
+            along = stretched[..., None] * (fibre @ gradients)[:, :, None]
             out += _gram(along.reshape(count, points, -1), weights * tangent.along).reshape(shape)
-        weighted = (gradients @ tangent.metric) * weights[..., None, None]
-        scalar = weighted.transpose(0, 2, 1, 3).reshape(count, width, -1) @ (
-            gradients.transpose(0, 1, 3, 2).reshape(count, -1, width)
-        )
+        weighted = (tangent.metric @ gradients) * weights[..., None, None]
+        flat = (count, -1, width)
+        scalar = np.swapaxes(weighted.reshape(flat), 1, 2) @ gradients.reshape(flat)
         for i in range(3):
-            out[:, :, i, :, i] += scalar
+            out[:, i, :, i] += scalar
         volumes = (weights * (1.0 + k.dilation))[..., None] * self._barycentric
         coupling = np.swapaxes(volumes, 1, 2) @ spatial
-        return out, coupling.reshape(count, 4, width, 3)
+        return out, coupling.reshape(count, 4, 3, width)
 
     def _kinematics(self, part: slice, displacement: Array) -> Kinematics:
         local = np.swapaxes(displacement[self.mesh.element_nodes[part]], 1, 2)

@@ -104,6 +104,14 @@ class _Residual:
     least_determinant: float
 
 
+@dataclass(frozen=True)
+class _Tangent:
+    """A tangent, and its product with a displacement of all nodes, held ones included."""
+
+    matrices: TangentSystem
+    action: Callable[[Array], Array]
+
+
 class Newton:
     """Equilibrium of one body under changing loads.
 
@@ -173,6 +181,7 @@ class Newton:
         u, q = state.displacement, state.pressure
         found = self._residual(u, q, load)
         residuals = [found.relative]
+        tangent: _Tangent | None = None
         while True:
             step = np.where(self._system.held, load.given - u, 0.0)
             if found.relative <= self._tolerance and not step.any():
@@ -180,7 +189,9 @@ class Newton:
             rises = sum(b > a for a, b in itertools.pairwise(residuals[1:]))
             if len(residuals) > self._max_newton or rises > _MOST_RISES or not np.isfinite(found.relative):
                 return self._outcome(load_factor, state, found, residuals, "not-converged")
-            update = self._update(u, q, load, step, found)
+            if tangent is None or not self._good_enough(residuals):
+                tangent = self._tangent(u, q, load)
+            update = self._update(tangent, step, found)
             if update is None:
                 return self._outcome(load_factor, state, found, residuals, "linear-solver")
             damping = 1.0
@@ -198,15 +209,18 @@ class Newton:
     ) -> Substep:
         return Substep(load_factor, state, found.reaction, found.external, tuple(residuals), code)
 
-    def _update(
-        self, u: Array, q: Array, load: ScaledLoad, step: Array, found: _Residual
-    ) -> tuple[Array, Array] | None:
+    def _good_enough(self, residuals: list[float]) -> bool:
+        """Whether the last tangent will do once more: it gains at least what the last step did."""
+        return len(residuals) > 2 and residuals[-1] ** 2 <= 0.1 * self._tolerance * residuals[-2]
+
+    def _update(self, tangent: _Tangent, step: Array, found: _Residual) -> tuple[Array, Array] | None:
         """The Newton update that also moves held components by `step`; None if it cannot be computed."""
-        tangent, action = self._tangent(u, q, load)
         forcing = _MOST_FORCING
         if not step.any():
-            forcing = float(np.clip(0.1 * found.relative, _LEAST_FORCING, _MOST_FORCING))
-        x, solved = self._solver.solve(tangent, -found.vector - action(step), forcing)
+            wanted = max(0.1 * found.relative, 0.1 * self._tolerance / found.relative)
+            forcing = float(np.clip(wanted, _LEAST_FORCING, _MOST_FORCING))
+        rhs = -found.vector - tangent.action(step)
+        x, solved = self._solver.solve(tangent.matrices, rhs, forcing)
         if not solved:
             return None
         n = self._system.n_displacements
@@ -238,10 +252,7 @@ class Newton:
         top = np.where(system.held, 0.0, nodal)[system.kept].ravel()
         return np.concatenate([top, -system.pressure_scale * volume])
 
-    def _tangent(
-        self, u: Array, q: Array, load: ScaledLoad
-    ) -> tuple[TangentSystem, Callable[[Array], Array]]:
-        """The tangent at a state, and its product with a displacement of all nodes."""
+    def _tangent(self, u: Array, q: Array, load: ScaledLoad) -> _Tangent:
         system, pattern = self._system, self._pattern
         blocks, volumes = self._assembly.tangent(u, system.pressure_scale * q)
         divergence = self._divergence(volumes)
@@ -269,7 +280,7 @@ class Newton:
             )
             return self._vector(nodal.reshape(-1, 3), volume)
 
-        return TangentSystem(true, half), action
+        return _Tangent(TangentSystem(true, half), action)
 
     def _stiffness(self, blocks: Array) -> bsr_array:
         inner, held = self._inner, self._system.held[self._system.kept]
