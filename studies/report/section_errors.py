@@ -124,7 +124,9 @@ def _against_parameter(digest: Digest, axis: _Axis, metric: str, title: str, sal
         if known := _medians([(x, bar) for x, bar in bars if math.isfinite(bar)]):
             style = axis.line("--", len(axis.cases), len(known))
             x, y = zip(*known, strict=True)
-            axes.plot(x, y, style, color=colour(REFERENCE), linewidth=1.0, marker="o", markersize=2.5)
+            axes.plot(
+                x, y, linestyle=style, color=colour(REFERENCE), linewidth=1.0, marker="o", markersize=2.5
+            )
         if axis.kind in ("even", "names"):
             name_ticks(axes, axis.ticks)
         elif axis.kind == "log":
@@ -146,7 +148,9 @@ def _draw_model(
         shift = aside if axis.kind in ("even", "names") else 0.0
         x, y = zip(*points[:: _stride(axis.cases)], strict=True)
         at = [position + shift for position in x]
-        axes.plot(at, y, "none", marker=marker(number), color=colour(number), markersize=2.6, alpha=0.45)
+        axes.plot(
+            at, y, linestyle="none", marker=marker(number), color=colour(number), markersize=2.6, alpha=0.45
+        )
     if style != "none" or axis.kind == "names":
         axes.plot(*zip(*medians, strict=True), linestyle=style, marker=marker(number), color=colour(number))
 
