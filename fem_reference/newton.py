@@ -225,7 +225,9 @@ class Newton:
             return None
         n = self._system.n_displacements
         du = step.copy()
-        du[self._system.kept] += x[:n].reshape(-1, 3)
+        # An iterative solver leaves rounding at held components, which must arrive exactly.
+        kept = self._system.kept
+        du[kept] += np.where(self._system.held[kept], 0.0, x[:n].reshape(-1, 3))
         return du, x[n:]
 
     def _residual(self, u: Array, q: Array, load: ScaledLoad) -> _Residual:

@@ -26,7 +26,7 @@ Array = NDArray[np.float64]
 Operator = Callable[[Array], Array]
 
 # For the estimate of costs, measured on a pressed sphere: Newton steps in a load step, preconditioners made, and
-# the work of an inexact solve over that of a linear problem (a dozen solves with a factor; half of the GMRES steps).
+# the work of an inexact solve over that of a linear problem (a dozen solves with a factor, half the GMRES steps).
 _NEWTON_STEPS = 4
 _PREPARATIONS = {"direct": 1.5, "iterative": 1.0}
 _EFFORT = {"direct": 12.0, "iterative": 0.5}
