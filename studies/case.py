@@ -77,7 +77,7 @@ class CaseResult:
     metrics: Mapping[str, Mapping[str, MetricSeries]]  # model -> metric; empty where there is no reference
     reference: str | None  # a key of `models`
     reference_error: Mapping[str, float] = field(default_factory=dict)
-    # error of the reference itself: "relative_l2" (estimate), "gci", "observed_order"; empty where not measured
+    # error of the reference itself, see studies.reference.own_error; empty where not measured
     mesh_quality: Mapping[str, float] = field(default_factory=dict)
 
 

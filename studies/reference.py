@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -11,7 +12,7 @@ from . import models
 from .case import ModelResult
 from .execute import TaskError
 from .mesh import Array, Index, InputError
-from .metrics import Surface, relative_l2, rigid_motion_removed
+from .metrics import History, Surface, evaluate, full_load_step, rigid_motion_removed, weighted_norm
 from .refine import inherit, refine
 from .scene import Scene, build_scene
 from .schema import Study
@@ -34,15 +35,14 @@ def refined_reference(
     Returns
     -------
     finest : the finest level's result at the surface nodes of the case's mesh
-    error : the finest level's own error at the last load step, relative to its displacement: an estimate and a
-        GCI for the vector and for the deformation, and the observed order where there are three levels
+    error : the finest level's own error at the largest load, see `own_error`
 
     Raises
     ------
     TaskError
         a level that did not converge.
     """
-    surface = Surface(scene.mesh.surface_points, scene.mesh.triangles)
+    surface = Surface(scene.mesh.surface_points, scene.mesh.triangles, scene.contact)
     levels = [result]
     lineage: list[Index] = []
     for _ in range(n_levels - 1):
@@ -53,20 +53,60 @@ def refined_reference(
         finer = models.run_model(scene, name)
         require_converged(f"{name} on the refined mesh", finer)
         levels.append(_restricted(finer, lineage))
-    last = [level.displacement[-1] for level in levels[::-1]]  # finest first
-    deformed = [rigid_motion_removed(surface.points, u, surface.areas) for u in last]
-    vector, deformation = (
-        estimate_error([relative_l2(v, u, surface.areas) for u, v in itertools.pairwise(fields)])
-        for fields in (last, deformed)
-    )
-    return levels[-1], {
+    return levels[-1], own_error(surface, levels[::-1], scene.load_factors)
+
+
+def own_error(surface: Surface, levels: Sequence[ModelResult], load_factors: Array) -> dict[str, float]:
+    """The error of the finest of S-step results on one surface, at the largest load.
+
+    Parameters
+    ----------
+    levels : the finest first, each refined once from the next
+
+    Returns
+    -------
+    dict
+        `difference_01` and so on: area-weighted L2 differences of neighbouring levels over the norm of the finest,
+        signed as in `studies.uncertainty`, which makes its estimate from them; `relative_l2`, the estimated error
+        of the displacement; `observed_order`; `levels`; and a GCI for every metric that compares, `gci:<metric>`:
+        what the metric is between the two finest levels, times the GCI over the difference of the displacement.
+        The deformation has its own levels for that.
+    """
+    step = full_load_step(load_factors)
+    fields = [level.displacement[step] for level in levels]
+    differences = _differences(fields, surface.areas)
+    deformed = [rigid_motion_removed(surface.points, u, surface.areas) for u in fields]
+    vector, deformation = estimate_error(differences), estimate_error(_differences(deformed, surface.areas))
+    error = {f"difference_{k}{k + 1}": difference for k, difference in enumerate(differences)}
+    error |= {
         "relative_l2": vector.error,
-        "gci": vector.gci,
         "observed_order": vector.observed_order,
-        "relative_l2_deformation": deformation.error,
-        "gci_deformation": deformation.gci,
         "levels": float(len(levels)),
     }
+    finest, next_finest = (
+        History(level.displacement[[step]], level.reaction_force[[step]], load_factors[[step]])
+        for level in levels[:2]
+    )
+    margin = vector.gci / differences[0] if differences[0] else 0.0
+    alone = evaluate(surface, finest, None)
+    for metric, values in evaluate(surface, next_finest, finest).items():
+        if metric not in alone:
+            error[f"gci:{metric}"] = margin * abs(float(values[0]))
+    error["gci:relative_l2_deformation_error"] = deformation.gci
+    return error
+
+
+def _differences(fields: Sequence[Array], areas: Array) -> list[float]:
+    """Relative norms of u1 - u0, u2 - u1, ..., each with the sign of its product with the first."""
+    size = weighted_norm(fields[0], areas)
+    if size == 0.0:
+        return [0.0] * (len(fields) - 1)
+    gaps = [coarse - fine for fine, coarse in itertools.pairwise(fields)]
+    along = [np.einsum("i,ij,ij->", areas, gap, gaps[0]) for gap in gaps]
+    return [
+        float(np.copysign(weighted_norm(gap, areas) / size, product))
+        for gap, product in zip(gaps, along, strict=True)
+    ]
 
 
 def require_converged(name: str, result: ModelResult) -> None:

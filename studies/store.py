@@ -12,6 +12,7 @@ import dataclasses
 import hashlib
 import io
 import json
+import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -22,6 +23,8 @@ from numpy.typing import NDArray
 
 from .case import CaseResult, MetricSeries, ModelResult, Run, StepStatus
 from .files import write_atomically
+from .metrics import full_load_step
+from .uncertainty import reference_bar
 
 SCHEMA = 1
 CASE_SUFFIX = ".vtkhdf"
@@ -408,11 +411,13 @@ def _metrics_csv(run: Run) -> str:
     keys = list(dict.fromkeys(key for case in run.cases for key in case.swept))
     out = io.StringIO()
     writer = csv.writer(out, lineterminator="\n")
-    writer.writerow(["case", *keys, "model", "load_factor", "metric", "value", "unit"])
+    writer.writerow(["case", *keys, "model", "load_factor", "metric", "value", "unit", "reference_error"])
     for case, model, metric, series in _rows(run):
         swept = [_cell(case.swept.get(key, "")) for key in keys]
-        for factor, value in zip(case.load_factors, series.values, strict=True):
-            row = [model, repr(float(factor)), metric, repr(float(value)), series.unit]
+        full_load, bar = full_load_step(case.load_factors), reference_bar(case.reference_error, metric)
+        for step, (factor, value) in enumerate(zip(case.load_factors, series.values, strict=True)):
+            own = repr(bar) if step == full_load and math.isfinite(bar) else ""  # measured at full load only
+            row = [model, repr(float(factor)), metric, repr(float(value)), series.unit, own]
             writer.writerow([case.hash[:12], *swept, *row])
     return out.getvalue()
 

@@ -10,22 +10,21 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from .. import uncertainty
 from ..case import CaseResult, ModelResult, Run
+from ..metrics import full_load_step
 
 Array = NDArray[np.float64]
 
 VECTOR = "relative_l2_displacement_error"
 DEFORMATION = "relative_l2_deformation_error"
-# a discrepancy counts as resolved where the reference's own error is at most this share of it
-RESOLUTION = 0.1
 # number of the reference in the palette; the other models count from 0
 REFERENCE = -1
 
 
 def full_load(case: CaseResult) -> int:
     """The step of the largest load, the last of several."""
-    factors = np.abs(case.load_factors)
-    return int(len(factors) - 1 - np.argmax(factors[::-1]))
+    return full_load_step(case.load_factors)
 
 
 def series(case: CaseResult, model: str, metric: str) -> Array | None:
@@ -41,19 +40,8 @@ def at_full_load(case: CaseResult, model: str, metric: str) -> float:
 
 
 def reference_bar(case: CaseResult, metric: str = VECTOR) -> float:
-    """The reference's own relative error, NaN where not measured.
-
-    The grid convergence index where there is one, else the plain estimate; for the deformation its own estimate
-    with the same margin of safety.
-    """
-    error = case.reference_error
-    estimate = error.get("relative_l2", math.nan)
-    bar = error.get("gci", estimate)
-    if metric == DEFORMATION:
-        own = error.get("relative_l2_deformation", math.nan)
-        margin = bar / estimate if estimate > 0 else 1.0
-        return own * margin
-    return bar if metric == VECTOR else math.nan
+    """The reference's own part in a metric (GCI) at full load, NaN where not measured."""
+    return uncertainty.reference_bar(case.reference_error, metric)
 
 
 def failed_steps(model: ModelResult) -> list[int]:
@@ -101,7 +89,7 @@ def spread_of(pairs: Iterable[tuple[float, float]]) -> Spread | None:
         best=float(values[np.argmin(sizes)]),
         cases=len(kept),
         measured=int(known.sum()),
-        resolved=int((bars[known] <= RESOLUTION * sizes[known]).sum()),
+        resolved=sum(map(uncertainty.is_resolved, values.tolist(), bars.tolist())),
     )
 
 
@@ -186,6 +174,14 @@ class Digest:
     def spread(self, model: str, metric: str) -> Spread | None:
         """A metric at full load over all cases."""
         return spread_of((at_full_load(c, model, metric), reference_bar(c, metric)) for c in self.cases)
+
+    @cached_property
+    def unusual_levels(self) -> dict[str, int]:
+        """Behaviour of the reference's mesh levels -> cases, where it gives no order to extrapolate with."""
+        estimates = [uncertainty.stored_estimate(case.reference_error) for case in self.cases]
+        names = [e.behaviour for e in estimates if e is not None]
+        usual = (uncertainty.CONVERGING, uncertainty.TWO_LEVELS)
+        return {name: names.count(name) for name in dict.fromkeys(names) if name not in usual}
 
     @cached_property
     def summaries(self) -> tuple[ModelSummary, ...]:

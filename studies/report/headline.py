@@ -5,8 +5,9 @@ from __future__ import annotations
 import math
 
 from ..case import Run
+from ..uncertainty import is_resolved
 from .blocks import Cell, Column, Section, Table, Text
-from .digest import RESOLUTION, VECTOR, Digest, ModelSummary, Spread, at_full_load, full_load
+from .digest import VECTOR, Digest, ModelSummary, Spread, at_full_load, full_load
 from .formatting import NOT_MEASURED, NOTHING, listed, percent, plain, plural, quantity, short_percent
 
 CLOSE = 0.10  # "within 10 %", the threshold that the paper's claim speaks of
@@ -23,7 +24,7 @@ def headline_rows(run: Run) -> list[dict[str, str]]:
         if digest.compared:
             row["displacement error"] = _one_line(summary.vector)
             row["deformation error"] = _one_line(summary.deformation)
-            row["reference's own"] = _bar_in_words(summary.vector)
+            row["reference's own"] = _bars_in_words(summary.vector, summary.deformation)
         row["volume drift"] = _drift(summary.drift).text
         row["set-up"] = quantity(summary.seconds_setup, "s")
         row["per frame"] = quantity(summary.seconds_per_step, "s")
@@ -42,10 +43,16 @@ def _one_line(spread: Spread | None) -> str:
     )
 
 
-def _bar_in_words(spread: Spread | None) -> str:
-    if spread is None:
+def _bars_in_words(vector: Spread | None, deformation: Spread | None) -> str:
+    """The reference's part in both errors, and whether these stand out from it."""
+    spreads = [spread for spread in (vector, deformation) if spread is not None]
+    if not spreads:
         return NOTHING
-    return _bar(spread.median, spread.median_bar).replace("\n", ", ")
+    if not any(spread.measured for spread in spreads):
+        return f"± {NOT_MEASURED}"
+    bars = " / ".join(percent(spread.median_bar) for spread in spreads)
+    verdicts = dict.fromkeys(spread.verdict for spread in spreads)
+    return f"± {bars}" if list(verdicts) == ["resolved"] else f"± {bars}, {' / '.join(verdicts)}"
 
 
 def headline(digest: Digest) -> Section | None:
@@ -75,11 +82,16 @@ def verdict(digest: Digest) -> list[str]:
     sentences = [_accuracy(digest, best, error, among=len(rated) + 1)]
     if rated:
         many = " (medians)" if len(digest.cases) > 1 else ""
-        sentences.append(
-            f"The others: {listed(f'{n} {short_percent(e.median)}' for n, e in rated.items())}{many}."
-        )
+        sentences.append(f"The others: {listed(f'{n} {_short(e)}' for n, e in rated.items())}{many}.")
     sentences += [_stops(digest), _resolution(digest, error), _cost(digest, best)]
     return [sentence for sentence in sentences if sentence]
+
+
+def _short(error: Spread) -> str:
+    """A median, named unresolved where the reference's own error was measured and is too wide for it."""
+    text = short_percent(error.median)
+    resolved = not error.measured or is_resolved(error.median, error.median_bar)
+    return text if resolved else f"{text} (unresolved)"
 
 
 def _accuracy(digest: Digest, best: ModelSummary, error: Spread, among: int) -> str:
@@ -112,6 +124,12 @@ def _resolution(digest: Digest, error: Spread) -> str:
             f"The error of {digest.reference} itself was not measured, so these figures carry no error bar."
         )
     bar = f"{digest.reference} itself is uncertain by {short_percent(error.median_bar)}"
+    if digest.unusual_levels:
+        many = len(digest.cases) > 1
+        named = [
+            f"{name} in {plural(n, 'case')}" if many else name for name, n in digest.unusual_levels.items()
+        ]
+        bar += f" (its mesh levels are {listed(named)}: the widest margin was taken)"
     if error.resolved == error.cases:
         return f"{bar}, at most a tenth of the difference, which is thereby resolved."
     if not error.resolved:
@@ -185,7 +203,7 @@ def _with_bar(value: float, bar: float) -> Cell:
 def _bar(value: float, bar: float) -> str:
     if not math.isfinite(bar):
         return f"± {NOT_MEASURED}"
-    return f"± {percent(bar)}" if bar <= RESOLUTION * abs(value) else f"± {percent(bar)}\nunresolved"
+    return f"± {percent(bar)}" if is_resolved(value, bar) else f"± {percent(bar)}\nunresolved"
 
 
 def _drift(spread: Spread | None) -> Cell:

@@ -32,7 +32,7 @@ def case_table(digest: Digest) -> Section | None:
         columns.append(Column(model, "displacement", unit="1"))
         columns.append(Column(model, "deformation", unit="1"))
     if digest.compared:
-        columns.append(Column("Reference", "own error", unit="1"))
+        columns += [Column("Reference's own", detail, unit="1") for detail in ("displacement", "deformation")]
     roles = {case.hash: role for role, case in digest.key_cases if role}
     ranked = sorted(digest.cases, key=lambda case: _rank(digest, case))
     most = max(_OPEN_ROWS, _MOST_CELLS // len(columns))
@@ -65,9 +65,12 @@ def _row(digest: Digest, case: CaseResult, keys: list[str], units: dict[str, str
     for model in digest.compared:
         row += [_error(case, model, VECTOR), _error(case, model, DEFORMATION)]
     if digest.compared:
-        bar = reference_bar(case)
-        row.append(Cell(percent(bar) if math.isfinite(bar) else "not measured", value=bar, tone="muted"))
+        row += [_own_error(reference_bar(case, metric)) for metric in (VECTOR, DEFORMATION)]
     return row
+
+
+def _own_error(bar: float) -> Cell:
+    return Cell(f"± {percent(bar)}" if math.isfinite(bar) else "not measured", value=bar, tone="muted")
 
 
 def _error(case: CaseResult, model: str, metric: str) -> Cell:

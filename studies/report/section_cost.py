@@ -25,7 +25,7 @@ def run_time_against_error(digest: Digest) -> Section | None:
         return None
     note = (
         "Further left is faster, lower is closer. Filled: time per frame. Hollow, at the end of the dotted line: "
-        "set-up, paid once. Dashed grey: what a frame of the reference costs."
+        "set-up, paid once. Dashed grey: what a frame of the reference costs, and its own error where measured."
     )
     if len(digest.cases) > 1:
         note += " Points are medians over the cases, whiskers reach from the best to the worst."
@@ -60,6 +60,9 @@ def _pareto(digest: Digest, metric: str, title: str, heights: Sequence[float], s
             )
         if reference is not None and reference.seconds_per_step > 0:
             axes.axvline(reference.seconds_per_step, linestyle="--", color=colour(REFERENCE), linewidth=1.0)
+        own = points[0][3].median_bar
+        if own > 0.0:
+            axes.axhline(own, linestyle="--", color=colour(REFERENCE), linewidth=1.0)
         time_ticks(axes)
         percent_axis(axes, heights)
     described = [

@@ -172,16 +172,18 @@ def error_against_load(digest: Digest) -> Section | None:
         y for by_model in curves.values() for table in by_model.values() for ys in table.values() for y in ys
     ]
     figures = [
-        _against_load(digest, curves[metric], title, heights, f"l{k}")
+        _against_load(digest, curves[metric], _own(digest, metric), title, heights, f"l{k}")
         for k, (metric, title) in enumerate(QUANTITIES)
         if curves[metric]
     ]
     if not figures:
         return None
-    blocks: list[Block] = []
+    notes = []
     if len(digest.cases) > 1:
-        note = "Lines are medians over the cases, bands reach from the best to the worst case."
-        blocks.append(Text(note, kind="note"))
+        notes.append("Lines are medians over the cases, bands reach from the best to the worst case.")
+    if any(math.isfinite(reference_bar(case)) for case in digest.cases):
+        notes.append("Dashed grey: the reference's own error, measured at full load.")
+    blocks: list[Block] = [Text(" ".join(notes), kind="note")] if notes else []
     return Section("load", "Error against load", [*blocks, Figures(figures, digest.legend)])
 
 
@@ -199,9 +201,16 @@ def _load_curves(digest: Digest, metric: str) -> dict[str, dict[float, list[floa
     return curves
 
 
+def _own(digest: Digest, metric: str) -> float:
+    """Median over the cases of the reference's own error, NaN where none was measured."""
+    bars = [bar for case in digest.cases if math.isfinite(bar := reference_bar(case, metric))]
+    return float(np.median(bars)) if bars else math.nan
+
+
 def _against_load(
     digest: Digest,
     curves: dict[str, dict[float, list[float]]],
+    own: float,
     title: str,
     heights: Sequence[float],
     salt: str,
@@ -218,6 +227,8 @@ def _against_load(
             axes.plot(factors, middle, line(k), marker=marker(k), color=colour(k))
             ends = f"from {short_percent(middle[0])} to {short_percent(middle[-1])}"
             described.append(f"{model} {ends}")
+        if own > 0.0:
+            axes.axhline(own, linestyle="--", color=colour(REFERENCE), linewidth=1.0)
         axes.set_xlim(left=min(0.0, axes.get_xlim()[0]))
         percent_axis(axes, heights)
     heading = f"{title} against load"

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
-from .blocks import Cell, Column, Section, Table
-from .digest import Digest
+import math
+
+from ..uncertainty import is_resolved
+from .blocks import Cell, Column, Section, Table, Text
+from .digest import Digest, Spread
 from .formatting import NOTHING, of_unit
 
 _IN_HEADLINE = frozenset({"volume_drift"})
@@ -29,8 +32,10 @@ def all_measures(digest: Digest) -> Section | None:
             if spread is None:
                 row.append(Cell(NOTHING))
                 continue
-            text = of_unit(spread.median, unit)
-            row.append(Cell(text, f"worst {of_unit(spread.worst, unit)}" if many else "", spread.median))
+            worst = f"\nworst {of_unit(spread.worst, unit)}" if many else ""
+            row.append(
+                Cell(of_unit(spread.median, unit), f"{_bar(spread, unit)}{worst}".strip(), spread.median)
+            )
         rows.append(row)
     if not rows:
         return None
@@ -38,7 +43,16 @@ def all_measures(digest: Digest) -> Section | None:
         Column("Measure", numeric=False),
         *(Column(model, "median" if many else "") for model in digest.compared),
     ]
-    return Section("measures", "All measures at full load", [Table("measures", "", columns, rows)])
+    note = "± is the reference's own part in a measure, from its mesh levels; none where it was not measured."
+    table = Table("measures", "", columns, rows)
+    return Section("measures", "All measures at full load", [Text(note, kind="note"), table])
+
+
+def _bar(spread: Spread, unit: str) -> str:
+    if not math.isfinite(spread.median_bar):
+        return ""
+    text = f"± {of_unit(spread.median_bar, unit)}"
+    return text if is_resolved(spread.median, spread.median_bar) else f"{text} unresolved"
 
 
 def measure_name(metric: str) -> str:

@@ -16,8 +16,9 @@ from typing import Any
 import numpy as np
 
 from studies.case import CaseResult, Run
-from studies.report.digest import DEFORMATION, RESOLUTION, VECTOR, at_full_load
+from studies.report.digest import DEFORMATION, VECTOR, at_full_load, reference_bar
 from studies.store import read_run
+from studies.uncertainty import is_resolved
 from tests.command import vdmbench
 
 ROOT = Path(__file__).parents[2]
@@ -33,7 +34,7 @@ COLUMNS = {
     "vdm-boundary": "boundary",
     "fem-linear": "FEM, this mesh",
 }
-MEASURES = {VECTOR: "gci", DEFORMATION: "gci_deformation"}
+MEASURES = (VECTOR, DEFORMATION)
 HEAD = ("body", "nodes", "loads", "reference's own", *COLUMNS.values())
 _TABLE = re.compile(r"(<!-- accuracy -->\n).*?(<!-- /accuracy -->)", re.DOTALL)
 
@@ -57,7 +58,7 @@ def cells(run: Run) -> Iterator[str]:
     """What a row says of a run: size, the reference's own error, and each model's two errors in per cent."""
     yield str(len(run.cases[0].points))
     yield str(len(run.cases))
-    own = ([case.reference_error[key] for case in run.cases] for key in MEASURES.values())
+    own = ([reference_bar(case, measure) for case in run.cases] for measure in MEASURES)
     yield " / ".join(_number(np.mean(values)) for values in own)
     for model in COLUMNS:
         means, worst = zip(*(_errors(run.cases, model, measure) for measure in MEASURES), strict=True)
@@ -67,8 +68,8 @@ def cells(run: Run) -> Iterator[str]:
 def _errors(cases: Sequence[CaseResult], model: str, measure: str) -> tuple[str, str]:
     """Mean and worst over the loads; a tilde before a mean that the reference does not resolve for every load."""
     errors = np.array([at_full_load(case, model, measure) for case in cases])
-    own = np.array([case.reference_error[MEASURES[measure]] for case in cases])
-    mark = "" if np.all(own <= RESOLUTION * errors) else "~"
+    resolved = [is_resolved(e, reference_bar(case, measure)) for e, case in zip(errors, cases, strict=True)]
+    mark = "" if all(resolved) else "~"
     return mark + _number(errors.mean()), _number(errors.max())
 
 

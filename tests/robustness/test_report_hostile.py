@@ -168,7 +168,11 @@ def with_numbers(case: CaseResult, value: float) -> CaseResult:
         }
         for name, entries in case.metrics.items()
     }
-    error = {"relative_l2": value, "gci": value, "relative_l2_deformation": value}
+    error = {
+        "difference_01": value,
+        "gci:relative_l2_displacement_error": value,
+        "gci:relative_l2_deformation_error": value,
+    }
     return dataclasses.replace(case, models=models, metrics=metrics, reference_error=error)
 
 

@@ -80,7 +80,9 @@ def test_headline_table_has_each_number_with_its_error_bar(html: str) -> None:
 
 
 def test_an_unresolved_difference_is_called_so() -> None:
-    run = make_run([make_case({"m": 0.05}, reference_error={"relative_l2": 0.01}, subdivisions=0)])
+    run = make_run(
+        [make_case({"m": 0.05}, reference_error={"gci:relative_l2_displacement_error": 0.01}, subdivisions=0)]
+    )
     assert "5.00 % ± 1.00 % unresolved ± not measured" not in words(page_html(run, no_pictures))
     assert "5.00 % ± 1.00 % unresolved 5.00 % ± not measured" in words(page_html(run, no_pictures))
 

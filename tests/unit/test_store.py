@@ -207,6 +207,8 @@ def test_study_tables(tmp_path: Path) -> None:
     assert len(rows) == 2 * 2 * N_STEPS
     assert rows[-1]["metric"] == "max_nodal_error"
     assert float(rows[-1]["value"]) == 3.0
+    bars = [row["reference_error"] for row in rows if row["metric"] == "max_nodal_error"]
+    assert bars == ["", "", "0.25"] * 2, "measured at full load"
     assert rows[0]["geometry.shape"] == "'=cmd()", "no spreadsheet may take a text for a formula"
 
 

@@ -2,45 +2,122 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from studies.uncertainty import estimate_error
+from studies.uncertainty import BEHAVIOURS, estimate_error, estimate_limit, is_resolved, reference_bar
 
 
-@pytest.mark.parametrize("order", [1.0, 2.0, 3.0])
-@pytest.mark.parametrize("ratio", [1.4, 2.0])
-def test_a_pure_power_law_is_recovered(order: float, ratio: float) -> None:
-    h = 0.1
-    values = [7.0 + 3.0 * (h * ratio**level) ** order for level in range(3)]
-    estimate = estimate_error([abs(values[0] - values[1]), abs(values[1] - values[2])], ratio)
+def power_law(order: float, ratios: list[float], size: float = 3.0, h: float = 0.1) -> list[float]:
+    """7 + size h^order on the finest mesh and on each coarser one."""
+    return [7.0 + size * (h * s) ** order for s in np.cumprod([1.0, *ratios])]
+
+
+@pytest.mark.parametrize("order", [0.6, 1.0, 2.0, 3.0])
+@pytest.mark.parametrize("ratios", [[1.4, 1.4], [2.0, 2.0], [2.0] * 3, [1.3, 1.7], [1.7, 1.3, 1.5]])
+@pytest.mark.parametrize("size", [3.0, -3.0])
+def test_a_pure_power_law_is_recovered(order: float, ratios: list[float], size: float) -> None:
+    limit, estimate = estimate_limit(power_law(order, ratios, size), ratios)
+    assert estimate.behaviour == "converging"
     assert estimate.reasonable
     # differences of numbers around 7 carry 1e-15 of round-off each, the smallest of them is 1e-4
     assert_allclose(estimate.observed_order, order, rtol=1e-8, atol=0)
-    assert_allclose(estimate.error, 3.0 * h**order, rtol=1e-8, atol=0)
-    assert_allclose(estimate.gci, 1.25 * 3.0 * h**order, rtol=1e-8, atol=0)
+    assert_allclose(estimate.error, 3.0 * 0.1**order, rtol=1e-8, atol=0)
+    assert_allclose(estimate.gci, 1.25 * 3.0 * 0.1**order, rtol=1e-8, atol=0)
+    assert_allclose(limit, 7.0, rtol=1e-10, atol=0)
+
+
+def test_one_ratio_stands_for_all() -> None:
+    assert estimate_error([0.01, 0.03, 0.1], 1.5) == estimate_error([0.01, 0.03, 0.1], [1.5] * 3)
 
 
 def test_two_levels_assume_an_order_and_a_wide_margin() -> None:
-    estimate = estimate_error([0.03])
+    limit, estimate = estimate_limit([1.0, 1.03])
+    assert estimate.behaviour == "two levels"
     assert np.isnan(estimate.observed_order)
     assert not estimate.reasonable
     assert_allclose([estimate.error, estimate.gci], [0.01, 0.03], rtol=1e-12, atol=0)
+    assert limit == 1.0
 
 
-@pytest.mark.parametrize("differences", [[0.03, 0.035], [0.03, 0.03], [0.03, 30.0], [0.03, 0.001]])
-def test_an_unreasonable_order_is_not_used(differences: list[float]) -> None:
+# behaviour, differences from the finest, expected error; the GCI is three times that
+ANOMALIES = [
+    ("too fast", [0.03, 30.0], 0.01),
+    ("too fast", [0.0, 30.0], 0.0),
+    ("too slow", [0.03, 0.035], 0.065),
+    ("oscillating", [0.03, -0.05], 0.05),
+    ("oscillating", [-0.03, 0.05], 0.05),
+    ("diverging", [0.03, 0.03], 0.06),
+    ("diverging", [0.05, 0.03], 0.08),
+    ("diverging", [0.05, -0.03], 0.05),
+    ("diverging", [0.05, 0.0], 0.05),
+    ("unsteady", [0.01, 0.02, 0.2], 0.01),
+    ("unsteady", [0.01, 0.08, 0.1], 0.01 / 3.0),
+]
+
+
+@pytest.mark.parametrize(("behaviour", "differences", "error"), ANOMALIES)
+def test_an_unreasonable_order_is_named_and_not_used(
+    behaviour: str, differences: list[float], error: float
+) -> None:
     estimate = estimate_error(differences)
+    assert estimate.behaviour == behaviour
     assert not estimate.reasonable
-    assert_allclose([estimate.error, estimate.gci], [0.01, 0.03], rtol=1e-12, atol=0)
+    assert_allclose([estimate.error, estimate.gci], [error, 3.0 * error], rtol=1e-12, atol=0)
+    values = list(np.cumsum([2.0, *differences]))
+    assert estimate_limit(values)[0] == 2.0, "no extrapolation from levels that do not converge"
+
+
+def test_every_behaviour_is_tried() -> None:
+    assert {name for name, *_ in ANOMALIES} | {"converging", "two levels"} == set(BEHAVIOURS)
+
+
+@pytest.mark.parametrize("growth", [1.1, 1.3])
+def test_uneven_levels_that_do_not_shrink_diverge(growth: float) -> None:
+    """Equal differences over ratios 1.2 and 1.7 are those of a logarithm: order 0 at ln 1.7 / ln 1.2 = 2.9."""
+    assert estimate_error([0.01, 0.01 * growth], [1.2, 1.7]).behaviour == "diverging"
+    assert estimate_error([0.01, 0.01 * (3.0 + growth)], [1.2, 1.7]).behaviour == "converging"
 
 
 def test_identical_levels_have_no_error() -> None:
-    assert estimate_error([0.0, 0.0]).error == 0.0
+    estimate = estimate_error([0.0, 0.0])
+    assert (estimate.error, estimate.gci, estimate.behaviour) == (0.0, 0.0, "converging")
 
 
-@pytest.mark.parametrize(("differences", "ratio"), [([], 2.0), ([0.1], 1.0), ([0.1], 0.5)])
-def test_too_little_to_estimate_from(differences: list[float], ratio: float) -> None:
+@pytest.mark.parametrize("order", [1.0, 2.0, 3.0])
+def test_the_bar_holds_a_sequence_with_a_second_term(order: float) -> None:
+    """f = h^p + c h^(p+1), the second up to a quarter of the first: the GCI covers the true error."""
+    for c in np.linspace(-1.5, 1.5, 11):
+        sizes = 0.1 * 2.0 ** np.arange(3)
+        values = sizes**order * (1.0 + c * 0.4 * sizes)
+        _, estimate = estimate_limit(list(values))
+        assert estimate.gci >= abs(values[0])
+        assert estimate.gci <= 4.0 * abs(values[0])
+
+
+@pytest.mark.parametrize(
+    ("differences", "ratio"), [([], 2.0), ([0.1], 1.0), ([0.1], 0.5), ([0.1, 0.2], [2.0])]
+)
+def test_too_little_to_estimate_from(differences: list[float], ratio: float | list[float]) -> None:
     with pytest.raises(ValueError, match="two mesh levels"):
         estimate_error(differences, ratio)
+
+
+def test_a_level_without_a_result_is_told() -> None:
+    with pytest.raises(ValueError, match="finite differences"):
+        estimate_error([0.1, math.nan])
+
+
+def test_a_discrepancy_is_resolved_by_a_bar_a_tenth_of_it() -> None:
+    assert is_resolved(0.5, 0.05)
+    assert is_resolved(-0.5, 0.05)
+    assert not is_resolved(0.5, 0.0501)
+    assert not any(is_resolved(*pair) for pair in ((0.5, math.nan), (math.nan, 0.0), (0.5, math.inf)))
+
+
+def test_a_metric_has_the_bar_of_its_own_name() -> None:
+    assert reference_bar({"gci:volume_drift": 0.2, "gci": 0.1}, "volume_drift") == 0.2
+    assert math.isnan(reference_bar({"gci": 0.1}, "volume_drift"))

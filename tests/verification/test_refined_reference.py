@@ -2,17 +2,23 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
 from studies import models
+from studies.case import ModelResult
 from studies.config import geometry_of
 from studies.geometry import build_mesh
-from studies.metrics import Surface, relative_l2
-from studies.reference import refined_reference
+from studies.metrics import METRICS, History, Surface, evaluate, relative_l2
+from studies.reference import own_error, refined_reference
 from studies.scene import Scene, build_scene
 from studies.schema import Study
+from studies.uncertainty import reference_bar, stored_estimate
+
+VECTOR = "relative_l2_displacement_error"
 
 STUDY = Study.model_validate(
     {
@@ -46,11 +52,51 @@ def test_three_levels(scene: Scene) -> None:
     seen, unseen = relative_l2(u0, u1, areas), relative_l2(u1, u2, areas)
     assert unseen < 0.6 * seen, "levels come closer"
     # the bar of two levels holds the difference to the third, and is not wildly wide
-    assert unseen <= two["gci"] <= 6 * unseen
+    bar = reference_bar(two, VECTOR)
+    assert unseen <= bar <= 6 * unseen
     assert np.isnan(two["observed_order"])
     assert 0.8 < three["observed_order"] < 3.2, "a support's edge takes P2 elements below their order of 3"
-    assert three["gci"] < two["gci"]
+    assert reference_bar(three, VECTOR) < bar
     assert three["levels"] == 3
+    assert stored_estimate(three).behaviour == "converging"
+    # every measure that compares has a bar of its own, and the third level lies within that of the second
+    surface = Surface(scene.mesh.surface_points, scene.mesh.triangles, scene.contact)
+    histories = [History(r.displacement, r.reaction_force, scene.load_factors) for r in (middle, fine)]
+    for metric, values in evaluate(surface, *histories).items():
+        own = reference_bar(two, metric)
+        if METRICS[metric].needs_reference:
+            assert abs(values[-1]) <= own, metric
+        else:
+            assert np.isnan(own)
+
+
+@pytest.mark.parametrize("order", [1.0, 2.0, 3.0])
+def test_own_error_of_a_known_sequence(scene: Scene, order: float) -> None:
+    """Levels u + h^p e with the largest load in the middle of the history: the bar is 1.25 h^p |e| / |u|."""
+    surface = Surface(scene.mesh.surface_points, scene.mesh.triangles, scene.contact)
+    rng = np.random.default_rng(0)
+    coarse = models.run_model(scene, "fem-linear")
+    exact, e = coarse.displacement[-1], 1e-3 * rng.standard_normal(coarse.displacement[-1].shape)
+    factors = np.array([0.5, -1.0, 0.25])
+
+    def level(h: float) -> ModelResult:
+        steps = np.stack([f * (exact + h**order * e) for f in factors])
+        force = np.repeat(coarse.reaction_force[-1:], 3, axis=0)
+        return dataclasses.replace(coarse, displacement=steps, reaction_force=force)
+
+    error = own_error(surface, [level(h) for h in (0.1, 0.2, 0.4)], factors)
+    areas = surface.areas
+    size = np.sqrt(areas @ ((exact + 0.1**order * e) ** 2).sum(axis=1))
+    expected = 0.1**order * np.sqrt(areas @ (e**2).sum(axis=1)) / size
+    assert_allclose(error["observed_order"], order, rtol=1e-9, atol=0)
+    assert_allclose(error["relative_l2"], expected, rtol=1e-9, atol=0)
+    assert_allclose(reference_bar(error, VECTOR), 1.25 * expected, rtol=1e-9, atol=0)
+    # a measure in metres: the largest |h^p e| of any node
+    largest = 0.1**order * np.linalg.norm(e, axis=1).max()
+    assert_allclose(reference_bar(error, "max_nodal_error"), 1.25 * largest, rtol=1e-9, atol=0)
+    turned = own_error(surface, [level(h) for h in (0.1, -0.2 if order % 2 else 0.2, 0.4)], factors)
+    behaviour = stored_estimate(turned).behaviour
+    assert behaviour == ("oscillating" if order % 2 else "converging")
 
 
 def test_a_restricted_level_keeps_its_forces_and_steps(scene: Scene) -> None:
