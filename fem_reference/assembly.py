@@ -103,11 +103,13 @@ def scalar_pattern(mesh: TetMesh) -> Pattern:
     return Pattern(indptr, indices, place.reshape(m, width * width), mirror)
 
 
-def elasticity_blocks(mesh: TetMesh, pattern: Pattern, divergence: float) -> Array:
+def elasticity_blocks(
+    mesh: TetMesh, pattern: Pattern, divergence: float, fibres: Array | None = None
+) -> Array:
     """(pattern.size, 3, 3) blocks of `2 eps(u) : eps(v) + divergence * div u div v`, integrated [m].
 
     With `divergence` = -2/3 this is the deviatoric form of the mixed element, with lambda / mu Hooke's law, both
-    per unit shear modulus.
+    per unit shear modulus. `fibres` is a symmetric (3, 3) M that adds `(M : eps(u)) (M : eps(v))`.
     """
     width = mesh.element_nodes.shape[1]
     barycentric, weights = tetrahedron_quadrature()
@@ -132,6 +134,11 @@ def elasticity_blocks(mesh: TetMesh, pattern: Pattern, divergence: float) -> Arr
             mirrored = product[pattern.mirror]
             blocks[:, i, j] = mirrored + divergence * product
             blocks[:, j, i] = product + divergence * mirrored
+    if fibres is not None:
+        for (i, j), product in products.items():
+            blocks += product[:, None, None] * np.outer(fibres[:, i], fibres[:, j])
+            if i != j:
+                blocks += product[pattern.mirror, None, None] * np.outer(fibres[:, j], fibres[:, i])
     return blocks
 
 
@@ -165,10 +172,10 @@ def mass_matrix(mesh: TetMesh) -> csr_array:
     return csr_array(coo_array((values.ravel(), (rows, columns)), shape=(mesh.n_vertices, mesh.n_vertices)))
 
 
-def elasticity_matrix(mesh: TetMesh, divergence: float) -> bsr_array:
+def elasticity_matrix(mesh: TetMesh, divergence: float, fibres: Array | None = None) -> bsr_array:
     """The whole (3 n_nodes, 3 n_nodes) matrix of `elasticity_blocks`, displacement components interleaved."""
     pattern = scalar_pattern(mesh)
-    blocks = elasticity_blocks(mesh, pattern, divergence)
+    blocks = elasticity_blocks(mesh, pattern, divergence, fibres)
     size = 3 * mesh.n_nodes
     return bsr_array((blocks, pattern.indices, pattern.indptr), shape=(size, size))
 

@@ -19,6 +19,7 @@ from fem_reference.loads import (
     nodal_forces,
     prescribed_nodes,
 )
+from fem_reference.materials import TransverselyIsotropic, make_law
 from fem_reference.mesh import TetMesh
 from fem_reference.outputs import OUTPUTS, mean_pressure, strain_outputs
 from fem_reference.solution import CONVERGED, Solution, SolverError, Status
@@ -67,18 +68,21 @@ class LinearProblem:
 
     Mixed displacement-pressure Taylor-Hood elements (P2-P1) on stress = 2 G strain - p I with
     p = -lambda div u (Hughes, The Finite Element Method, section 4.3). The displacement elements "P2" and "P1"
-    exist to show locking.
+    exist to show locking. Fibres along a unit vector a add k (a.eps a) a x a to the stress, k = (c - 1) E:
+    the small-strain limit of `fem_reference.materials.TransverselyIsotropic`.
 
     Parameters
     ----------
     points, tetrahedra, surface_nodes, triangles : see `fem_reference.mesh.TetMesh`
-    youngs_modulus : [Pa], positive
-    poisson_ratio : in (-1, 0.5]; below 0.5 for "P2" and "P1"
+    youngs_modulus : of the isotropic part [Pa], positive
+    poisson_ratio : of the isotropic part, in (-1, 0.5]; below 0.5 for "P2" and "P1"
     density : [kg/m^3]
     held : (N,) surface nodes whose displacement is given, or (N, 3) single components of them (rollers)
     solver : "auto" chooses by size, `expected_loads` and memory; "direct" or "iterative" insist
     expected_loads : number of loads to come, for the choice
     element : "P2-P1", "P2" or "P1"
+    fibre_direction : (3,) of any length, None for an isotropic body
+    contrast : Young's modulus along the fibres over `youngs_modulus`, 1 or more
     memory_limit : bytes the solver may take; None for what the machine has left
 
     Raises
@@ -101,6 +105,8 @@ class LinearProblem:
         solver: str = "auto",
         expected_loads: int = 1,
         element: str = "P2-P1",
+        fibre_direction: ArrayLike | None = None,
+        contrast: float = 1.0,
         memory_limit: float | None = None,
     ) -> None:
         start = time.perf_counter()
@@ -116,9 +122,15 @@ class LinearProblem:
         self.poisson_ratio = float(poisson_ratio)
         self.density = float(density)
         self.shear_modulus = self.youngs_modulus / (2.0 * (1.0 + self.poisson_ratio))
+        self.contrast = float(contrast)
+        material = "neo-hookean" if fibre_direction is None else "transversely-isotropic"
+        law = make_law(material, 2.0 * (1.0 + self.poisson_ratio), 1.0, fibre_direction, self.contrast)
+        fibres = None
+        if isinstance(law, TransverselyIsotropic):
+            fibres = np.sqrt(law.fibre_modulus) * np.outer(law.fibre, law.fibre)
         self.held = held_nodes(self.mesh, np.asarray(held))
         self.system: LinearSystem = build_system(
-            self.mesh, self.held, mixed=mixed, poisson_ratio=self.poisson_ratio
+            self.mesh, self.held, mixed=mixed, poisson_ratio=self.poisson_ratio, fibres=fibres
         )
         self.solver: Solver = choose_solver(self.system, solver, expected_loads, memory_limit)
         self.seconds_setup = time.perf_counter() - start
@@ -219,6 +231,7 @@ class LinearProblem:
             "youngs_modulus": self.youngs_modulus,
             "poisson_ratio": self.poisson_ratio,
             "density": self.density,
+            "contrast": self.contrast,
             "solver": self.solver.name,
             "solver_reason": self.solver.reason,
             "solver_estimated_bytes": self.solver.estimated_bytes,

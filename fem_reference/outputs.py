@@ -27,14 +27,21 @@ OUTPUTS = {
 def mean_pressure(problem: LinearProblem, fields: Fields) -> Array:
     """(S,) volume mean of -tr(stress)/3 [Pa]."""
     mesh = problem.mesh
-    # The volume integral of div u is the flux through the surface, exact for the P1 and P2 traces.
+    # The volume integral of grad u is that of u x n over the surface, exact for the P1 and P2 traces.
     share = np.repeat([0.0, 1.0 / 3.0], 3) if mesh.order == 2 else np.full(3, 1.0 / 3.0)
     trace = np.einsum("sfni,n->sfi", fields.displacement[:, mesh.facet_nodes], share)
-    dilation: Array = np.einsum("sfi,fi->s", trace, mesh.area_vectors) / mesh.volume
+    gradient: Array = np.einsum("sfi,fj->sij", trace, mesh.area_vectors) / mesh.volume
+    dilation: Array = np.einsum("sii->s", gradient)
     if problem.system.mixed:
         means = fields.pressure[:, mesh.tetrahedra].mean(axis=2)
-        return np.asarray(means @ mesh.volumes / mesh.volume - problem.shear_modulus * dilation / 1.5)
-    return -problem.youngs_modulus / (3.0 * (1.0 - 2.0 * problem.poisson_ratio)) * dilation
+        pressure = means @ mesh.volumes / mesh.volume - problem.shear_modulus * dilation / 1.5
+    else:
+        pressure = -problem.youngs_modulus / (3.0 * (1.0 - 2.0 * problem.poisson_ratio)) * dilation
+    fibres = problem.system.fibres
+    if fibres is not None:
+        tension = np.einsum("ij,sij->s", fibres, gradient) * np.trace(fibres)
+        pressure = pressure - problem.shear_modulus * tension / 3.0
+    return np.asarray(pressure)
 
 
 def strain_outputs(mesh: TetMesh, displacements: Array, names: frozenset[str]) -> dict[str, Array]:

@@ -8,7 +8,8 @@ scaled pressure q = p / a, a = sqrt(2 |nu|), lambda = 2 nu / (1 - 2 nu):
     [ -a B   -c M  ] [q] = [0]      c = (1 - 2 nu) sign(nu)
 
 The scaling keeps every block finite for any Poisson ratio in (-1, 0.5]: c is zero for an incompressible body and
-the pressure uncouples at nu = 0. A displacement element has Hooke's law in A and no pressure rows.
+the pressure uncouples at nu = 0. A displacement element has Hooke's law in A and no pressure rows. Fibres add
+(M : eps(u)) (M : eps(v)) to A, with M = sqrt(k / mu) a x a of their modulus k and direction a.
 """
 
 from __future__ import annotations
@@ -50,6 +51,7 @@ class LinearSystem:
     compressibility : c
     pressure_scale : a
     divergence_coefficient : lambda of the displacement element, 0 where the pressure carries it
+    fibres : (3, 3) M, None for an isotropic body
     schur_factor : the pressure's Schur complement is about -schur_factor M
     support : nodes with a held component
     support_rows : (3 * supports, 3 n_nodes) their rows of A, no row or column taken out
@@ -66,6 +68,7 @@ class LinearSystem:
     compressibility: float
     pressure_scale: float
     divergence_coefficient: float
+    fibres: Array | None
     schur_factor: float
     support: Index
     support_rows: bsr_array
@@ -140,7 +143,9 @@ class LinearSystem:
         return np.where(self.held, reaction, 0.0)
 
 
-def build_system(mesh: TetMesh, held: Mask, *, mixed: bool, poisson_ratio: float) -> LinearSystem:
+def build_system(
+    mesh: TetMesh, held: Mask, *, mixed: bool, poisson_ratio: float, fibres: Array | None = None
+) -> LinearSystem:
     """Assemble the scaled system.
 
     Parameters
@@ -149,6 +154,7 @@ def build_system(mesh: TetMesh, held: Mask, *, mixed: bool, poisson_ratio: float
     held : (n_nodes, 3) components whose displacement is given
     mixed : pressure field or displacement only
     poisson_ratio : in (-1, 0.5], below 0.5 for a displacement element
+    fibres : (3, 3) M, None for an isotropic body
 
     Raises
     ------
@@ -158,7 +164,7 @@ def build_system(mesh: TetMesh, held: Mask, *, mixed: bool, poisson_ratio: float
     length = mesh.mean_edge
     pattern = scalar_pattern(mesh)
     lame = 0.0 if mixed else 2.0 * poisson_ratio / (1.0 - 2.0 * poisson_ratio)
-    blocks = elasticity_blocks(mesh, pattern, lame) / length
+    blocks = elasticity_blocks(mesh, pattern, lame, fibres) / length
     kept = np.flatnonzero(~held.all(axis=1))
     support = np.flatnonzero(held.any(axis=1))
     numbered = pattern.numbered
@@ -181,6 +187,7 @@ def build_system(mesh: TetMesh, held: Mask, *, mixed: bool, poisson_ratio: float
         compressibility=0.0,
         pressure_scale=0.0,
         divergence_coefficient=lame,
+        fibres=fibres,
         schur_factor=0.0,
         support=support,
         support_rows=support_rows,

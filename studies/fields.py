@@ -181,7 +181,7 @@ def _kind(annotation: Any, si: SI | None) -> str:
         return " | ".join(get_args(annotation))
     if get_origin(annotation) is tuple:
         inner, _ = unwrapped(get_args(annotation)[0])
-        return "list of regions" if inner is Region else "list of texts"
+        return {Region: "list of regions", int: "list of whole numbers"}.get(inner, "list of texts")
     return {int: "whole number", Region: "region"}.get(annotation, "text")
 
 

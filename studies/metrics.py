@@ -364,6 +364,26 @@ def volume_drift_of_displaced(surface: Surface, model: History) -> Array:
     return np.divide(change, displaced, out=np.full(len(change), np.nan), where=displaced > 0)
 
 
+def _mean_strain(surface: Surface, model: History, axis: int) -> Array:
+    """(S,) volume mean of du/dx along an axis: the integral of u n over the surface, u linear on each facet."""
+    return np.asarray(model.displacement[:, :, axis] @ surface.volume_gradient[:, axis] / surface.volume)
+
+
+@_metric("1", "mean of du_x/dx over the body's volume", needs_reference=False)
+def mean_strain_x(surface: Surface, model: History) -> Array:
+    return _mean_strain(surface, model, 0)
+
+
+@_metric("1", "mean of du_y/dy over the body's volume", needs_reference=False)
+def mean_strain_y(surface: Surface, model: History) -> Array:
+    return _mean_strain(surface, model, 1)
+
+
+@_metric("1", "mean of du_z/dz over the body's volume", needs_reference=False)
+def mean_strain_z(surface: Surface, model: History) -> Array:
+    return _mean_strain(surface, model, 2)
+
+
 def mean_indentation(surface: Surface, displacement: Array) -> Array:
     """(S,) area-weighted mean inward normal displacement of the loaded nodes [m]; NaN without any."""
     loaded = surface.contact

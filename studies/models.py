@@ -134,13 +134,14 @@ def _fem_condensed(scene: Scene, solver: str, name: str) -> FemSolution:  # noqa
 def _fem(scene: Scene, solver: str, name: str) -> FemSolution:  # noqa: ARG001
     from fem_reference.finite_strain import FiniteStrainProblem
 
-    problem = FiniteStrainProblem(**_body(scene), expected_loads=len(scene.load_factors))
+    material = "transversely-isotropic" if scene.anisotropy else "neo-hookean"
+    problem = FiniteStrainProblem(**_body(scene), material=material, expected_loads=len(scene.load_factors))
     return problem.solve(_fem_loads(scene), frozenset({"max_det_f_deviation", "max_principal_strain"}))
 
 
 def _body(scene: Scene) -> dict[str, Any]:
     """What every volumetric model is built from."""
-    mesh, tissue = scene.mesh, scene.tissue
+    mesh, tissue, fibres = scene.mesh, scene.tissue, scene.anisotropy
     return {
         "points": mesh.points,
         "tetrahedra": mesh.tetrahedra,
@@ -150,6 +151,7 @@ def _body(scene: Scene) -> dict[str, Any]:
         "poisson_ratio": tissue.poisson_ratio,
         "density": tissue.density,
         "held": scene.held,
+        **({"fibre_direction": fibres.fibre_direction, "contrast": fibres.contrast} if fibres else {}),
     }
 
 
@@ -170,9 +172,12 @@ def _vdm(scene: Scene, formulation: str, solver: str, name: str) -> VdmSolution:
     tissue = scene.tissue
     given: dict[str, Any] = {**scene.parameters, **scene.overrides.get(name, {})}
     penalty = given.pop("penalty", None)
-    rule = Parameters.from_tissue(
-        tissue.youngs_modulus, tissue.poisson_ratio, SurfaceMesh(points, triangles), formulation
-    )
+    surface = SurfaceMesh(points, triangles)
+    rule = Parameters.from_tissue(tissue.youngs_modulus, tissue.poisson_ratio, surface, formulation)
+    parameters = dataclasses.replace(rule, **given)
+    if scene.anisotropy:
+        fibres = scene.anisotropy
+        parameters = parameters.anisotropic(surface, fibres.fibre_direction, fibres.contrast)
     options: dict[str, Any] = {}
     if penalty is not None:
         options = {"constraint_method": "penalty-replaced", "penalty": penalty}  # (25) and (26) as printed
@@ -180,7 +185,7 @@ def _vdm(scene: Scene, formulation: str, solver: str, name: str) -> VdmSolution:
     model = VdmModel(
         points,
         triangles,
-        dataclasses.replace(rule, **given),
+        parameters,
         formulation=formulation,
         fixed=scene.fixed,
         constrained=scene.constrained,

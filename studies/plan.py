@@ -91,6 +91,7 @@ class Plan:
                 "title": self.study.study.title,
                 "models": list(self.study.study.models),
                 "reference": self.study.study.reference,
+                "claims": list(self.study.study.claims),
             },
             "cases": [
                 {
@@ -120,7 +121,7 @@ def make_plan(study: Study, cases: Sequence[ResolvedCase], directory: Path, cach
     PlanError
         a table that no model or verb of this version acts on.
     """
-    for table in ("limits", "anisotropy"):
+    for table in ("limits",):
         if getattr(study, table) is not None:
             raise PlanError(
                 f"[{table}] is not available in this version: nothing would act on it; leave it out"

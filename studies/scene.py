@@ -13,7 +13,7 @@ from fem_reference.mesh import facet_quadrature
 from .mesh import Array, InputError, Mask, Mesh
 from .metrics import corner_sum, facet_area_vectors, nodal_sum
 from .regions import profile_coordinate, select
-from .schema import Constraint, Study, Tissue
+from .schema import Anisotropy, Constraint, Study, Tissue
 
 
 class SceneError(InputError):
@@ -38,6 +38,7 @@ class Scene:
     gravity : (3,) acceleration [m/s^2], constant over the load history
     environment_pressure : P_ep, the datum of all pressures [Pa]
     load_factors : (S,)
+    anisotropy : fibre direction and contrast, None for an isotropic body
     """
 
     mesh: Mesh
@@ -52,6 +53,7 @@ class Scene:
     gravity: Array
     environment_pressure: float
     load_factors: Array
+    anisotropy: Anisotropy | None
 
     @property
     def held(self) -> Mask:
@@ -147,7 +149,8 @@ def build_scene(study: Study, mesh: Mesh, masks: Mapping[str, Mask] | None = Non
         facet_pressure=pressure,
         gravity=np.array(study.gravity.acceleration if study.gravity else (0.0, 0.0, 0.0)),
         environment_pressure=study.environment.pressure if study.environment else 0.0,
-        load_factors=np.array(study.load.factors),
+        load_factors=np.array(study.load.history),
+        anisotropy=study.anisotropy,
     )
 
 

@@ -39,6 +39,8 @@ _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,63}")
 Vector3 = tuple[float, float, float]
 Vdm = dict[str, float | str]
 
+CLAIMS = 9  # that the paper makes of its model
+
 
 # --- kinds of values ---
 
@@ -205,6 +207,9 @@ class StudyInfo(Table):
     reference: str | None = Field(
         None, description="the model that the others are compared with, one of `models`; none: no comparison"
     )
+    claims: Annotated[
+        tuple[int, ...], _number_check(lambda v: 1 <= v <= CLAIMS, f"must be 1 to {CLAIMS}")
+    ] = Field((), description="numbers of the paper's claims that the study puts on trial", strict=False)
     max_cases: int = Field(1000, description="refuse a sweep of more cases than this", ge=1, le=100_000)
 
     @classmethod
@@ -386,6 +391,23 @@ class Load(Table):
     factors: Annotated[tuple[float, ...], SI("1", (0,))] = Field(
         (1.0,), description="the load history: factors on pressures, forces and displacements"
     )
+    steps: int | None = Field(
+        None,
+        description="equal steps from each factor to the next, the first from zero; one where left out",
+        ge=1,
+        le=1000,
+    )
+
+    @property
+    def history(self) -> tuple[float, ...]:
+        """All load factors in order."""
+        count = self.steps or 1
+        starts = (0.0, *self.factors)
+        return tuple(
+            end if step == count else start + (end - start) * step / count
+            for start, end in zip(starts, self.factors, strict=False)
+            for step in range(1, count + 1)
+        )
 
 
 class Gravity(Table):
@@ -403,11 +425,10 @@ class Environment(Table):
 class Anisotropy(Table):
     """[anisotropy]"""
 
-    fibre_direction: Direction = Field(
-        description="direction of the fibres, of any length (not in this version)"
-    )
+    fibre_direction: Direction = Field(description="direction of the fibres, of any length")
     contrast: Annotated[float, SI("1"), _positive] = Field(
-        description="stiffness along the fibres over that across (not in this version)"
+        description="Young's modulus along the fibres over `tissue.youngs_modulus` (FEM, 1 or more); "
+        "B_ij, T and E_s of an edge, B_i and k of a node along them over those across (VDM)"
     )
 
 
@@ -457,7 +478,7 @@ class Study(Table):
     load: Load = Field(Load(), description="the load history")
     gravity: Gravity | None = Field(None, description="weight")
     environment: Environment | None = Field(None, description="surroundings")
-    anisotropy: Anisotropy | None = Field(None, description="fibres; not in this version")
+    anisotropy: Anisotropy | None = Field(None, description="one family of fibres")
     sweep: Sweep = Field(Sweep(), description="what is varied")
     limits: Limits | None = Field(None, description="small-strain limits; not in this version")
     uncertainty: Uncertainty | None = Field(None, description="the reference's own error")

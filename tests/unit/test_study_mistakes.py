@@ -272,6 +272,20 @@ CASES = {
         "uncertainty.levels",
         "a whole number, not a number",
     ),
+    "claim of another paper": (
+        'name = "small"',
+        'name = "small"\nclaims = [2, 10]',
+        "claims",
+        "study.claims",
+        "must be 1 to 9, not 10",
+    ),
+    "no step": (
+        "[tissue]",
+        "[load]\nsteps = 0\n[tissue]",
+        "steps",
+        "load.steps",
+        "greater than or equal to 1",
+    ),
     "limits along nothing": (
         "[tissue]",
         "[limits]\nalong = 'constraints.tip.presure'\n[tissue]",

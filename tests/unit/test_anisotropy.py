@@ -1,0 +1,140 @@
+"""[anisotropy] reaches every model, and what it does in VDM and in the reference."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from studies import models
+from studies.case import ModelResult
+from studies.config import geometry_of
+from studies.geometry import build_mesh
+from studies.mesh import Mesh
+from studies.metrics import METRICS, History, Surface
+from studies.scene import build_scene
+from studies.schema import Study
+from tests.unit.study_texts import SMALL, swept
+from vdm.material import Parameters
+from vdm.surface import SurfaceMesh
+
+X, Y, Z = ([1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 2.0])
+STUDY: dict[str, Any] = {
+    "study": {"name": "test", "models": ["vdm-paper"]},
+    "geometry": {"shape": "sphere", "radius": 0.05, "mesh_size": 0.012},
+    "tissue": {"youngs_modulus": 5000.0, "poisson_ratio": 0.4999},
+    "regions": {
+        "base": {"below": {"axis": "z", "fraction": 0.2}},
+        "finger": {"cap": {"direction": [0.0, 0.0, 1.0], "angle": 0.5}},
+    },
+    "constraints": [
+        {"kind": "fixed", "region": "base"},
+        {"kind": "contact", "region": "finger", "force": 0.02},
+    ],
+}
+
+
+@pytest.fixture(scope="module")
+def mesh() -> Mesh:
+    return build_mesh(geometry_of(Study.model_validate(STUDY)))
+
+
+def run(mesh: Mesh, model: str, anisotropy: dict[str, Any] | None) -> ModelResult:
+    study = Study.model_validate(STUDY | ({"anisotropy": anisotropy} if anisotropy else {}))
+    return models.run_model(build_scene(study, mesh), model)
+
+
+def strains(mesh: Mesh, result: ModelResult) -> np.ndarray:
+    """Mean strain along x, y, z."""
+    assert result.status[0].ok, result.status
+    surface = Surface(mesh.surface_points, mesh.triangles)
+    history = History(result.displacement, result.reaction_force, np.ones(1))
+    return np.array([METRICS[f"mean_strain_{axis}"].function(surface, history)[0] for axis in "xyz"])
+
+
+@pytest.mark.parametrize(
+    "model",
+    [
+        "vdm-paper",
+        "vdm-paper:bicg",
+        "vdm-consistent",
+        "vdm-vector",
+        "vdm-vector:nonlinear",
+        "fem-linear",
+        "fem-condensed",
+        "fem",
+    ],
+)
+def test_the_bulge_turns_with_the_fibres(mesh: Mesh, model: str) -> None:
+    """A ball pressed from above bulges sideways, less along the fibres than across them."""
+    plain = strains(mesh, run(mesh, model, None))
+    along_x, along_y = (
+        strains(mesh, run(mesh, model, {"fibre_direction": d, "contrast": 4})) for d in (X, Y)
+    )
+    assert plain[2] < 0.0 < plain[0]
+    assert_allclose(plain[0], plain[1], rtol=0.02, atol=0)  # a body of revolution
+    assert along_x[0] < 0.85 * along_x[1]
+    assert along_y[1] < 0.85 * along_y[0]
+    # the mesh has no preferred direction: the answer turns with the fibres
+    assert_allclose(along_x[[1, 0, 2]], along_y, rtol=0.05, atol=0)
+    one = strains(mesh, run(mesh, model, {"fibre_direction": X, "contrast": 1}))
+    assert_allclose(one, plain, rtol=1e-7, atol=0)
+
+
+def test_a_model_without_fibres_is_refused_by_itself(mesh: Mesh) -> None:
+    boundary = run(mesh, "vdm-boundary", {"fibre_direction": Z, "contrast": 2})
+    assert boundary.status[0].code == models.REFUSED
+    assert "isotropic; use another one for fibres" in boundary.status[0].message
+    assert np.isnan(boundary.displacement).all()
+    for model in ("fem-linear", "fem"):
+        softer = run(mesh, model, {"fibre_direction": Z, "contrast": 0.5})
+        assert softer.status[0].code == models.REFUSED
+        assert softer.status[0].message == "contrast is 0.5"
+        assert softer.status[0].remedy == "give 1 or more: fibres stiffen the body"
+    assert run(mesh, "vdm-paper", {"fibre_direction": Z, "contrast": 0.5}).status[0].ok
+
+
+@pytest.mark.parametrize("contrast", [0.3, 3.0, 30.0])
+def test_contrast_of_edges_is_more_than_that_of_the_skin(contrast: float) -> None:
+    """Edges in six directions, 60 degrees apart: tension c times as stiff gives a skin (1 + 3c)/(3 + c) times.
+
+    The tension tensor of a skin is sum w f(e) d x d over its edges; the mean of cos^4 is 3/8, of cos^2 sin^2 1/8.
+    """
+    angles = np.radians(7.0 + 60.0 * np.arange(6))
+    ring = np.column_stack([np.cos(angles), np.sin(angles), np.zeros(6)])
+    points = np.vstack([[0.0, 0.0, 0.0], ring, [0.0, 0.0, -1.0]])
+    following = np.roll(np.arange(1, 7), -1)
+    flat = np.column_stack([np.zeros(6, int), np.arange(1, 7), following])
+    below = np.column_stack([following, np.arange(1, 7), np.full(6, 7)])
+    surface = SurfaceMesh(points, np.vstack([flat, below]))
+    spokes = np.flatnonzero((surface.edges == 0).any(axis=1))
+    assert len(spokes) == 6
+    tension = Parameters(surface_tension=1.0).anisotropic(surface, (2.0, 0.0, 0.0), contrast).surface_tension
+    d = np.diff(points[surface.edges[spokes]], axis=1)[:, 0]
+    tensor = np.einsum("e,ea,eb->ab", np.asarray(tension)[spokes], d, d)
+    assert_allclose(tensor[0, 0] / tensor[1, 1], (1 + 3 * contrast) / (3 + contrast), rtol=1e-12, atol=0)
+    assert_allclose(tensor[0, 1], 0.0, rtol=0, atol=1e-12 * contrast)
+
+
+def test_contrast_and_direction_can_be_swept(tmp_path: Path) -> None:
+    base = SMALL + "[anisotropy]\nfibre_direction = [1, 0, 0]\ncontrast = 2\n"
+    cases = swept(tmp_path, '"anisotropy.contrast" = [1, 4]\n"anisotropy.fibre_direction.1" = [0, 1]', base)
+    found = [case.study.anisotropy for case in cases]
+    assert [(a.contrast, a.fibre_direction) for a in found if a is not None] == [
+        (1.0, (1.0, 0.0, 0.0)),
+        (1.0, (1.0, 1.0, 0.0)),
+        (4.0, (1.0, 0.0, 0.0)),
+        (4.0, (1.0, 1.0, 0.0)),
+    ]
+
+
+def test_steps_lead_from_factor_to_factor(tmp_path: Path) -> None:
+    cases = swept(tmp_path, '"load.steps" = [1, 2, 5]', SMALL + "[load]\nfactors = [1, -0.5]\n")
+    histories = [case.study.load.history for case in cases]
+    assert histories[0] == (1.0, -0.5)
+    assert histories[1] == (0.5, 1.0, 0.25, -0.5)
+    assert_allclose(histories[2], [0.2, 0.4, 0.6, 0.8, 1, 0.7, 0.4, 0.1, -0.2, -0.5], rtol=0, atol=1e-15)
+    assert [case.label for case in cases] == ["steps = 1", "steps = 2", "steps = 5"]

@@ -1,0 +1,112 @@
+"""The linear problem with fibres: exact tension, scikit-fem's form, the finite-strain law's small limit."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+from scipy.sparse import csr_array
+from skfem import Basis, BilinearForm, ElementTetP2, ElementVector
+from skfem.helpers import ddot, sym_grad
+
+from fem_reference import assembly
+from fem_reference.condensed import CondensedProblem
+from fem_reference.finite_strain import FiniteStrainProblem
+from fem_reference.linear import LinearProblem
+from fem_reference.mesh import TetMesh
+from fem_reference.solution import SolverError
+from tests.unit.fem_shapes import Body, cube
+
+TILT = (1.0, -2.0, 0.5)
+
+
+@pytest.fixture(scope="module")
+def block() -> Body:
+    return cube(3, distort=0.2)
+
+
+def _bottom(b: Body) -> np.ndarray:
+    return b.surface[:, 2] < 1e-12
+
+
+def _tension(b: Body, contrast: float, axis: int, **options: object) -> tuple[np.ndarray, float]:
+    """Strain along x, y, z and mean pressure per unit tension along `axis`, fibres along x, on rollers."""
+    problem = b.problem(b.surface < 1e-12, fibre_direction=(3.0, 0.0, 0.0), contrast=contrast, **options)
+    end = b.facets_where(lambda x: x[:, axis] > 1.0 - 1e-12)
+    solution = problem.solve([b.load(-1.0 * end)])
+    assert solution.status[0].ok
+    far = np.argmax(b.surface.sum(axis=1))
+    return solution.displacement[0, far], solution.fluid_pressure[0]
+
+
+@pytest.mark.parametrize("solver", ["direct", "iterative"])
+@pytest.mark.parametrize("contrast", [1.0, 3.0, 20.0])
+@pytest.mark.parametrize(("element", "nu"), [("P2-P1", 0.5), ("P2-P1", 0.3), ("P2", 0.3), ("P1", 0.3)])
+def test_tension_along_and_across_is_exact(
+    block: Body, solver: str, contrast: float, element: str, nu: float
+) -> None:
+    """Young's modulus along the fibres is c E; across, by inverting Hooke's law with the fibres' term."""
+    shear, fibre = 0.5 / (1.0 + nu), contrast - 1.0
+    compliance = (1.0 + nu) * np.eye(3) - nu * np.ones((3, 3))  # of the isotropic part, E = 1
+    # Sherman-Morrison of the compliance for stress += fibre e_x along x; finite at nu = 1/2 too
+    first = compliance[:, 0]
+    compliance = compliance - fibre * np.outer(first, first) / (1.0 + fibre * first[0])
+    assert_allclose(1.0 / compliance[0, 0], contrast, rtol=1e-14, atol=0)
+    if nu == 0.5:
+        m = 1.0 + fibre / (2.0 * shear)
+        assert_allclose(1.0 / compliance[2, 2], 2.0 * shear * (1.0 + 2.0 * m) / (1.0 + m), rtol=1e-12, atol=0)
+    for axis in range(3):
+        strain, pressure = _tension(block, contrast, axis, element=element, poisson_ratio=nu, solver=solver)
+        assert_allclose(strain, compliance[:, axis], rtol=0, atol=2e-7)
+        assert_allclose(pressure, -1.0 / 3.0, rtol=0, atol=2e-7)
+
+
+@pytest.mark.parametrize("extra", [0.0, 1.0], ids=["fibres", "any tensor"])
+def test_the_fibre_term_equals_scikit_fem(extra: float) -> None:
+    mesh = TetMesh(*cube(2, distort=0.3).arrays, order=2)
+    basis = Basis(mesh.skfem_mesh, ElementVector(ElementTetP2()), intorder=2)
+    direction = np.array(TILT) / np.linalg.norm(TILT)
+    tensor = 2.0 * np.outer(direction, direction) + extra * np.diag([0.3, -0.2, 0.7])
+
+    def strain(u: object) -> np.ndarray:
+        return np.einsum("ij,ij...->...", tensor, sym_grad(u))
+
+    theirs = BilinearForm(lambda u, v, _: 2.0 * ddot(sym_grad(u), sym_grad(v)) + strain(u) * strain(v))
+    expected = csr_array(theirs.assemble(basis))
+    ours = csr_array(assembly.elasticity_matrix(mesh, 0.0, tensor))
+    assert abs(ours - expected).max() <= 1e-14 * abs(expected).max()
+
+
+def test_small_loads_of_the_finite_strain_law_are_linear(block: Body) -> None:
+    fibres = {"fibre_direction": TILT, "contrast": 5.0}
+    common = {"youngs_modulus": 1.0, "poisson_ratio": 0.4999, "held": _bottom(block)}
+    load = block.load(1e-6 * block.facets_where(lambda x: x[:, 2] > 1.0 - 1e-12))
+    linear = LinearProblem(*block.arrays, **common, **fibres).solve([load])
+    finite = FiniteStrainProblem(*block.arrays, **common, material="transversely-isotropic", **fibres)
+    finite = finite.solve([load])
+    isotropic = LinearProblem(*block.arrays, **common).solve([load])
+    size = np.abs(linear.displacement).max()
+    assert np.abs(linear.displacement - isotropic.displacement).max() > 0.2 * size
+    assert_allclose(finite.displacement, linear.displacement, rtol=0, atol=1e-5 * size)
+    assert_allclose(finite.fluid_pressure, linear.fluid_pressure, rtol=1e-4, atol=0)
+    assert_allclose(finite.energy, linear.energy, rtol=1e-4, atol=0)
+
+
+def test_the_condensed_problem_keeps_the_fibres(block: Body) -> None:
+    problem = block.problem(_bottom(block), poisson_ratio=0.45, fibre_direction=TILT, contrast=5.0)
+    top = block.surface[:, 2] > 1.0 - 1e-12
+    load = block.load(0.01 * block.facets_where(lambda x: x[:, 2] > 1.0 - 1e-12))
+    whole, condensed = problem.solve([load]), CondensedProblem(problem, top).solve([load])
+    for field in ("displacement", "reaction_force", "energy", "fluid_pressure"):
+        a, b = getattr(condensed, field), getattr(whole, field)
+        assert_allclose(a, b, rtol=0, atol=1e-8 * np.abs(b).max(), err_msg=field)
+
+
+def test_fibres_that_make_no_sense_are_refused(block: Body) -> None:
+    for options, words in (
+        ({"fibre_direction": TILT, "contrast": 0.5}, "contrast is 0.5; give 1 or more"),
+        ({"fibre_direction": (0.0, 0.0, 0.0), "contrast": 2.0}, "is no direction"),
+        ({"contrast": 2.0}, "has no fibres"),
+    ):
+        with pytest.raises(SolverError, match=words):
+            block.problem(_bottom(block), **options)
