@@ -60,6 +60,36 @@ class MetricSeries:
 
 
 @dataclass(frozen=True)
+class Limit:
+    """Where along a load path a model's error has grown by a threshold; see `studies.limits`."""
+
+    threshold: float
+    state: str  # "found", or why not: "beyond" the largest load tried, "model-stopped", "reference-stopped"
+    load: float  # value of the key that is raised, in its unit; of a limit not found the largest that was reached
+    bar: float  # relative uncertainty of `load` from the reference's own error; NaN where not measured
+    indentation: float  # of the reference at `load` [m]; NaN where nothing is in contact
+    strain: float  # largest principal Green-Lagrange strain of the reference at `load`
+
+
+@dataclass(frozen=True)
+class ModelLimits:
+    """The limits of one model: what it is off by at small loads, and where that has grown by each threshold."""
+
+    structural_error: float  # e0, relative L2 displacement error in the limit of a small load
+    structural_bar: float  # its uncertainty from the reference's own error, absolute; NaN where not measured
+    limits: tuple[Limit, ...]
+
+
+@dataclass(frozen=True)
+class SmallStrainLimits:
+    """The limits of every model of a case along one load path."""
+
+    along: str  # key of the study that is raised
+    unit: str
+    models: Mapping[str, ModelLimits]
+
+
+@dataclass(frozen=True)
 class CaseResult:
     """A case: what went in, what each model answered, how far each is from the reference."""
 
@@ -79,6 +109,7 @@ class CaseResult:
     reference_error: Mapping[str, float] = field(default_factory=dict)
     # error of the reference itself, see studies.reference.own_error; empty where not measured
     mesh_quality: Mapping[str, float] = field(default_factory=dict)
+    small_strain: SmallStrainLimits | None = None  # where [limits] asks for them
 
 
 @dataclass(frozen=True)

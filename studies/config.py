@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -14,7 +14,7 @@ from .fields import FieldRow, field_table, targets
 from .geometry_spec import Geometry as GeometrySpec
 from .problems import Finding, Problem, Source, StudyError, file_fault
 from .schema import Constraint, Region, Study, Tissue
-from .sweep import ResolvedCase, check_cases, first_case, read_axes
+from .sweep import ResolvedCase, check_cases, first_case, read_axes, substituted
 from .toml_lines import NotToml, TooDeep, key_lines
 from .validation import validate
 
@@ -37,7 +37,7 @@ __all__ = [
 
 MAX_BYTES = 1_000_000  # of a study file
 
-_NOT_HASHED = {"study", "sweep", "limits"}
+_NOT_HASHED = {"study", "sweep"}
 _LONG_NUMBER = re.compile(r"\d[\d_]{4000,}")
 
 
@@ -75,7 +75,7 @@ def load_study(
     findings = [(at_axis.get(loc, loc), text) for loc, text in faults]
     findings += axis_findings
     findings += _check_model_names(data)
-    findings += _check_limits(data)
+    findings += _check_limits(base, study)
     swept_well = not axis_findings and not any(loc[:1] == ("sweep",) for loc, _ in findings)
     if axes and swept_well:
         most = study.study.max_cases if study is not None else 1000
@@ -124,10 +124,35 @@ def case_inputs(study: Study) -> dict[str, Any]:
     """The part of `resolved` that a case's hash covers: all that decides its numbers.
 
     That is geometry, tissue, vdm, models (the overrides), regions, constraints, load, gravity, environment,
-    anisotropy and uncertainty; not the name, title, list of models, reference, sweep and limits. A geometry file
+    anisotropy, limits and uncertainty; not the name, title, list of models, reference and sweep. A geometry file
     is named by its path: hash its content beside this (`geometry_spec.geometry_key`).
     """
     return {key: value for key, value in resolved(study).items() if key not in _NOT_HASHED}
+
+
+def value_and_unit(study: Study, key: str) -> tuple[float, str]:
+    """The value of a key that is a quantity, in SI, and its unit ("1" where it has none); `key` as in a sweep.
+
+    Raises
+    ------
+    KeyError
+        no such quantity in this study, or none given.
+    """
+    data = _plain(study)
+    target = targets(data)[key]
+    value: Any = data
+    for part in target.loc:
+        value = value[part]
+    if target.si is None or not isinstance(value, float):
+        raise KeyError(key)
+    return value, target.unit
+
+
+def raised(study: Study, key: str, value: float) -> Study:
+    """The study of one load step with a quantity at another value."""
+    data = _plain(study)
+    data = substituted(data, targets(data)[key].loc, value)
+    return Study.model_validate({**data, "load": {**data["load"], "factors": (1.0,)}})
 
 
 def geometry_of(study: Study) -> GeometrySpec:
@@ -235,12 +260,32 @@ def _check_model_names(data: Mapping[str, Any]) -> list[Finding]:
     ]
 
 
-def _check_limits(data: Mapping[str, Any]) -> list[Finding]:
+def _check_limits(data: Mapping[str, Any], study: Study | None) -> Iterator[Finding]:
+    """What is wrong with [limits]; `study` is the first case where that is sound."""
     limits = data.get("limits")
     along = limits.get("along") if isinstance(limits, dict) else None
     if not isinstance(along, str):
-        return []
-    known = {key: target for key, target in targets(data).items() if target.si is not None}
-    if along in known:
-        return []
-    return [(("limits", "along"), unknown(along, list(known), "key", list_all=False))]
+        return
+    loads = [
+        key
+        for key, target in targets(data).items()
+        if target.si is not None and target.loc[0] in ("constraints", "gravity")
+    ]
+    if along not in loads:
+        yield ("limits", "along"), unknown(along, loads, "load")
+    elif study is not None:
+        try:
+            start, _ = value_and_unit(study, along)
+        except (KeyError, IndexError):
+            start = 0.0
+        if start == 0.0:
+            yield ("limits", "along"), "has no value, or is zero; a search needs a load to start from"
+        yield from _check_limits_reference(study.study.reference)
+
+
+def _check_limits_reference(reference: str | None) -> Iterator[Finding]:
+    from .models import FINITE_STRAIN, find
+
+    if reference is None or find(reference)[0].name not in FINITE_STRAIN:
+        wanted = " or ".join(f'"{name}"' for name in FINITE_STRAIN)
+        yield ("limits",), f"the limits are those against finite strain: they need study.reference = {wanted}"

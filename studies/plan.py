@@ -18,10 +18,6 @@ from .schema import Study
 from .store import case_path, case_state
 
 
-class PlanError(ValueError):
-    """A study that asks for what cannot be done."""
-
-
 @dataclass(frozen=True)
 class PlannedCase:
     """One case and what it needs. Cases with the same hash are the same work, done once."""
@@ -118,14 +114,7 @@ def make_plan(study: Study, cases: Sequence[ResolvedCase], directory: Path, cach
     ------
     MeshError
         a geometry that cannot be meshed as asked, found without meshing.
-    PlanError
-        a table that no model or verb of this version acts on.
     """
-    for table in ("limits",):
-        if getattr(study, table) is not None:
-            raise PlanError(
-                f"[{table}] is not available in this version: nothing would act on it; leave it out"
-            )
     meshes: dict[str, PlannedMesh] = {}
     planned = []
     for case in cases:

@@ -447,10 +447,12 @@ class Sweep(Table):
 class Limits(Table):
     """[limits]: search the small-strain limits"""
 
-    along: str = Field(description="dotted path of the key to raise, as in a sweep (not in this version)")
+    along: str = Field(
+        description="dotted path of the load to raise, as in a sweep; the search starts at its value"
+    )
     thresholds: Annotated[
         tuple[float, ...], SI("1", (0,)), _number_check(lambda v: 0 < v < 1, "must lie between 0 and 1")
-    ] = Field((0.05, 0.10), description="relative errors to find (not in this version)")
+    ] = Field((0.05, 0.10), description="growths of the relative L2 displacement error to find")
 
 
 class Uncertainty(Table):

@@ -21,7 +21,16 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from .case import CaseResult, MetricSeries, ModelResult, Run, StepStatus
+from .case import (
+    CaseResult,
+    Limit,
+    MetricSeries,
+    ModelLimits,
+    ModelResult,
+    Run,
+    SmallStrainLimits,
+    StepStatus,
+)
 from .files import write_atomically
 from .metrics import full_load_step
 from .uncertainty import reference_bar
@@ -42,6 +51,8 @@ _SERIES = {
     "iterations": "1",
     "seconds_per_step": "s",
 }
+# of a small-strain limit, besides the load itself
+_LIMIT_UNITS = {"threshold": "1", "bar": "1", "indentation": "m", "strain": "1"}
 
 
 class StoreError(ValueError):
@@ -279,6 +290,36 @@ def _fill_case(file: h5py.File, case: CaseResult) -> None:
             dataset = _dataset(model_group, metric, entry.values, entry.unit)
             dataset.attrs["definition"] = entry.definition
             dataset.attrs["version"] = entry.version
+    if case.small_strain is not None:
+        _fill_limits(file.create_group("limits", track_order=True), case.small_strain)
+
+
+def _fill_limits(group: h5py.Group, found: SmallStrainLimits) -> None:
+    group.attrs["along"] = found.along
+    units = {**_LIMIT_UNITS, "load": found.unit}
+    for name, entry in found.models.items():
+        model = group.create_group(name)
+        model.attrs["structural_error"] = entry.structural_error
+        model.attrs["structural_bar"] = entry.structural_bar
+        for quantity, unit in units.items():
+            _dataset(model, quantity, np.array([getattr(limit, quantity) for limit in entry.limits]), unit)
+        model.create_dataset("state", data=[limit.state for limit in entry.limits], dtype=_TEXT)
+
+
+def _read_limits(group: h5py.Group) -> SmallStrainLimits:
+    found, unit = {}, "1"
+    for name, model in group.items():
+        columns = {quantity: model[quantity][()].tolist() for quantity in (*_LIMIT_UNITS, "load")}
+        states = model["state"].asstr()[()].tolist()
+        limits = tuple(
+            Limit(state=state, **{quantity: values[k] for quantity, values in columns.items()})
+            for k, state in enumerate(states)
+        )
+        found[name] = ModelLimits(
+            float(model.attrs["structural_error"]), float(model.attrs["structural_bar"]), limits
+        )
+        unit = str(model["load"].attrs["unit"])
+    return SmallStrainLimits(str(group.attrs["along"]), unit, found)
 
 
 def _fill_model(group: h5py.Group, model: ModelResult) -> None:
@@ -356,6 +397,7 @@ def _read_case(file: h5py.File) -> CaseResult:
         reference=text("reference") or None,
         reference_error=json.loads(text("reference_error")),
         mesh_quality=json.loads(text("mesh_quality")),
+        small_strain=_read_limits(file["limits"]) if "limits" in file else None,
     )
 
 

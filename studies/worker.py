@@ -20,6 +20,7 @@ from .plan import needs_volume
 from .reference import refined_reference, require_converged
 from .scene import Scene, build_scene
 from .schema import Study
+from .small_strain import small_strain_limits
 from .store import write_case
 
 REFINED = " refined"  # what the reference's name gets where it is solved on refinements of the case's mesh
@@ -83,6 +84,7 @@ def run_case(task: Mapping[str, Any]) -> None:
             metrics=compare(scene, results, reference),
             reference=reference,
             reference_error=reference_error,
+            small_strain=small_strain_limits(study, scene) if study.limits is not None else None,
             mesh_quality={
                 **mesh.quality,
                 "tetrahedra": len(mesh.tetrahedra),

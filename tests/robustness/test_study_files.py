@@ -17,7 +17,7 @@ from studies.config import Study, StudyError, expand, load_study, resolved
 SHIPPED = sorted((Path(__file__).parents[2] / "studies" / "cases").glob("*.toml"))
 
 BASE: dict[str, Any] = {
-    "study": {"name": "base", "title": "x", "models": ["vdm-paper", "fem-linear"], "reference": "fem-linear"},
+    "study": {"name": "base", "title": "x", "models": ["vdm-paper", "fem"], "reference": "fem"},
     "geometry": {"shape": "cylinder", "radius": "50 mm", "length": 0.2, "axis": "x", "mesh_size": "6 mm"},
     "tissue": {"youngs_modulus": "5 kPa", "poisson_ratio": 0.49, "density": "1060 kg/m^3"},
     "vdm": {"bulk_modulus": 10, "rotation": "global", "penalty": 1e6},

@@ -4,7 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 
-from studies.case import CaseResult, MetricSeries, ModelResult, StepStatus
+from studies.case import (
+    CaseResult,
+    Limit,
+    MetricSeries,
+    ModelLimits,
+    ModelResult,
+    SmallStrainLimits,
+    StepStatus,
+)
 
 N_STEPS = 3
 
@@ -63,4 +71,18 @@ def example_case(case_hash: str = "ab" * 32, label: str = "poisson_ratio = 0.45"
         reference="fem:direct",
         reference_error={"relative_l2": 0.01, "observed_order": float("nan"), "gci:max_nodal_error": 0.25},
         mesh_quality={"worst_sicn": 0.3},
+        small_strain=SmallStrainLimits(
+            "constraints.finger.pressure",
+            "Pa",
+            {
+                "vdm-paper": ModelLimits(
+                    0.75,
+                    0.02,
+                    (
+                        Limit(0.05, "found", 350.0, 0.08, 0.004, 0.11),
+                        Limit(0.1, "model-stopped", 600.0, float("nan"), 0.006, 0.17),
+                    ),
+                )
+            },
+        ),
     )

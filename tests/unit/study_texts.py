@@ -12,8 +12,8 @@ FULL = """\
 [study]
 name = "palpation"
 title = "A fingertip on a sphere"
-models = ["vdm-paper", "vdm-vector:nonlinear", "fem-linear"]
-reference = "fem-linear"
+models = ["vdm-paper", "vdm-vector:nonlinear", "fem"]
+reference = "fem"
 
 [geometry]
 shape = "sphere"

@@ -6,6 +6,7 @@ import base64
 import dataclasses
 import hashlib
 import json
+import math
 import re
 from collections.abc import Sequence
 from pathlib import Path
@@ -14,6 +15,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
+from studies.case import Limit, ModelLimits, SmallStrainLimits
 from studies.report import page as page_module
 from studies.report.digest import Digest
 from studies.report.page import MOST_BYTES, page_html, script_json, write_report
@@ -77,6 +79,39 @@ def test_headline_table_has_each_number_with_its_error_bar(html: str) -> None:
     assert "vdm-vector 7.80 % ± 0.68 % 10.6 % ± 0.68 % 7.80 % ± 0.74 % 10.6 % ± 0.74 %" in text
     assert "fem-linear reference – – – –" in text
     assert "2.50 s 800 ms 350 MB" in text
+
+
+def test_small_strain_limits_say_what_was_found_and_what_not() -> None:
+    case = make_case({"vdm-vector": 0.08, "fem-linear": 0.02}, reference="fem")
+    limits = SmallStrainLimits(
+        "constraints.finger.pressure",
+        "Pa",
+        {
+            "vdm-vector": ModelLimits(
+                0.08,
+                0.005,
+                (
+                    Limit(0.05, "found", 350.0, 0.04, 0.004, 0.3),
+                    Limit(0.1, "beyond", 12800.0, math.nan, 0.02, 2.0),
+                ),
+            ),
+            "fem-linear": ModelLimits(
+                1e-5,
+                1e-6,
+                (
+                    Limit(0.05, "found", 200.0, 0.2, 0.002, 0.08),
+                    Limit(0.1, "reference-stopped", 400.0, math.nan, 0.02, 2.0),
+                ),
+            ),
+        },
+    )
+    html = page_html(make_run([dataclasses.replace(case, small_strain=limits)]), no_pictures)
+    text = words(section(html, "limits"))
+    assert "vdm-vector 8.00 % ± 0.50 % + 5 % 350 Pa ± 4.00 % 4.00 mm 30.0 %" in text
+    assert "+ 10 % ≥ 12.8 kPa not reached" in text
+    assert "+ 5 % 200 Pa ± 20.0 % unresolved 2.00 mm 8.00 %" in text
+    assert "+ 10 % to 400 Pa the reference has no solution beyond" in text
+    assert "5 % at a largest principal strain of 8 %. 1 of these 1 limits lie below" in text
 
 
 def test_an_unresolved_difference_is_called_so() -> None:

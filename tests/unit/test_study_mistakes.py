@@ -293,6 +293,20 @@ CASES = {
         "limits.along",
         'mean "constraints.tip.pressure"?',
     ),
+    "limits along what is no load": (
+        "[tissue]",
+        "[limits]\nalong = 'tissue.youngs_modulus'\n[tissue]",
+        "along",
+        "limits.along",
+        "unknown load",
+    ),
+    "limits without a finite-strain reference": (
+        "[tissue]",
+        "[limits]\nalong = 'constraints.tip.pressure'\n[tissue]",
+        "[limits]",
+        "limits",
+        'need study.reference = "fem"',
+    ),
     "date": ("radius = 0.05", "radius = 2020-01-02", "radius", "geometry.radius", "not a date or time"),
     "title of two lines": (
         'name = "small"',

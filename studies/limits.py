@@ -1,0 +1,172 @@
+"""The small-strain limits: how far a load can be raised before a model's error grows.
+
+Three different things, never mixed. The structural error e0 of a model is its error against the finite-strain
+reference in the limit of a small load. Its growth limit is the load at which error - e0 reaches a threshold. For
+the linear finite elements e0 is zero and the growth limit is the linearisation limit: where small-strain theory
+departs from finite strain on the same mesh.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+from .case import Limit, ModelLimits
+
+SMALL = 1.0 / 512.0  # of the study's load: where the structural error is measured
+LARGEST = 64.0  # times the study's load: where a search gives up
+_CLOSE = 0.02  # of a threshold: when a crossing is met
+_MOST_STEPS = 12  # bisections of one crossing
+_POWER_LAW_STEPS = 5  # of these
+_RETREATS = 4  # bisections towards the load at which a solution stops
+
+
+@dataclass(frozen=True)
+class LoadPoint:
+    """What was found at one load. `error` of a model that has no solution there is NaN."""
+
+    load: float
+    error: Mapping[str, float]
+    indentation: float
+    strain: float
+
+
+class LoadPath:
+    """Errors along a rising load, each load evaluated once for all models.
+
+    Parameters
+    ----------
+    evaluate : load -> LoadPoint, None where the reference has no solution
+    start : the study's own load; any sign, not zero
+    """
+
+    def __init__(self, evaluate: Callable[[float], LoadPoint | None], start: float) -> None:
+        self._evaluate = evaluate
+        self.start = start
+        self._points: dict[float, LoadPoint | None] = {}
+
+    def at(self, factor: float) -> LoadPoint | None:
+        """The point at `factor` times the study's load."""
+        if factor not in self._points:
+            self._points[factor] = self._evaluate(factor * self.start)
+        return self._points[factor]
+
+    def structural_error(self, model: str) -> float:
+        """e0 of a model; NaN where it or the reference has no solution even there."""
+        point = self.at(SMALL)
+        return point.error[model] if point is not None else math.nan
+
+    def departure(self, model: str, factor: float) -> float:
+        """Error less e0; NaN where the model or the reference has no solution."""
+        point = self.at(factor)
+        return point.error[model] - self.structural_error(model) if point is not None else math.nan
+
+    def known(self, model: str) -> list[tuple[float, float]]:
+        """(factor, departure) of every load evaluated so far, rising, those without a solution left out."""
+        pairs = [(factor, self.departure(model, factor)) for factor in sorted(self._points)]
+        return [pair for pair in pairs if math.isfinite(pair[1])]
+
+
+def model_limits(path: LoadPath, model: str, thresholds: Sequence[float]) -> ModelLimits:
+    """e0 and the growth limit of a model at each threshold, without error bars."""
+    return ModelLimits(
+        path.structural_error(model),
+        math.nan,
+        tuple(_limit(path, model, threshold) for threshold in sorted(thresholds)),
+    )
+
+
+@dataclass(frozen=True)
+class Change:
+    """What a finer reference does to a model: to its structural error, and to its departure amid the limits."""
+
+    structural: float  # |e0 fine - e0|
+    departure: float  # |departure fine - departure| / |departure|
+
+
+def with_bars(limits: ModelLimits, path: LoadPath, model: str, change: Change) -> ModelLimits:
+    """The limits with the uncertainty that a change of the reference brings to them.
+
+    A departure grows like load^p, p being its slope around the limit; so a load is uncertain by the relative
+    change of the departure over p.
+    """
+    return replace(
+        limits,
+        structural_bar=change.structural,
+        limits=tuple(
+            replace(limit, bar=change.departure / _slope(path, model, limit.load / path.start))
+            if limit.state == "found"
+            else limit
+            for limit in limits.limits
+        ),
+    )
+
+
+def _limit(path: LoadPath, model: str, threshold: float) -> Limit:
+    if not math.isfinite(path.structural_error(model)):
+        state = "reference-stopped" if path.at(SMALL) is None else "model-stopped"
+        return Limit(threshold, state, math.nan, math.nan, math.nan, math.nan)
+    low, high, state = _bracket(path, model, threshold)
+    factor = low if high is None else _crossing(path, model, threshold, low, high)
+    point = path.at(factor)
+    if point is None or not math.isfinite(point.error[model]):  # between two loads that have a solution
+        state = "reference-stopped" if point is None else "model-stopped"
+        return Limit(threshold, state, factor * path.start, math.nan, math.nan, math.nan)
+    return Limit(threshold, state, point.load, math.nan, point.indentation, point.strain)
+
+
+def _bracket(path: LoadPath, model: str, threshold: float) -> tuple[float, float | None, str]:
+    """(low, high, state): departures below and above the threshold; high is None where there is none."""
+    low, factor, stopped, retreats = SMALL, 1.0, math.inf, 0
+    while True:
+        departure = path.departure(model, factor)
+        if departure >= threshold:
+            return low, factor, "found"
+        if math.isfinite(departure):
+            low = factor
+            if factor >= LARGEST:
+                return low, None, "beyond"
+        else:
+            stopped = factor
+        if math.isinf(stopped):
+            factor *= 2.0
+        elif retreats < _RETREATS:
+            retreats += 1
+            factor = math.sqrt(low * stopped)
+        else:
+            return low, None, "reference-stopped" if path.at(stopped) is None else "model-stopped"
+
+
+def _crossing(path: LoadPath, model: str, threshold: float, low: float, high: float) -> float:
+    """Factor at which the departure is the threshold to 2 %: bisection, its first steps along a power law."""
+    for factor, departure in path.known(model):  # what other models' searches have found already
+        if low < factor < high:
+            low, high = (factor, high) if departure < threshold else (low, factor)
+    for step in range(_MOST_STEPS):
+        below, above = path.departure(model, low), path.departure(model, high)
+        if above - threshold <= _CLOSE * threshold:
+            return high
+        if threshold - below <= _CLOSE * threshold:
+            return low
+        share = 0.5
+        if below > 0 and step < _POWER_LAW_STEPS:
+            share = math.log(threshold / below) / math.log(above / below)
+        factor = low * (high / low) ** min(max(share, 0.1), 0.9)
+        departure = path.departure(model, factor)
+        if not math.isfinite(departure):
+            return factor
+        low, high = (factor, high) if departure < threshold else (low, factor)
+    return high
+
+
+def _slope(path: LoadPath, model: str, factor: float) -> float:
+    """d ln(departure) / d ln(load) around a limit, from the nearest loads on either side; at least 1/2."""
+    points = [pair for pair in path.known(model) if pair[1] > 0]
+    below = [pair for pair in points if pair[0] <= factor][-2:]
+    above = [pair for pair in points if pair[0] > factor][:1]
+    near = [*below, *above]
+    if len(near) < 2:
+        return 1.0
+    (x0, y0), (x1, y1) = near[0], near[-1]
+    return max(math.log(y1 / y0) / math.log(x1 / x0), 0.5)

@@ -1,0 +1,159 @@
+"""The small-strain limits: up to which load small strain, and each model, hold against finite strain."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+
+from ..case import CaseResult, Limit, ModelLimits
+from ..uncertainty import is_resolved
+from .blocks import Block, Cell, Column, Section, Table, Text
+from .digest import Digest
+from .formatting import NOT_MEASURED, NOTHING, listed, percent, quantity, short_percent
+
+LINEAR = "fem-linear"  # whose growth limit is the linearisation limit
+PAPER_STRAIN = 0.10  # "small deformations and small strains (< 10 %)"
+_WHY = {
+    "beyond": "not reached",
+    "model-stopped": "the model has no solution beyond",
+    "reference-stopped": "the reference has no solution beyond",
+}
+
+
+@dataclass(frozen=True)
+class _Row:
+    """One model's limit at one threshold in one case."""
+
+    case: CaseResult
+    model: str
+    entry: ModelLimits
+    unit: str
+    limit: Limit
+
+
+def small_strain_limits(digest: Digest) -> Section | None:
+    """Structural error and growth limits per model and case, and how they compare with the paper's 10 % strain."""
+    rows = list(_rows(digest.cases))
+    if not rows:
+        return None
+    along = {case.small_strain.along for case in digest.cases if case.small_strain is not None}
+    blocks: list[Block] = [
+        Text(sentence) for sentence in (_against_the_paper(rows), _growth(digest, rows)) if sentence
+    ]
+    reading = (
+        f"Raised: {listed(sorted(along))}. Structural error: relative L2 displacement error against the "
+        "finite-strain reference in the limit of a small load. Limit: where the error has grown from there by the "
+        f"threshold; of {LINEAR} this is the linearisation limit, where small-strain theory departs from finite "
+        "strain on the same mesh. Indentation (mean inward displacement under the contact) and largest principal "
+        "Green-Lagrange strain are the reference's at that load; the largest strain is a local one, at the rim of "
+        "the contact or of the support. Bars follow from the change of the departure on a mesh with every "
+        "tetrahedron split into eight."
+    )
+    return Section(
+        "limits", "Small-strain limits", [*blocks, _table(digest, rows), Text(reading, kind="note")]
+    )
+
+
+def _rows(cases: Iterable[CaseResult]) -> Iterator[_Row]:
+    for case in cases:
+        if case.small_strain is None:
+            continue
+        for model, entry in case.small_strain.models.items():
+            for limit in entry.limits:
+                yield _Row(case, model, entry, case.small_strain.unit, limit)
+
+
+def _against_the_paper(rows: list[_Row]) -> str:
+    found = [row for row in rows if row.model == LINEAR and row.limit.state == "found"]
+    if not found:
+        return ""
+    parts = []
+    for threshold in sorted({row.limit.threshold for row in found}):
+        strains = [row.limit.strain for row in found if row.limit.threshold == threshold]
+        low, high = min(strains), max(strains)
+        span = short_percent(low) if len(strains) == 1 else f"{short_percent(low)} to {short_percent(high)}"
+        parts.append(f"{short_percent(threshold)} at a largest principal strain of {span}")
+    below = sum(row.limit.strain < PAPER_STRAIN for row in found)
+    bound = f"the paper's bound of {short_percent(PAPER_STRAIN)} strain"
+    verdict = (
+        f"{below} of these {len(found)} limits lie below {bound}."
+        if below
+        else f"All of these lie above {bound}."
+    )
+    return f"Small-strain theory ({LINEAR}) departs from finite strain by {listed(parts)}. {verdict}"
+
+
+def _growth(digest: Digest, rows: list[_Row]) -> str:
+    """One sentence on the model that the page looks at closely."""
+    own = [row for row in rows if row.model == digest.focus]
+    if not own or digest.focus == LINEAR:
+        return ""
+    errors = [row.entry.structural_error for row in own]
+    low, high = min(errors), max(errors)
+    span = short_percent(low) if low == high else f"{short_percent(low)} to {short_percent(high)}"
+    text = f"{digest.focus} is {span} off already at small loads"
+    limits = [row.limit for row in own if row.limit.state == "found"]
+    if not limits:
+        return f"{text}; that does not grow by a threshold within the loads tried."
+    first = min(limits, key=lambda limit: limit.threshold)
+    loads = [limit.load for limit in limits if limit.threshold == first.threshold]
+    at = (
+        quantity(loads[0], own[0].unit)
+        if len(loads) == 1
+        else f"{quantity(min(loads, key=abs), own[0].unit)} to {quantity(max(loads, key=abs), own[0].unit)}"
+    )
+    return f"{text}; {short_percent(first.threshold)} more come on top by {at}."
+
+
+def _table(digest: Digest, rows: list[_Row]) -> Table:
+    many = len({row.case.hash for row in rows}) > 1
+    columns = [
+        *([Column("Case", numeric=False)] if many else []),
+        Column("Model", numeric=False),
+        Column("Structural error", unit="1"),
+        Column("Growth", unit="1"),
+        Column("Load", unit=rows[0].unit if rows[0].unit != "1" else ""),
+        Column("Indentation", unit="m"),
+        Column("Largest strain", unit="1"),
+    ]
+    cells = []
+    for row in rows:
+        limit = row.limit
+        cells.append(
+            [
+                *([Cell(digest.case_name(row.case))] if many else []),
+                Cell(row.model),
+                _structural(row.entry),
+                Cell(f"+ {short_percent(limit.threshold)}", value=limit.threshold),
+                _load(limit, row.unit),
+                Cell(quantity(limit.indentation, "m"), value=limit.indentation),
+                Cell(percent(limit.strain), value=limit.strain),
+            ]
+        )
+    marks = [digest.colour(row.model) for row in rows]
+    return Table(name="limits", caption="", columns=columns, rows=cells, marks=marks)
+
+
+def _load(limit: Limit, unit: str) -> Cell:
+    if math.isnan(limit.load):
+        return Cell(NOTHING, _WHY[limit.state], tone="muted")
+    text = quantity(limit.load, unit)
+    if limit.state == "found":
+        return Cell(text, _bar(limit.bar), limit.load)
+    prefix = "≥ " if limit.state == "beyond" else "to "
+    return Cell(f"{prefix}{text}", _WHY[limit.state], limit.load, tone="muted")
+
+
+def _bar(bar: float) -> str:
+    if math.isnan(bar):
+        return f"± {NOT_MEASURED}"
+    return f"± {percent(bar)}" if is_resolved(1.0, bar) else f"± {percent(bar)}\nunresolved"
+
+
+def _structural(entry: ModelLimits) -> Cell:
+    error, bar = entry.structural_error, entry.structural_bar
+    if not math.isfinite(bar):
+        return Cell(percent(error), f"± {NOT_MEASURED}", error)
+    detail = f"± {percent(bar)}" + ("" if is_resolved(error, bar) else "\nunresolved")
+    return Cell(percent(error), detail, error)

@@ -1,0 +1,118 @@
+"""The small-strain limits of one case: every model along a rising load, against finite strain."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from . import models
+from .case import ModelResult, SmallStrainLimits
+from .config import raised, value_and_unit
+from .limits import SMALL, Change, LoadPath, LoadPoint, model_limits, with_bars
+from .mesh import Array, Mask, Mesh
+from .metrics import Surface, mean_indentation, relative_l2
+from .refine import inherit, refine
+from .scene import Scene, build_scene
+from .schema import Study
+
+STRAIN = "max_principal_strain"
+
+
+def small_strain_limits(study: Study, scene: Scene) -> SmallStrainLimits:
+    """Structural error and growth limits of every compared model of a study with [limits].
+
+    Where the study has [uncertainty], a small load and one amid the limits are solved again with every tetrahedron
+    split into eight. The change of a departure there, its grid convergence index for two levels and second order,
+    gives the bar of the model's limits.
+    """
+    asked, reference = study.limits, study.study.reference
+    if asked is None or reference is None:
+        raise ValueError("a search for small-strain limits needs [limits] and a reference")
+    names = [name for name in study.study.models if name != reference]
+    start, unit = value_and_unit(study, asked.along)
+    evaluator = _Evaluator(study, asked.along, scene, reference, names)
+    path = LoadPath(evaluator.point, start)
+    found = {name: model_limits(path, name, asked.thresholds) for name in names}
+    if study.uncertainty is not None:
+        factors = [
+            limit.load / path.start
+            for entry in found.values()
+            for limit in entry.limits
+            if limit.state == "found"
+        ]
+        if factors:
+            amid = math.exp(float(np.mean(np.log(factors))))
+            changes = evaluator.changes(path, amid)
+            found = {name: with_bars(entry, path, name, changes[name]) for name, entry in found.items()}
+    return SmallStrainLimits(asked.along, unit, found)
+
+
+class _Evaluator:
+    """Runs the models of one case at one value of the raised key."""
+
+    def __init__(self, study: Study, along: str, scene: Scene, reference: str, names: Sequence[str]) -> None:
+        self._study, self._along, self._scene = study, along, scene
+        self._reference, self._names = reference, names
+        self._surface = Surface(scene.mesh.surface_points, scene.mesh.triangles, scene.contact)
+
+    def point(self, load: float) -> LoadPoint | None:
+        """Every model at one load, None where the reference has no solution there."""
+        scene = self._at(load, self._scene, self._scene.regions)
+        reference = models.run_model(scene, self._reference)
+        if not _solved(reference):
+            return None
+        results = {name: models.run_model(scene, name) for name in self._names}
+        return LoadPoint(
+            load,
+            self._errors(results, reference.displacement[-1]),
+            float(mean_indentation(self._surface, reference.displacement)[-1]),
+            float(reference.scalars[STRAIN][-1]) if STRAIN in reference.scalars else math.nan,
+        )
+
+    def changes(self, path: LoadPath, factor: float) -> dict[str, Change]:
+        """What a refined mesh changes at `factor` times the study's load; NaN where it has no solution."""
+        mesh, parents = refine(self._scene.mesh)
+        regions = {
+            name: inherit(mask, self._scene.mesh, parents) for name, mask in self._scene.regions.items()
+        }
+        departures: list[dict[str, float]] = []
+        for share in (SMALL, factor):
+            load = share * path.start
+            fine = self._at(load, self._scene, regions, mesh)
+            coarse = self._at(load, self._scene, self._scene.regions)
+            reference = models.run_model(fine, self._reference)
+            if not _solved(reference):
+                return dict.fromkeys(self._names, Change(math.nan, math.nan))
+            results = {
+                name: models.run_model(fine if models.find(name)[0].volumetric else coarse, name)
+                for name in self._names
+            }
+            departures.append(self._errors(results, reference.displacement[-1, : len(self._surface.points)]))
+        small, large = departures
+        changes = {}
+        for name in self._names:
+            coarse_departure = path.departure(name, factor)
+            change = abs(large[name] - small[name] - coarse_departure)
+            changes[name] = Change(
+                abs(small[name] - path.structural_error(name)),
+                change / abs(coarse_departure) if coarse_departure else math.nan,
+            )
+        return changes
+
+    def _at(self, load: float, scene: Scene, regions: Mapping[str, Mask], mesh: Mesh | None = None) -> Scene:
+        return build_scene(raised(self._study, self._along, load), mesh or scene.mesh, regions)
+
+    def _errors(self, results: Mapping[str, ModelResult], reference: Array) -> dict[str, float]:
+        n_nodes = len(self._surface.points)
+        return {
+            name: relative_l2(result.displacement[-1, :n_nodes], reference, self._surface.areas)
+            if _solved(result)
+            else math.nan
+            for name, result in results.items()
+        }
+
+
+def _solved(result: ModelResult) -> bool:
+    return all(status.ok for status in result.status) and bool(np.isfinite(result.displacement[-1]).all())

@@ -1,0 +1,111 @@
+"""The search for small-strain limits on paths whose crossings are known in closed form."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from studies.limits import LARGEST, SMALL, Change, LoadPath, LoadPoint, model_limits, with_bars
+
+E0 = 0.2
+
+
+class Body:
+    """Error E0 + c load^p, a reference that stops at one load and a model that stops at another."""
+
+    def __init__(
+        self,
+        c: float = 1e-3,
+        p: float = 1.0,
+        reference_stops: float = math.inf,
+        model_stops: float = math.inf,
+    ) -> None:
+        self.c, self.p = c, p
+        self.reference_stops, self.model_stops = reference_stops, model_stops
+        self.loads: list[float] = []
+
+    def __call__(self, load: float) -> LoadPoint | None:
+        self.loads.append(load)
+        if abs(load) > self.reference_stops:
+            return None
+        error = math.nan if abs(load) > self.model_stops else E0 + self.c * abs(load) ** self.p
+        return LoadPoint(load, {"m": error, "flat": E0}, 1e-3 * abs(load), 1e-4 * abs(load))
+
+
+@pytest.mark.parametrize("power", [0.7, 1.0, 2.0, 3.0])
+@pytest.mark.parametrize("start", [0.1, 30.0, -30.0, 1000.0])
+def test_crossings_of_a_power_law(power: float, start: float) -> None:
+    body = Body(c=0.05 / 40.0**power, p=power)  # grown by 0.05 at a load of 40
+    path = LoadPath(body, start)
+    found = model_limits(path, "m", (0.1, 0.05))
+    e0 = E0 + body.c * abs(SMALL * start) ** power
+    assert_allclose(found.structural_error, e0, rtol=1e-12, atol=0)
+    assert [limit.threshold for limit in found.limits] == [0.05, 0.1]
+    for limit in found.limits:
+        if limit.state == "beyond":  # only where the answer lies outside the loads tried
+            assert body.c * (LARGEST * abs(start)) ** power < limit.threshold
+            continue
+        assert limit.state == "found"
+        grown = body.c * abs(limit.load) ** power - (e0 - E0)
+        assert_allclose(grown, limit.threshold, rtol=0.0201, atol=0)
+        assert math.copysign(1.0, limit.load) == math.copysign(1.0, start)
+        assert_allclose([limit.indentation, limit.strain], [1e-3 * abs(limit.load), 1e-4 * abs(limit.load)])
+    assert len(body.loads) == len(set(body.loads)) < 30  # each load once, and not many
+
+
+def test_an_error_that_does_not_grow_is_followed_to_the_largest_load() -> None:
+    found = model_limits(LoadPath(Body(), 2.0), "flat", (0.05,))
+    (limit,) = found.limits
+    assert limit.state == "beyond"
+    assert limit.load == LARGEST * 2.0
+
+
+def test_a_reference_that_stops_says_so_and_how_far_it_came() -> None:
+    (limit,) = model_limits(LoadPath(Body(reference_stops=50.0), 1.0), "flat", (0.05,)).limits
+    assert limit.state == "reference-stopped"
+    assert 32.0 <= limit.load <= 50.0
+    assert limit.load > 47.0  # the last loads close in on it
+
+
+def test_a_limit_between_the_last_solution_and_the_stop_is_found() -> None:
+    body = Body(c=0.05 / 45.0, reference_stops=50.0)  # 0.05 at 45; doubling goes 32, 64
+    (limit,) = model_limits(LoadPath(body, 1.0), "m", (0.05,)).limits
+    assert limit.state == "found"
+    assert_allclose(limit.load, 45.0, rtol=0.025, atol=0)
+
+
+def test_a_model_that_stops_first_says_so() -> None:
+    body = Body(c=0.05 / 90.0, model_stops=20.0)
+    (limit,) = model_limits(LoadPath(body, 1.0), "m", (0.05,)).limits
+    assert limit.state == "model-stopped"
+    assert 16.0 <= limit.load <= 20.0
+
+
+def test_nothing_to_find_where_nothing_can_be_solved() -> None:
+    nothing = model_limits(LoadPath(Body(reference_stops=0.0), 1.0), "m", (0.05,))
+    assert math.isnan(nothing.structural_error)
+    assert nothing.limits[0].state == "reference-stopped"
+    model = model_limits(LoadPath(Body(model_stops=0.0), 1.0), "m", (0.05,))
+    assert model.limits[0].state == "model-stopped"
+
+
+def test_bars_follow_the_slope() -> None:
+    path = LoadPath(Body(c=1e-4, p=2.0), 10.0)
+    limits = with_bars(model_limits(path, "m", (0.05,)), path, "m", Change(0.01, 0.1))
+    # a departure that grows with the square of the load moves its limit by half of its own change
+    assert_allclose(limits.limits[0].bar, 0.05, rtol=0.02, atol=0)
+    assert limits.structural_bar == 0.01
+    unfound = with_bars(model_limits(path, "flat", (0.05,)), path, "flat", Change(0.01, 0.1))
+    assert np.isnan(unfound.limits[0].bar)
+
+
+def test_a_crossing_of_one_model_helps_the_next() -> None:
+    body = Body()
+    path = LoadPath(body, 1.0)
+    model_limits(path, "m", (0.05,))
+    evaluations = len(body.loads)
+    model_limits(path, "m", (0.05,))
+    assert len(body.loads) == evaluations

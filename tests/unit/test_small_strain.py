@@ -1,0 +1,105 @@
+"""The small-strain limits of a real scene, held against runs of the models at the loads that were found."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from numpy.testing import assert_allclose
+
+from studies import models
+from studies.case import SmallStrainLimits
+from studies.config import geometry_of, load_study, raised, value_and_unit
+from studies.mesh_cache import mesh_from_cache
+from studies.metrics import Surface, relative_l2
+from studies.scene import Scene, build_scene
+from studies.schema import Study
+from studies.small_strain import small_strain_limits
+
+STUDY = """
+[study]
+name = "limits"
+models = ["vdm-vector", "fem-linear", "fem"]
+reference = "fem"
+[geometry]
+shape = "box"
+size = ["60 mm", "60 mm", "30 mm"]
+mesh_size = "15 mm"
+[tissue]
+youngs_modulus = "5 kPa"
+poisson_ratio = 0.49
+[regions]
+bottom.below = { axis = "z", value = "-15 mm" }
+top.above = { axis = "z", value = "15 mm" }
+tool = { all = ["top", { ball = { center = [0, 0, "15 mm"], radius = "20 mm" } }] }
+[[constraints]]
+kind = "fixed"
+region = "bottom"
+[[constraints]]
+name = "tool"
+kind = "contact"
+region = "tool"
+pressure = "300 Pa"
+[limits]
+along = "constraints.tool.pressure"
+thresholds = [0.02, 0.05]
+[uncertainty]
+levels = 2
+"""
+
+Found = tuple[Study, Scene, SmallStrainLimits]
+
+
+@pytest.fixture(scope="module")
+def found(tmp_path_factory: pytest.TempPathFactory) -> Found:
+    directory = tmp_path_factory.mktemp("limits")
+    path: Path = directory / "study.toml"
+    path.write_text(STUDY)
+    study = load_study(path)
+    scene = build_scene(study, mesh_from_cache(geometry_of(study), directory / "cache", volume=True))
+    return study, scene, small_strain_limits(study, scene)
+
+
+def test_the_error_has_grown_by_the_threshold_at_the_load_that_was_found(found: Found) -> None:
+    study, scene, limits = found
+    assert limits.along == "constraints.tool.pressure"
+    assert limits.unit == "Pa"
+    surface = Surface(scene.mesh.surface_points, scene.mesh.triangles)
+    checked = 0
+    for name, entry in limits.models.items():
+        for limit in entry.limits:
+            if limit.state != "found":
+                continue
+            at_limit = build_scene(raised(study, limits.along, limit.load), scene.mesh)
+            reference = models.run_model(at_limit, "fem")
+            error = relative_l2(
+                models.run_model(at_limit, name).displacement[-1], reference.displacement[-1], surface.areas
+            )
+            assert_allclose(error - entry.structural_error, limit.threshold, rtol=0.021, atol=0)
+            assert_allclose(reference.scalars["max_principal_strain"][-1], limit.strain, rtol=1e-6, atol=0)
+            checked += 1
+    assert checked >= 2
+
+
+def test_linear_elements_have_no_structural_error_and_the_vector_form_has(found: Found) -> None:
+    _, _, limits = found
+    assert limits.models["fem-linear"].structural_error < 1e-3  # what is left is the small load's own square
+    assert limits.models["vdm-vector"].structural_error > 0.1
+    small, large = limits.models["fem-linear"].limits
+    assert small.state == large.state == "found"
+    assert small.load < large.load
+    assert small.indentation < large.indentation
+    assert small.strain < large.strain
+
+
+def test_the_reference_gives_the_limits_their_bars(found: Found) -> None:
+    _, _, limits = found
+    assert all(0 < limit.bar < 1 for limit in limits.models["fem-linear"].limits)
+
+
+def test_a_raised_study_has_one_load_step_at_the_new_value(found: Found) -> None:
+    study, _, _ = found
+    higher = raised(study, "constraints.tool.pressure", 777.0)
+    assert value_and_unit(higher, "constraints.tool.pressure") == (777.0, "Pa")
+    assert higher.load.factors == (1.0,)
+    assert value_and_unit(study, "constraints.tool.pressure") == (300.0, "Pa")
