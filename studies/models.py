@@ -111,11 +111,17 @@ def _vdm_boundary(scene: Scene, solver: str, name: str) -> VdmSolution:
 
 @_model("fem-linear", version="2", volumetric=True)
 def _fem_linear(scene: Scene, solver: str, name: str) -> FemSolution:  # noqa: ARG001
-    from fem_reference.linear import LinearProblem
+    return _fem_small_strain(scene, "P2-P1")
 
-    n_solves = len(scene.load_factors) if scene.gravity.any() else 1  # else all steps are multiples of one
-    problem = LinearProblem(**_body(scene), expected_loads=n_solves)
-    return problem.solve(_fem_loads(scene), frozenset({"max_det_f_deviation"}))
+
+@_model("fem-p1", version="1", volumetric=True)
+def _fem_p1(scene: Scene, solver: str, name: str) -> FemSolution:  # noqa: ARG001
+    return _fem_small_strain(scene, "P1")
+
+
+@_model("fem-p2", version="1", volumetric=True)
+def _fem_p2(scene: Scene, solver: str, name: str) -> FemSolution:  # noqa: ARG001
+    return _fem_small_strain(scene, "P2")
 
 
 @_model("fem-condensed", version="1", volumetric=True)
@@ -138,6 +144,14 @@ def _fem(scene: Scene, solver: str, name: str) -> FemSolution:  # noqa: ARG001
     material = "transversely-isotropic" if scene.anisotropy else "neo-hookean"
     problem = FiniteStrainProblem(**_body(scene), material=material, expected_loads=len(scene.load_factors))
     return problem.solve(_fem_loads(scene), frozenset({"max_det_f_deviation", "max_principal_strain"}))
+
+
+def _fem_small_strain(scene: Scene, element: str) -> FemSolution:
+    from fem_reference.linear import LinearProblem
+
+    n_solves = len(scene.load_factors) if scene.gravity.any() else 1  # else all steps are multiples of one
+    problem = LinearProblem(**_body(scene), expected_loads=n_solves, element=element)
+    return problem.solve(_fem_loads(scene), frozenset({"max_det_f_deviation"}))
 
 
 def _body(scene: Scene) -> dict[str, Any]:

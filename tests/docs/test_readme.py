@@ -87,4 +87,4 @@ def test_every_shipped_study_is_listed_with_its_title(tmp_path: Path) -> None:
 def test_every_model_is_in_the_table() -> None:
     from studies.models import MODELS
 
-    assert set(re.findall(r"^\| `((?:vdm|fem)[a-z-]*)` \|", TEXT, flags=re.MULTILINE)) == set(MODELS)
+    assert set(re.findall(r"^\| `((?:vdm|fem|mass)[a-z0-9-]*)` \|", TEXT, flags=re.MULTILINE)) == set(MODELS)

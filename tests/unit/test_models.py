@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
@@ -113,3 +115,26 @@ def test_the_condensed_model_gives_the_linear_one(scene: Scene) -> None:
     for field in ("displacement", "reaction_force", "energy", "fluid_pressure"):
         a, b = getattr(condensed, field), getattr(linear, field)
         assert_allclose(a, b, rtol=0, atol=1e-8 * np.abs(b).max(), err_msg=field)
+
+
+def test_displacement_elements_lock_and_the_mixed_one_does_not(scene: Scene) -> None:
+    """From nu = 0.45 to 0.4999 the incompressible body keeps its compliance; P1 loses most of it, P2 a little."""
+    energy = {}
+    for name in ("fem-p1", "fem-p2", "fem-linear"):
+        of_ratio = [
+            dataclasses.replace(scene, tissue=scene.tissue.model_copy(update={"poisson_ratio": nu}))
+            for nu in (0.45, 0.4999, 0.5)
+        ]
+        results = [models.run_model(each, name) for each in of_ratio]
+        energy[name] = np.array([result.energy[-1] for result in results])
+        if name != "fem-linear":
+            (status,) = set(results[2].status)
+            assert status.code == models.REFUSED
+            assert "cannot be incompressible" in status.message
+            assert "P2-P1" in status.remedy
+    assert_allclose(energy["fem-linear"][1:] / energy["fem-linear"][0], 1.0, rtol=0, atol=0.08)
+    assert_allclose(energy["fem-linear"][2], energy["fem-linear"][1], rtol=1e-3, atol=0)
+    assert energy["fem-p1"][1] < 0.4 * energy["fem-p1"][0]
+    assert energy["fem-p2"][1] / energy["fem-p2"][0] < energy["fem-linear"][1] / energy["fem-linear"][0]
+    assert (energy["fem-p1"][:2] < energy["fem-p2"][:2]).all(), "P1 is a part of P2, and stiffer"
+    assert (energy["fem-p2"][:2] < energy["fem-linear"][:2]).all()
