@@ -2,20 +2,22 @@
 
 from __future__ import annotations
 
+import dataclasses
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from fem_reference.linear_algebra import Solver, choose_solver
+from fem_reference.linear_algebra import BATCH, Solver, choose_solver
 from fem_reference.loads import (
     Load,
     check_loads,
     gather_to_vertices,
     held_nodes,
-    multiples_of_one,
+    independent_loads,
     nodal_forces,
     prescribed_nodes,
 )
@@ -51,16 +53,25 @@ class Fields:
     residual: Array
     iterations: NDArray[np.int64]
 
-    def scaled(self, factors: Array) -> Fields:
-        """The fields of one step times each of (S,) factors."""
-        f = factors[:, None, None]
+    def combined(self, coefficients: Array) -> Fields:
+        """The S fields that are combinations of these r, with coefficients (r, S).
+
+        A combination has the largest residual and the iterations of all that are in it.
+        """
+        part_of = coefficients != 0.0
         return Fields(
-            displacement=f * self.displacement,
-            pressure=factors[:, None] * self.pressure,
-            reaction=f * self.reaction,
-            residual=np.repeat(self.residual, len(factors)),
-            iterations=np.repeat(self.iterations, len(factors)),
+            displacement=_combination(self.displacement, coefficients),
+            pressure=_combination(self.pressure, coefficients),
+            reaction=_combination(self.reaction, coefficients),
+            residual=np.where(part_of, self.residual[:, None], 0.0).max(axis=0),
+            iterations=np.where(part_of, self.iterations[:, None], 0).max(axis=0),
         )
+
+
+def _combination(values: Array, coefficients: Array) -> Array:
+    """(S, ...) sums of (r, ...) values with coefficients (r, S)."""
+    flat: Array = coefficients.T @ values.reshape(len(values), -1)
+    return flat.reshape(-1, *values.shape[1:])
 
 
 class LinearProblem:
@@ -136,9 +147,9 @@ class LinearProblem:
         self.seconds_setup = time.perf_counter() - start
 
     def solve(self, loads: Sequence[Load], outputs: frozenset[str] = frozenset()) -> Solution:
-        """Solve one step per load; steps that are multiples of one load share its solve and are scaled.
+        """Solve one step per load; loads that are combinations of others are combined from their solutions.
 
-        `seconds_per_step` is what a load of its own takes, outputs not counted.
+        `seconds_per_step` is what the first takes, solved alone; those after it are solved in batches.
 
         Parameters
         ----------
@@ -161,16 +172,33 @@ class LinearProblem:
                 )
             )
         check_loads(self.mesh, loads)
+        chosen, coefficients = independent_loads(loads)
+        if not len(chosen):  # no load at all: one solve of nothing
+            chosen, coefficients = np.zeros(1, dtype=np.int64), np.zeros((1, len(loads)))
+        basis = [loads[k] for k in chosen]
+        forces, fields = self._solve_some(basis[:1])
+        seconds = time.perf_counter() - start
+        if len(basis) > 1:
+            more = self._solve_some(basis[1:])
+            forces = np.concatenate([forces, more[0]])
+            names = [field.name for field in dataclasses.fields(Fields)]
+            fields = Fields(
+                *(np.concatenate([getattr(f, name) for f in (fields, more[1])]) for name in names)
+            )
+        # all steps at once can be many times the memory of those that were solved
+        parts = [coefficients[:, first : first + BATCH] for first in range(0, len(loads), BATCH)]
+        batches = [
+            self._solution(_combination(forces, part), fields.combined(part), outputs, seconds)
+            for part in parts
+        ]
+        return _joined(batches)
+
+    def _solve_some(self, loads: Sequence[Load]) -> tuple[Array, Fields]:
+        """Nodal forces and fields of some loads."""
         forces = nodal_forces(self.mesh, loads, self.density)
-        prescribed = prescribed_nodes(self.mesh, loads)
-        shortcut = multiples_of_one(forces, prescribed)
-        if shortcut is None:
-            fields = self.solve_nodal(forces, prescribed)
-        else:
-            unit, factors = shortcut
-            one = self.solve_nodal(forces[unit : unit + 1], prescribed[unit : unit + 1])
-            fields = one.scaled(factors)
-        seconds = (time.perf_counter() - start) / (len(loads) if shortcut is None else 1)
+        return forces, self.solve_nodal(forces, prescribed_nodes(self.mesh, loads))
+
+    def _solution(self, forces: Array, fields: Fields, outputs: frozenset[str], seconds: float) -> Solution:
         work = np.einsum("snk,snk->s", forces, fields.displacement)
         reaction_work = np.einsum("snk,snk->s", fields.reaction, fields.displacement)
         scalars = strain_outputs(self.mesh, fields.displacement, outputs - {"compliance"})
@@ -184,7 +212,7 @@ class LinearProblem:
             iterations=fields.iterations,
             status=tuple(self._status(residual) for residual in fields.residual),
             seconds_setup=self.seconds_setup,
-            seconds_per_step=np.full(len(loads), seconds),
+            seconds_per_step=np.full(len(forces), seconds),
             parameters=self._parameters(fields),
             scalars=scalars,
         )
@@ -239,6 +267,22 @@ class LinearProblem:
             "tetrahedra": float(len(self.mesh.tetrahedra)),
             "relative_residual": float(fields.residual.max()),
         }
+
+
+def _joined(parts: Sequence[Solution]) -> Solution:
+    """One solution of the steps of several; the residual in the parameters is the largest."""
+    first, residual = parts[0], "relative_residual"
+    arrays = ("displacement", "fluid_pressure", "reaction_force", "energy", "iterations", "seconds_per_step")
+    joined: dict[str, Any] = {
+        name: np.concatenate([getattr(part, name) for part in parts]) for name in arrays
+    }
+    return dataclasses.replace(
+        first,
+        **joined,
+        status=tuple(status for part in parts for status in part.status),
+        parameters={**first.parameters, residual: max(float(part.parameters[residual]) for part in parts)},
+        scalars={name: np.concatenate([part.scalars[name] for part in parts]) for name in first.scalars},
+    )
 
 
 def check_material(youngs_modulus: float, poisson_ratio: float, density: float, *, mixed: bool) -> None:

@@ -9,11 +9,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fem_reference.assembly import gravity_weights
+from fem_reference.krylov import independent_columns
 from fem_reference.mesh import TetMesh, facet_quadrature, triangle_p2
 from fem_reference.solution import SolverError, Status
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
+
+# what a load may differ from a combination of others, and the largest multiple of another in it; both of its norm
+_DEPENDENT = 1e-13
+_LARGEST_SHARE = 10.0
 
 
 @dataclass(frozen=True)
@@ -110,25 +115,32 @@ def prescribed_nodes(mesh: TetMesh, loads: Sequence[Load]) -> Array:
     return values
 
 
-def multiples_of_one(forces: Array, prescribed: Array) -> tuple[int, Array] | None:
-    """The step that all others are multiples of, to rounding, and their (S,) factors; None where there is none.
+def independent_loads(loads: Sequence[Load]) -> tuple[NDArray[np.int64], Array]:
+    """Some of the loads, of which all are combinations: what is linear needs the solutions of these only.
 
-    Parameters
-    ----------
-    forces : (S, n_nodes, 3) [N]
-    prescribed : (S, n_nodes, 3) [m]
+    Returns
+    -------
+    chosen : (r,) ascending numbers of loads
+    coefficients : (r, S); load s is the sum over k of coefficients[k, s] times load chosen[k], to rounding
     """
-    steps = len(forces)
-    parts = [values for values in (forces.reshape(steps, -1), prescribed.reshape(steps, -1)) if values.any()]
-    if not parts:
-        return None
-    unit = int(np.argmax(np.linalg.norm(parts[0], axis=1)))
-    factors = parts[0] @ parts[0][unit] / (parts[0][unit] @ parts[0][unit])
-    for values in parts:
-        tolerance = 1e-14 * np.abs(values).max()
-        if np.abs(values - factors[:, None] * values[unit]).max() > tolerance:
-            return None
-    return unit, factors
+    parts = [
+        np.array([np.ravel(getattr(load, name)) for load in loads], dtype=np.float64)
+        for name in ("facet_pressure", "prescribed", "gravity")
+    ]
+    # pressures, lengths and accelerations side by side: each kind in units of its largest value
+    kinds = [part[:, part.any(axis=0)] / np.abs(part).max() for part in parts if part.any()]
+    if not kinds:
+        return np.zeros(0, dtype=np.int64), np.zeros((0, len(loads)))
+    columns = np.concatenate(kinds, axis=1).T
+    chosen, coefficients = independent_columns(columns, _DEPENDENT)
+    order = np.argsort(chosen)
+    chosen, coefficients = chosen[order], coefficients[order]
+    norms = np.linalg.norm(columns, axis=0)
+    # large coefficients, of loads that are nearly alike, would enlarge the rounding of the solutions
+    growth = np.abs(coefficients) * norms[chosen][:, None]
+    if (growth > _LARGEST_SHARE * norms).any():
+        return np.arange(len(loads)), np.eye(len(loads))
+    return chosen, coefficients
 
 
 def gather_to_vertices(mesh: TetMesh, nodal: Array) -> Array:

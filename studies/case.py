@@ -47,6 +47,7 @@ class ModelResult:
     parameters: Mapping[str, float | str] = field(default_factory=dict)
     scalars: Mapping[str, Array] = field(default_factory=dict)  # (S,) each
     point_fields: Mapping[str, Array] = field(default_factory=dict)  # (S, N) each
+    key: str = ""  # content key of all that decides the result; "" where it is not to be used again
 
 
 @dataclass(frozen=True)

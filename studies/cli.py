@@ -100,7 +100,11 @@ def _parser() -> argparse.ArgumentParser:
     directory(run)
     run.add_argument("--jobs", type=_positive, metavar="N", help="cases at once (default: one per core)")
     run.add_argument(
-        "--shard", type=_shard, default=(1, 1), metavar="I/N", help="run only every N-th case from I"
+        "--shard",
+        type=_shard,
+        default=(1, 1),
+        metavar="I/N",
+        help="run only the I-th of N parts of the cases",
     )
     run.add_argument("--fresh", action="store_true", help="run every case again")
     run.add_argument("--fail-fast", action="store_true", help="stop at the first failure")
@@ -199,13 +203,14 @@ def _status(options: argparse.Namespace) -> int:
     if options.json:
         _print_json(state)
     else:
-        print(", ".join(f"{len(state[kind])} {kind}" for kind in ("done", "failed", "damaged", "missing")))
+        kinds = ("done", *(["stale"] if state["stale"] else []), "failed", "damaged", "missing")
+        print(", ".join(f"{len(state[kind])} {kind}" for kind in kinds))
         for entry in state["failed"]:
             print(
                 f"failed: {entry['label']}: {entry['message']}"
                 + (f"; {entry['remedy']}" if entry["remedy"] else "")
             )
-        for kind in ("damaged", "missing"):
+        for kind in ("stale", "damaged", "missing"):
             for label in state[kind]:
                 print(f"{kind}: {label}")
     return DAMAGED if state["damaged"] else FAILED if state["failed"] else OK

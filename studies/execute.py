@@ -1,7 +1,9 @@
-"""Runs tasks in worker processes: one process per task, so that a failure costs that task only.
+"""Runs tasks in worker processes, in groups that share work, so that a failure still costs its task only.
 
 A failure is an error, a crash, a timeout or a kill for want of memory. Workers are forked from a server process
-that has the slow imports done; each gets its share of the cores.
+that has the slow imports done; each gets its share of the cores. A worker does the tasks of one group after the
+other and answers after each. Where it dies, the tasks that it had finished stay finished, the one that it was at is
+tried once more alone, and the rest goes to a new worker.
 """
 
 from __future__ import annotations
@@ -11,9 +13,11 @@ import json
 import multiprocessing
 import os
 import signal
+import sys
 import time
 import traceback
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from multiprocessing.connection import wait
 from multiprocessing.context import ForkServerProcess
@@ -24,6 +28,7 @@ from .files import write_atomically
 from .mesh import InputError
 
 Task = Mapping[str, Any]
+Group = Sequence[Task]
 # imported once, before the workers are forked: what every case needs, and no case should be timed with
 PRELOAD = ["studies.worker", "vdm.model", "fem_reference.linear"]
 _GRACE = 5.0  # s between asking a worker to stop and killing it
@@ -56,94 +61,143 @@ class TaskError(ValueError):
 
 @dataclass
 class _Running:
-    task: Task
+    tasks: list[Task]  # not finished yet; the first is at work once `begun`
     process: ForkServerProcess
     answer: Any  # the reading end of its pipe
     log: Path
-    began: float
+    since: float  # of the stretch of work that it is at
+    shared: bool  # whether it was given more than one task
+    begun: bool = False  # False: still at what its tasks share
+
+    @property
+    def share(self) -> int:
+        """How many tasks' time the present stretch may take."""
+        return 1 if self.begun else max(1, len(self.tasks))
 
 
 def run_tasks(
     work: Callable[[Task], None],
-    tasks: Sequence[Task],
+    groups: Sequence[Group],
     *,
+    together: Callable[[Group], AbstractContextManager[None]] | None = None,
     jobs: int,
     log_directory: Path,
     timeout: float | None = None,
     fail_fast: bool = False,
     started: Callable[[Task], None],
 ) -> Iterator[Outcome]:
-    """Run `work(task)` for each task, at most `jobs` at once, yielding outcomes as they come.
+    """Run `work(task)` for each task of each group, at most `jobs` groups at once, yielding outcomes as they come.
 
     `work` must be a module-level function; tasks are plain JSON with an "id". Leaving the iterator early, Ctrl-C
     included, stops the workers. Outcomes of failed tasks carry the worker's output.
+
+    Parameters
+    ----------
+    together : entered around the tasks of a group of more than one: does what they share, and lets go of it
+    timeout : seconds that one task may take; what a group shares may take as much as its tasks together
     """
     context = multiprocessing.get_context("forkserver")
     context.set_forkserver_preload(PRELOAD)
     log_directory.mkdir(parents=True, exist_ok=True)
     threads = max(1, (os.cpu_count() or 1) // jobs)
-    queue = list(tasks)[::-1]
+    queue = [list(group) for group in groups if group][::-1]
     running: list[_Running] = []
     try:
         while queue or running:
             while queue and len(running) < jobs:
-                task = queue.pop()
-                started(task)
-                running.append(_start(context, work, task, threads, log_directory))
-            wait([r.process.sentinel for r in running], timeout=0.2 if timeout else None)
+                tasks = queue.pop()
+                started(tasks[0])
+                running.append(_start(context, work, together, tasks, threads, log_directory))
+            ready = [part for r in running for part in (r.answer, r.process.sentinel)]
+            wait(ready, timeout=0.2 if timeout else None)
             for r in list(running):
-                late = timeout is not None and time.monotonic() - r.began > timeout
-                if r.process.is_alive() and not late:
-                    continue
-                running.remove(r)
-                outcome = _finish(r, timeout if late else None)
-                yield outcome
-                if fail_fast and not outcome.ok:
-                    return
+                alive = r.process.is_alive()  # asked before the answers are read: a dead worker sends no more
+                for outcome in _answers(r, started):
+                    yield outcome
+                    if fail_fast and not outcome.ok:
+                        return
+                late = timeout is not None and time.monotonic() - r.since > timeout * r.share
+                if not r.tasks or not alive or late:
+                    running.remove(r)
+                    failure, again = _finish(r, timeout if alive and late else None)
+                    queue += again
+                    if failure is not None:
+                        yield failure
+                        if fail_fast:
+                            return
     finally:
         for r in running:
             _stop(r.process)
             r.log.unlink(missing_ok=True)
 
 
-def _start(context: Any, work: Callable[[Task], None], task: Task, threads: int, logs: Path) -> _Running:
+def _start(
+    context: Any,
+    work: Callable[[Task], None],
+    together: Callable[[Group], AbstractContextManager[None]] | None,
+    tasks: list[Task],
+    threads: int,
+    logs: Path,
+) -> _Running:
     reader, writer = context.Pipe(duplex=False)
-    log = logs / f".{task['id']}.{os.getpid()}.log"
-    process = context.Process(target=_main, args=(work, task, threads, writer, str(log)), daemon=True)
+    log = logs / f".{tasks[0]['id']}.{os.getpid()}.log"
+    arguments = (work, together if len(tasks) > 1 else None, tasks, threads, writer, str(log))
+    process = context.Process(target=_main, args=arguments, daemon=True)
     process.start()
     writer.close()
-    return _Running(task, process, reader, log, time.monotonic())
+    return _Running(tasks, process, reader, log, time.monotonic(), len(tasks) > 1)
 
 
-def _finish(r: _Running, timeout: float | None) -> Outcome:
-    seconds = time.monotonic() - r.began
-    if timeout is not None and r.process.is_alive():
+def _answers(r: _Running, started: Callable[[Task], None]) -> Iterator[Outcome]:
+    """What a worker has said since it was last asked: the start and the end of each of its tasks."""
+    while r.tasks and r.answer.poll():
+        try:
+            answer = json.loads(r.answer.recv_bytes())
+        except (EOFError, OSError):
+            return  # it died: its exit code says why
+        now = time.monotonic()
+        if answer is None:
+            if r.begun:
+                started(r.tasks[0])
+            r.since, r.begun = now, True
+        else:
+            yield Outcome(r.tasks.pop(0), seconds=now - r.since, **answer)
+            r.since = now
+
+
+def _finish(r: _Running, timeout: float | None) -> tuple[Outcome | None, list[list[Task]]]:
+    """Let go of a worker: the failure of the task that it was at, if that is final, and the groups to do again."""
+    if r.process.is_alive() and r.tasks:
         _stop(r.process)
     r.process.join()
-    answer: dict[str, str] | None = None
-    with contextlib.suppress(EOFError, OSError):
-        if r.answer.poll():
-            answer = json.loads(r.answer.recv_bytes())
     r.answer.close()
     log = r.log.read_text(errors="replace") if r.log.exists() else ""
     r.log.unlink(missing_ok=True)
-    if answer is not None:
-        return Outcome(r.task, answer["code"], seconds, answer["message"], answer["remedy"], log)
-    if timeout is not None:
+    if not r.tasks:
+        return None, []
+    culprit, rest = r.tasks[0], r.tasks[1:]
+    alone = not r.shared
+    seconds = time.monotonic() - r.since
+    if timeout is not None and (alone or r.begun):
         remedy = "allow more with --timeout, or use a coarser mesh"
-        return Outcome(r.task, "timeout", seconds, f"stopped after {timeout:g} s", remedy, log)
-    code = r.process.exitcode or 0
+        outcome = Outcome(culprit, "timeout", seconds, f"stopped after {timeout:g} s", remedy, log)
+        return outcome, [rest] if rest else []
+    if not alone:
+        # while at what they share it may be any one's fault; else the rest may go on together
+        return None, [[task] for task in r.tasks] if not r.begun else [[culprit], *([rest] if rest else [])]
+    return Outcome(culprit, "crashed", seconds, *_death(r.process.exitcode or 0), log), []
+
+
+def _death(code: int) -> tuple[str, str]:
+    """What an exit code of a worker that died means, and what to do."""
     if code == -signal.SIGKILL:
-        message, remedy = (
-            "killed by the system, most likely out of memory",
-            "use a coarser mesh or fewer --jobs",
+        return "killed by the system, most likely out of memory", "use a coarser mesh or fewer --jobs"
+    if code < 0:
+        return (
+            f"the worker crashed with signal {signal.Signals(-code).name}",
+            "see the log in the run directory's failed/ folder; other cases are not affected",
         )
-    elif code < 0:
-        message = f"the worker crashed with signal {signal.Signals(-code).name}"
-        remedy = "see the log in the run directory's failed/ folder; other cases are not affected"
-    else:
-        message, remedy = f"the worker ended with exit code {code}", "see the log in the failed/ folder"
-    return Outcome(r.task, "crashed", seconds, message, remedy, log)
+    return f"the worker ended with exit code {code}", "see the log in the failed/ folder"
 
 
 def _stop(process: ForkServerProcess) -> None:
@@ -154,34 +208,55 @@ def _stop(process: ForkServerProcess) -> None:
         process.join()
 
 
-def _main(work: Callable[[Task], None], task: Task, threads: int, answer: Any, log: str) -> None:
-    """The worker process: output goes to the log, the outcome through the pipe."""
+def _main(
+    work: Callable[[Task], None],
+    together: Callable[[Group], AbstractContextManager[None]] | None,
+    tasks: Group,
+    threads: int,
+    answer: Any,
+    log: str,
+) -> None:
+    """The worker process: output goes to the log, outcomes through the pipe."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the parent's to handle
     os.environ["RAYON_NUM_THREADS"] = os.environ["OMP_NUM_THREADS"] = str(threads)
-    descriptor = os.open(log, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o644)
+    descriptor = os.open(log, os.O_RDWR | os.O_CREAT | os.O_TRUNC | os.O_APPEND, 0o644)
     os.dup2(descriptor, 1)
     os.dup2(descriptor, 2)
     from threadpoolctl import threadpool_limits
 
-    code, message, remedy = "done", "", ""
-    with threadpool_limits(threads):
-        try:
-            work(task)
-        except MemoryError:
-            code, message, remedy = "error", "out of memory", "use a coarser mesh or fewer --jobs"
-        except OSError as error:
-            code, message, remedy = "error", f"{error}", "check free space and permissions"
-        except InputError as error:
-            code, message = "input", f"{error}"
-        except ValueError as error:
-            code, message, remedy = "error", f"{error}", getattr(error, "remedy", "")
-            traceback.print_exc()
-        except Exception as error:  # noqa: BLE001  a worker must answer, whatever happens in it
-            code, message = "error", f"{type(error).__name__}: {error}"
-            remedy = "this is a bug: please report it with the log in the failed/ folder"
-            traceback.print_exc()
-    answer.send_bytes(json.dumps({"code": code, "message": message, "remedy": remedy}).encode())
+    with threadpool_limits(threads), together(tasks) if together else contextlib.nullcontext():
+        for task in tasks:
+            os.ftruncate(descriptor, 0)  # the log is that of the task at work
+            answer.send_bytes(json.dumps(None).encode())
+            code, message, remedy = _attempt(work, task, alone=len(tasks) == 1)
+            sys.stdout.flush()
+            sys.stderr.flush()
+            text = "" if code == "done" else Path(log).read_text(errors="replace")
+            said = {"code": code, "message": message, "remedy": remedy, "log": text}
+            answer.send_bytes(json.dumps(said).encode())
     answer.close()
+
+
+def _attempt(work: Callable[[Task], None], task: Task, *, alone: bool) -> tuple[str, str, str]:
+    """Code, message and remedy of one task. Memory that ran out in company is no answer: the worker dies of it."""
+    try:
+        work(task)
+    except MemoryError:
+        if not alone:
+            os._exit(1)
+        return "error", "out of memory", "use a coarser mesh or fewer --jobs"
+    except OSError as error:
+        return "error", f"{error}", "check free space and permissions"
+    except InputError as error:
+        return "input", f"{error}", ""
+    except ValueError as error:
+        traceback.print_exc()
+        return "error", f"{error}", getattr(error, "remedy", "")
+    except Exception as error:  # noqa: BLE001  a worker must answer, whatever happens in it
+        traceback.print_exc()
+        remedy = "this is a bug: please report it with the log in the failed/ folder"
+        return "error", f"{type(error).__name__}: {error}", remedy
+    return "done", "", ""
 
 
 def write_failure(path: Path, outcome: Outcome, label: str) -> None:

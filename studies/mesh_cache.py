@@ -2,18 +2,14 @@
 
 from __future__ import annotations
 
-import hashlib
-import io
 import json
 from pathlib import Path
 
 import numpy as np
 
-from studies.files import write_atomically
 from studies.geometry_spec import Geometry, geometry_key
 from studies.mesh import Mesh
-
-_DIGEST_BYTES = 32  # the SHA-256 of all before it ends the file; readers of .npz do not mind it
+from studies.sealed import read_arrays, write_arrays
 
 
 def mesh_from_cache(geometry: Geometry, cache_dir: Path, *, volume: bool = True) -> Mesh:
@@ -38,28 +34,22 @@ def mesh_path(cache_dir: Path, key: str) -> Path:
 
 def read_mesh(path: Path) -> Mesh | None:
     """The mesh stored at `path`, or None where there is none or it is damaged."""
-    try:
-        data = path.read_bytes()
-    except FileNotFoundError:
+    stored = read_arrays(path)
+    if stored is None:
         return None
-    content, digest = data[:-_DIGEST_BYTES], data[-_DIGEST_BYTES:]
-    if hashlib.sha256(content).digest() != digest:
-        return None
-    with np.load(io.BytesIO(content), allow_pickle=False) as stored:
-        groups = {name.removeprefix("group/"): stored[name] for name in stored if name.startswith("group/")}
-        return Mesh(
-            points=stored["points"],
-            tetrahedra=stored["tetrahedra"],
-            surface_nodes=stored["surface_nodes"],
-            triangles=stored["triangles"],
-            groups=groups,
-            quality=json.loads(str(stored["quality"])),
-        )
+    groups = {name.removeprefix("group/"): stored[name] for name in stored if name.startswith("group/")}
+    return Mesh(
+        points=stored["points"],
+        tetrahedra=stored["tetrahedra"],
+        surface_nodes=stored["surface_nodes"],
+        triangles=stored["triangles"],
+        groups=groups,
+        quality=json.loads(str(stored["quality"])),
+    )
 
 
 def write_mesh(path: Path, mesh: Mesh) -> None:
     """Store a mesh, whole or not at all. Raises OSError."""
-    buffer = io.BytesIO()
     arrays = {
         "points": mesh.points,
         "tetrahedra": mesh.tetrahedra,
@@ -67,7 +57,4 @@ def write_mesh(path: Path, mesh: Mesh) -> None:
         "triangles": mesh.triangles,
         "quality": np.array(json.dumps(dict(mesh.quality), sort_keys=True)),
     }
-    arrays |= {f"group/{name}": mask for name, mask in mesh.groups.items()}
-    np.savez(buffer, allow_pickle=False, **arrays)
-    content = buffer.getvalue()
-    write_atomically(path, content + hashlib.sha256(content).digest())
+    write_arrays(path, arrays | {f"group/{name}": mask for name, mask in mesh.groups.items()})

@@ -6,24 +6,30 @@ A model is one decorated function. Solver packages are imported inside, so that 
 from __future__ import annotations
 
 import dataclasses
-import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from .case import ModelResult, StepStatus
 from .memory import peak_bytes_since, reset_peak
+from .mesh import Array, Index, Mask
 from .metrics import enclosed_volume
 from .scene import Scene
+from .setups import shared, watched
 
 if TYPE_CHECKING:
+    from fem_reference.condensed import CondensedProblem
     from fem_reference.loads import Load as FemLoad
     from fem_reference.solution import Solution as FemSolution
+    from vdm.model import Model as VdmModel
     from vdm.solution import Solution as VdmSolution
 
-    Solve = Callable[[Scene, str, str], FemSolution | VdmSolution]
+    Solution = FemSolution | VdmSolution
+    Solve = Callable[[Scene, str, str], Solution]
+    Together = Callable[[Sequence[Scene]], Sequence[Solution]]
 
 
 @dataclass(frozen=True)
@@ -37,6 +43,7 @@ class Model:
     volumetric : whether it needs tetrahedra
     solvers : the solvers it offers, the default first
     solve : (scene, solver, the full name) -> Solution
+    together : the same for scenes that differ in their loads only, all in one; None where that saves nothing
     """
 
     name: str
@@ -44,6 +51,7 @@ class Model:
     volumetric: bool
     solvers: tuple[str, ...]
     solve: Solve
+    together: Together | None = None
 
 
 MODELS: dict[str, Model] = {}
@@ -52,10 +60,15 @@ REFUSED = "refused"  # status of a model that could not be set up: before any so
 
 
 def _model(
-    name: str, *, version: str, solvers: tuple[str, ...] = ("linear",), volumetric: bool = False
+    name: str,
+    *,
+    version: str,
+    solvers: tuple[str, ...] = ("linear",),
+    volumetric: bool = False,
+    together: Together | None = None,
 ) -> Callable[[Solve], Solve]:
     def register(solve: Solve) -> Solve:
-        MODELS[name] = Model(name, version, volumetric, solvers, solve)
+        MODELS[name] = Model(name, version, volumetric, solvers, solve, together)
         return solve
 
     return register
@@ -109,32 +122,59 @@ def _vdm_boundary(scene: Scene, solver: str, name: str) -> VdmSolution:
     return _vdm(scene, "boundary", solver, name)
 
 
-@_model("fem-linear", version="2", volumetric=True)
+def _fem_small_strain(scenes: Sequence[Scene], element: str) -> list[FemSolution]:
+    """One factorisation and one batch of right-hand sides for the loads of all scenes."""
+    from fem_reference.linear import LinearProblem
+    from fem_reference.loads import independent_loads
+
+    loads = [load for scene in scenes for load in _fem_loads(scene)]
+    n_solves = len(independent_loads(loads)[0])
+    problem = shared(LinearProblem, **_body(scenes[0]), element=element, expected_loads=n_solves)
+    whole = problem.solve(loads)
+    ends = np.cumsum([len(scene.load_factors) for scene in scenes]).tolist()
+    return [_part(whole, slice(*ends)) for ends in zip([0, *ends], ends, strict=False)]
+
+
+def _part(solution: FemSolution, steps: slice) -> FemSolution:
+    """Some steps of a solution."""
+    arrays = ("displacement", "fluid_pressure", "reaction_force", "energy", "iterations", "seconds_per_step")
+    return dataclasses.replace(
+        solution,
+        **{name: getattr(solution, name)[steps] for name in (*arrays, "status")},
+        scalars={name: values[steps] for name, values in solution.scalars.items()},
+        point_fields={name: values[steps] for name, values in solution.point_fields.items()},
+    )
+
+
+@_model("fem-linear", version="2", volumetric=True, together=partial(_fem_small_strain, element="P2-P1"))
 def _fem_linear(scene: Scene, solver: str, name: str) -> FemSolution:  # noqa: ARG001
-    return _fem_small_strain(scene, "P2-P1")
+    return _fem_small_strain([scene], "P2-P1")[0]
 
 
-@_model("fem-p1", version="1", volumetric=True)
+@_model("fem-p1", version="1", volumetric=True, together=partial(_fem_small_strain, element="P1"))
 def _fem_p1(scene: Scene, solver: str, name: str) -> FemSolution:  # noqa: ARG001
-    return _fem_small_strain(scene, "P1")
+    return _fem_small_strain([scene], "P1")[0]
 
 
-@_model("fem-p2", version="1", volumetric=True)
+@_model("fem-p2", version="1", volumetric=True, together=partial(_fem_small_strain, element="P2"))
 def _fem_p2(scene: Scene, solver: str, name: str) -> FemSolution:  # noqa: ARG001
-    return _fem_small_strain(scene, "P2")
+    return _fem_small_strain([scene], "P2")[0]
 
 
 @_model("fem-condensed", version="1", volumetric=True)
 def _fem_condensed(scene: Scene, solver: str, name: str) -> FemSolution:  # noqa: ARG001
-    from fem_reference.condensed import CondensedProblem
-    from fem_reference.linear import LinearProblem
-
     body = _body(scene)
     if not scene.gravity.any():
         body["density"] = 0.0  # no columns for a weight that does not act
-    n_columns = 12 * int(scene.contact.sum())  # three components at the vertices and three edge middles each
-    problem = CondensedProblem(LinearProblem(**body, expected_loads=n_columns), scene.contact)
-    return problem.solve(_fem_loads(scene))
+    return shared(_condensed_problem, contact=scene.contact, **body).solve(_fem_loads(scene))
+
+
+def _condensed_problem(*, contact: Mask, **body: Any) -> CondensedProblem:
+    from fem_reference.condensed import CondensedProblem
+    from fem_reference.linear import LinearProblem
+
+    n_columns = 12 * int(contact.sum())  # three components at the vertices and three edge middles each
+    return CondensedProblem(shared(LinearProblem, **body, expected_loads=n_columns), contact)
 
 
 @_model("fem", version="1", volumetric=True)
@@ -144,14 +184,6 @@ def _fem(scene: Scene, solver: str, name: str) -> FemSolution:  # noqa: ARG001
     material = "transversely-isotropic" if scene.anisotropy else "neo-hookean"
     problem = FiniteStrainProblem(**_body(scene), material=material, expected_loads=len(scene.load_factors))
     return problem.solve(_fem_loads(scene), frozenset({"max_det_f_deviation", "max_principal_strain"}))
-
-
-def _fem_small_strain(scene: Scene, element: str) -> FemSolution:
-    from fem_reference.linear import LinearProblem
-
-    n_solves = len(scene.load_factors) if scene.gravity.any() else 1  # else all steps are multiples of one
-    problem = LinearProblem(**_body(scene), expected_loads=n_solves, element=element)
-    return problem.solve(_fem_loads(scene), frozenset({"max_det_f_deviation"}))
 
 
 def _body(scene: Scene) -> dict[str, Any]:
@@ -179,36 +211,21 @@ def _fem_loads(scene: Scene) -> list[FemLoad]:
 def _vdm(scene: Scene, formulation: str, solver: str, name: str) -> VdmSolution:
     """A VDM formulation: parameters by the study, by the model's own table, else by rule from the tissue."""
     from vdm.constraints import Load
-    from vdm.material import Parameters
-    from vdm.model import Model as VdmModel
-    from vdm.surface import SurfaceMesh
 
-    points, triangles = scene.mesh.surface_points, scene.mesh.triangles
-    tissue = scene.tissue
-    given: dict[str, Any] = {**scene.parameters, **scene.overrides.get(name, {})}
-    penalty = given.pop("penalty", None)
-    surface = SurfaceMesh(points, triangles)
-    rule = Parameters.from_tissue(tissue.youngs_modulus, tissue.poisson_ratio, surface, formulation)
-    parameters = dataclasses.replace(rule, **given)
-    if scene.anisotropy:
-        fibres = scene.anisotropy
-        parameters = parameters.anisotropic(surface, fibres.fibre_direction, fibres.contrast)
-    options: dict[str, Any] = {}
-    if penalty is not None:
-        options = {"constraint_method": "penalty-replaced", "penalty": penalty}  # (25) and (26) as printed
-        solver = "lu"
-    model = VdmModel(
-        points,
-        triangles,
-        parameters,
+    fibres = scene.anisotropy
+    model = shared(
+        _vdm_model,
+        points=scene.mesh.surface_points,
+        triangles=scene.mesh.triangles,
+        tissue=(scene.tissue.youngs_modulus, scene.tissue.poisson_ratio, scene.tissue.density),
+        given={**scene.parameters, **scene.overrides.get(name, {})},
+        fibres=(fibres.fibre_direction, fibres.contrast) if fibres else None,
         formulation=formulation,
+        solver=solver,
         fixed=scene.fixed,
         constrained=scene.constrained,
-        density=tissue.density,
         gravity=scene.gravity,
         environment_pressure=scene.environment_pressure,
-        solver=solver,
-        **options,
     )
     return model.solve(
         [
@@ -222,22 +239,97 @@ def _vdm(scene: Scene, formulation: str, solver: str, name: str) -> VdmSolution:
     )
 
 
+def _vdm_model(
+    *,
+    points: Array,
+    triangles: Index,
+    tissue: tuple[float, float, float],
+    given: dict[str, Any],
+    fibres: tuple[tuple[float, ...], float] | None,
+    formulation: str,
+    solver: str,
+    **options: Any,
+) -> VdmModel:
+    """The model of E, nu and density `tissue` with the parameters `given`; `options` are the model's own."""
+    from vdm.material import Parameters
+    from vdm.model import Model as VdmModel
+    from vdm.surface import SurfaceMesh
+
+    youngs_modulus, poisson_ratio, density = tissue
+    penalty = given.get("penalty")
+    chosen = {name: value for name, value in given.items() if name != "penalty"}
+    surface = SurfaceMesh(points, triangles)
+    rule = Parameters.from_tissue(youngs_modulus, poisson_ratio, surface, formulation)
+    parameters = dataclasses.replace(rule, **chosen)
+    if fibres is not None:
+        parameters = parameters.anisotropic(surface, *fibres)
+    if penalty is not None:
+        options |= {"constraint_method": "penalty-replaced", "penalty": penalty}  # (25) and (26) as printed
+        solver = "lu"
+    return VdmModel(
+        points,
+        triangles,
+        parameters,
+        formulation=formulation,
+        density=density,
+        solver=solver,
+        **options,
+    )
+
+
 def run_model(scene: Scene, name: str) -> ModelResult:
     """Solve one scene with one model and measure what it took.
 
     A model that cannot be set up gives a result of NaN with the reason in its status: the other models of the
-    case are not affected.
+    case are not affected. A set-up that an earlier solve left (`studies.setups`) is reported with the time and
+    memory that were measured then, and marked by the parameter `setup_shared`.
     """
     model, solver = find(name)
+    if (
+        model.volumetric
+    ):  # what it may not depend on, as its results are shared between cases that differ there
+        scene = dataclasses.replace(scene, parameters={}, environment_pressure=0.0)
+    return _measured(model, [scene], lambda: [model.solve(scene, solver, name)])[0]
+
+
+def solves_together(name: str) -> bool:
+    """Whether a model gains by solving many scenes at once."""
+    return find(name)[0].together is not None
+
+
+def run_together(scenes: Sequence[Scene], name: str) -> list[ModelResult]:
+    """`run_model` for scenes that differ in their loads only: in one solve where the model can, else in turn."""
+    model, _ = find(name)
+    if len(scenes) == 1 or model.together is None:
+        return [run_model(scene, name) for scene in scenes]
+    together = model.together
+    return _measured(model, scenes, lambda: together(scenes))
+
+
+def _measured(
+    model: Model, scenes: Sequence[Scene], solve: Callable[[], Sequence[Solution]]
+) -> list[ModelResult]:
+    """What a solve gives, one result per scene, with its peak of memory."""
     resident = reset_peak()
-    began = time.perf_counter()
     try:
-        solution = model.solve(scene, solver, name)
+        with watched() as setups:
+            solutions = solve()
     except ValueError as error:  # the sentence of a surface, parameter, support or solver that does not work
         status = getattr(error, "status", None)
         message, remedy = (status.message, status.remedy) if status else (f"{error}", "")
-        return _failed(scene, model, StepStatus(REFUSED, message, remedy))
-    seconds_total = time.perf_counter() - began
+        return [_failed(scene, model, StepStatus(REFUSED, message, remedy)) for scene in scenes]
+    peak = max([peak_bytes_since(resident), *(setup.peak_bytes for setup in setups)])
+    for setup in setups:
+        setup.peak_bytes = peak
+    mark: dict[str, float | str] = {}
+    if len(scenes) > 1 or any(setup.uses > 1 for setup in setups):
+        mark["setup_shared"] = "yes"
+    return [_result(*pair, model, peak, mark) for pair in zip(scenes, solutions, strict=True)]
+
+
+def _result(
+    scene: Scene, solution: Solution, model: Model, peak_bytes: int, mark: dict[str, float | str]
+) -> ModelResult:
     statuses = tuple(StepStatus(s.code, s.message, s.remedy) for s in solution.status)
     usable = np.array([s.ok for s in statuses])
     displacement = np.where(usable[:, None, None], solution.displacement, np.nan)
@@ -252,9 +344,9 @@ def run_model(scene: Scene, name: str) -> ModelResult:
         status=statuses,
         seconds_setup=solution.seconds_setup,
         seconds_per_step=solution.seconds_per_step,
-        peak_bytes=peak_bytes_since(resident),
+        peak_bytes=peak_bytes,
         version=model.version,
-        parameters={**solution.parameters, "seconds_total": seconds_total},
+        parameters={**solution.parameters, **mark},
         scalars=solution.scalars,
         point_fields=solution.point_fields,
     )

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -11,11 +9,16 @@ from pathlib import Path
 from typing import Any
 
 from . import models
-from .config import ResolvedCase, case_inputs, geometry_of, resolved
+from .config import ResolvedCase, geometry_of, resolved
 from .geometry_spec import MAX_NODES, Geometry, area_and_volume, check_node_budget, geometry_key
+from .keys import case_hash, reference_key, result_keys, setup_key, surface_key
 from .mesh_cache import mesh_path
+from .result_cache import reference_path
 from .schema import Study
-from .store import case_path, case_state
+from .store import CASE_SUFFIX, case_path, case_state
+from .store import result_keys as stored_keys
+
+SPLIT_FROM = 4  # cases: a group of fewer is not worth a second set-up
 
 
 @dataclass(frozen=True)
@@ -28,6 +31,10 @@ class PlannedCase:
     swept_units: Mapping[str, str]
     study: Study
     mesh: str  # key of its mesh
+    setup: str  # key of what it shares with cases that differ in loads and VDM parameters only
+    surface: str  # key of its VDM parameters
+    results: Mapping[str, str]  # model -> key of its result
+    reference: str | None  # key of its reference on all mesh levels
 
 
 @dataclass(frozen=True)
@@ -51,14 +58,54 @@ class Plan:
 
     @cached_property
     def state(self) -> dict[str, str]:
-        """Case hash -> "done", "failed", "damaged" or "missing"."""
+        """Case hash -> "done", "stale", "failed", "damaged" or "missing"."""
         return {case.hash: case_state(self.directory, case.hash) for case in self.cases}
 
+    @cached_property
+    def in_order(self) -> list[PlannedCase]:
+        """Each hash once; cases that share a set-up stand together, those that share VDM set-ups side by side."""
+        unique = {case.hash: case for case in self.cases}.values()
+        places = {key: place for place, key in enumerate(dict.fromkeys(case.setup for case in unique))}
+        beside = {key: place for place, key in enumerate(dict.fromkeys(case.surface for case in unique))}
+        return sorted(unique, key=lambda case: (places[case.setup], beside[case.surface]))
+
     def cases_to_run(self, shard: tuple[int, int] = (1, 1), *, fresh: bool = False) -> list[PlannedCase]:
-        """The cases not done (`fresh`: all), each hash once; of `shard` (i, n) every n-th from the i-th."""
-        unique = list({case.hash: case for case in self.cases}.values())
-        mine = unique[shard[0] - 1 :: shard[1]]
-        return [case for case in mine if fresh or self.state[case.hash] != "done"]
+        """The cases not done (`fresh`: all); of `shard` (i, n) those in the i-th of n parts of equal size."""
+        number, parts = shard
+        first, end = (len(self.in_order) * k // parts for k in (number - 1, number))
+        return [case for case in self.in_order[first:end] if fresh or self.state[case.hash] != "done"]
+
+    def groups(self, cases: Sequence[PlannedCase], jobs: int) -> list[list[PlannedCase]]:
+        """The cases in groups that share a set-up; the largest are halved until each of `jobs` workers has one."""
+        by_setup: dict[str, list[PlannedCase]] = {}
+        for case in cases:
+            by_setup.setdefault(case.setup, []).append(case)
+        groups = list(by_setup.values())
+        while len(groups) < min(jobs, len(cases)):
+            largest = max(range(len(groups)), key=lambda place: len(groups[place]))
+            if len(groups[largest]) < SPLIT_FROM:
+                break
+            group = groups.pop(largest)
+            groups += [group[: len(group) // 2], group[len(group) // 2 :]]
+        return groups
+
+    @cached_property
+    def stored_results(self) -> dict[str, Path]:
+        """Result key -> a case file of an earlier plan, or a stale one, that holds it."""
+        kept = {case_path(self.directory, hash) for hash, state in self.state.items() if state == "done"}
+        files = sorted((self.directory / "cases").glob(f"*{CASE_SUFFIX}"))
+        return {key: path for path in files if path not in kept for key in stored_keys(path).values() if key}
+
+    def reused(self, case: PlannedCase, *, fresh: bool = False) -> dict[str, Path]:
+        """Model -> the case file that its result is taken from."""
+        if fresh:
+            return {}
+        found = {name: self.stored_results.get(key) for name, key in case.results.items()}
+        return {name: path for name, path in found.items() if path is not None}
+
+    def reference_cached(self, case: PlannedCase) -> bool:
+        """Whether the cache holds the case's reference."""
+        return case.reference is not None and reference_path(self.cache, case.reference).exists()
 
     def missing_meshes(self, cases: Sequence[PlannedCase]) -> list[PlannedMesh]:
         """The meshes that these cases need and the cache does not hold."""
@@ -124,16 +171,7 @@ def make_plan(study: Study, cases: Sequence[ResolvedCase], directory: Path, cach
             check_node_budget(area, inside if volume else 0.0, geometry.mesh_size, MAX_NODES)
         key = geometry_key(geometry, volume=volume)
         meshes[key] = PlannedMesh(key, geometry, volume)
-        planned.append(
-            PlannedCase(
-                hash=case_hash(case.study, key),
-                label=case.label,
-                swept=case.swept,
-                swept_units=case.swept_units,
-                study=case.study,
-                mesh=key,
-            )
-        )
+        planned.append(_planned(case, key))
     return Plan(study, tuple(planned), meshes, directory, cache)
 
 
@@ -142,19 +180,26 @@ def needs_volume(study: Study) -> bool:
     return any(models.find(name)[0].volumetric for name in study.study.models)
 
 
-def case_hash(study: Study, mesh_key: str) -> str:
-    """SHA-256 (hex) over what decides a case's numbers: inputs, mesh, and each model's declared version."""
-    content = {
-        "inputs": {name: value for name, value in case_inputs(study).items() if name != "geometry"},
-        "mesh": mesh_key,
-        "models": {name: models.find(name)[0].version for name in study.study.models},
-        "reference": study.study.reference,
-    }
-    return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
+def _planned(case: ResolvedCase, mesh_key: str) -> PlannedCase:
+    study = case.study
+    results = result_keys(study, mesh_key)
+    name, n_levels = study.study.reference, study.uncertainty.levels if study.uncertainty else 1
+    return PlannedCase(
+        hash=case_hash(study, mesh_key),
+        label=case.label,
+        swept=case.swept,
+        swept_units=case.swept_units,
+        study=study,
+        mesh=mesh_key,
+        setup=setup_key(study, mesh_key),
+        surface=surface_key(study),
+        results=results,
+        reference=reference_key(results[name], n_levels) if name is not None else None,
+    )
 
 
-def task_of(case: PlannedCase, plan: Plan) -> dict[str, Any]:
-    """What a worker is given, as plain JSON."""
+def task_of(case: PlannedCase, plan: Plan, *, fresh: bool = False) -> dict[str, Any]:
+    """What a worker is given, as plain JSON. `fresh`: nothing that is stored is used, the mesh apart."""
     return {
         "id": case.hash,
         "label": case.label,
@@ -163,4 +208,9 @@ def task_of(case: PlannedCase, plan: Plan) -> dict[str, Any]:
         "study": resolved(case.study),
         "path": str(case_path(plan.directory, case.hash)),
         "cache": str(plan.cache),
+        "mesh": case.mesh,
+        "keys": dict(case.results),
+        "reference_key": case.reference,
+        "reuse": {name: str(path) for name, path in plan.reused(case, fresh=fresh).items()},
+        "fresh": fresh,
     }

@@ -16,6 +16,7 @@ from .metrics import History, Surface, evaluate, full_load_step, rigid_motion_re
 from .refine import inherit, refine
 from .scene import Scene, build_scene
 from .schema import Study
+from .setups import shared
 from .uncertainty import estimate_error
 
 
@@ -43,16 +44,7 @@ def refined_reference(
         a level that did not converge.
     """
     surface = Surface(scene.mesh.surface_points, scene.mesh.triangles, scene.contact)
-    levels = [result]
-    lineage: list[Index] = []
-    for _ in range(n_levels - 1):
-        mesh, parents = refine(scene.mesh)
-        masks = {region: inherit(mask, scene.mesh, parents) for region, mask in scene.regions.items()}
-        scene = build_scene(study, mesh, masks)
-        lineage.append(parents)
-        finer = models.run_model(scene, name)
-        require_converged(f"{name} on the refined mesh", finer)
-        levels.append(_restricted(finer, lineage))
+    levels = [result, *refined_levels([study], [scene], name, n_levels)[0]]
     return levels[-1], own_error(surface, levels[::-1], scene.load_factors)
 
 
@@ -107,6 +99,34 @@ def _differences(fields: Sequence[Array], areas: Array) -> list[float]:
         float(np.copysign(weighted_norm(gap, areas) / size, product))
         for gap, product in zip(gaps, along, strict=True)
     ]
+
+
+def refined_levels(
+    studies: Sequence[Study], scenes: Sequence[Scene], name: str, n_levels: int
+) -> list[list[ModelResult]]:
+    """Each scene's results on the `n_levels` - 1 refinements of their common mesh, at its surface nodes.
+
+    The scenes differ in their loads only: all are solved with one factorisation per level where the model can.
+
+    Raises
+    ------
+    TaskError
+        a level that did not converge.
+    """
+    found: list[list[ModelResult]] = [[] for _ in scenes]
+    lineage: list[Index] = []
+    for _ in range(n_levels - 1):
+        coarse = scenes[0].mesh
+        mesh, parents = shared(refine, mesh=coarse)
+        scenes = [
+            build_scene(study, mesh, {r: inherit(mask, coarse, parents) for r, mask in scene.regions.items()})
+            for study, scene in zip(studies, scenes, strict=True)
+        ]
+        lineage.append(parents)
+        for levels, finer in zip(found, models.run_together(scenes, name), strict=True):
+            require_converged(f"{name} on the refined mesh", finer)
+            levels.append(_restricted(finer, lineage))
+    return found
 
 
 def require_converged(name: str, result: ModelResult) -> None:

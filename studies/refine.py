@@ -67,5 +67,8 @@ def inherit(mask: Mask, mesh: Mesh, parents: Index) -> Mask:
     parents : (N, 2) from `refine`
     """
     inside = np.sort(mesh.triangles[np.all(mask[mesh.triangles], axis=1)], axis=1)
-    edges = {tuple(edge) for i, j in ((0, 1), (1, 2), (0, 2)) for edge in inside[:, [i, j]].tolist()}
-    return np.array([mask[a] if a == b else (a, b) in edges for a, b in parents.tolist()])
+    edges = np.concatenate([inside[:, [i, j]] for i, j in ((0, 1), (1, 2), (0, 2))])
+    n_nodes = len(mesh.surface_nodes)
+    first, second = parents.T  # the lower number first, as in a sorted facet
+    middle = np.isin(first * n_nodes + second, edges[:, 0] * n_nodes + edges[:, 1])
+    return np.where(first == second, mask[first], middle)

@@ -1,4 +1,4 @@
-"""Runs a plan: meshes first, then cases, each in a worker; then the tables and the report."""
+"""Runs a plan: meshes first, then cases, those that share work in one worker; then the tables and the report."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import fcntl
 import json
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -16,11 +16,11 @@ import tomli_w
 
 from .case import Run
 from .config import resolved
-from .execute import Outcome, run_tasks, write_failure
+from .execute import Group, Outcome, run_tasks, write_failure
 from .files import write_atomically
 from .plan import Plan, PlannedMesh, task_of
 from .store import case_path, failure_path, read_run, write_study
-from .worker import make_mesh, run_case
+from .worker import make_mesh, run_case, share
 
 
 class RunError(ValueError):
@@ -39,7 +39,7 @@ class Event:
 
 @dataclass(frozen=True)
 class Options:
-    """How to run. `timeout` is per task [s]."""
+    """How to run. `timeout` is per case [s]."""
 
     jobs: int
     shard: tuple[int, int] = (1, 1)
@@ -83,22 +83,23 @@ def rebuild(directory: Path) -> tuple[Run, Path]:
 def _run_missing(plan: Plan, options: Options, watch: Callable[[Event], None]) -> None:
     cases = plan.cases_to_run(options.shard, fresh=options.fresh)
     logs = plan.directory / "failed"
-    meshes = [_mesh_task(mesh, plan) for mesh in plan.missing_meshes(cases)]
+    meshes = [[_mesh_task(mesh, plan)] for mesh in plan.missing_meshes(cases)]
     broken: dict[str, Outcome] = {}
     for outcome in _watched(meshes, make_mesh, logs, options, watch, "mesh"):
         if not outcome.ok:
             broken[outcome.task["id"]] = outcome
     if broken and options.fail_fast:
         return
-    runnable = []
     for case in cases:
-        task = task_of(case, plan)
         if case.mesh in broken:
-            _keep_failure(plan, dataclasses.replace(broken[case.mesh], task=task))
-            watch(Event("failed", case.label, message=broken[case.mesh].message))
-        else:
-            runnable.append(task)
-    for outcome in _watched(runnable, run_case, logs, options, watch, "case"):
+            failure = dataclasses.replace(broken[case.mesh], task=task_of(case, plan, fresh=options.fresh))
+            _keep_failure(plan, failure)
+            watch(Event("failed", case.label, message=failure.message))
+    groups = [
+        [task_of(case, plan, fresh=options.fresh) for case in group]
+        for group in plan.groups([case for case in cases if case.mesh not in broken], options.jobs)
+    ]
+    for outcome in _watched(groups, run_case, logs, options, watch, "case", together=share):
         if outcome.ok:
             failure_path(plan.directory, outcome.task["id"]).unlink(missing_ok=True)
         else:
@@ -112,19 +113,21 @@ def _keep_failure(plan: Plan, outcome: Outcome) -> None:
 
 
 def _watched(
-    tasks: Sequence[Mapping[str, Any]],
+    groups: Sequence[Group],
     work: Callable[[Mapping[str, Any]], None],
     logs: Path,
     options: Options,
     watch: Callable[[Event], None],
     kind: str,
+    together: Callable[[Group], AbstractContextManager[None]] | None = None,
 ) -> Iterator[Outcome]:
     def started(task: Mapping[str, Any]) -> None:
         watch(Event(kind, task["label"]))
 
     for outcome in run_tasks(
         work,
-        tasks,
+        groups,
+        together=together,
         jobs=options.jobs,
         log_directory=logs,
         timeout=options.timeout,

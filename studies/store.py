@@ -32,7 +32,7 @@ from .case import (
     StepStatus,
 )
 from .files import write_atomically
-from .metrics import full_load_step
+from .metrics import METRICS, full_load_step
 from .uncertainty import reference_bar
 
 SCHEMA = 1
@@ -104,7 +104,7 @@ def read_run(directory: Path) -> Run:
         state = case_state(directory, planned["hash"])
         # the swept values and the label belong to the study, not to the case: another study may share it
         names = {key: planned[key] for key in ("label", "swept", "swept_units")}
-        if state in ("done", "damaged"):
+        if state in ("done", "stale", "damaged"):
             cases.append(dataclasses.replace(read_case(case_path(directory, planned["hash"])), **names))
         elif state == "failed":
             failed.append(_read_failure(directory, planned))
@@ -114,14 +114,14 @@ def read_run(directory: Path) -> Run:
 
 
 def run_state(directory: Path) -> dict[str, list[Any]]:
-    """What is "done", "damaged" and "missing" (labels) and "failed" (with reasons) in a run directory.
+    """What is "done", "stale", "damaged" and "missing" (labels) and "failed" (with reasons) in a run directory.
 
     Raises
     ------
     StoreError
         not a run directory.
     """
-    state: dict[str, list[Any]] = {"done": [], "failed": [], "damaged": [], "missing": []}
+    state: dict[str, list[Any]] = {"done": [], "stale": [], "failed": [], "damaged": [], "missing": []}
     for planned in _read_plan(directory)["cases"]:
         kind = case_state(directory, planned["hash"])
         label = planned["label"] or planned["hash"][:12]
@@ -130,15 +130,29 @@ def run_state(directory: Path) -> dict[str, list[Any]]:
 
 
 def case_state(directory: Path, case_hash: str) -> str:
-    """ "done", "damaged", "failed" or "missing"."""
+    """ "done", "stale" (done, but by other versions of the metrics), "damaged", "failed" or "missing"."""
     path = case_path(directory, case_hash)
     if path.exists():
         try:
-            _open_sealed(path).close()
+            with _open_sealed(path) as file:
+                fresh = "metrics" in file and file["metrics"].attrs.get("versions") == _metric_versions()
         except StoreError:
             return "damaged"
-        return "done"
+        return "done" if fresh else "stale"
     return "failed" if failure_path(directory, case_hash).exists() else "missing"
+
+
+def result_keys(path: Path) -> dict[str, str]:
+    """Model name -> content key of the results in a case file; nothing where it cannot be read."""
+    try:
+        with _open_sealed(path) as file:
+            return {name: str(entry.attrs.get("key", "")) for name, entry in file["models"].items()}
+    except (StoreError, KeyError):
+        return {}
+
+
+def _metric_versions() -> str:
+    return _json({name: metric.version for name, metric in METRICS.items()})
 
 
 def _read_plan(directory: Path) -> dict[str, Any]:
@@ -284,6 +298,7 @@ def _fill_case(file: h5py.File, case: CaseResult) -> None:
     for name, model in case.models.items():
         _fill_model(models.create_group(name), model)
     metrics = file.create_group("metrics", track_order=True)
+    metrics.attrs["versions"] = _metric_versions()
     for name, series in case.metrics.items():
         model_group = metrics.create_group(name, track_order=True)
         for metric, entry in series.items():
@@ -328,6 +343,7 @@ def _fill_model(group: h5py.Group, model: ModelResult) -> None:
     group.attrs["seconds_setup"] = model.seconds_setup
     group.attrs["peak_bytes"] = model.peak_bytes
     group.attrs["version"] = model.version
+    group.attrs["key"] = model.key
     group.attrs["point_fields"] = _json(list(model.point_fields))
     status = [[s.code, s.message, s.remedy] for s in model.status]
     group.create_dataset("status", data=np.array(status, dtype=object).reshape(-1, 3), dtype=_TEXT)
@@ -361,6 +377,7 @@ def _read_case(file: h5py.File) -> CaseResult:
             seconds_setup=float(entry.attrs["seconds_setup"]),
             peak_bytes=int(entry.attrs["peak_bytes"]),
             version=str(entry.attrs["version"]),
+            key=str(entry.attrs.get("key", "")),
             parameters=json.loads(entry["parameters"].asstr()[()]),
             scalars={scalar: values[()] for scalar, values in entry["scalars"].items()},
             point_fields={f: per_step(f"{name}.{f}") for f in json.loads(entry.attrs["point_fields"])},

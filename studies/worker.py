@@ -1,10 +1,13 @@
-"""What a worker process does: make one mesh, or run one case from its mesh to its file."""
+"""What a worker process does: make one mesh, or run cases from their mesh to their files."""
 
 from __future__ import annotations
 
+import dataclasses
 import platform
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from datetime import UTC, datetime
+from functools import cache
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -17,12 +20,15 @@ from .mesh import Mesh
 from .mesh_cache import mesh_from_cache
 from .metrics import METRICS, History, Surface, evaluate
 from .plan import needs_volume
-from .reference import refined_reference, require_converged
+from .reference import own_error, refined_levels, require_converged
+from .result_cache import read_levels, reference_path, write_levels
 from .scene import Scene, build_scene
 from .schema import Study
+from .setups import next_turn, sharing
 from .small_strain import small_strain_limits
-from .store import write_case
+from .store import StoreError, read_case, write_case
 
+Task = Mapping[str, Any]
 REFINED = " refined"  # what the reference's name gets where it is solved on refinements of the case's mesh
 PACKAGES = (
     "vdmbench",
@@ -39,34 +45,39 @@ PACKAGES = (
 )
 
 
-def make_mesh(task: Mapping[str, Any]) -> None:
+def make_mesh(task: Task) -> None:
     """Put one mesh into the cache."""
     geometry = Geometry(task["shape"], task["mesh_size"], task["parameters"])
     mesh_from_cache(geometry, Path(task["cache"]), volume=task["volume"])
 
 
-def run_case(task: Mapping[str, Any]) -> None:
-    """Mesh, scene, every model, metrics, one file.
+def run_case(task: Task) -> None:
+    """Mesh, scene, every model, metrics, one file. What is known already is taken as it is.
 
     Raises
     ------
     TaskError
         the reference failed, so that there is nothing to compare with.
     """
+    next_turn()
     study = Study.model_validate(task["study"])
-    names = list(study.study.models)
     reference = study.study.reference
-    mesh = mesh_from_cache(geometry_of(study), Path(task["cache"]), volume=needs_volume(study))
+    mesh = _mesh(study, task)
     scene = build_scene(study, mesh)
-    results = {name: models.run_model(scene, name) for name in names}
+    known = _known(task)
     reference_error: dict[str, float] = {}
     if reference is not None:
-        require_converged(reference, results[reference])
-        if study.uncertainty is not None:
-            on_case_mesh, n_levels = results[reference], study.uncertainty.levels
-            finest, reference_error = refined_reference(study, scene, reference, on_case_mesh, n_levels)
-            reference += REFINED
-            results[reference] = finest
+        levels = _reference_levels(study, scene, task, known)
+        known[reference] = levels[0]
+    results = {name: known.get(name) or models.run_model(scene, name) for name in study.study.models}
+    results = {name: dataclasses.replace(result, key=task["keys"][name]) for name, result in results.items()}
+    _last.clear()
+    _last.update({result.key: result for result in results.values()})
+    if reference is not None and len(levels) > 1:
+        surface = Surface(mesh.surface_points, mesh.triangles, scene.contact)
+        reference_error = own_error(surface, levels[::-1], scene.load_factors)
+        reference += REFINED
+        results[reference] = levels[-1]
     write_case(
         Path(task["path"]),
         CaseResult(
@@ -94,6 +105,102 @@ def run_case(task: Mapping[str, Any]) -> None:
     )
 
 
+@contextmanager
+def share(tasks: Sequence[Task]) -> Iterator[None]:
+    """Around cases that differ in their loads and VDM parameters: one set-up each, one solve of all references.
+
+    What cannot be done for all, because a scene or a solve fails, each case finds out for itself.
+    """
+    with sharing():
+        wanted = {task["reference_key"]: task for task in tasks if task["reference_key"]}
+        missing = [task for task in wanted.values() if not _reference_is_there(task)]
+        with suppress(ValueError):
+            _solve_ahead(missing)
+        yield
+
+
+# what this process knows: references that it solved, which of them are in the cache, the results of the case before
+_ahead: dict[str, list[ModelResult]] = {}
+_last: dict[str, ModelResult] = {}
+_written: set[str] = set()
+
+
+def _solve_ahead(tasks: Sequence[Task]) -> None:
+    studies = [Study.model_validate(task["study"]) for task in tasks]
+    if len(tasks) < 2 or not models.solves_together(studies[0].study.reference or ""):
+        return
+    name = studies[0].study.reference or ""
+    scenes = [build_scene(study, _mesh(study, task)) for study, task in zip(studies, tasks, strict=True)]
+    coarse = models.run_together(scenes, name)
+    for result in coarse:
+        require_converged(name, result)
+    finer = refined_levels(studies, scenes, name, _n_levels(studies[0]))
+    for task, first, others in zip(tasks, coarse, finer, strict=True):
+        _ahead[task["reference_key"]] = [first, *others]
+
+
+def _reference_levels(
+    study: Study, scene: Scene, task: Task, known: Mapping[str, ModelResult]
+) -> list[ModelResult]:
+    """The reference on each mesh level: solved ahead, from the cache, or solved now."""
+    name, key = study.study.reference or "", task["reference_key"]
+    path = reference_path(Path(task["cache"]), key)
+    levels = _ahead.get(key)
+    if levels is None and not task["fresh"]:
+        levels = read_levels(path)
+        if levels is not None:
+            return [_marked(level) for level in levels]
+        if name in known and _n_levels(study) == 1:
+            return [known[name]]
+    if levels is None:
+        coarse = models.run_model(scene, name)
+        require_converged(name, coarse)
+        levels = [coarse, *refined_levels([study], [scene], name, _n_levels(study))[0]]
+    if key not in _written:
+        write_levels(path, levels)
+        _written.add(key)
+    _ahead[key] = levels
+    return levels
+
+
+def _reference_is_there(task: Task) -> bool:
+    return not task["fresh"] and reference_path(Path(task["cache"]), task["reference_key"]).exists()
+
+
+def _known(task: Task) -> dict[str, ModelResult]:
+    """Results that need not be solved again: of the case before, and of case files that the plan names."""
+    known = {name: _last[key] for name, key in task["keys"].items() if key in _last}
+    for path in sorted(set(task["reuse"].values())):
+        with suppress(StoreError):
+            stored = read_case(Path(path)).models
+            for name, result in stored.items():
+                refused = any(status.code == models.REFUSED for status in result.status)
+                if result.key and result.key == task["keys"].get(name) and not refused:
+                    known[name] = _marked(result)
+    return known
+
+
+def _marked(result: ModelResult) -> ModelResult:
+    """A result whose times and memory were measured in an earlier run."""
+    return dataclasses.replace(result, parameters={**result.parameters, "measured_earlier": "yes"})
+
+
+def _n_levels(study: Study) -> int:
+    return study.uncertainty.levels if study.uncertainty is not None else 1
+
+
+def _mesh(study: Study, task: Task) -> Mesh:
+    """The case's mesh; cases of one set-up have one."""
+    if task["mesh"] not in _meshes:
+        _meshes.clear()
+        mesh = mesh_from_cache(geometry_of(study), Path(task["cache"]), volume=needs_volume(study))
+        _meshes[task["mesh"]] = mesh
+    return _meshes[task["mesh"]]
+
+
+_meshes: dict[str, Mesh] = {}
+
+
 def compare(
     scene: Scene, results: Mapping[str, ModelResult], reference: str | None
 ) -> dict[str, dict[str, MetricSeries]]:
@@ -118,12 +225,19 @@ def compare(
 def provenance(mesh: Mesh) -> dict[str, str]:
     """Where a case comes from: packages, platform, mesh, time."""
     return {
+        **_machine(),
+        "mesh_hash": mesh.content_hash,
+        "date": datetime.now(UTC).isoformat(timespec="seconds"),
+    }
+
+
+@cache
+def _machine() -> dict[str, str]:
+    return {
         **{f"package.{name}": version(name) for name in PACKAGES},
         "python": platform.python_version(),
         "platform": platform.platform(),
         "processor": _processor(),
-        "mesh_hash": mesh.content_hash,
-        "date": datetime.now(UTC).isoformat(timespec="seconds"),
     }
 
 

@@ -49,7 +49,9 @@ def _work(task: Mapping[str, Any]) -> None:
 def _run(tmp_path: Path, *kinds: str, **options: Any) -> dict[str, Outcome]:
     tasks = [{"id": f"{n}", "kind": kind, "path": str(tmp_path / f"out-{n}")} for n, kind in enumerate(kinds)]
     settings = {"jobs": 2, "log_directory": tmp_path / "logs", "started": lambda _: None} | options
-    return {outcome.task["kind"]: outcome for outcome in run_tasks(_work, tasks, **settings)}
+    return {
+        outcome.task["kind"]: outcome for outcome in run_tasks(_work, [[task] for task in tasks], **settings)
+    }
 
 
 def test_each_failure_costs_its_own_task_only(tmp_path: Path) -> None:
@@ -106,7 +108,9 @@ def test_fail_fast_stops_at_the_first(tmp_path: Path) -> None:
 def test_leaving_early_stops_the_workers(tmp_path: Path) -> None:
     tasks = [{"id": "0", "kind": "write", "path": str(tmp_path / "out")}, {"id": "1", "kind": "sleep"}]
     began = time.monotonic()
-    runs = run_tasks(_work, tasks, jobs=2, log_directory=tmp_path / "logs", started=lambda _: None)
+    runs = run_tasks(
+        _work, [[task] for task in tasks], jobs=2, log_directory=tmp_path / "logs", started=lambda _: None
+    )
     assert next(runs).ok
     runs.close()
     assert time.monotonic() - began < 30

@@ -1,0 +1,93 @@
+"""What decides a result, as content keys: two things with one key are the same work, done once.
+
+A case's hash names its file. The keys of results and set-ups say what cases, studies and runs can share.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping
+from typing import Any
+
+from . import models
+from .config import case_inputs
+from .schema import Study
+
+
+def case_hash(study: Study, mesh_key: str) -> str:
+    """SHA-256 (hex) over what decides a case's numbers: inputs, mesh, and each model's declared version."""
+    return _digest(
+        {
+            "inputs": {name: value for name, value in case_inputs(study).items() if name != "geometry"},
+            "mesh": mesh_key,
+            "models": {name: models.find(name)[0].version for name in study.study.models},
+            "reference": study.study.reference,
+        }
+    )
+
+
+def result_keys(study: Study, mesh_key: str) -> dict[str, str]:
+    """Model name -> key of its result: mesh, tissue, supports, loads, version, and for VDM its parameters."""
+    inputs = case_inputs(study)
+    scene = _body(inputs, mesh_key) | {
+        "constraints": [_anonymous(constraint, inputs) for constraint in inputs["constraints"]],
+        "load": inputs["load"],
+    }
+    keys = {}
+    for name in study.study.models:
+        model, _ = models.find(name)
+        own = {"model": name, "version": model.version, "overrides": inputs["models"].get(name)}
+        if not model.volumetric:
+            own |= {"vdm": inputs["vdm"], "environment": inputs.get("environment")}
+        keys[name] = _digest(scene | own)
+    return keys
+
+
+def reference_key(result_key: str, n_levels: int) -> str:
+    """Key of a reference on `n_levels` mesh levels."""
+    return _digest({"result": result_key, "levels": n_levels})
+
+
+def setup_key(study: Study, mesh_key: str) -> str:
+    """Key of what the volumetric models' set-ups depend on: cases that share it differ in loads and VDM only."""
+    inputs = case_inputs(study)
+    held = [
+        _anonymous({"kind": "held", "region": constraint["region"]}, inputs)
+        for constraint in inputs["constraints"]
+        if constraint["kind"] != "contact"
+    ]
+    return _digest(_body(inputs, mesh_key) | {"held": held})
+
+
+def surface_key(study: Study) -> str:
+    """Key of the parameters of the VDM models: cases of one set-up that share it share their set-ups too."""
+    inputs = case_inputs(study)
+    return _digest({name: inputs.get(name) for name in ("vdm", "models", "environment")})
+
+
+def _body(inputs: Mapping[str, Any], mesh_key: str) -> dict[str, Any]:
+    return {"mesh": mesh_key, **{name: inputs.get(name) for name in ("tissue", "gravity", "anisotropy")}}
+
+
+def _anonymous(constraint: Mapping[str, Any], inputs: Mapping[str, Any]) -> dict[str, Any]:
+    """A constraint without its name, with the region itself instead of the region's."""
+    return {k: v for k, v in constraint.items() if k != "name"} | {
+        "region": _spelt_out(constraint["region"], inputs["regions"])
+    }
+
+
+def _spelt_out(region: Any, named: Mapping[str, Any]) -> Any:
+    if isinstance(region, str):
+        return _spelt_out(named[region], named)
+    out = dict(region)
+    for key in ("all", "any"):
+        if key in out:
+            out[key] = [_spelt_out(part, named) for part in out[key]]
+    if "not" in out:
+        out["not"] = _spelt_out(out["not"], named)
+    return out
+
+
+def _digest(content: Mapping[str, Any]) -> str:
+    return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()

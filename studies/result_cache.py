@@ -1,0 +1,71 @@
+"""Reference solutions kept on disk by content key, shared between studies: checked before they are read."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from .case import ModelResult, StepStatus
+from .sealed import read_arrays, write_arrays
+
+_ARRAYS = (
+    "displacement",
+    "fluid_pressure",
+    "reaction_force",
+    "energy",
+    "volume",
+    "iterations",
+    "seconds_per_step",
+)
+_NUMBERS = ("seconds_setup", "peak_bytes", "version", "key")
+
+
+def reference_path(cache: Path, key: str) -> Path:
+    """Where the cache keeps the solution of a reference's key."""
+    return cache / "references" / f"{key}.npz"
+
+
+def write_levels(path: Path, levels: Sequence[ModelResult]) -> None:
+    """Store a reference: its result on each mesh level at the surface nodes, coarse first. Raises OSError."""
+    arrays: dict[str, Any] = {"levels": np.array(len(levels))}
+    for number, result in enumerate(levels):
+        about = {
+            **{name: getattr(result, name) for name in _NUMBERS},
+            "parameters": dict(result.parameters),
+            "status": [dataclasses.astuple(status) for status in result.status],
+        }
+        arrays[f"{number}/about"] = np.array(json.dumps(about))
+        arrays |= {f"{number}/{name}": getattr(result, name) for name in _ARRAYS}
+        arrays |= {f"{number}/scalar/{name}": values for name, values in result.scalars.items()}
+        arrays |= {f"{number}/point_field/{name}": values for name, values in result.point_fields.items()}
+    write_arrays(path, arrays)
+
+
+def read_levels(path: Path) -> list[ModelResult] | None:
+    """The levels stored at `path`, or None where there is nothing or it is damaged."""
+    arrays = read_arrays(path)
+    if arrays is None:
+        return None
+    return [_level(arrays, f"{number}/") for number in range(int(arrays["levels"]))]
+
+
+def _level(arrays: dict[str, Any], prefix: str) -> ModelResult:
+    about = json.loads(str(arrays[f"{prefix}about"]))
+
+    def named(kind: str) -> dict[str, Any]:
+        start = f"{prefix}{kind}/"
+        return {name.removeprefix(start): values for name, values in arrays.items() if name.startswith(start)}
+
+    return ModelResult(
+        **{name: arrays[f"{prefix}{name}"] for name in _ARRAYS},
+        **{name: about[name] for name in _NUMBERS},
+        status=tuple(StepStatus(*status) for status in about["status"]),
+        parameters=about["parameters"],
+        scalars=named("scalar"),
+        point_fields=named("point_field"),
+    )

@@ -1,0 +1,116 @@
+"""Set-ups that several solves share: kept for a while by the content of what they were made from.
+
+A model asks for its operators and factors by `shared(make, ...)`. Inside `sharing()` the same question gets the
+same object; outside everything is made anew. Nothing else of a model's path differs.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Any, TypeVar
+
+import numpy as np
+
+T = TypeVar("T")
+
+
+@dataclass
+class Setup:
+    """One thing that was made, how often it was asked for, in which turn last, and what memory a solve took."""
+
+    value: Any
+    turn: int
+    uses: int = 0
+    peak_bytes: int = 0
+
+
+_kept: dict[str, Setup] | None = None
+_turn = 0
+_watched: list[list[Setup]] = []
+
+
+@contextmanager
+def sharing() -> Iterator[None]:
+    """Keep every set-up made inside until the outermost such block is left."""
+    global _kept
+    outermost = _kept is None
+    if outermost:
+        _kept = {}
+    try:
+        yield
+    finally:
+        if outermost:
+            _kept = None
+
+
+def next_turn() -> None:
+    """Begin the next piece of work: what neither it nor the one before it asks for is let go of."""
+    global _turn
+    _turn += 1
+    for key in [key for key, setup in (_kept or {}).items() if setup.turn < _turn - 1]:
+        del (_kept or {})[key]
+
+
+@contextmanager
+def watched() -> Iterator[list[Setup]]:
+    """The set-ups that are asked for inside."""
+    used: list[Setup] = []
+    _watched.append(used)
+    try:
+        yield used
+    finally:
+        _watched.pop()
+
+
+def shared(make: Callable[..., T], **inputs: Any) -> T:
+    """make(**inputs), or what it made before of the same inputs. What it makes must not change when it is used.
+
+    Inputs are arrays, plain values, dataclasses and containers of them.
+    """
+    key = "" if _kept is None else f"{make.__module__}.{make.__qualname__} {content_key(inputs)}"
+    setup = _kept.get(key) if _kept is not None else None
+    if setup is None:
+        setup = Setup(make(**inputs), _turn)
+        if _kept is not None:
+            _kept[key] = setup
+    setup.uses += 1
+    setup.turn = _turn
+    for used in _watched:
+        used.append(setup)
+    value: T = setup.value
+    return value
+
+
+def content_key(value: Any) -> str:
+    """SHA-256 (hex) of arrays, plain values, dataclasses and containers of them."""
+    digest = hashlib.sha256()
+    _feed(digest, value)
+    return digest.hexdigest()
+
+
+def _feed(digest: Any, value: Any) -> None:
+    if isinstance(value, np.ndarray):
+        digest.update(f"array {value.dtype.str} {value.shape} ".encode())
+        digest.update(np.ascontiguousarray(value).tobytes())
+    elif isinstance(value, Mapping):
+        digest.update(f"mapping {len(value)} ".encode())
+        for key in sorted(value):
+            _feed(digest, key)
+            _feed(digest, value[key])
+    elif isinstance(value, list | tuple):
+        digest.update(f"sequence {len(value)} ".encode())
+        for item in value:
+            _feed(digest, item)
+    elif dataclasses.is_dataclass(value) and not isinstance(value, type):
+        _feed(
+            digest,
+            (type(value).__qualname__, {f.name: getattr(value, f.name) for f in dataclasses.fields(value)}),
+        )
+    elif value is None or isinstance(value, str | bytes | bool | int | float):
+        digest.update(f"{type(value).__name__} {value!r} ".encode())
+    else:
+        raise TypeError(f"{type(value).__name__} has no content key")
