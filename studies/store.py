@@ -7,12 +7,10 @@ checked before HDF5 sees the file. `results/FORMAT.md` describes every group.
 
 from __future__ import annotations
 
-import csv
 import dataclasses
 import hashlib
 import io
 import json
-import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -32,8 +30,8 @@ from .case import (
     StepStatus,
 )
 from .files import write_atomically
-from .metrics import METRICS, full_load_step
-from .uncertainty import reference_bar
+from .metrics import METRICS
+from .metrics_table import metric_rows, metrics_csv
 
 SCHEMA = 1
 CASE_SUFFIX = ".vtkhdf"
@@ -84,7 +82,7 @@ def read_case(path: Path) -> CaseResult:
 def write_study(directory: Path, run: Run) -> None:
     """Write `study.h5` and `metrics.csv`: every metric of every case, model and step in two tables."""
     write_atomically(directory / "study.h5", _sealed(lambda file: _fill_study(file, run)))
-    write_atomically(directory / "metrics.csv", _metrics_csv(run).encode())
+    write_atomically(directory / "metrics.csv", metrics_csv(run).encode())
 
 
 def read_run(directory: Path) -> Run:
@@ -421,15 +419,6 @@ def _read_case(file: h5py.File) -> CaseResult:
 # --- a whole study ---
 
 
-def _rows(run: Run) -> list[tuple[CaseResult, str, str, MetricSeries]]:
-    return [
-        (case, model, metric, series)
-        for case in run.cases
-        for model, entries in case.metrics.items()
-        for metric, series in entries.items()
-    ]
-
-
 def _fill_study(file: h5py.File, run: Run) -> None:
     """One (cases, steps) array per model and metric, with labelled dimensions; NaN where a case has none."""
     group = file.create_group("case")
@@ -454,7 +443,7 @@ def _fill_study(file: h5py.File, run: Run) -> None:
     metrics = file.create_group("metrics", track_order=True)
     tables: dict[tuple[str, str], NDArray[np.float64]] = {}
     about: dict[tuple[str, str], MetricSeries] = {}
-    for case, model, metric, series in _rows(run):
+    for case, model, metric, series in metric_rows(run):
         table = tables.setdefault((model, metric), np.full((len(run.cases), n_steps), np.nan))
         table[index[case.hash], : len(series.values)] = series.values
         about[model, metric] = series
@@ -464,28 +453,6 @@ def _fill_study(file: h5py.File, run: Run) -> None:
         dataset.attrs["version"] = about[model, metric].version
         dataset.dims[0].label = "case"
         dataset.dims[1].label = "step"
-
-
-def _metrics_csv(run: Run) -> str:
-    keys = list(dict.fromkeys(key for case in run.cases for key in case.swept))
-    out = io.StringIO()
-    writer = csv.writer(out, lineterminator="\n")
-    writer.writerow(["case", *keys, "model", "load_factor", "metric", "value", "unit", "reference_error"])
-    for case, model, metric, series in _rows(run):
-        swept = [_cell(case.swept.get(key, "")) for key in keys]
-        full_load, bar = full_load_step(case.load_factors), reference_bar(case.reference_error, metric)
-        for step, (factor, value) in enumerate(zip(case.load_factors, series.values, strict=True)):
-            own = repr(bar) if step == full_load and math.isfinite(bar) else ""  # measured at full load only
-            row = [model, repr(float(factor)), metric, repr(float(value)), series.unit, own]
-            writer.writerow([case.hash[:12], *swept, *row])
-    return out.getvalue()
-
-
-def _cell(value: float | str) -> str:
-    """A text that a spreadsheet would run as a formula gets a quote in front."""
-    if isinstance(value, str):
-        return f"'{value}" if value.startswith(("=", "+", "-", "@", "\t", "\r")) else value
-    return repr(value)
 
 
 # --- small helpers ---

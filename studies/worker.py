@@ -78,6 +78,10 @@ def run_case(task: Task) -> None:
         reference_error = own_error(surface, levels[::-1], scene.load_factors)
         reference += REFINED
         results[reference] = levels[-1]
+    small_strain = None
+    if study.limits is not None:
+        with sharing():  # its many loads share their set-ups too
+            small_strain = small_strain_limits(study, scene)
     write_case(
         Path(task["path"]),
         CaseResult(
@@ -95,7 +99,7 @@ def run_case(task: Task) -> None:
             metrics=compare(scene, results, reference),
             reference=reference,
             reference_error=reference_error,
-            small_strain=small_strain_limits(study, scene) if study.limits is not None else None,
+            small_strain=small_strain,
             mesh_quality={
                 **mesh.quality,
                 "tetrahedra": len(mesh.tetrahedra),
