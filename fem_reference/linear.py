@@ -71,7 +71,7 @@ class Fields:
 def _combination(values: Array, coefficients: Array) -> Array:
     """(S, ...) sums of (r, ...) values with coefficients (r, S)."""
     flat: Array = coefficients.T @ values.reshape(len(values), -1)
-    return flat.reshape(-1, *values.shape[1:])
+    return flat.reshape(coefficients.shape[1], *values.shape[1:])
 
 
 class LinearProblem:
