@@ -1,0 +1,48 @@
+"""Every shipped study is sound and can be planned; the small ones run to the end."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from studies.config import Study, expand, load_study
+from studies.plan import make_plan
+from studies.schema import CLAIMS
+from tests.command import vdmbench
+
+SHIPPED = Path(__file__).parents[2] / "studies" / "cases"
+
+NAMES = sorted(path.stem for path in SHIPPED.glob("*.toml"))
+
+
+def shipped(name: str) -> Study:
+    return load_study(SHIPPED / f"{name}.toml")
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_check_and_plan(name: str, tmp_path: Path) -> None:
+    study = shipped(name)
+    summary = make_plan(study, expand(study), tmp_path / "run", tmp_path / "cache").summary()
+    assert summary["study"]["claims"] == list(study.study.claims)
+    assert len(summary["cases"]) == summary["cases_to_run"] >= 1, "no case repeats another"
+    assert study.study.name == name
+    assert study.study.title != name
+    assert (SHIPPED / f"{name}.toml").read_text().startswith("# "), "a study says what it is for"
+
+
+def test_every_claim_is_on_trial_and_named_in_words() -> None:
+    on_trial = {name: shipped(name).study.claims for name in NAMES}
+    assert {claim for claims in on_trial.values() for claim in claims} == set(range(1, CLAIMS + 1))
+    for name, claims in on_trial.items():
+        text = (SHIPPED / f"{name}.toml").read_text()
+        for claim in range(1, CLAIMS + 1):
+            assert (f"laim {claim}" in text) == (claim in claims), f"{name} and claim {claim}"
+
+
+# the others take minutes each
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["thigh-probe"])
+def test_a_study_runs_to_the_end(name: str, tmp_path: Path) -> None:
+    done = vdmbench("run", name, "--json", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
