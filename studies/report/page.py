@@ -23,6 +23,7 @@ from .section_appendix import how_to_reproduce, provenance
 from .section_cases import case_table, failures
 from .section_cost import run_time_against_error
 from .section_errors import error_against_load, error_against_parameters
+from .section_fibres import anisotropy_of_the_response
 from .section_limits import small_strain_limits
 from .section_measures import all_measures
 from .section_mechanics import force_against_indentation, volume_drift
@@ -47,6 +48,7 @@ SECTIONS_AFTER: tuple[Callable[[Digest], Section | None], ...] = (
     force_against_indentation,
     volume_drift,
     small_strain_limits,
+    anisotropy_of_the_response,
     run_time_against_error,
     all_measures,
     case_table,
