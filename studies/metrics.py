@@ -97,6 +97,7 @@ def nearest_on_surface(queries: Array, points: Array, triangles: Index) -> tuple
     centroids = corners.mean(axis=1)
     reach = float(np.linalg.norm(corners - centroids[:, None], axis=2).max())
     tree = cKDTree(centroids)
+    facets = _Facets(corners)
     distance = np.full(len(queries), np.inf)
     facet = np.zeros(len(queries), dtype=np.int64)
     weights = np.zeros((len(queries), 3))
@@ -105,14 +106,12 @@ def nearest_on_surface(queries: Array, points: Array, triangles: Index) -> tuple
     while len(pending):
         found = tree.query(queries[pending], k=k)
         centroid_distance, candidates = (np.reshape(part, (len(pending), k)) for part in found)
-        barycentric = _nearest_barycentric(queries[pending, None], corners[candidates])
-        nearest = np.einsum("qkc,qkci->qki", barycentric, corners[candidates])
-        gaps = np.linalg.norm(nearest - queries[pending, None], axis=2)
-        best = np.argmin(gaps, axis=1)
-        rows = np.arange(len(pending))
-        distance[pending] = gaps[rows, best]
+        gaps, along_u, along_v = facets.nearest(queries[pending], candidates)
+        rows, best = np.arange(len(pending)), np.argmin(gaps, axis=1)
+        distance[pending] = np.sqrt(gaps[rows, best])
         facet[pending] = candidates[rows, best]
-        weights[pending] = barycentric[rows, best]
+        u, v = along_u[rows, best], along_v[rows, best]
+        weights[pending] = np.stack([1 - u - v, u, v], axis=1)
         if k == len(triangles):
             break
         # a facet further away than this by its centroid cannot be nearer
@@ -121,35 +120,51 @@ def nearest_on_surface(queries: Array, points: Array, triangles: Index) -> tuple
     return distance, facet, weights
 
 
-def _nearest_barycentric(p: Array, corners: Array) -> Array:
-    """Barycentric coordinates (Q, k, 3) of the points of triangles (Q, k, 3, 3) nearest to p (Q, 1, 3)."""
-    a, b, c = corners[..., 0, :], corners[..., 1, :], corners[..., 2, :]
-    u, v, w = b - a, c - a, p - a
-    uu, uv, vv = _dot(u, u), _dot(u, v), _dot(v, v)
-    wu, wv = _dot(w, u), _dot(w, v)
-    determinant = uu * vv - uv * uv
-    flat = determinant <= 0
-    determinant = np.where(flat, 1.0, determinant)
-    s, t = (vv * wu - uv * wv) / determinant, (uu * wv - uv * wu) / determinant
-    weights = np.stack([1 - s - t, s, t], axis=-1)
-    outside = flat | (weights < 0).any(axis=-1)
-    # outside the prism above the facet the nearest point lies on one of its edges
-    shortest = np.full(outside.shape, np.inf)
-    for i, (start, end) in enumerate(((a, b), (b, c), (c, a))):
-        edge = end - start
-        length = _dot(edge, edge)
-        along = np.clip(_dot(p - start, edge) / np.where(length > 0, length, 1.0), 0.0, 1.0)
-        gap = np.linalg.norm(start + along[..., None] * edge - p, axis=-1)
-        nearer = outside & (gap < shortest)
-        shortest = np.where(nearer, gap, shortest)
-        on_edge = np.zeros_like(weights)
-        on_edge[..., i], on_edge[..., (i + 1) % 3] = 1 - along, along
-        weights = np.where(nearer[..., None], on_edge, weights)
-    return weights
+class _Facets:
+    """Triangles as a corner a and the edges u = b - a and v = c - a, component by component."""
+
+    def __init__(self, corners: Array) -> None:
+        self.a, b, c = (np.ascontiguousarray(corners[:, i].T) for i in range(3))
+        self.u, self.v = b - self.a, c - self.a
+        self.uu, self.uv, self.vv = (
+            np.einsum("if,if->f", x, y) for x, y in ((self.u, self.u), (self.u, self.v), (self.v, self.v))
+        )
+
+    def nearest(self, queries: Array, candidates: Index) -> tuple[Array, Array, Array]:
+        """For Q queries (Q, 3) and facets (Q, k): squared distance, and s and t of the nearest point a + s u + t v.
+
+        By the regions of the plane that a corner, an edge or the inside is nearest to (Ericson, Real-Time Collision
+        Detection, section 5.1.5).
+        """
+        w = [queries[:, i, None] - self.a[i][candidates] for i in range(3)]
+        u, v = ([edge[i][candidates] for i in range(3)] for edge in (self.u, self.v))
+        uu, uv, vv = (part[candidates] for part in (self.uu, self.uv, self.vv))
+        d1, d2 = (x[0] * w[0] + x[1] * w[1] + x[2] * w[2] for x in (u, v))
+        d3, d4, d5, d6 = d1 - uu, d2 - uv, d1 - uv, d2 - vv
+        from_c, from_b, from_a = d1 * d4 - d3 * d2, d5 * d2 - d1 * d6, d3 * d6 - d5 * d4
+        s, t = _share(from_b, from_a + from_b + from_c), _share(from_c, from_a + from_b + from_c)
+        beyond_b, beyond_c = d4 - d3, d5 - d6
+        # the regions, the strongest condition last; an edge without length is no region
+        bc = (from_a <= 0) & (beyond_b >= 0) & (beyond_c >= 0)
+        along = _share(beyond_b, beyond_b + beyond_c)
+        s, t = np.where(bc, 1 - along, s), np.where(bc, along, t)
+        ac = (from_b <= 0) & (d2 >= 0) & (d6 <= 0) & (vv > 0)
+        s, t = np.where(ac, 0.0, s), np.where(ac, _share(d2, d2 - d6), t)
+        at_c = (d6 >= 0) & (d5 <= d6)
+        s, t = np.where(at_c, 0.0, s), np.where(at_c, 1.0, t)
+        ab = (from_c <= 0) & (d1 >= 0) & (d3 <= 0) & (uu > 0)
+        s, t = np.where(ab, _share(d1, d1 - d3), s), np.where(ab, 0.0, t)
+        at_b = (d3 >= 0) & (d4 <= d3)
+        s, t = np.where(at_b, 1.0, s), np.where(at_b, 0.0, t)
+        at_a = (d1 <= 0) & (d2 <= 0)
+        s, t = np.where(at_a, 0.0, s), np.where(at_a, 0.0, t)
+        gap = [w[i] - s * u[i] - t * v[i] for i in range(3)]
+        return gap[0] ** 2 + gap[1] ** 2 + gap[2] ** 2, s, t
 
 
-def _dot(a: Array, b: Array) -> Array:
-    return np.einsum("...i,...i->...", a, b)
+def _share(part: Array, whole: Array) -> Array:
+    """part / whole, 0 where there is nothing to share."""
+    return np.divide(part, whole, out=np.zeros_like(part), where=whole != 0)
 
 
 # --- one model beside the reference ---
