@@ -16,9 +16,8 @@ from fem_reference.solution import SolverError, Status
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-# what a load may differ from a combination of others, and the largest multiple of another in it; both of its norm
+# what a load may differ from a combination of others, of its norm
 _DEPENDENT = 1e-13
-_LARGEST_SHARE = 10.0
 
 
 @dataclass(frozen=True)
@@ -134,13 +133,7 @@ def independent_loads(loads: Sequence[Load]) -> tuple[NDArray[np.int64], Array]:
     columns = np.concatenate(kinds, axis=1).T
     chosen, coefficients = independent_columns(columns, _DEPENDENT)
     order = np.argsort(chosen)
-    chosen, coefficients = chosen[order], coefficients[order]
-    norms = np.linalg.norm(columns, axis=0)
-    # large coefficients, of loads that are nearly alike, would enlarge the rounding of the solutions
-    growth = np.abs(coefficients) * norms[chosen][:, None]
-    if (growth > _LARGEST_SHARE * norms).any():
-        return np.arange(len(loads)), np.eye(len(loads))
-    return chosen, coefficients
+    return chosen[order], coefficients[order]
 
 
 def gather_to_vertices(mesh: TetMesh, nodal: Array) -> Array:

@@ -172,9 +172,20 @@ def _plan(options: argparse.Namespace) -> int:
         print(f"  {case['hash'][:12]}  {case['state']:<8} {case['label']}")
     meshes = _count(summary["meshes_to_make"], "mesh", "meshes")
     print(f"to run: {_count(summary['cases_to_run'], 'case')}, {meshes}")
-    for line in summary["skipped"]:
-        print(f"skipped: {line}")
+    for kind in ("shared", "skipped"):
+        for line in summary[kind]:
+            print(f"{kind}: {line}")
+    print(_estimate(summary["estimate"]))
     return OK
+
+
+def _estimate(expected: dict[str, float] | None) -> str:
+    if expected is None:
+        return "estimate: none before the surface is meshed"
+    return (
+        f"estimate: {expected['seconds']:.0f} s on one core, {expected['memory'] / 1e6:.0f} MB a worker, "
+        f"{expected['disk'] / 1e6:.1f} MB on disk; each within a factor of {expected['factor']:g}"
+    )
 
 
 def _run(options: argparse.Namespace) -> int:

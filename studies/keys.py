@@ -31,7 +31,7 @@ def result_keys(study: Study, mesh_key: str) -> dict[str, str]:
     """Model name -> key of its result: mesh, tissue, supports, loads, version, and for VDM its parameters."""
     inputs = case_inputs(study)
     scene = _body(inputs, mesh_key) | {
-        "constraints": [_anonymous(constraint, inputs) for constraint in inputs["constraints"]],
+        "constraints": anonymous_constraints(study),
         "load": inputs["load"],
     }
     keys = {}
@@ -68,6 +68,12 @@ def surface_key(study: Study) -> str:
 
 def _body(inputs: Mapping[str, Any], mesh_key: str) -> dict[str, Any]:
     return {"mesh": mesh_key, **{name: inputs.get(name) for name in ("tissue", "gravity", "anisotropy")}}
+
+
+def anonymous_constraints(study: Study) -> list[dict[str, Any]]:
+    """A study's constraints without their names, with the regions themselves instead of the regions' names."""
+    inputs = case_inputs(study)
+    return [_anonymous(constraint, inputs) for constraint in inputs["constraints"]]
 
 
 def _anonymous(constraint: Mapping[str, Any], inputs: Mapping[str, Any]) -> dict[str, Any]:

@@ -10,6 +10,7 @@ from typing import Any
 
 from . import models
 from .config import ResolvedCase, geometry_of, resolved
+from .explain import summary
 from .geometry_spec import MAX_NODES, Geometry, area_and_volume, check_node_budget, geometry_key
 from .keys import case_hash, reference_key, result_keys, setup_key, surface_key
 from .mesh_cache import mesh_path
@@ -112,46 +113,13 @@ class Plan:
         keys = dict.fromkeys(case.mesh for case in cases)
         return [self.meshes[key] for key in keys if not mesh_path(self.cache, key).exists()]
 
+    def case_file(self, case: PlannedCase) -> Path:
+        """Where the case is kept once it is done."""
+        return case_path(self.directory, case.hash)
+
     def summary(self) -> dict[str, Any]:
-        """The plan as plain data: `plan.json`, and what `vdmbench plan` prints."""
-        missing = self.cases_to_run()
-        skipped = []
-        if not needs_volume(self.study):
-            skipped.append("tetrahedra: no model of this study needs the inside")
-        if len(self.cases) > len(self.state):
-            skipped.append(f"{len(self.cases) - len(self.state)} cases that repeat another one of the sweep")
-        if len(self.meshes) < len(self.state):
-            skipped.append(f"{len(self.state) - len(self.meshes)} meshes: shared by cases")
-        done = sum(state == "done" for state in self.state.values())
-        if done:
-            skipped.append(f"{done} cases: already in {self.directory}")
-        cached = len(self.meshes) - len(self.missing_meshes(self.cases))
-        if cached:
-            skipped.append(f"{cached} meshes: already in the cache")
-        return {
-            "study": {
-                "name": self.study.study.name,
-                "title": self.study.study.title,
-                "models": list(self.study.study.models),
-                "reference": self.study.study.reference,
-                "claims": list(self.study.study.claims),
-            },
-            "cases": [
-                {
-                    "hash": case.hash,
-                    "label": case.label,
-                    "swept": dict(case.swept),
-                    "swept_units": dict(case.swept_units),
-                    "state": self.state[case.hash],
-                    "mesh": case.mesh,
-                }
-                for case in self.cases
-            ],
-            "meshes": len(self.meshes),
-            "meshes_to_make": len(self.missing_meshes(missing)),
-            "cases_to_run": len(missing),
-            "skipped": skipped,
-        }
+        """The plan as plain data, see `studies.explain`."""
+        return summary(self)
 
 
 def make_plan(study: Study, cases: Sequence[ResolvedCase], directory: Path, cache: Path) -> Plan:

@@ -6,7 +6,8 @@ import os
 import signal
 import sys
 import time
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -44,6 +45,33 @@ def _work(task: Mapping[str, Any]) -> None:
 
         np.ones((4, 4)) @ np.ones((4, 4))
         Path(task["path"]).write_text(str(max(pool["num_threads"] for pool in threadpool_info())))
+
+
+@contextmanager
+def _together(tasks: Sequence[Mapping[str, Any]]) -> Iterator[None]:
+    """What a group shares: it may fail as its tasks may."""
+    kind = tasks[0].get("shared", "")
+    if kind:
+        _work({"kind": kind})
+    yield
+
+
+def _run_group(
+    tmp_path: Path, *kinds: str, shared: str = "", **options: Any
+) -> tuple[dict[str, Outcome], list[str]]:
+    """One group of tasks; also the ids of the tasks that were begun, in order."""
+    tasks = [
+        {"id": f"{n}", "kind": kind, "path": str(tmp_path / f"out-{n}"), "shared": shared}
+        for n, kind in enumerate(kinds)
+    ]
+    begun: list[str] = []
+    settings = {"jobs": 1, "log_directory": tmp_path / "logs"} | options
+    outcomes = run_tasks(
+        _work, [tasks], together=_together, started=lambda task: begun.append(task["id"]), **settings
+    )
+    found = {outcome.task["id"]: outcome for outcome in outcomes}
+    assert list((tmp_path / "logs").iterdir()) == []
+    return found, begun
 
 
 def _run(tmp_path: Path, *kinds: str, **options: Any) -> dict[str, Outcome]:
@@ -122,3 +150,40 @@ def test_workers_share_the_cores(tmp_path: Path, jobs: int) -> None:
     _run(tmp_path, "threads", jobs=jobs)
     limit = max(1, (os.cpu_count() or 1) // jobs)
     assert int((tmp_path / "out-0").read_text()) <= limit
+
+
+@pytest.mark.parametrize("kind", ["segfault", "out of memory", "exit", "memory error"])
+def test_a_worker_that_dies_costs_its_group_one_task(tmp_path: Path, kind: str) -> None:
+    """What was finished stays, the culprit is tried once more alone, the rest goes on in a new worker."""
+    outcomes, begun = _run_group(tmp_path, "write", kind, "write", "write")
+    assert [outcomes[n].ok for n in "0123"] == [True, False, True, True]
+    assert begun == ["0", "1", "2", "3", "1"] or begun == ["0", "1", "1", "2", "3"]
+    assert outcomes["1"].code == ("error" if kind == "memory error" else "crashed")
+    assert outcomes["1"].remedy
+
+
+def test_a_failure_in_a_group_ends_its_task_only(tmp_path: Path) -> None:
+    outcomes, begun = _run_group(tmp_path, "bug", "task error", "write")
+    assert [outcomes[n].code for n in "012"] == ["error", "error", "done"]
+    assert begun == ["0", "1", "2"], "one worker did them all"
+    assert "words before the fall" in outcomes["0"].log
+    assert "words before the fall" not in outcomes["1"].log, "each task has its own log"
+
+
+def test_a_slow_task_of_a_group_is_stopped_alone(tmp_path: Path) -> None:
+    outcomes, begun = _run_group(tmp_path, "write", "sleep", "write", timeout=1.0)
+    assert [outcomes[n].code for n in "012"] == ["done", "timeout", "done"]
+    assert begun == ["0", "1", "2"], "a task that took its time is not tried again"
+
+
+@pytest.mark.parametrize("shared", ["segfault", "bug", "sleep"])
+def test_what_a_group_shares_may_fail(tmp_path: Path, shared: str) -> None:
+    """Then each task is done alone."""
+    outcomes, begun = _run_group(tmp_path, "write", "write", shared=shared, timeout=1.0)
+    assert [outcomes[n].code for n in "01"] == ["done", "done"]
+    assert sorted(begun) == ["0", "0", "1"]
+
+
+def test_fail_fast_stops_within_a_group(tmp_path: Path) -> None:
+    outcomes, _ = _run_group(tmp_path, "value error", "sleep", fail_fast=True)
+    assert list(outcomes) == ["0"]

@@ -1,0 +1,172 @@
+"""What a plan will take: seconds, memory and disk, by simple laws measured on small bodies, and by what has run.
+
+The laws hold within a factor of about five on a machine of 2020 to 2026; where cases of the study have run on this
+one, their measured times take over and the factor is about three.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from . import models
+from .case import CaseResult
+from .geometry_spec import area_and_volume, estimated_nodes
+from .mesh_cache import mesh_path, read_mesh
+from .store import StoreError, read_case
+from .work import ModelWork, work_of
+
+if TYPE_CHECKING:
+    from .plan import Plan, PlannedCase, PlannedMesh
+
+FACTOR_MEASURED, FACTOR_LAWS = 3.0, 5.0
+_START = 2.0  # s to load the libraries, and to write the tables and an empty report
+_PROCESS_BYTES = 2.5e8  # of a worker that has done nothing
+_MOST_READ = 3  # case files that are read to learn from
+# unknowns per tetrahedron, as these elements have them on meshes of some thousand
+_UNKNOWNS = {"P1": 0.7, "P2": 4.7}
+
+
+@dataclass(frozen=True)
+class Size:
+    """Surface nodes and tetrahedra of a mesh, as counted or as expected."""
+
+    nodes: float
+    tetrahedra: float
+
+    def refined(self, times: int) -> Size:
+        """The size after so many refinements; the results stay on the nodes of the case's mesh."""
+        return Size(4.0**times * self.nodes, 8.0**times * self.tetrahedra)
+
+
+@dataclass(frozen=True)
+class Cost:
+    """Of one set-up and one step [s], and the memory of both [B]."""
+
+    setup: float
+    step: float
+    bytes: float
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """Seconds on one core in all, bytes of the largest worker and bytes on disk; each true within `factor`."""
+
+    seconds: float
+    memory: float
+    disk: float
+    factor: float
+
+
+def estimate(plan: Plan, cases: Sequence[PlannedCase]) -> Estimate | None:
+    """What it takes to run these cases; None where a mesh has a size that nobody knows before it is made."""
+    sizes: dict[str, Size] = {}
+    for key, mesh in plan.meshes.items():
+        size = _size(plan, mesh)
+        if size is None:
+            return None
+        sizes[key] = size
+    learnt = _learn(plan, sizes)
+    work = work_of(plan, cases)
+    seconds = _START + sum(1.0 + 2e-4 * sizes[mesh.key].tetrahedra for mesh in plan.missing_meshes(cases))
+    held: dict[str, float] = {}
+    for part in work:
+        cost = _cost(part, sizes[part.mesh], learnt)
+        seconds += part.setups * cost.setup + part.solves * cost.step
+        # what the cases of a group share is held until the group is done
+        held[part.group] = held.get(part.group, 0.0) + cost.bytes
+    disk = 0.0
+    for case in cases:
+        results, steps = len(case.results) + 1, len(case.study.load.history)
+        per_result = 48.0 * steps * sizes[case.mesh].nodes
+        seconds += 0.1 + results * steps * (2e-3 + 1e-5 * sizes[case.mesh].nodes)
+        disk += results * (per_result + 2e4) + 5e4
+        if case.reference is not None and not plan.reference_cached(case):
+            disk += 2 * per_result
+    disk += sum(
+        40.0 * sizes[mesh.key].tetrahedra + 80.0 * sizes[mesh.key].nodes
+        for mesh in plan.missing_meshes(cases)
+    )
+    factor = FACTOR_MEASURED if learnt else FACTOR_LAWS
+    return Estimate(seconds if cases else 0.0, _PROCESS_BYTES + max(held.values(), default=0.0), disk, factor)
+
+
+def _size(plan: Plan, mesh: PlannedMesh) -> Size | None:
+    cached = read_mesh(mesh_path(plan.cache, mesh.key))
+    if cached is not None:
+        return Size(len(cached.surface_nodes), len(cached.tetrahedra))
+    if mesh.geometry.shape == "file":
+        return None
+    area, volume = area_and_volume(mesh.geometry)
+    h = mesh.geometry.mesh_size
+    # a tetrahedral mesh with many nodes has about six cells to a node, on the surface about two
+    on_surface = estimated_nodes(area, 0.0, h)
+    inside = max(0.0, estimated_nodes(area, volume, h) - on_surface)
+    return Size(on_surface, 2.6 * on_surface + 6.5 * inside if mesh.volume else 0.0)
+
+
+def _law(name: str, size: Size, loads: int) -> Cost:
+    """Fits to bodies of 100 to 900 surface nodes; a model without a law of its own gets that of its kind."""
+    model, solver = models.find(name)
+    n = size.nodes
+    if model.volumetric:
+        return _volumetric(model.name, size, loads)
+    if model.name == "vdm-boundary":
+        return Cost(1e-5 * n**2, (3e-7 if solver == "nonlinear" else 3e-8) * n**2, 620.0 * n**2)
+    step = {"nonlinear": 2e-5, "linear": 7e-7, "lu": 2e-6, "quasi-linear": 7e-7}.get(solver, 6e-5)
+    return Cost(1e-2 + (2e-4 if solver == "lu" else 2e-5) * n, step * n, (3e4 if solver == "lu" else 6e3) * n)
+
+
+def _volumetric(name: str, size: Size, loads: int) -> Cost:
+    from fem_reference.linear_algebra import estimate_costs
+
+    unknowns = _UNKNOWNS["P1" if name == "fem-p1" else "P2"] * size.tetrahedra
+    vertices = 0.22 * size.tetrahedra
+    if name == "fem-condensed":
+        loads = max(loads, 600)
+    one, many = (estimate_costs(int(unknowns), int(vertices), k) for k in (0, loads))
+    path = min(many, key=lambda kind: many[kind].seconds)
+    setup = one[path].seconds + 1e-5 * unknowns
+    step = (many[path].seconds - one[path].seconds) / loads
+    if name == "fem-condensed":
+        return Cost(setup + loads * step, 1e-7 * unknowns, 2e4 * unknowns)
+    if name == "fem":
+        return Cost(1e-5 * unknowns + one["iterative"].seconds, 5.0 * one["direct"].seconds, 1.8e4 * unknowns)
+    return Cost(setup, step, (1.8e4 if path == "direct" else 2.6e3) * unknowns)
+
+
+def _cost(part: ModelWork, size: Size, learnt: Mapping[str, Cost]) -> Cost:
+    law = _law(part.name, size.refined(part.level), part.solves)
+    share = learnt.get(part.name, Cost(1.0, 1.0, 1.0))
+    return Cost(law.setup * share.setup, law.step * share.step, law.bytes * share.bytes)
+
+
+def _learn(plan: Plan, sizes: Mapping[str, Size]) -> dict[str, Cost]:
+    """Model -> measured over expected, from a few of the cases that are done."""
+    shares: dict[str, list[Cost]] = {}
+    done = [case for case in plan.in_order if plan.state[case.hash] in ("done", "stale")]
+    for case in done[:: max(1, len(done) // _MOST_READ)][:_MOST_READ]:
+        stored = _read(plan.case_file(case))
+        for name in case.results if stored is not None else ():
+            result = stored.models.get(name) if stored is not None else None
+            if result is None or not np.isfinite([result.seconds_setup, *result.seconds_per_step]).all():
+                continue
+            law = _law(name, sizes[case.mesh], 1)
+            step = float(np.median(result.seconds_per_step))
+            measured = (result.seconds_setup / law.setup, step / law.step, result.peak_bytes / law.bytes)
+            shares.setdefault(name, []).append(Cost(*measured))
+    return {
+        name: Cost(*(float(np.median([getattr(c, k) for c in costs])) for k in ("setup", "step", "bytes")))
+        for name, costs in shares.items()
+    }
+
+
+def _read(path: Path) -> CaseResult | None:
+    try:
+        return read_case(path)
+    except StoreError:
+        return None

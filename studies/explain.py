@@ -1,0 +1,112 @@
+"""A plan in words: what is shared, what is known already, what nobody asked for, and what the rest will take."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+from . import models
+from .estimate import estimate
+from .work import ModelWork, work_of
+
+if TYPE_CHECKING:
+    from .plan import Plan, PlannedCase
+
+
+def summary(plan: Plan) -> dict[str, Any]:
+    """The plan as plain data: `plan.json`, and what `vdmbench plan` prints."""
+    todo = plan.cases_to_run()
+    work = work_of(plan, todo)
+    expected = estimate(plan, todo)
+    study = plan.study.study
+    return {
+        "study": {
+            "name": study.name,
+            "title": study.title,
+            "models": list(study.models),
+            "reference": study.reference,
+            "claims": list(study.claims),
+        },
+        "cases": [
+            {
+                "hash": case.hash,
+                "label": case.label,
+                "swept": dict(case.swept),
+                "swept_units": dict(case.swept_units),
+                "state": plan.state[case.hash],
+                "mesh": case.mesh,
+                "group": case.setup,
+            }
+            for case in plan.cases
+        ],
+        "meshes": len(plan.meshes),
+        "meshes_to_make": len(plan.missing_meshes(todo)),
+        "cases_to_run": len(todo),
+        "groups": len(plan.groups(todo, 1)),
+        "work": [dataclasses.asdict(part) for part in work],
+        "shared": _shared(plan, todo, work),
+        "skipped": _skipped(plan, todo),
+        "estimate": dataclasses.asdict(expected) if expected else None,
+    }
+
+
+def _shared(plan: Plan, todo: Sequence[PlannedCase], work: Sequence[ModelWork]) -> list[str]:
+    """What the cases to run have in common."""
+    lines = []
+    meshes = {case.mesh for case in todo}
+    if len(meshes) < len(todo):
+        lines.append(f"{_count(len(meshes), 'mesh', 'meshes')} for {len(todo)} cases")
+    groups = plan.groups(todo, 1)
+    if len(groups) < len(todo):
+        lines.append(
+            f"{_count(len(groups), 'group')} of cases with one mesh, tissue and supports: "
+            "the cases of each differ in loads and VDM parameters only and share a worker"
+        )
+    for name in plan.study.study.models:
+        for level in sorted({part.level for part in work if part.name == name}):
+            parts = [part for part in work if part.name == name and part.level == level]
+            setups, steps, solves = (sum(getattr(p, k) for p in parts) for k in ("setups", "steps", "solves"))
+            where = f"{name}, refined {_count(level, 'time')}" if level else name
+            if setups < steps:
+                lines.append(f"{where}: {_count(setups, 'set-up')} for {_count(steps, 'load step')}")
+            if solves < steps:
+                lines.append(
+                    f"{where}: {_count(solves, 'solve')} for {steps} load steps; "
+                    "the others are multiples or sums of them"
+                )
+    return lines
+
+
+def _skipped(plan: Plan, todo: Sequence[PlannedCase]) -> list[str]:
+    """What is not done, and why."""
+    lines = []
+    volumetric = [name for name in plan.study.study.models if models.find(name)[0].volumetric]
+    if not volumetric:
+        lines.append("tetrahedra: no model of this study needs the inside")
+    if any(models.solves_together(name) for name in volumetric):
+        lines.append("strains inside the body of the linear models: no metric asks for them")
+    if len(plan.cases) > len(plan.state):
+        lines.append(f"{len(plan.cases) - len(plan.state)} cases that repeat another one of the sweep")
+    states = list(plan.state.values())
+    if "done" in states:
+        lines.append(f"{_count(states.count('done'), 'case')}: already in {plan.directory}")
+    if "stale" in states:
+        lines.append(
+            f"solving {_count(states.count('stale'), 'stale case')} again: only the metrics have changed"
+        )
+    cached = len(plan.meshes) - len(plan.missing_meshes(plan.cases))
+    if cached:
+        lines.append(f"{_count(cached, 'mesh', 'meshes')}: already in the cache")
+    references = sum(plan.reference_cached(case) for case in todo)
+    if references:
+        lines.append(f"the reference of {_count(references, 'case')}: already in the cache")
+    for name in plan.study.study.models:
+        known = sum(name in plan.reused(case) for case in todo)
+        if known and name != plan.study.study.reference:
+            lines.append(f"{name} of {_count(known, 'case')}: already in case files of an earlier run")
+    return lines
+
+
+def _count(number: int, singular: str, plural: str | None = None) -> str:
+    return f"{number} {singular if number == 1 else plural or singular + 's'}"

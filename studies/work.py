@@ -1,0 +1,102 @@
+"""What a plan leaves to do, counted: set-ups, solves and steps of each model, and what makes them few."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from . import models
+from .keys import anonymous_constraints
+from .schema import Study
+
+if TYPE_CHECKING:
+    from .plan import Plan, PlannedCase
+
+
+@dataclass(frozen=True)
+class ModelWork:
+    """What one model has to do for the cases of one group.
+
+    Attributes
+    ----------
+    name, mesh, group : the model, and the keys of the mesh of its cases and of what they share
+    level : 0 on the cases' own mesh, 1 on its first refinement and so on
+    setups : operators and factors made
+    steps : load steps asked for
+    solves : load steps solved; the others are combinations of them, or repeat one
+    """
+
+    name: str
+    mesh: str
+    group: str
+    level: int
+    setups: int
+    steps: int
+    solves: int
+
+
+def work_of(plan: Plan, cases: Sequence[PlannedCase]) -> list[ModelWork]:
+    """The work of some cases, group by group: what is stored or cached counts nothing."""
+    out: list[ModelWork] = []
+    for group in plan.groups(cases, 1):
+        reference, levels = group[0].study.study.reference, group[0].study.uncertainty
+        n_levels = levels.levels if levels else 1
+        for name in group[0].study.study.models:
+            if name == reference:
+                wanted = [case for case in group if not plan.reference_cached(case)]
+                wanted = [case for case in wanted if n_levels > 1 or name not in plan.reused(case)]
+            else:
+                wanted = [case for case in group if name not in plan.reused(case)]
+            unique = list({case.results[name]: case for case in wanted}.values())
+            if unique:
+                for level in range(n_levels if name == reference else 1):
+                    out.append(_work(name, level, unique))
+    return out
+
+
+def _work(name: str, level: int, cases: Sequence[PlannedCase]) -> ModelWork:
+    model, _ = models.find(name)
+    steps = sum(len(case.study.load.history) for case in cases)
+    solves = independent_loads(case.study for case in cases) if model.together else steps
+    setups = 1 if model.volumetric else len({case.surface for case in cases})
+    if model.volumetric and model.together is None:
+        setups = len(cases)
+    return ModelWork(name, cases[0].mesh, cases[0].setup, level, setups, steps, solves)
+
+
+def independent_loads(studies: Iterable[Study]) -> int:
+    """How many load steps of cases on one set-up span all of them, by what they say, without a mesh.
+
+    A load is a sum of unit loads (a contact's shape, a displacement along one axis, the weight) times numbers; the
+    rank of these numbers is what a linear model has to solve. Pressures and forces of one shape count apart.
+    """
+    columns: list[dict[str, float]] = []
+    for study in studies:
+        parts: dict[str, float] = {}
+        for unit, value in _unit_loads(study):
+            parts[unit] = parts.get(unit, 0.0) + value
+        weight = {"gravity": 1.0} if study.gravity else {}
+        columns += [{unit: f * value for unit, value in parts.items()} | weight for f in study.load.history]
+    units = sorted({unit for column in columns for unit in column})
+    table = np.array([[column.get(unit, 0.0) for unit in units] for column in columns])
+    if not table.any():
+        return 1
+    table = table[table.any(axis=1)]
+    largest = np.abs(table).max(axis=0)
+    table = table / np.where(largest > 0, largest, 1.0)
+    return int(np.linalg.matrix_rank(table / np.linalg.norm(table, axis=1, keepdims=True)))
+
+
+def _unit_loads(study: Study) -> list[tuple[str, float]]:
+    out: list[tuple[str, float]] = []
+    for constraint in anonymous_constraints(study):
+        described: dict[str, Any] = {k: v for k, v in constraint.items() if k in ("region", "profile")}
+        if constraint["kind"] == "contact":
+            size = "force" if constraint.get("force") is not None else "pressure"
+            out.append((f"{size} {described}", float(constraint.get(size) or 0.0)))
+        elif constraint["kind"] == "constrained":
+            out += [(f"{axis} {described}", float(v)) for axis, v in enumerate(constraint["displacement"])]
+    return out

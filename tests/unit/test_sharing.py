@@ -1,0 +1,277 @@
+"""Least work: what is shared or known changes no number, and is counted as the plan says."""
+
+from __future__ import annotations
+
+import copy
+import dataclasses
+from collections import Counter
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+import fem_reference.linear
+import vdm.model
+from fem_reference.loads import Load, independent_loads
+from studies import metrics, models, worker
+from studies import work as counted
+from studies.case import CaseResult
+from studies.config import expand
+from studies.plan import Plan, make_plan, task_of
+from studies.reference import refined_reference
+from studies.schema import Study
+from studies.store import read_case
+from studies.worker import run_case, share
+
+TABLES: dict[str, Any] = {
+    "study": {"name": "test", "models": ["vdm-vector", "fem-linear"], "reference": "fem-linear"},
+    "geometry": {"shape": "sphere", "radius": 0.05, "mesh_size": 0.022},
+    "tissue": {"youngs_modulus": 5000.0, "poisson_ratio": 0.49},
+    "regions": {
+        "base": {"below": {"axis": "z", "fraction": 0.25}},
+        "finger": {"cap": {"direction": [0.3, 0.0, 1.0], "angle": 0.6}},
+    },
+    "constraints": [
+        {"kind": "fixed", "region": "base"},
+        {"name": "finger", "kind": "contact", "region": "finger", "force": 0.1, "profile": "hertz"},
+    ],
+    "load": {"factors": [0.5, 1.0]},
+    "sweep": {"constraints.finger.force": [0.1, 0.3], "regions.finger.cap.direction.0": [0.0, 0.4]},
+    "uncertainty": {"levels": 2},
+}
+
+
+@pytest.fixture(scope="module")
+def cache(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Holds the mesh once it is made."""
+    return tmp_path_factory.mktemp("cache")
+
+
+def plan_of(directory: Path, cache: Path, **changes: Any) -> Plan:
+    study = Study.model_validate(copy.deepcopy(TABLES) | changes)
+    return make_plan(study, expand(study), directory, cache)
+
+
+def run(plan: Plan, *, fresh: bool = False) -> list[CaseResult]:
+    """What a worker does with each group, here."""
+    for state in (worker._ahead, worker._last, worker._written):
+        state.clear()
+    for group in plan.groups(plan.cases_to_run(fresh=fresh), 1):
+        tasks = [task_of(case, plan, fresh=fresh) for case in group]
+        with share(tasks):
+            for task in tasks:
+                run_case(task)
+    return [read_case(plan.case_file(case)) for case in plan.cases]
+
+
+@pytest.fixture
+def made(monkeypatch: pytest.MonkeyPatch) -> Counter[str]:
+    """Counts set-ups and right-hand sides."""
+    counts: Counter[str] = Counter()
+
+    def counting(name: str, function: Callable[..., Any], size: Callable[..., int]) -> Callable[..., Any]:
+        def call(*arguments: Any, **options: Any) -> Any:
+            counts[name] += size(*arguments)
+            return function(*arguments, **options)
+
+        return call
+
+    linear = fem_reference.linear.LinearProblem
+    for cls, name in ((linear, "fem set-ups"), (vdm.model.Model, "vdm set-ups")):
+        monkeypatch.setattr(cls, "__init__", counting(name, cls.__init__, lambda *_: 1))
+    monkeypatch.setattr(
+        linear, "solve_nodal", counting("fem solves", linear.solve_nodal, lambda _, forces, __: len(forces))
+    )
+    return counts
+
+
+def test_shared_numbers_are_those_of_each_case_alone(tmp_path: Path, cache: Path, made: Counter[str]) -> None:
+    plan = plan_of(tmp_path / "together", cache)
+    work = counted.work_of(plan, plan.cases)
+    together = run(plan)
+    # one set-up on each mesh level; two patches, all else are multiples
+    assert made == {"fem set-ups": 2, "vdm set-ups": 1, "fem solves": 4}
+    of_fem = [part for part in work if part.name == "fem-linear"]
+    assert sum(part.setups for part in of_fem) == made["fem set-ups"]
+    assert sum(part.solves for part in of_fem) == made["fem solves"]
+    assert sum(part.setups for part in work if part.name == "vdm-vector") == made["vdm set-ups"]
+    for case, planned in zip(together, plan.cases, strict=True):
+        alone_plan = plan_of(tmp_path / "alone", cache)
+        task = task_of(planned, alone_plan, fresh=True)
+        worker._ahead.clear()
+        worker._last.clear()
+        run_case(task)
+        alone = read_case(Path(task["path"]))
+        for name, result in case.models.items():
+            for field in ("displacement", "reaction_force", "energy", "fluid_pressure", "volume"):
+                a, b = getattr(result, field), getattr(alone.models[name], field)
+                assert_allclose(a, b, rtol=0, atol=1e-12 * np.abs(b).max(), err_msg=f"{name} {field}")
+            assert result.key == alone.models[name].key
+        assert case.models["fem-linear refined"].parameters["setup_shared"] == "yes"
+        assert "setup_shared" not in alone.models["vdm-vector"].parameters
+        for name, series in alone.metrics.items():
+            for metric, entry in series.items():
+                values = case.metrics[name][metric].values
+                assert_allclose(values, entry.values, rtol=1e-9, atol=1e-13, err_msg=f"{name} {metric}")
+
+
+def test_a_further_model_costs_that_model(tmp_path: Path, cache: Path, made: Counter[str]) -> None:
+    before = run(plan_of(tmp_path, cache))
+    made.clear()
+    study = TABLES["study"] | {"models": ["vdm-vector", "vdm-paper", "fem-linear"]}
+    plan = plan_of(tmp_path, cache, study=study)
+    assert {part.name for part in counted.work_of(plan, plan.cases)} == {"vdm-paper"}
+    after = run(plan)
+    assert made == {"vdm set-ups": 1}
+    for a, b in zip(after, before, strict=True):
+        assert set(a.models) == {*b.models, "vdm-paper"}
+        assert set(a.metrics) == set(a.models)
+        for name, result in b.models.items():
+            np.testing.assert_array_equal(a.models[name].displacement, result.displacement)
+            assert a.models[name].parameters["measured_earlier"] == "yes"
+        assert "measured_earlier" not in a.models["vdm-paper"].parameters
+        assert a.reference_error == b.reference_error
+
+
+def test_another_study_uses_the_same_reference(tmp_path: Path, cache: Path, made: Counter[str]) -> None:
+    run(plan_of(tmp_path / "a", cache))
+    made.clear()
+    regions = {"bed": TABLES["regions"]["base"], "tip": TABLES["regions"]["finger"]}
+    constraints = [
+        {"kind": "fixed", "region": "bed"},
+        {"name": "finger", "kind": "contact", "region": "tip", "force": 0.3, "profile": "hertz"},
+    ]
+    changes = {"regions": regions, "constraints": constraints, "vdm": {"surface_tension": 20.0}}
+    sweep = {"regions.tip.cap.direction.0": [0.0, 0.4], "vdm.surface_tension": [20.0, 30.0]}
+    plan = plan_of(tmp_path / "b", cache, **changes, sweep=sweep)
+    assert all(plan.reference_cached(case) for case in plan.cases)
+    run(plan)
+    assert made == {"vdm set-ups": 2}, "names do not matter, and VDM's parameters not to the reference"
+
+
+def test_fresh_uses_nothing_that_is_stored(tmp_path: Path, cache: Path, made: Counter[str]) -> None:
+    run(plan_of(tmp_path, cache))
+    made.clear()
+    again = run(plan_of(tmp_path, cache), fresh=True)
+    assert made == {"fem set-ups": 2, "vdm set-ups": 1, "fem solves": 4}
+    assert all(
+        "measured_earlier" not in result.parameters for case in again for result in case.models.values()
+    )
+
+
+def test_a_damaged_reference_is_made_again(tmp_path: Path, cache: Path, made: Counter[str]) -> None:
+    plan = plan_of(tmp_path / "a", cache)
+    before = run(plan, fresh=True)
+    files = sorted((cache / "references").iterdir())
+    for path in files:
+        path.write_bytes(path.read_bytes()[:-100])
+    made.clear()
+    after = run(plan_of(tmp_path / "b", cache))
+    assert made["fem solves"] > 0
+    for a, b in zip(after, before, strict=True):
+        u, v = (case.models["fem-linear refined"].displacement for case in (a, b))
+        assert_allclose(u, v, rtol=0, atol=1e-12 * np.abs(v).max())
+    made.clear()
+    run(plan_of(tmp_path / "c", cache))
+    assert made["fem solves"] == 0, "what was damaged has been replaced"
+
+
+def test_another_metric_version_costs_no_solve(
+    tmp_path: Path, cache: Path, made: Counter[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    run(plan_of(tmp_path, cache))
+    assert set(plan_of(tmp_path, cache).state.values()) == {"done"}
+    made.clear()
+    name = "max_nodal_error"
+    old = metrics.METRICS[name]
+    changed = dataclasses.replace(old, version=99, function=lambda *a: 2 * old.function(*a))
+    before = [read_case(plan_of(tmp_path, cache).case_file(c)) for c in plan_of(tmp_path, cache).cases]
+    monkeypatch.setitem(metrics.METRICS, name, changed)
+    plan = plan_of(tmp_path, cache)
+    assert set(plan.state.values()) == {"stale"}
+    assert any("only the metrics have changed" in line for line in plan.summary()["skipped"])
+    after = run(plan)
+    assert not made, "nothing is set up or solved"
+    for a, b in zip(after, before, strict=True):
+        series = a.metrics["vdm-vector"][name]
+        assert series.version == 99
+        assert_allclose(series.values, 2 * b.metrics["vdm-vector"][name].values, rtol=1e-12, atol=0)
+    assert set(plan_of(tmp_path, cache).state.values()) == {"done"}
+
+
+def test_groups_are_split_among_workers_and_shards_keep_them_whole(tmp_path: Path, cache: Path) -> None:
+    sweep = {
+        "tissue.poisson_ratio": [0.45, 0.49],
+        "constraints.finger.force": {"start": 0.1, "stop": 1.0, "num": 6},
+    }
+    plan = plan_of(tmp_path, cache, sweep=sweep)
+    assert [len(group) for group in plan.groups(plan.in_order, 1)] == [6, 6]
+    assert [len(group) for group in plan.groups(plan.in_order, 4)] == [3, 3, 3, 3]
+    shards = [plan.cases_to_run((k, 2)) for k in (1, 2)]
+    assert [len({case.setup for case in shard}) for shard in shards] == [1, 1]
+    assert sorted(case.hash for shard in shards for case in shard) == sorted(case.hash for case in plan.cases)
+
+
+def test_independent_loads_span_the_others() -> None:
+    rng = np.random.default_rng(3)
+    a, b = (Load(rng.normal(size=(5, 4)), rng.normal(size=(3, 3)), np.zeros(3)) for _ in range(2))
+
+    def mix(x: float, y: float) -> Load:
+        return Load(
+            x * a.facet_pressure + y * b.facet_pressure, x * a.prescribed + y * b.prescribed, np.zeros(3)
+        )
+
+    pairs = [(1.0, 0.0), (2.0, 0.0), (0.0, 1e-6), (0.0, 0.0), (-3.0, 1.0)]
+    loads = [mix(x, y) for x, y in pairs]
+    chosen, coefficients = independent_loads(loads)
+    assert len(chosen) == 2
+    for step, load in enumerate(loads):
+        for name in ("facet_pressure", "prescribed"):
+            total = sum(
+                c * getattr(loads[k], name) for c, k in zip(coefficients[:, step], chosen, strict=True)
+            )
+            assert_allclose(total, getattr(load, name), rtol=0, atol=1e-12 * np.abs(a.facet_pressure).max())
+    # nearly the same load twice: their small difference is not made a load by large coefficients
+    chosen, coefficients = independent_loads([a, mix(1.0, 1e-7), mix(0.0, 1.0)])
+    assert len(chosen) == 2
+    assert np.abs(coefficients).max() < 2
+    assert len(independent_loads([mix(0.0, 0.0)])[0]) == 0
+
+
+def test_what_a_plan_expects_grows_with_the_work(tmp_path: Path) -> None:
+    """Seconds depend on the machine: only memory and disk are held to what is measured, generously."""
+    cache = tmp_path / "cache"
+    plan = plan_of(tmp_path / "a", cache)
+    expected = plan.summary()["estimate"]
+    finer = plan_of(tmp_path / "a", cache, geometry=TABLES["geometry"] | {"mesh_size": 0.011})
+    more = plan_of(tmp_path / "a", cache, load={"factors": [0.25, 0.5, 0.75, 1.0]})
+    for larger in (finer, more):
+        for kind in ("seconds", "memory", "disk"):
+            assert larger.summary()["estimate"][kind] >= expected[kind], kind
+    assert finer.summary()["estimate"]["memory"] > expected["memory"]
+    assert expected["factor"] == 5
+    cases = run(plan)
+    files = [path for part in (tmp_path / "a", cache) for path in part.rglob("*") if path.is_file()]
+    assert 1 / 5 < expected["disk"] / sum(path.stat().st_size for path in files) < 5
+    added = sum(result.peak_bytes for result in cases[0].models.values())
+    assert added / 5 < expected["memory"] < 5 * (added + 3e8)
+    again = plan_of(tmp_path / "a", cache, load={"factors": [0.5, 1.0, 2.0]})
+    assert plan_of(tmp_path / "a", cache).summary()["estimate"]["seconds"] == 0
+    assert again.summary()["estimate"]["seconds"] > 0
+
+
+def test_a_batch_and_one_case_give_one_reference(tmp_path: Path, cache: Path) -> None:
+    """`refined_reference` is what a case alone gets."""
+    case = run(plan_of(tmp_path, cache))[0]
+    plan = plan_of(tmp_path, cache)
+    study = plan.cases[0].study
+    task = task_of(plan.cases[0], plan)
+    scene = worker.build_scene(study, worker._mesh(study, task))
+    coarse = models.run_model(scene, "fem-linear")
+    finest, error = refined_reference(study, scene, "fem-linear", coarse, 2)
+    stored = case.models["fem-linear refined"].displacement
+    assert_allclose(finest.displacement, stored, rtol=0, atol=1e-12 * np.abs(stored).max())
+    assert error.keys() == case.reference_error.keys()
