@@ -122,6 +122,11 @@ def _vdm_boundary(scene: Scene, solver: str, name: str) -> VdmSolution:
     return _vdm(scene, "boundary", solver, name)
 
 
+@_model("mass-spring", version="1", solvers=VDM_SOLVERS)
+def _mass_spring(scene: Scene, solver: str, name: str) -> VdmSolution:
+    return _vdm(scene, "mass-spring", solver, name)
+
+
 def _fem_small_strain(scenes: Sequence[Scene], element: str) -> list[FemSolution]:
     """One factorisation and one batch of right-hand sides for the loads of all scenes."""
     from fem_reference.linear import LinearProblem

@@ -42,7 +42,7 @@ class Parameters:
     foundation : k [Pa/m], scalar or (N,) (consistent; vector, where zero is the default)
     surface_tension : T [N/m], scalar or (E,) (consistent, vector)
     stretch_stiffness : E_s [N/m], scalar or (E,) (vector)
-    shear_modulus : mu [Pa], one number (boundary)
+    shear_modulus : mu [Pa], one number (boundary, mass-spring)
     rotation : which rotation is free of tension: none, one for the body, one per node (vector)
     tension_stiffening : gamma of the nonlinear volumic tension B_ij (1 + gamma s^2) s, s the difference of two
         neighbours' dV over their mean V_i (paper, nonlinear solver); zero is equation 8
@@ -82,14 +82,14 @@ class Parameters:
           nodes of six neighbours needs for the same T: sum_j (L_i - L_j) = -(3/2) h^2 lap L and
           A_i = (sqrt(3)/2) h^2. A constant B_ij does not converge under refinement: it belongs to this mesh;
         - vector: T = 0.70 mu R with one free rotation of the body;
-        - boundary: mu itself.
+        - boundary, mass-spring: mu itself.
 
         Parameters
         ----------
         youngs_modulus : E [Pa]
         poisson_ratio : nu, in (-1, 0.5]
         surface : the body's surface
-        formulation : "paper", "consistent", "vector" or "boundary"
+        formulation : "paper", "consistent", "vector", "boundary" or "mass-spring"
 
         Raises
         ------
@@ -112,10 +112,10 @@ class Parameters:
             return cls(foundation=foundation, surface_tension=tension)
         if formulation == "vector":
             return cls(surface_tension=VECTOR_TENSION * mu * radius)
-        if formulation == "boundary":
+        if formulation in ("boundary", "mass-spring"):
             return cls(shear_modulus=mu)
         raise ParameterError(
-            f"unknown formulation {formulation!r}; use paper, consistent, vector or boundary"
+            f"unknown formulation {formulation!r}; use paper, consistent, vector, boundary or mass-spring"
         )
 
     def anisotropic(self, surface: SurfaceMesh, fibre: ArrayLike, contrast: float) -> Parameters:
@@ -136,7 +136,9 @@ class Parameters:
             a zero direction, a contrast that is not positive, or a shear modulus, which is isotropic.
         """
         if self.shear_modulus is not None:
-            raise ParameterError("the boundary formulation is isotropic; use another one for fibres")
+            raise ParameterError(
+                "the boundary and mass-spring formulations are isotropic; use another one for fibres"
+            )
         direction = np.asarray(fibre, dtype=np.float64)
         length = float(np.linalg.norm(direction))
         if direction.shape != (3,) or not np.isfinite(length) or length == 0.0:

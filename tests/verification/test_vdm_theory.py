@@ -59,6 +59,7 @@ def test_betti_holds_where_the_operator_is_symmetric_and_fails_in_the_printed_on
     assert gaps["consistent"] < 1e-10
     assert gaps["vector"] < 1e-10
     assert gaps["boundary"] < 1e-10
+    assert gaps["mass-spring"] < 1e-10
     assert gaps["paper"] > 0.01
 
 

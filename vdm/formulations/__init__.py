@@ -3,9 +3,17 @@
 from vdm.formulations.base import Formulation
 from vdm.formulations.boundary import BoundaryFormulation
 from vdm.formulations.consistent import ConsistentFormulation
+from vdm.formulations.mass_spring import MassSpringFormulation
 from vdm.formulations.paper import PaperFormulation
 from vdm.formulations.vector import VectorFormulation
 
 FORMULATIONS: dict[str, type[Formulation]] = {
-    cls.name: cls for cls in (PaperFormulation, ConsistentFormulation, VectorFormulation, BoundaryFormulation)
+    cls.name: cls
+    for cls in (
+        PaperFormulation,
+        ConsistentFormulation,
+        VectorFormulation,
+        BoundaryFormulation,
+        MassSpringFormulation,
+    )
 }
