@@ -158,7 +158,7 @@ def through_springs(surface: SurfaceMesh) -> tuple[Index, Array]:
     start, end = np.concatenate(starts), np.concatenate(ends)
     keys = np.minimum(start, end) * surface.n_nodes + np.maximum(start, end)
     unique, inverse = np.unique(keys, return_inverse=True)
-    areas: Array = np.bincount(inverse, surface.nodal_areas[start] / len(directions))
+    areas = np.asarray(np.bincount(inverse, surface.nodal_areas[start] / len(directions)), dtype=np.float64)
     pairs: Index = np.stack([unique // surface.n_nodes, unique % surface.n_nodes], axis=1).astype(np.int64)
     return pairs, areas
 
