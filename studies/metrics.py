@@ -96,7 +96,7 @@ def nearest_on_surface(queries: Array, points: Array, triangles: Index) -> tuple
     corners = points[triangles]
     centroids = corners.mean(axis=1)
     reach = float(np.linalg.norm(corners - centroids[:, None], axis=2).max())
-    tree = cKDTree(centroids)
+    tree = cKDTree(centroids, balanced_tree=False, compact_nodes=False)  # made for one query
     facets = _Facets(corners)
     distance = np.full(len(queries), np.inf)
     facet = np.zeros(len(queries), dtype=np.int64)
@@ -207,6 +207,19 @@ class History:
     displacement: Array  # (S, N, 3)
     reaction_force: Array  # (S, N, 3)
     load_factors: Array  # (S,)
+    # (S,) arrays (N,) of distances to a reference [m], by the reference: two metrics want them
+    _distances: dict[int, list[Array]] = field(default_factory=dict, repr=False, compare=False)
+
+    def distances_to(self, reference: History, surface: Surface) -> list[Array]:
+        """Per step the distance of each deformed node to the reference's deformed surface; NaN where unknown."""
+        if id(reference) not in self._distances:
+            self._distances[id(reference)] = [
+                nearest_on_surface(surface.points + u, surface.points + r, surface.triangles)[0]
+                if _finite(u, r)
+                else np.full(len(u), np.nan)
+                for u, r in zip(self.displacement, reference.displacement, strict=True)
+            ]
+        return self._distances[id(reference)]
 
 
 @dataclass(frozen=True)
@@ -323,23 +336,18 @@ def far_field_error(surface: Surface, model: History, reference: History) -> Arr
 
 @_metric("m", "area-weighted mean distance of the model's deformed nodes to the reference's deformed surface")
 def mean_surface_distance(surface: Surface, model: History, reference: History) -> Array:
-    def compare(s: Surface, u: Array, r: Array) -> float:
-        distance, _, _ = nearest_on_surface(s.points + u, s.points + r, s.triangles)
-        return float(np.average(distance, weights=s.areas))
-
-    return _each_step(surface, model, reference, compare)
+    return np.array([np.average(d, weights=surface.areas) for d in model.distances_to(reference, surface)])
 
 
 @_metric(
     "m", "larger of the two one-sided maximal distances between the deformed surfaces, taken at their nodes"
 )
 def hausdorff_distance(surface: Surface, model: History, reference: History) -> Array:
-    def compare(s: Surface, u: Array, r: Array) -> float:
-        there, _, _ = nearest_on_surface(s.points + u, s.points + r, s.triangles)
-        back, _, _ = nearest_on_surface(s.points + r, s.points + u, s.triangles)
-        return float(max(there.max(), back.max()))
+    def back(s: Surface, u: Array, r: Array) -> float:
+        return float(nearest_on_surface(s.points + r, s.points + u, s.triangles)[0].max())
 
-    return _each_step(surface, model, reference, compare)
+    there = np.array([distance.max() for distance in model.distances_to(reference, surface)])
+    return np.maximum(there, _each_step(surface, model, reference, back))
 
 
 @_metric("1", "|R - R_ref| / |R_ref| of the total force that the supports exert")

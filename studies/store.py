@@ -99,11 +99,14 @@ def read_run(directory: Path) -> Run:
     study_text = (directory / "study.toml").read_text()
     cases, failed, missing = [], [], []
     for planned in plan["cases"]:
-        state = case_state(directory, planned["hash"])
+        path = case_path(directory, planned["hash"])
+        state = (
+            "done" if path.exists() else case_state(directory, planned["hash"])
+        )  # reading it says the rest
         # the swept values and the label belong to the study, not to the case: another study may share it
         names = {key: planned[key] for key in ("label", "swept", "swept_units")}
-        if state in ("done", "stale", "damaged"):
-            cases.append(dataclasses.replace(read_case(case_path(directory, planned["hash"])), **names))
+        if state == "done":
+            cases.append(dataclasses.replace(read_case(path), **names))
         elif state == "failed":
             failed.append(_read_failure(directory, planned))
         else:
@@ -222,18 +225,27 @@ def _open_sealed(path: Path) -> h5py.File:
     return file
 
 
-def _refuse_links(group: h5py.Group, path: Path) -> None:
+def _refuse_links(file: h5py.File, path: Path) -> None:
     """External links and external storage could read other files of the machine."""
-    for name in group:
-        if not isinstance(group.get(name, getlink=True), h5py.HardLink):
-            raise StoreError(f"{path}: holds a link ({group.name}/{name}), which a result file never does")
-        member = group[name]
-        if isinstance(member, h5py.Group):
-            _refuse_links(member, path)
-        elif member.external or member.is_virtual:
-            raise StoreError(
-                f"{path}: {member.name} is stored outside the file, which a result file never does"
-            )
+
+    def is_link(name: bytes, link: Any) -> str | None:
+        return None if link.type == h5py.h5l.TYPE_HARD else name.decode(errors="replace")
+
+    def is_outside(name: bytes) -> str | None:
+        item = h5py.h5o.open(file.id, name)
+        if not isinstance(item, h5py.h5d.DatasetID):
+            return None
+        stored = item.get_create_plist()
+        outside = stored.get_external_count() or stored.get_layout() == h5py.h5d.VIRTUAL
+        return name.decode(errors="replace") if outside else None
+
+    # the low-level interface: a file has hundreds of objects, and neither visit follows a link
+    linked = file.id.links.visit(is_link, info=True)
+    if linked is not None:
+        raise StoreError(f"{path}: holds a link (/{linked}), which a result file never does")
+    outside = h5py.h5o.visit(file.id, is_outside)
+    if outside is not None:
+        raise StoreError(f"{path}: /{outside} is stored outside the file, which a result file never does")
 
 
 # --- one case ---
