@@ -90,9 +90,7 @@ def _solid(geometry: Geometry, volume: bool) -> Mesh:
 def _organ(geometry: Geometry, volume: bool) -> Mesh:
     sphere, triangles = unit_sphere(_ORGAN_SUBDIVISIONS)
     points = liver_points(sphere)
-    return _remeshed_and_filled(
-        centred(points, geometry.number("size")), triangles, geometry.mesh_size, volume
-    )
+    return fill_surface(centred(points, geometry.number("size")), triangles, geometry.mesh_size, volume)
 
 
 def _fill_surface_of_file(geometry: Geometry, volume: bool, max_nodes: int) -> Mesh:
@@ -102,7 +100,7 @@ def _fill_surface_of_file(geometry: Geometry, volume: bool, max_nodes: int) -> M
     area = float(np.linalg.norm(area_vectors(points, clean.triangles), axis=1).sum())
     inside = surface_volume(points, clean.triangles) if volume else 0.0
     check_node_budget(area, inside, geometry.mesh_size, max_nodes)
-    mesh = _remeshed_and_filled(points, clean.triangles, geometry.mesh_size, volume)
+    mesh = fill_surface(points, clean.triangles, geometry.mesh_size, volume)
     repairs = {
         "scale": factor,
         "imported_points": float(len(clean.points)),
@@ -145,7 +143,7 @@ def _placed(points: Array, geometry: Geometry) -> tuple[Array, float]:
     return centred(points, size), size / extent
 
 
-def _remeshed_and_filled(points: Array, triangles: Index, mesh_size: float, volume: bool) -> Mesh:
+def fill_surface(points: Array, triangles: Index, mesh_size: float, volume: bool = True) -> Mesh:
     """Remesh a closed surface [m] uniformly, free it of intersections and fill it with tetrahedra."""
     nodes, facets = uniform_surface(points, triangles, mesh_size)
     nodes, fixed = without_intersections(nodes, facets)

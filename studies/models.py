@@ -182,6 +182,13 @@ def _condensed_problem(*, contact: Mask, **body: Any) -> CondensedProblem:
     return CondensedProblem(shared(LinearProblem, **body, expected_loads=n_columns), contact)
 
 
+@_model("fem-coarse", version="1", volumetric=True)
+def _fem_coarse(scene: Scene, solver: str, name: str) -> FemSolution:  # noqa: ARG001
+    from .coarse import solve_coarse
+
+    return solve_coarse(scene)
+
+
 @_model("fem", version="1", volumetric=True)
 def _fem(scene: Scene, solver: str, name: str) -> FemSolution:  # noqa: ARG001
     from fem_reference.finite_strain import FiniteStrainProblem
