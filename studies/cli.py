@@ -109,6 +109,20 @@ def _parser() -> argparse.ArgumentParser:
     run.add_argument("--fresh", action="store_true", help="run every case again")
     run.add_argument("--fail-fast", action="store_true", help="stop at the first failure")
     run.add_argument("--timeout", type=_positive_seconds, metavar="S", help="seconds that one case may take")
+    calibrate = study_verb(
+        "calibrate", _calibrate, "fit VDM parameters on half of a study's loads, try them on the rest"
+    )
+    directory(calibrate)
+    calibrate.add_argument(
+        "--jobs", type=_positive, metavar="N", help="cases at once (default: one per core)"
+    )
+    calibrate.add_argument(
+        "--transfer",
+        action="append",
+        default=[],
+        metavar="STUDY",
+        help="try the fit on the held-out loads of this study too (can be repeated)",
+    )
     status = verb("status", _status, "say what is done, failed and missing")
     report = verb("report", _report, "rebuild the report from the stored results")
     for sub in (status, report):
@@ -144,7 +158,7 @@ def _check(options: argparse.Namespace) -> int:
     try:
         study, path = _load(options)
         cases = expand(study)
-        _make_plan(study, cases, options)
+        _make_plan(study, cases, None)
     except StudyError as error:
         if options.json:
             problems = [problem._asdict() for problem in error.problems]
@@ -161,7 +175,7 @@ def _plan(options: argparse.Namespace) -> int:
     from .config import expand
 
     study, _ = _load(options)
-    plan = _make_plan(study, expand(study), options)
+    plan = _make_plan(study, expand(study), options.out)
     summary = plan.summary()
     if options.json:
         return _print_json(summary)
@@ -193,7 +207,7 @@ def _run(options: argparse.Namespace) -> int:
     from .run import Options, run_plan
 
     study, path = _load(options)
-    plan = _make_plan(study, expand(study), options)
+    plan = _make_plan(study, expand(study), options.out)
     how = Options(
         jobs=options.jobs or os.cpu_count() or 1,
         shard=options.shard,
@@ -205,6 +219,35 @@ def _run(options: argparse.Namespace) -> int:
     with _Progress(len(cases) + len(plan.missing_meshes(cases)), quiet=options.json) as progress:
         run, report = run_plan(plan, path.read_text(), how, progress.show)
     return _print_run(run, plan.directory, report, options.json)
+
+
+def _calibrate(options: argparse.Namespace) -> int:
+    from .calibrate import FINER, as_json, as_toml, body, calibrate
+    from .calibration_table import table
+    from .config import with_mesh_size
+    from .files import write_atomically
+
+    study, path = _load(options)
+    out = options.out or _results() / "runs" / study.study.name
+    finer = with_mesh_size(study, FINER)
+    own = body(
+        *_run_for_fit(study, path, out, options),
+        _run_for_fit(finer, path, out / "finer", options) if finer is not None else None,
+    )
+    others = []
+    for name in options.transfer:
+        other, other_path = _load(argparse.Namespace(**{**vars(options), "study": name}))
+        where = _results() / "runs" / other.study.name
+        others.append(body(*_run_for_fit(other, other_path, where, options), None))
+    entries = calibrate(own, others)
+    data = {own.name: as_json(entries)}
+    write_atomically(out / "calibration.json", json.dumps(data, indent=1).encode())
+    write_atomically(out / "calibration.toml", as_toml(entries).encode())
+    if options.json:
+        return _print_json(data)
+    _print_table(table(entries))
+    print(f"\n{as_toml(entries)}\nwritten: {out / 'calibration.toml'}")
+    return OK
 
 
 def _status(options: argparse.Namespace) -> int:
@@ -270,12 +313,28 @@ def _load(options: argparse.Namespace) -> tuple[Study, Path]:
     return load_study(path, allow_outside=options.allow_outside, surface=options.surface), path
 
 
-def _make_plan(study: Study, cases: Any, options: argparse.Namespace) -> Plan:
+def _results() -> Path:
+    return Path(os.environ.get("VDMBENCH_RESULTS", "results"))
+
+
+def _make_plan(study: Study, cases: Any, out: Path | None) -> Plan:
     from .plan import make_plan
 
-    results = Path(os.environ.get("VDMBENCH_RESULTS", "results"))
-    out = getattr(options, "out", None) or results / "runs" / study.study.name
-    return make_plan(study, cases, out, results / "cache")
+    return make_plan(study, cases, out or _results() / "runs" / study.study.name, _results() / "cache")
+
+
+def _run_for_fit(study: Study, path: Path, out: Path, options: argparse.Namespace) -> tuple[Plan, Run]:
+    """Run what is missing of a study that parameters are fitted on."""
+    from .config import expand
+    from .run import Options, run_plan
+
+    plan = _make_plan(study, expand(study), out)
+    cases = plan.cases_to_run()
+    with _Progress(len(cases) + len(plan.missing_meshes(cases)), quiet=options.json) as progress:
+        run, _ = run_plan(
+            plan, path.read_text(), Options(jobs=options.jobs or os.cpu_count() or 1), progress.show
+        )
+    return plan, run
 
 
 def _print_run(run: Run, directory: Path, report: Path, as_json: bool) -> int:

@@ -37,7 +37,7 @@ __all__ = [
 
 MAX_BYTES = 1_000_000  # of a study file
 
-_NOT_HASHED = {"study", "sweep"}
+_NOT_HASHED = {"study", "sweep", "calibration"}
 _LONG_NUMBER = re.compile(r"\d[\d_]{4000,}")
 
 
@@ -124,8 +124,8 @@ def case_inputs(study: Study) -> dict[str, Any]:
     """The part of `resolved` that a case's hash covers: all that decides its numbers.
 
     That is geometry, tissue, vdm, models (the overrides), regions, constraints, load, gravity, environment,
-    anisotropy, limits and uncertainty; not the name, title, list of models, reference and sweep. A geometry file
-    is named by its path: hash its content beside this (`geometry_spec.geometry_key`).
+    anisotropy, limits and uncertainty; not the name, title, list of models, reference, sweep and
+    calibration. A geometry file is named by its path: hash its content beside this (`geometry_spec.geometry_key`).
     """
     return {key: value for key, value in resolved(study).items() if key not in _NOT_HASHED}
 
@@ -146,6 +146,17 @@ def value_and_unit(study: Study, key: str) -> tuple[float, str]:
     if target.si is None or not isinstance(value, float):
         raise KeyError(key)
     return value, target.unit
+
+
+def with_mesh_size(study: Study, factor: float) -> Study | None:
+    """The study on meshes of `factor` times its size; None where it names none, or sweeps it."""
+    data = _plain(study)
+    size = data["geometry"].get("mesh_size")
+    if size is None or "geometry.mesh_size" in {axis.key for axis in read_axes(data)[0]}:
+        return None
+    finer = Study.model_validate(substituted(data, ("geometry", "mesh_size"), size * factor))
+    finer._source = study._source
+    return finer
 
 
 def raised(study: Study, key: str, value: float) -> Study:

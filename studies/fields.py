@@ -13,7 +13,7 @@ from .problems import Loc
 from .schema import SI, Region, Study, Table
 from .units import DIMENSIONS
 
-_NEVER_SWEPT = {"study", "sweep", "limits", "models"}
+_NEVER_SWEPT = {"study", "sweep", "limits", "calibration", "models"}
 
 
 def keys_of(table: type[Table]) -> dict[str, FieldInfo]:

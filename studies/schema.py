@@ -455,6 +455,28 @@ class Limits(Table):
     ] = Field((0.05, 0.10), description="growths of the relative L2 displacement error to find")
 
 
+class Calibration(Table):
+    """[calibration]: which loads a fit of the [vdm] parameters may see; the others are held out"""
+
+    training: int | None = Field(
+        None, description="the first so many cases train; half of them where left out", ge=1
+    )
+    parameters: (
+        tuple[
+            Literal[
+                "bulk_modulus",
+                "connectivity_modulus",
+                "foundation",
+                "surface_tension",
+                "stretch_stiffness",
+                "shear_modulus",
+            ],
+            ...,
+        ]
+        | None
+    ) = Field(None, description="what to fit; left out: what the study leaves to each model's rule")
+
+
 class Uncertainty(Table):
     """[uncertainty]: the reference's own error, from meshes whose tetrahedra are split into eight"""
 
@@ -482,7 +504,8 @@ class Study(Table):
     environment: Environment | None = Field(None, description="surroundings")
     anisotropy: Anisotropy | None = Field(None, description="one family of fibres")
     sweep: Sweep = Field(Sweep(), description="what is varied")
-    limits: Limits | None = Field(None, description="small-strain limits; not in this version")
+    limits: Limits | None = Field(None, description="small-strain limits")
+    calibration: Calibration | None = Field(None, description="how the [vdm] parameters are fitted")
     uncertainty: Uncertainty | None = Field(None, description="the reference's own error")
     models: dict[str, VdmTable] = Field({}, description="[vdm] keys for one model only")
 

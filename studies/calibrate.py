@@ -1,0 +1,103 @@
+"""Calibrations of whole studies: fits, their errors on loads held out, on a finer mesh and on other bodies."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from .case import Run
+from .fit import CalibrationError, Errors, Fit, Sample, Trial, fit, samples_of, split, surface_models
+from .plan import Plan
+
+FINER = 0.75  # mesh size of the second mesh over that of the study
+
+
+@dataclass(frozen=True)
+class Body:
+    """A study that has been run: its loads on the study's mesh and, where it has one, on a finer mesh."""
+
+    name: str
+    models: tuple[str, ...]
+    asked: tuple[str, ...] | None  # parameters to fit
+    training: tuple[Sample, ...]
+    held_out: tuple[Sample, ...]
+    finer_training: tuple[Sample, ...] = ()
+    finer_held_out: tuple[Sample, ...] = ()
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """One model fitted on one body, and what the fit is worth elsewhere.
+
+    `finer` are the multiples of the rule that a finer mesh gives; `on_finer` the errors there of those of the
+    study's own mesh; `transfer` the errors of these on the held-out loads of other bodies, by study.
+    """
+
+    fit: Fit
+    finer: Mapping[str, float] | None
+    on_finer: Errors | None
+    transfer: Mapping[str, Errors]
+
+
+def body(plan: Plan, run: Run, finer: tuple[Plan, Run] | None) -> Body:
+    """A study's loads, split into training and held-out ones.
+
+    Raises
+    ------
+    CalibrationError
+        no reference, no surface model, or too few finished cases.
+    """
+    study = plan.study
+    models = surface_models(study.study.models)
+    if not models:
+        raise CalibrationError(f"{study.study.name} has no surface model whose parameters could be fitted")
+    asked = study.calibration.parameters if study.calibration is not None else None
+    count = study.calibration.training if study.calibration is not None else None
+    training, held_out = split(samples_of(plan, run), count)
+    there = split(samples_of(*finer), count) if finer is not None else ([], [])
+    return Body(
+        study.study.name,
+        tuple(models),
+        asked,
+        tuple(training),
+        tuple(held_out),
+        tuple(there[0]),
+        tuple(there[1]),
+    )
+
+
+def calibrate(body: Body, others: Sequence[Body] = ()) -> list[Calibration]:
+    """Fit every surface model of a body and try the fits elsewhere."""
+    return [_calibration(body, name, others) for name in body.models]
+
+
+def _calibration(body: Body, name: str, others: Sequence[Body]) -> Calibration:
+    found = fit(name, body.training, body.held_out, body.asked)
+    finer = on_finer = None
+    if body.finer_training:
+        finer = fit(name, body.finer_training, body.finer_held_out, body.asked).multiples
+        on_finer = _errors(name, body.finer_held_out, found)
+    transfer = {other.name: _errors(name, other.held_out, found) for other in others if name in other.models}
+    return Calibration(found, finer, on_finer, transfer)
+
+
+def _errors(name: str, samples: Sequence[Sample], found: Fit) -> Errors:
+    return Trial(name, samples, tuple(found.multiples)).errors(np.array(list(found.multiples.values())))
+
+
+def as_json(entries: Sequence[Calibration]) -> dict[str, dict[str, object]]:
+    """Model -> its calibration as plain data."""
+    return {entry.fit.model: dataclasses.asdict(entry) for entry in entries}
+
+
+def as_toml(entries: Sequence[Calibration]) -> str:
+    """Tables to paste into a study file: [vdm] for one model, a [models."NAME"] table each for several."""
+    blocks = []
+    for entry in entries:
+        title = "vdm" if len(entries) == 1 else f'models."{entry.fit.model}"'
+        lines = [f"{key} = {value:.6g}" for key, value in entry.fit.parameters.items()]
+        blocks.append("\n".join([f"[{title}]", *lines]))
+    return "\n\n".join(blocks) + "\n"

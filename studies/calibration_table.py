@@ -1,0 +1,59 @@
+"""Calibrations as a table of texts, for a terminal and for a document."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+from .calibrate import Calibration
+from .fit import Errors
+from .report.formatting import NOT_MEASURED, percent, quantity
+
+UNITS = {
+    "bulk_modulus": "Pa",
+    "connectivity_modulus": "Pa",
+    "shear_modulus": "Pa",
+    "foundation": "Pa/m",
+    "surface_tension": "N/m",
+    "stretch_stiffness": "N/m",
+}
+
+
+def table(entries: Sequence[Calibration]) -> list[dict[str, str]]:
+    """One row per model. Errors are mean displacement / mean deformation over the loads."""
+    rows = []
+    for entry in entries:
+        fit = entry.fit
+        row = {
+            "model": fit.model,
+            "fitted": ", ".join(
+                f"{key} {quantity(value, UNITS[key])}" for key, value in fit.parameters.items()
+            ),
+            "times its rule": _multiples(fit.multiples),
+            "training loads": errors(fit.training),
+            "held out, by rule": errors(fit.by_rule),
+            "held out, fitted": errors(fit.held_out),
+            "reference's own": bars(fit.held_out),
+        }
+        if entry.finer is not None and entry.on_finer is not None:
+            row["fit of a finer mesh"] = _multiples(entry.finer)
+            row["there, this fit"] = errors(entry.on_finer)
+        for study, found in entry.transfer.items():
+            row[f"on {study}"] = errors(found)
+        rows.append(row)
+    return rows
+
+
+def errors(found: Errors) -> str:
+    """Mean displacement error / mean deformation error."""
+    return f"{percent(found.vector)} / {percent(found.deformation)}"
+
+
+def bars(found: Errors) -> str:
+    """The reference's own error for both, the largest over the loads."""
+    if found.bar != found.bar:
+        return NOT_MEASURED
+    return f"± {percent(found.bar)} / {percent(found.bar_deformation)}"
+
+
+def _multiples(multiples: Mapping[str, float]) -> str:
+    return ", ".join(f"{value:.3g}" for value in multiples.values())

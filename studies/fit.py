@@ -1,0 +1,298 @@
+"""Fits the parameters of the surface models to the reference on training loads, and tries them on others.
+
+A parameter is fitted as a multiple of what the model's rule gives for the body at hand, so that a fit can be
+carried to another mesh, tissue or body. The operators are linear in their moduli: c times all of them moves the
+body by 1/c. The common factor of a fit is therefore the solution of a linear least-squares problem, and only the
+ratios of the moduli are searched.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from scipy.optimize import minimize, minimize_scalar
+
+from . import models
+from .case import ModelResult, Run
+from .config import geometry_of
+from .mesh import Array, InputError
+from .mesh_cache import mesh_from_cache
+from .metrics import Surface, relative_l2, rigid_motion_removed, weighted_norm
+from .plan import Plan, needs_volume
+from .scene import Scene, build_scene
+from .uncertainty import reference_bar
+
+MODULI = {  # parameters that can be fitted -> the one whose rule gives the scale where it has none of its own
+    "bulk_modulus": "",
+    "connectivity_modulus": "",
+    "foundation": "",
+    "surface_tension": "",
+    "stretch_stiffness": "surface_tension",
+    "shear_modulus": "",
+}
+WIDEST = math.log(1e5)  # of a ratio between two moduli, beside that of their rules
+_TOLERANCE = 1e-4  # of a logarithm
+_MOST_SCALINGS = 20
+VECTOR, DEFORMATION = "relative_l2_displacement_error", "relative_l2_deformation_error"
+
+
+class CalibrationError(InputError):
+    """A study that nothing can be fitted on; the message says why."""
+
+
+@dataclass(frozen=True)
+class Sample:
+    """One load of one body: the scene and what the reference answers at full load."""
+
+    label: str
+    scene: Scene
+    reference: Array  # (N, 3) m
+    bars: Mapping[str, float]  # metric -> the reference's own error, NaN where not measured
+
+    @cached_property
+    def surface(self) -> Surface:
+        """The undeformed surface."""
+        return Surface(self.scene.mesh.surface_points, self.scene.mesh.triangles)
+
+
+@dataclass(frozen=True)
+class Errors:
+    """Relative L2 errors over a set of loads: mean and worst; bars: the reference's own error, its largest."""
+
+    vector: float
+    vector_worst: float
+    deformation: float
+    deformation_worst: float
+    bar: float
+    bar_deformation: float
+
+
+@dataclass(frozen=True)
+class Fit:
+    """The fitted parameters of one model on one body."""
+
+    model: str
+    multiples: Mapping[str, float]  # parameter -> multiple of the rule's value
+    parameters: Mapping[str, float]  # parameter -> value [SI] on this body and mesh
+    by_rule: Errors  # on the loads held out, before
+    training: Errors
+    held_out: Errors
+
+
+def samples_of(plan: Plan, run: Run) -> list[Sample]:
+    """The finished cases of a run as samples, in the study's order.
+
+    Raises
+    ------
+    CalibrationError
+        no reference, or no finished case.
+    """
+    if plan.study.study.reference is None:
+        raise CalibrationError("a calibration needs study.reference, the model to fit to")
+    planned = {case.hash: case.study for case in plan.cases}
+    samples = []
+    for case in run.cases:
+        if case.reference is None:
+            continue
+        study = planned[case.hash]
+        mesh = mesh_from_cache(geometry_of(study), plan.cache, volume=needs_volume(study))
+        samples.append(
+            Sample(
+                case.label,
+                build_scene(study, mesh),
+                case.models[case.reference].displacement[-1],
+                {metric: reference_bar(case.reference_error, metric) for metric in (VECTOR, DEFORMATION)},
+            )
+        )
+    if not samples:
+        raise CalibrationError("no case of this study is finished, so there is nothing to fit to")
+    return samples
+
+
+def split(samples: Sequence[Sample], training: int | None) -> tuple[list[Sample], list[Sample]]:
+    """(training, held out): the first `training` loads and the others; by default half of them.
+
+    Raises
+    ------
+    CalibrationError
+        nothing would be left on one side.
+    """
+    count = (len(samples) + 1) // 2 if training is None else training
+    if not 0 < count < len(samples):
+        raise CalibrationError(
+            f"a calibration needs training loads and others held out: this study has {len(samples)} finished "
+            f"cases, of which {count} would train; sweep more loads, or set calibration.training"
+        )
+    return list(samples[:count]), list(samples[count:])
+
+
+def surface_models(names: Sequence[str]) -> list[str]:
+    """Those models of a study whose parameters can be fitted."""
+    return [name for name in names if models.find(name)[0].name.startswith("vdm-")]
+
+
+class Trial:
+    """One model on one body: which of its parameters are fitted, and what their rule gives on each load's scene.
+
+    Parameters
+    ----------
+    asked : parameters to fit; by default those that the model's rule sets and the study leaves to it
+
+    Raises
+    ------
+    CalibrationError
+        nothing to fit, a parameter that the model has not, or a load that the model cannot solve.
+    """
+
+    def __init__(self, name: str, samples: Sequence[Sample], asked: Sequence[str] | None = None) -> None:
+        self.name = name
+        self.samples = tuple(samples)
+        first = samples[0].scene
+        given = {**first.parameters, **first.overrides.get(name, {})}
+        known = {
+            key: value
+            for key, value in self._run(samples[0], {}).parameters.items()
+            if key in MODULI and isinstance(value, float)
+        }
+        names = [key for key in known if key not in given] if asked is None else list(asked)
+        if not names:
+            raise CalibrationError(f"{name} has no parameter left to fit: the study sets all of them")
+        for key in names:
+            if key not in known and MODULI.get(key, "") not in known:
+                raise CalibrationError(f"{name} has no {key}; it has {', '.join(known)}")
+        self.names = names
+        self._rules = [self._rule(sample) for sample in samples]
+
+    def values(self, multiples: Array) -> dict[str, float]:
+        """Parameters [SI] on the first load's scene."""
+        return dict(zip(self.names, (self._rules[0] * multiples).tolist(), strict=True))
+
+    def answers(self, multiples: Array) -> list[Array]:
+        """The model's (N, 3) displacement for each load [m]."""
+        out = []
+        for sample, rule in zip(self.samples, self._rules, strict=True):
+            given = dict(zip(self.names, (rule * multiples).tolist(), strict=True))
+            out.append(self._run(sample, given).displacement[-1])
+        return out
+
+    def errors(self, multiples: Array) -> Errors:
+        """How far the model is off with these multiples of its rule."""
+        vectors, deformations = [], []
+        for sample, u in zip(self.samples, self.answers(multiples), strict=True):
+            surface = sample.surface
+            vectors.append(relative_l2(u, sample.reference, surface.areas))
+            u, r = (rigid_motion_removed(surface.points, v, surface.areas) for v in (u, sample.reference))
+            deformations.append(relative_l2(u, r, surface.areas))
+        return Errors(
+            float(np.mean(vectors)),
+            max(vectors),
+            float(np.mean(deformations)),
+            max(deformations),
+            max(sample.bars[VECTOR] for sample in self.samples),
+            max(sample.bars[DEFORMATION] for sample in self.samples),
+        )
+
+    def _rule(self, sample: Sample) -> Array:
+        by_rule = self._run(sample, {}).parameters
+        return np.array([float(by_rule.get(key, by_rule.get(MODULI[key], 0.0))) for key in self.names])
+
+    def _run(self, sample: Sample, given: Mapping[str, float]) -> ModelResult:
+        own = {**sample.scene.overrides.get(self.name, {}), **given}
+        scene = dataclasses.replace(
+            sample.scene, overrides={**sample.scene.overrides, self.name: own}, load_factors=np.ones(1)
+        )
+        result = models.run_model(scene, self.name)
+        failed = next((status for status in result.status if not status.ok), None)
+        if failed is not None:
+            raise CalibrationError(f"{self.name} in case {sample.label!r}: {failed.message}; {failed.remedy}")
+        return result
+
+
+def fit(
+    name: str, training: Sequence[Sample], held_out: Sequence[Sample], asked: Sequence[str] | None = None
+) -> Fit:
+    """Fit one model on training loads by the mean squared relative error of the displacement vector.
+
+    Raises
+    ------
+    CalibrationError
+        see `Trial`.
+    """
+    trial, unseen = Trial(name, training, asked), Trial(name, held_out, asked)
+    multiples = least_error(trial)
+    return Fit(
+        model=name,
+        multiples=dict(zip(trial.names, multiples.tolist(), strict=True)),
+        parameters=trial.values(multiples),
+        by_rule=unseen.errors(np.ones(len(trial.names))),
+        training=trial.errors(multiples),
+        held_out=unseen.errors(multiples),
+    )
+
+
+# --- the search ---
+
+
+def least_error(trial: Trial) -> Array:
+    """The multiples of the rule's moduli with the least mean squared relative error.
+
+    The ratios of the moduli are searched; their common factor follows in closed form for each, and is verified
+    where the model is not linear.
+    """
+    count = len(trial.names)
+    if count == 1:
+        return _scaled(trial, np.ones(1))
+
+    def loss(log_ratios: Array) -> float:
+        answers = trial.answers(np.exp(np.concatenate([[0.0], log_ratios])))
+        return _loss(trial, answers, _factor(trial, answers))
+
+    if count == 2:
+        # the loss can have a flat end, where one modulus no longer matters: look first, then close in
+        grid = np.linspace(-WIDEST, WIDEST, 13)
+        best = int(np.argmin([loss(np.array([x])) for x in grid]))
+        low, high = float(grid[max(best - 1, 0)]), float(grid[min(best + 1, len(grid) - 1)])
+        found = minimize_scalar(
+            lambda x: loss(np.array([x])), bounds=(low, high), method="bounded", options={"xatol": _TOLERANCE}
+        )
+        log_ratios = np.array([found.x])
+    else:
+        result = minimize(
+            loss, np.zeros(count - 1), method="Nelder-Mead", options={"xatol": _TOLERANCE, "fatol": 1e-10}
+        )
+        log_ratios = np.asarray(result.x)
+    return _scaled(trial, np.exp(np.concatenate([[0.0], log_ratios])))
+
+
+def _scaled(trial: Trial, ratios: Array) -> Array:
+    """Ratios times their best common factor; a model that is not linear gets there in a few steps."""
+    multiples = ratios
+    for _ in range(_MOST_SCALINGS):
+        factor = _factor(trial, trial.answers(multiples))
+        multiples = multiples / factor
+        if abs(math.log(factor)) < _TOLERANCE:
+            break
+    return multiples
+
+
+def _factor(trial: Trial, answers: Sequence[Array]) -> float:
+    """The factor on all displacements with the least mean squared relative error: 1 over that on the moduli."""
+    top = bottom = 0.0
+    for sample, u in zip(trial.samples, answers, strict=True):
+        areas = sample.surface.areas
+        norm = weighted_norm(sample.reference, areas) ** 2
+        top += float(areas @ np.einsum("ij,ij->i", u, sample.reference)) / norm
+        bottom += weighted_norm(u, areas) ** 2 / norm
+    if not top > 0.0 or not bottom > 0.0:
+        raise CalibrationError(f"{trial.name} moves against the reference on the training loads: no fit")
+    return top / bottom
+
+
+def _loss(trial: Trial, answers: Sequence[Array], factor: float) -> float:
+    pairs = zip(trial.samples, answers, strict=True)
+    return float(np.mean([relative_l2(factor * u, s.reference, s.surface.areas) ** 2 for s, u in pairs]))

@@ -1,0 +1,231 @@
+"""Fits of surface-model parameters: known answers are recovered, held-out loads are not looked at."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import tomllib
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from studies.calibrate import Body, as_toml, calibrate
+from studies.calibration_table import table
+from studies.config import expand, geometry_of, load_study, with_mesh_size
+from studies.fit import CalibrationError, Sample, Trial, fit, least_error, split
+from studies.mesh_cache import mesh_from_cache
+from studies.scene import build_scene
+from tests.command import vdmbench
+
+STUDY = """
+[study]
+name = "fit"
+models = ["vdm-paper", "vdm-vector", "fem-linear"]
+reference = "fem-linear"
+[geometry]
+shape = "ellipsoid"
+semi_axes = ["40 mm", "30 mm", "25 mm"]
+mesh_size = "16 mm"
+[tissue]
+youngs_modulus = "5 kPa"
+poisson_ratio = 0.49
+[regions]
+base.below = { axis = "z", fraction = 0.2 }
+tip.cap = { direction = [0, 0, 1], angle = "40 deg" }
+[[constraints]]
+kind = "fixed"
+region = "base"
+[[constraints]]
+name = "tip"
+kind = "contact"
+region = "tip"
+pressure = "40 Pa"
+[calibration]
+training = 3
+[sweep]
+"regions.tip.cap.direction.0" = [0.0, 0.4, -0.5, 0.8]
+"""
+NOWHERE = {"relative_l2_displacement_error": np.nan, "relative_l2_deformation_error": np.nan}
+
+
+@pytest.fixture(scope="module")
+def samples(tmp_path_factory: pytest.TempPathFactory) -> list[Sample]:
+    """Four loads without an answer yet."""
+    directory = tmp_path_factory.mktemp("fit")
+    (directory / "study.toml").write_text(STUDY)
+    cases = expand(load_study(directory / "study.toml"))
+    mesh = mesh_from_cache(geometry_of(cases[0].study), directory, volume=False)
+    return [
+        Sample(case.label, build_scene(case.study, mesh), np.zeros((len(mesh.surface_nodes), 3)), NOWHERE)
+        for case in cases
+    ]
+
+
+def answered(samples: list[Sample], model: str, multiples: list[float], asked: list[str]) -> list[Sample]:
+    """The loads with a model's own answer as the reference."""
+    answers = Trial(model, samples, asked).answers(np.array(multiples))
+    return [dataclasses.replace(s, reference=u) for s, u in zip(samples, answers, strict=True)]
+
+
+@pytest.mark.parametrize(
+    ("model", "asked", "multiples"),
+    [
+        ("vdm-vector", ["surface_tension"], [1.7]),
+        ("vdm-boundary", ["shear_modulus"], [0.4]),
+        ("vdm-paper", ["bulk_modulus", "connectivity_modulus"], [0.3, 2.5]),
+        ("vdm-consistent", ["foundation", "surface_tension"], [3.0, 0.6]),
+        ("vdm-vector", ["surface_tension", "stretch_stiffness"], [0.8, 0.5]),
+        ("vdm-vector", ["foundation", "surface_tension", "stretch_stiffness"], [0.5, 1.2, 0.3]),
+        ("vdm-vector:nonlinear", ["surface_tension"], [1.7]),
+    ],
+)
+def test_the_parameters_behind_an_answer_are_found(
+    samples: list[Sample], model: str, asked: list[str], multiples: list[float]
+) -> None:
+    if "foundation" in asked and model.startswith("vdm-vector"):
+        samples = [
+            dataclasses.replace(s, scene=dataclasses.replace(s.scene, parameters={"foundation": 5e4}))
+            for s in samples
+        ]
+    known = answered(samples[:2], model, multiples, asked)
+    found = least_error(Trial(model, known, asked))
+    # three moduli are searched by a simplex, which stops at 1e-4 of a logarithm per ratio
+    assert_allclose(found, multiples, rtol=5e-3 if len(asked) > 2 else 5e-4, atol=0)
+
+
+def test_one_modulus_is_exact_without_a_search(samples: list[Sample]) -> None:
+    known = answered(samples, "vdm-vector", [2.0], ["surface_tension"])
+    noisy = [
+        dataclasses.replace(
+            s, reference=s.reference + 1e-5 * np.sin(np.arange(s.reference.size)).reshape(-1, 3)
+        )
+        for s in known
+    ]
+    trial = Trial("vdm-vector", noisy, None)
+    best = least_error(trial)
+
+    def loss(multiple: float) -> float:
+        return sum(
+            float(s.surface.areas @ ((u - s.reference) ** 2).sum(axis=1))
+            / float(s.surface.areas @ (s.reference**2).sum(axis=1))
+            for s, u in zip(noisy, trial.answers(np.array([multiple])), strict=True)
+        )
+
+    assert loss(best[0]) < min(loss(best[0] * 1.001), loss(best[0] / 1.001))
+
+
+def test_held_out_loads_do_not_move_the_fit(samples: list[Sample]) -> None:
+    known = answered(samples, "vdm-vector", [1.3], ["surface_tension"])
+    spoilt = dataclasses.replace(known[3], reference=2.0 * known[3].reference)
+    found = fit("vdm-vector", known[:3], [spoilt])
+    assert_allclose(found.multiples["surface_tension"], 1.3, rtol=1e-9, atol=0)
+    assert_allclose(found.training.vector, 0.0, rtol=0, atol=1e-9)
+    assert_allclose([found.held_out.vector, found.held_out.deformation], 0.5, rtol=1e-9, atol=0)
+    # the rule's answer is 1.3 times the fitted one, held against twice the fitted one
+    assert_allclose(found.by_rule.vector, 0.35, rtol=1e-9, atol=0)
+    assert np.isnan(found.held_out.bar)
+
+
+def test_a_fit_is_carried_to_another_body_as_a_multiple_of_its_rule(samples: list[Sample]) -> None:
+    known = answered(samples, "vdm-vector", [1.3], ["surface_tension"])
+    stiff = [
+        dataclasses.replace(
+            s,
+            scene=dataclasses.replace(
+                s.scene, tissue=s.scene.tissue.model_copy(update={"youngs_modulus": 20000.0})
+            ),
+            reference=s.reference / 4.0,
+        )
+        for s in known
+    ]
+    body = Body(
+        "soft", ("vdm-vector",), None, tuple(known[:2]), tuple(known[2:]), tuple(stiff[:2]), tuple(stiff[2:])
+    )
+    other = Body("stiff", ("vdm-vector", "vdm-paper"), None, tuple(stiff[:2]), tuple(stiff[2:]))
+    (entry,) = calibrate(body, [other])
+    assert entry.on_finer is not None
+    assert_allclose([entry.transfer["stiff"].vector, entry.on_finer.vector], 0.0, rtol=0, atol=1e-9)
+    (row,) = table([entry])
+    assert row["times its rule"] == "1.3"
+    assert "on stiff" in row
+    written = tomllib.loads(as_toml([entry]))
+    assert_allclose(
+        written["vdm"]["surface_tension"], entry.fit.parameters["surface_tension"], rtol=1e-5, atol=0
+    )
+
+
+def test_what_cannot_be_fitted_says_why(samples: list[Sample]) -> None:
+    with pytest.raises(CalibrationError, match="sweep more loads"):
+        split(samples[:1], None)
+    with pytest.raises(CalibrationError, match="4 would train"):
+        split(samples, 4)
+    with pytest.raises(CalibrationError, match="has no foundation"):
+        Trial("vdm-paper", samples, ["foundation"])
+    given = [
+        dataclasses.replace(s, scene=dataclasses.replace(s.scene, parameters={"surface_tension": 9.0}))
+        for s in samples
+    ]
+    with pytest.raises(CalibrationError, match="sets all of them"):
+        Trial("vdm-vector", given)
+    upside_down = [
+        dataclasses.replace(s, reference=-u)
+        for s, u in zip(samples, Trial("vdm-vector", samples).answers(np.ones(1)), strict=True)
+    ]
+    with pytest.raises(CalibrationError, match="against the reference"):
+        least_error(Trial("vdm-vector", upside_down))
+
+
+def test_half_of_the_loads_train_by_default(samples: list[Sample]) -> None:
+    training, held_out = split(samples[:3], None)
+    assert (len(training), len(held_out)) == (2, 1)
+
+
+def test_the_command_writes_a_table_to_paste(tmp_path: Path) -> None:
+    (tmp_path / "fit.toml").write_text(STUDY)
+    result = vdmbench("calibrate", "fit.toml", "--json", cwd=tmp_path)
+    assert result.returncode == 0, result.stderr
+    found = json.loads(result.stdout)["fit"]
+    assert set(found) == {"vdm-paper", "vdm-vector"}
+    entry = found["vdm-vector"]["fit"]
+    assert entry["held_out"]["vector"] < entry["by_rule"]["vector"]
+    pasted = tomllib.loads((tmp_path / "results/runs/fit/calibration.toml").read_text())
+    assert_allclose(
+        pasted["models"]["vdm-vector"]["surface_tension"],
+        entry["parameters"]["surface_tension"],
+        rtol=1e-5,
+        atol=0,
+    )
+    # pasted into the study, the model's error on the held-out load is what the calibration said
+    (tmp_path / "pasted.toml").write_text(
+        STUDY.replace('"fit"', '"pasted"') + (tmp_path / "results/runs/fit/calibration.toml").read_text()
+    )
+    again = vdmbench("run", "pasted.toml", "--json", cwd=tmp_path)
+    assert again.returncode == 0, again.stderr
+    rows = (tmp_path / "results/runs/pasted/metrics.csv").read_text().splitlines()
+    last = [
+        float(row.split(",")[-3 if rows[0].endswith("reference_error") else -2])
+        for row in rows
+        if ",vdm-vector," in row and "relative_l2_displacement_error" in row
+    ][-1]
+    assert_allclose(last, entry["held_out"]["vector"], rtol=1e-4, atol=0)
+
+
+def test_mistakes_of_the_command(tmp_path: Path) -> None:
+    (tmp_path / "no.toml").write_text(STUDY.replace('reference = "fem-linear"', ""))
+    result = vdmbench("calibrate", "no.toml", cwd=tmp_path)
+    assert result.returncode == 2
+    assert "needs study.reference" in result.stderr
+    assert "Traceback" not in result.stderr
+
+
+def test_a_finer_study_has_a_finer_mesh_and_nothing_else(tmp_path: Path) -> None:
+    (tmp_path / "study.toml").write_text(STUDY)
+    study = load_study(tmp_path / "study.toml")
+    finer = with_mesh_size(study, 0.5)
+    assert finer is not None
+    assert finer.geometry.mesh_size == 0.008
+    assert finer.model_copy(update={"geometry": study.geometry}) == study
+    (tmp_path / "swept.toml").write_text(STUDY + '"geometry.mesh_size" = ["16 mm", "20 mm"]\n')
+    assert with_mesh_size(load_study(tmp_path / "swept.toml"), 0.5) is None
