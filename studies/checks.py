@@ -19,9 +19,10 @@ from .geometry_spec import (
     extents,
 )
 from .geometry_spec import Geometry as GeometrySpec
+from .kinds import safe_name
 from .mesh import MeshError
 from .problems import Finding, Loc
-from .schema import Constraint, Geometry, HalfSpace, Region, Study, Table, safe_name
+from .schema import Constraint, Geometry, HalfSpace, Region, Study, Table
 from .units import shown
 
 SHAPE_KEYS: dict[str, tuple[set[str], set[str]]] = {  # shape -> keys that it needs, keys that it may have

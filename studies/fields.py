@@ -9,8 +9,9 @@ from typing import Any, Literal, NamedTuple, Union, get_args, get_origin
 
 from pydantic.fields import FieldInfo
 
+from .kinds import SI
 from .problems import Loc
-from .schema import SI, Region, Study, Table
+from .schema import Region, Study, Table
 from .units import DIMENSIONS
 
 _NEVER_SWEPT = {"study", "sweep", "limits", "calibration", "models"}

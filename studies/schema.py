@@ -7,8 +7,6 @@ in `checks`; reading a file is in `config`.
 from __future__ import annotations
 
 import math
-import re
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -20,7 +18,6 @@ from pydantic import (
     ConfigDict,
     Discriminator,
     Field,
-    GetCoreSchemaHandler,
     PrivateAttr,
     Tag,
     ValidationError,
@@ -29,114 +26,31 @@ from pydantic import (
     field_validator,
     model_validator,
 )
-from pydantic_core import CoreSchema, core_schema
 
+from .kinds import (
+    SI,
+    Axis,
+    Direction,
+    Length,
+    LineForce,
+    Modulus,
+    Name,
+    Position,
+    Pressure,
+    Shape,
+    Vector3,
+    is_safe_name,
+    not_negative,
+    number_check,
+    one_line,
+    positive,
+)
 from .problems import Source
-from .units import QuantityError, shown, to_si, type_name
+from .units import type_name
 
-_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,63}")
-
-Vector3 = tuple[float, float, float]
 Vdm = dict[str, float | str]
 
 CLAIMS = 9  # that the paper makes of its model
-
-
-# --- kinds of values ---
-
-
-@dataclass(frozen=True)
-class SI:
-    """Marks a field as a quantity in `unit`: one number, or a list of `counts` numbers (0: any positive count)."""
-
-    unit: str
-    counts: tuple[int, ...] = (1,)
-
-    def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
-        return core_schema.no_info_plain_validator_function(self.read)
-
-    def read(self, value: Any) -> float | tuple[float, ...]:
-        """Convert a value of a study file. Raises QuantityError."""
-        if not isinstance(value, list | tuple):
-            if 1 not in self.counts:
-                raise QuantityError(f"must be a list of {self._wanted()}, not {type_name(value)}")
-            return to_si(value, self.unit)
-        if not value or not {0, len(value)} & set(self.counts):
-            if self.counts == (1,):
-                to_si(value, self.unit)  # says what is wanted instead of a list
-            raise QuantityError(f"must have {self._wanted()}, not {len(value)}")
-        numbers = []
-        for place, item in enumerate(value, start=1):
-            try:
-                numbers.append(to_si(item, self.unit))
-            except QuantityError as error:
-                raise QuantityError(f"item {place}: {error}") from None
-        return tuple(numbers)
-
-    def _wanted(self) -> str:
-        counts = [str(count) for count in self.counts if count > 1]
-        return f"{' or '.join(counts)} numbers" if counts else "at least one number"
-
-
-def _number_check(holds: Callable[[float], bool], message: str) -> AfterValidator:
-    """A condition on a number, or on each of several."""
-
-    def check(value: Any) -> Any:
-        for number in value if isinstance(value, tuple) else (value,):
-            if not holds(number):
-                raise ValueError(f"{message}, not {number:g}")
-        return value
-
-    return AfterValidator(check)
-
-
-_positive = _number_check(lambda v: v > 0, "must be positive")
-_not_negative = _number_check(lambda v: v >= 0, "must be positive or zero")
-
-
-def is_safe_name(value: Any) -> bool:
-    """Whether a value is a name that `safe_name` lets pass."""
-    return isinstance(value, str) and _NAME.fullmatch(value) is not None
-
-
-def safe_name(value: str) -> str:
-    """A name that is safe in a path, an HTML page and a key. Raises ValueError."""
-    if not is_safe_name(value):
-        raise ValueError(
-            f"{shown(value)} is not a usable name: begin with a letter or digit, then letters, digits, _ . - "
-            "(64 characters at most)"
-        )
-    return value
-
-
-def _one_line(value: str) -> str:
-    if not value.isprintable():
-        raise ValueError("must be one line without control characters")
-    return value
-
-
-def _direction(value: Vector3) -> Vector3:
-    if not 0 < math.hypot(*value) < math.inf:
-        raise ValueError("must not be the zero vector")
-    return value
-
-
-def _as_path(value: Any, info: ValidationInfo) -> Path:
-    if not isinstance(value, str | Path):
-        raise ValueError(f"must be a file's path, not {type_name(value)}")
-    context = info.context
-    return context.source.locate(value) if isinstance(context, Context) else Path(value)
-
-
-Length = Annotated[float, SI("m"), _positive]
-Position = Annotated[Vector3, SI("m", (3,))]
-Direction = Annotated[Vector3, SI("1", (3,)), AfterValidator(_direction)]
-Modulus = Annotated[float, SI("Pa"), _not_negative]
-LineForce = Annotated[float, SI("N/m"), _not_negative]
-Pressure = Annotated[float, SI("Pa")]
-Name = Annotated[str, AfterValidator(safe_name)]
-Axis = Literal["x", "y", "z"]
-Shape = Literal["sphere", "ellipsoid", "box", "cylinder", "organ", "file"]
 
 
 # --- what all tables share ---
@@ -152,6 +66,13 @@ class Context:
 
     source: Source
     lenient: bool = False
+
+
+def _as_path(value: Any, info: ValidationInfo) -> Path:
+    if not isinstance(value, str | Path):
+        raise ValueError(f"must be a file's path, not {type_name(value)}")
+    context = info.context
+    return context.source.locate(value) if isinstance(context, Context) else Path(value)
 
 
 class Table(BaseModel):
@@ -197,7 +118,7 @@ class StudyInfo(Table):
     """[study]"""
 
     name: Name = Field(description="names the run directory: letters, digits, _ . -")
-    title: Annotated[str, AfterValidator(_one_line)] = Field(
+    title: Annotated[str, AfterValidator(one_line)] = Field(
         "", description="one line for the report; the name where left out", max_length=200
     )
     models: tuple[str, ...] = Field(
@@ -207,9 +128,9 @@ class StudyInfo(Table):
     reference: str | None = Field(
         None, description="the model that the others are compared with, one of `models`; none: no comparison"
     )
-    claims: Annotated[
-        tuple[int, ...], _number_check(lambda v: 1 <= v <= CLAIMS, f"must be 1 to {CLAIMS}")
-    ] = Field((), description="numbers of the paper's claims that the study puts on trial", strict=False)
+    claims: Annotated[tuple[int, ...], number_check(lambda v: 1 <= v <= CLAIMS, f"must be 1 to {CLAIMS}")] = (
+        Field((), description="numbers of the paper's claims that the study puts on trial", strict=False)
+    )
     max_cases: int = Field(1000, description="refuse a sweep of more cases than this", ge=1, le=100_000)
 
     @classmethod
@@ -225,10 +146,10 @@ class Geometry(Table):
         None, description="edge length of the mesh; only a file with tetrahedra does without"
     )
     radius: Length | None = Field(None, description="sphere, cylinder: radius")
-    semi_axes: Annotated[Vector3, SI("m", (3,)), _positive] | None = Field(
+    semi_axes: Annotated[Vector3, SI("m", (3,)), positive] | None = Field(
         None, description="ellipsoid: half of its extents along x, y, z"
     )
-    size: Annotated[float | Vector3, SI("m", (1, 3)), _positive] | None = Field(
+    size: Annotated[float | Vector3, SI("m", (1, 3)), positive] | None = Field(
         None, description="box: its extents along x, y, z; organ, file: its largest extent"
     )
     length: Length | None = Field(None, description="cylinder: length")
@@ -236,7 +157,7 @@ class Geometry(Table):
     path: Annotated[Path, BeforeValidator(_as_path)] | None = Field(
         None, description="file: a surface (STL, OBJ, PLY, VTP) or tetrahedra (MSH, VTU, VTK)"
     )
-    scale: Annotated[float, SI("1"), _positive] | None = Field(
+    scale: Annotated[float, SI("1"), positive] | None = Field(
         None, description="file: metres per unit of the file, 1 where neither scale nor size is given"
     )
 
@@ -251,8 +172,8 @@ class Tissue(Table):
     youngs_modulus: Annotated[
         float,
         SI("Pa"),
-        _positive,
-        _number_check(
+        positive,
+        number_check(
             lambda v: 10 <= v <= 1e10,
             'must lie between 10 Pa and 10 GPa (a mixed-up unit? a bare number is in Pa: write "5 kPa")',
         ),
@@ -260,13 +181,13 @@ class Tissue(Table):
     poisson_ratio: Annotated[
         float,
         SI("1"),
-        _number_check(lambda v: -1 < v <= 0.5, "must be above -1 and at most 0.5 (incompressible)"),
+        number_check(lambda v: -1 < v <= 0.5, "must be above -1 and at most 0.5 (incompressible)"),
     ] = Field(description="Poisson's ratio, up to and including 0.5")
     density: Annotated[
         float,
         SI("kg/m^3"),
-        _positive,
-        _number_check(
+        positive,
+        number_check(
             lambda v: 10 <= v <= 1e5,
             'must lie between 10 and 100,000 kg/m^3 (a mixed-up unit? write "1.06 g/cm^3")',
         ),
@@ -279,7 +200,7 @@ class VdmTable(Table):
     bulk_modulus: Modulus | None = Field(None, description="B of the paper")
     connectivity_modulus: Modulus | None = Field(None, description="B_ij of the paper")
     shear_modulus: Modulus | None = Field(None, description="mu of the boundary form")
-    foundation: Annotated[float, SI("Pa/m"), _not_negative] | None = Field(
+    foundation: Annotated[float, SI("Pa/m"), not_negative] | None = Field(
         None, description="k, stiffness against normal displacement per area"
     )
     surface_tension: LineForce | None = Field(None, description="T, tension of the skin")
@@ -287,7 +208,7 @@ class VdmTable(Table):
     rotation: Literal["none", "global", "nodal"] | None = Field(
         None, description="rotation that costs the skin no energy"
     )
-    penalty: Annotated[float, SI("1"), _positive] | None = Field(
+    penalty: Annotated[float, SI("1"), positive] | None = Field(
         None, description="alpha of (25) and (26); left out: held nodes are eliminated exactly"
     )
 
@@ -301,7 +222,7 @@ class HalfSpace(Table):
 
     axis: Axis = Field(description="axis that the plane is perpendicular to")
     fraction: (
-        Annotated[float, SI("1"), _number_check(lambda v: 0 <= v <= 1, "must lie between 0 and 1")] | None
+        Annotated[float, SI("1"), number_check(lambda v: 0 <= v <= 1, "must lie between 0 and 1")] | None
     ) = Field(None, description="place of the plane as a fraction of the body's extent")
     value: Annotated[float, SI("m")] | None = Field(None, description="place of the plane as a coordinate")
 
@@ -327,8 +248,8 @@ class Cap(Table):
     angle: Annotated[
         float,
         SI("rad"),
-        _positive,
-        _number_check(
+        positive,
+        number_check(
             lambda v: v <= math.pi,
             'must be at most 180 deg (a bare number is in radians: write "25 deg")',
         ),
@@ -426,7 +347,7 @@ class Anisotropy(Table):
     """[anisotropy]"""
 
     fibre_direction: Direction = Field(description="direction of the fibres, of any length")
-    contrast: Annotated[float, SI("1"), _positive] = Field(
+    contrast: Annotated[float, SI("1"), positive] = Field(
         description="Young's modulus along the fibres over `tissue.youngs_modulus` (FEM, 1 or more); "
         "B_ij, T and E_s of an edge, B_i and k of a node along them over those across (VDM)"
     )
@@ -451,7 +372,7 @@ class Limits(Table):
         description="dotted path of the load to raise, as in a sweep; the search starts at its value"
     )
     thresholds: Annotated[
-        tuple[float, ...], SI("1", (0,)), _number_check(lambda v: 0 < v < 1, "must lie between 0 and 1")
+        tuple[float, ...], SI("1", (0,)), number_check(lambda v: 0 < v < 1, "must lie between 0 and 1")
     ] = Field((0.05, 0.10), description="growths of the relative L2 displacement error to find")
 
 

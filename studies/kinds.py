@@ -1,0 +1,105 @@
+"""The kinds of values that a study file holds: quantities with their unit, names, directions, ranges of numbers."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Annotated, Any, Literal
+
+from pydantic import AfterValidator, GetCoreSchemaHandler
+from pydantic_core import CoreSchema, core_schema
+
+from .units import QuantityError, shown, to_si, type_name
+
+_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,63}")
+
+Vector3 = tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class SI:
+    """Marks a field as a quantity in `unit`: one number, or a list of `counts` numbers (0: any positive count)."""
+
+    unit: str
+    counts: tuple[int, ...] = (1,)
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+        return core_schema.no_info_plain_validator_function(self.read)
+
+    def read(self, value: Any) -> float | tuple[float, ...]:
+        """Convert a value of a study file. Raises QuantityError."""
+        if not isinstance(value, list | tuple):
+            if 1 not in self.counts:
+                raise QuantityError(f"must be a list of {self._wanted()}, not {type_name(value)}")
+            return to_si(value, self.unit)
+        if not value or not {0, len(value)} & set(self.counts):
+            if self.counts == (1,):
+                to_si(value, self.unit)  # says what is wanted instead of a list
+            raise QuantityError(f"must have {self._wanted()}, not {len(value)}")
+        numbers = []
+        for place, item in enumerate(value, start=1):
+            try:
+                numbers.append(to_si(item, self.unit))
+            except QuantityError as error:
+                raise QuantityError(f"item {place}: {error}") from None
+        return tuple(numbers)
+
+    def _wanted(self) -> str:
+        counts = [str(count) for count in self.counts if count > 1]
+        return f"{' or '.join(counts)} numbers" if counts else "at least one number"
+
+
+def number_check(holds: Callable[[float], bool], message: str) -> AfterValidator:
+    """A condition on a number, or on each of several."""
+
+    def check(value: Any) -> Any:
+        for number in value if isinstance(value, tuple) else (value,):
+            if not holds(number):
+                raise ValueError(f"{message}, not {number:g}")
+        return value
+
+    return AfterValidator(check)
+
+
+positive = number_check(lambda v: v > 0, "must be positive")
+not_negative = number_check(lambda v: v >= 0, "must be positive or zero")
+
+
+def is_safe_name(value: Any) -> bool:
+    """Whether a value is a name that `safe_name` lets pass."""
+    return isinstance(value, str) and _NAME.fullmatch(value) is not None
+
+
+def safe_name(value: str) -> str:
+    """A name that is safe in a path, an HTML page and a key. Raises ValueError."""
+    if not is_safe_name(value):
+        raise ValueError(
+            f"{shown(value)} is not a usable name: begin with a letter or digit, then letters, digits, _ . - "
+            "(64 characters at most)"
+        )
+    return value
+
+
+def one_line(value: str) -> str:
+    if not value.isprintable():
+        raise ValueError("must be one line without control characters")
+    return value
+
+
+def nonzero(value: Vector3) -> Vector3:
+    if not 0 < math.hypot(*value) < math.inf:
+        raise ValueError("must not be the zero vector")
+    return value
+
+
+Length = Annotated[float, SI("m"), positive]
+Position = Annotated[Vector3, SI("m", (3,))]
+Direction = Annotated[Vector3, SI("1", (3,)), AfterValidator(nonzero)]
+Modulus = Annotated[float, SI("Pa"), not_negative]
+LineForce = Annotated[float, SI("N/m"), not_negative]
+Pressure = Annotated[float, SI("Pa")]
+Name = Annotated[str, AfterValidator(safe_name)]
+Axis = Literal["x", "y", "z"]
+Shape = Literal["sphere", "ellipsoid", "box", "cylinder", "organ", "file"]
