@@ -51,7 +51,7 @@ class SurfaceMesh:
         self.facet_areas: Array = np.linalg.norm(self.facet_vectors, axis=1)
         _check_facets(corners, self.facet_areas)
         self.edges: Index
-        self.facet_edges: Index
+        self.facet_edges: NDArray[np.int32]
         self.edges, self.facet_edges = _edges(self.triangles, self.n_nodes)
         _check_topology(self.triangles, self.facet_edges, self.edges, self.n_nodes)
 
@@ -103,9 +103,12 @@ class SurfaceMesh:
         lengths: Array = np.linalg.norm(self.area_vectors, axis=1)
         return lengths
 
-    @cached_property
+    @property
     def raw_cotangent_weights(self) -> Array:
-        """(E,) (cot a + cot b) / 2 of the two angles opposite each edge; negative where they exceed pi together."""
+        """(E,) (cot a + cot b) / 2 of the two angles opposite each edge; negative where they exceed pi together.
+
+        Computed anew: what is kept are the clamped ones.
+        """
         corners = self.points[self.triangles]
         weights = np.zeros(len(self.edges))
         for k in range(3):
@@ -116,15 +119,22 @@ class SurfaceMesh:
             weights += np.bincount(self.facet_edges[:, (k + 1) % 3], 0.5 * cotangent, len(self.edges))
         return weights
 
-    @cached_property
+    @property
     def cotangent_weights(self) -> Array:
         """(E,) cotangent weights with the negative ones set to zero, which keeps every operator semi-definite."""
-        return np.maximum(self.raw_cotangent_weights, 0.0)
+        return self._clamped_weights[0]
 
-    @cached_property
+    @property
     def clamped_edges(self) -> int:
         """How many edges have a negative cotangent weight, set to zero in `cotangent_weights`."""
-        return int(np.count_nonzero(self.raw_cotangent_weights < 0.0))
+        return self._clamped_weights[1]
+
+    @cached_property
+    def _clamped_weights(self) -> tuple[Array, int]:
+        weights = self.raw_cotangent_weights
+        negative = weights < 0.0
+        weights[negative] = 0.0
+        return weights, int(np.count_nonzero(negative))
 
     @cached_property
     def genus(self) -> int:
@@ -138,9 +148,10 @@ class SurfaceMesh:
 
     def laplacian(self, weights: Array) -> sparse.csr_array:
         """(N, N) graph Laplacian of (E,) edge weights: row i is sum_j w_ij (x_i - x_j)."""
-        i, j = self.edges.T
+        # 32 bits: half the memory of the indices, and what the factor's library takes without a copy
+        i, j = self.edges.T.astype(np.int32)
         diagonal = np.bincount(i, weights, self.n_nodes) + np.bincount(j, weights, self.n_nodes)
-        nodes = np.arange(self.n_nodes)
+        nodes = np.arange(self.n_nodes, dtype=np.int32)
         rows, columns = np.concatenate([i, j, nodes]), np.concatenate([j, i, nodes])
         values = np.concatenate([-weights, -weights, diagonal])
         return sparse.csr_array((values, (rows, columns)), shape=(self.n_nodes, self.n_nodes))
@@ -178,16 +189,16 @@ def _check_facets(corners: Array, areas: Array) -> None:
         raise SurfaceError(f"{flat.size} facets have no area (first: {flat[0]}); clean or remesh the surface")
 
 
-def _edges(triangles: Index, n_nodes: int) -> tuple[Index, Index]:
+def _edges(triangles: Index, n_nodes: int) -> tuple[Index, NDArray[np.int32]]:
     """(E, 2) edges with the smaller node first, in ascending order, and (F, 3) the edges of each facet."""
     start, end = triangles.ravel(), np.roll(triangles, -1, axis=1).ravel()
     keys = np.minimum(start, end) * n_nodes + np.maximum(start, end)
     unique, inverse = np.unique(keys, return_inverse=True)
     edges = np.stack([unique // n_nodes, unique % n_nodes], axis=1)
-    return edges, inverse.reshape(-1, 3).astype(np.int64)
+    return edges, inverse.reshape(-1, 3).astype(np.int32)
 
 
-def _check_topology(triangles: Index, facet_edges: Index, edges: Index, n_nodes: int) -> None:
+def _check_topology(triangles: Index, facet_edges: NDArray[np.int32], edges: Index, n_nodes: int) -> None:
     use = np.bincount(facet_edges.ravel(), minlength=len(edges))
     if np.any(use == 1):
         i, j = edges[np.flatnonzero(use == 1)[0]]
@@ -217,7 +228,7 @@ def _check_topology(triangles: Index, facet_edges: Index, edges: Index, n_nodes:
     _check_fans(triangles, facet_edges, n_nodes)
 
 
-def _check_fans(triangles: Index, facet_edges: Index, n_nodes: int) -> None:
+def _check_fans(triangles: Index, facet_edges: NDArray[np.int32], n_nodes: int) -> None:
     """Every node must have a single fan of facets: corners that share a node and an edge are joined and counted."""
     corners = np.arange(triangles.size).reshape(-1, 3)
     # each edge has one forward and one backward half: its two facets' corners at either end belong together

@@ -3,7 +3,8 @@
 The bound of a linear solve is the time that two readings of its factor take: of an array of the factor's
 size, 8 bytes a non-zero, indices not counted, so that a factor that fits into a cache is held against the
 cache. cholespy does not tell its non-zeros; they are those of SuperLU's symmetric minimum degree ordering, an
-upper bound as long as cholespy's ordering is no worse.
+upper bound as long as cholespy's ordering is no worse. Memory is set against what one factor more takes of the
+process, its indices and all; the last column is what its library takes while it makes that factor.
 """
 
 from __future__ import annotations
@@ -25,6 +26,7 @@ from studies.memory import peak_bytes_since, reset_peak
 from tests.unit.vdm_shapes import icosphere, torus
 from vdm import Load, Model, Parameters, SurfaceMesh
 from vdm.formulations.vector import VectorFormulation
+from vdm.solvers.cholesky import Cholesky
 from vdm.solvers.compliance import ContactCompliance
 from vdm.solvers.linear import LinearSolver
 
@@ -40,7 +42,9 @@ HEAD = (
     "10 % to 90 %",
     "over the bound",
     "SuperLU over it",
-    "peak memory over factor",
+    "resident over factor",
+    "peak over factor",
+    "of it the factor's own making",
 )
 
 
@@ -65,12 +69,15 @@ class Row:
     seconds: Array
     over_bound: float | None = None
     superlu: float | None = None
-    memory: float | None = None
+    resident: float | None = None
+    peak: float | None = None
+    library: float | None = None
 
     def cells(self) -> list[str]:
         """As text."""
         low, median, high = np.quantile(self.seconds, [0.1, 0.5, 0.9])
-        ratios = ("" if r is None else f"{r:.2g}" for r in (self.over_bound, self.superlu, self.memory))
+        numbers = (self.over_bound, self.superlu, self.resident, self.peak, self.library)
+        ratios = ("" if number is None else f"{number:.2g}" for number in numbers)
         return [self.what, f"{self.nodes:,}", shown(median), f"{shown(low)} to {shown(high)}", *ratios]
 
 
@@ -125,20 +132,27 @@ def ball(formulation: str, levels: int, solver: str = "linear") -> Model:
 def linear_rows(sizes: Sizes, levels: int, repeats: int) -> Iterator[Row]:
     """Every node loaded, and the triangular solves in it, beside SuperLU's; set-up with its memory."""
     for formulation in ("paper", "consistent", "vector"):
-        resident = reset_peak()
+        before = reset_peak()
         model = ball(formulation, levels)
-        peak = peak_bytes_since(resident)
+        peak = peak_bytes_since(before)
+        resident = reset_peak() - before
         n_nodes = model.surface.n_nodes
         free, form = model.problem.free, model.formulation
         # the vector form's three components share one scalar factor
         block = scalar_block(model)
+        before = reset_peak()
+        again = Cholesky(sparse.csr_array(block))
+        library = peak_bytes_since(before)
+        factor_resident = reset_peak() - before
+        del again
         superlu = linalg.splu(
             block, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True}
         )
         factor_bytes = BYTES_PER_NONZERO * superlu.L.nnz
         bound = 2.0 * reading_seconds(factor_bytes, repeats)
         set_up = timed(partial(ball, formulation, levels), sizes.slow_repeats)
-        yield Row(f"set-up, {formulation}", n_nodes, set_up, memory=peak / factor_bytes)
+        memory = (amount / max(factor_resident, 1) for amount in (resident, peak, library))
+        yield Row(f"set-up, {formulation}", n_nodes, set_up, None, None, *memory)
         load = Load(100.0 * np.random.default_rng(0).random(n_nodes))
         step = timed(partial(model.solver.step, load), repeats)
         yield Row(

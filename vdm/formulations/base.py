@@ -31,7 +31,8 @@ class Formulation(ABC):
     """N nodes with d unknowns x each and m border unknowns s, of which the first is dP [Pa].
 
     Balance of each node, a generalised force [N]: `K x - columns s = force`; border: `rows x + corner s = 0`.
-    Arrays of unknowns and forces have shape (N, d), columns and rows (N, d, m).
+    Arrays of unknowns and forces have shape (N, d), columns and rows (N, d, m). K is symmetric; rows beyond the
+    first, the volume's, equal their columns.
     """
 
     name: ClassVar[str]

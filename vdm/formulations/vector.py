@@ -51,17 +51,17 @@ class VectorFormulation(Formulation):
         if not (tension.any() or stretch.any()):
             raise ParameterError("surface_tension and stretch_stiffness are both zero; make one positive")
         weights = tension * surface.cotangent_weights
-        self.weights, self.stretch = weights, stretch * surface.cotangent_weights
+        self.stretch = stretch * surface.cotangent_weights if stretch.any() else None
         self.foundation = foundation * surface.vector_areas
         self.tension = surface.laplacian(weights)
         # (3N, 3N) part that couples the components, None where one scalar factor serves all three
         self.coupling: sparse.csr_array | None = None
-        if parameters.rotation == "nodal" or foundation.any() or stretch.any():
-            blocks = np.einsum(
-                "e,ea,eb->eab", stretch * surface.cotangent_weights, *2 * (edge_directions(surface),)
-            )
+        if parameters.rotation == "nodal" or foundation.any() or self.stretch is not None:
             diagonal = np.einsum("n,na,nb->nab", self.foundation, *2 * (surface.normals,))
-            self.coupling = block_laplacian(surface, blocks) + block_diagonal(diagonal)
+            self.coupling = block_diagonal(diagonal)
+            if self.stretch is not None:
+                blocks = np.einsum("e,ea,eb->eab", self.stretch, *2 * (edge_directions(surface),))
+                self.coupling = self.coupling + block_laplacian(surface, blocks)
             if parameters.rotation == "nodal":
                 self.coupling = self.coupling - nodal_rotation_relief(surface, weights)
         pressure = surface.area_vectors[:, :, None]
@@ -141,7 +141,7 @@ class VectorFormulation(Formulation):
             along = np.einsum("ic,ic->i", x, self.surface.normals)
             force = force + (self.foundation * along)[:, None] * self.surface.normals
             energy += 0.5 * float(self.foundation @ along**2)
-        if self.stretch.any():
+        if self.stretch is not None:
             i, j = self.surface.edges.T
             rest_length = np.linalg.norm(rest[i] - rest[j], axis=1)
             vectors = state.positions[i] - state.positions[j]
@@ -156,13 +156,19 @@ class VectorFormulation(Formulation):
         i, j = self.surface.edges.T
         before = state.body.rest[i] - state.body.rest[j]
         after = state.positions[i] - state.positions[j]
-        moments = np.einsum("e,ea,eb->eab", self.weights, before, after).reshape(-1, 9)
+        weights = self._weights
+        moments = np.einsum("e,ea,eb->eab", weights, before, after).reshape(-1, 9)
         rotations = best_rotation((abs(self._incidence).T @ moments).reshape(-1, 3, 3))
         first = after - np.einsum("ea,eab->eb", before, rotations[i])
         second = after - np.einsum("ea,eab->eb", before, rotations[j])
-        force = self._incidence.T @ (0.5 * self.weights[:, None] * (first + second))
-        energy = 0.25 * float(self.weights @ (first**2 + second**2).sum(axis=1))
+        force = self._incidence.T @ (0.5 * weights[:, None] * (first + second))
+        energy = 0.25 * float(weights @ (first**2 + second**2).sum(axis=1))
         return np.asarray(force), energy
+
+    @cached_property
+    def _weights(self) -> Array:
+        tension: Array = np.asarray(self.parameters.surface_tension, dtype=np.float64)
+        return tension * self.surface.cotangent_weights
 
     @cached_property
     def _incidence(self) -> sparse.csr_array:

@@ -32,7 +32,7 @@ class Cholesky:
     def __init__(self, matrix: sparse.csr_array) -> None:
         self.size = matrix.shape[0]
         matrix.sort_indices()
-        indptr, indices = matrix.indptr.astype(np.int32), matrix.indices.astype(np.int32)
+        indptr, indices = (a.astype(np.int32, copy=False) for a in (matrix.indptr, matrix.indices))
         try:
             self._factor = CholeskySolverD(self.size, indptr, indices, matrix.data, MatrixType.CSR)
         except ValueError as error:

@@ -133,9 +133,10 @@ class ContactCompliance:
             pressure[node] = 1.0
             load = self.problem.support.signed(Load(pressure))
             forces[node, :, k] = formulation.contact_force(load)[node]
-        first = factor.block.solve(forces[factor.free].reshape(-1, len(nodes)))
-        border = np.linalg.solve(factor.schur, -factor.free_rows.T @ first)
+        answer, border = factor.solve(
+            forces[factor.free].reshape(-1, len(nodes)), np.zeros((factor.n_border, len(nodes)))
+        )
         x = np.zeros((n, d, len(nodes)))
-        x[factor.free] = (first + factor.response @ border).reshape(-1, d, len(nodes))
+        x[factor.free] = answer.reshape(-1, d, len(nodes))
         for k, node in enumerate(nodes):
             self._columns[node] = np.append(x[:, :, k].reshape(-1), border[0, k]).astype(self.dtype)

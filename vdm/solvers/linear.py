@@ -20,7 +20,8 @@ NOT_FINITE = Status("not-finite", "the solution holds nan or inf", "check the si
 class BorderedFactor:
     """`[K -G; R^T D]` over the free nodes: K factored once, the m border unknowns by an m x m system.
 
-    `x = K^-1 f + Y s` with Y = K^-1 G, and `(R^T Y + D) s = r - R^T K^-1 f`.
+    `x = K^-1 f + Y s` with Y = K^-1 G, and `(R^T Y + D) s = r - R^T K^-1 f`. Of R only the volume row is kept: the
+    other rows, where a formulation has them, are its columns, K is symmetric, and R^T K^-1 f = Y^T f.
     """
 
     def __init__(self, problem: Problem) -> None:
@@ -29,9 +30,10 @@ class BorderedFactor:
         self.n_border = formulation.columns.shape[2]
         self.block = formulation.factor(self.free)
         self.held_rows = formulation.rows[~self.free].reshape(-1, self.n_border)
-        self.free_rows = formulation.rows[self.free].reshape(-1, self.n_border)
+        self.volume_row = formulation.rows[:, :, 0][self.free].reshape(-1)
         self.response = self.block.solve(formulation.columns[self.free].reshape(-1, self.n_border))
-        self.schur = self.free_rows.T @ self.response + formulation.corner
+        free_rows = formulation.rows[self.free].reshape(-1, self.n_border)
+        self.schur = free_rows.T @ self.response + formulation.corner
         self.corner = formulation.corner
         self._check_border()
 
@@ -46,17 +48,22 @@ class BorderedFactor:
 
     def solve_updated(self, force: Array, target: Array, row: Array) -> tuple[Array, Array]:
         """The same with another volume row (n_free d,); K is not factored again, nor solved with the columns."""
-        rows = self.free_rows.copy()
-        rows[:, 0] = row
-        first = self.block.solve(force)
-        schur = rows.T @ self.response + self.corner
-        border = np.asarray(np.linalg.solve(schur, target - rows.T @ first), dtype=np.float64)
-        return first + self.response @ border, border
+        schur = self.schur.copy()
+        schur[0] = row @ self.response + self.corner[0]
+        return self._solve(force, target, row, schur)
 
     def solve(self, force: Array, target: Array) -> tuple[Array, Array]:
-        """Free unknowns (n_free d,) and border unknowns (m,) of a force (n_free d,) and border values (m,)."""
+        """Free unknowns (n_free d,) and border unknowns (m,) of a force (n_free d,) and border values (m,).
+
+        With k forces at once: (n_free d, k) and (m, k).
+        """
+        return self._solve(force, target, self.volume_row, self.schur)
+
+    def _solve(self, force: Array, target: Array, row: Array, schur: Array) -> tuple[Array, Array]:
         first = self.block.solve(force)
-        border = np.asarray(np.linalg.solve(self.schur, target - self.free_rows.T @ first), dtype=np.float64)
+        met = self.response.T @ force
+        met[0] = row @ first  # the volume is kept to rounding, however ill-conditioned K is
+        border = np.asarray(np.linalg.solve(schur, target - met), dtype=np.float64)
         return first + self.response @ border, border
 
 
