@@ -1,6 +1,7 @@
 """Linear elasticity condensed to the surface: an exact answer per frame for the price of one dense product.
 
-For loads on a chosen contact region the linear problem is solved once per force component at its nodes. What a
+For loads on a chosen contact region the linear problem is solved once per direction in which pressure can push
+each of its nodes: three at a vertex, two at an edge's middle between two facets, one where facets are flat. What a
 frame needs (surface displacement, reactions, mean pressure, work) is linear in those forces and kept as the rows of
 one dense matrix.
 """
@@ -25,6 +26,9 @@ from fem_reference.solution import CONVERGED, Solution, SolverError, Status
 
 Array = NDArray[np.float64]
 
+# facets whose normals differ by less than this push in one direction: far below what is promised
+_FLAT = 1e-12
+
 
 class CondensedProblem:
     """The response of a `LinearProblem` to pressure on a contact region and to weight, as one dense matrix.
@@ -40,9 +44,11 @@ class CondensedProblem:
     Attributes
     ----------
     nodes : (L,) nodes that take force, vertices and edge middles of the contact facets
-    matrix : (rows, 3 L or 3 L + 3) response to unit forces [1/N] and, where the body has a density, unit
-        accelerations: displacement of the surface nodes, then of `nodes`, reactions at held nodes, mean pressure,
-        and the work of unit accelerations
+    pushed : (C,) the place in `nodes` of each unit force, at most three of a node
+    directions : (C, 3) unit vectors of these forces, perpendicular at a node
+    matrix : (rows, C or C + 3) response to unit forces [1/N] and, where the body has a density, unit
+        accelerations: displacement of the surface nodes, then along the unit forces, reactions at held nodes, mean
+        pressure, and the work of unit accelerations
     seconds_setup : time of the set-up, that of `problem` included [s]
     residual : largest relative residual of the solves
 
@@ -67,8 +73,9 @@ class CondensedProblem:
         self._held = np.flatnonzero(problem.held[mesh.surface_nodes].any(axis=1))
         self._heavy = problem.density > 0.0
         self._unit_weight = problem.density * gravity_weights(mesh)
-        columns = 3 * len(self.nodes) + 3 * self._heavy
-        sizes = np.array([3 * count, 3 * len(self.nodes), 3 * len(self._held), 1, 3])
+        self.pushed, self.directions = self._push_directions()
+        columns = len(self.pushed) + 3 * self._heavy
+        sizes = np.array([3 * count, len(self.pushed), 3 * len(self._held), 1, 3])
         self._rows = np.cumsum(sizes)[:-1]
         needed = 8.0 * float(sizes.sum()) * columns
         allowed = available_memory() if memory_limit is None else memory_limit
@@ -145,7 +152,7 @@ class CondensedProblem:
         )
 
     def _amplitudes(self, step: int, load: Load) -> Array:
-        """(columns,) forces at `nodes` and accelerations of one load."""
+        """(columns,) forces along `directions` and accelerations of one load."""
         pressure = np.asarray(load.facet_pressure, dtype=np.float64)
         inside = pressure[self._facets]
         if np.count_nonzero(pressure) > np.count_nonzero(inside):
@@ -158,8 +165,23 @@ class CondensedProblem:
             return forces
         return np.concatenate([forces, np.asarray(load.gravity, dtype=np.float64)])
 
+    def _push_directions(self) -> tuple[NDArray[np.int64], Array]:
+        """An orthonormal basis of the area vectors of each node's contact facets: see `pushed`, `directions`."""
+        mesh = self.problem.mesh
+        area = mesh.area_vectors[self._facets]
+        place = np.searchsorted(self.nodes, mesh.facet_nodes[self._facets])
+        normals = area / np.linalg.norm(area, axis=1)[:, None]
+        by_node = np.argsort(place, axis=None, kind="stable")
+        count = np.bincount(place.ravel())
+        slot = np.arange(place.size) - np.repeat(np.cumsum(count) - count, count)
+        around = np.zeros((len(self.nodes), int(count.max()), 3))
+        around[place.ravel()[by_node], slot] = normals[by_node // place.shape[1]]
+        _, size, axes = np.linalg.svd(around, full_matrices=False)
+        node, axis = np.nonzero(size > _FLAT * size[:, :1])
+        return node, axes[node, axis]
+
     def _facet_forces(self) -> csr_array:
-        """(3 L, facets * Q) nodal forces of unit pressures at the facets' quadrature points."""
+        """(C, facets * Q) forces along `directions` of unit pressures at the facets' quadrature points."""
         mesh = self.problem.mesh
         points, weights = facet_quadrature()
         shape = (triangle_p2(points) if mesh.order == 2 else points) * weights[:, None]
@@ -169,20 +191,29 @@ class CondensedProblem:
         rows = 3 * place[:, None, :, None] + np.arange(3)
         points_of = np.arange(area.shape[0] * len(weights)).reshape(len(area), -1, 1, 1)
         rows, columns = (np.broadcast_to(a, values.shape).ravel() for a in (rows, points_of))
-        return csr_array(
+        forces = csr_array(
             (values.ravel(), (rows, columns)), shape=(3 * len(self.nodes), len(area) * len(weights))
         )
+        count = len(self.pushed)
+        along = csr_array(
+            (
+                self.directions.ravel(),
+                (3 * self.pushed[:, None] + np.arange(3)).ravel(),
+                3 * np.arange(count + 1),
+            ),
+            shape=(count, 3 * len(self.nodes)),
+        )
+        return csr_array(along @ forces)
 
     def _respond(self, chosen: NDArray[np.int64]) -> Fields:
         """The fields for some columns of the matrix."""
         mesh = self.problem.mesh
         forces = np.zeros((len(chosen), mesh.n_nodes, 3))
         for force, column in zip(forces, chosen.tolist(), strict=True):
-            place, component = divmod(column, 3)
-            if place < len(self.nodes):
-                force[self.nodes[place], component] = 1.0
+            if column < len(self.pushed):
+                force[self.nodes[self.pushed[column]]] = self.directions[column]
             else:
-                force[:, component] = self._unit_weight
+                force[:, column - len(self.pushed)] = self._unit_weight
         return self.problem.solve_nodal(forces, np.zeros_like(forces))
 
     def _observe(self, fields: Fields) -> Array:
@@ -192,7 +223,7 @@ class CondensedProblem:
         reaction = gather_to_vertices(mesh, fields.reaction)[:, self._held]
         parts = (
             u[:, mesh.surface_nodes],
-            u[:, self.nodes],
+            np.einsum("sck,ck->sc", u[:, self.nodes[self.pushed]], self.directions),
             reaction,
             mean_pressure(self.problem, fields),
             np.einsum("n,snk->sk", self._unit_weight, u),

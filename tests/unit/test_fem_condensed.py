@@ -11,7 +11,7 @@ from numpy.testing import assert_allclose
 from fem_reference.condensed import CondensedProblem
 from fem_reference.linear import LinearProblem
 from fem_reference.solution import SolverError
-from tests.unit.fem_shapes import Body, ball
+from tests.unit.fem_shapes import Body, ball, cube
 
 
 @pytest.fixture(scope="module")
@@ -64,7 +64,7 @@ def test_equal_to_the_linear_solve(body: Body, element: str, poisson_ratio: floa
 def test_without_density_there_are_no_columns_for_weight(body: Body) -> None:
     linear = _linear(body)
     model = CondensedProblem(linear, _upper(body))
-    assert model.matrix.shape[1] == 3 * len(model.nodes)
+    assert model.matrix.shape[1] == len(model.pushed)
     load = body.load(200.0 * body.facets_where(lambda x: x[:, 2] > 0.03), gravity=(0.0, 0.0, -9.81))
     expected = linear.solve([load]).displacement
     assert_allclose(model.solve([load]).displacement, expected, rtol=0, atol=1e-10 * np.abs(expected).max())
@@ -72,7 +72,7 @@ def test_without_density_there_are_no_columns_for_weight(body: Body) -> None:
 
 def test_the_compliance_is_reciprocal(condensed: CondensedProblem, body: Body) -> None:
     """Betti: what force i moves at j, force j moves at i; weight included. Positive definite too."""
-    surface, own = 3 * len(body.surface), 3 * len(condensed.nodes)
+    surface, own = 3 * len(body.surface), len(condensed.pushed)
     work = np.vstack([condensed.matrix[surface : surface + own], condensed.matrix[-3:]])
     assert work.shape[0] == work.shape[1]
     scale = np.sqrt(np.outer(np.diag(work), np.diag(work)))
@@ -82,9 +82,9 @@ def test_the_compliance_is_reciprocal(condensed: CondensedProblem, body: Body) -
 
 def test_set_up_is_reported(condensed: CondensedProblem, body: Body) -> None:
     s = condensed.solve([body.load(1.0 * body.facets_where(lambda x: x[:, 2] > 0.03))])
-    columns = 3 * len(condensed.nodes) + 3
+    columns = len(condensed.pushed) + 3
     held = np.count_nonzero(body.surface[:, 2] < -0.03)
-    rows = 3 * (len(body.surface) + len(condensed.nodes) + held) + 1 + 3
+    rows = 3 * (len(body.surface) + held) + len(condensed.pushed) + 1 + 3
     assert s.parameters["matrix_bytes"] == condensed.bytes == 8 * rows * columns
     assert s.parameters["columns"] == columns
     assert 0.0 < float(s.parameters["seconds_precompute"]) < s.seconds_setup
@@ -127,3 +127,24 @@ def test_contacts_that_make_no_sense_are_refused(body: Body) -> None:
     ):
         with pytest.raises(SolverError, match=words):
             CondensedProblem(linear, contact, limit)
+
+
+def test_a_node_is_pushed_only_where_pressure_can_push_it() -> None:
+    """On a flat face one column a node and the same answer; on a curved one two at an edge's middle."""
+    box = cube(3)
+    top, base = box.surface[:, 2] > 1.0 - 1e-9, box.surface[:, 2] < 1e-9
+    linear = box.problem(base, poisson_ratio=0.49, solver="direct")
+    flat = CondensedProblem(linear, top)
+    assert len(flat.pushed) == len(flat.nodes) == 49  # 16 vertices and 33 edges
+    assert_allclose(np.abs(flat.directions), [[0.0, 0.0, 1.0]] * 49, rtol=0, atol=1e-12)
+    rng = np.random.default_rng(2)
+    load = box.load(rng.uniform(-1.0, 1.0, (len(box.triangles), 6)) * top[box.triangles].all(axis=1)[:, None])
+    expected = linear.solve([load]).displacement
+    assert_allclose(flat.solve([load]).displacement, expected, rtol=0, atol=1e-10 * np.abs(expected).max())
+    b = ball(2, 0.05)
+    curved = CondensedProblem(_linear(b), _upper(b))
+    middles = curved.nodes[curved.pushed] >= curved.problem.mesh.n_vertices
+    of_node = np.bincount(curved.pushed)
+    assert of_node[np.unique(curved.pushed[middles])].max() == 2
+    assert of_node.max() == 3
+    assert len(curved.pushed) < 0.75 * 3 * len(curved.nodes)
