@@ -24,10 +24,12 @@ from threadpoolctl import threadpool_info
 
 from studies.memory import peak_bytes_since, reset_peak
 from tests.unit.vdm_shapes import icosphere, torus
-from vdm import Load, Model, Parameters, SurfaceMesh
+from vdm import FORMULATIONS, Load, Model, Parameters, SurfaceMesh
 from vdm.formulations.vector import VectorFormulation
+from vdm.problem import Problem
 from vdm.solvers.cholesky import Cholesky
 from vdm.solvers.compliance import ContactCompliance
+from vdm.solvers.krylov import KrylovSolver, Method
 from vdm.solvers.linear import LinearSolver
 
 Array = NDArray[np.float64]
@@ -194,6 +196,24 @@ def contact_rows(sizes: Sizes) -> Iterator[Row]:
             yield Row(what, model.surface.n_nodes, seconds)
 
 
+def krylov_rows(sizes: Sizes) -> Iterator[Row]:
+    """One load by iteration from zero: fibres of contrast 3, with the diagonal and with the factor without them."""
+    methods: tuple[Method, ...] = ("cg", "minres")
+    for formulation in ("consistent", "vector"):
+        plain = ball(formulation, sizes.levels)
+        surface, free = plain.surface, plain.problem.free
+        fibres = plain.formulation.parameters.anisotropic(surface, (0.0, 1.0, 0.0), 3.0)
+        changed = Problem(FORMULATIONS[formulation](surface, fibres), plain.problem.support)
+        load = Load(np.where(surface.points[:, 2] > 0.9 * RADIUS, 100.0, 0.0))
+        for method in methods:
+            for name, factor in (("diagonal", None), ("factor at rest", plain.formulation.factor(free))):
+                solver = KrylovSolver(changed, method, factor=factor)
+                seconds = timed(partial(solver.step, load), sizes.slow_repeats)
+                count = solver.step(load).iterations
+                what = f"{method} by the {name}, {count} iterations, fibres added, {formulation}"
+                yield Row(what, surface.n_nodes, seconds)
+
+
 def nonlinear_rows(sizes: Sizes) -> Iterator[Row]:
     """Steps of a load that grows by a twentieth each, once the history has begun."""
     for formulation in ("consistent", "vector"):
@@ -230,6 +250,7 @@ def report(sizes: Sizes) -> Iterator[str]:
     parts = (
         linear_rows(sizes, sizes.levels, sizes.repeats),
         contact_rows(sizes),
+        krylov_rows(sizes),
         nonlinear_rows(sizes),
         boundary_rows(sizes),
         linear_rows(sizes, sizes.fine_levels, 3 * sizes.slow_repeats),

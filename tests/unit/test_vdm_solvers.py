@@ -10,6 +10,7 @@ from tests.unit.vdm_shapes import icosphere, torus
 from vdm import FORMULATIONS, Load, Model, Parameters, SolverError, SurfaceMesh
 from vdm.deformed import DeformableSurface
 from vdm.solvers.anderson import Anderson
+from vdm.solvers.krylov import KrylovSolver
 from vdm.solvers.quasi_linear import sherman_morrison
 
 POINTS, TRIANGLES = icosphere(2, (0.05, 0.06, 0.045))
@@ -69,6 +70,26 @@ def test_printed_rows_in_two_units_never_give_a_wrong_answer(solver, bulk_modulu
         assert found.status[0].code == "not-converged"
         assert "use the linear solver" in found.status[0].remedy
         assert right.status[0].ok
+
+
+@pytest.mark.parametrize("method", ["cg", "minres"])
+@pytest.mark.parametrize("formulation", ["consistent", "vector"])
+def test_the_factor_of_other_moduli_preconditions(formulation, method):
+    plain = model(formulation)
+    stiffer = model(formulation, plain.formulation.parameters.anisotropic(BODY, (0.0, 1.0, 0.0), 3.0))
+    factor = plain.formulation.factor(plain.problem.free)
+    direct = stiffer.solve([PUSH]).displacement[0]
+
+    def iterations(problem, expected, chosen):
+        step = KrylovSolver(problem, method, factor=chosen).step(PUSH)
+        assert step.status.ok
+        assert_allclose(step.displacement, expected, rtol=0.0, atol=1e-8 * np.abs(expected).max())
+        return step.iterations
+
+    assert iterations(stiffer.problem, direct, factor) < 0.75 * iterations(stiffer.problem, direct, None)
+    # on its own operator the factor leaves nothing to iterate: few distinct eigenvalues, one for CG
+    own = iterations(plain.problem, plain.solve([PUSH]).displacement[0], factor)
+    assert own <= (2 if method == "cg" else 12)
 
 
 def test_warm_start_saves_iterations_only_where_the_load_hardly_changes():

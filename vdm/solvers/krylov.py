@@ -10,6 +10,7 @@ from scipy import sparse
 from scipy.sparse import linalg
 
 from vdm.constraints import Load
+from vdm.formulations.base import Factor
 from vdm.problem import Problem, Step
 from vdm.solution import CONVERGED, SolverError, Status
 
@@ -35,9 +36,11 @@ class KrylovSolver:
     problem : formulation and supports
     method : "bicg": on the state matrix as printed, no preconditioner (Fig. 8). "minres": on the symmetric bordered
         matrix, which the paper's formulation does not have. "cg": on the block K alone, once for the load and
-        once, at set-up, for the border columns. MINRES and CG are scaled by the diagonal.
+        once, at set-up, for the border columns. MINRES and CG are scaled by the diagonal unless `factor` is given.
     warm_start : begin with the previous step's solution instead of zero
     tolerance : of the true residual, relative to the right-hand side
+    factor : of the block K over the same free nodes as it was at rest or with other moduli: preconditions CG and
+        MINRES (with the border's Schur complement, made positive) while the operator itself has changed
 
     Raises
     ------
@@ -46,7 +49,12 @@ class KrylovSolver:
     """
 
     def __init__(
-        self, problem: Problem, method: Method = "bicg", warm_start: bool = True, tolerance: float = 1e-10
+        self,
+        problem: Problem,
+        method: Method = "bicg",
+        warm_start: bool = True,
+        tolerance: float = 1e-10,
+        factor: Factor | None = None,
     ) -> None:
         self.problem, self.method, self.warm_start, self.tolerance = problem, method, warm_start, tolerance
         formulation = problem.formulation
@@ -71,8 +79,35 @@ class KrylovSolver:
             matrix = sparse.csr_array(sparse.block_array([[formulation.stiffness(), right], [below, corner]]))
         self.full = matrix
         self.matrix = matrix[self.free][:, self.free]
+        self.preconditioner = self._preconditioner(factor)
         self._prepare()
         self._guess: Array | None = None
+
+    def _preconditioner(self, factor: Factor | None) -> linalg.LinearOperator | None:
+        m, matrix = self.n_border, self.matrix
+        n = matrix.shape[0] - m
+        if self.method == "bicg":
+            return None
+        if factor is None:
+            return linalg.aslinearoperator(
+                sparse.diags_array(
+                    _jacobi(matrix, m) if self.method == "minres" else _jacobi(matrix[:n, :n], 0)
+                )
+            )
+        if self.method == "cg":
+            return linalg.LinearOperator((n, n), matvec=factor.solve, dtype=np.float64)
+        columns = matrix[:n, n:].toarray()
+        schur = columns.T @ factor.solve(columns) - matrix[n:, n:].toarray()
+        size = np.sqrt(np.abs(schur.diagonal()))  # each border unknown in its own unit
+        values, vectors = np.linalg.eigh(schur / np.outer(size, size))
+        half = vectors / np.sqrt(np.abs(values)) / size[:, None]
+        inverse = half @ half.T
+
+        def both(b: Array) -> Array:
+            b = b.reshape(-1)
+            return np.concatenate([factor.solve(b[:n]), inverse @ b[n:]])
+
+        return linalg.LinearOperator(matrix.shape, matvec=both, dtype=np.float64)
 
     def _prepare(self) -> None:
         if self.method != "cg":
@@ -137,8 +172,9 @@ class KrylovSolver:
                 change, _info = linalg.bicg(matrix, residual, rtol=share, maxiter=limit, callback=counted)
             else:
                 solver = linalg.cg if self.method == "cg" else linalg.minres
-                scale = sparse.diags_array(_jacobi(matrix, self.n_border if self.method == "minres" else 0))
-                change, _info = solver(matrix, residual, rtol=share, maxiter=limit, M=scale, callback=counted)
+                change, _info = solver(
+                    matrix, residual, rtol=share, maxiter=limit, M=self.preconditioner, callback=counted
+                )
             x = x + change
         residual = b - matrix @ x
         small = bool(np.linalg.norm(residual) <= self.tolerance * size)
