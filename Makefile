@@ -7,7 +7,7 @@ PYTHON ?= python3
 RUN := .venv/bin/
 PYTEST := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(RUN)python -m pytest
 
-.PHONY: demo test verify docs accuracy bench-vdm bench-sharing setup libraries clean
+.PHONY: demo test verify docs accuracy bench-vdm bench-fem bench-sharing setup libraries clean
 
 demo: setup
 	$(RUN)vdmbench run quickstart
@@ -32,6 +32,11 @@ accuracy: setup
 # what the surface model costs on this machine, in one thread
 bench-vdm: setup
 	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(RUN)python -m tests.benchmarks.vdm_speed
+
+# what the linear finite elements cost, beside NGSolve and scikit-fem, in one thread
+bench-fem: setup
+	.venv/bin/pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable '.[benchmark]'
+	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(RUN)python -m tests.benchmarks.fem_speed
 
 # 100 linear loads beside one: shared, and each alone
 bench-sharing: setup

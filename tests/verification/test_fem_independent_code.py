@@ -33,7 +33,7 @@ def _facet_parts(b: Body) -> NDArray[np.int64]:
     return np.where(below, 0, np.where(above, 1, 2))
 
 
-def _ngsolve_mesh(b: Body) -> ngs.Mesh:
+def ngsolve_mesh(b: Body) -> ngs.Mesh:
     """The body with the parts of its surface by name; vertex v of one is vertex v of the other."""
     out = netgen_meshing.Mesh(dim=3)
     numbers = [out.Add(netgen_meshing.MeshPoint(netgen_meshing.Pnt(*x))) for x in b.points.tolist()]
@@ -50,7 +50,7 @@ def _ngsolve_mesh(b: Body) -> ngs.Mesh:
 
 def _solve_in_ngsolve(b: Body, nu: float, pressure: float, *, large: bool) -> tuple[Array, Array]:
     """(n, 3) vertex displacements and (n,) vertex pressures, from its own forms, assembly and solver."""
-    mesh = _ngsolve_mesh(b)
+    mesh = ngsolve_mesh(b)
     space = ngs.VectorH1(mesh, order=2, dirichlet="base") * ngs.H1(mesh, order=1)
     (u, p), state = space.TrialFunction(), ngs.GridFunction(space)
     mu = YOUNG / (2.0 * (1.0 + nu))
