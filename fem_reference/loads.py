@@ -131,27 +131,9 @@ def independent_loads(loads: Sequence[Load]) -> tuple[NDArray[np.int64], Array]:
     if not kinds:
         return np.zeros(0, dtype=np.int64), np.zeros((0, len(loads)))
     columns = np.concatenate(kinds, axis=1).T
-    first, factors = _multiples(columns)
-    basis = np.unique(first)
-    chosen, coefficients = independent_columns(columns[:, basis], _DEPENDENT)
+    chosen, coefficients = independent_columns(columns, _DEPENDENT)
     order = np.argsort(chosen)
-    return basis[chosen[order]], coefficients[order][:, np.searchsorted(basis, first)] * factors
-
-
-def _multiples(columns: Array) -> tuple[NDArray[np.int64], Array]:
-    """For each column the first that it is a multiple of, and the factor; most histories are one load scaled."""
-    count = columns.shape[1]
-    products = columns.T @ columns
-    norms = np.sqrt(products.diagonal())
-    first, factors = np.arange(count), np.ones(count)
-    for j in range(count):
-        for i in np.unique(first[:j]):
-            if abs(products[i, j]) > (1.0 - 1e-9) * norms[i] * norms[j] > 0.0:
-                factor = products[i, j] / products[i, i]
-                if np.linalg.norm(columns[:, j] - factor * columns[:, i]) <= _DEPENDENT * norms[j]:
-                    first[j], factors[j] = i, factor
-                    break
-    return first, factors
+    return chosen[order], coefficients[order]
 
 
 def gather_to_vertices(mesh: TetMesh, nodal: Array) -> Array:

@@ -87,14 +87,20 @@ class Problem:
         return force
 
     def finish(
-        self, x: Array, border: Array, force: Array, iterations: int = 0, status: Status = CONVERGED
+        self,
+        x: Array,
+        border: Array,
+        force: Array,
+        iterations: int = 0,
+        status: Status = CONVERGED,
+        applied: Array | None = None,
     ) -> Step:
-        """Displacement, reactions and energy of a solved step.
+        """Displacement, reactions and energy of a solved step; `applied` is K x, where it is known.
 
         The reaction is what the balance lacks at held nodes: internal force less fluid and contact. The energy is
         half the work of the material's nodal forces on the displacement.
         """
-        internal = self.formulation.internal_force(x, border)
+        internal = self.formulation.internal_force(x, border, applied)
         displacement = self.formulation.displacement(x)
         energy = 0.5 * float(np.vdot(displacement, self.formulation.nodal_force(internal)))
         lacking = internal - self.formulation.columns[:, :, 0] * border[0] - force

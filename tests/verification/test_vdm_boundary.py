@@ -64,7 +64,7 @@ def test_single_layer_of_a_constant_traction_on_the_ball():
 def ball_error(degree: int, level: int) -> float:
     """Relative error of u_r under P_n against the exact c_n; no resultant, so rigid motions may be held."""
     surface = ball(level)
-    stiffness = surface_stiffness(surface)
+    stiffness = surface_stiffness(surface, surface.area_vectors)
     harmonic = eval_legendre(degree, surface.points[:, 2])
     areas = surface.vector_areas
     force = (harmonic[:, None] * surface.area_vectors).reshape(-1)
@@ -92,7 +92,7 @@ def test_incompressible_ball_without_a_fit(degree):
 
 def test_stiffness_is_symmetric_semi_definite_with_six_free_motions():
     surface = SurfaceMesh(*icosphere(1, (1.0, 0.7, 0.5)))
-    stiffness = surface_stiffness(surface)
+    stiffness = surface_stiffness(surface, surface.area_vectors)
     assert_allclose(stiffness, stiffness.T, rtol=0.0, atol=0.0)
     values = np.linalg.eigvalsh(stiffness)
     assert_allclose(values[:6], 0.0, rtol=0.0, atol=1e-12 * values[-1])
@@ -110,9 +110,6 @@ def test_bad_parameters_and_sizes():
         Model(points, triangles, Parameters(shear_modulus=1.0), formulation="boundary")
     with pytest.raises(ParameterError, match="isotropic"):
         Parameters(shear_modulus=1.0).anisotropic(SurfaceMesh(points, triangles), (0, 0, 1), 2.0)
-    many = icosphere(5)
-    with pytest.raises(SolverError, match="dense: 10242 nodes"):
-        Model(*many, Parameters(shear_modulus=1.0), formulation="boundary")
 
 
 @pytest.mark.slow

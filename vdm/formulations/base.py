@@ -49,6 +49,13 @@ class Formulation(ABC):
     def apply(self, x: Array) -> Array:
         """K x, (N, d)."""
 
+    def solved_force(self, x: Array, balanced: Array, free: Mask, factor: Factor) -> Array:  # noqa: ARG002
+        """K x of a linear solution, whose free nodes balance the generalised force `balanced` (N, d).
+
+        For a formulation whose factor knows the force at held nodes at less than the price of K x.
+        """
+        return self.apply(x)
+
     @abstractmethod
     def factor(self, free: Mask) -> Factor:
         """Factor of K over the free nodes; right-hand sides are (n_free * d,) or (n_free * d, m)."""
@@ -117,9 +124,12 @@ class Formulation(ABC):
         force: Array = self.columns[:, :, 0] * pressure[:, None]
         return force
 
-    def internal_force(self, x: Array, border: Array) -> Array:
-        """Generalised force (N, d) of the material alone: K x less the border terms that are not the fluid's."""
-        force = self.apply(x)
+    def internal_force(self, x: Array, border: Array, applied: Array | None = None) -> Array:
+        """Generalised force (N, d) of the material alone: K x less the border terms that are not the fluid's.
+
+        `applied` is K x, where it is known.
+        """
+        force = self.apply(x) if applied is None else applied
         if len(border) > 1:
             force = force - self.columns[:, :, 1:] @ border[1:]
         return force

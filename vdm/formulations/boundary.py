@@ -10,6 +10,7 @@ from vdm.constraints import Load
 from vdm.deformed import DeformedSurface, follow
 from vdm.formulations.base import Factor, Formulation, Mask
 from vdm.formulations.boundary_integrals import layer_potentials, mass_matrix
+from vdm.formulations.skin import PIVOT_TOLERANCE, Skin, SkinFactor
 from vdm.formulations.vector import best_rotation
 from vdm.material import ParameterError, Parameters
 from vdm.solution import SolverError, Status
@@ -18,10 +19,10 @@ from vdm.surface import SurfaceMesh
 
 Array = NDArray[np.float64]
 
-# four dense matrices of (3 x 3000)^2 doubles take 2.6 GB while they are made
-MAX_NODES = 3000
-# smallest over largest pivot of a factor that is told from a singular one
-PIVOT_TOLERANCE = 1e-6
+# surfaces of up to as many nodes are taken as they are: dense matrices of (3N)^2 numbers
+MAX_NODES = 1000
+# nodes of the coarse body under the skin of a larger one
+COARSE_NODES = 800
 
 
 class BoundaryFormulation(Formulation):
@@ -32,14 +33,13 @@ class BoundaryFormulation(Formulation):
     nearly for the discrete operator are imposed: S is made symmetric, and rigid motions cost nothing, so that
     reactions balance the load. The traction of V^-1 is taken without its mean pressure: that pressure is dP.
 
-    Dense, (3N)^2 numbers, set-up of order N^3. At large displacements S turns with the body's best-fit rotation.
+    Dense, (3N)^2 numbers, set-up of order N^3, up to `MAX_NODES` nodes; more are the skin of a coarser body (see
+    `vdm.formulations.skin`). At large displacements S turns with the body's best-fit rotation.
 
     Raises
     ------
     ParameterError
         shear_modulus missing, zero or not a scalar.
-    SolverError
-        more than `MAX_NODES` nodes.
     """
 
     name = "boundary"
@@ -50,30 +50,40 @@ class BoundaryFormulation(Formulation):
         modulus = parameters.shear_modulus
         if modulus is None or np.ndim(modulus) != 0 or not modulus > 0.0:
             raise ParameterError("the boundary formulation needs shear_modulus, one positive number")
-        if surface.n_nodes > MAX_NODES:
-            raise SolverError(
-                Status(
-                    "too-large",
-                    f"the boundary formulation is dense: {surface.n_nodes} nodes are more than {MAX_NODES}",
-                    "use a coarser mesh or the vector formulation",
-                )
-            )
         self.shear_modulus = float(modulus)
-        self.matrix = self.shear_modulus * surface_stiffness(surface)
+        self.body: Dense | Skin
+        if surface.n_nodes <= MAX_NODES:
+            self.body = Dense(surface_stiffness(surface, surface.area_vectors))
+        else:
+            self.body = Skin(surface, COARSE_NODES, surface_stiffness)
         self.columns = surface.area_vectors[:, :, None]
         self.rows = self.columns
         self.corner = np.zeros((1, 1))
 
     def apply(self, x: Array) -> Array:
-        force: Array = (self.matrix @ x.reshape(-1)).reshape(-1, 3)
-        return force
+        return self.shear_modulus * self.body.apply(x)
 
     def factor(self, free: Mask) -> Factor:
-        dofs = np.repeat(free, 3)
-        return DenseFactor(self.matrix[np.ix_(dofs, dofs)])
+        return ScaledFactor(self.body.factor(free), self.shear_modulus)
+
+    def solved_force(self, x: Array, balanced: Array, free: Mask, factor: Factor) -> Array:
+        if not isinstance(factor, ScaledFactor) or not isinstance(factor.factor, SkinFactor):
+            return self.apply(x)
+        force = balanced.copy()
+        mu = self.shear_modulus
+        force[~free] = mu * factor.factor.held_force(balanced[free] / mu, x[~free])
+        return force
 
     def stiffness(self) -> sparse.csr_array:
-        return sparse.csr_array(self.matrix)
+        if isinstance(self.body, Skin):
+            raise SolverError(
+                Status(
+                    "too-large",
+                    f"the boundary formulation has no matrix for more than {MAX_NODES} nodes",
+                    "use a coarser mesh, or the linear or the nonlinear solver",
+                )
+            )
+        return sparse.csr_array(self.shear_modulus * self.body.matrix)
 
     def contact_force(self, load: Load) -> Array:
         if load.contact_force is None:
@@ -112,6 +122,35 @@ class BoundaryFormulation(Formulation):
         return turn, state.positions @ turn.T - rest
 
 
+class Dense:
+    """A symmetric matrix (3N, 3N)."""
+
+    def __init__(self, matrix: Array) -> None:
+        self.matrix = matrix
+
+    def apply(self, x: Array) -> Array:
+        """(N, 3) elastic force of displacements (N, 3)."""
+        force: Array = (self.matrix @ x.reshape(-1)).reshape(-1, 3)
+        return force
+
+    def factor(self, free: Mask) -> DenseFactor:
+        """Its factor over the free nodes."""
+        dofs = np.repeat(free, 3)
+        return DenseFactor(self.matrix[np.ix_(dofs, dofs)])
+
+
+class ScaledFactor:
+    """Factor of a multiple of a matrix, from that of the matrix."""
+
+    def __init__(self, factor: DenseFactor | SkinFactor, scale: float) -> None:
+        self.factor = factor
+        self.scale = scale
+
+    def solve(self, right_hand_side: Array) -> Array:
+        """Solution of (n,) or (n, m) right-hand sides."""
+        return self.factor.solve(right_hand_side) / self.scale
+
+
 class DenseFactor:
     """Cholesky factor of a symmetric positive definite dense matrix.
 
@@ -135,8 +174,11 @@ class DenseFactor:
         return np.asarray(linalg.cho_solve(self._factor, right_hand_side, check_finite=False))
 
 
-def surface_stiffness(surface: SurfaceMesh) -> Array:
-    """(3N, 3N) symmetric stiffness [m] for mu = 1, rigid motions in its null space."""
+def surface_stiffness(surface: SurfaceMesh, volume_gradient: Array) -> Array:
+    """(3N, 3N) symmetric stiffness [m] for mu = 1, rigid motions in its null space.
+
+    A change of volume, of the gradient (N, 3), is left to the constraint: here it only must not be free.
+    """
     single, jump = layer_potentials(surface)
     normals = surface.normals.reshape(-1)
     size = len(normals)
@@ -155,7 +197,7 @@ def surface_stiffness(surface: SurfaceMesh) -> Array:
     stiffness -= rigid @ (rigid.T @ stiffness)
     stiffness -= (stiffness @ rigid) @ rigid.T
     # a change of volume, which the constraint rules out, must not be free: it would make the block indefinite
-    gradient = surface.area_vectors.reshape(-1)
+    gradient = volume_gradient.reshape(-1)
     gradient = gradient - rigid @ (rigid.T @ gradient)
     gradient /= np.linalg.norm(gradient)
     stiffness += np.abs(np.diagonal(stiffness)).max() * np.outer(gradient, gradient)

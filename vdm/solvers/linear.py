@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from vdm.constraints import Load
 from vdm.problem import Problem, Step
-from vdm.solution import SolverError, Status
+from vdm.solution import CONVERGED, SolverError, Status
 from vdm.solvers.cholesky import SINGULAR
 
 Array = NDArray[np.float64]
@@ -92,6 +92,7 @@ class LinearSolver:
             target = -factor.held_rows.T @ x[~factor.free].reshape(-1)
         free_x, border = factor.solve(right_hand_side[factor.free].reshape(-1), target)
         x[factor.free] = free_x.reshape(-1, x.shape[1])
-        status = None if np.isfinite(free_x).all() else NOT_FINITE
-        step = problem.finish(x, border, force)
-        return step if status is None else problem.finish(x, border, force, status=status)
+        balanced = force + problem.formulation.columns @ border
+        applied = problem.formulation.solved_force(x, balanced, factor.free, factor.block)
+        status = CONVERGED if np.isfinite(free_x).all() else NOT_FINITE
+        return problem.finish(x, border, force, status=status, applied=applied)

@@ -1,0 +1,173 @@
+"""The boundary formulation of many nodes: coarsening, interpolation, and the skin on the coarse body."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+from scipy.special import eval_legendre
+
+from studies.metrics import rigid_motion_removed
+from tests.unit.vdm_shapes import box, icosphere, torus
+from vdm import Load, Model, Parameters, SolverError, SurfaceMesh
+from vdm.formulations.boundary import (
+    MAX_NODES,
+    BoundaryFormulation,
+    DenseFactor,
+    rigid_motions,
+    surface_stiffness,
+)
+from vdm.formulations.coarse_surface import coarsened
+from vdm.formulations.interpolation import interpolation
+from vdm.formulations.skin import LARGEST_RATIO, Skin
+from vdm.material import ball_compliance
+
+ELLIPSOID = SurfaceMesh(*icosphere(3, (1.0, 0.8, 0.6)))
+FREE = ELLIPSOID.points[:, 2] > -0.5
+
+
+@pytest.fixture(scope="module")
+def skin() -> Skin:
+    return Skin(ELLIPSOID, 120, surface_stiffness)
+
+
+@pytest.mark.parametrize("shape", [icosphere(3), torus(n=40, m=20), box(8, (1.0, 0.8, 0.5))])
+def test_coarse_surface_is_closed_of_the_same_genus_and_volume(shape):
+    fine = SurfaceMesh(*shape)
+    coarse = coarsened(fine, 200)  # SurfaceMesh checks that it is closed, manifold and turned outward
+    assert coarse.surface.n_nodes == len(coarse.kept) == 200
+    assert np.array_equal(coarse.surface.points, fine.points[coarse.kept])
+    assert coarse.surface.genus == fine.genus
+    assert_allclose(coarse.surface.volume, fine.volume, rtol=0.06, atol=0.0)
+
+
+def test_a_box_keeps_its_corners():
+    fine = SurfaceMesh(*box(8, (1.0, 0.8, 0.5)))
+    assert_allclose(coarsened(fine, 100).surface.volume, 0.4, rtol=0.01, atol=0.0)
+
+
+def test_coarsening_ends_where_no_collapse_is_left():
+    assert coarsened(SurfaceMesh(*icosphere(1)), 1).surface.n_nodes == 4
+
+
+@pytest.mark.parametrize("shape", [icosphere(3), torus(n=40, m=20), box(8, (1.0, 0.8, 0.5))])
+def test_interpolation_keeps_nodes_and_linear_fields_and_gets_smooth_ones(shape):
+    fine = SurfaceMesh(*shape)
+    coarse = coarsened(fine, 200)
+    weights = interpolation(fine, coarse).weights
+    assert_allclose((weights @ coarse.surface.points), fine.points, rtol=0.0, atol=1e-10)
+    assert_allclose(weights.sum(axis=1), 1.0, rtol=0.0, atol=1e-10)
+    assert_allclose(weights[coarse.kept].toarray(), np.eye(200), rtol=0.0, atol=1e-9)
+    scale = np.ptp(fine.points, axis=0).max()
+    fields = [
+        np.sin(3.0 * s.points[:, 0] / scale) * np.cos(3.0 * s.points[:, 2] / scale)
+        for s in (fine, coarse.surface)
+    ]
+    assert np.abs(weights @ fields[1] - fields[0]).max() < 0.02
+
+
+def test_a_dimple_in_a_flat_face_is_reached_by_a_larger_stencil():
+    points, triangles = box(12, (1.0, 1.0, 1.0))
+    plain = SurfaceMesh(points, triangles)
+    coarse = coarsened(plain, 150)
+    inner = (points[:, 2] == 1.0) & (np.abs(points[:, :2] - 0.5).max(axis=1) < 0.4)
+    dent = np.setdiff1d(np.flatnonzero(inner), coarse.kept)[0]
+    points[dent, 2] -= 0.01
+    weights = interpolation(SurfaceMesh(points, triangles), coarse).weights
+    assert_allclose(weights @ coarse.surface.points, points, rtol=0.0, atol=1e-10)
+
+
+def test_skin_is_symmetric_semi_definite_and_rigid_motions_cost_nothing(skin):
+    n = ELLIPSOID.n_nodes
+    matrix = np.stack([skin.apply(e.reshape(n, 3)).reshape(-1) for e in np.eye(3 * n)])
+    assert_allclose(matrix, matrix.T, rtol=0.0, atol=1e-12 * np.abs(matrix).max())
+    assert_allclose(matrix @ rigid_motions(ELLIPSOID), 0.0, rtol=0.0, atol=1e-12 * np.abs(matrix).max())
+    values = np.linalg.eigvalsh(matrix)
+    assert values[6] > 1e-4 * values[-1]
+    dofs = np.repeat(FREE, 3)
+    force = np.random.default_rng(0).standard_normal((int(dofs.sum()), 2))
+    direct = DenseFactor(matrix[np.ix_(dofs, dofs)]).solve(force)
+    factor = skin.factor(FREE)
+    for found in (factor.solve(force), np.stack([factor.solve(f) for f in force.T], axis=1)):
+        assert_allclose(found, direct, rtol=0.0, atol=1e-10 * np.abs(direct).max())
+
+
+def test_what_the_coarse_nodes_can_follow_answers_as_the_coarse_body():
+    coarse = coarsened(ELLIPSOID, 120)
+    weights = interpolation(ELLIPSOID, coarse).weights
+    stiffness = surface_stiffness(coarse.surface, weights.T @ ELLIPSOID.area_vectors)
+    body = Skin(ELLIPSOID, 120, surface_stiffness)
+    z = np.random.default_rng(1).standard_normal((120, 3))
+    u = weights @ z
+    assert_allclose(
+        np.vdot(u, body.apply(u)), z.reshape(-1) @ stiffness @ z.reshape(-1), rtol=1e-10, atol=0.0
+    )
+    # the springs are as soft as the coarse body allows
+    gathered = np.kron((weights.T * body.springs) @ weights.toarray(), np.eye(3))
+    largest = np.abs(np.linalg.eigvals(np.linalg.solve(gathered, stiffness))).max()
+    assert_allclose(largest, LARGEST_RATIO, rtol=0.05, atol=0.0)
+
+
+def test_force_at_held_nodes_from_the_factor_is_that_of_the_operator(skin):
+    rng = np.random.default_rng(2)
+    x = rng.standard_normal((ELLIPSOID.n_nodes, 3))
+    force = skin.apply(x)
+    found = skin.factor(FREE).held_force(force[FREE], x[~FREE])
+    assert_allclose(found, force[~FREE], rtol=0.0, atol=1e-10 * np.abs(force).max())
+
+
+def test_a_skin_held_at_too_few_nodes_is_singular(skin):
+    free = np.ones(ELLIPSOID.n_nodes, dtype=bool)
+    for held in ([], [3], [3, 4]):
+        free[held] = False
+        with pytest.raises(SolverError, match="hold at least three nodes"):
+            skin.factor(free)
+
+
+def sphere_of_many() -> SurfaceMesh:
+    surface = SurfaceMesh(*icosphere(4))
+    assert surface.n_nodes > MAX_NODES
+    return surface
+
+
+@pytest.mark.slow
+def test_a_model_of_many_nodes():
+    """The ball's exact answers, volume, balance, reciprocity, and the refusal of a matrix."""
+    surface = sphere_of_many()
+    form = BoundaryFormulation(surface, Parameters(shear_modulus=2.0))
+    assert isinstance(form.body, Skin)
+    with pytest.raises(SolverError, match="no matrix"):
+        form.stiffness()
+    fixed = surface.points[:, 2] < -0.9
+    model = Model(
+        surface.points, surface.triangles, Parameters(shear_modulus=2.0), formulation="boundary", fixed=fixed
+    )
+    pushes = [Load(np.where(surface.points[:, axis] > 0.9, 0.1, 0.0)) for axis in (0, 2)]
+    solution = model.solve(pushes)
+    g = surface.area_vectors
+    drift = np.einsum("ic,sic->s", g, solution.displacement)
+    assert_allclose(drift, 0.0, rtol=0.0, atol=1e-14)
+    applied = [-load.contact_pressure[:, None] * g for load in pushes]
+    for force, reaction in zip(applied, solution.reaction_force, strict=True):
+        assert_allclose(reaction.sum(axis=0), -force.sum(axis=0), rtol=0.0, atol=1e-12)
+    works = [np.vdot(applied[a], solution.displacement[b]) for a, b in ((0, 1), (1, 0))]
+    assert_allclose(works[0], works[1], rtol=1e-10, atol=0.0)
+    for degree in (2, 3, 4):
+        harmonic = eval_legendre(degree, surface.points[:, 2])
+        # no resultant, so that holding three nodes moves the body rigidly at most
+        few = np.zeros(surface.n_nodes, dtype=bool)
+        few[[0, 1, 2]] = True
+        free = Model(
+            surface.points,
+            surface.triangles,
+            Parameters(shear_modulus=1.0),
+            formulation="boundary",
+            fixed=few,
+        )
+        u = free.solve([Load(-harmonic)]).displacement[0]
+        u = rigid_motion_removed(surface.points, u, surface.vector_areas)
+        exact = ball_compliance(degree) * (surface.vector_areas @ harmonic**2)
+        radial = np.einsum("ic,ic->i", u, surface.normals)
+        assert_allclose(
+            (surface.vector_areas * harmonic) @ radial, exact, rtol=0.015 * (degree - 1), atol=0.0
+        )

@@ -1,0 +1,143 @@
+"""A coarser surface on some of the nodes of a fine one, by edge collapses that keep it closed and its genus."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+from scipy.sparse import csgraph
+
+from vdm.surface import SurfaceMesh
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+Mask = NDArray[np.bool_]
+
+# a collapse may not turn a facet by more than this, nor squeeze it below this share of an equilateral one
+LEAST_COSINE = 0.5
+LEAST_QUALITY = 0.2
+MOST_NEIGHBOURS = 9
+# a distance from the planes of the facets that vanish counts this many times more than length
+OFF_PLANE = 4.0
+# the shares of the edges that a round looks at, the shortest, and of the nodes found that it may take, the cheapest
+SHARE = 0.5
+
+
+@dataclass(frozen=True)
+class CoarseSurface:
+    """The coarse surface and `kept` (n,), its nodes among the fine ones."""
+
+    surface: SurfaceMesh
+    kept: Index
+
+
+def coarsened(surface: SurfaceMesh, count: int) -> CoarseSurface:
+    """A surface on about `count` nodes of the given one, or on more where its shape allows no further collapse.
+
+    A node is moved onto a neighbour if the two share just two neighbours (which keeps the topology), no facet
+    turns over or degenerates and the new edges are the shortest to be had. Each round takes nodes whose
+    neighbourhoods do not touch, all at once.
+    """
+    triangles = surface.triangles
+    n = surface.n_nodes
+    alive = n
+    random = np.random.default_rng(0)
+    while alive > max(count, 4):
+        nodes, onto = _candidates(surface.points, triangles, n, SHARE)
+        if not len(nodes):
+            nodes, onto = _candidates(surface.points, triangles, n, 1.0)
+        if not len(nodes):
+            break
+        taken = _independent(triangles, n, nodes, random)[: alive - max(count, 4)]
+        target = np.arange(n)
+        target[nodes[taken]] = onto[taken]
+        moved = target[triangles]
+        a, b, c = moved.T
+        triangles = moved[(a != b) & (b != c) & (c != a)]
+        alive -= len(taken)
+    kept, renumbered = np.unique(triangles, return_inverse=True)
+    return CoarseSurface(SurfaceMesh(surface.points[kept], renumbered.reshape(-1, 3)), kept)
+
+
+def nearest(surface: SurfaceMesh, kept: Index) -> Index:
+    """(N,) the position in `kept` (n,) of the node that is nearest along the edges."""
+    edges, n = surface.edges, surface.n_nodes
+    length = np.linalg.norm(surface.points[edges[:, 0]] - surface.points[edges[:, 1]], axis=1)
+    graph = sparse.csr_array((length, (edges[:, 0], edges[:, 1])), shape=(n, n))
+    _, _, sources = csgraph.dijkstra(
+        graph, directed=False, indices=kept, min_only=True, return_predecessors=True
+    )
+    position = np.zeros(n, dtype=np.int64)
+    position[kept] = np.arange(len(kept))
+    return position[sources]
+
+
+def _candidates(points: Array, triangles: Index, n: int, share: float) -> tuple[Index, Index]:
+    """Nodes (k,) that may go, the cheapest ones, each onto its cheapest neighbour (k,)."""
+    start, end = (
+        triangles.ravel(),
+        np.roll(triangles, -1, axis=1).ravel(),
+    )  # every edge once in each direction
+    adjacent = sparse.csr_array((np.ones(len(start), dtype=np.int32), (start, end)), shape=(n, n))
+    shared = np.asarray((adjacent @ adjacent)[start, end]).ravel()
+    valence = np.diff(adjacent.indptr)
+    usable = (shared == 2) & (valence[start] + valence[end] - 4 <= MOST_NEIGHBOURS)
+    along = points[end] - points[start]
+    square = np.einsum("hc,hc->h", along, along)
+    half = np.flatnonzero(usable)
+    half = half[square[half] <= np.quantile(square[half], share)] if len(half) else half
+    # every pair of such a half-edge start -> end and a facet of its start, whose other corners are b and c
+    order = np.argsort(start, kind="stable")
+    first = np.concatenate([[0], np.cumsum(np.bincount(start, minlength=n))])
+    repeats = valence[start[half]]
+    starts = np.cumsum(repeats) - repeats
+    pair = np.repeat(np.arange(len(half)), repeats)
+    corner = order[first[start[half]][pair] + np.arange(len(pair)) - starts[pair]]
+    b, c = end[corner], np.roll(triangles, -2, axis=1).ravel()[corner]
+    gone, onto = start[half][pair], end[half][pair]
+    vanishes = (b == onto) | (c == onto)
+    x, y, z, moved = points[gone], points[b], points[c], points[onto]
+    before, after = _cross(y - x, z - x), _cross(y - moved, z - moved)
+    size, new_size = (np.sqrt(np.einsum("pc,pc->p", v, v)) for v in (before, after))
+    sides = [np.einsum("pc,pc->p", v, v) for v in (y - moved, z - moved, z - y)]
+    good = np.einsum("pc,pc->p", before, after) > LEAST_COSINE * size * new_size
+    good &= 2.0 * np.sqrt(3.0) * new_size > LEAST_QUALITY * (sides[0] + sides[1] + sides[2])
+    good |= vanishes
+    off_plane = np.abs(np.einsum("pc,pc->p", before, moved - x)) / size
+    length = np.sqrt(np.where(vanishes, 0.0, np.maximum(sides[0], sides[1])))
+    if not len(half):
+        return half, half
+    allowed = np.logical_and.reduceat(good, starts)
+    cost = np.maximum.reduceat(length, starts) + OFF_PLANE * np.maximum.reduceat(off_plane, starts)
+    half, cost = half[allowed], cost[allowed]
+    order = np.lexsort((half, cost, start[half]))
+    _, best = np.unique(start[half][order], return_index=True)
+    chosen = order[best]
+    cheapest = chosen[cost[chosen] <= np.quantile(cost[chosen], share)] if len(chosen) else chosen
+    return start[half][cheapest], end[half][cheapest]
+
+
+def _cross(a: Array, b: Array) -> Array:
+    """(p, 3) cross products; plain products are several times faster than np.cross."""
+    (ax, ay, az), (bx, by, bz) = a.T, b.T
+    return np.stack([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx], axis=1)
+
+
+def _independent(triangles: Index, n: int, nodes: Index, random: np.random.Generator) -> Index:
+    """Positions in `nodes` of some whose closed neighbourhoods share no node.
+
+    The order is random: by cost, which varies slowly over a surface, few nodes would be the cheapest around.
+    """
+    rank = np.full(n, len(nodes))
+    rank[nodes] = random.permutation(len(nodes))
+    start, end = triangles.ravel(), np.roll(triangles, -1, axis=1).ravel()
+
+    def least_around(values: Index) -> Index:
+        least = values.copy()
+        np.minimum.at(least, start, values[end])
+        return least
+
+    # the least rank within two edges: whoever holds it wins
+    return np.flatnonzero(least_around(least_around(rank))[nodes] == rank[nodes])

@@ -1,0 +1,166 @@
+"""Many nodes on the boundary integrals of few: a skin of springs on a coarse body.
+
+With z the motion of the coarse body's nodes, P the interpolation to the skin and D a spring of every skin node,
+
+`E(u) = min_z 1/2 z.B z + 1/2 (u - P z).D (u - P z)`, `B = (S^-1 - G^-1)^-1`, `G = P^T D P`.
+
+S is the coarse body's stiffness by boundary integrals. The springs' own give under a smooth load, G^-1, is taken
+off the coarse body's, so that E(P z) = 1/2 z.S z: what the coarse nodes can follow answers as if there were no
+springs, and what lies between them answers by the springs alone. Their stiffness per area is proportional to
+mu / h, h the coarse mesh size, as an incompressible half-space's is to mu / (wave length), and as small as keeps
+B positive: nothing is fitted. Held nodes are held at the skin's own resolution.
+
+Every operator is exact to rounding: u = D^-1 f + P W P^T f is the inverse at the free nodes, W = (B + G_held)^-1,
+and D (u - P z) the force, with z = (B + G)^-1 P^T D u.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import linalg, sparse
+from scipy.linalg import blas, lapack
+
+from vdm.formulations.coarse_surface import coarsened
+from vdm.formulations.interpolation import interpolation
+from vdm.solution import SolverError
+from vdm.solvers.cholesky import SINGULAR
+from vdm.surface import SurfaceMesh
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+Stiffness = Callable[[SurfaceMesh, Array], Array]
+
+# largest ratio of the coarse body's stiffness to the springs'; 0.5 to 0.9 give errors within a tenth of each other
+LARGEST_RATIO = 0.75
+POWER_ITERATIONS = 60
+# smallest over largest pivot of a factor that is told from a singular one
+PIVOT_TOLERANCE = 1e-6
+
+
+class Skin:
+    """Elastic operator (3N, 3N) of a fine surface on a coarse one.
+
+    Parameters
+    ----------
+    surface : the fine surface, N nodes
+    count : nodes of the coarse one
+    stiffness : of a surface and its volume gradient (n, 3): (3n, 3n), symmetric, semi-definite
+    """
+
+    def __init__(self, surface: SurfaceMesh, count: int, stiffness: Stiffness) -> None:
+        coarse = coarsened(surface, count)
+        spread = interpolation(surface, coarse)
+        n = len(coarse.kept)
+        self.spread = spread.weights
+        self.gather = sparse.csr_array(spread.weights.T)
+        cell_areas = np.bincount(spread.cells, surface.nodal_areas, n)
+        springs = surface.nodal_areas / np.sqrt(cell_areas[spread.cells])
+        matrix = stiffness(coarse.surface, self.gather @ surface.area_vectors)
+        factor = linalg.cho_factor(self._gathered(springs))
+        ratio = _solve_blocks(factor, matrix)
+        scale = _largest_eigenvalue(ratio) / LARGEST_RATIO
+        self.springs: Array = scale * springs
+        ratio /= scale
+        # B = S (I - G^-1 S)^-1 and (B + G)^-1 = (I - G^-1 S) G^-1
+        rest = np.eye(3 * n) - ratio
+        self.body = _symmetric(linalg.solve(rest.T, matrix, check_finite=False))
+        self.inner = _symmetric(_solve_blocks(factor, rest.T) / scale)
+
+    def apply(self, x: Array) -> Array:
+        """(N, 3) elastic force of displacements (N, 3)."""
+        gathered = (self.gather @ (self.springs[:, None] * x)).reshape(-1)
+        z = blas.dsymv(1.0, self.inner, gathered, lower=1).reshape(-1, 3)
+        force: Array = self.springs[:, None] * (x - self.spread @ z)
+        return force
+
+    def factor(self, free: Mask) -> SkinFactor:
+        """The inverse over the free nodes."""
+        return SkinFactor(self, free)
+
+    def held_matrix(self, held: Mask) -> Array:
+        """(3n, 3n) G of the springs of held nodes alone."""
+        return np.asarray(np.kron(self._gathered(np.where(held, self.springs, 0.0)), np.eye(3)), np.float64)
+
+    def _gathered(self, springs: Array) -> Array:
+        return np.asarray((self.gather @ sparse.diags_array(springs) @ self.spread).toarray())
+
+
+class SkinFactor:
+    """Inverse of a skin over its free nodes, by one dense matrix of the coarse body.
+
+    Raises
+    ------
+    SolverError
+        where the held nodes leave a motion free.
+    """
+
+    def __init__(self, skin: Skin, free: Mask) -> None:
+        matrix = np.asfortranarray(skin.body + skin.held_matrix(~free))
+        factor, info = lapack.dpotrf(matrix, lower=1, overwrite_a=1)
+        if info:
+            raise SolverError(SINGULAR)
+        pivots = np.diagonal(factor)
+        if pivots.min() < PIVOT_TOLERANCE * pivots.max():
+            raise SolverError(SINGULAR)
+        self._response = lapack.dpotri(factor, lower=1, overwrite_c=1)[0]
+        self._free = free
+        self._spread = skin.spread[free]
+        self._gather = sparse.csr_array(self._spread.T)
+        self._give = 1.0 / skin.springs[free, None]
+        held = ~free
+        self._held_springs = skin.springs[held, None]
+        self._held_gather = sparse.csr_array(skin.spread[held].T)
+        # the coarse nodes that held ones hang on, and their rows of W alone
+        near = np.unique(skin.spread[held].indices)
+        self._held_spread = sparse.csr_array(skin.spread[held][:, near])
+        rows = (3 * near[:, None] + np.arange(3)).ravel()
+        below = np.arange(3 * skin.spread.shape[1]) <= rows[:, None]
+        self._held_response = np.where(below, self._response[rows], self._response[:, rows].T)
+
+    def solve(self, right_hand_side: Array) -> Array:
+        """Solution of (n_free 3,) or (n_free 3, m) right-hand sides."""
+        force = right_hand_side.reshape(len(self._give), -1)
+        moved = self._give * force + self._spread @ self._coarse(self._gather @ force)
+        return moved.reshape(right_hand_side.shape)
+
+    def held_force(self, free_force: Array, held: Array) -> Array:
+        """(n_held, 3) elastic force at held nodes moved by `held`, of that at the free ones (n_free, 3)."""
+        pulled = self._gather @ free_force
+        if held.any():
+            pulled = pulled + self._held_gather @ (self._held_springs * held)
+        moved = (self._held_response @ pulled.reshape(-1)).reshape(-1, 3)
+        force: Array = self._held_springs * (held - self._held_spread @ moved)
+        return force
+
+    def _coarse(self, force: Array) -> Array:
+        """W applied to forces (n, 3 m) on the coarse body."""
+        columns = force.reshape(3 * len(force), -1)
+        if columns.shape[1] == 1:
+            moved = blas.dsymv(1.0, self._response, columns[:, 0], lower=1)
+        else:
+            moved = blas.dsymm(1.0, self._response, columns, lower=1)
+        return np.asarray(moved).reshape(force.shape)
+
+
+def _solve_blocks(factor: tuple[Array, bool], matrix: Array) -> Array:
+    """(G^-1 x I_3) times a matrix (3n, k), by the factor of the scalar G (n, n)."""
+    n = len(factor[0])
+    solved = linalg.cho_solve(factor, matrix.reshape(n, -1), check_finite=False)
+    return np.asarray(solved).reshape(matrix.shape)
+
+
+def _symmetric(matrix: Array) -> Array:
+    return np.asfortranarray(0.5 * (matrix + matrix.T))
+
+
+def _largest_eigenvalue(matrix: Array) -> float:
+    """By power iteration, from below."""
+    x = np.random.default_rng(0).standard_normal(len(matrix))
+    size = 0.0
+    for _ in range(POWER_ITERATIONS):
+        x = matrix @ (x / np.linalg.norm(x))
+        size = float(np.linalg.norm(x))
+    return size
