@@ -112,7 +112,7 @@ def _vdm_consistent(scene: Scene, solver: str, name: str) -> VdmSolution:
     return _vdm(scene, "consistent", solver, name)
 
 
-@_model("vdm-vector", version="1", solvers=VDM_SOLVERS)
+@_model("vdm-vector", version="2", solvers=VDM_SOLVERS)
 def _vdm_vector(scene: Scene, solver: str, name: str) -> VdmSolution:
     return _vdm(scene, "vector", solver, name)
 
@@ -271,7 +271,8 @@ def _vdm_model(
     penalty = given.get("penalty")
     chosen = {name: value for name, value in given.items() if name != "penalty"}
     surface = SurfaceMesh(points, triangles)
-    rule = Parameters.from_tissue(youngs_modulus, poisson_ratio, surface, formulation)
+    rotation: Any = chosen.get("rotation", "global")
+    rule = Parameters.from_tissue(youngs_modulus, poisson_ratio, surface, formulation, rotation)
     parameters = dataclasses.replace(rule, **chosen)
     if fibres is not None:
         parameters = parameters.anisotropic(surface, *fibres)

@@ -18,8 +18,9 @@ ROTATIONS: tuple[Rotation, ...] = ("none", "global", "nodal")
 # answers with 1 / (k + n (n + 1) T / R^2). Equal for n = 2 and n = 3 at these two numbers (see `ball_compliance`).
 BALL_FOUNDATION = 46.0 / 35.0  # k R / mu
 BALL_TENSION = 29.0 / 70.0  # T / (mu R)
-# Vector form: T / (mu R) that fits an incompressible ball under a finger's patch.
-VECTOR_TENSION = 0.70
+# Vector form: T / (mu R) by the rotation that is free. Without a nodal one it fits an incompressible ball under a
+# finger's patch; with it, it lies amid the 1.5 to 6.1 that fit six bodies.
+VECTOR_TENSION: dict[Rotation, float] = {"none": 0.70, "global": 0.70, "nodal": 3.3}
 
 
 NODE_MODULI = ("bulk_modulus", "foundation")
@@ -71,7 +72,12 @@ class Parameters:
 
     @classmethod
     def from_tissue(
-        cls, youngs_modulus: float, poisson_ratio: float, surface: SurfaceMesh, formulation: str
+        cls,
+        youngs_modulus: float,
+        poisson_ratio: float,
+        surface: SurfaceMesh,
+        formulation: str,
+        rotation: Rotation = "global",
     ) -> Parameters:
         """Parameters by rule, without a fit: matched to an incompressible ball of the same R = 3 V / A.
 
@@ -81,7 +87,7 @@ class Parameters:
         - paper: B = k V / A, and B_ij = T (V / A) / (sqrt(3) A / N), the constant that a mesh of N equal
           nodes of six neighbours needs for the same T: sum_j (L_i - L_j) = -(3/2) h^2 lap L and
           A_i = (sqrt(3)/2) h^2. A constant B_ij does not converge under refinement: it belongs to this mesh;
-        - vector: T = 0.70 mu R with one free rotation of the body;
+        - vector: T = 0.70 mu R, or 3.3 mu R with a free rotation at every node;
         - boundary, mass-spring: mu itself.
 
         Parameters
@@ -90,12 +96,15 @@ class Parameters:
         poisson_ratio : nu, in (-1, 0.5]
         surface : the body's surface
         formulation : "paper", "consistent", "vector", "boundary" or "mass-spring"
+        rotation : of the vector form
 
         Raises
         ------
         ParameterError
-            E not positive, nu out of range, or an unknown formulation.
+            E not positive, nu out of range, or an unknown formulation or rotation.
         """
+        if rotation not in ROTATIONS:
+            raise ParameterError(f"rotation must be one of {', '.join(ROTATIONS)}, not {rotation!r}")
         if not (np.isfinite(youngs_modulus) and youngs_modulus > 0.0):
             raise ParameterError(f"youngs_modulus must be positive, not {youngs_modulus}")
         if not -1.0 < poisson_ratio <= 0.5:
@@ -111,7 +120,7 @@ class Parameters:
         if formulation == "consistent":
             return cls(foundation=foundation, surface_tension=tension)
         if formulation == "vector":
-            return cls(surface_tension=VECTOR_TENSION * mu * radius)
+            return cls(surface_tension=VECTOR_TENSION[rotation] * mu * radius, rotation=rotation)
         if formulation in ("boundary", "mass-spring"):
             return cls(shear_modulus=mu)
         raise ParameterError(

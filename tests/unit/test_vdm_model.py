@@ -243,6 +243,16 @@ def test_rule_from_tissue_matches_the_ball():
     assert_allclose(paper.bulk_modulus * ball.area / ball.volume, rule.foundation, rtol=1e-14, atol=0.0)
 
 
+def test_rule_of_the_vector_form_knows_its_rotation():
+    unit = 5000.0 / 2.9998 * BODY.equivalent_radius
+    for rotation, factor in (("none", 0.7), ("global", 0.7), ("nodal", 3.3)):
+        rule = Parameters.from_tissue(5000.0, 0.4999, BODY, "vector", rotation)
+        assert rule.rotation == rotation
+        assert_allclose(rule.surface_tension, factor * unit, rtol=1e-13, atol=0.0)
+    with pytest.raises(ParameterError, match="rotation must be one of none, global, nodal"):
+        Parameters.from_tissue(5000.0, 0.4999, BODY, "vector", "each")
+
+
 def test_anisotropy_follows_the_fibre():
     parameters = Parameters(bulk_modulus=10.0, connectivity_modulus=100.0).anisotropic(
         BODY, (0.0, 0.0, 2.0), 5.0
