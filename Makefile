@@ -1,6 +1,6 @@
 # make demo   the quickstart study and its report
 # make test   what continuous integration runs
-# make verify the long verification runs
+# make verify the long verification runs; their table goes to results/verification.md
 # Each sets up what it needs: .venv, pinned packages, and the shared libraries of gmsh and VTK.
 
 PYTHON ?= python3
@@ -19,7 +19,7 @@ test: setup
 	$(PYTEST) -m "not slow"
 
 verify: setup
-	$(PYTEST)
+	$(PYTEST) --verification
 
 # the generated parts of the documents; SURFACE=liver.obj draws the README's picture with a real liver
 docs: setup

@@ -7,6 +7,8 @@ from pathlib import Path
 
 import pytest
 
+pytest_plugins = ["tests.verification.records"]
+
 
 @pytest.fixture(scope="session")
 def liver() -> Path:

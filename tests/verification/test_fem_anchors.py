@@ -11,12 +11,15 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
-from skfem import Basis, ElementTetP2, ElementVector
+from skfem import Basis, ElementTetP2, ElementVector, MeshTet
 
 from fem_reference.exact import IncompressibleBall, ThickCylinder, ThickSphere
 from fem_reference.mesh import facet_quadrature
-from tests.unit.fem_shapes import Body, ball, mapped_box, octant_shell
+from tests.unit.fem_shapes import Body, ball, body, mapped_box, octant_shell
 from tests.verification.fem_convergence import Convergence
+from tests.verification.records import Verified
+
+Array = np.ndarray
 
 # Order 2 of flat facets, in the maximum norm and on two meshes only.
 _GEOMETRY_SLACK = 0.3
@@ -26,17 +29,28 @@ def _radial(x: np.ndarray, u: np.ndarray) -> np.ndarray:
     return np.asarray(np.einsum("ni,ni->n", u, x) / np.linalg.norm(x, axis=1))
 
 
+LOVE = "Love 1927, Mathematical Theory of Elasticity, art. 173; `fem_reference.exact.IncompressibleBall`"
+LAME = "Lame; Timoshenko and Goodier, Theory of Elasticity, art. 136"
+MACNEAL = "MacNeal and Harder 1985, doi 10.1016/0168-874X(85)90003-4"
+a_ball = pytest.mark.anchor("incompressible ball under P_n", LOVE)
+a_sphere = pytest.mark.anchor("thick sphere under pressure", LAME)
+a_cylinder = pytest.mark.anchor("thick cylinder, plane strain", MACNEAL)
+
+
 # ---------------------------------------------------------------- formulas
 
 
+@a_ball
 @pytest.mark.parametrize(("degree", "coefficient"), [(2, 0.26316), (3, 0.15909), (4, 0.11765), (5, 0.09418)])
-def test_ball_coefficients_as_published(degree: int, coefficient: float) -> None:
+def test_ball_coefficients_as_published(degree: int, coefficient: float, verified: Verified) -> None:
     exact = IncompressibleBall(radius=0.05, shear_modulus=1700.0, degree=degree, traction=30.0)
-    assert_allclose(exact.surface_coefficient, coefficient * 30.0 * 0.05 / 1700.0, rtol=5e-5, atol=0)
+    found = exact.surface_coefficient / (30.0 * 0.05 / 1700.0)
+    verified.equal(f"formula: c_{degree} mu / (R t)", found, coefficient, atol=5e-6)
 
 
+@a_ball
 @pytest.mark.parametrize("degree", [2, 3, 4, 5])
-def test_ball_fields_satisfy_equilibrium_and_the_boundary_condition(degree: int) -> None:
+def test_ball_fields_satisfy_equilibrium_and_the_boundary_condition(degree: int, verified: Verified) -> None:
     """By central differences at random points: div u = 0, G lap u = grad p, traction = t P_n n, no shear."""
     exact = IncompressibleBall(radius=1.3, shear_modulus=2.0, degree=degree, traction=0.7)
     rng = np.random.default_rng(degree)
@@ -65,7 +79,9 @@ def test_ball_fields_satisfy_equilibrium_and_the_boundary_condition(degree: int)
     stress = 2.0 * (g + np.swapaxes(g, 1, 2)) - exact.pressure(surface)[:, None, None] * np.eye(3)
     traction = np.einsum("nij,nj->ni", stress, direction)
     expected = exact.surface_traction(surface)[:, None] * direction
-    assert_allclose(traction, expected, rtol=0, atol=1e-6)
+    verified.at_most(
+        f"formula: traction at the surface by differences, n = {degree}", traction - expected, 1e-6
+    )
     cosine = surface[:, 2] / 1.3
     p_n = np.polynomial.Legendre.basis(degree)(cosine)
     found = _radial(surface, exact.displacement(surface))
@@ -79,18 +95,22 @@ def test_ball_of_low_degree_is_refused() -> None:
         IncompressibleBall(1.0, 1.0, 1, 1.0)
 
 
+@a_sphere
 @pytest.mark.parametrize(("poisson_ratio", "value"), [(0.5, 0.857143), (0.4999, 0.857114), (0.3, 0.8)])
-def test_thick_sphere_as_published(poisson_ratio: float, value: float) -> None:
+def test_thick_sphere_as_published(poisson_ratio: float, value: float, verified: Verified) -> None:
     exact = ThickSphere(1.0, 2.0, 1.0, poisson_ratio, 1.0)
-    assert_allclose(exact.radial_displacement(1.0), value, rtol=6e-7, atol=0)
+    found = float(exact.radial_displacement(1.0))
+    verified.equal(f"formula: u(a), nu = {poisson_ratio}", found, value, atol=5e-7)
 
 
+@a_cylinder
 @pytest.mark.parametrize(
     ("poisson_ratio", "value"), [(0.49, 5.0399e-3), (0.499, 5.0602e-3), (0.4999, 5.0623e-3)]
 )
-def test_thick_cylinder_as_published(poisson_ratio: float, value: float) -> None:
+def test_thick_cylinder_as_published(poisson_ratio: float, value: float, verified: Verified) -> None:
     exact = ThickCylinder(3.0, 9.0, 1000.0, poisson_ratio, 1.0)
-    assert_allclose(exact.radial_displacement(3.0), value, rtol=1e-5, atol=0)
+    found = float(exact.radial_displacement(3.0))
+    verified.equal(f"formula: u(ri), nu = {poisson_ratio}", found, value, atol=5e-8)
 
 
 @pytest.mark.parametrize("poisson_ratio", [-0.3, 0.0, 0.3])
@@ -111,11 +131,12 @@ def test_thick_shells_satisfy_the_boundary_conditions(kind: type, hoops: float, 
 # ---------------------------------------------------------------- the reference
 
 
+@a_sphere
 @pytest.mark.parametrize("poisson_ratio", [0.3, 0.4999, 0.5])
-def test_thick_sphere(poisson_ratio: float) -> None:
+def test_thick_sphere(poisson_ratio: float, verified: Verified) -> None:
     """An octant on rollers; the pressure depends on the resultant alone and is exact on flat facets too."""
     exact = ThickSphere(1.0, 2.0, 1.0, poisson_ratio, 1.0)
-    record = Convergence("thick sphere, u(a)", 2.0, 0.012, _GEOMETRY_SLACK)
+    record = Convergence(f"u(a) on flat facets, nu = {poisson_ratio}", 2.0, 0.012, _GEOMETRY_SLACK)
     for n in (4, 8):
         b = octant_shell(1.0, 2.0, n, 3 * n // 2)
         inner = b.facets_where(lambda x: np.linalg.norm(x, axis=1) < 1.0 + 1e-9)
@@ -124,13 +145,17 @@ def test_thick_sphere(poisson_ratio: float) -> None:
         radial = _radial(b.surface[at], s.displacement[0][at])
         record.add(1.0 / n, float(np.abs(radial / exact.radial_displacement(1.0) - 1.0).max()))
         assert_allclose(s.fluid_pressure, exact.mean_pressure, rtol=1e-10, atol=0)
-    record.check()
+    verified.equal(
+        f"mean pressure, nu = {poisson_ratio}", s.fluid_pressure[0], exact.mean_pressure, rtol=1e-10
+    )
+    record.check(verified)
 
 
+@a_sphere
 @pytest.mark.parametrize("poisson_ratio", [0.3, 0.4999])
-def test_thick_sphere_without_its_geometry_error(poisson_ratio: float) -> None:
+def test_thick_sphere_without_its_geometry_error(poisson_ratio: float, verified: Verified) -> None:
     exact = ThickSphere(1.0, 2.0, 1.0, poisson_ratio, 1.0)
-    record = Convergence("thick sphere, exact boundary values", 3.0, 4e-4)
+    record = Convergence(f"L2 of u without geometry error, nu = {poisson_ratio}", 3.0, 4e-4)
 
     def displacement(x: np.ndarray) -> np.ndarray:
         """(..., 3)"""
@@ -148,7 +173,7 @@ def test_thick_sphere_without_its_geometry_error(poisson_ratio: float) -> None:
         true = np.moveaxis(displacement(np.moveaxis(np.asarray(basis.global_coordinates()), 0, -1)), -1, 0)
         error = np.sqrt(((u - true) ** 2 * basis.dx).sum() / (true**2 * basis.dx).sum())
         record.add(1.0 / n, float(error))
-    record.check()
+    record.check(verified)
 
 
 def _quarter_cylinder(n: int) -> Body:
@@ -160,11 +185,12 @@ def _quarter_cylinder(n: int) -> Body:
     return mapped_box((n, n, 1), shape)
 
 
+@a_cylinder
 @pytest.mark.parametrize("poisson_ratio", [0.49, 0.499, 0.4999, 0.5])
-def test_thick_cylinder(poisson_ratio: float) -> None:
+def test_thick_cylinder(poisson_ratio: float, verified: Verified) -> None:
     """MacNeal and Harder's: a quarter of one slice between rollers."""
     exact = ThickCylinder(3.0, 9.0, 1000.0, poisson_ratio, 1.0)
-    record = Convergence("thick cylinder, u(ri)", 2.0, 0.002, _GEOMETRY_SLACK)
+    record = Convergence(f"u(ri) on flat facets, nu = {poisson_ratio}", 2.0, 0.002, _GEOMETRY_SLACK)
     for n in (8, 16):
         b = _quarter_cylinder(n)
         held = b.surface == 0.0
@@ -177,13 +203,16 @@ def test_thick_cylinder(poisson_ratio: float) -> None:
         radial = np.einsum("ni,ni->n", s.displacement[0][at], b.surface[at]) / radius[at]
         record.add(1.0 / n, float(np.abs(radial / exact.radial_displacement(3.0) - 1.0).max()))
         assert_allclose(s.fluid_pressure, exact.mean_pressure, rtol=1e-10, atol=0)
-    record.check()
+    record.check(verified)
 
 
-def _ball_error(refinements: int, degree: int) -> tuple[float, float]:
-    """Relative L2 error over the surface without rigid motion, and the largest reaction."""
-    b = ball(refinements)
-    exact = IncompressibleBall(radius=1.0, shear_modulus=1.0 / 3.0, degree=degree, traction=1.0)
+def _exact_ball(degree: int) -> IncompressibleBall:
+    return IncompressibleBall(radius=1.0, shear_modulus=1.0 / 3.0, degree=degree, traction=1.0)
+
+
+def _ball_solution(b: Body, degree: int) -> tuple[Array, Array]:
+    """Displacement of the surface and reactions of a polyhedron under the ball's traction."""
+    exact = _exact_ball(degree)
     u = exact.displacement(b.surface)
     # The load balances itself: six components, the least that stops rigid motion, take no force.
     held = np.zeros((len(b.surface_nodes), 3), dtype=bool)
@@ -197,31 +226,102 @@ def _ball_error(refinements: int, degree: int) -> tuple[float, float]:
     resultant = b.area_vectors.T @ (traction @ facet_quadrature()[1])
     load = b.load(-traction, u, gravity=-resultant / volume)
     s = b.problem(held, poisson_ratio=0.5, density=1.0).solve([load])
+    return s.displacement[0], s.reaction_force[0]
+
+
+def _relative(found: Array, u: Array, points: Array) -> float:
+    """Relative L2 difference over the surface nodes, without rigid motion."""
     modes = np.concatenate(
-        [np.tile(np.eye(3), (len(u), 1, 1)), np.stack([np.cross(e, b.surface) for e in np.eye(3)], -1)], -1
+        [np.tile(np.eye(3), (len(u), 1, 1)), np.stack([np.cross(e, points) for e in np.eye(3)], -1)], -1
     ).reshape(-1, 6)
-    difference = (s.displacement[0] - u).ravel()
+    difference = (found - u).ravel()
     difference -= modes @ np.linalg.lstsq(modes, difference, rcond=None)[0]
-    return float(np.linalg.norm(difference) / np.linalg.norm(u)), float(np.abs(s.reaction_force).max())
+    return float(np.linalg.norm(difference) / np.linalg.norm(u))
 
 
-def _check_ball(degree: int, levels: tuple[int, ...], cap: float) -> None:
-    record = Convergence(f"ball under P_{degree}", 2.0, cap, _GEOMETRY_SLACK)
+def _check_ball(verified: Verified, degree: int, levels: tuple[int, ...], cap: float) -> None:
+    record = Convergence(f"u at the surface on flat facets, n = {degree}", 2.0, cap, _GEOMETRY_SLACK)
     for refinements in levels:
-        error, reaction = _ball_error(refinements, degree)
-        record.add(2.0**-refinements, error)
+        b = ball(refinements)
+        found, reaction = _ball_solution(b, degree)
+        record.add(
+            2.0**-refinements, _relative(found, _exact_ball(degree).displacement(b.surface), b.surface)
+        )
         # Facets are no exact sphere: what the odd loads leave unbalanced is of second order.
-        assert reaction <= 0.5 * 4.0**-refinements
-    record.check()
+        assert np.abs(reaction).max() <= 0.5 * 4.0**-refinements
+    record.check(verified)
 
 
-@pytest.mark.parametrize(("degree", "cap"), [(2, 0.018), (3, 0.025)])
-def test_ball_under_a_legendre_traction(degree: int, cap: float) -> None:
+@a_ball
+@pytest.mark.parametrize(("degree", "cap"), [(2, 0.018), (3, 0.025), (4, 0.04)])
+def test_ball_under_a_legendre_traction(degree: int, cap: float, verified: Verified) -> None:
     """Normal and tangential displacement at the surface of the incompressible ball."""
-    _check_ball(degree, (2, 3), cap)
+    _check_ball(verified, degree, (2, 3), cap)
 
 
+@a_ball
 @pytest.mark.slow
 @pytest.mark.parametrize(("degree", "cap"), [(2, 0.0045), (3, 0.006), (4, 0.0095), (5, 0.013)])
-def test_ball_under_a_legendre_traction_on_fine_meshes(degree: int, cap: float) -> None:
-    _check_ball(degree, (3, 4), cap)
+def test_ball_under_a_legendre_traction_on_fine_meshes(degree: int, cap: float, verified: Verified) -> None:
+    _check_ball(verified, degree, (3, 4), cap)
+
+
+def _split(b: Body) -> Body:
+    """Every tetrahedron into eight; the facets stay flat, the vertices of before come first."""
+    mesh = MeshTet(b.points.T.copy(), b.tetrahedra.T.copy()).refined()
+    return body(mesh.p.T, mesh.t.T)
+
+
+def _polyhedron_limit(refinements: int, splits: int) -> tuple[Body, list[Array], Array]:
+    """A polyhedron under P_2, its solutions on ever finer tetrahedra and their limit, at its own vertices."""
+    bodies = [ball(refinements)]
+    for _ in range(splits):
+        bodies.append(_split(bodies[-1]))
+    coarse = bodies[0]
+    fields = []
+    for b in bodies:
+        u = np.zeros((len(b.points), 3))
+        u[b.surface_nodes] = _ball_solution(b, 2)[0]
+        fields.append(u[coarse.surface_nodes])
+    shrink = 8.0  # of a P2 displacement, where there is one step only
+    if splits > 1:
+        shrink = _relative(fields[-3], fields[-2], coarse.surface) / _relative(
+            fields[-2], fields[-1], coarse.surface
+        )
+    return coarse, fields, fields[-1] + (fields[-1] - fields[-2]) / (shrink - 1.0)
+
+
+@a_ball
+def test_geometry_error_of_the_ball(verified: Verified) -> None:
+    """On one flat-faceted polyhedron the discretisation error falls with its own levels and the rest stays."""
+    coarse, fields, limit = _polyhedron_limit(1, 2)
+    exact = _exact_ball(2).displacement(coarse.surface)
+    errors = [_relative(field, limit, coarse.surface) for field in fields]
+    total = [_relative(field, exact, coarse.surface) for field in fields]
+    verified.at_most(
+        "polyhedron of 32 facets, n = 2: discretisation error on its second level", errors[1], 0.02
+    )
+    verified.at_most(
+        "polyhedron of 32 facets, n = 2: discretisation error on its third level", errors[2], 0.004
+    )
+    # against the exact ball finer tetrahedra change next to nothing: what is left is the shape
+    verified.equal(
+        "polyhedron of 32 facets, n = 2: error against the ball, last over first level",
+        total[2] / total[0],
+        0.9,
+        atol=0.1,
+    )
+
+
+@a_ball
+@pytest.mark.slow
+def test_geometry_error_is_of_second_order(verified: Verified) -> None:
+    record = Convergence("geometry error alone, n = 2", 2.0, 0.02, _GEOMETRY_SLACK)
+    for refinements, splits in ((2, 2), (3, 1)):
+        coarse, fields, limit = _polyhedron_limit(refinements, splits)
+        exact = _exact_ball(2).displacement(coarse.surface)
+        geometry, discretisation = (_relative(limit, other, coarse.surface) for other in (exact, fields[0]))
+        record.add(2.0**-refinements, geometry)
+        title = f"discretisation error over geometry error, level {refinements}, n = 2"
+        verified.at_most(title, discretisation / geometry, 0.3)
+    record.check(verified)

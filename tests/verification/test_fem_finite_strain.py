@@ -24,11 +24,21 @@ from fem_reference.finite_strain import FiniteStrainProblem
 from fem_reference.mesh import TetMesh, facet_quadrature, triangle_p2
 from tests.unit.fem_shapes import Body, ball, cube, octant_shell
 from tests.verification.fem_convergence import Convergence
+from tests.verification.records import Verified
 
 Array = np.ndarray
 
 # Order 2 of flat facets, in the maximum norm and on two meshes only.
 _GEOMETRY_SLACK = 0.3
+
+
+a_sphere = pytest.mark.anchor(
+    "neo-Hookean thick sphere", "Ogden 1984, Non-Linear Elastic Deformations, section 5.3"
+)
+a_manufactured = pytest.mark.anchor(
+    "manufactured solution, finite strain",
+    "Roache 2002, doi 10.1115/1.1436090; orders of Taylor and Hood 1973, doi 10.1016/0045-7930(73)90027-3",
+)
 
 
 def _problem(b: Body, held: Array, **options: object) -> FiniteStrainProblem:
@@ -55,7 +65,8 @@ def _l2_errors(mesh: TetMesh, found: Array, exact: Callable[[Array], Array]) -> 
 # ---------------------------------------------------------------- thick sphere
 
 
-def test_inflated_sphere_formula() -> None:
+@a_sphere
+def test_inflated_sphere_formula(verified: Verified) -> None:
     """Against the integral of the equilibrium equation, and against Lame where the load is small."""
     exact = InflatedThickSphere(1.0, 2.0, 3.0, 1.7)
 
@@ -64,7 +75,10 @@ def test_inflated_sphere_formula() -> None:
         stretch = float(exact.stretch(r0))
         return 2.0 * 3.0 * (stretch**2 - stretch**-4) / (stretch * r0 * stretch**2)
 
-    assert_allclose(exact.pressure, quad(slope, 1.0, 2.0, epsabs=1e-13)[0], rtol=1e-12, atol=0)
+    integral = quad(slope, 1.0, 2.0, epsabs=1e-13)[0]
+    verified.equal(
+        "formula: P at l_a = 1.7, by quadrature of equilibrium", exact.pressure, integral, rtol=1e-12
+    )
     small = InflatedThickSphere(1.0, 2.0, 1.0 / 3.0, 1.0 + 1e-6)
     lame = ThickSphere(1.0, 2.0, 1.0, 0.5, small.pressure)
     radii = np.array([1.0, 1.4, 2.0])
@@ -72,11 +86,14 @@ def test_inflated_sphere_formula() -> None:
     assert_allclose(small.energy, 0.5 * 4.0 * np.pi * small.pressure * 1e-6, rtol=1e-5, atol=0)
 
 
+@a_sphere
 @pytest.mark.parametrize("poisson_ratio", [0.4999, 0.5])
-def test_inflated_sphere(poisson_ratio: float) -> None:
+def test_inflated_sphere(poisson_ratio: float, verified: Verified) -> None:
     """An octant on rollers under follower pressure; 30 % hoop stretch at the inner surface."""
     exact = InflatedThickSphere(1.0, 2.0, 1.0 / 3.0, 1.3)
-    record = Convergence("inflated thick sphere, u(a)", 2.0, 0.0085, _GEOMETRY_SLACK)
+    record = Convergence(
+        f"u(a) on flat facets, l_a = 1.3, nu = {poisson_ratio}", 2.0, 0.0085, _GEOMETRY_SLACK
+    )
     for n in (4, 8):
         b = octant_shell(1.0, 2.0, n, 3 * n // 2)
         inner = b.facets_where(lambda x: np.linalg.norm(x, axis=1) < 1.0 + 1e-9)
@@ -86,13 +103,14 @@ def test_inflated_sphere(poisson_ratio: float) -> None:
         at = np.linalg.norm(b.surface, axis=1) < 1.0 + 1e-9
         u = np.einsum("ni,ni->n", s.displacement[0][at], b.surface[at])
         record.add(1.0 / n, float(np.abs(u / exact.radial_displacement(1.0) - 1.0).max()))
-    record.check()
+    record.check(verified)
     # What the facets cut off is missing from the energy too: order 2.
-    assert_allclose(8.0 * s.energy, exact.energy, rtol=0.012, atol=0)
+    verified.equal(f"energy, l_a = 1.3, nu = {poisson_ratio}", 8.0 * s.energy[0], exact.energy, rtol=0.012)
 
 
+@a_sphere
 @pytest.mark.parametrize("poisson_ratio", [0.3, 0.4999])
-def test_inflated_sphere_without_its_geometry_error(poisson_ratio: float) -> None:
+def test_inflated_sphere_without_its_geometry_error(poisson_ratio: float, verified: Verified) -> None:
     """Compressible: the radial boundary value problem by collocation, its solution given at the surface."""
     shear = 0.5 / (1.0 + poisson_ratio)
     lame = 2.0 * shear * poisson_ratio / (1.0 - 2.0 * poisson_ratio)
@@ -129,7 +147,7 @@ def test_inflated_sphere_without_its_geometry_error(poisson_ratio: float) -> Non
         r0 = np.linalg.norm(x, axis=-1, keepdims=True)
         return np.asarray(x * (result.sol(r0)[0] / r0 - 1.0))
 
-    record = Convergence("inflated thick sphere, exact boundary values", 3.0, 3.2e-4)
+    record = Convergence(f"L2 of u without geometry error, nu = {poisson_ratio}", 3.0, 3.2e-4)
     for n in (4, 8):
         b = octant_shell(1.0, 2.0, n, 3 * n // 2)
         everywhere = np.ones(len(b.surface), dtype=bool)
@@ -137,7 +155,7 @@ def test_inflated_sphere_without_its_geometry_error(poisson_ratio: float) -> Non
         given = displacement(problem.mesh.node_points)
         fields = problem.solve_nodal(np.zeros((1, *given.shape)), given[None])
         record.add(1.0 / n, _l2_errors(problem.mesh, fields.displacement[0], displacement))
-    record.check()
+    record.check(verified)
 
 
 # ---------------------------------------------------------------- manufactured solutions
@@ -261,28 +279,34 @@ def _manufactured_errors(case: Manufactured, n: int) -> tuple[float, float]:
 
 
 def _check_manufactured(
-    poisson_ratio: float, levels: tuple[int, ...], caps: tuple[float, float], slack: float
+    verified: Verified,
+    poisson_ratio: float,
+    levels: tuple[int, ...],
+    caps: tuple[float, float],
+    slack: float,
 ) -> None:
     case = Manufactured(poisson_ratio)
-    displacement = Convergence(f"finite strain, displacement, nu = {poisson_ratio}", 3.0, caps[0], slack)
-    pressure = Convergence(f"finite strain, pressure, nu = {poisson_ratio}", 2.0, caps[1], slack)
+    displacement = Convergence(f"nu = {poisson_ratio}: displacement", 3.0, caps[0], slack)
+    pressure = Convergence(f"nu = {poisson_ratio}: pressure", 2.0, caps[1], slack)
     for n in levels:
         u, p = _manufactured_errors(case, n)
         displacement.add(1.0 / n, u)
         pressure.add(1.0 / n, p)
-    displacement.check()
-    pressure.check()
+    displacement.check(verified)
+    pressure.check(verified)
 
 
+@a_manufactured
 @pytest.mark.parametrize("poisson_ratio", [0.3, 0.4999, 0.5])
-def test_manufactured_solution(poisson_ratio: float) -> None:
-    _check_manufactured(poisson_ratio, (4, 8), (2e-4, 2.7e-3), 0.3)
+def test_manufactured_solution(poisson_ratio: float, verified: Verified) -> None:
+    _check_manufactured(verified, poisson_ratio, (4, 8), (2e-4, 2.7e-3), 0.3)
 
 
+@a_manufactured
 @pytest.mark.slow
 @pytest.mark.parametrize("poisson_ratio", [0.3, 0.4999, 0.5])
-def test_manufactured_solution_on_fine_meshes(poisson_ratio: float) -> None:
-    _check_manufactured(poisson_ratio, (8, 12), (6e-5, 1.15e-3), 0.15)
+def test_manufactured_solution_on_fine_meshes(poisson_ratio: float, verified: Verified) -> None:
+    _check_manufactured(verified, poisson_ratio, (8, 12), (6e-5, 1.15e-3), 0.15)
 
 
 # ---------------------------------------------------------------- large indentation

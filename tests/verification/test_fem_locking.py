@@ -2,14 +2,27 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 from skfem import ElementTetP1, ElementTetP2, ElementVector, FacetBasis, LinearForm
 
-from tests.unit.fem_shapes import Body, ball, mapped_box
+from tests.unit.fem_shapes import Body, ball, cube, mapped_box
+from tests.verification.records import Verified
 
 NEARLY_INCOMPRESSIBLE = (0.45, 0.49, 0.499, 0.4999, 0.49999)
+
+
+a_locking = pytest.mark.anchor(
+    "locking of displacement elements", "Hughes 2000, The Finite Element Method, sections 4.2 to 4.4"
+)
+a_membrane = pytest.mark.anchor("Cook's membrane, plane strain", "Cook 1974, doi 10.1061/JSDEAG.0003877")
+a_block = pytest.mark.anchor(
+    "block compression", "after Reese, Kuessner and Reddy 1999, Int. J. Numer. Meth. Eng. 44, 1617"
+)
+two_paths = pytest.mark.anchor("direct against iterative path", "each other")
 
 
 def _compliance(b: Body, element: str, poisson_ratio: float, solver: str = "direct") -> float:
@@ -22,7 +35,8 @@ def _compliance(b: Body, element: str, poisson_ratio: float, solver: str = "dire
     return float(s.scalars["compliance"][0])
 
 
-def test_only_the_mixed_element_survives_incompressibility() -> None:
+@a_locking
+def test_only_the_mixed_element_survives_incompressibility(verified: Verified) -> None:
     """The compliance of a body at nu -> 1/2 is finite; P1 sends it to zero, P2 falls behind by a few per cent."""
     b = ball(2, radius=0.05)
     table = {
@@ -32,13 +46,15 @@ def test_only_the_mixed_element_survives_incompressibility() -> None:
     limit = _compliance(b, "P2-P1", 0.5)
     mixed = table["P2-P1"]
     assert_allclose(mixed[-3:], limit, rtol=2e-3, atol=0)
-    assert_allclose(mixed[-1], limit, rtol=5e-5, atol=0)
+    verified.equal("P2-P1: compliance at nu = 0.49999 over that at 0.5", mixed[-1] / limit, 1.0, atol=5e-5)
     p1, p2 = table["P1"] / mixed, table["P2"] / mixed
     assert (np.diff(p1) < 0.0).all()
     assert (np.diff(p2) < 0.0).all()
     # One mesh: P1 is a fifth short at nu = 0.45 and has lost more than four fifths at 0.49999.
-    assert_allclose(p1[[0, -1]], [0.81, 0.16], rtol=0, atol=0.02)
-    assert_allclose(p2[[0, -1]], [0.98, 0.94], rtol=0, atol=0.01)
+    for name, ratio, expected, tolerance in (("P1", p1, (0.81, 0.16), 0.02), ("P2", p2, (0.98, 0.94), 0.01)):
+        for k, value in zip((0, -1), expected, strict=True):
+            title = f"{name}: compliance over that of P2-P1, nu = {NEARLY_INCOMPRESSIBLE[k]}"
+            verified.equal(title, ratio[k], value, atol=tolerance)
     # With Pi the projection on the pressure space, the mixed energy replaces (div u)^2 by (Pi div u)^2 <= it.
     assert (table["P2"] < mixed).all()
 
@@ -78,39 +94,89 @@ def _cook(n: int, element: str, poisson_ratio: float) -> float:
     return float(fields.displacement[0, corner, 1])
 
 
-def _check_cook(levels: tuple[int, ...], change: float) -> None:
-    limits = {}
-    for poisson_ratio in (0.3, 0.4999, 0.49999, 0.5):
-        rise = np.array([_cook(n, "P2-P1", poisson_ratio) for n in levels])
-        steps = np.diff(rise)
-        assert (steps > 0.0).all(), "the corner approaches from below"
-        assert steps[-1] < change * rise[-1]
+FEW_RATIOS = (0.3, 0.4999, 0.49999, 0.5)
+ALL_RATIOS = (0.3, 0.45, 0.49, 0.499, 0.4999, 0.49999, 0.5)
+
+
+def _check_limits(
+    verified: Verified,
+    measure: Callable[[int, str, float], float],
+    ratios: tuple[float, ...],
+    levels: tuple[int, ...],
+    rates: tuple[float, float],
+    change: float,
+) -> None:
+    """A measure of compliance grows to a limit under refinement, and the limit does not lock as nu goes to 1/2.
+
+    Each step of the mixed element is shorter than the one before by a factor within `rates`, the last below
+    `change`. Where nothing locks, P2 is an independent second opinion on the limit.
+    """
+
+    def limit(element: str, poisson_ratio: float) -> float:
+        values = np.array([measure(n, element, poisson_ratio) for n in levels])
+        steps = np.diff(values)
         rate = steps[-2] / steps[-1]
-        assert 2.0 < rate < 4.0, "between orders 1 and 2: the held corner is singular"
-        limits[poisson_ratio] = rise[-1] + steps[-1] / (rate - 1.0)
-    assert_allclose(limits[0.49999], limits[0.5], rtol=1e-4, atol=0)
-    assert_allclose(limits[0.4999], limits[0.5], rtol=2e-3, atol=0)
-    # Where nothing locks, P2 is an independent second opinion on the limit.
-    plain = np.array([_cook(n, "P2", 0.3) for n in levels])
-    steps = np.diff(plain)
-    extrapolated = plain[-1] + steps[-1] / (steps[-2] / steps[-1] - 1.0)
-    assert_allclose(limits[0.3], extrapolated, rtol=3e-3, atol=0)
-    locked = _cook(levels[-1], "P1", 0.49999)
-    assert locked < 0.3 * limits[0.5]
+        if element == "P2-P1":
+            assert (steps > 0.0).all(), "the body gives in more on finer meshes"
+            title = f"nu = {poisson_ratio}: steps of refinement, n = {levels[0]} to {levels[-1]}"
+            verified.at_most(f"{title}: last over the value", steps[-1] / values[-1], change)
+            verified.equal(f"{title}: shrink by", rate, sum(rates) / 2.0, atol=(rates[1] - rates[0]) / 2.0)
+        return float(values[-1] + steps[-1] / (rate - 1.0))
+
+    limits = {poisson_ratio: limit("P2-P1", poisson_ratio) for poisson_ratio in ratios}
+    assert (np.diff(list(limits.values())) < 0.0).all(), "a stiffer bulk gives in less"
+    verified.equal("limit at nu = 0.49999 over that at 0.5", limits[0.49999] / limits[0.5], 1.0, atol=1e-4)
+    verified.equal("limit at nu = 0.4999 over that at 0.5", limits[0.4999] / limits[0.5], 1.0, atol=2e-3)
+    verified.equal("limit of P2-P1 over that of P2, nu = 0.3", limits[0.3] / limit("P2", 0.3), 1.0, atol=3e-3)
 
 
-def test_cooks_membrane() -> None:
-    _check_cook((4, 8, 16), change=0.015)
+@a_membrane
+def test_cooks_membrane(verified: Verified) -> None:
+    """The held corner is singular: between orders 1 and 2."""
+    _check_limits(verified, _cook, FEW_RATIOS, (4, 8, 16), rates=(2.0, 4.0), change=0.015)
+    locked = _cook(16, "P1", 0.49999) / _cook(16, "P2-P1", 0.5)
+    verified.at_most("P1 at nu = 0.49999 over P2-P1 at 0.5", locked, 0.3)
 
 
+@a_membrane
 @pytest.mark.slow
-def test_cooks_membrane_on_fine_meshes() -> None:
-    _check_cook((8, 16, 32), change=0.007)
+def test_cooks_membrane_on_fine_meshes(verified: Verified) -> None:
+    _check_limits(verified, _cook, ALL_RATIOS, (8, 16, 32), rates=(2.0, 4.0), change=0.007)
 
 
+def _block(n: int, element: str, poisson_ratio: float) -> float:
+    """Work of a pressure on the middle of a block whose top moves up and down only: a quarter, on rollers."""
+    b = cube(n)
+    x = b.surface
+    held = np.column_stack([x[:, 0] == 0.0, x[:, 1] == 0.0, x[:, 2] == 0.0])
+    held[x[:, 2] == 1.0, :2] = True
+    loaded = b.facets_where(lambda x: (x[:, 2] == 1.0) & (x[:, :2] <= 0.5 + 1e-9).all(axis=1))
+    problem = b.problem(held, poisson_ratio=poisson_ratio, element=element)
+    s = problem.solve([b.load(1.0 * loaded)], frozenset({"compliance"}))
+    assert s.status[0].ok
+    return float(s.scalars["compliance"][0])
+
+
+@a_block
+def test_block_compression_does_not_lock(verified: Verified) -> None:
+    ratio = _block(8, "P2-P1", 0.49999) / _block(8, "P2-P1", 0.5)
+    verified.equal("P2-P1, n = 8: compliance at nu = 0.49999 over that at 0.5", ratio, 1.0, atol=1e-4)
+    verified.at_most(
+        "P1 at nu = 0.49999 over P2-P1 at 0.5", _block(8, "P1", 0.49999) / _block(8, "P2-P1", 0.5), 0.3
+    )
+
+
+@a_block
+@pytest.mark.slow
+def test_block_compression(verified: Verified) -> None:
+    """The pressure jumps at the rim of its patch: between orders 1 and 3."""
+    _check_limits(verified, _block, ALL_RATIOS, (4, 8, 16), rates=(2.0, 8.0), change=0.003)
+
+
+@two_paths
 @pytest.mark.slow
 @pytest.mark.parametrize("poisson_ratio", [0.45, 0.4999, 0.5])
-def test_the_two_paths_agree_on_a_large_body(poisson_ratio: float) -> None:
+def test_the_two_paths_agree_on_a_large_body(poisson_ratio: float, verified: Verified) -> None:
     b = ball(4, radius=0.05)
     direct, iterative = (_compliance(b, "P2-P1", poisson_ratio, solver) for solver in ("direct", "iterative"))
-    assert_allclose(iterative, direct, rtol=1e-8, atol=0)
+    verified.at_most(f"linear, large body, nu = {poisson_ratio}: compliance", iterative / direct - 1.0, 1e-8)

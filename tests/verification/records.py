@@ -1,0 +1,213 @@
+"""The records of the verification: what was checked, against what, how well. Tests assert on them.
+
+A test that carries `@pytest.mark.anchor(name, source)` asks for the fixture `verified` and hands it numbers; each
+becomes a record that passes or fails the test. `pytest --verification`, which `make verify` runs, prints all
+records as one table and, where no recording test was left out, stores it in `results/verification.md` and `.json`.
+"""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+RESULTS = Path(__file__).parents[2] / "results"
+ROUNDING = 1e-7  # an error with a limit below this is rounding: its digits depend on the machine
+_TESTS = Path(__file__).parents[1]
+_FIXTURE = "verified: Verified"
+_NOTE = """# Verification
+
+Made by `make verify`. A check passes where its value is within the tolerance of what is expected; an error is
+expected to be 0. "short" says whether `make test` runs it too. Digits that depend on the machine are left out: an
+error that is rounding is shown by its limit. This is verification of both codes, no validation by experiment.
+
+"""
+
+
+@dataclass(frozen=True)
+class Record:
+    """One check.
+
+    Attributes
+    ----------
+    name : the anchor
+    quantity : what of it
+    value, expected : the numbers compared
+    tolerance : largest |value - expected| that passes
+    source : where the expected value comes from
+    short : whether the short half of the suite holds it
+    seconds : what it took, on this machine
+    """
+
+    name: str
+    quantity: str
+    value: float
+    expected: float
+    tolerance: float
+    source: str
+    short: bool
+    seconds: float = 0.0
+
+    @property
+    def passes(self) -> bool:
+        return bool(abs(self.value - self.expected) <= self.tolerance)
+
+    def row(self) -> dict[str, str | bool]:
+        """The record as it is stored: no digits that depend on the machine, no time."""
+        if self.expected == 0.0:
+            rounding = self.tolerance <= ROUNDING and self.passes
+            value = f"< {self.tolerance:.3g}" if rounding else f"{self.value:.3g}"
+        else:
+            fine = self.tolerance <= 1e-2 * abs(self.expected)
+            value = f"{self.value:.6g}" if fine else f"{self.value:.3g}"
+        return {
+            "name": self.name,
+            "quantity": self.quantity,
+            "value": value,
+            "expected": f"{self.expected:.6g}",
+            "tolerance": f"{self.tolerance:.2g}",
+            "source": self.source,
+            "short": self.short,
+            "passes": self.passes,
+        }
+
+
+class Verified:
+    """Takes the numbers of one test."""
+
+    def __init__(self, name: str, source: str, *, short: bool, records: list[Record]) -> None:
+        self._name, self._source, self._short, self._records = name, source, short, records
+        self._clock = time.perf_counter()
+
+    def equal(
+        self, quantity: str, value: float, expected: float, *, rtol: float = 0.0, atol: float = 0.0
+    ) -> None:
+        """Assert |value - expected| <= rtol |expected| + atol, and record it."""
+        now = time.perf_counter()
+        tolerance = rtol * abs(expected) + atol
+        record = Record(
+            self._name,
+            quantity,
+            float(value),
+            float(expected),
+            float(tolerance),
+            self._source,
+            self._short,
+            now - self._clock,
+        )
+        self._clock = now
+        self._records.append(record)
+        assert record.passes, (
+            f"{self._name}, {quantity}: {value:.10g} is not {expected:.10g} ± {tolerance:.2g}"
+        )
+
+    def at_most(self, quantity: str, error: float | np.ndarray, limit: float) -> None:
+        """Assert that an error, the largest of an array, is at most `limit` in size, and record it."""
+        self.equal(quantity, float(np.abs(error).max()), 0.0, atol=limit)
+
+
+def table(rows: Sequence[dict[str, str | bool]]) -> str:
+    """Stored rows as Markdown, in the order of their anchors' first appearance."""
+    lines = [
+        "| anchor | quantity | value | expected | tolerance | passes | short | source |",
+        "| --- | --- | --- | --- | --- | --- | --- | --- |",
+    ]
+    for name in dict.fromkeys(row["name"] for row in rows):
+        for row in (row for row in rows if row["name"] == name):
+            cells = [row[key] for key in ("name", "quantity", "value", "expected", "tolerance")]
+            marks = ["yes" if row["passes"] else "**no**", "yes" if row["short"] else "no"]
+            lines.append("| " + " | ".join(map(str, [*cells, *marks, row["source"]])) + " |")
+    return "\n".join(lines) + "\n"
+
+
+def document(rows: Sequence[dict[str, str | bool]]) -> str:
+    """The whole of `results/verification.md`."""
+    passed = sum(bool(row["passes"]) for row in rows)
+    return f"{_NOTE}{passed} of {len(rows)} checks pass.\n\n{table(rows)}"
+
+
+# ---------------------------------------------------------------- pytest's side
+
+
+class Plugin:
+    """What one session has recorded."""
+
+    def __init__(self) -> None:
+        self.records: list[Record] = []
+        self.left_out = 0
+        self.files: set[Path] = set()
+
+    def pytest_deselected(self, items: Sequence[pytest.Item]) -> None:
+        self.left_out += sum("verified" in getattr(item, "fixturenames", ()) for item in items)
+
+    def pytest_collection_finish(self, session: pytest.Session) -> None:
+        self.files = {item.path for item in session.items}
+
+    def missing(self, config: pytest.Config) -> str:
+        """Why the table is not whole; "" where it is."""
+        recording = {
+            path for path in _TESTS.rglob("test_*.py") if _FIXTURE in path.read_text(encoding="utf-8")
+        }
+        absent = sorted(path.name for path in recording - self.files)
+        if absent:
+            return f"{', '.join(absent)} did not run"
+        if self.left_out or any("::" in argument for argument in config.args):
+            return "some of its tests were left out"
+        return ""
+
+    def pytest_terminal_summary(
+        self, terminalreporter: pytest.TerminalReporter, config: pytest.Config
+    ) -> None:
+        if not (self.records and config.getoption("verification")):
+            return
+        write = terminalreporter.write_line
+        terminalreporter.section("verification")
+        wide = [max(len(getattr(r, key)) for r in self.records) for key in ("name", "quantity")]
+        for record in self.records:
+            row = record.row()
+            write(
+                f"{'pass' if record.passes else 'FAIL'}  {record.name:{wide[0]}}  {record.quantity:{wide[1]}}  "
+                f"{row['value']:>12}  expected {row['expected']:>10} ± {row['tolerance']:<8} "
+                f"{record.seconds:6.2f} s"
+            )
+        failed = sum(not record.passes for record in self.records)
+        write(f"{len(self.records) - failed} of {len(self.records)} checks pass")
+        if why := self.missing(config):
+            write(f"results/verification.md is left as it was: {why}")
+            return
+        rows = [record.row() for record in self.records]
+        (RESULTS / "verification.md").write_text(document(rows), encoding="utf-8")
+        text = json.dumps(rows, indent=1, ensure_ascii=False) + "\n"
+        (RESULTS / "verification.json").write_text(text, encoding="utf-8")
+        write("stored in results/verification.md and results/verification.json")
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    parser.addoption(
+        "--verification",
+        action="store_true",
+        help="print the table of verification records; store it if whole",
+    )
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    config.addinivalue_line("markers", "anchor(name, source): what the test's records are about")
+    config.pluginmanager.register(Plugin(), "verification-records")
+
+
+@pytest.fixture
+def verified(request: pytest.FixtureRequest) -> Iterator[Verified]:
+    """Takes the numbers of a test that carries the marker `anchor`; one that gives none fails."""
+    marker = request.node.get_closest_marker("anchor")
+    assert marker is not None, "mark the test with @pytest.mark.anchor(name, source)"
+    plugin = request.config.pluginmanager.getplugin("verification-records")
+    assert isinstance(plugin, Plugin)
+    before = len(plugin.records)
+    short = request.node.get_closest_marker("slow") is None
+    yield Verified(*marker.args, short=short, records=plugin.records)
+    assert len(plugin.records) > before, "a test with the fixture `verified` hands it a number"
