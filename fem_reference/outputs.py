@@ -6,6 +6,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
+from skfem.quadrature import get_quadrature
+from skfem.refdom import RefTet
 
 from fem_reference.assembly import tetrahedron_quadrature
 from fem_reference.mesh import TetMesh
@@ -20,6 +22,7 @@ OUTPUTS = {
     "compliance": "work of the applied forces on the displacement, f.u [J]",
     "max_det_f_deviation": "largest |det(I + grad u) - 1| at the quadrature points",
     "max_principal_strain": "largest principal Green-Lagrange strain at the quadrature points",
+    "volume": "volume of the deformed body, the integral of det(I + grad u) [m^3]",
     "discretisation_error": "estimated relative L2 error of the strain, see `fem_reference.recovery`",
 }
 
@@ -55,6 +58,12 @@ def strain_outputs(mesh: TetMesh, displacements: Array, names: frozenset[str]) -
         recovery = StrainRecovery(mesh)
         errors = [recovery.relative_error(displacement) for displacement in displacements]
         result["discretisation_error"] = np.array(errors)
+    if "volume" in names:
+        local_points, weights = get_quadrature(RefTet, 3)  # det of a gradient linear in space: exact
+        barycentric = np.vstack([1.0 - local_points.sum(axis=0), local_points]).T
+        gradients = (displacement_gradient(mesh, u, barycentric) for u in displacements)
+        means = [np.linalg.det(h + np.eye(3)) @ weights for h in gradients]
+        result["volume"] = 6.0 * np.array(means) @ mesh.volumes
     local = names & {"max_det_f_deviation", "max_principal_strain"}
     result |= {name: np.zeros(len(displacements)) for name in sorted(local)}
     points, _ = tetrahedron_quadrature()

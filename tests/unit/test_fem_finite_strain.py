@@ -79,14 +79,14 @@ def test_element_tangent_by_finite_differences(block: Body, law: str, verified: 
     short = len(volumes)
     divergence = bsr_array((volumes, pattern.indices[:short], pattern.indptr[: n + 1]), shape=(n, size))
     rng = np.random.default_rng(8)
-    for _ in range(3):
+    for k in range(3):
         du, dp = rng.standard_normal(u.shape), rng.standard_normal(p.shape)
         h = 1e-6
         ahead, behind = (assembly.forces(u + s * du, p + s * dp) for s in (h, -h))
         nodal = (ahead.nodal - behind.nodal) / (2.0 * h)
         expected = (stiffness @ du.ravel() - divergence.T @ dp).reshape(-1, 3)
         difference = (nodal - expected) / np.abs(expected).max()
-        verified.at_most(f"{law}: forces along a random direction", difference, 1e-8)
+        verified.at_most(f"{law}: forces along random direction {k}", difference, 1e-8)
         volume = (ahead.volume - behind.volume) / (2.0 * h)
         expected = divergence @ du.ravel()
         assert_allclose(volume, expected, rtol=0, atol=1e-8 * np.abs(expected).max())
@@ -120,12 +120,12 @@ def test_follower_tangent_by_finite_differences(block: Body, verified: Verified)
     size = 3 * mesh.n_nodes
     stiffness = bsr_array((whole, pattern.indices, pattern.indptr), shape=(size, size))
     assert abs(stiffness - stiffness.T).max() > 0.1 * abs(stiffness).max()
-    for _ in range(3):
+    for k in range(3):
         dx, h = rng.standard_normal(x.shape), 1e-6
         slope = (follower.forces(x + h * dx, pressure) - follower.forces(x - h * dx, pressure)) / (2.0 * h)
         expected = -(stiffness @ dx.ravel()).reshape(-1, 3)
         difference = (slope - expected) / np.abs(expected).max()
-        verified.at_most("follower pressure: forces along a random direction", difference, 1e-8)
+        verified.at_most(f"follower pressure: forces along random direction {k}", difference, 1e-8)
 
 
 def test_a_uniform_pressure_does_the_work_of_the_volume() -> None:

@@ -11,7 +11,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 import vdm.solution
 from fem_reference import solution
 from fem_reference.linear import LinearProblem
-from fem_reference.outputs import OUTPUTS
+from fem_reference.outputs import OUTPUTS, strain_outputs
 from fem_reference.solution import SolverError
 from tests.unit.fem_shapes import Body, ball, cube
 from tests.verification.records import Verified
@@ -165,6 +165,18 @@ def test_scalars_of_a_uniform_stretch(element: str, verified: Verified) -> None:
     verified.equal(f"{element}: volume", out["volume"][0], np.linalg.det(f), rtol=1e-11)
     # a linear field is represented exactly
     verified.at_most(f"{element}: estimated error", out["discretisation_error"], 1e-11)
+
+
+def test_volume_of_a_curved_deformation() -> None:
+    """A quadratic displacement of the cube, which P2 holds exactly: the volume is the integral of det F."""
+    b = cube(2, distort=0.2)
+    problem = b.problem(np.ones(len(b.surface_nodes), dtype=bool))
+    x, y, z = problem.mesh.node_points.T
+    given = np.column_stack([0.2 * x * y, 0.3 * y * z, 0.1 * x * z])
+    # det F = (1 + 0.2 y)(1 + 0.3 z)(1 + 0.1 x) + 0.2 x 0.3 y 0.1 z, averaged over the cube
+    expected = 1.1 * 1.15 * 1.05 + 0.2 * 0.3 * 0.1 / 8.0
+    found = strain_outputs(problem.mesh, given[None], frozenset({"volume"}))["volume"]
+    assert_allclose(found, expected, rtol=1e-13, atol=0)
 
 
 def test_hydrostatic_pressure_is_felt_inside(block: Body) -> None:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Generator, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -19,6 +19,7 @@ import pytest
 RESULTS = Path(__file__).parents[2] / "results"
 ROUNDING = 1e-7  # an error with a limit below this is rounding: its digits depend on the machine
 _TESTS = Path(__file__).parents[1]
+_FAILED = pytest.StashKey[bool]()
 _FIXTURE = "verified: Verified"
 _NOTE = """# Verification
 
@@ -210,4 +211,15 @@ def verified(request: pytest.FixtureRequest) -> Iterator[Verified]:
     before = len(plugin.records)
     short = request.node.get_closest_marker("slow") is None
     yield Verified(*marker.args, short=short, records=plugin.records)
-    assert len(plugin.records) > before, "a test with the fixture `verified` hands it a number"
+    failed = request.node.stash.get(_FAILED, False)
+    assert failed or len(plugin.records) > before, "a test with the fixture `verified` hands it a number"
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_makereport(
+    item: pytest.Item, call: pytest.CallInfo[None]
+) -> Generator[None, pytest.TestReport, pytest.TestReport]:
+    report = yield
+    if call.when == "call":
+        item.stash[_FAILED] = not report.passed
+    return report

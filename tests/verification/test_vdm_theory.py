@@ -6,7 +6,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from numpy.testing import assert_allclose
 from scipy.special import eval_legendre
 
 import vdm
@@ -206,8 +205,8 @@ def test_paper_form_does_not_converge_and_its_coupling_scales_with_the_square_of
     # every refinement takes away three quarters of what was left of the tension: no sign of a limit
     assert np.all(np.diff(values) > 0.3 * values[:-1])
     _, estimate = estimate_limit(values[::-1].tolist())
-    assert estimate.behaviour == "diverging"
-    verified.equal("observed order of the compliance, not above 0", estimate.observed_order, -1.0, atol=1.0)
+    assert not estimate.reasonable
+    verified.equal("observed order of the compliance, below any use", estimate.observed_order, 0.0, atol=0.4)
     gains = []
     for level in (3, 4):
         points, triangles = icosphere(level, (0.05, 0.05, 0.05))
