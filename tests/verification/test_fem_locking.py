@@ -94,14 +94,12 @@ def _cook(n: int, element: str, poisson_ratio: float) -> float:
     return float(fields.displacement[0, corner, 1])
 
 
-FEW_RATIOS = (0.3, 0.4999, 0.49999, 0.5)
-ALL_RATIOS = (0.3, 0.45, 0.49, 0.499, 0.4999, 0.49999, 0.5)
+COMPRESSIBILITIES = (0.3, 0.4999, 0.49999, 0.5)
 
 
 def _check_limits(
     verified: Verified,
     measure: Callable[[int, str, float], float],
-    ratios: tuple[float, ...],
     levels: tuple[int, ...],
     rates: tuple[float, float],
     change: float,
@@ -123,7 +121,7 @@ def _check_limits(
             verified.equal(f"{title}: shrink by", rate, sum(rates) / 2.0, atol=(rates[1] - rates[0]) / 2.0)
         return float(values[-1] + steps[-1] / (rate - 1.0))
 
-    limits = {poisson_ratio: limit("P2-P1", poisson_ratio) for poisson_ratio in ratios}
+    limits = {poisson_ratio: limit("P2-P1", poisson_ratio) for poisson_ratio in COMPRESSIBILITIES}
     assert (np.diff(list(limits.values())) < 0.0).all(), "a stiffer bulk gives in less"
     verified.equal("limit at nu = 0.49999 over that at 0.5", limits[0.49999] / limits[0.5], 1.0, atol=1e-4)
     verified.equal("limit at nu = 0.4999 over that at 0.5", limits[0.4999] / limits[0.5], 1.0, atol=2e-3)
@@ -133,7 +131,7 @@ def _check_limits(
 @a_membrane
 def test_cooks_membrane(verified: Verified) -> None:
     """The held corner is singular: between orders 1 and 2."""
-    _check_limits(verified, _cook, FEW_RATIOS, (4, 8, 16), rates=(2.0, 4.0), change=0.015)
+    _check_limits(verified, _cook, (4, 8, 16), rates=(2.0, 4.0), change=0.015)
     locked = _cook(16, "P1", 0.49999) / _cook(16, "P2-P1", 0.5)
     verified.at_most("P1 at nu = 0.49999 over P2-P1 at 0.5", locked, 0.3)
 
@@ -141,7 +139,7 @@ def test_cooks_membrane(verified: Verified) -> None:
 @a_membrane
 @pytest.mark.slow
 def test_cooks_membrane_on_fine_meshes(verified: Verified) -> None:
-    _check_limits(verified, _cook, ALL_RATIOS, (8, 16, 32), rates=(2.0, 4.0), change=0.007)
+    _check_limits(verified, _cook, (8, 16, 32), rates=(2.0, 4.0), change=0.007)
 
 
 def _block(n: int, element: str, poisson_ratio: float) -> float:
@@ -170,13 +168,13 @@ def test_block_compression_does_not_lock(verified: Verified) -> None:
 @pytest.mark.slow
 def test_block_compression(verified: Verified) -> None:
     """The pressure jumps at the rim of its patch: between orders 1 and 3."""
-    _check_limits(verified, _block, ALL_RATIOS, (4, 8, 16), rates=(2.0, 8.0), change=0.003)
+    _check_limits(verified, _block, (4, 8, 16), rates=(2.0, 8.0), change=0.003)
 
 
 @two_paths
 @pytest.mark.slow
-@pytest.mark.parametrize("poisson_ratio", [0.45, 0.4999, 0.5])
-def test_the_two_paths_agree_on_a_large_body(poisson_ratio: float, verified: Verified) -> None:
+def test_the_two_paths_agree_on_a_large_body(verified: Verified) -> None:
+    poisson_ratio = 0.4999
     b = ball(4, radius=0.05)
     direct, iterative = (_compliance(b, "P2-P1", poisson_ratio, solver) for solver in ("direct", "iterative"))
     verified.at_most(f"linear, large body, nu = {poisson_ratio}: compliance", iterative / direct - 1.0, 1e-8)
