@@ -177,6 +177,7 @@ class Surface:
     points: Array
     triangles: Index
     contact: Mask = field(default_factory=lambda: np.zeros(0, dtype=bool))  # (N,) nodes under contact
+    contact_force: Array = field(default_factory=lambda: np.zeros((0, 3)))  # (N, 3) at load factor 1
 
     @cached_property
     def areas(self) -> Array:
@@ -405,6 +406,18 @@ def mean_strain_y(surface: Surface, model: History) -> Array:
 @_metric("1", "mean of du_z/dz over the body's volume", needs_reference=False)
 def mean_strain_z(surface: Surface, model: History) -> Array:
     return _mean_strain(surface, model, 2)
+
+
+@_metric(
+    "J",
+    "work of the contact forces on the displacement",
+    needs_reference=False,
+    needs_contact=True,
+)
+def contact_work(surface: Surface, model: History) -> Array:
+    if not len(surface.contact_force):
+        return np.full(len(model.load_factors), np.nan)
+    return model.load_factors * np.einsum("ij,sij->s", surface.contact_force, model.displacement)
 
 
 def mean_indentation(surface: Surface, displacement: Array) -> Array:

@@ -405,7 +405,7 @@ class Uncertainty(Table):
         2,
         description="mesh levels, the study's own included; each costs 10 to 20 times the one before",
         ge=2,
-        le=3,
+        le=4,
     )
 
 

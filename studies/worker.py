@@ -209,7 +209,8 @@ def compare(
     scene: Scene, results: Mapping[str, ModelResult], reference: str | None
 ) -> dict[str, dict[str, MetricSeries]]:
     """Every metric of every model; the reference itself gets those that need no comparison."""
-    surface = Surface(scene.mesh.surface_points, scene.mesh.triangles, scene.contact)
+    mesh = scene.mesh
+    surface = Surface(mesh.surface_points, mesh.triangles, scene.contact, scene.contact_force)
     histories = {
         name: History(result.displacement, result.reaction_force, scene.load_factors)
         for name, result in results.items()

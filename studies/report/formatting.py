@@ -16,6 +16,7 @@ _SCALES: dict[str, tuple[tuple[float, str], ...]] = {
     "Pa": ((1e9, "GPa"), (1e6, "MPa"), (1e3, "kPa"), (1.0, "Pa")),
     "s": ((1.0, "s"), (1e-3, "ms"), (1e-6, "µs")),
     "N": ((1e3, "kN"), (1.0, "N"), (1e-3, "mN")),
+    "J": ((1.0, "J"), (1e-3, "mJ"), (1e-6, "µJ")),
     "B": ((1e9, "GB"), (1e6, "MB"), (1e3, "kB"), (1.0, "B")),
 }
 # a surface is measured in millimetres even where it is a decimetre across

@@ -21,6 +21,7 @@ from .digest import Digest
 from .formatting import plural
 from .section_appendix import how_to_reproduce, provenance
 from .section_cases import case_table, failures
+from .section_convergence import mesh_convergence
 from .section_cost import run_time_against_error
 from .section_errors import error_against_load, error_against_parameters
 from .section_fibres import anisotropy_of_the_response
@@ -41,6 +42,7 @@ _MARGIN = 50_000  # markup around the viewer's data
 # the order of the page; a section that has nothing to say returns None. The viewer comes after SECTIONS_BEFORE
 SECTIONS_BEFORE: tuple[Callable[[Digest], Section | None], ...] = (
     headline.headline,
+    mesh_convergence,
     error_against_parameters,
     error_against_load,
 )

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
@@ -52,6 +54,20 @@ def test_surface_measures_of_the_octahedron(surface: Surface) -> None:
     # each node's gradient: four facets of vector area (+-1, +-1, +-1)/2, a third each
     assert_allclose(surface.volume_gradient, surface.points * 2 / 3, **ROUND)
     assert_allclose(surface.normals, surface.points, **ROUND)
+
+
+def test_contact_work_by_hand(surface: Surface, field: np.ndarray) -> None:
+    force = np.zeros((6, 3))
+    force[surface.contact] = [0.0, 1.0, -2.0]
+    loaded = dataclasses.replace(surface, contact_force=force)
+    moved = np.zeros((6, 3))
+    moved[surface.contact] = [5.0, 0.25, -0.5]
+    # the force of each step is its load factor times that at load factor 1
+    model = history(moved, field, factors=[0.5, -2.0])
+    expected = [0.5 * (0.25 + 1.0), -2.0 * float(force[surface.contact][0] @ field[surface.contact][0])]
+    assert_allclose(metrics.contact_work(loaded, model), expected, **ROUND)
+    assert np.isnan(metrics.contact_work(surface, model)).all()
+    assert "contact_work" not in metrics.evaluate(Surface(surface.points, surface.triangles), model, None)
 
 
 def test_volume_does_not_depend_on_the_origin(surface: Surface) -> None:
@@ -157,7 +173,8 @@ def test_volume_drift_of_a_uniform_scaling(surface: Surface) -> None:
     )
     for axis in "xyz":
         assert_allclose(values[f"mean_strain_{axis}"], [0.1, -0.1], **ROUND)
-    assert len(values) == 5, "the others need a reference"
+    assert "contact_work" in values
+    assert len(values) == 6, "the others need a reference"
 
 
 def test_reaction_error_compares_totals(surface: Surface, field: np.ndarray) -> None:
@@ -200,7 +217,7 @@ def test_metrics_of_contact_need_contact(field: np.ndarray) -> None:
 def test_every_metric_says_what_it_is() -> None:
     for name, metric in metrics.METRICS.items():
         assert metric.name == name
-        assert metric.unit in {"1", "m"}, name
+        assert metric.unit in {"1", "m", "J"}, name
         assert len(metric.definition) > 10, name
         assert metric.version >= 1, name
 

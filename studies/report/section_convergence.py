@@ -1,0 +1,139 @@
+"""Whether each model comes to rest as the mesh is refined, against one fixed reference."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from ..case import CaseResult
+from ..uncertainty import CONVERGING, DIVERGING, TOO_SLOW, ErrorEstimate, estimate_limit, is_resolved
+from .blocks import Cell, Column, Figure, Figures, Section, Table, Text
+from .digest import Digest, at_full_load
+from .formatting import NOTHING, listed, percent, plain, quantity, short_percent
+from .plots import Plot, colour, line, log_axis, marker, percent_axis
+
+MESH_SIZE = "geometry.mesh_size"
+WORK = "contact_work"
+_LEVELS = 3  # fewer show no order
+
+
+@dataclass(frozen=True)
+class _Series:
+    """The work of the contact on ever finer meshes, the finest first."""
+
+    model: str
+    sizes: Sequence[float]
+    values: Sequence[float]
+    limit: float
+    estimate: ErrorEstimate
+
+
+def mesh_convergence(digest: Digest) -> Section | None:
+    """Work of the contact against mesh size where only that is swept: order, limit and verdict per model."""
+    if digest.swept_keys != [MESH_SIZE]:
+        return None
+    cases = sorted(digest.cases, key=lambda case: float(case.swept[MESH_SIZE]))
+    found = [s for model in digest.models if (s := _series(cases, model)) is not None]
+    if not found:
+        return None
+    fixed = next((s for s in found if s.model == digest.reference), None)
+    reading = (
+        "The work that the contact does on the displacement, at full load, on each mesh. The order is that of the "
+        "three finest; where it is between 0.5 and 4 the limit is extrapolated from it and ± is the grid "
+        "convergence index of the finest mesh, 1.25 times its estimated error, else three times the largest "
+        "difference between meshes. A convergent model has a limit of its own; how far that is from the "
+        "reference's is its structural error, which no refinement removes."
+    )
+    blocks = [Text(sentence) for sentence in _verdict(found, digest.reference)]
+    figure = Figures([_figure(digest, found, fixed)], digest.legend)
+    note = Text(reading, kind="note")
+    return Section("convergence", "Mesh convergence", [*blocks, figure, _table(digest, found, fixed), note])
+
+
+def _series(cases: Sequence[CaseResult], model: str) -> _Series | None:
+    points = [(float(case.swept[MESH_SIZE]), at_full_load(case, model, WORK)) for case in cases]
+    points = [(size, work) for size, work in points if math.isfinite(work)]
+    sizes, values = [size for size, _ in points], [work for _, work in points]
+    if len(set(sizes)) < _LEVELS or len(set(sizes)) < len(sizes):
+        return None
+    limit, estimate = estimate_limit(values, [b / a for a, b in itertools.pairwise(sizes)])
+    return _Series(model, sizes, values, limit, estimate)
+
+
+def _verdict(found: Sequence[_Series], reference: str | None) -> list[str]:
+    converge = [s for s in found if s.estimate.behaviour == CONVERGING and s.model != reference]
+    rest = [s for s in found if s.estimate.behaviour != CONVERGING]
+    sentences = []
+    if converge:
+        orders = listed(f"{s.model} with order {plain(s.estimate.observed_order, 2)}" for s in converge)
+        sentences.append(f"Under refinement {orders} come{'s' if len(converge) == 1 else ''} to rest.")
+    for s in rest:
+        growth = plain(s.values[0] / s.values[-1], 3)
+        change = f"from the coarsest to the finest mesh its answer changes by a factor of {growth}"
+        if s.estimate.behaviour in (DIVERGING, TOO_SLOW):
+            sentences.append(f"{s.model} does not: its levels are {s.estimate.behaviour}, {change}.")
+        else:
+            sentences.append(
+                f"No limit of {s.model} can be told: its levels are {s.estimate.behaviour}, {change}."
+            )
+    return sentences
+
+
+def _table(digest: Digest, found: Sequence[_Series], fixed: _Series | None) -> Table:
+    sizes = sorted({size for s in found for size in s.sizes}, reverse=True)
+    columns = [
+        Column("Model", numeric=False),
+        *(Column("Work", quantity(size, "m"), unit="J") for size in sizes),
+        Column("Order"),
+        Column("Limit", unit="J"),
+        Column("Limit", f"against {fixed.model}", unit="1") if fixed else Column("Levels", numeric=False),
+    ]
+    rows = []
+    for s in found:
+        by_size = dict(zip(s.sizes, s.values, strict=True))
+        works = [
+            Cell(quantity(by_size[h], "J"), value=by_size[h]) if h in by_size else Cell(NOTHING)
+            for h in sizes
+        ]
+        converging = s.estimate.behaviour == CONVERGING
+        order = Cell(NOTHING)
+        if s.estimate.behaviour != DIVERGING:
+            order = Cell(plain(s.estimate.observed_order, 3), value=s.estimate.observed_order)
+        limit = Cell(
+            quantity(s.limit, "J") if converging else s.estimate.behaviour,
+            f"± {quantity(s.estimate.gci, 'J')}",
+            s.limit if converging else None,
+            tone="" if converging else "bad",
+        )
+        last = Cell(s.estimate.behaviour)
+        if fixed is not None:
+            last = _against(s, fixed) if converging and s is not fixed else Cell(NOTHING)
+        rows.append([Cell(s.model), *works, order, limit, last])
+    return Table("convergence", "", columns, rows, marks=[digest.colour(s.model) for s in found])
+
+
+def _against(s: _Series, fixed: _Series) -> Cell:
+    difference = s.limit / fixed.limit - 1.0
+    bar = (s.estimate.gci + fixed.estimate.gci) / abs(fixed.limit)
+    word = "" if is_resolved(difference, bar) else "\nunresolved"
+    return Cell(percent(difference, signed=True), f"± {percent(bar)}{word}", difference)
+
+
+def _figure(digest: Digest, found: Sequence[_Series], fixed: _Series | None) -> Figure:
+    scale = fixed.limit if fixed else max(abs(value) for s in found for value in s.values)
+    label = f"work, of the limit of {fixed.model}" if fixed else "work, of the largest"
+    described = []
+    plot = Plot("mesh size [mm]", label, "g0")
+    with plot as axes:
+        for s in found:
+            k = digest.colour(s.model)
+            shares = [value / scale for value in s.values]
+            axes.plot([1e3 * h for h in s.sizes], shares, line(k), marker=marker(k), color=colour(k))
+            described.append(f"{s.model} from {short_percent(shares[-1])} to {short_percent(shares[0])}")
+        percent_axis(axes, [value / scale for s in found for value in s.values])
+        log_axis(axes, "x")
+        axes.invert_xaxis()
+    heading = "Work of the contact against mesh size, refined to the right"
+    return Figure(plot.drawn(f"{heading}: {listed(described)}."), heading)
