@@ -90,7 +90,10 @@ def test_incompressible_ball_without_a_fit(degree, verified: Verified):
     # 642 nodes: wave length over mesh size falls as 1 / n
     verified.at_most(f"boundary: gain at 642 nodes, n = {degree}", errors[-1], 0.01 * (degree - 1))
     assert np.all(orders > 1.4)
-    verified.equal(f"boundary: observed order, n = {degree}", orders[-1], 2.0, atol=0.6)
+    # of order 1.4 or more; that of n = 2 changes sign on the way, which leaves no order to read from the last two
+    verified.at_most(
+        f"boundary: gain at 642 over that at 42 nodes, n = {degree}", errors[-1] / errors[0], 2**-2.8
+    )
 
 
 def test_stiffness_is_symmetric_semi_definite_with_six_free_motions():
