@@ -125,8 +125,12 @@ def _parser() -> argparse.ArgumentParser:
     )
     status = verb("status", _status, "say what is done, failed and missing")
     report = verb("report", _report, "rebuild the report from the stored results")
-    for sub in (status, report):
-        sub.add_argument("directory", type=Path, metavar="DIR", help="run directory")
+    status.add_argument("directory", type=Path, metavar="DIR", help="run directory")
+    report.add_argument("directories", type=Path, metavar="DIR", nargs="+", help="run directory")
+    report.add_argument(
+        "--claims", action="store_true", help="put the paper's claims on trial by the results of all DIRs"
+    )
+    report.add_argument("--out", type=Path, metavar="FILE", help="of --claims (default results/claims.html)")
     report.add_argument(
         "--picture", type=Path, metavar="FILE", help="write a PNG of reference, model and difference too"
     )
@@ -273,12 +277,30 @@ def _status(options: argparse.Namespace) -> int:
 def _report(options: argparse.Namespace) -> int:
     from .run import rebuild
 
-    run, report = rebuild(options.directory)
+    if options.claims:
+        return _claims(options)
+    if len(options.directories) > 1 or options.out:
+        raise UsageError("several directories, and --out, go with --claims only")
+    (directory,) = options.directories
+    run, report = rebuild(directory)
     if options.picture:
         from .report.page import write_picture
 
         write_picture(run, options.picture)
-    return _print_run(run, options.directory, report, options.json)
+    return _print_run(run, directory, report, options.json)
+
+
+def _claims(options: argparse.Namespace) -> int:
+    from .report.claims_page import verdict_rows, write_claims
+    from .store import read_run
+
+    page = options.out or _results() / "claims.html"
+    rows = verdict_rows(write_claims([read_run(directory) for directory in options.directories], page))
+    if options.json:
+        return _print_json({"report": str(page), "claims": rows})
+    _print_table(rows)
+    print(f"report: {page}")
+    return OK
 
 
 def _doctor(options: argparse.Namespace) -> int:

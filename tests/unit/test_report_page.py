@@ -18,7 +18,8 @@ from numpy.testing import assert_allclose
 from studies.case import Limit, ModelLimits, SmallStrainLimits
 from studies.report import page as page_module
 from studies.report.digest import Digest
-from studies.report.page import MOST_BYTES, page_html, script_json, write_report
+from studies.report.document import script_json
+from studies.report.page import MOST_BYTES, page_html, write_report
 from studies.report.picture import Panel
 from studies.report.plots import place
 from studies.report.view import View, candidates, displacement_scale, payload

@@ -1,0 +1,481 @@
+"""The nine claims that the paper makes of its model, and the rules by which stored results judge them.
+
+A rule is one decorated function from the digests of the runs that put a claim on trial to its judgement. Thresholds
+stand in the rule's own words, so that a reader can disagree with them.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..case import CaseResult
+from .blocks import Figure
+from .claim_figures import Line, bars, curves
+from .digest import VECTOR, Digest, at_full_load, failed_steps, full_load, series
+from .formatting import listed, percent, plain, quantity, short_percent
+
+HOLDS, WITHIN_LIMITS, FAILS, OPEN = "holds", "holds within limits", "fails", "not decided"
+
+EXACT = 1e-10  # relative volume drift that counts as none
+SMALL_DRIFT = 0.05  # of the displaced volume
+SMALL_STRAIN = 0.10
+CLOSE = 0.10  # displacement error that counts as the reference's result
+ORDER = 10.0  # of magnitude
+DRAMATIC = 2.0  # times fewer iterations
+KEPT = 0.05  # growth of an error that counts as little
+FIT = 2.0  # factor within which a displacement is of the right size
+SAME = 1e-6  # difference of two solvers of one system that counts as none
+
+
+@dataclass(frozen=True)
+class Judgement:
+    """What came out of one claim's trial."""
+
+    verdict: str  # one of the four above
+    number: str  # the figure that decides, for a table
+    reason: str  # in a sentence or two
+    figures: tuple[Figure, ...] = ()
+
+
+@dataclass(frozen=True)
+class Claim:
+    """One claim: its number in the paper's order, its words, the rule that it is judged by."""
+
+    number: int
+    text: str
+    rule: str
+    judge: Callable[[Sequence[Digest]], Judgement | None]
+
+
+CLAIMS: dict[int, Claim] = {}
+Judge = Callable[[Sequence[Digest]], Judgement | None]
+
+
+def _claim(number: int, text: str, rule: str) -> Callable[[Judge], Judge]:
+    def register(judge: Judge) -> Judge:
+        CLAIMS[number] = Claim(number, text, rule, judge)
+        return judge
+
+    return register
+
+
+def on_trial(digests: Sequence[Digest], number: int) -> list[Digest]:
+    """The runs whose study puts a claim on trial and that have a finished case."""
+    return [d for d in digests if number in (d.run.study.get("claims") or ()) and d.cases]
+
+
+def is_vdm(model: str) -> bool:
+    """Whether a model is one of the surface models."""
+    return model.startswith("vdm-")
+
+
+def _solver(model: str) -> str:
+    return model.partition(":")[2] or "linear"
+
+
+@_claim(
+    1,
+    "Volume is conserved by every solver.",
+    f"Holds where no solver's exact volume drifts by more than {EXACT:g} of the volume; within limits "
+    f"where the "
+    f"nonlinear solvers keep to that and the others to {short_percent(SMALL_DRIFT)} of the displaced volume.",
+)
+def _volume(digests: Sequence[Digest]) -> Judgement | None:
+    drift: dict[str, float] = {}
+    displaced: dict[str, float] = {}
+    for digest in digests:
+        for model in filter(is_vdm, digest.models):
+            for found, metric in ((drift, "volume_drift"), (displaced, "volume_drift_of_displaced")):
+                values = [v for case in digest.cases for v in (series(case, model, metric),) if v is not None]
+                largest = max(
+                    (float(np.nanmax(np.abs(v))) for v in values if np.isfinite(v).any()), default=0.0
+                )
+                found[model] = max(found.get(model, 0.0), largest)
+    if not drift:
+        return None
+    exact = [m for m in drift if _solver(m) == "nonlinear"]
+    others = [m for m in drift if m not in exact]
+    worst = max(drift, key=lambda m: drift[m])
+    if drift[worst] <= EXACT:
+        verdict = HOLDS
+    elif all(drift[m] <= EXACT for m in exact) and all(displaced[m] <= SMALL_DRIFT for m in others):
+        verdict = WITHIN_LIMITS
+    else:
+        verdict = FAILS
+    reason = ""
+    if exact:
+        reason += (
+            f"The nonlinear solver keeps the volume to {plain(max(drift[m] for m in exact), 1)} of itself. "
+        )
+    if others:
+        most = max(others, key=lambda m: displaced[m])
+        reason += (
+            f"The others conserve it to first order only: {most} gains or loses "
+            f"{short_percent(displaced[most])} of "
+            "the volume that it displaces at the largest load."
+        )
+    lines = [line for digest in digests for line in _histories(digest, "volume_drift_of_displaced", drift)]
+    figure = curves(digests[0], lines, "load factor", "|drift| / displaced volume", "claim1", log_y=True)
+    return Judgement(
+        verdict, f"{percent(displaced[worst])} of the displaced volume ({worst})", reason, figure
+    )
+
+
+@_claim(
+    2,
+    "A linear analysis holds for small deformations and strains below 10 %.",
+    "Holds where linear elements stay within 5 % of finite strain up to a largest principal strain of 10 "
+    "% in every "
+    f"scene, and the linear VDM is itself within {short_percent(CLOSE)} there; within limits where only "
+    f"the first is "
+    "so: linearising is then harmless, but the model is off for other reasons.",
+)
+def _linear(digests: Sequence[Digest]) -> Judgement | None:
+    strains: list[float] = []
+    structural: dict[str, float] = {}
+    for case in (case for digest in digests for case in digest.cases):
+        if case.small_strain is None:
+            continue
+        for model, entry in case.small_strain.models.items():
+            if model == "fem-linear":
+                strains += [
+                    lim.strain for lim in entry.limits if lim.state == "found" and lim.threshold <= KEPT
+                ]
+            elif is_vdm(model) and _solver(model) == "linear":
+                structural[model] = max(structural.get(model, 0.0), entry.structural_error)
+    if not strains or not structural:
+        return None
+    linearises = min(strains) >= SMALL_STRAIN
+    paper = structural.get("vdm-paper", max(structural.values()))
+    verdict = FAILS if not linearises else HOLDS if paper <= CLOSE else WITHIN_LIMITS
+    reason = (
+        "Linear elements depart from finite strain by 5 % at a largest principal strain of "
+        f"{short_percent(min(strains))}"
+        f"{' or more' if len(strains) > 1 else ''}. At small loads already, "
+        f"{listed(f'{m} is {short_percent(e)} off' for m, e in structural.items())}."
+    )
+    lines = [
+        line
+        for d in digests
+        for line in _histories(d, VECTOR, [m for m in d.compared if is_vdm(m) or m == "fem-linear"])
+    ]
+    figure = curves(digests[0], lines, "load factor", "displacement error", "claim2")
+    return Judgement(verdict, f"{short_percent(min(strains))} strain at 5 % departure", reason, figure)
+
+
+@_claim(
+    3,
+    "VDM costs an order of magnitude less than FEM.",
+    f"Holds where a frame and the set-up of the printed form are both {ORDER:g} times cheaper than those "
+    f"of linear "
+    "elements on the same mesh, and a frame also than that of elements condensed to the surface; within "
+    "limits where "
+    "only some of these hold.",
+)
+def _cost(digests: Sequence[Digest]) -> Judgement | None:
+    ratios: dict[str, list[float]] = {"frame": [], "set-up": [], "condensed frame": []}
+    for case in (case for digest in digests for case in digest.cases):
+        vdm, fem, condensed = (case.models.get(name) for name in ("vdm-paper", "fem-linear", "fem-condensed"))
+        if vdm is None or fem is None:
+            continue
+        frame = float(np.nanmedian(vdm.seconds_per_step))
+        ratios["frame"].append(float(np.nanmax(fem.seconds_per_step)) / frame)
+        ratios["set-up"].append(fem.seconds_setup / vdm.seconds_setup)
+        if condensed is not None:
+            ratios["condensed frame"].append(float(np.nanmedian(condensed.seconds_per_step)) / frame)
+    if not ratios["frame"]:
+        return None
+    typical = {name: float(np.median(values)) for name, values in ratios.items() if values}
+    reached = [ratio >= ORDER for ratio in typical.values()]
+    verdict = HOLDS if all(reached) else WITHIN_LIMITS if any(reached) else FAILS
+    reason = (
+        f"On the same mesh a frame of vdm-paper is {plain(typical['frame'], 2)} times cheaper than a "
+        f"solve of linear "
+        f"elements and its set-up {plain(typical['set-up'], 2)} times (medians)."
+    )
+    if "condensed frame" in typical:
+        ratio = typical["condensed frame"]
+        reason += (
+            f" Once elements are condensed to the contact's surface, a frame of theirs costs "
+            f"{plain(ratio, 2)} times "
+            "that of vdm-paper, at the accuracy of elements."
+        )
+    digest = digests[0]
+    values = {s.name: s.seconds_per_step for s in digest.summaries if s.seconds_per_step > 0}
+    figure = bars(digest, values, "seconds per frame (median)", "claim3", log=True)
+    return Judgement(verdict, f"{plain(typical['frame'], 2)} times per frame", reason, figure)
+
+
+@_claim(
+    4,
+    "At small time-steps VDM gives results like those of FEM.",
+    f"Holds where an error of more than {short_percent(CLOSE)} in one step falls below that with many; "
+    f"within limits "
+    f"where small steps bring it down by {short_percent(KEPT)} at least; fails where the step is not what "
+    f"the error is "
+    "made of.",
+)
+def _small_steps(digests: Sequence[Digest]) -> Judgement | None:
+    changes: dict[str, tuple[float, float]] = {}
+    lines: list[Line] = []
+    for digest in digests:
+        cases = sorted(digest.cases, key=lambda case: len(case.load_factors))
+        for model in filter(is_vdm, digest.compared):
+            errors = [at_full_load(case, model, VECTOR) for case in cases]
+            pairs = [(len(c.load_factors), e) for c, e in zip(cases, errors, strict=True) if math.isfinite(e)]
+            if len(pairs) > 1:
+                changes[model] = (pairs[0][1], pairs[-1][1])
+                lines.append((model, [float(n) for n, _ in pairs], [e for _, e in pairs]))
+    if not changes:
+        return None
+    arrived = [m for m, (_, many) in changes.items() if many <= CLOSE]
+    gained = [m for m, (one, many) in changes.items() if one - many >= KEPT]
+    verdict = HOLDS if len(arrived) == len(changes) else WITHIN_LIMITS if arrived or gained else FAILS
+    told = listed(
+        f"{m} from {short_percent(one)} to {short_percent(many)}" for m, (one, many) in changes.items()
+    )
+    reason = f"With the smallest steps instead of the largest the error at full load goes, for {told}."
+    largest = max(abs(one - many) for one, many in changes.values())
+    figure = curves(digests[0], lines, "load steps", "displacement error at full load", "claim4", log_x=True)
+    return Judgement(verdict, f"{short_percent(largest)} at most by small steps", reason, figure)
+
+
+@_claim(
+    5,
+    "Starting from the last solution gives dramatic gains in speed.",
+    f"Holds where warm starts need {DRAMATIC:g} times fewer iterations over a load history whatever its "
+    f"steps; within "
+    "limits where they do for some histories only; fails where for none.",
+)
+def _warm_start(digests: Sequence[Digest]) -> Judgement | None:
+    gains: list[tuple[int, float]] = []
+    for case in (case for digest in digests for case in digest.cases):
+        warm, cold = (case.models.get(f"vdm-paper:{name}") for name in ("bicg", "bicg-cold"))
+        if warm is not None and cold is not None and warm.iterations.sum():
+            gains.append((len(case.load_factors), float(cold.iterations.sum() / warm.iterations.sum())))
+    if not gains:
+        return None
+    reached = [gain >= DRAMATIC for _, gain in gains]
+    verdict = HOLDS if all(reached) else WITHIN_LIMITS if any(reached) else FAILS
+    told = listed(f"{plain(gain, 3)} times fewer over {steps} steps" for steps, gain in sorted(gains))
+    reason = (
+        f"Iterations of BiCG with a warm start: {told}. The start saves the digits that neighbouring "
+        f"steps share, and "
+        "a solve to many digits has most of its way still to go."
+    )
+    line = ("vdm-paper:bicg", [float(n) for n, _ in sorted(gains)], [g for _, g in sorted(gains)])
+    figure = curves(
+        digests[0], [line], "load steps", "cold / warm iterations", "claim5", log_x=True, ratio=True
+    )
+    return Judgement(verdict, f"{plain(max(g for _, g in gains), 3)} times fewer at best", reason, figure)
+
+
+@_claim(
+    6,
+    "Density and bulk modulus of blood suffice as parameters.",
+    f"Holds where the bulk modulus of blood moves the surface by within {FIT:g} times of the reference; "
+    f"fails where it "
+    "does not.",
+)
+def _blood(digests: Sequence[Digest]) -> Judgement | None:
+    points: list[tuple[float, float]] = []
+    for case in (case for digest in digests for case in digest.cases):
+        modulus, model = case.swept.get("vdm.bulk_modulus"), case.models.get("vdm-paper")
+        if case.reference is None or model is None or not isinstance(modulus, int | float):
+            continue
+        step = full_load(case)
+        size = [
+            float(np.linalg.norm(result.displacement[step], axis=1).max())
+            for result in (model, case.models[case.reference])
+        ]
+        if all(map(math.isfinite, size)) and size[1] > 0:
+            points.append((float(modulus), size[0] / size[1]))
+    if not points:
+        return None
+    points.sort()
+    modulus, ratio = points[-1]
+    verdict = HOLDS if 1 / FIT <= ratio <= FIT else FAILS
+    best = min(points, key=lambda point: abs(math.log(point[1])))
+    reason = (
+        f"With {quantity(modulus, 'Pa')} the largest displacement is {plain(ratio, 2)} of the "
+        f"reference's. It comes closest, "
+        f"{plain(best[1], 2)} of it, at {quantity(best[0], 'Pa')}: the modulus that matters is of the "
+        f"order of the shear "
+        "modulus of the tissue, which the fluid's compressibility says nothing about."
+    )
+    line = ("vdm-paper", [p for p, _ in points], [r for _, r in points])
+    figure = curves(
+        digests[0],
+        [line],
+        "B = B_ij [Pa]",
+        "largest displacement / reference's",
+        "claim6",
+        log_y=True,
+        log_x=True,
+        ratio=True,
+    )
+    return Judgement(verdict, f"{plain(ratio, 2)} of the reference's displacement", reason, figure)
+
+
+@_claim(
+    7,
+    "B_i and B_ij control anisotropy.",
+    "Holds where fibres change the ratio of the body's mean strains in the same direction as in the "
+    "reference in every "
+    "case and by at least half as much; within limits where the direction agrees and the size does not.",
+)
+def _anisotropy(digests: Sequence[Digest]) -> Judgement | None:
+    agree, sizes = 0, []
+    total = 0
+    lines: list[Line] = []
+    for digest in digests:
+        plain_case = next((c for c in digest.cases if _contrast(c) == 1.0), None)
+        if plain_case is None or digest.reference is None:
+            continue
+        along_x = [c for c in digest.cases if _fibres_along_x(c)]
+        along_x.sort(key=lambda c: _contrast(c))
+        for model in digest.models:
+            ratios = [_strain_ratio(case, model) for case in along_x]
+            if all(map(math.isfinite, ratios)) and ratios:
+                lines.append((model, [_contrast(c) for c in along_x], ratios))
+        for case in digest.cases:
+            change = {
+                m: _strain_ratio(case, m) - _strain_ratio(plain_case, m)
+                for m in (digest.reference, "vdm-paper")
+            }
+            own, true = change["vdm-paper"], change[digest.reference]
+            if case is not plain_case and math.isfinite(own) and math.isfinite(true) and abs(true) > KEPT:
+                total += 1
+                agree += own * true > 0
+                sizes.append(own / true)
+    if not total:
+        return None
+    smallest = min(sizes)
+    verdict = FAILS if agree < total else HOLDS if smallest >= 0.5 else WITHIN_LIMITS
+    reason = (
+        f"Fibres change the ratio of mean strains along x and y in the reference's direction in {agree} "
+        f"of {total} cases "
+        f"with vdm-paper, by {plain(smallest, 2)} to {plain(max(sizes), 2)} times as much."
+    )
+    figure = curves(
+        digests[0],
+        lines,
+        "contrast of fibres along x",
+        "mean strain x over y",
+        "claim7",
+        log_x=True,
+        ratio=True,
+    )
+    return Judgement(verdict, f"{agree} of {total} cases in the right direction", reason, figure)
+
+
+@_claim(
+    8,
+    "The nonlinear solver handles large strains without much loss of accuracy.",
+    f"Holds where the error of every nonlinear form at full load is at most {short_percent(KEPT)} above "
+    f"its error at the "
+    f"smallest load; within limits where some are, and none stops; an accuracy that is not lost need not "
+    f"be good: the "
+    "error at small loads stands beside it.",
+)
+def _large_strain(digests: Sequence[Digest]) -> Judgement | None:
+    grown: dict[str, tuple[float, float]] = {}
+    stopped: list[str] = []
+    lines: list[Line] = []
+    for digest in digests:
+        models = [m for m in digest.compared if is_vdm(m) and _solver(m) == "nonlinear"]
+        lines += _histories(digest, VECTOR, [*models, *(m for m in digest.compared if m == "fem-linear")])
+        for case in digest.cases:
+            for model in models:
+                values = series(case, model, VECTOR)
+                if failed_steps(case.models[model]):
+                    stopped.append(model)
+                elif values is not None and len(values) > 1:
+                    first = int(np.argmin(np.abs(case.load_factors)))
+                    grown[model] = (float(values[first]), float(values[full_load(case)]))
+    if not grown and not stopped:
+        return None
+    kept = [m for m, (small, large) in grown.items() if large - small <= KEPT]
+    verdict = HOLDS if len(kept) == len(grown) and not stopped else WITHIN_LIMITS if kept else FAILS
+    told = listed(f"{m} from {short_percent(a)} to {short_percent(b)}" for m, (a, b) in grown.items())
+    reason = f"From the smallest load to the largest the error goes, for {told}."
+    if stopped:
+        reason += f" {listed(dict.fromkeys(stopped))} did not reach the full load."
+    worst = max((b - a for a, b in grown.values()), default=math.nan)
+    figure = curves(digests[0], lines, "load factor", "displacement error", "claim8")
+    return Judgement(verdict, f"{short_percent(worst)} growth at most", reason, figure)
+
+
+@_claim(
+    9,
+    "The static solve has no stability problems.",
+    f"Holds where every solver reaches the direct answer to {SAME:g} in every case; within limits where "
+    f"every failure is "
+    "a status of the step and never a wrong number; fails where a converged step is wrong.",
+)
+def _stability(digests: Sequence[Digest]) -> Judgement | None:
+    failures: dict[str, int] = {}
+    wrong: dict[str, int] = {}
+    total = 0
+    for digest in digests:
+        for case in digest.cases:
+            for model in digest.compared:
+                if model not in case.models or _solver(model) in ("quasi-linear", "nonlinear"):
+                    continue  # another problem than the linear one: a difference is no instability
+                total += 1
+                error = at_full_load(case, model, VECTOR)
+                if failed_steps(case.models[model]):
+                    failures[model] = failures.get(model, 0) + 1
+                elif not error <= SAME:
+                    wrong[model] = wrong.get(model, 0) + 1
+    if not total:
+        return None
+    verdict = FAILS if wrong else WITHIN_LIMITS if failures else HOLDS
+    bad = sum(failures.values()) + sum(wrong.values())
+    parts = [f"{m} stops in {n}" for m, n in failures.items()] + [
+        f"{m} is wrong in {n}" for m, n in wrong.items()
+    ]
+    reason = f"Of {total} solves {bad} do not reach the direct solver's answer to {SAME:g}" + (
+        f": {listed(parts)}." if parts else "."
+    )
+    values = {m: float(failures.get(m, 0) + wrong.get(m, 0)) for d in digests for m in d.compared}
+    figure = bars(digests[0], values, "cases without the right answer", "claim9")
+    return Judgement(verdict, f"{bad} of {total} solves", reason, figure)
+
+
+# --- what the rules share ---
+
+
+def _histories(digest: Digest, metric: str, models: Iterable[str]) -> list[Line]:
+    """(model, load factors, |values|) of the first case with a load history."""
+    case = next((c for c in digest.cases if len(c.load_factors) > 1), None)
+    if case is None:
+        return []
+    lines: list[Line] = []
+    for model in models:
+        values = series(case, model, metric)
+        if values is not None and np.isfinite(values).any():
+            keep = np.isfinite(values)
+            lines.append((model, case.load_factors[keep].tolist(), np.abs(values[keep]).tolist()))
+    return lines
+
+
+def _contrast(case: CaseResult) -> float:
+    table = case.resolved.get("anisotropy")
+    return float(table["contrast"]) if table else 1.0
+
+
+def _fibres_along_x(case: CaseResult) -> bool:
+    table = case.resolved.get("anisotropy")
+    x, y, z = table["fibre_direction"] if table else (0, 0, 0)
+    return x != 0 and y == z == 0
+
+
+def _strain_ratio(case: CaseResult, model: str) -> float:
+    """Mean strain of the body along x over that along y, at full load."""
+    x, y = (at_full_load(case, model, f"mean_strain_{axis}") for axis in "xy")
+    return x / y if y else math.nan

@@ -1,0 +1,90 @@
+"""Sections become one HTML document that needs nothing from outside."""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import json
+import re
+from collections.abc import Sequence
+from pathlib import Path
+
+from jinja2 import Environment, FileSystemLoader, StrictUndefined
+from markupsafe import Markup
+
+from .blocks import Section, Viewer
+
+_TEMPLATES = Path(__file__).parent / "templates"
+_JSON_ESCAPES = {"<": "\\u003c", ">": "\\u003e", "&": "\\u0026", "\u2028": "\\u2028", "\u2029": "\\u2029"}
+
+
+def html_document(
+    *,
+    title: str,
+    name: str,
+    verdict: Sequence[str],
+    counts: Sequence[tuple[str, str]],
+    models: Sequence[tuple[int, str, bool]],
+    sections: Sequence[Section],
+) -> str:
+    """The document as text. `counts` are (what, tone) badges, `models` the legend of the whole page."""
+    viewer = any(isinstance(b, Viewer) and b.payload for s in sections for b in s.blocks)
+    scripts = _scripts() if viewer else _scripts()[:1]
+    return (
+        _environment()
+        .get_template("page.html")
+        .render(
+            title=title,
+            name=name,
+            verdict=verdict,
+            counts=counts,
+            models=models,
+            sections=sections,
+            style=_asset("page.css"),
+            scripts=scripts,
+            policy=_policy(scripts),
+        )
+    )
+
+
+def encoded(text: str) -> bytes:
+    """UTF-8; half a surrogate pair, which JSON can carry into a name, becomes a question mark."""
+    return text.encode("utf-8", "replace")
+
+
+def _scripts() -> list[Markup]:
+    return [_asset("page.js"), _asset("viewer.js")]
+
+
+def _policy(scripts: list[Markup]) -> str:
+    """Nothing may be loaded; of the scripts only these may run."""
+    digests = [base64.b64encode(hashlib.sha256(script.encode()).digest()).decode() for script in scripts]
+    allowed = " ".join(f"'sha256-{digest}'" for digest in digests)
+    return f"default-src 'none'; style-src 'unsafe-inline'; script-src {allowed}; img-src data:"
+
+
+def _environment() -> Environment:
+    environment = Environment(
+        loader=FileSystemLoader(_TEMPLATES),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.filters["json"] = script_json
+    environment.filters["unbroken"] = lambda text: re.sub(r"(?<=\d) (?=[^\W\d]|%)", "\u00a0", text)
+    return environment
+
+
+def _asset(name: str) -> Markup:
+    """A script or style sheet of ours, as it is."""
+    return Markup((_TEMPLATES / name).read_text(encoding="utf-8"))
+
+
+def script_json(value: object) -> Markup:
+    """JSON that can stand inside a <script> element: nothing in it can end the element or start another."""
+    text = json.dumps(value, allow_nan=False, separators=(",", ":"))
+    return Markup("".join(_JSON_ESCAPES.get(c, c) for c in text))
+
+
+SCRIPT_BYTES = len("".join(_scripts()).encode())

@@ -1,0 +1,231 @@
+"""Verdicts on the paper's claims from runs whose numbers are chosen: each rule, on both sides of its threshold."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import re
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from studies.case import CaseResult, Limit, MetricSeries, ModelLimits, Run, SmallStrainLimits
+from studies.report.claims import CLAIMS, FAILS, HOLDS, OPEN, WITHIN_LIMITS, Judgement
+from studies.report.claims_page import claims_html, verdict_rows, verdicts, write_claims
+from studies.schema import CLAIMS as HOW_MANY
+from tests.command import SMALL_STUDY, vdmbench
+
+from .report_runs import make_case, make_run
+
+
+def judged(number: int, *cases: CaseResult) -> Judgement:
+    return verdicts([make_run(list(cases), claims=[number])])[number - 1].judgement
+
+
+def with_metric(case: CaseResult, model: str, values: Mapping[str, float]) -> CaseResult:
+    """The case with constant metrics put in."""
+    steps = len(case.load_factors)
+    entries = {name: MetricSeries(np.full(steps, v), "1", "", 1) for name, v in values.items()}
+    metrics = {**case.metrics, model: {**case.metrics.get(model, {}), **entries}}
+    return dataclasses.replace(case, metrics=metrics)
+
+
+def with_models(case: CaseResult, **changes: Mapping[str, object]) -> CaseResult:
+    """The case with fields of its models replaced; "__" in a name stands for ":" and "_" for "-"."""
+    models = dict(case.models)
+    for key, fields in changes.items():
+        name = key.replace("__", ":").replace("_", "-")
+        models[name] = dataclasses.replace(models[name], **fields)  # type: ignore[arg-type]
+    return dataclasses.replace(case, models=models)
+
+
+@pytest.mark.parametrize(
+    ("exact", "linear", "displaced", "verdict"),
+    [
+        (1e-13, 1e-12, 1e-9, HOLDS),
+        (1e-13, 1e-3, 0.03, WITHIN_LIMITS),
+        (1e-13, 1e-3, 0.2, FAILS),
+        (1e-6, 1e-3, 0.03, FAILS),
+    ],
+)
+def test_volume(exact: float, linear: float, displaced: float, verdict: str) -> None:
+    case = make_case({"vdm-paper": 0.1, "vdm-paper:nonlinear": 0.1}, subdivisions=0)
+    case = with_metric(case, "vdm-paper", {"volume_drift": linear, "volume_drift_of_displaced": displaced})
+    case = with_metric(
+        case, "vdm-paper:nonlinear", {"volume_drift": exact, "volume_drift_of_displaced": exact}
+    )
+    assert judged(1, case).verdict == verdict
+
+
+@pytest.mark.parametrize(
+    ("strain", "structural", "verdict"), [(0.2, 0.05, HOLDS), (0.2, 0.5, WITHIN_LIMITS), (0.07, 0.05, FAILS)]
+)
+def test_linear_analysis(strain: float, structural: float, verdict: str) -> None:
+    def limits(e0: float) -> ModelLimits:
+        return ModelLimits(e0, 0.0, (Limit(0.05, "found", 100.0, 0.01, 0.001, strain),))
+
+    case = make_case({"vdm-paper": structural, "fem-linear": 0.0}, reference="fem", subdivisions=0)
+    found = SmallStrainLimits(
+        "constraints.finger.pressure", "Pa", {"vdm-paper": limits(structural), "fem-linear": limits(0.0)}
+    )
+    outcome = judged(2, dataclasses.replace(case, small_strain=found))
+    assert outcome.verdict == verdict
+    assert f"{100 * strain:g} % strain" in outcome.number
+
+
+@pytest.mark.parametrize(
+    ("frame", "setup", "condensed", "verdict"),
+    [(1e-3, 1e-3, 0.1, HOLDS), (1e-3, 1e-3, 1e-3, WITHIN_LIMITS), (0.5, 1.0, 0.5, FAILS)],
+)
+def test_cost(frame: float, setup: float, condensed: float, verdict: str) -> None:
+    case = make_case({"vdm-paper": 0.5, "fem-condensed": 0.0}, subdivisions=0)
+    steps = np.ones(4)
+    case = with_models(
+        case,
+        vdm_paper={"seconds_per_step": frame * steps, "seconds_setup": setup},
+        fem_condensed={"seconds_per_step": condensed * steps, "seconds_setup": 5.0},
+        fem_linear={"seconds_per_step": 1.0 * steps, "seconds_setup": 1.5},
+    )
+    outcome = judged(3, case)
+    assert outcome.verdict == verdict
+    assert f"{1 / frame:g} times per frame" == outcome.number
+
+
+@pytest.mark.parametrize(
+    ("few", "many", "verdict"), [(0.4, 0.05, HOLDS), (0.4, 0.2, WITHIN_LIMITS), (0.4, 0.39, FAILS)]
+)
+def test_small_steps(few: float, many: float, verdict: str) -> None:
+    cases = [
+        make_case(
+            {"vdm-paper:quasi-linear": error},
+            label=str(n),
+            steps=np.linspace(0, 1, n + 1)[1:].tolist(),
+            subdivisions=0,
+        )
+        for n, error in ((20, many), (1, few))
+    ]
+    assert judged(4, *cases).verdict == verdict
+
+
+@pytest.mark.parametrize(("gains", "verdict"), [((3, 4), HOLDS), ((1, 4), WITHIN_LIMITS), ((1, 1), FAILS)])
+def test_warm_start(gains: tuple[int, int], verdict: str) -> None:
+    cases = []
+    for n, gain in zip((2, 4), gains, strict=True):
+        steps = np.linspace(0, 1, n + 1)[1:].tolist()
+        case = make_case(
+            {"vdm-paper:bicg": 0.0, "vdm-paper:bicg-cold": 0.0}, label=str(n), steps=steps, subdivisions=0
+        )
+        warm = np.full(n, 10)
+        cases.append(with_models(case, vdm_paper__bicg={"iterations": warm}))
+        models = dict(cases[-1].models)
+        models["vdm-paper:bicg-cold"] = dataclasses.replace(
+            models["vdm-paper:bicg-cold"], iterations=gain * warm
+        )
+        cases[-1] = dataclasses.replace(cases[-1], models=models)
+    outcome = judged(5, *cases)
+    assert outcome.verdict == verdict
+    assert outcome.number == f"{max(gains)} times fewer at best"
+
+
+@pytest.mark.parametrize(("error", "verdict"), [(0.5, HOLDS), (-0.999, FAILS), (3.0, FAILS)])
+def test_blood(error: float, verdict: str) -> None:
+    key = "vdm.bulk_modulus"
+    tissue = make_case({"vdm-paper": 0.1}, label="t", swept={key: 1e3}, subdivisions=0)
+    blood = make_case({"vdm-paper": error}, label="b", swept={key: 2.2e9}, subdivisions=0)
+    assert judged(6, blood, tissue).verdict == verdict
+
+
+@pytest.mark.parametrize(("own", "verdict"), [(1.6, HOLDS), (1.1, WITHIN_LIMITS), (0.8, FAILS)])
+def test_anisotropy(own: float, verdict: str) -> None:
+    def case(contrast: float, ratios: Mapping[str, float]) -> CaseResult:
+        made = make_case({"vdm-paper": 0.1}, label=f"{contrast}", subdivisions=0)
+        for model, ratio in ratios.items():
+            made = with_metric(made, model, {"mean_strain_x": ratio, "mean_strain_y": 1.0})
+        fibres = {"contrast": contrast, "fibre_direction": [1.0, 0.0, 0.0]}
+        return dataclasses.replace(made, resolved={**made.resolved, "anisotropy": fibres})
+
+    # the reference's ratio goes from 1 to 2: the model's own change is from 1 to `own`
+    cases = [
+        case(1.0, {"vdm-paper": 1.0, "fem-linear": 1.0}),
+        case(4.0, {"vdm-paper": own, "fem-linear": 2.0}),
+    ]
+    assert judged(7, *cases).verdict == verdict
+
+
+def growing(small: float, large: float, stopped: int = 4) -> CaseResult:
+    name = "vdm-vector:nonlinear"
+    case = make_case({name: 0.0}, reference="fem", subdivisions=0, stopped={name: stopped})
+    errors = MetricSeries(np.linspace(small, large, 4), "1", "", 1)
+    metrics = {**case.metrics, name: {**case.metrics[name], "relative_l2_displacement_error": errors}}
+    return dataclasses.replace(case, metrics=metrics)
+
+
+@pytest.mark.parametrize(
+    ("case", "verdict"),
+    [(growing(0.2, 0.22), HOLDS), (growing(0.2, 0.4), FAILS), (growing(0.2, 0.2, 2), FAILS)],
+)
+def test_large_strain(case: CaseResult, verdict: str) -> None:
+    assert judged(8, case).verdict == verdict
+
+
+@pytest.mark.parametrize(
+    ("error", "stopped", "verdict"), [(1e-9, 4, HOLDS), (1e-9, 2, WITHIN_LIMITS), (1e-3, 4, FAILS)]
+)
+def test_stability(error: float, stopped: int, verdict: str) -> None:
+    case = make_case(
+        {"vdm-paper:bicg": error}, reference="vdm-paper", subdivisions=0, stopped={"vdm-paper:bicg": stopped}
+    )
+    assert judged(9, case).verdict == verdict
+
+
+def test_a_claim_without_a_study_is_not_decided() -> None:
+    found = verdicts([make_run([make_case({"vdm-paper": 0.1}, subdivisions=0)], claims=[])])
+    assert {v.judgement.verdict for v in found} == {OPEN}
+    assert len(found) == len(CLAIMS) == HOW_MANY
+    # a study that names a claim and does not have what its rule reads decides nothing either
+    assert judged(5, make_case({"vdm-vector": 0.1}, subdivisions=0)).verdict == OPEN
+
+
+@pytest.fixture
+def runs() -> list[Run]:
+    hostile = make_run(
+        [growing(0.1, math.nan), growing(0.1, 0.11)], claims=[8, 1], name="<script>alert(1)</script>"
+    )
+    blood = make_case({"vdm-paper": -0.9}, swept={"vdm.bulk_modulus": 2.2e9}, subdivisions=0)
+    return [hostile, make_run([blood], claims=[6], name="blood")]
+
+
+def test_the_page_has_every_claim_its_rule_its_figure_and_how_to_reproduce(
+    runs: list[Run], tmp_path: Path
+) -> None:
+    found = write_claims(runs, tmp_path / "claims.html")
+    html = (tmp_path / "claims.html").read_text()
+    assert html == claims_html(verdicts(runs))
+    for number, claim in CLAIMS.items():
+        assert f'<section id="claim-{number}"' in html
+        assert claim.text in html
+    assert len(re.findall("<svg", html)) == sum(len(v.judgement.figures) for v in found) >= 3
+    assert "vdmbench run blood" in html
+    assert "<script>alert" not in html
+    assert "default-src &#39;none&#39;" in html or "default-src 'none'" in html
+    rows = verdict_rows(found)
+    assert rows[5]["study"] == "blood"
+    assert rows[5]["verdict"] == FAILS
+
+
+def test_the_command(tmp_path: Path) -> None:
+    study = SMALL_STUDY.replace('name = "small"', 'name = "small"\nclaims = [3]')
+    (tmp_path / "small.toml").write_text(study)
+    assert vdmbench("run", "small.toml", cwd=tmp_path).returncode == 0
+    result = vdmbench("report", "--claims", "results/runs/small", cwd=tmp_path)
+    assert result.returncode == 0, result.stderr
+    assert (tmp_path / "results/claims.html").exists()
+    assert "not decided" in result.stdout
+    assert "times per frame" in result.stdout
+    for wrong in (["results/runs/small", "results/runs/small"], ["results/runs/small", "--out", "x.html"]):
+        mistake = vdmbench("report", *wrong, cwd=tmp_path)
+        assert mistake.returncode == 2
+        assert "--claims" in mistake.stderr
+    assert vdmbench("report", "--claims", "nowhere", cwd=tmp_path).returncode == 5
