@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 
 from .blocks import Figure
@@ -24,7 +25,7 @@ def curves(
     ratio: bool = False,
 ) -> tuple[Figure, ...]:
     """One figure of a curve per model, none where there is nothing to draw. `ratio`: y is no percentage."""
-    drawable = [item for item in lines if len(item[1])]
+    drawable = [kept for item in lines if (kept := _drawable(item, log_y=log_y))[1]]
     if not drawable:
         return ()
     plot = Plot(x_label, y_label, salt)
@@ -32,10 +33,11 @@ def curves(
         for model, x, y in drawable:
             k = digest.colour(model)
             axes.plot(x, y, line(k), marker=marker(k), color=colour(k))
-        for which, wanted in (("x", log_x), ("y", log_y)):
-            if wanted:
+        for which, wanted, column in (("x", log_x, 1), ("y", log_y, 2)):
+            values = {value for item in drawable for value in item[column]}
+            if wanted and len(values) > 1:  # one value spans no decade
                 log_axis(axes, which)
-        if not log_y:
+        if axes.get_yscale() == "linear":
             low, high = axes.get_ylim()
             axes.set_ylim(min(0.0, low), high if high > 0.0 else 1.0)
         if not ratio:
@@ -44,6 +46,13 @@ def curves(
     told = listed(f"{model} from {show(y[0])} to {show(y[-1])}" for model, _, y in drawable)
     title = f"{y_label[:1].upper()}{y_label[1:]} against {x_label}"
     return (Figure(plot.drawn(f"{title}: {told}."), title),)
+
+
+def _drawable(item: Line, *, log_y: bool) -> tuple[str, list[float], list[float]]:
+    """The points of a curve that are finite and that its scale can show."""
+    model, x, y = item
+    kept = [(a, b) for a, b in zip(x, y, strict=True) if math.isfinite(b) and (b > 0 or not log_y)]
+    return model, [a for a, _ in kept], [b for _, b in kept]
 
 
 def bars(
