@@ -47,21 +47,29 @@ def enclosed_volume(points: Array, triangles: Index) -> float:
     return float(np.einsum("ij,ij->", a, np.cross(b, c)) / 6.0)
 
 
+def rigid_motions(points: Array, weights: Array) -> Array:
+    """(6, N, 3) rigid motions, infinitesimal and orthonormal by area; zero where one is another's multiple."""
+    x = points - np.average(points, axis=0, weights=weights)
+    turns = np.array([np.cross(axis, x) for axis in np.eye(3)])
+    shifts = np.broadcast_to(np.eye(3)[:, None, :], turns.shape) / np.sqrt(weights.sum())
+    # about the centroid a turn and a shift are orthogonal: only the turns need their Gram matrix (of inertia)
+    values, vectors = np.linalg.eigh(np.einsum("ani,n,bni->ab", turns, weights, turns))
+    proper = values > 1e-14 * values[-1]
+    scale = np.where(proper, 1.0 / np.sqrt(np.where(proper, values, 1.0)), 0.0)
+    return np.concatenate([shifts, np.einsum("am,m,ani->mni", vectors, scale, turns)])
+
+
 def rigid_motion_removed(points: Array, displacement: Array, weights: Array) -> Array:
     """(N, 3) displacement less its best-fit infinitesimal rigid motion (area-weighted least squares) [m].
 
     Infinitesimal, so that the result of a linear model scales with its load.
     """
-    x = points - np.average(points, axis=0, weights=weights)
-    modes = np.zeros((6, *points.shape))
-    for axis in range(3):
-        modes[axis, :, axis] = 1.0
-        modes[3 + axis] = np.cross(np.eye(3)[axis], x)
-    flat = modes.reshape(6, -1)
-    scale = np.repeat(weights, 3)
-    gram = (flat * scale) @ flat.T
-    coefficients = np.linalg.lstsq(gram, (flat * scale) @ displacement.ravel(), rcond=None)[0]
-    return displacement - np.tensordot(coefficients, modes, axes=1)
+    return _without(rigid_motions(points, weights), displacement, weights)
+
+
+def _without(motions: Array, displacement: Array, weights: Array) -> Array:
+    shares = np.tensordot(motions, displacement * weights[:, None], axes=2)
+    return displacement - np.tensordot(shares, motions, axes=1)
 
 
 def weighted_norm(values: Array, weights: Array) -> float:
@@ -196,6 +204,11 @@ class Surface:
         return self.volume_gradient / np.linalg.norm(self.volume_gradient, axis=1, keepdims=True)
 
     @cached_property
+    def rigid_motions(self) -> Array:
+        """(6, N, 3), see `rigid_motions`."""
+        return rigid_motions(self.points, self.areas)
+
+    @cached_property
     def volume(self) -> float:
         """Enclosed volume [m^3]."""
         return enclosed_volume(self.points, self.triangles)
@@ -208,19 +221,6 @@ class History:
     displacement: Array  # (S, N, 3)
     reaction_force: Array  # (S, N, 3)
     load_factors: Array  # (S,)
-    # (S,) arrays (N,) of distances to a reference [m], by the reference: two metrics want them
-    _distances: dict[int, list[Array]] = field(default_factory=dict, repr=False, compare=False)
-
-    def distances_to(self, reference: History, surface: Surface) -> list[Array]:
-        """Per step the distance of each deformed node to the reference's deformed surface; NaN where unknown."""
-        if id(reference) not in self._distances:
-            self._distances[id(reference)] = [
-                nearest_on_surface(surface.points + u, surface.points + r, surface.triangles)[0]
-                if _finite(u, r)
-                else np.full(len(u), np.nan)
-                for u, r in zip(self.displacement, reference.displacement, strict=True)
-            ]
-        return self._distances[id(reference)]
 
 
 @dataclass(frozen=True)
@@ -266,6 +266,15 @@ def _each_step(surface: Surface, model: History, reference: History, compare: Co
     return np.array([compare(surface, u, r) if _finite(u, r) else np.nan for u, r in pairs])
 
 
+def _at_full_load(surface: Surface, model: History, reference: History, compare: Compare) -> Array:
+    """(S,) NaN but at the step of the largest load."""
+    out, step = np.full(len(model.load_factors), np.nan), full_load_step(model.load_factors)
+    u, r = model.displacement[step], reference.displacement[step]
+    if _finite(u, r):
+        out[step] = compare(surface, u, r)
+    return out
+
+
 def _finite(*arrays: Array) -> bool:
     return all(bool(np.isfinite(array).all()) for array in arrays)
 
@@ -278,7 +287,7 @@ def relative_l2_displacement_error(surface: Surface, model: History, reference: 
 @_metric("1", "as the displacement error, the best-fit rigid motion removed from model and reference alike")
 def relative_l2_deformation_error(surface: Surface, model: History, reference: History) -> Array:
     def compare(s: Surface, u: Array, r: Array) -> float:
-        u, r = (rigid_motion_removed(s.points, v, s.areas) for v in (u, r))
+        u, r = (_without(s.rigid_motions, v, s.areas) for v in (u, r))
         return relative_l2(u, r, s.areas)
 
     return _each_step(surface, model, reference, compare)
@@ -335,20 +344,34 @@ def far_field_error(surface: Surface, model: History, reference: History) -> Arr
     return _regional(surface, model, reference, ~surface.contact)
 
 
-@_metric("m", "area-weighted mean distance of the model's deformed nodes to the reference's deformed surface")
-def mean_surface_distance(surface: Surface, model: History, reference: History) -> Array:
-    return np.array([np.average(d, weights=surface.areas) for d in model.distances_to(reference, surface)])
+# distances of two surfaces cost more than all other metrics together and are read at full load only
 
 
 @_metric(
-    "m", "larger of the two one-sided maximal distances between the deformed surfaces, taken at their nodes"
+    "m",
+    "area-weighted mean distance of the model's deformed nodes to the reference's deformed surface, at full load",
+    version=2,
+)
+def mean_surface_distance(surface: Surface, model: History, reference: History) -> Array:
+    def compare(s: Surface, u: Array, r: Array) -> float:
+        there = nearest_on_surface(s.points + u, s.points + r, s.triangles)[0]
+        return float(np.average(there, weights=s.areas))
+
+    return _at_full_load(surface, model, reference, compare)
+
+
+@_metric(
+    "m",
+    "larger of the two one-sided maximal distances between the deformed surfaces at their nodes, at full load",
+    version=2,
 )
 def hausdorff_distance(surface: Surface, model: History, reference: History) -> Array:
-    def back(s: Surface, u: Array, r: Array) -> float:
-        return float(nearest_on_surface(s.points + r, s.points + u, s.triangles)[0].max())
+    def compare(s: Surface, u: Array, r: Array) -> float:
+        there = nearest_on_surface(s.points + u, s.points + r, s.triangles)[0]
+        back = nearest_on_surface(s.points + r, s.points + u, s.triangles)[0]
+        return float(max(there.max(), back.max()))
 
-    there = np.array([distance.max() for distance in model.distances_to(reference, surface)])
-    return np.maximum(there, _each_step(surface, model, reference, back))
+    return _at_full_load(surface, model, reference, compare)
 
 
 @_metric("1", "|R - R_ref| / |R_ref| of the total force that the supports exert")

@@ -231,3 +231,12 @@ def test_mean_strain_is_that_of_the_body(surface: Surface) -> None:
     for axis, (name, by_hand) in enumerate((("x", 0.2), ("y", 0.0), ("z", 0.0))):
         found = metrics.METRICS[f"mean_strain_{name}"].function(surface, steps)
         assert_allclose(found, [gradient[axis, axis], by_hand, 0.0], **ROUND)
+
+
+def test_distances_are_taken_at_full_load_only(surface: Surface) -> None:
+    steps = np.array([0.02, 0.1, 0.05])[:, None, None] * surface.points
+    grown = History(steps, np.zeros_like(steps), np.array([0.2, 1.0, 0.5]))
+    still = History(np.zeros_like(steps), np.zeros_like(steps), grown.load_factors)
+    values = evaluate(surface, grown, still)
+    for name in ("hausdorff_distance", "mean_surface_distance"):
+        assert_allclose(values[name], [np.nan, 0.1, np.nan], **ROUND)
