@@ -11,13 +11,26 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
+from .cli_output import (
+    DAMAGED,
+    FAILED,
+    INTERRUPTED,
+    MACHINE,
+    OK,
+    USAGE,
+    Progress,
+    complain,
+    count,
+    print_json,
+    print_run,
+    print_table,
+)
+
 if TYPE_CHECKING:
     from .case import Run
     from .plan import Plan
-    from .run import Event
     from .schema import Study
 
-OK, USAGE, FAILED, MACHINE, DAMAGED, INTERRUPTED = 0, 2, 3, 4, 5, 130
 SHIPPED = Path(__file__).parent / "cases"
 
 
@@ -33,17 +46,17 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
         code = options.verb(options)
         sys.stdout.flush()
     except KeyboardInterrupt:
-        code = _complain("interrupted; what is done is kept, the same command goes on from here", INTERRUPTED)
+        code = complain("interrupted; what is done is kept, the same command goes on from here", INTERRUPTED)
     except BrokenPipeError:
         os.dup2(
             os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno()
         )  # the reader has gone: nothing to tell it
         code = OK
     except ImportError as error:
-        code = _complain(f"{error}; see what is missing with: vdmbench doctor", MACHINE)
+        code = complain(f"{error}; see what is missing with: vdmbench doctor", MACHINE)
     except OSError as error:
         name = f"{error.filename}: " if error.filename else ""
-        code = _complain(f"{name}{error.strerror or error}", MACHINE)
+        code = complain(f"{name}{error.strerror or error}", MACHINE)
     except ValueError as error:
         code = _complain_of(error)
     sys.exit(code)
@@ -56,9 +69,9 @@ def _complain_of(error: ValueError) -> int:
 
     if isinstance(error, StudyError):
         for problem in error.problems:
-            _complain(str(problem), USAGE)
+            complain(str(problem), USAGE)
         return USAGE
-    return _complain(str(error), DAMAGED if isinstance(error, StoreError) else USAGE)
+    return complain(str(error), DAMAGED if isinstance(error, StoreError) else USAGE)
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -148,7 +161,7 @@ def _list(options: argparse.Namespace) -> int:
     for path in sorted(SHIPPED.glob("*.toml")):
         titles[path.stem] = tomllib.loads(path.read_text())["study"]["title"]
     if options.json:
-        return _print_json(titles)
+        return print_json(titles)
     width = max(map(len, titles))
     for name, title in titles.items():
         print(f"{name:<{width}}  {title}")
@@ -166,12 +179,12 @@ def _check(options: argparse.Namespace) -> int:
     except StudyError as error:
         if options.json:
             problems = [problem._asdict() for problem in error.problems]
-            _print_json({"ok": False, "problems": problems})
+            print_json({"ok": False, "problems": problems})
             return USAGE
         raise
     if options.json:
-        return _print_json({"ok": True, "problems": [], "cases": len(cases)})
-    print(f"{path}: ok, {_count(len(cases), 'case')}")
+        return print_json({"ok": True, "problems": [], "cases": len(cases)})
+    print(f"{path}: ok, {count(len(cases), 'case')}")
     return OK
 
 
@@ -182,14 +195,14 @@ def _plan(options: argparse.Namespace) -> int:
     plan = _make_plan(study, expand(study), options.out)
     summary = plan.summary()
     if options.json:
-        return _print_json(summary)
-    print(f"{study.study.title}: {_count(len(summary['cases']), 'case')} of {', '.join(study.study.models)}")
+        return print_json(summary)
+    print(f"{study.study.title}: {count(len(summary['cases']), 'case')} of {', '.join(study.study.models)}")
     if study.study.reference is None:
         print("no reference: the models run without comparison")
     for case in summary["cases"]:
         print(f"  {case['hash'][:12]}  {case['state']:<8} {case['label']}")
-    meshes = _count(summary["meshes_to_make"], "mesh", "meshes")
-    print(f"to run: {_count(summary['cases_to_run'], 'case')}, {meshes}")
+    meshes = count(summary["meshes_to_make"], "mesh", "meshes")
+    print(f"to run: {count(summary['cases_to_run'], 'case')}, {meshes}")
     for kind in ("shared", "skipped"):
         for line in summary[kind]:
             print(f"{kind}: {line}")
@@ -220,9 +233,9 @@ def _run(options: argparse.Namespace) -> int:
         fresh=options.fresh,
     )
     cases = plan.cases_to_run(how.shard, fresh=how.fresh)
-    with _Progress(len(cases) + len(plan.missing_meshes(cases)), quiet=options.json) as progress:
+    with Progress(len(cases) + len(plan.missing_meshes(cases)), quiet=options.json) as progress:
         run, report = run_plan(plan, path.read_text(), how, progress.show)
-    return _print_run(run, plan.directory, report, options.json)
+    return print_run(run, plan.directory, report, options.json)
 
 
 def _calibrate(options: argparse.Namespace) -> int:
@@ -248,8 +261,8 @@ def _calibrate(options: argparse.Namespace) -> int:
     write_atomically(out / "calibration.json", json.dumps(data, indent=1).encode())
     write_atomically(out / "calibration.toml", as_toml(entries).encode())
     if options.json:
-        return _print_json(data)
-    _print_table(table(entries))
+        return print_json(data)
+    print_table(table(entries))
     print(f"\n{as_toml(entries)}\nwritten: {out / 'calibration.toml'}")
     return OK
 
@@ -259,7 +272,7 @@ def _status(options: argparse.Namespace) -> int:
 
     state = run_state(options.directory)
     if options.json:
-        _print_json(state)
+        print_json(state)
     else:
         kinds = ("done", *(["stale"] if state["stale"] else []), "failed", "damaged", "missing")
         print(", ".join(f"{len(state[kind])} {kind}" for kind in kinds))
@@ -287,7 +300,7 @@ def _report(options: argparse.Namespace) -> int:
         from .report.page import write_picture
 
         write_picture(run, options.picture)
-    return _print_run(run, directory, report, options.json)
+    return print_run(run, directory, report, options.json)
 
 
 def _claims(options: argparse.Namespace) -> int:
@@ -297,8 +310,8 @@ def _claims(options: argparse.Namespace) -> int:
     page = options.out or _results() / "claims.html"
     rows = verdict_rows(write_claims([read_run(directory) for directory in options.directories], page))
     if options.json:
-        return _print_json({"report": str(page), "claims": rows})
-    _print_table(rows)
+        return print_json({"report": str(page), "claims": rows})
+    print_table(rows)
     print(f"report: {page}")
     return OK
 
@@ -308,7 +321,7 @@ def _doctor(options: argparse.Namespace) -> int:
 
     findings = examine()
     if options.json:
-        _print_json([finding._asdict() for finding in findings])
+        print_json([finding._asdict() for finding in findings])
     else:
         for finding in findings:
             print(f"{'ok  ' if finding.ok else 'LACKS'} {finding.what}: {finding.detail}")
@@ -352,108 +365,11 @@ def _run_for_fit(study: Study, path: Path, out: Path, options: argparse.Namespac
 
     plan = _make_plan(study, expand(study), out)
     cases = plan.cases_to_run()
-    with _Progress(len(cases) + len(plan.missing_meshes(cases)), quiet=options.json) as progress:
+    with Progress(len(cases) + len(plan.missing_meshes(cases)), quiet=options.json) as progress:
         run, _ = run_plan(
             plan, path.read_text(), Options(jobs=options.jobs or os.cpu_count() or 1), progress.show
         )
     return plan, run
-
-
-def _print_run(run: Run, directory: Path, report: Path, as_json: bool) -> int:
-    """The headline table, the failures and the report's path."""
-    from .report.headline import headline_rows
-
-    rows = headline_rows(run)
-    if as_json:
-        _print_json(
-            {
-                "directory": str(directory),
-                "report": str(report),
-                "done": len(run.cases),
-                "failed": list(run.failed),
-                "missing": list(run.missing),
-                "headline": rows,
-            }
-        )
-    else:
-        _print_table(rows)
-        for failure in run.failed:
-            remedy = f"; {failure['remedy']}" if failure["remedy"] else ""
-            _complain(
-                f"failed: {failure['label'] or failure['hash'][:12]}: {failure['message']}{remedy}", FAILED
-            )
-        print(f"{len(run.cases)} done, {len(run.failed)} failed, {len(run.missing)} missing")
-        print(f"report: {report}")
-    if run.failed and not run.cases and all(failure["code"] == "input" for failure in run.failed):
-        return USAGE  # nothing could be done with what the user gave
-    return FAILED if run.failed else OK
-
-
-def _print_table(rows: Sequence[dict[str, str]]) -> None:
-    if not rows:
-        return
-    columns = list(rows[0])
-    widths = [max(len(column), *(len(row[column]) for row in rows)) for column in columns]
-    print("  ".join(column.ljust(width) for column, width in zip(columns, widths, strict=True)).rstrip())
-    for row in rows:
-        print(
-            "  ".join(
-                row[column].ljust(width) for column, width in zip(columns, widths, strict=True)
-            ).rstrip()
-        )
-
-
-class _Progress:
-    """A bar on a terminal, a line per event otherwise; on standard error, so that output can be piped."""
-
-    def __init__(self, total: int, *, quiet: bool) -> None:
-        self.quiet = quiet
-        self.bar: Any = None
-        self.total = total
-
-    def __enter__(self) -> _Progress:
-        if not self.quiet and self.total and sys.stderr.isatty():
-            from rich.console import Console
-            from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
-
-            self.bar = Progress(
-                TextColumn("{task.description}", markup=False),
-                BarColumn(),
-                MofNCompleteColumn(),
-                TimeElapsedColumn(),
-                console=Console(stderr=True),
-                transient=True,
-            )
-            self.bar.start()
-            self.task = self.bar.add_task("starting", total=self.total)
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        if self.bar is not None:
-            self.bar.stop()
-
-    def show(self, event: Event) -> None:
-        """Show one event of the run."""
-        label = event.label or "the case"
-        if self.bar is not None:
-            advance = event.kind in ("done", "failed")
-            self.bar.update(self.task, description=label[:60], advance=1 if advance else 0)
-        elif not self.quiet and event.kind in ("done", "failed"):
-            print(f"{event.kind} {label} ({event.seconds:.1f} s)", file=sys.stderr, flush=True)
-
-
-def _print_json(value: Any) -> int:
-    print(json.dumps(value, indent=1))
-    return OK
-
-
-def _complain(text: str, code: int) -> int:
-    print(f"vdmbench: {text}", file=sys.stderr)
-    return code
-
-
-def _count(number: int, singular: str, plural: str | None = None) -> str:
-    return f"{number} {singular if number == 1 else plural or singular + 's'}"
 
 
 def _interrupt(*_: object) -> NoReturn:

@@ -1,0 +1,112 @@
+"""What the command line shows: tables, progress, complaints, exit codes. Prints; the verbs are in `cli`."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from .case import Run
+    from .run import Event
+
+OK, USAGE, FAILED, MACHINE, DAMAGED, INTERRUPTED = 0, 2, 3, 4, 5, 130
+
+
+def print_run(run: Run, directory: Path, report: Path, as_json: bool) -> int:
+    """The headline table, the failures and the report's path."""
+    from .report.headline import headline_rows
+
+    rows = headline_rows(run)
+    if as_json:
+        print_json(
+            {
+                "directory": str(directory),
+                "report": str(report),
+                "done": len(run.cases),
+                "failed": list(run.failed),
+                "missing": list(run.missing),
+                "headline": rows,
+            }
+        )
+    else:
+        print_table(rows)
+        for failure in run.failed:
+            remedy = f"; {failure['remedy']}" if failure["remedy"] else ""
+            complain(
+                f"failed: {failure['label'] or failure['hash'][:12]}: {failure['message']}{remedy}", FAILED
+            )
+        print(f"{len(run.cases)} done, {len(run.failed)} failed, {len(run.missing)} missing")
+        print(f"report: {report}")
+    if run.failed and not run.cases and all(failure["code"] == "input" for failure in run.failed):
+        return USAGE  # nothing could be done with what the user gave
+    return FAILED if run.failed else OK
+
+
+def print_table(rows: Sequence[dict[str, str]]) -> None:
+    if not rows:
+        return
+    columns = list(rows[0])
+    widths = [max(len(column), *(len(row[column]) for row in rows)) for column in columns]
+    print("  ".join(column.ljust(width) for column, width in zip(columns, widths, strict=True)).rstrip())
+    for row in rows:
+        print(
+            "  ".join(
+                row[column].ljust(width) for column, width in zip(columns, widths, strict=True)
+            ).rstrip()
+        )
+
+
+class Progress:
+    """A bar on a terminal, a line per event otherwise; on standard error, so that output can be piped."""
+
+    def __init__(self, total: int, *, quiet: bool) -> None:
+        self.quiet = quiet
+        self.bar: Any = None
+        self.total = total
+
+    def __enter__(self) -> Progress:
+        if not self.quiet and self.total and sys.stderr.isatty():
+            from rich.console import Console
+            from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+
+            self.bar = Progress(
+                TextColumn("{task.description}", markup=False),
+                BarColumn(),
+                MofNCompleteColumn(),
+                TimeElapsedColumn(),
+                console=Console(stderr=True),
+                transient=True,
+            )
+            self.bar.start()
+            self.task = self.bar.add_task("starting", total=self.total)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self.bar is not None:
+            self.bar.stop()
+
+    def show(self, event: Event) -> None:
+        """Show one event of the run."""
+        label = event.label or "the case"
+        if self.bar is not None:
+            advance = event.kind in ("done", "failed")
+            self.bar.update(self.task, description=label[:60], advance=1 if advance else 0)
+        elif not self.quiet and event.kind in ("done", "failed"):
+            print(f"{event.kind} {label} ({event.seconds:.1f} s)", file=sys.stderr, flush=True)
+
+
+def print_json(value: Any) -> int:
+    print(json.dumps(value, indent=1))
+    return OK
+
+
+def complain(text: str, code: int) -> int:
+    print(f"vdmbench: {text}", file=sys.stderr)
+    return code
+
+
+def count(number: int, singular: str, plural: str | None = None) -> str:
+    return f"{number} {singular if number == 1 else plural or singular + 's'}"
