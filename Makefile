@@ -7,7 +7,7 @@ PYTHON ?= python3
 RUN := .venv/bin/
 PYTEST := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(RUN)python -m pytest
 
-.PHONY: demo test verify docs accuracy bench-vdm bench-fem bench-sharing setup libraries clean
+.PHONY: demo test verify docs baselines accuracy bench-vdm bench-fem bench-sharing setup libraries clean
 
 demo: setup
 	$(RUN)vdmbench run quickstart
@@ -28,6 +28,12 @@ docs: setup
 # the accuracy table of vdm/README.md, from the shipped accuracy studies; SURFACE=liver.obj adds a row
 accuracy: setup
 	$(RUN)python -m tests.docs.vdm_accuracy $(SURFACE)
+
+# accepts the accuracy of the fast shipped studies as it is now: make baselines REASON="why it changed"
+baselines: setup
+	@test -n "$(REASON)" || { echo 'say why: make baselines REASON="..."'; exit 2; }
+	for study in quickstart regression; do \
+	  $(RUN)vdmbench run $$study && $(RUN)vdmbench accept results/runs/$$study --reason "$(REASON)" || exit 1; done
 
 # what the surface model costs on this machine, in one thread
 bench-vdm: setup

@@ -16,7 +16,9 @@ from .cli_output import (
     FAILED,
     INTERRUPTED,
     MACHINE,
+    NOTHING_COMPARED,
     OK,
+    REGRESSED,
     USAGE,
     Progress,
     complain,
@@ -78,8 +80,9 @@ def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="vdmbench",
         description="Compare the Volume Distribution Method with finite elements on the same mesh.",
-        epilog="exit codes: 0 ok, 2 usage or study file wrong, 3 some cases failed, "
-        "4 machine lacks something, 5 stored results damaged, 130 interrupted",
+        epilog="exit codes: 0 ok, 1 accuracy regressed, 2 usage or study file wrong, 3 some cases failed, "
+        "4 machine lacks something, 5 stored results damaged, "
+        "6 nothing was compared, 130 interrupted",
     )
     verbs = parser.add_subparsers(title="verbs", required=True, metavar="VERB")
 
@@ -147,6 +150,16 @@ def _parser() -> argparse.ArgumentParser:
     report.add_argument(
         "--picture", type=Path, metavar="FILE", help="write a PNG of reference, model and difference too"
     )
+    gate = verb("gate", _gate, "hold a run's accuracy against its baseline")
+    accept = verb("accept", _accept, "make a run's accuracy the baseline")
+    for sub in (gate, accept):
+        sub.add_argument("directory", type=Path, metavar="DIR", help="run directory")
+        sub.add_argument(
+            "--baseline", type=Path, metavar="FILE", help="baseline (default results/baselines/STUDY.json)"
+        )
+    gate.add_argument("--junit", type=Path, metavar="FILE", help="write JUnit XML too")
+    gate.add_argument("--markdown", type=Path, metavar="FILE", help="write a summary in Markdown too")
+    accept.add_argument("--reason", required=True, metavar="TEXT", help="why these numbers are right")
     verb("doctor", _doctor, "say what the machine has and lacks")
     return parser
 
@@ -314,6 +327,51 @@ def _claims(options: argparse.Namespace) -> int:
     print_table(rows)
     print(f"report: {page}")
     return OK
+
+
+def _gate(options: argparse.Namespace) -> int:
+    from . import gate
+    from .files import write_atomically
+    from .gate_report import describe, junit, markdown, summary
+    from .store import read_run
+
+    run = read_run(options.directory)
+    study = str(run.study["name"])
+    baseline = gate.read_baseline(_baseline(options, study))
+    findings = gate.compare(run, baseline)
+    if options.junit:
+        write_atomically(options.junit, junit(study, findings))
+    if options.markdown:
+        text = markdown(study, baseline.reason, baseline.date, findings)
+        write_atomically(options.markdown, text.encode("utf-8", "replace"))
+    if options.json:
+        print_json({"study": study, "counts": gate.counts(findings), "findings": gate.as_data(findings)})
+    else:
+        for finding in findings:
+            if finding.outcome != gate.SAME:
+                print(describe(finding))
+        print(f"{study}: {summary(findings)} (baseline of {baseline.date}: {baseline.reason})")
+    if gate.regressed(findings):
+        return REGRESSED
+    return NOTHING_COMPARED if gate.nothing_compared(findings) else OK
+
+
+def _accept(options: argparse.Namespace) -> int:
+    from .gate import accept
+    from .store import read_run
+
+    run = read_run(options.directory)
+    path = _baseline(options, str(run.study["name"]))
+    baseline = accept(run, path, options.reason)
+    if options.json:
+        return print_json({"baseline": str(path), "cases": len(baseline.cases), "reason": baseline.reason})
+    print(f"accepted {count(len(baseline.cases), 'case')}: {path}")
+    return OK
+
+
+def _baseline(options: argparse.Namespace, study: str) -> Path:
+    path: Path = options.baseline or _results() / "baselines" / f"{study}.json"
+    return path
 
 
 def _doctor(options: argparse.Namespace) -> int:

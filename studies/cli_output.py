@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from .case import Run
     from .run import Event
 
-OK, USAGE, FAILED, MACHINE, DAMAGED, INTERRUPTED = 0, 2, 3, 4, 5, 130
+OK, REGRESSED, USAGE, FAILED, MACHINE, DAMAGED, NOTHING_COMPARED, INTERRUPTED = 0, 1, 2, 3, 4, 5, 6, 130
 
 
 def print_run(run: Run, directory: Path, report: Path, as_json: bool) -> int:

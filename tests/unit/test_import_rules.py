@@ -91,6 +91,13 @@ def test_the_report_reads_results_only(path: Path) -> None:
         assert not any(name == f"studies.{module}" or name.startswith(f"studies.{module}.") for name in names)
 
 
+@pytest.mark.parametrize("name", ["gate", "gate_report"])
+def test_the_gate_reads_results_only(name: str) -> None:
+    path = ROOT / "studies" / f"{name}.py"
+    assert not _tops(path) & {"vdm", "fem_reference", "gmsh", "h5py"}
+    assert not {f"studies.{m}" for m in ("geometry", "scene", "models", "worker", "run")} & _imports(path)
+
+
 @pytest.mark.parametrize("path", [p for p in FILES if _name(p) not in COMMAND_LINE], ids=_name)
 def test_only_the_command_line_prints_and_exits(path: Path) -> None:
     for node in ast.walk(ast.parse(path.read_text())):

@@ -1,0 +1,261 @@
+"""Accuracy baselines: what counts as worse, better, failing and not comparable, and what is told about it."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+
+from studies import gate
+from studies.case import CaseResult, MetricSeries, Run
+from studies.gate import BaselineError, Finding, accept, compare, counts, read_baseline
+from studies.gate_report import describe, junit, markdown, summary
+from tests.command import SMALL_STUDY, vdmbench
+
+from .report_runs import make_case, make_run
+
+VECTOR = "relative_l2_displacement_error"
+BARS = {"gci:relative_l2_displacement_error": 0.01}
+
+
+def run_of(errors: Mapping[str, float], **changes: object) -> Run:
+    return make_run([make_case(errors, subdivisions=0, label="nu = 0.49", reference_error=BARS, **changes)])  # type: ignore[arg-type]
+
+
+@pytest.fixture
+def path(tmp_path: Path) -> Path:
+    accept(run_of({"vdm-vector": 0.2, "vdm-paper": 0.8}), tmp_path / "b.json", "first numbers")
+    return tmp_path / "b.json"
+
+
+def found(path: Path, run: Run, metric: str = VECTOR) -> dict[str, Finding]:
+    """Model -> what became of one metric."""
+    findings = compare(run, read_baseline(path))
+    return {f.model: f for f in findings if f.metric == metric}
+
+
+def changed(case: CaseResult, model: str, **fields: object) -> CaseResult:
+    return dataclasses.replace(
+        case,
+        models={**case.models, model: dataclasses.replace(case.models[model], **fields)},  # type: ignore[arg-type]
+    )
+
+
+def with_series(case: CaseResult, model: str, metric: str, **fields: object) -> CaseResult:
+    series = dataclasses.replace(case.metrics[model][metric], **fields)  # type: ignore[arg-type]
+    return dataclasses.replace(case, metrics={**case.metrics, model: {**case.metrics[model], metric: series}})
+
+
+def test_the_same_run_is_unchanged_to_the_last_metric(path: Path) -> None:
+    findings = compare(run_of({"vdm-vector": 0.2, "vdm-paper": 0.8}), read_baseline(path))
+    assert set(counts(findings)) == {gate.SAME}
+    assert len(findings) > 20
+    assert not gate.regressed(findings)
+    assert not gate.nothing_compared(findings)
+
+
+@pytest.mark.parametrize(
+    ("now", "outcome"),
+    [(0.2, gate.SAME), (0.2039, gate.SAME), (0.2041, gate.WORSE), (0.1961, gate.SAME), (0.1959, gate.BETTER)],
+)
+def test_the_tolerance_is_two_per_cent(path: Path, now: float, outcome: str) -> None:
+    assert found(path, run_of({"vdm-vector": now, "vdm-paper": 0.8}))["vdm-vector"].outcome == outcome
+
+
+def test_small_errors_and_drifts_have_a_floor(tmp_path: Path) -> None:
+    base = make_case({"m": 1e-5}, subdivisions=0)
+    accept(
+        make_run([with_series(base, "m", "volume_drift", values=np.full(4, 1e-13))]), tmp_path / "b.json", "x"
+    )
+    slightly = with_series(
+        make_case({"m": 9e-4}, subdivisions=0), "m", "volume_drift", values=np.full(4, -9e-10)
+    )
+    later = make_run([dataclasses.replace(slightly, label=base.label)])
+    assert found(tmp_path / "b.json", later)["m"].outcome == gate.SAME
+    assert found(tmp_path / "b.json", later, "volume_drift")["m"].outcome == gate.SAME
+    drifting = make_run([with_series(base, "m", "volume_drift", values=np.full(4, -1e-8))])
+    assert found(tmp_path / "b.json", drifting, "volume_drift")["m"].outcome == gate.WORSE
+
+
+def test_the_reference_s_own_error_is_gated_too(path: Path) -> None:
+    case = make_case(
+        {"vdm-vector": 0.2, "vdm-paper": 0.8},
+        subdivisions=0,
+        label="nu = 0.49",
+        reference_error={"gci:relative_l2_displacement_error": 0.02},
+    )
+    assert found(path, make_run([case]), gate.OWN + VECTOR)["fem-linear"].outcome == gate.WORSE
+
+
+def test_failing_and_passing(path: Path, tmp_path: Path) -> None:
+    stopped = run_of({"vdm-vector": 0.2, "vdm-paper": 0.8}, stopped={"vdm-vector": 2})
+    finding = found(path, stopped)["vdm-vector"]
+    assert finding.outcome == gate.NEWLY_FAILING
+    assert gate.regressed([finding])
+    accept(stopped, tmp_path / "s.json", "it stops")
+    assert (
+        found(tmp_path / "s.json", run_of({"vdm-vector": 0.2, "vdm-paper": 0.8}))["vdm-vector"].outcome
+        == gate.NEWLY_PASSING
+    )
+    assert found(tmp_path / "s.json", stopped)["vdm-vector"].outcome == gate.SAME
+    failed = [{"hash": "a", "label": "nu = 0.49", "code": "crashed", "message": "it died", "remedy": ""}]
+    (finding,) = compare(dataclasses.replace(stopped, cases=[], failed=failed), read_baseline(path))
+    assert (finding.outcome, finding.why) == (gate.NEWLY_FAILING, "it died")
+
+
+def test_what_cannot_be_compared_says_why(path: Path) -> None:
+    case = run_of({"vdm-vector": 0.2, "vdm-paper": 0.8}).cases[0]
+    versions = {
+        "model version 1 -> 2": changed(case, "vdm-vector", version="2"),
+        "metric version 1 -> 7": with_series(case, "vdm-vector", VECTOR, version=7),
+        "unit 1 -> m": with_series(case, "vdm-vector", VECTOR, unit="m"),
+        "the inputs of the case have changed": dataclasses.replace(
+            case, resolved={**case.resolved, "tissue": {}}
+        ),
+    }
+    for why, now in versions.items():
+        findings = compare(make_run([now]), read_baseline(path))
+        assert [f.why for f in findings if f.outcome == gate.NOT_COMPARABLE] == [why]
+        assert not gate.regressed(findings)
+    findings = compare(make_run([versions["the inputs of the case have changed"]]), read_baseline(path))
+    assert gate.nothing_compared(findings)
+
+
+def test_more_and_less_than_the_baseline(path: Path) -> None:
+    less = compare(run_of({"vdm-vector": 0.2}), read_baseline(path))
+    assert [(f.outcome, f.model) for f in less if f.outcome != gate.SAME] == [(gate.MISSING, "vdm-paper")]
+    more = compare(run_of({"vdm-vector": 0.2, "vdm-paper": 0.8, "new": 0.1}), read_baseline(path))
+    assert [(f.outcome, f.model) for f in more if f.outcome != gate.SAME] == [(gate.NEW, "new")]
+    other_case = make_run([make_case({"vdm-vector": 0.2}, subdivisions=0, label="nu = 0.3")])
+    assert {f.outcome for f in compare(other_case, read_baseline(path))} == {gate.MISSING, gate.NEW}
+
+
+def test_names_of_the_study_do_not_matter_to_the_inputs(path: Path) -> None:
+    case = run_of({"vdm-vector": 0.2, "vdm-paper": 0.8}).cases[0]
+    renamed = dataclasses.replace(case, resolved={**case.resolved, "study": {"title": "another"}})
+    assert set(counts(compare(make_run([renamed]), read_baseline(path)))) == {gate.SAME}
+
+
+def test_descriptive_metrics_and_times_are_not_gated(path: Path) -> None:
+    text = path.read_text()
+    assert "mean_strain" not in text
+    assert "contact_work" not in text
+    assert "seconds" not in text
+
+
+def test_accepting_needs_a_reason_and_a_whole_run(tmp_path: Path) -> None:
+    run = run_of({"vdm-vector": 0.2})
+    with pytest.raises(BaselineError, match="needs a reason"):
+        accept(run, tmp_path / "b.json", "  ")
+    for broken in (dataclasses.replace(run, missing=["x"]), dataclasses.replace(run, cases=[])):
+        with pytest.raises(BaselineError, match="finish the run"):
+            accept(broken, tmp_path / "b.json", "why not")
+    assert not (tmp_path / "b.json").exists()
+
+
+def test_a_baseline_of_another_study_is_refused(path: Path) -> None:
+    with pytest.raises(BaselineError, match="of study 'ball', the run of 'cube'"):
+        compare(make_run([make_case({"m": 0.1}, subdivisions=0)], name="cube"), read_baseline(path))
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        (b"\xff\xfe", "not JSON"),
+        (b"[" * 100_000, "not JSON"),
+        (b"[]", "not a baseline"),
+        (b'{"schema": 99}', "newer than this program"),
+        (b'{"schema": 1, "study": 3}', "not a baseline"),
+        (
+            b'{"schema": 1, "study": "a", "reason": "r", "date": "d", "cases": {}, "more": 1}',
+            "not a baseline",
+        ),
+    ],
+)
+def test_damaged_baselines(tmp_path: Path, content: bytes, message: str) -> None:
+    (tmp_path / "b.json").write_bytes(content)
+    with pytest.raises(BaselineError, match=message):
+        read_baseline(tmp_path / "b.json")
+
+
+@pytest.mark.parametrize("value", ["NaN", "Infinity", '"0.1"', "-1"])
+def test_a_tolerance_is_a_finite_number_from_zero(path: Path, value: str) -> None:
+    data = json.loads(path.read_text())
+    entry = data["cases"]["nu = 0.49"]["models"]["vdm-vector"]["metrics"][VECTOR]
+    path.write_text(
+        path.read_text().replace(f'"tolerance": {entry["tolerance"]}', f'"tolerance": {value}', 1)
+    )
+    with pytest.raises(BaselineError, match="tolerance"):
+        read_baseline(path)
+
+
+def test_junit_and_markdown(path: Path) -> None:
+    now = run_of({"vdm-vector": 0.3, "vdm-paper": 0.8})
+    case = changed(now.cases[0], "vdm-paper", version="2")
+    findings = compare(make_run([case]), read_baseline(path))
+    root = ElementTree.fromstring(junit("ba<ll\x00", findings))
+    (suite,) = root
+    cases = suite.findall("testcase")
+    assert len(cases) == int(suite.attrib["tests"]) == len(findings)
+    failures = suite.findall("testcase/failure")
+    assert len(failures) == int(suite.attrib["failures"]) == counts(findings)[gate.WORSE]
+    assert len(suite.findall("testcase/skipped")) == int(suite.attrib["skipped"]) == 1
+    assert "0.2 -> 0.3 (tolerance 0.004)" in "".join(f.attrib["message"] for f in failures)
+    text = markdown("ball", "a | reason", "2026-01-02", findings)
+    assert f"| worse | nu = 0.49 | vdm-vector | {VECTOR} | 0.2 | 0.3 | 0.004 |  |" in text
+    assert "a \\| reason" in text
+    assert "unchanged |" not in text
+    assert summary(findings).startswith(f"{counts(findings)[gate.WORSE]} worse")
+    assert "model version 1 -> 2" in describe(next(f for f in findings if f.model == "vdm-paper"))
+
+
+def test_the_commands_and_their_exit_codes(tmp_path: Path) -> None:
+    (tmp_path / "small.toml").write_text(SMALL_STUDY)
+    assert vdmbench("run", "small.toml", cwd=tmp_path).returncode == 0
+    directory = "results/runs/small"
+    nothing = vdmbench("gate", directory, cwd=tmp_path)
+    assert nothing.returncode == 2
+    assert "vdmbench accept DIR" in nothing.stderr
+    assert vdmbench("accept", directory, cwd=tmp_path).returncode == 2
+    assert vdmbench("accept", directory, "--reason", " ", cwd=tmp_path).returncode == 2
+    accepted = vdmbench("accept", directory, "--reason", "first", cwd=tmp_path)
+    assert accepted.returncode == 0, accepted.stderr
+    baseline = tmp_path / "results/baselines/small.json"
+    same = vdmbench("gate", directory, "--junit", "out.xml", "--markdown", "out.md", cwd=tmp_path)
+    assert same.returncode == 0, same.stderr
+    assert "first" in same.stdout
+    assert ElementTree.parse(tmp_path / "out.xml").getroot().tag == "testsuites"
+    assert "first" in (tmp_path / "out.md").read_text()
+
+    data = json.loads(baseline.read_text())
+    (case,) = data["cases"].values()
+    case["models"]["vdm-paper"]["metrics"][VECTOR]["value"] *= 0.9
+    (tmp_path / "better.json").write_text(json.dumps(data))
+    worse = vdmbench("gate", directory, "--baseline", "better.json", "--json", cwd=tmp_path)
+    assert worse.returncode == 1
+    assert json.loads(worse.stdout)["counts"]["worse"] == 1
+    case["inputs"] = "other"
+    (tmp_path / "other.json").write_text(json.dumps(data))
+    assert vdmbench("gate", directory, "--baseline", "other.json", cwd=tmp_path).returncode == 6
+    data["study"] = "elsewhere"
+    (tmp_path / "elsewhere.json").write_text(json.dumps(data))
+    assert vdmbench("gate", directory, "--baseline", "elsewhere.json", cwd=tmp_path).returncode == 2
+    (result,) = (tmp_path / directory / "cases").iterdir()
+    result.write_bytes(result.read_bytes()[:-1])
+    assert vdmbench("gate", directory, cwd=tmp_path).returncode == 5
+
+
+def test_series_of_a_step_that_is_not_full_load_do_not_matter(path: Path) -> None:
+    case = run_of({"vdm-vector": 0.2, "vdm-paper": 0.8}).cases[0]
+    values = case.metrics["vdm-vector"][VECTOR].values.copy()
+    values[0] = 5.0
+    series = MetricSeries(values, "1", "", 1)
+    metrics = {**case.metrics, "vdm-vector": {**case.metrics["vdm-vector"], VECTOR: series}}
+    assert (
+        found(path, make_run([dataclasses.replace(case, metrics=metrics)]))["vdm-vector"].outcome == gate.SAME
+    )
