@@ -7,7 +7,8 @@ PYTHON ?= python3
 RUN := .venv/bin/
 PYTEST := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(RUN)python -m pytest
 
-.PHONY: demo test verify docs baselines accuracy bench-vdm bench-fem bench-sharing setup libraries clean
+.PHONY: demo test verify docs baselines accuracy claims calibrations setup libraries clean
+.PHONY: bench-vdm bench-fem bench-sharing
 
 demo: setup
 	$(RUN)vdmbench run quickstart
@@ -34,6 +35,14 @@ baselines: setup
 	@test -n "$(REASON)" || { echo 'say why: make baselines REASON="..."'; exit 2; }
 	for study in quickstart regression; do \
 	  $(RUN)vdmbench run $$study && $(RUN)vdmbench accept results/runs/$$study --reason "$(REASON)" || exit 1; done
+
+# the paper's claims on trial: results/gallery/claims.html and the table in README.md
+claims: setup
+	$(RUN)python -m tests.docs.claims
+
+# the fits of the surface models' parameters: results/calibrations.md
+calibrations: setup
+	$(RUN)python -m tests.docs.calibrations
 
 # what the surface model costs on this machine, in one thread
 bench-vdm: setup

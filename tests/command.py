@@ -46,7 +46,9 @@ factors = [0.5, 1.0]
 """
 
 
-def vdmbench(*arguments: str | Path, cwd: Path, **environment: str) -> subprocess.CompletedProcess[str]:
+def vdmbench(
+    *arguments: str | Path, cwd: Path, seconds: float = 300, **environment: str
+) -> subprocess.CompletedProcess[str]:
     """One call; never a traceback, whatever it is asked."""
     result = subprocess.run(
         [SCRIPT, *map(str, arguments)],
@@ -54,7 +56,7 @@ def vdmbench(*arguments: str | Path, cwd: Path, **environment: str) -> subproces
         env={**os.environ, "OMP_NUM_THREADS": "1", **environment},
         capture_output=True,
         text=True,
-        timeout=300,
+        timeout=seconds,
         stdin=subprocess.DEVNULL,
     )
     assert "Traceback" not in result.stderr + result.stdout, result.stderr

@@ -78,7 +78,7 @@ def claims_html(found: Sequence[Verdict]) -> str:
     counts = {
         word: sum(v.judgement.verdict == word for v in found) for word in (HOLDS, WITHIN_LIMITS, FAILS, OPEN)
     }
-    told = listed(f"{count} {'hold' if word == HOLDS else word}" for word, count in counts.items() if count)
+    told = listed(f"{count} {_in_words(word, count)}" for word, count in counts.items() if count)
     sections = [_table(found), *map(_section, found), _reproduce(names)]
     return html_document(
         title="The paper's claims on trial",
@@ -88,6 +88,13 @@ def claims_html(found: Sequence[Verdict]) -> str:
         models=[],
         sections=sections,
     )
+
+
+def _in_words(verdict: str, count: int) -> str:
+    """A verdict as the predicate of so many claims."""
+    if verdict == OPEN:
+        return "is not decided" if count == 1 else "are not decided"
+    return verdict if count == 1 else verdict.replace("holds", "hold").replace("fails", "fail")
 
 
 def _table(found: Sequence[Verdict]) -> Section:

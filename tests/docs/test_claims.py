@@ -1,0 +1,22 @@
+"""The claims in README.md are those of the code and of the page beside it."""
+
+from __future__ import annotations
+
+import html
+import re
+
+from studies.report.claims import CLAIMS, FAILS, HOLDS, WITHIN_LIMITS
+from tests.docs import claims
+
+
+def test_every_claim_is_decided_in_readme_and_page_alike() -> None:
+    rows = [line.strip("| ").split(" | ") for line in claims.table_in_readme().splitlines()[2:]]
+    assert [row[0] for row in rows] == [f"{c.number}. {c.text}" for c in CLAIMS.values()]
+    assert {row[1] for row in rows} <= {HOLDS, WITHIN_LIMITS, FAILS}
+    page = claims.PAGE.read_text()
+    for row in rows:
+        words = html.unescape(re.sub(r"<[^>]*>", " ", page)).replace("\u00a0", " ")
+        for cell in row:
+            assert cell in words, cell
+    shown = {name for row in rows for name in row[3].split(", ")}
+    assert shown == set(claims.studies_on_trial())
