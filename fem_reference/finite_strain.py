@@ -17,6 +17,7 @@ from fem_reference.linear import Fields, check_material
 from fem_reference.loads import (
     Load,
     check_loads,
+    check_nodal,
     held_nodes,
     nodal_forces,
     prescribed_nodes,
@@ -106,11 +107,11 @@ class FiniteStrainProblem:
         self._contrast = float(contrast)
         self.mesh = TetMesh(points, tetrahedra, surface_nodes, triangles, order=2)
         self.held = held_nodes(self.mesh, np.asarray(held))
+        pattern = scalar_pattern(self.mesh)
         self.system: LinearSystem = build_system(
-            self.mesh, self.held, mixed=True, poisson_ratio=self.poisson_ratio
+            self.mesh, self.held, mixed=True, poisson_ratio=self.poisson_ratio, pattern=pattern
         )
         self.solver = TangentSolver(self.system, solver, expected_loads, memory_limit)
-        pattern = scalar_pattern(self.mesh)
         self._assembly = ElementAssembly(self.mesh, pattern, self._law)
         self._newton = Newton(
             self.system,
@@ -149,7 +150,13 @@ class FiniteStrainProblem:
         -------
         Fields
             NaN from the first load step on that cannot be reached.
+
+        Raises
+        ------
+        SolverError
+            For arrays of the wrong shape or with values that are not finite.
         """
+        check_nodal(self.mesh, forces, prescribed)
         length, steps = self.mesh.mean_edge, len(forces)
         force_unit = self.shear_modulus * length**2
         nothing = np.zeros((len(self.mesh.triangles), len(facet_quadrature()[1])))

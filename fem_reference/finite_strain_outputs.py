@@ -10,12 +10,14 @@ from numpy.typing import NDArray
 from fem_reference.finite_strain_assembly import ElementAssembly
 from fem_reference.loads import gather_to_vertices
 from fem_reference.newton import State, Substep
+from fem_reference.recovery import StrainRecovery
 from fem_reference.solution import CONVERGED, Solution, Status
 from fem_reference.system import LinearSystem
 
 Array = NDArray[np.float64]
 
 OUTPUTS = {
+    "discretisation_error": "estimated relative error of the Green-Lagrange strain, see `fem_reference.recovery`",
     "max_det_f_deviation": "largest |det F - 1| at the quadrature points",
     "max_principal_strain": "largest principal Green-Lagrange strain at the quadrature points",
     "volume": "volume of the deformed body [m^3]",
@@ -54,6 +56,7 @@ class Record:
         self._assembly = assembly
         self._shear_modulus = shear_modulus
         self._outputs = outputs
+        self._recovery = StrainRecovery(mesh, finite=True) if "discretisation_error" in outputs else None
         nodes = len(mesh.surface_nodes)
         self._displacement = np.full((steps, nodes, 3), np.nan)
         self._reaction = np.full((steps, nodes, 3), np.nan)
@@ -126,8 +129,11 @@ class Record:
         if self._system.mass is not None:
             energy += 0.5 * self._system.compressibility * float(q @ (self._system.mass @ q))
         self._energy[number] = energy * self._shear_modulus * length**3
-        deviation, strain = self._assembly.largest(u) if self._outputs - {"volume"} else (np.nan, np.nan)
+        local = self._outputs & {"max_det_f_deviation", "max_principal_strain"}
+        deviation, strain = self._assembly.largest(u) if local else (np.nan, np.nan)
+        error = self._recovery.relative_error(u * length) if self._recovery else np.nan
         values = {
+            "discretisation_error": error,
             "max_det_f_deviation": deviation,
             "max_principal_strain": strain,
             "volume": volume * length**3,

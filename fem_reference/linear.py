@@ -15,6 +15,7 @@ from fem_reference.linear_algebra import BATCH, Solver, choose_solver
 from fem_reference.loads import (
     Load,
     check_loads,
+    check_nodal,
     gather_to_vertices,
     held_nodes,
     independent_loads,
@@ -224,7 +225,13 @@ class LinearProblem:
         ----------
         forces : (S, n_nodes, 3) [N]
         prescribed : (S, n_nodes, 3) displacement of held nodes; ignored elsewhere [m]
+
+        Raises
+        ------
+        SolverError
+            For arrays of the wrong shape or with values that are not finite.
         """
+        check_nodal(self.mesh, forces, prescribed)
         length = self.mesh.mean_edge
         force_unit = self.shear_modulus * length**2
         scaled_forces = forces / force_unit

@@ -56,6 +56,20 @@ def check_loads(mesh: TetMesh, loads: Sequence[Load]) -> None:
                 raise SolverError(Status("bad-load", message, "give finite numbers"))
 
 
+def check_nodal(mesh: TetMesh, forces: Array, prescribed: Array) -> None:
+    """Raise a `SolverError` for nodal arrays that are not (S, n_nodes, 3), one S for both, or not finite."""
+    shape = (len(forces), mesh.n_nodes, 3)
+    for name, value in (("forces", forces), ("prescribed", prescribed)):
+        if not len(forces) or value.shape != shape:
+            message = f"{name} at the nodes has shape {value.shape}"
+            raise SolverError(
+                Status("bad-load", message, f"give shape (load steps, {mesh.n_nodes}, 3) for both arrays")
+            )
+        if not np.isfinite(value).all():
+            message = f"{name} at the nodes has values that are not finite"
+            raise SolverError(Status("bad-load", message, "give finite numbers"))
+
+
 def nodal_forces(mesh: TetMesh, loads: Sequence[Load], density: float) -> Array:
     """Consistent forces of pressure and weight at all nodes: (S, n_nodes, 3) [N].
 

@@ -35,11 +35,13 @@ class StrainRecovery:
 
     About each vertex a polynomial of the displacement's order is fitted to the strains at four points of each
     tetrahedron around it. A node takes the fit of its vertex, or the mean of those at its edge's ends; a patch
-    too small for a fit borrows from the element's other vertices.
+    too small for a fit borrows from the element's other vertices. The strain is the small one or, with `finite`,
+    Green and Lagrange's, which a turn of the body leaves alone.
     """
 
-    def __init__(self, mesh: TetMesh) -> None:
+    def __init__(self, mesh: TetMesh, *, finite: bool = False) -> None:
         self._mesh = mesh
+        self._strain = _green_lagrange if finite else _strain
         self._width = mesh.element_nodes.shape[1]
         self._points, _ = tetrahedron_quadrature()
         corners = mesh.points[mesh.tetrahedra]
@@ -66,7 +68,7 @@ class StrainRecovery:
         material this is the relative error in the energy norm. Zero for a body without strain.
         """
         mesh = self._mesh
-        strain = _strain(displacement_gradient(mesh, displacement, _NODES[: self._width]))
+        strain = self._strain(displacement_gradient(mesh, displacement, _NODES[: self._width]))
         recovered = self._recover(displacement, strain)
         difference = recovered[mesh.element_nodes] - strain
         error, size = (
@@ -78,7 +80,7 @@ class StrainRecovery:
     def _recover(self, displacement: Array, strain: Array) -> Array:
         """(n_nodes, 6) recovered strains; `strain` is (m, nodes, 6), the elements' own at their nodes."""
         mesh = self._mesh
-        sampled = _strain(displacement_gradient(mesh, displacement, self._points))
+        sampled = self._strain(displacement_gradient(mesh, displacement, self._points))
         moments = np.zeros((mesh.n_vertices, self._inverse.shape[1] * 6))
         for part in self._chunks():
             products = np.einsum("evqa,eqc->evac", self._basis(part, self._points), sampled[part])
@@ -138,6 +140,11 @@ def _strain(gradient: Array) -> Array:
     """(..., 6) symmetric part of (..., 3, 3): xx, yy, zz, yz, xz, xy."""
     symmetric = 0.5 * (gradient + np.swapaxes(gradient, -1, -2))
     return np.asarray(symmetric[..., [0, 1, 2, 1, 0, 0], [0, 1, 2, 2, 2, 1]])
+
+
+def _green_lagrange(gradient: Array) -> Array:
+    """(..., 6) (H + H^T + H^T H) / 2 of displacement gradients H, in the order of `_strain`."""
+    return _strain(gradient + 0.5 * np.swapaxes(gradient, -1, -2) @ gradient)
 
 
 def _reference_mass(order: int) -> Array:

@@ -144,7 +144,13 @@ class LinearSystem:
 
 
 def build_system(
-    mesh: TetMesh, held: Mask, *, mixed: bool, poisson_ratio: float, fibres: Array | None = None
+    mesh: TetMesh,
+    held: Mask,
+    *,
+    mixed: bool,
+    poisson_ratio: float,
+    fibres: Array | None = None,
+    pattern: Pattern | None = None,
 ) -> LinearSystem:
     """Assemble the scaled system.
 
@@ -155,6 +161,7 @@ def build_system(
     mixed : pressure field or displacement only
     poisson_ratio : in (-1, 0.5], below 0.5 for a displacement element
     fibres : (3, 3) M, None for an isotropic body
+    pattern : that of the mesh where the caller keeps it; None makes one that is let go with this call
 
     Raises
     ------
@@ -162,7 +169,7 @@ def build_system(
         If an incompressible body is held so that its pressure has no datum.
     """
     length = mesh.mean_edge
-    pattern = scalar_pattern(mesh)
+    pattern = pattern or scalar_pattern(mesh)
     lame = 0.0 if mixed else 2.0 * poisson_ratio / (1.0 - 2.0 * poisson_ratio)
     blocks = elasticity_blocks(mesh, pattern, lame, fibres) / length
     kept = np.flatnonzero(~held.all(axis=1))

@@ -9,16 +9,19 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy.optimize import brentq
 from scipy.sparse import bsr_array
+from skfem import Basis, ElementTetP2, MeshTet
 
-from fem_reference.assembly import scalar_pattern
+from fem_reference import finite_strain, system
+from fem_reference.assembly import scalar_pattern, tetrahedron_quadrature
 from fem_reference.finite_strain import OUTPUTS, FiniteStrainProblem
 from fem_reference.finite_strain_assembly import ElementAssembly
 from fem_reference.follower import FollowerPressure
 from fem_reference.loads import nodal_forces
 from fem_reference.materials import make_law
 from fem_reference.mesh import TetMesh
+from fem_reference.recovery import displacement_gradient
 from fem_reference.solution import Solution, SolverError
-from tests.unit.fem_shapes import Body, ball, cube
+from tests.unit.fem_shapes import Body, ball, body, cube
 from tests.verification.records import Verified
 
 Array = np.ndarray
@@ -550,5 +553,69 @@ def test_loads_that_make_no_sense_are_refused(block: Body) -> None:
         problem.solve([good, bad])
     with pytest.raises(SolverError, match="there is no load step"):
         problem.solve([])
-    with pytest.raises(SolverError, match="output 'colour' is unknown; use some of max_det_f_deviation"):
+    with pytest.raises(SolverError, match="output 'colour' is unknown; use some of discretisation_error"):
         problem.solve([good], frozenset({"colour"}))
+
+
+def test_nodal_arrays_that_make_no_sense_are_refused(block: Body) -> None:
+    for problem in (_problem(block, _bottom(block)), block.problem(_bottom(block))):
+        good = np.zeros((1, problem.mesh.n_nodes, 3))
+        bad = good.copy()
+        bad[0, -1, 2] = np.inf
+        with pytest.raises(SolverError, match="prescribed at the nodes has values that are not finite"):
+            problem.solve_nodal(good, bad)
+        with pytest.raises(SolverError, match="forces at the nodes has values that are not finite"):
+            problem.solve_nodal(bad, good)
+        with pytest.raises(SolverError, match="forces at the nodes has shape"):
+            problem.solve_nodal(good[:, 1:], good)
+        with pytest.raises(SolverError, match="prescribed at the nodes has shape"):
+            problem.solve_nodal(good, np.repeat(good, 2, axis=0))
+        with pytest.raises(SolverError, match="forces at the nodes has shape"):
+            problem.solve_nodal(good[:0], good[:0])
+
+
+def test_the_pattern_of_a_mesh_is_made_once(block: Body, monkeypatch: pytest.MonkeyPatch) -> None:
+    made: list[TetMesh] = []
+
+    def counted(mesh: TetMesh) -> object:
+        made.append(mesh)
+        return scalar_pattern(mesh)
+
+    for module in (finite_strain, system):
+        monkeypatch.setattr(module, "scalar_pattern", counted)
+    problem = _problem(block, _bottom(block))
+    assert [mesh is problem.mesh for mesh in made] == [True]
+
+
+# ---------------------------------------------------------------- discretisation error
+
+
+@pytest.mark.parametrize("poisson_ratio", [0.3, 0.4999])
+def test_estimated_error_beside_that_against_a_refined_mesh(poisson_ratio: float) -> None:
+    """A cube pushed over by a fifth of its side; its strain on the mesh and on one of half the size."""
+    coarse = cube(2)
+    refined = MeshTet(coarse.points.T.copy(), coarse.tetrahedra.T.copy()).refined(1)
+    displacement, meshes, estimates = [], [], []
+    for b in (coarse, body(refined.p.T, refined.t.T)):
+        problem = _problem(b, _bottom(b), poisson_ratio=poisson_ratio)
+        load = b.load(0.05 * b.facets_where(lambda x: x[:, 0] == 1.0))
+        solution = _converged(problem.solve([load], frozenset({"discretisation_error"})))
+        estimates.append(solution.scalars["discretisation_error"][0])
+        *_, (_, last) = problem.substeps([load])
+        displacement.append(last.state.displacement * problem.mesh.mean_edge)
+        meshes.append(problem.mesh)
+    assert np.abs(displacement[1]).max() > 0.15
+    fine = meshes[1]
+    # every fine tetrahedron lies in a coarse one, so the coarse field is exact at the fine nodes
+    onto = Basis(meshes[0].skfem_mesh, ElementTetP2()).probes(fine.node_points.T)
+    points, weights = tetrahedron_quadrature()
+    strains = []
+    for u in (onto @ displacement[0], displacement[1]):
+        f = displacement_gradient(fine, u, points) + np.eye(3)
+        strains.append(0.5 * (np.swapaxes(f, -1, -2) @ f - np.eye(3)))
+    difference, size = (
+        np.sqrt(np.einsum("m,q,mqij,mqij->", fine.volumes, weights, e, e))
+        for e in (strains[1] - strains[0], strains[0])
+    )
+    assert 0.5 < estimates[0] / (difference / size) < 2.0
+    assert 1.3 < estimates[0] / estimates[1] < 2.0  # singular at the edge of the support: below order one

@@ -62,3 +62,16 @@ def test_passes_over_parts_of_the_mesh_add_up(monkeypatch: pytest.MonkeyPatch) -
 def test_a_mesh_too_small_for_any_fit_still_has_an_estimate() -> None:
     mesh = TetMesh(*cube(1).arrays)
     assert 0.0 < StrainRecovery(mesh).relative_error(_field(mesh.node_points)) < 1.0
+
+
+def test_a_turn_of_the_body_is_no_finite_strain() -> None:
+    mesh = TetMesh(*cube(3, distort=0.2).arrays)
+    turn, _ = np.linalg.qr(np.random.default_rng(5).standard_normal((3, 3)))
+    turn *= np.sign(np.linalg.det(turn))
+    u = 0.1 * _field(mesh.node_points)
+    turned = (mesh.node_points + u) @ turn.T - mesh.node_points
+    recovery = StrainRecovery(mesh, finite=True)
+    error = recovery.relative_error(u)
+    assert error > 1e-3
+    assert_allclose(recovery.relative_error(turned), error, rtol=1e-9, atol=0)
+    assert StrainRecovery(mesh).relative_error(turned) < 0.5 * error
