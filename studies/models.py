@@ -221,11 +221,25 @@ def _fem_loads(scene: Scene) -> list[FemLoad]:
 
 
 def _vdm(scene: Scene, formulation: str, solver: str, name: str) -> VdmSolution:
-    """A VDM formulation: parameters by the study, by the model's own table, else by rule from the tissue."""
+    """A VDM formulation over the scene's load history."""
     from vdm.constraints import Load
 
+    return _vdm_of(scene, formulation, solver, name).solve(
+        [
+            Load(
+                contact_pressure=factor * scene.contact_pressure,
+                contact_force=factor * scene.contact_force,
+                prescribed=factor * scene.prescribed,
+            )
+            for factor in scene.load_factors
+        ]
+    )
+
+
+def _vdm_of(scene: Scene, formulation: str, solver: str, name: str) -> VdmModel:
+    """Parameters by the study, by the model's own table, else by rule from the tissue."""
     fibres = scene.anisotropy
-    model = shared(
+    return shared(
         _vdm_model,
         points=scene.mesh.surface_points,
         triangles=scene.mesh.triangles,
@@ -239,16 +253,27 @@ def _vdm(scene: Scene, formulation: str, solver: str, name: str) -> VdmSolution:
         gravity=scene.gravity,
         environment_pressure=scene.environment_pressure,
     )
-    return model.solve(
-        [
-            Load(
-                contact_pressure=factor * scene.contact_pressure,
-                contact_force=factor * scene.contact_force,
-                prescribed=factor * scene.prescribed,
-            )
-            for factor in scene.load_factors
-        ]
-    )
+
+
+def contact_frame(scene: Scene, name: str) -> Callable[[], object] | None:
+    """One frame of a surface model from the columns of its contact nodes; None for other models and solvers.
+
+    The first call computes the columns, those after it are a product each. Pressure alone loads the body: no
+    weight, no held node that moves.
+    """
+    model, solver = find(name)
+    if model.volumetric or solver != "linear":
+        return None
+    from vdm.solvers.compliance import ContactCompliance
+    from vdm.solvers.linear import LinearSolver
+
+    formulation = name.partition(":")[0].removeprefix("vdm-")
+    made = _vdm_of(scene, formulation, solver, name)
+    if not isinstance(made.solver, LinearSolver):  # a penalty
+        return None
+    contact = ContactCompliance(made.problem, made.solver)
+    nodes = np.flatnonzero(scene.contact)
+    return partial(contact.frame, nodes, scene.contact_pressure[nodes])
 
 
 def _vdm_model(

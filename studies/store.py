@@ -59,7 +59,7 @@ class StoreError(ValueError):
 
 def write_case(path: Path, case: CaseResult) -> None:
     """Write one case file."""
-    write_atomically(path, _sealed(lambda file: _fill_case(file, case)))
+    write_atomically(path, sealed(lambda file: _fill_case(file, case)))
 
 
 def read_case(path: Path) -> CaseResult:
@@ -70,7 +70,7 @@ def read_case(path: Path) -> CaseResult:
     StoreError
         not a case file, damaged, or written by a newer schema.
     """
-    with _open_sealed(path) as file:
+    with open_sealed(path) as file:
         try:
             return _read_case(file)
         except (KeyError, ValueError, OSError, json.JSONDecodeError) as error:
@@ -81,7 +81,7 @@ def read_case(path: Path) -> CaseResult:
 
 def write_study(directory: Path, run: Run) -> None:
     """Write `study.h5` and `metrics.csv`: every metric of every case, model and step in two tables."""
-    write_atomically(directory / "study.h5", _sealed(lambda file: _fill_study(file, run)))
+    write_atomically(directory / "study.h5", sealed(lambda file: _fill_study(file, run)))
     write_atomically(directory / "metrics.csv", metrics_csv(run).encode())
 
 
@@ -135,7 +135,7 @@ def case_state(directory: Path, case_hash: str) -> str:
     path = case_path(directory, case_hash)
     if path.exists():
         try:
-            with _open_sealed(path) as file:
+            with open_sealed(path) as file:
                 fresh = "metrics" in file and file["metrics"].attrs.get("versions") == _metric_versions()
         except StoreError:
             return "damaged"
@@ -146,7 +146,7 @@ def case_state(directory: Path, case_hash: str) -> str:
 def result_keys(path: Path) -> dict[str, str]:
     """Model name -> content key of the results in a case file; nothing where it cannot be read."""
     try:
-        with _open_sealed(path) as file:
+        with open_sealed(path) as file:
             return {name: str(entry.attrs.get("key", "")) for name, entry in file["models"].items()}
     except (StoreError, KeyError):
         return {}
@@ -189,7 +189,8 @@ def failure_path(directory: Path, case_hash: str) -> Path:
 # --- the file as bytes ---
 
 
-def _sealed(fill: Any) -> bytes:
+def sealed(fill: Any) -> bytes:
+    """The bytes of a file that `fill(file)` fills, its SHA-256 at the end."""
     with h5py.File("case.h5", "w", driver="core", backing_store=False, libver="v110") as file:
         fill(file)
         file.flush()
@@ -197,7 +198,8 @@ def _sealed(fill: Any) -> bytes:
     return image + _TRAILER + hashlib.sha256(image).hexdigest().encode() + b"\n"
 
 
-def _open_sealed(path: Path) -> h5py.File:
+def open_sealed(path: Path) -> h5py.File:
+    """Open a sealed file for reading. Raises StoreError where it is damaged, newer or holds links."""
     try:
         size = path.stat().st_size
         if size > MAX_BYTES:
@@ -259,7 +261,7 @@ def _fill_case(file: h5py.File, case: CaseResult) -> None:
     vtk["NumberOfPoints"] = np.array([n_points], dtype=np.int64)
     vtk["NumberOfCells"] = np.array([n_cells], dtype=np.int64)
     vtk["NumberOfConnectivityIds"] = np.array([3 * n_cells], dtype=np.int64)
-    _dataset(vtk, "Points", case.points, "m")
+    put(vtk, "Points", case.points, "m")
     vtk["Connectivity"] = case.triangles.astype(np.int64).ravel()
     vtk["Offsets"] = np.arange(0, 3 * n_cells + 1, 3, dtype=np.int64)
     vtk["Types"] = np.full(n_cells, _VTK_TRIANGLE, dtype=np.uint8)
@@ -277,7 +279,7 @@ def _fill_case(file: h5py.File, case: CaseResult) -> None:
     offsets = steps.create_group("PointDataOffsets")
 
     def per_step(name: str, values: NDArray[Any], unit: str) -> None:
-        _dataset(point_data, name, values.reshape(n_steps * n_points, *values.shape[2:]), unit)
+        put(point_data, name, values.reshape(n_steps * n_points, *values.shape[2:]), unit)
         offsets[name] = np.arange(n_steps, dtype=np.int64) * n_points
 
     for name, model in case.models.items():
@@ -286,7 +288,7 @@ def _fill_case(file: h5py.File, case: CaseResult) -> None:
         for field, values in model.point_fields.items():
             per_step(f"{name}.{field}", values, "")
     for name, mask in case.regions.items():
-        _dataset(point_data, f"region.{name}", mask.astype(np.int8), "1")
+        put(point_data, f"region.{name}", mask.astype(np.int8), "1")
         offsets[f"region.{name}"] = np.zeros(n_steps, dtype=np.int64)
 
     group = file.create_group("case")
@@ -312,7 +314,7 @@ def _fill_case(file: h5py.File, case: CaseResult) -> None:
     for name, series in case.metrics.items():
         model_group = metrics.create_group(name, track_order=True)
         for metric, entry in series.items():
-            dataset = _dataset(model_group, metric, entry.values, entry.unit)
+            dataset = put(model_group, metric, entry.values, entry.unit)
             dataset.attrs["definition"] = entry.definition
             dataset.attrs["version"] = entry.version
     if case.small_strain is not None:
@@ -327,7 +329,7 @@ def _fill_limits(group: h5py.Group, found: SmallStrainLimits) -> None:
         model.attrs["structural_error"] = entry.structural_error
         model.attrs["structural_bar"] = entry.structural_bar
         for quantity, unit in units.items():
-            _dataset(model, quantity, np.array([getattr(limit, quantity) for limit in entry.limits]), unit)
+            put(model, quantity, np.array([getattr(limit, quantity) for limit in entry.limits]), unit)
         model.create_dataset("state", data=[limit.state for limit in entry.limits], dtype=_TEXT)
 
 
@@ -349,7 +351,7 @@ def _read_limits(group: h5py.Group) -> SmallStrainLimits:
 
 def _fill_model(group: h5py.Group, model: ModelResult) -> None:
     for name, unit in _SERIES.items():
-        _dataset(group, name, getattr(model, name), unit)
+        put(group, name, getattr(model, name), unit)
     group.attrs["seconds_setup"] = model.seconds_setup
     group.attrs["peak_bytes"] = model.peak_bytes
     group.attrs["version"] = model.version
@@ -360,7 +362,7 @@ def _fill_model(group: h5py.Group, model: ModelResult) -> None:
     group.create_dataset("parameters", data=_json(model.parameters), dtype=_TEXT)
     scalars = group.create_group("scalars", track_order=True)
     for name, values in model.scalars.items():
-        _dataset(scalars, name, values, "1")
+        put(scalars, name, values, "1")
 
 
 def _read_case(file: h5py.File) -> CaseResult:
@@ -443,14 +445,14 @@ def _fill_study(file: h5py.File, run: Run) -> None:
         values = [case.swept.get(key) for case in run.cases]
         unit = next(case.swept_units.get(key, "1") for case in run.cases if key in case.swept)
         if all(isinstance(value, int | float) for value in values):
-            _dataset(swept, key, np.array(values, dtype=float), unit)
+            put(swept, key, np.array(values, dtype=float), unit)
         else:
             swept.create_dataset(key, data=[str(value) for value in values], dtype=_TEXT)
     n_steps = max((len(case.load_factors) for case in run.cases), default=0)
     factors = np.full((len(run.cases), n_steps), np.nan)
     for row, case in enumerate(run.cases):
         factors[row, : len(case.load_factors)] = case.load_factors
-    _dataset(file, "load_factor", factors, "1")
+    put(file, "load_factor", factors, "1")
     index = {case.hash: row for row, case in enumerate(run.cases)}
     metrics = file.create_group("metrics", track_order=True)
     tables: dict[tuple[str, str], NDArray[np.float64]] = {}
@@ -460,7 +462,7 @@ def _fill_study(file: h5py.File, run: Run) -> None:
         table[index[case.hash], : len(series.values)] = series.values
         about[model, metric] = series
     for (model, metric), table in tables.items():
-        dataset = _dataset(metrics.require_group(model), metric, table, about[model, metric].unit)
+        dataset = put(metrics.require_group(model), metric, table, about[model, metric].unit)
         dataset.attrs["definition"] = about[model, metric].definition
         dataset.attrs["version"] = about[model, metric].version
         dataset.dims[0].label = "case"
@@ -470,7 +472,8 @@ def _fill_study(file: h5py.File, run: Run) -> None:
 # --- small helpers ---
 
 
-def _dataset(group: h5py.Group, name: str, values: NDArray[Any], unit: str) -> h5py.Dataset:
+def put(group: h5py.Group, name: str, values: NDArray[Any], unit: str) -> h5py.Dataset:
+    """Store an array with its unit."""
     values = np.asarray(values)
     large = values.size > 4096
     options = {"compression": "gzip", "compression_opts": 1, "shuffle": True} if large else {}

@@ -1,0 +1,249 @@
+"""Run time against error: every model on the same meshes, measured in turns inside one process.
+
+In a round every model is set up anew and answers the same two loads: pressure on the study's contact region, and
+one over the whole free surface. Rounds are repeated, so that what else the machine does weighs on all models, and
+ratios are taken inside a round.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import gc
+import os
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from threadpoolctl import threadpool_info
+
+from . import models
+from .bench_data import YARDSTICK, Bench, Entry
+from .case import ModelResult
+from .config import expand, geometry_of, with_mesh_size
+from .growth import growths
+from .mesh import Array
+from .mesh_cache import mesh_from_cache
+from .metrics import History, Surface, evaluate
+from .reference import own_error, refined_levels, require_converged
+from .scene import Scene, build_scene
+from .schema import Study
+from .setups import sharing
+from .worker import provenance
+
+MODELS = (
+    "mass-spring",
+    "vdm-paper",
+    "vdm-paper:bicg",
+    "vdm-consistent",
+    "vdm-vector",
+    "vdm-vector:quasi-linear",
+    "vdm-vector:nonlinear",
+    "vdm-boundary",
+    "fem-coarse",
+    "fem-p1",
+    "fem-condensed",
+    "fem-linear",
+    "fem",
+)
+SIZES = (2.0, 1.6, 1.3)  # mesh sizes over that of the study
+LARGE_SIZES = (2.0, 1.5, 1.2, 1.0)
+ROUNDS = 3
+BUDGET = 10.0  # seconds after which a model is measured no further on one mesh
+FRAMES = np.array([0.5, 1.0])
+LOCAL_FRAMES = 20  # of a product that takes microseconds
+MOST_CONDENSED = 150  # nodes up to which columns for the whole surface are worth their making
+# what a result's parameters tell that does not depend on the machine
+COUNTS = ("dofs", "tetrahedra", "columns", "matrix_bytes", "coarse_tetrahedra")
+
+
+@dataclass
+class _Tally:
+    """What one model has been measured to take so far."""
+
+    setup: list[float] = field(default_factory=list)
+    frame_all: list[float] = field(default_factory=list)
+    frame_local: list[float] = field(default_factory=list)
+    columns: list[float] = field(default_factory=list)
+    peak: list[float] = field(default_factory=list)
+    spent: float = 0.0
+    result: ModelResult | None = None
+
+
+def measure(
+    bodies: Sequence[Study],
+    cache: Path,
+    *,
+    names: Sequence[str] | None = None,
+    sizes: Sequence[float] = SIZES,
+    rounds: int = ROUNDS,
+    large: bool = False,
+    watch: Callable[[str], None] = lambda text: None,
+) -> Bench:
+    """Measure every model on the first case of each study, at several mesh sizes.
+
+    Parameters
+    ----------
+    names : the models; None for those of each study itself
+    sizes : mesh sizes over that of the study, the coarsest first
+    large : growth on surfaces of up to 163,842 nodes
+    watch : told what is being measured
+
+    Raises
+    ------
+    ValueError
+        InputError or TaskError of a study whose mesh or reference cannot be made.
+    """
+    entries: list[Entry] = []
+    about: dict[str, str] = {}
+    for body in bodies:
+        case = expand(body)[0].study
+        for size in sizes:
+            study = case if size == 1.0 else with_mesh_size(case, size)
+            if study is None:  # a mesh of its own, of one size
+                study = case
+            mesh = mesh_from_cache(geometry_of(study), cache)
+            about = about or provenance(mesh)
+            watch(f"{study.study.name}, {len(mesh.surface_nodes)} nodes")
+            scene = build_scene(study, mesh)
+            entries += _on_mesh(study, scene, names or study.study.models, rounds)
+            if study is case:
+                break
+    watch("growth")
+    return Bench(_machine(about, rounds), entries, growths(rounds, large=large))
+
+
+def _machine(about: dict[str, str], rounds: int) -> dict[str, str]:
+    threads = sorted({f"{info['internal_api']} {info['num_threads']}" for info in threadpool_info()})
+    memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+    kept = {name: text for name, text in about.items() if name not in ("mesh_hash", "platform")}
+    return {
+        "processor": kept.pop("processor"),
+        "cores": str(len(os.sched_getaffinity(0))),
+        "memory": f"{memory / 1e9:.1f} GB",
+        "threads": ", ".join(threads),
+        "rounds": str(rounds),
+        **kept,
+    }
+
+
+def _on_mesh(study: Study, scene: Scene, names: Sequence[str], rounds: int) -> list[Entry]:
+    """Every model on one mesh, each against linear elements on its refinement."""
+    contact = dataclasses.replace(scene, load_factors=FRAMES)
+    surface = Surface(scene.mesh.surface_points, scene.mesh.triangles, scene.contact)
+    with sharing():
+        own = models.run_model(contact, YARDSTICK)
+        require_converged(YARDSTICK, own)
+        finest = refined_levels([_with_history(study)], [contact], YARDSTICK, 2)[0][0]
+    bars = own_error(surface, [finest, own], FRAMES)
+    reference = History(finest.displacement, finest.reaction_force, FRAMES)
+    everywhere = dataclasses.replace(contact, facet_pressure=_pressure_everywhere(scene))
+    tallies = {name: _Tally() for name in names}
+    for _ in range(rounds):
+        for name, tally in tallies.items():
+            if tally.spent < BUDGET:
+                start = time.perf_counter()
+                _once(contact, everywhere, name, tally)
+                tally.spent += time.perf_counter() - start
+            else:
+                for values in (tally.setup, tally.frame_all, tally.frame_local, tally.columns):
+                    values.append(np.nan)
+    yard = tallies.get(YARDSTICK)
+    return [
+        _entry(
+            name, tally, yard, scene, study, surface, reference, bars["gci:relative_l2_displacement_error"]
+        )
+        for name, tally in tallies.items()
+    ]
+
+
+def _with_history(study: Study) -> Study:
+    """The study with the benchmark's two loads: what a scene on a refined mesh is built from."""
+    load = study.load.model_copy(update={"factors": tuple(FRAMES.tolist()), "steps": None})
+    return study.model_copy(update={"load": load})
+
+
+def _pressure_everywhere(scene: Scene) -> Array:
+    """(F, Q) pressure on every facet without a held node, growing with height: uniform, it would move nothing."""
+    triangles, z = scene.mesh.triangles, scene.mesh.surface_points[:, 2]
+    height = (z - z.min()) / max(float(np.ptp(z)), np.finfo(float).tiny)
+    free = ~scene.held[triangles].any(axis=1)
+    largest = float(scene.facet_pressure.max()) or 1.0
+    facet: Array = 0.1 * largest * np.where(free, height[triangles].mean(axis=1), 0.0)
+    return np.repeat(facet[:, None], scene.facet_pressure.shape[1], axis=1)
+
+
+def _once(contact: Scene, everywhere: Scene, name: str, tally: _Tally) -> None:
+    """One round of one model: a new set-up, both loads, and the short way for a contact where there is one."""
+    gc.collect()
+    with sharing():
+        result = models.run_model(contact, name)
+        tally.setup.append(result.seconds_setup)
+        tally.peak.append(float(result.peak_bytes))
+        frame, columns, everything = float(np.median(result.seconds_per_step)), 0.0, np.nan
+        if name != "fem-condensed" or len(contact.fixed) <= MOST_CONDENSED:
+            everything = float(np.median(models.run_model(everywhere, name).seconds_per_step))
+        short = models.contact_frame(contact, name) if result.status[0].ok else None
+        if short is not None:
+            columns = _seconds(short)
+            short()
+            product = float(np.median([_seconds(short) for _ in range(LOCAL_FRAMES)]))
+            if product < frame:
+                frame = product
+            else:
+                columns = 0.0
+        tally.frame_local.append(frame)
+        tally.frame_all.append(everything)
+        tally.columns.append(columns)
+    tally.result = result
+
+
+def _seconds(function: Callable[[], object]) -> float:
+    start = time.perf_counter()
+    function()
+    return time.perf_counter() - start
+
+
+def _entry(
+    name: str,
+    tally: _Tally,
+    yard: _Tally | None,
+    scene: Scene,
+    study: Study,
+    surface: Surface,
+    reference: History,
+    bar: float,
+) -> Entry:
+    result = tally.result
+    if result is None:
+        raise ValueError("a benchmark needs one round or more")
+    failed = [status for status in result.status if not status.ok]
+    errors = {}
+    if not failed:
+        found = evaluate(surface, History(result.displacement, result.reaction_force, FRAMES), reference)
+        errors = {metric: float(values[-1]) for metric, values in found.items()}
+    setup, local = np.array(tally.setup), np.array(tally.frame_local)
+    columns = np.array(tally.columns)
+    nothing = np.full(len(setup), np.nan)
+    counts = {key: float(result.parameters[key]) for key in COUNTS if key in result.parameters}
+    return Entry(
+        body=study.study.name,
+        model=name,
+        nodes=len(scene.fixed),
+        tetrahedra=len(scene.mesh.tetrahedra),
+        setup=setup,
+        frame_all=np.array(tally.frame_all),
+        frame_local=local,
+        columns=columns,
+        recut=setup + columns + local,
+        ratio_setup=setup / np.array(yard.setup) if yard else nothing,
+        ratio_frame=local / np.array(yard.frame_local) if yard else nothing,
+        peak_bytes=float(np.median(tally.peak)),
+        error=errors.get("relative_l2_displacement_error", np.nan),
+        deformation_error=errors.get("relative_l2_deformation_error", np.nan),
+        bar=bar,
+        iterations=float(result.iterations[-1]),
+        counts=counts,
+        status=failed[0].message if failed else "converged",
+    )

@@ -1,0 +1,245 @@
+"""What a benchmark measured, and what follows from it: plain data and pure functions, no solver."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+YARDSTICK = "fem-linear"  # ratios are over its time in the same round
+MODEL, ERROR, FRAME, SETUP = "model", "error", "frame", "setup"
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One model on one mesh. Times are (R,) seconds, one per round; NaN where the model has no such thing.
+
+    Attributes
+    ----------
+    body : name of the study
+    nodes, tetrahedra : of the mesh that all models share
+    setup : operators and factors of a new body, mesh given
+    frame_all : one load over the whole free surface
+    frame_local : one load on the study's contact region, by the cheapest way that the model has
+    columns : what `frame_local` needs once per contact region, beyond the set-up; zero where nothing
+    recut : from a changed mesh to the first answer: set-up, columns and a frame; no meshing
+    ratio_setup, ratio_frame : of set-up and `frame_local` over those of `YARDSTICK` in the same round
+    peak_bytes : resident memory that set-up and solve added at their peak
+    error, deformation_error : relative L2 against the finest reference, of the contact load
+    bar : that reference's own error (GCI)
+    iterations : of the contact load
+    counts : figures that do not depend on the machine, by name
+    """
+
+    body: str
+    model: str
+    nodes: int
+    tetrahedra: int
+    setup: Array
+    frame_all: Array
+    frame_local: Array
+    columns: Array
+    recut: Array
+    ratio_setup: Array
+    ratio_frame: Array
+    peak_bytes: float
+    error: float
+    deformation_error: float
+    bar: float
+    iterations: float
+    counts: Mapping[str, float] = field(default_factory=dict)
+    status: str = "converged"
+
+
+@dataclass(frozen=True)
+class Growth:
+    """A quantity over at least four sizes of one body."""
+
+    what: str
+    unit: str
+    nodes: Array
+    values: Array
+
+    @property
+    def exponent(self) -> float:
+        """Slope of the least-squares line through the logarithms."""
+        return float(np.polyfit(np.log(self.nodes), np.log(self.values), 1)[0])
+
+
+@dataclass(frozen=True)
+class Bench:
+    """A whole benchmark: the machine, every model on every mesh, how costs grow."""
+
+    machine: Mapping[str, str]
+    entries: Sequence[Entry]
+    growths: Sequence[Growth]
+
+    def meshes(self) -> list[tuple[str, int]]:
+        """(body, nodes) of each mesh, in the order measured."""
+        return list(dict.fromkeys((entry.body, entry.nodes) for entry in self.entries))
+
+    def on(self, mesh: tuple[str, int]) -> list[Entry]:
+        """The entries of one mesh."""
+        return [entry for entry in self.entries if (entry.body, entry.nodes) == mesh]
+
+
+def median(values: Array) -> float:
+    """Of what was measured; NaN where nothing was."""
+    known = values[np.isfinite(values)]
+    return float(np.median(known)) if known.size else math.nan
+
+
+def spread(values: Array) -> tuple[float, float]:
+    """Least and largest of what was measured."""
+    known = values[np.isfinite(values)]
+    return (float(known.min()), float(known.max())) if known.size else (math.nan, math.nan)
+
+
+def break_even(fast: Entry, slow: Entry) -> float:
+    """Frames per set-up below which `slow`, which has the shorter set-up, costs less in total than `fast`.
+
+    0 where `slow` never wins, infinite where it always does.
+    """
+    setup = median(fast.recut) - median(slow.recut)
+    frame = median(slow.frame_local) - median(fast.frame_local)
+    if setup <= 0.0:
+        return math.inf if frame < 0.0 else 0.0
+    return setup / frame if frame > 0.0 else math.inf
+
+
+def answers(bench: Bench) -> list[str]:
+    """The benchmark's questions answered in one line each, on the finest mesh of each body."""
+    lines = []
+    for body in dict.fromkeys(entry.body for entry in bench.entries):
+        mesh = [m for m in bench.meshes() if m[0] == body][-1]
+        lines += [f"{body}, {mesh[1]:,} nodes: {text}" for text in _answers(bench.on(mesh))]
+    return lines
+
+
+def _answers(entries: Sequence[Entry]) -> list[str]:
+    usable = [e for e in entries if math.isfinite(e.error) and median(e.frame_local) > 0.0]
+    if not usable:
+        return ["nothing to compare"]
+    lines = [_fastest(usable, limit) for limit in (0.1, 0.25)]
+    lines += [_most_accurate(usable, limit) for limit in _frame_times(usable)]
+    surface = [e for e in usable if not e.model.startswith("fem")]
+    condensed = next((e for e in usable if e.model == "fem-condensed"), None)
+    if surface and condensed:
+        lines += [_against_condensed(e, condensed) for e in _front(surface)]
+    return lines
+
+
+def _fastest(entries: Sequence[Entry], limit: float) -> str:
+    within = [e for e in entries if e.error <= limit]
+    if not within:
+        return f"no model is within {100 * limit:g} % of the reference"
+    best = min(within, key=lambda e: median(e.frame_local))
+    again = min(within, key=lambda e: median(e.recut))
+    return (
+        f"at an error of at most {100 * limit:g} % the fastest frame is {best.model}'s "
+        f"({seconds(median(best.frame_local))}), the fastest re-cut {again.model}'s ({seconds(median(again.recut))})"
+    )
+
+
+def _frame_times(entries: Sequence[Entry]) -> list[float]:
+    """Frame times worth asking about: a frame of haptics and one of graphics."""
+    fastest = min(median(e.frame_local) for e in entries)
+    return [limit for limit in (1e-3, 1 / 60) if limit >= fastest]
+
+
+def _most_accurate(entries: Sequence[Entry], limit: float) -> str:
+    within = [e for e in entries if median(e.frame_local) <= limit]
+    best = min(within, key=lambda e: e.error)
+    cuts = [e for e in within if median(e.recut) <= limit]
+    text = f"at {seconds(limit)} a frame the most accurate is {best.model} ({100 * best.error:.2g} %)"
+    if cuts:
+        cut = min(cuts, key=lambda e: e.error)
+        return f"{text}, with a re-cut in every frame {cut.model} ({100 * cut.error:.2g} %)"
+    return f"{text}; with a re-cut in every frame, none"
+
+
+def _front(entries: Sequence[Entry]) -> list[Entry]:
+    """Those that no other beats in both error and re-cut time."""
+    return [
+        e
+        for e in entries
+        if not any(o.error < e.error and median(o.recut) < median(e.recut) for o in entries if o is not e)
+    ]
+
+
+def _against_condensed(entry: Entry, condensed: Entry) -> str:
+    frames = break_even(condensed, entry)
+    pair = f"{entry.model} ({100 * entry.error:.2g} %) against fem-condensed ({100 * condensed.error:.2g} %)"
+    if math.isinf(frames):
+        return f"{pair}: faster for any number of frames per re-cut"
+    if frames < 1.0:
+        return f"{pair}: slower from the first frame after a re-cut"
+    return f"{pair}: faster in total up to {frames:,.0f} frames per re-cut, slower beyond"
+
+
+def pareto(entries: Iterable[Entry]) -> list[Entry]:
+    """Those that no other beats in both error and time per local frame, the fastest first."""
+    front: list[Entry] = []
+    usable = (e for e in entries if math.isfinite(e.error) and math.isfinite(median(e.frame_local)))
+    for entry in sorted(usable, key=lambda e: (median(e.frame_local), e.error)):
+        if not front or entry.error < front[-1].error:
+            front.append(entry)
+    return front
+
+
+def seconds(value: float) -> str:
+    """A time with the unit that suits it."""
+    for factor, unit in ((1.0, "s"), (1e-3, "ms"), (1e-6, "µs")):
+        if value >= factor or unit == "µs":
+            return "–" if math.isnan(value) else f"{value / factor:.3g} {unit}"
+    return "–"
+
+
+def rows(bench: Bench) -> list[dict[str, str]]:
+    """The printed table: column title -> text."""
+
+    def timed(values: Array) -> str:
+        low, high = spread(values)
+        return f"{seconds(median(values))} [{seconds(low)}, {seconds(high)}]" if low == low else "–"
+
+    return [
+        {
+            "body": e.body,
+            "nodes": f"{e.nodes:,}",
+            "model": e.model,
+            "set-up": timed(e.setup),
+            "frame, all nodes": timed(e.frame_all),
+            "frame, contact": timed(e.frame_local),
+            "re-cut": timed(e.recut),
+            "set-up ratio": _ratio(e.ratio_setup),
+            "frame ratio": _ratio(e.ratio_frame),
+            "memory": f"{e.peak_bytes / 1e6:.0f} MB",
+            "error": f"{100 * e.error:.3g} % ± {100 * e.bar:.2g} %" if math.isfinite(e.error) else e.status,
+        }
+        for e in bench.entries
+    ]
+
+
+def _ratio(values: Array) -> str:
+    ratio = median(values)
+    return "–" if math.isnan(ratio) else f"{ratio:.2g}"
+
+
+def machine_independent(bench: Bench) -> dict[str, float]:
+    """Every figure that another machine must find too, by name."""
+    out: dict[str, float] = {}
+    for e in bench.entries:
+        at = f"{e.body}/{e.nodes}/{e.model}"
+        if math.isfinite(e.error):
+            out |= {f"{at}/error": e.error, f"{at}/deformation_error": e.deformation_error}
+        out[f"{at}/iterations"] = e.iterations
+        out |= {f"{at}/{name}": value for name, value in e.counts.items()}
+    for growth in bench.growths:
+        if growth.unit != "s":
+            out[f"growth/{growth.what}"] = growth.exponent
+    return out

@@ -1,0 +1,125 @@
+"""The page of a benchmark: run time against error, where the time goes, how costs grow."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+
+from markupsafe import Markup
+
+from ..bench_data import Bench, Entry, Growth, answers, median, pareto, rows, seconds, spread
+from ..files import write_atomically
+from .blocks import Cell, Column, Facts, Figure, Figures, Section, Table, Text
+from .document import encoded, html_document
+from .formatting import listed, short_percent
+from .plots import Plot, colour, line, log_axis, marker, percent_axis, time_ticks
+
+NOTE = (
+    "Every model answers the same contact load on the same mesh. Its error is the relative L2 difference from linear "
+    "elements on the refined mesh, ± that reference's own. Times are medians [least, largest] over rounds in which "
+    "all models take turns; ratios are to fem-linear in the same round. Frame, contact: by the columns of the contact "
+    "nodes where the model has them. Re-cut: from a changed mesh to its first answer, without meshing."
+)
+
+
+def write_bench_page(bench: Bench, path: Path) -> None:
+    """Write the page; the same benchmark gives the same bytes.
+
+    Raises
+    ------
+    OSError
+        disk full or read-only.
+    """
+    write_atomically(path, encoded(bench_html(bench)))
+
+
+def bench_html(bench: Bench) -> str:
+    """The page as text."""
+    numbers = {name: k for k, name in enumerate(dict.fromkeys(e.model for e in bench.entries))}
+    legend = [(k, name, False) for name, k in numbers.items()]
+    figures = [
+        Figure(pareto_plot(bench.on(mesh), numbers, f"p{k}"), f"{mesh[0]}, {mesh[1]:,} nodes")
+        for k, mesh in enumerate(bench.meshes())
+    ]
+    sections = [
+        Section("answers", "In one line each", [Text(text) for text in answers(bench)]),
+        Section(
+            "pareto", "Run time against error", [Text(FIGURE_NOTE, kind="note"), Figures(figures, legend)]
+        ),
+        Section("table", "Costs", [Text(NOTE, kind="note"), _table(bench, numbers)]),
+    ]
+    if bench.growths:
+        sections.append(_growth(bench.growths))
+    sections.append(Section("machine", "Machine", [Facts(list(bench.machine.items()))]))
+    return html_document(
+        title="Run time against error",
+        name="bench",
+        verdict=answers(bench)[:1],
+        counts=[(f"{len(bench.entries)} measurements", "")],
+        models=legend,
+        sections=sections,
+    )
+
+
+FIGURE_NOTE = (
+    "Further left is faster, lower is closer. Filled: one frame of a contact. Hollow, at the end of the dotted line: "
+    "a re-cut. The grey line joins what no other model beats in both error and frame."
+)
+
+
+def pareto_plot(entries: Sequence[Entry], numbers: dict[str, int], salt: str) -> Markup:
+    """Frame and re-cut time against the error of the models on one mesh."""
+    usable = [e for e in entries if math.isfinite(e.error) and median(e.frame_local) > 0.0]
+    plot = Plot("time", "displacement error", salt)
+    with plot as axes:
+        front = pareto(usable)
+        axes.plot(
+            [median(e.frame_local) for e in front], [e.error for e in front], color="0.7", linewidth=1.0
+        )
+        for e in usable:
+            k, frame, recut = numbers[e.model], median(e.frame_local), median(e.recut)
+            axes.plot(list(spread(e.frame_local)), [e.error] * 2, color=colour(k), linewidth=1.0)
+            axes.plot([frame, recut], [e.error] * 2, ":", color=colour(k), linewidth=1.0)
+            axes.plot([recut], [e.error], marker=marker(k), color=colour(k), markerfacecolor="none")
+            axes.plot([frame], [e.error], marker=marker(k), color=colour(k), markersize=6.5, linestyle="none")
+        time_ticks(axes)
+        percent_axis(axes, [e.error for e in usable])
+    told = [f"{e.model} {seconds(median(e.frame_local))} at {short_percent(e.error)}" for e in usable]
+    return plot.drawn(f"Run time against displacement error: {listed(told)}.")
+
+
+def _table(bench: Bench, numbers: dict[str, int]) -> Table:
+    shown = rows(bench)
+    columns = [Column(title, numeric=k > 2) for k, title in enumerate(shown[0])] if shown else []
+    values = {"error": "error", "memory": "peak_bytes"}
+    cells = [
+        [
+            Cell(text, value=getattr(e, values[title]) if title in values else None)
+            for title, text in row.items()
+        ]
+        for e, row in zip(bench.entries, shown, strict=True)
+    ]
+    return Table("bench", "", columns, cells, [numbers[e.model] for e in bench.entries], open_rows=200)
+
+
+def _growth(growths: Sequence[Growth]) -> Section:
+    columns = [
+        Column("quantity", numeric=False),
+        Column("exponent"),
+        Column("sizes"),
+        Column("at the largest"),
+    ]
+    cells = [
+        [
+            Cell(g.what),
+            Cell(f"{g.exponent:.2f}", value=g.exponent),
+            Cell(", ".join(f"{int(n):,}" for n in g.nodes)),
+            Cell(seconds(float(g.values[-1])) if g.unit == "s" else f"{g.values[-1]:,.0f}"),
+        ]
+        for g in growths
+    ]
+    note = (
+        "Least-squares slope of the logarithms over surface nodes of a sphere. Fill: non-zeros of the factor."
+    )
+    return Section("growth", "Growth", [Text(note, kind="note"), Table("growth", "", columns, cells)])
