@@ -8,7 +8,7 @@ RUN := .venv/bin/
 PYTEST := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(RUN)python -m pytest
 
 .PHONY: demo test verify docs baselines accuracy claims calibrations setup libraries clean
-.PHONY: bench-vdm bench-fem bench-sharing
+.PHONY: bench-vdm bench-fem bench-sharing bench-baseline bench-stages
 
 demo: setup
 	$(RUN)vdmbench run quickstart
@@ -56,6 +56,14 @@ bench-fem: setup
 # 100 linear loads beside one: shared, and each alone
 bench-sharing: setup
 	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(RUN)python -m tests.benchmarks.sharing
+
+# the benchmark's machine-independent figures that the tests hold: look at the difference before committing it
+bench-baseline: setup
+	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(RUN)python -m tests.regression.test_bench
+
+# where the time of `make demo` and of a sweep of twenty cases goes
+bench-stages: setup
+	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(RUN)python -m tests.benchmarks.stages
 
 setup: libraries .venv/ready
 

@@ -79,7 +79,7 @@ def measure(
     sizes: Sequence[float] = SIZES,
     rounds: int = ROUNDS,
     large: bool = False,
-    watch: Callable[[str], None] = lambda text: None,
+    watch: Callable[[str], object],
 ) -> Bench:
     """Measure every model on the first case of each study, at several mesh sizes.
 

@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 YARDSTICK = "fem-linear"  # ratios are over its time in the same round
-MODEL, ERROR, FRAME, SETUP = "model", "error", "frame", "setup"
 
 
 @dataclass(frozen=True)
@@ -141,8 +140,9 @@ def _fastest(entries: Sequence[Entry], limit: float) -> str:
     best = min(within, key=lambda e: median(e.frame_local))
     again = min(within, key=lambda e: median(e.recut))
     return (
-        f"at an error of at most {100 * limit:g} % the fastest frame is {best.model}'s "
-        f"({seconds(median(best.frame_local))}), the fastest re-cut {again.model}'s ({seconds(median(again.recut))})"
+        f"at an error of at most {100 * limit:g} % the fastest frame is {best.model}'s"
+        f" ({seconds(median(best.frame_local))}), the fastest re-cut is {again.model}'s"
+        f" ({seconds(median(again.recut))})"
     )
 
 

@@ -40,7 +40,7 @@ def write_bench(path: Path, bench: Bench) -> None:
 def _fill(file: Any, bench: Bench) -> None:
     case = file.create_group("case")
     case.attrs["schema"] = SCHEMA
-    case.attrs["machine"] = json.dumps(dict(bench.machine), sort_keys=True)
+    case.attrs["machine"] = json.dumps(dict(bench.machine))
     entries = file.create_group("entries")
     for name in _TEXTS:
         entries.create_dataset(name, data=[getattr(e, name).encode() for e in bench.entries])

@@ -26,6 +26,7 @@ from .cli_output import (
     print_json,
     print_run,
     print_table,
+    tell,
 )
 
 if TYPE_CHECKING:
@@ -92,9 +93,11 @@ def _parser() -> argparse.ArgumentParser:
         sub.set_defaults(verb=function)
         return sub
 
-    def study_verb(name: str, function: Any, text: str) -> argparse.ArgumentParser:
+    def study_verb(name: str, function: Any, text: str, count: str | None = None) -> argparse.ArgumentParser:
         sub = verb(name, function, text)
-        sub.add_argument("study", metavar="STUDY", help="path of a study file, or a shipped study's name")
+        sub.add_argument(
+            "study", metavar="STUDY", nargs=count, help="path of a study file, or a shipped study's name"
+        )
         sub.add_argument(
             "--surface",
             type=Path,
@@ -160,6 +163,9 @@ def _parser() -> argparse.ArgumentParser:
     gate.add_argument("--junit", type=Path, metavar="FILE", help="write JUnit XML too")
     gate.add_argument("--markdown", type=Path, metavar="FILE", help="write a summary in Markdown too")
     accept.add_argument("--reason", required=True, metavar="TEXT", help="why these numbers are right")
+    bench = study_verb("bench", _bench, "measure run time against error for every model", "?")
+    bench.add_argument("--out", type=Path, metavar="DIR", help="directory (default results/bench)")
+    bench.add_argument("--large", action="store_true", help="finer meshes, surfaces of up to 163,842 nodes")
     verb("doctor", _doctor, "say what the machine has and lacks")
     return parser
 
@@ -372,6 +378,42 @@ def _accept(options: argparse.Namespace) -> int:
 def _baseline(options: argparse.Namespace, study: str) -> Path:
     path: Path = options.baseline or _results() / "baselines" / f"{study}.json"
     return path
+
+
+def _bench(options: argparse.Namespace) -> int:
+    """The study, or a sphere and an organ (the given surface in its stead) with every model."""
+    from . import bench
+    from .bench_data import answers, machine_independent, rows
+    from .bench_store import write_bench
+    from .report.bench_page import write_bench_page
+
+    names = [options.study] if options.study else ["quickstart", "accuracy-organ"]
+    surfaces = [options.surface] if options.study else [None, options.surface]
+    studies = [
+        _load(argparse.Namespace(**vars(options) | {"study": name, "surface": surface}))[0]
+        for name, surface in zip(names, surfaces, strict=True)
+    ]
+    out = options.out or _results() / "bench"
+    found = bench.measure(
+        studies,
+        _results() / "cache",
+        names=None if options.study else bench.MODELS,
+        sizes=bench.LARGE_SIZES if options.large else bench.SIZES,
+        large=options.large,
+        watch=lambda text: tell(f"measuring {text}"),
+    )
+    write_bench(out / "bench.h5", found)
+    write_bench_page(found, out / "bench.html")
+    if options.json:
+        return print_json(
+            {"rows": rows(found), "answers": answers(found), "figures": machine_independent(found)}
+        )
+    print(", ".join(f"{name}: {text}" for name, text in list(found.machine.items())[:5]))
+    print_table(rows(found))
+    for growth in found.growths:
+        print(f"{growth.what} grows as nodes ^ {growth.exponent:.2f}")
+    print(*answers(found), f"report: {out / 'bench.html'}", sep="\n")
+    return OK
 
 
 def _doctor(options: argparse.Namespace) -> int:

@@ -98,6 +98,11 @@ class Progress:
             print(f"{event.kind} {label} ({event.seconds:.1f} s)", file=sys.stderr, flush=True)
 
 
+def tell(text: str) -> None:
+    """A line of progress, on standard error."""
+    print(text, file=sys.stderr, flush=True)
+
+
 def print_json(value: Any) -> int:
     print(json.dumps(value, indent=1))
     return OK

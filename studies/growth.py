@@ -1,4 +1,4 @@
-"""How the cost of the surface model grows: spheres of 642 to 163,842 nodes, set-up, frame and fill of the factor."""
+"""How the cost of the surface model grows: spheres of up to 163,842 nodes: set-up, frame, fill of the factor."""
 
 from __future__ import annotations
 

@@ -13,13 +13,13 @@ from ..files import write_atomically
 from .blocks import Cell, Column, Facts, Figure, Figures, Section, Table, Text
 from .document import encoded, html_document
 from .formatting import listed, short_percent
-from .plots import Plot, colour, line, log_axis, marker, percent_axis, time_ticks
+from .plots import Plot, colour, marker, percent_axis, time_ticks
 
 NOTE = (
-    "Every model answers the same contact load on the same mesh. Its error is the relative L2 difference from linear "
-    "elements on the refined mesh, ± that reference's own. Times are medians [least, largest] over rounds in which "
-    "all models take turns; ratios are to fem-linear in the same round. Frame, contact: by the columns of the contact "
-    "nodes where the model has them. Re-cut: from a changed mesh to its first answer, without meshing."
+    "Every model answers the same contact load on the same mesh. Its error is the relative L2 difference from "
+    "linear elements on the refined mesh, ± that reference's own. Times are medians [least, largest] over rounds in "
+    "which all models take turns; ratios are to fem-linear in the same round. Frame, contact: by the columns of the "
+    "contact nodes where the model has them. Re-cut: from a changed mesh to its first answer, without meshing."
 )
 
 
@@ -63,8 +63,8 @@ def bench_html(bench: Bench) -> str:
 
 
 FIGURE_NOTE = (
-    "Further left is faster, lower is closer. Filled: one frame of a contact. Hollow, at the end of the dotted line: "
-    "a re-cut. The grey line joins what no other model beats in both error and frame."
+    "Further left is faster, lower is closer. Filled: one frame of a contact. Hollow, at the end of the dotted "
+    "line: a re-cut. The grey line joins what no other model beats in both error and frame."
 )
 
 

@@ -1,0 +1,60 @@
+"""The benchmark's machine-independent figures, held against those accepted; wall times are never gated.
+
+Accuracy, iterations, unknowns, sizes of dense matrices, growth of the factor's fill. Where a change is meant to
+move them: `make bench-baseline`, and look at the difference.
+"""
+
+from __future__ import annotations
+
+import json
+import tempfile
+from pathlib import Path
+
+from numpy.testing import assert_allclose
+
+from studies import bench
+from studies.bench_data import Bench, machine_independent
+from studies.bench_store import read_bench, write_bench
+from studies.config import load_study
+from studies.report.bench_page import bench_html
+
+ROOT = Path(__file__).parents[2]
+BASELINE = ROOT / "results" / "baselines" / "bench.json"
+SIZE = 2.0  # mesh size over that of the quickstart
+
+
+def trial(directory: Path) -> Bench:
+    """One round of every model on a coarse sphere."""
+    study = load_study(ROOT / "studies" / "cases" / "quickstart.toml")
+    return bench.measure([study], directory, names=bench.MODELS, sizes=(SIZE,), rounds=1, watch=str)
+
+
+def test_figures_are_what_was_accepted_and_the_file_keeps_them(tmp_path: Path) -> None:
+    found = trial(tmp_path)
+    figures = machine_independent(found)
+    accepted = json.loads(BASELINE.read_text())
+    assert figures.keys() == accepted.keys(), "a model or figure has come or gone: make bench-baseline"
+    for name, value in accepted.items():
+        counted = name.endswith("/iterations")
+        # a Krylov method may need an iteration or two more where rounding differs; relative elsewhere
+        assert_allclose(
+            figures[name], value, rtol=0.0 if counted else 1e-3, atol=2.0 if counted else 1e-9, err_msg=name
+        )
+    assert {e.model for e in found.entries} == set(bench.MODELS)
+
+    write_bench(tmp_path / "bench.h5", found)
+    read = read_bench(tmp_path / "bench.h5")
+    assert machine_independent(read) == figures
+    assert read.machine == found.machine
+    assert bench_html(read) == bench_html(found)
+
+
+def main() -> None:
+    """Accept the figures of this program."""
+    with tempfile.TemporaryDirectory() as name:
+        figures = machine_independent(trial(Path(name)))
+    BASELINE.write_text(json.dumps(figures, indent=1, sort_keys=True) + "\n")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,115 @@
+"""What follows from a benchmark, on numbers chosen by hand; the spheres of the growth."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from studies.bench_data import Bench, Entry, Growth, answers, break_even, median, pareto, rows, seconds
+from studies.growth import RADIUS, factor_nonzeros, sphere
+from vdm import Model, Parameters, SurfaceMesh
+
+
+def entry(model: str, recut: float, frame: float, error: float, **changes: Any) -> Entry:
+    one = np.array([np.nan, 1.0, 1.0])
+    given = {
+        "body": "ball",
+        "model": model,
+        "nodes": 100,
+        "tetrahedra": 300,
+        "frame_all": one,
+        "columns": 0.0 * one,
+        "setup": recut * one,
+        "recut": recut * one,
+        "frame_local": frame * one,
+        "ratio_setup": one,
+        "ratio_frame": one,
+        "peak_bytes": 1e6,
+        "error": error,
+        "deformation_error": error,
+        "bar": 0.01,
+        "iterations": 0.0,
+    }
+    return Entry(**(given | changes))
+
+
+VECTOR = entry("vdm-vector", 0.01, 1e-3, 0.2)
+CONDENSED = entry("fem-condensed", 1.01, 5e-4, 0.03)
+LINEAR = entry("fem-linear", 0.1, 0.05, 0.03)
+
+
+def test_break_even_is_where_both_have_cost_the_same() -> None:
+    # 0.01 + n 1e-3 = 1.01 + n 5e-4 at n = 2000
+    assert_allclose(break_even(CONDENSED, VECTOR), 2000.0, rtol=1e-12, atol=0)
+    assert break_even(CONDENSED, entry("x", 0.01, 1e-5, 0.5)) == math.inf
+    assert break_even(VECTOR, entry("x", 1.0, 1.0, 0.5)) == 0.0
+
+
+def test_the_front_leaves_out_what_is_beaten_in_both() -> None:
+    beaten = entry("beaten", 0.01, 2e-3, 0.3)
+    failed = entry("failed", 0.01, 1e-9, math.nan)
+    assert [e.model for e in pareto([LINEAR, beaten, VECTOR, failed])] == ["vdm-vector", "fem-linear"]
+
+
+def test_answers_name_the_winners() -> None:
+    told = "\n".join(answers(Bench({}, [VECTOR, CONDENSED, LINEAR], [])))
+    assert (
+        "at most 10 % the fastest frame is fem-condensed's (500 µs), the fastest re-cut is fem-linear's"
+        in told
+    )
+    assert (
+        "at most 25 % the fastest frame is fem-condensed's (500 µs), the fastest re-cut is vdm-vector's"
+        in told
+    )
+    assert (
+        "at 1 ms a frame the most accurate is fem-condensed (3 %); with a re-cut in every frame, none" in told
+    )
+    assert "with a re-cut in every frame vdm-vector (20 %)" in told
+    assert (
+        "vdm-vector (20 %) against fem-condensed (3 %): faster in total up to 2,000 frames per re-cut" in told
+    )
+
+
+def test_a_round_that_was_left_out_counts_nothing() -> None:
+    assert median(np.array([np.nan, 3.0, 1.0])) == 2.0
+    assert math.isnan(median(np.array([np.nan])))
+    (row,) = rows(Bench({}, [VECTOR], []))
+    assert row["re-cut"] == "10 ms [10 ms, 10 ms]"
+    assert row["error"] == "20 % ± 1 %"
+
+
+@pytest.mark.parametrize(
+    ("value", "text"), [(2.0, "2 s"), (0.0015, "1.5 ms"), (2.5e-6, "2.5 µs"), (math.nan, "–")]
+)
+def test_seconds_are_readable(value: float, text: str) -> None:
+    assert seconds(value) == text
+
+
+def test_exponent_of_a_power() -> None:
+    nodes = np.array([10.0, 100.0, 1000.0, 5000.0])
+    assert_allclose(Growth("x", "s", nodes, 3.0 * nodes**1.5).exponent, 1.5, rtol=1e-12, atol=0)
+
+
+@pytest.mark.parametrize("levels", [0, 1, 3])
+def test_spheres_are_closed_and_outward(levels: int) -> None:
+    points, triangles = sphere(levels)
+    assert len(points) == 10 * 4**levels + 2
+    assert_allclose(np.linalg.norm(points, axis=1), RADIUS, rtol=1e-13, atol=0)
+    surface = SurfaceMesh(points, triangles)  # refuses holes and facets that disagree
+    ball = 4.0 / 3.0 * math.pi * RADIUS**3
+    assert 0.6 * ball < surface.volume < ball
+
+
+def test_fill_is_at_least_that_of_the_matrix() -> None:
+    points, triangles = sphere(2)
+    parameters = Parameters.from_tissue(5000.0, 0.4999, SurfaceMesh(points, triangles), "vector")
+    fixed = points[:, 2] < -0.9 * RADIUS
+    model = Model(points, triangles, parameters, formulation="vector", fixed=fixed)
+    ends = np.sort(np.stack([triangles, np.roll(triangles, -1, axis=1)], axis=2).reshape(-1, 2), axis=1)
+    edges = np.unique(ends[(~fixed[ends]).all(axis=1)], axis=0)
+    least, most = len(edges) + int((~fixed).sum()), int((~fixed).sum()) * (int((~fixed).sum()) + 1) // 2
+    assert least < factor_nonzeros(model) < most
