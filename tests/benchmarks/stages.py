@@ -1,7 +1,7 @@
 """Where the time goes, stage by stage: the quickstart of `make demo` and a sweep of twenty cases.
 
-Each study runs twice, in processes of its own: once as a user runs it, for the whole, and once with its cases in the
-process itself, whose functions are timed. What neither stage names is the program's own: files, plans, hashes.
+Each study runs twice: once as a user runs it, for the whole, and once with its cases in this process, whose
+functions are timed. What no stage names is the program's own: files, plans, hashes.
 """
 
 from __future__ import annotations
@@ -153,7 +153,8 @@ def main() -> None:
         "import sys; sys.argv = ['vdmbench', '--help']; import studies.cli; studies.cli.main()"
     )
     print(
-        f"process start {empty:.2f} s; imports of a worker {program - empty:.2f} s, of the report {plots - empty:.2f} s"
+        f"process start {empty:.2f} s; imports of a worker {program - empty:.2f} s,"
+        f" of the report {plots - empty:.2f} s"
     )
     print(f"vdmbench --help {helped:.2f} s")
     for name, twenty in (("make demo", False), ("20 cases", True)):
