@@ -8,7 +8,7 @@ RUN := .venv/bin/
 PYTEST := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(RUN)python -m pytest
 
 .PHONY: demo test verify docs baselines accuracy claims calibrations setup libraries clean
-.PHONY: bench-vdm bench-fem bench-sharing bench-baseline bench-stages
+.PHONY: bench-vdm bench-fem bench-sharing bench-baseline bench-stages performance
 
 demo: setup
 	$(RUN)vdmbench run quickstart
@@ -56,6 +56,10 @@ bench-fem: setup
 # 100 linear loads beside one: shared, and each alone
 bench-sharing: setup
 	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(RUN)python -m tests.benchmarks.sharing
+
+# README's performance section and figure; BENCH=results/bench/bench.h5 takes what is measured already
+performance: setup
+	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(RUN)python -m tests.docs.performance $(BENCH)
 
 # the benchmark's machine-independent figures that the tests hold: look at the difference before committing it
 bench-baseline: setup
