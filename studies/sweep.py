@@ -296,14 +296,22 @@ def _is_absent(data: Any, loc: Loc) -> bool:
 
 
 def _label(axes: Sequence[Axis], values: Sequence[Value]) -> str:
-    names = Counter(axis.key.rpartition(".")[2] for axis in axes)
+    short = [_short(axis.key) for axis in axes]
+    names = Counter(short)
     parts = []
-    for axis, value in zip(axes, values, strict=True):
-        last = axis.key.rpartition(".")[2]
-        name = last if names[last] == 1 and not last.isdecimal() else axis.key
+    for axis, last, value in zip(axes, short, values, strict=True):
+        name = last if names[last] == 1 else axis.key
         unit = "" if axis.target.unit == "1" else f" {axis.target.unit}"
         parts.append(f"{name} = {_shown(value)}{unit}")
     return ", ".join(parts)
+
+
+def _short(key: str) -> str:
+    """The last part of a key; of a component of a vector, `direction x`."""
+    rest, _, last = key.rpartition(".")
+    if not last.isdecimal():
+        return last
+    return f"{rest.rpartition('.')[2]} {'xyz'[int(last)] if int(last) < 3 else last}"
 
 
 def _shown(value: Value) -> str:

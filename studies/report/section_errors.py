@@ -16,32 +16,42 @@ from .formatting import listed, scale_of, short_percent, swept_value
 from .plots import Plot, colour, line, log_axis, marker, name_ticks, percent_axis, place
 
 QUANTITIES = ((VECTOR, "Displacement error"), (DEFORMATION, "Deformation error"))
+PARTS = (
+    ("relative_l2_normal_error", "Normal component"),
+    ("relative_l2_tangential_error", "Tangential component"),
+    ("contact_region_error", "Contact region"),
+    ("far_field_error", "Far field"),
+)
 _MOST_POINTS = 240  # per model and figure; beyond, every k-th case is drawn
 _ASIDE = 0.05  # between the clouds of two models at a named value, where neighbours are 1 apart
+_PARTS_OF = "Normal and tangential component, contact region and far field against"
 _MOST_JOINED = 12  # values of a parameter that a line through medians joins
 
 
 def parameter_name(key: str) -> str:
     """A swept key as words: `tissue.poisson_ratio` is "Poisson ratio"."""
     parts = key.split(".")
+    if parts[-1].isdecimal() and len(parts) > 1:  # a component of a vector
+        parts = [*parts[:-2], f"{parts[-2]} {'xyz'[int(parts[-1])] if int(parts[-1]) < 3 else parts[-1]}"]
     words = parts[-1].replace("_", " ")
     words = words.replace("poisson", "Poisson").replace("youngs", "Young's")
     return f"{words} of {parts[-2]}" if len(parts) > 2 else words
 
 
 def error_against_parameters(digest: Digest) -> Section | None:
-    """One pair of figures per swept parameter, full vector and deformation on the same scale."""
+    """Two groups of figures per swept parameter: vector and deformation; and, folded away, the vector's parts."""
     if not digest.compared or not digest.swept_keys:
         return None
     pairs = []
     for k, key in enumerate(digest.swept_keys):
         axis = _axis(digest.cases, key, alone=len(digest.swept_keys) == 1)
-        shown = [
-            figure
-            for j, (metric, title) in enumerate(QUANTITIES)
-            if (figure := _against_parameter(digest, axis, metric, title, f"p{k}{j}")) is not None
-        ]
-        pairs += [Figures(shown, digest.legend)] if shown else []
+        for group, summary in ((QUANTITIES, ""), (PARTS, f"{_PARTS_OF} {axis.name}")):
+            shown = [
+                figure
+                for j, (metric, title) in enumerate(group)
+                if (figure := _against_parameter(digest, axis, metric, title, group, f"p{k}{title[:2]}{j}"))
+            ]
+            pairs += [Figures(shown, digest.legend, summary)] if shown else []
     if not pairs:
         return None
     notes = []
@@ -105,7 +115,10 @@ def _axis(all_cases: Iterable[CaseResult], key: str, *, alone: bool) -> _Axis:
     )
 
 
-def _against_parameter(digest: Digest, axis: _Axis, metric: str, title: str, salt: str) -> Figure | None:
+def _against_parameter(
+    digest: Digest, axis: _Axis, metric: str, title: str, group: Sequence[tuple[str, str]], salt: str
+) -> Figure | None:
+    """One measure against a parameter, on the scale that its group shares."""
     described = []
     plot = Plot(axis.label, title, salt)
     with plot as axes:
@@ -131,7 +144,7 @@ def _against_parameter(digest: Digest, axis: _Axis, metric: str, title: str, sal
             name_ticks(axes, axis.ticks)
         elif axis.kind == "log":
             log_axis(axes, "x")
-        both = [at_full_load(c, m, q) for c in axis.cases for m in digest.compared for q, _ in QUANTITIES]
+        both = [at_full_load(c, m, q) for c in axis.cases for m in digest.compared for q, _ in group]
         percent_axis(axes, both)
     heading = f"{title} against {axis.name}"
     return Figure(plot.drawn(f"{heading}: {listed(described)}."), heading)

@@ -22,6 +22,7 @@ from studies.report.document import script_json
 from studies.report.page import MOST_BYTES, page_html, write_report
 from studies.report.picture import Panel
 from studies.report.plots import place
+from studies.report.section_errors import parameter_name
 from studies.report.view import View, candidates, displacement_scale, payload
 
 from .report_runs import REFERENCE, cheap_run, make_case, make_run, sweep_run
@@ -148,13 +149,23 @@ def test_figures_carry_numbers_in_words_and_units_on_their_axes(html: str) -> No
         "Displacement error against Poisson ratio: vdm-paper from 60 % to 72 % and vdm-vector from 5 % to 11 %."
         in (parameters)
     )
-    assert parameters.count("<svg") == 4
+    assert parameters.count("<svg") == 12  # six measures against two parameters
+    assert parameters.count("<details>") == 2
+    for title in ("Normal component", "Tangential component", "Contact region", "Far field"):
+        assert f"{title} against pressure of finger" in parameters
     for label in ("pressure of finger [Pa]", "Poisson ratio", "60 %"):
         assert f">{label}</text>" in parameters
     assert "indentation [mm]</text>" in section(html, "force")
     assert "contact force [mN]</text>" in section(html, "force")
     assert ">1 ms</text>" in section(html, "cost")
     assert "vdm-vector 800 µs per frame at 7.8 %" in section(html, "cost")
+
+
+def test_components_of_vectors_have_names() -> None:
+    assert parameter_name("gravity.acceleration.2") == "acceleration z"
+    assert parameter_name("regions.finger.cap.direction.0") == "direction x of cap"
+    assert parameter_name("tissue.poisson_ratio") == "Poisson ratio"
+    assert parameter_name("constraints.finger.pressure") == "pressure of finger"
 
 
 def test_case_table_is_sorted_by_the_error_of_the_closest_model(html: str) -> None:
@@ -307,7 +318,7 @@ def test_hundreds_of_cases_stay_small() -> None:
     html = page_html(cheap_run(300), no_pictures)
     assert len(html.encode()) < 1_500_000
     assert "Show all 300 rows" in html
-    assert html.count("<svg") < 20
+    assert html.count("<svg") < 30
     cases = viewer_data(html)["cases"]
     assert isinstance(cases, list)
     assert [case["title"].split(":")[0] for case in cases] == ["Worst", "Median", "Best"]

@@ -293,16 +293,19 @@
     redraw();
   };
 
-  // the rest shape, seen from where the view begins, takes most of the stage
+  // the body at rest and as it is drawn, seen from where the view begins, takes most of the stage
   function fitBody() {
     const [right, up] = axes(cases[state.case].azimuth, PITCH);
     const { points, centre } = scene.geometry;
+    const places = scene.drawn.every(Number.isFinite) ? [points, scene.drawn] : [points];
     const reach = [right, up].map((axis) => {
       let low = Infinity, high = -Infinity;
-      for (let k = 0; k < points.length; k += 3) {
-        const along = axis[0] * (points[k] - centre[0]) + axis[1] * (points[k + 1] - centre[1]) + axis[2] * (points[k + 2] - centre[2]);
-        low = Math.min(low, along);
-        high = Math.max(high, along);
+      for (const at of places) {
+        for (let k = 0; k < at.length; k += 3) {
+          const along = axis[0] * (at[k] - centre[0]) + axis[1] * (at[k + 1] - centre[1]) + axis[2] * (at[k + 2] - centre[2]);
+          low = Math.min(low, along);
+          high = Math.max(high, along);
+        }
       }
       for (let k = 0; k < 3; k++) centre[k] += (axis[k] * (low + high)) / 2;
       return (high - low) / 2;
