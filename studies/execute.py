@@ -30,7 +30,7 @@ from .mesh import InputError
 Task = Mapping[str, Any]
 Group = Sequence[Task]
 # imported once, before the workers are forked: what every case needs, and no case should be timed with
-PRELOAD = ["studies.worker", "vdm.model", "fem_reference.linear"]
+PRELOAD = ["studies.worker", "vdm.model", "fem_reference.linear", "scipy.spatial"]
 _GRACE = 5.0  # s between asking a worker to stop and killing it
 
 

@@ -12,7 +12,6 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -104,6 +103,8 @@ def nearest_on_surface(queries: Array, points: Array, triangles: Index) -> tuple
     corners = points[triangles]
     centroids = corners.mean(axis=1)
     reach = float(np.linalg.norm(corners - centroids[:, None], axis=2).max())
+    from scipy.spatial import cKDTree  # slow to load, and reading results needs none
+
     tree = cKDTree(centroids, balanced_tree=False, compact_nodes=False)  # made for one query
     facets = _Facets(corners)
     distance = np.full(len(queries), np.inf)

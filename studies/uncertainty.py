@@ -30,7 +30,6 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from scipy.optimize import brentq
 
 FORMAL_ORDER = 2.0
 REASONABLE_ORDERS = (0.5, 4.0)
@@ -164,6 +163,8 @@ def _order(d01: float, d12: float, r01: float, r12: float) -> float:
         return 0.0
     if excess(_HIGHEST_ORDER) <= 0.0:
         return math.inf
+    from scipy.optimize import brentq  # slow to load, and the report needs only the rest
+
     return float(brentq(excess, 1e-9, _HIGHEST_ORDER, xtol=1e-12))
 
 
