@@ -30,7 +30,6 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-
 FORMAL_ORDER = 2.0
 REASONABLE_ORDERS = (0.5, 4.0)
 STEADY = 1.0  # by how much two observed orders may differ
