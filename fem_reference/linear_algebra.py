@@ -22,6 +22,9 @@ Array = NDArray[np.float64]
 
 SOLVERS = ("auto", "direct", "iterative")
 BATCH = 32  # right-hand sides per triangular solve: beyond it a single one gets no cheaper
+# From this many on, a factor in double precision (twice the time and memory) saves more than it costs: one solve
+# and one residual per right-hand side in place of three of each.
+_MANY_LOADS = 8 * BATCH
 DIRECT_TOLERANCE = 1e-9
 ITERATIVE_TOLERANCE = 1e-8
 # The factor of an incompressible system needs a small pressure block; refinement takes its effect out again.
@@ -70,7 +73,8 @@ class DirectSolver:
     """Sparse LDL^T of the symmetric indefinite system, with iterative refinement on the true residual.
 
     The factor is stored in single precision: half the memory and half the time, and two steps of refinement
-    bring the residual to rounding in double precision. Where they do not, the factor is made anew in double.
+    bring the residual to rounding in double precision. Where they do not, the factor is made anew in double; for
+    many `loads` it is made so at once where it fits.
 
     Raises
     ------
@@ -81,13 +85,15 @@ class DirectSolver:
     name = "direct"
     tolerance = DIRECT_TOLERANCE
 
-    def __init__(self, system: LinearSystem, memory_limit: float | None, reason: str) -> None:
+    def __init__(self, system: LinearSystem, memory_limit: float | None, reason: str, loads: int = 1) -> None:
         self.reason = reason
         self._system = system
         self._memory_limit = memory_limit
         matrix = self._matrix()
         self._symbolic = rslab.analyze(matrix, path="ldlt")
-        self._factorise("float32", matrix)
+        allowed = available_memory() if memory_limit is None else memory_limit
+        double = loads >= _MANY_LOADS and self._needed("float64") <= allowed
+        self._factorise("float64" if double else "float32", matrix)
 
     def solve(self, rhs: Array) -> Solved:
         """Solve in batches; see `Solver`."""
@@ -108,7 +114,7 @@ class DirectSolver:
 
     def _factorise(self, precision: str, matrix: csc_array) -> None:
         self.precision = precision
-        self.estimated_bytes = float(self._symbolic.memory_plan(dtype=precision, nrhs=BATCH)["peak_bytes"])
+        self.estimated_bytes = self._needed(precision)
         check_memory(self.estimated_bytes, self._memory_limit, self.name)
         try:
             self._factor = self._symbolic.factor(matrix, factor_dtype=precision)
@@ -123,6 +129,9 @@ class DirectSolver:
                     "hold more of the surface, or remove parts of the mesh that hang on a vertex or an edge",
                 )
             ) from error
+
+    def _needed(self, precision: str) -> float:
+        return float(self._symbolic.memory_plan(dtype=precision, nrhs=BATCH)["peak_bytes"])
 
     def _refine(self, rhs: Array) -> tuple[Array, Array]:
         return refine(self._system.apply, self._factor.solve_many, np.ascontiguousarray(rhs))
@@ -281,7 +290,7 @@ def choose_solver(
             Status("bad-solver", f"solver {requested!r} is unknown", f"use one of {', '.join(SOLVERS)}")
         )
     if requested == "direct":
-        return DirectSolver(system, memory_limit, "asked for")
+        return DirectSolver(system, memory_limit, "asked for", expected_loads)
     if requested == "iterative":
         return IterativeSolver(system, memory_limit, "asked for")
     costs = _system_costs(system, max(1, expected_loads))
@@ -291,7 +300,7 @@ def choose_solver(
     )
     if costs["direct"].bytes <= allowed and costs["direct"].seconds <= costs["iterative"].seconds:
         try:
-            return DirectSolver(system, memory_limit, reason)
+            return DirectSolver(system, memory_limit, reason, expected_loads)
         except SolverError as error:
             if error.status.code != "memory":
                 raise

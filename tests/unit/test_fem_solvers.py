@@ -84,6 +84,23 @@ def test_single_precision_gives_way_to_double_where_it_is_too_coarse() -> None:
     assert_allclose(solved.x, _exact(stiff, rhs[:, 0])[:, None], rtol=0, atol=1e-6 * np.abs(solved.x).max())
 
 
+def test_many_loads_are_solved_in_double_precision_where_that_fits() -> None:
+    system = _system(3)
+    rhs = np.random.default_rng(0).standard_normal((system.size, 2))
+    few = choose_solver(system, "direct", 255, None)
+    many = choose_solver(system, "direct", 256, None)
+    assert isinstance(few, DirectSolver)
+    assert isinstance(many, DirectSolver)
+    assert (few.precision, many.precision) == ("float32", "float64")
+    assert few.estimated_bytes < many.estimated_bytes
+    tight = choose_solver(system, "direct", 256, 0.5 * (few.estimated_bytes + many.estimated_bytes))
+    assert isinstance(tight, DirectSolver)
+    assert tight.precision == "float32"
+    exact = _exact(system, rhs)
+    for solver in (few, many, tight):
+        assert_allclose(solver.solve(rhs).x, exact, rtol=0, atol=1e-10 * np.abs(exact).max())
+
+
 def test_refinement_reaches_rounding_with_a_poor_inverse() -> None:
     rng = np.random.default_rng(0)
     a = np.eye(30) + 0.1 * rng.standard_normal((30, 30))
