@@ -13,7 +13,7 @@ from vdm.constraints import ContactSign, Load, Support, check_load, hydrostatic_
 from vdm.formulations import FORMULATIONS
 from vdm.formulations.paper import PaperFormulation
 from vdm.material import ParameterError, Parameters
-from vdm.problem import Problem, Step
+from vdm.problem import Problem, Step, check_held
 from vdm.solution import Solution
 from vdm.solvers.krylov import KrylovSolver
 from vdm.solvers.linear import LinearSolver
@@ -98,6 +98,7 @@ class Model:
             environment_pressure=float(environment_pressure),
             contact_sign=contact_sign,
         )
+        check_held(FORMULATIONS[formulation], self.surface, parameters, support.held)
         self.formulation = FORMULATIONS[formulation](self.surface, parameters)
         self.problem = Problem(self.formulation, support)
         self.outputs = tuple(outputs)

@@ -11,9 +11,14 @@ from numpy.typing import NDArray
 from vdm.constraints import ConstraintError, Load, Mask, Support
 from vdm.deformed import DeformableSurface, DeformedSurface
 from vdm.formulations.base import Formulation
-from vdm.solution import CONVERGED, Status
+from vdm.material import Parameters
+from vdm.solution import CONVERGED, SolverError, Status
+from vdm.surface import SurfaceMesh
 
 Array = NDArray[np.float64]
+
+# share of a unit motion at the held nodes below which it counts as left free: nodes on one line to rounding
+FREE_MOTION = 1e-9
 
 
 @dataclass(frozen=True)
@@ -119,3 +124,25 @@ class Problem:
         reaction = self.formulation.nodal_force(np.where(self.support.held[:, None], lacking, 0.0))
         displacement = self.formulation.displacement(x)
         return Step(displacement, float(border[0]), reaction, energy, x, border, iterations, status)
+
+
+def check_held(
+    formulation: type[Formulation], surface: SurfaceMesh, parameters: Parameters, held: Mask
+) -> None:
+    """Refuses supports that leave a motion free which costs no energy, before anything is assembled.
+
+    A factor of the singular operator may exist to rounding, and answers with displacements of any size.
+
+    Raises
+    ------
+    SolverError
+        with the formulation's remedy.
+    """
+    motions = formulation.free_motions(surface, parameters)
+    count = motions.shape[2]
+    stopped = 0
+    if count and held.any():
+        stopped = int(np.linalg.matrix_rank(motions[held].reshape(-1, count), tol=FREE_MOTION))
+    if stopped < count:
+        message = "the supports leave the body free to move without any resistance"
+        raise SolverError(Status("singular", message, formulation.remedy))

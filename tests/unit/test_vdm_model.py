@@ -18,10 +18,12 @@ from vdm import (
     ParameterError,
     Parameters,
     SolverError,
+    SurfaceError,
     SurfaceMesh,
 )
 from vdm.deformed import DeformableSurface
 from vdm.material import ball_compliance
+from vdm.model import SOLVERS
 from vdm.solvers.compliance import ContactCompliance
 
 POINTS, TRIANGLES = icosphere(2, (0.05, 0.06, 0.045))
@@ -295,7 +297,7 @@ def test_linear_volume_drift_is_of_second_order(formulation):
 
 BAD_PARAMETERS = [
     ({"parameters": Parameters(bulk_modulus=1.0)}, "needs connectivity_modulus"),
-    ({"parameters": Parameters(bulk_modulus=0.0, connectivity_modulus=0.0)}, "both zero"),
+    ({"parameters": Parameters(bulk_modulus=0.0, connectivity_modulus=0.0), "fixed": BASE}, "both zero"),
     ({"parameters": Parameters(bulk_modulus=np.ones(3), connectivity_modulus=1.0)}, "162 entries"),
     ({"solver": "magic"}, "solver must be one of"),
     ({"outputs": ("colour",)}, "outputs must be one of"),
@@ -366,23 +368,109 @@ def test_bad_loads(load, message):
         solver.solve([load])
 
 
+LINE = np.flatnonzero(np.abs(POINTS[:, 1:]).max(axis=1) < 1e-12)  # both ends of one axis
+LOOSE = "free to move without any resistance"
+THREE = "hold at least three nodes that are not on one line"
+# formulation, parameters (None: by rule), nodes held, remedy
 SINGULAR = [
-    ("vector", Parameters(surface_tension=1.0, rotation="none"), 0),
-    ("vector", Parameters(surface_tension=1.0, rotation="global"), 1),
-    ("vector", Parameters(surface_tension=1.0, rotation="nodal"), 2),
-    ("paper", Parameters(bulk_modulus=0.0, connectivity_modulus=1.0), 0),
-    ("consistent", Parameters(foundation=0.0, surface_tension=1.0), 0),
+    ("vector", Parameters(surface_tension=1.0, rotation="none"), [], THREE),
+    ("vector", Parameters(surface_tension=1.0, rotation="global"), [0], THREE),
+    ("vector", Parameters(surface_tension=1.0, rotation="nodal"), LINE, THREE),
+    ("vector", Parameters(surface_tension=0.0, stretch_stiffness=1.0, rotation="none"), LINE, THREE),
+    ("boundary", None, [], THREE),
+    ("boundary", None, LINE, THREE),
+    ("mass-spring", None, [], THREE),
+    ("mass-spring", None, LINE, THREE),
+    ("paper", Parameters(bulk_modulus=0.0, connectivity_modulus=1.0), [], "hold a node"),
+    ("consistent", Parameters(foundation=0.0, surface_tension=1.0), [], "hold a node"),
 ]
 
 
-@pytest.mark.parametrize(("formulation", "parameters", "held"), SINGULAR)
-def test_nothing_held_where_the_operator_needs_it(formulation, parameters, held):
+@pytest.mark.parametrize("solver", SOLVERS)
+@pytest.mark.parametrize(("formulation", "parameters", "held", "remedy"), SINGULAR)
+def test_nothing_held_where_the_operator_needs_it(formulation, parameters, held, remedy, solver, monkeypatch):
+    def assembled(*_):
+        pytest.fail("assembled before the supports were checked")
+
+    monkeypatch.setattr(FORMULATIONS[formulation], "__init__", assembled)
     fixed = np.zeros(len(POINTS), dtype=bool)
-    fixed[:held] = True
-    with pytest.raises(SolverError, match="hold at least three nodes") as error:
-        model(formulation, parameters=parameters, fixed=fixed)
+    fixed[held] = True
+    with pytest.raises(SolverError, match=f"{LOOSE}; {remedy}") as error:
+        model(formulation, parameters=parameters, fixed=fixed, solver=solver)
     assert error.value.status.code == "singular"
-    fixed[:4] = True
-    assert np.isfinite(
-        model(formulation, parameters=parameters, fixed=fixed).solve([FINGER]).displacement
-    ).all()
+
+
+@pytest.mark.parametrize(("formulation", "parameters"), [case[:2] for case in SINGULAR])
+def test_just_enough_held(formulation, parameters):
+    fixed = np.zeros(len(POINTS), dtype=bool)
+    fixed[:3] = True
+    moved = model(formulation, parameters=parameters, fixed=fixed).solve([FINGER]).displacement
+    assert_allclose(moved[0, :3], 0.0, rtol=0.0, atol=0.0)
+    assert 1e-6 < np.abs(moved).max() < 10.0
+
+
+def test_nothing_held_on_a_body_of_many_nodes_is_said_before_the_set_up(monkeypatch):
+    points, triangles = icosphere(4)
+    monkeypatch.setattr("vdm.formulations.boundary.Skin", lambda *_: pytest.fail("assembled"))
+    with pytest.raises(SolverError, match=THREE):
+        Model(points, triangles, Parameters(shear_modulus=1.0), formulation="boundary")
+
+
+@pytest.mark.parametrize("solver", SOLVERS)
+@pytest.mark.parametrize("formulation", ["paper", "consistent"])
+def test_a_foundation_needs_nothing_held(formulation, solver):
+    if (formulation, solver) == ("paper", "minres"):
+        with pytest.raises(SolverError, match="MINRES needs a symmetric state matrix"):
+            model(formulation, solver=solver)
+        return
+    free = model(formulation, solver=solver).solve([FINGER])
+    assert free.status[0].code == "converged"
+    direct = model(formulation).solve([FINGER]).displacement
+    tolerance = 0.2 if solver == "nonlinear" else 1e-3 if solver == "quasi-linear" else 1e-6
+    assert_allclose(free.displacement, direct, rtol=0.0, atol=tolerance * np.abs(direct).max())
+
+
+SURFACES = {
+    "open": (POINTS, TRIANGLES[1:], "open"),
+    "non-manifold": (POINTS, np.concatenate([TRIANGLES, TRIANGLES[:1]]), "manifold"),
+    "inverted": (POINTS, TRIANGLES[:, ::-1], "inverted"),
+    "mixed": (POINTS, np.concatenate([TRIANGLES[:1, ::-1], TRIANGLES[1:]]), "oriented against"),
+    "two bodies": (
+        np.concatenate([POINTS, POINTS + 1.0]),
+        np.concatenate([TRIANGLES, TRIANGLES + len(POINTS)]),
+        "2 components",
+    ),
+    "flat": (POINTS * [1.0, 1.0, 0.0], TRIANGLES, "no area|volume"),
+    "orphan": (np.concatenate([POINTS, [[0.0, 0.0, 0.0]]]), TRIANGLES, "belong to no facet"),
+    "nan": (np.where(POINTS.max() == POINTS, np.nan, POINTS), TRIANGLES, "nan or inf"),
+}
+
+
+@pytest.mark.parametrize("formulation", NAMES)
+@pytest.mark.parametrize("surface", SURFACES)
+def test_bad_surfaces_are_refused_by_every_form(surface, formulation):
+    points, triangles, message = SURFACES[surface]
+    with pytest.raises(SurfaceError, match=message):
+        Model(
+            points, triangles, Parameters.from_tissue(5e3, 0.4999, BODY, formulation), formulation=formulation
+        )
+
+
+MODULI = {
+    "paper": ("bulk_modulus", "connectivity_modulus"),
+    "consistent": ("foundation", "surface_tension"),
+    "vector": ("surface_tension",),
+    "boundary": ("shear_modulus",),
+    "mass-spring": ("shear_modulus",),
+}
+
+
+@pytest.mark.parametrize("formulation", NAMES)
+def test_moduli_without_meaning_are_refused_by_every_form(formulation):
+    rule = Parameters.from_tissue(5e3, 0.4999, BODY, formulation)
+    for name in MODULI[formulation]:
+        for value in (-1.0, np.nan, np.inf, None):
+            with pytest.raises(ParameterError, match=name):
+                model(formulation, parameters=replace(rule, **{name: value}), fixed=BASE)
+    with pytest.raises(ParameterError, match=f"{MODULI[formulation][-1]}.*positive"):
+        model(formulation, parameters=replace(rule, **dict.fromkeys(MODULI[formulation], 0.0)), fixed=BASE)

@@ -37,6 +37,8 @@ class Formulation(ABC):
 
     name: ClassVar[str]
     components: ClassVar[int]
+    # what to do where a motion that costs no energy is left free
+    remedy: ClassVar[str] = "hold at least three nodes that are not on one line"
     columns: Array
     rows: Array
     corner: Array
@@ -44,6 +46,14 @@ class Formulation(ABC):
     def __init__(self, surface: SurfaceMesh, parameters: Parameters) -> None:
         self.surface = surface
         self.parameters = parameters
+
+    @classmethod
+    def free_motions(cls, surface: SurfaceMesh, parameters: Parameters) -> Array:  # noqa: ARG003
+        """(N, d, r) motions x, of the order of one, that cost no energy: supports must stop them all.
+
+        Known before anything is assembled: here the six rigid motions of a body that is not tied to space.
+        """
+        return rigid_motions(surface)
 
     @abstractmethod
     def apply(self, x: Array) -> Array:
@@ -133,6 +143,15 @@ class Formulation(ABC):
         if len(border) > 1:
             force = force - self.columns[:, :, 1:] @ border[1:]
         return force
+
+
+def rigid_motions(surface: SurfaceMesh) -> Array:
+    """(N, 3, 6): three unit translations, and three rotations about the centroid over the body's radius."""
+    arms = (surface.points - surface.points.mean(axis=0)) / surface.equivalent_radius
+    motions = np.empty((surface.n_nodes, 3, 6))
+    motions[:, :, :3] = np.eye(3)
+    motions[:, :, 3:] = np.stack([np.cross(axis, arms) for axis in np.eye(3)], axis=2)
+    return motions
 
 
 class ScalarFormulation(Formulation):

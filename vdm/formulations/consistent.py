@@ -30,6 +30,13 @@ class ConsistentFormulation(ScalarFormulation):
     """
 
     name = "consistent"
+    remedy = "hold a node, or make foundation positive somewhere"
+
+    @classmethod
+    def free_motions(cls, surface: SurfaceMesh, parameters: Parameters) -> Array:
+        """A uniform unknown, where foundation is zero everywhere."""
+        tied = np.any(np.asarray(parameters.foundation, dtype=np.float64))
+        return np.ones((surface.n_nodes, 1, 0 if tied else 1))
 
     def __init__(self, surface: SurfaceMesh, parameters: Parameters) -> None:
         super().__init__(surface, parameters)

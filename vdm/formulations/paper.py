@@ -30,6 +30,13 @@ class PaperFormulation(ScalarFormulation):
     """
 
     name = "paper"
+    remedy = "hold a node, or make bulk_modulus positive somewhere"
+
+    @classmethod
+    def free_motions(cls, surface: SurfaceMesh, parameters: Parameters) -> Array:
+        """A uniform unknown, where bulk_modulus is zero everywhere."""
+        tied = np.any(np.asarray(parameters.bulk_modulus, dtype=np.float64))
+        return np.ones((surface.n_nodes, 1, 0 if tied else 1))
 
     def __init__(self, surface: SurfaceMesh, parameters: Parameters) -> None:
         super().__init__(surface, parameters)

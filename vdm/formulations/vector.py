@@ -10,7 +10,7 @@ from scipy import sparse
 
 from vdm.constraints import Load
 from vdm.deformed import DeformedSurface, follow
-from vdm.formulations.base import Factor, Formulation, Mask
+from vdm.formulations.base import Factor, Formulation, Mask, rigid_motions
 from vdm.material import ParameterError, Parameters, per_item
 from vdm.solvers.cholesky import Cholesky
 from vdm.surface import SurfaceMesh
@@ -41,6 +41,20 @@ class VectorFormulation(Formulation):
 
     name = "vector"
     components = 3
+    remedy = Formulation.remedy + ", or make foundation positive somewhere"
+
+    @classmethod
+    def free_motions(cls, surface: SurfaceMesh, parameters: Parameters) -> Array:
+        """The rigid motions, of which a tension without free rotations leaves the translations only.
+
+        None with a foundation, which may or may not stop them: then the factor has to tell.
+        """
+        motions = rigid_motions(surface)
+        if parameters.foundation is not None and np.any(np.asarray(parameters.foundation)):
+            return motions[:, :, :0]
+        if parameters.rotation == "none" and np.any(np.asarray(parameters.surface_tension, dtype=np.float64)):
+            return motions[:, :, :3]
+        return motions
 
     def __init__(self, surface: SurfaceMesh, parameters: Parameters) -> None:
         super().__init__(surface, parameters)
