@@ -7,7 +7,7 @@ PYTHON ?= python3
 RUN := .venv/bin/
 PYTEST := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(RUN)python -m pytest
 
-.PHONY: demo test verify docs baselines accuracy claims calibrations setup libraries clean
+.PHONY: demo test verify docs baselines accuracy candidates claims calibrations setup libraries clean
 .PHONY: bench-vdm bench-fem bench-sharing bench-baseline bench-stages performance
 
 demo: setup
@@ -43,6 +43,10 @@ claims: setup
 # the fits of the surface models' parameters: results/calibrations.md
 calibrations: setup
 	$(RUN)python -m tests.docs.calibrations
+
+# the table of candidates of vdm/README.md, from the shipped calibration studies; SURFACE=liver.obj adds a column
+candidates: setup
+	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(RUN)python -m tests.docs.candidates $(SURFACE)
 
 # what the surface model costs on this machine, in one thread
 bench-vdm: setup

@@ -112,7 +112,7 @@ def _vdm_consistent(scene: Scene, solver: str, name: str) -> VdmSolution:
     return _vdm(scene, "consistent", solver, name)
 
 
-@_model("vdm-vector", version="2", solvers=VDM_SOLVERS)
+@_model("vdm-vector", version="3", solvers=VDM_SOLVERS)
 def _vdm_vector(scene: Scene, solver: str, name: str) -> VdmSolution:
     return _vdm(scene, "vector", solver, name)
 
@@ -297,7 +297,17 @@ def _vdm_model(
     chosen = {name: value for name, value in given.items() if name != "penalty"}
     surface = SurfaceMesh(points, triangles)
     rotation: Any = chosen.get("rotation", "global")
-    rule = Parameters.from_tissue(youngs_modulus, poisson_ratio, surface, formulation, rotation)
+    rule = Parameters.from_tissue(
+        youngs_modulus,
+        poisson_ratio,
+        surface,
+        formulation,
+        rotation,
+        options["fixed"] | options["constrained"],
+    )
+    if isinstance(rule.surface_tension, np.ndarray) and "surface_tension" in chosen:
+        # a T of the study is the mean over the edges of one that grows from the support
+        chosen["surface_tension"] *= rule.surface_tension / rule.surface_tension.mean()
     parameters = dataclasses.replace(rule, **chosen)
     if fibres is not None:
         parameters = parameters.anisotropic(surface, *fibres)

@@ -203,7 +203,9 @@ class VdmTable(Table):
     foundation: Annotated[float, SI("Pa/m"), not_negative] | None = Field(
         None, description="k, stiffness against normal displacement per area"
     )
-    surface_tension: LineForce | None = Field(None, description="T, tension of the skin")
+    surface_tension: LineForce | None = Field(
+        None, description="T, tension of the skin; in the vector form its mean"
+    )
     stretch_stiffness: LineForce | None = Field(None, description="E_s, stiffness of edges against stretch")
     rotation: Literal["none", "global", "nodal"] | None = Field(
         None, description="rotation that costs the skin no energy"

@@ -59,7 +59,7 @@ def cells(run: Run) -> Iterator[str]:
     yield str(len(run.cases[0].points))
     yield str(len(run.cases))
     own = ([reference_bar(case, measure) for case in run.cases] for measure in MEASURES)
-    yield " / ".join(_number(np.mean(values)) for values in own)
+    yield " / ".join(as_per_cent(np.mean(values)) for values in own)
     for model in COLUMNS:
         means, worst = zip(*(_errors(run.cases, model, measure) for measure in MEASURES), strict=True)
         yield f"{' / '.join(means)} ({' / '.join(worst)})"
@@ -70,10 +70,10 @@ def _errors(cases: Sequence[CaseResult], model: str, measure: str) -> tuple[str,
     errors = np.array([at_full_load(case, model, measure) for case in cases])
     resolved = [is_resolved(e, reference_bar(case, measure)) for e, case in zip(errors, cases, strict=True)]
     mark = "" if all(resolved) else "~"
-    return mark + _number(errors.mean()), _number(errors.max())
+    return mark + as_per_cent(errors.mean()), as_per_cent(errors.max())
 
 
-def _number(share: np.floating[Any] | float) -> str:
+def as_per_cent(share: np.floating[Any] | float) -> str:
     """Per cent with two digits."""
     per_cent = 100.0 * share
     return f"{per_cent:.0f}" if per_cent >= 9.95 else f"{per_cent:.1f}"

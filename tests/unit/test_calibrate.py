@@ -16,6 +16,7 @@ from studies.calibration_table import table
 from studies.config import expand, geometry_of, load_study, with_mesh_size
 from studies.fit import CalibrationError, Sample, Trial, fit, least_error, split
 from studies.mesh_cache import mesh_from_cache
+from studies.models import run_model
 from studies.scene import build_scene
 from tests.command import vdmbench
 
@@ -229,3 +230,13 @@ def test_a_finer_study_has_a_finer_mesh_and_nothing_else(tmp_path: Path) -> None
     assert finer.model_copy(update={"geometry": study.geometry}) == study
     (tmp_path / "swept.toml").write_text(STUDY + '"geometry.mesh_size" = ["16 mm", "20 mm"]\n')
     assert with_mesh_size(load_study(tmp_path / "swept.toml"), 0.5) is None
+
+
+def test_a_tension_of_the_study_is_the_mean_of_one_that_grows_from_the_support(samples: list[Sample]) -> None:
+    by_rule = Trial("vdm-vector", samples[:1], ["surface_tension"])
+    rule = by_rule.values(np.ones(1))["surface_tension"]
+    given = dataclasses.replace(samples[0].scene, parameters={"surface_tension": 2.0 * rule})
+    asked = run_model(given, "vdm-vector")
+    assert_allclose(asked.parameters["surface_tension"], 2.0 * rule, rtol=1e-12, atol=0)
+    half = 0.5 * by_rule.answers(np.ones(1))[0]
+    assert_allclose(asked.displacement[-1], half, rtol=1e-9, atol=1e-12 * np.abs(half).max())

@@ -260,6 +260,23 @@ def test_rule_of_the_vector_form_knows_its_rotation():
         Parameters.from_tissue(5000.0, 0.4999, BODY, "vector", "each")
 
 
+def test_tension_grows_as_the_root_of_the_distance_from_the_support():
+    held = BODY.points[:, 2] < BODY.points[:, 2].min() + 1e-3
+    i, j = BODY.edges.T
+    nearest = np.linalg.norm(BODY.points[:, None] - BODY.points[held][None], axis=2).min(axis=1)
+    length = np.linalg.norm(BODY.points[i] - BODY.points[j], axis=1)
+    distance = np.maximum(0.5 * (nearest[i] + nearest[j]), 0.5 * length)
+    assert held.any()
+    assert (distance > 0.5 * length).any()
+    for rotation, factor in (("none", 1.1), ("global", 1.1), ("nodal", 4.2)):
+        rule = Parameters.from_tissue(5000.0, 0.4999, BODY, "vector", rotation, held)
+        expected = factor * 5000.0 / 2.9998 * np.sqrt(BODY.equivalent_radius * distance)
+        assert rule.rotation == rotation
+        assert_allclose(rule.surface_tension, expected, rtol=1e-12, atol=0.0)
+    nothing = Parameters.from_tissue(5000.0, 0.4999, BODY, "vector", held=np.zeros_like(held))
+    assert nothing == Parameters.from_tissue(5000.0, 0.4999, BODY, "vector")
+
+
 def test_anisotropy_follows_the_fibre():
     parameters = Parameters(bulk_modulus=10.0, connectivity_modulus=100.0).anisotropic(
         BODY, (0.0, 0.0, 2.0), 5.0

@@ -254,13 +254,21 @@ def nodal_rotation_relief(surface: SurfaceMesh, weights: Array) -> sparse.csr_ar
     inertia = edge_inertia(vectors, weights).reshape(-1, 9)
     touch = sparse.csr_array(abs(_incidence(surface)).T)
     inverse = np.linalg.inv((touch @ inertia).reshape(n, 3, 3))
+    turning = turning_of(surface, weights)
+    return sparse.csr_array(0.5 * (turning.T @ block_diagonal(inverse) @ turning))
+
+
+def turning_of(surface: SurfaceMesh, weights: Array) -> sparse.csr_array:
+    """(3N, 3N) u -> b_i = sum_j w_ij d_ij x (u_i - u_j), the moment of the tension about node i."""
+    touch = sparse.csr_array(abs(_incidence(surface)).T)
+    vectors = edge_vectors(surface)
     cross = np.zeros((len(vectors), 3, 3))
     x, y, z = (weights[:, None] * vectors).T
     cross[:, 0, 1], cross[:, 0, 2], cross[:, 1, 2] = -z, y, -x
     cross -= cross.transpose(0, 2, 1)
     turning = sparse.kron(touch, sparse.eye_array(3), format="csr") @ block_diagonal(cross)
     turning = turning @ sparse.kron(_incidence(surface), sparse.eye_array(3), format="csr")
-    return sparse.csr_array(0.5 * (turning.T @ block_diagonal(inverse) @ turning))
+    return sparse.csr_array(turning)
 
 
 def _incidence(surface: SurfaceMesh) -> sparse.csr_array:

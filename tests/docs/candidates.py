@@ -1,0 +1,344 @@
+"""Measures forms of the skin's elasticity and writes their table in `vdm/README.md`: `make candidates`.
+
+Every candidate is a quadratic energy of the surface nodes alone, here as a dense matrix on the coarse meshes of the
+calibration studies. Its one or two parameters are fitted on the six training loads of a study, by the library's own
+search, and its errors are those on the six loads held out. A surface may be named as argument: it goes through
+`calibrate-organ` and gets a column of its own; columns of surfaces that are not named stay as they are.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import sys
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import linalg
+
+from studies.config import expand, load_study
+from studies.fit import Errors, Sample, Trial, least_error, samples_of, split
+from studies.plan import make_plan
+from studies.run import Options, run_plan
+from tests.docs.vdm_accuracy import README, ROOT, STUDIES, as_per_cent
+from vdm.formulations.boundary import surface_stiffness
+from vdm.formulations.vector import (
+    block_diagonal,
+    block_laplacian,
+    edge_directions,
+    edge_inertia,
+    edge_vectors,
+    turning_of,
+)
+from vdm.material import SUPPORTED_TENSION, VECTOR_TENSION, distance_from_support
+from vdm.surface import SurfaceMesh
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+Build = Callable[["Body", Array], Array]
+
+# beta of the rotations' own stiffness where it is not fitted
+BETA = 0.01
+_TABLE = re.compile(r"(<!-- candidates -->\n).*?(<!-- /candidates -->)", re.DOTALL)
+
+
+class Body:
+    """The dense matrices of a surface's terms: (N, N) Laplacians, (3N, 3N) stiffnesses for a unit parameter."""
+
+    def __init__(self, surface: SurfaceMesh, held: Mask) -> None:
+        self.surface = surface
+        self.held = held
+        self.centred = surface.points - surface.points.mean(axis=0)
+        separation = self.centred[:, None, :] - self.centred[None, :, :]
+        self.distance = np.linalg.norm(separation, axis=2) + np.eye(surface.n_nodes)
+        self.along = separation / self.distance[:, :, None]
+
+    @cached_property
+    def harmonic(self) -> Array:
+        """(N, N) cotangent Laplacian."""
+        return np.asarray(self.surface.laplacian(self.surface.cotangent_weights).toarray())
+
+    @cached_property
+    def membrane(self) -> Array:
+        """Harmonic tension with one free rotation."""
+        return self.with_global_rotation(self.harmonic)
+
+    @cached_property
+    def grown_membrane(self) -> Array:
+        """The same with a tension sqrt(d / R), d the distance from the support."""
+        surface = self.surface
+        growth = np.sqrt(distance_from_support(surface, self.held) / surface.equivalent_radius)
+        return self.with_global_rotation(surface.laplacian(growth * surface.cotangent_weights).toarray())
+
+    @cached_property
+    def stretch(self) -> Array:
+        """E_s: edges as fibres."""
+        directions = edge_directions(self.surface)
+        blocks = np.einsum("e,ea,eb->eab", self.surface.cotangent_weights, directions, directions)
+        return np.asarray(block_laplacian(self.surface, blocks).toarray())
+
+    @cached_property
+    def nodal(self) -> Array:
+        """Harmonic tension with a free rotation at every node."""
+        return self.with_nodal_rotations(1.0, 0.0)
+
+    @cached_property
+    def bending(self) -> Array:
+        """The same with rotations that cost BETA."""
+        return self.with_nodal_rotations(1.0, BETA)
+
+    @cached_property
+    def half_order(self) -> Array:
+        """A_i A_j / r^3 over all pairs, in every direction, with one free rotation."""
+        return self.with_global_rotation(_laplacian(self._pairs(3)))
+
+    @cached_property
+    def fibres_3(self) -> Array:
+        """Fibres between all pairs, A_i A_j / r^3."""
+        return self._fibres(3)
+
+    @cached_property
+    def fibres_4(self) -> Array:
+        """Fibres between all pairs, A_i A_j / r^4, made of the same unit by the body's size."""
+        return self.surface.volume ** (1.0 / 3.0) * self._fibres(4)
+
+    def with_global_rotation(self, laplacian: Array) -> Array:
+        """(3N, 3N) of a Laplacian in every direction, less what the best rotation of the body takes off."""
+        turns = np.stack([np.cross(axis, self.centred).reshape(-1) for axis in np.eye(3)], axis=1)
+        stiffness = np.kron(laplacian, np.eye(3))
+        force = stiffness @ turns
+        return np.asarray(stiffness - force @ linalg.solve(turns.T @ force, force.T, assume_a="pos"))
+
+    def with_nodal_rotations(self, tension: float, bending: float) -> Array:
+        """(3N, 3N) of a tension about a rotation of every node, whose differences along edges cost `bending`."""
+        surface = self.surface
+        weights = surface.cotangent_weights
+        inertia = edge_inertia(edge_vectors(surface), weights).reshape(-1, 9)
+        i, j = surface.edges.T
+        touching = np.zeros((surface.n_nodes, 9))
+        np.add.at(touching, i, inertia)
+        np.add.at(touching, j, inertia)
+        # an edge counts half at either end
+        coupling = 0.5 * tension * turning_of(surface, weights)
+        rotations = block_diagonal(0.5 * tension * touching.reshape(-1, 3, 3)).toarray()
+        rotations += bending * surface.volume ** (2.0 / 3.0) * np.kron(self.harmonic, np.eye(3))
+        relief = coupling.T @ linalg.solve(rotations, coupling.toarray(), assume_a="pos")
+        return np.asarray(tension * np.kron(self.harmonic, np.eye(3)) - relief)
+
+    def _pairs(self, exponent: int) -> Array:
+        areas = self.surface.nodal_areas
+        weights: Array = areas[:, None] * areas[None, :] / self.distance**exponent
+        np.fill_diagonal(weights, 0.0)
+        return weights
+
+    def _fibres(self, exponent: int) -> Array:
+        n = self.surface.n_nodes
+        blocks = np.einsum("ij,ija,ijb->iajb", self._pairs(exponent), self.along, self.along)
+        stiffness = -blocks
+        node = np.arange(n)
+        stiffness[node, :, node, :] += blocks.sum(axis=2)
+        return np.asarray(stiffness.reshape(3 * n, 3 * n))
+
+
+def _laplacian(weights: Array) -> Array:
+    return np.asarray(np.diag(weights.sum(axis=1)) - weights)
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """A form of the skin's elasticity.
+
+    Attributes
+    ----------
+    name : in the table
+    fitted : how many parameters are fitted; none where the shear modulus says it all
+    unknowns : what a frame has to solve: sparse, or a full matrix
+    build : of the body and its parameters over mu (and R, where they are tensions): (3N, 3N), mu = 1
+    """
+
+    name: str
+    fitted: int
+    unknowns: str
+    build: Build
+
+
+def _radius(body: Body) -> float:
+    return body.surface.equivalent_radius
+
+
+CANDIDATES = (
+    Candidate(
+        "constant T, by rule",
+        0,
+        "sparse, N",
+        lambda b, _: VECTOR_TENSION["global"] * _radius(b) * b.membrane,
+    ),
+    Candidate("constant T", 1, "sparse, N", lambda b, c: c[0] * _radius(b) * b.membrane),
+    Candidate(
+        "T growing from the support, by rule",
+        0,
+        "sparse, N",
+        lambda b, _: SUPPORTED_TENSION["global"] * _radius(b) * b.grown_membrane,
+    ),
+    Candidate(
+        "T growing from the support", 1, "sparse, N", lambda b, c: c[0] * _radius(b) * b.grown_membrane
+    ),
+    Candidate(
+        "T growing from the support + E_s",
+        2,
+        "sparse, 3N",
+        lambda b, c: _radius(b) * (c[0] * b.grown_membrane + c[1] * b.stretch),
+    ),
+    Candidate(
+        "constant T + E_s",
+        2,
+        "sparse, 3N",
+        lambda b, c: _radius(b) * (c[0] * b.membrane + c[1] * b.stretch),
+    ),
+    Candidate("nodal rotation", 1, "sparse, 3N", lambda b, c: c[0] * _radius(b) * b.nodal),
+    Candidate(
+        "nodal rotation + E_s",
+        2,
+        "sparse, 3N",
+        lambda b, c: _radius(b) * (c[0] * b.nodal + c[1] * b.stretch),
+    ),
+    Candidate(
+        "rotations with stiffness",
+        2,
+        "sparse, 6N",
+        lambda b, c: _radius(b) * b.with_nodal_rotations(c[0], BETA * c[1]),
+    ),
+    Candidate("half-order, mu/pi", 0, "full", lambda b, _: b.half_order / np.pi),
+    Candidate("half-order", 1, "full", lambda b, c: c[0] * b.half_order / np.pi),
+    Candidate("fibres q = 3", 1, "full", lambda b, c: c[0] * b.fibres_3),
+    Candidate("fibres q = 4", 1, "full", lambda b, c: c[0] * b.fibres_4),
+    Candidate("fibres q = 3 and 4", 2, "full", lambda b, c: c[0] * b.fibres_3 + c[1] * b.fibres_4),
+    Candidate(
+        "fibres q = 3 + harmonic", 2, "full", lambda b, c: c[0] * b.fibres_3 + c[1] * _radius(b) * b.membrane
+    ),
+    Candidate(
+        "fibres q = 4 + harmonic", 2, "full", lambda b, c: c[0] * b.fibres_4 + c[1] * _radius(b) * b.membrane
+    ),
+    Candidate(
+        "fibres q = 3 + rotations with stiffness",
+        2,
+        "full",
+        lambda b, c: c[0] * b.fibres_3 + c[1] * _radius(b) * b.bending,
+    ),
+    Candidate(
+        "boundary integrals",
+        0,
+        "full",
+        lambda b, _: surface_stiffness(b.surface, b.surface.area_vectors),
+    ),
+)
+
+
+class CandidateTrial(Trial):
+    """A candidate on the loads of one body, as the library's search wants it: parameters are over mu."""
+
+    def __init__(self, candidate: Candidate, body: Body, samples: Sequence[Sample]) -> None:
+        self.name = candidate.name
+        self.names = ["parameter"] * candidate.fitted
+        self.samples = tuple(samples)
+        self._build = candidate.build
+        self._body = body
+        tissue = samples[0].scene.tissue
+        self._shear_modulus = tissue.youngs_modulus / (2.0 * (1.0 + tissue.poisson_ratio))
+
+    def answers(self, multiples: Array) -> list[Array]:
+        """Displacements (N, 3) under the loads, held nodes and volume exact."""
+        free = np.repeat(~self.samples[0].scene.held, 3)
+        stiffness = self._shear_modulus * self._build(self._body, multiples)[np.ix_(free, free)]
+        gradient = self._body.surface.area_vectors.reshape(-1)[free]
+        loads = np.stack([sample.scene.contact_force.reshape(-1)[free] for sample in self.samples], axis=1)
+        solved = linalg.solve(stiffness, np.column_stack([gradient, loads]), assume_a="pos")
+        swollen, moved = solved[:, :1], solved[:, 1:]
+        moved -= swollen * (gradient @ moved) / (gradient @ swollen)
+        answers = np.zeros((len(self.samples), free.size))
+        answers[:, free] = moved.T
+        return list(answers.reshape(len(self.samples), -1, 3))
+
+
+def errors_of(
+    candidate: Candidate, training: Sequence[Sample], held_out: Sequence[Sample], body: Body
+) -> Errors:
+    """Errors on the loads held out, fitted on the others."""
+    fitted = np.ones(0)
+    if candidate.fitted:
+        fitted = least_error(CandidateTrial(candidate, body, training))
+    return CandidateTrial(candidate, body, held_out).errors(fitted)
+
+
+def column_of(study: str, surface: Path | None = None) -> dict[str, str]:
+    """What the table's column of one calibration study says, by candidate."""
+    path = ROOT / "studies" / "cases" / f"{study}.toml"
+    loaded = load_study(path, surface=surface)
+    name = study if surface is None else f"{study}-{surface.stem}"
+    results = Path(os.environ.get("VDMBENCH_RESULTS", "results"))
+    plan = make_plan(loaded, expand(loaded), results / "runs" / name, results / "cache")
+    run, _ = run_plan(plan, path.read_text(encoding="utf-8"), Options(jobs=1), lambda _: None)
+    training, held_out = split(
+        samples_of(plan, run), loaded.calibration.training if loaded.calibration else None
+    )
+    mesh = training[0].scene.mesh
+    body = Body(SurfaceMesh(mesh.surface_points, mesh.triangles), training[0].scene.held)
+    return {c.name: _cell(errors_of(c, training, held_out, body)) for c in CANDIDATES}
+
+
+def _cell(errors: Errors) -> str:
+    mean, worst = (
+        " / ".join(map(as_per_cent, pair))
+        for pair in (
+            (errors.vector, errors.deformation),
+            (errors.vector_worst, errors.deformation_worst),
+        )
+    )
+    return f"{mean} ({worst})"
+
+
+def table_in_readme() -> dict[str, dict[str, str]]:
+    """The columns that `vdm/README.md` shows now: body -> candidate -> cell."""
+    found = _TABLE.search(README.read_text(encoding="utf-8"))
+    if found is None:
+        raise RuntimeError("vdm/README.md has lost the marks of its table of candidates")
+    lines = [
+        [cell.strip() for cell in line.strip("|").split("|")] for line in found.group(0).splitlines()[1:-1]
+    ]
+    if not lines:
+        return {}
+    return {
+        body: {line[0]: line[k] for line in lines[2:]} for k, body in enumerate(lines[0]) if k >= len(_HEAD)
+    }
+
+
+_HEAD = ("candidate", "fitted", "matrix")
+
+
+def written(columns: dict[str, dict[str, str]]) -> str:
+    """The table as Markdown."""
+    lines = [[*_HEAD, *columns], ["---"] * (len(_HEAD) + len(columns))]
+    for c in CANDIDATES:
+        lines.append([c.name, str(c.fitted), c.unknowns, *(column[c.name] for column in columns.values())])
+    return "".join(f"| {' | '.join(line)} |\n" for line in lines)
+
+
+def main() -> None:
+    """Run the calibration studies, fit every candidate on each and write the table."""
+    columns = table_in_readme()
+    for body in STUDIES:
+        columns[body] = column_of(f"calibrate-{body}")
+    for argument in sys.argv[1:]:
+        surface = Path(argument).resolve()
+        columns[surface.stem] = column_of("calibrate-organ", surface)
+    text = README.read_text(encoding="utf-8")
+    text = _TABLE.sub(lambda found: found.group(1) + written(columns) + found.group(2), text)
+    README.write_text(text, encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
