@@ -1,0 +1,51 @@
+"""What a model does not do twice: factors of a history or of a changing border; and a weight it does not have."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from tests.unit.vdm_shapes import icosphere
+from vdm import FORMULATIONS, Load, Model, Parameters, SurfaceMesh
+
+POINTS, TRIANGLES = icosphere(2, (0.05, 0.06, 0.045))
+BASE = POINTS[:, 2] < -0.03
+FINGER = Load(np.where(POINTS[:, 2] > 0.035, 20.0, 0.0))
+NAMES = list(FORMULATIONS)
+
+
+def model(formulation: str, **options) -> Model:
+    rule = Parameters.from_tissue(5000.0, 0.4999, SurfaceMesh(POINTS, TRIANGLES), formulation)
+    return Model(POINTS, TRIANGLES, rule, formulation=formulation, fixed=BASE, **options)
+
+
+@pytest.mark.parametrize("solver", ["linear", "quasi-linear", "nonlinear"])
+@pytest.mark.parametrize("formulation", NAMES)
+def test_the_block_is_factored_once_for_a_whole_history(formulation, solver, monkeypatch):
+    made: list[int] = []
+    original = FORMULATIONS[formulation].factor
+
+    def counted(self, free):
+        made.append(int(free.sum()))
+        return original(self, free)
+
+    monkeypatch.setattr(FORMULATIONS[formulation], "factor", counted)
+    body = model(formulation, solver=solver)
+    history = body.solve([FINGER.scaled(s) for s in (0.5, 1.0, 0.2)])
+    body.solve([FINGER])
+    assert [status.code for status in history.status] == ["converged"] * 3
+    assert made == [np.count_nonzero(~BASE)]
+
+
+@pytest.mark.parametrize("solver", ["linear", "nonlinear"])
+@pytest.mark.parametrize("formulation", NAMES)
+@pytest.mark.parametrize("weightless", [{"density": 0.0, "gravity": (0.0, 0.0, -9.81)}, {"density": 1060.0}])
+def test_without_gravity_no_hydrostatic_pressure_is_assembled(formulation, solver, weightless, monkeypatch):
+    body = model(formulation, solver=solver, **weightless)
+    monkeypatch.setattr(
+        FORMULATIONS[formulation], "pressure_force", lambda *_: pytest.fail("hydrostatic assembly")
+    )
+    assert body.problem.support.hydrostatic is None
+    assert np.array_equal(
+        body.solve([FINGER]).displacement, model(formulation, solver=solver).solve([FINGER]).displacement
+    )
