@@ -7,7 +7,7 @@ import fcntl
 import json
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import AbstractContextManager, ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -154,11 +154,23 @@ def _mesh_task(mesh: PlannedMesh, plan: Plan) -> dict[str, Any]:
 
 @contextmanager
 def _locked(directory: Path, shard: tuple[int, int]) -> Iterator[None]:
-    """Hold the directory, or one shard's place in it, against another run; the lock goes with the process."""
-    name = ".lock" if shard == (1, 1) else f".lock-{shard[0]}-of-{shard[1]}"
+    """Hold the directory, or one shard's place in it, against another run; the locks go with the process.
+
+    Shards share the directory with each other, not with a run of the whole study.
+    """
+    with ExitStack() as held:
+        whole = shard == (1, 1)
+        held.enter_context(_lock(directory, ".lock", fcntl.LOCK_EX if whole else fcntl.LOCK_SH))
+        if not whole:
+            held.enter_context(_lock(directory, f".lock-{shard[0]}-of-{shard[1]}", fcntl.LOCK_EX))
+        yield
+
+
+@contextmanager
+def _lock(directory: Path, name: str, kind: int) -> Iterator[None]:
     with (directory / name).open("a+") as file:
         try:
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            fcntl.flock(file, kind | fcntl.LOCK_NB)
         except BlockingIOError:
             file.seek(0)
             raise RunError(

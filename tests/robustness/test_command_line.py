@@ -249,6 +249,19 @@ def test_a_directory_without_a_run(tmp_path: Path, verb: str) -> None:
     assert "not a run directory" in result.stderr
 
 
+def test_a_shard_and_a_run_of_the_whole_exclude_each_other(copy: Path) -> None:
+    with (copy / RUN / ".lock").open("a+") as file:
+        fcntl.flock(file, fcntl.LOCK_SH)  # as a shard holds it
+        assert vdmbench("run", "small.toml", "--shard", "2/2", cwd=copy).returncode == 0
+        whole = vdmbench("run", "small.toml", cwd=copy)
+        assert whole.returncode == 2
+        assert "another run is at work here" in whole.stderr
+        fcntl.flock(file, fcntl.LOCK_EX)  # as a run of the whole study holds it
+        shard = vdmbench("run", "small.toml", "--shard", "1/2", cwd=copy)
+        assert shard.returncode == 2
+        assert "another run is at work here" in shard.stderr
+
+
 def test_two_runs_in_one_directory(copy: Path) -> None:
     with (copy / RUN / ".lock").open("a+") as file:
         fcntl.flock(file, fcntl.LOCK_EX)
