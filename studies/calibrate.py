@@ -11,6 +11,7 @@ import numpy as np
 from .case import Run
 from .fit import CalibrationError, Errors, Fit, Sample, Trial, fit, samples_of, split, surface_models
 from .plan import Plan
+from .schema import Study
 
 FINER = 0.75  # mesh size of the second mesh over that of the study
 
@@ -42,6 +43,14 @@ class Calibration:
     transfer: Mapping[str, Errors]
 
 
+def check(study: Study) -> None:
+    """Raise CalibrationError where nothing could be fitted whatever a run gives."""
+    if study.study.reference is None:
+        raise CalibrationError("a calibration needs study.reference, the model to fit to")
+    if not surface_models(study.study.models):
+        raise CalibrationError(f"{study.study.name} has no surface model whose parameters could be fitted")
+
+
 def body(plan: Plan, run: Run, finer: tuple[Plan, Run] | None) -> Body:
     """A study's loads, split into training and held-out ones.
 
@@ -51,9 +60,8 @@ def body(plan: Plan, run: Run, finer: tuple[Plan, Run] | None) -> Body:
         no reference, no surface model, or too few finished cases.
     """
     study = plan.study
+    check(study)
     models = surface_models(study.study.models)
-    if not models:
-        raise CalibrationError(f"{study.study.name} has no surface model whose parameters could be fitted")
     asked = study.calibration.parameters if study.calibration is not None else None
     count = study.calibration.training if study.calibration is not None else None
     training, held_out = split(samples_of(plan, run), count)

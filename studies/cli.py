@@ -258,12 +258,13 @@ def _run(options: argparse.Namespace) -> int:
 
 
 def _calibrate(options: argparse.Namespace) -> int:
-    from .calibrate import FINER, as_json, as_toml, body, calibrate
+    from .calibrate import FINER, as_json, as_toml, body, calibrate, check
     from .calibration_table import table
     from .config import with_mesh_size
     from .files import write_atomically
 
     study, path = _load(options)
+    check(study)
     out = options.out or _results() / "runs" / study.study.name
     finer = with_mesh_size(study, FINER)
     own = body(

@@ -256,7 +256,7 @@ CASES = {
         "[uncertainty]\nlevels = 5\n[tissue]",
         "levels",
         "uncertainty.levels",
-        "less than or equal to 3",
+        "less than or equal to 4",
     ),
     "levels as bool": (
         "[tissue]",
