@@ -377,8 +377,9 @@ def _accept(options: argparse.Namespace) -> int:
 
 
 def _baseline(options: argparse.Namespace, study: str) -> Path:
-    path: Path = options.baseline or _results() / "baselines" / f"{study}.json"
-    return path
+    from .gate import baseline_path
+
+    return options.baseline or baseline_path(_results(), study)
 
 
 def _bench(options: argparse.Namespace) -> int:

@@ -21,7 +21,9 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from .case import CaseResult, Run
 from .files import write_atomically
-from .metrics import full_load_step
+from .kinds import safe_name
+from .metrics import METRICS, full_load_step
+from .problems import file_fault
 
 SCHEMA = 1
 MAX_BYTES = 50_000_000
@@ -30,6 +32,7 @@ RELATIVE = 0.02  # of a value: another BLAS, another core count and another orde
 ABSOLUTE = {"1": 1e-3, "m": 1e-6}
 DRIFT = 1e-9  # of the volume: drifts are judged by their own size, down to where they are rounding
 DESCRIPTIVE = ("mean_strain_x", "mean_strain_y", "mean_strain_z", "contact_work")  # neither good nor bad
+ONLY_CASE = "the only case"  # what the case of a study without a sweep is called
 OWN = "own error: "  # before the name of a metric in which the reference's own error was measured
 
 WORSE, BETTER, SAME = "worse", "better", "unchanged"
@@ -68,16 +71,17 @@ class ModelEntry(_Stored):
 
 
 class CaseEntry(_Stored):
-    """One accepted case; `inputs` is the SHA-256 of its resolved inputs."""
+    """One accepted case; `inputs` is the SHA-256 of its resolved inputs, `reference` one of its models or None."""
 
     inputs: str
+    reference: str | None
     models: dict[str, ModelEntry]
 
 
 class Baseline(_Stored):
     """What was accepted of a study, when and why; cases by their label."""
 
-    schema_version: int = Field(alias="schema")
+    schema_version: int = Field(alias="schema", ge=1)
     study: str
     reason: str
     date: str
@@ -136,14 +140,11 @@ def _inputs(case: CaseResult) -> str:
     return hashlib.sha256(json.dumps(own, sort_keys=True).encode()).hexdigest()
 
 
-def _name(case: CaseResult) -> str:
-    return case.label or "the only case"
-
-
 def _cases(run: Run) -> dict[str, CaseEntry]:
     return {
-        _name(case): CaseEntry(
+        case.label or ONLY_CASE: CaseEntry(
             inputs=_inputs(case),
+            reference=case.reference,
             models={
                 name: ModelEntry(version=result.version, metrics=dict(_entries(case, name)))
                 for name, result in case.models.items()
@@ -156,6 +157,11 @@ def _cases(run: Run) -> dict[str, CaseEntry]:
 # --- baselines on disk ---
 
 
+def baseline_path(results: Path, study: str) -> Path:
+    """Where the baseline of a study is kept. Raises ValueError where the name would lead elsewhere."""
+    return results / "baselines" / f"{safe_name(study)}.json"
+
+
 def read_baseline(path: Path) -> Baseline:
     """Read and validate a baseline.
 
@@ -164,14 +170,14 @@ def read_baseline(path: Path) -> Baseline:
     BaselineError
         no such file, not a baseline, or of a newer schema.
     """
+    if not path.exists():
+        raise BaselineError(f"{path}: no such baseline; make one with: vdmbench accept DIR --reason TEXT")
+    if fault := file_fault(path):
+        raise BaselineError(f"{path}: {fault}")
+    if path.stat().st_size > MAX_BYTES:
+        raise BaselineError(f"{path}: larger than any baseline can be")
     try:
-        if path.stat().st_size > MAX_BYTES:
-            raise BaselineError(f"{path}: larger than any baseline can be")
         data = json.loads(path.read_bytes())
-    except FileNotFoundError:
-        raise BaselineError(
-            f"{path}: no such baseline; make one with: vdmbench accept DIR --reason TEXT"
-        ) from None
     except (ValueError, RecursionError):
         raise BaselineError(f"{path}: not JSON; restore it or accept anew") from None
     schema = data.get("schema") if isinstance(data, dict) else None
@@ -193,7 +199,7 @@ def accept(run: Run, path: Path, reason: str) -> Baseline:
     Raises
     ------
     BaselineError
-        no reason, cases that failed or are missing, or nothing to accept.
+        no reason, cases that failed or are missing, metrics of another version, or nothing to accept.
     OSError
         disk full or read-only.
     """
@@ -206,6 +212,8 @@ def accept(run: Run, path: Path, reason: str) -> Baseline:
             f"{len(run.failed)} cases failed and {len(run.missing)} are missing: finish the run before "
             f"accepting it"
         )
+    if stale := _stale_metric(run):
+        raise BaselineError(f"{stale} is of another version in this run: run the study again, then accept")
     baseline = Baseline(
         schema=SCHEMA,
         study=str(run.study["name"]),
@@ -216,6 +224,16 @@ def accept(run: Run, path: Path, reason: str) -> Baseline:
     text = baseline.model_dump_json(by_alias=True, indent=1)
     write_atomically(path, f"{text}\n".encode())
     return baseline
+
+
+def _stale_metric(run: Run) -> str | None:
+    """A metric that this program computes otherwise than the run did."""
+    for case in run.cases:
+        for entries in case.metrics.values():
+            for name, series in entries.items():
+                if name not in METRICS or series.version != METRICS[name].version:
+                    return name
+    return None
 
 
 # --- the comparison ---
@@ -233,7 +251,12 @@ def compare(run: Run, baseline: Baseline) -> list[Finding]:
     if baseline.study != name:
         raise BaselineError(f"the baseline is of study {baseline.study!r}, the run of {name!r}")
     now = _cases(run)
-    failed = {str(failure["label"]): str(failure["message"]) for failure in run.failed}
+    # a failure is labelled for people: in a study of one case by the beginning of its hash
+    failed = {
+        ONLY_CASE if failure["label"] == failure["hash"][:12] else failure["label"]: failure["message"]
+        for failure in run.failed
+    }
+    unfinished = {label or ONLY_CASE for label in run.missing}
     findings: list[Finding] = []
     for label, was in baseline.cases.items():
         if label in now:
@@ -241,18 +264,22 @@ def compare(run: Run, baseline: Baseline) -> list[Finding]:
         elif label in failed:
             findings.append(Finding(NEWLY_FAILING, label, "", "", why=failed[label]))
         else:
-            findings.append(Finding(MISSING, label, "", "", why="the run has no such case"))
-    findings += [
-        Finding(NEW, label, "", "", why="the baseline has no such case")
-        for label in now
-        if label not in baseline.cases
-    ]
+            why = "the run has not got to it" if label in unfinished else "the run has no such case"
+            findings.append(Finding(MISSING, label, "", "", why=why))
+    for label in (*now, *failed, *sorted(unfinished)):
+        if label not in baseline.cases:
+            state = f", and it failed: {failed[label]}" if label in failed else ""
+            findings.append(Finding(NEW, label, "", "", why=f"the baseline has no such case{state}"))
     return findings
 
 
 def _compare_case(label: str, was: CaseEntry, now: CaseEntry) -> Iterator[Finding]:
     if was.inputs != now.inputs:
         yield Finding(NOT_COMPARABLE, label, "", "", why="the inputs of the case have changed")
+        return
+    if (old_reference := _reference(was)) != (new_reference := _reference(now)):
+        why = f"the reference has changed: {old_reference} -> {new_reference}"
+        yield Finding(NOT_COMPARABLE, label, "", "", why=why)
         return
     for model, old in was.models.items():
         new = now.models.get(model)
@@ -264,10 +291,18 @@ def _compare_case(label: str, was: CaseEntry, now: CaseEntry) -> Iterator[Findin
         else:
             for metric, entry in old.metrics.items():
                 yield _compare_metric(label, model, metric, entry, new.metrics.get(metric))
-            for metric in new.metrics.keys() - old.metrics.keys():
+            for metric in sorted(new.metrics.keys() - old.metrics.keys()):
                 yield Finding(NEW, label, model, metric, why="the baseline has no such metric")
-    for model in now.models.keys() - was.models.keys():
+    for model in sorted(now.models.keys() - was.models.keys()):
         yield Finding(NEW, label, model, "", why="the baseline has no such model")
+
+
+def _reference(case: CaseEntry) -> str:
+    """What the models were measured against, with its version: all their errors move with it."""
+    if case.reference is None:
+        return "none"
+    model = case.models.get(case.reference)
+    return f"{case.reference} of version {model.version if model else 'unknown'}"
 
 
 def _compare_metric(label: str, model: str, metric: str, was: Entry, now: Entry | None) -> Finding:

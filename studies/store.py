@@ -159,6 +159,7 @@ def _metric_versions() -> str:
 def _read_plan(directory: Path) -> dict[str, Any]:
     try:
         plan: dict[str, Any] = json.loads((directory / "plan.json").read_text())
+        _ = plan["study"]["name"]
         for planned in plan["cases"]:
             _ = planned["hash"], planned["label"], planned["swept"], planned["swept_units"]
     except (FileNotFoundError, NotADirectoryError):

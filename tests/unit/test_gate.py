@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import os
+import re
 from collections.abc import Mapping
 from pathlib import Path
 from xml.etree import ElementTree
@@ -19,6 +21,7 @@ from tests.command import SMALL_STUDY, vdmbench
 
 from .report_runs import make_case, make_run
 
+FORMAT = Path(__file__).parents[2] / "results" / "FORMAT.md"
 VECTOR = "relative_l2_displacement_error"
 BARS = {"gci:relative_l2_displacement_error": 0.01}
 
@@ -106,6 +109,10 @@ def test_failing_and_passing(path: Path, tmp_path: Path) -> None:
     failed = [{"hash": "a", "label": "nu = 0.49", "code": "crashed", "message": "it died", "remedy": ""}]
     (finding,) = compare(dataclasses.replace(stopped, cases=[], failed=failed), read_baseline(path))
     assert (finding.outcome, finding.why) == (gate.NEWLY_FAILING, "it died")
+    elsewhere = [{**failed[0], "label": "nu = 0.3"}]
+    gone, new = compare(dataclasses.replace(stopped, cases=[], failed=elsewhere), read_baseline(path))
+    assert (gone.outcome, new.outcome, new.case) == (gate.MISSING, gate.NEW, "nu = 0.3")
+    assert "it died" in new.why
 
 
 def test_what_cannot_be_compared_says_why(path: Path) -> None:
@@ -116,6 +123,15 @@ def test_what_cannot_be_compared_says_why(path: Path) -> None:
         "unit 1 -> m": with_series(case, "vdm-vector", VECTOR, unit="m"),
         "the inputs of the case have changed": dataclasses.replace(
             case, resolved={**case.resolved, "tissue": {}}
+        ),
+        "the reference has changed: fem-linear of version 1 -> vdm-paper of version 1": dataclasses.replace(
+            case, reference="vdm-paper"
+        ),
+        "the reference has changed: fem-linear of version 1 -> fem-linear of version 2": changed(
+            case, "fem-linear", version="2"
+        ),
+        "the reference has changed: fem-linear of version 1 -> none": dataclasses.replace(
+            case, reference=None
         ),
     }
     for why, now in versions.items():
@@ -155,6 +171,9 @@ def test_accepting_needs_a_reason_and_a_whole_run(tmp_path: Path) -> None:
     for broken in (dataclasses.replace(run, missing=["x"]), dataclasses.replace(run, cases=[])):
         with pytest.raises(BaselineError, match="finish the run"):
             accept(broken, tmp_path / "b.json", "why not")
+    old = with_series(run.cases[0], "vdm-vector", VECTOR, version=0)
+    with pytest.raises(BaselineError, match=f"{VECTOR} is of another version"):
+        accept(make_run([old]), tmp_path / "b.json", "why not")
     assert not (tmp_path / "b.json").exists()
 
 
@@ -170,6 +189,7 @@ def test_a_baseline_of_another_study_is_refused(path: Path) -> None:
         (b"[" * 100_000, "not JSON"),
         (b"[]", "not a baseline"),
         (b'{"schema": 99}', "newer than this program"),
+        (b'{"schema": 0, "study": "a", "reason": "r", "date": "d", "cases": {}}', "greater than or equal"),
         (b'{"schema": 1, "study": 3}', "not a baseline"),
         (
             b'{"schema": 1, "study": "a", "reason": "r", "date": "d", "cases": {}, "more": 1}',
@@ -181,6 +201,25 @@ def test_damaged_baselines(tmp_path: Path, content: bytes, message: str) -> None
     (tmp_path / "b.json").write_bytes(content)
     with pytest.raises(BaselineError, match=message):
         read_baseline(tmp_path / "b.json")
+
+
+def test_what_is_no_file_is_not_waited_for(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe")
+    for path in (tmp_path / "pipe", tmp_path):
+        with pytest.raises(BaselineError, match="is not a file"):
+            read_baseline(path)
+
+
+def test_the_format_is_as_documented(path: Path) -> None:
+    text = FORMAT.read_text().split("## Baseline")[1].split("\n## ")[0]
+    documented = [set(re.findall(r"`(\w+)`", line)) for line in text.splitlines() if line.startswith("| `")]
+    baseline = json.loads(path.read_text())
+    case = baseline["cases"]["nu = 0.49"]
+    model = case["models"]["vdm-vector"]
+    names = baseline.keys() | case.keys() | model.keys() | model["metrics"][VECTOR].keys()
+    assert names == set().union(*documented)
+    assert case["reference"] == "fem-linear"
+    assert baseline["schema"] == gate.SCHEMA
 
 
 @pytest.mark.parametrize("value", ["NaN", "Infinity", '"0.1"', "-1"])
@@ -246,7 +285,32 @@ def test_the_commands_and_their_exit_codes(tmp_path: Path) -> None:
     (tmp_path / "elsewhere.json").write_text(json.dumps(data))
     assert vdmbench("gate", directory, "--baseline", "elsewhere.json", cwd=tmp_path).returncode == 2
     (result,) = (tmp_path / directory / "cases").iterdir()
-    result.write_bytes(result.read_bytes()[:-1])
+    whole = result.read_bytes()
+    result.write_bytes(whole[:-1])
+    assert vdmbench("gate", directory, cwd=tmp_path).returncode == 5
+    assert vdmbench("accept", directory, "--reason", "x", cwd=tmp_path).returncode == 5
+
+    result.unlink()
+    unfinished = vdmbench("gate", directory, cwd=tmp_path)
+    assert unfinished.returncode == 6
+    assert "the run has not got to it" in unfinished.stdout
+    (tmp_path / directory / "failed").mkdir(exist_ok=True)
+    failure = {"hash": result.stem, "label": "", "code": "crashed", "message": "it died", "remedy": ""}
+    (tmp_path / directory / "failed" / f"{result.stem}.json").write_text(json.dumps(failure))
+    failed = vdmbench("gate", directory, cwd=tmp_path)
+    assert failed.returncode == 1
+    assert "newly failing: the only case: it died" in failed.stdout
+    result.write_bytes(whole)
+    assert vdmbench("gate", directory, cwd=tmp_path).returncode == 0
+
+    plan = tmp_path / directory / "plan.json"
+    text = plan.read_text()
+    plan.write_text(text.replace('"name": "small"', '"name": "../../escaped"'))
+    escaping = vdmbench("accept", directory, "--reason", "x", cwd=tmp_path)
+    assert escaping.returncode == 2
+    assert "is not a usable name" in escaping.stderr
+    assert not list(tmp_path.rglob("escaped*"))
+    plan.write_text(text.replace('"name": "small"', '"nom": "small"'))
     assert vdmbench("gate", directory, cwd=tmp_path).returncode == 5
 
 
