@@ -209,23 +209,24 @@ def _check(options: argparse.Namespace) -> int:
 
 def _plan(options: argparse.Namespace) -> int:
     from .config import expand
+    from .explain import summary
 
     study, _ = _load(options)
     plan = _make_plan(study, expand(study), options.out)
-    summary = plan.summary()
+    planned = summary(plan)
     if options.json:
-        return print_json(summary)
-    print(f"{study.study.title}: {count(len(summary['cases']), 'case')} of {', '.join(study.study.models)}")
+        return print_json(planned)
+    print(f"{study.study.title}: {count(len(planned['cases']), 'case')} of {', '.join(study.study.models)}")
     if study.study.reference is None:
         print("no reference: the models run without comparison")
-    for case in summary["cases"]:
+    for case in planned["cases"]:
         print(f"  {case['hash'][:12]}  {case['state']:<8} {case['label']}")
-    meshes = count(summary["meshes_to_make"], "mesh", "meshes")
-    print(f"to run: {count(summary['cases_to_run'], 'case')}, {meshes}")
+    meshes = count(planned["meshes_to_make"], "mesh", "meshes")
+    print(f"to run: {count(planned['cases_to_run'], 'case')}, {meshes}")
     for kind in ("shared", "skipped"):
-        for line in summary[kind]:
+        for line in planned[kind]:
             print(f"{kind}: {line}")
-    print(_estimate(summary["estimate"]))
+    print(_estimate(planned["estimate"]))
     return OK
 
 

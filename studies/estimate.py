@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -17,11 +16,9 @@ from . import models
 from .case import CaseResult
 from .geometry_spec import area_and_volume, estimated_nodes
 from .mesh_cache import mesh_path, read_mesh
+from .plan import Plan, PlannedCase, PlannedMesh
 from .store import StoreError, read_case
 from .work import ModelWork, work_of
-
-if TYPE_CHECKING:
-    from .plan import Plan, PlannedCase, PlannedMesh
 
 FACTOR_MEASURED, FACTOR_LAWS = 3.0, 5.0
 _START = 2.0  # s to load the libraries, and to write the tables and an empty report

@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from . import models
 from .estimate import estimate
+from .plan import Plan, PlannedCase
 from .work import ModelWork, work_of
-
-if TYPE_CHECKING:
-    from .plan import Plan, PlannedCase
 
 
 def summary(plan: Plan) -> dict[str, Any]:

@@ -10,7 +10,6 @@ from typing import Any
 
 from . import models
 from .config import ResolvedCase, geometry_of, resolved
-from .explain import summary
 from .geometry_spec import MAX_NODES, Geometry, area_and_volume, check_node_budget, geometry_key
 from .keys import case_hash, reference_key, result_keys, setup_key, surface_key
 from .mesh_cache import mesh_path
@@ -116,10 +115,6 @@ class Plan:
     def case_file(self, case: PlannedCase) -> Path:
         """Where the case is kept once it is done."""
         return case_path(self.directory, case.hash)
-
-    def summary(self) -> dict[str, Any]:
-        """The plan as plain data, see `studies.explain`."""
-        return summary(self)
 
 
 def make_plan(study: Study, cases: Sequence[ResolvedCase], directory: Path, cache: Path) -> Plan:

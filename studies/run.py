@@ -17,6 +17,7 @@ import tomli_w
 from .case import Run
 from .config import resolved
 from .execute import Group, Outcome, run_tasks, write_failure
+from .explain import summary
 from .files import write_atomically
 from .plan import Plan, PlannedMesh, task_of
 from .store import case_path, failure_path, read_run, write_study
@@ -64,7 +65,7 @@ def run_plan(
     with _locked(plan.directory, options.shard):
         write_atomically(plan.directory / "study.toml", study_text.encode())
         write_atomically(plan.directory / "resolved.toml", tomli_w.dumps(resolved(plan.study)).encode())
-        write_atomically(plan.directory / "plan.json", json.dumps(plan.summary(), indent=1).encode())
+        write_atomically(plan.directory / "plan.json", json.dumps(summary(plan), indent=1).encode())
         _run_missing(plan, options, watch)
         return rebuild(plan.directory)
 

@@ -4,16 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from . import models
 from .keys import anonymous_constraints
+from .plan import Plan, PlannedCase
 from .schema import Study
-
-if TYPE_CHECKING:
-    from .plan import Plan, PlannedCase
 
 
 @dataclass(frozen=True)

@@ -16,6 +16,7 @@ from typing import Any
 
 from studies import geometry, models, reference, store, worker
 from studies.config import expand, load_study
+from studies.explain import summary
 from studies.plan import Plan, make_plan, task_of
 from tests.command import vdmbench
 
@@ -116,7 +117,7 @@ def _report(plan: Plan, study: Path) -> None:
     from studies.report.page import write_report
 
     (plan.directory / "study.toml").write_text(study.read_text())
-    (plan.directory / "plan.json").write_text(json.dumps(plan.summary()))
+    (plan.directory / "plan.json").write_text(json.dumps(summary(plan)))
     run = store.read_run(plan.directory)
     store.write_study(plan.directory, run)
     write_report(run, plan.directory / "report.html")

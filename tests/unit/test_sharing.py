@@ -20,6 +20,7 @@ from studies import metrics, models, worker
 from studies import work as counted
 from studies.case import CaseResult
 from studies.config import expand
+from studies.explain import summary
 from studies.plan import Plan, make_plan, task_of
 from studies.reference import refined_reference
 from studies.schema import Study
@@ -192,7 +193,7 @@ def test_another_metric_version_costs_no_solve(
     monkeypatch.setitem(metrics.METRICS, name, changed)
     plan = plan_of(tmp_path, cache)
     assert set(plan.state.values()) == {"stale"}
-    assert any("only the metrics have changed" in line for line in plan.summary()["skipped"])
+    assert any("only the metrics have changed" in line for line in summary(plan)["skipped"])
     after = run(plan)
     assert not made, "nothing is set up or solved"
     for a, b in zip(after, before, strict=True):
@@ -245,13 +246,13 @@ def test_what_a_plan_expects_grows_with_the_work(tmp_path: Path) -> None:
     """Seconds depend on the machine: only memory and disk are held to what is measured, generously."""
     cache = tmp_path / "cache"
     plan = plan_of(tmp_path / "a", cache)
-    expected = plan.summary()["estimate"]
+    expected = summary(plan)["estimate"]
     finer = plan_of(tmp_path / "a", cache, geometry=TABLES["geometry"] | {"mesh_size": 0.011})
     more = plan_of(tmp_path / "a", cache, load={"factors": [0.25, 0.5, 0.75, 1.0]})
     for larger in (finer, more):
         for kind in ("seconds", "memory", "disk"):
-            assert larger.summary()["estimate"][kind] >= expected[kind], kind
-    assert finer.summary()["estimate"]["memory"] > expected["memory"]
+            assert summary(larger)["estimate"][kind] >= expected[kind], kind
+    assert summary(finer)["estimate"]["memory"] > expected["memory"]
     assert expected["factor"] == 5
     cases = run(plan)
     files = [path for part in (tmp_path / "a", cache) for path in part.rglob("*") if path.is_file()]
@@ -259,8 +260,8 @@ def test_what_a_plan_expects_grows_with_the_work(tmp_path: Path) -> None:
     added = sum(result.peak_bytes for result in cases[0].models.values())
     assert added / 5 < expected["memory"] < 5 * (added + 3e8)
     again = plan_of(tmp_path / "a", cache, load={"factors": [0.5, 1.0, 2.0]})
-    assert plan_of(tmp_path / "a", cache).summary()["estimate"]["seconds"] == 0
-    assert again.summary()["estimate"]["seconds"] > 0
+    assert summary(plan_of(tmp_path / "a", cache))["estimate"]["seconds"] == 0
+    assert summary(again)["estimate"]["seconds"] > 0
 
 
 def test_a_batch_and_one_case_give_one_reference(tmp_path: Path, cache: Path) -> None:

@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from studies.config import Study, expand, load_study
+from studies.explain import summary
 from studies.plan import make_plan
 from studies.schema import CLAIMS
 from tests.command import vdmbench
@@ -24,9 +25,9 @@ def shipped(name: str) -> Study:
 @pytest.mark.parametrize("name", NAMES)
 def test_check_and_plan(name: str, tmp_path: Path) -> None:
     study = shipped(name)
-    summary = make_plan(study, expand(study), tmp_path / "run", tmp_path / "cache").summary()
-    assert summary["study"]["claims"] == list(study.study.claims)
-    assert len(summary["cases"]) == summary["cases_to_run"] >= 1, "no case repeats another"
+    planned = summary(make_plan(study, expand(study), tmp_path / "run", tmp_path / "cache"))
+    assert planned["study"]["claims"] == list(study.study.claims)
+    assert len(planned["cases"]) == planned["cases_to_run"] >= 1, "no case repeats another"
     assert study.study.name == name
     assert study.study.title != name
     assert (SHIPPED / f"{name}.toml").read_text().startswith("# "), "a study says what it is for"
