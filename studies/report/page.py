@@ -20,10 +20,11 @@ from .section_convergence import mesh_convergence
 from .section_cost import run_time_against_error
 from .section_errors import error_against_load, error_against_parameters
 from .section_fibres import anisotropy_of_the_response
+from .section_force import force_against_indentation
 from .section_limits import small_strain_limits
 from .section_measures import all_measures
-from .section_mechanics import force_against_indentation, volume_drift
 from .section_view import Renderer, still, surfaces
+from .section_volume import volume_drift
 
 
 class PictureError(ValueError):

@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 import math
 
-import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
@@ -19,9 +18,8 @@ from studies.report.digest import (
     reference_bar,
     spread_of,
 )
-from studies.report.section_mechanics import contact_resultant, indentation
 
-from .report_runs import AMPLITUDE, REFERENCE, make_case, make_run, sweep_run
+from .report_runs import REFERENCE, make_case, make_run, sweep_run
 
 RTOL, ATOL = 1e-9, 1e-12  # the runs are exact but for rounding
 
@@ -245,39 +243,6 @@ def test_terminal_rows(digest: Digest) -> None:
     assert rows[2]["per frame"] == "800 ms"
     assert len({tuple(row) for row in rows}) == 1, "all rows have the same columns"
     assert headline.headline_rows(make_run([])) == []
-
-
-# --- force and indentation ---
-
-
-def test_contact_resultant_from_a_force_or_a_uniform_pressure() -> None:
-    assert contact_resultant(make_case({"m": 0.1}, contact={"force": 0.4}, subdivisions=1)) == 0.4
-    case = make_case({"m": 0.1}, contact={"force": None, "pressure": 300.0}, subdivisions=3)
-    loaded = case.regions["finger"][case.triangles].all(axis=1)
-    a, b, c = (case.points[case.triangles[loaded, k]] for k in range(3))
-    expected = 300.0 * np.linalg.norm(0.5 * np.cross(b - a, c - a).sum(axis=0))
-    found = contact_resultant(case)
-    assert found is not None
-    assert_allclose(found, expected, rtol=RTOL, atol=ATOL)
-    assert (
-        0.2 < found < 300.0 * math.pi * (0.05 * math.sin(math.radians(25))) ** 2
-    )  # below pressure x whole cap
-
-
-@pytest.mark.parametrize(
-    "contact", [{"force": None, "pressure": 300.0, "profile": "hertz"}, {"kind": "fixed"}]
-)
-def test_contact_resultant_is_unknown_where_the_inputs_do_not_tell(contact: dict[str, object]) -> None:
-    assert contact_resultant(make_case({"m": 0.1}, contact=contact, subdivisions=1)) is None
-
-
-def test_indentation_is_the_deepest_node_of_the_contact() -> None:
-    case = make_case({"m": 0.5}, steps=(0.5, 1.0), subdivisions=3)
-    # no node of this ball sits on the pole: the deepest is the nearest one, pushed in by P_2 of its angle
-    top = case.points[:, 2].max() / np.linalg.norm(case.points[0])
-    depth = AMPLITUDE * (1.5 * top**2 - 0.5)
-    assert_allclose(indentation(case, REFERENCE), [0.5 * depth, depth], rtol=2e-3, atol=ATOL)  # facet normals
-    assert_allclose(indentation(case, "m"), 1.5 * indentation(case, REFERENCE), rtol=RTOL, atol=ATOL)
 
 
 def test_the_reference_on_the_coarser_mesh_is_not_on_trial() -> None:

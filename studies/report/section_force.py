@@ -1,0 +1,248 @@
+"""Force against indentation: under a pressure contact, and where a region is moved by a given amount."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+
+from ..case import CaseResult
+from ..metrics import Surface, facet_area_vectors
+from .blocks import Figure, Figures, Section, Text
+from .digest import Array, Digest, full_load
+from .formatting import listed, quantity, scale_of
+from .plots import Plot, colour, line, marker
+
+_CONTACT_NOTE = (
+    "Under a contact the force is given and the indentation is the answer: the largest inward displacement of the "
+    "nodes in contact, along the undeformed normal."
+)
+_MOVED_NOTE = (
+    "Where a region is moved by a given amount the force is the answer: the resultant of its nodes’ reactions, "
+    "along the way that it is moved. A stiff model lies above the reference."
+)
+
+
+@dataclass(frozen=True)
+class Push:
+    """One place where a case is pushed: (S,) lengths [m] and forces [N, or load factors] of a model in a case."""
+
+    name: str
+    x_label: str
+    y_label: str
+    unit: str  # of the forces
+    note: str
+    curve: Callable[[CaseResult, str], tuple[Array, Array] | None]
+
+
+def force_against_indentation(digest: Digest) -> Section | None:
+    """How stiff the body feels where it is pushed: key cases, or without a load history all cases together."""
+    figures: list[Figure] = []
+    notes: dict[str, None] = {}
+    for cases, title in _groups(digest):
+        for push in _pushes(cases):
+            figure = _stiffness(digest, push, cases, title, f"f{len(figures)}")
+            if figure is not None:
+                figures.append(figure)
+                notes[push.note] = None
+    if not figures:
+        return None
+    return Section(
+        "force",
+        "Force against indentation",
+        [Text(" ".join(notes), kind="note"), Figures(figures, digest.legend)],
+    )
+
+
+def _groups(digest: Digest) -> list[tuple[Sequence[CaseResult], str]]:
+    """(cases of one figure, what they are called)."""
+    if digest.has_steps:
+        return [
+            ([case], f"{digest.case_name(case)}{f' ({role})' if role else ''}")
+            for role, case in digest.key_cases
+        ]
+    if len(digest.cases) > 1:
+        return [(list(digest.cases), "all cases")]
+    only = digest.cases[0] if digest.cases else None
+    # one load of a given pressure is a point that the table has; the force of a movement stands nowhere else
+    return [([only], "the only case")] if only is not None and _moved(only) else []
+
+
+def _pushes(cases: Sequence[CaseResult]) -> list[Push]:
+    contacts = [c for c in _constraints(cases[0]) if c.get("kind") == "contact"]
+    moved = _moved(cases[0])
+    found = []
+    resultants = [contact_resultant(case) for case in cases]
+    if any(r is not None for r in resultants):
+        found.append(
+            Push(
+                _name(contacts[0]),
+                "indentation",
+                "contact force",
+                "N",
+                _CONTACT_NOTE,
+                _under_contact,
+            )
+        )
+    elif len(cases) == 1 and (contacts or not moved):
+        found.append(
+            Push(
+                listed(_name(c) for c in contacts),
+                "indentation",
+                "load factor",
+                "1",
+                _CONTACT_NOTE,
+                _under_load,
+            )
+        )
+    for name in moved:
+        found.append(
+            Push(
+                name,
+                "prescribed displacement",
+                "reaction force",
+                "N",
+                _MOVED_NOTE,
+                partial(_of_movement, name=name),
+            )
+        )
+    return found
+
+
+def _constraints(case: CaseResult) -> Sequence[Mapping[str, object]]:
+    return case.resolved.get("constraints") or ()
+
+
+def _name(constraint: Mapping[str, object]) -> str:
+    return str(constraint.get("name") or constraint.get("region") or "")
+
+
+def _moved(case: CaseResult) -> dict[str, Mapping[str, object]]:
+    """Constraints that move their region: name -> constraint."""
+    return {
+        _name(constraint): constraint
+        for constraint in _constraints(case)
+        if constraint.get("kind") == "constrained"
+        and np.any(_prescribed(constraint))
+        and str(constraint.get("region")) in case.regions
+    }
+
+
+def _prescribed(constraint: Mapping[str, object]) -> Array:
+    """(3,) displacement at load factor 1 [m], zero where none is given."""
+    given = constraint.get("displacement")
+    if not isinstance(given, Sequence) or len(given) != 3:
+        return np.zeros(3)
+    return np.array(given, dtype=np.float64)
+
+
+def contact_resultant(case: CaseResult) -> float | None:
+    """Force of a case's only contact at load factor 1 [N]; None where the stored inputs do not tell.
+
+    Given as `force`, or the integral of a uniform pressure over the facets whose three nodes are in its region.
+    """
+    contacts = [c for c in _constraints(case) if c.get("kind") == "contact"]
+    if len(contacts) != 1:
+        return None
+    contact = contacts[0]
+    if isinstance(force := contact.get("force"), int | float):
+        return float(force)
+    mask = case.regions.get(str(contact.get("region")))
+    pressure = contact.get("pressure")
+    if (
+        mask is None
+        or not isinstance(pressure, int | float)
+        or contact.get("profile", "uniform") != "uniform"
+    ):
+        return None
+    loaded = mask[case.triangles].all(axis=1)
+    vectors = facet_area_vectors(case.points, case.triangles)[loaded]
+    return float(pressure * np.linalg.norm(vectors.sum(axis=0)))
+
+
+def indentation(case: CaseResult, model: str) -> Array:
+    """(S,) largest inward displacement of the nodes in contact, of all nodes where no contact is stored [m]."""
+    mask = np.zeros(len(case.points), dtype=bool)
+    for constraint in _constraints(case):
+        if constraint.get("kind") == "contact" and str(constraint.get("region")) in case.regions:
+            mask |= case.regions[str(constraint.get("region"))]
+    if not mask.any():
+        mask[:] = True
+    normals = Surface(case.points, case.triangles).normals[mask]
+    inward = -np.einsum("sij,ij->si", case.models[model].displacement[:, mask], normals)
+    result: Array = inward.max(axis=1)
+    return result
+
+
+def movement_force(case: CaseResult, model: str, name: str) -> tuple[Array, Array]:
+    """(S,) prescribed displacement [m] of a region and (S,) force along it [N] that holds the region there.
+
+    The force is the sum of the reactions of the region's nodes, projected on the direction of the displacement.
+
+    Raises
+    ------
+    KeyError
+        no constraint of this name moves its region.
+    """
+    constraint = _moved(case)[name]
+    prescribed = _prescribed(constraint)
+    length = float(np.linalg.norm(prescribed))
+    mask = case.regions[str(constraint.get("region"))]
+    resultant = case.models[model].reaction_force[:, mask].sum(axis=1)
+    return case.load_factors * length, resultant @ (prescribed / length)
+
+
+def _under_contact(case: CaseResult, model: str) -> tuple[Array, Array] | None:
+    resultant = contact_resultant(case)
+    return None if resultant is None else (indentation(case, model), case.load_factors * resultant)
+
+
+def _under_load(case: CaseResult, model: str) -> tuple[Array, Array]:
+    return indentation(case, model), case.load_factors
+
+
+def _of_movement(case: CaseResult, model: str, name: str) -> tuple[Array, Array] | None:
+    return movement_force(case, model, name) if name in _moved(case) else None
+
+
+def _stiffness(
+    digest: Digest, push: Push, cases: Sequence[CaseResult], title: str, salt: str
+) -> Figure | None:
+    history = len(cases) == 1 and len(cases[0].load_factors) > 1
+    curves: dict[str, tuple[Array, Array]] = {}
+    for model in digest.models:
+        xs, ys = [], []
+        for case in cases:
+            pair = push.curve(case, model) if model in case.models else None
+            steps = slice(None) if history else slice(full_load(case), full_load(case) + 1)
+            if pair is not None:
+                xs.append(pair[0][steps])
+                ys.append(pair[1][steps])
+        if not xs:
+            continue
+        x, y = np.concatenate(xs), np.concatenate(ys)
+        keep = np.isfinite(x) & np.isfinite(y)
+        if keep.any():
+            curves[model] = (x[keep], y[keep])
+    if not curves:
+        return None
+    length, length_unit = scale_of("m", np.concatenate([x for x, _ in curves.values()]))
+    force, force_unit = scale_of(push.unit, np.concatenate([y for _, y in curves.values()]))
+    y_label = f"{push.y_label} [{force_unit}]" if force_unit else push.y_label
+    plot = Plot(f"{push.x_label} [{length_unit}]", y_label, salt)
+    with plot as axes:
+        for model, (x, y) in curves.items():
+            k = digest.colour(model)
+            style = line(k) if history else "none"
+            axes.plot(x / length, y / force, linestyle=style, marker=marker(k), color=colour(k))
+        axes.set_xlim(left=min(0.0, axes.get_xlim()[0]))
+        axes.set_ylim(bottom=min(0.0, axes.get_ylim()[0]))
+    place = f"{push.name}, {title}" if push.name else title
+    told = listed(
+        f"{model} {quantity(float(y[np.argmax(np.abs(x))]), push.unit)} at {quantity(float(np.abs(x).max()), 'm')}"
+        for model, (x, y) in curves.items()
+    )
+    what = f"{push.y_label[:1].upper()}{push.y_label[1:]}"
+    return Figure(plot.drawn(f"{what} against {push.x_label}, {place}: {told}."), place)

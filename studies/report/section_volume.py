@@ -1,0 +1,65 @@
+"""Volume drift against load."""
+
+from __future__ import annotations
+
+import math
+
+from .blocks import Block, Figure, Figures, Section, Text
+from .digest import Digest, series
+from .formatting import listed, short_percent
+from .plots import Plot, colour, line, log_axis, marker, percent_ticks
+
+_DRIFT_FLOOR = 1e-16  # below what double precision can tell from zero
+
+
+def volume_drift(digest: Digest) -> Section | None:
+    """Change of the exact enclosed volume, as a share of the volume and of the displaced volume."""
+    if not digest.has_steps:
+        return None  # one point per model: the headline has it
+    quantities = (
+        ("volume_drift", "|V − V0| / V0", "Drift as a share of the volume"),
+        (
+            "volume_drift_of_displaced",
+            "|V − V0| / displaced volume",
+            "Drift as a share of the displaced volume",
+        ),
+    )
+    figures = [
+        figure
+        for k, (metric, label, title) in enumerate(quantities)
+        if (figure := _drift(digest, metric, label, title, f"v{k}")) is not None
+    ]
+    if not figures:
+        return None
+    blocks: list[Block] = []
+    if len(digest.cases) > 1:
+        blocks.append(Text("Largest drift over all cases at each load, whatever its sign.", kind="note"))
+    blocks.append(Figures(figures, digest.legend))
+    return Section("volume", "Volume drift against load", blocks)
+
+
+def _drift(digest: Digest, metric: str, label: str, title: str, salt: str) -> Figure | None:
+    curves: dict[str, dict[float, float]] = {}
+    for model in digest.models:
+        for case in digest.cases:
+            values = series(case, model, metric)
+            for factor, value in zip(
+                case.load_factors, () if values is None else values, strict=values is not None
+            ):
+                if math.isfinite(value):
+                    curve = curves.setdefault(model, {})
+                    curve[float(factor)] = max(curve.get(float(factor), _DRIFT_FLOOR), abs(float(value)))
+    if not curves:
+        return None
+    described = []
+    plot = Plot("load factor", label, salt)
+    with plot as axes:
+        for model, curve in curves.items():
+            k = digest.colour(model)
+            factors = sorted(curve)
+            axes.plot(factors, [curve[f] for f in factors], line(k), marker=marker(k), color=colour(k))
+            described.append(f"{model} up to {short_percent(max(curve.values()))}")
+        log_axis(axes, "y")
+        percent_ticks(axes)
+        axes.set_xlim(left=min(0.0, axes.get_xlim()[0]))
+    return Figure(plot.drawn(f"{title}: {listed(described)}."), title)

@@ -1,0 +1,127 @@
+"""Force against indentation, for contacts under a pressure and for regions that are moved."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import re
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from studies.case import CaseResult
+from studies.report.blocks import Figures, Section, Text
+from studies.report.digest import Digest
+from studies.report.section_force import (
+    contact_resultant,
+    force_against_indentation,
+    indentation,
+    movement_force,
+)
+
+from .report_runs import AMPLITUDE, REFERENCE, make_case, make_run
+
+RTOL, ATOL = 1e-9, 1e-12  # the runs are exact but for rounding
+
+
+def test_contact_resultant_from_a_force_or_a_uniform_pressure() -> None:
+    assert contact_resultant(make_case({"m": 0.1}, contact={"force": 0.4}, subdivisions=1)) == 0.4
+    case = make_case({"m": 0.1}, contact={"force": None, "pressure": 300.0}, subdivisions=3)
+    loaded = case.regions["finger"][case.triangles].all(axis=1)
+    a, b, c = (case.points[case.triangles[loaded, k]] for k in range(3))
+    expected = 300.0 * np.linalg.norm(0.5 * np.cross(b - a, c - a).sum(axis=0))
+    found = contact_resultant(case)
+    assert found is not None
+    assert_allclose(found, expected, rtol=RTOL, atol=ATOL)
+    assert (
+        0.2 < found < 300.0 * math.pi * (0.05 * math.sin(math.radians(25))) ** 2
+    )  # below pressure x whole cap
+
+
+@pytest.mark.parametrize(
+    "contact", [{"force": None, "pressure": 300.0, "profile": "hertz"}, {"kind": "fixed"}]
+)
+def test_contact_resultant_is_unknown_where_the_inputs_do_not_tell(contact: dict[str, object]) -> None:
+    assert contact_resultant(make_case({"m": 0.1}, contact=contact, subdivisions=1)) is None
+
+
+def test_indentation_is_the_deepest_node_of_the_contact() -> None:
+    case = make_case({"m": 0.5}, steps=(0.5, 1.0), subdivisions=3)
+    # no node of this ball sits on the pole: the deepest is the nearest one, pushed in by P_2 of its angle
+    top = case.points[:, 2].max() / np.linalg.norm(case.points[0])
+    depth = AMPLITUDE * (1.5 * top**2 - 0.5)
+    assert_allclose(indentation(case, REFERENCE), [0.5 * depth, depth], rtol=2e-3, atol=ATOL)  # facet normals
+    assert_allclose(indentation(case, "m"), 1.5 * indentation(case, REFERENCE), rtol=RTOL, atol=ATOL)
+
+
+def moved_case(displacement: object = (0.0, 0.003, 0.004), **how: object) -> CaseResult:
+    """The base is moved; model m pulls at it with 1 N along z at full load, twice that in the reference."""
+    case = make_case(
+        {"m": 0.5},
+        contact={"kind": "constrained", "region": "base", "displacement": displacement, "name": "tool"},
+        **how,  # type: ignore[arg-type]
+    )
+    double = dataclasses.replace(
+        case.models[REFERENCE], reaction_force=2.0 * case.models[REFERENCE].reaction_force
+    )
+    return dataclasses.replace(case, models={**case.models, REFERENCE: double})
+
+
+def test_force_of_a_movement_is_the_reaction_along_it() -> None:
+    case = moved_case(steps=(0.5, 1.0))
+    length, force = movement_force(case, "m", "tool")
+    assert_allclose(length, [0.0025, 0.005], rtol=RTOL, atol=ATOL)
+    assert_allclose(force, [0.4, 0.8], rtol=RTOL, atol=ATOL)  # 1 N along z, projected on (0, 3, 4) / 5
+    assert_allclose(movement_force(case, REFERENCE, "tool")[1], [0.8, 1.6], rtol=RTOL, atol=ATOL)
+
+
+def force_section(*cases: CaseResult) -> Section:
+    section = force_against_indentation(Digest(make_run(cases)))
+    assert section is not None
+    return section
+
+
+def figures_of(section: Section) -> list[tuple[str, str]]:
+    """(title, text alternative) of every figure."""
+    (figures,) = (block for block in section.blocks if isinstance(block, Figures))
+    told = [re.search(r'aria-label="([^"]*)"', str(figure.svg)) for figure in figures.figures]
+    assert all(told)
+    return [
+        (figure.title, match.group(1)) for figure, match in zip(figures.figures, told, strict=True) if match
+    ]
+
+
+def test_a_movement_is_drawn_for_model_and_reference() -> None:
+    ((title, told),) = figures_of(force_section(moved_case()))
+    assert title == "tool, the only case"
+    assert told == (
+        "Reaction force against prescribed displacement, tool, the only case: "
+        "m 800 mN at 5.00 mm and fem-linear 1.60 N at 5.00 mm."
+    )
+
+
+def test_a_movement_of_a_single_load_is_drawn_too_and_one_under_pressure_is_not() -> None:
+    assert len(figures_of(force_section(moved_case(steps=(1.0,))))) == 1
+    assert force_against_indentation(Digest(make_run([make_case({"m": 0.1}, steps=(1.0,))]))) is None
+
+
+def test_contact_and_movement_of_one_scene_each_have_a_figure() -> None:
+    case = moved_case()
+    constraints = [
+        *case.resolved["constraints"],
+        {"kind": "contact", "name": "finger", "region": "finger", "force": 0.5},
+    ]
+    section = force_section(dataclasses.replace(case, resolved={"constraints": constraints}))
+    assert [title for title, _ in figures_of(section)] == ["finger, the only case", "tool, the only case"]
+    (note,) = (block for block in section.blocks if isinstance(block, Text))
+    assert "Under a contact" in note.text
+    assert "moved by a given amount" in note.text
+
+
+@pytest.mark.parametrize("displacement", [(0.0, 0.0, 0.0), None])
+def test_a_region_that_is_held_still_is_not_a_push(displacement: object) -> None:
+    titles = [title for title, _ in figures_of(force_section(moved_case(displacement)))]
+    assert titles == ["the only case"]  # what is left is the indentation over the load factor
+    with pytest.raises(KeyError):
+        movement_force(moved_case(displacement), "m", "tool")
