@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from vdm.constraints import ContactSign, Load, Support, check_load, hydrostatic_pressure, node_mask
 from vdm.formulations import FORMULATIONS
+from vdm.formulations.base import Factor
 from vdm.formulations.paper import PaperFormulation
 from vdm.material import ParameterError, Parameters
 from vdm.problem import Problem, Step, check_held
@@ -168,6 +169,9 @@ class Model:
 def _make_solver(
     name: str, problem: Problem, constraint_method: ConstraintMethod, penalty: float, volume_row: VolumeRow
 ) -> Solver:
+    def at_rest() -> Factor:
+        return problem.formulation.factor(problem.free)
+
     makers: dict[str, Callable[[], Solver]] = {
         "linear": lambda: LinearSolver(problem),
         "lu": lambda: LuSolver(problem, constraint_method, penalty),
@@ -175,8 +179,8 @@ def _make_solver(
         "nonlinear": lambda: NonlinearSolver(problem),
         "bicg": lambda: KrylovSolver(problem, "bicg"),
         "bicg-cold": lambda: KrylovSolver(problem, "bicg", warm_start=False),
-        "cg": lambda: KrylovSolver(problem, "cg"),
-        "minres": lambda: KrylovSolver(problem, "minres"),
+        "cg": lambda: KrylovSolver(problem, "cg", factor=at_rest()),
+        "minres": lambda: KrylovSolver(problem, "minres", factor=at_rest()),
     }
     return makers[name]()
 

@@ -51,7 +51,9 @@ def test_iterative_solvers_equal_the_direct_one(formulation, solver):
         return
     solution = model(formulation, solver=solver, **options).solve(loads)
     assert all(status.ok for status in solution.status)
-    assert np.all(solution.iterations > 5)
+    # the factor at rest is the operator's own: CG is done in one or two, MINRES in few
+    fewest, most = {"cg": (1, 2), "minres": (1, 12)}.get(solver, (6, 10_000))
+    assert np.all((fewest <= solution.iterations) & (solution.iterations <= most))
     # residual 1e-10 times a condition of some 1e3
     size = np.abs(direct.displacement).max()
     assert_allclose(solution.displacement, direct.displacement, rtol=0.0, atol=1e-8 * size)
