@@ -125,17 +125,23 @@ def make_plan(study: Study, cases: Sequence[ResolvedCase], directory: Path, cach
     MeshError
         a geometry that cannot be meshed as asked, found without meshing.
     """
-    meshes: dict[str, PlannedMesh] = {}
+    found: dict[str, PlannedMesh] = {}  # by what is asked for: a file is read for its key, once for all cases
     planned = []
     for case in cases:
         geometry, volume = geometry_of(case.study), needs_volume(case.study)
-        if geometry.shape != "file":  # whose size is known only once it is read
-            area, inside = area_and_volume(geometry)
-            check_node_budget(area, inside if volume else 0.0, geometry.mesh_size, MAX_NODES)
-        key = geometry_key(geometry, volume=volume)
-        meshes[key] = PlannedMesh(key, geometry, volume)
-        planned.append(_planned(case, key))
+        asked = f"{geometry!r} {volume}"
+        if asked not in found:
+            found[asked] = _planned_mesh(geometry, volume)
+        planned.append(_planned(case, found[asked].key))
+    meshes = {mesh.key: mesh for mesh in found.values()}
     return Plan(study, tuple(planned), meshes, directory, cache)
+
+
+def _planned_mesh(geometry: Geometry, volume: bool) -> PlannedMesh:
+    if geometry.shape != "file":  # whose size is known only once it is read
+        area, inside = area_and_volume(geometry)
+        check_node_budget(area, inside if volume else 0.0, geometry.mesh_size, MAX_NODES)
+    return PlannedMesh(geometry_key(geometry, volume=volume), geometry, volume)
 
 
 def needs_volume(study: Study) -> bool:

@@ -97,11 +97,12 @@ def read_axes(data: Mapping[str, Any]) -> tuple[list[Axis], list[Finding]]:
     sweep = data.get("sweep")
     if not isinstance(sweep, dict):
         return [], []
-    known = targets(data)
+    entries = {k: v for k, v in sweep.items() if k not in _OWN_KEYS}
+    known = targets(data) if entries else {}  # slow, and every case of a sweep is asked
     sampled = sweep.get("mode") == "latin-hypercube"
     axes: dict[str, Axis] = {}
     findings: list[Finding] = []
-    for key, loc, value in _entries({k: v for k, v in sweep.items() if k not in _OWN_KEYS}, known):
+    for key, loc, value in _entries(entries, known):
         if key not in known:
             findings.append((loc, _unknown_key(key, known)))
         elif key in axes:
