@@ -10,7 +10,9 @@ import numpy as np
 
 from .bench_data import Bench, Entry, Growth
 from .files import write_atomically
-from .store import SCHEMA, StoreError, open_sealed, put, sealed
+from .hdf5 import Data, Group, Stored, StoreError, Text, sealed
+from .hdf5 import Entry as StoredEntry
+from .store import SCHEMA
 
 _SERIES = ("setup", "frame_all", "frame_local", "columns", "recut")  # (rounds,) [s]
 _RATIOS = ("ratio_setup", "ratio_frame")
@@ -34,28 +36,29 @@ def write_bench(path: Path, bench: Bench) -> None:
     OSError
         disk full or read-only.
     """
-    write_atomically(path, sealed(lambda file: _fill(file, bench)))
+    write_atomically(path, sealed(_stored(bench)))
 
 
-def _fill(file: Any, bench: Bench) -> None:
-    case = file.create_group("case")
-    case.attrs["schema"] = SCHEMA
-    case.attrs["machine"] = json.dumps(dict(bench.machine))
-    entries = file.create_group("entries")
-    for name in _TEXTS:
-        entries.create_dataset(name, data=[getattr(e, name).encode() for e in bench.entries])
-    counts = [json.dumps(dict(e.counts), sort_keys=True).encode() for e in bench.entries]
-    entries.create_dataset("counts", data=counts)
-    for name, unit in (dict.fromkeys(_SERIES, "s") | dict.fromkeys(_RATIOS, "1") | _NUMBERS).items():
-        stored = put(entries, name, np.array([getattr(e, name) for e in bench.entries], dtype=float), unit)
-        for axis, label in zip(stored.dims, ("entry", "round"), strict=False):
-            axis.label = label
-    grown = file.create_group("growth", track_order=True)
+def _stored(bench: Bench) -> list[StoredEntry]:
+    columns = dict.fromkeys(_SERIES, "s") | dict.fromkeys(_RATIOS, "1") | _NUMBERS
+    out: list[StoredEntry] = [
+        Group("case", {"schema": SCHEMA, "machine": json.dumps(dict(bench.machine))}),
+        Group("entries"),
+        *(Text(f"entries/{name}", [getattr(e, name) for e in bench.entries]) for name in _TEXTS),
+        Text("entries/counts", [json.dumps(dict(e.counts), sort_keys=True) for e in bench.entries]),
+    ]
+    for name, unit in columns.items():
+        values = np.array([getattr(e, name) for e in bench.entries], dtype=float)
+        out.append(Data(f"entries/{name}", values, {"unit": unit}, ("entry", "round")[: values.ndim]))
+    out.append(Group("growth"))
     for growth in bench.growths:
-        group = grown.create_group(growth.what)
-        put(group, "nodes", growth.nodes, "1")
-        put(group, "values", growth.values, growth.unit)
-        group.attrs["exponent"] = growth.exponent
+        path = f"growth/{growth.what}"
+        out += [
+            Group(path, {"exponent": growth.exponent}),
+            Data(f"{path}/nodes", growth.nodes, {"unit": "1"}),
+            Data(f"{path}/values", growth.values, {"unit": growth.unit}),
+        ]
+    return out
 
 
 def read_bench(path: Path) -> Bench:
@@ -66,24 +69,30 @@ def read_bench(path: Path) -> Bench:
     StoreError
         not a benchmark's file, damaged, or written by a newer schema.
     """
-    with open_sealed(path) as file:
+    with Stored(path, SCHEMA) as file:
         try:
             return _read(file)
-        except (KeyError, ValueError) as error:
+        except (KeyError, ValueError, TypeError, OSError) as error:
             raise StoreError(f"{path}: not a benchmark's file ({error}); delete it and run again") from error
 
 
-def _read(file: Any) -> Bench:
-    stored = {name: values[()] for name, values in file["entries"].items()}
+def _read(file: Stored) -> Bench:
+    texts = {name: file.texts(f"entries/{name}") for name in (*_TEXTS, "counts")}
+    stored = {name: file.floats(f"entries/{name}") for name in (*_SERIES, *_RATIOS, *_NUMBERS)}
     entries = []
-    for row in range(len(stored["model"])):
-        fields: dict[str, Any] = {name: stored[name][row].decode() for name in _TEXTS}
+    for row in range(len(texts["model"])):
+        fields: dict[str, Any] = {name: texts[name][row] for name in _TEXTS}
         fields |= {name: stored[name][row] for name in (*_SERIES, *_RATIOS)}
         fields |= {name: float(stored[name][row]) for name in _NUMBERS}
         fields |= {name: int(fields[name]) for name in ("nodes", "tetrahedra")}
-        entries.append(Entry(**fields, counts=json.loads(stored["counts"][row])))
+        entries.append(Entry(**fields, counts=json.loads(texts["counts"][row])))
     growths = [
-        Growth(what, str(group["values"].attrs["unit"]), group["nodes"][()], group["values"][()])
-        for what, group in file["growth"].items()
+        Growth(
+            what,
+            file.text(f"growth/{what}/values", "unit"),
+            file.floats(f"growth/{what}/nodes"),
+            file.floats(f"growth/{what}/values"),
+        )
+        for what in file.members("growth")
     ]
-    return Bench(json.loads(file["case"].attrs["machine"]), entries, growths)
+    return Bench(json.loads(file.text("case", "machine")), entries, growths)

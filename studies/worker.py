@@ -16,6 +16,7 @@ from . import models
 from .case import CaseResult, MetricSeries, ModelResult
 from .config import geometry_of
 from .geometry_spec import Geometry
+from .hdf5 import StoreError
 from .mesh import Mesh
 from .mesh_cache import mesh_from_cache
 from .metrics import METRICS, History, Surface, evaluate
@@ -26,7 +27,7 @@ from .scene import Scene, build_scene
 from .schema import Study
 from .setups import next_turn, sharing
 from .small_strain import small_strain_limits
-from .store import StoreError, read_case, write_case
+from .store import read_case, write_case
 
 Task = Mapping[str, Any]
 REFINED = " refined"  # what the reference's name gets where it is solved on refinements of the case's mesh

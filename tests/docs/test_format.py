@@ -7,7 +7,7 @@ from pathlib import Path
 
 import h5py
 
-from studies import store
+from studies import hdf5, store
 from tests.unit.example_case import example_case
 
 FORMAT = Path(__file__).parents[2] / "results" / "FORMAT.md"
@@ -50,4 +50,4 @@ def test_attributes_and_seal_are_as_documented(tmp_path: Path) -> None:
             for name in file[group].attrs:
                 assert f"`{name}`" in text, f"{group} has an attribute {name} that FORMAT.md does not name"
         assert file["case"].attrs["schema"] == store.SCHEMA
-    assert f"last {store._TRAILER_BYTES} bytes" in text
+    assert f"last {hdf5.TRAILER_BYTES} bytes" in text

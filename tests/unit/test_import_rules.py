@@ -18,7 +18,7 @@ COMMAND_LINE = {"studies/cli.py", "studies/cli_output.py"}
 # each of these is behind one module; rendering in the report is pyvista's second
 BEHIND = {
     "gmsh": {"studies/geometry.py"},
-    "h5py": {"studies/store.py"},
+    "h5py": {"studies/hdf5.py"},
     "meshio": {"studies/mesh_file.py"},
     "pyvista": {"studies/remesh.py", "studies/report/picture.py"},
     "pyacvd": {"studies/remesh.py"},

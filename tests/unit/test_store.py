@@ -15,9 +15,9 @@ import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
 
-from studies import store
+from studies import hdf5, store
 from studies.case import Run
-from studies.store import StoreError
+from studies.hdf5 import StoreError
 
 from .example_case import N_STEPS, example_case
 
@@ -111,11 +111,11 @@ def test_a_flipped_bit_is_noticed_anywhere(tmp_path: Path) -> None:
 
 def _reseal(path: Path, edit: Any) -> None:
     """Tamper with a case file and seal it anew, as somebody with this program's source could."""
-    with h5py.File(io.BytesIO(path.read_bytes()[: -store._TRAILER_BYTES]), "r+") as file:
+    with h5py.File(io.BytesIO(path.read_bytes()[: -hdf5.TRAILER_BYTES]), "r+") as file:
         edit(file)
         file.flush()
         image = file.id.get_file_image()
-    path.write_bytes(image + store._TRAILER + hashlib.sha256(image).hexdigest().encode() + b"\n")
+    path.write_bytes(image + hdf5.TRAILER + hashlib.sha256(image).hexdigest().encode() + b"\n")
 
 
 @pytest.mark.parametrize(
