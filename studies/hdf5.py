@@ -43,8 +43,10 @@ class StoreError(ValueError):
 
 @dataclass(frozen=True)
 class Group:
-    """A group; its members keep the order in which they are listed. Attributes: text, number or array of numbers,
-    ASCII of a fixed length where it is bytes."""
+    """A group; its members keep the order in which they are listed, the texts after the others.
+
+    Attributes are texts, numbers or arrays of numbers; bytes are ASCII of a fixed length.
+    """
 
     path: str
     attributes: Mapping[str, Any] = field(default_factory=dict)
@@ -93,7 +95,7 @@ def _image(entries: Sequence[Entry]) -> bytearray:
         if isinstance(entry, Group):
             group = h5g.open(file, entry.path.encode())
             for name, value in entry.attributes.items():
-                _attach(group, name, value)
+                _fill(h5a.open(group, name.encode()), value)
         elif isinstance(entry, Text):
             texts = np.array(entry.values, dtype=object)
             space = h5s.create_simple(texts.shape) if texts.shape else _SCALAR
@@ -116,10 +118,14 @@ _skeletons: dict[tuple[Any, ...], tuple[bytes, list[int | None]]] = {}
 def _structure(entry: Group | Data) -> tuple[Any, ...]:
     """What the skeleton has of an entry."""
     if isinstance(entry, Group):
-        return (entry.path,)
+        return (entry.path, *((name, _kind(value)) for name, value in entry.attributes.items()))
     values = entry.values
     attributes = tuple(entry.attributes.items())
     return (entry.path, values.dtype.str, values.shape, _compressed(values), attributes, entry.labels)
+
+
+def _kind(value: Any) -> tuple[Any, ...]:
+    return () if isinstance(value, str) else (np.asarray(value).dtype.str, np.shape(value))
 
 
 def _compressed(values: NDArray[Any]) -> bool:
@@ -134,7 +140,9 @@ def _skeleton(entries: Sequence[Group | Data]) -> tuple[bytes, list[int | None]]
     places: list[int | None] = []
     for entry in entries:
         if isinstance(entry, Group):
-            h5g.create(file, entry.path.encode(), gcpl=ordered)
+            group = h5g.create(file, entry.path.encode(), gcpl=ordered)
+            for name, value in entry.attributes.items():
+                _attach(group, name, value)
             continue
         values = entry.values
         how = h5p.create(h5p.DATASET_CREATE)
@@ -157,12 +165,20 @@ def _skeleton(entries: Sequence[Group | Data]) -> tuple[bytes, list[int | None]]
 
 def _attach(owner: Any, name: str, value: Any) -> None:
     if isinstance(value, str):
-        h5a.create(owner, name.encode(), _TEXT, _SCALAR).write(np.array(value, dtype=object), mtype=_STRING)
-        return
-    values = np.asarray(value)
-    kind = h5t.py_create(values.dtype, logical=True)
-    space = h5s.create_simple(values.shape) if values.shape else _SCALAR
-    h5a.create(owner, name.encode(), kind, space).write(values)
+        attribute = h5a.create(owner, name.encode(), _TEXT, _SCALAR)
+    else:
+        values = np.asarray(value)
+        kind = h5t.py_create(values.dtype, logical=True)
+        space = h5s.create_simple(values.shape) if values.shape else _SCALAR
+        attribute = h5a.create(owner, name.encode(), kind, space)
+    _fill(attribute, value)
+
+
+def _fill(attribute: Any, value: Any) -> None:
+    if isinstance(value, str):
+        attribute.write(np.array(value, dtype=object), mtype=_STRING)
+    else:
+        attribute.write(np.asarray(value))
 
 
 def _in_memory(image: bytes = b"") -> Any:
@@ -223,7 +239,7 @@ class Stored:
         return path in self._objects
 
     def members(self, path: str) -> list[str]:
-        """Names of what a group holds, in the order in which it was listed."""
+        """Names of what a group holds, in the order in which it was written."""
         names: list[str] = []
         group = self._objects[path]
         if not isinstance(group, h5g.GroupID):
