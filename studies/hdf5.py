@@ -32,6 +32,7 @@ _STRING = h5t.py_create(string_dtype("utf-8"))  # in memory
 _SCALAR = h5s.create(h5s.SCALAR)
 _CREATION_ORDER = h5p.CRT_ORDER_TRACKED | h5p.CRT_ORDER_INDEXED
 _MOST_SKELETONS = 8
+_LARGEST_SKELETON = 8 << 20
 
 
 class StoreError(ValueError):
@@ -84,12 +85,7 @@ def sealed(entries: Sequence[Entry]) -> bytes:
 
 def _image(entries: Sequence[Entry]) -> bytearray:
     arrays = [entry for entry in entries if isinstance(entry, Data)]
-    structure = tuple(_structure(entry) for entry in entries if not isinstance(entry, Text))
-    if structure not in _skeletons:
-        while len(_skeletons) >= _MOST_SKELETONS:
-            del _skeletons[next(iter(_skeletons))]
-        _skeletons[structure] = _skeleton([entry for entry in entries if not isinstance(entry, Text)])
-    skeleton, places = _skeletons[structure]
+    skeleton, places = _skeleton_of([entry for entry in entries if not isinstance(entry, Text)])
     file = h5f.open(b"case.h5", h5f.ACC_RDWR, fapl=_in_memory(skeleton))
     for entry in entries:
         if isinstance(entry, Group):
@@ -131,6 +127,16 @@ def _kind(value: Any) -> tuple[Any, ...]:
 def _compressed(values: NDArray[Any]) -> bool:
     """Zeros shrink, the digits of a solution hardly do."""
     return bool(values.size > _COMPRESS_FROM and 2 * np.count_nonzero(values) < values.size)
+
+
+def _skeleton_of(entries: Sequence[Group | Data]) -> tuple[bytes, list[int | None]]:
+    structure = tuple(map(_structure, entries))
+    found = _skeletons.get(structure) or _skeleton(entries)
+    if len(found[0]) <= _LARGEST_SKELETON:  # the time for a large file is that of its numbers
+        while structure not in _skeletons and len(_skeletons) >= _MOST_SKELETONS:
+            del _skeletons[next(iter(_skeletons))]
+        _skeletons[structure] = found
+    return found
 
 
 def _skeleton(entries: Sequence[Group | Data]) -> tuple[bytes, list[int | None]]:

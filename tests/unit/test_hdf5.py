@@ -99,6 +99,9 @@ def test_a_used_skeleton_gives_what_plain_h5py_writes() -> None:
     assert len(hdf5._skeletons) == hdf5._MOST_SKELETONS
     with opened(sealed(entries(4))) as file:
         assert tree(file) == expected(entries(4))
+    kept = dict(hdf5._skeletons)
+    sealed([Group("data"), Data("data/large", np.ones(hdf5._LARGEST_SKELETON // 8))])
+    assert hdf5._skeletons == kept, "memory is for what it saves time"
 
 
 def test_zeros_are_compressed_and_digits_are_not() -> None:
