@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import ctypes
+
 import numpy as np
-from cholespy import CholeskySolverD, MatrixType
+from cholespy import CholeskySolverD, MatrixType, _cholespy_core
 from numpy.typing import NDArray
 from scipy import sparse
 
@@ -18,6 +20,28 @@ SINGULAR = Status(
     "the operator is not positive definite",
     "hold at least three nodes, or give the model a positive foundation or bulk modulus",
 )
+
+# SuiteSparse_config.h, versions 4 and 5: malloc, calloc, realloc, free, printf, hypot, divcomplex
+CONFIG_LENGTH, CONFIG_PRINTF = 7, 4
+
+
+def _silence_cholmod() -> None:
+    """Let CHOLMOD say nothing on the console when a matrix is not positive definite: `SolverError` says it.
+
+    By its own switch, a null printf. Where a build of cholespy does not show it, or shows another layout, nothing
+    is touched and the warning stays.
+    """
+    try:
+        library = ctypes.CDLL(_cholespy_core.__file__)
+        config = (ctypes.c_void_p * CONFIG_LENGTH).in_dll(library, "SuiteSparse_config")
+        printf = ctypes.cast(ctypes.CDLL(None).printf, ctypes.c_void_p).value
+    except (OSError, ValueError, AttributeError, TypeError):
+        return
+    if config[CONFIG_PRINTF] == printf:
+        config[CONFIG_PRINTF] = None
+
+
+_silence_cholmod()
 
 
 class Cholesky:
