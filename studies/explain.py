@@ -25,6 +25,7 @@ def summary(plan: Plan) -> dict[str, Any]:
             "models": list(study.models),
             "reference": study.reference,
             "claims": list(study.claims),
+            "sweep": plan.study.sweep.mode,
         },
         "cases": [
             {

@@ -14,7 +14,7 @@ from .problems import Loc
 from .schema import Region, Study, Table
 from .units import DIMENSIONS
 
-_NEVER_SWEPT = {"study", "sweep", "limits", "calibration", "models"}
+_NEVER_SWEPT = {"study", "sweep", "limits", "calibration"}
 
 
 def keys_of(table: type[Table]) -> dict[str, FieldInfo]:
@@ -101,8 +101,8 @@ class Target:
 def targets(data: Mapping[str, Any]) -> dict[str, Target]:
     """Every key path that `data`, as parsed from a study file, lets a sweep vary.
 
-    Constraints and regions go by their names (`constraints.finger.pressure`), the components of a vector by their
-    index (`gravity.acceleration.2`).
+    Constraints, regions and the tables of single models go by their names (`constraints.finger.pressure`), the
+    components of a vector by their index (`gravity.acceleration.2`).
     """
     found: dict[str, Target] = {}
     for name, field in keys_of(Study).items():

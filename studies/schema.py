@@ -360,8 +360,10 @@ class Sweep(Table):
 
     model_config = ConfigDict(extra="allow")
 
-    mode: Literal["grid", "zip", "latin-hypercube"] = Field(
-        "grid", description="every combination, one after the other in step, or random samples of ranges"
+    mode: Literal["grid", "zip", "one-at-a-time", "latin-hypercube"] = Field(
+        "grid",
+        description="every combination; one after the other in step; the study as it is written, then each axis "
+        "alone; or random samples of ranges",
     )
     samples: int | None = Field(None, description="latin-hypercube: number of cases", ge=1)
     seed: int | None = Field(None, description="latin-hypercube: seed, 0 where left out", ge=0, lt=2**32)

@@ -19,6 +19,8 @@ from .validation import validate
 Value = float | str
 
 _OWN_KEYS = ("mode", "samples", "seed")
+_STAR = "one-at-a-time"
+_BASE = "base"  # label of the case that a star is about
 _RANGE_KEYS = ("start", "stop", "num", "scale")
 _MOST_VALUES = 100_000  # of one axis
 
@@ -212,7 +214,7 @@ def _check_mode(sweep: Mapping[str, Any], axes: Sequence[Axis], *, complete: boo
     if mode == "zip" and complete and len({len(axis.values) for axis in axes}) > 1:
         lengths = ", ".join(f"{axis.key} has {len(axis.values)}" for axis in axes)
         yield ("sweep",), f"zip needs axes of one length, but {lengths}"
-    if mode == "grid":
+    if mode in ("grid", _STAR):
         for axis in axes:
             for value, count in Counter(axis.values).items():
                 if count > 1:
@@ -227,14 +229,19 @@ def case_count(data: Mapping[str, Any], axes: Sequence[Axis]) -> int:
     sweep = data.get("sweep", {})
     if sweep.get("mode") == "latin-hypercube":
         return int(sweep["samples"])
+    if sweep.get("mode") == _STAR:
+        return 1 + sum(len(_off_base(axis, _as_written(data, axis))) for axis in axes)
     lengths = [len(axis.values) for axis in axes]
     return min(lengths, default=1) if sweep.get("mode") == "zip" else math.prod(lengths)
 
 
 def cases(data: Mapping[str, Any], axes: Sequence[Axis]) -> Iterator[Case]:
-    """The cases of a sound sweep, in order: the last axis of a grid varies fastest."""
+    """The cases of a sound sweep, in order: the last axis of a grid varies fastest, a star begins with its base."""
     sweep = data.get("sweep", {})
     rest = {key: value for key, value in data.items() if key != "sweep"}
+    if axes and sweep.get("mode") == _STAR:
+        yield from _star(rest, axes)
+        return
     for values in _combinations(sweep, axes):
         case = rest
         for axis, value in zip(axes, values, strict=True):
@@ -263,6 +270,41 @@ def _combinations(sweep: Mapping[str, Any], axes: Sequence[Axis]) -> Iterator[tu
     return iter(zip(*columns, strict=True))
 
 
+def _star(data: dict[str, Any], axes: Sequence[Axis]) -> Iterator[Case]:
+    """The study as it is written, then each axis alone; a key that the file leaves out has no value in the base."""
+    written = {axis.key: value for axis in axes if (value := _as_written(data, axis)) is not None}
+    yield Case(_BASE, written, data)
+    names = _names(axes)
+    for axis in axes:
+        for value in _off_base(axis, written.get(axis.key)):
+            label = _named_value(names[axis.key], axis, value)
+            yield Case(label, {**written, axis.key: value}, substituted(data, axis.target.loc, value))
+
+
+def _as_written(data: Mapping[str, Any], axis: Axis) -> Value | None:
+    """The study's own value of an axis' key, None where it has none that is sound."""
+    value: Any = data
+    if _is_absent(data, axis.target.loc):
+        return None
+    try:
+        for part in axis.target.loc:
+            value = value[part]
+        return _value(axis.target, value)
+    except (TypeError, _AxisError):
+        return None  # the study's own checks say what is wrong
+
+
+def _off_base(axis: Axis, base: Value | None) -> list[Value]:
+    """The values of an axis that are not the base's own."""
+    return [value for value in axis.values if not _same(value, base)]
+
+
+def _same(value: Value, base: Value | None) -> bool:
+    if isinstance(value, str) or isinstance(base, str) or base is None:
+        return value == base
+    return math.isclose(value, base, rel_tol=1e-14)  # "1 mm" and 0.001 may differ in their last bit
+
+
 def substituted(data: Any, loc: Loc, value: Value) -> Any:
     """A copy of `data` with `value` at a place; tables on the way that are missing are made."""
     if not loc:
@@ -275,7 +317,9 @@ def substituted(data: Any, loc: Loc, value: Value) -> Any:
 
 
 def first_case(data: dict[str, Any], axes: Sequence[Axis]) -> dict[str, Any]:
-    """`data` with the first value of those axes whose key the file leaves to the sweep."""
+    """`data` with the first value of those axes whose key the file leaves to the sweep; a star leaves it none."""
+    if isinstance(data.get("sweep"), dict) and data["sweep"].get("mode") == _STAR:
+        return data
     for axis in axes:
         if _is_absent(data, axis.target.loc):
             data = substituted(data, axis.target.loc, axis.values[0])
@@ -297,14 +341,22 @@ def _is_absent(data: Any, loc: Loc) -> bool:
 
 
 def _label(axes: Sequence[Axis], values: Sequence[Value]) -> str:
-    short = [_short(axis.key) for axis in axes]
-    names = Counter(short)
-    parts = []
-    for axis, last, value in zip(axes, short, values, strict=True):
-        name = last if names[last] == 1 else axis.key
-        unit = "" if axis.target.unit == "1" else f" {axis.target.unit}"
-        parts.append(f"{name} = {_shown(value)}{unit}")
-    return ", ".join(parts)
+    names = _names(axes)
+    return ", ".join(
+        _named_value(names[axis.key], axis, value) for axis, value in zip(axes, values, strict=True)
+    )
+
+
+def _names(axes: Sequence[Axis]) -> dict[str, str]:
+    """Axis key -> what labels call it: its last part, or all of it where two axes share that."""
+    short = {axis.key: _short(axis.key) for axis in axes}
+    count = Counter(short.values())
+    return {key: name if count[name] == 1 else key for key, name in short.items()}
+
+
+def _named_value(name: str, axis: Axis, value: Value) -> str:
+    unit = "" if axis.target.unit == "1" else f" {axis.target.unit}"
+    return f"{name} = {_shown(value)}{unit}"
 
 
 def _short(key: str) -> str:
@@ -339,7 +391,7 @@ def check_cases(
         study, findings = validate(case, source)
         labels[label] += 1
         for loc, text in findings:
-            place = at_axis.get(loc, loc)
+            place = loc if label == _BASE else at_axis.get(loc, loc)  # the base is what the file says
             faults.setdefault(place, []).append(f"{text} (in the case {label})" if label else text)
         if study is not None:
             study._source = source

@@ -108,6 +108,10 @@ def test_ranges_hit_their_ends_and_round_numbers(tmp_path: Path) -> None:
     )
 
 
+STAR = (
+    'mode = "one-at-a-time"\n"constraints.finger.pressure" = ["0.1 kPa", "0.2 kPa", 800]\n'
+    '"vdm.penalty" = [1e2, 1e4]\n"models.vdm-paper.penalty" = [1e6, 1e8]\n'
+)
 LATIN = (
     'mode = "latin-hypercube"\nsamples = 16\nseed = 3\n"tissue.poisson_ratio" = { start = 0.3, stop = 0.5 }\n'
     '"constraints.finger.pressure" = { start = 1, stop = 10000, scale = "log" }\n'
@@ -136,6 +140,7 @@ def test_a_latin_hypercube_depends_on_its_seed_and_not_on_the_order_of_the_axes(
     [
         'tissue.poisson_ratio = [0.3, 0.4]\n"constraints.finger.pressure" = { start = 1, stop = "1 kPa", num = 2 }',
         'mode = "zip"\n"tissue.poisson_ratio" = [0.3, 0.4]\n"vdm.rotation" = ["none", "global"]',
+        STAR,
         LATIN,
     ],
 )
@@ -174,3 +179,28 @@ def test_files_can_be_swept(tmp_path: Path) -> None:
     assert where == "0: sweep.geometry.path"
     assert '"none.obj" does not exist' in message
     assert "1 more cases" in message
+
+
+def test_one_at_a_time_is_a_base_and_each_axis_alone(tmp_path: Path) -> None:
+    cases = swept(tmp_path, STAR)
+    pressure, penalty = "constraints.finger.pressure", "models.vdm-paper.penalty"
+    base = {pressure: 200.0, penalty: 1e6}
+    assert [(case.label, case.swept) for case in cases] == [
+        ("base", base),
+        ("pressure = 100 Pa", {**base, pressure: 100.0}),
+        ("pressure = 800 Pa", {**base, pressure: 800.0}),
+        ("vdm.penalty = 100", {**base, "vdm.penalty": 100.0}),
+        ("vdm.penalty = 10000", {**base, "vdm.penalty": 10000.0}),
+        ("models.vdm-paper.penalty = 1e+08", {**base, penalty: 1e8}),
+    ]
+    assert [case.study.vdm.penalty for case in cases] == [None, None, None, 100.0, 10000.0, None]
+    assert [case.study.models["vdm-paper"].penalty for case in cases] == [1e6] * 5 + [1e8]
+    assert [case.study.constraints[1].pressure for case in cases] == [200, 100, 800, 200, 200, 200]
+    assert cases[0].swept_units[pressure] == "Pa"
+
+
+def test_one_at_a_time_needs_a_base_that_is_sound(tmp_path: Path) -> None:
+    base = SWEPT.replace("poisson_ratio = 0.45\n", "")
+    sweep = 'mode = "one-at-a-time"\ntissue.poisson_ratio = [0.3, 0.4]\n'
+    [(_, message)] = sweep_problems(tmp_path, sweep, base)
+    assert "missing" in message

@@ -129,6 +129,26 @@ WRONG = {
         "-1: sweep",
         "more than once",
     ),
+    "one at a time with a repetition": (
+        'mode = "one-at-a-time"\n"tissue.poisson_ratio" = [0.3, 0.4, 0.3]',
+        '1: sweep."tissue.poisson_ratio"',
+        "0.3 is listed 2 times",
+    ),
+    "one at a time with a wrong value": (
+        'mode = "one-at-a-time"\n"vdm.penalty" = [1]\n"tissue.poisson_ratio" = [0.3, 0.6]',
+        '2: sweep."tissue.poisson_ratio"',
+        "(in the case poisson_ratio = 0.6)",
+    ),
+    "seed of one at a time": (
+        'mode = "one-at-a-time"\nseed = 1\n"tissue.poisson_ratio" = [0.3]',
+        "1: sweep.seed",
+        'only mode = "latin-hypercube"',
+    ),
+    "another model's table": (
+        '"models.vdm-vector.penalty" = [1]',
+        '0: sweep."models.vdm-vector.penalty"',
+        'did you mean "models.vdm-paper.penalty"?',
+    ),
     "samples of a grid": ("samples = 3", "0: sweep.samples", 'only mode = "latin-hypercube"'),
     "latin without samples": (
         'mode = "latin-hypercube"\n"vdm.penalty" = { start = 1, stop = 2 }',
