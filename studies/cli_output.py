@@ -1,8 +1,9 @@
-"""What the command line shows: tables, progress, complaints, exit codes. Prints; the verbs are in `cli`."""
+"""What the verbs of the command line share: tables, progress, complaints, exit codes, the results directory."""
 
 from __future__ import annotations
 
 import json
+import os
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -13,6 +14,15 @@ if TYPE_CHECKING:
     from .run import Event
 
 OK, REGRESSED, USAGE, FAILED, MACHINE, DAMAGED, NOTHING_COMPARED, INTERRUPTED = 0, 1, 2, 3, 4, 5, 6, 130
+
+
+class UsageError(ValueError):
+    """A mistake on the command line."""
+
+
+def results_directory() -> Path:
+    """Where runs, the cache and baselines are kept unless the command line says otherwise."""
+    return Path(os.environ.get("VDMBENCH_RESULTS", "results"))
 
 
 def print_run(run: Run, directory: Path, report: Path, as_json: bool) -> int:

@@ -13,7 +13,7 @@ ROOT = Path(__file__).parents[2]
 PACKAGES = ("vdm", "fem_reference", "studies")
 FILES = [path for package in PACKAGES for path in sorted((ROOT / package).rglob("*.py"))]
 
-COMMAND_LINE = {"studies/cli.py", "studies/cli_output.py"}
+COMMAND_LINE = {f"studies/cli{part}.py" for part in ("", "_study", "_results", "_output")}
 
 # each of these is behind one module; rendering in the report is pyvista's second
 BEHIND = {

@@ -1,0 +1,222 @@
+"""The verbs that take a study: list, check, plan, run, calibrate, bench."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from .cli_output import (
+    OK,
+    USAGE,
+    Progress,
+    UsageError,
+    count,
+    print_json,
+    print_run,
+    print_table,
+    results_directory,
+    tell,
+)
+
+if TYPE_CHECKING:
+    from .case import Run
+    from .plan import Plan
+    from .schema import Study
+
+SHIPPED = Path(__file__).parent / "cases"
+
+
+def list_verb(options: argparse.Namespace) -> int:
+    """Print the shipped studies."""
+    import tomllib
+
+    titles = {}
+    for path in sorted(SHIPPED.glob("*.toml")):
+        titles[path.stem] = tomllib.loads(path.read_text())["study"]["title"]
+    if options.json:
+        return print_json(titles)
+    width = max(map(len, titles))
+    for name, title in titles.items():
+        print(f"{name:<{width}}  {title}")
+    return OK
+
+
+def check_verb(options: argparse.Namespace) -> int:
+    """Print whether a study is right, or every mistake in it."""
+    from .config import expand
+    from .problems import StudyError
+
+    try:
+        study, path = _load(options)
+        cases = expand(study)
+        _make_plan(study, cases, None)
+    except StudyError as error:
+        if options.json:
+            problems = [problem._asdict() for problem in error.problems]
+            print_json({"ok": False, "problems": problems})
+            return USAGE
+        raise
+    if options.json:
+        return print_json({"ok": True, "problems": [], "cases": len(cases)})
+    print(f"{path}: ok, {count(len(cases), 'case')}")
+    return OK
+
+
+def plan_verb(options: argparse.Namespace) -> int:
+    """Print what a run would do, and what it would cost."""
+    from .config import expand
+    from .explain import summary
+
+    study, _ = _load(options)
+    plan = _make_plan(study, expand(study), options.out)
+    planned = summary(plan)
+    if options.json:
+        return print_json(planned)
+    print(f"{study.study.title}: {count(len(planned['cases']), 'case')} of {', '.join(study.study.models)}")
+    if study.study.reference is None:
+        print("no reference: the models run without comparison")
+    for case in planned["cases"]:
+        print(f"  {case['hash'][:12]}  {case['state']:<8} {case['label']}")
+    meshes = count(planned["meshes_to_make"], "mesh", "meshes")
+    print(f"to run: {count(planned['cases_to_run'], 'case')}, {meshes}")
+    for kind in ("shared", "skipped"):
+        for line in planned[kind]:
+            print(f"{kind}: {line}")
+    print(_estimate(planned["estimate"]))
+    return OK
+
+
+def _estimate(expected: dict[str, float] | None) -> str:
+    if expected is None:
+        return "estimate: none before the surface is meshed"
+    return (
+        f"estimate: {expected['seconds']:.0f} s on one core, {expected['memory'] / 1e6:.0f} MB a worker, "
+        f"{expected['disk'] / 1e6:.1f} MB on disk; each within a factor of {expected['factor']:g}"
+    )
+
+
+def run_verb(options: argparse.Namespace) -> int:
+    """Run what is missing, write the report, print the headline table."""
+    from .config import expand
+    from .run import Options, run_plan
+
+    study, path = _load(options)
+    plan = _make_plan(study, expand(study), options.out)
+    how = Options(
+        jobs=options.jobs or os.cpu_count() or 1,
+        shard=options.shard,
+        timeout=options.timeout,
+        fail_fast=options.fail_fast,
+        fresh=options.fresh,
+    )
+    cases = plan.cases_to_run(how.shard, fresh=how.fresh)
+    with Progress(len(cases) + len(plan.missing_meshes(cases)), quiet=options.json) as progress:
+        run, report = run_plan(plan, path.read_text(), how, progress.show)
+    return print_run(run, plan.directory, report, options.json)
+
+
+def calibrate_verb(options: argparse.Namespace) -> int:
+    """Fit the VDM parameters on half of a study's loads; print and write the table for its `[vdm]`."""
+    from .calibrate import FINER, as_json, as_toml, body, calibrate, check
+    from .calibration_table import table
+    from .config import with_mesh_size
+    from .files import write_atomically
+
+    study, path = _load(options)
+    check(study)
+    out = options.out or results_directory() / "runs" / study.study.name
+    finer = with_mesh_size(study, FINER)
+    own = body(
+        *_run_for_fit(study, path, out, options),
+        _run_for_fit(finer, path, out / "finer", options) if finer is not None else None,
+    )
+    others = []
+    for name in options.transfer:
+        other, other_path = _load(argparse.Namespace(**{**vars(options), "study": name}))
+        where = results_directory() / "runs" / other.study.name
+        others.append(body(*_run_for_fit(other, other_path, where, options), None))
+    entries = calibrate(own, others)
+    data = {own.name: as_json(entries)}
+    write_atomically(out / "calibration.json", json.dumps(data, indent=1).encode())
+    write_atomically(out / "calibration.toml", as_toml(entries).encode())
+    if options.json:
+        return print_json(data)
+    print_table(table(entries))
+    print(f"\n{as_toml(entries)}\nwritten: {out / 'calibration.toml'}")
+    return OK
+
+
+def bench_verb(options: argparse.Namespace) -> int:
+    """Measure the study, or a sphere and an organ (the given surface in its stead) with every model."""
+    from . import bench
+    from .bench_data import answers, machine_independent, rows
+    from .bench_store import write_bench
+    from .report.bench_page import write_bench_page
+
+    names = [options.study] if options.study else ["quickstart", "accuracy-organ"]
+    surfaces = [options.surface] if options.study else [None, options.surface]
+    studies = [
+        _load(argparse.Namespace(**vars(options) | {"study": name, "surface": surface}))[0]
+        for name, surface in zip(names, surfaces, strict=True)
+    ]
+    out = options.out or results_directory() / "bench"
+    found = bench.measure(
+        studies,
+        results_directory() / "cache",
+        names=None if options.study else bench.MODELS,
+        sizes=bench.LARGE_SIZES if options.large else bench.SIZES,
+        large=options.large,
+        watch=lambda text: tell(f"measuring {text}"),
+    )
+    write_bench(out / "bench.h5", found)
+    write_bench_page(found, out / "bench.html")
+    if options.json:
+        return print_json(
+            {"rows": rows(found), "answers": answers(found), "figures": machine_independent(found)}
+        )
+    print(", ".join(f"{name}: {text}" for name, text in list(found.machine.items())[:5]))
+    print_table(rows(found))
+    for growth in found.growths:
+        print(f"{growth.what} grows as nodes ^ {growth.exponent:.2f}")
+    print(*answers(found), f"report: {out / 'bench.html'}", sep="\n")
+    return OK
+
+
+def _load(options: argparse.Namespace) -> tuple[Study, Path]:
+    from .config import load_study
+
+    path = Path(options.study)
+    if path.suffix != ".toml" and not path.exists():
+        shipped = SHIPPED / f"{options.study}.toml"
+        if not shipped.exists() or shipped.parent != SHIPPED:
+            known = ", ".join(sorted(p.stem for p in SHIPPED.glob("*.toml")))
+            raise UsageError(
+                f"no study file {options.study!r} and no shipped study of that name; shipped are: {known}"
+            )
+        path = shipped
+    return load_study(path, allow_outside=options.allow_outside, surface=options.surface), path
+
+
+def _make_plan(study: Study, cases: Any, out: Path | None) -> Plan:
+    from .plan import make_plan
+
+    return make_plan(
+        study, cases, out or results_directory() / "runs" / study.study.name, results_directory() / "cache"
+    )
+
+
+def _run_for_fit(study: Study, path: Path, out: Path, options: argparse.Namespace) -> tuple[Plan, Run]:
+    """Run what is missing of a study that parameters are fitted on."""
+    from .config import expand
+    from .run import Options, run_plan
+
+    plan = _make_plan(study, expand(study), out)
+    cases = plan.cases_to_run()
+    with Progress(len(cases) + len(plan.missing_meshes(cases)), quiet=options.json) as progress:
+        run, _ = run_plan(
+            plan, path.read_text(), Options(jobs=options.jobs or os.cpu_count() or 1), progress.show
+        )
+    return plan, run
