@@ -11,6 +11,7 @@ import math
 from collections.abc import Iterator, Sequence
 
 from .geometry_spec import (
+    DISTORTIONS,
     LARGEST_EXTENT,
     SMALLEST_EXTENT,
     SURFACE_SUFFIXES,
@@ -96,8 +97,10 @@ def _check_geometry(geometry: Geometry) -> Iterator[Finding]:
         missing.append("mesh_size")
     for key in missing:
         yield ("geometry", key), f"is missing; a {geometry.shape} needs {_listed(needed | {key})}"
-    for key in sorted(given - needed - allowed):
+    for key in sorted(given - needed - allowed - set(DISTORTIONS)):
         yield ("geometry", key), f"a {geometry.shape} has no {key}; it takes {_listed(needed | allowed)}"
+    if "seed" in given and not given & {"slivers", "perturbation"}:
+        yield ("geometry", "seed"), "decides nothing without slivers or perturbation; give one of them"
     if geometry.path is not None:
         yield from _check_suffix(geometry.path.name, suffix)
     if {"size", "scale"} <= given and geometry.shape == "file":
@@ -149,8 +152,9 @@ def _check_suffix(name: str, suffix: str) -> Iterator[Finding]:
 
 def geometry_spec(geometry: Geometry) -> GeometrySpec:
     """The geometry as the mesher takes it; `mesh_size` 0 where a file with tetrahedra has none."""
-    keys = set().union(*SHAPE_KEYS[geometry.shape]) - {"mesh_size"}
-    parameters = {key: getattr(geometry, key) for key in sorted(keys & geometry.model_fields_set)}
+    keys = set().union(*SHAPE_KEYS[geometry.shape], DISTORTIONS) - {"mesh_size"}
+    given = {key: getattr(geometry, key) for key in sorted(keys & geometry.model_fields_set)}
+    parameters = {key: value for key, value in given.items() if value is not None or key not in DISTORTIONS}
     if geometry.path is not None:
         parameters["path"] = str(geometry.path)
     return GeometrySpec(geometry.shape, geometry.mesh_size or 0.0, parameters)

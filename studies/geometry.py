@@ -10,7 +10,9 @@ from dataclasses import replace
 import gmsh
 import numpy as np
 
+from studies.distort import distorted
 from studies.geometry_spec import (
+    DISTORTIONS,
     MAX_NODES,
     Geometry,
     area_and_volume,
@@ -60,6 +62,8 @@ _OPTIONS = {
 def build_mesh(geometry: Geometry, *, volume: bool = True, max_nodes: int = MAX_NODES) -> Mesh:
     """Mesh a geometry: tetrahedra and their boundary, or with `volume=False` the same surface alone.
 
+    Slivers and perturbed nodes, where asked for, are those that the tetrahedra stand, where there are any.
+
     Deterministic: equal inputs and package versions give equal bytes. `Mesh.quality` holds counts, volume
     [m^3], area [m^2], `worst_sicn`, `seconds` and, for an imported mesh, what was repaired and how far the
     new surface is from the imported one [m].
@@ -79,6 +83,14 @@ def build_mesh(geometry: Geometry, *, volume: bool = True, max_nodes: int = MAX_
         area, inside = area_and_volume(geometry)
         check_node_budget(area, inside if volume else 0.0, geometry.mesh_size, max_nodes)
         mesh = _organ(geometry, volume) if geometry.shape == "organ" else _solid(geometry, volume)
+    given = {name: geometry.number(name) for name in DISTORTIONS if name in geometry.parameters}
+    if given:
+        mesh = distorted(
+            mesh,
+            slivers=given.get("slivers"),
+            perturbation=given.get("perturbation"),
+            seed=int(given.get("seed", 0)),
+        )
     return replace(mesh, quality={**mesh.quality, "seconds": time.perf_counter() - started})
 
 

@@ -35,6 +35,8 @@ _REQUIRED: dict[str, dict[str, int]] = {  # shape -> parameter -> how many numbe
     "organ": {"size": 1},
     "file": {},
 }
+DISTORTIONS = ("slivers", "perturbation", "seed")  # what any shape may have, see `studies.distort`
+LEAST_SLIVERS, MOST_PERTURBATION = 2.0, 0.5
 _OPTIONAL: dict[str, tuple[str, ...]] = {"cylinder": ("axis",), "file": ("path", "size", "scale")}
 
 
@@ -51,6 +53,7 @@ class Geometry:
         axis "x", "y" or "z" (the default). organ: size, the largest extent. file: path, and at most one
         of size (largest extent after scaling) and scale (factor from the file's unit to m, 1 by default);
         the centre of the file's bounding box is moved to the origin.
+        any: slivers, perturbation and seed of `studies.distort`.
     """
 
     shape: str
@@ -86,7 +89,7 @@ def check_geometry(geometry: Geometry) -> None:
     if shape not in SHAPES:
         raise MeshError(f"unknown shape {shape!r}; choose one of {', '.join(SHAPES)}")
     required = _REQUIRED[shape]
-    allowed = {*required, *_OPTIONAL.get(shape, ())}
+    allowed = {*required, *_OPTIONAL.get(shape, ()), *DISTORTIONS}
     missing = sorted(set(required) - set(geometry.parameters))
     if shape == "file" and "path" not in geometry.parameters:
         missing = ["path"]
@@ -100,7 +103,7 @@ def check_geometry(geometry: Geometry) -> None:
         values = geometry.numbers(name)
         if len(values) != wanted:
             raise MeshError(f"{shape}: {name} must have {wanted} numbers, not {len(values)}")
-        if not all(math.isfinite(v) and v > 0 for v in values):
+        if name != "seed" and not all(math.isfinite(v) and v > 0 for v in values):
             raise MeshError(f"{shape}: {name} must be positive and finite")
     if geometry.parameters.get("axis", "z") not in ("x", "y", "z"):
         raise MeshError(f"cylinder: axis must be x, y or z, not {geometry.parameters['axis']!r}")

@@ -27,6 +27,7 @@ from pydantic import (
     model_validator,
 )
 
+from .geometry_spec import LEAST_SLIVERS, MOST_PERTURBATION
 from .kinds import (
     SI,
     Axis,
@@ -159,6 +160,29 @@ class Geometry(Table):
     )
     scale: Annotated[float, SI("1"), positive] | None = Field(
         None, description="file: metres per unit of the file, 1 where neither scale nor size is given"
+    )
+    slivers: (
+        Annotated[
+            float, SI("1"), number_check(lambda v: v >= LEAST_SLIVERS, f"must be at least {LEAST_SLIVERS:g}")
+        ]
+        | None
+    ) = Field(
+        None,
+        description="any shape: squeeze one facet in twenty-five until its longest edge is so many heights",
+    )
+    perturbation: (
+        Annotated[
+            float,
+            SI("1"),
+            positive,
+            number_check(lambda v: v <= MOST_PERTURBATION, f"must be at most {MOST_PERTURBATION:g}"),
+        ]
+        | None
+    ) = Field(
+        None, description="any shape: move each node at random by up to this share of its shortest edge"
+    )
+    seed: int | None = Field(
+        None, description="of the slivers and the perturbation, 0 where left out", ge=0, lt=2**32
     )
 
     @classmethod
