@@ -6,12 +6,14 @@ depend on how the mesh spreads its nodes. Adding a metric is one decorated funct
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, field
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
+
+from .nearest import two_way_distances
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -42,8 +44,15 @@ def nodal_sum(per_facet: Array, triangles: Index, n_nodes: int) -> Array:
 
 def enclosed_volume(points: Array, triangles: Index) -> float:
     """Exact volume of the closed polyhedron, by the divergence theorem [m^3]."""
-    a, b, c = (points[triangles[:, k]] - points[0] for k in range(3))
-    return float(np.einsum("ij,ij->", a, np.cross(b, c)) / 6.0)
+    return float(enclosed_volumes(points[None], triangles)[0])
+
+
+def enclosed_volumes(points: Array, triangles: Index) -> Array:
+    """(S,) exact volumes of polyhedra (S, N, 3) of the same facets [m^3]."""
+    corners = (points - points[:, :1])[:, triangles]  # (S, F, 3 corners, 3)
+    (ax, ay, az), (bx, by, bz), (cx, cy, cz) = (np.moveaxis(corners[:, :, k], -1, 0) for k in range(3))
+    parts = ax * (by * cz - bz * cy) + ay * (bz * cx - bx * cz) + az * (bx * cy - by * cx)
+    return np.asarray(parts.sum(axis=1) / 6.0)
 
 
 def rigid_motions(points: Array, weights: Array) -> Array:
@@ -63,12 +72,13 @@ def rigid_motion_removed(points: Array, displacement: Array, weights: Array) -> 
 
     Infinitesimal, so that the result of a linear model scales with its load.
     """
-    return _without(rigid_motions(points, weights), displacement, weights)
+    return _without(rigid_motions(points, weights), displacement[None], weights)[0]
 
 
-def _without(motions: Array, displacement: Array, weights: Array) -> Array:
-    shares = np.tensordot(motions, displacement * weights[:, None], axes=2)
-    return displacement - np.tensordot(shares, motions, axes=1)
+def _without(motions: Array, displacements: Array, weights: Array) -> Array:
+    """(S, N, 3) displacements less their parts along orthonormal motions (6, N, 3)."""
+    shares = np.tensordot(displacements * weights[:, None], motions, axes=((1, 2), (1, 2)))
+    return displacements - np.tensordot(shares, motions, axes=1)
 
 
 def weighted_norm(values: Array, weights: Array) -> float:
@@ -85,95 +95,30 @@ def relative_l2(values: Array, reference: Array, weights: Array) -> float:
 
 def weighted_quantile(values: Array, weights: Array, quantile: float) -> float:
     """The smallest value below or at which at least `quantile` of the weight lies."""
-    order = np.argsort(values)
-    cumulative = np.cumsum(weights[order])
-    position = int(np.searchsorted(cumulative, quantile * cumulative[-1] * (1 - 1e-12)))
-    return float(values[order[min(position, len(order) - 1)]])
+    return float(_weighted_quantiles(values[None], weights, quantile)[0])
 
 
-def nearest_on_surface(queries: Array, points: Array, triangles: Index) -> tuple[Array, Index, Array]:
-    """The point of a triangle surface nearest to each of Q queries, exactly.
-
-    Returns
-    -------
-    distance : (Q,) [m]
-    facet : (Q,) index of the facet that holds the nearest point
-    weights : (Q, 3) barycentric coordinates of the nearest point in that facet
-    """
-    corners = points[triangles]
-    centroids = corners.mean(axis=1)
-    reach = float(np.linalg.norm(corners - centroids[:, None], axis=2).max())
-    from scipy.spatial import cKDTree  # slow to load, and reading results needs none
-
-    tree = cKDTree(centroids, balanced_tree=False, compact_nodes=False)  # made for one query
-    facets = _Facets(corners)
-    distance = np.full(len(queries), np.inf)
-    facet = np.zeros(len(queries), dtype=np.int64)
-    weights = np.zeros((len(queries), 3))
-    pending = np.arange(len(queries))
-    k = min(8, len(triangles))
-    while len(pending):
-        found = tree.query(queries[pending], k=k)
-        centroid_distance, candidates = (np.reshape(part, (len(pending), k)) for part in found)
-        gaps, along_u, along_v = facets.nearest(queries[pending], candidates)
-        rows, best = np.arange(len(pending)), np.argmin(gaps, axis=1)
-        distance[pending] = np.sqrt(gaps[rows, best])
-        facet[pending] = candidates[rows, best]
-        u, v = along_u[rows, best], along_v[rows, best]
-        weights[pending] = np.stack([1 - u - v, u, v], axis=1)
-        if k == len(triangles):
-            break
-        # a facet further away than this by its centroid cannot be nearer
-        pending = pending[centroid_distance[:, -1] < distance[pending] + reach]
-        k = min(4 * k, len(triangles))
-    return distance, facet, weights
+def _weighted_quantiles(values: Array, weights: Array, quantile: float) -> Array:
+    """(S,) the same for each row of (S, N) values."""
+    order = np.argsort(values, axis=1)
+    cumulative = np.cumsum(weights[order], axis=1)
+    below = cumulative < quantile * cumulative[:, -1:] * (1 - 1e-12)
+    position = np.minimum(below.sum(axis=1, keepdims=True), order.shape[1] - 1)
+    return np.take_along_axis(values, np.take_along_axis(order, position, axis=1), axis=1)[:, 0]
 
 
-class _Facets:
-    """Triangles as a corner a and the edges u = b - a and v = c - a, component by component."""
-
-    def __init__(self, corners: Array) -> None:
-        self.a, b, c = (np.ascontiguousarray(corners[:, i].T) for i in range(3))
-        self.u, self.v = b - self.a, c - self.a
-        self.uu, self.uv, self.vv = (
-            np.einsum("if,if->f", x, y) for x, y in ((self.u, self.u), (self.u, self.v), (self.v, self.v))
-        )
-
-    def nearest(self, queries: Array, candidates: Index) -> tuple[Array, Array, Array]:
-        """For Q queries (Q, 3) and facets (Q, k): squared distance, and s and t of the nearest point a + s u + t v.
-
-        By the regions of the plane that a corner, an edge or the inside is nearest to (Ericson, Real-Time Collision
-        Detection, section 5.1.5).
-        """
-        w = [queries[:, i, None] - self.a[i][candidates] for i in range(3)]
-        u, v = ([edge[i][candidates] for i in range(3)] for edge in (self.u, self.v))
-        uu, uv, vv = (part[candidates] for part in (self.uu, self.uv, self.vv))
-        d1, d2 = (x[0] * w[0] + x[1] * w[1] + x[2] * w[2] for x in (u, v))
-        d3, d4, d5, d6 = d1 - uu, d2 - uv, d1 - uv, d2 - vv
-        from_c, from_b, from_a = d1 * d4 - d3 * d2, d5 * d2 - d1 * d6, d3 * d6 - d5 * d4
-        s, t = _share(from_b, from_a + from_b + from_c), _share(from_c, from_a + from_b + from_c)
-        beyond_b, beyond_c = d4 - d3, d5 - d6
-        # the regions, the strongest condition last; an edge without length is no region
-        bc = (from_a <= 0) & (beyond_b >= 0) & (beyond_c >= 0)
-        along = _share(beyond_b, beyond_b + beyond_c)
-        s, t = np.where(bc, 1 - along, s), np.where(bc, along, t)
-        ac = (from_b <= 0) & (d2 >= 0) & (d6 <= 0) & (vv > 0)
-        s, t = np.where(ac, 0.0, s), np.where(ac, _share(d2, d2 - d6), t)
-        at_c = (d6 >= 0) & (d5 <= d6)
-        s, t = np.where(at_c, 0.0, s), np.where(at_c, 1.0, t)
-        ab = (from_c <= 0) & (d1 >= 0) & (d3 <= 0) & (uu > 0)
-        s, t = np.where(ab, _share(d1, d1 - d3), s), np.where(ab, 0.0, t)
-        at_b = (d3 >= 0) & (d4 <= d3)
-        s, t = np.where(at_b, 1.0, s), np.where(at_b, 0.0, t)
-        at_a = (d1 <= 0) & (d2 <= 0)
-        s, t = np.where(at_a, 0.0, s), np.where(at_a, 0.0, t)
-        gap = [w[i] - s * u[i] - t * v[i] for i in range(3)]
-        return gap[0] ** 2 + gap[1] ** 2 + gap[2] ** 2, s, t
+def _relative_l2(values: Array, reference: Array, weights: Array) -> Array:
+    """(S,) `relative_l2` of each step of (S, N, ...) fields."""
+    return _ratio(_norms(values - reference, weights), _norms(reference, weights))
 
 
-def _share(part: Array, whole: Array) -> Array:
-    """part / whole, 0 where there is nothing to share."""
-    return np.divide(part, whole, out=np.zeros_like(part), where=whole != 0)
+def _norms(values: Array, weights: Array) -> Array:
+    return np.sqrt(np.einsum("sni,sni->sn", values, values) @ weights)
+
+
+def _ratio(part: Array, whole: Array) -> Array:
+    """(S,) part / whole, NaN where the whole is zero."""
+    return np.divide(part, whole, out=np.full(len(whole), np.nan), where=whole > 0)
 
 
 # --- one model beside the reference ---
@@ -214,6 +159,13 @@ class Surface:
         """Enclosed volume [m^3]."""
         return enclosed_volume(self.points, self.triangles)
 
+    def under(self, contact: Mask, contact_force: Array) -> Surface:
+        """The same surface in another contact; what is measured of it is measured once."""
+        other = replace(self, contact=contact, contact_force=contact_force)
+        for name in ("areas", "volume_gradient", "normals", "rigid_motions", "volume"):
+            other.__dict__[name] = getattr(self, name)
+        return other
+
 
 @dataclass(frozen=True)
 class History:
@@ -222,6 +174,8 @@ class History:
     displacement: Array  # (S, N, 3)
     reaction_force: Array  # (S, N, 3)
     load_factors: Array  # (S,)
+    # (N,) at full load: from the model's nodes to the reference's surface, and back; see `evaluate_all`
+    distances: tuple[Array, Array] | None = None
 
 
 @dataclass(frozen=True)
@@ -259,63 +213,56 @@ def _metric(
     return register
 
 
-Compare = Callable[[Surface, Array, Array], float]
+Compare = Callable[[Surface, Array, Array], Array]  # of displacements (S, N, 3): (S,)
 
 
 def _each_step(surface: Surface, model: History, reference: History, compare: Compare) -> Array:
-    pairs = zip(model.displacement, reference.displacement, strict=True)
-    return np.array([compare(surface, u, r) if _finite(u, r) else np.nan for u, r in pairs])
-
-
-def _at_full_load(surface: Surface, model: History, reference: History, compare: Compare) -> Array:
-    """(S,) NaN but at the step of the largest load."""
-    out, step = np.full(len(model.load_factors), np.nan), full_load_step(model.load_factors)
-    u, r = model.displacement[step], reference.displacement[step]
-    if _finite(u, r):
-        out[step] = compare(surface, u, r)
+    """(S,) what `compare` finds; NaN where a step of either failed."""
+    u, r = model.displacement, reference.displacement
+    usable = np.isfinite(u).all(axis=(1, 2)) & np.isfinite(r).all(axis=(1, 2))
+    if usable.all():
+        return compare(surface, u, r)
+    out = np.full(len(u), np.nan)
+    if usable.any():
+        out[usable] = compare(surface, u[usable], r[usable])
     return out
-
-
-def _finite(*arrays: Array) -> bool:
-    return all(bool(np.isfinite(array).all()) for array in arrays)
 
 
 @_metric("1", "area-weighted ||u - r|| / ||r|| of the displacement vector")
 def relative_l2_displacement_error(surface: Surface, model: History, reference: History) -> Array:
-    return _each_step(surface, model, reference, lambda s, u, r: relative_l2(u, r, s.areas))
+    return _each_step(surface, model, reference, lambda s, u, r: _relative_l2(u, r, s.areas))
 
 
 @_metric("1", "as the displacement error, the best-fit rigid motion removed from model and reference alike")
 def relative_l2_deformation_error(surface: Surface, model: History, reference: History) -> Array:
-    def compare(s: Surface, u: Array, r: Array) -> float:
+    def compare(s: Surface, u: Array, r: Array) -> Array:
         u, r = (_without(s.rigid_motions, v, s.areas) for v in (u, r))
-        return relative_l2(u, r, s.areas)
+        return _relative_l2(u, r, s.areas)
 
     return _each_step(surface, model, reference, compare)
 
 
 @_metric("1", "as the displacement error, for the component along the undeformed normal")
 def relative_l2_normal_error(surface: Surface, model: History, reference: History) -> Array:
-    def compare(s: Surface, u: Array, r: Array) -> float:
-        u, r = (np.einsum("ij,ij->i", v, s.normals) for v in (u, r))
-        return relative_l2(u, r, s.areas)
+    def compare(s: Surface, u: Array, r: Array) -> Array:
+        u, r = (_along(v, s.normals) for v in (u, r))
+        return _relative_l2(u, r, s.areas)
 
     return _each_step(surface, model, reference, compare)
 
 
 @_metric("1", "as the displacement error, for the component in the undeformed surface")
 def relative_l2_tangential_error(surface: Surface, model: History, reference: History) -> Array:
-    def compare(s: Surface, u: Array, r: Array) -> float:
-        n = s.normals
-        u, r = (v - np.einsum("ij,ij->i", v, n)[:, None] * n for v in (u, r))
-        return relative_l2(u, r, s.areas)
+    def compare(s: Surface, u: Array, r: Array) -> Array:
+        u, r = (v - _along(v, s.normals) * s.normals for v in (u, r))
+        return _relative_l2(u, r, s.areas)
 
     return _each_step(surface, model, reference, compare)
 
 
 @_metric("m", "largest |u - r| of any surface node")
 def max_nodal_error(surface: Surface, model: History, reference: History) -> Array:
-    return _each_step(surface, model, reference, lambda _, u, r: float(_nodal_error(u, r).max()))
+    return _each_step(surface, model, reference, lambda _, u, r: _nodal_error(u, r).max(axis=1))
 
 
 @_metric("1", "largest |u - r| over largest |r|")
@@ -326,7 +273,7 @@ def max_nodal_error_relative(surface: Surface, model: History, reference: Histor
 @_metric("m", "|u - r| that 95 % of the surface area stays below")
 def p95_nodal_error(surface: Surface, model: History, reference: History) -> Array:
     return _each_step(
-        surface, model, reference, lambda s, u, r: weighted_quantile(_nodal_error(u, r), s.areas, 0.95)
+        surface, model, reference, lambda s, u, r: _weighted_quantiles(_nodal_error(u, r), s.areas, 0.95)
     )
 
 
@@ -354,11 +301,9 @@ def far_field_error(surface: Surface, model: History, reference: History) -> Arr
     version=2,
 )
 def mean_surface_distance(surface: Surface, model: History, reference: History) -> Array:
-    def compare(s: Surface, u: Array, r: Array) -> float:
-        there = nearest_on_surface(s.points + u, s.points + r, s.triangles)[0]
-        return float(np.average(there, weights=s.areas))
-
-    return _at_full_load(surface, model, reference, compare)
+    return _of_distances(
+        surface, model, reference, lambda there, _: float(np.average(there, weights=surface.areas))
+    )
 
 
 @_metric(
@@ -367,20 +312,44 @@ def mean_surface_distance(surface: Surface, model: History, reference: History) 
     version=2,
 )
 def hausdorff_distance(surface: Surface, model: History, reference: History) -> Array:
-    def compare(s: Surface, u: Array, r: Array) -> float:
-        there = nearest_on_surface(s.points + u, s.points + r, s.triangles)[0]
-        back = nearest_on_surface(s.points + r, s.points + u, s.triangles)[0]
-        return float(max(there.max(), back.max()))
+    return _of_distances(surface, model, reference, lambda there, back: float(max(there.max(), back.max())))
 
-    return _at_full_load(surface, model, reference, compare)
+
+def _of_distances(
+    surface: Surface, model: History, reference: History, measure: Callable[[Array, Array], float]
+) -> Array:
+    """(S,) NaN but at the step of the largest load."""
+    out = np.full(len(model.load_factors), np.nan)
+    if model.distances is None:
+        (model,) = _with_distances(surface, [model], reference)
+    if model.distances is not None:
+        out[full_load_step(model.load_factors)] = measure(*model.distances)
+    return out
+
+
+def _with_distances(surface: Surface, models: Sequence[History], reference: History) -> list[History]:
+    """The models with their distances from the reference, found in one pass; None where either's step failed."""
+    step = full_load_step(reference.load_factors)
+    r = reference.displacement[step]
+    found = list(models)
+    usable = [
+        place
+        for place, model in enumerate(models)
+        if np.isfinite(model.displacement[step]).all() and np.isfinite(r).all()
+    ]
+    if usable:
+        deformed = surface.points + np.stack([models[place].displacement[step] for place in usable])
+        there, back = two_way_distances(deformed, surface.points + r, surface.triangles)
+        for place, *distances in zip(usable, there, back, strict=True):
+            found[place] = replace(models[place], distances=(distances[0], distances[1]))
+    return found
 
 
 @_metric("1", "|R - R_ref| / |R_ref| of the total force that the supports exert")
 def reaction_force_error(surface: Surface, model: History, reference: History) -> Array:  # noqa: ARG001
     total, total_reference = (history.reaction_force.sum(axis=1) for history in (model, reference))
     norm = np.linalg.norm(total_reference, axis=1)
-    gap = np.linalg.norm(total - total_reference, axis=1)
-    return np.divide(gap, norm, out=np.full(len(norm), np.nan), where=norm > 0)
+    return _ratio(np.linalg.norm(total - total_reference, axis=1), norm)
 
 
 @_metric(
@@ -401,15 +370,13 @@ def indentation_force_error(surface: Surface, model: History, reference: History
 
 @_metric("1", "(V - V0)/V0 of the exact polyhedral volume", needs_reference=False)
 def volume_drift(surface: Surface, model: History) -> Array:
-    deformed = [enclosed_volume(surface.points + u, surface.triangles) for u in model.displacement]
-    return np.array(deformed) / surface.volume - 1
+    return enclosed_volumes(surface.points + model.displacement, surface.triangles) / surface.volume - 1
 
 
 @_metric("1", "(V - V0) over the displaced volume, half of sum |g_i . u_i|", needs_reference=False)
 def volume_drift_of_displaced(surface: Surface, model: History) -> Array:
     displaced = 0.5 * np.abs(np.einsum("sij,ij->si", model.displacement, surface.volume_gradient)).sum(axis=1)
-    change = volume_drift(surface, model) * surface.volume
-    return np.divide(change, displaced, out=np.full(len(change), np.nan), where=displaced > 0)
+    return _ratio(volume_drift(surface, model) * surface.volume, displaced)
 
 
 def _mean_strain(surface: Surface, model: History, axis: int) -> Array:
@@ -466,8 +433,29 @@ def evaluate(surface: Surface, model: History, reference: History | None) -> dic
     return out
 
 
+def evaluate_all(
+    surface: Surface, models: Mapping[str, History], reference: str | None
+) -> dict[str, dict[str, Array]]:
+    """`evaluate` of each model against one of them, which is itself compared with nothing."""
+    if reference is None:
+        return {name: evaluate(surface, model, None) for name, model in models.items()}
+    others = [name for name in models if name != reference]
+    measured = _with_distances(surface, [models[name] for name in others], models[reference])
+    ready = dict(zip(others, measured, strict=True))
+    return {
+        name: evaluate(surface, ready.get(name, model), models[reference] if name in ready else None)
+        for name, model in models.items()
+    }
+
+
+def _along(displacements: Array, normals: Array) -> Array:
+    """(S, N, 1) components along the normals (N, 3)."""
+    return np.einsum("sni,ni->sn", displacements, normals)[:, :, None]
+
+
 def _nodal_error(u: Array, r: Array) -> Array:
-    return np.linalg.norm(u - r, axis=1)
+    """(S, N) |u - r|."""
+    return np.linalg.norm(u - r, axis=2)
 
 
 def _largest(reference: History) -> Array:
@@ -478,7 +466,7 @@ def _largest(reference: History) -> Array:
 
 def _regional(surface: Surface, model: History, reference: History, mask: Mask) -> Array:
     weights = np.where(mask, surface.areas, 0.0)
-    return _each_step(surface, model, reference, lambda _, u, r: relative_l2(u, r, weights))
+    return _each_step(surface, model, reference, lambda _, u, r: _relative_l2(u, r, weights))
 
 
 def _factor_at(depth: float, depths: Array, factors: Array) -> float:

@@ -16,7 +16,7 @@ import numpy as np
 from .case import ModelResult, StepStatus
 from .memory import peak_bytes_since, reset_peak
 from .mesh import Array, Index, Mask
-from .metrics import enclosed_volume
+from .metrics import enclosed_volumes
 from .scene import Scene
 from .setups import shared, watched
 
@@ -387,7 +387,7 @@ def _result(
         fluid_pressure=np.where(usable, solution.fluid_pressure, np.nan),
         reaction_force=np.where(usable[:, None, None], solution.reaction_force, np.nan),
         energy=np.where(usable, solution.energy, np.nan),
-        volume=np.array([enclosed_volume(points + u, triangles) for u in displacement]),
+        volume=enclosed_volumes(points + displacement, triangles),
         iterations=solution.iterations,
         status=statuses,
         seconds_setup=solution.seconds_setup,

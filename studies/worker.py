@@ -19,13 +19,13 @@ from .geometry_spec import Geometry
 from .hdf5 import StoreError
 from .mesh import Mesh
 from .mesh_cache import mesh_from_cache
-from .metrics import METRICS, History, Surface, evaluate
+from .metrics import METRICS, History, Surface, evaluate_all
 from .plan import needs_volume
 from .reference import own_error, refined_levels, require_converged
 from .result_cache import read_levels, reference_path, write_levels
 from .scene import Scene, build_scene
 from .schema import Study
-from .setups import next_turn, sharing
+from .setups import next_turn, shared, sharing
 from .small_strain import small_strain_limits
 from .store import read_case, write_case
 
@@ -75,8 +75,7 @@ def run_case(task: Task) -> None:
     _last.clear()
     _last.update({result.key: result for result in results.values()})
     if reference is not None and len(levels) > 1:
-        surface = Surface(mesh.surface_points, mesh.triangles, scene.contact)
-        reference_error = own_error(surface, levels[::-1], scene.load_factors)
+        reference_error = own_error(_surface(scene), levels[::-1], scene.load_factors)
         reference += REFINED
         results[reference] = levels[-1]
     small_strain = None
@@ -210,22 +209,27 @@ def compare(
     scene: Scene, results: Mapping[str, ModelResult], reference: str | None
 ) -> dict[str, dict[str, MetricSeries]]:
     """Every metric of every model; the reference itself gets those that need no comparison."""
-    mesh = scene.mesh
-    surface = Surface(mesh.surface_points, mesh.triangles, scene.contact, scene.contact_force)
+    surface = _surface(scene)
     histories = {
         name: History(result.displacement, result.reaction_force, scene.load_factors)
         for name, result in results.items()
     }
-    out = {}
-    for name, history in histories.items():
-        other = histories[reference] if reference is not None and name != reference else None
-        out[name] = {
+    return {
+        name: {
             metric: MetricSeries(
                 values, METRICS[metric].unit, METRICS[metric].definition, METRICS[metric].version
             )
-            for metric, values in evaluate(surface, history, other).items()
+            for metric, values in found.items()
         }
-    return out
+        for name, found in evaluate_all(surface, histories, reference).items()
+    }
+
+
+def _surface(scene: Scene) -> Surface:
+    """The scene's surface; its measures are those of all cases on the mesh."""
+    mesh = scene.mesh
+    surface = shared(Surface, points=mesh.surface_points, triangles=mesh.triangles)
+    return surface.under(scene.contact, scene.contact_force)
 
 
 def provenance(mesh: Mesh) -> dict[str, str]:

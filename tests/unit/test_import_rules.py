@@ -78,9 +78,13 @@ def test_every_home_is_lived_in() -> None:
             assert library in _tops(ROOT / home), f"{home} no longer imports {library}"
 
 
-def test_metrics_are_pure() -> None:
-    stdlib = {name for name in _tops(ROOT / "studies" / "metrics.py") if name in sys.stdlib_module_names}
-    assert _tops(ROOT / "studies" / "metrics.py") - stdlib == {"numpy", "scipy"}
+@pytest.mark.parametrize(("name", "own"), [("metrics", {"studies.nearest"}), ("nearest", set())])
+def test_metrics_are_pure(name: str, own: set[str]) -> None:
+    path = ROOT / "studies" / f"{name}.py"
+    tops = {top for top in _tops(path) if top not in sys.stdlib_module_names}
+    assert tops <= {"numpy", "scipy", "studies"}
+    used = {full for full in _imports(path) if full.startswith("studies.") and full.count(".") == 1}
+    assert used == own
 
 
 @pytest.mark.parametrize("path", _in("studies/report"), ids=_name)

@@ -9,7 +9,8 @@ import pytest
 from numpy.testing import assert_allclose
 
 from studies import metrics
-from studies.metrics import History, Surface, evaluate
+from studies.metrics import History, Surface, evaluate, evaluate_all
+from studies.nearest import nearest_on_surface, two_way_distances
 
 # round-off of sums over a few hundred terms of order one
 ROUND = {"rtol": 1e-12, "atol": 1e-14}
@@ -151,7 +152,7 @@ def test_nearest_point_is_exact_against_dense_sampling() -> None:
     points, triangles = octahedron()
     points = points * [1.0, 0.2, 0.05]  # long thin facets, whose centroids are a poor guide
     queries = rng.normal(size=(50, 3))
-    distance, facet, weights = metrics.nearest_on_surface(queries, points, triangles)
+    distance, facet, weights = nearest_on_surface(queries, points, triangles)
     nearest = np.einsum("qk,qki->qi", weights, points[triangles[facet]])
     assert_allclose(np.linalg.norm(nearest - queries, axis=1), distance, **ROUND)
     assert (weights >= -1e-12).all()
@@ -240,3 +241,74 @@ def test_distances_are_taken_at_full_load_only(surface: Surface) -> None:
     values = evaluate(surface, grown, still)
     for name in ("hausdorff_distance", "mean_surface_distance"):
         assert_allclose(values[name], [np.nan, 0.1, np.nan], **ROUND)
+
+
+def bumpy(seed: int) -> tuple[Surface, list[History]]:
+    """A sphere with bumps, in contact, and the histories of three models; one has a step that failed."""
+    rng = np.random.default_rng(seed)
+    points, triangles = octahedron()
+    for _ in range(3):
+        points, triangles = _quartered(points, triangles)
+    points *= 1 + 0.1 * rng.normal(size=(len(points), 1))
+    force = rng.normal(size=points.shape)
+    surface = Surface(points, triangles, points[:, 2] > 0.4, force)
+    factors = np.array([0.2, -1.0, 0.7])
+    models = [
+        History(0.1 * rng.normal(size=(3, *points.shape)), rng.normal(size=(3, *points.shape)), factors)
+        for _ in range(3)
+    ]
+    models[1].displacement[2, 4] = np.nan
+    return surface, models
+
+
+def _quartered(points: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Every facet in four, the new nodes on the unit sphere."""
+    edges = np.sort(triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
+    unique, place = np.unique(edges, axis=0, return_inverse=True)
+    middle = points[unique].mean(axis=1)
+    ab, bc, ca = (len(points) + place.reshape(-1, 3)).T
+    a, b, c = triangles.T
+    parts = [(a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca)]
+    everything = np.concatenate([points, middle / np.linalg.norm(middle, axis=1, keepdims=True)])
+    return everything, np.concatenate([np.stack(part, axis=1) for part in parts])
+
+
+def test_all_steps_and_models_at_once_are_each_alone() -> None:
+    """A shortcut changes no number: not the steps together, nor the models, nor measures kept of the surface."""
+    surface, models = bumpy(5)
+    kept = Surface(surface.points, surface.triangles).under(surface.contact, surface.contact_force)
+    found = evaluate_all(kept, {"a": models[0], "b": models[1], "reference": models[2]}, "reference")
+    for name, model in zip(("a", "b"), models, strict=False):
+        for step in range(3):
+            fresh = Surface(surface.points, surface.triangles, surface.contact, surface.contact_force)
+            u, r = (
+                History(h.displacement[[step]], h.reaction_force[[step]], h.load_factors[[step]])
+                for h in (model, models[2])
+            )
+            alone = evaluate(fresh, u, r)
+            assert alone.keys() == found[name].keys()
+            for metric, values in alone.items():
+                together = found[name][metric][step]
+                if metric in ("mean_surface_distance", "hausdorff_distance") and step != 1:
+                    assert np.isnan(together), metric
+                elif metric != "indentation_force_error":  # which is read off the whole history
+                    assert_allclose(together, values[0], err_msg=metric, **ROUND)
+    assert np.isnan(found["b"]["relative_l2_displacement_error"]).tolist() == [False, False, True]
+    assert "relative_l2_displacement_error" not in found["reference"]
+    assert_allclose(found["reference"]["volume_drift"], metrics.volume_drift(surface, models[2]), **ROUND)
+
+
+def test_distances_of_many_surfaces_are_those_of_each(monkeypatch: pytest.MonkeyPatch) -> None:
+    surface, models = bumpy(9)
+    deformed = surface.points + np.stack([models[0].displacement[0], models[2].displacement[0]])
+    other = surface.points + models[2].displacement[1]
+    for at_once in (1, 10_000):
+        monkeypatch.setattr("studies.nearest._MOST_AT_ONCE", at_once)
+        there, back = two_way_distances(deformed, other, surface.triangles)
+        for place, points in enumerate(deformed):
+            assert_allclose(
+                there[place], nearest_on_surface(points, other, surface.triangles)[0], rtol=0, atol=0
+            )
+            assert_allclose(
+                back[place], nearest_on_surface(other, points, surface.triangles)[0], rtol=0, atol=0
+            )
