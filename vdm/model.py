@@ -160,7 +160,7 @@ class Model:
             else:
                 force = formulation.nodal_force(formulation.internal_force(step.unknown, step.border))
                 area = np.einsum(
-                    "ic,ic->i", formulation.nodal_force(formulation.columns[:, :, 0]), surface.normals
+                    "ic,ic->i", formulation.nodal_force(formulation.columns.first), surface.normals
                 )
                 fields.append(np.einsum("ic,ic->i", force, surface.normals) / area)
         return np.array(fields).reshape(-1, surface.n_nodes)

@@ -108,7 +108,7 @@ class Problem:
         internal = self.formulation.internal_force(x, border, applied)
         displacement = self.formulation.displacement(x)
         energy = 0.5 * float(np.vdot(displacement, self.formulation.nodal_force(internal)))
-        lacking = internal - self.formulation.columns[:, :, 0] * border[0] - force
+        lacking = internal - self.formulation.columns.first * border[0] - force
         return self.package(x, border, lacking, energy, iterations, status)
 
     def package(

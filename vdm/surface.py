@@ -44,11 +44,8 @@ class SurfaceMesh:
         self.n_nodes = len(self.points)
 
         corners = self.points[self.triangles]
-        # (F, 3) facet normal times facet area
-        self.facet_vectors: Array = 0.5 * np.cross(
-            corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
-        )
-        self.facet_areas: Array = np.linalg.norm(self.facet_vectors, axis=1)
+        vectors = self.facet_vectors
+        self.facet_areas: Array = np.linalg.norm(vectors, axis=1)
         _check_facets(corners, self.facet_areas)
         self.edges: Index
         self.facet_edges: NDArray[np.int32]
@@ -57,12 +54,19 @@ class SurfaceMesh:
 
         # V = (1/6) sum of x0 . (x1 x x2), taken about the centroid so that no digits are lost far from the origin
         centred = corners - self.points.mean(axis=0)
-        self.volume = float(np.einsum("fi,fi->", centred[:, 0], self.facet_vectors)) / 3.0
+        self.volume = float(np.einsum("fi,fi->", centred[:, 0], vectors)) / 3.0
         if self.volume <= 0.0:
             raise SurfaceError(
                 f"the surface is inverted (volume {self.volume:.3g} m^3); reverse each triangle"
             )
         self.area = float(self.facet_areas.sum())
+
+    @property
+    def facet_vectors(self) -> Array:
+        """(F, 3) facet normal times facet area [m^2]; computed anew, it is needed at set-up only."""
+        a, b, c = (self.points[corner] for corner in self.triangles.T)
+        vectors: Array = 0.5 * np.cross(b - a, c - a)
+        return vectors
 
     @cached_property
     def nodal_areas(self) -> Array:
@@ -77,7 +81,8 @@ class SurfaceMesh:
     @cached_property
     def area_vectors(self) -> Array:
         """(N, 3) g_i = (1/3) sum of A_f n_f [m^2], the exact gradient of the polyhedron's volume."""
-        return np.stack([self._to_nodes(self.facet_vectors[:, c]) for c in range(3)], axis=1) / 3.0
+        vectors = self.facet_vectors
+        return np.stack([self._to_nodes(vectors[:, c]) for c in range(3)], axis=1) / 3.0
 
     @cached_property
     def normals(self) -> Array:

@@ -21,7 +21,7 @@ BODY = c.Body(SURFACE, HELD)
 
 def condensed(form: Formulation) -> c.Array:
     """The library's operator with the border unknowns of its rotation eliminated."""
-    turns = form.columns[:, :, 1:].reshape(form.stiffness().shape[0], -1)
+    turns = form.columns.dense()[:, :, 1:].reshape(form.stiffness().shape[0], -1)
     relief = turns @ np.linalg.solve(form.corner[1:, 1:], turns.T) if turns.shape[1] else 0.0
     return np.asarray(form.stiffness().toarray() + relief)
 

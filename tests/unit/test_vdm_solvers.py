@@ -109,18 +109,18 @@ def test_border_update_equals_dense_sherman_morrison(formulation):
     first, second = solver.solve([PUSH.scaled(3.0), PUSH.scaled(4.0)]).displacement
     problem, form = solver.problem, solver.formulation
     free = np.repeat(problem.free, form.components)
-    keep = np.append(free, np.ones(form.columns.shape[2], dtype=bool))
+    keep = np.append(free, np.ones(form.columns.count, dtype=bool))
     matrix = form.state_matrix().toarray()[np.ix_(keep, keep)]
     # move the volume row to the end, where the paper has it
-    order = np.r_[: free.sum(), free.sum() + np.arange(1, form.columns.shape[2]), free.sum()].astype(int)
+    order = np.r_[: free.sum(), free.sum() + np.arange(1, form.columns.count), free.sum()].astype(int)
     matrix = matrix[np.ix_(order, order)]
     state = DEFORMABLE.at(first)
     row = form.deformed_columns(state)[1].reshape(-1) * form.column_scale
-    change = np.append(row[free], np.zeros(form.columns.shape[2])) - matrix[-1]
+    change = np.append(row[free], np.zeros(form.columns.count)) - matrix[-1]
     inverse = sherman_morrison(np.linalg.inv(matrix), change)
     target = row @ (form.unknown(first).reshape(-1) / form.column_scale) - (state.volume - BODY.volume)
     force = form.row_scale * problem.force(PUSH.scaled(4.0)).reshape(-1)
-    right = np.concatenate([force[free], np.zeros(form.columns.shape[2] - 1), [target]])
+    right = np.concatenate([force[free], np.zeros(form.columns.count - 1), [target]])
     x = np.zeros(free.size)
     x[free] = (inverse @ right)[: free.sum()]
     by_formula = form.displacement((x * form.column_scale).reshape(-1, form.components))

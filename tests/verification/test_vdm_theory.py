@@ -85,9 +85,9 @@ def rigid_share(formulation: str, kind: str) -> float:
 
     def energy(field):
         x = form.unknown(field)
-        border = np.zeros(form.columns.shape[2])
+        border = np.zeros(form.columns.count)
         if len(border) > 1:
-            rows = form.rows[:, :, 1:].reshape(-1, 3)
+            rows = form.rows.dense()[:, :, 1:].reshape(-1, 3)
             border[1:] = np.linalg.solve(-form.corner[1:, 1:], rows.T @ x.reshape(-1))
         return 0.5 * np.vdot(form.displacement(x), form.nodal_force(form.internal_force(x, border)))
 

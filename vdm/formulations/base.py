@@ -11,6 +11,7 @@ from scipy import sparse
 
 from vdm.constraints import Load
 from vdm.deformed import DeformedSurface
+from vdm.formulations.border import Columns, DenseColumns
 from vdm.material import Parameters
 from vdm.solvers.cholesky import Cholesky
 from vdm.surface import SurfaceMesh
@@ -31,7 +32,7 @@ class Formulation(ABC):
     """N nodes with d unknowns x each and m border unknowns s, of which the first is dP [Pa].
 
     Balance of each node, a generalised force [N]: `K x - columns s = force`; border: `rows x + corner s = 0`.
-    Arrays of unknowns and forces have shape (N, d), columns and rows (N, d, m). K is symmetric; rows beyond the
+    Arrays of unknowns and forces have shape (N, d), columns and rows are (N, d, m). K is symmetric; rows beyond the
     first, the volume's, equal their columns.
     """
 
@@ -39,8 +40,8 @@ class Formulation(ABC):
     components: ClassVar[int]
     # what to do where a motion that costs no energy is left free
     remedy: ClassVar[str] = "hold at least three nodes that are not on one line"
-    columns: Array
-    rows: Array
+    columns: Columns
+    rows: Columns
     corner: Array
 
     def __init__(self, surface: SurfaceMesh, parameters: Parameters) -> None:
@@ -70,6 +71,11 @@ class Formulation(ABC):
     def factor(self, free: Mask) -> Factor:
         """Factor of K over the free nodes; right-hand sides are (n_free * d,) or (n_free * d, m)."""
 
+    def response(self, factor: Factor, columns: Columns) -> Columns:
+        """K^-1 columns at the nodes that the factor is of."""
+        values = columns.dense()
+        return DenseColumns(factor.solve(values.reshape(-1, columns.count)).reshape(values.shape))
+
     @abstractmethod
     def stiffness(self) -> sparse.csr_array:
         """K as a matrix (N d, N d), for the solvers that assemble the whole state matrix."""
@@ -92,7 +98,7 @@ class Formulation(ABC):
 
     def state_matrix(self) -> sparse.csr_array:
         """K of equation 22 with its border, (N d + m, N d + m), in the formulation's own unknowns and rows."""
-        columns, rows = (a.reshape(-1, a.shape[2]) for a in (self.columns, self.rows))
+        columns, rows = (part.dense().reshape(-1, part.count) for part in (self.columns, self.rows))
         unit_rows, unit_columns = sparse.diags_array(self.row_scale), sparse.diags_array(self.column_scale)
         block = unit_rows @ self.stiffness() @ unit_columns
         right = sparse.csr_array(-self.row_scale[:, None] * columns)
@@ -102,12 +108,12 @@ class Formulation(ABC):
     @property
     def row_scale(self) -> Array:
         """(N d,) factors from balance rows [N] to the rows of the state matrix."""
-        return np.ones(self.rows.shape[0] * self.components)
+        return np.ones(self.surface.n_nodes * self.components)
 
     @property
     def column_scale(self) -> Array:
         """(N d,) x per unknown of the state matrix."""
-        return np.ones(self.rows.shape[0] * self.components)
+        return np.ones(self.surface.n_nodes * self.components)
 
     @abstractmethod
     def deformed_internal_force(self, x: Array, state: DeformedSurface) -> Array:
@@ -131,7 +137,7 @@ class Formulation(ABC):
 
     def pressure_force(self, pressure: Array) -> Array:
         """Generalised force (N, d) of a pressure (N,) that pushes outward from inside."""
-        force: Array = self.columns[:, :, 0] * pressure[:, None]
+        force: Array = self.columns.first * pressure[:, None]
         return force
 
     def internal_force(self, x: Array, border: Array, applied: Array | None = None) -> Array:
@@ -141,7 +147,7 @@ class Formulation(ABC):
         """
         force = self.apply(x) if applied is None else applied
         if len(border) > 1:
-            force = force - self.columns[:, :, 1:] @ border[1:]
+            force = force - self.columns.times(np.append(0.0, border[1:]))
         return force
 
 

@@ -9,6 +9,7 @@ from scipy import linalg, sparse
 from vdm.constraints import Load
 from vdm.deformed import DeformedSurface, follow
 from vdm.formulations.base import Factor, Formulation, Mask
+from vdm.formulations.border import DenseColumns
 from vdm.formulations.boundary_integrals import layer_potentials, mass_matrix
 from vdm.formulations.skin import PIVOT_TOLERANCE, Skin, SkinFactor
 from vdm.formulations.vector import best_rotation
@@ -56,7 +57,7 @@ class BoundaryFormulation(Formulation):
             self.body = Dense(surface_stiffness(surface, surface.area_vectors))
         else:
             self.body = Skin(surface, COARSE_NODES, surface_stiffness)
-        self.columns = surface.area_vectors[:, :, None]
+        self.columns = DenseColumns(surface.area_vectors[:, :, None])
         self.rows = self.columns
         self.corner = np.zeros((1, 1))
 

@@ -9,6 +9,7 @@ from scipy import sparse
 from vdm.constraints import Load
 from vdm.deformed import DeformedSurface, follow
 from vdm.formulations.base import ScalarFormulation
+from vdm.formulations.border import DenseColumns
 from vdm.material import ParameterError, Parameters, per_item
 from vdm.surface import SurfaceMesh
 
@@ -48,7 +49,7 @@ class ConsistentFormulation(ScalarFormulation):
         self.scale = np.ones(surface.n_nodes)
         membrane = surface.laplacian(tension * surface.cotangent_weights)
         self.operator = sparse.csr_array(membrane + sparse.diags_array(foundation * areas))
-        self.columns = areas[:, None, None]
+        self.columns = DenseColumns(areas[:, None, None])
         self.rows = self.columns
         self.corner = np.zeros((1, 1))
 

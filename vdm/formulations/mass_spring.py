@@ -9,6 +9,7 @@ from scipy import sparse
 from vdm.constraints import Load
 from vdm.deformed import DeformedSurface, follow
 from vdm.formulations.base import Factor, Formulation, Mask
+from vdm.formulations.border import DenseColumns
 from vdm.material import ParameterError, Parameters
 from vdm.solvers.cholesky import Cholesky
 from vdm.surface import SurfaceMesh
@@ -61,7 +62,7 @@ class MassSpringFormulation(Formulation):
         self.rest_lengths: Array = np.linalg.norm(vectors, axis=1)
         elongation = _elongation(self.springs, vectors / self.rest_lengths[:, None], surface.n_nodes)
         self.matrix = sparse.csr_array(elongation.T @ sparse.diags_array(self.spring_constants) @ elongation)
-        self.columns = surface.area_vectors[:, :, None]
+        self.columns = DenseColumns(surface.area_vectors[:, :, None])
         self.rows = self.columns
         self.corner = np.zeros((1, 1))
 

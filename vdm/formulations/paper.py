@@ -9,6 +9,7 @@ from scipy import sparse
 from vdm.constraints import Load
 from vdm.deformed import DeformedSurface
 from vdm.formulations.base import ScalarFormulation
+from vdm.formulations.border import DenseColumns
 from vdm.material import ParameterError, Parameters, per_item
 from vdm.surface import SurfaceMesh
 
@@ -50,8 +51,8 @@ class PaperFormulation(ScalarFormulation):
         height = surface.volume / surface.area
         coupling = surface.laplacian(self.connectivity_modulus)
         self.operator = sparse.csr_array((coupling + sparse.diags_array(self.bulk_modulus)) / height)
-        self.columns = surface.nodal_areas[:, None, None]
-        self.rows = np.ones((surface.n_nodes, 1, 1))
+        self.columns = DenseColumns(surface.nodal_areas[:, None, None])
+        self.rows = DenseColumns(np.ones((surface.n_nodes, 1, 1)))
         self.corner = np.zeros((1, 1))
 
     def contact_force(self, load: Load) -> Array:

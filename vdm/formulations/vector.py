@@ -11,6 +11,7 @@ from scipy import sparse
 from vdm.constraints import Load
 from vdm.deformed import DeformedSurface, follow
 from vdm.formulations.base import Factor, Formulation, Mask, rigid_motions
+from vdm.formulations.border import Columns, DenseColumns, TurningColumns
 from vdm.material import ParameterError, Parameters, per_item
 from vdm.solvers.cholesky import Cholesky
 from vdm.surface import SurfaceMesh
@@ -66,34 +67,35 @@ class VectorFormulation(Formulation):
             raise ParameterError("surface_tension and stretch_stiffness are both zero; make one positive")
         weights = tension * surface.cotangent_weights
         self.stretch = stretch * surface.cotangent_weights if stretch.any() else None
-        self.foundation = foundation * surface.vector_areas
+        self.foundation = foundation * surface.vector_areas if foundation.any() else None
         self.tension = surface.laplacian(weights)
         # (3N, 3N) part that couples the components, None where one scalar factor serves all three
         self.coupling: sparse.csr_array | None = None
-        if parameters.rotation == "nodal" or foundation.any() or self.stretch is not None:
-            diagonal = np.einsum("n,na,nb->nab", self.foundation, *2 * (surface.normals,))
-            self.coupling = block_diagonal(diagonal)
+        if parameters.rotation == "nodal" or self.foundation is not None or self.stretch is not None:
+            self.coupling = sparse.csr_array((3 * surface.n_nodes, 3 * surface.n_nodes))
+            if self.foundation is not None:
+                diagonal = np.einsum("n,na,nb->nab", self.foundation, *2 * (surface.normals,))
+                self.coupling = block_diagonal(diagonal)
             if self.stretch is not None:
                 blocks = np.einsum("e,ea,eb->eab", self.stretch, *2 * (edge_directions(surface),))
                 self.coupling = self.coupling + block_laplacian(surface, blocks)
             if parameters.rotation == "nodal":
                 self.coupling = self.coupling - nodal_rotation_relief(surface, weights)
-        pressure = surface.area_vectors[:, :, None]
-        self.columns, self.corner = pressure, np.zeros((1, 1))
+        self.columns: Columns
+        self.columns, self.corner = DenseColumns(surface.area_vectors[:, :, None]), np.zeros((1, 1))
         if parameters.rotation == "global":
-            self.columns, self.corner = self._with_global_rotation(pressure, weights)
+            self.columns, self.corner = self._with_global_rotation(weights)
         self.rows = self.columns
 
-    def _with_global_rotation(self, pressure: Array, weights: Array) -> tuple[Array, Array]:
+    def _with_global_rotation(self, weights: Array) -> tuple[Columns, Array]:
         """Border of (dP, omega): stationarity in omega reads `sum_e w d x (u_i - u_j) = T J omega`."""
         surface = self.surface
         centred = surface.points - surface.points.mean(axis=0)
-        pull = self.tension @ centred
         # column k is the tension force of the rotation e_k: L (e_k x X) = e_k x (L X)
-        columns = np.stack([np.cross(axis, pull) for axis in np.eye(3)], axis=2)
+        columns = TurningColumns(surface.area_vectors, np.asarray(self.tension @ centred))
         corner = np.zeros((4, 4))
         corner[1:, 1:] = -edge_inertia(edge_vectors(surface), weights).sum(axis=0)
-        return np.concatenate([pressure, columns], axis=2), corner
+        return columns, corner
 
     def apply(self, x: Array) -> Array:
         force = np.asarray(self.tension @ x)
@@ -106,6 +108,12 @@ class VectorFormulation(Formulation):
             return SharedFactor(Cholesky(self.tension[free][:, free]))
         dofs = np.repeat(free, 3)
         return Cholesky(self.stiffness()[dofs][:, dofs])
+
+    def response(self, factor: Factor, columns: Columns) -> Columns:
+        if self.coupling is not None or not isinstance(columns, TurningColumns):
+            return super().response(factor, columns)
+        # the shared factor turns as the columns do: K^-1 (e_k x p) = e_k x K^-1 p
+        return TurningColumns(factor.solve(columns.first), factor.solve(columns.pull))
 
     def stiffness(self) -> sparse.csr_array:
         matrix = sparse.csr_array(sparse.kron(self.tension, sparse.eye_array(3), format="csr"))
@@ -151,7 +159,7 @@ class VectorFormulation(Formulation):
             change = state.positions - turned
             force = np.asarray(self.tension @ change)
             energy = 0.5 * float(np.vdot(change, force))
-        if self.foundation.any():
+        if self.foundation is not None:
             along = np.einsum("ic,ic->i", x, self.surface.normals)
             force = force + (self.foundation * along)[:, None] * self.surface.normals
             energy += 0.5 * float(self.foundation @ along**2)

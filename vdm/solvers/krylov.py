@@ -58,14 +58,16 @@ class KrylovSolver:
     ) -> None:
         self.problem, self.method, self.warm_start, self.tolerance = problem, method, warm_start, tolerance
         formulation = problem.formulation
-        self.n_border = formulation.columns.shape[2]
+        self.n_border = formulation.columns.count
         held = np.repeat(problem.support.held, formulation.components)
         self.free = np.concatenate([~held, np.ones(self.n_border, dtype=np.bool_)])
         matrix = formulation.state_matrix()
         self.row_scale, self.column_scale = formulation.row_scale, formulation.column_scale
         if method != "bicg":
             self.row_scale = self.column_scale = np.ones_like(self.row_scale)
-            columns, rows = (a.reshape(-1, self.n_border) for a in (formulation.columns, formulation.rows))
+            columns, rows = (
+                part.dense().reshape(-1, self.n_border) for part in (formulation.columns, formulation.rows)
+            )
             if method == "minres" and not np.array_equal(columns, rows):
                 raise SolverError(
                     Status(

@@ -27,13 +27,12 @@ class BorderedFactor:
     def __init__(self, problem: Problem) -> None:
         formulation = problem.formulation
         self.free = problem.free
-        self.n_border = formulation.columns.shape[2]
+        self.n_border = formulation.columns.count
         self.block = formulation.factor(self.free)
-        self.held_rows = formulation.rows[~self.free].reshape(-1, self.n_border)
-        self.volume_row = formulation.rows[:, :, 0][self.free].reshape(-1)
-        self.response = self.block.solve(formulation.columns[self.free].reshape(-1, self.n_border))
-        free_rows = formulation.rows[self.free].reshape(-1, self.n_border)
-        self.schur = free_rows.T @ self.response + formulation.corner
+        self.volume_row = formulation.rows.first[self.free].reshape(-1)
+        self.response = formulation.response(self.block, formulation.columns.at(self.free))
+        answers = self.response.dense().reshape(-1, self.n_border)
+        self.schur = formulation.rows.at(self.free).dotted(answers) + formulation.corner
         self.corner = formulation.corner
         self._check_border()
 
@@ -49,7 +48,7 @@ class BorderedFactor:
     def solve_updated(self, force: Array, target: Array, row: Array) -> tuple[Array, Array]:
         """The same with another volume row (n_free d,); K is not factored again, nor solved with the columns."""
         schur = self.schur.copy()
-        schur[0] = row @ self.response + self.corner[0]
+        schur[0] = self.response.dotted(row) + self.corner[0]
         return self._solve(force, target, row, schur)
 
     def solve(self, force: Array, target: Array) -> tuple[Array, Array]:
@@ -61,10 +60,11 @@ class BorderedFactor:
 
     def _solve(self, force: Array, target: Array, row: Array, schur: Array) -> tuple[Array, Array]:
         first = self.block.solve(force)
-        met = self.response.T @ force
+        met = self.response.dotted(force)
         met[0] = row @ first  # the volume is kept to rounding, however ill-conditioned K is
         border = np.asarray(np.linalg.solve(schur, target - met), dtype=np.float64)
-        return first + self.response @ border, border
+        first += self.response.times(border).reshape(first.shape)
+        return first, border
 
 
 class LinearSolver:
@@ -89,10 +89,10 @@ class LinearSolver:
         target = np.zeros(factor.n_border)
         if x.any():
             right_hand_side = force - problem.formulation.apply(x)
-            target = -factor.held_rows.T @ x[~factor.free].reshape(-1)
+            target = -problem.formulation.rows.dotted(x.reshape(-1))
         free_x, border = factor.solve(right_hand_side[factor.free].reshape(-1), target)
         x[factor.free] = free_x.reshape(-1, x.shape[1])
-        balanced = force + problem.formulation.columns @ border
+        balanced = force + problem.formulation.columns.times(border)
         applied = problem.formulation.solved_force(x, balanced, factor.free, factor.block)
         status = CONVERGED if np.isfinite(free_x).all() else NOT_FINITE
         return problem.finish(x, border, force, status=status, applied=applied)

@@ -44,7 +44,7 @@ class LuSolver:
         self.problem = problem
         self.method = method
         matrix = problem.formulation.state_matrix()
-        n_border = problem.formulation.columns.shape[2]
+        n_border = problem.formulation.columns.count
         held = np.repeat(problem.support.held, problem.formulation.components)
         self.held = np.concatenate([held, np.zeros(n_border, dtype=np.bool_)])
         diagonal = matrix.diagonal()

@@ -85,9 +85,9 @@ class NonlinearSolver:
         self.reach = FURTHEST * size
         n, d = problem.formulation.surface.n_nodes, problem.formulation.components
         answer = np.zeros((n, d))
-        answer[self._free_nodes] = self.factor.response[:, 0].reshape(-1, d)
+        answer[self._free_nodes] = self.factor.response.first
         moved = float(np.abs(problem.formulation.displacement(answer)).max())
-        push = float(np.linalg.norm(problem.formulation.columns[self._free_nodes, :, 0]))
+        push = float(np.linalg.norm(problem.formulation.columns.first[self._free_nodes]))
         self.smallest_force = SMALLEST_MOTION * size / moved * push
         unloaded = Load(np.zeros(n), np.zeros((n, 3)), np.zeros((n, 3)))
         self._rest = _Converged(unloaded, np.zeros((n, d)), 0.0)
@@ -155,7 +155,7 @@ class NonlinearSolver:
         held = self.problem.held_unknown(load)
         x = np.where(free[:, None], x, held)
         # the pressure is mixed beside displacements: in units that make its column as long as theirs
-        unit = float(np.linalg.norm(factor.response[:, 0]))
+        unit = float(np.linalg.norm(factor.response.first))
         # what the last load step learnt of the slope holds here too, nearly
         anderson = self._anderson
         anderson.begin()
@@ -187,7 +187,7 @@ class NonlinearSolver:
         return None, MAX_ITERATIONS
 
     def _close_volume(self, load: Load, balance: _Balance) -> _Balance | None:
-        shift = self.factor.response[:, 0].reshape(-1, balance.x.shape[1])
+        shift = self.factor.response.first
         for _ in range(5):
             gap = balance.state.volume - self.rest_volume
             if abs(gap) <= self.volume_tolerance * self.rest_volume:

@@ -44,7 +44,7 @@ class QuasiLinearSolver:
         x = problem.held_unknown(load)
         last = np.zeros_like(x) if previous is None else previous.unknown
         state = problem.deformed(last)
-        target = -factor.held_rows.T @ x[~free].reshape(-1)
+        target = -formulation.rows.dotted(x.reshape(-1)) if x.any() else np.zeros(factor.n_border)
         if self.volume_row == "exact":
             row = formulation.deformed_columns(state)[1]
             target[0] = float(np.vdot(row, last)) - (state.volume - self.rest_volume)

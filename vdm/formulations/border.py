@@ -1,0 +1,91 @@
+"""Columns of the border: what dP, and where it is free the body's rotation, do to every node."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+# e_abc of the cross product: (w x p)_a = sum e_abc w_b p_c
+LEVI_CIVITA = np.zeros((3, 3, 3))
+LEVI_CIVITA[(0, 1, 2), (1, 2, 0), (2, 0, 1)] = 1.0
+LEVI_CIVITA[(0, 2, 1), (2, 1, 0), (1, 0, 2)] = -1.0
+
+
+class Columns(ABC):
+    """m columns of n nodes with d components each; the first, `first` (n, d), belongs to dP."""
+
+    first: Array
+    count: int
+
+    @abstractmethod
+    def times(self, border: Array) -> Array:
+        """(n, d) sum of the columns by border unknowns (m,); of k sets (m, k) at once (n, d, k)."""
+
+    @abstractmethod
+    def dotted(self, vector: Array) -> Array:
+        """(m,) products of the columns with a vector (n d,); with k vectors (n d, k) (m, k)."""
+
+    @abstractmethod
+    def at(self, nodes: Mask) -> Columns:
+        """The columns at some nodes (n,)."""
+
+    @abstractmethod
+    def dense(self) -> Array:
+        """(n, d, m), made anew."""
+
+
+class DenseColumns(Columns):
+    """Columns as they are, (n, d, m)."""
+
+    def __init__(self, values: Array) -> None:
+        self.values = values
+        self.first = values[:, :, 0]
+        self.count = values.shape[2]
+
+    def times(self, border: Array) -> Array:
+        return np.asarray(self.values @ border)
+
+    def dotted(self, vector: Array) -> Array:
+        return np.asarray(self.values.reshape(-1, self.count).T @ vector)
+
+    def at(self, nodes: Mask) -> DenseColumns:
+        return DenseColumns(self.values[nodes])
+
+    def dense(self) -> Array:
+        return self.values.copy()
+
+
+class TurningColumns(Columns):
+    """The column of dP and those of three unit rotations, e_k x pull: 6 numbers a node instead of 12."""
+
+    count = 4
+
+    def __init__(self, first: Array, pull: Array) -> None:
+        self.first = first
+        self.pull = pull
+
+    def times(self, border: Array) -> Array:
+        n = len(self.pull)
+        # p -> w x p is one small product for all nodes and all k sets
+        turn = np.einsum("abc,bk->cak", LEVI_CIVITA, border[1:].reshape(3, -1))
+        total: Array = (self.pull @ turn.reshape(3, -1)).reshape(n, 3, *border.shape[1:])
+        total += self.first.reshape(n, 3, *(1,) * (border.ndim - 1)) * border[0]
+        return total
+
+    def dotted(self, vector: Array) -> Array:
+        moments = (self.pull.T @ vector.reshape(len(self.pull), -1)).reshape(3, 3, -1)
+        turned = np.einsum("abc,cak->bk", LEVI_CIVITA, moments)
+        pressed = np.atleast_1d(self.first.reshape(-1) @ vector)
+        return np.concatenate([pressed[None], turned]).reshape(4, *vector.shape[1:])
+
+    def at(self, nodes: Mask) -> TurningColumns:
+        return TurningColumns(self.first[nodes], self.pull[nodes])
+
+    def dense(self) -> Array:
+        turns = np.einsum("abc,nc->nab", LEVI_CIVITA, self.pull)
+        return np.concatenate([self.first[:, :, None], turns], axis=2)
