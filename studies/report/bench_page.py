@@ -10,7 +10,7 @@ from markupsafe import Markup
 
 from ..bench_data import Bench, Entry, Growth, answers, median, pareto, rows, seconds, spread
 from ..files import write_atomically
-from .blocks import Cell, Column, Facts, Figure, Figures, Section, Table, Text
+from .blocks import Answer, Cell, Column, Facts, Figure, Figures, Section, Table, Text
 from .document import encoded, html_document
 from .formatting import listed, short_percent
 from .plots import Plot, colour, marker, percent_axis, time_ticks
@@ -56,7 +56,7 @@ def bench_html(bench: Bench) -> str:
     return html_document(
         title="Run time against error",
         name="bench",
-        verdict=answers(bench)[:1],
+        verdict=[Answer("", "", answers(bench)[:1])],
         counts=[(f"{len(bench.entries)} measurements", "")],
         models=legend,
         sections=sections,

@@ -15,7 +15,7 @@ import numpy as np
 from ..case import CaseResult
 from .blocks import Figure
 from .claim_figures import Line, bars, curves
-from .digest import VECTOR, Digest, at_full_load, failed_steps, full_load, series
+from .digest import VECTOR, Digest, at_full_load, failed_steps, full_load, is_vdm, series
 from .formatting import listed, percent, plain, quantity, short_percent
 
 HOLDS, WITHIN_LIMITS, FAILS, OPEN = "holds", "holds within limits", "fails", "not decided"
@@ -66,11 +66,6 @@ def _claim(number: int, text: str, rule: str) -> Callable[[Judge], Judge]:
 def on_trial(digests: Sequence[Digest], number: int) -> list[Digest]:
     """The runs whose study puts a claim on trial and that have a finished case."""
     return [d for d in digests if number in (d.run.study.get("claims") or ()) and d.cases]
-
-
-def is_vdm(model: str) -> bool:
-    """Whether a model is one of the surface models."""
-    return model.startswith("vdm-")
 
 
 def _solver(model: str) -> str:

@@ -10,7 +10,7 @@ import numpy as np
 
 from ..case import Run
 from ..files import write_atomically
-from .blocks import Block, Cell, Code, Column, Figures, Section, Table, Text
+from .blocks import Answer, Block, Cell, Code, Column, Figures, Section, Table, Text
 from .claims import CLAIMS, FAILS, HOLDS, OPEN, WITHIN_LIMITS, Claim, Judgement, on_trial
 from .digest import Digest
 from .document import encoded, html_document
@@ -79,11 +79,12 @@ def claims_html(found: Sequence[Verdict]) -> str:
         word: sum(v.judgement.verdict == word for v in found) for word in (HOLDS, WITHIN_LIMITS, FAILS, OPEN)
     }
     told = listed(f"{count} {_in_words(word, count)}" for word, count in counts.items() if count)
+    lead = f"Of the nine claims that {PAPER} make of the Volume Distribution Method: {told}."
     sections = [_table(found), *map(_section, found), _reproduce(names)]
     return html_document(
         title="The paper's claims on trial",
         name="claims",
-        verdict=[f"Of the nine claims that {PAPER} make of the Volume Distribution Method: {told}."],
+        verdict=[Answer("", "", [lead])],
         counts=[(plural(len(names), "study") if len(names) == 1 else f"{len(names)} studies", "")],
         models=[],
         sections=sections,

@@ -44,6 +44,11 @@ def reference_bar(case: CaseResult, metric: str = VECTOR) -> float:
     return uncertainty.reference_bar(case.reference_error, metric)
 
 
+def is_vdm(model: str) -> bool:
+    """Whether a model is one of the surface models of VDM."""
+    return model.startswith("vdm-")
+
+
 def failed_steps(model: ModelResult) -> list[int]:
     """Steps that cannot be used."""
     return [step for step, status in enumerate(model.status) if not status.ok]
@@ -107,6 +112,9 @@ class ModelSummary:
     seconds_per_step: float  # median over cases and steps
     peak_bytes: float  # largest over cases
     failed_cases: int  # cases with a step that failed
+    shared_cases: int  # cases whose set-up was made for several
+    earlier_cases: int  # cases whose result, and with it time and memory, is from an earlier run
+    iterative: bool  # whether an iterative solver was chosen in any case
 
 
 @dataclass(frozen=True)
@@ -152,6 +160,12 @@ class Digest:
     def on_trial(self) -> tuple[str, ...]:
         """The compared models that are not the reference's own on a coarser mesh."""
         return tuple(name for name in self.compared if name != self.coarse_reference)
+
+    @cached_property
+    def candidates(self) -> tuple[str, ...]:
+        """The models that the verdict is about: those of VDM, where none is compared whatever else is on trial."""
+        surface = tuple(name for name in self.on_trial if is_vdm(name))
+        return surface or self.on_trial or self.compared
 
     def colour(self, model: str) -> int:
         """The model's number in the palette."""
@@ -205,13 +219,15 @@ class Digest:
             seconds_per_step=float(np.median(times)) if len(times) else math.nan,
             peak_bytes=float(max((result.peak_bytes for result in results), default=math.nan)),
             failed_cases=sum(bool(failed_steps(result)) for result in results),
+            shared_cases=sum("setup_shared" in result.parameters for result in results),
+            earlier_cases=sum("measured_earlier" in result.parameters for result in results),
+            iterative=any(result.parameters.get("solver") == "iterative" for result in results),
         )
 
     @cached_property
     def focus(self) -> str | None:
-        """The model that the page looks at closely: the one on trial with the smallest median error."""
-        candidates = self.on_trial or self.compared
-        rated = [(s.vector.median, s.name) for s in self.summaries if s.vector and s.name in candidates]
+        """The model that the page looks at closely: the candidate with the smallest median error."""
+        rated = [(s.vector.median, s.name) for s in self.summaries if s.vector and s.name in self.candidates]
         if rated:
             return min(rated, key=lambda pair: pair[0])[1]
         others = [name for name in self.models if name != self.reference]

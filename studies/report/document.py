@@ -12,7 +12,7 @@ from pathlib import Path
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
 
-from .blocks import Section, Viewer
+from .blocks import Answer, Section, Viewer
 
 _TEMPLATES = Path(__file__).parent / "templates"
 _JSON_ESCAPES = str.maketrans(
@@ -24,7 +24,7 @@ def html_document(
     *,
     title: str,
     name: str,
-    verdict: Sequence[str],
+    verdict: Sequence[Answer],
     counts: Sequence[tuple[str, str]],
     models: Sequence[tuple[int, str, bool]],
     sections: Sequence[Section],

@@ -9,7 +9,7 @@ import numpy as np
 
 from ..case import Run
 from ..files import write_atomically
-from . import headline, picture
+from . import headline, picture, verdict
 from .blocks import Section
 from .digest import Digest
 from .document import SCRIPT_BYTES, encoded, html_document
@@ -103,7 +103,7 @@ def _page_html(digest: Digest, render: Renderer) -> str:
         return html_document(
             title=str(run.study.get("title") or run.study.get("name", "study")),
             name=str(run.study.get("name", "")),
-            verdict=headline.verdict(digest),
+            verdict=verdict.answers(digest),
             counts=_counts(run),
             models=digest.legend,
             sections=sections,

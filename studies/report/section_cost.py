@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from .blocks import Figure, Figures, Section, Text
-from .digest import DEFORMATION, REFERENCE, VECTOR, Digest, Spread
+from .blocks import Block, Figure, Figures, Section, Text
+from .digest import DEFORMATION, REFERENCE, VECTOR, Digest, ModelSummary, Spread
 from .formatting import listed, quantity, short_percent
 from .plots import Plot, colour, marker, percent_axis, time_ticks
 
@@ -29,9 +29,31 @@ def run_time_against_error(digest: Digest) -> Section | None:
     )
     if len(digest.cases) > 1:
         note += " Points are medians over the cases, whiskers reach from the best to the worst."
-    return Section(
-        "cost", "Run time against error", [Text(note, kind="note"), Figures(figures, digest.legend)]
-    )
+    notes = time_notes(digest.summaries, several=len(digest.cases) > 1)
+    blocks: list[Block] = [Text(note, kind="note"), Figures(figures, digest.legend)]
+    return Section("cost", "Run time against error", [*blocks, *(Text(n, kind="note") for n in notes)])
+
+
+def time_notes(summaries: Sequence[ModelSummary], *, several: bool) -> list[str]:
+    """What times and memory of these models mean where they are not simply those of a solve in this run."""
+    notes = []
+    if shared := [s.name for s in summaries if s.shared_cases]:
+        share = "all cases with the same mesh, tissue and supports" if several else "several loads"
+        notes.append(
+            f"Set-up shared ({listed(shared)}): time and memory are those of making it once, which {share} paid "
+            "together."
+        )
+    if earlier := [s.name for s in summaries if s.earlier_cases]:
+        notes.append(
+            f"Measured earlier ({listed(earlier)}): result and times were taken from an earlier run, not measured "
+            "beside the others; ratios to them hold only if the machine was as busy then."
+        )
+    if iterative := [s.name for s in summaries if s.iterative]:
+        notes.append(
+            f"Solved iteratively ({listed(iterative)}), which suits the few loads of a study: with factors kept, "
+            "frames of the same elements are shorter and their set-up is longer; vdmbench bench measures those."
+        )
+    return notes
 
 
 def _pareto(digest: Digest, metric: str, title: str, heights: Sequence[float], salt: str) -> Figure | None:

@@ -67,12 +67,12 @@ def _groups(digest: Digest) -> list[tuple[Sequence[CaseResult], str]]:
         return [(list(digest.cases), "all cases")]
     only = digest.cases[0] if digest.cases else None
     # one load of a given pressure is a point that the table has; the force of a movement stands nowhere else
-    return [([only], "the only case")] if only is not None and _moved(only) else []
+    return [([only], "the only case")] if only is not None and moved(only) else []
 
 
 def _pushes(cases: Sequence[CaseResult]) -> list[Push]:
     contacts = [c for c in _constraints(cases[0]) if c.get("kind") == "contact"]
-    moved = _moved(cases[0])
+    names = list(moved(cases[0]))
     found = []
     resultants = [contact_resultant(case) for case in cases]
     if any(r is not None for r in resultants):
@@ -86,7 +86,7 @@ def _pushes(cases: Sequence[CaseResult]) -> list[Push]:
                 _under_contact,
             )
         )
-    elif len(cases) == 1 and (contacts or not moved):
+    elif len(cases) == 1 and (contacts or not names):
         found.append(
             Push(
                 listed(_name(c) for c in contacts),
@@ -97,7 +97,7 @@ def _pushes(cases: Sequence[CaseResult]) -> list[Push]:
                 _under_load,
             )
         )
-    for name in moved:
+    for name in names:
         found.append(
             Push(
                 name,
@@ -119,7 +119,7 @@ def _name(constraint: Mapping[str, object]) -> str:
     return str(constraint.get("name") or constraint.get("region") or "")
 
 
-def _moved(case: CaseResult) -> dict[str, Mapping[str, object]]:
+def moved(case: CaseResult) -> dict[str, Mapping[str, object]]:
     """Constraints that move their region: name -> constraint."""
     return {
         _name(constraint): constraint
@@ -186,7 +186,7 @@ def movement_force(case: CaseResult, model: str, name: str) -> tuple[Array, Arra
     KeyError
         no constraint of this name moves its region.
     """
-    constraint = _moved(case)[name]
+    constraint = moved(case)[name]
     prescribed = _prescribed(constraint)
     length = float(np.linalg.norm(prescribed))
     mask = case.regions[str(constraint.get("region"))]
@@ -204,7 +204,7 @@ def _under_load(case: CaseResult, model: str) -> tuple[Array, Array]:
 
 
 def _of_movement(case: CaseResult, model: str, name: str) -> tuple[Array, Array] | None:
-    return movement_force(case, model, name) if name in _moved(case) else None
+    return movement_force(case, model, name) if name in moved(case) else None
 
 
 def _stiffness(

@@ -38,9 +38,7 @@ def small_strain_limits(digest: Digest) -> Section | None:
     if not rows:
         return None
     along = {case.small_strain.along for case in digest.cases if case.small_strain is not None}
-    blocks: list[Block] = [
-        Text(sentence) for sentence in (_against_the_paper(rows), _growth(digest, rows)) if sentence
-    ]
+    blocks: list[Block] = [Text(sentence) for sentence in limits_in_words(digest)]
     reading = (
         f"Raised: {listed(sorted(along))}. Structural error: relative L2 displacement error against the "
         "finite-strain reference in the limit of a small load. Limit: where the error has grown from there by the "
@@ -53,6 +51,12 @@ def small_strain_limits(digest: Digest) -> Section | None:
     return Section(
         "limits", "Small-strain limits", [*blocks, _table(digest, rows), Text(reading, kind="note")]
     )
+
+
+def limits_in_words(digest: Digest) -> list[str]:
+    """What the limits say of the focus model and of small-strain theory, for the top of the page."""
+    rows = list(_rows(digest.cases))
+    return [sentence for sentence in (_growth(digest, rows), _against_the_paper(rows)) if sentence]
 
 
 def _rows(cases: Iterable[CaseResult]) -> Iterator[_Row]:
@@ -103,7 +107,12 @@ def _growth(digest: Digest, rows: list[_Row]) -> str:
         if len(loads) == 1
         else f"{quantity(min(loads, key=abs), own[0].unit)} to {quantity(max(loads, key=abs), own[0].unit)}"
     )
-    return f"{text}; {short_percent(first.threshold)} more come on top by {at}."
+    text += f"; {short_percent(first.threshold)} more come on top by {at}"
+    if len(loads) > 1:
+        return f"{text}."
+    if math.isfinite(first.indentation):
+        text += f" ({quantity(first.indentation, 'm')} of mean indentation)"
+    return f"{text}, where it is {short_percent(own[0].entry.structural_error + first.threshold)} off."
 
 
 def _table(digest: Digest, rows: list[_Row]) -> Table:

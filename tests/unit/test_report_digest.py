@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import math
 
 import pytest
@@ -18,6 +17,7 @@ from studies.report.digest import (
     reference_bar,
     spread_of,
 )
+from studies.report.verdict import answers
 
 from .report_runs import REFERENCE, make_case, make_run, sweep_run
 
@@ -140,99 +140,6 @@ def test_times_and_memory_of_a_model(digest: Digest) -> None:
     assert summary.is_reference
 
 
-# --- the verdict ---
-
-
-def test_verdict_in_words(digest: Digest) -> None:
-    accuracy, others, resolution, cost = headline.verdict(digest)
-    assert accuracy == (
-        "At full load vdm-vector, the closest of 2 models, is 7.8 % off fem-linear in surface displacement in the "
-        "median case and 11 % in the worst; with rigid motion taken out of both, 7.8 % in deformation. "
-        "It stays within 10 % in 5 of 6 cases."
-    )
-    assert others == "The others: vdm-paper 66 % (medians)."
-    assert (
-        resolution == "fem-linear itself is uncertain by 0.68 %; the difference is resolved in 4 of 6 cases."
-    )
-    assert cost == (
-        "A frame of vdm-vector costs 800 µs after 40 ms of set-up, one of fem-linear 800 ms after 2.5 s: "
-        "1000 times faster per frame."
-    )
-
-
-@pytest.mark.parametrize(
-    ("error", "measured", "words"),
-    [
-        (
-            0.04,
-            {"gci:relative_l2_displacement_error": 0.003},
-            "at most a tenth of the difference, which is thereby resolved",
-        ),
-        (
-            0.04,
-            {"gci:relative_l2_displacement_error": 0.005},
-            "more than a tenth of the difference, which counts as unresolved",
-        ),
-        (0.04, {}, "was not measured"),
-    ],
-)
-def test_verdict_says_whether_the_difference_is_resolved(
-    error: float, measured: dict[str, float], words: str
-) -> None:
-    run = make_run([make_case({"m": error}, reference_error=measured, subdivisions=0)])
-    sentences = headline.verdict(Digest(run))
-    assert sum(words in sentence for sentence in sentences) == 1
-    assert "That is within 10 %." in sentences[0]
-
-
-def test_verdict_names_levels_that_give_no_order() -> None:
-    def case(second: float):  # type: ignore[no-untyped-def]
-        measured = {
-            "gci:relative_l2_displacement_error": 0.003,
-            "difference_01": 0.001,
-            "difference_12": second,
-        }
-        return make_case({"m": 0.04, "n": 0.02}, reference_error=measured, subdivisions=0)
-
-    one = " ".join(headline.verdict(Digest(make_run([case(-0.002)]))))
-    assert "(its mesh levels are oscillating: the widest margin was taken)" in one
-    assert "The others: m 4 %." in one
-    several = " ".join(headline.verdict(Digest(make_run([case(0.001), case(0.004), case(0.0005)]))))
-    assert "(its mesh levels are diverging in 2 cases: the widest margin was taken)" in several
-    assert "mesh levels are" not in " ".join(headline.verdict(Digest(make_run([case(0.004)]))))
-
-
-def test_the_others_are_named_unresolved_too() -> None:
-    run = make_run(
-        [
-            make_case(
-                {"a": 0.1, "b": 0.2},
-                reference_error={"gci:relative_l2_displacement_error": 0.03},
-                subdivisions=0,
-            )
-        ]
-    )
-    assert "The others: b 20 % (unresolved)." in headline.verdict(Digest(run))
-
-
-def test_verdict_names_who_stopped_early() -> None:
-    run = make_run([make_case({"a": 0.1, "b": 0.2}, stopped={"b": 2}, subdivisions=0)])
-    assert any("Stopped before the end of the load: b in 1 case" in s for s in headline.verdict(Digest(run)))
-
-
-def test_verdict_without_a_result_or_a_reference() -> None:
-    empty = dataclasses.replace(make_run([]), missing=["a", "b"])
-    assert headline.verdict(Digest(empty)) == [
-        "None of the 2 cases has a result yet, so there is nothing to compare."
-    ]
-    alone = make_run([make_case({"m": 0.1}, reference=None, subdivisions=0)])
-    assert "without a reference" in headline.verdict(Digest(alone))[0]
-    lost = make_run([make_case({"m": 0.1}, stopped={"m": 0}, subdivisions=0)])
-    assert headline.verdict(Digest(lost)) == [
-        "No model has a result at full load to hold against fem-linear."
-    ]
-
-
 def test_terminal_rows(digest: Digest) -> None:
     rows = headline.headline_rows(digest.run)
     assert [row["model"] for row in rows] == ["vdm-paper", "vdm-vector", "fem-linear (reference)"]
@@ -254,7 +161,7 @@ def test_the_reference_on_the_coarser_mesh_is_not_on_trial() -> None:
     assert digest.compared == ("vdm", "other", REFERENCE)
     assert digest.on_trial == ("vdm", "other")
     assert digest.focus == "vdm", "not the one that is nearly the reference itself"
-    words = " ".join(headline.verdict(digest))
+    words = " ".join(sentence for answer in answers(digest) for sentence in answer.sentences)
     assert "vdm, the closest of 2 models" in words
     assert f"one of {REFERENCE} 1.2 ms" in words, "cost is told beside the same mesh"
     assert [row["model"] for row in headline.headline_rows(run)][-2:] == [REFERENCE, f"{refined} (reference)"]

@@ -72,7 +72,7 @@ def test_header_counts_and_names(html: str) -> None:
     assert "A ball under a fingertip" in head
     assert "6 cases done 1 failed 1 missing" in head
     assert "vdm-vector fem-linear (reference)" in head
-    assert "It stays within 10 % in 5 of 6 cases." in head
+    assert "In part : within 10 % in 5 of 6 cases and undecided in 1" in head
 
 
 def test_headline_table_has_each_number_with_its_error_bar(html: str) -> None:

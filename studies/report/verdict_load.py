@@ -1,0 +1,178 @@
+"""Up to which load a model is good enough: from the limits, the load history or the swept loads, in words."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from ..case import CaseResult
+from .digest import DEFORMATION, VECTOR, Digest, full_load, reference_bar, series
+from .formatting import listed, plain, quantity, short_percent, swept_value
+from .section_errors import parameter_name
+from .section_force import contact_resultant, indentation, moved, movement_force
+from .section_limits import limits_in_words
+
+CLOSE = 0.10  # "within 10 %", the threshold that the paper's claim speaks of
+WITHIN, OPEN, BEYOND, LOST = "within", "open", "beyond", "lost"
+_LOADS = ("force", "pressure", "displacement")  # parts of swept keys that are a load
+_FINITE_STRAIN = "fem"
+
+
+def case_state(case: CaseResult, model: str, step: int) -> str:
+    """Whether displacement and deformation error of a step are within `CLOSE`, the reference's own error counted.
+
+    "open" where that error leaves it undecided; where it was not measured the error is taken as it is.
+    """
+    states = set()
+    for metric in (VECTOR, DEFORMATION):
+        values = series(case, model, metric)
+        error = math.nan if values is None or not len(values) else float(values[step])
+        bar = reference_bar(case, metric)
+        bar = bar if math.isfinite(bar) else 0.0
+        if not math.isfinite(error):
+            states.add(LOST)
+        elif error + bar <= CLOSE:
+            states.add(WITHIN)
+        else:
+            states.add(BEYOND if error - bar > CLOSE else OPEN)
+    return next(state for state in (LOST, BEYOND, OPEN, WITHIN) if state in states)
+
+
+def loads_in_words(digest: Digest, model: str) -> list[str]:
+    """Sentences on the load up to which `model` is within the tolerance, and on how large the loads are."""
+    sentences = limits_in_words(digest)
+    if not sentences and digest.has_steps:
+        sentences = [_over_history(digest, model)]
+    if not sentences:
+        sentences = [_over_sweep(digest, model, key) for key in digest.swept_keys if _is_load(key)]
+    tried = _full_load_in_words(digest)
+    if not sentences and tried:
+        sentences = [f"One load was tried{' in each case' if len(digest.cases) > 1 else ''}: {tried}."]
+    elif tried:
+        sentences.append(f"Full load is {tried}.")
+    if digest.reference is not None and _base(digest.reference) != _FINITE_STRAIN:
+        sentences.append(
+            f"{digest.reference} is a small-strain reference, so the errors of linear models do not grow with the "
+            'load by construction: where small strain ends is only told by reference = "fem".'
+        )
+    return sentences
+
+
+def _base(model: str) -> str:
+    """Name in the registry: without solver, and without what tells a refined level."""
+    return model.partition(" ")[0].partition(":")[0]
+
+
+def _is_load(key: str) -> bool:
+    return any(part in _LOADS for part in key.split("."))
+
+
+def _over_history(digest: Digest, model: str) -> str:
+    """Up to which step of their histories the cases are within the tolerance."""
+    reached = [_reached(case, model) for case in digest.cases]
+    whole = sum(step == full_load(case) for step, case in zip(reached, digest.cases, strict=True))
+    none = sum(step is None for step in reached)
+    limit = short_percent(CLOSE)
+    if len(reached) == 1:
+        case, (step,) = digest.cases[0], reached
+        if step is None:
+            return f"At no load of the history is {model} surely within {limit}."
+        load = f"load factor {plain(float(case.load_factors[step]))}{_at(case, step)}"
+        return (
+            f"{model} stays within {limit} over the whole history, up to {load}; more was not tried."
+            if whole
+            else f"{model} stays within {limit} up to {load}, and not beyond."
+        )
+    parts = [f"over the whole load history in {whole} of {len(reached)} cases"]
+    parts += [f"over a part of it in {len(reached) - whole - none}"] if len(reached) - whole - none else []
+    parts += [f"at no load in {none}"] if none else []
+    return f"{model} stays within {limit} {listed(parts)}."
+
+
+def _reached(case: CaseResult, model: str) -> int | None:
+    """The step of the largest load up to which every step is within the tolerance, None where none is."""
+    found = None
+    for step in np.argsort(np.abs(case.load_factors), kind="stable"):
+        if case.load_factors[step] == 0.0:
+            continue
+        if case_state(case, model, int(step)) != WITHIN:
+            return found
+        found = int(step)
+    return found
+
+
+def _at(case: CaseResult, step: int) -> str:
+    """The force and the indentation of a step, where known, in brackets."""
+    parts = []
+    resultant = contact_resultant(case)
+    if resultant is not None:
+        parts.append(quantity(float(case.load_factors[step]) * resultant, "N"))
+    if math.isfinite(depth := _depth(case, step)):
+        parts.append(f"{quantity(depth, 'm')} of indentation")
+    return f" ({', '.join(parts)})" if parts else ""
+
+
+def _depth(case: CaseResult, step: int) -> float:
+    """How far the reference is pushed in or moved at a step [m]; NaN where nothing does that."""
+    if case.reference is None or case.reference not in case.models:
+        return math.nan
+    if any(c.get("kind") == "contact" for c in case.resolved.get("constraints") or ()):
+        return float(indentation(case, case.reference)[step])
+    lengths = [float(movement_force(case, case.reference, name)[0][step]) for name in moved(case)]
+    return max(lengths, default=math.nan)
+
+
+def _over_sweep(digest: Digest, model: str, key: str) -> str:
+    """Up to which value of a swept load every case is within the tolerance."""
+    cases = [case for case in digest.cases if isinstance(case.swept.get(key), int | float)]
+    values = sorted({float(case.swept[key]) for case in cases}, key=abs)
+    if not values:
+        return ""
+    unit = next((case.swept_units.get(key, "1") for case in cases), "1")
+    held: float | None = None
+    for value in values:
+        mine = [case for case in cases if float(case.swept[key]) == value]
+        if any(case_state(case, model, full_load(case)) != WITHIN for case in mine):
+            break
+        held = value
+    limit, name = short_percent(CLOSE), parameter_name(key)
+    tried = f"{swept_value(values[0], unit)} to {swept_value(values[-1], unit)}"
+    if held is None:
+        some = any(case_state(case, model, full_load(case)) == WITHIN for case in cases)
+        text = f"No {name} tried ({tried}) keeps every case within {limit}"
+        return f"{text}: what else varies decides." if some and len(digest.swept_keys) > 1 else f"{text}."
+    if held == values[-1]:
+        return f"Every case stays within {limit} up to the largest {name} tried, {swept_value(held, unit)}."
+    return f"Every case stays within {limit} up to a {name} of {swept_value(held, unit)} (tried: {tried})."
+
+
+def _full_load_in_words(digest: Digest) -> str:
+    """Force and indentation at full load, over the cases."""
+    forces = [
+        float(case.load_factors[full_load(case)]) * r
+        for case in digest.cases
+        if (r := contact_resultant(case)) is not None
+    ]
+    depths, shares = [], []
+    for case in digest.cases:
+        if math.isfinite(depth := _depth(case, full_load(case))):
+            depths.append(depth)
+            shares.append(depth / float(np.ptp(case.points, axis=0).min()))
+    parts = [value_range(forces, "N")] if forces else []
+    if depths:
+        deepest = int(np.argmax(depths))
+        share = short_percent(shares[deepest])
+        up_to = "up to " if len(depths) > 1 else ""
+        parts.append(
+            f"{up_to}{quantity(depths[deepest], 'm')} of indentation in the reference, {share} of the body's "
+            "smallest extent"
+        )
+    return ", ".join(parts)
+
+
+def value_range(values: Sequence[float], unit: str, digits: int = 3) -> str:
+    """`low to high` of some SI values, one value where they look alike."""
+    low, high = (quantity(f(values), unit, digits) for f in (min, max))
+    return low if low == high else f"{low} to {high}"

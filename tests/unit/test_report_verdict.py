@@ -1,0 +1,275 @@
+"""The five answers at the top of a report, against runs whose errors are known."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+
+import pytest
+
+from studies.case import CaseResult, Limit, ModelLimits, Run, SmallStrainLimits
+from studies.report.digest import Digest
+from studies.report.verdict import _READ, PARAMETERS, answers
+from studies.report.verdict_load import BEYOND, LOST, OPEN, WITHIN, case_state
+from studies.schema import VdmTable
+
+from .report_runs import REFERENCE, make_case, make_run, sweep_run
+
+GOOD, LOAD, WITH, COST, SURE = (
+    "Is it good enough?",
+    "Up to which load?",
+    "With which formulation and parameters?",
+    "At what cost per frame?",
+    "How sure is this?",
+)
+
+
+def told(run: Run) -> dict[str, str]:
+    """Question -> answer in one line."""
+    return {
+        a.question: " ".join([*([f"{a.word}:"] if a.word else []), *a.sentences])
+        for a in answers(Digest(run))
+    }
+
+
+def bars(vector: float, deformation: float | None = None) -> dict[str, float]:
+    return {
+        "gci:relative_l2_displacement_error": vector,
+        "gci:relative_l2_deformation_error": vector if deformation is None else deformation,
+    }
+
+
+def with_parameters(case: CaseResult, model: str, **parameters: float | str) -> CaseResult:
+    changed = dataclasses.replace(case.models[model], parameters=parameters)
+    return dataclasses.replace(case, models={**case.models, model: changed})
+
+
+def test_a_sweep_in_words() -> None:
+    assert told(sweep_run()) == {
+        GOOD: "In part: within 10 % in 5 of 6 cases and undecided in 1, within the reference's own error. "
+        "At full load vdm-vector, the closest of 2 VDM models, is 7.8 % ± 0.68 % off fem-linear in surface "
+        "displacement (worst case 10.6 % ± 0.68 %) and 7.8 % ± 0.74 % in deformation, rigid motion taken out of "
+        "both (worst case 10.6 % ± 0.74 %).",
+        LOAD: "vdm-vector stays within 10 % over the whole load history in 5 of 6 cases and at no load in 1. "
+        "Full load is 500 mN to 1.00 N, up to 4.00 mm of indentation in the reference, 4 % of the body's smallest "
+        "extent. fem-linear is a small-strain reference, so the errors of linear models do not grow with the load "
+        'by construction: where small strain ends is only told by reference = "fem".',
+        WITH: "vdm-vector with B = 700 Pa, not fitted: by rule from the tissue and the size of the body. "
+        "The others: vdm-paper 66 % (medians).",
+        COST: "A frame of vdm-vector costs 800 µs after 40 ms of set-up, one of fem-linear 800 ms after 2.5 s: "
+        "1000 times faster per frame. From a new mesh to the first answer it is 41 ms against 3.3 s.",
+        SURE: "fem-linear itself is uncertain by 0.68 %; the difference is resolved in 4 of 6 cases. "
+        "This is a difference between computations: nothing here was compared with an experiment.",
+    }
+
+
+@pytest.mark.parametrize(
+    ("error", "measured", "state", "words"),
+    [
+        (0.09, {}, WITHIN, "Yes: displacement and deformation error are within 10 %."),
+        (0.11, {}, BEYOND, "No: not within 10 %."),
+        (0.095, bars(0.004), WITHIN, "Yes: displacement and deformation error are within 10 %."),
+        (
+            0.095,
+            bars(0.006),
+            OPEN,
+            "Undecided: the reference's own error leaves open whether the model is within",
+        ),
+        (0.095, bars(0.004, 0.006), OPEN, "Undecided: "),
+        (0.105, bars(0.006), OPEN, "Undecided: "),
+        (0.105, bars(0.004), BEYOND, "No: not within 10 %."),
+    ],
+)
+def test_the_references_own_error_counts(
+    error: float, measured: dict[str, float], state: str, words: str
+) -> None:
+    case = make_case({"vdm-m": error}, reference_error=measured, subdivisions=1)
+    assert case_state(case, "vdm-m", 3) == state
+    assert told(make_run([case]))[GOOD].startswith(words)
+
+
+def test_a_model_that_has_no_answer_is_not_good_enough() -> None:
+    case = make_case({"vdm-m": 0.01}, stopped={"vdm-m": 3}, swept={"k": 1.0}, subdivisions=1)
+    assert case_state(case, "vdm-m", 3) == LOST
+    other = make_case({"vdm-m": 0.01}, swept={"k": 2.0}, subdivisions=1)
+    text = told(make_run([case, other]))
+    assert text[GOOD].startswith("In part: within 10 % in 1 of 2 cases and beyond in 1.")
+    assert "Within 10 % are the cases with k = 2." in text[GOOD]
+    assert "No answer at some load or at all: vdm-m in 1 case; the reasons are below." in text[SURE]
+
+
+def test_the_parameter_that_decides_is_named_only_if_it_does() -> None:
+    def run(errors: Mapping[tuple[float, float], float]) -> Run:
+        return make_run(
+            [
+                make_case(
+                    {"vdm-m": e}, label=f"{a} {b}", swept={"tissue.poisson_ratio": a, "b": b}, subdivisions=0
+                )
+                for (a, b), e in errors.items()
+            ]
+        )
+
+    decides = run({(0.3, 1.0): 0.2, (0.3, 2.0): 0.3, (0.49, 1.0): 0.05, (0.49, 2.0): 0.06})
+    assert "Within 10 % are the cases with Poisson ratio = 0.49." in told(decides)[GOOD]
+    mixed = run({(0.3, 1.0): 0.2, (0.3, 2.0): 0.05, (0.49, 1.0): 0.05, (0.49, 2.0): 0.2})
+    assert "are the cases with" not in told(mixed)[GOOD]
+
+
+def test_the_verdict_is_about_vdm_even_where_elements_are_closer() -> None:
+    case = make_case({"vdm-a": 0.3, "vdm-b": 0.2, "fem-condensed": 0.01})
+    quick = dataclasses.replace(
+        case.models["fem-condensed"], seconds_per_step=case.models["vdm-b"].seconds_per_step / 4
+    )
+    text = told(make_run([dataclasses.replace(case, models={**case.models, "fem-condensed": quick})]))
+    assert text[GOOD].startswith(
+        "No: not within 10 %. At full load vdm-b, the closest of 2 VDM models, is 20 %"
+    )
+    assert text[COST].endswith(
+        "Both faster per frame and closer: fem-condensed (200 µs, 1 % off, 60 ms of set-up)."
+    )
+    assert "Both faster" not in told(make_run([case]))[COST], "closer but slower"
+
+
+def test_a_history_tells_the_load_up_to_which_a_model_is_within() -> None:
+    case = make_case({"vdm-m": 0.05}, subdivisions=3)
+    growing = dataclasses.replace(
+        case.metrics["vdm-m"]["relative_l2_displacement_error"], values=case.load_factors * 0.15
+    )
+    metrics = {**case.metrics, "vdm-m": {**case.metrics["vdm-m"], "relative_l2_displacement_error": growing}}
+    text = told(make_run([dataclasses.replace(case, metrics=metrics)]))[LOAD]
+    # 3.75 %, 7.5 %, 11.25 % and 15 %; half of 0.5 N
+    assert text.startswith("vdm-m stays within 10 % up to load factor 0.5 (250 mN, ")
+    assert " of indentation), and not beyond." in text
+    whole = told(make_run([case]))[LOAD]
+    assert whole.startswith("vdm-m stays within 10 % over the whole history, up to load factor 1 (500 mN, ")
+    assert "; more was not tried." in whole
+    none = told(make_run([make_case({"vdm-m": 0.2}, subdivisions=0)]))[LOAD]
+    assert none.startswith("At no load of the history is vdm-m surely within 10 %.")
+
+
+def test_a_swept_load_tells_it_too() -> None:
+    def run(errors: list[float]) -> str:
+        cases = [
+            make_case(
+                {"vdm-m": error},
+                label=str(k),
+                swept={"constraints.finger.pressure": 100.0 * (k + 1)},
+                units={"constraints.finger.pressure": "Pa"},
+                steps=(1.0,),
+                subdivisions=0,
+            )
+            for k, error in enumerate(errors)
+        ]
+        return told(make_run(cases))[LOAD]
+
+    up_to = run([0.02, 0.05, 0.2])
+    assert up_to.startswith(
+        "Every case stays within 10 % up to a pressure of finger of 200 Pa (tried: 100 Pa to 300 Pa)."
+    )
+    assert run([0.02, 0.05]).startswith(
+        "Every case stays within 10 % up to the largest pressure of finger tried, 200 Pa."
+    )
+    none = "No pressure of finger tried (100 Pa to 200 Pa) keeps every case within 10 %."
+    assert run([0.3, 0.05]).startswith(none)
+
+
+def test_limits_come_before_the_history() -> None:
+    limit = Limit(0.05, "found", 40.0, 0.01, 0.003, 0.12)
+    small = SmallStrainLimits(
+        "constraints.finger.pressure", "Pa", {"vdm-m": ModelLimits(0.03, 0.001, (limit,))}
+    )
+    case = dataclasses.replace(make_case({"vdm-m": 0.2}, reference="fem"), small_strain=small)
+    text = told(make_run([case]))[LOAD]
+    assert text.startswith(
+        "vdm-m is 3 % off already at small loads; 5 % more come on top by 40.0 Pa (3.00 mm of mean indentation), "
+        "where it is 8 % off."
+    )
+    assert "At no load" not in text
+    assert "small-strain reference" not in text, "this reference is of finite strain"
+
+
+def test_parameters_that_a_formulation_does_not_read_are_not_told() -> None:
+    case = with_parameters(
+        make_case({"vdm-boundary": 0.05}),
+        "vdm-boundary",
+        formulation="boundary",
+        shear_modulus=1667.0,
+        bulk_modulus=700.0,
+    )
+    given = {**case.resolved, "vdm": {"bulk_modulus": 700.0}}
+    text = told(make_run([dataclasses.replace(case, resolved=given)]))[WITH]
+    assert text == (
+        "vdm-boundary with shear modulus = 1.67 kPa, not fitted: by rule from the tissue and the size of the body."
+    )
+    own = {**case.resolved, "models": {"vdm-boundary": {"shear_modulus": 1667.0}}}
+    text = told(make_run([dataclasses.replace(case, resolved=own)]))[WITH]
+    assert text == "vdm-boundary with shear modulus = 1.67 kPa; shear modulus by the study."
+
+
+def test_every_number_that_a_study_can_give_has_a_name_here() -> None:
+    assert set(PARAMETERS) == set(VdmTable.model_fields) - {"rotation"}
+    assert {key for keys in _READ.values() for key in keys} <= set(PARAMETERS)
+
+
+def test_no_ratio_to_a_reference_that_kept_no_factors() -> None:
+    case = with_parameters(make_case({"vdm-m": 0.05}), REFERENCE, solver="iterative")
+    text = told(make_run([case]))[COST]
+    assert "solved iteratively: with its factors kept a frame of it is shorter" in text
+    assert "times faster" not in text
+
+
+def test_times_from_an_earlier_run_are_named() -> None:
+    case = with_parameters(make_case({"vdm-m": 0.05}), REFERENCE, measured_earlier="yes")
+    assert "Times of fem-linear were measured in an earlier run" in told(make_run([case]))[COST]
+    assert "earlier run" not in told(make_run([make_case({"vdm-m": 0.05})]))[COST]
+
+
+@pytest.mark.parametrize(
+    ("measured", "words"),
+    [
+        (bars(0.003), "at most a tenth of the difference, which is thereby resolved"),
+        (bars(0.005), "more than a tenth of the difference, which counts as unresolved"),
+        ({}, "was not measured, so these figures carry no error bar"),
+    ],
+)
+def test_whether_the_difference_is_resolved(measured: dict[str, float], words: str) -> None:
+    run = make_run([make_case({"m": 0.04}, reference_error=measured, subdivisions=0)])
+    assert words in told(run)[SURE]
+
+
+def test_levels_that_give_no_order_are_named() -> None:
+    def case(second: float) -> CaseResult:
+        measured = {**bars(0.003), "difference_01": 0.001, "difference_12": second}
+        return make_case({"m": 0.04, "n": 0.02}, reference_error=measured, subdivisions=0)
+
+    one = told(make_run([case(-0.002)]))
+    assert "(its mesh levels are oscillating: the widest margin was taken)" in one[SURE]
+    assert "The others: m 4 %." in one[WITH]
+    several = told(make_run([case(0.001), case(0.004), case(0.0005)]))[SURE]
+    assert "(its mesh levels are diverging in 2 cases: the widest margin was taken)" in several
+    assert "mesh levels are" not in told(make_run([case(0.004)]))[SURE]
+
+
+def test_the_others_are_named_unresolved_too() -> None:
+    run = make_run([make_case({"a": 0.1, "b": 0.2}, reference_error=bars(0.03), subdivisions=0)])
+    assert "The others: b 20 % (unresolved)." in told(run)[WITH]
+
+
+def test_what_is_not_in_the_numbers_is_said() -> None:
+    failed = {"hash": "0" * 8, "label": "x", "code": "crash", "message": "m", "remedy": "r"}
+    run = make_run([make_case({"m": 0.1}, subdivisions=0)])
+    text = told(dataclasses.replace(run, failed=[failed], missing=["a", "b"]))[SURE]
+    assert "Not in these numbers: 1 case failed and 2 cases not run yet; " in text
+    assert "Not in these numbers" not in told(run)[SURE]
+
+
+def test_without_a_result_or_a_reference() -> None:
+    empty = dataclasses.replace(make_run([]), missing=["a", "b"])
+    (answer,) = answers(Digest(empty))
+    assert answer.sentences == ("None of the 2 cases has a result yet, so there is nothing to compare.",)
+    alone = make_run([make_case({"m": 0.1}, reference=None, subdivisions=0)])
+    assert "without a reference" in answers(Digest(alone))[0].sentences[0]
+    lost = make_run([make_case({"m": 0.1}, stopped={"m": 0}, subdivisions=0)])
+    text = told(lost)
+    assert text[""] == "No model has a result at full load to hold against fem-linear."
+    assert "m in 1 case" in text[SURE]
