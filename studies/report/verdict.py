@@ -125,7 +125,8 @@ def _what_decides(digest: Digest, states: Sequence[str]) -> str:
 
 
 def _with_bar(value: float, bar: float) -> str:
-    shown = f"{plain(100.0 * value)} %"  # a digit more than elsewhere: it is read against the tolerance
+    digits = 3 if 0.1 <= abs(value) < 1.0 else 2  # 11.6 % is read against the tolerance, 12 % would mislead
+    shown = f"{plain(100.0 * value, digits)} %"
     return f"{shown} ± {short_percent(bar)}" if math.isfinite(bar) else shown
 
 

@@ -19,7 +19,7 @@ MODELS = ("vdm-vector", "fem-condensed", "fem-coarse")
 MARKS = {
     "setup_shared": ("vdm-vector", "shared", "Set-up shared (vdm-vector): "),
     "measured_earlier": ("fem-condensed", "measured earlier", "Measured earlier (fem-condensed): "),
-    "solver": ("fem-coarse", "iterative", "Solved iteratively (fem-coarse): "),
+    "solver": ("fem-coarse", "iterative", "Solved iteratively (fem-coarse), "),
 }
 
 
