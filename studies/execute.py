@@ -9,11 +9,13 @@ tried once more alone, and the rest goes to a new worker.
 from __future__ import annotations
 
 import contextlib
+import fcntl
 import json
 import multiprocessing
 import os
 import signal
 import sys
+import threading
 import time
 import traceback
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -31,6 +33,7 @@ Task = Mapping[str, Any]
 Group = Sequence[Task]
 # imported once, before the workers are forked: what every case needs, and no case should be timed with
 PRELOAD = ["studies.worker", "vdm.model", "fem_reference.linear", "scipy.spatial"]
+LOG = ".log"  # ends the hidden names of workers' logs
 _GRACE = 5.0  # s between asking a worker to stop and killing it
 
 
@@ -140,7 +143,7 @@ def _start(
     logs: Path,
 ) -> _Running:
     reader, writer = context.Pipe(duplex=False)
-    log = logs / f".{tasks[0]['id']}.{os.getpid()}.log"
+    log = logs / f".{tasks[0]['id']}.{os.getpid()}{LOG}"
     arguments = (work, together if len(tasks) > 1 else None, tasks, threads, writer, str(log))
     process = context.Process(target=_main, args=arguments, daemon=True)
     process.start()
@@ -220,8 +223,10 @@ def _main(
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the parent's to handle
     os.environ["RAYON_NUM_THREADS"] = os.environ["OMP_NUM_THREADS"] = str(threads)
     descriptor = os.open(log, os.O_RDWR | os.O_CREAT | os.O_TRUNC | os.O_APPEND, 0o644)
+    fcntl.flock(descriptor, fcntl.LOCK_EX)  # in use, as long as this process lives
     os.dup2(descriptor, 1)
     os.dup2(descriptor, 2)
+    threading.Thread(target=_end_with_parent, daemon=True).start()
     from threadpoolctl import threadpool_limits
 
     with threadpool_limits(threads), together(tasks) if together else contextlib.nullcontext():
@@ -231,10 +236,19 @@ def _main(
             code, message, remedy = _attempt(work, task, alone=len(tasks) == 1)
             sys.stdout.flush()
             sys.stderr.flush()
-            text = "" if code == "done" else Path(log).read_text(errors="replace")
+            size = os.fstat(descriptor).st_size
+            text = "" if code == "done" else os.pread(descriptor, size, 0).decode(errors="replace")
             said = {"code": code, "message": message, "remedy": remedy, "log": text}
             answer.send_bytes(json.dumps(said).encode())
     answer.close()
+
+
+def _end_with_parent() -> None:
+    """A worker whose runner was killed has nobody to work for, and must not stand in the next run's way."""
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        parent.join()
+        os._exit(1)
 
 
 def _attempt(work: Callable[[Task], None], task: Task, *, alone: bool) -> tuple[str, str, str]:

@@ -1,10 +1,15 @@
-"""Writing files whole or not at all."""
+"""Writing files whole or not at all, and clearing away what a killed process left half-written."""
 
 from __future__ import annotations
 
+import contextlib
+import errno
+import fcntl
 import os
 import tempfile
 from pathlib import Path
+
+_PART = ".part"  # ends the names of files being written, which nothing reads
 
 
 def write_atomically(path: Path, data: bytes) -> None:
@@ -13,22 +18,49 @@ def write_atomically(path: Path, data: bytes) -> None:
     Raises
     ------
     OSError
-        disk full or read-only; nothing is left behind.
+        disk full or read-only, or a directory of that name; nothing is left behind.
     """
+    if path.is_dir():
+        raise IsADirectoryError(errno.EISDIR, "a directory is in a file's place; remove it", str(path))
     path.parent.mkdir(parents=True, exist_ok=True)
-    handle, name = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
+    handle, name = _temporary(path)
     try:
-        with os.fdopen(handle, "wb") as file:
+        with os.fdopen(handle, "wb") as file:  # its lock is held until it has its final name
             file.write(data)
             file.flush()
             os.fsync(file.fileno())
-        Path(name).chmod(0o644)
-        Path(name).replace(path)
+            name.chmod(0o644)
+            name.replace(path)
     except BaseException:
-        Path(name).unlink(missing_ok=True)
+        name.unlink(missing_ok=True)
         raise
     directory = os.open(path.parent, os.O_RDONLY)
     try:
         os.fsync(directory)
     finally:
         os.close(directory)
+
+
+def _temporary(path: Path) -> tuple[int, Path]:
+    """A new file beside `path`, locked as long as this process has it open."""
+    while True:
+        handle, name = tempfile.mkstemp(prefix=f".{path.name}.", suffix=_PART, dir=path.parent)
+        fcntl.flock(handle, fcntl.LOCK_EX)
+        if os.fstat(handle).st_nlink:
+            return handle, Path(name)
+        os.close(handle)  # another process cleared it away between its making and its locking
+
+
+def clear_abandoned(directory: Path, suffix: str = _PART) -> None:
+    """Remove the hidden files with this suffix that no living process has locked.
+
+    A lock goes with its process, however that ends: no age of a file is judged, and so no clock is asked.
+    """
+    for path in directory.glob(f".*{suffix}"):
+        with contextlib.suppress(OSError):  # gone meanwhile, in use, or not ours
+            handle = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_NOFOLLOW)
+            try:
+                fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                path.unlink()
+            finally:
+                os.close(handle)

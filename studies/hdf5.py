@@ -300,13 +300,13 @@ def _decoded(values: Any) -> Any:
 
 
 def _open(path: Path) -> Any:
-    try:
-        size = path.stat().st_size
-        if size > MAX_BYTES:
-            raise StoreError(f"{path}: {size} bytes is more than a result file can have")
-        data = path.read_bytes()
-    except FileNotFoundError:
-        raise StoreError(f"{path}: no such file") from None
+    if not path.is_file():
+        what = "is not a file; remove it and run again" if path.exists() else "no such file"
+        raise StoreError(f"{path}: {what}")
+    size = path.stat().st_size
+    if size > MAX_BYTES:
+        raise StoreError(f"{path}: {size} bytes is more than a result file can have")
+    data = path.read_bytes()
     image, trailer = data[:-TRAILER_BYTES], data[-TRAILER_BYTES:]
     digest = hashlib.sha256(image).hexdigest().encode()
     if trailer != TRAILER + digest + b"\n":

@@ -16,11 +16,11 @@ import tomli_w
 
 from .case import Run
 from .config import resolved
-from .execute import Group, Outcome, run_tasks, write_failure
+from .execute import LOG, Group, Outcome, run_tasks, write_failure
 from .explain import summary
-from .files import write_atomically
+from .files import clear_abandoned, write_atomically
 from .plan import Plan, PlannedMesh, task_of
-from .store import case_path, failure_path, read_run, write_study
+from .store import case_path, failure_path, read_plan, read_run, write_study
 from .worker import make_mesh, run_case, share
 
 
@@ -63,6 +63,7 @@ def run_plan(
     """
     plan.directory.mkdir(parents=True, exist_ok=True)
     with _locked(plan.directory, options.shard):
+        _tidy(plan)
         write_atomically(plan.directory / "study.toml", study_text.encode())
         write_atomically(plan.directory / "resolved.toml", tomli_w.dumps(resolved(plan.study)).encode())
         write_atomically(plan.directory / "plan.json", json.dumps(summary(plan), indent=1).encode())
@@ -74,11 +75,21 @@ def rebuild(directory: Path) -> tuple[Run, Path]:
     """Write the tables and the report from the stored results alone; returns the run and the report's path."""
     from .report.page import write_report  # plotting takes a second to load: after the work, not before
 
-    run = read_run(directory)
-    write_study(directory, run)
+    read_plan(directory)  # nothing is left in a directory that is none of ours
     report = directory / "report.html"
-    write_report(run, report)
+    with _lock(directory, ".lock-report", fcntl.LOCK_EX, wait=True):  # the last of several shards sees all
+        run = read_run(directory)
+        write_study(directory, run)
+        write_report(run, report)
     return run, report
+
+
+def _tidy(plan: Plan) -> None:
+    """Clear away what runs that were killed left half-written, here and in the shared cache."""
+    directories = (plan.directory, plan.directory / "cases", plan.directory / "failed")
+    for directory in (*directories, plan.cache / "meshes", plan.cache / "references"):
+        clear_abandoned(directory)
+    clear_abandoned(plan.directory / "failed", LOG)
 
 
 def _run_missing(plan: Plan, options: Options, watch: Callable[[Event], None]) -> None:
@@ -89,6 +100,13 @@ def _run_missing(plan: Plan, options: Options, watch: Callable[[Event], None]) -
     for outcome in _watched(meshes, make_mesh, logs, options, watch, "mesh"):
         if not outcome.ok:
             broken[outcome.task["id"]] = outcome
+    died = [[outcome.task] for outcome in broken.values() if outcome.code == "crashed"]
+    if (
+        not options.fail_fast
+    ):  # many cases may hang on a mesh: the death of its worker costs a second try only
+        for outcome in _watched(died, make_mesh, logs, options, watch, "mesh"):
+            if outcome.ok:
+                del broken[outcome.task["id"]]
     if broken and options.fail_fast:
         return
     for case in cases:
@@ -109,7 +127,9 @@ def _run_missing(plan: Plan, options: Options, watch: Callable[[Event], None]) -
 
 def _keep_failure(plan: Plan, outcome: Outcome) -> None:
     """A failure takes the place of whatever result the case had before."""
-    case_path(plan.directory, outcome.task["id"]).unlink(missing_ok=True)
+    path = case_path(plan.directory, outcome.task["id"])
+    if not path.is_dir():  # which is no result, and may be why the case failed
+        path.unlink(missing_ok=True)
     write_failure(failure_path(plan.directory, outcome.task["id"]), outcome, outcome.task["label"])
 
 
@@ -168,10 +188,10 @@ def _locked(directory: Path, shard: tuple[int, int]) -> Iterator[None]:
 
 
 @contextmanager
-def _lock(directory: Path, name: str, kind: int) -> Iterator[None]:
+def _lock(directory: Path, name: str, kind: int, *, wait: bool = False) -> Iterator[None]:
     with (directory / name).open("a+") as file:
         try:
-            fcntl.flock(file, kind | fcntl.LOCK_NB)
+            fcntl.flock(file, kind if wait else kind | fcntl.LOCK_NB)
         except BlockingIOError:
             file.seek(0)
             raise RunError(

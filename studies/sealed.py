@@ -1,4 +1,7 @@
-"""Arrays on disk with a seal: written whole or not at all, and read only if not a byte has changed."""
+"""Arrays on disk with a seal: written whole or not at all, and read only if not a byte has changed.
+
+The seal covers the file's name too, which is its content key: an entry under another's name is no entry.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +16,7 @@ from numpy.typing import NDArray
 
 from .files import write_atomically
 
-_DIGEST_BYTES = 32  # the SHA-256 of all before it ends the file; readers of .npz do not mind it
+_DIGEST_BYTES = 32  # a SHA-256 ends the file; readers of .npz do not mind it
 
 
 def write_arrays(path: Path, arrays: Mapping[str, NDArray[Any]]) -> None:
@@ -21,17 +24,26 @@ def write_arrays(path: Path, arrays: Mapping[str, NDArray[Any]]) -> None:
     buffer = io.BytesIO()
     np.savez(buffer, allow_pickle=False, **arrays)
     content = buffer.getvalue()
-    write_atomically(path, content + hashlib.sha256(content).digest())
+    write_atomically(path, content + _seal(path, content))
 
 
 def read_arrays(path: Path) -> dict[str, NDArray[Any]] | None:
-    """The arrays stored at `path`, or None where there is no file or it is damaged."""
-    try:
-        data = path.read_bytes()
-    except FileNotFoundError:
+    """The arrays stored at `path`, or None where there is no file, or one that is damaged or not its own.
+
+    Raises
+    ------
+    OSError
+        the file may not be read.
+    """
+    if not path.is_file():  # where something else is in its place, writing it says so
         return None
-    content, digest = data[:-_DIGEST_BYTES], data[-_DIGEST_BYTES:]
-    if hashlib.sha256(content).digest() != digest:
+    data = path.read_bytes()
+    content, seal = data[:-_DIGEST_BYTES], data[-_DIGEST_BYTES:]
+    if _seal(path, content) != seal:
         return None
     with np.load(io.BytesIO(content), allow_pickle=False) as stored:
         return {name: stored[name] for name in stored}
+
+
+def _seal(path: Path, content: bytes) -> bytes:
+    return hashlib.sha256(path.name.encode() + b"\0" + content).digest()

@@ -51,16 +51,18 @@ def write_case(path: Path, case: CaseResult) -> None:
     write_atomically(path, sealed(_case_entries(case)))
 
 
-def read_case(path: Path) -> CaseResult:
+def read_case(path: Path, expected: str | None = None) -> CaseResult:
     """Read one case file back.
 
     Raises
     ------
     StoreError
-        not a case file, damaged, or written by a newer schema.
+        not a case file, damaged, written by a newer schema, or not the case with the hash `expected`.
     """
     with Stored(path, SCHEMA) as file:
         try:
+            if expected not in (None, file.text("case", "hash")):
+                raise ValueError("it holds another case")
             return _read_case(file)
         except (KeyError, ValueError, TypeError, OSError) as error:
             raise StoreError(
@@ -84,18 +86,20 @@ def read_run(directory: Path) -> Run:
     StoreError
         not a run directory, or a damaged file in it.
     """
-    plan = _read_plan(directory)
-    study_text = (directory / "study.toml").read_text()
+    plan = read_plan(directory)
+    try:
+        study_text = (directory / "study.toml").read_text("utf-8")
+    except (FileNotFoundError, IsADirectoryError, ValueError) as error:
+        raise StoreError(f"{directory}/study.toml: not readable ({error}); run the study again") from error
     cases, failed, missing = [], [], []
     for planned in plan["cases"]:
         path = case_path(directory, planned["hash"])
-        state = (
-            "done" if path.exists() else case_state(directory, planned["hash"])
-        )  # reading it says the rest
+        # reading it says the rest
+        state = "done" if path.exists() else case_state(directory, planned["hash"])
         # the swept values and the label belong to the study, not to the case: another study may share it
         names = {key: planned[key] for key in ("label", "swept", "swept_units")}
         if state == "done":
-            cases.append(dataclasses.replace(read_case(path), **names))
+            cases.append(dataclasses.replace(read_case(path, planned["hash"]), **names))
         elif state == "failed":
             failed.append(_read_failure(directory, planned))
         else:
@@ -112,7 +116,7 @@ def run_state(directory: Path) -> dict[str, list[Any]]:
         not a run directory.
     """
     state: dict[str, list[Any]] = {"done": [], "stale": [], "failed": [], "damaged": [], "missing": []}
-    for planned in _read_plan(directory)["cases"]:
+    for planned in read_plan(directory)["cases"]:
         kind = case_state(directory, planned["hash"])
         label = planned["label"] or planned["hash"][:12]
         state[kind].append(_read_failure(directory, planned) if kind == "failed" else label)
@@ -125,8 +129,10 @@ def case_state(directory: Path, case_hash: str) -> str:
     if path.exists():
         try:
             with Stored(path, SCHEMA) as file:
+                if file.text("case", "hash") != case_hash:
+                    return "damaged"
                 fresh = "metrics" in file and file.text("metrics", "versions", "") == _metric_versions()
-        except StoreError:
+        except (StoreError, KeyError):
             return "damaged"
         return "done" if fresh else "stale"
     return "failed" if failure_path(directory, case_hash).exists() else "missing"
@@ -145,13 +151,14 @@ def _metric_versions() -> str:
     return _json({name: metric.version for name, metric in METRICS.items()})
 
 
-def _read_plan(directory: Path) -> dict[str, Any]:
+def read_plan(directory: Path) -> dict[str, Any]:
+    """What was planned in a run directory. Raises StoreError where it is none."""
     try:
         plan: dict[str, Any] = json.loads((directory / "plan.json").read_text())
         _ = plan["study"]["name"]
         for planned in plan["cases"]:
             _ = planned["hash"], planned["label"], planned["swept"], planned["swept_units"]
-    except (FileNotFoundError, NotADirectoryError):
+    except (FileNotFoundError, NotADirectoryError, IsADirectoryError):
         raise StoreError(f"{directory}: not a run directory (it has no plan.json)") from None
     except (KeyError, TypeError, ValueError) as error:
         raise StoreError(f"{directory}/plan.json: damaged ({error!r}); run the study again") from error
@@ -161,9 +168,11 @@ def _read_plan(directory: Path) -> dict[str, Any]:
 def _read_failure(directory: Path, planned: Mapping[str, Any]) -> dict[str, str]:
     path = failure_path(directory, planned["hash"])
     try:
-        return {**json.loads(path.read_text()), "label": planned["label"] or planned["hash"][:12]}
-    except (TypeError, ValueError) as error:
+        record = json.loads(path.read_text())
+        known = {key: str(record[key]) for key in ("hash", "code", "message", "remedy")}
+    except (KeyError, TypeError, ValueError, IsADirectoryError) as error:
         raise StoreError(f"{path}: damaged ({error}); delete it and run again") from error
+    return {**known, "label": planned["label"] or planned["hash"][:12]}
 
 
 def case_path(directory: Path, case_hash: str) -> Path:

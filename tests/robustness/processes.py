@@ -1,0 +1,87 @@
+"""Runs of the command as processes that can be watched and killed, and what must hold of what they leave."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+from numpy.testing import assert_allclose
+
+from studies import store
+from studies.sealed import read_arrays
+
+RUN = Path("results/runs/small")
+CACHE = Path("results/cache")
+
+
+def start(*arguments: str, cwd: Path) -> subprocess.Popen[str]:
+    """The command, at work in the background, without its report."""
+    return subprocess.Popen(
+        [sys.executable, "-m", "tests.robustness.runner", *arguments],
+        cwd=cwd,
+        env={**os.environ, "OMP_NUM_THREADS": "1", "PYTHONPATH": str(Path(__file__).parents[2])},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        stdin=subprocess.DEVNULL,
+        text=True,
+    )
+
+
+def children(process: int) -> list[int]:
+    """Processes that this one has started."""
+    try:
+        return [int(p) for p in Path(f"/proc/{process}/task/{process}/children").read_text().split()]
+    except (FileNotFoundError, ProcessLookupError):
+        return []
+
+
+def workers(runner: int) -> list[int]:
+    """The worker processes of a run: the children of its fork server."""
+    return [worker for server in children(runner) for worker in children(server)]
+
+
+def wait_until_gone(processes: list[int], seconds: float = 30) -> None:
+    """A killed runner's workers end by themselves."""
+    deadline = time.monotonic() + seconds
+    while any(Path(f"/proc/{process}/exe").exists() for process in processes):
+        assert time.monotonic() < deadline, "workers outlive their runner"
+        time.sleep(0.01)
+
+
+def check_what_is_there(directory: Path) -> dict[str, bytes]:
+    """Every case file and cache entry is whole, whatever happened; the case files' bytes by their hash."""
+    found = {}
+    for path in (directory / RUN / "cases").glob("*.vtkhdf"):
+        assert store.read_case(path, path.stem).hash == path.stem
+        found[path.stem] = path.read_bytes()
+    for path in (directory / CACHE).rglob("*.npz"):
+        assert read_arrays(path) is not None, path
+    if (directory / RUN / "plan.json").exists():
+        assert store.run_state(directory / RUN)["damaged"] == []
+    return found
+
+
+def half_written(directory: Path) -> list[Path]:
+    """Temporary files, which only a killed process leaves."""
+    hidden = (directory / "results").rglob(".*")
+    return [path for path in hidden if path.is_file() and not path.name.startswith(".lock")]
+
+
+def assert_same_results(directory: Path, undisturbed: Path) -> None:
+    """All cases are done, with the numbers of an undisturbed run."""
+    run, expected = (store.read_run(place / RUN) for place in (directory, undisturbed))
+    assert (run.failed, run.missing) == ([], [])
+    assert [case.hash for case in run.cases] == [case.hash for case in expected.cases]
+    for ours, theirs in zip(run.cases, expected.cases, strict=True):
+        assert ours.models.keys() == theirs.models.keys()
+        for name, model in theirs.models.items():
+            # a case alone is solved, in company combined from unit loads: rounding apart, the same
+            atol = 1e-12 * float(np.abs(model.displacement).max())
+            assert_allclose(ours.models[name].displacement, model.displacement, rtol=0, atol=atol)
+        for name, metrics in theirs.metrics.items():
+            for metric, series in metrics.items():
+                assert_allclose(ours.metrics[name][metric].values, series.values, rtol=1e-9, atol=1e-12)

@@ -1,0 +1,123 @@
+"""Runners and workers killed at random moments: what is complete stays, what is half-written is never read."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import random
+import shutil
+import signal
+import subprocess
+import time
+from collections import Counter
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from tests.command import write_study
+
+from . import processes
+from .processes import CACHE, RUN, assert_same_results, check_what_is_there, half_written
+
+SEED = 20
+
+
+@pytest.fixture(scope="module")
+def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, float]:
+    """A directory with six cases in two groups, run in peace; and the seconds that it took."""
+    directory = tmp_path_factory.mktemp("undisturbed")
+    sweep = (
+        '[sweep]\n"tissue.poisson_ratio" = [0.45, 0.49]\n"constraints.finger.force" = [0.1, 0.2, 0.3]\n[load]'
+    )
+    write_study(directory, a=('"16 mm"', '"20 mm"'), b=("[load]", sweep))
+    began = time.monotonic()
+    process = processes.start("run", "small.toml", "--jobs", "2", cwd=directory)
+    output, _ = process.communicate(timeout=300)
+    assert process.returncode == 0, output
+    return directory, time.monotonic() - began
+
+
+def _until(condition: Callable[[], bool], process: subprocess.Popen[str]) -> bool:
+    """Wait for a condition; False where the process ends before."""
+    while process.poll() is None:
+        if condition():
+            return True
+        time.sleep(0.002)
+    return False
+
+
+def _kill_runner(process: subprocess.Popen[str], delay: float) -> bool:
+    with contextlib.suppress(subprocess.TimeoutExpired):
+        process.wait(delay)
+    family = processes.children(process.pid)
+    family += [worker for server in family for worker in processes.children(server)]
+    alive = process.poll() is None
+    process.kill()
+    process.communicate()
+    processes.wait_until_gone(family)
+    return alive
+
+
+def _kill_worker(process: subprocess.Popen[str], delay: float) -> bool:
+    if not _until(lambda: bool(processes.workers(process.pid)), process):
+        return False
+    time.sleep(delay / 3)  # workers live for a part of the run only
+    victims: list[int] = []
+    if not _until(lambda: victims.extend(processes.workers(process.pid)) or victims != [], process):
+        return False
+    try:
+        os.kill(victims[-1], signal.SIGKILL)
+    except ProcessLookupError:
+        return False
+    output, _ = process.communicate(timeout=300)
+    assert process.returncode in (0, 3), output
+    assert "Traceback" not in output
+    return True
+
+
+def _survive(kills: int, undisturbed: tuple[Path, float], directory: Path) -> Counter[str]:
+    """Kill until it was done so often; what happened, counted."""
+    peace, seconds = undisturbed
+    chance = random.Random(SEED)
+    shutil.copy(peace / "small.toml", directory)
+    seen: Counter[str] = Counter()
+    while seen["runner"] + seen["worker"] < kills:
+        before = check_what_is_there(directory)
+        kind = chance.choice(["runner", "worker"])
+        with processes.start("run", "small.toml", "--jobs", "2", cwd=directory) as process:
+            kill = {"runner": _kill_runner, "worker": _kill_worker}[kind]
+            killed = kill(process, chance.uniform(0, seconds))
+        seen[kind] += killed
+        after = check_what_is_there(directory)
+        assert before.items() <= after.items(), "what was complete is there as it was"
+        failed = list((directory / RUN / "failed").glob("*.json"))
+        assert kind != "worker" or len(failed) <= killed, "a worker that is killed costs its case only"
+        seen["failed"] += len(failed) if kind == "worker" else 0
+        seen["half-written"] += len(half_written(directory))
+        if len(after) == 6 and process.returncode == 0:
+            assert half_written(directory) == [], "what killed runs left is cleared away"
+            assert_same_results(directory, peace)
+            seen["complete"] += 1
+        if len(after) == 6:  # begin again, with more or less of the work done
+            shutil.rmtree(directory / RUN)
+            if chance.random() < 0.5:
+                shutil.rmtree(directory / CACHE)
+    process = processes.start("run", "small.toml", "--jobs", "2", cwd=directory)
+    output, _ = process.communicate(timeout=300)
+    assert process.returncode == 0, output
+    assert half_written(directory) == []
+    assert_same_results(directory, peace)
+    return seen
+
+
+def test_kills_at_random_moments(undisturbed: tuple[Path, float], tmp_path: Path) -> None:
+    seen = _survive(8, undisturbed, tmp_path)
+    assert min(seen["runner"], seen["worker"]) > 0
+
+
+@pytest.mark.slow
+def test_two_hundred_kills(undisturbed: tuple[Path, float], tmp_path: Path) -> None:
+    seen = _survive(200, undisturbed, tmp_path)
+    print(dict(seen))
+    assert min(seen["runner"], seen["worker"]) > 50
