@@ -31,6 +31,7 @@ from .metrics import METRICS
 from .metrics_table import metric_rows, metrics_csv
 
 SCHEMA = 1
+STUDY_FILE = "study.h5"
 CASE_SUFFIX = ".vtkhdf"
 _VTK_TRIANGLE = 5
 
@@ -72,7 +73,7 @@ def read_case(path: Path, expected: str | None = None) -> CaseResult:
 
 def write_study(directory: Path, run: Run) -> None:
     """Write `study.h5` and `metrics.csv`: every metric of every case, model and step in two tables."""
-    write_atomically(directory / "study.h5", sealed(_study_entries(run)))
+    write_atomically(directory / STUDY_FILE, sealed(_study_entries(run)))
     write_atomically(directory / "metrics.csv", metrics_csv(run).encode())
 
 
@@ -120,6 +121,12 @@ def run_state(directory: Path) -> dict[str, list[Any]]:
         kind = case_state(directory, planned["hash"])
         label = planned["label"] or planned["hash"][:12]
         state[kind].append(_read_failure(directory, planned) if kind == "failed" else label)
+    tables = directory / STUDY_FILE
+    if tables.exists():
+        try:
+            Stored(tables, SCHEMA).close()
+        except StoreError:
+            state["damaged"].append(f"{STUDY_FILE} (vdmbench report makes it anew)")
     return state
 
 

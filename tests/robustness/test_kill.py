@@ -15,27 +15,10 @@ from pathlib import Path
 
 import pytest
 
-from tests.command import write_study
-
 from . import processes
 from .processes import CACHE, RUN, assert_same_results, check_what_is_there, half_written
 
 SEED = 20
-
-
-@pytest.fixture(scope="module")
-def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, float]:
-    """A directory with six cases in two groups, run in peace; and the seconds that it took."""
-    directory = tmp_path_factory.mktemp("undisturbed")
-    sweep = (
-        '[sweep]\n"tissue.poisson_ratio" = [0.45, 0.49]\n"constraints.finger.force" = [0.1, 0.2, 0.3]\n[load]'
-    )
-    write_study(directory, a=('"16 mm"', '"20 mm"'), b=("[load]", sweep))
-    began = time.monotonic()
-    process = processes.start("run", "small.toml", "--jobs", "2", cwd=directory)
-    output, _ = process.communicate(timeout=300)
-    assert process.returncode == 0, output
-    return directory, time.monotonic() - began
 
 
 def _until(condition: Callable[[], bool], process: subprocess.Popen[str]) -> bool:

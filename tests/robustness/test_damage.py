@@ -1,0 +1,229 @@
+"""Stored files that were cut, altered, renamed or replaced: found, told or made again, never read as good."""
+
+from __future__ import annotations
+
+import errno
+import io
+import os
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from studies import store, worker
+from studies.config import expand, load_study
+from studies.hdf5 import Stored, StoreError
+from studies.mesh_cache import read_mesh
+from studies.plan import Plan, make_plan, task_of
+from studies.result_cache import read_levels
+
+from .processes import CACHE, RUN
+
+KINDS = {
+    "case": f"{RUN}/cases/*.vtkhdf",
+    "study": f"{RUN}/study.h5",
+    "mesh": f"{CACHE}/meshes/*.npz",
+    "reference": f"{CACHE}/references/*.npz",
+}
+SEAL = {"case": 82, "study": 82, "mesh": 32, "reference": 32}  # bytes at the end
+
+
+@pytest.fixture
+def copy(undisturbed: tuple[Path, float], tmp_path: Path) -> Path:
+    """A finished directory, to be broken."""
+    return Path(shutil.copytree(undisturbed[0], tmp_path / "copy"))
+
+
+def _reads(kind: str, path: Path) -> bool:
+    """Whether a file is read as good. A damaged result is told, what is missing from a cache is None."""
+    if kind == "mesh":
+        return read_mesh(path) is not None
+    if kind == "reference":
+        return read_levels(path) is not None
+    try:
+        if kind == "case":
+            store.read_case(path, path.stem)
+        else:
+            Stored(path, store.SCHEMA).close()
+    except StoreError as error:
+        return str(path) not in str(error)
+    return True
+
+
+def _one(kind: str, directory: Path) -> Path:
+    path = sorted(directory.glob(KINDS[kind]))[0]
+    assert _reads(kind, path), "it is sound to begin with"
+    return path
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_cut_is_found_wherever_it_is(copy: Path, kind: str) -> None:
+    path = _one(kind, copy)
+    whole = path.read_bytes()
+    seal = SEAL[kind]
+    cuts = {0, 1, seal - 1, seal, seal + 1, len(whole) - seal, len(whole) - 1, *range(0, len(whole), 1024)}
+    for cut in sorted(cuts):
+        path.write_bytes(whole[:cut])
+        assert not _reads(kind, path), f"cut after {cut} of {len(whole)} bytes"
+        assert kind != "study" or store.run_state(path.parent)["damaged"] != []
+    path.write_bytes(whole + b"\0")
+    assert not _reads(kind, path), "one byte too many"
+    path.write_bytes(whole)
+    assert _reads(kind, path)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_flipped_bit_is_found_wherever_it_is(copy: Path, kind: str) -> None:
+    path = _one(kind, copy)
+    whole = path.read_bytes()
+    ends = [*range(8), *range(len(whole) - SEAL[kind], len(whole))]
+    for place in [*ends, *range(0, len(whole), 1024)]:
+        broken = bytearray(whole)
+        broken[place] ^= 1 << place % 8
+        path.write_bytes(broken)
+        assert not _reads(kind, path), f"bit flipped in byte {place} of {len(whole)}"
+
+
+def _with_other_numbers(path: Path, kind: str) -> None:
+    """A sound file of other numbers, with the seal of the old ones."""
+    whole = path.read_bytes()
+    content, seal = whole[: -SEAL[kind]], whole[-SEAL[kind] :]
+    if kind in ("case", "study"):
+        with h5py.File(io.BytesIO(content), "r+") as file:
+            name = "VTKHDF/PointData/vdm-paper.displacement" if kind == "case" else "load_factor"
+            file[name][...] = 2 * file[name][()]
+            file.flush()
+            changed: bytes = file.id.get_file_image()
+    else:
+        with np.load(io.BytesIO(content)) as stored:
+            arrays = {name: stored[name] for name in stored}
+        name = "points" if kind == "mesh" else "0/displacement"
+        buffer = io.BytesIO()
+        np.savez(buffer, allow_pickle=False, **{**arrays, name: 2 * arrays[name]})
+        changed = buffer.getvalue()
+    assert changed != content
+    path.write_bytes(changed + seal)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_changed_numbers_under_the_old_seal_are_found(copy: Path, kind: str) -> None:
+    path = _one(kind, copy)
+    _with_other_numbers(path, kind)
+    assert not _reads(kind, path)
+
+
+@pytest.mark.parametrize("kind", ["case", "mesh", "reference"])
+@pytest.mark.parametrize("how", ["renamed", "linked"])
+def test_an_entry_under_another_s_name_is_none(copy: Path, kind: str, how: str) -> None:
+    path = _one(kind, copy)
+    other = path.with_name("0" * 64 + path.suffix)
+    if how == "renamed":
+        path.rename(other)
+    else:
+        other.symlink_to(path)
+    assert not _reads(kind, other)
+
+
+def _directory(path: Path) -> None:
+    path.mkdir()
+    (path / "x").touch()
+
+
+IN_ITS_PLACE: dict[str, Callable[[Path], None]] = {
+    "directory": _directory,
+    "fifo": os.mkfifo,
+    "dangling link": lambda path: path.symlink_to("nowhere"),
+    "loop": lambda path: path.symlink_to(path),
+}
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("what", IN_ITS_PLACE)
+def test_something_else_in_a_file_s_place_is_no_file(copy: Path, kind: str, what: str) -> None:
+    path = _one(kind, copy)
+    path.unlink()
+    IN_ITS_PLACE[what](path)
+    assert not _reads(kind, path)
+
+
+# --- and the next run? ---
+
+
+def _plan(directory: Path) -> Plan:
+    study = load_study(directory / "small.toml")
+    return make_plan(study, expand(study), directory / RUN, directory / CACHE)
+
+
+def _run(directory: Path) -> int:
+    """What the workers of a run do, here; how many cases they did."""
+    for state in (worker._ahead, worker._last, worker._written, worker._meshes):
+        state.clear()  # as in a new process
+    plan = _plan(directory)
+    cases = plan.cases_to_run()
+    for group in plan.groups(cases, 1):
+        tasks = [task_of(case, plan) for case in group]
+        with worker.share(tasks):
+            for task in tasks:
+                worker.run_case(task)
+    return len(cases)
+
+
+def _displacements(directory: Path) -> dict[str, Any]:
+    found = {}
+    for case in _plan(directory).cases:
+        stored = store.read_case(store.case_path(directory / RUN, case.hash), case.hash)
+        found |= {(case.hash, name): model.displacement for name, model in stored.models.items()}
+    return found
+
+
+DAMAGE: dict[str, Callable[[Path, Path], object]] = {
+    "cut": lambda path, _: path.write_bytes(path.read_bytes()[:2000]),
+    "emptied": lambda path, _: path.write_bytes(b""),
+    "exchanged": lambda path, other: shutil.copy(other, path),
+    "linked": lambda path, other: (path.unlink(), path.symlink_to(other)),
+    "loop": lambda path, _: (path.unlink(), path.symlink_to(path)),
+}
+
+
+@pytest.mark.parametrize("damage", DAMAGE)
+def test_what_is_damaged_is_made_again(
+    copy: Path, undisturbed: tuple[Path, float], tmp_path: Path, damage: str
+) -> None:
+    """Case, mesh and references at once; what a link leads to is left as it is."""
+    cases, references = (sorted(copy.glob(KINDS[kind])) for kind in ("case", "reference"))
+    foreign = [Path(shutil.copy(path, tmp_path)) for path in (cases[1], references[1])]
+    before = [path.read_bytes() for path in foreign]
+    for path in cases[2:]:
+        path.unlink()
+    DAMAGE[damage](cases[0], foreign[0])
+    for path in [*references, *copy.glob(KINDS["mesh"])]:
+        DAMAGE[damage](path, foreign[1])
+    assert sum(_reads("reference", path) for path in references) <= 1, "sound under its own name only"
+    assert _run(copy) == 5
+    assert [path.read_bytes() for path in foreign] == before
+    ours, theirs = _displacements(copy), _displacements(undisturbed[0])
+    assert ours.keys() == theirs.keys()
+    for key, displacement in theirs.items():
+        atol = 1e-12 * float(np.abs(displacement).max())
+        assert_allclose(ours[key], displacement, rtol=0, atol=atol, err_msg=str(key))
+    assert sum(path.is_symlink() for path in copy.rglob("*")) <= 1, "the reference that no case needed"
+    assert sum(_reads("reference", path) for path in references) >= 5, "of the cases that were run"
+
+
+@pytest.mark.parametrize("kind", ["case", "mesh", "reference"])
+def test_a_directory_in_a_file_s_place_is_told_and_kept(copy: Path, kind: str) -> None:
+    path = _one(kind, copy)
+    for other in copy.glob(KINDS[kind]):  # whichever is come to first
+        other.unlink()
+        _directory(other)
+    if kind != "case":
+        shutil.rmtree(copy / RUN)
+    with pytest.raises(IsADirectoryError, match="a directory is in a file's place; remove it") as caught:
+        _run(copy)
+    assert caught.value.errno == errno.EISDIR
+    assert (path / "x").exists()
