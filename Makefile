@@ -85,8 +85,7 @@ setup: libraries .venv/ready
 # the shared libraries that the gmsh and VTK wheels expect from the system, and Debian's packages of them
 PROBE := import ctypes, importlib.util; \
   wanted = {"libgomp.so.1": "libgomp1", "libGLU.so.1": "libglu1-mesa", "libXft.so.2": "libxft2", \
-            "libXcursor.so.1": "libxcursor1", "libXinerama.so.1": "libxinerama1", "libGL.so.1": "libgl1", \
-            "libEGL.so.1": "libegl1"}; \
+            "libXcursor.so.1": "libxcursor1", "libXinerama.so.1": "libxinerama1", "libGL.so.1": "libgl1"}; \
   missing = [] if importlib.util.find_spec("ensurepip") else ["python3-venv"]; \
   loads = lambda name: bool(ctypes.CDLL(name)); \
   exec("for name, package in wanted.items():\n try: loads(name)\n except OSError: missing.append(package)"); \

@@ -19,7 +19,6 @@ LIBRARIES = {
     "libXcursor.so.1": "libxcursor1",
     "libXinerama.so.1": "libxinerama1",
     "libGL.so.1": "libgl1",
-    "libEGL.so.1": "libegl1",
 }
 PACKAGES = {
     "numpy": "numpy",
@@ -33,7 +32,6 @@ PACKAGES = {
     "pyamg": "pyamg",
     "cholespy": "cholespy",
 }
-_PICTURES_ONLY = {"libEGL.so.1"}
 
 
 class Finding(NamedTuple):
@@ -59,12 +57,11 @@ def examine(directory: Path = Path()) -> list[Finding]:
     ]
     missing = [name for name in LIBRARIES if not _loads(name)]
     line = f"apt-get install {' '.join(LIBRARIES[name] for name in missing)}"
-    needed = bool(set(missing) - _PICTURES_ONLY)
     findings.append(
         Finding(
             "shared libraries",
             not missing,
-            needed,
+            True,
             ", ".join(missing) or "all there",
             line if missing else "",
         )

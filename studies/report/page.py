@@ -28,7 +28,7 @@ from .section_volume import volume_drift
 
 
 class PictureError(ValueError):
-    """A picture that cannot be drawn, and why."""
+    """There is nothing to draw."""
 
 
 MOST_BYTES = 5_000_000
@@ -61,7 +61,7 @@ def write_picture(run: Run, path: Path) -> None:
     Raises
     ------
     PictureError
-        nothing to draw, or no off-screen renderer on this machine.
+        no finished case with a displacement to draw.
     OSError
         disk full or read-only.
     """
@@ -69,10 +69,7 @@ def write_picture(run: Run, path: Path) -> None:
     panels = still(digest, digest.key_cases[0][1])[0] if digest.cases else []
     if not panels:
         raise PictureError("there is no finished case to draw")
-    files, why = picture.render([panels])
-    if why:
-        raise PictureError(why)
-    write_atomically(path, files[0])
+    write_atomically(path, picture.render([panels])[0])
 
 
 def write_report(run: Run, path: Path) -> None:

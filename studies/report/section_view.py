@@ -15,7 +15,7 @@ from .formatting import plain, quantity
 from .picture import Panel
 from .view import azimuth, candidates, displacement_scale, payload
 
-Renderer = Callable[[Sequence[Sequence[Panel]]], tuple[list[bytes], str]]
+Renderer = Callable[[Sequence[Sequence[Panel]]], list[bytes]]
 _COLOUR_MAPS = ("viridis", "inferno")
 
 
@@ -27,13 +27,10 @@ def surfaces(digest: Digest, room: int, render: Renderer) -> Section | None:
     pictures: list[tuple[str, str, str]] = []
     stills = [(_title(digest, role, case), *still(digest, case)) for role, case in digest.key_cases]
     stills = [still for still in stills if still[1]]
-    files, why = render([panels for _, panels, _ in stills]) if stills else ([], "")
-    for (title, _, words), file in zip(stills, files, strict=False):
+    for (title, _, words), file in zip(stills, render([panels for _, panels, _ in stills]), strict=False):
         url = "data:image/png;base64," + base64.b64encode(file).decode("ascii")
         room -= len(url)
         pictures.append((title, url, words))
-    if why:
-        notes.append(f"No still pictures: {why}.")
     chosen: dict[str, object] | None = None
     for view, note in candidates(digest):
         data = payload(view, digest)

@@ -32,8 +32,8 @@ ATTACKS = (
 )
 
 
-def no_pictures(_: Sequence[Sequence[Panel]]) -> tuple[list[bytes], str]:
-    return [], ATTACKS[0]
+def no_pictures(_: Sequence[Sequence[Panel]]) -> list[bytes]:
+    return []
 
 
 def hostile_run() -> Run:

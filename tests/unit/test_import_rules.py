@@ -15,12 +15,12 @@ FILES = [path for package in PACKAGES for path in sorted((ROOT / package).rglob(
 
 COMMAND_LINE = {f"studies/cli{part}.py" for part in ("", "_study", "_results", "_output")}
 
-# each of these is behind one module; rendering in the report is pyvista's second
+# each of these is behind one module
 BEHIND = {
     "gmsh": {"studies/geometry.py"},
     "h5py": {"studies/hdf5.py"},
     "meshio": {"studies/mesh_file.py"},
-    "pyvista": {"studies/remesh.py", "studies/report/picture.py"},
+    "pyvista": {"studies/remesh.py"},
     "pyacvd": {"studies/remesh.py"},
 }
 
