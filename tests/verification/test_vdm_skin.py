@@ -87,7 +87,7 @@ def test_skin_is_symmetric_semi_definite_and_rigid_motions_cost_nothing(skin):
     dofs = np.repeat(FREE, 3)
     force = np.random.default_rng(0).standard_normal((int(dofs.sum()), 2))
     direct = DenseFactor(matrix[np.ix_(dofs, dofs)]).solve(force)
-    factor = skin.factor(FREE)
+    factor = skin.factor(FREE, 1.0)
     for found in (factor.solve(force), np.stack([factor.solve(f) for f in force.T], axis=1)):
         assert_allclose(found, direct, rtol=0.0, atol=1e-10 * np.abs(direct).max())
 
@@ -111,9 +111,35 @@ def test_what_the_coarse_nodes_can_follow_answers_as_the_coarse_body():
 def test_force_at_held_nodes_from_the_factor_is_that_of_the_operator(skin):
     rng = np.random.default_rng(2)
     x = rng.standard_normal((ELLIPSOID.n_nodes, 3))
-    force = skin.apply(x)
-    found = skin.factor(FREE).held_force(force[FREE], x[~FREE])
-    assert_allclose(found, force[~FREE], rtol=0.0, atol=1e-10 * np.abs(force).max())
+    x[~FREE] = 0.0
+    loads = np.stack(
+        [2.0 * skin.apply(s * x) for s in (1.0, -3.0)], axis=2
+    )  # (N, 3, 2) of twice the operator
+    size = np.abs(loads).max()
+    for pick in (0, slice(None)):
+        answer, held = skin.factor(FREE, 2.0).solve_with_held(loads[FREE].reshape(-1, 2)[:, pick])
+        assert_allclose(held, loads[~FREE].reshape(-1, 2)[:, pick], rtol=0.0, atol=1e-10 * size)
+        assert_allclose(answer.reshape(len(x[FREE]), 3, -1)[:, :, 0], x[FREE], rtol=0.0, atol=1e-10)
+
+
+def test_reactions_of_a_skin_with_a_tool_that_moves_are_those_of_the_operator(monkeypatch):
+    monkeypatch.setattr("vdm.formulations.boundary.MAX_NODES", 100)
+    monkeypatch.setattr("vdm.formulations.boundary.COARSE_NODES", 120)
+    points = ELLIPSOID.points
+    tool = points[:, 0] > 0.8
+    load = Load(np.where(points[:, 1] > 0.6, 0.1, 0.0), None, np.where(tool[:, None], [0.01, 0.0, 0.02], 0.0))
+    options = {"formulation": "boundary", "fixed": ~FREE, "constrained": tool}
+    model = Model(points, ELLIPSOID.triangles, Parameters(shear_modulus=2.0), **options)
+    assert isinstance(model.formulation.body, Skin)
+    solution = model.solve([load])
+    u, pressure = solution.displacement[0], solution.fluid_pressure[0]
+    lacking = (
+        model.formulation.apply(u) - (pressure - load.contact_pressure)[:, None] * ELLIPSOID.area_vectors
+    )
+    size = np.abs(solution.reaction_force).max()
+    assert_allclose(lacking, solution.reaction_force[0], rtol=0.0, atol=1e-10 * size)
+    assert_allclose(np.vdot(ELLIPSOID.area_vectors, u), 0.0, rtol=0.0, atol=1e-16)
+    assert_allclose(solution.energy[0], 0.5 * np.vdot(u, model.formulation.apply(u)), rtol=1e-10, atol=0.0)
 
 
 def test_a_skin_held_at_too_few_nodes_is_singular(skin):
@@ -121,7 +147,7 @@ def test_a_skin_held_at_too_few_nodes_is_singular(skin):
     for held in ([], [3], [3, 4]):
         free[held] = False
         with pytest.raises(SolverError, match="hold at least three nodes"):
-            skin.factor(free)
+            skin.factor(free, 1.0)
 
 
 def sphere_of_many() -> SurfaceMesh:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from typing import ClassVar, Protocol
+from typing import ClassVar, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +25,15 @@ class Factor(Protocol):
 
     def solve(self, right_hand_side: Array) -> Array:
         """The solution, same shape."""
+        ...
+
+
+@runtime_checkable
+class ReactingFactor(Factor, Protocol):
+    """A factor that knows the force at held nodes too, at less than the price of K x."""
+
+    def solve_with_held(self, right_hand_side: Array) -> tuple[Array, Array]:
+        """The solution, same shape, and K x at the held nodes, themselves at rest: (n_held d,) or (n_held d, m)."""
         ...
 
 
@@ -59,13 +68,6 @@ class Formulation(ABC):
     @abstractmethod
     def apply(self, x: Array) -> Array:
         """K x, (N, d)."""
-
-    def solved_force(self, x: Array, balanced: Array, free: Mask, factor: Factor) -> Array:  # noqa: ARG002
-        """K x of a linear solution, whose free nodes balance the generalised force `balanced` (N, d).
-
-        For a formulation whose factor knows the force at held nodes at less than the price of K x.
-        """
-        return self.apply(x)
 
     @abstractmethod
     def factor(self, free: Mask) -> Factor:

@@ -11,7 +11,7 @@ from vdm.deformed import DeformedSurface, follow
 from vdm.formulations.base import Factor, Formulation, Mask
 from vdm.formulations.border import DenseColumns
 from vdm.formulations.boundary_integrals import layer_potentials, mass_matrix
-from vdm.formulations.skin import PIVOT_TOLERANCE, Skin, SkinFactor
+from vdm.formulations.skin import PIVOT_TOLERANCE, Skin
 from vdm.formulations.vector import best_rotation
 from vdm.material import ParameterError, Parameters
 from vdm.solution import SolverError, Status
@@ -65,15 +65,7 @@ class BoundaryFormulation(Formulation):
         return self.shear_modulus * self.body.apply(x)
 
     def factor(self, free: Mask) -> Factor:
-        return ScaledFactor(self.body.factor(free), self.shear_modulus)
-
-    def solved_force(self, x: Array, balanced: Array, free: Mask, factor: Factor) -> Array:
-        if not isinstance(factor, ScaledFactor) or not isinstance(factor.factor, SkinFactor):
-            return self.apply(x)
-        force = balanced.copy()
-        mu = self.shear_modulus
-        force[~free] = mu * factor.factor.held_force(balanced[free] / mu, x[~free])
-        return force
+        return self.body.factor(free, self.shear_modulus)
 
     def stiffness(self) -> sparse.csr_array:
         if isinstance(self.body, Skin):
@@ -134,22 +126,10 @@ class Dense:
         force: Array = (self.matrix @ x.reshape(-1)).reshape(-1, 3)
         return force
 
-    def factor(self, free: Mask) -> DenseFactor:
-        """Its factor over the free nodes."""
+    def factor(self, free: Mask, scale: float) -> DenseFactor:
+        """The factor of its multiple over the free nodes."""
         dofs = np.repeat(free, 3)
-        return DenseFactor(self.matrix[np.ix_(dofs, dofs)])
-
-
-class ScaledFactor:
-    """Factor of a multiple of a matrix, from that of the matrix."""
-
-    def __init__(self, factor: DenseFactor | SkinFactor, scale: float) -> None:
-        self.factor = factor
-        self.scale = scale
-
-    def solve(self, right_hand_side: Array) -> Array:
-        """Solution of (n,) or (n, m) right-hand sides."""
-        return self.factor.solve(right_hand_side) / self.scale
+        return DenseFactor(scale * self.matrix[np.ix_(dofs, dofs)])
 
 
 class DenseFactor:

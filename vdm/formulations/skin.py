@@ -76,9 +76,9 @@ class Skin:
         force: Array = self.springs[:, None] * (x - self.spread @ z)
         return force
 
-    def factor(self, free: Mask) -> SkinFactor:
-        """The inverse over the free nodes."""
-        return SkinFactor(self, free)
+    def factor(self, free: Mask, scale: float) -> SkinFactor:
+        """The inverse of its multiple over the free nodes."""
+        return SkinFactor(self, free, scale)
 
     def held_matrix(self, held: Mask) -> Array:
         """(3n, 3n) G of the springs of held nodes alone."""
@@ -89,7 +89,7 @@ class Skin:
 
 
 class SkinFactor:
-    """Inverse of a skin over its free nodes, by one dense matrix of the coarse body.
+    """Inverse of a multiple of a skin over its free nodes, by one dense matrix of the coarse body.
 
     Raises
     ------
@@ -97,7 +97,7 @@ class SkinFactor:
         where the held nodes leave a motion free.
     """
 
-    def __init__(self, skin: Skin, free: Mask) -> None:
+    def __init__(self, skin: Skin, free: Mask, scale: float) -> None:
         matrix = np.asfortranarray(skin.body + skin.held_matrix(~free))
         factor, info = lapack.dpotrf(matrix, lower=1, overwrite_a=1)
         if info:
@@ -106,34 +106,29 @@ class SkinFactor:
         if pivots.min() < PIVOT_TOLERANCE * pivots.max():
             raise SolverError(SINGULAR)
         self._response = lapack.dpotri(factor, lower=1, overwrite_c=1)[0]
-        self._free = free
+        self._response /= scale
         self._spread = skin.spread[free]
         self._gather = sparse.csr_array(self._spread.T)
-        self._give = 1.0 / skin.springs[free, None]
-        held = ~free
-        self._held_springs = skin.springs[held, None]
-        self._held_gather = sparse.csr_array(skin.spread[held].T)
-        # the coarse nodes that held ones hang on, and their rows of W alone
-        near = np.unique(skin.spread[held].indices)
-        self._held_spread = sparse.csr_array(skin.spread[held][:, near])
-        rows = (3 * near[:, None] + np.arange(3)).ravel()
-        below = np.arange(3 * skin.spread.shape[1]) <= rows[:, None]
-        self._held_response = np.where(below, self._response[rows], self._response[:, rows].T)
+        self._give = 1.0 / (scale * skin.springs[free, None])
+        self._held_springs = scale * skin.springs[~free, None]
+        self._held_spread = skin.spread[~free]
 
     def solve(self, right_hand_side: Array) -> Array:
         """Solution of (n_free 3,) or (n_free 3, m) right-hand sides."""
-        force = right_hand_side.reshape(len(self._give), -1)
-        moved = self._give * force + self._spread @ self._coarse(self._gather @ force)
-        return moved.reshape(right_hand_side.shape)
+        return self._solve(right_hand_side)[0]
 
-    def held_force(self, free_force: Array, held: Array) -> Array:
-        """(n_held, 3) elastic force at held nodes moved by `held`, of that at the free ones (n_free, 3)."""
-        pulled = self._gather @ free_force
-        if held.any():
-            pulled = pulled + self._held_gather @ (self._held_springs * held)
-        moved = (self._held_response @ pulled.reshape(-1)).reshape(-1, 3)
-        force: Array = self._held_springs * (held - self._held_spread @ moved)
-        return force
+    def solve_with_held(self, right_hand_side: Array) -> tuple[Array, Array]:
+        """Solution, and the elastic force at the held nodes: their springs pulled by the coarse body."""
+        moved, coarse = self._solve(right_hand_side)
+        pulled = -self._held_springs * _times(self._held_spread, coarse)
+        return moved, pulled.reshape(-1, *right_hand_side.shape[1:])
+
+    def _solve(self, right_hand_side: Array) -> tuple[Array, Array]:
+        force = right_hand_side.reshape(len(self._give), -1)
+        coarse = self._coarse(_times(self._gather, force))
+        moved = _times(self._spread, coarse)
+        moved += self._give * force
+        return moved.reshape(right_hand_side.shape), coarse
 
     def _coarse(self, force: Array) -> Array:
         """W applied to forces (n, 3 m) on the coarse body."""
@@ -143,6 +138,13 @@ class SkinFactor:
         else:
             moved = blas.dsymm(1.0, self._response, columns, lower=1)
         return np.asarray(moved).reshape(force.shape)
+
+
+def _times(matrix: sparse.csr_array, columns: Array) -> Array:
+    """Product with (n, k) columns; a few one by one, which takes scipy two thirds of the time of a block."""
+    if columns.shape[1] > 3:
+        return np.asarray(matrix @ columns)
+    return np.stack([matrix @ column for column in np.ascontiguousarray(columns.T)], axis=1)
 
 
 def _solve_blocks(factor: tuple[Array, bool], matrix: Array) -> Array:

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vdm.constraints import Load
+from vdm.formulations.base import ReactingFactor
 from vdm.problem import Problem, Step
 from vdm.solution import CONVERGED, SolverError, Status
 from vdm.solvers.cholesky import SINGULAR
@@ -27,10 +28,16 @@ class BorderedFactor:
     def __init__(self, problem: Problem) -> None:
         formulation = problem.formulation
         self.free = problem.free
+        self.nodes, self.held_nodes = np.flatnonzero(self.free), np.flatnonzero(~self.free)
         self.n_border = formulation.columns.count
         self.block = formulation.factor(self.free)
         self.volume_row = formulation.rows.first[self.free].reshape(-1)
-        self.response = formulation.response(self.block, formulation.columns.at(self.free))
+        columns = formulation.columns.at(self.free)
+        self.response = formulation.response(self.block, columns)
+        self._reacting = self.block if isinstance(self.block, ReactingFactor) else None
+        if self._reacting is not None:
+            pushes = columns.dense().reshape(-1, self.n_border)
+            self._held_response = self._reacting.solve_with_held(pushes)[1]
         answers = self.response.dense().reshape(-1, self.n_border)
         self.schur = formulation.rows.at(self.free).dotted(answers) + formulation.corner
         self.corner = formulation.corner
@@ -49,22 +56,34 @@ class BorderedFactor:
         """The same with another volume row (n_free d,); K is not factored again, nor solved with the columns."""
         schur = self.schur.copy()
         schur[0] = self.response.dotted(row) + self.corner[0]
-        return self._solve(force, target, row, schur)
+        return self._solve(force, target, row, schur)[:2]
 
     def solve(self, force: Array, target: Array) -> tuple[Array, Array]:
         """Free unknowns (n_free d,) and border unknowns (m,) of a force (n_free d,) and border values (m,).
 
         With k forces at once: (n_free d, k) and (m, k).
         """
+        return self._solve(force, target, self.volume_row, self.schur)[:2]
+
+    def solve_with_held(self, force: Array, target: Array) -> tuple[Array, Array, Array | None]:
+        """The same, and K x at the held nodes at rest (n_held d,) where the block's factor knows it, else None."""
         return self._solve(force, target, self.volume_row, self.schur)
 
-    def _solve(self, force: Array, target: Array, row: Array, schur: Array) -> tuple[Array, Array]:
-        first = self.block.solve(force)
+    def _solve(
+        self, force: Array, target: Array, row: Array, schur: Array
+    ) -> tuple[Array, Array, Array | None]:
+        held = None
+        if self._reacting is None:
+            first = self.block.solve(force)
+        else:
+            first, held = self._reacting.solve_with_held(force)
         met = self.response.dotted(force)
         met[0] = row @ first  # the volume is kept to rounding, however ill-conditioned K is
         border = np.asarray(np.linalg.solve(schur, target - met), dtype=np.float64)
         first += self.response.times(border).reshape(first.shape)
-        return first, border
+        if held is not None:
+            held += self._held_response @ border
+        return first, border, held
 
 
 class LinearSolver:
@@ -85,14 +104,21 @@ class LinearSolver:
         problem, factor = self.problem, self.factor
         force = problem.force(load)
         x = problem.held_unknown(load)
-        right_hand_side = force
+        right_hand_side, lifted = force, None
         target = np.zeros(factor.n_border)
         if x.any():
-            right_hand_side = force - problem.formulation.apply(x)
+            lifted = problem.formulation.apply(x)
+            right_hand_side = force - lifted
             target = -problem.formulation.rows.dotted(x.reshape(-1))
-        free_x, border = factor.solve(right_hand_side[factor.free].reshape(-1), target)
-        x[factor.free] = free_x.reshape(-1, x.shape[1])
-        balanced = force + problem.formulation.columns.times(border)
-        applied = problem.formulation.solved_force(x, balanced, factor.free, factor.block)
+        pushed = np.take(right_hand_side, factor.nodes, axis=0).reshape(-1)
+        free_x, border, held = factor.solve_with_held(pushed, target)
+        x[factor.nodes] = free_x.reshape(-1, x.shape[1])
+        applied = None
+        if held is not None:
+            # the free nodes balance what acts on them
+            applied = force + problem.formulation.columns.times(border)
+            applied[factor.held_nodes] = held.reshape(-1, x.shape[1])
+            if lifted is not None:
+                applied[factor.held_nodes] += lifted[factor.held_nodes]
         status = CONVERGED if np.isfinite(free_x).all() else NOT_FINITE
         return problem.finish(x, border, force, status=status, applied=applied)
