@@ -142,6 +142,7 @@ class CondensedProblem:
                 "poisson_ratio": self.problem.poisson_ratio,
                 "density": self.problem.density,
                 "solver": self.problem.solver.name,
+                "factorisation": self.problem.solver.library,
                 "contact_nodes": float(len(self.nodes)),
                 "columns": float(self.matrix.shape[1]),
                 "matrix_bytes": float(self.bytes),

@@ -234,6 +234,7 @@ class FiniteStrainProblem:
                 "poisson_ratio": self.poisson_ratio,
                 "density": self.density,
                 "solver": self.solver.preconditioner.name,
+                "factorisation": self.solver.preconditioner.library,
                 "solver_reason": self.solver.reason,
                 "solver_estimated_bytes": self.solver.preconditioner.estimated_bytes,
                 "factorisations": float(self.solver.factorisations - factorisations),

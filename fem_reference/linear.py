@@ -268,6 +268,7 @@ class LinearProblem:
             "density": self.density,
             "contrast": self.contrast,
             "solver": self.solver.name,
+            "factorisation": self.solver.library,
             "solver_reason": self.solver.reason,
             "solver_estimated_bytes": self.solver.estimated_bytes,
             "dofs": float(self.system.size),

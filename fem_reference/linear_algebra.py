@@ -7,11 +7,11 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
-import rslab
 from numpy.typing import NDArray
 from scipy.sparse import csc_array
 from threadpoolctl import threadpool_limits
 
+from fem_reference.factorisation import LIBRARY, analyse, direct_bytes, direct_seconds, pivotable_triangle
 from fem_reference.krylov import RESTART, gmres, independent_columns
 from fem_reference.memory import available_memory, check_memory
 from fem_reference.multigrid import BlockPreconditioner
@@ -27,8 +27,6 @@ BATCH = 32  # right-hand sides per triangular solve: beyond it a single one gets
 _MANY_LOADS = 8 * BATCH
 DIRECT_TOLERANCE = 1e-9
 ITERATIVE_TOLERANCE = 1e-8
-# The factor of an incompressible system needs a small pressure block; refinement takes its effect out again.
-_LEAST_COMPRESSIBILITY = 1e-7
 _REFINED = 1e-12
 _MAX_REFINEMENTS = 6
 # GMRES stops below the tolerance that is promised: reactions balance the load only as well as the residual.
@@ -55,11 +53,12 @@ class Solved:
 class Solver(Protocol):
     """A system ready to be solved for many right-hand sides.
 
-    `reason` says why it was chosen, `tolerance` is the relative residual that counts as converged and
-    `estimated_bytes` what it was expected to need.
+    `reason` says why it was chosen, `tolerance` is the relative residual that counts as converged,
+    `estimated_bytes` what it was expected to need and `library` which one factorised, "none" for none.
     """
 
     name: str
+    library: str
     reason: str
     tolerance: float
     estimated_bytes: float
@@ -70,7 +69,7 @@ class Solver(Protocol):
 
 
 class DirectSolver:
-    """Sparse LDL^T of the symmetric indefinite system, with iterative refinement on the true residual.
+    """A sparse factor of the symmetric indefinite system, with iterative refinement on the true residual.
 
     The factor is stored in single precision: half the memory and half the time, and two steps of refinement
     bring the residual to rounding in double precision. Where they do not, the factor is made anew in double; for
@@ -83,14 +82,15 @@ class DirectSolver:
     """
 
     name = "direct"
+    library = LIBRARY
     tolerance = DIRECT_TOLERANCE
 
     def __init__(self, system: LinearSystem, memory_limit: float | None, reason: str, loads: int = 1) -> None:
         self.reason = reason
         self._system = system
         self._memory_limit = memory_limit
-        matrix = self._matrix()
-        self._symbolic = rslab.analyze(matrix, path="ldlt")
+        matrix = pivotable_triangle(system)
+        self._analysis = analyse(matrix)
         allowed = available_memory() if memory_limit is None else memory_limit
         double = loads >= _MANY_LOADS and self._needed("float64") <= allowed
         self._factorise("float64" if double else "float32", matrix)
@@ -103,21 +103,16 @@ class DirectSolver:
             part = slice(start, start + BATCH)
             x[:, part], residual[part] = self._refine(rhs[:, part])
             if self.precision == "float32" and not residual[part].max() <= DIRECT_TOLERANCE:
-                self._factorise("float64", self._matrix())
+                self._factorise("float64", pivotable_triangle(self._system))
                 x[:, part], residual[part] = self._refine(rhs[:, part])
         return Solved(x, residual, np.zeros(rhs.shape[1], dtype=np.int64))
-
-    def _matrix(self) -> csc_array:
-        system = self._system
-        floor = _LEAST_COMPRESSIBILITY if system.compressibility >= 0.0 else system.compressibility
-        return system.lower_triangle(max(system.compressibility, floor))
 
     def _factorise(self, precision: str, matrix: csc_array) -> None:
         self.precision = precision
         self.estimated_bytes = self._needed(precision)
         check_memory(self.estimated_bytes, self._memory_limit, self.name)
         try:
-            self._factor = self._symbolic.factor(matrix, factor_dtype=precision)
+            self._factor = self._analysis.factor(matrix, precision)
         except RuntimeError as error:  # a pivot is zero at this precision
             if precision == "float32":
                 self._factorise("float64", matrix)
@@ -131,7 +126,7 @@ class DirectSolver:
             ) from error
 
     def _needed(self, precision: str) -> float:
-        return float(self._symbolic.memory_plan(dtype=precision, nrhs=BATCH)["peak_bytes"])
+        return self._analysis.needed_bytes(precision, BATCH)
 
     def _refine(self, rhs: Array) -> tuple[Array, Array]:
         return refine(self._system.apply, self._factor.solve_many, np.ascontiguousarray(rhs))
@@ -141,6 +136,7 @@ class IterativeSolver:
     """GMRES with the block-triangular multigrid preconditioner."""
 
     name = "iterative"
+    library = "none"
     tolerance = ITERATIVE_TOLERANCE
 
     def __init__(self, system: LinearSystem, memory_limit: float | None, reason: str) -> None:
@@ -207,6 +203,7 @@ class IterativeThenDirect:
     def _use(self, solver: DirectSolver | IterativeSolver) -> None:
         self._current = solver
         self.name = solver.name
+        self.library = solver.library
         self.reason = solver.reason
         self.estimated_bytes = solver.estimated_bytes
 
@@ -266,7 +263,7 @@ def estimate_costs(unknowns: int, vertices: int, loads: int, stiffening: float =
     coarse = 3000.0 * vertices
     iterations = float(np.sqrt(max(1.0, stiffening)))
     return {
-        "direct": Estimate(10.0 * size**1.6 + loads * 0.1 * size**1.3, 8.4e8 * size**1.3),
+        "direct": Estimate(direct_seconds(unknowns, loads), direct_bytes(unknowns)),
         "iterative": Estimate(0.8 * size + loads * 2.8 * iterations * size**1.1, vectors + coarse),
     }
 

@@ -1,6 +1,6 @@
 """Linear solves of Newton's method: GMRES on the true tangent, preconditioned by a factor that is kept.
 
-A follower pressure makes the tangent unsymmetric, but only at loaded facets: the LDL^T factor of the symmetric
+A follower pressure makes the tangent unsymmetric, but only at loaded facets: a factor of the symmetric
 part, or of an earlier tangent, is a close approximation at half the cost of an LU factor. It is made anew only when
 GMRES begins to need more steps than a factor is worth.
 """
@@ -12,9 +12,9 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
-import rslab
 from numpy.typing import NDArray
 
+from fem_reference.factorisation import LIBRARY, analyse, pivotable_triangle
 from fem_reference.krylov import gmres
 from fem_reference.linear_algebra import SOLVERS, estimate_costs
 from fem_reference.memory import available_memory, check_memory
@@ -30,7 +30,6 @@ Operator = Callable[[Array], Array]
 _NEWTON_STEPS = 4
 _PREPARATIONS = {"direct": 1.5, "iterative": 1.0}
 _EFFORT = {"direct": 12.0, "iterative": 0.5}
-_LEAST_COMPRESSIBILITY = 1e-7
 
 
 @dataclass(frozen=True)
@@ -44,11 +43,13 @@ class TangentSystem:
 class Preconditioner(Protocol):
     """Makes approximate inverses of symmetric systems with one sparsity pattern.
 
-    `patience` is the number of GMRES steps after which a new one is cheaper, `limit` that which counts as failed.
-    `sharpen` makes it more exact for good and says whether it could.
+    `library` is what factorises, "none" for multigrid; `patience` is the number of GMRES steps after which a new
+    one is cheaper, `limit` that which counts as failed. `sharpen` makes it more exact for good and
+    says whether it could.
     """
 
     name: str
+    library: str
     patience: int
     limit: int
     estimated_bytes: float
@@ -63,23 +64,24 @@ class Preconditioner(Protocol):
 
 
 class Factors:
-    """Sparse LDL^T in single precision, in double once that has failed; one symbolic analysis for all."""
+    """A sparse factor in single precision, in double once that has failed; one symbolic analysis for all."""
 
     name = "direct"
+    library = LIBRARY
     patience = 40
     limit = 60
 
     def __init__(self, system: LinearSystem, memory_limit: float | None) -> None:
         self._precision = "float32"
         self._memory_limit = memory_limit
-        self._symbolic = rslab.analyze(_lower_triangle(system), path="ldlt")
+        self._analysis = analyse(pivotable_triangle(system))
         self.estimated_bytes = self._needed(self._precision)
         check_memory(self.estimated_bytes, memory_limit, self.name)
 
     def make(self, system: LinearSystem) -> Operator | None:
         """See `Preconditioner`."""
         try:
-            factor = self._symbolic.factor(_lower_triangle(system), factor_dtype=self._precision)
+            factor = self._analysis.factor(pivotable_triangle(system), self._precision)
         except RuntimeError:  # a pivot is zero at this precision
             return self.make(system) if self.sharpen() else None
         return lambda residual: np.asarray(factor.solve(residual))
@@ -94,13 +96,14 @@ class Factors:
         return True
 
     def _needed(self, precision: str) -> float:
-        return float(self._symbolic.memory_plan(dtype=precision, nrhs=1)["peak_bytes"])
+        return self._analysis.needed_bytes(precision, 1)
 
 
 class Multigrid:
     """The block-triangular multigrid preconditioner of the linear path, on the tangent."""
 
     name = "iterative"
+    library = "none"
     patience = 100
     limit = 400
 
@@ -202,11 +205,6 @@ def _choose(system: LinearSystem, expected_loads: int, memory_limit: float | Non
     )
     direct = second["direct"].bytes <= allowed and seconds["direct"] <= seconds["iterative"]
     return ("direct" if direct else "iterative"), reason
-
-
-def _lower_triangle(system: LinearSystem) -> object:
-    floor = _LEAST_COMPRESSIBILITY if system.compressibility >= 0.0 else system.compressibility
-    return system.lower_triangle(max(system.compressibility, floor))
 
 
 def _allowed(memory_limit: float | None) -> float:

@@ -32,6 +32,8 @@ PACKAGES = {
     "pyamg": "pyamg",
     "cholespy": "cholespy",
 }
+# packages that are not needed, and what is done without them
+_FALLBACKS = {"rslab": "finite elements factorise with SciPy's SuperLU instead, slower and in more memory"}
 
 
 class Finding(NamedTuple):
@@ -85,15 +87,17 @@ def examine(directory: Path = Path()) -> list[Finding]:
 
 def _package(name: str, module: str) -> Finding:
     remedy = f"pip install --constraint constraints.txt {name}"
+    needed = name not in _FALLBACKS
+    without = "" if needed else f": {_FALLBACKS[name]}"
     try:
         version = importlib.metadata.version(name)
     except importlib.metadata.PackageNotFoundError:
-        return Finding(name, False, True, "not installed", remedy)
+        return Finding(name, False, needed, f"not installed{without}", remedy)
     try:
         importlib.import_module(module)
     except (ImportError, OSError) as error:  # a wheel whose shared library is missing raises OSError
-        return Finding(name, False, True, f"{version}, but it cannot be loaded: {error}", remedy)
-    return Finding(name, True, True, version, "")
+        return Finding(name, False, needed, f"{version}, but it cannot be loaded ({error}){without}", remedy)
+    return Finding(name, True, needed, version, "")
 
 
 def _memory() -> Finding:

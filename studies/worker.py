@@ -8,7 +8,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from datetime import UTC, datetime
 from functools import cache
-from importlib.metadata import version
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
@@ -244,11 +244,18 @@ def provenance(mesh: Mesh) -> dict[str, str]:
 @cache
 def _machine() -> dict[str, str]:
     return {
-        **{f"package.{name}": version(name) for name in PACKAGES},
+        **{f"package.{name}": _version(name) for name in PACKAGES},
         "python": platform.python_version(),
         "platform": platform.platform(),
         "processor": _processor(),
     }
+
+
+def _version(package: str) -> str:
+    try:
+        return version(package)
+    except PackageNotFoundError:  # one that can be done without
+        return "not installed"
 
 
 def _processor() -> str:
