@@ -148,7 +148,7 @@ def test_a_singular_matrix_is_told_by_superlu_too(monkeypatch: pytest.MonkeyPatc
     monkeypatch.setattr(factorisation, "rslab", None)
     system = _system(2, 0.3)
     system.stiffness.data[:] = 0.0
-    assert system.divergence is not None
-    system.divergence.data[:] = 0.0
+    assert system.gradient is not None
+    system.gradient.data[:] = 0.0
     with pytest.raises(SolverError, match="the stiffness matrix is singular; hold more of the surface"):
         DirectSolver(system, None, "")
