@@ -68,6 +68,7 @@ def run_plan(
         write_atomically(plan.directory / "resolved.toml", tomli_w.dumps(resolved(plan.study)).encode())
         write_atomically(plan.directory / "plan.json", json.dumps(summary(plan), indent=1).encode())
         _run_missing(plan, options, watch)
+        _tidy(plan)  # a worker may have been killed
         return rebuild(plan.directory)
 
 
