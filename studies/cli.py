@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import os
+import re
 import signal
 import sys
 from collections.abc import Sequence
@@ -101,6 +102,12 @@ def _parser() -> argparse.ArgumentParser:
     run.add_argument("--fresh", action="store_true", help="run every case again")
     run.add_argument("--fail-fast", action="store_true", help="stop at the first failure")
     run.add_argument("--timeout", type=_positive_seconds, metavar="S", help="seconds that one case may take")
+    run.add_argument(
+        "--memory",
+        type=_bytes,
+        metavar="SIZE",
+        help="memory that one worker may take, such as 4GB (default: the machine's, divided by the jobs)",
+    )
     calibrate = study_verb(
         "calibrate",
         cli_study.calibrate_verb,
@@ -161,6 +168,13 @@ def _positive_seconds(text: str) -> float:
     if not value > 0:
         raise argparse.ArgumentTypeError("must be more than 0")
     return value
+
+
+def _bytes(text: str) -> int:
+    found = re.fullmatch(r"([0-9]+(?:\.[0-9]+)?) ?(kB|MB|GB|TB)", text)
+    if found is None or float(found[1]) == 0:
+        raise argparse.ArgumentTypeError("write a size such as 500MB or 4GB")
+    return int(float(found[1]) * 1000 ** (1 + ["kB", "MB", "GB", "TB"].index(found[2])))
 
 
 def _shard(text: str) -> tuple[int, int]:

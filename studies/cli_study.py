@@ -109,6 +109,7 @@ def run_verb(options: argparse.Namespace) -> int:
         jobs=options.jobs or os.cpu_count() or 1,
         shard=options.shard,
         timeout=options.timeout,
+        memory=options.memory,
         fail_fast=options.fail_fast,
         fresh=options.fresh,
     )

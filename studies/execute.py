@@ -13,6 +13,7 @@ import fcntl
 import json
 import multiprocessing
 import os
+import re
 import signal
 import sys
 import threading
@@ -27,6 +28,7 @@ from pathlib import Path
 from typing import Any
 
 from .files import write_atomically
+from .memory import limit_memory
 from .mesh import InputError
 
 Task = Mapping[str, Any]
@@ -34,6 +36,11 @@ Group = Sequence[Task]
 # imported once, before the workers are forked: what every case needs, and no case should be timed with
 PRELOAD = ["studies.worker", "vdm.model", "fem_reference.linear", "scipy.spatial"]
 LOG = ".log"  # ends the hidden names of workers' logs
+_MORE_MEMORY = "use a coarser mesh, fewer --jobs, or allow more with --memory"
+# what C++, Rust, the system and its loader of libraries say where memory runs out
+_OUT_OF_MEMORY = re.compile(
+    "bad_alloc|memory allocation of|cannot allocate memory|cannot map zero-fill|failed to map segment", re.I
+)
 _GRACE = 5.0  # s between asking a worker to stop and killing it
 
 
@@ -86,6 +93,7 @@ def run_tasks(
     jobs: int,
     log_directory: Path,
     timeout: float | None = None,
+    memory: int | None = None,
     fail_fast: bool = False,
     started: Callable[[Task], None],
 ) -> Iterator[Outcome]:
@@ -97,6 +105,7 @@ def run_tasks(
     Parameters
     ----------
     together : entered around the tasks of a group of more than one: does what they share, and lets go of it
+    memory : bytes that one worker may take, so that no case can take another's or the machine's
     timeout : seconds that one task may take; what a group shares may take as much as its tasks together
     """
     context = multiprocessing.get_context("forkserver")
@@ -110,7 +119,7 @@ def run_tasks(
             while queue and len(running) < jobs:
                 tasks = queue.pop()
                 started(tasks[0])
-                running.append(_start(context, work, together, tasks, threads, log_directory))
+                running.append(_start(context, work, together, tasks, threads, memory, log_directory))
             ready = [part for r in running for part in (r.answer, r.process.sentinel)]
             wait(ready, timeout=0.2 if timeout else None)
             for r in list(running):
@@ -140,11 +149,12 @@ def _start(
     together: Callable[[Group], AbstractContextManager[None]] | None,
     tasks: list[Task],
     threads: int,
+    memory: int | None,
     logs: Path,
 ) -> _Running:
     reader, writer = context.Pipe(duplex=False)
     log = logs / f".{tasks[0]['id']}.{os.getpid()}{LOG}"
-    arguments = (work, together if len(tasks) > 1 else None, tasks, threads, writer, str(log))
+    arguments = (work, together if len(tasks) > 1 else None, tasks, threads, memory, writer, str(log))
     process = context.Process(target=_main, args=arguments, daemon=True)
     process.start()
     writer.close()
@@ -188,13 +198,15 @@ def _finish(r: _Running, timeout: float | None) -> tuple[Outcome | None, list[li
     if not alone:
         # while at what they share it may be any one's fault; else the rest may go on together
         return None, [[task] for task in r.tasks] if not r.begun else [[culprit], *([rest] if rest else [])]
-    return Outcome(culprit, "crashed", seconds, *_death(r.process.exitcode or 0), log), []
+    return Outcome(culprit, "crashed", seconds, *_death(r.process.exitcode or 0, log), log), []
 
 
-def _death(code: int) -> tuple[str, str]:
+def _death(code: int, log: str) -> tuple[str, str]:
     """What an exit code of a worker that died means, and what to do."""
+    if _OUT_OF_MEMORY.search(log):
+        return "out of memory", _MORE_MEMORY
     if code == -signal.SIGKILL:
-        return "killed by the system, most likely out of memory", "use a coarser mesh or fewer --jobs"
+        return "killed by the system, most likely out of memory", _MORE_MEMORY
     if code < 0:
         return (
             f"the worker crashed with signal {signal.Signals(-code).name}",
@@ -216,6 +228,7 @@ def _main(
     together: Callable[[Group], AbstractContextManager[None]] | None,
     tasks: Group,
     threads: int,
+    memory: int | None,
     answer: Any,
     log: str,
 ) -> None:
@@ -227,6 +240,8 @@ def _main(
     os.dup2(descriptor, 1)
     os.dup2(descriptor, 2)
     threading.Thread(target=_end_with_parent, daemon=True).start()
+    if memory is not None:
+        limit_memory(memory)
     from threadpoolctl import threadpool_limits
 
     with threadpool_limits(threads), together(tasks) if together else contextlib.nullcontext():
@@ -234,6 +249,8 @@ def _main(
             os.ftruncate(descriptor, 0)  # the log is that of the task at work
             answer.send_bytes(json.dumps(None).encode())
             code, message, remedy = _attempt(work, task, alone=len(tasks) == 1)
+            if _OUT_OF_MEMORY.search(message):
+                message, remedy = "out of memory", _MORE_MEMORY
             sys.stdout.flush()
             sys.stderr.flush()
             size = os.fstat(descriptor).st_size
@@ -258,7 +275,7 @@ def _attempt(work: Callable[[Task], None], task: Task, *, alone: bool) -> tuple[
     except MemoryError:
         if not alone:
             os._exit(1)
-        return "error", "out of memory", "use a coarser mesh or fewer --jobs"
+        return "error", "out of memory", _MORE_MEMORY
     except OSError as error:
         return "error", f"{error}", "check free space and permissions"
     except InputError as error:

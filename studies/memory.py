@@ -1,14 +1,37 @@
-"""Peak resident memory of a stretch of work, from Linux's own accounting."""
+"""Memory from Linux's own accounting: what a stretch of work took at its peak, and how much a process may take."""
 
 from __future__ import annotations
 
 import contextlib
 import ctypes
+import os
 import resource
 from pathlib import Path
 
 _STATUS = Path("/proc/self/status")
 _CLEAR = Path("/proc/self/clear_refs")
+_CONTAINER = ("/sys/fs/cgroup/memory.max", "/sys/fs/cgroup/memory/memory.limit_in_bytes")  # versions 2 and 1
+
+
+def machine_memory() -> int:
+    """Bytes of memory of this machine, or of this container where it may take less."""
+    sizes = [os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")]
+    for name in _CONTAINER:
+        with contextlib.suppress(OSError, ValueError):  # not there, or "max"
+            sizes.append(int(Path(name).read_text()))
+    return min(sizes)
+
+
+def limit_memory(size: int) -> None:
+    """Let this process take so many bytes more, for the rest of its life; then allocations fail.
+
+    What counts is private data (RLIMIT_DATA), touched or not; on another system than Linux nothing is limited.
+    """
+    if _STATUS.exists():
+        _, hard = resource.getrlimit(resource.RLIMIT_DATA)
+        wanted = _read("VmData") + size
+        limit = wanted if hard == resource.RLIM_INFINITY else min(wanted, hard)
+        resource.setrlimit(resource.RLIMIT_DATA, (limit, hard))
 
 
 def reset_peak() -> int:

@@ -100,6 +100,8 @@ def _read(path: Path) -> meshio.Mesh:
             warnings.simplefilter("ignore")
             warnings.filterwarnings("error", message="string or file could not be read to its end")
             return _READERS[suffix](str(path))
+    except MemoryError:
+        raise
     except Exception as error:  # meshio fails on damaged files with whatever its parsing runs into
         raise MeshError(f"cannot be read as {suffix}; it is damaged, truncated or of another kind") from error
 

@@ -19,6 +19,7 @@ from .config import resolved
 from .execute import LOG, Group, Outcome, run_tasks, write_failure
 from .explain import summary
 from .files import clear_abandoned, write_atomically
+from .memory import machine_memory
 from .plan import Plan, PlannedMesh, task_of
 from .store import case_path, failure_path, read_plan, read_run, write_study
 from .worker import make_mesh, run_case, share
@@ -40,11 +41,12 @@ class Event:
 
 @dataclass(frozen=True)
 class Options:
-    """How to run. `timeout` is per case [s]."""
+    """How to run. `timeout` is per case [s], `memory` per worker [bytes], by default its share of the machine's."""
 
     jobs: int
     shard: tuple[int, int] = (1, 1)
     timeout: float | None = None
+    memory: int | None = None
     fail_fast: bool = False
     fresh: bool = False
 
@@ -153,6 +155,7 @@ def _watched(
         jobs=options.jobs,
         log_directory=logs,
         timeout=options.timeout,
+        memory=options.memory or machine_memory() // options.jobs,
         fail_fast=options.fail_fast,
         started=started,
     ):

@@ -38,6 +38,15 @@ def _work(task: Mapping[str, Any]) -> None:
         time.sleep(60)
     elif kind == "memory error":
         raise MemoryError
+    elif kind == "takes too much":
+        np.ones(10**7)  # 80 MB
+    elif kind == "takes a little":
+        np.ones(10**5)
+    elif kind == "aborts for memory":
+        os.write(2, b"terminate called after throwing an instance of 'std::bad_alloc'\n")
+        os.abort()
+    elif kind == "misses a library":
+        raise ImportError("libGLU.so.1: failed to map segment from shared object")
     elif kind == "exit by library":
         sys.exit(3)
     elif kind == "threads":
@@ -118,9 +127,25 @@ def test_each_failure_costs_its_own_task_only(tmp_path: Path) -> None:
     assert list((tmp_path / "logs").iterdir()) == [], "logs travel with the outcome"
 
 
+@pytest.mark.parametrize("kind", ["takes too much", "aborts for memory", "misses a library"])
+def test_memory_that_ran_out_is_told_as_such(tmp_path: Path, kind: str) -> None:
+    """Alone and in company: numpy's refusal, C++'s end, a library that finds no room."""
+    alone = _run(tmp_path, kind, "takes a little", memory=60_000_000)
+    found, _ = _run_group(tmp_path, "takes a little", kind, "write", memory=60_000_000)
+    assert alone["takes a little"].ok
+    assert [found[n].ok for n in "012"] == [True, False, True]
+    for outcome in (alone[kind], found["1"]):
+        assert outcome.message == "out of memory"
+        assert "--memory" in outcome.remedy
+
+
+def test_without_a_limit_a_task_takes_what_it_wants(tmp_path: Path) -> None:
+    assert _run(tmp_path, "takes too much")["takes too much"].ok
+
+
 def test_a_slow_task_is_stopped(tmp_path: Path) -> None:
     began = time.monotonic()
-    outcomes = _run(tmp_path, "sleep", "write", timeout=1.0)
+    outcomes = _run(tmp_path, "sleep", "write", timeout=2.5)
     assert outcomes["sleep"].code == "timeout"
     assert "--timeout" in outcomes["sleep"].remedy
     assert outcomes["write"].ok
@@ -171,7 +196,7 @@ def test_a_failure_in_a_group_ends_its_task_only(tmp_path: Path) -> None:
 
 
 def test_a_slow_task_of_a_group_is_stopped_alone(tmp_path: Path) -> None:
-    outcomes, begun = _run_group(tmp_path, "write", "sleep", "write", timeout=1.0)
+    outcomes, begun = _run_group(tmp_path, "write", "sleep", "write", timeout=2.5)
     assert [outcomes[n].code for n in "012"] == ["done", "timeout", "done"]
     assert begun == ["0", "1", "2"], "a task that took its time is not tried again"
 
@@ -179,7 +204,7 @@ def test_a_slow_task_of_a_group_is_stopped_alone(tmp_path: Path) -> None:
 @pytest.mark.parametrize("shared", ["segfault", "bug", "sleep"])
 def test_what_a_group_shares_may_fail(tmp_path: Path, shared: str) -> None:
     """Then each task is done alone."""
-    outcomes, begun = _run_group(tmp_path, "write", "write", shared=shared, timeout=1.0)
+    outcomes, begun = _run_group(tmp_path, "write", "write", shared=shared, timeout=2.5)
     assert [outcomes[n].code for n in "01"] == ["done", "done"]
     assert sorted(begun) == ["0", "0", "1"]
 
