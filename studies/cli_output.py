@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import os
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -49,10 +49,23 @@ def print_run(run: Run, directory: Path, report: Path, as_json: bool) -> int:
                 f"failed: {failure['label'] or failure['hash'][:12]}: {failure['message']}{remedy}", FAILED
             )
         print(f"{len(run.cases)} done, {len(run.failed)} failed, {len(run.missing)} missing")
+        if told := taken(run.plan):
+            print(told)
         print(f"report: {report}")
     if run.failed and not run.cases and all(failure["code"] == "input" for failure in run.failed):
         return USAGE  # nothing could be done with what the user gave
     return FAILED if run.failed else OK
+
+
+def taken(plan: Mapping[str, Any]) -> str:
+    """What the last run took beside what its plan had expected; "" where that is not known."""
+    spent, expected = plan.get("taken"), plan.get("estimate")
+    if not isinstance(spent, dict) or not isinstance(expected, dict):
+        return ""
+    seconds, jobs, before = spent.get("seconds"), spent.get("jobs"), expected.get("seconds")
+    if not (isinstance(seconds, float) and isinstance(jobs, int) and isinstance(before, float)):
+        return ""
+    return f"took {seconds:.0f} s with {count(jobs, 'job')}; expected {before:.0f} s on one core"
 
 
 def print_table(rows: Sequence[dict[str, str]]) -> None:

@@ -18,12 +18,13 @@ from .cli_output import (
     print_run,
     print_table,
     results_directory,
+    taken,
 )
 
 
 def status_verb(options: argparse.Namespace) -> int:
     """Print what is done, failed, damaged and missing."""
-    from .store import run_state
+    from .store import read_plan, run_state
 
     state = run_state(options.directory)
     if options.json:
@@ -31,6 +32,8 @@ def status_verb(options: argparse.Namespace) -> int:
     else:
         kinds = ("done", *(["stale"] if state["stale"] else []), "failed", "damaged", "missing")
         print(", ".join(f"{len(state[kind])} {kind}" for kind in kinds))
+        if told := taken(read_plan(options.directory)):
+            print(told)
         for entry in state["failed"]:
             print(
                 f"failed: {entry['label']}: {entry['message']}"

@@ -6,6 +6,7 @@ import dataclasses
 import fcntl
 import json
 import os
+import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, ExitStack, contextmanager
 from dataclasses import dataclass
@@ -68,10 +69,16 @@ def run_plan(
         _tidy(plan)
         write_atomically(plan.directory / "study.toml", study_text.encode())
         write_atomically(plan.directory / "resolved.toml", tomli_w.dumps(resolved(plan.study)).encode())
-        write_atomically(plan.directory / "plan.json", json.dumps(summary(plan), indent=1).encode())
+        planned = summary(plan)
+        write_atomically(plan.directory / "plan.json", json.dumps(planned, indent=1).encode())
+        began = time.perf_counter()
         _run_missing(plan, options, watch)
         _tidy(plan)  # a worker may have been killed
-        return rebuild(plan.directory)
+        run, report = rebuild(plan.directory)
+        if options.shard == (1, 1) and not options.fresh and planned["cases_to_run"]:
+            planned["taken"] = {"seconds": time.perf_counter() - began, "jobs": options.jobs}
+            write_atomically(plan.directory / "plan.json", json.dumps(planned, indent=1).encode())
+        return dataclasses.replace(run, plan=planned), report
 
 
 def rebuild(directory: Path) -> tuple[Run, Path]:

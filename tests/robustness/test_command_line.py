@@ -47,6 +47,18 @@ def test_a_run_leaves_all_that_the_contract_names(finished: Path) -> None:
     assert (run / "study.toml").read_text() == (finished / "small.toml").read_text()
 
 
+def test_status_says_what_the_run_took_beside_what_was_expected(copy: Path) -> None:
+    said = vdmbench("status", RUN, cwd=copy).stdout
+    plan = json.loads((copy / RUN / "plan.json").read_text())
+    spent, expected = plan["taken"], plan["estimate"]["seconds"]
+    assert f"took {spent['seconds']:.0f} s with {spent['jobs']} job" in said
+    assert f"expected {expected:.0f} s on one core" in said
+    plan["taken"] = {"seconds": "<b>", "jobs": None}
+    (copy / RUN / "plan.json").write_text(json.dumps(plan))
+    result = vdmbench("status", RUN, cwd=copy)
+    assert (result.returncode, "took" in result.stdout, result.stderr) == (0, False, "")
+
+
 def test_resolved_toml_says_the_same(finished: Path) -> None:
     resolved = finished / RUN / "resolved.toml"
     a, b = (json.loads(vdmbench("plan", p, "--json", cwd=finished).stdout) for p in ("small.toml", resolved))

@@ -119,6 +119,27 @@ def test_shared_numbers_are_those_of_each_case_alone(tmp_path: Path, cache: Path
                 assert_allclose(values, entry.values, rtol=1e-9, atol=1e-13, err_msg=f"{name} {metric}")
 
 
+HISTORY = {"load": {"factors": [0.25, 0.5, 1.0]}, "sweep": {}, "uncertainty": None}
+TISSUES = {"sweep": {"tissue.poisson_ratio": [0.45, 0.49], "constraints.finger.force": [0.1, 0.3]}}
+PARAMETERS = {"sweep": {"vdm.surface_tension": [20.0, 30.0, 40.0]}, "vdm": {"surface_tension": 20.0}}
+WEIGHT = {"gravity": {"acceleration": [0.0, 0.0, -9.81]}}
+SUPPORTS = {"sweep": {"regions.base.below.fraction": [0.2, 0.3], "constraints.finger.force": [0.1, 0.3]}}
+
+
+@pytest.mark.parametrize("changes", [HISTORY, TISSUES, PARAMETERS, WEIGHT, SUPPORTS])
+def test_what_is_planned_is_what_is_done(tmp_path: Path, made: Counter[str], changes: dict[str, Any]) -> None:
+    plan = plan_of(tmp_path, tmp_path / "cache", **changes)
+    work = counted.work_of(plan, plan.cases)
+    run(plan)
+    of_fem, of_vdm = ([part for part in work if part.name == name] for name in ("fem-linear", "vdm-vector"))
+    planned = {
+        "fem set-ups": sum(part.setups for part in of_fem),
+        "fem solves": sum(part.solves for part in of_fem),
+        "vdm set-ups": sum(part.setups for part in of_vdm),
+    }
+    assert made == planned
+
+
 def test_a_further_model_costs_that_model(tmp_path: Path, cache: Path, made: Counter[str]) -> None:
     before = run(plan_of(tmp_path, cache))
     made.clear()
