@@ -15,7 +15,8 @@ from vdm.formulations.base import Factor
 from vdm.formulations.paper import PaperFormulation
 from vdm.material import ParameterError, Parameters
 from vdm.problem import Problem, Step, check_held
-from vdm.solution import Solution
+from vdm.solution import Solution, SolverError
+from vdm.solvers.condition import Condition, condition_of_matrix, condition_of_operator
 from vdm.solvers.krylov import KrylovSolver
 from vdm.solvers.linear import LinearSolver
 from vdm.solvers.lu import CONSTRAINT_METHODS, ConstraintMethod, LuSolver
@@ -34,7 +35,17 @@ class Solver(Protocol):
         ...
 
 
-SOLVERS: tuple[str, ...] = ("linear", "lu", "quasi-linear", "nonlinear", "bicg", "bicg-cold", "cg", "minres")
+SOLVERS: tuple[str, ...] = (
+    "linear",
+    "single",
+    "lu",
+    "quasi-linear",
+    "nonlinear",
+    "bicg",
+    "bicg-cold",
+    "cg",
+    "minres",
+)
 OUTPUTS: tuple[str, ...] = ("nodal_stress", "normal_traction")
 
 
@@ -108,10 +119,12 @@ class Model:
         self.solver = _make_solver(solver, self.problem, constraint_method, penalty, volume_row)
         self.seconds_setup = time.perf_counter() - start
 
-    def solve(self, loads: Sequence[Load]) -> Solution:
+    def solve(self, loads: Sequence[Load], condition: bool = False) -> Solution:
         """One step per load.
 
         `fluid_pressure` is dP + P_ep at the datum, the highest surface point along gravity (17).
+        With `condition`, `scalars["condition_estimate"]` is that of the whole system that is solved, from
+        `condition_estimate`, the same for all steps.
 
         Raises
         ------
@@ -138,8 +151,37 @@ class Model:
             seconds_setup=self.seconds_setup,
             seconds_per_step=np.array(seconds),
             parameters=self._record(),
+            scalars=self._condition(len(steps)) if condition else {},
             point_fields={name: self._point_field(name, steps) for name in self.outputs},
         )
+
+    def condition_estimate(self) -> Condition:
+        """How well conditioned that is which the solver solves, see `vdm.solvers.condition`.
+
+        For "lu" and "bicg" the state matrix in the units it has in print, with its penalty; for all others the
+        symmetric operator at rest, scaled.
+
+        Raises
+        ------
+        SolverError
+            where there is no matrix: the boundary formulation of many nodes.
+        """
+        solver, n_border = self.solver, self.formulation.columns.count
+        if isinstance(solver, LuSolver):
+            return condition_of_matrix(solver.solved_matrix(), n_border)
+        if isinstance(solver, KrylovSolver) and solver.method == "bicg":
+            return condition_of_matrix(solver.matrix, n_border)
+        if isinstance(solver, LinearSolver | QuasiLinearSolver | NonlinearSolver):
+            single = isinstance(solver, LinearSolver) and solver.precision == "single"
+            return condition_of_operator(self.problem, None if single else solver.factor)
+        return condition_of_operator(self.problem)
+
+    def _condition(self, n_steps: int) -> dict[str, Array]:
+        try:
+            estimate = self.condition_estimate().system
+        except SolverError:  # none for want of a matrix; the steps are as good as they are
+            estimate = np.nan
+        return {"condition_estimate": np.full(n_steps, estimate)}
 
     def _record(self) -> dict[str, float | str]:
         formulation = self.formulation
@@ -174,6 +216,7 @@ def _make_solver(
 
     makers: dict[str, Callable[[], Solver]] = {
         "linear": lambda: LinearSolver(problem),
+        "single": lambda: LinearSolver(problem, "single"),
         "lu": lambda: LuSolver(problem, constraint_method, penalty),
         "quasi-linear": lambda: QuasiLinearSolver(problem, volume_row),
         "nonlinear": lambda: NonlinearSolver(problem),

@@ -46,7 +46,7 @@ def test_every_name_runs(scene: Scene, name: str) -> None:
     areas = Surface(scene.mesh.surface_points, scene.mesh.triangles).areas
     # at 2 mN, some 10 micrometres, all solvers of a formulation are in the linear range
     difference = relative_l2(result.displacement[-1], first.displacement[-1], areas)
-    assert difference < (5e-3 if solver in ("quasi-linear", "nonlinear") else 1e-6)
+    assert difference < {"quasi-linear": 5e-3, "nonlinear": 5e-3, "single": 1e-4}.get(solver, 1e-6)
     assert result.version == model.version
     assert (result.seconds_per_step > 0).all()
     assert result.seconds_setup > 0

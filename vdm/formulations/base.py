@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Callable
 from typing import ClassVar, Protocol, runtime_checkable
 
 import numpy as np
@@ -35,6 +36,15 @@ class ReactingFactor(Factor, Protocol):
     def solve_with_held(self, right_hand_side: Array) -> tuple[Array, Array]:
         """The solution, same shape, and K x at the held nodes, themselves at rest: (n_held d,) or (n_held d, m)."""
         ...
+
+
+class SparseFactor(Factor, Protocol):
+    """A factor of a sparse matrix (size, size)."""
+
+    size: int
+
+
+Factorise = Callable[[sparse.csr_array], SparseFactor]
 
 
 class Formulation(ABC):
@@ -70,8 +80,11 @@ class Formulation(ABC):
         """K x, (N, d)."""
 
     @abstractmethod
-    def factor(self, free: Mask) -> Factor:
-        """Factor of K over the free nodes; right-hand sides are (n_free * d,) or (n_free * d, m)."""
+    def factor(self, free: Mask, factorise: Factorise = Cholesky) -> Factor:
+        """Factor of K over the free nodes; right-hand sides are (n_free * d,) or (n_free * d, m).
+
+        `factorise` makes it of a sparse matrix; a formulation with a dense one has its own and refuses others.
+        """
 
     def response(self, factor: Factor, columns: Columns) -> Columns:
         """K^-1 columns at the nodes that the factor is of."""
@@ -178,10 +191,10 @@ class ScalarFormulation(Formulation):
         gradient: Array = (along / self.scale)[:, None]
         return gradient
 
-    def factor(self, free: Mask) -> Factor:
+    def factor(self, free: Mask, factorise: Factorise = Cholesky) -> Factor:
         # imported here: the solvers package imports the formulations
         block = self.operator if free.all() else self.operator[free][:, free]
-        return Cholesky(block)
+        return factorise(block)
 
     def stiffness(self) -> sparse.csr_array:
         return self.operator

@@ -8,14 +8,14 @@ from scipy import linalg, sparse
 
 from vdm.constraints import Load
 from vdm.deformed import DeformedSurface, follow
-from vdm.formulations.base import Factor, Formulation, Mask
+from vdm.formulations.base import Factor, Factorise, Formulation, Mask
 from vdm.formulations.border import DenseColumns
 from vdm.formulations.boundary_integrals import layer_potentials, mass_matrix
 from vdm.formulations.skin import PIVOT_TOLERANCE, Skin
 from vdm.formulations.vector import best_rotation
 from vdm.material import ParameterError, Parameters
 from vdm.solution import SolverError, Status
-from vdm.solvers.cholesky import SINGULAR
+from vdm.solvers.cholesky import SINGULAR, Cholesky
 from vdm.surface import SurfaceMesh
 
 Array = NDArray[np.float64]
@@ -24,6 +24,9 @@ Array = NDArray[np.float64]
 MAX_NODES = 1000
 # nodes of the coarse body under the skin of a larger one
 COARSE_NODES = 800
+DENSE = Status(
+    "dense", "the boundary formulation has a dense factor, in double precision only", "use the linear solver"
+)
 
 
 class BoundaryFormulation(Formulation):
@@ -64,7 +67,9 @@ class BoundaryFormulation(Formulation):
     def apply(self, x: Array) -> Array:
         return self.shear_modulus * self.body.apply(x)
 
-    def factor(self, free: Mask) -> Factor:
+    def factor(self, free: Mask, factorise: Factorise = Cholesky) -> Factor:
+        if factorise is not Cholesky:
+            raise SolverError(DENSE)
         return self.body.factor(free, self.shear_modulus)
 
     def stiffness(self) -> sparse.csr_array:

@@ -8,7 +8,7 @@ from scipy import sparse
 
 from vdm.constraints import Load
 from vdm.deformed import DeformedSurface, follow
-from vdm.formulations.base import Factor, Formulation, Mask
+from vdm.formulations.base import Factor, Factorise, Formulation, Mask
 from vdm.formulations.border import DenseColumns
 from vdm.material import ParameterError, Parameters
 from vdm.solvers.cholesky import Cholesky
@@ -69,9 +69,9 @@ class MassSpringFormulation(Formulation):
     def apply(self, x: Array) -> Array:
         return np.asarray(self.matrix @ x.reshape(-1)).reshape(-1, 3)
 
-    def factor(self, free: Mask) -> Factor:
+    def factor(self, free: Mask, factorise: Factorise = Cholesky) -> Factor:
         dofs = np.repeat(free, 3)
-        return Cholesky(self.matrix[dofs][:, dofs])
+        return factorise(self.matrix[dofs][:, dofs])
 
     def stiffness(self) -> sparse.csr_array:
         return self.matrix

@@ -10,7 +10,7 @@ from scipy import sparse
 
 from vdm.constraints import Load
 from vdm.deformed import DeformedSurface, follow
-from vdm.formulations.base import Factor, Formulation, Mask, rigid_motions
+from vdm.formulations.base import Factor, Factorise, Formulation, Mask, SparseFactor, rigid_motions
 from vdm.formulations.border import Columns, DenseColumns, TurningColumns
 from vdm.material import ParameterError, Parameters, per_item
 from vdm.solvers.cholesky import Cholesky
@@ -103,11 +103,11 @@ class VectorFormulation(Formulation):
             force = force + (self.coupling @ x.reshape(-1)).reshape(-1, 3)
         return force
 
-    def factor(self, free: Mask) -> Factor:
+    def factor(self, free: Mask, factorise: Factorise = Cholesky) -> Factor:
         if self.coupling is None:
-            return SharedFactor(Cholesky(self.tension[free][:, free]))
+            return SharedFactor(factorise(self.tension[free][:, free]))
         dofs = np.repeat(free, 3)
-        return Cholesky(self.stiffness()[dofs][:, dofs])
+        return factorise(self.stiffness()[dofs][:, dofs])
 
     def response(self, factor: Factor, columns: Columns) -> Columns:
         if self.coupling is not None or not isinstance(columns, TurningColumns):
@@ -200,7 +200,7 @@ class VectorFormulation(Formulation):
 class SharedFactor:
     """One scalar factor for three components: right-hand sides (3 n,) or (3 n, m), three per node."""
 
-    def __init__(self, factor: Cholesky) -> None:
+    def __init__(self, factor: SparseFactor) -> None:
         self.factor = factor
 
     def solve(self, right_hand_side: Array) -> Array:

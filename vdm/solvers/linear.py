@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+from typing import Literal
+
 import numpy as np
 from numpy.typing import NDArray
 
 from vdm.constraints import Load
-from vdm.formulations.base import ReactingFactor
+from vdm.formulations.base import Factorise, ReactingFactor
 from vdm.problem import Problem, Step
 from vdm.solution import CONVERGED, SolverError, Status
-from vdm.solvers.cholesky import SINGULAR
+from vdm.solvers.cholesky import SINGULAR, Cholesky
+from vdm.solvers.single import SingleFactor
 
 Array = NDArray[np.float64]
+Precision = Literal["single", "double"]
 
 # smallest singular value of the scaled border system that is told from rounding
 BORDER_TOLERANCE = 1e-11
@@ -25,12 +29,12 @@ class BorderedFactor:
     other rows, where a formulation has them, are its columns, K is symmetric, and R^T K^-1 f = Y^T f.
     """
 
-    def __init__(self, problem: Problem) -> None:
+    def __init__(self, problem: Problem, factorise: Factorise = Cholesky) -> None:
         formulation = problem.formulation
         self.free = problem.free
         self.nodes, self.held_nodes = np.flatnonzero(self.free), np.flatnonzero(~self.free)
         self.n_border = formulation.columns.count
-        self.block = formulation.factor(self.free)
+        self.block = formulation.factor(self.free, factorise)
         self.volume_row = formulation.rows.first[self.free].reshape(-1)
         columns = formulation.columns.at(self.free)
         self.response = formulation.response(self.block, columns)
@@ -89,15 +93,21 @@ class BorderedFactor:
 class LinearSolver:
     """Fixed and constrained nodes eliminated exactly, also from the volume row.
 
+    Parameters
+    ----------
+    problem : formulation and supports
+    precision : of the factor of K; the border is in double precision always
+
     Raises
     ------
     SolverError
         where the operator is singular.
     """
 
-    def __init__(self, problem: Problem) -> None:
+    def __init__(self, problem: Problem, precision: Precision = "double") -> None:
         self.problem = problem
-        self.factor = BorderedFactor(problem)
+        self.precision = precision
+        self.factor = BorderedFactor(problem, SingleFactor if precision == "single" else Cholesky)
 
     def step(self, load: Load, previous: Step | None = None) -> Step:  # noqa: ARG002 - one interface for all solvers
         """Solution of one load; the previous step does not matter."""

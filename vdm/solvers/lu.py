@@ -47,20 +47,23 @@ class LuSolver:
         n_border = problem.formulation.columns.count
         held = np.repeat(problem.support.held, problem.formulation.components)
         self.held = np.concatenate([held, np.zeros(n_border, dtype=np.bool_)])
-        diagonal = matrix.diagonal()
-        self.alpha = penalty * float(np.abs(diagonal).max())
+        self.alpha = penalty * float(np.abs(matrix.diagonal()).max())
         self.matrix = matrix
-        if method == "elimination":
-            solved = matrix[~self.held][:, ~self.held]
-        else:
-            added = np.where(self.held, self.alpha - (diagonal if method == "penalty-replaced" else 0.0), 0.0)
-            solved = matrix + sparse.diags_array(added)
         try:
-            self._factors = linalg.splu(solved.tocsc())
+            self._factors = linalg.splu(self.solved_matrix().tocsc())
         except RuntimeError as error:
             raise SolverError(
                 Status("singular", "the state matrix is singular", "hold more nodes or add a foundation")
             ) from error
+
+    def solved_matrix(self) -> sparse.csr_array:
+        """The matrix that is factored: held nodes eliminated, or all of it with alpha on their diagonal."""
+        if self.method == "elimination":
+            return self.matrix[~self.held][:, ~self.held]
+        there = self.matrix.diagonal() if self.method == "penalty-replaced" else 0.0
+        return sparse.csr_array(
+            self.matrix + sparse.diags_array(np.where(self.held, self.alpha - there, 0.0))
+        )
 
     def step(self, load: Load, previous: Step | None = None) -> Step:  # noqa: ARG002 - one interface for all solvers
         """Solution of one load (30-32)."""

@@ -1,0 +1,170 @@
+"""Condition estimates against numpy's condition number, and the factor in single precision."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+from scipy import sparse
+
+from tests.unit.vdm_shapes import icosphere
+from vdm import FORMULATIONS, Load, Model, Parameters, SolverError, SurfaceMesh
+from vdm.model import SOLVERS
+from vdm.solvers.cholesky import Cholesky
+from vdm.solvers.condition import inverse_norm
+from vdm.solvers.single import SingleFactor
+
+POINTS, TRIANGLES = icosphere(2, (0.05, 0.06, 0.045))
+BODY = SurfaceMesh(POINTS, TRIANGLES)
+BASE = POINTS[:, 2] < -0.03
+PUSH = Load(np.where(POINTS[:, 2] > 0.035, 100.0, 0.0))
+PRINTED = ("lu", "bicg", "bicg-cold")
+SPARSE = ("paper", "consistent", "vector", "mass-spring")
+
+
+def model(formulation: str, rotation: str = "global", **options) -> Model:
+    rule = Parameters.from_tissue(5000.0, 0.4999, BODY, formulation, rotation)
+    return Model(POINTS, TRIANGLES, rule, formulation=formulation, **{"fixed": BASE, **options})
+
+
+def dense_operator(body: Model) -> tuple[np.ndarray, np.ndarray]:
+    """Block and whole matrix of the free nodes, scaled as `condition_of_operator` says, by inverses in numpy."""
+    form = body.formulation
+    m, inside = form.columns.count, np.repeat(body.problem.free, form.components)
+    block = form.stiffness().toarray()[np.ix_(inside, inside)]
+    unit = 1.0 / np.sqrt(np.diag(block))
+    block = block * np.outer(unit, unit)
+    inverse, corner = np.linalg.inv(block), np.abs(np.diag(form.corner))
+    columns, rows = (
+        unit[:, None] * part.dense().reshape(-1, m)[inside] for part in (form.columns, form.rows)
+    )
+    of_column, of_row = (
+        1.0 / np.sqrt(np.maximum(np.diag(b.T @ inverse @ b), corner)) for b in (columns, rows)
+    )
+    below = [(rows * of_row).T, form.corner * np.outer(of_row, of_column)]
+    return block, np.block([[block, -columns * of_column], below])
+
+
+def dense_state(body: Model, penalty: float | None) -> tuple[np.ndarray, np.ndarray]:
+    """Block and whole of the printed matrix, held nodes left out or given a diagonal of alpha."""
+    form, held = body.formulation, np.repeat(~body.problem.free, body.formulation.components)
+    m = form.columns.count
+    held = np.append(held, np.zeros(m, dtype=bool))
+    whole = form.state_matrix().toarray()
+    if penalty is None:
+        whole = whole[np.ix_(~held, ~held)]
+    else:
+        whole[held, held] = penalty * np.abs(np.diag(whole)).max()
+    return whole[:-m, :-m], whole
+
+
+def check(estimate: float, matrix: np.ndarray) -> None:
+    truth = np.linalg.cond(matrix, 1)
+    # a lower bound to rounding, which the inverses in both lose in proportion to the condition
+    assert truth / 3.0 <= estimate <= truth * (1.0 + 1e-13 * truth), (estimate, truth)
+
+
+@pytest.mark.parametrize("solver", SOLVERS)
+@pytest.mark.parametrize("formulation", FORMULATIONS)
+def test_estimates_bound_the_condition_from_below(formulation, solver):
+    if (formulation, solver) in (("paper", "minres"), ("boundary", "single")):
+        return
+    body = model(formulation, solver=solver)
+    estimate = body.condition_estimate()
+    block, whole = dense_state(body, None) if solver in PRINTED else dense_operator(body)
+    check(estimate.block, block)
+    check(estimate.system, whole)
+    assert estimate == body.condition_estimate()
+
+
+@pytest.mark.parametrize("rotation", ["none", "nodal"])
+def test_estimates_of_other_rotations(rotation):
+    body = model("vector", rotation)
+    block, whole = dense_operator(body)
+    check(body.condition_estimate().block, block)
+    check(body.condition_estimate().system, whole)
+
+
+@pytest.mark.parametrize("penalty", [1e2, 1e5])
+def test_a_penalty_is_in_the_estimate(penalty):
+    body = model("consistent", solver="lu", constraint_method="penalty-replaced", penalty=penalty)
+    block, whole = dense_state(body, penalty)
+    check(body.condition_estimate().block, block)
+    check(body.condition_estimate().system, whole)
+    # alpha over the smallest pivot: the block's condition grows as the penalty
+    assert body.condition_estimate().block > penalty
+
+
+def test_the_walk_alone_would_miss_this_matrix():
+    """Higham's example: from the middle of the simplex every column of the inverse looks alike."""
+    n = 20
+    inverse = np.eye(n) + 50.0 * np.outer(*(2 * [np.array([1.0, -1.0] + (n - 2) * [0.0])]))
+    matrix = np.linalg.inv(inverse)
+
+    def solve(b):
+        return np.linalg.solve(matrix, b)
+
+    assert inverse_norm(solve, solve, n) >= np.linalg.norm(inverse, 1) / 3.0
+
+
+def test_a_history_tells_its_condition_when_asked():
+    body = model("vector")
+    assert "condition_estimate" not in body.solve([PUSH]).scalars
+    told = body.solve([PUSH, PUSH.scaled(2.0)], condition=True).scalars["condition_estimate"]
+    assert_allclose(told, 2 * [body.condition_estimate().system], rtol=1e-15, atol=0.0)
+
+
+def test_a_body_without_a_matrix_has_no_estimate(monkeypatch):
+    monkeypatch.setattr("vdm.formulations.boundary.MAX_NODES", 100)
+    monkeypatch.setattr("vdm.formulations.boundary.COARSE_NODES", 60)
+    body = model("boundary")
+    solution = body.solve([PUSH], condition=True)
+    assert solution.status[0].ok
+    assert np.isnan(solution.scalars["condition_estimate"]).all()
+    with pytest.raises(SolverError, match="use a coarser mesh"):
+        body.condition_estimate()
+
+
+@pytest.mark.parametrize("formulation", SPARSE)
+def test_half_the_digits_are_seen_in_the_answer(formulation):
+    double, single = (model(formulation, solver=name).solve([PUSH]) for name in ("linear", "single"))
+    size = np.abs(double.displacement).max()
+    assert_allclose(single.displacement, double.displacement, rtol=0.0, atol=1e-4 * size)
+    assert_allclose(single.fluid_pressure, double.fluid_pressure, rtol=1e-4, atol=0.0)
+    # truly 32 bits: not a double in disguise
+    assert np.abs(single.displacement - double.displacement).max() > 1e-9 * size
+
+
+def test_the_single_factor_has_single_precision():
+    matrix = sparse.csr_array(model("consistent").formulation.operator)
+    b = np.random.default_rng(2).standard_normal((matrix.shape[0], 2))
+    exact = Cholesky(matrix).solve(b)
+    for part, expected in ((b, exact), (b[:, 0], exact[:, 0])):
+        found = SingleFactor(matrix).solve(part)
+        error = np.abs(found - expected).max() / np.abs(expected).max()
+        assert found.shape == part.shape
+        assert 1e-9 < error < 1e-4
+    # what is out of the range of 32 bits goes in and comes out
+    huge = SingleFactor(sparse.csr_array(1e100 * matrix)).solve(1e-50 * b)
+    assert_allclose(1e150 * huge, exact, rtol=0.0, atol=1e-4 * np.abs(exact).max())
+
+
+@pytest.mark.parametrize(
+    "matrix", [[[1.0, -1.0], [-1.0, 1.0]], [[1.0, 2.0], [2.0, 1.0]], [[0.0, 0.0], [0.0, 1.0]]]
+)
+def test_a_single_factor_refuses_what_is_not_definite(matrix):
+    with pytest.raises(SolverError, match="not positive definite"):
+        SingleFactor(sparse.csr_array(np.array(matrix)))
+
+
+def test_singular_to_single_precision_is_said():
+    """1e-8 of stiffness between the ground and one: fine in double precision, gone in single."""
+    matrix = sparse.csr_array(np.array([[1.0, -1.0], [-1.0, 1.0 + 1e-9]]))
+    Cholesky(matrix)
+    with pytest.raises(SolverError, match="not positive definite"):
+        SingleFactor(matrix)
+
+
+def test_a_dense_formulation_has_no_single_factor():
+    with pytest.raises(SolverError, match="double precision only; use the linear solver"):
+        model("boundary", solver="single")
