@@ -1,9 +1,9 @@
 """Linear elasticity condensed to the surface: an exact answer per frame for the price of one dense product.
 
 For loads on a chosen contact region the linear problem is solved once per direction in which pressure can push
-each of its nodes: three at a vertex, two at an edge's middle between two facets, one where facets are flat. What a
-frame needs (surface displacement, reactions, mean pressure, work) is linear in those forces and kept as the rows of
-one dense matrix.
+each of its nodes: three at a vertex, two at an edge's middle between two facets, one where facets are flat. It is
+solved once more per motion that its held nodes can make. What a frame needs (surface displacement, reactions, mean
+pressure, work) is linear in those forces and motions and kept as the rows of one dense matrix.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from scipy.sparse import csr_array
 from fem_reference.assembly import gravity_weights
 from fem_reference.linear import Fields, LinearProblem, Load
 from fem_reference.linear_algebra import BATCH
-from fem_reference.loads import check_loads, gather_to_vertices
+from fem_reference.loads import check_loads, gather_to_vertices, prescribed_nodes
 from fem_reference.memory import available_memory
 from fem_reference.mesh import facet_quadrature, triangle_p2
 from fem_reference.outputs import mean_pressure
@@ -28,17 +28,21 @@ Array = NDArray[np.float64]
 
 # facets whose normals differ by less than this push in one direction: far below what is promised
 _FLAT = 1e-12
+# a motion left over beyond this share is none of those that were prepared
+_SPANNED = 1e-11
 
 
 class CondensedProblem:
-    """The response of a `LinearProblem` to pressure on a contact region and to weight, as one dense matrix.
+    """The response of a `LinearProblem` to contact pressure, weight and motions of held nodes, as one dense matrix.
 
-    Equal to the linear solve to the accuracy of that problem's own solver. Held nodes stay where they are.
+    Equal to the linear solve to the accuracy of that problem's own solver.
 
     Parameters
     ----------
     problem : the linear problem; make it with solver="direct" or many `expected_loads`
     contact : (N,) surface nodes; a facet whose three vertices are all among them can be loaded
+    motions : (M, N, 3) displacements that held nodes can be given, in any combination; without them they stay where
+        they are [m]
     memory_limit : bytes the matrix may take; None for what the machine has left
 
     Attributes
@@ -46,19 +50,26 @@ class CondensedProblem:
     nodes : (L,) nodes that take force, vertices and edge middles of the contact facets
     pushed : (C,) the place in `nodes` of each unit force, at most three of a node
     directions : (C, 3) unit vectors of these forces, perpendicular at a node
-    matrix : (rows, C or C + 3) response to unit forces [1/N] and, where the body has a density, unit
-        accelerations: displacement of the surface nodes, then along the unit forces, reactions at held nodes, mean
-        pressure, and the work of unit accelerations
+    matrix : (rows, C or C + 3, + M) response to unit forces [1/N], where the body has a density to unit
+        accelerations, and to the motions: displacement of the surface nodes, then along the unit forces, reactions
+        at held nodes, mean pressure, the work of unit accelerations, and of the reactions along the motions
     seconds_setup : time of the set-up, that of `problem` included [s]
     residual : largest relative residual of the solves
 
     Raises
     ------
     SolverError
-        For a mask of a wrong shape or without a facet, and for a matrix that does not fit into memory.
+        For a mask of a wrong shape or, without motions, without a facet; for motions of a wrong shape or that are
+        not finite; and for a matrix that does not fit into memory.
     """
 
-    def __init__(self, problem: LinearProblem, contact: ArrayLike, memory_limit: float | None = None) -> None:
+    def __init__(
+        self,
+        problem: LinearProblem,
+        contact: ArrayLike,
+        memory_limit: float | None = None,
+        motions: ArrayLike | None = None,
+    ) -> None:
         start = time.perf_counter()
         mesh = problem.mesh
         self.problem = problem
@@ -67,15 +78,16 @@ class CondensedProblem:
         if mask.shape != (count,):
             raise _bad_contact(f"contact has shape {mask.shape}", f"give shape ({count},)")
         self._facets = np.flatnonzero(mask[mesh.triangles].all(axis=1))
-        if not len(self._facets):
+        self._motions = self._checked_motions(motions)
+        if not len(self._facets) and not len(self._motions):
             raise _bad_contact("contact has no whole facet", "choose more nodes")
         self.nodes = np.unique(mesh.facet_nodes[self._facets])
         self._held = np.flatnonzero(problem.held[mesh.surface_nodes].any(axis=1))
         self._heavy = problem.density > 0.0
         self._unit_weight = problem.density * gravity_weights(mesh)
         self.pushed, self.directions = self._push_directions()
-        columns = len(self.pushed) + 3 * self._heavy
-        sizes = np.array([3 * count, len(self.pushed), 3 * len(self._held), 1, 3])
+        columns = len(self.pushed) + 3 * self._heavy + len(self._motions)
+        sizes = np.array([3 * count, len(self.pushed), 3 * len(self._held), 1, 3, len(self._motions)])
         self._rows = np.cumsum(sizes)[:-1]
         needed = 8.0 * float(sizes.sum()) * columns
         allowed = available_memory() if memory_limit is None else memory_limit
@@ -87,6 +99,7 @@ class CondensedProblem:
                     "choose fewer contact nodes or a larger mesh_size",
                 )
             )
+        self._moved_nodes = prescribed_nodes(mesh, [_motion(problem, motion) for motion in self._motions])
         self.matrix = np.empty((int(sizes.sum()), columns))
         self.residual = 0.0
         for first in range(0, columns, BATCH):
@@ -109,30 +122,31 @@ class CondensedProblem:
         Raises
         ------
         SolverError
-            For a load that `LinearProblem` would refuse, pressure outside the contact region, held nodes that
-            move, and weight where the problem was made without density.
+            For a load that `LinearProblem` would refuse, pressure outside the contact region, and held nodes that
+            move otherwise than `motions`.
         """
         mesh = self.problem.mesh
         check_loads(mesh, loads)
         frames = np.empty((len(loads), len(self.matrix)))
         work = np.empty(len(loads))
+        energy = np.empty(len(loads))
         seconds = np.empty(len(loads))
         for step, load in enumerate(loads):
             start = time.perf_counter()
-            amplitudes = self._amplitudes(step, load)
-            frames[step] = self.matrix @ amplitudes
+            forces, weight, motion = self._amplitudes(step, load)
+            frames[step] = self.matrix @ np.concatenate([forces, weight, motion])
             observed = np.split(frames[step], self._rows)
-            response = np.concatenate([observed[1], observed[4]])[: len(amplitudes)]
-            work[step] = amplitudes @ response
+            work[step] = forces @ observed[1] + weight @ observed[4][: len(weight)]
+            energy[step] = 0.5 * (work[step] + motion @ observed[5])
             seconds[step] = time.perf_counter() - start
-        displacement, _, held, pressure, _ = np.split(frames, self._rows, axis=1)
+        displacement, _, held, pressure, _, _ = np.split(frames, self._rows, axis=1)
         reaction = np.zeros((len(loads), len(mesh.surface_nodes), 3))
         reaction[:, self._held] = held.reshape(len(loads), -1, 3)
         return Solution(
             displacement=displacement.reshape(len(loads), -1, 3),
             fluid_pressure=pressure[:, 0].copy(),
             reaction_force=reaction,
-            energy=0.5 * work,
+            energy=energy,
             iterations=np.zeros(len(loads), dtype=np.int64),
             status=(self._status(),) * len(loads),
             seconds_setup=self.seconds_setup,
@@ -152,19 +166,40 @@ class CondensedProblem:
             scalars={"compliance": work},
         )
 
-    def _amplitudes(self, step: int, load: Load) -> Array:
-        """(columns,) forces along `directions` and accelerations of one load."""
+    def _amplitudes(self, step: int, load: Load) -> tuple[Array, Array, Array]:
+        """Forces along `directions`, accelerations and shares of the motions of one load."""
         pressure = np.asarray(load.facet_pressure, dtype=np.float64)
         inside = pressure[self._facets]
         if np.count_nonzero(pressure) > np.count_nonzero(inside):
             raise _bad_load(f"load step {step} has pressure outside the contact region", "enlarge contact")
-        given = np.asarray(load.prescribed)[self.problem.held[self.problem.mesh.surface_nodes]]
-        if given.any():
-            raise _bad_load(f"load step {step} moves held nodes", "use LinearProblem for it")
         forces = np.asarray(self._to_forces @ inside.ravel())
-        if not self._heavy:
-            return forces
-        return np.concatenate([forces, np.asarray(load.gravity, dtype=np.float64)])
+        gravity = np.asarray(load.gravity, dtype=np.float64) if self._heavy else np.zeros(0)
+        return forces, gravity, self._motion_shares(step, load)
+
+    def _motion_shares(self, step: int, load: Load) -> Array:
+        """(M,) shares of the motions in what a load gives the held components."""
+        given = np.asarray(load.prescribed, dtype=np.float64)[self._held_components]
+        shares = np.asarray(self._to_shares @ given)
+        left = given - self._moved.T @ shares
+        if np.abs(left).max(initial=0.0) > _SPANNED * np.abs(given).max(initial=0.0):
+            raise _bad_load(
+                f"load step {step} moves held nodes in a way that is not among motions",
+                "add it to motions or use LinearProblem for it",
+            )
+        return shares
+
+    def _checked_motions(self, motions: ArrayLike | None) -> Array:
+        """(M, N, 3) motions; sets what a load's shares of them are found with."""
+        surface = self.problem.mesh.surface_nodes
+        values = np.zeros((0, len(surface), 3)) if motions is None else np.asarray(motions, dtype=np.float64)
+        if values.ndim != 3 or values.shape[1:] != (len(surface), 3):
+            raise _bad_contact(f"motions has shape {values.shape}", f"give shape (M, {len(surface)}, 3)")
+        if not np.isfinite(values).all():
+            raise _bad_contact("motions has values that are not finite", "give metres")
+        self._held_components = self.problem.held[surface]
+        self._moved = values[:, self._held_components]
+        self._to_shares = np.linalg.pinv(self._moved.T)
+        return values
 
     def _push_directions(self) -> tuple[NDArray[np.int64], Array]:
         """An orthonormal basis of the area vectors of each node's contact facets: see `pushed`, `directions`."""
@@ -174,6 +209,8 @@ class CondensedProblem:
         normals = area / np.linalg.norm(area, axis=1)[:, None]
         by_node = np.argsort(place, axis=None, kind="stable")
         count = np.bincount(place.ravel())
+        if not len(count):
+            return np.zeros(0, dtype=np.int64), np.zeros((0, 3))
         slot = np.arange(place.size) - np.repeat(np.cumsum(count) - count, count)
         around = np.zeros((len(self.nodes), int(count.max()), 3))
         around[place.ravel()[by_node], slot] = normals[by_node // place.shape[1]]
@@ -190,7 +227,7 @@ class CondensedProblem:
         values = -np.einsum("qa,fk->fqak", shape, area)
         place = np.searchsorted(self.nodes, mesh.facet_nodes[self._facets])
         rows = 3 * place[:, None, :, None] + np.arange(3)
-        points_of = np.arange(area.shape[0] * len(weights)).reshape(len(area), -1, 1, 1)
+        points_of = np.arange(area.shape[0] * len(weights)).reshape(len(area), len(weights), 1, 1)
         rows, columns = (np.broadcast_to(a, values.shape).ravel() for a in (rows, points_of))
         forces = csr_array(
             (values.ravel(), (rows, columns)), shape=(3 * len(self.nodes), len(area) * len(weights))
@@ -210,12 +247,16 @@ class CondensedProblem:
         """The fields for some columns of the matrix."""
         mesh = self.problem.mesh
         forces = np.zeros((len(chosen), mesh.n_nodes, 3))
-        for force, column in zip(forces, chosen.tolist(), strict=True):
-            if column < len(self.pushed):
+        given = np.zeros_like(forces)
+        own, weights = len(self.pushed), 3 * self._heavy
+        for force, motion, column in zip(forces, given, chosen.tolist(), strict=True):
+            if column < own:
                 force[self.nodes[self.pushed[column]]] = self.directions[column]
+            elif column < own + weights:
+                force[:, column - own] = self._unit_weight
             else:
-                force[:, column - len(self.pushed)] = self._unit_weight
-        return self.problem.solve_nodal(forces, np.zeros_like(forces))
+                motion[:] = self._moved_nodes[column - own - weights]
+        return self.problem.solve_nodal(forces, given)
 
     def _observe(self, fields: Fields) -> Array:
         """(S, rows) what is kept of fields."""
@@ -228,6 +269,7 @@ class CondensedProblem:
             reaction,
             mean_pressure(self.problem, fields),
             np.einsum("n,snk->sk", self._unit_weight, u),
+            np.einsum("snk,mnk->sm", fields.reaction, self._moved_nodes),
         )
         return np.concatenate([part.reshape(steps, -1) for part in parts], axis=1)
 
@@ -241,6 +283,12 @@ class CondensedProblem:
             f" {tolerance:.0e} is needed",
             'improve the worst tetrahedra of the mesh or make the problem with solver="direct"',
         )
+
+
+def _motion(problem: LinearProblem, displacement: Array) -> Load:
+    """A load that moves held nodes and does nothing else."""
+    held = problem.held[problem.mesh.surface_nodes]
+    return Load(np.zeros(0), np.where(held, displacement, 0.0), np.zeros(3))
 
 
 def _bad_contact(message: str, remedy: str) -> SolverError:

@@ -123,6 +123,7 @@ def prescribed_nodes(mesh: TetMesh, loads: Sequence[Load]) -> Array:
     """(S, n_nodes, 3) displacement given at the surface; an edge's middle takes the mean of its ends [m]."""
     values = np.zeros((len(loads), mesh.n_nodes, 3))
     given = np.array([load.prescribed for load in loads], dtype=np.float64)
+    given = given.reshape(len(loads), len(mesh.surface_nodes), 3)
     values[:, mesh.surface_nodes] = given
     values[:, mesh.surface_edge_nodes] = 0.5 * given[:, mesh.surface_edges].sum(axis=2)
     return values

@@ -166,20 +166,24 @@ def _fem_p2(scene: Scene, solver: str, name: str) -> FemSolution:  # noqa: ARG00
     return _fem_small_strain([scene], "P2")[0]
 
 
-@_model("fem-condensed", version="1", volumetric=True)
+@_model("fem-condensed", version="2", volumetric=True)
 def _fem_condensed(scene: Scene, solver: str, name: str) -> FemSolution:  # noqa: ARG001
     body = _body(scene)
     if not scene.gravity.any():
         body["density"] = 0.0  # no columns for a weight that does not act
-    return shared(_condensed_problem, contact=scene.contact, **body).solve(_fem_loads(scene))
+    # one motion of held nodes, in units of its largest component: cases that move them further share it
+    largest = np.abs(scene.prescribed).max(initial=0.0)
+    motions = scene.prescribed[None] / largest if largest else np.zeros((0, *scene.prescribed.shape))
+    return shared(_condensed_problem, contact=scene.contact, motions=motions, **body).solve(_fem_loads(scene))
 
 
-def _condensed_problem(*, contact: Mask, **body: Any) -> CondensedProblem:
+def _condensed_problem(*, contact: Mask, motions: Array, **body: Any) -> CondensedProblem:
     from fem_reference.condensed import CondensedProblem
     from fem_reference.linear import LinearProblem
 
     n_columns = 12 * int(contact.sum())  # three components at the vertices and three edge middles each
-    return CondensedProblem(shared(LinearProblem, **body, expected_loads=n_columns), contact)
+    problem = shared(LinearProblem, **body, expected_loads=n_columns + len(motions))
+    return CondensedProblem(problem, contact, motions=motions)
 
 
 @_model("fem-coarse", version="1", volumetric=True)

@@ -109,7 +109,7 @@ def test_what_it_cannot_do_is_refused(condensed: CondensedProblem, body: Body) -
     moved = replace(good, prescribed=np.full((len(body.surface), 3), 1e-3))
     for load, words in (
         (everywhere, "load step 1 has pressure outside the contact region; enlarge contact"),
-        (moved, "load step 1 moves held nodes; use LinearProblem"),
+        (moved, "load step 1 moves held nodes in a way that is not among motions; add it to motions or use"),
         (replace(good, gravity=np.full(3, np.nan)), "gravity of load step 1 has values that are not finite"),
     ):
         with pytest.raises(SolverError, match=words):
@@ -148,3 +148,63 @@ def test_a_node_is_pushed_only_where_pressure_can_push_it() -> None:
     assert of_node[np.unique(curved.pushed[middles])].max() == 2
     assert of_node.max() == 3
     assert len(curved.pushed) < 0.75 * 3 * len(curved.nodes)
+
+
+@pytest.mark.parametrize("rollers", [False, True])
+@pytest.mark.parametrize("element", ["P2-P1", "P1"])
+def test_held_nodes_that_move_are_equal_to_the_linear_solve(body: Body, element: str, rollers: bool) -> None:
+    """Two motions in any combination, with pressure and weight, in every field; reciprocal as forces are."""
+    rng = np.random.default_rng(4)
+    held = np.repeat(body.surface[:, 2:] < -0.02, 3, axis=1)
+    if rollers:
+        held[:, 0] &= body.surface[:, 2] < -0.03
+    settings = {"youngs_modulus": 5e3, "poisson_ratio": 0.45, "solver": "direct", "density": 1e3}
+    linear = body.problem(held, element=element, **settings)
+    motions = rng.uniform(-1e-3, 1e-3, (2, len(body.surface), 3))
+    model = CondensedProblem(linear, _upper(body), motions=motions)
+    inside = _upper(body)[body.triangles].all(axis=1)
+    free = np.where(held, 0.0, rng.uniform(-1.0, 1.0, held.shape))  # ignored
+    loads = [
+        body.load(
+            rng.uniform(-1e2, 1e2, (len(inside), 6)) * inside[:, None] * pressed,
+            prescribed=a * motions[0] + b * motions[1] + free,
+            gravity=rng.uniform(-9, 9, 3) * pressed,
+        )
+        for pressed, a, b in ((1.0, 0.5, -2.0), (0.0, 3.0, 0.0), (1.0, 0.0, 0.0))
+    ]
+    expected, found = linear.solve(loads, frozenset({"compliance"})), model.solve(loads)
+    for name in ("displacement", "reaction_force", "fluid_pressure", "energy"):
+        value = getattr(expected, name)
+        assert_allclose(getattr(found, name), value, rtol=0, atol=1e-10 * np.abs(value).max(), err_msg=name)
+    work = expected.scalars["compliance"]
+    assert_allclose(found.scalars["compliance"], work, rtol=0, atol=1e-10 * np.abs(work).max())
+    reactions = model.matrix[-2:, -2:]
+    assert_allclose(reactions, reactions.T, rtol=0, atol=1e-10 * np.abs(reactions).max())
+    own, surface = len(model.pushed), 3 * len(body.surface)
+    given_way = model.matrix[
+        surface : surface + own, -2:
+    ]  # what a motion moves against a force, and the reverse
+    assert_allclose(given_way, -model.matrix[-2:, :own].T, rtol=0, atol=1e-10 * np.abs(given_way).max())
+
+
+def test_a_body_that_is_only_moved_needs_no_contact(body: Body) -> None:
+    down = np.zeros((1, len(body.surface), 3))
+    down[0, body.surface[:, 2] > 0.03, 2] = -1.0
+    held = (body.surface[:, 2] < -0.03) | (body.surface[:, 2] > 0.03)
+    linear = body.problem(held, youngs_modulus=5e3, poisson_ratio=0.5, solver="direct")
+    model = CondensedProblem(linear, np.zeros(len(body.surface), dtype=bool), motions=down)
+    load = body.load(0.0, prescribed=0.002 * down[0])
+    expected, found = linear.solve([load]), model.solve([load])
+    for name in ("displacement", "reaction_force", "energy"):
+        value = getattr(expected, name)
+        assert_allclose(getattr(found, name), value, rtol=0, atol=1e-10 * np.abs(value).max(), err_msg=name)
+
+
+def test_motions_that_make_no_sense_are_refused(body: Body) -> None:
+    linear = _linear(body)
+    for motions, words in (
+        (np.zeros((len(body.surface), 3)), r"motions has shape \(\d+, 3\); give shape \(M, \d+, 3\)"),
+        (np.full((1, len(body.surface), 3), np.nan), "motions has values that are not finite; give metres"),
+    ):
+        with pytest.raises(SolverError, match=words):
+            CondensedProblem(linear, _upper(body), motions=motions)
