@@ -23,6 +23,7 @@ from .section_fibres import anisotropy_of_the_response
 from .section_force import force_against_indentation
 from .section_limits import small_strain_limits
 from .section_measures import all_measures
+from .section_stability import numerical_stability
 from .section_view import Renderer, still, surfaces
 from .section_volume import volume_drift
 
@@ -44,6 +45,7 @@ SECTIONS_BEFORE: tuple[Callable[[Digest], Section | None], ...] = (
 SECTIONS_AFTER: tuple[Callable[[Digest], Section | None], ...] = (
     force_against_indentation,
     volume_drift,
+    numerical_stability,
     small_strain_limits,
     anisotropy_of_the_response,
     run_time_against_error,

@@ -1,0 +1,171 @@
+"""Numerical stability: residual, condition and drift of each solver along each ladder, and where it breaks down."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+from .blocks import Block, Cell, Column, Figure, Figures, Section, Table, Text
+from .digest import Digest
+from .formatting import NOTHING, listed, plural, scale_of, swept_value
+from .ladders import DIFFERENT, LEFT, MEASURES, RESIDUAL, Ladder, Reading, alike, ladders
+from .plots import Plot, colour, line, log_axis, marker, name_ticks, place
+from .section_errors import parameter_name
+
+ONE_AT_A_TIME, CLAIM = "one-at-a-time", 9
+_FLOOR = 1e-17  # what is smaller, or zero, is drawn here
+_TITLES = {
+    "residual": "Relative residual",
+    "condition": "Condition estimate",
+    "difference": "Difference from the trusted solver",
+    "drift": "Volume drift",
+    "left": "Displacement left without load",
+}
+
+
+def numerical_stability(digest: Digest) -> Section | None:
+    """For a study that raises each parameter alone, or tries claim 9: figures per ladder, a table of breakdowns."""
+    asked = digest.run.study.get("sweep") == ONE_AT_A_TIME or CLAIM in (digest.run.study.get("claims") or ())
+    found = ladders(digest) if asked else []
+    if not found:
+        return None
+    blocks: list[Block] = [Text(sentence) for sentence in _verdict(found)]
+    blocks.append(_table(digest, found))
+    blocks.append(Text(_reading_note(), kind="note"))
+    for number, ladder in enumerate(found):
+        figures = [
+            figure
+            for measure in MEASURES
+            if (figure := _figure(digest, ladder, measure, f"b{number}{measure[:3]}"))
+        ]
+        if figures:
+            legend = [entry for entry in digest.legend if entry[1] in ladder.readings]
+            summary = f"Along the {parameter_name(ladder.key)}, {_ends(ladder)}"
+            blocks.append(Figures(figures, legend, summary))
+    return Section("stability", "Numerical stability", blocks)
+
+
+def _ends(ladder: Ladder) -> str:
+    first, last = (swept_value(ladder.values[k], ladder.unit) for k in (0, -1))
+    return f"{first} to {last}"
+
+
+def _verdict(found: Sequence[Ladder]) -> list[str]:
+    pairs = [(ladder, model) for ladder in found for model in ladder.readings]
+    broken = [pair for pair in pairs if pair[0].breakdowns(pair[1])]
+    silent = [
+        f"{model} at {parameter_name(ladder.key)} {swept_value(value, ladder.unit)}"
+        for ladder, model in pairs
+        for value, reading in zip(ladder.values, ladder.readings[model], strict=True)
+        if reading is not None and reading.silent
+    ]
+    count = f"{plural(len(pairs), 'pair')} of a solver and a ladder"
+    sentences = [
+        f"Of {count}, {len(pairs) - len(broken)} are right from end to end and {len(broken)} break down."
+    ]
+    if silent:
+        sentences.append(f"Called converged and not right: {listed(silent)}.")
+    else:
+        sentences.append(
+            "Every breakdown is a status with its remedy; no step that is called converged is wrong."
+        )
+    return sentences
+
+
+def _reading_note() -> str:
+    return (
+        "A ladder is one parameter raised alone, all others as the study has them. A solver has broken down where "
+        f"a step's status is not converged, its relative residual is above {RESIDUAL:g}, it is more than "
+        f"{DIFFERENT:g} of the displacement away from the trusted solver of the same system (refined where the "
+        "study runs it, else the direct one in double precision), or more than "
+        f"{LEFT:g} of the displacement is left without load. Residuals and conditions are shown where the solver "
+        "reports them. Crosses mark values at which a solver has broken down. All measures are the worst of the "
+        "load history; zero is drawn at 1e-17."
+    )
+
+
+# --- the table ---
+
+
+def _table(digest: Digest, found: Sequence[Ladder]) -> Table:
+    columns = [
+        Column("Ladder", numeric=False),
+        Column("Solver", numeric=False),
+        Column("Right", "from"),
+        Column("Right", "to"),
+        Column("Breaks down", "first at"),
+        Column("Status", numeric=False),
+        Column("Remedy", numeric=False),
+    ]
+    rows: list[list[Cell]] = []
+    marks: list[int | None] = []
+    for ladder in found:
+        name = parameter_name(ladder.key)
+        for models in alike(ladder):
+            who = Cell(_who(models, ladder))
+            right = _right(ladder, models[0])
+            sides = [_breakdown(ladder, *side) for side in ladder.breakdowns(models[0])]
+            for side in sides or [(Cell("nowhere", tone="muted"), Cell(NOTHING), Cell(NOTHING))]:
+                rows.append([Cell(name), who, *right, *side])
+                marks.append(digest.colour(models[0]) if len(models) == 1 else None)
+    return Table("stability", "", columns, rows, marks, open_rows=60)
+
+
+def _who(models: Sequence[str], ladder: Ladder) -> str:
+    if len(models) == len(ladder.readings) > 1:
+        return "all"
+    if not ladder.breakdowns(models[0]) and len(ladder.readings) > len(models) > 0.6 * len(ladder.readings):
+        return "all others"
+    return ", ".join(models)
+
+
+def _right(ladder: Ladder, model: str) -> list[Cell]:
+    sound = ladder.sound_range(model)
+    if sound is None:
+        return [Cell("nowhere", tone="bad"), Cell(NOTHING)]
+    return [Cell(swept_value(ladder.values[k], ladder.unit), value=ladder.values[k]) for k in sound]
+
+
+def _breakdown(ladder: Ladder, value: float, reading: Reading) -> tuple[Cell, Cell, Cell]:
+    at = Cell(swept_value(value, ladder.unit), value=value)
+    tone = "bad" if reading.silent else ""
+    return at, Cell(reading.code, reading.message, tone=tone), Cell(reading.remedy or NOTHING)
+
+
+# --- the figures ---
+
+
+def _figure(digest: Digest, ladder: Ladder, measure: str, salt: str) -> Figure | None:
+    """One measure of every model along a ladder; None where no model has it."""
+    factor, unit = scale_of(ladder.unit, ladder.values)
+    kind, where = place([value / factor for value in ladder.values])
+    x = [where[value / factor] for value in ladder.values]
+    name = parameter_name(ladder.key)
+    plot = Plot(f"{name} [{unit}]" if unit else name, _TITLES[measure], salt)
+    told = []
+    with plot as axes:
+        for rank, (model, readings) in enumerate(ladder.readings.items()):
+            values = [getattr(r, measure) if r is not None else math.nan for r in readings]
+            points = [(a, max(b, _FLOOR)) for a, b in zip(x, values, strict=True) if math.isfinite(b)]
+            if not points:
+                continue
+            k = digest.colour(model)
+            axes.plot(*zip(*points, strict=True), line(k), marker=marker(k), color=colour(k))
+            told.append(f"{model} from {min(b for _, b in points):.1e} to {max(b for _, b in points):.1e}")
+            broken = [a for a, r in zip(x, readings, strict=True) if r is not None and not r.ok]
+            height = 0.98 - 0.035 * (rank % 12)
+            axes.plot(
+                broken,
+                [height] * len(broken),
+                "x",
+                color=colour(k),
+                transform=axes.get_xaxis_transform(),
+            )
+        if not told:
+            return None
+        log_axis(axes, "y")
+        if kind == "log":
+            log_axis(axes, "x")
+        elif kind == "even":
+            name_ticks(axes, [(p, swept_value(value, "1")) for value, p in where.items()])
+    return Figure(plot.drawn(f"{_TITLES[measure]} against {name}: {listed(told)}."), _TITLES[measure])

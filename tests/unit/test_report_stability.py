@@ -1,0 +1,170 @@
+"""The report's section on numerical stability, on runs whose breakdowns are known."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from studies.case import CaseResult
+from studies.report.blocks import Figures, Section, Table, Text
+from studies.report.digest import Digest
+from studies.report.ladders import Ladder, ladders, reading, trusted
+from studies.report.section_stability import numerical_stability
+from tests.unit.report_runs import make_case, make_run
+
+DIRECT, LU, NONLINEAR = "vdm-paper", "vdm-paper:lu", "vdm-paper:nonlinear"
+SLIVERS, NU = "geometry.slivers", "tissue.poisson_ratio"
+
+
+def case(
+    swept: Mapping[str, float],
+    *,
+    lu: float = 0.0,
+    residuals: Sequence[float] = (1e-15, 1e-14, 2e-14, 1e-14),
+    stopped: Mapping[str, int] | None = None,
+    steps: Sequence[float] = (0.25, 0.5, 0.75, 1.0),
+) -> CaseResult:
+    """A case in which LU is off by a ratio from the direct solver, which reports residuals and a condition."""
+    made = make_case(
+        {DIRECT: 0.0, LU: lu, NONLINEAR: 0.3},
+        label=str(swept) or "base",
+        swept=swept,
+        steps=steps,
+        reference=None,
+        stopped=stopped,
+        subdivisions=0,
+    )
+    scalars = {"relative_residual": np.array(residuals), "condition_estimate": np.full(len(steps), 1e5)}
+    direct = dataclasses.replace(made.models[DIRECT], scalars=scalars)
+    return dataclasses.replace(made, models={**made.models, DIRECT: direct})
+
+
+def star() -> list[CaseResult]:
+    """A base and two ladders: slivers stop the nonlinear solver at the second step, then make LU wrong."""
+    return [
+        case({NU: 0.45}),
+        case({NU: 0.45, SLIVERS: 1e2}),
+        case({NU: 0.45, SLIVERS: 1e4}, stopped={NONLINEAR: 1}),
+        case({NU: 0.45, SLIVERS: 1e6}, lu=0.01, stopped={NONLINEAR: 0}),
+        case({NU: 0.3}, residuals=(1e-15, 1e-5, 1e-15, 1e-15)),
+        case({NU: 0.499}),
+        case({NU: 0.5}, stopped={DIRECT: 0}),
+    ]
+
+
+@pytest.fixture(scope="module")
+def found() -> dict[str, Ladder]:
+    return {ladder.key: ladder for ladder in ladders(Digest(make_run(star())))}
+
+
+@pytest.fixture(scope="module")
+def section() -> Section:
+    made = numerical_stability(Digest(make_run(star(), sweep="one-at-a-time")))
+    assert made is not None
+    return made
+
+
+def test_ladders_hold_the_cases_that_differ_in_one_value(found: dict[str, Ladder]) -> None:
+    assert found[SLIVERS].values == (1e2, 1e4, 1e6), "the base has none"
+    assert found[SLIVERS].base is None
+    assert found[NU].values == (0.3, 0.45, 0.499, 0.5)
+    assert found[NU].base == 0.45
+    assert set(found[NU].readings) == {DIRECT, LU, NONLINEAR}
+
+
+def test_a_breakdown_is_beside_the_range_that_is_right(found: dict[str, Ladder]) -> None:
+    ladder = found[SLIVERS]
+    assert ladder.sound_range(DIRECT) == (0, 2)
+    assert ladder.breakdowns(DIRECT) == []
+    [(value, stopped)] = ladder.breakdowns(NONLINEAR)
+    assert (value, stopped.code, stopped.remedy) == (1e4, "diverged", "take smaller load steps")
+    assert stopped.message == "the volume could not be held at load factor 0.5"
+    assert not stopped.silent
+    [(value, wrong)] = ladder.breakdowns(LU)
+    assert (value, wrong.code, wrong.silent) == (1e6, "wrong", True)
+    assert_allclose(wrong.difference, 0.01, rtol=1e-12, atol=0)
+    # on both sides of the base
+    assert found[NU].sound_range(DIRECT) == (1, 2)
+    assert [(value, r.code) for value, r in found[NU].breakdowns(DIRECT)] == [
+        (0.3, "wrong"),
+        (0.5, "diverged"),
+    ]
+    assert found[NU].breakdowns(DIRECT)[0][1].residual == 1e-5
+
+
+def test_the_measures_are_the_worst_of_the_history() -> None:
+    read = reading(case({}), DIRECT)
+    assert read is not None
+    assert read.ok
+    assert (read.residual, read.condition) == (2e-14, 1e5)
+    assert math.isnan(read.difference)
+    assert math.isnan(read.left)
+    assert reading(case({}), "fem") is None
+
+
+@pytest.mark.parametrize("scale", [0.0, 1e-5, 0.01])
+def test_what_is_left_without_load_counts(scale: float) -> None:
+    there_and_back = case({}, steps=(0.5, 1.0, 0.0), residuals=(0, 0, 0))
+    result = there_and_back.models[NONLINEAR]
+    u = result.displacement.copy()
+    u[-1] = scale * u[1]
+    models = {NONLINEAR: dataclasses.replace(result, displacement=u)}
+    read = reading(dataclasses.replace(there_and_back, models=models), NONLINEAR)
+    assert read is not None
+    assert_allclose(read.left, scale, rtol=1e-12, atol=0)
+    assert read.silent == (scale > 1e-3)
+
+
+def test_the_refined_solver_is_trusted_before_the_direct_one() -> None:
+    one = case({})
+    assert trusted(one, LU) == DIRECT
+    assert trusted(one, DIRECT) is None
+    assert trusted(one, NONLINEAR) is None, "another problem"
+    refined = dataclasses.replace(one, models={**one.models, "vdm-paper:refined": one.models[LU]})
+    assert trusted(refined, LU) == trusted(refined, DIRECT) == "vdm-paper:refined"
+
+
+def test_the_table_of_one_models_own_key_is_about_that_model() -> None:
+    key = f"models.{LU}.penalty"
+    [ladder] = ladders(Digest(make_run([case({key: 1e2}), case({key: 1e4})])))
+    assert set(ladder.readings) == {LU}
+
+
+def test_section_says_what_is_wrong_and_where(section: Section) -> None:
+    first, second = (
+        block.text for block in section.blocks if isinstance(block, Text) and block.kind == "plain"
+    )
+    assert first == "Of 6 pairs of a solver and a ladder, 3 are right from end to end and 3 break down."
+    assert second == (
+        "Called converged and not right: vdm-paper at Poisson ratio 0.3 and vdm-paper:lu at slivers 1e+06."
+    )
+    table = next(block for block in section.blocks if isinstance(block, Table))
+    rows = [[cell.text for cell in row] for row in table.rows]
+    assert ["slivers", NONLINEAR, "100", "100", "10000", "diverged", "take smaller load steps"] in rows
+    assert ["slivers", DIRECT, "100", "1e+06", "nowhere", "–", "–"] in rows
+    assert [row[4] for row in rows if row[:2] == ["Poisson ratio", DIRECT]] == ["0.3", "0.5"]
+    wrong = next(row for row in table.rows if row[5].tone == "bad")
+    assert wrong[5].detail
+
+
+def test_figures_show_each_measure_that_is_stored(section: Section) -> None:
+    groups = [block for block in section.blocks if isinstance(block, Figures)]
+    assert [group.summary for group in groups] == [
+        "Along the Poisson ratio, 0.3 to 0.5",
+        "Along the slivers, 100 to 1e+06",
+    ]
+    titles = ["Relative residual", "Condition estimate", "Difference from the trusted solver", "Volume drift"]
+    for group in groups:
+        assert [figure.title for figure in group.figures] == titles
+    assert "vdm-paper:lu from 1.0e-17 to 1.0e-02" in groups[1].figures[2].svg
+
+
+def test_other_studies_have_no_such_section() -> None:
+    assert numerical_stability(Digest(make_run(star()))) is None
+    assert numerical_stability(Digest(make_run(star(), claims=[9]))) is not None
+    assert numerical_stability(Digest(make_run([case({})], sweep="one-at-a-time"))) is None
