@@ -13,7 +13,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from .nearest import two_way_distances
+from .nearest import distances_and_farthest
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -174,8 +174,8 @@ class History:
     displacement: Array  # (S, N, 3)
     reaction_force: Array  # (S, N, 3)
     load_factors: Array  # (S,)
-    # (N,) at full load: from the model's nodes to the reference's surface, and back; see `evaluate_all`
-    distances: tuple[Array, Array] | None = None
+    # at full load: (N,) from the nodes to the reference's surface, and the largest either way; see `evaluate_all`
+    distances: tuple[Array, float] | None = None
 
 
 @dataclass(frozen=True)
@@ -312,11 +312,11 @@ def mean_surface_distance(surface: Surface, model: History, reference: History) 
     version=2,
 )
 def hausdorff_distance(surface: Surface, model: History, reference: History) -> Array:
-    return _of_distances(surface, model, reference, lambda there, back: float(max(there.max(), back.max())))
+    return _of_distances(surface, model, reference, lambda _, farthest: farthest)
 
 
 def _of_distances(
-    surface: Surface, model: History, reference: History, measure: Callable[[Array, Array], float]
+    surface: Surface, model: History, reference: History, measure: Callable[[Array, float], float]
 ) -> Array:
     """(S,) NaN but at the step of the largest load."""
     out = np.full(len(model.load_factors), np.nan)
@@ -339,9 +339,9 @@ def _with_distances(surface: Surface, models: Sequence[History], reference: Hist
     ]
     if usable:
         deformed = surface.points + np.stack([models[place].displacement[step] for place in usable])
-        there, back = two_way_distances(deformed, surface.points + r, surface.triangles)
-        for place, *distances in zip(usable, there, back, strict=True):
-            found[place] = replace(models[place], distances=(distances[0], distances[1]))
+        there, farthest = distances_and_farthest(deformed, surface.points + r, surface.triangles)
+        for place, distance, most in zip(usable, there, farthest, strict=True):
+            found[place] = replace(models[place], distances=(distance, float(most)))
     return found
 
 

@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
+Mask = NDArray[np.bool_]
 
 _MOST_AT_ONCE = (
     10_000  # nodes: small surfaces are searched together, for large ones that is memory for nothing
@@ -26,24 +27,33 @@ def nearest_on_surface(queries: Array, points: Array, triangles: Index) -> tuple
     return distance[0], facet[0], weights[0]
 
 
-def two_way_distances(surfaces: Array, reference: Array, triangles: Index) -> tuple[Array, Array]:
-    """(B, N) distances of the nodes of B surfaces (B, N, 3) to another (N, 3), and of its nodes to theirs [m].
+def distances_and_farthest(surfaces: Array, reference: Array, triangles: Index) -> tuple[Array, Array]:
+    """How far B surfaces (B, N, 3) are from another of the same facets (N, 3).
 
-    All have the same facets.
+    Returns
+    -------
+    distance : (B, N) of their nodes to the other surface [m]
+    farthest : (B,) the largest of these and of the distances of the other's nodes to each [m]
     """
     at_once = max(1, _MOST_AT_ONCE // len(reference))
-    parts = []
+    parts, largest = [], []
     for first in range(0, len(surfaces), at_once):
         some = surfaces[first : first + at_once]
         others = np.broadcast_to(reference, some.shape)
-        found = _nearest(np.concatenate([some, others]), np.concatenate([others, some]), triangles)[0]
-        parts.append(found.reshape(2, *some.shape[:2]))
-    there, back = np.concatenate(parts, axis=1)
-    return there, back
+        there = _nearest(some, others, triangles)[0]
+        farthest = there.max(axis=1)
+        # a node of the other surface is no further from this one than from the node that it corresponds to
+        open_to = np.linalg.norm(some - others, axis=2) > farthest[:, None]
+        back = _nearest(others, some, triangles, open_to)[0]
+        parts.append(there)
+        largest.append(np.maximum(farthest, np.where(open_to, back, 0.0).max(axis=1)))
+    return np.concatenate(parts), np.concatenate(largest)
 
 
-def _nearest(queries: Array, points: Array, triangles: Index) -> tuple[Array, Index, Array]:
-    """`nearest_on_surface` of queries (B, Q, 3) on B surfaces (B, N, 3), each its own: all at once."""
+def _nearest(
+    queries: Array, points: Array, triangles: Index, wanted: Mask | None = None
+) -> tuple[Array, Index, Array]:
+    """`nearest_on_surface` of queries (B, Q, 3), or those of them that are `wanted`, on B surfaces (B, N, 3)."""
     from scipy.spatial import cKDTree  # slow to load, and reading results needs none
 
     corners = points[:, triangles]
@@ -58,7 +68,7 @@ def _nearest(queries: Array, points: Array, triangles: Index) -> tuple[Array, In
     distance = np.full(len(flat), np.inf)
     facet = np.zeros(len(flat), dtype=np.int64)
     weights = np.zeros((len(flat), 3))
-    pending = np.arange(len(flat))
+    pending = np.arange(len(flat)) if wanted is None else np.flatnonzero(wanted)
     k = min(8, n_facets)
     while len(pending):
         of = pending // n_queries

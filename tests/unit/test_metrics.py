@@ -10,7 +10,7 @@ from numpy.testing import assert_allclose
 
 from studies import metrics
 from studies.metrics import History, Surface, evaluate, evaluate_all
-from studies.nearest import nearest_on_surface, two_way_distances
+from studies.nearest import distances_and_farthest, nearest_on_surface
 
 # round-off of sums over a few hundred terms of order one
 ROUND = {"rtol": 1e-12, "atol": 1e-14}
@@ -298,17 +298,24 @@ def test_all_steps_and_models_at_once_are_each_alone() -> None:
     assert_allclose(found["reference"]["volume_drift"], metrics.volume_drift(surface, models[2]), **ROUND)
 
 
-def test_distances_of_many_surfaces_are_those_of_each(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("size", [0.01, 0.3, 3.0])
+def test_distances_of_many_surfaces_are_those_of_each(monkeypatch: pytest.MonkeyPatch, size: float) -> None:
+    """Also the largest one, for which most nodes of the way back are left out."""
     surface, models = bumpy(9)
-    deformed = surface.points + np.stack([models[0].displacement[0], models[2].displacement[0]])
-    other = surface.points + models[2].displacement[1]
+    shifts = size * np.stack([models[0].displacement[0], models[2].displacement[0]])
+    shifts[1, :, 0] += 0.3  # one surface beside the other
+    other = surface.points + size * models[2].displacement[1]
     for at_once in (1, 10_000):
         monkeypatch.setattr("studies.nearest._MOST_AT_ONCE", at_once)
-        there, back = two_way_distances(deformed, other, surface.triangles)
+        deformed = surface.points + shifts
+        there, farthest = distances_and_farthest(deformed, other, surface.triangles)
         for place, points in enumerate(deformed):
-            assert_allclose(
-                there[place], nearest_on_surface(points, other, surface.triangles)[0], rtol=0, atol=0
-            )
-            assert_allclose(
-                back[place], nearest_on_surface(other, points, surface.triangles)[0], rtol=0, atol=0
-            )
+            one = nearest_on_surface(points, other, surface.triangles)[0]
+            back = nearest_on_surface(other, points, surface.triangles)[0]
+            assert_allclose(there[place], one, rtol=0, atol=0)
+            assert farthest[place] == max(one.max(), back.max())
+    spike = surface.points.copy()
+    spike[surface.points[:, 2].argmax()] *= 2.0  # only the way back from its tip sees how long it is
+    there, farthest = distances_and_farthest(surface.points[None], spike, surface.triangles)
+    back = nearest_on_surface(spike, surface.points, surface.triangles)[0]
+    assert farthest[0] == back.max() > there.max()
