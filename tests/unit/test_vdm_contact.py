@@ -65,3 +65,14 @@ def test_a_contact_all_over_the_body_is_not_shortened(solver):
     moved, _ = displacement(solver, nodes, np.full(len(nodes), 50.0))
     found = solver.formulation.displacement(unknown)
     assert_allclose(found, moved, rtol=0.0, atol=1e-6 * np.abs(moved).max())
+
+
+def test_a_contact_that_moves_within_its_own_array_is_seen(solver):
+    contact, nodes = ContactCompliance(solver.problem), PATCH.copy()
+    pressure = np.full(len(nodes), 50.0)
+    contact.frame(nodes, pressure)
+    nodes[:] = np.argsort(-POINTS[:, 0])[:50]
+    unknown, _ = contact.frame(nodes, pressure)
+    moved, _ = displacement(solver, nodes, pressure)
+    found = solver.formulation.displacement(unknown)
+    assert_allclose(found, moved, rtol=0.0, atol=1e-6 * np.abs(moved).max())

@@ -65,6 +65,7 @@ class ContactCompliance:
         self.dtype = np.float32 if single_precision else np.float64
         self._columns: dict[int, Array] = {}
         self._active: tuple[Index, Array] = (np.zeros(0, dtype=np.int64), np.zeros((0, 0)))
+        self._key = b""  # the active nodes as they were: quicker to compare, and the caller may change the array
         self._frames = 0  # of the active nodes
         self._short: _Shortened | None = None
 
@@ -77,7 +78,8 @@ class ContactCompliance:
             a node outside the surface.
         """
         nodes = np.asarray(nodes, dtype=np.int64)
-        if np.array_equal(nodes, self._active[0]):
+        key = nodes.tobytes()
+        if key == self._key and nodes.size:
             return self._active[1]
         n_nodes = self.problem.formulation.surface.n_nodes
         if nodes.size and (nodes.min() < 0 or nodes.max() >= n_nodes):
@@ -89,7 +91,7 @@ class ContactCompliance:
         columns = np.empty((size, len(nodes)), dtype=self.dtype, order="F")
         for k, node in enumerate(nodes):
             columns[:, k] = self._columns[int(node)]
-        self._active, self._frames, self._short = (nodes, columns), 0, None
+        self._active, self._key, self._frames, self._short = (nodes.copy(), columns), key, 0, None
         return columns
 
     def frame(self, nodes: Index, pressure: Array) -> tuple[Array, float]:
