@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from fem_reference.solution import Solution as FemSolution
     from vdm.model import Model as VdmModel
     from vdm.solution import Solution as VdmSolution
+    from vdm.surface import SurfaceMesh
 
     Solution = FemSolution | VdmSolution
     Solve = Callable[[Scene, str, str], Solution]
@@ -294,27 +295,22 @@ def _vdm_model(
     """The model of E, nu and density `tissue` with the parameters `given`; `options` are the model's own."""
     from vdm.material import Parameters
     from vdm.model import Model as VdmModel
-    from vdm.surface import SurfaceMesh
 
     youngs_modulus, poisson_ratio, density = tissue
     penalty = given.get("penalty")
     chosen = {name: value for name, value in given.items() if name != "penalty"}
-    surface = SurfaceMesh(points, triangles)
     rotation: Any = chosen.get("rotation", "global")
-    rule = Parameters.from_tissue(
-        youngs_modulus,
-        poisson_ratio,
-        surface,
-        formulation,
-        rotation,
-        options["fixed"] | options["constrained"],
-    )
-    if isinstance(rule.surface_tension, np.ndarray) and "surface_tension" in chosen:
-        # a T of the study is the mean over the edges of one that grows from the support
-        chosen["surface_tension"] *= rule.surface_tension / rule.surface_tension.mean()
-    parameters = dataclasses.replace(rule, **chosen)
-    if fibres is not None:
-        parameters = parameters.anisotropic(surface, *fibres)
+    held = options["fixed"] | options["constrained"]
+
+    def parameters(surface: SurfaceMesh) -> Parameters:
+        rule = Parameters.from_tissue(youngs_modulus, poisson_ratio, surface, formulation, rotation, held)
+        whole = dataclasses.replace(rule, **chosen)
+        if isinstance(rule.surface_tension, np.ndarray) and "surface_tension" in chosen:
+            # a T of the study is the mean over the edges of one that grows from the support
+            grown = chosen["surface_tension"] * (rule.surface_tension / rule.surface_tension.mean())
+            whole = dataclasses.replace(whole, surface_tension=grown)
+        return whole if fibres is None else whole.anisotropic(surface, *fibres)
+
     if penalty is not None:
         options |= {"constraint_method": "penalty-replaced", "penalty": penalty}  # (25) and (26) as printed
         solver = "lu"

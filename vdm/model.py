@@ -56,7 +56,8 @@ class Model:
     ----------
     points : (N, 3) coordinates [m]
     triangles : (F, 3) outward facets
-    parameters : the formulation's material
+    parameters : the formulation's material, or a rule that gives it for the surface; `Solution.seconds_setup` then
+        counts the rule's time too
     formulation : a key of `vdm.formulations.FORMULATIONS`
     fixed, constrained : (N,) masks of nodes that are held or moved by `Load.prescribed`
     density : of the fluid [kg/m^3]
@@ -79,7 +80,7 @@ class Model:
         self,
         points: ArrayLike,
         triangles: ArrayLike,
-        parameters: Parameters,
+        parameters: Parameters | Callable[[SurfaceMesh], Parameters],
         *,
         formulation: str = "paper",
         fixed: ArrayLike | None = None,
@@ -96,9 +97,11 @@ class Model:
     ) -> None:
         start = time.perf_counter()
         _check_choices(formulation, solver, outputs, constraint_method)
+        self.surface = SurfaceMesh(points, triangles)
+        if not isinstance(parameters, Parameters):
+            parameters = parameters(self.surface)
         if parameters.tension_stiffening and (formulation, solver) != ("paper", "nonlinear"):
             raise ParameterError("tension_stiffening needs the paper formulation and the nonlinear solver")
-        self.surface = SurfaceMesh(points, triangles)
         n_nodes = self.surface.n_nodes
         hydrostatic = hydrostatic_pressure(self.surface, density, gravity)
         support = Support(

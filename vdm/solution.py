@@ -47,7 +47,7 @@ class Solution:
     energy : (S,) elastic energy [J]
     iterations : (S,) solver iterations, 0 for a direct solve
     status : S outcomes, one per step
-    seconds_setup : assembly and factorisation [s]
+    seconds_setup : checks, parameters where a rule gives them, assembly and factorisation [s]
     seconds_per_step : (S,) time of each step after set-up [s]
     parameters : the material and solver parameters that were used
     scalars : further (S,) outputs by name

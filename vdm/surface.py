@@ -47,7 +47,7 @@ class SurfaceMesh:
         vectors = self.facet_vectors
         self.facet_areas: Array = np.linalg.norm(vectors, axis=1)
         _check_facets(corners, self.facet_areas)
-        self.edges: Index
+        self.edges: NDArray[np.int32]
         self.facet_edges: NDArray[np.int32]
         self.edges, self.facet_edges = _edges(self.triangles, self.n_nodes)
         _check_topology(self.triangles, self.facet_edges, self.edges, self.n_nodes)
@@ -154,7 +154,7 @@ class SurfaceMesh:
     def laplacian(self, weights: Array) -> sparse.csr_array:
         """(N, N) graph Laplacian of (E,) edge weights: row i is sum_j w_ij (x_i - x_j)."""
         # 32 bits: half the memory of the indices, and what the factor's library takes without a copy
-        i, j = self.edges.T.astype(np.int32)
+        i, j = np.ascontiguousarray(self.edges.T)
         diagonal = np.bincount(i, weights, self.n_nodes) + np.bincount(j, weights, self.n_nodes)
         nodes = np.arange(self.n_nodes, dtype=np.int32)
         rows, columns = np.concatenate([i, j, nodes]), np.concatenate([j, i, nodes])
@@ -194,16 +194,18 @@ def _check_facets(corners: Array, areas: Array) -> None:
         raise SurfaceError(f"{flat.size} facets have no area (first: {flat[0]}); clean or remesh the surface")
 
 
-def _edges(triangles: Index, n_nodes: int) -> tuple[Index, NDArray[np.int32]]:
+def _edges(triangles: Index, n_nodes: int) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
     """(E, 2) edges with the smaller node first, in ascending order, and (F, 3) the edges of each facet."""
     start, end = triangles.ravel(), np.roll(triangles, -1, axis=1).ravel()
     keys = np.minimum(start, end) * n_nodes + np.maximum(start, end)
     unique, inverse = np.unique(keys, return_inverse=True)
-    edges = np.stack([unique // n_nodes, unique % n_nodes], axis=1)
+    edges = np.stack([unique // n_nodes, unique % n_nodes], axis=1).astype(np.int32)
     return edges, inverse.reshape(-1, 3).astype(np.int32)
 
 
-def _check_topology(triangles: Index, facet_edges: NDArray[np.int32], edges: Index, n_nodes: int) -> None:
+def _check_topology(
+    triangles: Index, facet_edges: NDArray[np.int32], edges: NDArray[np.int32], n_nodes: int
+) -> None:
     use = np.bincount(facet_edges.ravel(), minlength=len(edges))
     if np.any(use == 1):
         i, j = edges[np.flatnonzero(use == 1)[0]]

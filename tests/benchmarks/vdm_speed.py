@@ -1,10 +1,17 @@
 """What `vdm` costs on this machine, as one Markdown table: `make bench-vdm`. Nothing here is asserted.
 
+All times are processor time of the one thread that works, which other work on the machine makes longer by what it
+takes of caches and memory only.
+
 The bound of a linear solve is the time that two readings of its factor take: of an array of the factor's
 size, 8 bytes a non-zero, indices not counted, so that a factor that fits into a cache is held against the
 cache. cholespy does not tell its non-zeros; they are those of SuperLU's symmetric minimum degree ordering, an
-upper bound as long as cholespy's ordering is no worse. Memory is set against what one factor more takes of the
-process, its indices and all; the last column is what its library takes while it makes that factor.
+upper bound as long as cholespy's ordering is no worse. That of a local contact is one reading of its columns,
+that of the boundary form on a coarse body one of half its dense matrix, which is symmetric. Memory is set against
+what one factor more takes of the process, its indices and all; the last column is what its library takes while it
+makes that factor.
+
+A set-up goes from points, triangles and a tissue to the factor: checks, the rule for the parameters, assembly.
 """
 
 from __future__ import annotations
@@ -25,14 +32,18 @@ from threadpoolctl import threadpool_info
 from studies.memory import peak_bytes_since, reset_peak
 from tests.unit.vdm_shapes import icosphere, torus
 from vdm import FORMULATIONS, Load, Model, Parameters, SurfaceMesh
+from vdm.formulations.boundary import BoundaryFormulation
+from vdm.formulations.skin import Skin
 from vdm.formulations.vector import VectorFormulation
-from vdm.problem import Problem
+from vdm.problem import Problem, Step
 from vdm.solvers.cholesky import Cholesky
 from vdm.solvers.compliance import ContactCompliance
 from vdm.solvers.krylov import KrylovSolver, Method
 from vdm.solvers.linear import LinearSolver
 
 Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+Index = NDArray[np.int64]
 
 RADIUS = 0.05
 BYTES_PER_NONZERO = 8
@@ -79,7 +90,7 @@ class Row:
         """As text."""
         low, median, high = np.quantile(self.seconds, [0.1, 0.5, 0.9])
         numbers = (self.over_bound, self.superlu, self.resident, self.peak, self.library)
-        ratios = ("" if number is None else f"{number:.2g}" for number in numbers)
+        ratios = ("" if number is None else f"{number:.3g}" for number in numbers)
         return [self.what, f"{self.nodes:,}", shown(median), f"{shown(low)} to {shown(high)}", *ratios]
 
 
@@ -105,9 +116,9 @@ def timed_in_turns(
 
 def timed_once(function: Callable[[], object]) -> float:
     """Seconds of one call."""
-    start = time.perf_counter()
+    start = time.thread_time()
     function()
-    return time.perf_counter() - start
+    return time.thread_time() - start
 
 
 def reading_seconds(n_bytes: int, repeats: int) -> float:
@@ -125,53 +136,70 @@ def copy_bandwidth() -> float:
 
 def ball(formulation: str, levels: int, solver: str = "linear") -> Model:
     """A ball of 10 * 4^levels + 2 nodes with its lowest cap held."""
-    points, triangles = icosphere(levels, (RADIUS, RADIUS, RADIUS))
-    parameters = Parameters.from_tissue(5000.0, 0.4999, SurfaceMesh(points, triangles), formulation)
+    return set_up_on(*icosphere(levels, (RADIUS, RADIUS, RADIUS)), formulation, solver)
+
+
+def set_up_on(points: Array, triangles: Index, formulation: str, solver: str = "linear") -> Model:
+    """The model of a surface whose lowest part is held."""
     fixed = points[:, 2] < -0.9 * RADIUS
+    parameters = partial(tissue, formulation=formulation, held=fixed)
     return Model(points, triangles, parameters, formulation=formulation, fixed=fixed, solver=solver)
+
+
+def tissue(surface: SurfaceMesh, formulation: str, held: Mask) -> Parameters:
+    """The rule for the parameters, as a study uses it."""
+    return Parameters.from_tissue(5000.0, 0.4999, surface, formulation, held=held)
+
+
+def set_up_seconds(formulation: str, levels: int, repeats: int) -> Array:
+    """Seconds of each of `repeats` set-ups on the same arrays."""
+    points, triangles = icosphere(levels, (RADIUS, RADIUS, RADIUS))
+    return np.array([timed_once(lambda: set_up_on(points, triangles, formulation)) for _ in range(repeats)])
 
 
 def linear_rows(sizes: Sizes, levels: int, repeats: int) -> Iterator[Row]:
     """Every node loaded, and the triangular solves in it, beside SuperLU's; set-up with its memory."""
     for formulation in ("paper", "consistent", "vector"):
-        before = reset_peak()
-        model = ball(formulation, levels)
-        peak = peak_bytes_since(before)
-        resident = reset_peak() - before
-        n_nodes = model.surface.n_nodes
-        free, form = model.problem.free, model.formulation
-        # the vector form's three components share one scalar factor
-        block = scalar_block(model)
-        before = reset_peak()
-        again = Cholesky(sparse.csr_array(block))
-        library = peak_bytes_since(before)
-        factor_resident = reset_peak() - before
-        del again
-        superlu = linalg.splu(
-            block, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True}
-        )
-        factor_bytes = BYTES_PER_NONZERO * superlu.L.nnz
-        bound = 2.0 * reading_seconds(factor_bytes, repeats)
-        set_up = timed(partial(ball, formulation, levels), sizes.slow_repeats)
-        memory = (amount / max(factor_resident, 1) for amount in (resident, peak, library))
-        yield Row(f"set-up, {formulation}", n_nodes, set_up, None, None, *memory)
-        load = Load(100.0 * np.random.default_rng(0).random(n_nodes))
-        step = timed(partial(model.solver.step, load), repeats)
-        yield Row(
-            f"linear step, every node loaded, {formulation}", n_nodes, step, float(np.median(step)) / bound
-        )
-        right = np.random.default_rng(1).standard_normal((int(free.sum()) * form.components,))
-        factor = LinearSolver(model.problem).factor.block
-        others = partial(superlu.solve, right.reshape(block.shape[0], -1))
-        solve, other = timed_in_turns(partial(factor.solve, right), others, repeats)
-        typical = float(np.median(solve))
-        yield Row(
-            f"its triangular solves, {formulation}",
-            n_nodes,
-            solve,
-            typical / bound,
-            float(np.median(other)) / typical,
-        )
+        # a call of its own, so that nothing of one form is alive when the memory of the next is measured
+        yield from rows_of_one(formulation, sizes, levels, repeats)
+
+
+def rows_of_one(formulation: str, sizes: Sizes, levels: int, repeats: int) -> Iterator[Row]:
+    """The rows of one formulation."""
+    ball(formulation, 2)  # what is loaded on first use is not the model's
+    before = reset_peak()
+    model = ball(formulation, levels)
+    peak = peak_bytes_since(before)
+    resident = reset_peak() - before
+    assert isinstance(model.solver, LinearSolver)
+    n_nodes = model.surface.n_nodes
+    free, form = model.problem.free, model.formulation
+    # the vector form's three components share one scalar factor
+    block = scalar_block(model)
+    before = reset_peak()
+    again = Cholesky(sparse.csr_array(block))
+    library = peak_bytes_since(before)
+    factor_resident = reset_peak() - before
+    del again
+    superlu = linalg.splu(
+        block, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True}
+    )
+    bound = 2.0 * reading_seconds(BYTES_PER_NONZERO * superlu.L.nnz, repeats)
+    memory = (amount / max(factor_resident, 1) for amount in (resident, peak, library))
+    set_up = set_up_seconds(formulation, levels, sizes.slow_repeats)
+    yield Row(f"set-up, {formulation}", n_nodes, set_up, None, None, *memory)
+    rule = timed(partial(tissue, model.surface, formulation, ~free), sizes.slow_repeats)
+    yield Row(f"of it the rule for the parameters, {formulation}", n_nodes, rule)
+    load = Load(100.0 * np.random.default_rng(0).random(n_nodes))
+    step = timed(partial(model.solver.step, load), repeats)
+    share = float(np.median(step)) / bound
+    yield Row(f"linear step, every node loaded, {formulation}", n_nodes, step, share)
+    right = np.random.default_rng(1).standard_normal((int(free.sum()) * form.components,))
+    others = partial(superlu.solve, right.reshape(block.shape[0], -1))
+    solve, other = timed_in_turns(partial(model.solver.factor.block.solve, right), others, repeats)
+    typical = float(np.median(solve))
+    ratios = typical / bound, float(np.median(other)) / typical
+    yield Row(f"its triangular solves, {formulation}", n_nodes, solve, *ratios)
 
 
 def scalar_block(model: Model) -> sparse.csc_array:
@@ -182,18 +210,20 @@ def scalar_block(model: Model) -> sparse.csc_array:
     return sparse.csc_array(matrix[free][:, free])
 
 
-def contact_rows(sizes: Sizes) -> Iterator[Row]:
+def contact_rows(model: Model, sizes: Sizes) -> Iterator[Row]:
     """A local contact that stays where it is: all displacements, from the columns of its nodes."""
-    for formulation in ("consistent", "vector"):
-        model = ball(formulation, sizes.levels)
-        nodes = np.argsort(-model.surface.points[:, 2])[: sizes.contact]
-        pressure = 100.0 * np.random.default_rng(2).random(len(nodes))
-        for single in (False, True):
-            contact = ContactCompliance(model.problem, LinearSolver(model.problem), single_precision=single)
-            seconds = timed(partial(contact.frame, nodes, pressure), 5 * sizes.repeats)
-            precision = "single" if single else "double"
-            what = f"local contact of {len(nodes)} nodes, {formulation}, {precision} precision"
-            yield Row(what, model.surface.n_nodes, seconds)
+    nodes = np.argsort(-model.surface.points[:, 2])[: sizes.contact]
+    pressure = 100.0 * np.random.default_rng(2).random(len(nodes))
+    assert isinstance(model.solver, LinearSolver)
+    for single in (False, True):
+        contact = ContactCompliance(model.problem, model.solver, single_precision=single)
+        frame = partial(contact.frame, nodes, pressure)
+        frame()
+        seconds = timed(frame, 5 * sizes.repeats)
+        bound = reading_seconds(contact.frame_bytes, sizes.repeats)
+        precision = "single" if single else "double"
+        what = f"local contact of {len(nodes)} nodes, {model.formulation.name}, {precision} precision"
+        yield Row(what, model.surface.n_nodes, seconds, float(np.median(seconds)) / bound)
 
 
 def krylov_rows(sizes: Sizes) -> Iterator[Row]:
@@ -214,14 +244,49 @@ def krylov_rows(sizes: Sizes) -> Iterator[Row]:
                 yield Row(what, surface.n_nodes, seconds)
 
 
-def nonlinear_rows(sizes: Sizes) -> Iterator[Row]:
-    """Steps of a load that grows by a twentieth each, once the history has begun."""
-    for formulation in ("consistent", "vector"):
-        model = ball(formulation, sizes.levels, "nonlinear")
-        cap = model.surface.points[:, 2] > 0.9 * RADIUS
-        load = Load(np.where(cap, 100.0, 0.0))
-        solution = model.solve([load.scaled(1.0 + 0.05 * k) for k in range(3 + sizes.slow_repeats * 4)])
-        yield Row(f"warm nonlinear step, {formulation}", model.surface.n_nodes, solution.seconds_per_step[3:])
+def history_rows(sizes: Sizes) -> Iterator[Row]:
+    """Steps of a load that grows by a twentieth each, once the history has begun, and their mean iterations."""
+    for formulation, solver, what in (
+        ("paper", "bicg", "BiCG as printed, warm"),
+        ("paper", "bicg-cold", "BiCG as printed, cold"),
+        ("paper", "quasi-linear", "quasi-linear step"),
+        ("consistent", "quasi-linear", "quasi-linear step"),
+        ("vector", "quasi-linear", "quasi-linear step"),
+        ("consistent", "nonlinear", "warm nonlinear step"),
+        ("vector", "nonlinear", "warm nonlinear step"),
+    ):
+        model = ball(formulation, sizes.levels, solver)
+        load = Load(np.where(model.surface.points[:, 2] > 0.9 * RADIUS, 100.0, 0.0))
+        step: Step | None = None
+        seconds, iterations = [], []
+        for k in range(3 + sizes.slow_repeats * 4):
+            start = time.thread_time()
+            step = model.solver.step(load.scaled(1.0 + 0.05 * k), step)
+            seconds.append(time.thread_time() - start)
+            iterations.append(step.iterations)
+        mean = np.mean(iterations[3:])
+        counted = f", {mean:.3g} iterations" if mean else ""
+        yield Row(f"{what}{counted}, {formulation}", model.surface.n_nodes, np.array(seconds[3:]))
+
+
+def skin_rows(sizes: Sizes) -> Iterator[Row]:
+    """The boundary form of many nodes, on a coarse body: set-up, every node loaded, a local contact."""
+    model = ball("boundary", sizes.levels)
+    n_nodes = model.surface.n_nodes
+    yield Row("set-up, boundary", n_nodes, set_up_seconds("boundary", sizes.levels, 1))
+    form = model.formulation
+    assert isinstance(form, BoundaryFormulation)
+    bound = reading_seconds(dense_bytes(form) // 2, sizes.repeats)
+    step = timed(
+        partial(model.solver.step, Load(100.0 * np.random.default_rng(0).random(n_nodes))), sizes.repeats
+    )
+    yield Row("linear step, every node loaded, boundary", n_nodes, step, float(np.median(step)) / bound)
+    yield from contact_rows(model, sizes)
+
+
+def dense_bytes(form: BoundaryFormulation) -> int:
+    """Of the matrix that a frame multiplies by: of the coarse body, or of all nodes."""
+    return form.body.body.nbytes if isinstance(form.body, Skin) else form.body.matrix.nbytes
 
 
 def boundary_rows(sizes: Sizes) -> Iterator[Row]:
@@ -231,8 +296,9 @@ def boundary_rows(sizes: Sizes) -> Iterator[Row]:
         parameters = Parameters(shear_modulus=1667.0)
         seconds = []
         for _ in range(sizes.slow_repeats):
+            start = time.thread_time()
             model = Model(points, triangles, parameters, formulation="boundary", fixed=points[:, 2] < -0.015)
-            seconds.append(model.seconds_setup)
+            seconds.append(time.thread_time() - start)
         load = Load(100.0 * np.random.default_rng(3).random(len(points)))
         yield Row("set-up, boundary", len(points), np.array(seconds))
         frame = timed(partial(model.solver.step, load), sizes.repeats)
@@ -249,9 +315,10 @@ def report(sizes: Sizes) -> Iterator[str]:
     yield f"| {' | '.join(['---'] * len(HEAD))} |"
     parts = (
         linear_rows(sizes, sizes.levels, sizes.repeats),
-        contact_rows(sizes),
+        *(contact_rows(ball(formulation, sizes.levels), sizes) for formulation in ("consistent", "vector")),
         krylov_rows(sizes),
-        nonlinear_rows(sizes),
+        history_rows(sizes),
+        skin_rows(sizes),
         boundary_rows(sizes),
         linear_rows(sizes, sizes.fine_levels, 3 * sizes.slow_repeats),
     )

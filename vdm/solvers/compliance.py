@@ -65,7 +65,9 @@ class ContactCompliance:
         self.dtype = np.float32 if single_precision else np.float64
         self._columns: dict[int, Array] = {}
         self._active: tuple[Index, Array] = (np.zeros(0, dtype=np.int64), np.zeros((0, 0)))
-        self._key = b""  # the active nodes as they were: quicker to compare, and the caller may change the array
+        self._key = (
+            b""  # the active nodes as they were: quicker to compare, and the caller may change the array
+        )
         self._frames = 0  # of the active nodes
         self._short: _Shortened | None = None
 
@@ -103,6 +105,12 @@ class ContactCompliance:
             self._short = self._shortened(columns)
         answer = columns @ pressure if self._short is None else self._short.answer(pressure)
         return answer[:-1].reshape(-1, self.problem.formulation.components), float(answer[-1])
+
+    @property
+    def frame_bytes(self) -> int:
+        """Bytes of what the next frame on the same nodes reads."""
+        short = self._short
+        return self._active[1].nbytes if short is None else short.basis.nbytes + short.block.nbytes
 
     def _shortened(self, columns: Array) -> _Shortened | None:
         """The columns with a shorter basis for all nodes far from the contact, None where that saves little."""
