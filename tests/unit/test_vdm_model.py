@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from dataclasses import replace
 
 import numpy as np
@@ -492,20 +491,3 @@ def test_moduli_without_meaning_are_refused_by_every_form(formulation):
                 model(formulation, parameters=replace(rule, **{name: value}), fixed=BASE)
     with pytest.raises(ParameterError, match=f"{MODULI[formulation][-1]}.*positive"):
         model(formulation, parameters=replace(rule, **dict.fromkeys(MODULI[formulation], 0.0)), fixed=BASE)
-
-
-def test_a_rule_for_the_parameters_is_a_part_of_the_set_up():
-    seen: list[SurfaceMesh] = []
-
-    def rule(surface: SurfaceMesh) -> Parameters:
-        seen.append(surface)
-        time.sleep(0.05)
-        return Parameters.from_tissue(5e3, 0.4999, surface, "vector", held=BASE)
-
-    ruled = Model(POINTS, TRIANGLES, rule, formulation="vector", fixed=BASE)
-    assert len(seen) == 1
-    assert seen[0] is ruled.surface, "the surface is not checked twice"
-    plain = Model(POINTS, TRIANGLES, rule(BODY), formulation="vector", fixed=BASE)
-    first, second = (body.solve([FINGER]) for body in (ruled, plain))
-    assert first.seconds_setup > 0.05
-    assert np.array_equal(first.displacement, second.displacement)

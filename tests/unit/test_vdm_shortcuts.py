@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import time
+
 import numpy as np
 import pytest
 
@@ -49,3 +51,20 @@ def test_without_gravity_no_hydrostatic_pressure_is_assembled(formulation, solve
     assert np.array_equal(
         body.solve([FINGER]).displacement, model(formulation, solver=solver).solve([FINGER]).displacement
     )
+
+
+def test_a_rule_for_the_parameters_is_a_part_of_the_set_up():
+    seen: list[SurfaceMesh] = []
+
+    def rule(surface: SurfaceMesh) -> Parameters:
+        seen.append(surface)
+        time.sleep(0.05)
+        return Parameters.from_tissue(5e3, 0.4999, surface, "vector", held=BASE)
+
+    ruled = Model(POINTS, TRIANGLES, rule, formulation="vector", fixed=BASE)
+    assert len(seen) == 1
+    assert seen[0] is ruled.surface, "the surface is not checked twice"
+    plain = Model(POINTS, TRIANGLES, rule(ruled.surface), formulation="vector", fixed=BASE)
+    first, second = (body.solve([FINGER]) for body in (ruled, plain))
+    assert first.seconds_setup > 0.05
+    assert np.array_equal(first.displacement, second.displacement)

@@ -38,7 +38,9 @@ class BoundaryFormulation(Formulation):
     reactions balance the load. The traction of V^-1 is taken without its mean pressure: that pressure is dP.
 
     Dense, (3N)^2 numbers, set-up of order N^3, up to `MAX_NODES` nodes; more are the skin of a coarser body (see
-    `vdm.formulations.skin`). At large displacements S turns with the body's best-fit rotation.
+    `vdm.formulations.skin`). At large displacements S turns with the body's best-fit rotation;
+    how that rotation changes with the displacement is left out of the force, which so differs from the energy's
+    gradient by terms of the order of the strain.
 
     Raises
     ------
