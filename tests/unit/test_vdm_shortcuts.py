@@ -27,9 +27,9 @@ def test_the_block_is_factored_once_for_a_whole_history(formulation, solver, mon
     made: list[int] = []
     original = FORMULATIONS[formulation].factor
 
-    def counted(self, free):
+    def counted(self, free, *options):
         made.append(int(free.sum()))
-        return original(self, free)
+        return original(self, free, *options)
 
     monkeypatch.setattr(FORMULATIONS[formulation], "factor", counted)
     body = model(formulation, solver=solver)
