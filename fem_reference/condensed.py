@@ -163,7 +163,7 @@ class CondensedProblem:
                 "seconds_precompute": self.seconds_precompute,
                 "relative_residual": self.residual,
             },
-            scalars={"compliance": work},
+            scalars={"compliance": work, "relative_residual": np.full(len(loads), self.residual)},
         )
 
     def _amplitudes(self, step: int, load: Load) -> tuple[Array, Array, Array]:

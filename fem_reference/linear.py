@@ -203,6 +203,7 @@ class LinearProblem:
         work = np.einsum("snk,snk->s", forces, fields.displacement)
         reaction_work = np.einsum("snk,snk->s", fields.reaction, fields.displacement)
         scalars = strain_outputs(self.mesh, fields.displacement, outputs - {"compliance"})
+        scalars["relative_residual"] = fields.residual
         if "compliance" in outputs:
             scalars["compliance"] = work
         return Solution(

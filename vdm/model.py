@@ -16,6 +16,7 @@ from vdm.formulations.paper import PaperFormulation
 from vdm.material import ParameterError, Parameters
 from vdm.problem import Problem, Step, check_held
 from vdm.solution import Solution, SolverError
+from vdm.solvers.audit import Audit, judged
 from vdm.solvers.condition import Condition, condition_of_matrix, condition_of_operator
 from vdm.solvers.krylov import KrylovSolver
 from vdm.solvers.linear import LinearSolver
@@ -32,6 +33,10 @@ class Solver(Protocol):
 
     def step(self, load: Load, previous: Step | None = None) -> Step:
         """Solution of one load, started from the previous step where that helps."""
+        ...
+
+    def audited(self, load: Load, step: Step) -> tuple[Step, Audit]:
+        """The step, refined where the solver can, and what it is worth."""
         ...
 
 
@@ -125,7 +130,8 @@ class Model:
     def solve(self, loads: Sequence[Load], condition: bool = False) -> Solution:
         """One step per load.
 
-        `fluid_pressure` is dP + P_ep at the datum, the highest surface point along gravity (17).
+        `fluid_pressure` is dP + P_ep at the datum, the highest surface point along gravity (17). Each step is
+        audited: `scalars["relative_residual"]`, and a status other than converged where it cannot be relied on.
         With `condition`, `scalars["condition_estimate"]` is that of the whole system that is solved, from
         `condition_estimate`, the same for all steps.
 
@@ -138,10 +144,14 @@ class Model:
             check_load(load, self.problem.support)
         steps: list[Step] = []
         seconds: list[float] = []
+        residuals: list[float] = []
         for load in loads:
             start = time.perf_counter()
-            steps.append(self.solver.step(load, steps[-1] if steps else None))
+            step = self.solver.step(load, steps[-1] if steps else None)
             seconds.append(time.perf_counter() - start)
+            step, found = self.solver.audited(load, step)
+            steps.append(judged(step, found))
+            residuals.append(found.residual)
         n_nodes = self.surface.n_nodes
         return Solution(
             displacement=np.array([s.displacement for s in steps]).reshape(-1, n_nodes, 3),
@@ -154,7 +164,10 @@ class Model:
             seconds_setup=self.seconds_setup,
             seconds_per_step=np.array(seconds),
             parameters=self._record(),
-            scalars=self._condition(len(steps)) if condition else {},
+            scalars={
+                "relative_residual": np.array(residuals),
+                **(self._condition(len(steps)) if condition else {}),
+            },
             point_fields={name: self._point_field(name, steps) for name in self.outputs},
         )
 

@@ -15,7 +15,7 @@ from vdm.formulations.skin import PIVOT_TOLERANCE, Skin
 from vdm.formulations.vector import best_rotation
 from vdm.material import ParameterError, Parameters
 from vdm.solution import SolverError, Status
-from vdm.solvers.cholesky import SINGULAR, Cholesky
+from vdm.solvers.cholesky import Cholesky
 from vdm.surface import SurfaceMesh
 
 Array = NDArray[np.float64]
@@ -26,6 +26,12 @@ MAX_NODES = 1000
 COARSE_NODES = 800
 DENSE = Status(
     "dense", "the boundary formulation has a dense factor, in double precision only", "use the linear solver"
+)
+
+INDEFINITE = Status(
+    "singular",
+    "the boundary formulation's stiffness is not positive definite",
+    "hold at least three nodes that are not on one line, and remesh a surface with slivers or folds",
 )
 
 
@@ -152,10 +158,10 @@ class DenseFactor:
         try:
             self._factor = linalg.cho_factor(matrix, lower=True, check_finite=False)
         except linalg.LinAlgError as error:
-            raise SolverError(SINGULAR) from error
+            raise SolverError(INDEFINITE) from error
         diagonal = np.abs(np.diagonal(self._factor[0]))
         if diagonal.min() < PIVOT_TOLERANCE * diagonal.max():
-            raise SolverError(SINGULAR)
+            raise SolverError(INDEFINITE)
 
     def solve(self, right_hand_side: Array) -> Array:
         """Solution of (n,) or (n, m) right-hand sides."""

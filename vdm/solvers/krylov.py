@@ -13,6 +13,7 @@ from vdm.constraints import Load
 from vdm.formulations.base import Factor
 from vdm.problem import Problem, Step
 from vdm.solution import CONVERGED, SolverError, Status
+from vdm.solvers.audit import Audit, audit
 
 Array = NDArray[np.float64]
 Method = Literal["bicg", "cg", "minres"]
@@ -140,6 +141,10 @@ class KrylovSolver:
         given[self.free] = solution
         x = (given[:n] * self.column_scale).reshape(force.shape)
         return problem.finish(x, given[n:], force, iterations, status)
+
+    def audited(self, load: Load, step: Step) -> tuple[Step, Audit]:
+        """The step and what its balance lacks; without a factor of the whole there is no estimate of the error."""
+        return step, audit(self.problem, load, step, None)
 
     def _by_blocks(self, b: Array, guess: Array | None) -> tuple[Array, int, bool]:
         m = self.n_border

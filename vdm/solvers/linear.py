@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 from vdm.constraints import Load
 from vdm.formulations.base import Factorise, ReactingFactor
 from vdm.problem import Problem, Step
-from vdm.solution import CONVERGED, SolverError, Status
+from vdm.solution import SolverError
+from vdm.solvers.audit import Audit, refined
 from vdm.solvers.cholesky import SINGULAR, Cholesky
 from vdm.solvers.single import SingleFactor
 
@@ -19,7 +20,6 @@ Precision = Literal["single", "double"]
 
 # smallest singular value of the scaled border system that is told from rounding
 BORDER_TOLERANCE = 1e-11
-NOT_FINITE = Status("not-finite", "the solution holds nan or inf", "check the size of the loads and moduli")
 
 
 class BorderedFactor:
@@ -72,6 +72,13 @@ class BorderedFactor:
     def solve_with_held(self, force: Array, target: Array) -> tuple[Array, Array, Array | None]:
         """The same, and K x at the held nodes at rest (n_held d,) where the block's factor knows it, else None."""
         return self._solve(force, target, self.volume_row, self.schur)
+
+    def correction(self, lacking: Array, open_rows: Array) -> tuple[Array, Array]:
+        """Change of x (N, d) and border (m,) that supplies forces (N, d) at free nodes and border values (m,)."""
+        change = np.zeros_like(lacking)
+        moved, border = self.solve(lacking[self.free].reshape(-1), open_rows)
+        change[self.free] = moved.reshape(-1, lacking.shape[1])
+        return change, border
 
     def _solve(
         self, force: Array, target: Array, row: Array, schur: Array
@@ -130,5 +137,8 @@ class LinearSolver:
             applied[factor.held_nodes] = held.reshape(-1, x.shape[1])
             if lifted is not None:
                 applied[factor.held_nodes] += lifted[factor.held_nodes]
-        status = CONVERGED if np.isfinite(free_x).all() else NOT_FINITE
-        return problem.finish(x, border, force, status=status, applied=applied)
+        return problem.finish(x, border, force, applied=applied)
+
+    def audited(self, load: Load, step: Step) -> tuple[Step, Audit]:
+        """The step, refined where that pays, and what it is worth."""
+        return refined(self.problem, load, step, self.factor.correction)

@@ -12,6 +12,7 @@ from scipy.sparse import linalg
 from vdm.constraints import ConstraintError, Load
 from vdm.problem import Problem, Step
 from vdm.solution import SolverError, Status
+from vdm.solvers.audit import Audit, audit
 
 Array = NDArray[np.float64]
 ConstraintMethod = Literal["elimination", "penalty-added", "penalty-replaced"]
@@ -85,3 +86,18 @@ class LuSolver:
             solution = self._factors.solve(np.where(self.held, imposed, right_hand_side))
         x = (solution[:n] * formulation.column_scale).reshape(force.shape)
         return problem.finish(x, solution[n:], force)
+
+    def audited(self, load: Load, step: Step) -> tuple[Step, Audit]:
+        """The step and what it is worth: of a penalty, at the nodes that it leaves free."""
+        return step, audit(self.problem, load, step, self._correction)
+
+    def _correction(self, lacking: Array, open_rows: Array) -> tuple[Array, Array]:
+        formulation = self.problem.formulation
+        missing = np.concatenate([formulation.row_scale * lacking.reshape(-1), open_rows])
+        change = np.zeros(len(missing))
+        if self.method == "elimination":
+            change[~self.held] = self._factors.solve(missing[~self.held])
+        else:
+            change = self._factors.solve(missing)
+        n = lacking.size
+        return (change[:n] * formulation.column_scale).reshape(lacking.shape), change[n:]

@@ -12,6 +12,7 @@ from vdm.deformed import DeformedSurface
 from vdm.problem import Problem, Step
 from vdm.solution import Status
 from vdm.solvers.anderson import Anderson
+from vdm.solvers.audit import Audit
 from vdm.solvers.linear import BorderedFactor
 
 Array = NDArray[np.float64]
@@ -126,6 +127,15 @@ class NonlinearSolver:
         border[0] = pressure
         energy = self.problem.formulation.deformed_energy(x, balance.state)
         return self.problem.package(x, border, balance.lacking, energy, iterations)
+
+    def audited(self, load: Load, step: Step) -> tuple[Step, Audit]:
+        """The step and what its balance on the deformed surface lacks."""
+        if not step.status.ok:
+            return step, Audit(np.nan)
+        balance = self._balance(load, step.unknown, step.pressure_change)
+        residual = float(np.linalg.norm(balance.lacking[self._free_nodes]))
+        gap = abs(balance.state.volume - self.rest_volume) / self.rest_volume
+        return step, Audit(max(residual / max(balance.scale, self.smallest_force), gap))
 
     def _ahead(self, load: Load) -> tuple[Array, float]:
         """Where the last two converged steps point to under a load that goes on as it went between them."""

@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 
 from vdm.constraints import Load
 from vdm.problem import Problem, Step
-from vdm.solvers.linear import NOT_FINITE, BorderedFactor
+from vdm.solvers.audit import Audit, audit
+from vdm.solvers.linear import BorderedFactor
 
 Array = NDArray[np.float64]
 VolumeRow = Literal["exact", "printed"]
@@ -57,9 +58,11 @@ class QuasiLinearSolver:
             right_hand_side[free].reshape(-1), target, row[free].reshape(-1)
         )
         x[free] = free_x.reshape(-1, x.shape[1])
-        if not np.isfinite(free_x).all():
-            return problem.finish(x, border, force, status=NOT_FINITE)
         return problem.finish(x, border, force)
+
+    def audited(self, load: Load, step: Step) -> tuple[Step, Audit]:
+        """The step and what its balance is worth; the volume row is that of a surface that the step has left."""
+        return step, audit(self.problem, load, step, self.factor.correction, border=False)
 
 
 def sherman_morrison(inverse: Array, change_of_row: Array) -> Array:
