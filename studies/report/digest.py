@@ -54,6 +54,10 @@ def failed_steps(model: ModelResult) -> list[int]:
     return [step for step, status in enumerate(model.status) if not status.ok]
 
 
+def _has_answer(model: ModelResult) -> bool:
+    return any(status.ok for status in model.status)
+
+
 @dataclass(frozen=True)
 class Spread:
     """A measure over the cases that have it, each value with the reference's own error in that case."""
@@ -217,7 +221,7 @@ class Digest:
             drift_of_displaced=self.spread(name, "volume_drift_of_displaced"),
             seconds_setup=float(np.median(setups)) if setups else math.nan,
             seconds_per_step=float(np.median(times)) if len(times) else math.nan,
-            peak_bytes=float(max((result.peak_bytes for result in results), default=math.nan)),
+            peak_bytes=float(max((r.peak_bytes for r in results if _has_answer(r)), default=math.nan)),
             failed_cases=sum(bool(failed_steps(result)) for result in results),
             shared_cases=sum("setup_shared" in result.parameters for result in results),
             earlier_cases=sum("measured_earlier" in result.parameters for result in results),

@@ -75,7 +75,7 @@ def _table(digest: Digest) -> Table:
     for summary in digest.summaries:
         about = ["reference"] if summary.is_reference else []
         if summary.failed_cases:
-            about.append(f"stopped early in {plural(summary.failed_cases, 'case')}")
+            about.append(f"incomplete in {plural(summary.failed_cases, 'case')}")
         row = [Cell(summary.name, ", ".join(about))]
         if digest.compared:
             for spread in (summary.vector, summary.deformation):

@@ -25,16 +25,19 @@ _MOVED_NOTE = (
 )
 
 
+Curve = Callable[[CaseResult, str], tuple[Array, Array] | None]
+
+
 @dataclass(frozen=True)
 class Push:
-    """One place where a case is pushed: (S,) lengths [m] and forces [N, or load factors] of a model in a case."""
+    """One place where a case is pushed: (S,) lengths [m] and loads of a model in a case."""
 
     name: str
     x_label: str
     y_label: str
-    unit: str  # of the forces
+    unit: str  # of the loads
     note: str
-    curve: Callable[[CaseResult, str], tuple[Array, Array] | None]
+    curve: Curve
 
 
 def force_against_indentation(digest: Digest) -> Section | None:
@@ -73,30 +76,21 @@ def _groups(digest: Digest) -> list[tuple[Sequence[CaseResult], str]]:
 def _pushes(cases: Sequence[CaseResult]) -> list[Push]:
     contacts = [c for c in _constraints(cases[0]) if c.get("kind") == "contact"]
     names = list(moved(cases[0]))
-    found = []
+    found: list[Push] = []
+    how: tuple[str, str, Curve] | None
     resultants = [contact_resultant(case) for case in cases]
     if any(r is not None for r in resultants):
-        found.append(
-            Push(
-                _name(contacts[0]),
-                "indentation",
-                "contact force",
-                "N",
-                _CONTACT_NOTE,
-                _under_contact,
-            )
-        )
+        how = ("contact force", "N", _under_contact)
+    elif any(contact_pressure(case) is not None for case in cases):
+        how = ("contact pressure", "Pa", _under_pressure)
     elif len(cases) == 1 and (contacts or not names):
-        found.append(
-            Push(
-                listed(_name(c) for c in contacts),
-                "indentation",
-                "load factor",
-                "1",
-                _CONTACT_NOTE,
-                _under_load,
-            )
-        )
+        how = ("load factor", "1", _under_load)
+    else:
+        how = None
+    if how is not None:
+        y_label, unit, curve = how
+        place = listed(_name(c) for c in contacts)
+        found.append(Push(place, "indentation", y_label, unit, _CONTACT_NOTE, curve))
     for name in names:
         found.append(
             Push(
@@ -162,6 +156,13 @@ def contact_resultant(case: CaseResult) -> float | None:
     return float(pressure * np.linalg.norm(vectors.sum(axis=0)))
 
 
+def contact_pressure(case: CaseResult) -> float | None:
+    """Pressure of a case's only contact at load factor 1 [Pa], whatever its profile; None where none is given."""
+    contacts = [c for c in _constraints(case) if c.get("kind") == "contact"]
+    pressure = contacts[0].get("pressure") if len(contacts) == 1 else None
+    return float(pressure) if isinstance(pressure, int | float) else None
+
+
 def indentation(case: CaseResult, model: str) -> Array:
     """(S,) largest inward displacement of the nodes in contact, of all nodes where no contact is stored [m]."""
     mask = np.zeros(len(case.points), dtype=bool)
@@ -197,6 +198,11 @@ def movement_force(case: CaseResult, model: str, name: str) -> tuple[Array, Arra
 def _under_contact(case: CaseResult, model: str) -> tuple[Array, Array] | None:
     resultant = contact_resultant(case)
     return None if resultant is None else (indentation(case, model), case.load_factors * resultant)
+
+
+def _under_pressure(case: CaseResult, model: str) -> tuple[Array, Array] | None:
+    pressure = contact_pressure(case)
+    return None if pressure is None else (indentation(case, model), case.load_factors * pressure)
 
 
 def _under_load(case: CaseResult, model: str) -> tuple[Array, Array]:

@@ -107,6 +107,7 @@ def _growth(digest: Digest, rows: list[_Row]) -> str:
         if len(loads) == 1
         else f"{quantity(min(loads, key=abs), own[0].unit)} to {quantity(max(loads, key=abs), own[0].unit)}"
     )
+    at += f" ± {short_percent(first.bar)}" if len(loads) == 1 and math.isfinite(first.bar) else ""
     text += f"; {short_percent(first.threshold)} more come on top by {at}"
     if len(loads) > 1:
         return f"{text}."

@@ -11,7 +11,7 @@ from ..case import CaseResult
 from .digest import DEFORMATION, VECTOR, Digest, full_load, reference_bar, series
 from .formatting import listed, plain, quantity, short_percent, swept_value
 from .section_errors import parameter_name
-from .section_force import contact_resultant, indentation, moved, movement_force
+from .section_force import contact_pressure, contact_resultant, indentation, moved, movement_force
 from .section_limits import limits_in_words
 
 CLOSE = 0.10  # "within 10 %", the threshold that the paper's claim speaks of
@@ -106,12 +106,21 @@ def _reached(case: CaseResult, model: str) -> int | None:
 def _at(case: CaseResult, step: int) -> str:
     """The force and the indentation of a step, where known, in brackets."""
     parts = []
-    resultant = contact_resultant(case)
-    if resultant is not None:
-        parts.append(quantity(float(case.load_factors[step]) * resultant, "N"))
+    load, unit = _load(case, step)
+    if unit:
+        parts.append(quantity(load, unit))
     if math.isfinite(depth := _depth(case, step)):
         parts.append(f"{quantity(depth, 'm')} of indentation")
     return f" ({', '.join(parts)})" if parts else ""
+
+
+def _load(case: CaseResult, step: int) -> tuple[float, str]:
+    """Force, else pressure, of the only contact at a step, and its unit; "" where neither is known."""
+    factor = float(case.load_factors[step])
+    if (resultant := contact_resultant(case)) is not None:
+        return factor * resultant, "N"
+    pressure = contact_pressure(case)
+    return (math.nan, "") if pressure is None else (factor * pressure, "Pa")
 
 
 def _depth(case: CaseResult, step: int) -> float:
@@ -150,17 +159,16 @@ def _over_sweep(digest: Digest, model: str, key: str) -> str:
 
 def _full_load_in_words(digest: Digest) -> str:
     """Force and indentation at full load, over the cases."""
-    forces = [
-        float(case.load_factors[full_load(case)]) * r
-        for case in digest.cases
-        if (r := contact_resultant(case)) is not None
-    ]
+    loads: dict[str, list[float]] = {}
+    for case in digest.cases:
+        load, unit = _load(case, full_load(case))
+        loads.setdefault(unit, []).append(load)
     depths, shares = [], []
     for case in digest.cases:
         if math.isfinite(depth := _depth(case, full_load(case))):
             depths.append(depth)
             shares.append(depth / float(np.ptp(case.points, axis=0).min()))
-    parts = [value_range(forces, "N")] if forces else []
+    parts = [value_range(loads[unit], unit) for unit in sorted(loads) if unit]
     if depths:
         deepest = int(np.argmax(depths))
         share = short_percent(shares[deepest])

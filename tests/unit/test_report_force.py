@@ -14,6 +14,7 @@ from studies.case import CaseResult
 from studies.report.blocks import Figures, Section, Text
 from studies.report.digest import Digest
 from studies.report.section_force import (
+    contact_pressure,
     contact_resultant,
     force_against_indentation,
     indentation,
@@ -125,3 +126,16 @@ def test_a_region_that_is_held_still_is_not_a_push(displacement: object) -> None
     assert titles == ["the only case"]  # what is left is the indentation over the load factor
     with pytest.raises(KeyError):
         movement_force(moved_case(displacement), "m", "tool")
+
+
+def test_a_pressure_of_unknown_resultant_is_drawn_as_a_pressure() -> None:
+    case = make_case(
+        {"m": 0.5}, contact={"force": None, "pressure": 300.0, "profile": "hertz"}, subdivisions=3
+    )
+    assert contact_pressure(case) == 300.0
+    ((title, text),) = figures_of(force_section(case))
+    assert title == "finger, the only case"
+    assert text == (
+        "Contact pressure against indentation, finger, the only case: "
+        "m 300 Pa at 3.00 mm and fem-linear 300 Pa at 2.00 mm."
+    )

@@ -198,7 +198,7 @@ def test_a_model_that_stopped_is_listed_once_with_where_and_why() -> None:
     assert (
         words(section(html, "cases")).count("failed") == 6
     )  # displacement and deformation of b, three cases
-    assert "stopped early in 3 cases" in words(section(html, "headline"))
+    assert "incomplete in 3 cases" in words(section(html, "headline"))
 
 
 def test_all_measures_with_definitions(html: str) -> None:
