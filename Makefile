@@ -36,7 +36,7 @@ baselines: setup
 	for study in quickstart regression; do \
 	  $(RUN)vdmbench run $$study && $(RUN)vdmbench accept results/runs/$$study --reason "$(REASON)" || exit 1; done
 
-# the paper's claims on trial: results/gallery/claims.html and the table in README.md
+# the paper's claims on trial: results/gallery/claims.html, a picture of each, and the table in README.md
 claims: setup
 	$(RUN)python -m tests.docs.claims
 

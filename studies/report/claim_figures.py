@@ -39,7 +39,8 @@ def curves(
                 log_axis(axes, which)
         if axes.get_yscale() == "linear":
             low, high = axes.get_ylim()
-            axes.set_ylim(min(0.0, low), high if high > 0.0 else 1.0)
+            low, high = min(0.0, low), high if high > 0.0 else 1.0
+            axes.set_ylim(low, high + 0.04 * (high - low))  # from zero: room for a marker at the top
         if not ratio:
             percent_ticks(axes)
     show = plain if ratio else short_percent

@@ -1,7 +1,7 @@
-"""Puts the paper's claims on trial by the shipped studies and writes page and table: `make claims`.
+"""Puts the paper's claims on trial by the shipped studies and writes page, pictures and table: `make claims`.
 
-The studies run in `results/runs`, where what is there already is kept; the page goes to `results/gallery`, its
-table to README.md.
+The studies run in `results/runs`, where what is there already is kept; the page and a picture per claim go to
+`results/gallery`, table and pictures to README.md.
 """
 
 from __future__ import annotations
@@ -14,12 +14,14 @@ from pathlib import Path
 from studies.report.claims_page import verdict_rows, write_claims
 from studies.store import read_run
 from tests.command import vdmbench
+from tests.docs import gallery
 
 ROOT = Path(__file__).parents[2]
 README = ROOT / "README.md"
 PAGE = ROOT / "results" / "gallery" / "claims.html"
 CASES = ROOT / "studies" / "cases"
 _TABLE = re.compile(r"(<!-- claims -->\n).*?(<!-- /claims -->)", re.DOTALL)
+_PICTURES = re.compile(r"(<!-- claim pictures -->\n).*?(<!-- /claim pictures -->)", re.DOTALL)
 
 
 def studies_on_trial() -> list[str]:
@@ -51,7 +53,9 @@ def main() -> None:
             raise RuntimeError(f"{name}: {result.stderr}")
     found = write_claims([read_run(ROOT / "results" / "runs" / name) for name in names], PAGE)
     table = as_markdown(verdict_rows(found))
-    README.write_text(_TABLE.sub(lambda old: old.group(1) + table + old.group(2), README.read_text()))
+    pictures = gallery.as_markdown(gallery.write_claim_pictures(found))
+    text = _TABLE.sub(lambda old: old.group(1) + table + old.group(2), README.read_text())
+    README.write_text(_PICTURES.sub(lambda old: old.group(1) + pictures + old.group(2), text))
 
 
 if __name__ == "__main__":

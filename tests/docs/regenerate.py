@@ -1,4 +1,7 @@
-"""Writes the generated parts of the documents anew: `make docs`. The tests hold the same functions to the files."""
+"""Writes the generated parts of the documents anew: `make docs`. The tests hold the same functions to the files.
+
+README's picture of a report is taken where Chromium is installed; elsewhere the one that is there stays.
+"""
 
 from __future__ import annotations
 
@@ -11,11 +14,13 @@ from pathlib import Path
 
 from studies.fields import field_table
 from tests.command import vdmbench
+from tests.docs import gallery
 
 ROOT = Path(__file__).parents[2]
 README = ROOT / "README.md"
 STUDY_KEYS = ROOT / "studies" / "STUDY.md"
-PICTURE = ROOT / "results" / "gallery" / "liver-palpation.png"
+PICTURE = gallery.GALLERY / "liver-palpation.png"
+REPORT = gallery.GALLERY / "report.png"
 # these columns depend on the machine
 MACHINE = {"set-up", "per frame", "memory"}
 _TABLE = re.compile(r"(<!-- quickstart -->\n).*?(<!-- /quickstart -->)", re.DOTALL)
@@ -70,6 +75,7 @@ def main() -> None:
             raise RuntimeError(result.stderr)
         PICTURE.parent.mkdir(exist_ok=True)
         shutil.copy(Path(name) / "liver.png", PICTURE)
+        gallery.report_picture(Path(name) / "results" / "runs" / "quickstart" / "report.html", REPORT)
 
 
 if __name__ == "__main__":

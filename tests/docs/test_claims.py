@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import html
 import re
+from xml.etree import ElementTree
 
 from studies.report.claims import CLAIMS, FAILS, HOLDS, WITHIN_LIMITS
-from tests.docs import claims
+from tests.docs import claims, gallery
 
 
 def test_every_claim_is_decided_in_readme_and_page_alike() -> None:
@@ -20,3 +21,18 @@ def test_every_claim_is_decided_in_readme_and_page_alike() -> None:
             assert cell in words, cell
     shown = {name for row in rows for name in row[3].split(", ")}
     assert shown == set(claims.studies_on_trial())
+
+
+def test_every_claim_has_its_picture_from_the_page() -> None:
+    page = claims.PAGE.read_text()
+    for number in CLAIMS:
+        path = gallery.GALLERY / f"claim-{number}.svg"
+        root = ElementTree.fromstring(path.read_text())
+        assert f"(results/gallery/{path.name})" in claims.README.read_text()
+        told = root.get("aria-label")
+        assert told
+        assert html.escape(told, quote=False).replace("'", "&#39;") in page, "a picture of an older page"
+        style = root.findtext("{http://www.w3.org/2000/svg}style") or ""
+        assert "prefers-color-scheme: dark" in style
+        used = set(re.findall(r"var\((--[a-z0-9-]+)\)", path.read_text()))
+        assert used <= set(re.findall(r"(--[a-z0-9-]+):", style)), "a colour that is not defined"

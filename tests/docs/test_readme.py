@@ -67,6 +67,19 @@ def test_links_lead_somewhere(document: str) -> None:
             assert (path.parent / target).exists(), target
 
 
+def test_pictures_are_there_small_and_told_in_words() -> None:
+    pictures = re.findall(r"!\[([^]]*)\]\(([^)]+)\)", TEXT)
+    assert {"liver-palpation.png", "report.png", "performance.svg"} <= {Path(p).name for _, p in pictures}
+    for told, target in pictures:
+        path = regenerate.ROOT / target
+        assert 1_000 < path.stat().st_size < 300_000, f"{target} has {path.stat().st_size} bytes"
+        start = path.read_bytes()[:100]
+        assert (
+            start.startswith(b"\x89PNG") if path.suffix == ".png" else b"<svg" in start or b"<?xml" in start
+        )
+        assert len(told.split()) > 3, f"{target} is not told in words"
+
+
 def test_the_key_reference_is_the_schema() -> None:
     assert regenerate.STUDY_KEYS.read_text() == regenerate.study_keys(), "run `make docs`"
 

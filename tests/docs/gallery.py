@@ -1,0 +1,141 @@
+"""The pictures that README.md shows: a figure per claim as SVG, and the top of a report as PNG."""
+
+from __future__ import annotations
+
+import html
+import io
+import re
+import textwrap
+from collections.abc import Sequence
+from pathlib import Path
+
+from markupsafe import escape
+from PIL import Image
+
+from studies.report.blocks import Figure
+from studies.report.claims_page import Verdict
+from tests.unit.browser import Browser, chromium
+
+ROOT = Path(__file__).parents[2]
+GALLERY = ROOT / "results" / "gallery"
+_CSS = ROOT / "studies" / "report" / "templates" / "page.css"
+_COLUMNS = 3  # of pictures in README.md
+_WIDTH, _HEIGHT = 317.0, 216.0  # of a figure, in its own units
+_LINE, _SIDE = 13.0, 8.0
+_GLYPHS = "●■▲◆▼✚✖"  # the markers of the figures: o s ^ D v P X
+_PLAIN = str.maketrans("[]|", "() ")  # what would end a picture's text in Markdown
+_LETTERS = 60  # in a line of the legend
+
+
+def claim_picture(verdict: Verdict) -> str | None:
+    """A claim's first figure with its verdict above and its legend below, for light and dark; None without one."""
+    if not verdict.judgement.figures:
+        return None
+    figure = verdict.judgement.figures[0]
+    legend = _legend(figure, verdict.digests[0].legend)
+    title = textwrap.wrap(f"{verdict.claim.number}. {verdict.claim.text}", 52)
+    texts = [_text(k, line, "claim") for k, line in enumerate(title)]
+    texts.append(_text(len(title), f"{verdict.judgement.verdict}: {figure.title}", "verdict"))
+    top = _LINE * (len(title) + 1.6)
+    height = top + _HEIGHT + _LINE * (len(legend) + 0.8)
+    body = str(figure.svg).replace(
+        "<svg ", f'<svg x="{_SIDE:g}" y="{top:g}" width="{_WIDTH:g}" height="{_HEIGHT:g}" ', 1
+    )
+    below = [
+        f'<text x="{_SIDE:g}" y="{top + _HEIGHT + _LINE * (k + 1):g}">{line}</text>'
+        for k, line in enumerate(legend)
+    ]
+    told = re.search(r'aria-label="([^"]*)"', body)
+    width = _WIDTH + 2 * _SIDE
+    return "\n".join(
+        [
+            f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {width:g} {height:g}" '
+            f'width="{width:g}" height="{height:g}" role="img" aria-label="{told.group(1) if told else ""}">',
+            f"<style>{_style()}</style>",
+            f'<rect width="{width:g}" height="{height:g}" fill="var(--paper)"/>',
+            *texts,
+            body,
+            *below,
+            "</svg>\n",
+        ]
+    )
+
+
+def _text(line: int, text: str, kind: str) -> str:
+    return f'<text class="{kind}" x="{_SIDE:g}" y="{_LINE * (line + 1.2):g}">{escape(text)}</text>'
+
+
+def _legend(figure: Figure, models: Sequence[tuple[int, str, bool]]) -> list[str]:
+    """Lines of markers and names of the models that the figure draws."""
+    drawn = set(re.findall(r"var\(--(model-\d|reference)\)", str(figure.svg)))
+    lines: list[list[str]] = [[]]
+    letters = 0
+    for number, name, is_reference in models:
+        k = number % len(_GLYPHS)
+        colour = "reference" if is_reference else f"model-{k}"
+        if colour not in drawn:
+            continue
+        name = f"{name} (reference)" if is_reference else name
+        if letters + len(name) + 4 > _LETTERS and lines[-1]:
+            lines.append([])
+            letters = 0
+        glyph = _GLYPHS[0 if is_reference else k]
+        lines[-1].append(f'<tspan fill="var(--{colour})">{glyph}</tspan> {escape(name)}')
+        letters += len(name) + 4
+    return ["  ".join(line).replace("  <", "\u2003<") for line in lines if line]
+
+
+def _style() -> str:
+    """The colours of the page, light and dark, and what else its figures take from its style sheet."""
+    css = _CSS.read_text()
+    light = re.search(r":root \{[^}]*\}", css)
+    dark = re.search(r"@media \(prefers-color-scheme: dark\) \{\s*:root \{[^}]*\}\s*\}", css)
+    if light is None or dark is None:
+        raise RuntimeError(f"{_CSS} has lost its colours")
+    own = (
+        "text { font: 9.5px sans-serif; fill: var(--ink); } .claim { font-weight: 600; } "
+        ".verdict { fill: var(--quiet); } .plot { fill: var(--ink); } .plot text { font-family: sans-serif; }"
+    )
+    return re.sub(r"\s+", " ", f"{light.group(0)} {dark.group(0)} {own}")
+
+
+def write_claim_pictures(found: Sequence[Verdict], directory: Path = GALLERY) -> list[tuple[str, str]]:
+    """Write `claim-N.svg` of every claim that has a figure; (file name, text alternative) of each."""
+    for old in directory.glob("claim-*.svg"):
+        old.unlink()
+    written = []
+    for verdict in found:
+        picture = claim_picture(verdict)
+        if picture is not None:
+            path = directory / f"claim-{verdict.claim.number}.svg"
+            path.write_text(picture, encoding="utf-8")
+            told = re.search(r'aria-label="([^"]*)"', picture)
+            text = html.unescape(told.group(1)) if told else ""
+            written.append((path.name, f"Claim {verdict.claim.number}, {verdict.judgement.verdict}. {text}"))
+    return written
+
+
+def as_markdown(pictures: Sequence[tuple[str, str]]) -> str:
+    """The pictures as a table of so many columns, each a link to its full size."""
+    cells = [
+        f"[![{told.translate(_PLAIN)}](results/gallery/{name})](results/gallery/{name})"
+        for name, told in pictures
+    ]
+    rows = [cells[k : k + _COLUMNS] for k in range(0, len(cells), _COLUMNS)]
+    if not rows:
+        return ""
+    rows[-1] += [""] * (_COLUMNS - len(rows[-1]))
+    lines = [f"| {' | '.join(row)} |\n" for row in rows]
+    lines.insert(1, f"|{' --- |' * _COLUMNS}\n")
+    return "".join(lines)
+
+
+def report_picture(page: Path, path: Path) -> bool:
+    """PNG of the top of a report, False where no Chromium is installed."""
+    if chromium() is None:
+        return False
+    with Browser() as browser:
+        browser.open(page, width=1200, height=1420)
+        picture = browser.picture(clip={"x": 0, "y": 0, "width": 1200, "height": 1420})
+    Image.open(io.BytesIO(picture)).convert("RGB").save(path, optimize=True)
+    return True
