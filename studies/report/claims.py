@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -16,7 +16,7 @@ from ..case import CaseResult
 from .blocks import Figure
 from .claim_figures import Line, bars, curves
 from .digest import VECTOR, Digest, at_full_load, failed_steps, full_load, is_vdm, series
-from .formatting import listed, percent, plain, quantity, short_percent
+from .formatting import listed, percent, plain, plural, quantity, short_percent
 
 HOLDS, WITHIN_LIMITS, FAILS, OPEN = "holds", "holds within limits", "fails", "not decided"
 
@@ -66,6 +66,10 @@ def _claim(number: int, text: str, rule: str) -> Callable[[Judge], Judge]:
 def on_trial(digests: Sequence[Digest], number: int) -> list[Digest]:
     """The runs whose study puts a claim on trial and that have a finished case."""
     return [d for d in digests if number in (d.run.study.get("claims") or ()) and d.cases]
+
+
+def _iterative(case: CaseResult, model: str) -> bool:
+    return model in case.models and case.models[model].parameters.get("solver") == "iterative"
 
 
 def _solver(model: str) -> str:
@@ -153,13 +157,13 @@ def _linear(digests: Sequence[Digest]) -> Judgement | None:
         f"{' or more' if len(strains) > 1 else ''}. At small loads already, "
         f"{listed(f'{m} is {short_percent(e)} off' for m, e in structural.items())}."
     )
-    lines = [
-        line
-        for d in digests
-        for line in _histories(d, VECTOR, [m for m in d.compared if is_vdm(m) or m == "fem-linear"])
-    ]
-    figure = curves(digests[0], lines, "load factor", "displacement error", "claim2")
-    return Judgement(verdict, f"{short_percent(min(strains))} strain at 5 % departure", reason, figure)
+    figures: tuple[Figure, ...] = ()
+    for k, d in enumerate(digests):
+        lines = _histories(d, VECTOR, [m for m in d.compared if is_vdm(m) or m == "fem-linear"])
+        drawn = curves(digests[0], lines, "load factor", "displacement error", f"claim2{k}")
+        name = f", {d.run.study.get('name', 'study')}" if len(digests) > 1 else ""
+        figures += tuple(replace(figure, title=f"{figure.title}{name}") for figure in drawn)
+    return Judgement(verdict, f"{short_percent(min(strains))} strain at 5 % departure", reason, figures)
 
 
 @_claim(
@@ -173,7 +177,10 @@ def _linear(digests: Sequence[Digest]) -> Judgement | None:
 )
 def _cost(digests: Sequence[Digest]) -> Judgement | None:
     ratios: dict[str, list[float]] = {"frame": [], "set-up": [], "condensed frame": []}
-    for case in (case for digest in digests for case in digest.cases):
+    cases = [case for digest in digests for case in digest.cases]
+    # an iterative solve, chosen where one load is all there is, is no frame: factors would be kept for those
+    kept = [case for case in cases if not _iterative(case, "fem-linear")] or cases
+    for case in kept:
         vdm, fem, condensed = (case.models.get(name) for name in ("vdm-paper", "fem-linear", "fem-condensed"))
         if vdm is None or fem is None:
             continue
@@ -192,6 +199,10 @@ def _cost(digests: Sequence[Digest]) -> Judgement | None:
         f"solve of linear "
         f"elements and its set-up {plain(typical['set-up'], 2)} times (medians)."
     )
+    if len(kept) < len(cases):
+        reason += (
+            f" {plural(len(cases) - len(kept), 'case')} in which these were solved iteratively left out."
+        )
     if "condensed frame" in typical:
         ratio = typical["condensed frame"]
         reason += (

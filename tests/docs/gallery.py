@@ -24,6 +24,7 @@ _WIDTH, _HEIGHT = 317.0, 216.0  # of a figure, in its own units
 _LINE, _SIDE = 13.0, 8.0
 _GLYPHS = "●■▲◆▼✚✖"  # the markers of the figures: o s ^ D v P X
 _PLAIN = str.maketrans("[]|", "() ")  # what would end a picture's text in Markdown
+_DASHES = ("dashed", "dash-dotted", "dotted")
 _LETTERS = 60  # in a line of the legend
 
 
@@ -36,7 +37,7 @@ def claim_picture(verdict: Verdict) -> str | None:
     title = textwrap.wrap(f"{verdict.claim.number}. {verdict.claim.text}", 52)
     texts = [_text(k, line, "claim") for k, line in enumerate(title)]
     texts.append(_text(len(title), f"{verdict.judgement.verdict}: {figure.title}", "verdict"))
-    top = _LINE * (len(title) + 1.6)
+    top = _LINE * (max(len(title), 2) + 1.6)  # neighbours in a table stand at one height
     height = top + _HEIGHT + _LINE * (len(legend) + 0.8)
     body = str(figure.svg).replace(
         "<svg ", f'<svg x="{_SIDE:g}" y="{top:g}" width="{_WIDTH:g}" height="{_HEIGHT:g}" ', 1
@@ -67,15 +68,19 @@ def _text(line: int, text: str, kind: str) -> str:
 
 def _legend(figure: Figure, models: Sequence[tuple[int, str, bool]]) -> list[str]:
     """Lines of markers and names of the models that the figure draws."""
-    drawn = set(re.findall(r"var\(--(model-\d|reference)\)", str(figure.svg)))
+    svg = str(figure.svg)
+    told = re.search(r'aria-label="([^"]*)"', svg)
+    words = html.unescape(told.group(1)) if told else ""
     lines: list[list[str]] = [[]]
     letters = 0
     for number, name, is_reference in models:
         k = number % len(_GLYPHS)
         colour = "reference" if is_reference else f"model-{k}"
-        if colour not in drawn:
+        drawn = re.search(rf"(?:: |, | and ){re.escape(name)} (?:from )?[\d−]", words)
+        if not drawn or f">{escape(name)}<" in svg:  # the name stands in the figure
             continue
-        name = f"{name} (reference)" if is_reference else name
+        dashes = "" if k == number else f" ({_DASHES[number // len(_GLYPHS) - 1]})"
+        name = f"{name} (reference)" if is_reference else f"{name}{dashes}"
         if letters + len(name) + 4 > _LETTERS and lines[-1]:
             lines.append([])
             letters = 0
@@ -100,7 +105,7 @@ def _style() -> str:
 
 
 def write_claim_pictures(found: Sequence[Verdict], directory: Path = GALLERY) -> list[tuple[str, str]]:
-    """Write `claim-N.svg` of every claim that has a figure; (file name, text alternative) of each."""
+    """Write `claim-N.svg` of every claim that has a figure; (file name, what it shows) of each."""
     for old in directory.glob("claim-*.svg"):
         old.unlink()
     written = []
@@ -109,9 +114,8 @@ def write_claim_pictures(found: Sequence[Verdict], directory: Path = GALLERY) ->
         if picture is not None:
             path = directory / f"claim-{verdict.claim.number}.svg"
             path.write_text(picture, encoding="utf-8")
-            told = re.search(r'aria-label="([^"]*)"', picture)
-            text = html.unescape(told.group(1)) if told else ""
-            written.append((path.name, f"Claim {verdict.claim.number}, {verdict.judgement.verdict}. {text}"))
+            title = verdict.judgement.figures[0].title
+            written.append((path.name, f"Claim {verdict.claim.number}, {verdict.judgement.verdict}: {title}"))
     return written
 
 

@@ -93,6 +93,22 @@ def test_cost(frame: float, setup: float, condensed: float, verdict: str) -> Non
     assert f"{1 / frame:g} times per frame" == outcome.number
 
 
+def test_a_frame_without_kept_factors_is_no_yardstick_of_cost() -> None:
+    def case(label: str, seconds: float, solver: str) -> CaseResult:
+        steps = np.ones(4)
+        return with_models(
+            make_case({"vdm-paper": 0.5}, label=label, swept={"k": seconds}, subdivisions=0),
+            vdm_paper={"seconds_per_step": 1e-3 * steps},
+            fem_linear={"seconds_per_step": seconds * steps, "parameters": {"solver": solver}},
+        )
+
+    direct, iterative = case("a", 0.05, "direct"), case("b", 5.0, "iterative")
+    outcome = judged(3, direct, iterative)
+    assert outcome.number == "50 times per frame"
+    assert "1 case in which these were solved iteratively left out." in outcome.reason
+    assert judged(3, iterative).number == "5000 times per frame", "there is nothing else"
+
+
 @pytest.mark.parametrize(
     ("few", "many", "verdict"), [(0.4, 0.05, HOLDS), (0.4, 0.2, WITHIN_LIMITS), (0.4, 0.39, FAILS)]
 )
