@@ -113,6 +113,9 @@ class CaseResult:
     small_strain: SmallStrainLimits | None = None  # where [limits] asks for them
 
 
+DAMAGED = "damaged"  # code of a failure: the case was done, its file cannot be read
+
+
 @dataclass(frozen=True)
 class Run:
     """A run directory as read back: what was asked for, what is done, what failed, what is missing."""
@@ -123,3 +126,8 @@ class Run:
     failed: Sequence[Mapping[str, str]]  # each with "hash", "label", "code", "message", "remedy"
     missing: Sequence[str]  # labels of planned cases without a result
     plan: Mapping[str, Any]
+
+    @property
+    def damaged(self) -> int:
+        """How many of the failed are cases whose file is damaged."""
+        return sum(entry.get("code") == DAMAGED for entry in self.failed)

@@ -48,13 +48,16 @@ def print_run(run: Run, directory: Path, report: Path, as_json: bool) -> int:
             complain(
                 f"failed: {failure['label'] or failure['hash'][:12]}: {failure['message']}{remedy}", FAILED
             )
-        print(f"{len(run.cases)} done, {len(run.failed)} failed, {len(run.missing)} missing")
+        lost = f", {run.damaged} damaged" if run.damaged else ""
+        print(
+            f"{len(run.cases)} done, {len(run.failed) - run.damaged} failed{lost}, {len(run.missing)} missing"
+        )
         if told := taken(run.plan):
             print(told)
         print(f"report: {report}")
     if run.failed and not run.cases and all(failure["code"] == "input" for failure in run.failed):
         return USAGE  # nothing could be done with what the user gave
-    return FAILED if run.failed else OK
+    return DAMAGED if run.damaged else FAILED if run.failed else OK
 
 
 def taken(plan: Mapping[str, Any]) -> str:

@@ -88,7 +88,7 @@ def rebuild(directory: Path) -> tuple[Run, Path]:
     read_plan(directory)  # nothing is left in a directory that is none of ours
     report = directory / "report.html"
     with _lock(directory, ".lock-report", fcntl.LOCK_EX, wait=True):  # the last of several shards sees all
-        run = read_run(directory)
+        run = read_run(directory, damaged=True)
         write_study(directory, run)
         write_report(run, report)
     return run, report

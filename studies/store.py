@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .case import (
+    DAMAGED,
     CaseResult,
     Limit,
     MetricSeries,
@@ -77,15 +78,16 @@ def write_study(directory: Path, run: Run) -> None:
     write_atomically(directory / "metrics.csv", metrics_csv(run).encode())
 
 
-def read_run(directory: Path) -> Run:
+def read_run(directory: Path, *, damaged: bool = False) -> Run:
     """Read a run directory: what was planned, what is done, what failed, what is missing.
 
-    Works on a directory copied from elsewhere. Cases of an earlier plan are left out.
+    Works on a directory copied from elsewhere. Cases of an earlier plan are left out. With `damaged` a case whose
+    file is damaged counts as failed, with what is wrong with the file as the reason.
 
     Raises
     ------
     StoreError
-        not a run directory, or a damaged file in it.
+        not a run directory, or a damaged file in it, of a case only without `damaged`.
     """
     plan = read_plan(directory)
     try:
@@ -100,7 +102,13 @@ def read_run(directory: Path) -> Run:
         # the swept values and the label belong to the study, not to the case: another study may share it
         names = {key: planned[key] for key in ("label", "swept", "swept_units")}
         if state == "done":
-            cases.append(dataclasses.replace(read_case(path, planned["hash"]), **names))
+            try:
+                cases.append(dataclasses.replace(read_case(path, planned["hash"]), **names))
+            except StoreError as error:
+                if not damaged:
+                    raise
+                about = {"code": DAMAGED, "message": str(error), "remedy": ""}
+                failed.append({"hash": planned["hash"], "label": planned["label"], **about})
         elif state == "failed":
             failed.append(_read_failure(directory, planned))
         else:

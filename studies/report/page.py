@@ -116,8 +116,10 @@ def _page_html(digest: Digest, render: Renderer) -> str:
 def _counts(run: Run) -> list[tuple[str, str]]:
     """(what, tone) of the three numbers of a run."""
     counts = [(f"{plural(len(run.cases), 'case')} done", "")]
-    if run.failed:
-        counts.append((f"{len(run.failed)} failed", "bad"))
+    if len(run.failed) > run.damaged:
+        counts.append((f"{len(run.failed) - run.damaged} failed", "bad"))
+    if run.damaged:
+        counts.append((f"{run.damaged} damaged", "bad"))
     if run.missing:
         counts.append((f"{len(run.missing)} missing", "muted"))
     return counts

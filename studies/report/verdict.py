@@ -269,7 +269,9 @@ def _gaps(digest: Digest) -> list[str]:
     sentences = (
         [f"No answer at some load or at all: {listed(stopped)}; the reasons are below."] if stopped else []
     )
-    lost = [f"{plural(len(run.failed), 'case')} failed"] if run.failed else []
+    failed = len(run.failed) - run.damaged
+    lost = [f"{plural(failed, 'case')} failed"] if failed else []
+    lost += [f"{plural(run.damaged, 'case')} whose file is damaged"] if run.damaged else []
     lost += [f"{plural(len(run.missing), 'case')} not run yet"] if run.missing else []
     if lost:
         sentences.append(

@@ -243,6 +243,10 @@ def test_damage_is_named_and_mended(copy: Path) -> None:
     report = vdmbench("report", RUN, cwd=copy)
     assert report.returncode == 5
     assert case.name in report.stderr
+    assert "1 damaged" in report.stdout, "the others are reported"
+    page = (copy / RUN / "report.html").read_text()
+    assert "1 damaged" in page
+    assert case.name in page
     assert vdmbench("run", "small.toml", cwd=copy).returncode == 0, "run makes it anew"
     assert vdmbench("status", RUN, cwd=copy).returncode == 0
 

@@ -43,7 +43,7 @@ def run() -> Run:
 @pytest.fixture(scope="module")
 def page(run: Run, tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("report") / "report.html"
-    path.write_text(page_html(run, lambda pictures: ([SMALL_PNG] * len(pictures), "")))
+    path.write_text(page_html(run, lambda pictures: [SMALL_PNG] * len(pictures)))
     return path
 
 

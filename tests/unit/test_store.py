@@ -176,6 +176,9 @@ def test_run_directory(tmp_path: Path) -> None:
     assert store.run_state(tmp_path)["damaged"] == ["case a1"]
     with pytest.raises(StoreError, match="damaged"):
         store.read_run(tmp_path)
+    rest = store.read_run(tmp_path, damaged=True)
+    assert (len(rest.cases), rest.damaged, len(rest.failed)) == (0, 1, 2)
+    assert path.name in rest.failed[0]["message"]
 
 
 @pytest.mark.parametrize("text", ["", "[]", "{", '{"cases": [{}]}', '{"cases": 3}'])
