@@ -113,10 +113,10 @@ class _SuperLU:
         return _superlu_bytes(self._size, precision) + 16.0 * self._size * columns
 
     def factor(self, lower: csc_array, precision: str) -> Factor:
-        return _SuperLUFactor(lower, precision)
+        return SuperLUFactor(lower, precision)
 
 
-class _SuperLUFactor:
+class SuperLUFactor:
     def __init__(self, lower: csc_array, precision: str) -> None:
         self._precision = np.dtype(precision)
         whole = csc_matrix(lower + lower.T - diags_array(lower.diagonal()), dtype=self._precision)

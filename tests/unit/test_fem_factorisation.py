@@ -118,7 +118,7 @@ def test_superlu_inverts_the_whole_matrix(
     lower = pivotable_triangle(system)
     whole = lower.toarray() + np.tril(lower.toarray(), -1).T
     factor = factorisation.analyse(lower).factor(lower, precision)
-    assert isinstance(factor, factorisation._SuperLUFactor)
+    assert isinstance(factor, factorisation.SuperLUFactor)
     rhs = np.random.default_rng(0).standard_normal((system.size, 3))
     exact = np.linalg.solve(whole, rhs)
     atol = {"float32": 2e-3, "float64": 1e-10}[precision] * np.abs(exact).max()
