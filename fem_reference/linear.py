@@ -251,7 +251,9 @@ class LinearProblem:
     def _status(self, residual: float) -> Status:
         if residual <= self.solver.tolerance:
             return CONVERGED
-        remedy = 'improve the worst tetrahedra of the mesh or use solver="direct"'
+        remedy = "improve the worst tetrahedra of the mesh"
+        if self.solver.name != "direct":
+            remedy += ' or use solver="direct"'
         if not self.system.mixed:
             remedy = "use the element P2-P1: a displacement element is ill-conditioned near incompressibility"
         return Status(

@@ -18,6 +18,8 @@ Mask = NDArray[np.bool_]
 
 # what a load may differ from a combination of others, of its norm
 _DEPENDENT = 1e-13
+# of any number in a load: the square of its response can still be formed
+_LARGEST = 1e100
 
 
 @dataclass(frozen=True)
@@ -54,6 +56,9 @@ def check_loads(mesh: TetMesh, loads: Sequence[Load]) -> None:
             if not np.isfinite(value).all():
                 message = f"{name} of load step {step} has values that are not finite"
                 raise SolverError(Status("bad-load", message, "give finite numbers"))
+            if np.abs(value).max(initial=0.0) > _LARGEST:
+                message = f"{name} of load step {step} has values beyond {_LARGEST:.0e}"
+                raise SolverError(Status("bad-load", message, "give a load that a body can carry"))
 
 
 def check_nodal(mesh: TetMesh, forces: Array, prescribed: Array) -> None:
@@ -101,7 +106,12 @@ def held_nodes(mesh: TetMesh, held: Mask) -> Mask:
         If the mask has a wrong shape, or a body can still move rigidly.
     """
     count = len(mesh.surface_nodes)
-    mask = np.asarray(held, dtype=bool)
+    given = np.asarray(held)
+    if given.dtype != bool:
+        raise SolverError(
+            Status("bad-support", f"held is an array of {given.dtype}, not of true and false", "give a mask")
+        )
+    mask = given
     if mask.shape == (count,):
         mask = np.repeat(mask[:, None], 3, axis=1)
     if mask.shape != (count, 3):

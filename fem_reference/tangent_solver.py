@@ -151,9 +151,16 @@ class TangentSolver:
         name, self.reason = requested, "asked for"
         if requested == "auto":
             name, self.reason = _choose(system, expected_loads, memory_limit)
-        self.preconditioner: Preconditioner = (
-            Factors(system, memory_limit) if name == "direct" else Multigrid(system, memory_limit)
-        )
+        self.preconditioner: Preconditioner
+        try:
+            self.preconditioner = (
+                Factors(system, memory_limit) if name == "direct" else Multigrid(system, memory_limit)
+            )
+        except SolverError as error:
+            if requested != "auto" or name != "direct" or error.status.code != "memory":
+                raise
+            self.reason += "; the analysis found that the factors need more"
+            self.preconditioner = Multigrid(system, memory_limit)
         self.factorisations = 0
         self.steps = 0
         self._approximate: Operator | None = None

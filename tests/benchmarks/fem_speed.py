@@ -1,10 +1,10 @@
 """What `fem_reference` costs on this machine, beside named alternatives in the same run: `make bench-fem`.
 
 Assembly of the linear mixed system is set against NGSolve's (extra `benchmark`; same mesh, one thread) and against
-scikit-fem's own loop. Then one load by size (`--large` adds 900,000 unknowns), at the smallest size beside NGSolve's
-UMFPACK and SuperLU; one load by Poisson ratio; many loads on one factor; a step of Newton's method beside one linear
-solve; and the condensed body. The body is a unit cube held below and pressed above. Seconds are those of the clock and
-of the processor: on a shared machine the second is the one to read. Nothing here is asserted.
+scikit-fem's own loop. Then one load by size (`--large` adds 900,000 unknowns), the smallest beside UMFPACK and
+SuperLU; one load by Poisson ratio; many loads on one factor; a step of Newton's method beside one linear solve;
+and the condensed body. The body is a unit cube held below and pressed above. Seconds are those of the clock and of
+the processor: on a shared machine the second is the one to read. Nothing here is asserted.
 """
 
 from __future__ import annotations

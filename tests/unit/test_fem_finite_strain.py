@@ -11,7 +11,7 @@ from scipy.optimize import brentq
 from scipy.sparse import bsr_array
 from skfem import Basis, ElementTetP2, MeshTet
 
-from fem_reference import finite_strain, system
+from fem_reference import finite_strain, system, tangent_solver
 from fem_reference.assembly import scalar_pattern, tetrahedron_quadrature
 from fem_reference.finite_strain import OUTPUTS, FiniteStrainProblem
 from fem_reference.finite_strain_assembly import ElementAssembly
@@ -543,6 +543,26 @@ def test_options_that_make_no_sense_are_refused(block: Body) -> None:
             _problem(block, _bottom(block), **options)
     with pytest.raises(SolverError, match="nothing is held"):
         _problem(block, np.zeros(len(block.surface), dtype=bool))
+
+
+def test_auto_turns_to_multigrid_when_the_analysis_finds_too_much_fill(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    b = cube(3)
+    top = b.load(0.05 * b.facets_where(lambda x: x[:, 2] == 1.0))
+    direct, iterative = (
+        _problem(b, _bottom(b), solver=solver).solver.preconditioner.estimated_bytes
+        for solver in ("direct", "iterative")
+    )
+    assert iterative < direct
+    monkeypatch.setattr(tangent_solver, "_choose", lambda *_: ("direct", "hopeful"))
+    problem = _problem(b, _bottom(b), memory_limit=0.5 * (iterative + direct))
+    assert problem.solver.preconditioner.name == "iterative"
+    assert problem.solver.reason == "hopeful; the analysis found that the factors need more"
+    found, expected = (
+        _converged(p.solve([top])).displacement for p in (problem, _problem(b, _bottom(b), solver="direct"))
+    )
+    assert_allclose(found, expected, rtol=0, atol=1e-7 * np.abs(expected).max())
 
 
 def test_loads_that_make_no_sense_are_refused(block: Body) -> None:

@@ -282,6 +282,23 @@ def test_an_enclosed_incompressible_body_is_told(block: Body) -> None:
     block.problem(held, poisson_ratio=0.4999)
 
 
+def test_a_mask_of_numbers_is_told(block: Body) -> None:
+    """A value that is not a number would count as held."""
+    with pytest.raises(SolverError, match="held is an array of float64, not of true and false; give a mask"):
+        block.problem(np.full(len(block.surface_nodes), np.nan))
+
+
+def test_a_direct_solver_that_fails_is_not_offered_as_the_remedy(
+    block: Body, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for solver, offered in (("direct", False), ("iterative", True)):
+        problem = block.problem(_bottom(block), solver=solver)
+        monkeypatch.setattr(problem.solver, "tolerance", 0.0)
+        status = problem.solve([block.load(1.0)]).status[0]
+        assert status.code == "not-converged"
+        assert ('solver="direct"' in status.remedy) == offered
+
+
 def test_bad_loads_are_told(block: Body) -> None:
     problem = block.problem(_bottom(block))
     good = block.load(_top(block))
@@ -289,6 +306,10 @@ def test_bad_loads_are_told(block: Body) -> None:
     infinite[0, 0] = np.inf
     for load, words in (
         (replace(good, prescribed=infinite), "prescribed of load step 1 has values that are not finite"),
+        (
+            block.load(1e300),
+            r"facet_pressure of load step 1 has values beyond 1e\+100; give a load that a body",
+        ),
         (block.load(float("nan")), "facet_pressure of load step 1 has values that are not finite"),
         (replace(good, gravity=np.zeros(2)), r"gravity of load step 1 has shape \(2,\); give shape \(3,\)"),
         (replace(good, facet_pressure=good.facet_pressure[:, :1]), "facet_pressure of load step 1 has shape"),
