@@ -1,0 +1,37 @@
+"""`fem_reference/README.md`: its example runs, and what it names exists."""
+
+from __future__ import annotations
+
+import re
+from importlib.util import find_spec
+from pathlib import Path
+
+import fem_reference
+from fem_reference.linear import ELEMENTS
+from fem_reference.linear_algebra import SOLVERS
+
+FOLDER = Path(fem_reference.__file__).parent
+README = (FOLDER / "README.md").read_text(encoding="utf-8")
+
+
+def test_example_runs() -> None:
+    example = re.search(r"```python\n(.*?)```", README, flags=re.DOTALL)
+    assert example is not None
+    exec(compile(example.group(1), "README.md", "exec"), {})
+
+
+def test_every_solver_path_has_a_row() -> None:
+    rows = set(
+        re.findall(r"^\| (\w+) \| .* \| .* \|$", README.split("## Which solver")[1], flags=re.MULTILINE)
+    )
+    assert set(SOLVERS) - {"auto"} <= rows
+
+
+def test_names_that_it_uses_exist() -> None:
+    order = README.split("The modules follow")[1].split("\n\n")[0]
+    modules = re.findall(r"`(\w+)`", order)
+    assert len(modules) >= 12
+    assert all(find_spec(f"fem_reference.{name}") for name in modules)
+    assert all(f"`{name}`" in README or name in README for name in ELEMENTS)
+    for target in re.findall(r"\]\(([\w./-]+)\)", README):
+        assert (FOLDER / target).exists(), target
