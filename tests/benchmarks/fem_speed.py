@@ -189,7 +189,7 @@ def newton(b: Body) -> None:
 
 
 def condensed(b: Body) -> None:
-    """Set-up, matrix and frame of the body condensed to a quarter of its upper face, held nodes still and moving."""
+    """Set-up, matrix and frame of the body condensed to the middle of a face, held nodes still and moving."""
     _table(f"condensed, {len(b.tetrahedra)} tetrahedra", COST, "matrix MB", "frame, microseconds")
     top = (b.surface[:, 2] > 1.0 - 1e-12) & (np.abs(b.surface[:, :2] - 0.5) < 0.26).all(axis=1)
     pressed = b.load(np.where(top[b.triangles].all(axis=1), 0.05, 0.0))
