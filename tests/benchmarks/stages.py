@@ -1,7 +1,7 @@
 """Where the time goes, stage by stage: the quickstart of `make demo` and a sweep of twenty cases.
 
-Each study runs twice: once as a user runs it, for the whole, and once with its cases in this process, whose
-functions are timed. What no stage names is the program's own: files, plans, hashes.
+Each study runs twice: once as a user runs it, for the whole, and once with its cases in this process, the processor
+time of whose functions is taken. What no stage names is the program's own: files, plans, hashes.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ PHYSICS = ("mesh", "set-up and solve")
 
 
 class Stages:
-    """Seconds by stage; what a stage does inside another counts for the inner one only."""
+    """Processor seconds by stage; what a stage does inside another counts for the inner one only."""
 
     def __init__(self) -> None:
         self.seconds: dict[str, float] = {}
@@ -36,12 +36,12 @@ class Stages:
         """The function, its time kept."""
 
         def wrapped(*arguments: Any, **options: Any) -> Any:
-            start = time.perf_counter()
+            start = time.process_time()
             self._inner.append(0.0)
             try:
                 return function(*arguments, **options)
             finally:
-                spent = time.perf_counter() - start
+                spent = time.process_time() - start
                 own = spent - self._inner.pop()
                 self._inner[-1] += spent
                 self.seconds[stage] = self.seconds.get(stage, 0.0) + own
@@ -89,7 +89,7 @@ def studied(directory: Path, twenty: bool) -> Path:
 def measure(study: Path, directory: Path) -> dict[str, float]:
     """Seconds by stage of a study that runs in this process, on a cache of its own."""
     stages = Stages()
-    start = time.perf_counter()
+    start = time.process_time()
     undo = patch(stages)
     try:
         loaded = load_study(study)
@@ -98,7 +98,7 @@ def measure(study: Path, directory: Path) -> dict[str, float]:
         stages.timed("report", _report)(plan, study)
     finally:
         undo()
-    stages.seconds["the rest"] = time.perf_counter() - start - sum(stages.seconds.values())
+    stages.seconds["the rest"] = time.process_time() - start - sum(stages.seconds.values())
     return stages.seconds
 
 
