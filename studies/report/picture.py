@@ -27,6 +27,7 @@ _ELEVATION = np.radians(22.0)
 _AMBIENT, _DIFFUSE = 0.5, 0.55  # light from everywhere, and from above the viewer
 _LIGHT = np.array([0.15, 0.6, 0.786])  # unit vector: right, up, towards the viewer
 _NO_METADATA: Any = {"Software": None}
+_QUICK = {"compress_level": 4}  # half the time of the usual level for a fifteenth more bytes
 _Renderer: Any = RendererAgg  # which matplotlib has no types of
 
 
@@ -57,7 +58,7 @@ def _png(panels: Sequence[Panel]) -> bytes:
     shift = np.array([width / 2, height / 2]) - scale * (low + high)[:2] / 2
     out = io.BytesIO()
     pixels = np.concatenate([_drawn(panel, axes, scale, shift, width, height) for panel in panels], axis=1)
-    imsave(out, pixels, format="png", metadata=_NO_METADATA)
+    imsave(out, pixels, format="png", metadata=_NO_METADATA, pil_kwargs=_QUICK)
     return out.getvalue()
 
 
