@@ -441,3 +441,17 @@ def test_axis_keeps_neighbours_apart(values: list[float], kind: str) -> None:
     assert found == kind
     assert list(positions) == sorted(set(values))
     assert sorted(positions.values()) == list(positions.values())
+
+
+def test_everything_drawn_is_told_in_words_and_every_table_can_be_taken_away(html: str) -> None:
+    drawn = re.findall(r"<svg [^>]*>", html)
+    assert len(drawn) > 8
+    for tag in drawn:
+        told = re.search(r'role="img" aria-label="([^"]*)"', tag)
+        assert told is not None, tag
+        assert len(told.group(1).split()) > 5, told.group(1)
+        assert re.search(r"\d", told.group(1)), "an alternative gives the numbers"
+    assert all(re.search(r'alt="[^"]{10,}"', tag) for tag in re.findall(r"<img [^>]*>", html))
+    tables = len(re.findall(r"<table", html))
+    assert tables >= 4
+    assert html.count('data-action="copy"') == html.count('data-action="csv"') == tables
