@@ -99,7 +99,18 @@ def find(name: str) -> tuple[Model, str]:
     return model, solver or model.solvers[0]
 
 
-VDM_SOLVERS = ("linear", "single", "lu", "quasi-linear", "nonlinear", "bicg", "bicg-cold", "cg", "minres")
+VDM_SOLVERS = (
+    "linear",
+    "single",
+    "refined",
+    "lu",
+    "quasi-linear",
+    "nonlinear",
+    "bicg",
+    "bicg-cold",
+    "cg",
+    "minres",
+)
 
 
 # MINRES needs a symmetric matrix, which the printed form has not

@@ -43,6 +43,7 @@ class Solver(Protocol):
 SOLVERS: tuple[str, ...] = (
     "linear",
     "single",
+    "refined",
     "lu",
     "quasi-linear",
     "nonlinear",
@@ -234,7 +235,8 @@ def _make_solver(
 
     makers: dict[str, Callable[[], Solver]] = {
         "linear": lambda: LinearSolver(problem),
-        "single": lambda: LinearSolver(problem, "single"),
+        "single": lambda: LinearSolver(problem, "single", refine=False),
+        "refined": lambda: LinearSolver(problem, "single"),
         "lu": lambda: LuSolver(problem, constraint_method, penalty),
         "quasi-linear": lambda: QuasiLinearSolver(problem, volume_row),
         "nonlinear": lambda: NonlinearSolver(problem),

@@ -287,7 +287,9 @@ def test_every_linear_solver_on_a_torus(formulation):
     size = np.abs(expected).max()
     for solver in SOLVERS:
         # the nonlinear one has its own test on a torus; the printed matrix is not symmetric
-        if solver == "nonlinear" or (formulation, solver) in (("paper", "minres"), ("boundary", "single")):
+        if solver == "nonlinear" or (formulation, solver) == ("paper", "minres"):
+            continue
+        if formulation == "boundary" and solver in ("single", "refined"):  # dense
             continue
         # rounding, or the tolerance of an iteration, times the condition
         tolerance = 1e-4 if solver == "single" else 1e-7

@@ -7,13 +7,19 @@ from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse import linalg
 
-from vdm.solution import SolverError
-from vdm.solvers.cholesky import CONDITION_LIMIT, SINGULAR
+from vdm.solution import SolverError, Status
+from vdm.solvers.cholesky import CONDITION_LIMIT
 
 Array = NDArray[np.float64]
 
 # the same growth of a random load as in double precision, for as many digits fewer
 _CONDITION_LIMIT = CONDITION_LIMIT * float(np.finfo(np.float64).eps / np.finfo(np.float32).eps)
+
+SINGULAR = Status(
+    "singular",
+    "the operator is not positive definite in single precision",
+    "use the linear solver, which has double the digits",
+)
 
 
 class SingleFactor:
