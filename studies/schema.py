@@ -423,7 +423,9 @@ class Calibration(Table):
             ...,
         ]
         | None
-    ) = Field(None, description="what to fit; left out: what the study leaves to each model's rule")
+    ) = Field(
+        None, description="what to fit; left out: what the study leaves to each model's rule", strict=False
+    )
 
 
 class Uncertainty(Table):

@@ -71,9 +71,9 @@ def half_written(directory: Path) -> list[Path]:
     return [path for path in hidden if path.is_file() and not path.name.startswith(".lock")]
 
 
-def assert_same_results(directory: Path, undisturbed: Path) -> None:
+def assert_same_results(directory: Path, undisturbed: Path, name: Path = RUN) -> None:
     """All cases are done, with the numbers of an undisturbed run."""
-    run, expected = (store.read_run(place / RUN) for place in (directory, undisturbed))
+    run, expected = store.read_run(directory / name), store.read_run(undisturbed / RUN)
     assert (run.failed, run.missing) == ([], [])
     assert [case.hash for case in run.cases] == [case.hash for case in expected.cases]
     for ours, theirs in zip(run.cases, expected.cases, strict=True):

@@ -49,6 +49,42 @@ BASE: dict[str, Any] = {
     "models": {"vdm-paper": {"bulk_modulus": "1 kPa"}},
 }
 
+FURTHER: dict[str, dict[str, Any]] = {  # bases with the tables that exclude each other
+    "zip": {
+        **BASE,
+        "sweep": {
+            "mode": "zip",
+            "constraints.tip.pressure": [100, "0.2 kPa", 300, 400],
+            "regions.finger.cap.angle": ["20 deg", "25 deg", 0.4, 0.5],
+            "regions.finger.cap.direction.0": {"start": 0, "stop": 0.3, "num": 4},
+        },
+        "calibration": {"training": 2, "parameters": ["bulk_modulus", "surface_tension"]},
+        "models": {"vdm-paper": {"surface_tension": "60 N/m", "rotation": "nodal"}},
+    },
+    "sample": {
+        **BASE,
+        "sweep": {
+            "mode": "latin-hypercube",
+            "samples": 5,
+            "seed": 3,
+            "tissue.youngs_modulus": {"start": "2 kPa", "stop": "10 kPa", "scale": "log"},
+            "anisotropy.contrast": {"start": 1, "stop": 5},
+        },
+        "uncertainty": {"levels": 3},
+    },
+    "one": {
+        **BASE,
+        "sweep": {
+            "mode": "one-at-a-time",
+            "load.steps": [1, 2, 4],
+            "vdm.rotation": ["none", "nodal"],
+            "anisotropy.fibre_direction.1": [0, 1],
+        },
+        "load": {"factors": [1], "steps": 2},
+        "limits": {"along": "constraints.tip.pressure", "thresholds": [0.05, 0.1]},
+    },
+}
+
 
 def attempt(path: Path) -> StudyError | None:
     """Load and expand a study file; the error, after a look at its sentences, where there is one."""
@@ -85,8 +121,9 @@ def path(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return tmp_path_factory.mktemp("study") / "study.toml"
 
 
-def test_the_base_of_these_tests_is_sound(path: Path) -> None:
-    path.write_text(tomli_w.dumps(BASE))
+@pytest.mark.parametrize("base", [BASE, *FURTHER.values()])
+def test_the_bases_of_these_tests_are_sound(path: Path, base: dict[str, Any]) -> None:
+    path.write_text(tomli_w.dumps(base))
     assert attempt(path) is None
 
 
@@ -258,9 +295,12 @@ def changed(tree: Any, at: tuple[str | int, ...], change: str, key: str, value: 
 
 @st.composite
 def mutated(draw: st.DrawFn) -> dict[str, Any]:
-    tree: Any = BASE
+    tree: Any = draw(st.sampled_from([BASE, *FURTHER.values()]))
     for _ in range(draw(st.integers(1, 4))):
-        at = draw(st.sampled_from(places(tree)[1:] or [("study",)]))
+        tables = ("limits", "calibration", "anisotropy", "uncertainty", "models", "sweep")
+        somewhere = places(tree)[1:] or [("study",)]
+        newer = [place for place in somewhere if place[0] in tables] or somewhere
+        at = draw(st.sampled_from(newer) | st.sampled_from(somewhere))
         change = draw(st.sampled_from(["set", "set", "add", "remove"]))
         value = draw(TREES | st.sampled_from([BASE[k] for k in ("regions", "sweep", "constraints", "study")]))
         tree = changed(tree, at, change, draw(KEYS), value)

@@ -1,0 +1,66 @@
+"""Runs at the same time, as processes: on one directory, and on one cache."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+from pathlib import Path
+
+import h5py
+
+from studies import store
+
+from . import processes
+from .processes import CACHE, RUN, assert_same_results, check_what_is_there, half_written
+
+
+def _together(*runs: list[str], cwd: Path) -> list[tuple[int, str]]:
+    """Run them side by side; exit codes and outputs."""
+    started = [processes.start("run", "small.toml", "--jobs", "1", *extra, cwd=cwd) for extra in runs]
+    found = []
+    for process in started:
+        try:
+            output, _ = process.communicate(timeout=300)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            raise
+        assert "Traceback" not in output
+        found.append((process.returncode, output))
+    return found
+
+
+def test_shards_of_one_directory(undisturbed: tuple[Path, float], tmp_path: Path) -> None:
+    shutil.copy(undisturbed[0] / "small.toml", tmp_path)
+    for code, output in _together(["--shard", "1/2"], ["--shard", "2/2"], cwd=tmp_path):
+        assert code == 0, output
+    assert_same_results(tmp_path, undisturbed[0])
+    assert half_written(tmp_path) == []
+    with h5py.File(tmp_path / RUN / store.STUDY_FILE) as file:  # the last to finish has seen all
+        assert len(file["case/hash"]) == 6
+
+
+def test_of_two_whole_runs_one_gives_way(undisturbed: tuple[Path, float], tmp_path: Path) -> None:
+    """Or comes late, and finds the work done."""
+    shutil.copy(undisturbed[0] / "small.toml", tmp_path)
+    found = sorted(_together([], [], cwd=tmp_path))
+    assert found[0][0] == 0
+    if found[1][0] != 0:
+        assert found[1][0] == 2
+        assert "another run is at work here" in found[1][1]
+    assert_same_results(tmp_path, undisturbed[0])
+
+
+def test_two_directories_of_one_cache(undisturbed: tuple[Path, float], tmp_path: Path) -> None:
+    """Both mesh and solve the same at the same time; each takes what is whole, or makes its own."""
+    shutil.copy(undisturbed[0] / "small.toml", tmp_path)
+    for code, output in _together(["--out", "a"], ["--out", "b"], cwd=tmp_path):
+        assert code == 0, output
+    for name in ("a", "b"):
+        assert_same_results(tmp_path, undisturbed[0], Path(name))
+    check_what_is_there(tmp_path)
+    assert half_written(tmp_path) == []
+    ours, theirs = (
+        {path.relative_to(place) for path in (place / CACHE).rglob("*.npz")}
+        for place in (tmp_path, undisturbed[0])
+    )
+    assert ours == theirs
