@@ -99,6 +99,16 @@ def _parser() -> argparse.ArgumentParser:
         metavar="I/N",
         help="run only the I-th of N parts of the cases",
     )
+    run.add_argument(
+        "--scheduler",
+        metavar="ADDRESS",
+        help="run the cases on this Dask cluster, such as tls://HOST:8786; meshes are made here",
+    )
+    run.add_argument(
+        "--insecure-scheduler",
+        action="store_true",
+        help="allow a scheduler on another machine without TLS: whoever reaches its network can run programs",
+    )
     run.add_argument("--fresh", action="store_true", help="run every case again")
     run.add_argument("--fail-fast", action="store_true", help="stop at the first failure")
     run.add_argument("--timeout", type=_positive_seconds, metavar="S", help="seconds that one case may take")

@@ -112,6 +112,8 @@ def run_verb(options: argparse.Namespace) -> int:
         memory=options.memory,
         fail_fast=options.fail_fast,
         fresh=options.fresh,
+        scheduler=options.scheduler,
+        insecure_scheduler=options.insecure_scheduler,
     )
     cases = plan.cases_to_run(how.shard, fresh=how.fresh)
     with Progress(len(cases) + len(plan.missing_meshes(cases)), quiet=options.json) as progress:

@@ -7,8 +7,8 @@ import fcntl
 import json
 import os
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager, ExitStack, contextmanager
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -16,8 +16,9 @@ from typing import Any
 import tomli_w
 
 from .case import Run
+from .cluster import Cluster, connected
 from .config import resolved
-from .execute import LOG, Group, Outcome, run_tasks, write_failure
+from .execute import LOG, Group, Outcome, Task, run_tasks, write_failure
 from .explain import summary
 from .files import clear_abandoned, write_atomically
 from .memory import machine_memory
@@ -50,6 +51,8 @@ class Options:
     memory: int | None = None
     fail_fast: bool = False
     fresh: bool = False
+    scheduler: str | None = None  # address of a Dask scheduler, whose workers run the cases
+    insecure_scheduler: bool = False  # also without TLS on another machine
 
 
 def run_plan(
@@ -62,20 +65,21 @@ def run_plan(
     RunError
         another run is at work in the directory.
     OSError
-        disk full or read-only.
+        disk full or read-only; a cluster that is not there or does not fit.
     """
     plan.directory.mkdir(parents=True, exist_ok=True)
-    with _locked(plan.directory, options.shard):
+    with _cluster(options) as cluster, _locked(plan.directory, options.shard):
         _tidy(plan)
         write_atomically(plan.directory / "study.toml", study_text.encode())
         write_atomically(plan.directory / "resolved.toml", tomli_w.dumps(resolved(plan.study)).encode())
         planned = summary(plan)
         write_atomically(plan.directory / "plan.json", json.dumps(planned, indent=1).encode())
         began = time.perf_counter()
-        _run_missing(plan, options, watch)
+        _run_missing(plan, options, watch, cluster)
         _tidy(plan)  # a worker may have been killed
         run, report = rebuild(plan.directory)
-        if options.shard == (1, 1) and not options.fresh and planned["cases_to_run"]:
+        here = cluster is None and options.shard == (1, 1)
+        if here and not options.fresh and planned["cases_to_run"]:
             planned["taken"] = {"seconds": time.perf_counter() - began, "jobs": options.jobs}
             write_atomically(plan.directory / "plan.json", json.dumps(planned, indent=1).encode())
         return dataclasses.replace(run, plan=planned), report
@@ -102,19 +106,31 @@ def _tidy(plan: Plan) -> None:
     clear_abandoned(plan.directory / "failed", LOG)
 
 
-def _run_missing(plan: Plan, options: Options, watch: Callable[[Event], None]) -> None:
+@contextmanager
+def _cluster(options: Options) -> Iterator[Cluster | None]:
+    """The cluster that the cases run on, or None for this machine."""
+    if options.scheduler is None:
+        yield None
+        return
+    with connected(options.scheduler, insecure=options.insecure_scheduler) as cluster:
+        yield cluster
+
+
+def _run_missing(
+    plan: Plan, options: Options, watch: Callable[[Event], None], cluster: Cluster | None
+) -> None:
     cases = plan.cases_to_run(options.shard, fresh=options.fresh)
     logs = plan.directory / "failed"
     meshes = [[_mesh_task(mesh, plan)] for mesh in plan.missing_meshes(cases)]
     broken: dict[str, Outcome] = {}
-    for outcome in _watched(meshes, make_mesh, logs, options, watch, "mesh"):
+    for outcome in _make_meshes(meshes, logs, options, watch):
         if not outcome.ok:
             broken[outcome.task["id"]] = outcome
     died = [[outcome.task] for outcome in broken.values() if outcome.code == "crashed"]
     if (
         not options.fail_fast
     ):  # many cases may hang on a mesh: the death of its worker costs a second try only
-        for outcome in _watched(died, make_mesh, logs, options, watch, "mesh"):
+        for outcome in _make_meshes(died, logs, options, watch):
             if outcome.ok:
                 del broken[outcome.task["id"]]
     if broken and options.fail_fast:
@@ -124,11 +140,23 @@ def _run_missing(plan: Plan, options: Options, watch: Callable[[Event], None]) -
             failure = dataclasses.replace(broken[case.mesh], task=task_of(case, plan, fresh=options.fresh))
             _keep_failure(plan, failure)
             watch(Event("failed", case.label, message=failure.message))
+    places = options.jobs
+    if cluster is not None:  # whose workers run elsewhere
+        plan = dataclasses.replace(plan, directory=plan.directory.absolute(), cache=plan.cache.absolute())
+        places = cluster.places()
     groups = [
         [task_of(case, plan, fresh=options.fresh) for case in group]
-        for group in plan.groups([case for case in cases if case.mesh not in broken], options.jobs)
+        for group in plan.groups([case for case in cases if case.mesh not in broken], places)
     ]
-    for outcome in _watched(groups, run_case, logs, options, watch, "case", together=share):
+    how: dict[str, Any] = {"timeout": options.timeout, "fail_fast": options.fail_fast}
+    how["started"] = _starts("case", watch)
+    if cluster is not None:
+        scratch = plan.directory / ".cluster-{}-of-{}".format(*options.shard)
+        outcomes = cluster.run_cases(groups, scratch=scratch, memory=options.memory, **how)
+    else:
+        how["memory"] = _memory(options)
+        outcomes = run_tasks(run_case, groups, together=share, jobs=places, log_directory=logs, **how)
+    for outcome in _watched(outcomes, watch):
         if outcome.ok:
             failure_path(plan.directory, outcome.task["id"]).unlink(missing_ok=True)
         else:
@@ -143,29 +171,32 @@ def _keep_failure(plan: Plan, outcome: Outcome) -> None:
     write_failure(failure_path(plan.directory, outcome.task["id"]), outcome, outcome.task["label"])
 
 
-def _watched(
-    groups: Sequence[Group],
-    work: Callable[[Mapping[str, Any]], None],
-    logs: Path,
-    options: Options,
-    watch: Callable[[Event], None],
-    kind: str,
-    together: Callable[[Group], AbstractContextManager[None]] | None = None,
+def _make_meshes(
+    meshes: Sequence[Group], logs: Path, options: Options, watch: Callable[[Event], None]
 ) -> Iterator[Outcome]:
-    def started(task: Mapping[str, Any]) -> None:
-        watch(Event(kind, task["label"]))
-
-    for outcome in run_tasks(
-        work,
-        groups,
-        together=together,
+    outcomes = run_tasks(
+        make_mesh,
+        meshes,
         jobs=options.jobs,
         log_directory=logs,
         timeout=options.timeout,
-        memory=options.memory or machine_memory() // options.jobs,
+        memory=_memory(options),
         fail_fast=options.fail_fast,
-        started=started,
-    ):
+        started=_starts("mesh", watch),
+    )
+    return _watched(outcomes, watch)
+
+
+def _memory(options: Options) -> int:
+    return options.memory or machine_memory() // options.jobs
+
+
+def _starts(kind: str, watch: Callable[[Event], None]) -> Callable[[Task], None]:
+    return lambda task: watch(Event(kind, task["label"]))
+
+
+def _watched(outcomes: Iterator[Outcome], watch: Callable[[Event], None]) -> Iterator[Outcome]:
+    for outcome in outcomes:
         ended = "done" if outcome.ok else "failed"
         watch(Event(ended, outcome.task["label"], outcome.seconds, outcome.message))
         yield outcome

@@ -21,6 +21,7 @@ BEHIND = {
     "h5py": {"studies/hdf5.py"},
     "meshio": {"studies/mesh_file.py"},
     "pyvista": {"studies/remesh.py"},
+    "distributed": {"studies/cluster.py"},
     "pyacvd": {"studies/remesh.py"},
 }
 
@@ -145,6 +146,7 @@ def test_help_imports_nothing_heavy() -> None:
         "h5py",
         "matplotlib",
         "pydantic",
+        "distributed",
     }
     assert not heavy & set(ast.literal_eval(result.stderr))
 

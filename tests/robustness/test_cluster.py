@@ -1,0 +1,255 @@
+"""Runs on a Dask cluster: two workers on this machine, started by the documented commands, and what goes wrong."""
+
+from __future__ import annotations
+
+import json
+import os
+import shlex
+import signal
+import socket
+import subprocess
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from studies.cluster import AddressError, checked_address, refusal
+from studies.journal import Journal
+from studies.store import read_case
+from tests.command import SCRIPT, vdmbench, write_study
+from tests.docs.regenerate import README
+
+NEAR_ZERO_PATIENCE = {"DASK_DISTRIBUTED__COMM__TIMEOUTS__CONNECT": "1s"}
+SWEEP = """
+[sweep]
+"tissue.poisson_ratio" = [0.45, 0.49]
+"constraints.finger.force" = ["0.1 N", "0.2 N"]
+"""
+
+
+@pytest.fixture(scope="module")
+def scheduler(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
+    """The address of a scheduler with two workers of one thread each."""
+    place = tmp_path_factory.mktemp("cluster")
+    contact = place / "scheduler.json"
+    quiet: dict[str, Any] = {"cwd": place, "stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
+    start = [*_documented("dask scheduler", "8786", "0"), "--no-dashboard", "--scheduler-file", str(contact)]
+    with subprocess.Popen(start, **quiet) as head:
+        _wait_for(lambda: contact.exists() and contact.read_text().endswith("}"))
+        address = json.loads(contact.read_text())["address"]
+        work = [*_documented("dask worker", "tcp://127.0.0.1:8786", address), "--no-dashboard"]
+        with subprocess.Popen(work, **quiet) as hands:
+            yield address
+            hands.terminate()
+        head.terminate()
+
+
+def _documented(command: str, old: str, new: str) -> list[str]:
+    """A command of the README as it is there, with one word exchanged; `dask` is that of this Python."""
+    (line,) = (line for line in README.read_text().splitlines() if line.startswith(f".venv/bin/{command} "))
+    words = shlex.split(line.removesuffix("&").replace(old, new))
+    return [str(SCRIPT.parent / Path(words[0]).name), *words[1:]]
+
+
+def _wait_for(what: Callable[[], Any], seconds: float = 300.0) -> Any:
+    end = time.monotonic() + seconds
+    while not (found := what()):
+        assert time.monotonic() < end, "waited in vain"
+        time.sleep(0.02)
+    return found
+
+
+def _study(directory: Path) -> Path:
+    path = write_study(directory)
+    path.write_text(path.read_text() + SWEEP)
+    return path
+
+
+def _start(study: Path, *options: str) -> subprocess.Popen[str]:
+    """The command at work, as a user has it in a terminal."""
+    return subprocess.Popen(
+        [SCRIPT, "run", str(study), "--out", "run", *options],
+        cwd=study.parent,
+        stderr=subprocess.PIPE,
+        stdout=subprocess.DEVNULL,
+        text=True,
+    )
+
+
+def _processes(run: Path) -> dict[int, int]:
+    """The processes that do cases of a run: process -> the worker of the cluster that started it."""
+    found = {}
+    for place in Path("/proc").iterdir():
+        try:
+            command = (place / "cmdline").read_bytes().split(b"\0")
+            if b"studies.remote" in command and str(run) in Path(os.fsdecode(command[-2])).read_text():
+                found[int(place.name)] = int((place / "stat").read_text().rsplit(")")[1].split()[1])
+        except OSError:
+            continue
+    return found
+
+
+def _begun(run: Path) -> list[str]:
+    """The tasks that were begun so far, by the journals, once for each time."""
+    begun = []
+    for path in run.glob(".cluster-1-of-1/*/*"):
+        journal = Journal(path)
+        begun += [record["begun"] for record in journal.news() if "begun" in record]
+    return begun
+
+
+def _assert_same_cases(one: Path, other: Path) -> None:
+    names = sorted(path.name for path in (one / "cases").iterdir())
+    assert len(names) == 4
+    assert names == sorted(path.name for path in (other / "cases").iterdir())
+    for name in names:
+        here, there = read_case(one / "cases" / name), read_case(other / "cases" / name)
+        assert here.models.keys() == there.models.keys()
+        for model, result in here.models.items():
+            for field in ("displacement", "reaction_force", "volume"):
+                _assert_same(getattr(result, field), getattr(there.models[model], field))
+            for metric, series in here.metrics[model].items():
+                _assert_same(series.values, there.metrics[model][metric].values)
+
+
+def _assert_same(values: Any, others: Any) -> None:
+    """To the last digits: those may differ where sums are added in another order, by threads or alignment."""
+    np.testing.assert_allclose(values, others, rtol=1e-13, atol=1e-13 * np.abs(np.nan_to_num(others)).max())
+
+
+@pytest.fixture(scope="module")
+def local_run(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The same study run without a cluster, with a cache of its own."""
+    place = tmp_path_factory.mktemp("local")
+    assert vdmbench("run", _study(place), "--out", "run", "--jobs", "2", cwd=place).returncode == 0
+    return place / "run"
+
+
+def test_a_cluster_gives_the_same_numbers(tmp_path: Path, scheduler: str, local_run: Path) -> None:
+    result = vdmbench("run", _study(tmp_path), "--out", "run", "--scheduler", scheduler, cwd=tmp_path)
+    assert result.returncode == 0, result.stderr
+    assert result.stderr.count("done ") == 1 + 4, "one mesh and four cases, told as they end"
+    _assert_same_cases(tmp_path / "run", local_run)
+    assert not list((tmp_path / "run").glob(".cluster*"))
+
+
+def test_a_killed_worker_costs_a_retry_only(tmp_path: Path, scheduler: str, local_run: Path) -> None:
+    run = tmp_path / "run"
+    with _start(_study(tmp_path), "--scheduler", scheduler) as command:
+        _wait_for(lambda: _begun(run))
+        victim, worker = next(iter(_wait_for(lambda: _processes(run)).items()))
+        os.kill(worker, signal.SIGKILL)
+        _wait_for(lambda: victim not in _processes(run))
+        _, said = command.communicate(timeout=300)
+    assert command.returncode == 0, said
+    assert said.count("done ") == 1 + 4
+    _assert_same_cases(run, local_run)
+
+
+def test_ctrl_c_stops_what_runs_and_keeps_what_is_done(
+    tmp_path: Path, scheduler: str, local_run: Path
+) -> None:
+    run, study = tmp_path / "run", _study(tmp_path)
+    with _start(study, "--scheduler", scheduler) as command:
+        _wait_for(lambda: list(run.glob("cases/*")))
+        command.send_signal(signal.SIGINT)
+        _, said = command.communicate(timeout=300)
+    assert command.returncode == 130
+    assert "Traceback" not in said
+    _wait_for(lambda: not _processes(run))
+    assert not list(run.glob(".cluster*"))
+    kept = {path: path.stat().st_mtime_ns for path in run.glob("cases/*")}
+    assert vdmbench("run", study, "--out", "run", "--scheduler", scheduler, cwd=tmp_path).returncode == 0
+    assert {path: path.stat().st_mtime_ns for path in kept} == kept
+    _assert_same_cases(run, local_run)
+
+
+def test_nobody_there_and_nobody_to_be_trusted(tmp_path: Path) -> None:
+    with socket.socket() as held:  # bound, not listening: whoever calls is refused
+        held.bind(("127.0.0.1", 0))
+        address = f"tcp://127.0.0.1:{held.getsockname()[1]}"
+        result = vdmbench("run", _study(tmp_path), "--scheduler", address, cwd=tmp_path, **NEAR_ZERO_PATIENCE)
+    assert result.returncode == 4
+    assert result.stderr == f"vdmbench: no scheduler answers at {address}; start one with: dask scheduler\n"
+    result = vdmbench("run", tmp_path / "small.toml", "--scheduler", "10.0.0.1:8786", cwd=tmp_path)
+    assert result.returncode == 2
+    assert result.stderr.startswith("vdmbench: tcp://10.0.0.1:8786: without TLS")
+    assert len(result.stderr.splitlines()) == 1
+    result = vdmbench("run", tmp_path / "small.toml", "--scheduler", "tls://10.0.0.1:8786", cwd=tmp_path)
+    assert result.returncode == 2, "there are no certificates"
+    assert len(result.stderr.splitlines()) == 1
+
+
+def test_dask_that_is_not_installed_is_named(tmp_path: Path) -> None:
+    (tmp_path / "distributed.py").write_text("raise ImportError\n")
+    result = vdmbench(
+        "run",
+        _study(tmp_path),
+        "--scheduler",
+        "127.0.0.1:8786",
+        cwd=tmp_path,
+        PYTHONPATH=f"{tmp_path}{os.pathsep}{os.environ.get('PYTHONPATH', '')}",
+    )
+    assert result.returncode == 4
+    assert "pip install --constraint constraints.txt --editable '.[distributed]'" in result.stderr
+    assert len(result.stderr.splitlines()) == 1
+
+
+@pytest.mark.parametrize(
+    ("address", "full"),
+    [
+        ("127.0.0.1:8786", "tcp://127.0.0.1:8786"),
+        ("tcp://localhost:8786", "tcp://localhost:8786"),
+        ("tcp://[::1]:8786", "tcp://[::1]:8786"),
+        ("tls://cluster.example:8786", "tls://cluster.example:8786"),
+    ],
+)
+def test_addresses_that_are_safe(address: str, full: str) -> None:
+    assert checked_address(address, insecure=False) == full
+
+
+@pytest.mark.parametrize("address", ["cluster.example:8786", "tcp://192.168.0.7:8786", "0.0.0.0:8786"])
+def test_other_machines_need_tls_or_a_word(address: str) -> None:
+    with pytest.raises(AddressError, match="without TLS"):
+        checked_address(address, insecure=False)
+    assert checked_address(address, insecure=True).endswith(address)
+
+
+@pytest.mark.parametrize(
+    "address", ["", "127.0.0.1", "http://127.0.0.1:80", "inproc://a/b/c", "tcp://127.0.0.1:x", "tcp://[::1:1"]
+)
+def test_what_is_no_address(address: str) -> None:
+    with pytest.raises(AddressError, match="no scheduler's address"):
+        checked_address(address, insecure=True)
+
+
+def test_workers_that_differ_or_do_not_see_the_directory_are_refused(tmp_path: Path) -> None:
+    from studies.cluster import _versions
+
+    def answer(versions: dict[str, str], home: Path) -> str:
+        return refusal(json.dumps({"versions": versions, "journal": str(home / "any")}))
+
+    assert answer(_versions(), tmp_path) == ""
+    assert answer(_versions() | {"vdmbench": "0.0.0"}, tmp_path).startswith("has vdmbench ")
+    assert "not 99: install" in answer(_versions() | {"model fem": "99"}, tmp_path)
+    assert answer(_versions() | {"model new": "1"}, tmp_path).startswith("has no model new, not 1")
+    assert "does not see" in answer(_versions(), tmp_path / "elsewhere")
+
+
+def test_a_journal_goes_on_after_a_line_cut_short(tmp_path: Path) -> None:
+    writer, reader = Journal(tmp_path / "journal"), Journal(tmp_path / "journal")
+    assert list(reader.news()) == []
+    writer.add({"begun": "a"})
+    writer.path.write_bytes(writer.path.read_bytes() + b'{"id": "a", "co')
+    assert list(reader.news()) == [{"begun": "a"}]
+    writer.add({"begun": "a"})
+    writer.add({"id": "a", "code": "done"})
+    writer.add({"id": "a", "code": "done"})
+    assert list(reader.news()) == [{"begun": "a"}, {"id": "a", "code": "done"}]
+    assert (reader.begun["a"], reader.finished) == (2, {"a"})
+    late = Journal(tmp_path / "not there yet")
+    late.catch_up(writer.path.read_text())
+    assert [record.get("code") for record in late.news()] == [None, None, "done"]
