@@ -1,7 +1,7 @@
 """Calibrates every shipped body and tries each fit on all others: `make calibrations`.
 
-Writes `results/calibrations.md` and, to paste into a study, `results/calibrations/<study>.toml`. The studies run in
-`results/runs`, where what is there already is kept.
+Writes `results/calibrations.md`; to paste into a study, `results/calibrations/<study>.toml`; and for the test that
+fits again, `results/calibrations/<study>.json`. The studies run in `results/runs`, where what is there is kept.
 """
 
 from __future__ import annotations
@@ -47,7 +47,8 @@ def calibrated(study: str) -> dict[str, Any]:
         raise RuntimeError(result.stderr)
     found: dict[str, Any] = json.loads(result.stdout)[study]
     TABLES.mkdir(exist_ok=True)
-    shutil.copy(ROOT / "results" / "runs" / study / "calibration.toml", TABLES / f"{study}.toml")
+    for suffix in ("toml", "json"):
+        shutil.copy(ROOT / "results" / "runs" / study / f"calibration.{suffix}", TABLES / f"{study}.{suffix}")
     return found
 
 
