@@ -183,7 +183,7 @@ def _kind(annotation: Any, si: SI | None) -> str:
     if get_origin(annotation) is tuple:
         inner, _ = unwrapped(get_args(annotation)[0])
         return {Region: "list of regions", int: "list of whole numbers"}.get(inner, "list of texts")
-    return {int: "whole number", Region: "region"}.get(annotation, "text")
+    return {bool: "true or false", int: "whole number", Region: "region"}.get(annotation, "text")
 
 
 def _count(count: int, unit: str) -> str:
@@ -197,4 +197,6 @@ def _default(field: FieldInfo) -> str:
         return "required"
     if field.default is None or field.default == "":
         return ""
+    if isinstance(field.default, bool):
+        return str(field.default).lower()
     return str(list(field.default)) if isinstance(field.default, tuple) else str(field.default)

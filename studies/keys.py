@@ -24,6 +24,7 @@ def case_hash(study: Study, mesh_key: str) -> str:
             "models": {name: models.find(name)[0].version for name in study.study.models},
             "reference": study.study.reference,
         }
+        | _outputs(study)
     )
 
 
@@ -39,9 +40,14 @@ def result_keys(study: Study, mesh_key: str) -> dict[str, str]:
         model, _ = models.find(name)
         own = {"model": name, "version": model.version, "overrides": inputs["models"].get(name)}
         if not model.volumetric:
-            own |= {"vdm": inputs["vdm"], "environment": inputs.get("environment")}
+            own |= {"vdm": inputs["vdm"], "environment": inputs.get("environment")} | _outputs(study)
         keys[name] = _digest(scene | own)
     return keys
+
+
+def _outputs(study: Study) -> dict[str, bool]:
+    """What the models are asked for beyond the usual; nothing where they are not."""
+    return {"condition": True} if study.study.condition else {}
 
 
 def reference_key(result_key: str, n_levels: int) -> str:

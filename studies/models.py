@@ -248,7 +248,8 @@ def _vdm(scene: Scene, formulation: str, solver: str, name: str) -> VdmSolution:
                 prescribed=factor * scene.prescribed,
             )
             for factor in scene.load_factors
-        ]
+        ],
+        condition=scene.condition,
     )
 
 

@@ -39,6 +39,7 @@ class Scene:
     environment_pressure : P_ep, the datum of all pressures [Pa]
     load_factors : (S,)
     anisotropy : fibre direction and contrast, None for an isotropic body
+    condition : whether the condition of the VDM models' systems is estimated
     """
 
     mesh: Mesh
@@ -54,6 +55,7 @@ class Scene:
     environment_pressure: float
     load_factors: Array
     anisotropy: Anisotropy | None
+    condition: bool = False
 
     @property
     def held(self) -> Mask:
@@ -151,6 +153,7 @@ def build_scene(study: Study, mesh: Mesh, masks: Mapping[str, Mask] | None = Non
         environment_pressure=study.environment.pressure if study.environment else 0.0,
         load_factors=np.array(study.load.history),
         anisotropy=study.anisotropy,
+        condition=study.study.condition,
     )
 
 

@@ -132,6 +132,9 @@ class StudyInfo(Table):
     claims: Annotated[tuple[int, ...], number_check(lambda v: 1 <= v <= CLAIMS, f"must be 1 to {CLAIMS}")] = (
         Field((), description="numbers of the paper's claims that the study puts on trial", strict=False)
     )
+    condition: bool = Field(
+        False, description="whether the VDM models estimate the condition of the system that they solve"
+    )
     max_cases: int = Field(1000, description="refuse a sweep of more cases than this", ge=1, le=100_000)
 
     @classmethod

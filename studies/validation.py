@@ -21,6 +21,7 @@ _WANTED = {  # kind of pydantic error -> what the value must be
     "tuple_type": "a list",
     "string_type": "a text",
     "int_type": "a whole number",
+    "bool_type": "true or false",
     "int_from_float": "a whole number",
 }
 

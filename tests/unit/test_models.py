@@ -113,6 +113,18 @@ def test_the_condensed_model_gives_the_linear_one(scene: Scene) -> None:
         assert_allclose(a, b, rtol=0, atol=1e-8 * np.abs(b).max(), err_msg=field)
 
 
+def test_the_condition_is_estimated_where_it_is_asked_for(scene: Scene) -> None:
+    plain, asked = (
+        models.run_model(dataclasses.replace(scene, condition=condition), "vdm-consistent")
+        for condition in (False, True)
+    )
+    assert "condition_estimate" not in plain.scalars
+    estimate = asked.scalars["condition_estimate"]
+    assert estimate.shape == (len(scene.load_factors),)
+    assert (estimate > 1.0).all()
+    assert np.array_equal(plain.displacement, asked.displacement)
+
+
 def test_displacement_elements_lock_and_the_mixed_one_does_not(scene: Scene) -> None:
     """From nu = 0.45 to 0.4999 the incompressible body keeps its compliance; P1 loses most of it, P2 a little."""
     energy = {}

@@ -101,6 +101,13 @@ CASES = {
     "density in g/cm^3": ("= 0.45", "= 0.45\ndensity = 1.06", "density", "tissue.density", "mixed-up unit"),
     "radius in mm": ("radius = 0.05", "radius = 50", "radius", "geometry.radius", "100 m across"),
     "radius in km": ("radius = 0.05", "radius = 0.0004", "radius", "geometry.radius", "mixed-up unit"),
+    "text for true or false": (
+        "[geometry]",
+        'condition = "yes"\n[geometry]',
+        "condition",
+        "study.condition",
+        "must be true or false, not a text",
+    ),
     "slivers of a good mesh": (
         "= 0.006",
         "= 0.006\nslivers = 1.2",

@@ -12,6 +12,7 @@ import tomli_w
 from numpy.testing import assert_allclose
 
 from studies.config import Study, case_inputs, expand, resolved
+from studies.keys import case_hash, result_keys
 
 from .study_texts import SWEPT, load, sweep_problems, swept
 
@@ -204,3 +205,10 @@ def test_one_at_a_time_needs_a_base_that_is_sound(tmp_path: Path) -> None:
     sweep = 'mode = "one-at-a-time"\ntissue.poisson_ratio = [0.3, 0.4]\n'
     [(_, message)] = sweep_problems(tmp_path, sweep, base)
     assert "missing" in message
+
+
+def test_a_result_with_a_condition_is_another_one_than_without(tmp_path: Path) -> None:
+    plain = load(tmp_path, SWEPT)
+    asked = load(tmp_path, SWEPT.replace("[geometry]", "condition = true\n[geometry]"))
+    assert case_hash(plain, "m") != case_hash(asked, "m")
+    assert result_keys(plain, "m") != result_keys(asked, "m")

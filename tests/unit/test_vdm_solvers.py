@@ -352,3 +352,21 @@ def test_nonlinear_corrections_point_the_right_way(formulation):
     iterations = model(formulation, solver="nonlinear").solve(loads).iterations
     # the mixing converges even with a wrong sign in a correction, but then needs six
     assert np.all(iterations <= 5)
+
+
+@pytest.mark.parametrize("formulation", NAMES)
+@pytest.mark.parametrize("method", ["penalty-added", "penalty-replaced"])
+def test_a_soft_penalty_says_that_held_nodes_move(formulation, method):
+    codes = []
+    for alpha in (1e-1, 1e1, 1e3, 1e10):
+        body = model(formulation, solver="lu", constraint_method=method, penalty=alpha)
+        solution = body.solve([PUSH])
+        [status] = solution.status
+        moved = np.linalg.norm(solution.displacement[0], axis=1)
+        # by node here, by component in the solver: at most sqrt(3) apart
+        slip = moved[BASE].max() / moved.max()
+        assert slip < 2e-4 if status.ok else slip > 0.5e-4
+        assert status.ok or (status.code == "inaccurate" and "raise the penalty" in status.remedy)
+        codes.append(status.code)
+    assert codes[0] == "inaccurate"
+    assert codes[-1] == "converged"

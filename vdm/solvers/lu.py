@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Literal
 
 import numpy as np
@@ -16,6 +17,7 @@ from vdm.solvers.audit import Audit, audit
 
 Array = NDArray[np.float64]
 ConstraintMethod = Literal["elimination", "penalty-added", "penalty-replaced"]
+HELD_SLIP = 1e-4  # of the largest displacement: a held node that moves more is not held
 CONSTRAINT_METHODS: tuple[ConstraintMethod, ...] = ("elimination", "penalty-added", "penalty-replaced")
 
 
@@ -26,7 +28,8 @@ class LuSolver:
     ----------
     problem : formulation and supports
     method : "elimination"; "penalty-added", alpha added to K_ii as the text has it; "penalty-replaced",
-        K_ii = alpha as equations 25 and 26 have it. Both leave an error of the order of dP / alpha.
+        K_ii = alpha as equations 25 and 26 have it. Both leave an error of the order of dP / alpha; a step in
+        which a held node moves by more than `HELD_SLIP` of the largest displacement says "inaccurate".
     penalty : alpha as a multiple of the largest diagonal entry of K
 
     Raises
@@ -85,7 +88,14 @@ class LuSolver:
                 imposed = imposed + right_hand_side
             solution = self._factors.solve(np.where(self.held, imposed, right_hand_side))
         x = (solution[:n] * formulation.column_scale).reshape(force.shape)
-        return problem.finish(x, solution[n:], force)
+        step = problem.finish(x, solution[n:], force)
+        if self.method != "elimination" and step.status.ok:
+            held = problem.support.held
+            slip = float(np.abs(x[held] - problem.held_unknown(load)[held]).max(initial=0.0))
+            largest = float(np.abs(x).max(initial=0.0))
+            if slip > HELD_SLIP * largest:
+                return replace(step, status=_slipped(slip / largest))
+        return step
 
     def audited(self, load: Load, step: Step) -> tuple[Step, Audit]:
         """The step and what it is worth: of a penalty, at the nodes that it leaves free."""
@@ -101,3 +111,11 @@ class LuSolver:
             change = self._factors.solve(missing)
         n = lacking.size
         return (change[:n] * formulation.column_scale).reshape(lacking.shape), change[n:]
+
+
+def _slipped(share: float) -> Status:
+    return Status(
+        "inaccurate",
+        f"the penalty lets held nodes move by {share:.1e} of the largest displacement",
+        "raise the penalty, or leave it out: held nodes are then eliminated exactly",
+    )
