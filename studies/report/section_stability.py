@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from .blocks import Block, Cell, Column, Figure, Figures, Section, Table, Text
 from .digest import Digest
 from .formatting import NOTHING, listed, plural, scale_of, swept_value
-from .ladders import DIFFERENT, LEFT, MEASURES, RESIDUAL, Ladder, Reading, alike, ladders
+from .ladders import DIFFERENT, LEFT, MEASURES, RESIDUAL, SINGLE_RESIDUAL, Ladder, Reading, alike, ladders
 from .plots import Plot, colour, line, log_axis, marker, name_ticks, place
 from .section_errors import parameter_name
 
@@ -75,7 +75,8 @@ def _verdict(found: Sequence[Ladder]) -> list[str]:
 def _reading_note() -> str:
     return (
         "A ladder is one parameter raised alone, all others as the study has them. A solver has broken down where "
-        f"a step's status is not converged, its relative residual is above {RESIDUAL:g}, it is more than "
+        f"a step's status is not converged, its relative residual is above {RESIDUAL:g} ({SINGLE_RESIDUAL:g} in "
+        "single precision), it is more than "
         f"{DIFFERENT:g} of the displacement away from the trusted solver of the same system (refined where the "
         "study runs it, else the direct one in double precision), or more than "
         f"{LEFT:g} of the displacement is left without load. Residuals and conditions are shown where the solver "

@@ -107,6 +107,16 @@ def test_the_measures_are_the_worst_of_the_history() -> None:
     assert reading(case({}), "fem") is None
 
 
+@pytest.mark.parametrize(("residual", "silent"), [(9e-4, False), (1.1e-3, True)])
+def test_single_precision_may_leave_a_larger_residual(residual: float, silent: bool) -> None:
+    one = case({}, residuals=(residual,) * 4)
+    single = dataclasses.replace(one, models={"vdm-paper:single": one.models[DIRECT]})
+    for made, name, expected in ((single, "vdm-paper:single", silent), (one, DIRECT, True)):
+        read = reading(made, name)
+        assert read is not None
+        assert read.silent == expected
+
+
 @pytest.mark.parametrize("scale", [0.0, 1e-5, 0.01])
 def test_what_is_left_without_load_counts(scale: float) -> None:
     there_and_back = case({}, steps=(0.5, 1.0, 0.0), residuals=(0, 0, 0))
