@@ -29,7 +29,7 @@ def test_the_first_study_and_its_commands(tmp_path: Path) -> None:
     (study,) = blocks("toml")
     assert len(study.splitlines()) <= 10, "ten lines were promised"
     (tmp_path / "mine.toml").write_text(study)
-    (commands,) = (block for block in blocks("sh") if "mine.toml" in block)
+    (commands,) = (block for block in blocks("sh") if "check mine.toml" in block)
     for line in commands.splitlines():
         words = shlex.split(line, comments=True)
         assert words[0] == "vdmbench"
