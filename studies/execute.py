@@ -1,7 +1,8 @@
 """Runs tasks in worker processes, in groups that share work, so that a failure still costs its task only.
 
 A failure is an error, a crash, a timeout or a kill for want of memory. Workers are forked from a server process
-that has the slow imports done; each gets its share of the cores. A worker does the tasks of one group after the
+that has the slow imports done; each gets its share of the cores for the sparse factors, and one thread for dense
+algebra, whose threads would spin between small products. A worker does the tasks of one group after the
 other and answers after each. Where it dies, the tasks that it had finished stay finished, the one that it was at is
 tried once more alone, and the rest goes to a new worker.
 """
@@ -234,7 +235,7 @@ def _main(
 ) -> None:
     """The worker process: output goes to the log, outcomes through the pipe."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the parent's to handle
-    os.environ["RAYON_NUM_THREADS"] = os.environ["OMP_NUM_THREADS"] = str(threads)
+    os.environ["RAYON_NUM_THREADS"], os.environ["OMP_NUM_THREADS"] = str(threads), "1"
     descriptor = os.open(log, os.O_RDWR | os.O_CREAT | os.O_TRUNC | os.O_APPEND, 0o644)
     fcntl.flock(descriptor, fcntl.LOCK_EX)  # in use, as long as this process lives
     os.dup2(descriptor, 1)
@@ -244,7 +245,7 @@ def _main(
         limit_memory(memory)
     from threadpoolctl import threadpool_limits
 
-    with threadpool_limits(threads), together(tasks) if together else contextlib.nullcontext():
+    with threadpool_limits(1), together(tasks) if together else contextlib.nullcontext():
         for task in tasks:
             os.ftruncate(descriptor, 0)  # the log is that of the task at work
             answer.send_bytes(json.dumps(None).encode())

@@ -18,6 +18,7 @@ import pytest
 
 from studies.cluster import AddressError, checked_address, refusal
 from studies.journal import Journal
+from studies.remote import ATTEMPTS, serve
 from studies.store import read_case
 from tests.command import SCRIPT, vdmbench, write_study
 from tests.docs.regenerate import README
@@ -237,6 +238,18 @@ def test_workers_that_differ_or_do_not_see_the_directory_are_refused(tmp_path: P
     assert "not 99: install" in answer(_versions() | {"model fem": "99"}, tmp_path)
     assert answer(_versions() | {"model new": "1"}, tmp_path).startswith("has no model new, not 1")
     assert "does not see" in answer(_versions(), tmp_path / "elsewhere")
+
+
+def test_a_case_that_costs_three_workers_is_given_up(tmp_path: Path) -> None:
+    journal = Journal(tmp_path / "journal")
+    for _ in range(ATTEMPTS):
+        journal.add({"begun": "a"})
+    request = {"tasks": [{"id": "a"}], "journal": str(journal.path), "timeout": None, "memory": None}
+    serve(request)
+    *_, last = journal.news()
+    assert (last["id"], last["code"]) == ("a", "crashed")
+    assert "lost 3 times" in last["message"]
+    assert "more memory" in last["remedy"]
 
 
 def test_a_journal_goes_on_after_a_line_cut_short(tmp_path: Path) -> None:
