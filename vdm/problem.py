@@ -17,8 +17,9 @@ from vdm.surface import SurfaceMesh
 
 Array = NDArray[np.float64]
 
-# share of a unit motion at the held nodes below which it counts as left free: nodes on one line to rounding
-FREE_MOTION = 1e-9
+# share of a unit motion at the held nodes below which it counts as left free: what resists it is its square, of
+# which rounding leaves no three digits to any solver, and an iterative one would not notice
+FREE_MOTION = 1e-6
 
 
 @dataclass(frozen=True)

@@ -14,6 +14,7 @@ from vdm.formulations.base import Factor
 from vdm.problem import Problem, Step
 from vdm.solution import CONVERGED, SolverError, Status
 from vdm.solvers.audit import Audit, audit
+from vdm.solvers.linear import BORDER_TOLERANCE, check_border
 
 Array = NDArray[np.float64]
 Method = Literal["bicg", "cg", "minres"]
@@ -46,7 +47,7 @@ class KrylovSolver:
     Raises
     ------
     SolverError
-        MINRES asked for an unsymmetric state matrix.
+        MINRES asked for an unsymmetric state matrix; a border that is singular to rounding, which CG solves apart.
     """
 
     def __init__(
@@ -120,6 +121,10 @@ class KrylovSolver:
         self.below, self.corner = self.matrix[-m:, :-m].toarray(), self.matrix[-m:, -m:].toarray()
         solved = [self._iterate(self.block, column, None) for column in self.right.T]
         self.response = np.stack([s for s, _, _ in solved], axis=1)
+        # the signs of this matrix are those of the balance turned round
+        check_border(
+            self.below @ self.response - self.corner, -self.corner, max(BORDER_TOLERANCE, self.tolerance)
+        )
 
     def step(self, load: Load, previous: Step | None = None) -> Step:
         """Solution of one load; `iterations` counts products with the matrix (BiCG: with its transpose too)."""
