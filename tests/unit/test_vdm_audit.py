@@ -93,7 +93,9 @@ def test_penalties_of_eighteen_orders(formulation: str, method: str) -> None:
     for exponent in (2, 4, 8, 12, 16, 20):
         options = {"constraint_method": method, "penalty": 10.0**exponent}
         model = Model(POINTS, TRIANGLES, rule, formulation=formulation, fixed=BASE, solver="lu", **options)
-        assert held_to_the_truth(model, FINGER, 10.0**-exponent + 1e-9) == "converged"
+        # a penalty that lets held nodes move by 1e-4 of the largest displacement says so
+        expected = "inaccurate" if exponent == 2 else "converged"
+        assert held_to_the_truth(model, FINGER, 10.0**-exponent + 1e-9) == expected
 
 
 def made(points: Array, formulation: str, fixed: Array, solver: str = "linear") -> Model | str:
