@@ -42,7 +42,7 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
 def _complain_of(error: ValueError) -> int:
     """One line per problem and the exit code of a mistake; a ValueError of ours always carries a sentence."""
     from .hdf5 import StoreError
-    from .problems import StudyError
+    from .study_file.problems import StudyError
 
     if isinstance(error, StudyError):
         for problem in error.problems:

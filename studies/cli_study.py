@@ -24,7 +24,7 @@ from .cli_output import (
 if TYPE_CHECKING:
     from .case import Run
     from .plan import Plan
-    from .schema import Study
+    from .study_file.schema import Study
 
 SHIPPED = Path(__file__).parent / "cases"
 
@@ -46,8 +46,8 @@ def list_verb(options: argparse.Namespace) -> int:
 
 def check_verb(options: argparse.Namespace) -> int:
     """Print whether a study is right, or every mistake in it."""
-    from .config import expand
-    from .problems import StudyError
+    from .study_file.config import expand
+    from .study_file.problems import StudyError
 
     try:
         study, path = _load(options)
@@ -67,8 +67,8 @@ def check_verb(options: argparse.Namespace) -> int:
 
 def plan_verb(options: argparse.Namespace) -> int:
     """Print what a run would do, and what it would cost."""
-    from .config import expand
     from .explain import summary
+    from .study_file.config import expand
 
     study, _ = _load(options)
     plan = _make_plan(study, expand(study), options.out)
@@ -100,8 +100,8 @@ def _estimate(expected: dict[str, float] | None) -> str:
 
 def run_verb(options: argparse.Namespace) -> int:
     """Run what is missing, write the report, print the headline table."""
-    from .config import expand
     from .run import Options, run_plan
+    from .study_file.config import expand
 
     study, path = _load(options)
     plan = _make_plan(study, expand(study), options.out)
@@ -123,10 +123,10 @@ def run_verb(options: argparse.Namespace) -> int:
 
 def calibrate_verb(options: argparse.Namespace) -> int:
     """Fit the VDM parameters on half of a study's loads; print and write the table for its `[vdm]`."""
-    from .calibrate import FINER, as_json, as_toml, body, calibrate, check
-    from .calibration_table import table
-    from .config import with_mesh_size
+    from .calibration.calibrate import FINER, as_json, as_toml, body, calibrate, check
+    from .calibration.calibration_table import table
     from .files import write_atomically
+    from .study_file.config import with_mesh_size
 
     study, path = _load(options)
     check(study)
@@ -154,9 +154,9 @@ def calibrate_verb(options: argparse.Namespace) -> int:
 
 def bench_verb(options: argparse.Namespace) -> int:
     """Measure the study, or a sphere and an organ (the given surface in its stead) with every model."""
-    from . import bench
-    from .bench_data import answers, machine_independent, rows
-    from .bench_store import write_bench
+    from .benchmark import bench
+    from .benchmark.bench_data import answers, machine_independent, rows
+    from .benchmark.bench_store import write_bench
     from .report.bench_page import write_bench_page
 
     names = [options.study] if options.study else ["quickstart", "accuracy-organ"]
@@ -189,7 +189,7 @@ def bench_verb(options: argparse.Namespace) -> int:
 
 
 def _load(options: argparse.Namespace) -> tuple[Study, Path]:
-    from .config import load_study
+    from .study_file.config import load_study
 
     path = Path(options.study)
     if path.suffix != ".toml" and not path.exists():
@@ -213,8 +213,8 @@ def _make_plan(study: Study, cases: Any, out: Path | None) -> Plan:
 
 def _run_for_fit(study: Study, path: Path, out: Path, options: argparse.Namespace) -> tuple[Plan, Run]:
     """Run what is missing of a study that parameters are fitted on."""
-    from .config import expand
     from .run import Options, run_plan
+    from .study_file.config import expand
 
     plan = _make_plan(study, expand(study), out)
     cases = plan.cases_to_run()

@@ -14,9 +14,9 @@ import numpy as np
 
 from . import models
 from .case import CaseResult
-from .geometry_spec import area_and_volume, estimated_nodes
 from .hdf5 import StoreError
-from .mesh_cache import mesh_path, read_mesh
+from .meshing.geometry_spec import area_and_volume, estimated_nodes
+from .meshing.mesh_cache import mesh_path, read_mesh
 from .plan import Plan, PlannedCase, PlannedMesh
 from .store import read_case
 from .work import ModelWork, work_of

@@ -30,7 +30,7 @@ from typing import Any
 
 from .files import write_atomically
 from .memory import limit_memory
-from .mesh import InputError
+from .meshing.mesh import InputError
 
 Task = Mapping[str, Any]
 Group = Sequence[Task]

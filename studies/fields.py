@@ -9,10 +9,10 @@ from typing import Any, Literal, NamedTuple, Union, get_args, get_origin
 
 from pydantic.fields import FieldInfo
 
-from .kinds import SI
-from .problems import Loc
-from .schema import Region, Study, Table
-from .units import DIMENSIONS
+from .study_file.kinds import SI
+from .study_file.problems import Loc
+from .study_file.schema import Region, Study, Table
+from .study_file.units import DIMENSIONS
 
 _NEVER_SWEPT = {"study", "sweep", "limits", "calibration"}
 

@@ -21,9 +21,9 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from .case import CaseResult, Run
 from .files import write_atomically
-from .kinds import safe_name
 from .metrics import METRICS, full_load_step
-from .problems import file_fault
+from .study_file.kinds import safe_name
+from .study_file.problems import file_fault
 
 SCHEMA = 1
 MAX_BYTES = 50_000_000

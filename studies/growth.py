@@ -11,8 +11,8 @@ from scipy.sparse import linalg
 from vdm import Load, Model, Parameters, SurfaceMesh
 from vdm.formulations.vector import VectorFormulation
 
-from .bench_data import Growth, median
-from .mesh import Array, Index
+from .benchmark.bench_data import Growth, median
+from .meshing.mesh import Array, Index
 
 LEVELS, LARGE_LEVELS = (2, 3, 4, 5), (3, 4, 5, 6, 7)
 FORMULATIONS = ("paper", "consistent", "vector")

@@ -11,8 +11,8 @@ from collections.abc import Mapping
 from typing import Any
 
 from . import models
-from .config import case_inputs
-from .schema import Study
+from .study_file.config import case_inputs
+from .study_file.schema import Study
 
 
 def case_hash(study: Study, mesh_key: str) -> str:

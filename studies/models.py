@@ -15,7 +15,7 @@ import numpy as np
 
 from .case import ModelResult, StepStatus
 from .memory import peak_bytes_since, reset_peak
-from .mesh import Array, Index, Mask
+from .meshing.mesh import Array, Index, Mask
 from .metrics import enclosed_volumes
 from .scene import Scene
 from .setups import shared, watched
@@ -200,7 +200,7 @@ def _condensed_problem(*, contact: Mask, motions: Array, **body: Any) -> Condens
 
 @_model("fem-coarse", version="1", volumetric=True)
 def _fem_coarse(scene: Scene, solver: str, name: str) -> FemSolution:  # noqa: ARG001
-    from .coarse import solve_coarse
+    from .meshing.coarse import solve_coarse
 
     return solve_coarse(scene)
 

@@ -9,14 +9,14 @@ from pathlib import Path
 from typing import Any
 
 from . import models
-from .config import ResolvedCase, geometry_of, resolved
-from .geometry_spec import MAX_NODES, Geometry, area_and_volume, check_node_budget, geometry_key
 from .keys import case_hash, reference_key, result_keys, setup_key, surface_key
-from .mesh_cache import mesh_path
+from .meshing.geometry_spec import MAX_NODES, Geometry, area_and_volume, check_node_budget, geometry_key
+from .meshing.mesh_cache import mesh_path
 from .result_cache import reference_path
-from .schema import Study
 from .store import CASE_SUFFIX, case_path, case_state
 from .store import result_keys as stored_keys
+from .study_file.config import ResolvedCase, geometry_of, resolved
+from .study_file.schema import Study
 
 SPLIT_FROM = 4  # cases: a group of fewer is not worth a second set-up
 

@@ -11,12 +11,12 @@ import numpy as np
 from . import models
 from .case import ModelResult
 from .execute import TaskError
-from .mesh import Array, Index, InputError
+from .meshing.mesh import Array, Index, InputError
+from .meshing.refine import inherit, refine
 from .metrics import History, Surface, evaluate, full_load_step, rigid_motion_removed, weighted_norm
-from .refine import inherit, refine
 from .scene import Scene, build_scene
-from .schema import Study
 from .setups import shared
+from .study_file.schema import Study
 from .uncertainty import estimate_error
 
 

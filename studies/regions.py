@@ -6,8 +6,8 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from .mesh import Array, Mask, Mesh, MeshError
-from .schema import HalfSpace, Region
+from .meshing.mesh import Array, Mask, Mesh, MeshError
+from .study_file.schema import HalfSpace, Region
 
 _AXES = {"x": 0, "y": 1, "z": 2}
 _TOLERANCE = 1e-9  # of the body's size: nodes on the border of a region belong to it

@@ -17,13 +17,13 @@ import tomli_w
 
 from .case import Run
 from .cluster import Cluster, connected
-from .config import resolved
 from .execute import LOG, Group, Outcome, Task, run_tasks, write_failure
 from .explain import summary
 from .files import clear_abandoned, write_atomically
 from .memory import machine_memory
 from .plan import Plan, PlannedMesh, task_of
 from .store import case_path, failure_path, read_plan, read_run, write_study
+from .study_file.config import resolved
 from .worker import make_mesh, run_case, share
 
 

@@ -10,10 +10,10 @@ import numpy as np
 
 from fem_reference.mesh import facet_quadrature
 
-from .mesh import Array, InputError, Mask, Mesh
+from .meshing.mesh import Array, InputError, Mask, Mesh
 from .metrics import corner_sum, facet_area_vectors, nodal_sum
 from .regions import profile_coordinate, select
-from .schema import Anisotropy, Constraint, Study, Tissue
+from .study_file.schema import Anisotropy, Constraint, Study, Tissue
 
 
 class SceneError(InputError):

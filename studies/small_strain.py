@@ -9,13 +9,13 @@ import numpy as np
 
 from . import models
 from .case import ModelResult, SmallStrainLimits
-from .config import raised, value_and_unit
 from .limits import SMALL, Change, LoadPath, LoadPoint, model_limits, with_bars
-from .mesh import Array, Mask, Mesh
+from .meshing.mesh import Array, Mask, Mesh
+from .meshing.refine import inherit, refine
 from .metrics import Surface, mean_indentation, relative_l2
-from .refine import inherit, refine
 from .scene import Scene, build_scene
-from .schema import Study
+from .study_file.config import raised, value_and_unit
+from .study_file.schema import Study
 
 STRAIN = "max_principal_strain"
 

@@ -11,7 +11,7 @@ import numpy as np
 from . import models
 from .keys import anonymous_constraints
 from .plan import Plan, PlannedCase
-from .schema import Study
+from .study_file.schema import Study
 
 
 @dataclass(frozen=True)

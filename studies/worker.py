@@ -14,20 +14,20 @@ from typing import Any
 
 from . import models
 from .case import CaseResult, MetricSeries, ModelResult
-from .config import geometry_of
-from .geometry_spec import Geometry
 from .hdf5 import StoreError
-from .mesh import Mesh
-from .mesh_cache import mesh_from_cache
+from .meshing.geometry_spec import Geometry
+from .meshing.mesh import Mesh
+from .meshing.mesh_cache import mesh_from_cache
 from .metrics import METRICS, History, Surface, evaluate_all
 from .plan import needs_volume
 from .reference import own_error, refined_levels, require_converged
 from .result_cache import read_levels, reference_path, write_levels
 from .scene import Scene, build_scene
-from .schema import Study
 from .setups import next_turn, shared, sharing
 from .small_strain import small_strain_limits
 from .store import read_case, write_case
+from .study_file.config import geometry_of
+from .study_file.schema import Study
 
 Task = Mapping[str, Any]
 REFINED = " refined"  # what the reference's name gets where it is solved on refinements of the case's mesh

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from markupsafe import Markup
 
-from ..bench_data import Bench, Entry, Growth, answers, median, pareto, rows, seconds, spread
+from ..benchmark.bench_data import Bench, Entry, Growth, answers, median, pareto, rows, seconds, spread
 from ..files import write_atomically
 from .blocks import Answer, Cell, Column, Facts, Figure, Figures, Section, Table, Text
 from .document import encoded, html_document

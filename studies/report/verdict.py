@@ -8,13 +8,7 @@ from collections.abc import Iterable, Sequence
 from ..case import CaseResult
 from ..uncertainty import is_resolved
 from .blocks import Answer
-from .digest import (
-    Digest,
-    ModelSummary,
-    Spread,
-    full_load,
-    is_vdm,
-)
+from .digest import Digest, ModelSummary, Spread, full_load, is_vdm
 from .formatting import listed, plain, plural, quantity, short_percent, swept_value
 from .section_errors import parameter_name
 from .verdict_load import CLOSE, OPEN, WITHIN, case_state, loads_in_words, value_range

@@ -24,12 +24,12 @@ from typing import Any
 import numpy as np
 
 from studies.case import CaseResult
-from studies.config import expand
 from studies.execute import run_tasks
 from studies.plan import Plan, make_plan, task_of
 from studies.run import Options, run_plan
-from studies.schema import Study
 from studies.store import read_case
+from studies.study_file.config import expand
+from studies.study_file.schema import Study
 from studies.worker import run_case
 
 TABLES: dict[str, Any] = {

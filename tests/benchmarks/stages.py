@@ -14,10 +14,11 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from studies import geometry, models, reference, store, worker
-from studies.config import expand, load_study
+from studies import models, reference, store, worker
 from studies.explain import summary
+from studies.meshing import geometry
 from studies.plan import Plan, make_plan, task_of
+from studies.study_file.config import expand, load_study
 from tests.command import vdmbench
 
 ROOT = Path(__file__).parents[2]

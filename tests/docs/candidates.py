@@ -20,10 +20,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
 
-from studies.config import expand, load_study
-from studies.fit import Errors, Sample, Trial, least_error, samples_of, split
+from studies.calibration.fit import Errors, Sample, Trial, least_error, samples_of, split
 from studies.plan import make_plan
 from studies.run import Options, run_plan
+from studies.study_file.config import expand, load_study
 from tests.docs.vdm_accuracy import README, ROOT, STUDIES, as_per_cent
 from vdm.formulations.boundary import surface_stiffness
 from vdm.formulations.vector import (

@@ -10,8 +10,8 @@ from pathlib import Path
 from matplotlib import rc_context
 from matplotlib.figure import Figure
 
-from studies.bench_data import Bench, Entry, answers, median, seconds
-from studies.bench_store import read_bench
+from studies.benchmark.bench_data import Bench, Entry, answers, median, seconds
+from studies.benchmark.bench_store import read_bench
 from tests.command import vdmbench
 
 ROOT = Path(__file__).parents[2]

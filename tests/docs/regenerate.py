@@ -49,8 +49,8 @@ def study_keys() -> str:
     """The reference of a study file's keys, from the models that validate it."""
     text = (
         "# Keys of a study file\n\n"
-        "Made from `studies/schema.py` by `make docs`. NAME is a name of yours, `[]` an entry of an array "
-        "of\ntables. "
+        "Made from `studies/study_file/schema.py` by `make docs`. NAME is a name of yours, `[]` an entry of an "
+        "array of\ntables. "
         "Numbers are in the unit shown; a text with another unit of the same dimension is converted.\n\n"
         "| key | value | default | what |\n| --- | --- | --- | --- |\n"
     )

@@ -13,14 +13,14 @@ import pytest
 
 from studies import gate
 from studies.case import Run
-from studies.config import expand, geometry_of, load_study
 from studies.gate_report import describe
-from studies.geometry import build_mesh
-from studies.mesh import Mesh
+from studies.meshing.geometry import build_mesh
+from studies.meshing.mesh import Mesh
 from studies.models import run_model
 from studies.plan import make_plan, task_of
 from studies.scene import build_scene
 from studies.store import read_case, read_run
+from studies.study_file.config import expand, geometry_of, load_study
 from studies.worker import compare, run_case
 from tests.command import vdmbench
 from vdm.material import Parameters

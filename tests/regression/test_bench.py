@@ -12,11 +12,11 @@ from pathlib import Path
 
 from numpy.testing import assert_allclose
 
-from studies import bench
-from studies.bench_data import Bench, machine_independent
-from studies.bench_store import read_bench, write_bench
-from studies.config import load_study
+from studies.benchmark import bench
+from studies.benchmark.bench_data import Bench, machine_independent
+from studies.benchmark.bench_store import read_bench, write_bench
 from studies.report.bench_page import bench_html
+from studies.study_file.config import load_study
 
 ROOT = Path(__file__).parents[2]
 BASELINE = ROOT / "results" / "baselines" / "bench.json"

@@ -10,10 +10,10 @@ from typing import Any
 import pytest
 from numpy.testing import assert_allclose
 
-from studies.calibrate import as_json, body, calibrate
-from studies.config import expand, load_study
+from studies.calibration.calibrate import as_json, body, calibrate
 from studies.plan import make_plan
 from studies.run import Options, run_plan
+from studies.study_file.config import expand, load_study
 from tests.docs.calibrations import DOCUMENT, ROOT, STUDIES, TABLES, document
 
 SAME = 0.02  # of a multiple: a modulus moves the body in proportion, so 2 % of it is 2 % of the displacement

@@ -16,11 +16,11 @@ import pytest
 from numpy.testing import assert_allclose
 
 from studies import store, worker
-from studies.config import expand, load_study
 from studies.hdf5 import Stored, StoreError
-from studies.mesh_cache import read_mesh
+from studies.meshing.mesh_cache import read_mesh
 from studies.plan import Plan, make_plan, task_of
 from studies.result_cache import read_levels
+from studies.study_file.config import expand, load_study
 
 from .processes import CACHE, RUN
 

@@ -12,7 +12,7 @@ import tomli_w
 from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
-from studies.config import Study, StudyError, expand, load_study, resolved
+from studies.study_file.config import Study, StudyError, expand, load_study, resolved
 
 SHIPPED = sorted((Path(__file__).parents[2] / "studies" / "cases").glob("*.toml"))
 

@@ -11,12 +11,12 @@ from numpy.testing import assert_allclose
 
 from studies import models
 from studies.case import ModelResult
-from studies.config import geometry_of
-from studies.geometry import build_mesh
-from studies.mesh import Mesh
+from studies.meshing.geometry import build_mesh
+from studies.meshing.mesh import Mesh
 from studies.metrics import METRICS, History, Surface
 from studies.scene import build_scene
-from studies.schema import Study
+from studies.study_file.config import geometry_of
+from studies.study_file.schema import Study
 from tests.unit.study_texts import SMALL, swept
 from vdm.material import Parameters
 from vdm.surface import SurfaceMesh

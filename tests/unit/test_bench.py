@@ -9,7 +9,17 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from studies.bench_data import Bench, Entry, Growth, answers, break_even, median, pareto, rows, seconds
+from studies.benchmark.bench_data import (
+    Bench,
+    Entry,
+    Growth,
+    answers,
+    break_even,
+    median,
+    pareto,
+    rows,
+    seconds,
+)
 from studies.growth import RADIUS, factor_nonzeros, sphere
 from vdm import Model, Parameters, SurfaceMesh
 

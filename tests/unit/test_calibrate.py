@@ -11,13 +11,13 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from studies.calibrate import Body, as_toml, calibrate
-from studies.calibration_table import table
-from studies.config import expand, geometry_of, load_study, with_mesh_size
-from studies.fit import CalibrationError, Sample, Trial, fit, least_error, split
-from studies.mesh_cache import mesh_from_cache
+from studies.calibration.calibrate import Body, as_toml, calibrate
+from studies.calibration.calibration_table import table
+from studies.calibration.fit import CalibrationError, Sample, Trial, fit, least_error, split
+from studies.meshing.mesh_cache import mesh_from_cache
 from studies.models import run_model
 from studies.scene import build_scene
+from studies.study_file.config import expand, geometry_of, load_study, with_mesh_size
 from tests.command import vdmbench
 
 STUDY = """

@@ -14,7 +14,7 @@ import pytest
 from studies.case import CaseResult, Limit, MetricSeries, ModelLimits, Run, SmallStrainLimits
 from studies.report.claims import CLAIMS, FAILS, HOLDS, OPEN, WITHIN_LIMITS, Judgement
 from studies.report.claims_page import claims_html, verdict_rows, verdicts, write_claims
-from studies.schema import CLAIMS as HOW_MANY
+from studies.study_file.schema import CLAIMS as HOW_MANY
 from tests.command import SMALL_STUDY, vdmbench
 
 from .report_runs import make_case, make_run

@@ -10,13 +10,19 @@ from numpy.testing import assert_allclose
 
 from fem_reference.linear import LinearProblem
 from studies import models
-from studies.coarse import COARSENING, coarse_mesh, coarse_support, solve_coarse, surface_interpolation
-from studies.config import geometry_of
-from studies.geometry import build_mesh
-from studies.mesh import Mesh
+from studies.meshing.coarse import (
+    COARSENING,
+    coarse_mesh,
+    coarse_support,
+    solve_coarse,
+    surface_interpolation,
+)
+from studies.meshing.geometry import build_mesh
+from studies.meshing.mesh import Mesh
 from studies.metrics import Surface, relative_l2
 from studies.scene import Scene, build_scene
-from studies.schema import Study
+from studies.study_file.config import geometry_of
+from studies.study_file.schema import Study
 
 STUDY = {
     "study": {"name": "test", "models": ["fem-coarse"]},

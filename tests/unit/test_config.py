@@ -14,8 +14,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from studies.checks import SHAPE_KEYS
-from studies.config import (
+from studies.meshing.geometry_spec import check_geometry
+from studies.study_file.checks import SHAPE_KEYS
+from studies.study_file.config import (
     Study,
     StudyError,
     case_inputs,
@@ -25,8 +26,7 @@ from studies.config import (
     load_study,
     resolved,
 )
-from studies.geometry_spec import check_geometry
-from studies.units import DIMENSIONS, QuantityError, to_si
+from studies.study_file.units import DIMENSIONS, QuantityError, to_si
 
 from .study_texts import FULL, SMALL, load, problems
 

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from studies.distort import SLIVER_SHARE, aspect_ratios, distorted
-from studies.geometry import build_mesh
-from studies.geometry_spec import Geometry, check_geometry, geometry_key
-from studies.mesh import Mesh, MeshError
-from studies.topology import area_vectors, tetrahedron_sicn, tetrahedron_volumes
+from studies.meshing.distort import SLIVER_SHARE, aspect_ratios, distorted
+from studies.meshing.geometry import build_mesh
+from studies.meshing.geometry_spec import Geometry, check_geometry, geometry_key
+from studies.meshing.mesh import Mesh, MeshError
+from studies.meshing.topology import area_vectors, tetrahedron_sicn, tetrahedron_volumes
 
 
 def body(*, volume: bool, **distortions: float) -> Mesh:

@@ -15,15 +15,15 @@ import pytest
 import pyvista as pv
 from numpy.testing import assert_allclose, assert_array_equal
 
-from studies import geometry_spec
-from studies.geometry import build_mesh
-from studies.geometry_spec import Geometry, area_and_volume, check_geometry, extents, geometry_key
-from studies.intersections import intersecting_facets
-from studies.mesh import Mesh, MeshError
-from studies.mesh_cache import mesh_from_cache, read_mesh, write_mesh
-from studies.organ import liver_points
-from studies.remesh import subdivided, surface_distance, uniform_surface, unit_sphere
-from studies.topology import (
+from studies.meshing import geometry_spec
+from studies.meshing.geometry import build_mesh
+from studies.meshing.geometry_spec import Geometry, area_and_volume, check_geometry, extents, geometry_key
+from studies.meshing.intersections import intersecting_facets
+from studies.meshing.mesh import Mesh, MeshError
+from studies.meshing.mesh_cache import mesh_from_cache, read_mesh, write_mesh
+from studies.meshing.organ import liver_points
+from studies.meshing.remesh import subdivided, surface_distance, uniform_surface, unit_sphere
+from studies.meshing.topology import (
     area_vectors,
     consistent_orientation,
     surface_volume,
@@ -359,7 +359,7 @@ def test_the_node_budget_is_checked_before_meshing_and_estimates_well(
         area, inside = area_and_volume(geometry)
         estimate = geometry_spec.estimated_nodes(area, inside if volume else 0.0, geometry.mesh_size)
         assert 0.8 < nodes / estimate < 1.25
-        monkeypatch.setattr("studies.geometry.gmsh.initialize", None)  # meshing would fail
+        monkeypatch.setattr("studies.meshing.geometry.gmsh.initialize", None)  # meshing would fail
         with pytest.raises(MeshError, match="nodes, more than the 100 allowed; use a larger mesh_size"):
             build_mesh(geometry, volume=volume, max_nodes=100)
         monkeypatch.undo()
@@ -411,7 +411,7 @@ def test_mesh_size_does_not_count_where_the_file_brings_its_tetrahedra(tmp_path:
 
 def test_a_cached_mesh_comes_back_whole(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     built = mesh_from_cache(BOX, tmp_path)
-    monkeypatch.setattr("studies.geometry.build_mesh", None)  # a second build would fail
+    monkeypatch.setattr("studies.meshing.geometry.build_mesh", None)  # a second build would fail
     again = mesh_from_cache(BOX, tmp_path)
     assert again.content_hash == built.content_hash
     assert again.quality == built.quality

@@ -17,12 +17,12 @@ COMMAND_LINE = {f"studies/cli{part}.py" for part in ("", "_study", "_results", "
 
 # each of these is behind one module
 BEHIND = {
-    "gmsh": {"studies/geometry.py"},
+    "gmsh": {"studies/meshing/geometry.py"},
     "h5py": {"studies/hdf5.py"},
-    "meshio": {"studies/mesh_file.py"},
-    "pyvista": {"studies/remesh.py"},
+    "meshio": {"studies/meshing/mesh_file.py"},
+    "pyvista": {"studies/meshing/remesh.py"},
     "distributed": {"studies/cluster.py"},
-    "pyacvd": {"studies/remesh.py"},
+    "pyacvd": {"studies/meshing/remesh.py"},
 }
 
 
@@ -92,7 +92,7 @@ def test_metrics_are_pure(name: str, own: set[str]) -> None:
 def test_the_report_reads_results_only(path: Path) -> None:
     names = _imports(path)
     assert not _tops(path) & {"vdm", "fem_reference", "gmsh", "h5py"}
-    for module in ("geometry", "scene", "models", "worker", "run", "plan", "config"):
+    for module in ("meshing.geometry", "scene", "models", "worker", "run", "plan", "study_file.config"):
         assert not any(name == f"studies.{module}" or name.startswith(f"studies.{module}.") for name in names)
 
 
@@ -100,7 +100,9 @@ def test_the_report_reads_results_only(path: Path) -> None:
 def test_the_gate_reads_results_only(name: str) -> None:
     path = ROOT / "studies" / f"{name}.py"
     assert not _tops(path) & {"vdm", "fem_reference", "gmsh", "h5py"}
-    assert not {f"studies.{m}" for m in ("geometry", "scene", "models", "worker", "run")} & _imports(path)
+    assert not {f"studies.{m}" for m in ("meshing.geometry", "scene", "models", "worker", "run")} & _imports(
+        path
+    )
 
 
 @pytest.mark.parametrize("path", [p for p in FILES if _name(p) not in COMMAND_LINE], ids=_name)

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from studies.intersections import intersecting_facets, without_intersections
-from studies.mesh import Array, Index, MeshError
-from studies.remesh import unit_sphere
-from studies.repair import clean_surface, clean_tetrahedra
-from studies.topology import (
+from studies.meshing.intersections import intersecting_facets, without_intersections
+from studies.meshing.mesh import Array, Index, MeshError
+from studies.meshing.remesh import unit_sphere
+from studies.meshing.repair import clean_surface, clean_tetrahedra
+from studies.meshing.topology import (
     area_vectors,
     boundary_triangles,
     canonical_triangles,

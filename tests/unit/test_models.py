@@ -9,11 +9,11 @@ import pytest
 from numpy.testing import assert_allclose
 
 from studies import models
-from studies.config import geometry_of
-from studies.geometry import build_mesh
+from studies.meshing.geometry import build_mesh
 from studies.metrics import Surface, relative_l2
 from studies.scene import Scene, build_scene
-from studies.schema import Study
+from studies.study_file.config import geometry_of
+from studies.study_file.schema import Study
 
 STUDY = {
     "study": {"name": "test", "models": ["vdm-paper"]},

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.testing import assert_allclose
 
-from studies.mesh import Mesh
+from studies.meshing.mesh import Mesh
+from studies.meshing.refine import inherit, refine
 from studies.metrics import enclosed_volume, facet_area_vectors
-from studies.refine import inherit, refine
 
 
 def wedge() -> Mesh:

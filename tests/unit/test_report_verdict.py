@@ -11,7 +11,7 @@ from studies.case import CaseResult, Limit, ModelLimits, Run, SmallStrainLimits
 from studies.report.digest import Digest
 from studies.report.verdict import _READ, PARAMETERS, answers
 from studies.report.verdict_load import BEYOND, LOST, OPEN, WITHIN, case_state
-from studies.schema import VdmTable
+from studies.study_file.schema import VdmTable
 
 from .report_runs import REFERENCE, make_case, make_run, sweep_run
 

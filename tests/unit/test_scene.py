@@ -11,14 +11,14 @@ from numpy.testing import assert_allclose
 from fem_reference.linear import LinearProblem, Load
 from fem_reference.mesh import facet_quadrature
 from studies import models
-from studies.config import geometry_of
-from studies.geometry import build_mesh
-from studies.mesh import Mesh, MeshError
+from studies.meshing.geometry import build_mesh
+from studies.meshing.mesh import Mesh, MeshError
+from studies.meshing.refine import inherit, refine
 from studies.metrics import Surface, facet_area_vectors, nodal_sum
-from studies.refine import inherit, refine
 from studies.regions import select
 from studies.scene import Scene, SceneError, build_scene
-from studies.schema import Region, Study
+from studies.study_file.config import geometry_of
+from studies.study_file.schema import Region, Study
 
 BASE: dict[str, Any] = {
     "study": {"name": "test", "models": ["vdm-paper", "fem-linear"], "reference": "fem-linear"},

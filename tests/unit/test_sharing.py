@@ -19,12 +19,12 @@ from fem_reference.loads import Load, independent_loads
 from studies import metrics, models, worker
 from studies import work as counted
 from studies.case import CaseResult
-from studies.config import expand
 from studies.explain import summary
 from studies.plan import Plan, make_plan, task_of
 from studies.reference import refined_reference
-from studies.schema import Study
 from studies.store import read_case
+from studies.study_file.config import expand
+from studies.study_file.schema import Study
 from studies.worker import run_case, share
 
 TABLES: dict[str, Any] = {

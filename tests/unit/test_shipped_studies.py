@@ -7,10 +7,10 @@ from pathlib import Path
 
 import pytest
 
-from studies.config import Study, expand, load_study
 from studies.explain import summary
 from studies.plan import make_plan
-from studies.schema import CLAIMS
+from studies.study_file.config import Study, expand, load_study
+from studies.study_file.schema import CLAIMS
 from tests.command import vdmbench
 
 SHIPPED = Path(__file__).parents[2] / "studies" / "cases"

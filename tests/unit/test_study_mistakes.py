@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from studies.config import load_study
 from studies.models import model_names
+from studies.study_file.config import load_study
 
 from .study_texts import SMALL, problems
 

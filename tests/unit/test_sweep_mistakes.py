@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from studies.config import StudyError
+from studies.study_file.config import StudyError
 
 from .study_texts import SWEPT, load, sweep_problems, swept
 

@@ -10,12 +10,12 @@ from numpy.testing import assert_allclose
 
 from studies import models
 from studies.case import ModelResult
-from studies.config import geometry_of
-from studies.geometry import build_mesh
+from studies.meshing.geometry import build_mesh
 from studies.metrics import METRICS, History, Surface, evaluate, relative_l2
 from studies.reference import own_error, refined_reference
 from studies.scene import Scene, build_scene
-from studies.schema import Study
+from studies.study_file.config import geometry_of
+from studies.study_file.schema import Study
 from studies.uncertainty import reference_bar, stored_estimate
 
 VECTOR = "relative_l2_displacement_error"

@@ -10,11 +10,11 @@ import pytest
 
 from studies import models
 from studies.case import CaseResult
-from studies.config import ResolvedCase, expand, geometry_of, load_study
-from studies.geometry import build_mesh
+from studies.meshing.geometry import build_mesh
 from studies.report.digest import Digest
 from studies.report.ladders import Ladder, ladders
 from studies.scene import build_scene
+from studies.study_file.config import ResolvedCase, expand, geometry_of, load_study
 from studies.worker import compare
 from tests.unit.report_runs import make_run
 

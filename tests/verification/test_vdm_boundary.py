@@ -10,8 +10,8 @@ from scipy.special import eval_legendre
 from fem_reference.linear import LinearProblem
 from fem_reference.loads import Load as VolumeLoad
 from fem_reference.mesh import facet_quadrature
-from studies.geometry import build_mesh
-from studies.geometry_spec import Geometry
+from studies.meshing.geometry import build_mesh
+from studies.meshing.geometry_spec import Geometry
 from studies.metrics import relative_l2, rigid_motion_removed
 from tests.unit.vdm_shapes import icosphere
 from tests.verification.records import Verified

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from studies.geometry import build_mesh
-from studies.geometry_spec import Geometry
+from studies.meshing.geometry import build_mesh
+from studies.meshing.geometry_spec import Geometry
 from studies.metrics import enclosed_volume
 from vdm import Load, Model, Parameters
 from vdm.deformed import DeformableSurface

@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 from scipy import sparse
 
-from studies.mesh import Array, Index, Mask, Mesh, MeshError
-from studies.topology import area_vectors, surface_volume, tetrahedron_sicn, tetrahedron_volumes
+from .mesh import Array, Index, Mask, Mesh, MeshError
+from .topology import area_vectors, surface_volume, tetrahedron_sicn, tetrahedron_volumes
 
 SLIVER_SHARE = 0.04  # of the facets that are squeezed, where so many can be
 _SOUND_ASPECT = 12.0  # longest edge over height that a facet beside a sliver may get

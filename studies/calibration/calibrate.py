@@ -8,10 +8,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .case import Run
+from ..case import Run
+from ..plan import Plan
+from ..study_file.schema import Study
 from .fit import CalibrationError, Errors, Fit, Sample, Trial, fit, samples_of, split, surface_models
-from .plan import Plan
-from .schema import Study
 
 FINER = 0.75  # mesh size of the second mesh over that of the study
 

@@ -10,8 +10,8 @@ from dataclasses import replace
 import gmsh
 import numpy as np
 
-from studies.distort import distorted
-from studies.geometry_spec import (
+from .distort import distorted
+from .geometry_spec import (
     DISTORTIONS,
     MAX_NODES,
     Geometry,
@@ -22,20 +22,14 @@ from studies.geometry_spec import (
     check_node_budget,
     extents,
 )
-from studies.intersections import without_intersections
-from studies.mesh import Array, Index, Mesh, MeshError
-from studies.mesh_file import check_readable, read_surface, read_tetrahedra
-from studies.msh_file import read_msh
-from studies.organ import liver_points
-from studies.remesh import surface_distance, uniform_surface, unit_sphere
-from studies.repair import clean_surface, clean_tetrahedra
-from studies.topology import (
-    area_vectors,
-    mesh_from_tetrahedra,
-    mesh_from_triangles,
-    surface_only,
-    surface_volume,
-)
+from .intersections import without_intersections
+from .mesh import Array, Index, Mesh, MeshError
+from .mesh_file import check_readable, read_surface, read_tetrahedra
+from .msh_file import read_msh
+from .organ import liver_points
+from .remesh import surface_distance, uniform_surface, unit_sphere
+from .repair import clean_surface, clean_tetrahedra
+from .topology import area_vectors, mesh_from_tetrahedra, mesh_from_triangles, surface_only, surface_volume
 
 _TRIANGLE, _TETRAHEDRON = 2, 4  # gmsh's element types
 _ORGAN_SUBDIVISIONS = 6  # 40,962 points, far finer than any mesh of it

@@ -10,7 +10,7 @@ import difflib
 import math
 from collections.abc import Iterator, Sequence
 
-from .geometry_spec import (
+from ..meshing.geometry_spec import (
     DISTORTIONS,
     LARGEST_EXTENT,
     SMALLEST_EXTENT,
@@ -19,9 +19,9 @@ from .geometry_spec import (
     check_mesh_size,
     extents,
 )
-from .geometry_spec import Geometry as GeometrySpec
+from ..meshing.geometry_spec import Geometry as GeometrySpec
+from ..meshing.mesh import MeshError
 from .kinds import safe_name
-from .mesh import MeshError
 from .problems import Finding, Loc
 from .schema import Constraint, Geometry, HalfSpace, Region, Study, Table
 from .units import shown

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from studies.mesh import Array
+from .mesh import Array
 
 _FULLNESS = 2.3
 

@@ -10,14 +10,8 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 
-from studies.mesh import Array, Index, Mask, MeshError
-from studies.topology import (
-    check_finite,
-    check_vertex_fans,
-    consistent_orientation,
-    half_edges,
-    tetrahedron_volumes,
-)
+from .mesh import Array, Index, Mask, MeshError
+from .topology import check_finite, check_vertex_fans, consistent_orientation, half_edges, tetrahedron_volumes
 
 _SAME_POINT = 1e-6  # of the largest extent: single precision (STL) keeps about 1e-7
 

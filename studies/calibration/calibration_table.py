@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
+from ..report.formatting import NOT_MEASURED, percent, quantity
 from .calibrate import Calibration
 from .fit import Errors
-from .report.formatting import NOT_MEASURED, percent, quantity
 
 UNITS = {
     "bulk_modulus": "Pa",

@@ -27,7 +27,7 @@ from pydantic import (
     model_validator,
 )
 
-from .geometry_spec import LEAST_SLIVERS, MOST_PERTURBATION
+from ..meshing.geometry_spec import LEAST_SLIVERS, MOST_PERTURBATION
 from .kinds import (
     SI,
     Axis,

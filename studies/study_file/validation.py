@@ -9,8 +9,8 @@ from typing import Any
 from pydantic import ValidationError
 from pydantic_core import ErrorDetails
 
+from ..fields import field_at, keys_of, table_at
 from .checks import check, unknown
-from .fields import field_at, keys_of, table_at
 from .problems import Finding, Loc, Source
 from .schema import Context, Study
 from .units import type_name

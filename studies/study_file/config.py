@@ -9,9 +9,9 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from ..fields import FieldRow, field_table, targets
+from ..meshing.geometry_spec import Geometry as GeometrySpec
 from .checks import geometry_spec, unknown
-from .fields import FieldRow, field_table, targets
-from .geometry_spec import Geometry as GeometrySpec
 from .problems import Finding, Problem, Source, StudyError, file_fault
 from .schema import Constraint, Region, Study, Tissue
 from .sweep import ResolvedCase, check_cases, first_case, read_axes, substituted
@@ -259,7 +259,7 @@ def _surface_geometry(geometry: Any, surface: Path) -> dict[str, Any]:
 
 
 def _check_model_names(data: Mapping[str, Any]) -> list[Finding]:
-    from .models import model_names  # the registry knows the solvers: only where it is needed
+    from ..models import model_names  # the registry knows the solvers: only where it is needed
 
     known = model_names()
     study = data.get("study")
@@ -295,7 +295,7 @@ def _check_limits(data: Mapping[str, Any], study: Study | None) -> Iterator[Find
 
 
 def _check_limits_reference(reference: str | None) -> Iterator[Finding]:
-    from .models import FINITE_STRAIN, find
+    from ..models import FINITE_STRAIN, find
 
     if reference is None or find(reference)[0].name not in FINITE_STRAIN:
         wanted = " or ".join(f'"{name}"' for name in FINITE_STRAIN)

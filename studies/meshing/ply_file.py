@@ -11,8 +11,8 @@ from pathlib import Path
 
 import numpy as np
 
-from studies.mesh import Array, Index, MeshError
-from studies.numbers_in_file import Numbers
+from .mesh import Array, Index, MeshError
+from .numbers_in_file import Numbers
 
 _TYPES = {
     "char": "i1",

@@ -17,15 +17,15 @@ from functools import cached_property
 import numpy as np
 from scipy.optimize import minimize, minimize_scalar
 
-from . import models
-from .case import ModelResult, Run
-from .config import geometry_of
-from .mesh import Array, InputError
-from .mesh_cache import mesh_from_cache
-from .metrics import Surface, relative_l2, rigid_motion_removed, weighted_norm
-from .plan import Plan, needs_volume
-from .scene import Scene, build_scene
-from .uncertainty import reference_bar
+from .. import models
+from ..case import ModelResult, Run
+from ..meshing.mesh import Array, InputError
+from ..meshing.mesh_cache import mesh_from_cache
+from ..metrics import Surface, relative_l2, rigid_motion_removed, weighted_norm
+from ..plan import Plan, needs_volume
+from ..scene import Scene, build_scene
+from ..study_file.config import geometry_of
+from ..uncertainty import reference_bar
 
 MODULI = {  # parameters that can be fitted -> the one whose rule gives the scale where it has none of its own
     "bulk_modulus": "",

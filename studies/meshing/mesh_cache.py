@@ -7,20 +7,20 @@ from pathlib import Path
 
 import numpy as np
 
-from studies.geometry_spec import Geometry, geometry_key
-from studies.mesh import Mesh
-from studies.sealed import read_arrays, write_arrays
+from ..sealed import read_arrays, write_arrays
+from .geometry_spec import Geometry, geometry_key
+from .mesh import Mesh
 
 
 def mesh_from_cache(geometry: Geometry, cache_dir: Path, *, volume: bool = True) -> Mesh:
     """The mesh of a geometry: from `cache_dir`/meshes/<key>.npz where that is sound, else built and kept.
 
-    Raises MeshError as `studies.geometry.build_mesh` does, OSError where the directory cannot be written.
+    Raises MeshError as `studies.meshing.geometry.build_mesh` does, OSError where the directory cannot be written.
     """
     path = mesh_path(cache_dir, geometry_key(geometry, volume=volume))
     mesh = read_mesh(path)
     if mesh is None:
-        from studies.geometry import build_mesh  # gmsh is slow to load: only where it is needed
+        from .geometry import build_mesh  # gmsh is slow to load: only where it is needed
 
         mesh = build_mesh(geometry, volume=volume)
         write_mesh(path, mesh)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import breadth_first_order, connected_components
 
-from studies.mesh import Array, Index, Mask, Mesh, MeshError
+from .mesh import Array, Index, Mask, Mesh, MeshError
 
 # Faces of a positive tetrahedron, turned so that their normals point out of it.
 _OUTWARD_FACES = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])

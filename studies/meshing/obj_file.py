@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from studies.mesh import Array, Index, MeshError
+from .mesh import Array, Index, MeshError
 
 
 def read_obj(path: Path) -> tuple[Array, Index]:

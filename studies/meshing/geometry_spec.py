@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
 
-from studies.mesh import MeshError
+from .mesh import MeshError
 
 MESHER_VERSION = "2"  # raise it with every change that alters a mesh
 
@@ -35,7 +35,7 @@ _REQUIRED: dict[str, dict[str, int]] = {  # shape -> parameter -> how many numbe
     "organ": {"size": 1},
     "file": {},
 }
-DISTORTIONS = ("slivers", "perturbation", "seed")  # what any shape may have, see `studies.distort`
+DISTORTIONS = ("slivers", "perturbation", "seed")  # what any shape may have, see `studies.meshing.distort`
 LEAST_SLIVERS, MOST_PERTURBATION = 2.0, 0.5
 _OPTIONAL: dict[str, tuple[str, ...]] = {"cylinder": ("axis",), "file": ("path", "size", "scale")}
 
@@ -53,7 +53,7 @@ class Geometry:
         axis "x", "y" or "z" (the default). organ: size, the largest extent. file: path, and at most one
         of size (largest extent after scaling) and scale (factor from the file's unit to m, 1 by default);
         the centre of the file's bounding box is moved to the origin.
-        any: slivers, perturbation and seed of `studies.distort`.
+        any: slivers, perturbation and seed of `studies.meshing.distort`.
     """
 
     shape: str

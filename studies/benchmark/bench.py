@@ -18,19 +18,19 @@ from pathlib import Path
 import numpy as np
 from threadpoolctl import threadpool_info
 
-from . import models
+from .. import models
+from ..case import ModelResult
+from ..growth import growths
+from ..meshing.mesh import Array
+from ..meshing.mesh_cache import mesh_from_cache
+from ..metrics import History, Surface, evaluate
+from ..reference import own_error, refined_levels, require_converged
+from ..scene import Scene, build_scene
+from ..setups import sharing
+from ..study_file.config import expand, geometry_of, with_mesh_size
+from ..study_file.schema import Study
+from ..worker import provenance
 from .bench_data import YARDSTICK, Bench, Entry
-from .case import ModelResult
-from .config import expand, geometry_of, with_mesh_size
-from .growth import growths
-from .mesh import Array
-from .mesh_cache import mesh_from_cache
-from .metrics import History, Surface, evaluate
-from .reference import own_error, refined_levels, require_converged
-from .scene import Scene, build_scene
-from .schema import Study
-from .setups import sharing
-from .worker import provenance
 
 MODELS = (
     "mass-spring",

@@ -15,8 +15,8 @@ from pathlib import Path
 
 import numpy as np
 
-from studies.mesh import Array, Index, Mask, MeshError
-from studies.numbers_in_file import Numbers
+from .mesh import Array, Index, Mask, MeshError
+from .numbers_in_file import Numbers
 
 _TETRAHEDRON = 4
 # gmsh's number of each first-order element type -> its dimension and number of nodes

@@ -14,9 +14,9 @@ from pathlib import Path
 import meshio
 import numpy as np
 
-from studies.mesh import Array, Index, MeshError
-from studies.obj_file import read_obj
-from studies.ply_file import read_ply
+from .mesh import Array, Index, MeshError
+from .obj_file import read_obj
+from .ply_file import read_ply
 
 _READERS: dict[str, Callable[[str], meshio.Mesh]] = {
     ".stl": meshio.stl.read,
@@ -39,7 +39,7 @@ def read_surface(path: Path) -> tuple[Array, Index]:
     elif suffix == ".obj":
         points, triangles = read_obj(path)
     elif suffix == ".vtp":
-        from studies.remesh import read_vtp  # meshio does not know this format
+        from .remesh import read_vtp  # meshio does not know this format
 
         points, triangles = read_vtp(path)
     else:

@@ -9,8 +9,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
+from ..fields import Target, targets
 from .checks import unknown
-from .fields import Target, targets
 from .problems import Finding, Loc, Source
 from .schema import Study
 from .units import shown, type_name

@@ -6,8 +6,8 @@ import numpy as np
 from scipy.sparse import coo_array, csr_array
 from scipy.spatial import KDTree
 
-from studies.mesh import Array, Index, Mask, MeshError
-from studies.topology import area_vectors, facet_pairs, half_edges
+from .mesh import Array, Index, Mask, MeshError
+from .topology import area_vectors, facet_pairs, half_edges
 
 _FOLD = -0.98  # cosine between the normals of facets on one edge: below it they lie on each other
 _ROUNDING = 1e-12  # of the longest edge cubed

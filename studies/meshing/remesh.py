@@ -11,8 +11,8 @@ import pyvista as pv
 from vtkmodules.vtkCommonCore import vtkLogger
 from vtkmodules.vtkIOXML import vtkXMLPolyDataReader
 
-from studies.mesh import Array, Index, MeshError
-from studies.topology import area_vectors, check_vertex_fans, consistent_orientation
+from .mesh import Array, Index, MeshError
+from .topology import area_vectors, check_vertex_fans, consistent_orientation
 
 # Edges of the sampled surface are at most mesh_size / 2.5: about 17 points for each node of the new surface.
 # Fewer leave uneven triangles, more only take longer.

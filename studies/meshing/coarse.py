@@ -21,10 +21,10 @@ from fem_reference.mesh import TetMesh, facet_quadrature, triangle_p2
 from fem_reference.outputs import mean_pressure
 from fem_reference.solution import CONVERGED, Solution, Status
 
+from ..metrics import facet_area_vectors
+from ..scene import Scene
 from .geometry import fill_surface
 from .mesh import Array, Index, Mask, Mesh
-from .metrics import facet_area_vectors
-from .scene import Scene
 
 COARSENING = 2.0  # edge of the coarse mesh over that of the case's own
 _CHUNK = 256  # points per pass: bounds the temporary arrays

@@ -1,0 +1,1 @@
+"""Fits of the surface models' parameters to the reference."""

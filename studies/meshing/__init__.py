@@ -1,0 +1,1 @@
+"""From shapes and files to meshes: gmsh behind one module, readers, repair, refinement."""

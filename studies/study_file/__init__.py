@@ -1,0 +1,1 @@
+"""From a study file to typed objects, with every problem at once."""
