@@ -336,7 +336,7 @@ def _leaves(data: object, path: tuple[str | int, ...] = ()) -> list[tuple[str | 
 
 
 def test_importing_the_study_file_loads_nothing_heavy() -> None:
-    code = "import sys, studies.config; print(*sorted({m.partition('.')[0] for m in sys.modules}))"
+    code = "import sys, studies.study_file.config; print(*sorted({m.partition('.')[0] for m in sys.modules}))"
     loaded = subprocess.run(
         [sys.executable, "-c", code], capture_output=True, text=True, check=True
     ).stdout.split()

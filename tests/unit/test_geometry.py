@@ -142,7 +142,7 @@ def test_worst_sicn_is_the_mesher_s_own_measure() -> None:
 @pytest.mark.parametrize("geometry", [CYLINDER, ORGAN], ids=["cylinder", "organ"])
 def test_another_process_makes_the_same_bytes(geometry: Geometry) -> None:
     script = (
-        "from studies.geometry import build_mesh; from studies.geometry_spec import Geometry;"
+        "from studies.meshing.geometry import build_mesh; from studies.meshing.geometry_spec import Geometry;"
         f"print(build_mesh({geometry!r}).content_hash)"
     )
     environment = {**os.environ, "PYTHONHASHSEED": "7", "OMP_NUM_THREADS": "2"}
@@ -444,8 +444,6 @@ def test_a_damaged_cached_mesh_is_built_anew(tmp_path: Path, damage: str) -> Non
 
 
 def test_specification_and_cache_import_no_mesher() -> None:
-    script = (
-        "import sys, studies.mesh_cache; print({'gmsh', 'meshio', 'pyvista', 'pyacvd'} & set(sys.modules))"
-    )
+    script = "import sys, studies.meshing.mesh_cache; print({'gmsh', 'meshio', 'pyvista', 'pyacvd'} & set(sys.modules))"
     run = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
     assert run.stdout.strip() == "set()"
