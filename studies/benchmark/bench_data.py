@@ -156,10 +156,10 @@ def _most_accurate(entries: Sequence[Entry], limit: float) -> str:
     within = [e for e in entries if median(e.frame_local) <= limit]
     best = min(within, key=lambda e: e.error)
     cuts = [e for e in within if median(e.recut) <= limit]
-    text = f"at {seconds(limit)} a frame the most accurate is {best.model} ({100 * best.error:.2g} %)"
+    text = f"at {seconds(limit)} a frame the most accurate is {best.model} ({100 * best.error:.3g} %)"
     if cuts:
         cut = min(cuts, key=lambda e: e.error)
-        return f"{text}, with a re-cut in every frame {cut.model} ({100 * cut.error:.2g} %)"
+        return f"{text}, with a re-cut in every frame {cut.model} ({100 * cut.error:.3g} %)"
     return f"{text}; with a re-cut in every frame, none"
 
 
@@ -174,7 +174,7 @@ def _front(entries: Sequence[Entry]) -> list[Entry]:
 
 def _against_condensed(entry: Entry, condensed: Entry) -> str:
     frames = break_even(condensed, entry)
-    pair = f"{entry.model} ({100 * entry.error:.2g} %) against fem-condensed ({100 * condensed.error:.2g} %)"
+    pair = f"{entry.model} ({100 * entry.error:.3g} %) against fem-condensed ({100 * condensed.error:.3g} %)"
     if math.isinf(frames):
         return f"{pair}: faster for any number of frames per re-cut"
     if frames < 1.0:
