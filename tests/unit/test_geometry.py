@@ -444,6 +444,9 @@ def test_a_damaged_cached_mesh_is_built_anew(tmp_path: Path, damage: str) -> Non
 
 
 def test_specification_and_cache_import_no_mesher() -> None:
-    script = "import sys, studies.meshing.mesh_cache; print({'gmsh', 'meshio', 'pyvista', 'pyacvd'} & set(sys.modules))"
+    script = (
+        "import sys, studies.meshing.mesh_cache;"
+        "print({'gmsh', 'meshio', 'pyvista', 'pyacvd'} & set(sys.modules))"
+    )
     run = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
     assert run.stdout.strip() == "set()"
