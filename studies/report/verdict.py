@@ -31,6 +31,7 @@ _READ = {
     "boundary": ("shear_modulus", "penalty"),
 }
 _MOST_VALUES = 4
+SURFACE_MODELS = ("vdm-", "mass-spring")
 
 
 def answers(digest: Digest) -> list[Answer]:
@@ -77,6 +78,10 @@ def _answer(question: str, word: str, sentences: Iterable[str]) -> Answer:
 
 
 def _good_enough(digest: Digest, best: ModelSummary, rated: dict[str, Spread]) -> Answer:
+    question = "Is it good enough?"
+    if str(digest.reference).startswith(SURFACE_MODELS):
+        rest = f"the reference, {digest.reference}, is a surface model itself: agreement with it is not accuracy."
+        return _answer(question, "Not judged", [rest, _accuracy(digest, best, among=len(rated))])
     states = [case_state(case, best.name, full_load(case)) for case in digest.cases]
     limit = short_percent(CLOSE)
     count, within, left = len(states), states.count(WITHIN), states.count(OPEN)
@@ -97,7 +102,7 @@ def _good_enough(digest: Digest, best: ModelSummary, rated: dict[str, Spread]) -
         parts += [f"undecided in {left}, within the reference's own error"] if left else []
         word, rest = "In part", f"{listed(parts)}."
     return _answer(
-        "Is it good enough?",
+        question,
         word,
         [rest, _accuracy(digest, best, among=len(rated)), _what_decides(digest, states)],
     )

@@ -273,3 +273,9 @@ def test_without_a_result_or_a_reference() -> None:
     text = told(lost)
     assert text[""] == "No model has a result at full load to hold against fem-linear."
     assert "m in 1 case" in text[SURE]
+
+
+def test_agreement_with_a_surface_model_is_not_called_accuracy() -> None:
+    words = told(make_run([make_case({"vdm-b": 1e-6}, reference="vdm-paper")]))[GOOD]
+    assert words.startswith("Not judged: the reference, vdm-paper, is a surface model itself: agreement")
+    assert "off vdm-paper" in words
