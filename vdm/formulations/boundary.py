@@ -44,9 +44,10 @@ class BoundaryFormulation(Formulation):
     reactions balance the load. The traction of V^-1 is taken without its mean pressure: that pressure is dP.
 
     Dense, (3N)^2 numbers, set-up of order N^3, up to `MAX_NODES` nodes; more are the skin of a coarser body (see
-    `vdm.formulations.skin`). At large displacements S turns with the body's best-fit rotation;
-    how that rotation changes with the displacement is left out of the force, which so differs from the energy's
-    gradient by terms of the order of the strain.
+    `vdm.formulations.skin`). At large displacements S turns with the rotation Q that best fits the surface:
+    `E = 1/2 w.S w`, w = (positions) Q^T - (rest), Q from `sum a_i |x_i - X_i Q|^2`, areas a_i and arms X_i at rest.
+    As Q turns with the positions, the force is `Q^T S w` less `lambda x (a_i X_i Q)`: forces that take off the
+    moment of the first term, so that the internal force has neither a resultant nor a moment.
 
     Raises
     ------
@@ -71,6 +72,9 @@ class BoundaryFormulation(Formulation):
         self.columns = DenseColumns(surface.area_vectors[:, :, None])
         self.rows = self.columns
         self.corner = np.zeros((1, 1))
+        # (N, 3) a_i X_i about the surface's centroid: their sum is zero, so that positions need no centre
+        areas = surface.nodal_areas
+        self._levers: Array = areas[:, None] * (surface.points - areas @ surface.points / areas.sum())
 
     def apply(self, x: Array) -> Array:
         return self.shear_modulus * self.body.apply(x)
@@ -107,7 +111,15 @@ class BoundaryFormulation(Formulation):
 
     def deformed_internal_force(self, x: Array, state: DeformedSurface) -> Array:  # noqa: ARG002 - x is in state
         turn, unturned = self._unturned(state)
-        return self.apply(unturned) @ turn
+        force = self.apply(unturned) @ turn
+        # dQ = Q [omega]x with (tr P - P) omega = -sum levers x dx, P = sum levers (x) positions, is symmetric;
+        # the energy changes by omega . sum positions x force
+        levers = self._levers @ turn
+        stretch = levers.T @ state.positions
+        inertia = np.trace(stretch) * np.eye(3) - stretch
+        pull = np.linalg.solve(inertia, _axial(state.positions.T @ force))
+        balanced: Array = force - levers @ _turning(pull)
+        return balanced
 
     def deformed_energy(self, x: Array, state: DeformedSurface) -> float:  # noqa: ARG002 - x is in state
         unturned = self._unturned(state)[1]
@@ -123,9 +135,20 @@ class BoundaryFormulation(Formulation):
 
     def _unturned(self, state: DeformedSurface) -> tuple[Array, Array]:
         """The best-fit rotation Q of the nodes and the displacement left after it is undone."""
-        rest = state.body.rest
-        turn = best_rotation(rest.T @ (state.positions - state.positions.mean(axis=0)))
-        return turn, state.positions @ turn.T - rest
+        turn = best_rotation(self._levers.T @ state.positions)
+        return turn, state.positions @ turn.T - state.body.rest
+
+
+def _axial(products: Array) -> Array:
+    """sum p_i x f_i of the sums (3, 3) of p_i f_i^T."""
+    skew = products - products.T
+    return np.array([skew[1, 2], skew[2, 0], skew[0, 1]])
+
+
+def _turning(axis: Array) -> Array:
+    """(3, 3) W with v W = axis x v for rows v."""
+    x, y, z = axis
+    return np.array([[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]])
 
 
 class Dense:

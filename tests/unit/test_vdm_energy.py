@@ -1,0 +1,171 @@
+"""Large deformation, every formulation: forces from an energy, work, unloading, and turning with the body."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from tests.unit.vdm_shapes import icosphere
+from vdm import FORMULATIONS, Load, Model, Parameters, SurfaceMesh
+from vdm.deformed import DeformableSurface
+from vdm.formulations.base import Formulation
+from vdm.formulations.skin import Skin
+
+POINTS, TRIANGLES = icosphere(2, (0.05, 0.06, 0.045))
+BODY = SurfaceMesh(POINTS, TRIANGLES)
+DEFORMABLE = DeformableSurface(BODY)
+BASE = POINTS[:, 2] < -0.03
+# off the axis: the body dents and leans
+SIDE = Load(np.where(POINTS @ [0.7, 0.2, 0.6] > 0.035, 300.0, 0.0))
+TISSUE = {name: Parameters.from_tissue(5000.0, 0.4999, BODY, name, held=BASE) for name in FORMULATIONS}
+FORMS = {
+    **{name: (name, parameters) for name, parameters in TISSUE.items()},
+    "paper, stiffening": (
+        "paper",
+        Parameters(bulk_modulus=20.0, connectivity_modulus=200.0, tension_stiffening=50.0),
+    ),
+    "vector, none": ("vector", Parameters(surface_tension=60.0, rotation="none")),
+    "vector, stretch and foundation": (
+        "vector",
+        Parameters(surface_tension=60.0, stretch_stiffness=10.0, foundation=1e3),
+    ),
+    "vector, nodal and stretch": (
+        "vector",
+        Parameters(surface_tension=200.0, stretch_stiffness=10.0, rotation="nodal"),
+    ),
+    "boundary, skin": ("boundary", Parameters(shear_modulus=1667.0)),
+}
+WITH_ENERGY = [name for name in FORMS if not name.startswith("paper")]
+# turned as a whole, these neither store energy nor push
+FREE = ["vector", "vector, nodal and stretch", "boundary", "boundary, skin", "mass-spring"]
+
+
+@pytest.fixture
+def form(request, monkeypatch) -> Formulation:
+    if request.param == "boundary, skin":
+        monkeypatch.setattr("vdm.formulations.boundary.MAX_NODES", 100)
+        monkeypatch.setattr("vdm.formulations.boundary.COARSE_NODES", 80)
+    name, parameters = FORMS[request.param]
+    made = FORMULATIONS[name](BODY, parameters)
+    if request.param.startswith("boundary"):
+        assert isinstance(made.body, Skin) == (request.param == "boundary, skin")
+    return made
+
+
+def slope_and_force(form: Formulation) -> tuple[float, float]:
+    """Change of the energy along a random direction, by differences, and the work of the force on it."""
+    rng = np.random.default_rng(1)
+    x = form.unknown(0.003 * rng.standard_normal(POINTS.shape) + 0.1 * POINTS[:, [2, 0, 1]])
+    direction = form.unknown(rng.standard_normal(POINTS.shape))
+
+    def energy(step: float) -> float:
+        y = x + step * direction
+        return form.deformed_energy(y, DEFORMABLE.at(form.displacement(y)))
+
+    h = 1e-5
+    slope = (8.0 * (energy(h) - energy(-h)) - (energy(2.0 * h) - energy(-2.0 * h))) / (12.0 * h)
+    force = form.deformed_internal_force(x, DEFORMABLE.at(form.displacement(x)))
+    return slope, float(np.vdot(form.nodal_force(force), form.displacement(direction)))
+
+
+@pytest.mark.parametrize("form", WITH_ENERGY, indirect=True)
+def test_the_force_is_the_gradient_of_the_energy(form):
+    slope, force = slope_and_force(form)
+    # fourth-order differences: what they leave out is of the order of (1e-5 / edge length)^4
+    assert_allclose(force, slope, rtol=1e-8, atol=0.0)
+
+
+@pytest.mark.parametrize("form", ["paper", "paper, stiffening"], indirect=True)
+def test_the_printed_model_has_no_energy(form):
+    """Nodal pressures times the areas as they are now are the gradient of nothing: its energy is by convention."""
+    slope, force = slope_and_force(form)
+    assert abs(force / slope - 1.0) > 0.05
+
+
+@pytest.mark.parametrize("form", FREE, indirect=True)
+def test_the_internal_force_turns_with_the_body_and_has_no_moment(form):
+    rng = np.random.default_rng(2)
+    u = 0.003 * rng.standard_normal(POINTS.shape)
+    turn = np.linalg.qr(rng.standard_normal((3, 3)))[0]
+    turn *= np.linalg.det(turn)
+    state = DEFORMABLE.at(u)
+    moved = state.positions @ turn - DEFORMABLE.rest + [0.1, -0.2, 0.05]
+    turned = DEFORMABLE.at(moved)
+    force = form.deformed_internal_force(u, state)
+    assert_allclose(form.deformed_energy(moved, turned), form.deformed_energy(u, state), rtol=1e-10, atol=0.0)
+    assert_allclose(
+        form.deformed_internal_force(moved, turned), force @ turn, rtol=0.0, atol=1e-10 * np.abs(force).max()
+    )
+    assert_allclose(force.sum(axis=0), 0.0, rtol=0.0, atol=1e-11 * np.abs(force).sum())
+    moments = np.cross(state.positions, force)
+    assert_allclose(moments.sum(axis=0), 0.0, rtol=0.0, atol=1e-11 * np.abs(moments).sum())
+    # nothing but turned: no energy, beside that of a stretch of the same size
+    rigid = DEFORMABLE.rest @ turn - DEFORMABLE.rest
+    assert abs(form.deformed_energy(rigid, DEFORMABLE.at(rigid))) < 1e-11 * form.deformed_energy(u, state)
+
+
+def model(formulation: str, **options) -> Model:
+    return Model(
+        POINTS,
+        TRIANGLES,
+        TISSUE[formulation],
+        formulation=formulation,
+        solver="nonlinear",
+        **{"fixed": BASE, **options},
+    )
+
+
+@pytest.mark.parametrize("formulation", ["consistent", "vector", "boundary"])
+def test_the_energy_is_the_work_of_the_load_and_goes_back_with_it(formulation):
+    body = model(formulation)
+
+    def history(shares):
+        loads = [SIDE.scaled(s) for s in shares]
+        solution = body.solve(loads)
+        forces = [
+            body.formulation.deformed_contact_force(load, DEFORMABLE.at(u))
+            for load, u in zip(loads, solution.displacement, strict=True)
+        ]
+        x = np.array([body.formulation.unknown(u) for u in solution.displacement])
+        # the fluid keeps its volume: its pressure does no work
+        means = 0.5 * (np.array(forces[1:]) + np.array(forces[:-1]))
+        return np.einsum("snc,snc->s", means, np.diff(x, axis=0)), solution.energy
+
+    gaps = []
+    for count in (6, 12):
+        work, energy = history(np.linspace(0.0, 1.0, count + 1))
+        gaps.append(work.sum() / energy[-1] - 1.0)
+    # the trapezoidal rule along the path, of second order
+    assert abs(gaps[1]) < 5e-4
+    assert_allclose(gaps[0] / gaps[1], 4.0, rtol=0.05, atol=0.0)
+    # a load taken away never adds energy: it falls at every step, to nothing
+    work, energy = history([1.0, 0.8, 0.6, 0.4, 0.2, 0.0])
+    assert np.all(work < 0.0)
+    assert np.all(np.diff(energy) < 0.0)
+    assert abs(energy[-1]) < 1e-12 * energy[0]
+
+
+@pytest.mark.parametrize("formulation", ["vector", "boundary", "mass-spring"])
+def test_a_support_that_turns_turns_the_answer(formulation):
+    """Held nodes turned by 17 degrees under a pressure that follows the surface: the answer, turned."""
+    c, s = np.cos(0.3), np.sin(0.3)
+    turn = np.array([[c, 0.0, -s], [0.0, 1.0, 0.0], [s, 0.0, c]])
+    body = model(formulation, fixed=None, constrained=BASE)
+    pushed = Load(SIDE.contact_pressure, None, np.zeros_like(POINTS))
+    moved = Load(SIDE.contact_pressure, None, np.where(BASE[:, None], POINTS @ turn - POINTS, 0.0))
+    still, turned = (body.solve([load]) for load in (pushed, moved))
+    assert still.status[0].ok
+    assert turned.status[0].ok
+    # both stop at a residual of 1e-8 of the forces
+    size = np.abs(still.displacement).max()
+    assert_allclose(
+        POINTS + turned.displacement[0],
+        (POINTS + still.displacement[0]) @ turn,
+        rtol=0.0,
+        atol=1e-6 * size,
+    )
+    assert_allclose(turned.energy, still.energy, rtol=1e-6, atol=0.0)
+    assert_allclose(turned.fluid_pressure, still.fluid_pressure, rtol=1e-6, atol=0.0)
+    force = np.abs(still.reaction_force).max()
+    assert_allclose(turned.reaction_force[0], still.reaction_force[0] @ turn, rtol=0.0, atol=1e-6 * force)
