@@ -15,7 +15,7 @@ from vdm.formulations.base import Factor
 from vdm.formulations.paper import PaperFormulation
 from vdm.material import ParameterError, Parameters
 from vdm.problem import Problem, Step, check_held
-from vdm.solution import Solution, SolverError
+from vdm.solution import Solution, SolverError, Status
 from vdm.solvers.audit import Audit, judged
 from vdm.solvers.condition import Condition, condition_of_matrix, condition_of_operator
 from vdm.solvers.krylov import KrylovSolver
@@ -143,35 +143,44 @@ class Model:
         """
         for load in loads:
             check_load(load, self.problem.support)
-        steps: list[Step] = []
-        seconds: list[float] = []
-        residuals: list[float] = []
-        for load in loads:
+        count, n_nodes = len(loads), self.surface.n_nodes
+        displacement, reaction_force = (np.empty((count, n_nodes, 3)) for _ in range(2))
+        pressure, energy, seconds, residual = (np.empty(count) for _ in range(4))
+        iterations = np.empty(count, dtype=np.int64)
+        status: list[Status] = []
+        fields = {name: np.empty((count, n_nodes)) for name in self.outputs}
+        last: Step | None = None
+        for k, load in enumerate(loads):
             start = time.perf_counter()
-            solved = self.solver.step(load, steps[-1] if steps else None)
-            taken = time.perf_counter() - start
+            solved = self.solver.step(load, last)
+            # asked for here: a solution holds them, and their time counts
+            displacement[k], reaction_force[k], energy[k] = _results(solved)
+            seconds[k] = time.perf_counter() - start
             step, found = self.solver.audited(load, solved)
-            # a frame needs no audit, but where the audit had to mend it
-            seconds.append(taken if step is solved else time.perf_counter() - start)
-            steps.append(judged(step, found))
-            residuals.append(found.residual)
-        n_nodes = self.surface.n_nodes
+            if step is not solved:
+                # a frame needs no audit, but where the audit had to mend it
+                displacement[k], reaction_force[k], energy[k] = _results(step)
+                seconds[k] = time.perf_counter() - start
+            last = judged(step, found)
+            pressure[k], iterations[k], residual[k] = step.pressure_change, step.iterations, found.residual
+            status.append(last.status)
+            for name, values in fields.items():
+                values[k] = self._point_field(name, step)
         return Solution(
-            displacement=np.array([s.displacement for s in steps]).reshape(-1, n_nodes, 3),
-            fluid_pressure=np.array([s.pressure_change for s in steps])
-            + self.problem.support.environment_pressure,
-            reaction_force=np.array([s.reaction_force for s in steps]).reshape(-1, n_nodes, 3),
-            energy=np.array([s.energy for s in steps]),
-            iterations=np.array([s.iterations for s in steps], dtype=np.int64),
-            status=tuple(s.status for s in steps),
+            displacement=displacement,
+            fluid_pressure=pressure + self.problem.support.environment_pressure,
+            reaction_force=reaction_force,
+            energy=energy,
+            iterations=iterations,
+            status=tuple(status),
             seconds_setup=self.seconds_setup,
-            seconds_per_step=np.array(seconds),
+            seconds_per_step=seconds,
             parameters=self._record(),
             scalars={
-                "relative_residual": np.array(residuals),
-                **(self._condition(len(steps)) if condition else {}),
+                "relative_residual": residual,
+                **(self._condition(count) if condition else {}),
             },
-            point_fields={name: self._point_field(name, steps) for name in self.outputs},
+            point_fields=fields,
         )
 
     def condition_estimate(self) -> Condition:
@@ -211,20 +220,19 @@ class Model:
             "clamped_edges": float(self.surface.clamped_edges),
         }
 
-    def _point_field(self, name: str, steps: list[Step]) -> Array:
+    def _point_field(self, name: str, step: Step) -> Array:
         surface, formulation = self.surface, self.formulation
-        fields: list[Array] = []
-        for step in steps:
-            if name == "nodal_stress" and isinstance(formulation, PaperFormulation):
-                normal = np.einsum("ic,ic->i", step.displacement, surface.normals)
-                fields.append(formulation.nodal_stress(normal))
-            else:
-                force = formulation.nodal_force(formulation.internal_force(step.unknown, step.border))
-                area = np.einsum(
-                    "ic,ic->i", formulation.nodal_force(formulation.columns.first), surface.normals
-                )
-                fields.append(np.einsum("ic,ic->i", force, surface.normals) / area)
-        return np.array(fields).reshape(-1, surface.n_nodes)
+        if name == "nodal_stress" and isinstance(formulation, PaperFormulation):
+            normal = np.einsum("ic,ic->i", step.displacement, surface.normals)
+            return formulation.nodal_stress(normal)
+        force = formulation.nodal_force(formulation.internal_force(step.unknown, step.border, step.product))
+        area = np.einsum("ic,ic->i", formulation.nodal_force(formulation.columns.first), surface.normals)
+        traction: Array = np.einsum("ic,ic->i", force, surface.normals) / area
+        return traction
+
+
+def _results(step: Step) -> tuple[Array, Array, float]:
+    return step.displacement, step.reaction_force, step.energy
 
 
 def _make_solver(

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from abc import ABC, abstractmethod
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
@@ -23,20 +24,6 @@ FREE_MOTION = 1e-6
 
 
 @dataclass(frozen=True)
-class Step:
-    """One load step on N nodes, SI units; `unknown` (N, d) and `border` (m,) start the next step."""
-
-    displacement: Array
-    pressure_change: float
-    reaction_force: Array
-    energy: float
-    unknown: Array
-    border: Array
-    iterations: int = 0
-    status: Status = CONVERGED
-
-
-@dataclass(frozen=True)
 class Problem:
     """What a solver solves: `K x - columns s = force` at free nodes, x given at held ones, and the border rows.
 
@@ -53,17 +40,23 @@ class Problem:
         if self.support.held.all():
             raise ConstraintError("every node is fixed or constrained; leave some free")
 
-    @property
+    @cached_property
     def free(self) -> Mask:
         """(N,) nodes that are solved for."""
         return ~self.support.held
 
+    @cached_property
+    def held_nodes(self) -> NDArray[np.int64]:
+        """(n_held,) nodes that are fixed or constrained."""
+        return np.flatnonzero(self.support.held)
+
     def force(self, load: Load) -> Array:
-        """(N, d) generalised force [N] of contact and gravity (right-hand sides of 23 and 24)."""
+        """(N, d) generalised force [N] of contact and gravity (right-hand sides of 23 and 24), its own array."""
         force = self.formulation.contact_force(self.support.signed(load))
         if self.support.hydrostatic is not None:
             force = force + self.formulation.pressure_force(self.support.hydrostatic)
-        return force
+        # a step keeps the force, and the caller may change the load
+        return force.copy() if force is load.contact_force else force
 
     def held_unknown(self, load: Load) -> Array:
         """(N, d) x of the held nodes, zero elsewhere."""
@@ -92,39 +85,99 @@ class Problem:
             force = force + column * (self.support.density * (depth - datum))[:, None]
         return force
 
-    def finish(
-        self,
-        x: Array,
-        border: Array,
-        force: Array,
-        iterations: int = 0,
-        status: Status = CONVERGED,
-        applied: Array | None = None,
-    ) -> Step:
-        """Displacement, reactions and energy of a solved step; `applied` is K x, where it is known.
 
-        The reaction is what the balance lacks at held nodes: internal force less fluid and contact. The energy is
-        half the work of the material's nodal forces on the displacement.
-        """
-        internal = self.formulation.internal_force(x, border, applied)
-        displacement = self.formulation.displacement(x)
-        energy = 0.5 * float(np.vdot(displacement, self.formulation.nodal_force(internal)))
-        lacking = internal - self.formulation.columns.first * border[0] - force
-        return self.package(x, border, lacking, energy, iterations, status)
+@dataclass(frozen=True, kw_only=True)
+class Step(ABC):
+    """One load step on N nodes, SI units; `unknown` (N, d) and `border` (m,) start the next step.
 
-    def package(
-        self,
-        x: Array,
-        border: Array,
-        lacking: Array,
-        energy: float,
-        iterations: int = 0,
-        status: Status = CONVERGED,
-    ) -> Step:
-        """A step whose balance lacks the generalised force (N, d) `lacking` at held nodes."""
-        reaction = self.formulation.nodal_force(np.where(self.support.held[:, None], lacking, 0.0))
-        displacement = self.formulation.displacement(x)
-        return Step(displacement, float(border[0]), reaction, energy, x, border, iterations, status)
+    What follows from these two is computed when it is first read, and kept: a frame that asks for no reactions does
+    not pay for them. The arrays of a step are its own and not to be written to.
+    """
+
+    problem: Problem = field(repr=False)
+    unknown: Array
+    border: Array
+    iterations: int = 0
+    status: Status = CONVERGED
+
+    def __post_init__(self) -> None:
+        self.unknown.setflags(write=False)
+        self.border.setflags(write=False)
+
+    @property
+    def pressure_change(self) -> float:
+        """dP [Pa]."""
+        return float(self.border[0])
+
+    @cached_property
+    def displacement(self) -> Array:
+        """(N, 3) [m]."""
+        displacement = self.problem.formulation.displacement(self.unknown)
+        displacement.setflags(write=False)
+        return displacement
+
+    @cached_property
+    def product(self) -> Array:
+        """K x (N, d), by the operator at rest."""
+        return self.problem.formulation.apply(self.unknown)
+
+    @cached_property
+    def reaction_force(self) -> Array:
+        """(N, 3) what the support exerts on the body [N], zero at free nodes."""
+        lacking = np.zeros(self.unknown.shape)
+        lacking[self.problem.held_nodes] = self.lacking_at_held()
+        return self.problem.formulation.nodal_force(lacking)
+
+    @property
+    @abstractmethod
+    def energy(self) -> float:
+        """Elastic energy [J]."""
+
+    @abstractmethod
+    def lacking_at_held(self) -> Array:
+        """(n_held, d) generalised force that the balance lacks at held nodes: internal less fluid and contact."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class LinearStep(Step):
+    """A step of the rest operator: balance `K x - columns s = force`.
+
+    Attributes
+    ----------
+    force : (N, d) generalised force of contact and gravity
+    held_force : (n_held, d) K x at held nodes, where the solver's factor knows it
+    """
+
+    force: Array = field(repr=False)
+    held_force: Array | None = field(default=None, repr=False)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        self.force.setflags(write=False)
+
+    @cached_property
+    def internal(self) -> Array:
+        """(N, d) force of the material alone."""
+        formulation = self.problem.formulation
+        if self.held_force is None:
+            return formulation.internal_force(self.unknown, self.border, self.product)
+        # the free nodes balance what acts on them
+        balanced = self.force + formulation.columns.times(self.border)
+        balanced[self.problem.held_nodes] = self.held_force
+        return formulation.internal_force(self.unknown, self.border, balanced)
+
+    @cached_property
+    def energy(self) -> float:
+        """Half the work of the material's nodal forces on the displacement [J]."""
+        nodal = self.problem.formulation.nodal_force(self.internal)
+        return 0.5 * float(np.vdot(self.displacement, nodal))
+
+    def lacking_at_held(self) -> Array:
+        """As in `Step`."""
+        nodes = self.problem.held_nodes
+        column = self.problem.formulation.columns.first[nodes]
+        lacking: Array = self.internal[nodes] - column * self.border[0] - self.force[nodes]
+        return lacking
 
 
 def check_held(

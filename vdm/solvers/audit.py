@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vdm.constraints import Load
-from vdm.problem import Problem, Step
+from vdm.problem import LinearStep, Problem, Step
 from vdm.solution import Status
 
 Array = NDArray[np.float64]
@@ -67,7 +67,14 @@ def refined(problem: Problem, load: Load, step: Step, correction: Correction) ->
         if not worst > REFINED or change is None:
             break
         x, s = step.unknown + change[0], step.border + change[1]
-        better = problem.finish(x, s, problem.force(load), step.iterations, step.status)
+        better = LinearStep(
+            problem=problem,
+            unknown=x,
+            border=s,
+            force=problem.force(load),
+            iterations=step.iterations,
+            status=step.status,
+        )
         after, next_change = _audited(problem, load, better, correction, border=True)
         if not max(after.residual, after.error) < 0.5 * worst:
             break
@@ -100,7 +107,7 @@ def _audited(
     x, s = step.unknown, step.border
     if not (np.isfinite(x).all() and np.isfinite(s).all()):
         return Audit(np.inf, np.inf), None
-    force, pushed, internal = problem.force(load), formulation.columns.times(s), formulation.apply(x)
+    force, pushed, internal = problem.force(load), formulation.columns.times(s), step.product
     lacking = np.where(free[:, None], force + pushed - internal, 0.0)
     residual = _share(np.abs(lacking).max(), max(np.abs(a).max() for a in (force, pushed, internal)))
     open_rows = np.zeros_like(s)

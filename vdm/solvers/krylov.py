@@ -11,7 +11,7 @@ from scipy.sparse import linalg
 
 from vdm.constraints import Load
 from vdm.formulations.base import Factor
-from vdm.problem import Problem, Step
+from vdm.problem import LinearStep, Problem, Step
 from vdm.solution import CONVERGED, SolverError, Status
 from vdm.solvers.audit import Audit, audit
 from vdm.solvers.linear import BORDER_TOLERANCE, check_border
@@ -145,7 +145,9 @@ class KrylovSolver:
             self._guess = solution
         given[self.free] = solution
         x = (given[:n] * self.column_scale).reshape(force.shape)
-        return problem.finish(x, given[n:], force, iterations, status)
+        return LinearStep(
+            problem=problem, unknown=x, border=given[n:], force=force, iterations=iterations, status=status
+        )
 
     def audited(self, load: Load, step: Step) -> tuple[Step, Audit]:
         """The step and what its balance lacks; without a factor of the whole there is no estimate of the error."""

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from vdm.constraints import Load
 from vdm.formulations.base import Factorise, ReactingFactor
-from vdm.problem import Problem, Step
+from vdm.problem import LinearStep, Problem, Step
 from vdm.solution import SolverError, Status
 from vdm.solvers.audit import SINGLE_LIMIT, Audit, audit, refined
 from vdm.solvers.cholesky import SINGULAR, Cholesky
@@ -37,7 +37,7 @@ class BorderedFactor:
     def __init__(self, problem: Problem, factorise: Factorise = Cholesky) -> None:
         formulation = problem.formulation
         self.free = problem.free
-        self.nodes, self.held_nodes = np.flatnonzero(self.free), np.flatnonzero(~self.free)
+        self.nodes = np.flatnonzero(self.free)
         self.n_border = formulation.columns.count
         self.block = formulation.factor(self.free, factorise)
         self.volume_row = formulation.rows.first[self.free].reshape(-1)
@@ -141,21 +141,18 @@ class LinearSolver:
         x = problem.held_unknown(load)
         right_hand_side, lifted = force, None
         target = np.zeros(factor.n_border)
-        if x.any():
+        if load.prescribed is not None and x.any():
             lifted = problem.formulation.apply(x)
             right_hand_side = force - lifted
             target = -problem.formulation.rows.dotted(x.reshape(-1))
         pushed = np.take(right_hand_side, factor.nodes, axis=0).reshape(-1)
         free_x, border, held = factor.solve_with_held(pushed, target)
         x[factor.nodes] = free_x.reshape(-1, x.shape[1])
-        applied = None
         if held is not None:
-            # the free nodes balance what acts on them
-            applied = force + problem.formulation.columns.times(border)
-            applied[factor.held_nodes] = held.reshape(-1, x.shape[1])
+            held = held.reshape(-1, x.shape[1])
             if lifted is not None:
-                applied[factor.held_nodes] += lifted[factor.held_nodes]
-        return problem.finish(x, border, force, applied=applied)
+                held += lifted[problem.held_nodes]
+        return LinearStep(problem=problem, unknown=x, border=border, force=force, held_force=held)
 
     def audited(self, load: Load, step: Step) -> tuple[Step, Audit]:
         """The step, refined where that pays, and what it is worth."""

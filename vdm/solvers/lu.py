@@ -11,7 +11,7 @@ from scipy import sparse
 from scipy.sparse import linalg
 
 from vdm.constraints import ConstraintError, Load
-from vdm.problem import Problem, Step
+from vdm.problem import LinearStep, Problem, Step
 from vdm.solution import SolverError, Status
 from vdm.solvers.audit import Audit, audit
 
@@ -88,7 +88,7 @@ class LuSolver:
                 imposed = imposed + right_hand_side
             solution = self._factors.solve(np.where(self.held, imposed, right_hand_side))
         x = (solution[:n] * formulation.column_scale).reshape(force.shape)
-        step = problem.finish(x, solution[n:], force)
+        step = LinearStep(problem=problem, unknown=x, border=solution[n:], force=force)
         if self.method != "elimination" and step.status.ok:
             held = problem.support.held
             slip = float(np.abs(x[held] - problem.held_unknown(load)[held]).max(initial=0.0))

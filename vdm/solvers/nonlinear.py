@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -54,6 +54,29 @@ class _Converged:
     load: Load
     x: Array
     pressure: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class DeformedStep(Step):
+    """A step whose balance is that of the deformed surface.
+
+    Attributes
+    ----------
+    lacking : (n_held, d) generalised force that it lacks at held nodes
+    stored : elastic energy [J]
+    """
+
+    lacking: Array = field(repr=False)
+    stored: float
+
+    @property
+    def energy(self) -> float:
+        """Elastic energy [J]."""
+        return self.stored
+
+    def lacking_at_held(self) -> Array:
+        """As in `Step`."""
+        return self.lacking
 
 
 class NonlinearSolver:
@@ -126,7 +149,15 @@ class NonlinearSolver:
         border = np.zeros(self.factor.n_border)
         border[0] = pressure
         energy = self.problem.formulation.deformed_energy(x, balance.state)
-        return self.problem.package(x, border, balance.lacking, energy, iterations)
+        lacking = balance.lacking[self.problem.held_nodes]
+        return DeformedStep(
+            problem=self.problem,
+            unknown=x,
+            border=border,
+            iterations=iterations,
+            lacking=lacking,
+            stored=energy,
+        )
 
     def audited(self, load: Load, step: Step) -> tuple[Step, Audit]:
         """The step and what its balance on the deformed surface lacks."""
@@ -147,8 +178,15 @@ class NonlinearSolver:
 
     def _failed(self, x: Array, iterations: int) -> Step:
         lost = np.full_like(x, np.nan)
-        border = np.full(self.factor.n_border, np.nan)
-        return self.problem.package(lost, border, lost, float("nan"), iterations, NOT_CONVERGED)
+        return DeformedStep(
+            problem=self.problem,
+            unknown=lost,
+            border=np.full(self.factor.n_border, np.nan),
+            iterations=iterations,
+            status=NOT_CONVERGED,
+            lacking=lost[self.problem.held_nodes],
+            stored=np.nan,
+        )
 
     def _balance(self, load: Load, x: Array, pressure: float) -> _Balance:
         problem = self.problem

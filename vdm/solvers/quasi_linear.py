@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vdm.constraints import Load
-from vdm.problem import Problem, Step
+from vdm.problem import LinearStep, Problem, Step
 from vdm.solvers.audit import Audit, audit
 from vdm.solvers.linear import BorderedFactor
 
@@ -58,7 +58,7 @@ class QuasiLinearSolver:
             right_hand_side[free].reshape(-1), target, row[free].reshape(-1)
         )
         x[free] = free_x.reshape(-1, x.shape[1])
-        return problem.finish(x, border, force)
+        return LinearStep(problem=problem, unknown=x, border=border, force=force)
 
     def audited(self, load: Load, step: Step) -> tuple[Step, Audit]:
         """The step and what its balance is worth; the volume row is that of a surface that the step has left."""

@@ -1,0 +1,134 @@
+"""A frame computes what is asked of it and no more; what it computes later is what it would have been at once."""
+
+from __future__ import annotations
+
+import gc
+import weakref
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from tests.unit.vdm_shapes import icosphere
+from vdm import FORMULATIONS, Load, Model, Parameters, SurfaceMesh
+from vdm.formulations import boundary
+from vdm.solvers.linear import LinearSolver
+
+POINTS, TRIANGLES = icosphere(2, (0.05, 0.06, 0.045))
+BASE, TOP = POINTS[:, 2] < -0.03, POINTS[:, 2] > 0.04
+RANDOM = np.random.default_rng(5)
+FORMS = [*FORMULATIONS, "skin"]
+PRODUCTS = ("apply", "internal_force", "nodal_force", "displacement")
+
+
+def model(form: str, monkeypatch, **options) -> Model:
+    """Of a formulation, or of the boundary form of many nodes on a coarse body."""
+    if form == "skin":
+        monkeypatch.setattr(boundary, "MAX_NODES", 100)
+        monkeypatch.setattr(boundary, "COARSE_NODES", 60)
+        form = "boundary"
+    rule = Parameters.from_tissue(5000.0, 0.4999, SurfaceMesh(POINTS, TRIANGLES), form)
+    return Model(POINTS, TRIANGLES, rule, formulation=form, fixed=BASE, **options)
+
+
+def a_load() -> Load:
+    """Pressures and forces at all nodes, and displacements of the top."""
+    n = len(POINTS)
+    force, moved = 1e-3 * RANDOM.standard_normal((n, 3)), 1e-4 * RANDOM.standard_normal((n, 3))
+    return Load(20.0 * RANDOM.random(n), force, moved)
+
+
+@pytest.mark.parametrize("solver", ["linear", "quasi-linear"])
+@pytest.mark.parametrize("form", FORMS)
+def test_a_frame_that_asks_for_nothing_computes_nothing(form, solver, monkeypatch):
+    body = model(form, monkeypatch, solver=solver)
+    seen: list[str] = []
+    for name in PRODUCTS:
+        original = getattr(type(body.formulation), name)
+
+        def counted(self, *arguments, name=name, original=original):
+            seen.append(name)
+            return original(self, *arguments)
+
+        monkeypatch.setattr(type(body.formulation), name, counted)
+    step = body.solver.step(Load(20.0 * TOP))
+    # the quasi-linear solver asks where the surface of the last step is, and for nothing else
+    assert seen == ([] if solver == "linear" else ["displacement"])
+    seen.clear()
+    first = step.reaction_force, step.energy, step.displacement
+    products = [] if form == "skin" and solver == "linear" else ["apply"]
+    assert [name for name in seen if name == "apply"] == products
+    seen.clear()
+    assert all(
+        a is b for a, b in zip(first, (step.reaction_force, step.energy, step.displacement), strict=True)
+    )
+    assert not seen
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_reactions_and_energy_are_those_of_the_whole_operator(form, monkeypatch):
+    body = model(form, monkeypatch, constrained=TOP, density=1060.0, gravity=(1.0, 0.0, -9.81))
+    load = a_load()
+    step = body.solver.step(load)
+    form_of, problem = body.formulation, body.problem
+    # K x column by column of its identity, whatever the formulation keeps of it
+    unit = np.eye(step.unknown.size).reshape(-1, *step.unknown.shape)
+    matrix = np.stack([form_of.apply(column).reshape(-1) for column in unit], axis=1)
+    product = (matrix @ step.unknown.reshape(-1)).reshape(step.unknown.shape)
+    columns = form_of.columns.dense()
+    internal = product - columns[:, :, 1:] @ step.border[1:]
+    lacking = internal - columns[:, :, 0] * step.border[0] - problem.force(load)
+    size = np.abs(product).max()
+    assert np.abs(lacking[problem.free]).max() < 1e-9 * size
+    lacking[problem.free] = 0.0
+    reaction = form_of.nodal_force(lacking)
+    assert_allclose(step.reaction_force, reaction, rtol=1e-9, atol=1e-9 * np.abs(reaction).max())
+    work = 0.5 * np.vdot(form_of.displacement(step.unknown), form_of.nodal_force(internal))
+    assert_allclose(step.energy, work, rtol=1e-9, atol=1e-12 * abs(work))
+    solution = body.solve([load])
+    assert np.array_equal(solution.reaction_force[0], step.reaction_force)
+    assert solution.energy[0] == step.energy
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_what_the_caller_does_to_a_load_afterwards_changes_no_step(form, monkeypatch):
+    body = model(form, monkeypatch, constrained=TOP)
+    load = a_load()
+    first, second = body.solver.step(load), body.solver.step(load)
+    before = first.reaction_force.copy(), first.energy
+    for part in (load.contact_pressure, load.contact_force, load.prescribed):
+        part[...] = np.nan
+    assert np.array_equal(second.reaction_force, before[0])
+    assert second.energy == before[1]
+
+
+@pytest.mark.parametrize("solver", ["linear", "nonlinear"])
+@pytest.mark.parametrize("form", ["consistent", "vector"])
+def test_the_arrays_of_a_step_cannot_be_written_to_but_a_solution_can(form, solver, monkeypatch):
+    body = model(form, monkeypatch, solver=solver)
+    step = body.solver.step(Load(20.0 * TOP))
+    for array in (step.unknown, step.border, step.displacement):
+        with pytest.raises(ValueError, match="read-only"):
+            array[...] = 0.0
+    solution = body.solve([Load(20.0 * TOP)])
+    solution.displacement[...] = 0.0
+    assert not solution.displacement.any()
+
+
+def test_a_history_keeps_no_step_but_the_last(monkeypatch):
+    body = model("vector", monkeypatch)
+    made: list[weakref.ref] = []
+    alive: list[int] = []
+    original = LinearSolver.step
+
+    def watched(self, load, previous=None):
+        gc.collect()
+        alive.append(sum(step() is not None for step in made))
+        step = original(self, load, previous)
+        made.append(weakref.ref(step))
+        return step
+
+    monkeypatch.setattr(LinearSolver, "step", watched)
+    body.solve([Load(20.0 * TOP).scaled(k) for k in range(1, 6)])
+    # the last one, and while the next is made the local name of the one that was solved
+    assert alive == [0, 1, 1, 1, 1]
