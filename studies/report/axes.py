@@ -24,7 +24,9 @@ _LEFT, _RIGHT, _TOP, _BOTTOM = 60.2, 307.3, 4.3, 182.5
 _LEFT_OF_BARS, _BOTTOM_OF_SLANTED = 133.0, 142.5  # room for names in place of numbers
 _FONT, _LETTER = 8.3, 4.9  # size of the texts, and what a letter of them takes
 _TICK, _GAP = 3.5, 7.0  # length of a tick, and how far off its name is
+_FAR = 1e5  # from the panel
 _ROOM = 0.05  # of the data's extent, free on either side of it
+_LARGEST = 1e250  # beyond, and below its inverse on a logarithmic axis, nothing is drawn
 _DASHES = {"-": "", "--": "5.9 2.6", "-.": "10.2 2.6 1.6 2.6", ":": "1.6 2.6"}
 # corners of a marker of size 1; the circle has none, and the cross is not closed
 _MARKERS: dict[str, tuple[tuple[float, float], ...]] = {
@@ -75,8 +77,8 @@ class Axis:
     name: Name | None = None
 
     def see(self, values: Iterable[float]) -> None:
-        """Widen the scale to hold these too; what is not finite has no place on it."""
-        self.seen += [float(v) for v in values if math.isfinite(v)]
+        """Widen the scale to hold these too; what is not finite, or nearly not, has no place on it."""
+        self.seen += [float(v) for v in values if abs(v) < _LARGEST]
 
     def from_zero(self) -> None:
         """Begin at zero where everything is above it."""
@@ -84,12 +86,12 @@ class Axis:
 
     def limits(self) -> tuple[float, float]:
         """Its ends, the smaller first."""
-        seen = [v for v in self.seen if v > 0.0] if self.log else self.seen
+        seen = [v for v in self.seen if v > 1.0 / _LARGEST] if self.log else self.seen
         if not seen:
             low, high = (1.0, 10.0) if self.log else (0.0, 1.0)
         elif self.log:
             low, high = min(seen), max(seen)
-            ratio = (high / low) ** _ROOM if high > low else 10.0**0.5
+            ratio = (high / low) ** _ROOM if high > 1.0001 * low else 10.0**0.5
             low, high = low / ratio, high * ratio
         else:
             low, high = min(seen), max(seen)
@@ -98,7 +100,7 @@ class Axis:
         if self.low is not None and not (self.log and self.low <= 0.0):
             low = self.low
         high = high if self.high is None else self.high
-        return (low, high) if high > low else (low, low + 1.0)
+        return (low, high) if high > low else (low, low + max(1.0, abs(low)))
 
     def place(self, value: float) -> float:
         """Where a value stands between the ends, as 0 to 1; NaN where the scale has no place for it."""
@@ -373,6 +375,6 @@ def _path(path: str, style: str) -> str:
 
 
 def _n(value: float) -> str:
-    """A coordinate: a hundredth of a pixel is enough."""
-    text = f"{value:.2f}".rstrip("0").rstrip(".")
+    """A coordinate: a hundredth of a pixel is enough, and what is far outside may as well be near."""
+    text = f"{min(max(value, -_FAR), _FAR):.2f}".rstrip("0").rstrip(".")
     return "0" if text == "-0" else text

@@ -11,7 +11,7 @@ from markupsafe import Markup
 from ..benchmark.bench_data import Bench, Entry, Growth, answers, median, pareto, rows, seconds, spread
 from ..files import write_atomically
 from .blocks import Answer, Cell, Column, Facts, Figure, Figures, Section, Table, Text
-from .document import encoded, html_document
+from .document import encoded, html_document, written
 from .formatting import listed, short_percent
 from .plots import colour, marker, panel, percent_axis, time_ticks
 
@@ -59,7 +59,7 @@ def bench_html(bench: Bench) -> str:
         verdict=[Answer("", "", answers(bench)[:1])],
         counts=[(f"{len(bench.entries)} measurements", "")],
         models=legend,
-        sections=sections,
+        sections=[written(section) for section in sections],
     )
 
 

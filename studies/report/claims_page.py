@@ -13,7 +13,7 @@ from ..files import write_atomically
 from .blocks import Answer, Block, Cell, Code, Column, Figures, Section, Table, Text
 from .claims import CLAIMS, FAILS, HOLDS, OPEN, WITHIN_LIMITS, Claim, Judgement, on_trial
 from .digest import Digest
-from .document import encoded, html_document
+from .document import encoded, html_document, written
 from .formatting import listed, plural
 
 PAPER = "Sundaraj and Laugier (2006)"
@@ -87,7 +87,7 @@ def claims_html(found: Sequence[Verdict]) -> str:
         verdict=[Answer("", "", [lead])],
         counts=[(plural(len(names), "study") if len(names) == 1 else f"{len(names)} studies", "")],
         models=[],
-        sections=sections,
+        sections=[written(section) for section in sections],
     )
 
 

@@ -7,6 +7,7 @@ import hashlib
 import json
 import re
 from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 
@@ -21,6 +22,23 @@ _JSON_ESCAPES = str.maketrans(
 )
 
 
+@dataclass(frozen=True)
+class Written:
+    """A section as HTML."""
+
+    id: str
+    title: str
+    html: Markup
+    has_viewer: bool
+
+
+def written(section: Section) -> Written:
+    """A section as HTML, to be put on a page; costs more than the page around it."""
+    html = Markup(_environment().get_template("section.html").render(section=section))
+    has_viewer = any(isinstance(block, Viewer) and block.payload for block in section.blocks)
+    return Written(section.id, section.title, html, has_viewer)
+
+
 def html_document(
     *,
     title: str,
@@ -28,11 +46,10 @@ def html_document(
     verdict: Sequence[Answer],
     counts: Sequence[tuple[str, str]],
     models: Sequence[tuple[int, str, bool]],
-    sections: Sequence[Section],
+    sections: Sequence[Written],
 ) -> str:
     """The document as text. `counts` are (what, tone) badges, `models` the legend of the whole page."""
-    viewer = any(isinstance(b, Viewer) and b.payload for s in sections for b in s.blocks)
-    scripts = _scripts() if viewer else _scripts()[:1]
+    scripts = _scripts() if any(section.has_viewer for section in sections) else _scripts()[:1]
     return (
         _environment()
         .get_template("page.html")

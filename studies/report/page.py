@@ -12,7 +12,7 @@ from ..files import write_atomically
 from . import headline, picture, verdict
 from .blocks import Section
 from .digest import Digest
-from .document import SCRIPT_BYTES, encoded, html_document
+from .document import SCRIPT_BYTES, Written, encoded, html_document, written
 from .formatting import plural
 from .section_appendix import how_to_reproduce, provenance
 from .section_cases import case_table, failures
@@ -95,10 +95,10 @@ def page_html(run: Run, render: Renderer) -> str:
 def _page_html(digest: Digest, render: Renderer) -> str:
     run = digest.run
     before, after = (
-        [s for make in part if (s := make(digest))] for part in (SECTIONS_BEFORE, SECTIONS_AFTER)
+        [written(s) for make in part if (s := make(digest))] for part in (SECTIONS_BEFORE, SECTIONS_AFTER)
     )
 
-    def page(sections: list[Section]) -> str:
+    def page(sections: list[Written]) -> str:
         return html_document(
             title=str(run.study.get("title") or run.study.get("name", "study")),
             name=str(run.study.get("name", "")),
@@ -110,7 +110,7 @@ def _page_html(digest: Digest, render: Renderer) -> str:
 
     room = MOST_BYTES - len(encoded(page(before + after))) - SCRIPT_BYTES - _MARGIN
     view = surfaces(digest, room, render)
-    return page([*before, *([view] if view else []), *after])
+    return page([*before, *([written(view)] if view else []), *after])
 
 
 def _counts(run: Run) -> list[tuple[str, str]]:
