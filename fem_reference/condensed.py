@@ -26,6 +26,7 @@ from fem_reference.solution import CONVERGED, Solution, SolverError, Status
 
 Array = NDArray[np.float64]
 
+CONDITION = "condition_estimate"
 # facets whose normals differ by less than this push in one direction: far below what is promised
 _FLAT = 1e-12
 # a motion left over beyond this share is none of those that were prepared
@@ -116,15 +117,20 @@ class CondensedProblem:
         """Size of the dense matrix [B]."""
         return self.matrix.nbytes
 
-    def solve(self, loads: Sequence[Load]) -> Solution:
+    def solve(self, loads: Sequence[Load], outputs: frozenset[str] = frozenset()) -> Solution:
         """One frame per load: a dense product each.
+
+        `outputs` may ask for "condition_estimate", that of the problem that was solved for the columns.
 
         Raises
         ------
         SolverError
-            For a load that `LinearProblem` would refuse, pressure outside the contact region, and held nodes that
-            move otherwise than `motions`.
+            For a load that `LinearProblem` would refuse, pressure outside the contact region, held nodes that move
+            otherwise than `motions`, and an unknown output.
         """
+        if outputs - {CONDITION}:
+            name = sorted(outputs - {CONDITION})[0]
+            raise SolverError(Status("bad-output", f"output {name!r} is unknown", f"use {CONDITION}"))
         mesh = self.problem.mesh
         check_loads(mesh, loads)
         frames = np.empty((len(loads), len(self.matrix)))
@@ -163,7 +169,11 @@ class CondensedProblem:
                 "seconds_precompute": self.seconds_precompute,
                 "relative_residual": self.residual,
             },
-            scalars={"compliance": work, "relative_residual": np.full(len(loads), self.residual)},
+            scalars={
+                "compliance": work,
+                "relative_residual": np.full(len(loads), self.residual),
+                **({CONDITION: np.full(len(loads), self.problem.condition)} if outputs else {}),
+            },
         )
 
     def _amplitudes(self, step: int, load: Load) -> tuple[Array, Array, Array]:

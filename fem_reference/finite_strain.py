@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fem_reference.assembly import scalar_pattern
+from fem_reference.condition import condition_estimate
 from fem_reference.finite_strain_assembly import ElementAssembly
 from fem_reference.finite_strain_outputs import OUTPUTS, Record
 from fem_reference.follower import FollowerPressure
@@ -27,7 +28,7 @@ from fem_reference.mesh import TetMesh, facet_quadrature
 from fem_reference.newton import Newton, ScaledLoad, Substep
 from fem_reference.solution import Solution, SolverError, Status
 from fem_reference.system import LinearSystem, build_system
-from fem_reference.tangent_solver import TangentSolver
+from fem_reference.tangent_solver import TangentSolver, TangentSystem
 
 __all__ = ["OUTPUTS", "PRESSURES", "FiniteStrainProblem", "Load"]
 
@@ -138,6 +139,10 @@ class FiniteStrainProblem:
         check_loads(self.mesh, loads)
         return self._follow([self._scaled(load) for load in loads])
 
+    def tangent(self, reached: Substep) -> TangentSystem:
+        """The tangent in the state of a substep, in its scaled units."""
+        return self._newton.tangent(reached.state, reached.load)
+
     def solve_nodal(self, forces: Array, prescribed: Array) -> Fields:
         """Follow a history of dead forces and displacements that are given at the nodes.
 
@@ -223,6 +228,11 @@ class FiniteStrainProblem:
         factorisations, steps = self.solver.factorisations, self.solver.steps
         for number, attempt in self.substeps(loads):
             record.add(number, attempt)
+        record.end()
+        condition = {
+            number: condition_estimate(self.tangent(reached).symmetric)
+            for number, reached in record.states.items()
+        }
         return record.solution(
             self.seconds_setup,
             {
@@ -242,6 +252,7 @@ class FiniteStrainProblem:
                 "dofs": float(self.system.size),
                 "tetrahedra": float(len(self.mesh.tetrahedra)),
             },
+            condition,
         )
 
     def _scaled(self, load: Load) -> ScaledLoad:

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Mapping
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fem_reference.finite_strain_assembly import ElementAssembly
 from fem_reference.loads import gather_to_vertices
-from fem_reference.newton import State, Substep
+from fem_reference.mesh import facet_quadrature
+from fem_reference.newton import ScaledLoad, State, Substep
 from fem_reference.recovery import StrainRecovery
 from fem_reference.solution import CONVERGED, Solution, Status
 from fem_reference.system import LinearSystem
@@ -17,6 +19,8 @@ from fem_reference.system import LinearSystem
 Array = NDArray[np.float64]
 
 OUTPUTS = {
+    "condition_estimate": "condition number of the scaled tangent's symmetric part in that state, see"
+    " `fem_reference.condition`",
     "discretisation_error": "estimated relative error of the Green-Lagrange strain, see `fem_reference.recovery`",
     "max_det_f_deviation": "largest |det F - 1| at the quadrature points",
     "max_principal_strain": "largest principal Green-Lagrange strain at the quadrature points",
@@ -29,6 +33,11 @@ _FAILURES = {
     "linear-solver": "the tangent system could not be solved, as where a body buckles",
 }
 _REMEDY = "load the body less, or use a finer mesh where it deforms most"
+_TOO_SMALL = Status(
+    "too-small",
+    "the load strains the body by less than the rounding of its coordinates",
+    "use the linear solver, which such a load does not tell from this one, or load the body more",
+)
 
 
 class Record:
@@ -63,14 +72,19 @@ class Record:
         self._fluid_pressure = np.full(steps, np.nan)
         self._energy = np.full(steps, np.nan)
         self._scalars = {
-            name: np.full(steps, np.nan) for name in ("load_factor", "substeps", *sorted(outputs))
+            name: np.full(steps, np.nan)
+            for name in ("load_factor", "substeps", "relative_residual", *sorted(outputs))
         }
+        self.states: dict[int, Substep] = {}  # what each step holds; kept where its condition is wanted
         self._iterations = np.zeros(steps, dtype=np.int64)
         self._seconds = np.zeros(steps)
         self._status = [Status("not-reached", "an earlier load step failed", "see that step")] * steps
         nothing = np.zeros((mesh.n_nodes, 3))
         rest = State(nothing, np.zeros(mesh.n_vertices))
-        self._converged = Substep(0.0, rest, nothing, nothing, (), "converged")  # the last one, of any step
+        unloaded = ScaledLoad(np.zeros((len(mesh.triangles), len(facet_quadrature()[1]))), nothing, nothing)
+        self._converged = Substep(  # the last one, of any step
+            0.0, unloaded, rest, nothing, nothing, (0.0,), "converged"
+        )
         self._open: tuple[int, float, Substep] | None = (
             None  # a step under way: number, load factor, last attempt
         )
@@ -88,11 +102,18 @@ class Record:
         if reached == 1.0:
             self._close(number, reached, CONVERGED)
 
-    def solution(self, seconds_setup: float, parameters: dict[str, float | str]) -> Solution:
-        """The whole history; a step that was not finished has failed."""
+    def end(self) -> None:
+        """Take in that there is no further attempt: a step that was not finished has failed."""
         if self._open:
             number, reached, attempt = self._open
             self._close(number, reached, _failure(number, reached, attempt))
+
+    def solution(
+        self, seconds_setup: float, parameters: dict[str, float | str], condition: Mapping[int, float]
+    ) -> Solution:
+        """The whole history, with the condition in the states of some steps."""
+        for number, estimate in condition.items():
+            self._scalars["condition_estimate"][number] = estimate
         return Solution(
             displacement=self._displacement,
             fluid_pressure=self._fluid_pressure,
@@ -109,6 +130,9 @@ class Record:
     def _close(self, number: int, reached: float, status: Status) -> None:
         self._status[number] = status
         self._scalars["load_factor"][number] = reached
+        self._scalars["relative_residual"][number] = self._converged.residuals[-1]
+        if "condition_estimate" in self._outputs:
+            self.states[number] = self._converged
         self._store(number, self._converged)
         self._open = None
         now = time.perf_counter()
@@ -138,11 +162,13 @@ class Record:
             "max_principal_strain": strain,
             "volume": volume * length**3,
         }
-        for name in self._outputs:
+        for name in self._outputs & values.keys():
             self._scalars[name][number] = values[name]
 
 
 def _failure(number: int, reached: float, attempt: Substep) -> Status:
+    if attempt.code == _TOO_SMALL.code:
+        return _TOO_SMALL
     return Status(
         attempt.code,
         f"{_FAILURES[attempt.code]} beyond {reached:.4g} of load step {number}"

@@ -24,6 +24,8 @@ _LEAST_DAMPING = 0.1  # of an update that would turn an element inside out
 # Newton far from its goal may raise the residual, but one that keeps doing so may end on another branch.
 _MOST_RISES = 2
 _ROUNDING = 4e-15  # of a displacement gradient, with room
+# Of a load, what may be left of it where it is so small that rounding decides when to stop.
+_LEFT = 1e-3
 # A linear solve need not be more exact than the quadratic model it serves.
 _LEAST_FORCING, _MOST_FORCING = 1e-10, 1e-3
 
@@ -75,14 +77,16 @@ class Substep:
     Attributes
     ----------
     load_factor : share of the load step that was tried
+    load : at that share
     state : the converged state; that before the attempt where it failed
     reaction : (n_nodes, 3) force of the support on the body, scaled
     external : (n_nodes, 3) applied forces, scaled
     residuals : relative residual before each Newton iteration, and after the last
-    code : "converged", or why not: "not-converged", "inverted" or "linear-solver"
+    code : "converged", or why not: "not-converged", "inverted", "linear-solver" or "too-small"
     """
 
     load_factor: float
+    load: ScaledLoad
     state: State
     reaction: Array
     external: Array
@@ -99,6 +103,7 @@ class Substep:
 class _Residual:
     vector: Array
     relative: float
+    scale: float  # of the forces in it
     reaction: Array
     external: Array
     least_determinant: float
@@ -171,7 +176,7 @@ class Newton:
                 state, reached = attempt.state, target
                 if len(attempt.residuals) - 1 <= _EASY:
                     step *= 2.0
-            elif step <= _LEAST_STEP:
+            elif step <= _LEAST_STEP or attempt.code == "too-small":
                 return
             else:
                 step *= 0.5
@@ -180,34 +185,39 @@ class Newton:
         """Newton iterations from a state to equilibrium under a load."""
         u, q = state.displacement, state.pressure
         found = self._residual(u, q, load)
+        # Of the forces before and after the step, and of those that held nodes need to move by themselves.
+        largest = max(found.scale, float(np.abs(load.given).max()))
         residuals = [found.relative]
+
+        def outcome(reached: State, code: str) -> Substep:
+            return Substep(load_factor, load, reached, found.reaction, found.external, tuple(residuals), code)
+
         tangent: _Tangent | None = None
         while True:
             step = np.where(self._system.held, load.given - u, 0.0)
             if found.relative <= self._tolerance and not step.any():
-                return self._outcome(load_factor, State(u, q), found, residuals, "converged")
+                # A load that acts must not be lost; what is left of one that was taken off is nothing.
+                lost = float(np.abs(found.vector).max()) > _LEFT * max(found.scale, largest)
+                if lost and found.external.any():
+                    return outcome(state, "too-small")
+                return outcome(State(u, q), "converged")
             rises = sum(b > a for a, b in itertools.pairwise(residuals[1:]))
             if len(residuals) > self._max_newton or rises > _MOST_RISES or not np.isfinite(found.relative):
-                return self._outcome(load_factor, state, found, residuals, "not-converged")
+                return outcome(state, "not-converged")
             if tangent is None or not self._good_enough(residuals):
                 tangent = self._tangent(u, q, load)
             update = self._update(tangent, step, found)
             if update is None:
-                return self._outcome(load_factor, state, found, residuals, "linear-solver")
+                return outcome(state, "linear-solver")
             damping = 1.0
             trial = self._residual(u + update[0], q + update[1], load)
             while not trial.least_determinant > 0.0:
                 damping *= 0.5
                 if damping < _LEAST_DAMPING:
-                    return self._outcome(load_factor, state, found, residuals, "inverted")
+                    return outcome(state, "inverted")
                 trial = self._residual(u + damping * update[0], q + damping * update[1], load)
             u, q, found = u + damping * update[0], q + damping * update[1], trial
             residuals.append(found.relative)
-
-    def _outcome(
-        self, load_factor: float, state: State, found: _Residual, residuals: list[float], code: str
-    ) -> Substep:
-        return Substep(load_factor, state, found.reaction, found.external, tuple(residuals), code)
 
     def _good_enough(self, residuals: list[float]) -> bool:
         """Whether the last tangent will do once more: it gains at least what the last step did."""
@@ -243,6 +253,7 @@ class Newton:
         return _Residual(
             vector,
             float(np.linalg.norm(vector)) / max(scale, noise / self._tolerance),
+            scale,
             np.where(system.held, unbalanced, 0.0),
             external,
             internal.least_determinant,
@@ -253,6 +264,10 @@ class Newton:
         system = self._system
         top = np.where(system.held, 0.0, nodal)[system.kept].ravel()
         return np.concatenate([top, -system.pressure_scale * volume])
+
+    def tangent(self, state: State, load: ScaledLoad) -> TangentSystem:
+        """The tangent in a state."""
+        return self._tangent(state.displacement, state.pressure, load).matrices
 
     def _tangent(self, u: Array, q: Array, load: ScaledLoad) -> _Tangent:
         system, pattern = self._system, self._pattern

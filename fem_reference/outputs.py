@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 
 OUTPUTS = {
+    "condition_estimate": "condition number of the scaled system, see `fem_reference.condition`",
     "compliance": "work of the applied forces on the displacement, f.u [J]",
     "max_det_f_deviation": "largest |det(I + grad u) - 1| at the quadrature points",
     "max_principal_strain": "largest principal Green-Lagrange strain at the quadrature points",

@@ -39,8 +39,9 @@ def result_keys(study: Study, mesh_key: str) -> dict[str, str]:
     for name in study.study.models:
         model, _ = models.find(name)
         own = {"model": name, "version": model.version, "overrides": inputs["models"].get(name)}
+        own |= _outputs(study)
         if not model.volumetric:
-            own |= {"vdm": inputs["vdm"], "environment": inputs.get("environment")} | _outputs(study)
+            own |= {"vdm": inputs["vdm"], "environment": inputs.get("environment")}
         keys[name] = _digest(scene | own)
     return keys
 

@@ -147,9 +147,14 @@ def _fem_small_strain(scenes: Sequence[Scene], element: str) -> list[FemSolution
     loads = [load for scene in scenes for load in _fem_loads(scene)]
     n_solves = len(independent_loads(loads)[0])
     problem = shared(LinearProblem, **_body(scenes[0]), element=element, expected_loads=n_solves)
-    whole = problem.solve(loads)
+    whole = problem.solve(loads, _asked(scenes[0]))
     ends = np.cumsum([len(scene.load_factors) for scene in scenes]).tolist()
     return [_part(whole, slice(*ends)) for ends in zip([0, *ends], ends, strict=False)]
+
+
+def _asked(scene: Scene, *outputs: str) -> frozenset[str]:
+    """Further outputs of a volumetric model."""
+    return frozenset({*outputs, "condition_estimate"} if scene.condition else outputs)
 
 
 def _part(solution: FemSolution, steps: slice) -> FemSolution:
@@ -186,7 +191,8 @@ def _fem_condensed(scene: Scene, solver: str, name: str) -> FemSolution:  # noqa
     # one motion of held nodes, in units of its largest component: cases that move them further share it
     largest = np.abs(scene.prescribed).max(initial=0.0)
     motions = scene.prescribed[None] / largest if largest else np.zeros((0, *scene.prescribed.shape))
-    return shared(_condensed_problem, contact=scene.contact, motions=motions, **body).solve(_fem_loads(scene))
+    problem = shared(_condensed_problem, contact=scene.contact, motions=motions, **body)
+    return problem.solve(_fem_loads(scene), _asked(scene))
 
 
 def _condensed_problem(*, contact: Mask, motions: Array, **body: Any) -> CondensedProblem:
@@ -211,7 +217,7 @@ def _fem(scene: Scene, solver: str, name: str) -> FemSolution:  # noqa: ARG001
 
     material = "transversely-isotropic" if scene.anisotropy else "neo-hookean"
     problem = FiniteStrainProblem(**_body(scene), material=material, expected_loads=len(scene.load_factors))
-    return problem.solve(_fem_loads(scene), frozenset({"max_det_f_deviation", "max_principal_strain"}))
+    return problem.solve(_fem_loads(scene), _asked(scene, "max_det_f_deviation", "max_principal_strain"))
 
 
 def _body(scene: Scene) -> dict[str, Any]:

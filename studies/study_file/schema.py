@@ -133,7 +133,7 @@ class StudyInfo(Table):
         Field((), description="numbers of the paper's claims that the study puts on trial", strict=False)
     )
     condition: bool = Field(
-        False, description="whether the VDM models estimate the condition of the system that they solve"
+        False, description="whether the models estimate the condition of the system that they solve"
     )
     max_cases: int = Field(1000, description="refuse a sweep of more cases than this", ge=1, le=100_000)
 

@@ -308,7 +308,7 @@ def test_the_whole_scene_can_be_turned(block: Body, pressure: str, verified: Ver
     verified.at_most(f"finite strain, {pressure} pressure, scene turned: displacement", difference, 1e-9)
     assert_allclose(there.reaction_force[0], here.reaction_force[0] @ turn.T, rtol=0, atol=1e-9)
     assert_allclose(there.energy, here.energy, rtol=1e-8, atol=0)
-    for name in OUTPUTS:
+    for name in OUTPUTS.keys() - {"condition_estimate"}:  # the 1-norm knows the axes
         assert_allclose(there.scalars[name], here.scalars[name], rtol=1e-7, atol=0)
 
 
@@ -573,7 +573,7 @@ def test_loads_that_make_no_sense_are_refused(block: Body) -> None:
         problem.solve([good, bad])
     with pytest.raises(SolverError, match="there is no load step"):
         problem.solve([])
-    with pytest.raises(SolverError, match="output 'colour' is unknown; use some of discretisation_error"):
+    with pytest.raises(SolverError, match="output 'colour' is unknown; use some of condition_estimate"):
         problem.solve([good], frozenset({"colour"}))
 
 

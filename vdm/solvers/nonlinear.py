@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,6 +31,14 @@ NOT_CONVERGED = Status(
     "not-converged",
     "the nonlinear balance was not found, the load step halved six times",
     "use smaller load steps, a smaller load or a stiffer material",
+)
+LOST = (
+    1e-3  # of the largest forces of the history, what a balance may lack where rounding decides when to stop
+)
+TOO_SMALL = Status(
+    "too-small",
+    "the load moves the body by less than the rounding of its coordinates",
+    "use the linear solver, which such a load does not tell from this one, or load the body more",
 )
 
 
@@ -112,10 +120,13 @@ class NonlinearSolver:
         answer[self._free_nodes] = self.factor.response.first
         moved = float(np.abs(problem.formulation.displacement(answer)).max())
         push = float(np.linalg.norm(problem.formulation.columns.first[self._free_nodes]))
-        self.smallest_force = SMALLEST_MOTION * size / moved * push
+        self._resistance = push / moved  # force per motion
+        self.smallest_force = SMALLEST_MOTION * size * self._resistance
+        self._rounding = float(np.finfo(np.float64).eps) * size * self._resistance
         unloaded = Load(np.zeros(n), np.zeros((n, 3)), np.zeros((n, 3)))
         self._rest = _Converged(unloaded, np.zeros((n, d)), 0.0)
         self._last = self._before = self._rest
+        self._largest = 0.0
 
     def step(self, load: Load, previous: Step | None = None) -> Step:
         """Solution of one load; with a previous step, started where the last two converged ones point to.
@@ -124,6 +135,7 @@ class NonlinearSolver:
         """
         if previous is None:
             self._last = self._before = self._rest
+            self._largest = 0.0
             self._anderson = Anderson(HISTORY)
         last = self._last
         x, pressure = self._ahead(load)
@@ -146,6 +158,7 @@ class NonlinearSolver:
         if balance is None:
             return self._failed(x, iterations)
         self._before, self._last = last, _Converged(load, x, pressure)
+        self._largest = max(self._largest, balance.scale)
         border = np.zeros(self.factor.n_border)
         border[0] = pressure
         energy = self.problem.formulation.deformed_energy(x, balance.state)
@@ -166,6 +179,13 @@ class NonlinearSolver:
         balance = self._balance(load, step.unknown, step.pressure_change)
         residual = float(np.linalg.norm(balance.lacking[self._free_nodes]))
         gap = abs(balance.state.volume - self.rest_volume) / self.rest_volume
+        moved = float(np.abs(self.problem.held_unknown(load)).max())
+        if moved > 0.0 or self.problem.force(load).any():
+            # a support that turns the body as a whole leaves no other force to compare with
+            largest = max(self._largest, moved * self._resistance)
+            lacking = float(np.abs(balance.lacking[self._free_nodes]).max())
+            if max(lacking, self._rounding) > LOST * largest:
+                step = replace(step, status=TOO_SMALL)
         return step, Audit(max(residual / max(balance.scale, self.smallest_force), gap))
 
     def _ahead(self, load: Load) -> tuple[Array, float]:

@@ -54,7 +54,7 @@ class SingleFactor:
         if not self._factors.U.diagonal().min() > 0.0:
             raise SolverError(SINGULAR)
         probe = np.random.default_rng(0).standard_normal(self.size)
-        growth = np.linalg.norm(self.solve(self._scale * probe) / self._scale)
+        growth = np.linalg.norm(self.solve(probe / self._scale) / self._scale)  # of the scaled matrix
         if not growth < _CONDITION_LIMIT * np.linalg.norm(probe):
             raise SolverError(SINGULAR)
 

@@ -1,0 +1,77 @@
+"""How well conditioned a body's system is: its condition number in the 1-norm, estimated from a few solves.
+
+Hager (1984) and Higham (ACM Trans. Math. Softw. 14 (1988) 381, algorithm 4.1): a lower bound of the norm of the
+inverse, rarely more than three times too small. The same number every time: no random vector is in it.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import bsr_array, csr_array
+from scipy.sparse.linalg import LinearOperator, onenormest
+
+from fem_reference.linear_algebra import Solver, choose_solver
+from fem_reference.solution import SolverError
+from fem_reference.system import LinearSystem
+
+Array = NDArray[np.float64]
+
+_SOLVES = 12  # about as many as the estimate takes
+
+
+def condition_estimate(system: LinearSystem, solver: Solver | None = None) -> float:
+    """|M|_1 |M^-1|_1 of a system M, each unknown in a unit of its own; inf where it is singular.
+
+    Displacements are scaled to a unit diagonal and pressures by their Schur complement's, the mass matrix: nearly
+    the best that a diagonal can do (van der Sluis, Numer. Math. 14 (1969) 14). What is left is the physics of the
+    body and its supports, and what the shape of the elements adds to it.
+
+    Parameters
+    ----------
+    system : symmetric
+    solver : of that system; None makes one
+    """
+    try:
+        ready = solver or choose_solver(system, "auto", _SOLVES, None)
+    except SolverError as error:
+        return np.inf if error.status.code == "singular" else np.nan
+    unit = _units(system)
+
+    def solve(b: Array) -> Array:
+        x: Array = ready.solve((b.reshape(-1) / unit)[:, None]).x[:, 0] / unit
+        return x
+
+    size = system.size
+    inverse = LinearOperator((size, size), matvec=solve, rmatvec=solve, dtype=np.float64)
+    found = float(onenormest(inverse, t=1))
+    # Higham's second guess, for the matrices that Hager's walk is blind to
+    alternating = 1.0 + np.arange(size) / max(size - 1, 1)
+    alternating[1::2] *= -1.0
+    found = max(found, 2.0 * float(np.abs(solve(alternating)).sum()) / (3.0 * size))
+    estimate = _norm(system, unit) * found
+    return estimate if np.isfinite(estimate) else np.inf
+
+
+def _units(system: LinearSystem) -> Array:
+    """(size,) what each unknown is divided by."""
+    displacement = 1.0 / np.sqrt(system.stiffness.diagonal())
+    if system.mass is None:
+        return np.asarray(displacement)
+    pressure = 1.0 / np.sqrt(abs(system.schur_factor) * system.mass.diagonal())
+    return np.concatenate([displacement, pressure])
+
+
+def _norm(system: LinearSystem, unit: Array) -> float:
+    """|M|_1 in those units."""
+    n = system.n_displacements
+    u, q = unit[:n], unit[n:]
+    stiffness = system.stiffness
+    sizes = bsr_array((np.abs(stiffness.data), stiffness.indices, stiffness.indptr), shape=stiffness.shape)
+    columns = u * (sizes @ u)
+    if system.divergence is None or system.mass is None:
+        return float(columns.max())
+    coupling = csr_array(abs(system.divergence))
+    columns = columns + u * (coupling.T @ q)
+    pressures = q * (coupling @ u + abs(system.compressibility) * (abs(system.mass) @ q))
+    return float(max(columns.max(), pressures.max()))
