@@ -21,7 +21,7 @@ from .. import models
 from ..case import ModelResult, Run
 from ..meshing.mesh import Array, InputError
 from ..meshing.mesh_cache import mesh_from_cache
-from ..metrics import Surface, relative_l2, rigid_motion_removed, weighted_norm
+from ..metrics import Surface, full_load_step, relative_l2, rigid_motion_removed, weighted_norm
 from ..plan import Plan, needs_volume
 from ..scene import Scene, build_scene
 from ..study_file.config import geometry_of
@@ -47,7 +47,7 @@ class CalibrationError(InputError):
 
 @dataclass(frozen=True)
 class Sample:
-    """One load of one body: the scene and what the reference answers at full load."""
+    """One load of one body: the scene with its full load alone, and what the reference answers to that."""
 
     label: str
     scene: Scene
@@ -99,11 +99,12 @@ def samples_of(plan: Plan, run: Run) -> list[Sample]:
             continue
         study = planned[case.hash]
         mesh = mesh_from_cache(geometry_of(study), plan.cache, volume=needs_volume(study))
+        step = full_load_step(case.load_factors)
         samples.append(
             Sample(
                 case.label,
-                build_scene(study, mesh),
-                case.models[case.reference].displacement[-1],
+                dataclasses.replace(build_scene(study, mesh), load_factors=case.load_factors[[step]]),
+                case.models[case.reference].displacement[step],
                 {metric: reference_bar(case.reference_error, metric) for metric in (VECTOR, DEFORMATION)},
             )
         )
@@ -201,9 +202,7 @@ class Trial:
 
     def _run(self, sample: Sample, given: Mapping[str, float]) -> ModelResult:
         own = {**sample.scene.overrides.get(self.name, {}), **given}
-        scene = dataclasses.replace(
-            sample.scene, overrides={**sample.scene.overrides, self.name: own}, load_factors=np.ones(1)
-        )
+        scene = dataclasses.replace(sample.scene, overrides={**sample.scene.overrides, self.name: own})
         result = models.run_model(scene, self.name)
         failed = next((status for status in result.status if not status.ok), None)
         if failed is not None:

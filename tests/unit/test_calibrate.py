@@ -13,11 +13,15 @@ from numpy.testing import assert_allclose
 
 from studies.calibration.calibrate import Body, as_toml, calibrate
 from studies.calibration.calibration_table import table
-from studies.calibration.fit import CalibrationError, Sample, Trial, fit, least_error, split
+from studies.calibration.fit import CalibrationError, Sample, Trial, fit, least_error, samples_of, split
+from studies.case import Run
 from studies.meshing.mesh_cache import mesh_from_cache
 from studies.models import run_model
+from studies.plan import make_plan, task_of
 from studies.scene import build_scene
+from studies.store import read_case
 from studies.study_file.config import expand, geometry_of, load_study, with_mesh_size
+from studies.worker import run_case
 from tests.command import vdmbench
 
 STUDY = """
@@ -211,6 +215,28 @@ def test_the_command_writes_a_table_to_paste(tmp_path: Path) -> None:
         if ",vdm-vector," in row and "relative_l2_displacement_error" in row
     ][-1]
     assert_allclose(last, entry["held_out"]["vector"], rtol=1e-4, atol=0)
+
+
+def test_a_history_that_does_not_end_at_factor_one_gives_the_same_fit(tmp_path: Path) -> None:
+    fits = []
+    for history in ("[1.0]", "[0.5]", "[2.0, 0.25]"):
+        name = f"history-{len(fits)}"
+        text = STUDY.replace('"fem-linear"', '"vdm-boundary"').replace('"fit"', f'"{name}"')
+        (tmp_path / f"{name}.toml").write_text(f"{text}[load]\nfactors = {history}\n")
+        study = load_study(tmp_path / f"{name}.toml")
+        plan = make_plan(study, expand(study), tmp_path / name, tmp_path / "cache")
+        (plan.directory / "cases").mkdir(parents=True)
+        for case in plan.cases:
+            run_case(task_of(case, plan))
+        cases = [read_case(plan.case_file(case)) for case in plan.cases]
+        found = samples_of(plan, Run({"name": name}, "", cases, [], [], {}))
+        fits.append(fit("vdm-vector", found[:3], found[3:]))
+    for other in fits[1:]:
+        # all models are linear: the same body under more or less of the same load
+        assert_allclose(
+            other.multiples["surface_tension"], fits[0].multiples["surface_tension"], rtol=1e-9, atol=0
+        )
+        assert_allclose(other.held_out.vector, fits[0].held_out.vector, rtol=1e-9, atol=0)
 
 
 def test_mistakes_of_the_command(tmp_path: Path) -> None:
