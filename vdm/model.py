@@ -133,6 +133,8 @@ class Model:
 
         `fluid_pressure` is dP + P_ep at the datum, the highest surface point along gravity (17). Each step is
         audited: `scalars["relative_residual"]`, and a status other than converged where it cannot be relied on.
+        With the quasi-linear solver `scalars["path_error"]` is the share of the largest displacement so far that is
+        owed to the load steps on the way; beyond 1e-3 the status, still converged, says so and what to do.
         With `condition`, `scalars["condition_estimate"]` is that of the whole system that is solved, from
         `condition_estimate`, the same for all steps.
 
@@ -145,7 +147,7 @@ class Model:
             check_load(load, self.problem.support)
         count, n_nodes = len(loads), self.surface.n_nodes
         displacement, reaction_force = (np.empty((count, n_nodes, 3)) for _ in range(2))
-        pressure, energy, seconds, residual = (np.empty(count) for _ in range(4))
+        pressure, energy, seconds, residual, path_error = (np.empty(count) for _ in range(5))
         iterations = np.empty(count, dtype=np.int64)
         status: list[Status] = []
         fields = {name: np.empty((count, n_nodes)) for name in self.outputs}
@@ -163,6 +165,7 @@ class Model:
                 seconds[k] = time.perf_counter() - start
             last = judged(step, found)
             pressure[k], iterations[k], residual[k] = step.pressure_change, step.iterations, found.residual
+            path_error[k] = found.path
             status.append(last.status)
             for name, values in fields.items():
                 values[k] = self._point_field(name, step)
@@ -178,6 +181,7 @@ class Model:
             parameters=self._record(),
             scalars={
                 "relative_residual": residual,
+                **({} if np.isnan(path_error).all() else {"path_error": path_error}),
                 **(self._condition(count) if condition else {}),
             },
             point_fields=fields,

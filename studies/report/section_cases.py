@@ -84,7 +84,7 @@ def _error(case: CaseResult, model: str, metric: str) -> Cell:
 
 
 def failures(digest: Digest) -> Section | None:
-    """Cases without a result and models that stopped short, each with its reason and its remedy."""
+    """Cases without a result, models that stopped short, and steps that need care, each with reason and remedy."""
     blocks: list[Block] = []
     if digest.run.failed:
         rows = [
@@ -101,6 +101,11 @@ def failures(digest: Digest) -> Section | None:
             Table(
                 "stopped", "Models that stopped in a finished case", _failure_columns("Model and case"), rows
             )
+        )
+    if rows := _reservations(digest):
+        columns = _failure_columns("Model and case")
+        blocks.append(
+            Table("reserved", "Results that the model itself has a reservation about", columns, rows)
         )
     if digest.run.missing:
         names = [label or "a case" for label in digest.run.missing]
@@ -123,11 +128,31 @@ def _model_failures(digest: Digest) -> list[list[Cell]]:
                 status = result.status[step]
                 reason = (model, status.message or status.code, status.remedy)
                 found.setdefault(reason, []).append((case, step))
+    return [
+        [Cell(model, _places(digest, places)), Cell(message), Cell(remedy or NOTHING)]
+        for (model, message, remedy), places in found.items()
+    ]
+
+
+def _reservations(digest: Digest) -> list[list[Cell]]:
+    """One row per model and remedy: of steps that can be used, with a message; the last such step of a case."""
+    found: dict[tuple[str, str], list[tuple[CaseResult, int]]] = {}
+    for case in digest.cases:
+        for model, result in case.models.items():
+            noted = [step for step, status in enumerate(result.status) if status.ok and status.message]
+            if noted:
+                found.setdefault((model, result.status[noted[-1]].remedy), []).append((case, noted[-1]))
     rows = []
-    for (model, message, remedy), places in found.items():
+    for (model, remedy), places in found.items():
         case, step = places[0]
-        where = f"{digest.case_name(case)}, load factor {float(case.load_factors[step]):g}"
-        if len(places) > 1:
-            where += f", and in {plural(len(places) - 1, 'other case')}"
-        rows.append([Cell(model, where), Cell(message), Cell(remedy or NOTHING)])
+        message = case.models[model].status[step].message
+        rows.append([Cell(model, _places(digest, places)), Cell(message), Cell(remedy or NOTHING)])
     return rows
+
+
+def _places(digest: Digest, places: list[tuple[CaseResult, int]]) -> str:
+    case, step = places[0]
+    where = f"{digest.case_name(case)}, load factor {float(case.load_factors[step]):g}"
+    if len(places) > 1:
+        where += f", and in {plural(len(places) - 1, 'other case')}"
+    return where

@@ -159,6 +159,51 @@ def test_quasi_linear_drift_falls_with_the_square_of_the_step(formulation):
     assert printed[1] > 20.0 * abs(exact[1])
 
 
+@pytest.mark.parametrize("formulation", NAMES)
+def test_quasi_linear_tells_what_the_path_has_left(formulation):
+    """Loads on and off: what remains of the displacement is the path's; steps on the spot take it away."""
+    off_axis = Load(np.where(POINTS @ [0.7, 0.2, 0.6] > 0.035, 300.0, 0.0))
+    solver = model(formulation, solver="quasi-linear")
+
+    def cycles(count):
+        up = np.arange(1, count + 1) / count
+        return [off_axis.scaled(s) for s in np.tile(np.r_[up, up[-2::-1], 0.0], 2)]
+
+    told = {}
+    for count in (2, 8, 80):
+        loads = cycles(count)
+        solution = solver.solve(loads)
+        errors = solution.scalars["path_error"]
+        largest = np.abs(solution.displacement).max()
+        assert_allclose(errors[-1], np.abs(solution.displacement[-1]).max() / largest, rtol=0.01, atol=0.0)
+        for status, error in zip(solution.status, errors, strict=True):
+            assert status.ok
+            assert bool(status.message) == bool(status.remedy) == (error > 1e-3)
+        told[count] = solution
+    assert told[2].scalars["path_error"].max() > 1e-3 > told[80].scalars["path_error"].max()
+    # of the second order in the step
+    last = [told[count].scalars["path_error"][-1] for count in (8, 80)]
+    assert_allclose(last[0] / last[1], 100.0, rtol=0.05, atol=0.0)
+    message = told[2].status[-1].message
+    assert f"{told[2].scalars['path_error'][-1]:.1e} of the largest displacement" in message
+    assert "smaller load steps, or the nonlinear solver" in told[2].status[-1].remedy
+    # the full load in two steps, and then the same load again: each closes the volume that the last one left open
+    rest = solver.solve([*cycles(2)[:2], *[off_axis] * 5])
+    gap = np.abs(rest.displacement[1] - rest.displacement[-1]).max() / np.abs(rest.displacement[1]).max()
+    assert_allclose(rest.scalars["path_error"][1], gap, rtol=0.01, atol=0.0)
+    assert rest.scalars["path_error"][-1] < 1e-12
+    assert not rest.status[-1].message
+
+
+def test_only_the_quasi_linear_solver_has_a_path():
+    for solver in ("linear", "nonlinear"):
+        assert "path_error" not in model("vector", solver=solver).solve([PUSH]).scalars
+    printed = model("paper", solver="quasi-linear", volume_row="printed").solve([PUSH])
+    assert "path_error" not in printed.scalars
+    still = model("vector", solver="quasi-linear").solve([PUSH.scaled(0.0)])
+    assert still.scalars["path_error"][0] == 0.0
+
+
 @pytest.mark.parametrize(
     ("formulation", "parameters"), [(n, None) for n in NAMES] + [("vector", p) for p in VECTOR_FORMS]
 )

@@ -24,6 +24,7 @@ Correction = Callable[[Array, Array], tuple[Array, Array]]
 RESIDUAL_LIMIT = 1e-6  # of the largest force in play: beyond it the answer is not one
 SINGLE_LIMIT = 1e-3  # the same where 32 bits were asked for: they leave 1e-4 at 10,000 nodes
 ERROR_LIMIT = 1e-3  # of the largest displacement: as good as the accuracy that any of the models has
+PATH_LIMIT = 1e-3  # of the largest displacement so far: by how much the steps on the way may move an answer
 REFINED = 1e-10  # residual or error above which a correction is worth its price
 MOST_SWEEPS = 3
 NOT_FINITE = Status("not-finite", "the solution holds nan or inf", "check the size of the loads and moduli")
@@ -39,11 +40,14 @@ class Audit:
     error : largest change of displacement that a correction for it makes, over the largest displacement; nan where
         the solver has no factor to correct by
     limit : of the residual, beyond which the step is not one
+    path : displacement that is owed to the steps on the way to the load and vanishes with their size, over the
+        largest of the history so far; nan where the way does not matter
     """
 
     residual: float
     error: float = np.nan
     limit: float = RESIDUAL_LIMIT
+    path: float = np.nan
 
 
 def audit(
@@ -83,7 +87,10 @@ def refined(problem: Problem, load: Load, step: Step, correction: Correction) ->
 
 
 def judged(step: Step, found: Audit) -> Step:
-    """The step, its status told by the audit where the solver itself saw nothing wrong."""
+    """The step, its status told by the audit where the solver itself saw nothing wrong.
+
+    A step that its path has moved is usable: it is converged, with a message and a remedy.
+    """
     if not step.status.ok:
         return step
     if not np.isfinite(step.displacement).all():
@@ -94,9 +101,13 @@ def judged(step: Step, found: Audit) -> Step:
     if found.error > ERROR_LIMIT:
         message = f"ill-conditioned: rounding alone moves the answer by {found.error:.1e} of itself"
         return replace(step, status=Status("ill-conditioned", message, _REMEDY))
+    if found.path > PATH_LIMIT:
+        message = f"the load steps on the way move the answer by {found.path:.1e} of the largest displacement"
+        return replace(step, status=replace(step.status, message=message, remedy=_SMALLER_STEPS))
     return step
 
 
+_SMALLER_STEPS = "take more and smaller load steps, or the nonlinear solver"
 _REMEDY = "take moduli nearer to each other, a smaller penalty, a wider support or a mesh without slivers"
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Literal
 
 import numpy as np
@@ -22,6 +23,9 @@ class QuasiLinearSolver:
     The block K is factored once; a new row only changes the m x m border system. In exact arithmetic this is the
     Sherman-Morrison update (`sherman_morrison`) without its dense inverse.
 
+    An answer depends on the steps that led to its load, by the volume that the last one left open: the shift along
+    the response to pressure that closes it is what smaller steps would change, and the audit reports its size.
+
     Parameters
     ----------
     problem : formulation and supports
@@ -36,11 +40,14 @@ class QuasiLinearSolver:
         self.volume_row = volume_row
         self.factor = BorderedFactor(problem)
         self.rest_volume = problem.body.at(np.zeros_like(problem.body.rest)).volume
+        self._largest = 0.0  # displacement of the history so far
 
     def step(self, load: Load, previous: Step | None = None) -> Step:
         """Solution of one load; the previous step says which surface the volume row is taken on."""
         problem, factor, formulation = self.problem, self.factor, self.problem.formulation
         free = factor.free
+        if previous is None:
+            self._largest = 0.0
         force = problem.force(load)
         x = problem.held_unknown(load)
         last = np.zeros_like(x) if previous is None else previous.unknown
@@ -61,8 +68,32 @@ class QuasiLinearSolver:
         return LinearStep(problem=problem, unknown=x, border=border, force=force)
 
     def audited(self, load: Load, step: Step) -> tuple[Step, Audit]:
-        """The step and what its balance is worth; the volume row is that of a surface that the step has left."""
-        return step, audit(self.problem, load, step, self.factor.correction, border=False)
+        """The step and what its balance and its path are worth.
+
+        The volume row is that of a surface that the step has left. The printed row's drift is no matter of steps.
+        """
+        found = audit(self.problem, load, step, self.factor.correction, border=False)
+        if self.volume_row == "printed" or not np.isfinite(step.unknown).all():
+            return step, found
+        return step, replace(found, path=self._path_error(step))
+
+    def _path_error(self, step: Step) -> float:
+        """The shift that closes the volume, over the largest displacement: all that a path can change.
+
+        Under one load the free unknowns are `K^-1 f + Y s` with the border s alone to be found, and its other rows
+        hold exactly: the volume decides, whatever the way.
+        """
+        factor, formulation = self.factor, self.problem.formulation
+        state = self.problem.deformed(step.unknown)
+        row = formulation.deformed_columns(state)[1][factor.free].reshape(-1)
+        target = np.zeros(factor.n_border)
+        target[0] = self.rest_volume - state.volume
+        shift = np.zeros_like(step.unknown)
+        change = factor.solve_updated(np.zeros_like(row), target, row)[0]
+        shift[factor.free] = change.reshape(-1, shift.shape[1])
+        self._largest = max(self._largest, float(np.abs(step.displacement).max()))
+        moved = float(np.abs(formulation.displacement(shift)).max())
+        return moved / self._largest if self._largest > 0.0 else 0.0
 
 
 def sherman_morrison(inverse: Array, change_of_row: Array) -> Array:
