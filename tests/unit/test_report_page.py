@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from studies.case import Limit, ModelLimits, SmallStrainLimits
+from studies.case import Limit, ModelLimits, SmallStrainLimits, StepStatus
 from studies.report import page as page_module
 from studies.report.digest import Digest
 from studies.report.document import script_json
@@ -199,6 +199,25 @@ def test_a_model_that_stopped_is_listed_once_with_where_and_why() -> None:
         words(section(html, "cases")).count("failed") == 6
     )  # displacement and deformation of b, three cases
     assert "incomplete in 3 cases" in words(section(html, "headline"))
+
+
+def test_a_usable_step_with_a_message_is_listed_as_a_reservation() -> None:
+    noted = StepStatus("converged", "the load steps move the answer by 2e-3", "take smaller load steps")
+    cases = [
+        make_case({"a": 0.1, "b": 0.2}, label=f"k = {k}", swept={"k": float(k)}, subdivisions=0)
+        for k in range(2)
+    ]
+    for case in cases:
+        plain = case.models["b"]
+        assert isinstance(case.models, dict)
+        case.models["b"] = dataclasses.replace(plain, status=(noted, noted, *plain.status[2:]))
+    text = words(section(page_html(make_run(cases), no_pictures), "failures"))
+    assert "Results that the model itself has a reservation about" in text
+    assert (
+        "b k = 0, load factor 0.5, and in 1 other case the load steps move the answer by 2e-3 take smaller load"
+        in text
+    )
+    assert "stopped" not in text
 
 
 def test_all_measures_with_definitions(html: str) -> None:
