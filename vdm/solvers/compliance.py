@@ -26,16 +26,32 @@ BATCH = 32
 
 @dataclass(frozen=True)
 class _Shortened:
-    """Columns (M, k) as basis (M, r) times mix (r, k), but for some rows (m,), which are kept as block (m, k)."""
+    """Columns (d N + 1, k), but for some rows (m,), as a basis (N, r) times a mix (r, k) for each of d components.
 
-    basis: Array
-    mix: Array
+    A component needs half as many directions as all of them together. The rows are kept as block (m, k), the mixes
+    are one matrix (sum of r, k).
+    """
+
+    bases: tuple[Array, ...]
+    mixes: Array
     rows: Index
     block: Array
 
+    @property
+    def nbytes(self) -> int:
+        """Bytes that an answer reads."""
+        return sum(basis.nbytes for basis in self.bases) + self.mixes.nbytes + self.block.nbytes
+
     def answer(self, pressure: Array) -> Array:
         """The columns times a vector (k,)."""
-        answer: Array = self.basis @ (self.mix @ pressure)
+        n = len(self.bases[0])
+        answer = np.empty(len(self.bases) * n + 1, dtype=self.block.dtype)
+        mixed = self.mixes @ pressure
+        first = 0
+        for c, basis in enumerate(self.bases):
+            last = first + basis.shape[1]
+            np.matmul(basis, mixed[first:last], out=answer[c * n : (c + 1) * n])
+            first = last
         answer[self.rows] = self.block @ pressure
         return answer
 
@@ -72,7 +88,7 @@ class ContactCompliance:
         self._short: _Shortened | None = None
 
     def prepare(self, nodes: Index) -> Array:
-        """Columns (n d + 1, k) of the contact nodes (k,): unknowns, then dP.
+        """Columns (d N + 1, k) of the contact nodes (k,): unknowns, one component after the other, then dP.
 
         Raises
         ------
@@ -104,13 +120,13 @@ class ContactCompliance:
         if self._frames == 2 and self.dtype is np.float32:
             self._short = self._shortened(columns)
         answer = columns @ pressure if self._short is None else self._short.answer(pressure)
-        return answer[:-1].reshape(-1, self.problem.formulation.components), float(answer[-1])
+        return answer[:-1].reshape(self.problem.formulation.components, -1).T, float(answer[-1])
 
     @property
     def frame_bytes(self) -> int:
         """Bytes of what the next frame on the same nodes reads."""
         short = self._short
-        return self._active[1].nbytes if short is None else short.basis.nbytes + short.block.nbytes
+        return self._active[1].nbytes if short is None else short.nbytes
 
     def _shortened(self, columns: Array) -> _Shortened | None:
         """The columns with a shorter basis for all nodes far from the contact, None where that saves little."""
@@ -122,17 +138,21 @@ class ContactCompliance:
         if np.mean(~near) < WORTH:
             return None
         # dP, in the last row, is not a displacement and is kept as it is
-        rows = np.append(np.flatnonzero(np.repeat(near, formulation.components)), len(columns) - 1)
+        rows = np.append(np.flatnonzero(np.tile(near, formulation.components)), len(columns) - 1)
         far = columns.astype(np.float64)
         largest = np.sqrt(np.linalg.eigvalsh(far[:-1].T @ far[:-1])[-1])
         far[rows] = 0.0
-        squares, directions = np.linalg.eigh(far.T @ far)
-        kept = np.sqrt(np.cumsum(np.maximum(squares, 0.0))) > LEFT_OUT * largest
-        if kept.mean() > 1.0 - WORTH:
+        bases: list[Array] = []
+        mixes: list[Array] = []
+        for part in np.split(far[:-1], formulation.components):
+            squares, directions = np.linalg.eigh(part.T @ part)
+            kept = np.sqrt(np.cumsum(np.maximum(squares, 0.0))) > LEFT_OUT * largest
+            bases.append((part @ directions[:, kept]).astype(self.dtype, order="F"))
+            mixes.append(directions[:, kept].T)
+        mix = np.concatenate(mixes).astype(self.dtype)
+        if len(mix) > (1.0 - WORTH) * columns.shape[1] * len(bases):
             return None
-        basis: Array = (far @ directions[:, kept]).astype(self.dtype, order="F")
-        mix: Array = directions[:, kept].T.astype(self.dtype, order="C")
-        return _Shortened(basis, mix, rows, np.asfortranarray(columns[rows]))
+        return _Shortened(tuple(bases), mix, rows, np.asfortranarray(columns[rows]))
 
     def _compute(self, nodes: list[int]) -> None:
         formulation, factor = self.problem.formulation, self.factor
@@ -149,4 +169,4 @@ class ContactCompliance:
         x = np.zeros((n, d, len(nodes)))
         x[factor.free] = answer.reshape(-1, d, len(nodes))
         for k, node in enumerate(nodes):
-            self._columns[node] = np.append(x[:, :, k].reshape(-1), border[0, k]).astype(self.dtype)
+            self._columns[node] = np.append(x[:, :, k].T.reshape(-1), border[0, k]).astype(self.dtype)
