@@ -149,7 +149,7 @@ class ContactCompliance:
             kept = np.sqrt(np.cumsum(np.maximum(squares, 0.0))) > LEFT_OUT * largest
             bases.append((part @ directions[:, kept]).astype(self.dtype, order="F"))
             mixes.append(directions[:, kept].T)
-        mix = np.concatenate(mixes).astype(self.dtype)
+        mix: Array = np.asarray(np.concatenate(mixes), dtype=self.dtype)
         if len(mix) > (1.0 - WORTH) * columns.shape[1] * len(bases):
             return None
         return _Shortened(tuple(bases), mix, rows, np.asfortranarray(columns[rows]))
