@@ -13,7 +13,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from .nearest import distances_and_farthest
+from .nearest import Neighbourhood
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -132,6 +132,7 @@ class Surface:
     triangles: Index
     contact: Mask = field(default_factory=lambda: np.zeros(0, dtype=bool))  # (N,) nodes under contact
     contact_force: Array = field(default_factory=lambda: np.zeros((0, 3)))  # (N, 3) at load factor 1
+    body: Surface | None = None  # the same in no contact, of which what is measured is measured once for all
 
     @cached_property
     def areas(self) -> Array:
@@ -159,9 +160,16 @@ class Surface:
         """Enclosed volume [m^3]."""
         return enclosed_volume(self.points, self.triangles)
 
+    @cached_property
+    def neighbourhood(self) -> Neighbourhood:
+        """For distances between deformed surfaces."""
+        return (
+            self.body.neighbourhood if self.body is not None else Neighbourhood(self.points, self.triangles)
+        )
+
     def under(self, contact: Mask, contact_force: Array) -> Surface:
         """The same surface in another contact; what is measured of it is measured once."""
-        other = replace(self, contact=contact, contact_force=contact_force)
+        other = replace(self, contact=contact, contact_force=contact_force, body=self)
         for name in ("areas", "volume_gradient", "normals", "rigid_motions", "volume"):
             other.__dict__[name] = getattr(self, name)
         return other
@@ -339,7 +347,7 @@ def _with_distances(surface: Surface, models: Sequence[History], reference: Hist
     ]
     if usable:
         deformed = surface.points + np.stack([models[place].displacement[step] for place in usable])
-        there, farthest = distances_and_farthest(deformed, surface.points + r, surface.triangles)
+        there, farthest = surface.neighbourhood.distances_and_farthest(deformed, surface.points + r)
         for place, distance, most in zip(usable, there, farthest, strict=True):
             found[place] = replace(models[place], distances=(distance, float(most)))
     return found

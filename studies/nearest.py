@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
+from functools import cached_property
+
 import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
-Mask = NDArray[np.bool_]
 
-_MOST_AT_ONCE = (
-    10_000  # nodes: small surfaces are searched together, for large ones that is memory for nothing
-)
+_NEAR = 64  # facets around a node that are measured at rest
+# pairs of a node and a facet: small surfaces are searched together, for large ones that is memory for nothing
+_MOST_AT_ONCE = 200_000
 
 
 def nearest_on_surface(queries: Array, points: Array, triangles: Index) -> tuple[Array, Index, Array]:
@@ -23,115 +24,188 @@ def nearest_on_surface(queries: Array, points: Array, triangles: Index) -> tuple
     facet : (Q,) index of the facet that holds the nearest point
     weights : (Q, 3) barycentric coordinates of the nearest point in that facet
     """
-    distance, facet, weights = _nearest(queries[None], points[None], triangles)
-    return distance[0], facet[0], weights[0]
-
-
-def distances_and_farthest(surfaces: Array, reference: Array, triangles: Index) -> tuple[Array, Array]:
-    """How far B surfaces (B, N, 3) are from another of the same facets (N, 3).
-
-    Returns
-    -------
-    distance : (B, N) of their nodes to the other surface [m]
-    farthest : (B,) the largest of these and of the distances of the other's nodes to each [m]
-    """
-    at_once = max(1, _MOST_AT_ONCE // len(reference))
-    parts, largest = [], []
-    for first in range(0, len(surfaces), at_once):
-        some = surfaces[first : first + at_once]
-        others = np.broadcast_to(reference, some.shape)
-        there = _nearest(some, others, triangles)[0]
-        farthest = there.max(axis=1)
-        # a node of the other surface is no further from this one than from the node that it corresponds to
-        open_to = np.linalg.norm(some - others, axis=2) > farthest[:, None]
-        back = _nearest(others, some, triangles, open_to)[0]
-        parts.append(there)
-        largest.append(np.maximum(farthest, np.where(open_to, back, 0.0).max(axis=1)))
-    return np.concatenate(parts), np.concatenate(largest)
-
-
-def _nearest(
-    queries: Array, points: Array, triangles: Index, wanted: Mask | None = None
-) -> tuple[Array, Index, Array]:
-    """`nearest_on_surface` of queries (B, Q, 3), or those of them that are `wanted`, on B surfaces (B, N, 3)."""
-    from scipy.spatial import cKDTree  # slow to load, and reading results needs none
-
-    corners = points[:, triangles]
-    centroids = corners.mean(axis=2)
-    reach = np.linalg.norm(corners - centroids[:, :, None], axis=3).max(axis=(1, 2))
-    # each tree is made for one query
-    trees = [cKDTree(centres, balanced_tree=False, compact_nodes=False) for centres in centroids]
-    facets = _Facets(corners.reshape(-1, 3, 3))
-    n_surfaces, n_queries = queries.shape[:2]
-    n_facets = len(triangles)
-    flat = queries.reshape(-1, 3)
-    distance = np.full(len(flat), np.inf)
-    facet = np.zeros(len(flat), dtype=np.int64)
-    weights = np.zeros((len(flat), 3))
-    pending = np.arange(len(flat)) if wanted is None else np.flatnonzero(wanted)
-    k = min(8, n_facets)
+    facets = _Facets(points, triangles)
+    distance = np.full(len(queries), np.inf)
+    facet = np.zeros(len(queries), dtype=np.int64)
+    weights = np.zeros((len(queries), 3))
+    pending = np.arange(len(queries))
+    k = min(8, len(triangles))
     while len(pending):
-        of = pending // n_queries
-        ends = np.searchsorted(of, np.arange(n_surfaces + 1))
-        centre_distance, candidates = np.empty((len(pending), k)), np.empty((len(pending), k), dtype=np.int64)
-        for tree, first, end in zip(trees, ends, ends[1:], strict=False):
-            found = tree.query(flat[pending[first:end]], k=k)
-            centre_distance[first:end], candidates[first:end] = (np.reshape(part, (-1, k)) for part in found)
-        gaps, along_u, along_v = facets.nearest(flat[pending], candidates + n_facets * of[:, None])
+        centre_distance, candidates = facets.by_centroid(queries[pending], k)
+        gaps, s, t = facets.nearest(queries[pending], candidates)
         rows, best = np.arange(len(pending)), np.argmin(gaps, axis=1)
         distance[pending] = np.sqrt(gaps[rows, best])
         facet[pending] = candidates[rows, best]
-        u, v = along_u[rows, best], along_v[rows, best]
-        weights[pending] = np.stack([1 - u - v, u, v], axis=1)
-        if k == n_facets:
+        s, t = s[rows, best], t[rows, best]
+        weights[pending] = np.stack([1 - s - t, s, t], axis=1)
+        if k == len(triangles):
             break
         # a facet further away than this by its centroid cannot be nearer
-        pending = pending[centre_distance[:, -1] < distance[pending] + reach[of]]
-        k = min(4 * k, n_facets)
-    shape = (n_surfaces, n_queries)
-    return distance.reshape(shape), facet.reshape(shape), weights.reshape(*shape, 3)
+        pending = pending[centre_distance[:, -1] < distance[pending] + facets.reach]
+        k = min(4 * k, len(triangles))
+    return distance, facet, weights
+
+
+class Neighbourhood:
+    """A surface of N nodes and F facets at rest, for the distances between displaced copies of it.
+
+    A node of one copy is mostly nearest to a facet of another at the same node. Only these are looked at where the
+    distance at rest to all other facets, less what the displacements can have taken of it, proves that this is so.
+    """
+
+    def __init__(self, points: Array, triangles: Index) -> None:
+        self.points, self.triangles = points, triangles
+        facet, corner = np.divmod(np.argsort(triangles, axis=None, kind="stable"), 3)
+        # pairs of a node and a facet at it, by node: the facet's corners, the node first
+        self._pairs = np.stack([triangles[facet, (corner + k) % 3] for k in range(3)])  # (3, 3 F)
+        self._ends = np.searchsorted(self._pairs[0], np.arange(len(points) + 1))
+
+    def distances_and_farthest(self, copies: Array, other: Array) -> tuple[Array, Array]:
+        """How far B displaced copies (B, N, 3) are from another (N, 3).
+
+        Returns
+        -------
+        distance : (B, N) of their nodes to the other surface [m]
+        farthest : (B,) the largest of these and of the distances of the other's nodes to each [m]
+        """
+        at_once = max(1, _MOST_AT_ONCE // self._pairs.shape[1])
+        parts = [copies[first : first + at_once] for first in range(0, len(copies), at_once)]
+        nodes = np.arange(len(self.points))
+        there = np.concatenate([self._distances(part, other, nodes) for part in parts])
+        farthest = there.max(axis=1)
+        # a node of the other surface is no further from this one than from the node that it corresponds to
+        bounds = np.linalg.norm(copies - other, axis=2)
+        for place, copy in enumerate(copies):
+            still = np.flatnonzero(bounds[place] > farthest[place])
+            if len(still):
+                farthest[place] = max(farthest[place], self._distances(other[None], copy, still).max())
+        return there, farthest
+
+    def _distances(self, copies: Array, other: Array, nodes: Index) -> Array:
+        """(B, n) distances of n nodes of the copies (B, N, 3) to another (N, 3)."""
+        counts = self._ends[nodes + 1] - self._ends[nodes]
+        starts = np.cumsum(counts) - counts
+        pairs = self._pairs[:, np.arange(counts.sum()) + np.repeat(self._ends[nodes] - starts, counts)]
+        corner, second, third = np.ascontiguousarray(other.T)[:, pairs].swapaxes(0, 1)
+        u, v = second - corner, third - corner
+        # a node is as far from the first corner as the copies are apart there
+        apart = np.ascontiguousarray((copies - other).transpose(2, 0, 1))
+        gaps, _, _ = _nearest_in(apart[:, :, pairs[0]], u, v, _squares(u, v))
+        distance: Array = np.sqrt(np.minimum.reduceat(gaps, starts, axis=1))
+        for row, copy in zip(distance, copies, strict=True):
+            open_to = self._unproven(row, copy, other, nodes)
+            if len(open_to):
+                row[open_to] = nearest_on_surface(copy[nodes[open_to]], other, self.triangles)[0]
+        return distance
+
+    def _unproven(self, distance: Array, copy: Array, other: Array, nodes: Index) -> Index:
+        """Places among n `nodes` to which another facet than their own may be nearer than `distance` (n,).
+
+        A point of a facet moves by a mean of what its corners move by. So a facet at `a` from a node at rest is no
+        nearer to it than `a` less the largest difference between the node's displacement and those of the corners.
+        """
+        clearance, beyond, around = self._at_rest
+        moved, others = copy[nodes] - self.points[nodes], other - self.points
+        middle = 0.5 * (others.min(axis=0) + others.max(axis=0))
+        most = np.linalg.norm(moved - middle, axis=1) + np.linalg.norm(others - middle, axis=1).max()
+        places = np.flatnonzero(distance >= np.minimum(clearance, beyond)[nodes] - most)
+        if not len(places):
+            return places
+        some = nodes[places]  # the displacements around them differ less
+        near = np.linalg.norm(others[around[some]] - moved[places, None], axis=2).max(axis=1)
+        return places[distance[places] >= np.minimum(clearance[some] - near, beyond[some] - most[places])]
+
+    @cached_property
+    def _at_rest(self) -> tuple[Array, Array, Index]:
+        """How far the nodes are from facets that they are no corner of.
+
+        Returns
+        -------
+        clearance : (N,) distance to the nearest of these facets, if it is among the `_NEAR` nearest by centroid
+        beyond : (N,) bound from below of the distance to all further facets
+        around : (N, K) corners of the nearest facets, filled up with the node itself
+        """
+        facets = _Facets(self.points, self.triangles)
+        n_nodes, k = len(self.points), min(_NEAR, len(self.triangles))
+        clearance, beyond = np.full(n_nodes, np.inf), np.full(n_nodes, np.inf)
+        around = np.repeat(np.arange(n_nodes)[:, None], 3 * k, axis=1)
+        width = 1
+        for first in range(0, n_nodes, _MOST_AT_ONCE // _NEAR):
+            nodes = np.arange(n_nodes)[first : first + _MOST_AT_ONCE // _NEAR]
+            centre_distance, near = facets.by_centroid(self.points[nodes], k)
+            gaps, _, _ = facets.nearest(self.points[nodes], near)
+            corners = self.triangles[near]
+            own = (corners == nodes[:, None, None]).any(axis=2)
+            clearance[nodes] = np.sqrt(np.where(own, np.inf, gaps).min(axis=1))
+            if k < len(self.triangles):
+                beyond[nodes] = centre_distance[:, -1] - facets.reach
+            corners = np.sort(corners.reshape(len(nodes), -1), axis=1)
+            place: Index = np.cumsum(np.diff(corners, axis=1, prepend=corners[:, :1]) > 0, axis=1)
+            np.put_along_axis(around[first : first + len(nodes)], place, corners, axis=1)
+            width = max(width, int(place.max()) + 1)
+        return clearance, beyond, around[:, :width].copy()
 
 
 class _Facets:
-    """Triangles as a corner a and the edges u = b - a and v = c - a, component by component."""
+    """Triangles as a corner and the edges u and v from it, by component, to be found by centroid."""
 
-    def __init__(self, corners: Array) -> None:
-        self.a, b, c = (np.ascontiguousarray(corners[:, i].T) for i in range(3))
-        self.u, self.v = b - self.a, c - self.a
-        self.uu, self.uv, self.vv = (
-            np.einsum("if,if->f", x, y) for x, y in ((self.u, self.u), (self.u, self.v), (self.v, self.v))
-        )
+    def __init__(self, points: Array, triangles: Index) -> None:
+        from scipy.spatial import cKDTree  # slow to load, and reading results needs none
+
+        corners = points[triangles]
+        centroids = corners.mean(axis=1)
+        self.reach = float(np.linalg.norm(corners - centroids[:, None], axis=2).max())
+        self._tree = cKDTree(centroids, balanced_tree=False, compact_nodes=False)  # it is made for one query
+        self._corner, second, third = np.ascontiguousarray(corners.transpose(1, 2, 0))
+        self._u, self._v = second - self._corner, third - self._corner
+        self._squares = _squares(self._u, self._v)
+
+    def by_centroid(self, queries: Array, k: int) -> tuple[Array, Index]:
+        """(Q, k) distances of the k nearest centroids, rising, and their facets."""
+        distance, facet = self._tree.query(queries, k=k)
+        return np.reshape(distance, (-1, k)), np.reshape(facet, (-1, k))
 
     def nearest(self, queries: Array, candidates: Index) -> tuple[Array, Array, Array]:
-        """For Q queries (Q, 3) and facets (Q, k): squared distance, and s and t of the nearest point a + s u + t v.
+        """`_nearest_in` of Q queries (Q, 3) and k candidate facets of each (Q, k)."""
+        w = queries.T[:, :, None] - self._corner[:, candidates]
+        return _nearest_in(w, self._u[:, candidates], self._v[:, candidates], self._squares[:, candidates])
 
-        By the regions of the plane that a corner, an edge or the inside is nearest to (Ericson, Real-Time Collision
-        Detection, section 5.1.5).
-        """
-        w = [queries[:, i, None] - self.a[i][candidates] for i in range(3)]
-        u, v = ([edge[i][candidates] for i in range(3)] for edge in (self.u, self.v))
-        uu, uv, vv = (part[candidates] for part in (self.uu, self.uv, self.vv))
-        d1, d2 = (x[0] * w[0] + x[1] * w[1] + x[2] * w[2] for x in (u, v))
-        d3, d4, d5, d6 = d1 - uu, d2 - uv, d1 - uv, d2 - vv
-        from_c, from_b, from_a = d1 * d4 - d3 * d2, d5 * d2 - d1 * d6, d3 * d6 - d5 * d4
-        s, t = _share(from_b, from_a + from_b + from_c), _share(from_c, from_a + from_b + from_c)
-        beyond_b, beyond_c = d4 - d3, d5 - d6
-        # the regions, the strongest condition last; an edge without length is no region
-        bc = (from_a <= 0) & (beyond_b >= 0) & (beyond_c >= 0)
-        along = _share(beyond_b, beyond_b + beyond_c)
-        s, t = np.where(bc, 1 - along, s), np.where(bc, along, t)
-        ac = (from_b <= 0) & (d2 >= 0) & (d6 <= 0) & (vv > 0)
-        s, t = np.where(ac, 0.0, s), np.where(ac, _share(d2, d2 - d6), t)
-        at_c = (d6 >= 0) & (d5 <= d6)
-        s, t = np.where(at_c, 0.0, s), np.where(at_c, 1.0, t)
-        ab = (from_c <= 0) & (d1 >= 0) & (d3 <= 0) & (uu > 0)
-        s, t = np.where(ab, _share(d1, d1 - d3), s), np.where(ab, 0.0, t)
-        at_b = (d3 >= 0) & (d4 <= d3)
-        s, t = np.where(at_b, 1.0, s), np.where(at_b, 0.0, t)
-        at_a = (d1 <= 0) & (d2 <= 0)
-        s, t = np.where(at_a, 0.0, s), np.where(at_a, 0.0, t)
-        gap = [w[i] - s * u[i] - t * v[i] for i in range(3)]
-        return gap[0] ** 2 + gap[1] ** 2 + gap[2] ** 2, s, t
+
+def _squares(u: Array, v: Array) -> Array:
+    """(3, ...) u.u, u.v and v.v of vectors (3, ...)."""
+    return np.stack([x[0] * y[0] + x[1] * y[1] + x[2] * y[2] for x, y in ((u, u), (u, v), (v, v))])
+
+
+def _nearest_in(w: Array, u: Array, v: Array, squares: Array) -> tuple[Array, Array, Array]:
+    """For points at w (3, ...) from a corner of triangles with edges u and v (3, ...): what is nearest to them.
+
+    Returns the squared distance (...,), and s and t of the nearest point, which is at s u + t v from the corner. By
+    the regions of the plane that a corner, an edge or the inside is nearest to (Ericson, Real-Time Collision
+    Detection, section 5.1.5).
+    """
+    uu, uv, vv = squares
+    d1, d2 = (x[0] * w[0] + x[1] * w[1] + x[2] * w[2] for x in (u, v))
+    d3, d4, d5, d6 = d1 - uu, d2 - uv, d1 - uv, d2 - vv
+    from_c, from_b, from_a = d1 * d4 - d3 * d2, d5 * d2 - d1 * d6, d3 * d6 - d5 * d4
+    whole = from_a + from_b + from_c
+    s, t = _share(from_b, whole), _share(from_c, whole)
+    beyond_b, beyond_c = d4 - d3, d5 - d6
+    # the regions, the strongest condition last; an edge without length is no region
+    bc = (from_a <= 0) & (beyond_b >= 0) & (beyond_c >= 0)
+    along = _share(beyond_b, beyond_b + beyond_c)
+    s, t = np.where(bc, 1 - along, s), np.where(bc, along, t)
+    ac = (from_b <= 0) & (d2 >= 0) & (d6 <= 0) & (vv > 0)
+    s, t = np.where(ac, 0.0, s), np.where(ac, _share(d2, d2 - d6), t)
+    at_c = (d6 >= 0) & (d5 <= d6)
+    s, t = np.where(at_c, 0.0, s), np.where(at_c, 1.0, t)
+    ab = (from_c <= 0) & (d1 >= 0) & (d3 <= 0) & (uu > 0)
+    s, t = np.where(ab, _share(d1, d1 - d3), s), np.where(ab, 0.0, t)
+    at_b = (d3 >= 0) & (d4 <= d3)
+    s, t = np.where(at_b, 1.0, s), np.where(at_b, 0.0, t)
+    at_a = (d1 <= 0) & (d2 <= 0)
+    s, t = np.where(at_a, 0.0, s), np.where(at_a, 0.0, t)
+    x, y, z = (w[i] - s * u[i] - t * v[i] for i in range(3))
+    return x**2 + y**2 + z**2, s, t
 
 
 def _share(part: Array, whole: Array) -> Array:

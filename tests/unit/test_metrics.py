@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from typing import Any
 
 import numpy as np
 import pytest
@@ -10,7 +11,7 @@ from numpy.testing import assert_allclose
 
 from studies import metrics
 from studies.metrics import History, Surface, evaluate, evaluate_all
-from studies.nearest import distances_and_farthest, nearest_on_surface
+from studies.nearest import nearest_on_surface
 
 # round-off of sums over a few hundred terms of order one
 ROUND = {"rtol": 1e-12, "atol": 1e-14}
@@ -306,16 +307,48 @@ def test_distances_of_many_surfaces_are_those_of_each(monkeypatch: pytest.Monkey
     shifts[1, :, 0] += 0.3  # one surface beside the other
     other = surface.points + size * models[2].displacement[1]
     for at_once in (1, 10_000):
-        monkeypatch.setattr("studies.nearest._MOST_AT_ONCE", at_once)
-        deformed = surface.points + shifts
-        there, farthest = distances_and_farthest(deformed, other, surface.triangles)
-        for place, points in enumerate(deformed):
-            one = nearest_on_surface(points, other, surface.triangles)[0]
-            back = nearest_on_surface(other, points, surface.triangles)[0]
-            assert_allclose(there[place], one, rtol=0, atol=0)
-            assert farthest[place] == max(one.max(), back.max())
+        monkeypatch.setattr("studies.nearest._MOST_AT_ONCE", at_once * 64)
+        assert_distances(surface, surface.points + shifts, other)
     spike = surface.points.copy()
     spike[surface.points[:, 2].argmax()] *= 2.0  # only the way back from its tip sees how long it is
-    there, farthest = distances_and_farthest(surface.points[None], spike, surface.triangles)
+    there, farthest = surface.neighbourhood.distances_and_farthest(surface.points[None], spike)
     back = nearest_on_surface(spike, surface.points, surface.triangles)[0]
     assert farthest[0] == back.max() > there.max()
+
+
+def assert_distances(surface: Surface, copies: np.ndarray, other: np.ndarray) -> None:
+    """Against the search of the whole surface. Both round at the size of a facet, 0.1 to 1."""
+    there, farthest = surface.neighbourhood.distances_and_farthest(copies, other)
+    for place, points in enumerate(copies):
+        one = nearest_on_surface(points, other, surface.triangles)[0]
+        back = nearest_on_surface(other, points, surface.triangles)[0]
+        assert_allclose(there[place], one, rtol=1e-12, atol=1e-15)
+        assert_allclose(farthest[place], max(one.max(), back.max()), rtol=1e-12, atol=1e-15)
+
+
+def test_distances_where_a_surface_comes_near_to_itself(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Two sheets of a flattened ball, and one pushed through the other: a node's own facets are not the nearest."""
+    surface, _ = bumpy(9)
+    flat = surface.points * [1.0, 1.0, 0.02]
+    generator = np.random.default_rng(5)
+    for rest in (flat, surface.points):
+        body = Surface(rest, surface.triangles)
+        for size in (0.001, 0.03, 0.3):
+            moved = np.stack([rest + size * generator.standard_normal(rest.shape) for _ in range(3)])
+            assert_distances(body, moved[:2], moved[2])
+            assert_distances(body, moved[:2] + np.array([0.0, 0.0, 0.04]), moved[2])
+            assert_distances(body, moved[:2] + 5.0, moved[2] + 5.0)  # far away together
+    searched: list[int] = []
+
+    def counted(queries: np.ndarray, *others: Any) -> Any:
+        searched.append(len(queries))
+        return nearest_on_surface(queries, *others)
+
+    monkeypatch.setattr("studies.nearest.nearest_on_surface", counted)
+    body = Surface(surface.points, surface.triangles)
+    shift = 0.01 * generator.standard_normal(rest.shape)
+    assert_distances(body, surface.points[None] + 5.0 + shift, surface.points + 5.0)
+    assert not searched  # what moves little against its neighbours needs no search, wherever it goes
+    flat_body = Surface(flat, surface.triangles)
+    flat_body.neighbourhood.distances_and_farthest(flat[None] + np.array([0.0, 0.0, 0.04]), flat)
+    assert searched
