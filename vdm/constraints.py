@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -13,6 +13,8 @@ from vdm.surface import SurfaceMesh
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 ContactSign = Literal["inward", "printed"]
+CONTACT_SIGNS: tuple[ContactSign, ...] = get_args(ContactSign)
+LARGEST = 1e100  # of a load, in SI units: beyond it squares overflow
 
 
 class ConstraintError(ValueError):
@@ -114,26 +116,42 @@ def node_mask(mask: ArrayLike | None, name: str, n_nodes: int) -> Mask:
     return array
 
 
-def check_load(load: Load, support: Support) -> None:
-    """Shapes and finiteness of a load.
+def checked_load(load: Load, support: Support) -> Load:
+    """The load with its values as arrays of floats.
 
     Raises
     ------
     ConstraintError
-        wrong shape, nan or inf, or constrained nodes without a displacement.
+        values that are not numbers, a wrong shape, nan, inf or beyond 1e100, or constrained nodes without a
+        displacement.
     """
     n = len(support.fixed)
-    shapes = {"contact_pressure": (n,), "contact_force": (n, 3), "prescribed": (n, 3)}
-    for name, shape in shapes.items():
-        value = getattr(load, name)
-        if value is None:
-            continue
-        if np.shape(value) != shape:
-            raise ConstraintError(f"{name} must have shape {shape}, not {np.shape(value)}")
-        if not np.isfinite(value).all():
-            raise ConstraintError(f"{name} contains nan or inf")
-    if load.prescribed is None and support.constrained.any():
+    pressure = _checked(load.contact_pressure, "contact_pressure", (n,))
+    if pressure is None:
+        raise ConstraintError("contact_pressure is missing; zeros where nothing touches the body")
+    force = _checked(load.contact_force, "contact_force", (n, 3))
+    prescribed = _checked(load.prescribed, "prescribed", (n, 3))
+    if prescribed is None and support.constrained.any():
         raise ConstraintError("constrained nodes need the load's prescribed displacement")
+    return Load(pressure, force, prescribed)
+
+
+def _checked(value: ArrayLike | None, name: str, shape: tuple[int, ...]) -> Array | None:
+    if value is None:
+        return None
+    try:
+        array = np.asarray(value)
+    except ValueError as error:  # rows of different lengths
+        raise ConstraintError(f"{name} must have shape {shape}") from error
+    if array.dtype.kind not in "iuf":
+        raise ConstraintError(f"{name} must be real numbers, not {array.dtype}")
+    if array.shape != shape:
+        raise ConstraintError(f"{name} must have shape {shape}, not {array.shape}")
+    if not np.isfinite(array).all():
+        raise ConstraintError(f"{name} contains nan or inf")
+    if np.abs(array).max(initial=0.0) > LARGEST:
+        raise ConstraintError(f"{name} has values beyond {LARGEST:.0e}; check its unit")
+    return np.asarray(array, dtype=np.float64)
 
 
 def hydrostatic_pressure(surface: SurfaceMesh, density: float, gravity: ArrayLike) -> Array | None:

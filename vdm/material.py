@@ -66,10 +66,9 @@ class Parameters:
         if self.rotation not in ROTATIONS:
             raise ParameterError(f"rotation must be one of {', '.join(ROTATIONS)}, not {self.rotation!r}")
         for name, value in self.moduli().items():
-            array = np.asarray(value, dtype=np.float64)
-            if not np.isfinite(array).all() or np.any(array < 0.0):
+            if not _not_negative(value):
                 raise ParameterError(f"{name} must be finite and not negative")
-        if not (np.isfinite(self.tension_stiffening) and self.tension_stiffening >= 0.0):
+        if not _not_negative(self.tension_stiffening):
             raise ParameterError(
                 f"tension_stiffening must be finite and not negative, not {self.tension_stiffening}"
             )
@@ -191,6 +190,11 @@ class Parameters:
         return record
 
 
+def _not_negative(value: object) -> bool:
+    array = np.asarray(value)
+    return array.dtype.kind in "iuf" and bool(np.isfinite(array).all() and (array >= 0.0).all())
+
+
 def ball_compliance(degree: int) -> float:
     """c_n mu / R of an incompressible ball: u_r = c_n P_n under the normal traction P_n(cos theta), n >= 2.
 
@@ -200,13 +204,8 @@ def ball_compliance(degree: int) -> float:
     return n * (2 * n + 1) / (2.0 * (n - 1) * (2 * n * n + 4 * n + 3))
 
 
-def foundation_from_bulk_modulus(bulk_modulus: float, surface: SurfaceMesh) -> float:
-    """k = B A / V [Pa/m]: the paper's B term is a foundation that is fixed in space."""
-    return bulk_modulus * surface.area / surface.volume
-
-
 def bulk_modulus_from_foundation(foundation: float, surface: SurfaceMesh) -> float:
-    """B = k V / A [Pa]."""
+    """B = k V / A [Pa]: the paper's B term is a foundation that is fixed in space, k = B A / V [Pa/m]."""
     return foundation * surface.volume / surface.area
 
 

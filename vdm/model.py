@@ -9,7 +9,16 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from vdm.constraints import ContactSign, Load, Support, check_load, hydrostatic_pressure, node_mask
+from vdm.constraints import (
+    CONTACT_SIGNS,
+    ConstraintError,
+    ContactSign,
+    Load,
+    Support,
+    checked_load,
+    hydrostatic_pressure,
+    node_mask,
+)
 from vdm.formulations import FORMULATIONS
 from vdm.formulations.base import Factor
 from vdm.formulations.paper import PaperFormulation
@@ -22,7 +31,7 @@ from vdm.solvers.krylov import KrylovSolver
 from vdm.solvers.linear import LinearSolver
 from vdm.solvers.lu import CONSTRAINT_METHODS, ConstraintMethod, LuSolver
 from vdm.solvers.nonlinear import NonlinearSolver
-from vdm.solvers.quasi_linear import QuasiLinearSolver, VolumeRow
+from vdm.solvers.quasi_linear import VOLUME_ROWS, QuasiLinearSolver, VolumeRow
 from vdm.surface import SurfaceMesh
 
 Array = NDArray[np.float64]
@@ -102,7 +111,9 @@ class Model:
         volume_row: VolumeRow = "exact",
     ) -> None:
         start = time.perf_counter()
-        _check_choices(formulation, solver, outputs, constraint_method)
+        _check_choices(formulation, solver, outputs, constraint_method, contact_sign, volume_row)
+        if not np.isfinite(environment_pressure):
+            raise ConstraintError(f"environment_pressure must be finite, not {environment_pressure}")
         self.surface = SurfaceMesh(points, triangles)
         if not isinstance(parameters, Parameters):
             parameters = parameters(self.surface)
@@ -143,8 +154,7 @@ class Model:
         ConstraintError
             a load that does not fit the surface.
         """
-        for load in loads:
-            check_load(load, self.problem.support)
+        loads = [checked_load(load, self.problem.support) for load in loads]
         count, n_nodes = len(loads), self.surface.n_nodes
         displacement, reaction_force = (np.empty((count, n_nodes, 3)) for _ in range(2))
         pressure, energy, seconds, residual, path_error = (np.empty(count) for _ in range(5))
@@ -261,12 +271,19 @@ def _make_solver(
 
 
 def _check_choices(
-    formulation: str, solver: str, outputs: Collection[str], constraint_method: ConstraintMethod
+    formulation: str,
+    solver: str,
+    outputs: Collection[str],
+    constraint_method: ConstraintMethod,
+    contact_sign: ContactSign,
+    volume_row: VolumeRow,
 ) -> None:
     for value, allowed, name in (
         (formulation, tuple(FORMULATIONS), "formulation"),
         (solver, SOLVERS, "solver"),
         (constraint_method, CONSTRAINT_METHODS, "constraint_method"),
+        (contact_sign, CONTACT_SIGNS, "contact_sign"),
+        (volume_row, VOLUME_ROWS, "volume_row"),
         *((output, OUTPUTS, "outputs") for output in outputs),
     ):
         if value not in allowed:

@@ -80,3 +80,15 @@ def test_a_contact_that_moves_within_its_own_array_is_seen(solver):
     moved, _ = displacement(solver, nodes, pressure)
     found = solver.formulation.displacement(unknown)
     assert_allclose(found, moved, rtol=0.0, atol=1e-6 * np.abs(moved).max())
+
+
+def test_the_printed_sign_holds_for_columns_too():
+    material = Parameters.from_tissue(5000.0, 0.4999, BODY, "consistent")
+    body = Model(POINTS, TRIANGLES, material, formulation="consistent", fixed=BASE, contact_sign="printed")
+    pressure = np.linspace(1.0, 50.0, len(PATCH))
+    unknown, fluid = ContactCompliance(body.problem).frame(PATCH, pressure)
+    moved, expected = displacement(body, PATCH, pressure)
+    found = body.formulation.displacement(unknown)
+    assert_allclose(found, moved, rtol=0.0, atol=1e-6 * np.abs(moved).max())
+    assert_allclose(fluid, expected, rtol=1e-6, atol=0.0)
+    assert found[PATCH[0]] @ BODY.normals[PATCH[0]] > 0.0, "bulges towards the finger"

@@ -243,6 +243,18 @@ def test_nonlinear_follower_pressure_balances_in_the_deformed_state():
     assert_allclose(torque, 0.0, rtol=0.0, atol=1e-6 * np.abs(np.cross(positions, applied)).sum())
 
 
+@pytest.mark.parametrize("formulation", ["consistent", "vector", "boundary", "mass-spring"])
+def test_a_small_weight_gives_the_pressure_of_the_linear_model_at_the_same_datum(formulation):
+    # one thousandth of a weight: the body hardly moves, and what is left is where the pressure is measured
+    weight = {"density": 1.0, "gravity": (3.0, 0.0, -9.81)}
+    rest = [Load(np.zeros(len(POINTS)))]
+    pressures = [
+        model(formulation, solver=s, **weight).solve(rest).fluid_pressure[0] for s in ("linear", "nonlinear")
+    ]
+    height = np.ptp(POINTS @ weight["gravity"])
+    assert_allclose(pressures[1], pressures[0], rtol=0.0, atol=1e-3 * height)
+
+
 def test_nonlinear_result_does_not_depend_on_the_path():
     loads = [PUSH.scaled(s) for s in (1.0, 3.0, 2.0)]
     solver = model("vector", solver="nonlinear")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Literal
+from typing import Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +15,7 @@ from vdm.solvers.linear import BorderedFactor
 
 Array = NDArray[np.float64]
 VolumeRow = Literal["exact", "printed"]
+VOLUME_ROWS: tuple[VolumeRow, ...] = get_args(VolumeRow)
 
 
 class QuasiLinearSolver:
