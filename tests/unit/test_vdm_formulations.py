@@ -8,6 +8,7 @@ from numpy.testing import assert_allclose
 
 from tests.unit.vdm_shapes import icosphere, torus
 from vdm import Load, Model, Parameters, SurfaceMesh
+from vdm.deformed import DeformableSurface
 from vdm.formulations.consistent import ConsistentFormulation
 from vdm.formulations.paper import PaperFormulation
 from vdm.formulations.vector import VectorFormulation
@@ -180,3 +181,25 @@ def test_every_modulus_follows_the_fibre(name):
         along = edges[:, 1] / np.linalg.norm(edges, axis=1)
     changed = getattr(Parameters(**{name: 7.0}).anisotropic(BODY, (0.0, 3.0, 0.0), 0.2), name)
     assert_allclose(changed, 7.0 * (1.0 - 0.8 * along**2), rtol=1e-12, atol=0.0)
+
+
+@pytest.mark.parametrize("gamma", [0.0, 40.0])
+def test_paper_tension_at_a_large_displacement_is_equation_8_with_its_stiffening(gamma):
+    bulk, links = 20.0, 300.0
+    form = PaperFormulation(
+        BODY, Parameters(bulk_modulus=bulk, connectivity_modulus=links, tension_stiffening=gamma)
+    )
+    normal = 0.01 * np.random.default_rng(2).standard_normal(BODY.n_nodes)
+    x = (BODY.nodal_areas * normal)[:, None]
+    state = DeformableSurface(BODY).at(normal[:, None] * BODY.normals)
+    areas = state.nodal_areas
+    change, height = areas * normal, BODY.volume / areas.sum()  # V_i = A_i height of the areas as they are
+    expected = bulk * change / height
+    for i, j in BODY.edges:
+        gap = change[i] - change[j]
+        strain = gap / (0.5 * (BODY.nodal_volumes[i] + BODY.nodal_volumes[j]))
+        pull = links * (1.0 + gamma * strain**2) * gap / height
+        expected[i] += pull
+        expected[j] -= pull
+    found = form.deformed_internal_force(x, state)[:, 0]
+    assert_allclose(found, expected, rtol=0.0, atol=1e-12 * np.abs(expected).max())
