@@ -8,8 +8,6 @@ from functools import cached_property
 
 import numpy as np
 
-from fem_reference.mesh import facet_quadrature
-
 from .meshing.mesh import Array, InputError, Mask, Mesh
 from .metrics import corner_sum, facet_area_vectors, nodal_sum
 from .regions import profile_coordinate, select
@@ -65,7 +63,7 @@ class Scene:
     @cached_property
     def _thrust(self) -> Array:
         """(F, 3) integral of pressure times shape function over each facet, per corner [N]."""
-        barycentric, weights = facet_quadrature()
+        barycentric, weights = _quadrature()
         areas = np.linalg.norm(self._area_vectors, axis=1)
         return areas[:, None] * ((self.facet_pressure * weights) @ barycentric)
 
@@ -109,7 +107,7 @@ def build_scene(study: Study, mesh: Mesh, masks: Mapping[str, Mask] | None = Non
     n_nodes = len(mesh.surface_nodes)
     fixed, constrained = np.zeros(n_nodes, dtype=bool), np.zeros(n_nodes, dtype=bool)
     prescribed = np.zeros((n_nodes, 3))
-    pressure = np.zeros((len(mesh.triangles), len(facet_quadrature()[1])))
+    pressure = np.zeros((len(mesh.triangles), len(_quadrature()[1])))
     for constraint in study.constraints:
         mask = masks[constraint.region]
         if not mask.any():
@@ -157,6 +155,13 @@ def build_scene(study: Study, mesh: Mesh, masks: Mapping[str, Mask] | None = Non
     )
 
 
+def _quadrature() -> tuple[Array, Array]:
+    """The reference's rule on a facet; its package is slow to load, and a plan needs no scene."""
+    from fem_reference.mesh import facet_quadrature
+
+    return facet_quadrature()
+
+
 def _contact_pressure(constraint: Constraint, study: Study, mesh: Mesh, mask: Mask) -> Array:
     """(F, Q) pressure of one contact at the quadrature points [Pa].
 
@@ -164,7 +169,7 @@ def _contact_pressure(constraint: Constraint, study: Study, mesh: Mesh, mask: Ma
     every quadrature point, so that it does not change with the mesh: Hertz p0 sqrt(1 - rho^2), Gaussian
     p0 exp(-9/2 rho^2) with its third standard deviation at the rim rho = 1 and nothing beyond.
     """
-    barycentric, weights = facet_quadrature()
+    barycentric, weights = _quadrature()
     if constraint.profile == "uniform":
         shape = np.repeat(np.all(mask[mesh.triangles], axis=1)[:, None].astype(float), len(weights), axis=1)
     else:

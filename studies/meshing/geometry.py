@@ -27,7 +27,6 @@ from .mesh import Array, Index, Mesh, MeshError
 from .mesh_file import check_readable, read_surface, read_tetrahedra
 from .msh_file import read_msh
 from .organ import liver_points
-from .remesh import surface_distance, uniform_surface, unit_sphere
 from .repair import clean_surface, clean_tetrahedra
 from .topology import area_vectors, mesh_from_tetrahedra, mesh_from_triangles, surface_only, surface_volume
 
@@ -94,6 +93,8 @@ def _solid(geometry: Geometry, volume: bool) -> Mesh:
 
 
 def _organ(geometry: Geometry, volume: bool) -> Mesh:
+    from .remesh import unit_sphere  # VTK is slow to load: only where a surface is made anew
+
     sphere, triangles = unit_sphere(_ORGAN_SUBDIVISIONS)
     points = liver_points(sphere)
     return fill_surface(centred(points, geometry.number("size")), triangles, geometry.mesh_size, volume)
@@ -151,6 +152,8 @@ def _placed(points: Array, geometry: Geometry) -> tuple[Array, float]:
 
 def fill_surface(points: Array, triangles: Index, mesh_size: float, volume: bool = True) -> Mesh:
     """Remesh a closed surface [m] uniformly, free it of intersections and fill it with tetrahedra."""
+    from .remesh import surface_distance, uniform_surface
+
     nodes, facets = uniform_surface(points, triangles, mesh_size)
     nodes, fixed = without_intersections(nodes, facets)
     mean_distance, max_distance = surface_distance(points, triangles, nodes, facets)

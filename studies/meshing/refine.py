@@ -7,7 +7,6 @@ not the shape, not the area of a support.
 from __future__ import annotations
 
 import numpy as np
-import skfem
 
 from .mesh import Index, Mask, Mesh
 
@@ -21,6 +20,8 @@ def refine(mesh: Mesh) -> tuple[Mesh, Index]:
     parents : (N, 2) for each surface node of the new mesh the two ends of the coarse edge that it halves;
         an old node twice
     """
+    import skfem  # slow to load, and who only plans refines nothing
+
     coarse = skfem.MeshTet(mesh.points.T.copy(), mesh.tetrahedra.T.copy())
     fine = coarse.refined()
     n_old = len(mesh.points)

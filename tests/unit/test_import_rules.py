@@ -158,3 +158,29 @@ def test_the_report_starts_without_solvers_and_plotting_libraries() -> None:
     result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     heavy = {"scipy", "matplotlib", "PIL", "vdm", "fem_reference", "gmsh", "vtkmodules"}
     assert not heavy & set(ast.literal_eval(result.stdout))
+
+
+def test_what_only_plans_and_reports_starts_without_the_libraries_of_those_who_compute() -> None:
+    """The runner of a study leaves meshing and solving to its workers; each library costs it up to a second."""
+    code = (
+        "import sys\n"
+        "from studies.study_file.config import expand, load_study\n"
+        "import studies.run, studies.plan, studies.report.page, pathlib, tempfile\n"
+        "study = load_study(pathlib.Path('studies/cases/quickstart.toml'))\n"
+        "with tempfile.TemporaryDirectory() as name:\n"
+        "    where = pathlib.Path(name)\n"
+        "    assert studies.plan.make_plan(study, expand(study), where, where).cases\n"
+        "print(sorted({name.split('.')[0] for name in sys.modules}))"
+    )
+    result = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=ROOT
+    )
+    solving = {"scipy", "skfem", "pyamg", "vdm"}
+    heavy = solving | {"gmsh", "meshio", "pyvista", "vtkmodules", "matplotlib", "PIL", "pint"}
+    assert not heavy & set(ast.literal_eval(result.stdout))
+
+
+def test_making_a_solid_starts_no_renderer() -> None:
+    code = "import sys, studies.meshing.geometry; print(sorted({name.split('.')[0] for name in sys.modules}))"
+    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert not {"pyvista", "vtkmodules", "pyacvd", "matplotlib"} & set(ast.literal_eval(result.stdout))
