@@ -8,11 +8,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from .mesh import Index, Mask, Mesh
+from .mesh import Array, Index, Mask, Mesh
 
 
 def refine(mesh: Mesh) -> tuple[Mesh, Index]:
-    """Split every tetrahedron into eight and every facet into four.
+    """Split every tetrahedron into eight and every facet into four; facets alone where no model needs the inside.
 
     Returns
     -------
@@ -20,25 +20,11 @@ def refine(mesh: Mesh) -> tuple[Mesh, Index]:
     parents : (N, 2) for each surface node of the new mesh the two ends of the coarse edge that it halves;
         an old node twice
     """
-    import skfem  # slow to load, and who only plans refines nothing
-
-    coarse = skfem.MeshTet(mesh.points.T.copy(), mesh.tetrahedra.T.copy())
-    fine = coarse.refined()
-    n_old = len(mesh.points)
-    # the halves of a tetrahedron come with either orientation
-    tetrahedra = fine.t.T.astype(np.int64)
-    a, b, c, d = (fine.p.T[tetrahedra[:, k]] for k in range(4))
-    inverted = np.einsum("ij,ij->i", np.cross(b - a, c - a), d - a) < 0
-    tetrahedra[inverted, :2] = tetrahedra[inverted, 1::-1]
-    ends = coarse.edges.T  # node n_old + e halves edge e
-
-    surface_index = np.full(n_old, -1)
-    surface_index[mesh.surface_nodes] = np.arange(len(mesh.surface_nodes))
     # edges of the body may join two surface nodes through the inside: only those of facets lie on the surface
     facets = np.sort(mesh.triangles, axis=1)
     pairs = np.unique(np.concatenate([facets[:, [0, 1]], facets[:, [1, 2]], facets[:, [0, 2]]]), axis=0)
-    edge_of = {tuple(sorted(pair)): edge for edge, pair in enumerate(ends.tolist())}
-    middles = np.array([n_old + edge_of[tuple(sorted(p))] for p in mesh.surface_nodes[pairs].tolist()])
+    split = _split_inside if len(mesh.tetrahedra) else _split_surface
+    points, tetrahedra, middles = split(mesh, mesh.surface_nodes[pairs])
     order = np.argsort(middles)
     pairs, middles = pairs[order], middles[order]
 
@@ -50,12 +36,35 @@ def refine(mesh: Mesh) -> tuple[Mesh, Index]:
         triangles += [(a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca)]
     old = np.arange(n_surface)
     refined = Mesh(
-        points=np.ascontiguousarray(fine.p.T),
+        points=points,
         tetrahedra=tetrahedra,
         surface_nodes=np.concatenate([mesh.surface_nodes, middles]),
         triangles=np.array(triangles),
     )
     return refined, np.concatenate([np.column_stack([old, old]), pairs])
+
+
+def _split_inside(mesh: Mesh, pairs: Index) -> tuple[Array, Index, Index]:
+    """Points, the eight tetrahedra of each, and the points that halve the edges `pairs` (k, 2)."""
+    import skfem  # slow to load, and who only plans refines nothing
+
+    coarse = skfem.MeshTet(mesh.points.T.copy(), mesh.tetrahedra.T.copy())
+    fine = coarse.refined()
+    # the halves of a tetrahedron come with either orientation
+    tetrahedra = fine.t.T.astype(np.int64)
+    a, b, c, d = (fine.p.T[tetrahedra[:, k]] for k in range(4))
+    inverted = np.einsum("ij,ij->i", np.cross(b - a, c - a), d - a) < 0
+    tetrahedra[inverted, :2] = tetrahedra[inverted, 1::-1]
+    # node n + e halves edge e
+    edge_of = {tuple(sorted(pair)): edge for edge, pair in enumerate(coarse.edges.T.tolist())}
+    middles = np.array([len(mesh.points) + edge_of[tuple(sorted(pair))] for pair in pairs.tolist()])
+    return np.ascontiguousarray(fine.p.T), tetrahedra, middles
+
+
+def _split_surface(mesh: Mesh, pairs: Index) -> tuple[Array, Index, Index]:
+    """The same where there is no inside."""
+    points = np.concatenate([mesh.points, mesh.points[pairs].mean(axis=1)])
+    return points, mesh.tetrahedra, len(mesh.points) + np.arange(len(pairs))
 
 
 def inherit(mask: Mask, mesh: Mesh, parents: Index) -> Mask:

@@ -7,6 +7,7 @@ from numpy.testing import assert_allclose
 
 from studies.meshing.mesh import Mesh
 from studies.meshing.refine import inherit, refine
+from studies.meshing.topology import surface_only
 from studies.metrics import enclosed_volume, facet_area_vectors
 
 
@@ -41,6 +42,25 @@ def test_refinement_keeps_body_and_surface() -> None:
     assert_allclose(children, np.repeat(whole[:, None] / 4, 4, axis=1), rtol=1e-13, atol=1e-15)
     middles = coarse.surface_points[parents].mean(axis=1)
     assert_allclose(fine.surface_points, middles, rtol=1e-15, atol=1e-16)
+
+
+def test_a_surface_without_an_inside_is_split_as_that_of_a_body() -> None:
+    body = wedge()
+    fine, parents = refine(body)
+    bare, same_parents = refine(surface_only(body))
+    assert bare.tetrahedra.shape == (0, 4)
+    assert_allclose(bare.points, bare.surface_points, rtol=0, atol=0)
+    # the middles of the edges may come in another order
+    place = {tuple(row): node for node, row in enumerate(np.sort(same_parents, axis=1).tolist())}
+    order = np.array([place[tuple(row)] for row in np.sort(parents, axis=1).tolist()])
+    assert_allclose(bare.surface_points[order], fine.surface_points, rtol=0, atol=1e-15)
+    facets = {tuple(sorted(row)) for row in order[fine.triangles].tolist()}
+    assert facets == {tuple(sorted(row)) for row in bare.triangles.tolist()}
+    assert_allclose(
+        enclosed_volume(bare.surface_points, bare.triangles), volumes(body).sum(), rtol=1e-14, atol=0
+    )
+    again, _ = refine(bare)
+    assert len(again.triangles) == 16 * len(body.triangles)
 
 
 def test_the_boundary_of_the_tetrahedra_is_the_surface() -> None:

@@ -397,3 +397,30 @@ def test_a_soft_penalty_says_that_held_nodes_move(formulation, method):
         codes.append(status.code)
     assert codes[0] == "inaccurate"
     assert codes[-1] == "converged"
+
+
+@pytest.mark.parametrize("method", ["penalty-added", "penalty-replaced"])
+def test_a_penalty_is_that_of_equations_25_and_26(method):
+    constrained = POINTS[:, 0] > 0.045
+    load = Load(PUSH.contact_pressure, None, np.where(constrained[:, None], [1e-4, 0.0, 2e-4], 0.0))
+    body = model(
+        "paper",
+        solver="lu",
+        constraint_method=method,
+        penalty=10.0,
+        constrained=constrained,
+        density=1000.0,
+        gravity=(0.0, 0.0, -9.81),
+    )
+    form, held = body.formulation, BASE | constrained
+    matrix = form.state_matrix().toarray()
+    alpha = 10.0 * np.abs(np.diag(matrix)).max()
+    right = np.append(form.row_scale * body.problem.force(load)[:, 0], 0.0)
+    given = np.einsum("ic,ic->i", load.prescribed, BODY.normals)  # C of (26), zero at fixed nodes
+    for i in np.flatnonzero(held):
+        added = method == "penalty-added"
+        matrix[i, i] = alpha + (matrix[i, i] if added else 0.0)
+        right[i] = alpha * given[i] + (right[i] if added else 0.0)
+    expected = np.linalg.solve(matrix, right)[:-1, None] * BODY.normals
+    found = body.solve([load]).displacement[0]
+    assert_allclose(found, expected, rtol=0.0, atol=1e-10 * np.abs(expected).max())

@@ -15,7 +15,7 @@ from studies.metrics import METRICS, History, Surface, evaluate, relative_l2
 from studies.reference import own_error, refined_reference
 from studies.scene import Scene, build_scene
 from studies.study_file.config import geometry_of
-from studies.study_file.schema import Study
+from studies.study_file.schema import Study, VdmTable
 from studies.uncertainty import reference_bar, stored_estimate
 
 VECTOR = "relative_l2_displacement_error"
@@ -110,3 +110,29 @@ def test_a_restricted_level_keeps_its_forces_and_steps(scene: Scene) -> None:
     assert_allclose(np.linalg.norm(total, axis=1), [0.1, 0.2], rtol=1e-6, atol=0)
     assert_allclose(total[1], coarse.reaction_force[1].sum(axis=0), rtol=0, atol=2e-3)
     assert not finest.reaction_force[:, ~scene.held].any()
+
+
+@pytest.mark.parametrize(
+    ("model", "moduli", "behaviour"),
+    [
+        ("vdm-paper", {"bulk_modulus": 1.0, "connectivity_modulus": 2e3}, "diverging"),
+        ("vdm-consistent", {"foundation": 5e4, "surface_tension": 35.0}, "converging"),
+    ],
+)
+def test_levels_of_a_surface_model_without_an_inside(
+    model: str, moduli: dict[str, float], behaviour: str
+) -> None:
+    """A study of surface models alone has no tetrahedra to split; the printed form does not converge on its levels."""
+    study = STUDY.model_copy(update={"vdm": VdmTable(**moduli)})
+    scene = build_scene(study, build_mesh(geometry_of(study), volume=False))
+    assert len(scene.mesh.tetrahedra) == 0
+    finest, error = refined_reference(study, scene, model, models.run_model(scene, model), 4)
+    assert finest.displacement.shape == (2, len(scene.fixed), 3)
+    estimate = stored_estimate(error)
+    assert estimate is not None
+    assert estimate.behaviour == behaviour
+    if behaviour == "diverging":
+        # a tension that shrinks with the square of the mesh size: four times the displacement on every level
+        assert_allclose(estimate.observed_order, -2.0, rtol=0, atol=0.1)
+    else:
+        assert estimate.error < 0.01
