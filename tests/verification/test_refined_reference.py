@@ -122,7 +122,7 @@ def test_a_restricted_level_keeps_its_forces_and_steps(scene: Scene) -> None:
 def test_levels_of_a_surface_model_without_an_inside(
     model: str, moduli: dict[str, float], behaviour: str
 ) -> None:
-    """A study of surface models alone has no tetrahedra to split; the printed form does not converge on its levels."""
+    """A study of surface models alone has nothing to split but facets; the printed form does not converge."""
     study = STUDY.model_copy(update={"vdm": VdmTable(**moduli)})
     scene = build_scene(study, build_mesh(geometry_of(study), volume=False))
     assert len(scene.mesh.tetrahedra) == 0
