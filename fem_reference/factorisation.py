@@ -13,23 +13,16 @@ from numpy.typing import NDArray
 from scipy.sparse import csc_array, csc_matrix, diags_array
 from scipy.sparse.linalg import splu
 
+from fem_reference import costs
+from fem_reference.costs import superlu_bytes
 from fem_reference.system import LinearSystem
-
-try:
-    import rslab
-except (ImportError, OSError):  # no wheel for this machine, or one whose shared libraries are missing
-    rslab = None  # type: ignore[assignment]
 
 Array = NDArray[np.float64]
 
-LIBRARY = "SuperLU" if rslab is None else "rslab"
+LIBRARY = "SuperLU" if costs.rslab is None else "rslab"
 """Name of the library in use, recorded with every solution that it served."""
 
 _LEAST_COMPRESSIBILITY = 1e-7
-# Entries of SuperLU's L and U of a P2-P1 system with 1e5 unknowns and the exponent of their growth, and the bytes
-# that an entry takes at the peak in single and double precision: balls and cubes of 4,000 to 28,000 unknowns.
-_FILL, _FILL_EXPONENT = 5.5e8, 1.6
-_BYTES_PER_ENTRY = {"float32": 8.5, "float64": 13.0}
 
 
 class Factor(Protocol):
@@ -64,7 +57,7 @@ class Analysis(Protocol):
 
 def analyse(lower: csc_array) -> Analysis:
     """Analyse the pattern of the symmetric matrix with this lower triangle."""
-    return _SuperLU(lower) if rslab is None else _Rslab(lower)
+    return _SuperLU(lower) if costs.rslab is None else _Rslab(lower)
 
 
 def pivotable_triangle(system: LinearSystem) -> csc_array:
@@ -76,24 +69,9 @@ def pivotable_triangle(system: LinearSystem) -> csc_array:
     return system.lower_triangle(max(system.compressibility, floor))
 
 
-def direct_seconds(unknowns: float, loads: float) -> float:
-    """Estimate for one core: a factorisation and the solves of the mixed system, by the library in use [s]."""
-    size = unknowns / 1e5
-    if rslab is None:
-        return 450.0 * size**2.35 + loads * 0.7 * size**_FILL_EXPONENT
-    return 10.0 * size**1.6 + loads * 0.1 * size**1.3
-
-
-def direct_bytes(unknowns: float) -> float:
-    """Estimate: memory of a factor of the mixed system in single precision [B]."""
-    if rslab is None:
-        return _superlu_bytes(unknowns, "float32")
-    return 8.4e8 * (unknowns / 1e5) ** 1.3
-
-
 class _Rslab:
     def __init__(self, lower: csc_array) -> None:
-        self._symbolic = rslab.analyze(lower, path="ldlt")
+        self._symbolic = costs.rslab.analyze(lower, path="ldlt")
 
     def needed_bytes(self, precision: str, columns: int) -> float:
         return float(self._symbolic.memory_plan(dtype=precision, nrhs=columns)["peak_bytes"])
@@ -110,7 +88,7 @@ class _SuperLU:
         self._size = lower.shape[0]
 
     def needed_bytes(self, precision: str, columns: int) -> float:
-        return _superlu_bytes(self._size, precision) + 16.0 * self._size * columns
+        return superlu_bytes(self._size, precision) + 16.0 * self._size * columns
 
     def factor(self, lower: csc_array, precision: str) -> Factor:
         return SuperLUFactor(lower, precision)
@@ -133,7 +111,3 @@ class SuperLUFactor:
 
     def solve_many(self, rhs: Array) -> Array:
         return self.solve(rhs)
-
-
-def _superlu_bytes(unknowns: float, precision: str) -> float:
-    return _BYTES_PER_ENTRY[precision] * _FILL * (unknowns / 1e5) ** _FILL_EXPONENT

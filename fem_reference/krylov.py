@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import qr, solve_triangular
 
+from fem_reference.costs import RESTART
+
 Array = NDArray[np.float64]
 Operator = Callable[[Array], Array]
-
-RESTART = 80
 
 
 def gmres(

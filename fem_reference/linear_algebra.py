@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 from scipy.sparse import csc_array
 from threadpoolctl import threadpool_limits
 
-from fem_reference.factorisation import LIBRARY, analyse, direct_bytes, direct_seconds, pivotable_triangle
-from fem_reference.krylov import RESTART, gmres, independent_columns
+from fem_reference.costs import Estimate, estimate_costs
+from fem_reference.factorisation import LIBRARY, analyse, pivotable_triangle
+from fem_reference.krylov import gmres, independent_columns
 from fem_reference.memory import available_memory, check_memory
 from fem_reference.multigrid import BlockPreconditioner
 from fem_reference.solution import SolverError, Status
@@ -241,31 +242,6 @@ def refine(
         if not gain.any():
             break
     return x, residual
-
-
-@dataclass(frozen=True)
-class Estimate:
-    """What a path is expected to cost: seconds on one core, and bytes on top of the assembled system."""
-
-    seconds: float
-    bytes: float
-
-
-def estimate_costs(unknowns: int, vertices: int, loads: int, stiffening: float = 1.0) -> dict[str, Estimate]:
-    """Cost of each path by name.
-
-    Power laws fitted to bodies of 16,000 to 1,100,000 unknowns; the choice between the paths needs their ratio
-    only. `stiffening` is lambda over the shear modulus where no pressure field takes it out of the displacement
-    matrix: the iterations grow with its root.
-    """
-    size = unknowns / 1e5
-    vectors = 8.0 * unknowns * (0.5 * RESTART + 12.0)
-    coarse = 3000.0 * vertices
-    iterations = float(np.sqrt(max(1.0, stiffening)))
-    return {
-        "direct": Estimate(direct_seconds(unknowns, loads), direct_bytes(unknowns)),
-        "iterative": Estimate(0.8 * size + loads * 2.8 * iterations * size**1.1, vectors + coarse),
-    }
 
 
 def _system_costs(system: LinearSystem, loads: int) -> dict[str, Estimate]:

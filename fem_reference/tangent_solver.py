@@ -14,9 +14,10 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from fem_reference.costs import estimate_costs
 from fem_reference.factorisation import LIBRARY, analyse, pivotable_triangle
 from fem_reference.krylov import gmres
-from fem_reference.linear_algebra import SOLVERS, estimate_costs
+from fem_reference.linear_algebra import SOLVERS
 from fem_reference.memory import available_memory, check_memory
 from fem_reference.multigrid import BlockPreconditioner
 from fem_reference.solution import SolverError, Status

@@ -126,7 +126,7 @@ def _law(name: str, size: Size, loads: int) -> Cost:
 
 
 def _volumetric(name: str, size: Size, loads: int) -> Cost:
-    from fem_reference.linear_algebra import estimate_costs
+    from fem_reference.costs import estimate_costs
 
     unknowns = _UNKNOWNS["P1" if name == "fem-p1" else "P2"] * size.tetrahedra
     vertices = 0.22 * size.tetrahedra

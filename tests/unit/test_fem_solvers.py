@@ -9,14 +9,13 @@ from scipy.sparse import csc_array
 from scipy.sparse.linalg import spsolve
 
 from fem_reference import krylov, linear_algebra
+from fem_reference.costs import Estimate, estimate_costs
 from fem_reference.krylov import gmres, independent_columns
 from fem_reference.linear_algebra import (
     DirectSolver,
-    Estimate,
     IterativeSolver,
     IterativeThenDirect,
     choose_solver,
-    estimate_costs,
     refine,
     relative_residual,
 )

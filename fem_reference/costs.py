@@ -1,0 +1,65 @@
+"""What the paths through the linear system are expected to cost, for the choice between them and for plans.
+
+Loads no solver, so that who only plans need not wait for one.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+try:
+    import rslab as rslab
+except (ImportError, OSError):  # no wheel for this machine, or one whose shared libraries are missing
+    rslab = None  # type: ignore[assignment]
+
+RESTART = 80  # vectors that GMRES keeps
+# Entries of SuperLU's L and U of a P2-P1 system with 1e5 unknowns and the exponent of their growth, and the bytes
+# that an entry takes at the peak in single and double precision: balls and cubes of 4,000 to 28,000 unknowns.
+_FILL, _FILL_EXPONENT = 5.5e8, 1.6
+_BYTES_PER_ENTRY = {"float32": 8.5, "float64": 13.0}
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """What a path is expected to cost: seconds on one core, and bytes on top of the assembled system."""
+
+    seconds: float
+    bytes: float
+
+
+def estimate_costs(unknowns: int, vertices: int, loads: int, stiffening: float = 1.0) -> dict[str, Estimate]:
+    """Cost of each path by name.
+
+    Power laws fitted to bodies of 16,000 to 1,100,000 unknowns; the choice between the paths needs their ratio
+    only. `stiffening` is lambda over the shear modulus where no pressure field takes it out of the displacement
+    matrix: the iterations grow with its root.
+    """
+    size = unknowns / 1e5
+    vectors = 8.0 * unknowns * (0.5 * RESTART + 12.0)
+    coarse = 3000.0 * vertices
+    iterations = math.sqrt(max(1.0, stiffening))
+    return {
+        "direct": Estimate(direct_seconds(unknowns, loads), direct_bytes(unknowns)),
+        "iterative": Estimate(0.8 * size + loads * 2.8 * iterations * size**1.1, vectors + coarse),
+    }
+
+
+def direct_seconds(unknowns: float, loads: float) -> float:
+    """Estimate for one core: a factorisation and the solves of the mixed system, by the library in use [s]."""
+    size = unknowns / 1e5
+    if rslab is None:
+        return 450.0 * size**2.35 + loads * 0.7 * size**_FILL_EXPONENT
+    return 10.0 * size**1.6 + loads * 0.1 * size**1.3
+
+
+def direct_bytes(unknowns: float) -> float:
+    """Estimate: memory of a factor of the mixed system in single precision [B]."""
+    if rslab is None:
+        return superlu_bytes(unknowns, "float32")
+    return 8.4e8 * (unknowns / 1e5) ** 1.3
+
+
+def superlu_bytes(unknowns: float, precision: str) -> float:
+    """Estimate: memory of SuperLU's factors of the mixed system [B]."""
+    return _BYTES_PER_ENTRY[precision] * _FILL * (unknowns / 1e5) ** _FILL_EXPONENT
