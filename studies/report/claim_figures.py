@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from .blocks import Figure
 from .digest import Digest
 from .formatting import listed, plain, short_percent
-from .plots import colour, line, log_axis, marker, panel, percent_ticks
+from .plots import Plot, colour, line, log_axis, marker, percent_ticks
 
 Line = tuple[str, Sequence[float], Sequence[float]]  # model, x, y
 
@@ -28,24 +28,25 @@ def curves(
     drawable = [kept for item in lines if (kept := _drawable(item, log_y=log_y))[1]]
     if not drawable:
         return ()
-    axes = panel(x_label, y_label, salt)
-    for model, x, y in drawable:
-        k = digest.colour(model)
-        axes.plot(x, y, line(k), marker=marker(k), color=colour(k))
-    for axis, wanted, column in ((axes.x, log_x, 1), (axes.y, log_y, 2)):
-        values = {value for item in drawable for value in item[column]}
-        if wanted and len(values) > 1:  # one value spans no decade
-            log_axis(axis)
-    if not axes.y.log:
-        low, high = axes.y.limits()
-        low, high = min(0.0, low), high if high > 0.0 else 1.0
-        axes.y.low, axes.y.high = low, high + 0.04 * (high - low)  # from zero: room for a marker at the top
-    if not ratio:
-        percent_ticks(axes)
+    plot = Plot(x_label, y_label, salt)
+    with plot as axes:
+        for model, x, y in drawable:
+            k = digest.colour(model)
+            axes.plot(x, y, line(k), marker=marker(k), color=colour(k))
+        for which, wanted, column in (("x", log_x, 1), ("y", log_y, 2)):
+            values = {value for item in drawable for value in item[column]}
+            if wanted and len(values) > 1:  # one value spans no decade
+                log_axis(axes, which)
+        if axes.get_yscale() == "linear":
+            low, high = axes.get_ylim()
+            low, high = min(0.0, low), high if high > 0.0 else 1.0
+            axes.set_ylim(low, high + 0.04 * (high - low))  # from zero: room for a marker at the top
+        if not ratio:
+            percent_ticks(axes)
     show = plain if ratio else short_percent
     told = listed(f"{model} from {show(y[0])} to {show(y[-1])}" for model, _, y in drawable)
     title = f"{y_label[:1].upper()}{y_label[1:]} against {x_label}"
-    return (Figure(axes.drawn(f"{title}: {told}."), title),)
+    return (Figure(plot.drawn(f"{title}: {told}."), title),)
 
 
 def _drawable(item: Line, *, log_y: bool) -> tuple[str, list[float], list[float]]:
@@ -61,11 +62,17 @@ def bars(
     """One figure of a horizontal bar per model."""
     if not values:
         return ()
-    axes = panel(x_label, "", salt)
-    for name, value in values.items():
-        axes.bar(name, value, color=colour(digest.colour(name)))
-    if log:
-        log_axis(axes.x)
+    plot = Plot(x_label, "", salt)
+    with plot as axes:
+        names = list(values)
+        for row, name in enumerate(names):
+            axes.barh(row, values[name], color=colour(digest.colour(name)), height=0.6)
+        axes.set_yticks(range(len(names)), names)
+        axes.invert_yaxis()
+        axes.grid(visible=False, axis="y")
+        if log:
+            log_axis(axes, "x")
+        axes.figure.subplots_adjust(left=0.42)
     told = listed(f"{name} {plain(value)}" for name, value in values.items())
     title = f"{x_label[:1].upper()}{x_label[1:]}"
-    return (Figure(axes.drawn(f"{title}: {told}."), title),)
+    return (Figure(plot.drawn(f"{title}: {told}."), title),)

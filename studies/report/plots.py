@@ -1,12 +1,31 @@
-"""How the report's figures look: colours, markers and lines of the models, and the scales they share."""
+"""Drawing with matplotlib, as inline SVG that takes its colours and fonts from the page.
+
+Text, axes and curves are drawn in marker colours and turned into CSS variables afterwards, so that one drawing
+serves light, dark and print. Ids come from a salt that the caller gives: the same data gives the same bytes.
+"""
 
 from __future__ import annotations
 
+import io
+import re
+import warnings
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
+from markupsafe import Markup, escape
+from matplotlib import rc_context
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure as Canvas
+from matplotlib.ticker import (
+    FixedFormatter,
+    FixedLocator,
+    FuncFormatter,
+    LogLocator,
+    MaxNLocator,
+    NullLocator,
+)
 
-from .axes import Axes, Axis
 from .digest import REFERENCE, Array
 from .formatting import plain, quantity
 
@@ -14,11 +33,40 @@ PALETTE_SIZE = 7
 _MOST_TICKS = 16
 MARKERS = ("o", "s", "^", "D", "v", "P", "X")
 LINES = ("-", "--", "-.", ":")
+_INK, _GRID, _REFERENCE = "#010203", "#020304", "#030405"
+_MODELS = tuple(f"#0405{k:02x}" for k in range(PALETTE_SIZE))
+_WIDTH, _HEIGHT = 4.4, 3.0  # inches of 72 points: as wide as a phone, so that text stays readable there
+# the same for all plots, so that their axes line up on the page; room for a label and ticks of eight characters
+_MARGINS = {"left": 0.19, "right": 0.97, "bottom": 0.155, "top": 0.98}
+_BOTTOM_FOR_SLANTED_NAMES = 0.34
+_STYLE: dict[str, Any] = {
+    "svg.fonttype": "none",
+    "font.family": "DejaVu Sans",
+    "font.size": 8.3,
+    "axes.edgecolor": _INK,
+    "axes.labelcolor": _INK,
+    "xtick.color": _INK,
+    "ytick.color": _INK,
+    "text.color": _INK,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.linewidth": 0.7,
+    "xtick.major.width": 0.7,
+    "ytick.major.width": 0.7,
+    "axes.grid": True,
+    "grid.color": _GRID,
+    "grid.linewidth": 0.6,
+    "axes.axisbelow": True,
+    "lines.linewidth": 1.6,
+    "lines.markersize": 4.5,
+    "text.parse_math": False,
+    "axes.unicode_minus": True,
+}
 
 
 def colour(model: int) -> str:
     """Colour of a model by its number; the reference is `REFERENCE`."""
-    return "var(--reference)" if model == REFERENCE else f"var(--model-{model % PALETTE_SIZE})"
+    return _REFERENCE if model == REFERENCE else _MODELS[model % PALETTE_SIZE]
 
 
 def marker(model: int) -> str:
@@ -37,37 +85,123 @@ def shortened(text: str, most: int = 22) -> str:
     return text if len(text) <= most else f"{text[: most - 1]}…"
 
 
-def panel(x_label: str, y_label: str, salt: str) -> Axes:
-    """An empty panel; `salt` is a name of its own on the page."""
-    return Axes(shortened(x_label, 60), shortened(y_label, 40), salt)
+class Plot:
+    """One panel: draw on its axes inside the `with` block, then take `drawn`."""
+
+    def __init__(self, x_label: str, y_label: str, salt: str) -> None:
+        self.salt = salt
+        self._svg = ""
+        style: Any = {**_STYLE, "svg.hashsalt": salt}
+        self._style = rc_context(style)
+        self._labels = (x_label, y_label)
+
+    def __enter__(self) -> Axes:
+        self._style.__enter__()
+        self._canvas = Canvas(figsize=(_WIDTH, _HEIGHT))
+        self._canvas.subplots_adjust(**_MARGINS)
+        self._canvas.patch.set_visible(False)
+        self.axes: Axes = self._canvas.add_subplot()
+        self.axes.patch.set_visible(False)
+        self.axes.set_xlabel(shortened(self._labels[0], 60))
+        self.axes.set_ylabel(shortened(self._labels[1], 40))
+        return self.axes
+
+    def __exit__(self, kind: type[BaseException] | None, *rest: object) -> None:
+        try:
+            if kind is None:
+                self._svg = self._draw()
+        finally:
+            self._style.__exit__(None, None, None)
+
+    def _draw(self) -> str:
+        out = io.StringIO()
+        metadata = dict.fromkeys(("Date", "Creator", "Format", "Type"))
+        with warnings.catch_warnings():
+            # a glyph that matplotlib's own font lacks is drawn by the browser's
+            warnings.filterwarnings("ignore", "Glyph .* missing", UserWarning)
+            self._canvas.savefig(out, format="svg", metadata=metadata, transparent=True)
+        return out.getvalue()
+
+    def drawn(self, alt: str) -> Markup:
+        """The finished <svg> element; `alt` says in words what it shows. Matplotlib has escaped its texts."""
+        return Markup(_for_the_page(self._svg, alt, self.salt))
+
+
+def _for_the_page(svg: str, alt: str, salt: str) -> str:
+    """The <svg> element with the page's colours, sized by CSS, ids unique on the page."""
+    svg = svg[svg.index("<svg") :]
+    svg = re.sub(r"\s*<metadata>.*?</metadata>", "", svg, flags=re.S)
+    svg = re.sub(r"<!--.*?-->", "", svg, flags=re.S)
+    view_box = re.search(r'viewBox="([^"]+)"', svg)
+    box = view_box.group(1) if view_box else ""
+    svg = svg[svg.index(">") + 1 :]
+    names = dict.fromkeys(re.findall(r'\bid="([^"]+)"', svg))
+    used = set(re.findall(r'(?:url\(#|href="#)([^")]+)', svg))
+    short = {name: f"{salt}-{k}" for k, name in enumerate(n for n in names if n in used)}
+    svg = re.sub(r'\s*\bid="([^"]+)"', lambda m: f' id="{short[m[1]]}"' if m[1] in short else "", svg)
+    svg = re.sub(r"url\(#([^)]+)\)", lambda m: f"url(#{short[m[1]]})", svg)
+    svg = re.sub(r'(?:xlink:)?href="#([^"]+)"', lambda m: f'href="#{short[m[1]]}"', svg)
+    colours = {_INK: "var(--ink)", _GRID: "var(--grid)", _REFERENCE: "var(--reference)"}
+    colours |= {code: f"var(--model-{k})" for k, code in enumerate(_MODELS)}
+    for code, variable in colours.items():
+        svg = svg.replace(code, variable)
+    svg = re.sub(r"\s*<style.*?</style>", "", svg, flags=re.S)
+    svg = re.sub(r" font-family: [^;\"]+;?", "", svg)
+    svg = re.sub(r"<[^>]*>", lambda tag: re.sub(r"(\d+\.\d\d)\d+", r"\1", tag[0]), svg)  # not in its texts
+    svg = re.sub(r' transform="rotate\(-0 [^"]*"', "", svg)
+    svg = _MARKERS_OF_ONE_STYLE.sub(_style_once, svg)
+    svg = re.sub(r"\s*\n\s*", "\n", svg)
+    return f'<svg viewBox="{box}" role="img" aria-label="{escape(alt)}" class="plot">{svg}'
+
+
+_MARKERS_OF_ONE_STYLE = re.compile(
+    r'<g( clip-path="[^"]*")?>\s*((?:<use href="[^"]*" x="[^"]*" y="[^"]*" style="[^"]*"/>\s*)+)</g>'
+)
+
+
+def _style_once(group: re.Match[str]) -> str:
+    """Markers that share a style have it on their group: half the bytes of a cloud of points."""
+    styles = set(re.findall(r' style="([^"]*)"', group[2]))
+    if len(styles) > 1:
+        return group[0]
+    bare = re.sub(r' style="[^"]*"', "", group[2])
+    return f'<g{group[1] or ""} style="{styles.pop()}">{bare}</g>'
 
 
 def percent_axis(axes: Axes, values: Sequence[float]) -> None:
     """The y axis shows ratios as percentages: from zero, or by decades where they span several."""
     finite = [v for v in values if np.isfinite(v) and v > 0]
     if finite and max(finite) > 3.0 and max(finite) > 30 * min(finite):
-        axes.y.see(finite)
-        log_axis(axes.y)
+        log_axis(axes, "y")
     else:
-        axes.y.low, axes.y.high = 0.0, 1.08 * max(finite) if finite else 1.0
+        axes.set_ylim(0.0, 1.08 * max(finite) if finite else 1.0)
+        axes.yaxis.set_major_locator(MaxNLocator(6))
     percent_ticks(axes)
 
 
 def percent_ticks(axes: Axes) -> None:
     """Ratios on the y axis named as percentages."""
-    axes.y.name = lambda value: f"{plain(value * 100)} %"
+    axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{plain(value * 100)} %"))
 
 
 def time_ticks(axes: Axes) -> None:
     """Seconds on a logarithmic x axis, named with their prefix."""
-    log_axis(axes.x)
-    axes.x.name = lambda value: quantity(value, "s", 1)
+    log_axis(axes, "x")
+    axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: quantity(value, "s", 1)))
 
 
-def log_axis(axis: Axis) -> None:
+def log_axis(axes: Axes, which: str) -> None:
     """Decades without minor clutter; 1-2-5 steps where there are fewer than two decades."""
-    axis.log = True
-    axis.name = plain
+    if which == "x":
+        axes.set_xscale("log")
+    else:
+        axes.set_yscale("log")
+    axis = axes.xaxis if which == "x" else axes.yaxis
+    low, high = axes.get_xlim() if which == "x" else axes.get_ylim()
+    subdivisions = (1.0, 2.0, 5.0) if high < 100 * low else (1.0,)
+    axis.set_major_locator(LogLocator(subs=subdivisions, numticks=7))
+    axis.set_minor_locator(NullLocator())
+    axis.set_major_formatter(FuncFormatter(lambda value, _: plain(value)))
 
 
 def place(values: Sequence[float]) -> tuple[str, dict[float, float]]:
@@ -94,4 +228,12 @@ def _spacing(values: Array) -> float:
 def name_ticks(axes: Axes, ticks: Sequence[tuple[float, str]]) -> None:
     """Named ticks (position, name) on the x axis: thinned where there are many, slanted where they collide."""
     ticks = ticks[:: max(1, -(-len(ticks) // _MOST_TICKS))]
-    axes.x.ticks = [(x, shortened(name, 16)) for x, name in ticks]
+    names = [shortened(name, 16) for _, name in ticks]
+    axes.xaxis.set_major_locator(FixedLocator([x for x, _ in ticks]))
+    axes.xaxis.set_major_formatter(FixedFormatter(names))
+    axes.xaxis.set_minor_locator(NullLocator())
+    if sum(len(name) for name in names) > 34:
+        axes.figure.subplots_adjust(bottom=_BOTTOM_FOR_SLANTED_NAMES)
+        for label in axes.get_xticklabels():
+            label.set_rotation(30)
+            label.set_horizontalalignment("right")

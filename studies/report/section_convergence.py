@@ -12,7 +12,7 @@ from ..uncertainty import CONVERGING, DIVERGING, TOO_SLOW, ErrorEstimate, estima
 from .blocks import Cell, Column, Figure, Figures, Section, Table, Text
 from .digest import Digest, at_full_load
 from .formatting import NOTHING, listed, percent, plain, quantity, short_percent
-from .plots import colour, line, log_axis, marker, panel, percent_axis
+from .plots import Plot, colour, line, log_axis, marker, percent_axis
 
 MESH_SIZE = "geometry.mesh_size"
 WORK = "contact_work"
@@ -125,14 +125,15 @@ def _figure(digest: Digest, found: Sequence[_Series], fixed: _Series | None) -> 
     scale = fixed.limit if fixed else max(abs(value) for s in found for value in s.values)
     label = f"work, of the limit of {fixed.model}" if fixed else "work, of the largest"
     described = []
-    axes = panel("mesh size [mm]", label, "g0")
-    for s in found:
-        k = digest.colour(s.model)
-        shares = [value / scale for value in s.values]
-        axes.plot([1e3 * h for h in s.sizes], shares, line(k), marker=marker(k), color=colour(k))
-        described.append(f"{s.model} from {short_percent(shares[-1])} to {short_percent(shares[0])}")
-    percent_axis(axes, [value / scale for s in found for value in s.values])
-    log_axis(axes.x)
-    axes.x.inverted = True
+    plot = Plot("mesh size [mm]", label, "g0")
+    with plot as axes:
+        for s in found:
+            k = digest.colour(s.model)
+            shares = [value / scale for value in s.values]
+            axes.plot([1e3 * h for h in s.sizes], shares, line(k), marker=marker(k), color=colour(k))
+            described.append(f"{s.model} from {short_percent(shares[-1])} to {short_percent(shares[0])}")
+        percent_axis(axes, [value / scale for s in found for value in s.values])
+        log_axis(axes, "x")
+        axes.invert_xaxis()
     heading = "Work of the contact against mesh size, refined to the right"
-    return Figure(axes.drawn(f"{heading}: {listed(described)}."), heading)
+    return Figure(plot.drawn(f"{heading}: {listed(described)}."), heading)

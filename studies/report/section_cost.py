@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from .blocks import Block, Figure, Figures, Section, Text
 from .digest import DEFORMATION, REFERENCE, VECTOR, Digest, ModelSummary, Spread
 from .formatting import listed, quantity, short_percent
-from .plots import colour, marker, panel, percent_axis, time_ticks
+from .plots import Plot, colour, marker, percent_axis, time_ticks
 
 
 def run_time_against_error(digest: Digest) -> Section | None:
@@ -66,27 +66,30 @@ def _pareto(digest: Digest, metric: str, title: str, heights: Sequence[float], s
         return None
     reference = next((s for s in digest.summaries if s.is_reference), None)
     many = len(digest.cases) > 1
-    axes = panel("time", f"{title} (median)" if many else title, salt)
-    for model, frame, setup, spread in points:
-        k = digest.colour(model)
-        if spread.worst > spread.best:
-            axes.plot([frame, frame], [spread.best, spread.worst], color=colour(k), linewidth=1.0, alpha=0.6)
-        if setup > 0 and math.isfinite(setup):
-            axes.plot([frame, setup], [spread.median] * 2, ":", color=colour(k), linewidth=1.0)
-            axes.plot([setup], [spread.median], marker=marker(k), color=colour(k), hollow=True)
-        axes.plot(
-            [frame], [spread.median], marker=marker(k), color=colour(k), markersize=6.5, linestyle="none"
-        )
-    if reference is not None and reference.seconds_per_step > 0:
-        axes.vertical(reference.seconds_per_step, color=colour(REFERENCE))
-    own = points[0][3].median_bar
-    if own > 0.0:
-        axes.horizontal(own, color=colour(REFERENCE))
-    time_ticks(axes)
-    percent_axis(axes, heights)
+    plot = Plot("time", f"{title} (median)" if many else title, salt)
+    with plot as axes:
+        for model, frame, setup, spread in points:
+            k = digest.colour(model)
+            if spread.worst > spread.best:
+                axes.plot(
+                    [frame, frame], [spread.best, spread.worst], color=colour(k), linewidth=1.0, alpha=0.6
+                )
+            if setup > 0 and math.isfinite(setup):
+                axes.plot([frame, setup], [spread.median] * 2, ":", color=colour(k), linewidth=1.0)
+                axes.plot([setup], [spread.median], marker=marker(k), color=colour(k), markerfacecolor="none")
+            axes.plot(
+                [frame], [spread.median], marker=marker(k), color=colour(k), markersize=6.5, linestyle="none"
+            )
+        if reference is not None and reference.seconds_per_step > 0:
+            axes.axvline(reference.seconds_per_step, linestyle="--", color=colour(REFERENCE), linewidth=1.0)
+        own = points[0][3].median_bar
+        if own > 0.0:
+            axes.axhline(own, linestyle="--", color=colour(REFERENCE), linewidth=1.0)
+        time_ticks(axes)
+        percent_axis(axes, heights)
     described = [
         f"{model} {quantity(frame, 's')} per frame at {short_percent(spread.median)}"
         for model, frame, _, spread in points
     ]
     heading = f"Run time against {title.lower()}"
-    return Figure(axes.drawn(f"{heading}: {listed(described)}."), heading)
+    return Figure(plot.drawn(f"{heading}: {listed(described)}."), heading)

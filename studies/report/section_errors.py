@@ -7,13 +7,13 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from matplotlib.axes import Axes
 
 from ..case import CaseResult
-from .axes import Axes
 from .blocks import Block, Figure, Figures, Section, Text
 from .digest import DEFORMATION, REFERENCE, VECTOR, Digest, at_full_load, reference_bar, series
 from .formatting import listed, scale_of, short_percent, swept_value
-from .plots import colour, line, log_axis, marker, name_ticks, panel, percent_axis, place
+from .plots import Plot, colour, line, log_axis, marker, name_ticks, percent_axis, place
 
 QUANTITIES = ((VECTOR, "Displacement error"), (DEFORMATION, "Deformation error"))
 PARTS = (
@@ -120,31 +120,34 @@ def _against_parameter(
 ) -> Figure | None:
     """One measure against a parameter, on the scale that its group shares."""
     described = []
-    axes = panel(axis.label, title, salt)
-    for rank, model in enumerate(digest.compared):
-        errors = [at_full_load(case, model, metric) for case in axis.cases]
-        points = [(x, y) for x, y in zip(axis.positions, errors, strict=True) if math.isfinite(y)]
-        if not points:
-            continue
-        aside = rank - (len(digest.compared) - 1) / 2
-        _draw_model(axes, axis, points, digest.colour(model), _ASIDE * aside)
-        low, high = min(y for _, y in points), max(y for _, y in points)
-        described.append(f"{model} from {short_percent(low)} to {short_percent(high)}")
-    if not described:
-        return None
-    bars = [(x, reference_bar(case, metric)) for x, case in zip(axis.positions, axis.cases, strict=True)]
-    if known := _medians([(x, bar) for x, bar in bars if math.isfinite(bar)]):
-        style = axis.line("--", len(axis.cases), len(known))
-        x, y = [x for x, _ in known], [y for _, y in known]
-        axes.plot(x, y, style, color=colour(REFERENCE), linewidth=1.0, marker="o", markersize=2.5)
-    if axis.kind in ("even", "names"):
-        name_ticks(axes, axis.ticks)
-    elif axis.kind == "log":
-        log_axis(axes.x)
-    both = [at_full_load(c, m, q) for c in axis.cases for m in digest.compared for q, _ in group]
-    percent_axis(axes, both)
+    plot = Plot(axis.label, title, salt)
+    with plot as axes:
+        for rank, model in enumerate(digest.compared):
+            errors = [at_full_load(case, model, metric) for case in axis.cases]
+            points = [(x, y) for x, y in zip(axis.positions, errors, strict=True) if math.isfinite(y)]
+            if not points:
+                continue
+            aside = rank - (len(digest.compared) - 1) / 2
+            _draw_model(axes, axis, points, digest.colour(model), _ASIDE * aside)
+            low, high = min(y for _, y in points), max(y for _, y in points)
+            described.append(f"{model} from {short_percent(low)} to {short_percent(high)}")
+        if not described:
+            return None
+        bars = [(x, reference_bar(case, metric)) for x, case in zip(axis.positions, axis.cases, strict=True)]
+        if known := _medians([(x, bar) for x, bar in bars if math.isfinite(bar)]):
+            style = axis.line("--", len(axis.cases), len(known))
+            x, y = zip(*known, strict=True)
+            axes.plot(
+                x, y, linestyle=style, color=colour(REFERENCE), linewidth=1.0, marker="o", markersize=2.5
+            )
+        if axis.kind in ("even", "names"):
+            name_ticks(axes, axis.ticks)
+        elif axis.kind == "log":
+            log_axis(axes, "x")
+        both = [at_full_load(c, m, q) for c in axis.cases for m in digest.compared for q, _ in group]
+        percent_axis(axes, both)
     heading = f"{title} against {axis.name}"
-    return Figure(axes.drawn(f"{heading}: {listed(described)}."), heading)
+    return Figure(plot.drawn(f"{heading}: {listed(described)}."), heading)
 
 
 def _draw_model(
@@ -156,12 +159,13 @@ def _draw_model(
     shared = len(medians) < len(points)
     if shared or (style == "none" and axis.kind != "names"):
         shift = aside if axis.kind in ("even", "names") else 0.0
-        some = points[:: _stride(axis.cases)]
-        x, y = [position + shift for position, _ in some], [y for _, y in some]
-        axes.plot(x, y, "none", marker=marker(number), color=colour(number), markersize=2.6, alpha=0.45)
+        x, y = zip(*points[:: _stride(axis.cases)], strict=True)
+        at = [position + shift for position in x]
+        axes.plot(
+            at, y, linestyle="none", marker=marker(number), color=colour(number), markersize=2.6, alpha=0.45
+        )
     if style != "none" or axis.kind == "names":
-        x, y = [x for x, _ in medians], [y for _, y in medians]
-        axes.plot(x, y, style, marker=marker(number), color=colour(number))
+        axes.plot(*zip(*medians, strict=True), linestyle=style, marker=marker(number), color=colour(number))
 
 
 def _medians(points: Iterable[tuple[float, float]]) -> list[tuple[float, float]]:
@@ -225,19 +229,20 @@ def _against_load(
     salt: str,
 ) -> Figure:
     described = []
-    axes = panel("load factor", title, salt)
-    for model, table in curves.items():
-        k = digest.colour(model)
-        factors = sorted(table)
-        low, middle, high = ([float(f(table[x])) for x in factors] for f in (min, np.median, max))
-        if high != low:
-            axes.band(factors, low, high, color=colour(k), alpha=0.14)
-        axes.plot(factors, middle, line(k), marker=marker(k), color=colour(k))
-        ends = f"from {short_percent(middle[0])} to {short_percent(middle[-1])}"
-        described.append(f"{model} {ends}")
-    if own > 0.0:
-        axes.horizontal(own, color=colour(REFERENCE))
-    axes.x.from_zero()
-    percent_axis(axes, heights)
+    plot = Plot("load factor", title, salt)
+    with plot as axes:
+        for model, table in curves.items():
+            k = digest.colour(model)
+            factors = sorted(table)
+            low, middle, high = ([float(f(table[x])) for x in factors] for f in (min, np.median, max))
+            if high != low:
+                axes.fill_between(factors, low, high, color=colour(k), alpha=0.14, linewidth=0)
+            axes.plot(factors, middle, line(k), marker=marker(k), color=colour(k))
+            ends = f"from {short_percent(middle[0])} to {short_percent(middle[-1])}"
+            described.append(f"{model} {ends}")
+        if own > 0.0:
+            axes.axhline(own, linestyle="--", color=colour(REFERENCE), linewidth=1.0)
+        axes.set_xlim(left=min(0.0, axes.get_xlim()[0]))
+        percent_axis(axes, heights)
     heading = f"{title} against load"
-    return Figure(axes.drawn(f"{heading}: {listed(described)}."), heading)
+    return Figure(plot.drawn(f"{heading}: {listed(described)}."), heading)

@@ -13,7 +13,7 @@ from ..metrics import Surface, facet_area_vectors
 from .blocks import Figure, Figures, Section, Text
 from .digest import Array, Digest, full_load
 from .formatting import listed, quantity, scale_of
-from .plots import colour, line, marker, panel
+from .plots import Plot, colour, line, marker
 
 _CONTACT_NOTE = (
     "Under a contact the force is given and the indentation is the answer: the largest inward displacement of the "
@@ -237,17 +237,18 @@ def _stiffness(
     length, length_unit = scale_of("m", np.concatenate([x for x, _ in curves.values()]))
     force, force_unit = scale_of(push.unit, np.concatenate([y for _, y in curves.values()]))
     y_label = f"{push.y_label} [{force_unit}]" if force_unit else push.y_label
-    axes = panel(f"{push.x_label} [{length_unit}]", y_label, salt)
-    for model, (x, y) in curves.items():
-        k = digest.colour(model)
-        style = line(k) if history else "none"
-        axes.plot((x / length).tolist(), (y / force).tolist(), style, marker=marker(k), color=colour(k))
-    axes.x.from_zero()
-    axes.y.from_zero()
+    plot = Plot(f"{push.x_label} [{length_unit}]", y_label, salt)
+    with plot as axes:
+        for model, (x, y) in curves.items():
+            k = digest.colour(model)
+            style = line(k) if history else "none"
+            axes.plot(x / length, y / force, linestyle=style, marker=marker(k), color=colour(k))
+        axes.set_xlim(left=min(0.0, axes.get_xlim()[0]))
+        axes.set_ylim(bottom=min(0.0, axes.get_ylim()[0]))
     place = f"{push.name}, {title}" if push.name else title
     told = listed(
         f"{model} {quantity(float(y[np.argmax(np.abs(x))]), push.unit)} at {quantity(float(np.abs(x).max()), 'm')}"
         for model, (x, y) in curves.items()
     )
     what = f"{push.y_label[:1].upper()}{push.y_label[1:]}"
-    return Figure(axes.drawn(f"{what} against {push.x_label}, {place}: {told}."), place)
+    return Figure(plot.drawn(f"{what} against {push.x_label}, {place}: {told}."), place)

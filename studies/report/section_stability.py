@@ -9,7 +9,7 @@ from .blocks import Block, Cell, Column, Figure, Figures, Section, Table, Text
 from .digest import Digest
 from .formatting import NOTHING, listed, plural, scale_of, swept_value
 from .ladders import DIFFERENT, LEFT, MEASURES, RESIDUAL, SINGLE_RESIDUAL, Ladder, Reading, alike, ladders
-from .plots import colour, line, log_axis, marker, name_ticks, panel, place
+from .plots import Plot, colour, line, log_axis, marker, name_ticks, place
 from .section_errors import parameter_name
 
 ONE_AT_A_TIME, CLAIM = "one-at-a-time", 9
@@ -142,31 +142,31 @@ def _figure(digest: Digest, ladder: Ladder, measure: str, salt: str) -> Figure |
     kind, where = place([value / factor for value in ladder.values])
     x = [where[value / factor] for value in ladder.values]
     name = parameter_name(ladder.key)
-    axes = panel(f"{name} [{unit}]" if unit else name, _TITLES[measure], salt)
+    plot = Plot(f"{name} [{unit}]" if unit else name, _TITLES[measure], salt)
     told = []
-    for rank, (model, readings) in enumerate(ladder.readings.items()):
-        values = [getattr(r, measure) if r is not None else math.nan for r in readings]
-        points = [(a, max(b, _FLOOR)) for a, b in zip(x, values, strict=True) if math.isfinite(b)]
-        if not points:
-            continue
-        k = digest.colour(model)
-        axes.plot([a for a, _ in points], [b for _, b in points], line(k), marker=marker(k), color=colour(k))
-        told.append(f"{model} from {min(b for _, b in points):.1e} to {max(b for _, b in points):.1e}")
-        broken = [a for a, r in zip(x, readings, strict=True) if r is not None and not r.ok]
-        height = 0.98 - 0.035 * (rank % 12)
-        axes.plot(
-            broken,
-            [height] * len(broken),
-            "none",
-            marker="x",
-            color=colour(k),
-            of_height=True,
-        )
-    if not told:
-        return None
-    log_axis(axes.y)
-    if kind == "log":
-        log_axis(axes.x)
-    elif kind == "even":
-        name_ticks(axes, [(p, swept_value(value, "1")) for value, p in where.items()])
-    return Figure(axes.drawn(f"{_TITLES[measure]} against {name}: {listed(told)}."), _TITLES[measure])
+    with plot as axes:
+        for rank, (model, readings) in enumerate(ladder.readings.items()):
+            values = [getattr(r, measure) if r is not None else math.nan for r in readings]
+            points = [(a, max(b, _FLOOR)) for a, b in zip(x, values, strict=True) if math.isfinite(b)]
+            if not points:
+                continue
+            k = digest.colour(model)
+            axes.plot(*zip(*points, strict=True), line(k), marker=marker(k), color=colour(k))
+            told.append(f"{model} from {min(b for _, b in points):.1e} to {max(b for _, b in points):.1e}")
+            broken = [a for a, r in zip(x, readings, strict=True) if r is not None and not r.ok]
+            height = 0.98 - 0.035 * (rank % 12)
+            axes.plot(
+                broken,
+                [height] * len(broken),
+                "x",
+                color=colour(k),
+                transform=axes.get_xaxis_transform(),
+            )
+        if not told:
+            return None
+        log_axis(axes, "y")
+        if kind == "log":
+            log_axis(axes, "x")
+        elif kind == "even":
+            name_ticks(axes, [(p, swept_value(value, "1")) for value, p in where.items()])
+    return Figure(plot.drawn(f"{_TITLES[measure]} against {name}: {listed(told)}."), _TITLES[measure])

@@ -7,7 +7,7 @@ import math
 from .blocks import Block, Figure, Figures, Section, Text
 from .digest import Digest, series
 from .formatting import listed, short_percent
-from .plots import colour, line, log_axis, marker, panel, percent_ticks
+from .plots import Plot, colour, line, log_axis, marker, percent_ticks
 
 _DRIFT_FLOOR = 1e-16  # below what double precision can tell from zero
 
@@ -52,13 +52,14 @@ def _drift(digest: Digest, metric: str, label: str, title: str, salt: str) -> Fi
     if not curves:
         return None
     described = []
-    axes = panel("load factor", label, salt)
-    for model, curve in curves.items():
-        k = digest.colour(model)
-        factors = sorted(curve)
-        axes.plot(factors, [curve[f] for f in factors], line(k), marker=marker(k), color=colour(k))
-        described.append(f"{model} up to {short_percent(max(curve.values()))}")
-    log_axis(axes.y)
-    percent_ticks(axes)
-    axes.x.from_zero()
-    return Figure(axes.drawn(f"{title}: {listed(described)}."), title)
+    plot = Plot("load factor", label, salt)
+    with plot as axes:
+        for model, curve in curves.items():
+            k = digest.colour(model)
+            factors = sorted(curve)
+            axes.plot(factors, [curve[f] for f in factors], line(k), marker=marker(k), color=colour(k))
+            described.append(f"{model} up to {short_percent(max(curve.values()))}")
+        log_axis(axes, "y")
+        percent_ticks(axes)
+        axes.set_xlim(left=min(0.0, axes.get_xlim()[0]))
+    return Figure(plot.drawn(f"{title}: {listed(described)}."), title)

@@ -11,10 +11,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from matplotlib import colormaps
 from numpy.typing import NDArray
 
 from ..case import CaseResult
-from .colours import LEVELS, colour_map
 from .digest import Array, Digest, full_load
 
 _U16, _I16 = 65535, 32767
@@ -100,12 +100,11 @@ def payload(view: View, digest: Digest) -> dict[str, object]:
 
 def colour_maps() -> dict[str, str]:
     """256 RGB entries for displacement and for difference: perceptually even, safe for colour-blind readers."""
-    part = np.linspace(0.12, 0.97, LEVELS) * (LEVELS - 1)  # neither lost on black nor on white
     maps = {
-        "displacement": colour_map("viridis"),
-        "difference": colour_map("inferno")[part.round().astype(int)],
+        "displacement": colormaps["viridis"](np.linspace(0, 1, 256)),
+        "difference": colormaps["inferno"](np.linspace(0.12, 0.97, 256)),
     }
-    return {name: _pack((colours * 255).round().astype(np.uint8)) for name, colours in maps.items()}
+    return {name: _pack((colours[:, :3] * 255).round().astype(np.uint8)) for name, colours in maps.items()}
 
 
 def azimuth(case: CaseResult) -> float:

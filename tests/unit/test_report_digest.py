@@ -168,15 +168,16 @@ def test_the_reference_on_the_coarser_mesh_is_not_on_trial() -> None:
 
 
 def test_points_of_cases_that_share_a_value_are_not_joined() -> None:
-    from studies.report.axes import Axes
+    from matplotlib.figure import Figure
+
     from studies.report.section_errors import _Axis, _draw_model
 
-    axes = Axes("nu", "error", "n")
+    axes = Figure().add_subplot()
     cases = [make_case({"vdm": 0.2}) for _ in range(6)]
     axis = _Axis("nu", "nu", "linear", cases, [0.1] * 3 + [0.4] * 3, [], alone=False)
     points = [(0.1, 3.0), (0.1, 5.0), (0.1, 12.0), (0.4, 3.0), (0.4, 5.0), (0.4, 12.0)]
     _draw_model(axes, axis, points, 0, 0.0)
-    single, medians = axes.curves
-    assert single.linestyle == "none", "a line through all cases would show what nobody measured"
-    assert_allclose(medians.y, [5.0, 5.0], rtol=RTOL, atol=ATOL)
-    assert medians.linestyle != "none"
+    single, medians = axes.get_lines()
+    assert single.get_linestyle() == "None", "a line through all cases would show what nobody measured"
+    assert_allclose(medians.get_ydata(), [5.0, 5.0], rtol=RTOL, atol=ATOL)
+    assert medians.get_linestyle() != "None"
