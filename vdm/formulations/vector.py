@@ -94,7 +94,9 @@ class VectorFormulation(Formulation):
         # column k is the tension force of the rotation e_k: L (e_k x X) = e_k x (L X)
         columns = TurningColumns(surface.area_vectors, np.asarray(self.tension @ centred))
         corner = np.zeros((4, 4))
-        corner[1:, 1:] = -edge_inertia(edge_vectors(surface), weights).sum(axis=0)
+        vectors = edge_vectors(surface)
+        second = vectors.T @ (weights[:, None] * vectors)
+        corner[1:, 1:] = second - np.trace(second) * np.eye(3)  # less the sum of `edge_inertia`
         return columns, corner
 
     def apply(self, x: Array) -> Array:

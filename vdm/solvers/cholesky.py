@@ -58,7 +58,8 @@ class Cholesky:
         matrix.sort_indices()
         indptr, indices = (a.astype(np.int32, copy=False) for a in (matrix.indptr, matrix.indices))
         try:
-            self._factor = CholeskySolverD(self.size, indptr, indices, matrix.data, MatrixType.CSR)
+            # the rows of a symmetric matrix are its columns: as rows the library would turn them first
+            self._factor = CholeskySolverD(self.size, indptr, indices, matrix.data, MatrixType.CSC)
         except ValueError as error:
             raise SolverError(SINGULAR) from error
         # a singular matrix can pass with pivots of rounding size: a random load then moves without bound
