@@ -24,11 +24,10 @@ from .work import ModelWork, work_of
 FACTOR_MEASURED, FACTOR_LAWS = 3.0, 5.0
 _START = 2.0  # s to load the libraries, and to write the tables and an empty report
 _PROCESS_BYTES = 1.3e8  # of a worker that has done nothing
+_DENSE_NODES = 1000.0  # `vdm.formulations.boundary.MAX_NODES`, which would load the library
 _MOST_READ = 3  # case files that are read to learn from
 # unknowns per tetrahedron, as these elements have them on meshes of some thousand
 _UNKNOWNS = {"P1": 0.7, "P2": 4.7}
-
-
 # the path's own estimate is for choosing one; of it, a solve of 3,000 to 25,000 tetrahedra takes
 _MEASURED_SHARE = {"direct": 1.0, "iterative": 0.6}
 
@@ -120,7 +119,9 @@ def _law(name: str, size: Size, loads: int) -> Cost:
     if model.volumetric:
         return _volumetric(model.name, size, loads)
     if model.name == "vdm-boundary":
-        return Cost(3e-5 * n**1.7 + 1e-2, (3e-7 if solver == "nonlinear" else 3e-8) * n**2, 620.0 * n**2)
+        dense = min(n, _DENSE_NODES)  # more nodes are a sparse skin over a dense body
+        step = (3e-7 if solver == "nonlinear" else 3e-8) * dense**2
+        return Cost(3e-5 * dense**1.7 + 2e-5 * n + 1e-2, step, 620.0 * dense**2 + 6e3 * (n - dense))
     step = {"nonlinear": 2e-5, "linear": 7e-7, "lu": 2e-6, "quasi-linear": 7e-7}.get(solver, 6e-5)
     return Cost(1e-2 + (2e-4 if solver == "lu" else 2e-5) * n, step * n, (3e4 if solver == "lu" else 6e3) * n)
 

@@ -25,7 +25,9 @@ class Reading:
 
     Attributes
     ----------
-    code : "converged", the status of the first step that failed, or "wrong": called converged and is not right
+    code : "converged", the status of the first step that failed, "wrong": called converged and is not right, or
+        "step-too-long": the quasi-linear solver's volume is that of the last step by its definition (33), an error
+        of second order in the step that no status of one step can tell
     message, remedy : what happened and what to change
     residual, condition : largest relative residual and condition estimate of any step, NaN where not stored
     difference : from the trusted solver of the same system, over its largest displacement; NaN without one
@@ -143,6 +145,11 @@ def reading(case: CaseResult, model: str) -> Reading | None:
         status = result.status[failed[0]]
         where = f" at load factor {case.load_factors[failed[0]]:.3g}" if len(result.status) > 1 else ""
         return Reading(status.code, f"{status.message}{where}", status.remedy, **values)
+    if model.endswith(":quasi-linear") and values["left"] > LEFT:
+        message = (
+            f"the volume lags a step behind: {values['left']:.1e} of the displacement stays without load"
+        )
+        return Reading("step-too-long", message, "take smaller load steps, or the nonlinear solver", **values)
     for name, (most, sentence) in _TESTS.items():
         if name == "residual" and model.endswith(":single"):
             most = SINGLE_RESIDUAL

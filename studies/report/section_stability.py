@@ -30,6 +30,7 @@ def numerical_stability(digest: Digest) -> Section | None:
     if not found:
         return None
     blocks: list[Block] = [Text(sentence) for sentence in _verdict(found)]
+    blocks.append(_solvers(digest, found))
     blocks.append(_table(digest, found))
     blocks.append(Text(_reading_note(), kind="note"))
     for number, ladder in enumerate(found):
@@ -85,7 +86,69 @@ def _reading_note() -> str:
     )
 
 
-# --- the table ---
+# --- the tables ---
+
+
+def _solvers(digest: Digest, found: Sequence[Ladder]) -> Table:
+    """One row for each solver: how far its measures went where it was right, and where it was not."""
+    columns = [
+        Column("Solver", numeric=False),
+        Column("Condition", "up to"),
+        Column("Residual", "up to"),
+        Column("From trusted", "up to"),
+        Column("Volume drift", "on the study's own values"),
+        Column("Left without load", "up to"),
+        Column("Breaks down at", numeric=False),
+    ]
+    rows: list[list[Cell]] = []
+    marks: list[int | None] = []
+    for model in dict.fromkeys(name for ladder in found for name in ladder.readings):
+        on = [ladder for ladder in found if model in ladder.readings]
+        right = [r for ladder in on for r in ladder.readings[model] if r is not None and r.ok]
+        ends = [
+            f"{parameter_name(ladder.key)} {swept_value(value, ladder.unit)}"
+            for ladder in on
+            for value, _ in ladder.breakdowns(model)
+        ]
+        measures = [
+            _most(right, "condition"),
+            _most(right, "residual"),
+            _most(right, "difference"),
+            _on_base(on, model),
+            _most(right, "left"),
+        ]
+        rows.append(
+            [
+                Cell(model),
+                *(Cell(f"{v:.1e}" if math.isfinite(v) else NOTHING, value=v) for v in measures),
+                Cell("; ".join(ends)) if ends else Cell("nowhere", tone="muted"),
+            ]
+        )
+        marks.append(digest.colour(model))
+    kept = [k for k in range(len(columns)) if not 0 < k < 6 or any(row[k].text != NOTHING for row in rows)]
+    return Table(
+        "stability_solvers",
+        "What each solver stands",
+        [columns[k] for k in kept],
+        [[row[k] for k in kept] for row in rows],
+        marks,
+        open_rows=60,
+    )
+
+
+def _most(readings: Sequence[Reading], measure: str) -> float:
+    """The largest finite value, NaN where there is none."""
+    values = [getattr(reading, measure) for reading in readings]
+    return max((value for value in values if math.isfinite(value)), default=math.nan)
+
+
+def _on_base(found: Sequence[Ladder], model: str) -> float:
+    """The drift of a model in the case that all ladders start from, NaN where it is on none of them."""
+    for ladder in found:
+        if ladder.base in ladder.values:
+            reading = ladder.readings[model][ladder.values.index(ladder.base)]
+            return reading.drift if reading is not None and reading.ok else math.nan
+    return math.nan
 
 
 def _table(digest: Digest, found: Sequence[Ladder]) -> Table:
@@ -109,7 +172,7 @@ def _table(digest: Digest, found: Sequence[Ladder]) -> Table:
             for side in sides or [(Cell("nowhere", tone="muted"), Cell(NOTHING), Cell(NOTHING))]:
                 rows.append([Cell(name), who, *right, *side])
                 marks.append(digest.colour(models[0]) if len(models) == 1 else None)
-    return Table("stability", "", columns, rows, marks, open_rows=60)
+    return Table("stability", "Where, and what the status says", columns, rows, marks, open_rows=60)
 
 
 def _who(models: Sequence[str], ladder: Ladder) -> str:

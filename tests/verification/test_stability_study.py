@@ -1,4 +1,4 @@
-"""The shipped study of numerical stability, on a coarse mesh: a breakdown is a status, never a wrong number."""
+"""The shipped studies of numerical stability, made small: a breakdown is a status, never a wrong number."""
 
 from __future__ import annotations
 
@@ -7,47 +7,79 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 
 from studies import models
 from studies.case import CaseResult
 from studies.meshing.geometry import build_mesh
 from studies.report.digest import Digest
-from studies.report.ladders import Ladder, ladders
+from studies.report.ladders import Ladder, Reading, ladders
 from studies.scene import build_scene
 from studies.study_file.config import ResolvedCase, expand, geometry_of, load_study
 from studies.worker import compare
 from tests.unit.report_runs import make_run
 
-SHIPPED = Path(__file__).parents[2] / "studies" / "cases" / "stability-surface.toml"
-COARSE = '"16 mm"'
+SHIPPED = Path(__file__).parents[2] / "studies" / "cases"
+VOLUMETRIC = ("stability-history", "stability-size-volume", "stability-volume")
+# study -> (texts that make it small, every how many-th value of a ladder is solved)
+SMALL: dict[str, tuple[tuple[tuple[str, str], ...], int]] = {
+    "stability-history": (
+        (('mesh_size = "16 mm"', 'mesh_size = "20 mm"'), ("= [1, 10, 100] #", "= [1, 4] #")),
+        1,
+    ),
+    "stability-size": (
+        (('"2.5 mm", "1.25 mm", "0.65 mm", "0.385 mm"', '"2.5 mm"'), ('    "vdm-boundary",\n', "")),
+        1,
+    ),
+    "stability-size-volume": ((('"10 mm", "7 mm", "5 mm"]', '"12 mm"]'),), 1),
+    "stability-skin": (
+        (
+            ("= [1e2, 1e4, 1e6, 1e8, 1e10]", "= [1e4, 1e10]"),
+            ("= [0.2, 0.5]", "= [0.5]"),
+            ("= [0, 0.5]", "= [0.5]"),
+            ("= [0.4, 0.1, 0.05]", "= [0.05]"),
+            ('"1 Pa", "2 kPa", "20 kPa", "50 kPa"', '"50 kPa"'),
+        ),
+        1,
+    ),
+    "stability-surface": ((('mesh_size = "8 mm"', 'mesh_size = "16 mm"'),), 4),
+    "stability-volume": ((('mesh_size = "12 mm"', 'mesh_size = "20 mm"'),), 3),
+}
+
+
+def small(name: str, directory: Path) -> dict[str, Ladder]:
+    """The ladders of a shipped study made small."""
+    path = directory / f"{name}.toml"
+    text = (SHIPPED / path.name).read_text()
+    changes, every = SMALL[name]
+    for old, new in changes:
+        assert text.count(old) == 1, old
+        text = text.replace(old, new)
+    path.write_text(text)
+    cases = [solved(case, name in VOLUMETRIC) for case in some(expand(load_study(path)), every)]
+    return {ladder.key: ladder for ladder in ladders(Digest(make_run(cases)))}
 
 
 @pytest.fixture(scope="module")
 def found(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Ladder]:
-    path = tmp_path_factory.mktemp("study") / "stability-surface.toml"
-    text = SHIPPED.read_text()
-    assert text.count('mesh_size = "8 mm"') == 1
-    path.write_text(text.replace('mesh_size = "8 mm"', f"mesh_size = {COARSE}"))
-    cases = [solved(case) for case in some(expand(load_study(path)))]
-    return {ladder.key: ladder for ladder in ladders(Digest(make_run(cases)))}
+    return small("stability-surface", tmp_path_factory.mktemp("study"))
 
 
-def some(cases: list[ResolvedCase]) -> Iterator[ResolvedCase]:
-    """The base, and of each ladder the ends and every third value; of the mesh sizes none."""
+def some(cases: list[ResolvedCase], every: int) -> Iterator[ResolvedCase]:
+    """The base, and of each ladder the last and one value in so many."""
     base = cases[0].swept
     by_key: dict[str, list[ResolvedCase]] = {}
     for case in cases[1:]:
         [key] = [key for key, value in case.swept.items() if base.get(key) != value]
         by_key.setdefault(key, []).append(case)
-    del by_key["geometry.mesh_size"]
     yield cases[0]
     for ladder in by_key.values():
-        yield from ladder[:-1:3]
+        yield from ladder[:-1:every]
         yield ladder[-1]
 
 
-def solved(case: ResolvedCase) -> CaseResult:
-    mesh = build_mesh(geometry_of(case.study), volume=False)
+def solved(case: ResolvedCase, volume: bool) -> CaseResult:
+    mesh = build_mesh(geometry_of(case.study), volume=volume)
     scene = build_scene(case.study, mesh)
     results = {name: models.run_model(scene, name) for name in case.study.study.models}
     return CaseResult(
@@ -67,27 +99,94 @@ def solved(case: ResolvedCase) -> CaseResult:
     )
 
 
-def test_no_step_that_is_called_converged_is_wrong(found: dict[str, Ladder]) -> None:
-    wrong = [
-        (ladder.key, value, model, reading.message)
-        for ladder in found.values()
-        for model, readings in ladder.readings.items()
-        for value, reading in zip(ladder.values, readings, strict=True)
-        if reading is not None and reading.silent
+def check(study: dict[str, Ladder]) -> list[Reading]:
+    """No step is silently wrong, every breakdown says what to change; returns the breakdowns."""
+    readings = [
+        (ladder.key, value, model, reading)
+        for ladder in study.values()
+        for model, on_it in ladder.readings.items()
+        for value, reading in zip(ladder.values, on_it, strict=True)
+        if reading is not None
     ]
-    assert not wrong
-
-
-def test_every_breakdown_says_what_to_change(found: dict[str, Ladder]) -> None:
-    broken = [
-        reading
-        for ladder in found.values()
-        for readings in ladder.readings.values()
-        for reading in readings
-        if reading is not None and not reading.ok
-    ]
-    assert broken, "the ladders go far enough"
+    assert readings
+    assert not [(*where, reading.message) for *where, reading in readings if reading.silent]
+    broken = [reading for *_, reading in readings if not reading.ok]
     assert all(reading.message and reading.remedy for reading in broken)
+    return broken
+
+
+def test_no_step_that_is_called_converged_is_wrong(found: dict[str, Ladder]) -> None:
+    assert check(found), "the ladders go far enough to break something"
+
+
+@pytest.mark.slow
+def test_elements_break_down_by_a_status(tmp_path: Path) -> None:
+    study = small("stability-volume", tmp_path)
+    assert check(study)
+    ratio = study["tissue.poisson_ratio"]
+    assert ratio.values[-1] == 0.5
+    for model in ("fem-linear", "fem-condensed", "fem"):
+        assert not ratio.breakdowns(model), "the mixed elements stand 1/2"
+    for model in ("fem-p1", "fem-p2"):
+        last = ratio.readings[model][-1]
+        assert last is not None
+        assert last.code == models.REFUSED
+    conditions = {
+        model: [r.condition for r in ratio.readings[model] if r is not None and r.ok]
+        for model in ("fem-linear", "fem-p1")
+    }
+    # a displacement element's grows as 1 / (1 - 2 nu), the mixed one's does not
+    assert max(conditions["fem-p1"]) > 1e6 * min(conditions["fem-p1"])
+    assert max(conditions["fem-linear"]) < 3.0 * min(conditions["fem-linear"])
+    for model in ("fem-linear", "fem"):
+        sound = study["geometry.slivers"].sound_range(model)
+        assert sound is not None
+        assert study["geometry.slivers"].values[sound[1]] >= 1e4
+    last = study["constraints.finger.pressure"].readings["fem"][-1]
+    assert last is not None
+    assert not last.ok
+
+
+@pytest.mark.slow
+def test_nothing_drifts_in_a_long_history(tmp_path: Path) -> None:
+    [ladder] = small("stability-history", tmp_path).values()
+    check({ladder.key: ladder})
+    for model, readings in ladder.readings.items():
+        assert len(readings) == 2
+        for read in readings:
+            assert read is not None
+            lags = model.endswith("quasi-linear")
+            assert read.ok or (lags and read.code == "step-too-long")
+            assert read.left < (1e-2 if lags else 1e-9), model
+            if model.endswith(":nonlinear"):
+                assert read.drift < 1e-12, model
+    one, four = (read.left for read in ladder.readings["vdm-paper:quasi-linear"] if read is not None)
+    assert_allclose(one / four, 16.0, rtol=0.3, atol=0, err_msg="second order in the step")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["stability-size", "stability-size-volume"])
+def test_the_size_of_the_mesh_breaks_no_solver(name: str, tmp_path: Path) -> None:
+    [ladder] = small(name, tmp_path).values()
+    assert not check({ladder.key: ladder})
+    assert ladder.values[0] < 0.25 * ladder.values[-1]
+    for model, readings in ladder.readings.items():
+        finest, coarsest = readings[0], readings[-1]
+        assert finest is not None
+        assert coarsest is not None
+        # a membrane's and a solid's condition grow with the square of the size over the edge
+        growth = finest.condition / coarsest.condition
+        squared = (ladder.values[-1] / ladder.values[0]) ** 2
+        assert 0.15 * squared < growth < 3.0 * squared, (model, growth)
+
+
+@pytest.mark.slow
+def test_the_skin_of_many_nodes_breaks_down_by_a_status(tmp_path: Path) -> None:
+    study = small("stability-skin", tmp_path)
+    broken = check(study)
+    assert broken
+    assert not study["tissue.poisson_ratio"].breakdowns("vdm-boundary")
+    assert not study["geometry.perturbation"].breakdowns("vdm-boundary")
 
 
 def test_the_direct_solver_stands_every_modulus_penalty_and_sliver(found: dict[str, Ladder]) -> None:
