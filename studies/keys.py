@@ -83,6 +83,31 @@ def anonymous_constraints(study: Study) -> list[dict[str, Any]]:
     return [_anonymous(constraint, inputs) for constraint in inputs["constraints"]]
 
 
+def unit_loads(study: Study) -> list[tuple[str, float]]:
+    """What acts at load factor 1, the weight apart: how much of which load of size 1."""
+    out: list[tuple[str, float]] = []
+    for constraint in anonymous_constraints(study):
+        described: dict[str, Any] = {k: v for k, v in constraint.items() if k in ("region", "profile")}
+        if constraint["kind"] == "contact":
+            size = "force" if constraint.get("force") is not None else "pressure"
+            out.append((f"{size} {described}", float(constraint.get(size) or 0.0)))
+        elif constraint["kind"] == "constrained":
+            out += [(f"{axis} {described}", float(v)) for axis, v in enumerate(constraint["displacement"])]
+    return out
+
+
+def load_key(study: Study) -> str:
+    """Key of a study's loads up to a common factor; of those with a weight, which does not scale, as they are."""
+    parts: dict[str, float] = {}
+    for unit, value in unit_loads(study):
+        parts[unit] = parts.get(unit, 0.0) + value
+    largest = max((abs(value) for value in parts.values()), default=0.0)
+    first = next((value for value in parts.values() if abs(value) == largest), 0.0)
+    if not first or study.gravity is not None:
+        return _digest({"loads": parts, "history": study.load.history})
+    return _digest({"loads": {unit: round(value / first, 12) for unit, value in parts.items()}})
+
+
 def _anonymous(constraint: Mapping[str, Any], inputs: Mapping[str, Any]) -> dict[str, Any]:
     """A constraint without its name, with the region itself instead of the region's."""
     return {k: v for k, v in constraint.items() if k != "name"} | {

@@ -17,8 +17,9 @@ from .case import ModelResult, StepStatus
 from .memory import peak_bytes_since, reset_peak
 from .meshing.mesh import Array, Index, Mask
 from .metrics import enclosed_volumes
+from .proportional import Solved
 from .scene import Scene
-from .setups import shared, watched
+from .setups import kept, shared, watched
 
 if TYPE_CHECKING:
     from fem_reference.condensed import CondensedProblem
@@ -245,8 +246,10 @@ def _fem_loads(scene: Scene) -> list[FemLoad]:
 def _vdm(scene: Scene, formulation: str, solver: str, name: str) -> VdmSolution:
     """A VDM formulation over the scene's load history."""
     from vdm.constraints import Load
+    from vdm.solvers.linear import LinearSolver
 
-    return _vdm_of(scene, formulation, solver, name).solve(
+    made = shared(_vdm_set_up, **_vdm_inputs(scene, formulation, solver, name))
+    solution = made.model.solve(
         [
             Load(
                 contact_pressure=factor * scene.contact_pressure,
@@ -257,25 +260,62 @@ def _vdm(scene: Scene, formulation: str, solver: str, name: str) -> VdmSolution:
         ],
         condition=scene.condition,
     )
+    # a penalty leaves more rounding than a multiple may differ by
+    linear = isinstance(made.model.solver, LinearSolver) and scales(name) and not scene.gravity.any()
+    good = all(status.ok for status in solution.status)
+    made.solved = Solved.largest_step(scene, solution) if linear and good else None
+    return solution
 
 
-def _vdm_of(scene: Scene, formulation: str, solver: str, name: str) -> VdmModel:
-    """Parameters by the study, by the model's own table, else by rule from the tissue."""
+@dataclass
+class _VdmSetUp:
+    model: VdmModel
+    solved: Solved | None = None  # the latest
+
+
+def _vdm_set_up(**inputs: Any) -> _VdmSetUp:
+    return _VdmSetUp(_vdm_model(**inputs))
+
+
+def scales(name: str) -> bool:
+    """Whether a surface model's result for a multiple of a load is taken from the multiple of its result."""
+    model, solver = find(name)
+    return not model.volumetric and solver == "linear"
+
+
+def _scaled(scene: Scene, name: str) -> tuple[VdmSolution, int] | None:
+    """The scene's solution as a multiple of the one before on the same set-up, and that set-up's peak of memory.
+
+    None where it is no multiple of it, and where the model is not linear in the loads.
+    """
+    if not scales(name) or scene.gravity.any():
+        return None
+    _, solver = find(name)
+    setup = kept(_vdm_set_up, **_vdm_inputs(scene, _formulation(name), solver, name))
+    solution = setup.value.solved.scaled_to(scene) if setup is not None and setup.value.solved else None
+    return None if setup is None or solution is None else (solution, setup.peak_bytes)
+
+
+def _formulation(name: str) -> str:
+    return name.partition(":")[0].removeprefix("vdm-")
+
+
+def _vdm_inputs(scene: Scene, formulation: str, solver: str, name: str) -> dict[str, Any]:
+    """What decides a set-up. Parameters by the study, by the model's own table, else by rule from the tissue."""
     fibres = scene.anisotropy
-    return shared(
-        _vdm_model,
-        points=scene.mesh.surface_points,
-        triangles=scene.mesh.triangles,
-        tissue=(scene.tissue.youngs_modulus, scene.tissue.poisson_ratio, scene.tissue.density),
-        given={**scene.parameters, **scene.overrides.get(name, {})},
-        fibres=(fibres.fibre_direction, fibres.contrast) if fibres else None,
-        formulation=formulation,
-        solver=solver,
-        fixed=scene.fixed,
-        constrained=scene.constrained,
-        gravity=scene.gravity,
-        environment_pressure=scene.environment_pressure,
-    )
+    return {
+        "points": scene.mesh.surface_points,
+        "triangles": scene.mesh.triangles,
+        "tissue": (scene.tissue.youngs_modulus, scene.tissue.poisson_ratio, scene.tissue.density),
+        "given": {**scene.parameters, **scene.overrides.get(name, {})},
+        "fibres": (fibres.fibre_direction, fibres.contrast) if fibres else None,
+        "formulation": formulation,
+        "solver": solver,
+        "fixed": scene.fixed,
+        "constrained": scene.constrained,
+        "gravity": scene.gravity,
+        "environment_pressure": scene.environment_pressure,
+    }
 
 
 def contact_frame(scene: Scene, name: str) -> Callable[[], object] | None:
@@ -290,8 +330,7 @@ def contact_frame(scene: Scene, name: str) -> Callable[[], object] | None:
     from vdm.solvers.compliance import ContactCompliance
     from vdm.solvers.linear import LinearSolver
 
-    formulation = name.partition(":")[0].removeprefix("vdm-")
-    made = _vdm_of(scene, formulation, solver, name)
+    made = shared(_vdm_set_up, **_vdm_inputs(scene, _formulation(name), solver, name)).model
     if not isinstance(made.solver, LinearSolver):  # a penalty
         return None
     contact = ContactCompliance(made.problem, made.solver)
@@ -348,13 +387,18 @@ def run_model(scene: Scene, name: str) -> ModelResult:
 
     A model that cannot be set up gives a result of NaN with the reason in its status: the other models of the
     case are not affected. A set-up that an earlier solve left (`studies.setups`) is reported with the time and
-    memory that were measured then, and marked by the parameter `setup_shared`.
+    memory that were measured then, and marked by the parameter `setup_shared`. Where the surface model just solved
+    a scene of which this one's loads are a multiple, so is its result (`studies.proportional`): the parameter
+    `steps_scaled` marks it.
     """
     model, solver = find(name)
     if (
         model.volumetric
     ):  # what it may not depend on, as its results are shared between cases that differ there
         scene = dataclasses.replace(scene, parameters={}, environment_pressure=0.0)
+    follows = _scaled(scene, name)
+    if follows is not None:
+        return _result(scene, *follows, model, {"setup_shared": "yes", "steps_scaled": "yes"})
     return _measured(model, [scene], lambda: [model.solve(scene, solver, name)])[0]
 
 
@@ -390,11 +434,11 @@ def _measured(
     mark: dict[str, float | str] = {}
     if len(scenes) > 1 or any(setup.uses > 1 for setup in setups):
         mark["setup_shared"] = "yes"
-    return [_result(*pair, model, peak, mark) for pair in zip(scenes, solutions, strict=True)]
+    return [_result(*pair, peak, model, mark) for pair in zip(scenes, solutions, strict=True)]
 
 
 def _result(
-    scene: Scene, solution: Solution, model: Model, peak_bytes: int, mark: dict[str, float | str]
+    scene: Scene, solution: Solution, peak_bytes: int, model: Model, mark: dict[str, float | str]
 ) -> ModelResult:
     statuses = tuple(StepStatus(s.code, s.message, s.remedy) for s in solution.status)
     usable = np.array([s.ok for s in statuses])

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
 from . import models
-from .keys import case_hash, reference_key, result_keys, setup_key, surface_key
+from .keys import case_hash, load_key, reference_key, result_keys, setup_key, surface_key
 from .meshing.geometry_spec import MAX_NODES, Geometry, area_and_volume, check_node_budget, geometry_key
 from .meshing.mesh_cache import mesh_path
 from .result_cache import reference_path
@@ -33,6 +34,7 @@ class PlannedCase:
     mesh: str  # key of its mesh
     setup: str  # key of what it shares with cases that differ in loads and VDM parameters only
     surface: str  # key of its VDM parameters
+    load: str  # key of its loads up to a factor
     results: Mapping[str, str]  # model -> key of its result
     reference: str | None  # key of its reference on all mesh levels
 
@@ -63,11 +65,19 @@ class Plan:
 
     @cached_property
     def in_order(self) -> list[PlannedCase]:
-        """Each hash once; cases that share a set-up stand together, those that share VDM set-ups side by side."""
+        """Each hash once; cases that share a set-up stand together, of these those that share VDM set-ups.
+
+        Of these again those whose loads are multiples of each other.
+        """
         unique = {case.hash: case for case in self.cases}.values()
-        places = {key: place for place, key in enumerate(dict.fromkeys(case.setup for case in unique))}
-        beside = {key: place for place, key in enumerate(dict.fromkeys(case.surface for case in unique))}
-        return sorted(unique, key=lambda case: (places[case.setup], beside[case.surface]))
+        kinds: list[Callable[[PlannedCase], str]] = [attrgetter(key) for key in ("setup", "surface", "load")]
+        ranks = [
+            {key: rank for rank, key in enumerate(dict.fromkeys(kind(case) for case in unique))}
+            for kind in kinds
+        ]
+        return sorted(
+            unique, key=lambda case: [rank[kind(case)] for kind, rank in zip(kinds, ranks, strict=True)]
+        )
 
     def cases_to_run(self, shard: tuple[int, int] = (1, 1), *, fresh: bool = False) -> list[PlannedCase]:
         """The cases not done (`fresh`: all); of `shard` (i, n) those in the i-th of n parts of equal size."""
@@ -162,6 +172,7 @@ def _planned(case: ResolvedCase, mesh_key: str) -> PlannedCase:
         mesh=mesh_key,
         setup=setup_key(study, mesh_key),
         surface=surface_key(study),
+        load=load_key(study),
         results=results,
         reference=reference_key(results[name], n_levels) if name is not None else None,
     )

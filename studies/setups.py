@@ -71,18 +71,38 @@ def shared(make: Callable[..., T], **inputs: Any) -> T:
 
     Inputs are arrays, plain values, dataclasses and containers of them.
     """
-    key = "" if _kept is None else f"{make.__module__}.{make.__qualname__} {content_key(inputs)}"
-    setup = _kept.get(key) if _kept is not None else None
+    key = _key(make, inputs)
+    setup = _used(key)
     if setup is None:
         setup = Setup(make(**inputs), _turn)
         if _kept is not None:
             _kept[key] = setup
+        _watch(setup)
+    value: T = setup.value
+    return value
+
+
+def kept(make: Callable[..., T], **inputs: Any) -> Setup | None:
+    """What `shared` made of the same inputs, as one more use of it; None where it would have to be made."""
+    return _used(_key(make, inputs))
+
+
+def _key(make: Callable[..., T], inputs: Mapping[str, Any]) -> str:
+    return "" if _kept is None else f"{make.__module__}.{make.__qualname__} {content_key(inputs)}"
+
+
+def _used(key: str) -> Setup | None:
+    setup = (_kept or {}).get(key)
+    if setup is not None:
+        _watch(setup)
+    return setup
+
+
+def _watch(setup: Setup) -> None:
     setup.uses += 1
     setup.turn = _turn
     for used in _watched:
         used.append(setup)
-    value: T = setup.value
-    return value
 
 
 def content_key(value: Any) -> str:

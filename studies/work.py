@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
 from . import models
-from .keys import anonymous_constraints
+from .keys import unit_loads
 from .plan import Plan, PlannedCase
 from .study_file.schema import Study
 
@@ -56,13 +55,23 @@ def work_of(plan: Plan, cases: Sequence[PlannedCase]) -> list[ModelWork]:
 
 
 def _work(name: str, level: int, cases: Sequence[PlannedCase]) -> ModelWork:
-    model, _ = models.find(name)
+    model = models.find(name)[0]
     steps = sum(len(case.study.load.history) for case in cases)
-    solves = independent_loads(case.study for case in cases) if model.together else steps
+    solves = steps
+    if model.together:
+        solves = independent_loads(case.study for case in cases)
+    elif models.scales(name) and not _has_penalty(name, cases[0].study):
+        # of the cases whose loads are multiples of each other the first, as the plan orders them
+        solved = {(case.surface, case.load): case for case in reversed(cases)}
+        solves = sum(len(case.study.load.history) for case in solved.values())
     setups = 1 if model.volumetric else len({case.surface for case in cases})
     if model.volumetric and model.together is None:
         setups = len(cases)
     return ModelWork(name, cases[0].mesh, cases[0].setup, level, setups, steps, solves)
+
+
+def _has_penalty(name: str, study: Study) -> bool:
+    return "penalty" in {**study.vdm_parameters(), **study.model_parameters().get(name, {})}
 
 
 def independent_loads(studies: Iterable[Study]) -> int:
@@ -74,7 +83,7 @@ def independent_loads(studies: Iterable[Study]) -> int:
     columns: list[dict[str, float]] = []
     for study in studies:
         parts: dict[str, float] = {}
-        for unit, value in _unit_loads(study):
+        for unit, value in unit_loads(study):
             parts[unit] = parts.get(unit, 0.0) + value
         weight = {"gravity": 1.0} if study.gravity else {}
         columns += [{unit: f * value for unit, value in parts.items()} | weight for f in study.load.history]
@@ -86,15 +95,3 @@ def independent_loads(studies: Iterable[Study]) -> int:
     largest = np.abs(table).max(axis=0)
     table = table / np.where(largest > 0, largest, 1.0)
     return int(np.linalg.matrix_rank(table / np.linalg.norm(table, axis=1, keepdims=True)))
-
-
-def _unit_loads(study: Study) -> list[tuple[str, float]]:
-    out: list[tuple[str, float]] = []
-    for constraint in anonymous_constraints(study):
-        described: dict[str, Any] = {k: v for k, v in constraint.items() if k in ("region", "profile")}
-        if constraint["kind"] == "contact":
-            size = "force" if constraint.get("force") is not None else "pressure"
-            out.append((f"{size} {described}", float(constraint.get(size) or 0.0)))
-        elif constraint["kind"] == "constrained":
-            out += [(f"{axis} {described}", float(v)) for axis, v in enumerate(constraint["displacement"])]
-    return out

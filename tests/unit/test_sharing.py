@@ -86,6 +86,8 @@ def made(monkeypatch: pytest.MonkeyPatch) -> Counter[str]:
     monkeypatch.setattr(
         linear, "solve_nodal", counting("fem solves", linear.solve_nodal, lambda _, forces, __: len(forces))
     )
+    surface = vdm.model.Model
+    monkeypatch.setattr(surface, "solve", counting("vdm solves", surface.solve, lambda _, loads: len(loads)))
     return counts
 
 
@@ -93,8 +95,8 @@ def test_shared_numbers_are_those_of_each_case_alone(tmp_path: Path, cache: Path
     plan = plan_of(tmp_path / "together", cache)
     work = counted.work_of(plan, plan.cases)
     together = run(plan)
-    # one set-up on each mesh level; two patches, all else are multiples
-    assert made == {"fem set-ups": 2, "vdm set-ups": 1, "fem solves": 4}
+    # one set-up on each mesh level; two patches, all else are multiples; a surface model solves a history's steps
+    assert made == {"fem set-ups": 2, "vdm set-ups": 1, "fem solves": 4, "vdm solves": 4}
     of_fem = [part for part in work if part.name == "fem-linear"]
     assert sum(part.setups for part in of_fem) == made["fem set-ups"]
     assert sum(part.solves for part in of_fem) == made["fem solves"]
@@ -126,7 +128,19 @@ WEIGHT = {"gravity": {"acceleration": [0.0, 0.0, -9.81]}}
 SUPPORTS = {"sweep": {"regions.base.below.fraction": [0.2, 0.3], "constraints.finger.force": [0.1, 0.3]}}
 
 
-@pytest.mark.parametrize("changes", [HISTORY, TISSUES, PARAMETERS, WEIGHT, SUPPORTS])
+PENALTY = {"vdm": {"penalty": 1e6}}
+MOVED = {
+    "regions": TABLES["regions"] | {"side": {"cap": {"direction": [1.0, 0.0, 0.1], "angle": 0.4}}},
+    "constraints": [
+        *TABLES["constraints"],
+        {"name": "tool", "kind": "constrained", "region": "side", "displacement": [-0.001, 0.0, 0.0]},
+    ],
+    # twice both is a multiple, twice one is none
+    "sweep": {"constraints.tool.displacement.0": [-0.001, -0.002], "constraints.finger.force": [0.1, 0.2]},
+}
+
+
+@pytest.mark.parametrize("changes", [{}, HISTORY, TISSUES, PARAMETERS, WEIGHT, SUPPORTS, PENALTY, MOVED])
 def test_what_is_planned_is_what_is_done(tmp_path: Path, made: Counter[str], changes: dict[str, Any]) -> None:
     plan = plan_of(tmp_path, tmp_path / "cache", **changes)
     work = counted.work_of(plan, plan.cases)
@@ -136,6 +150,7 @@ def test_what_is_planned_is_what_is_done(tmp_path: Path, made: Counter[str], cha
         "fem set-ups": sum(part.setups for part in of_fem),
         "fem solves": sum(part.solves for part in of_fem),
         "vdm set-ups": sum(part.setups for part in of_vdm),
+        "vdm solves": sum(part.solves for part in of_vdm),
     }
     assert made == planned
 
@@ -147,7 +162,7 @@ def test_a_further_model_costs_that_model(tmp_path: Path, cache: Path, made: Cou
     plan = plan_of(tmp_path, cache, study=study)
     assert {part.name for part in counted.work_of(plan, plan.cases)} == {"vdm-paper"}
     after = run(plan)
-    assert made == {"vdm set-ups": 1}
+    assert made == {"vdm set-ups": 1, "vdm solves": 4}
     for a, b in zip(after, before, strict=True):
         assert set(a.models) == {*b.models, "vdm-paper"}
         assert set(a.metrics) == set(a.models)
@@ -171,14 +186,16 @@ def test_another_study_uses_the_same_reference(tmp_path: Path, cache: Path, made
     plan = plan_of(tmp_path / "b", cache, **changes, sweep=sweep)
     assert all(plan.reference_cached(case) for case in plan.cases)
     run(plan)
-    assert made == {"vdm set-ups": 2}, "names do not matter, and VDM's parameters not to the reference"
+    assert made == {"vdm set-ups": 2, "vdm solves": 8}, (
+        "names do not matter, and VDM's parameters not to the reference"
+    )
 
 
 def test_fresh_uses_nothing_that_is_stored(tmp_path: Path, cache: Path, made: Counter[str]) -> None:
     run(plan_of(tmp_path, cache))
     made.clear()
     again = run(plan_of(tmp_path, cache), fresh=True)
-    assert made == {"fem set-ups": 2, "vdm set-ups": 1, "fem solves": 4}
+    assert made == {"fem set-ups": 2, "vdm set-ups": 1, "fem solves": 4, "vdm solves": 4}
     assert all(
         "measured_earlier" not in result.parameters for case in again for result in case.models.values()
     )
