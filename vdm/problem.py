@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -17,6 +18,7 @@ from vdm.solution import CONVERGED, SolverError, Status
 from vdm.surface import SurfaceMesh
 
 Array = NDArray[np.float64]
+HeldForce = Callable[[], Array]
 
 # share of a unit motion at the held nodes below which it counts as left free: what resists it is its square, of
 # which rounding leaves no three digits to any solver, and an iterative one would not notice
@@ -145,11 +147,11 @@ class LinearStep(Step):
     Attributes
     ----------
     force : (N, d) generalised force of contact and gravity
-    held_force : (n_held, d) K x at held nodes, where the solver's factor knows it
+    held_force : gives K x at held nodes (n_held, d), where the solver's factor knows it
     """
 
     force: Array = field(repr=False)
-    held_force: Array | None = field(default=None, repr=False)
+    held_force: HeldForce | None = field(default=None, repr=False)
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -163,7 +165,7 @@ class LinearStep(Step):
             return formulation.internal_force(self.unknown, self.border, self.product)
         # the free nodes balance what acts on them
         balanced = self.force + formulation.columns.times(self.border)
-        balanced[self.problem.held_nodes] = self.held_force
+        balanced[self.problem.held_nodes] = self.held_force()
         return formulation.internal_force(self.unknown, self.border, balanced)
 
     @cached_property

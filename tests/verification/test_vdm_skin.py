@@ -116,10 +116,13 @@ def test_force_at_held_nodes_from_the_factor_is_that_of_the_operator(skin):
         [2.0 * skin.apply(s * x) for s in (1.0, -3.0)], axis=2
     )  # (N, 3, 2) of twice the operator
     size = np.abs(loads).max()
-    for pick in (0, slice(None)):
-        answer, held = skin.factor(FREE, 2.0).solve_with_held(loads[FREE].reshape(-1, 2)[:, pick])
-        assert_allclose(held, loads[~FREE].reshape(-1, 2)[:, pick], rtol=0.0, atol=1e-10 * size)
-        assert_allclose(answer.reshape(len(x[FREE]), 3, -1)[:, :, 0], x[FREE], rtol=0.0, atol=1e-10)
+    factor = skin.factor(FREE, 2.0)
+    both = factor.solve_with_inside(loads[FREE].reshape(-1, 2))
+    for k in range(2):
+        one = factor.solve_with_inside(loads[FREE][:, :, k].reshape(-1))
+        for answer, inside in (one, (both[0][:, k], both[1][:, k])):
+            assert_allclose(factor.held_force(inside), loads[~FREE][:, :, k], rtol=0.0, atol=1e-10 * size)
+            assert_allclose(answer.reshape(-1, 3), (1.0, -3.0)[k] * x[FREE], rtol=0.0, atol=1e-10)
 
 
 def test_reactions_of_a_skin_with_a_tool_that_moves_are_those_of_the_operator(monkeypatch):

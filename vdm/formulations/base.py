@@ -33,8 +33,12 @@ class Factor(Protocol):
 class ReactingFactor(Factor, Protocol):
     """A factor that knows the force at held nodes too, at less than the price of K x."""
 
-    def solve_with_held(self, right_hand_side: Array) -> tuple[Array, Array]:
-        """The solution, same shape, and K x at the held nodes, themselves at rest: (n_held d,) or (n_held d, m)."""
+    def solve_with_inside(self, right_hand_side: Array) -> tuple[Array, Array]:
+        """The solution, same shape, and the motion inside (k,) or (k, m) that goes with it."""
+        ...
+
+    def held_force(self, inside: Array) -> Array:
+        """K x (n_held, d) at the held nodes, themselves at rest, of a motion inside (k,)."""
         ...
 
 

@@ -97,7 +97,7 @@ class BoundaryFormulation(Formulation):
 
     def contact_force(self, load: Load) -> Array:
         if load.contact_force is None:
-            return -self.surface.area_vectors * load.contact_pressure[:, None]
+            return self.surface.area_vectors * -load.contact_pressure[:, None]
         return load.contact_force
 
     def unknown(self, displacement: Array) -> Array:

@@ -54,8 +54,9 @@ class Skin:
         coarse = coarsened(surface, count)
         spread = interpolation(surface, coarse)
         n = len(coarse.kept)
-        self.spread = spread.weights
-        self.gather = sparse.csr_array(spread.weights.T)
+        # both by columns: scipy's product with three vectors is then half as long, as no sum waits for itself
+        self.spread = sparse.csc_array(spread.weights)
+        self.gather = sparse.csc_array(spread.weights.T)
         cell_areas = np.bincount(spread.cells, surface.nodal_areas, n)
         springs = surface.nodal_areas / np.sqrt(cell_areas[spread.cells])
         matrix = stiffness(coarse.surface, self.gather @ surface.area_vectors)
@@ -107,44 +108,29 @@ class SkinFactor:
             raise SolverError(SINGULAR)
         self._response = lapack.dpotri(factor, lower=1, overwrite_c=1)[0]
         self._response /= scale
-        self._spread = skin.spread[free]
-        self._gather = sparse.csr_array(self._spread.T)
-        self._give = 1.0 / (scale * skin.springs[free, None])
-        self._held_springs = scale * skin.springs[~free, None]
-        self._held_spread = skin.spread[~free]
+        rows = sparse.csr_array(skin.spread)
+        self._spread, self._gather = sparse.csc_array(rows[free]), sparse.csc_array(rows[free].T)
+        self._give = np.repeat(1.0 / (scale * skin.springs[free]), 3)
+        self._held_springs = scale * skin.springs[~free]
+        self._held_spread = sparse.csc_array(rows[~free])
 
     def solve(self, right_hand_side: Array) -> Array:
         """Solution of (n_free 3,) or (n_free 3, m) right-hand sides."""
-        return self._solve(right_hand_side)[0]
+        return self.solve_with_inside(right_hand_side)[0]
 
-    def solve_with_held(self, right_hand_side: Array) -> tuple[Array, Array]:
-        """Solution, and the elastic force at the held nodes: their springs pulled by the coarse body."""
-        moved, coarse = self._solve(right_hand_side)
-        pulled = -self._held_springs * _times(self._held_spread, coarse)
-        return moved, pulled.reshape(-1, *right_hand_side.shape[1:])
+    def solve_with_inside(self, right_hand_side: Array) -> tuple[Array, Array]:
+        """Solution, and the motion of the coarse body (3n,) or (3n, m)."""
+        shape, n_free = right_hand_side.shape, len(self._give) // 3
+        gathered = (self._gather @ right_hand_side.reshape(n_free, -1)).reshape(-1, *shape[1:])
+        product = blas.dsymv if len(shape) == 1 else blas.dsymm
+        inside = np.asarray(product(1.0, self._response, gathered, lower=1))
+        moved = (self._spread @ inside.reshape(len(inside) // 3, -1)).reshape(shape)
+        moved += self._give.reshape(-1, *(1,) * (len(shape) - 1)) * right_hand_side
+        return moved, inside
 
-    def _solve(self, right_hand_side: Array) -> tuple[Array, Array]:
-        force = right_hand_side.reshape(len(self._give), -1)
-        coarse = self._coarse(_times(self._gather, force))
-        moved = _times(self._spread, coarse)
-        moved += self._give * force
-        return moved.reshape(right_hand_side.shape), coarse
-
-    def _coarse(self, force: Array) -> Array:
-        """W applied to forces (n, 3 m) on the coarse body."""
-        columns = force.reshape(3 * len(force), -1)
-        if columns.shape[1] == 1:
-            moved = blas.dsymv(1.0, self._response, columns[:, 0], lower=1)
-        else:
-            moved = blas.dsymm(1.0, self._response, columns, lower=1)
-        return np.asarray(moved).reshape(force.shape)
-
-
-def _times(matrix: sparse.csr_array, columns: Array) -> Array:
-    """Product with (n, k) columns; a few one by one, which takes scipy two thirds of the time of a block."""
-    if columns.shape[1] > 3:
-        return np.asarray(matrix @ columns)
-    return np.stack([matrix @ column for column in np.ascontiguousarray(columns.T)], axis=1)
+    def held_force(self, inside: Array) -> Array:
+        """(n_held, 3) elastic force at the held nodes: their springs pulled by the coarse body."""
+        return -self._held_springs[:, None] * np.asarray(self._held_spread @ inside.reshape(-1, 3))
 
 
 def _solve_blocks(factor: tuple[Array, bool], matrix: Array) -> Array:

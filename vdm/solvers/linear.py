@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 from typing import Literal
 
 import numpy as np
@@ -10,7 +11,7 @@ from numpy.typing import NDArray
 
 from vdm.constraints import Load
 from vdm.formulations.base import Factorise, ReactingFactor
-from vdm.problem import LinearStep, Problem, Step
+from vdm.problem import HeldForce, LinearStep, Problem, Step
 from vdm.solution import SolverError, Status
 from vdm.solvers.audit import SINGLE_LIMIT, Audit, audit, refined
 from vdm.solvers.cholesky import SINGULAR, Cholesky
@@ -47,7 +48,7 @@ class BorderedFactor:
         self._reacting = self.block if isinstance(self.block, ReactingFactor) else None
         if self._reacting is not None:
             pushes = columns.dense().reshape(-1, self.n_border)
-            self._held_response = self._reacting.solve_with_held(pushes)[1]
+            self._response_inside = self._reacting.solve_with_inside(pushes)[1]
         answers = self.response.dense().reshape(-1, self.n_border)
         self.schur = formulation.rows.at(self.free).dotted(answers) + formulation.corner
         self.corner = formulation.corner
@@ -69,8 +70,8 @@ class BorderedFactor:
         """
         return self._solve(force, target, self.volume_row, self.schur)[:2]
 
-    def solve_with_held(self, force: Array, target: Array) -> tuple[Array, Array, Array | None]:
-        """The same, and K x at the held nodes at rest (n_held d,) where the block's factor knows it, else None."""
+    def solve_with_held(self, force: Array, target: Array) -> tuple[Array, Array, HeldForce | None]:
+        """The same, and what tells K x at the held nodes at rest where the block's factor knows it, else None."""
         return self._solve(force, target, self.volume_row, self.schur)
 
     def correction(self, lacking: Array, open_rows: Array) -> tuple[Array, Array]:
@@ -82,19 +83,20 @@ class BorderedFactor:
 
     def _solve(
         self, force: Array, target: Array, row: Array, schur: Array
-    ) -> tuple[Array, Array, Array | None]:
-        held = None
+    ) -> tuple[Array, Array, HeldForce | None]:
+        inside = None
         if self._reacting is None:
             first = self.block.solve(force)
         else:
-            first, held = self._reacting.solve_with_held(force)
+            first, inside = self._reacting.solve_with_inside(force)
         met = self.response.dotted(force)
         met[0] = row @ first  # the volume is kept to rounding, however ill-conditioned K is
         border = np.asarray(np.linalg.solve(schur, target - met), dtype=np.float64)
         first += self.response.times(border).reshape(first.shape)
-        if held is not None:
-            held += self._held_response @ border
-        return first, border, held
+        if self._reacting is None or inside is None:
+            return first, border, None
+        inside += self._response_inside @ border
+        return first, border, partial(self._reacting.held_force, inside)
 
 
 def check_border(
@@ -149,10 +151,8 @@ class LinearSolver:
         pushed = right_hand_side.reshape(-1)[factor.unknowns]
         free_x, border, held = factor.solve_with_held(pushed, target)
         x.reshape(-1)[factor.unknowns] = free_x
-        if held is not None:
-            held = held.reshape(-1, x.shape[1])
-            if lifted is not None:
-                held += lifted[problem.held_nodes]
+        if held is not None and lifted is not None:
+            held = partial(_sum, held, lifted[problem.held_nodes])
         return LinearStep(problem=problem, unknown=x, border=border, force=force, held_force=held)
 
     def audited(self, load: Load, step: Step) -> tuple[Step, Audit]:
@@ -161,3 +161,7 @@ class LinearSolver:
             return refined(self.problem, load, step, self.factor.correction)
         found = audit(self.problem, load, step, self.factor.correction)
         return step, replace(found, limit=SINGLE_LIMIT) if self.precision == "single" else found
+
+
+def _sum(held: HeldForce, lifted: Array) -> Array:
+    return held() + lifted
