@@ -77,7 +77,7 @@ def check_readable(path: Path) -> None:
     if not path.exists():
         raise MeshError("no such file")
     if not path.is_file():
-        raise MeshError(f"{path}: is not a file")
+        raise MeshError("is not a file")
     try:
         with path.open("rb") as file:
             head = file.read(1)

@@ -12,6 +12,7 @@ from scipy.sparse.csgraph import breadth_first_order, connected_components
 
 from .mesh import Array, Index, Mask, Mesh, MeshError
 
+_LARGEST = 1e100  # coordinate
 # Faces of a positive tetrahedron, turned so that their normals point out of it.
 _OUTWARD_FACES = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])
 
@@ -179,10 +180,13 @@ def check_vertex_fans(triangles: Index) -> None:
 
 
 def check_finite(points: Array) -> None:
-    """Raise MeshError for NaN or infinite coordinates."""
-    bad = int(np.count_nonzero(~np.isfinite(points).all(axis=1)))
+    """Raise MeshError for coordinates that are NaN, infinite or so large that their squares are."""
+    bad = int(np.count_nonzero(~(np.abs(points) < _LARGEST).all(axis=1)))
     if bad:
-        raise MeshError(f"{bad} points have coordinates that are not finite numbers; export the mesh again")
+        raise MeshError(
+            f"{bad} points have coordinates that are not finite numbers below {_LARGEST:.0e}; "
+            "export the mesh again"
+        )
 
 
 def mesh_from_tetrahedra(

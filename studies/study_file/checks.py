@@ -48,6 +48,7 @@ def check(study: Study) -> Iterator[Finding]:
     yield from _check_models(study)
     yield from _check_geometry(study.geometry)
     yield from _check_regions(study.regions or {})
+    yield from _check_groups(study)
     yield from _check_constraints(study)
     yield from _check_loads(study)
 
@@ -176,6 +177,26 @@ def _check_regions(regions: dict[str, Region]) -> Iterator[Finding]:
             )
 
 
+def _check_groups(study: Study) -> Iterator[Finding]:
+    """Named groups of nodes where the body has none."""
+    geometry = study.geometry
+    if geometry is None or geometry.shape is None:
+        return
+    if geometry.shape == "file" and (geometry.path is None or geometry.path.suffix.lower() == ".msh"):
+        return
+    for name, region in (study.regions or {}).items():
+        for loc in _groups_in(region, ("regions", name)):
+            yield loc, "only a MSH file has named groups of nodes; say where the region is instead"
+
+
+def _groups_in(region: Region, loc: Loc) -> Iterator[Loc]:
+    if region.group is not None:
+        yield (*loc, "group")
+    for part_loc, part in _parts(region):
+        if isinstance(part, Region):
+            yield from _groups_in(part, (*loc, *part_loc))
+
+
 def _check_region(region: Region, loc: Loc, regions: dict[str, Region]) -> Iterator[Finding]:
     given = _given(region)
     if len(given) != 1:
@@ -282,28 +303,37 @@ def _check_loads(study: Study) -> Iterator[Finding]:
     """Loads that no body of this stiffness and size can mean: a unit has been mixed up."""
     modulus = study.tissue.youngs_modulus if study.tissue is not None else None
     extent = _largest_extent(study.geometry)
+    factor = max(map(abs, study.load.factors)) if study.load is not None and study.load.factors else 1.0
     for place, constraint in enumerate(study.constraints or ()):
         loc = ("constraints", place)
         if modulus is not None:
-            pressure = abs(constraint.pressure or 0.0)
+            pressure = factor * abs(constraint.pressure or 0.0)
             if pressure > 10 * modulus:
                 yield (
                     (*loc, "pressure"),
                     f"{pressure:g} Pa is more than ten times Young's modulus ({modulus:g} Pa): a mixed-up unit?",
                 )
-            force = abs(constraint.force or 0.0)
+            force = factor * abs(constraint.force or 0.0)
             if extent is not None and force > 10 * modulus * extent**2:
                 yield (
                     (*loc, "force"),
                     f"{force:g} N on a body {extent:g} m across is a pressure of more than ten times Young's "
                     f"modulus ({modulus:g} Pa): a mixed-up unit?",
                 )
-        distance = math.hypot(*(constraint.displacement or (0.0,)))
+        distance = factor * math.hypot(*(constraint.displacement or (0.0,)))
         if extent is not None and distance > extent:
             yield (
                 (*loc, "displacement"),
                 f"{distance:g} m is more than the body's extent ({extent:g} m): a mixed-up unit? "
                 'A bare number is in metres; write "5 mm"',
+            )
+    if modulus is not None and extent is not None and study.gravity is not None:
+        weight = (study.tissue.density or 0.0) * math.hypot(*(study.gravity.acceleration or (0.0,))) * extent
+        if weight > 10 * modulus:
+            yield (
+                ("gravity", "acceleration"),
+                f"the weight of a body {extent:g} m across is a pressure of {weight:g} Pa, more than ten times "
+                f"Young's modulus ({modulus:g} Pa): a mixed-up unit?",
             )
 
 

@@ -230,6 +230,11 @@ def in_kilometres(points: Array, triangles: Index) -> tuple[Array, Index]:
     return points / 1000, triangles
 
 
+def test_coordinates_whose_squares_are_infinite(tmp_path: Path, ball: Mesh) -> None:
+    path = write_surface(tmp_path / "a.obj", 1e300 * ball.surface_points, ball.triangles)
+    refused(path, r"a\.obj: [0-9]+ points have coordinates that are not finite numbers below 1e\+100")
+
+
 @pytest.mark.parametrize("suffix", [".ply", ".obj", ".stl", ".vtp"])
 @pytest.mark.parametrize(
     ("spoil", "words"),

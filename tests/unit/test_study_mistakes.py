@@ -157,9 +157,30 @@ CASES = {
         "mixed-up unit",
     ),
     "force": ("pressure = 200", "force = 2e5", "force", "constraints.tip.force", "mixed-up unit"),
+    "load factor": (
+        "[tissue]",
+        "[load]\nfactors = [1, -1e300]\n[tissue]",
+        "pressure = 200",
+        "constraints.tip.pressure",
+        "mixed-up unit",
+    ),
+    "gravity": (
+        "[tissue]",
+        "[gravity]\nacceleration = [0, 0, -9.81e4]\n[tissue]",
+        "acceleration",
+        "gravity.acceleration",
+        "mixed-up unit",
+    ),
+    "group of no file": (
+        "[tissue]",
+        "[regions.x]\nany = ['tip', { group = 'left' }]\n[tissue]",
+        "any",
+        "regions.x.any[1].group",
+        "only a MSH file has named groups",
+    ),
     "region twice": (
         "[regions.tip]",
-        "[regions.tip]\ngroup = 'a'",
+        "[regions.tip]\nbox = { min = [0, 0, 0], max = [1, 1, 1] }",
         "[regions.tip]",
         "regions.tip",
         "exactly one of",
@@ -180,7 +201,7 @@ CASES = {
     ),
     "unsafe region": (
         "[tissue]",
-        "[regions.'<b>']\ngroup = 'a'\n[tissue]",
+        "[regions.'<b>']\nbelow = { axis = 'z', fraction = 0.1 }\n[tissue]",
         "[regions.'<",
         'regions."<b>"',
         "not a usable",
@@ -371,7 +392,9 @@ def test_unsafe_names_are_refused(tmp_path: Path, name: str) -> None:
 def test_regions_that_refer_to_themselves_or_grow_without_end_are_refused(tmp_path: Path) -> None:
     chain = "".join(f"[regions.r{n}]\nall = ['r{n + 1}', {{ not = 'r{n + 1}' }}]\n" for n in range(30))
     cycle = "[regions.p]\nnot = { any = ['q'] }\n[regions.q]\nall = ['p']\n[regions.into]\nnot = 'p'\n"
-    found = problems(tmp_path, SMALL + chain + "[regions.r30]\ngroup = 'g'\n" + cycle)
+    found = problems(
+        tmp_path, SMALL + chain + "[regions.r30]\nbelow = { axis = 'z', fraction = 0.1 }\n" + cycle
+    )
     by_key = {key: message for _, key, message in found}
     assert {key for key, message in by_key.items() if "refers to itself" in message} == {
         "regions.p",

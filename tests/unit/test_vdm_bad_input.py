@@ -76,3 +76,12 @@ def test_a_modulus_that_is_no_number(value):
         Parameters(bulk_modulus=value)
     with pytest.raises(ParameterError, match="tension_stiffening must be finite and not negative"):
         Parameters(tension_stiffening=value)
+
+
+@pytest.mark.parametrize("solver", ["linear", "lu", "cg"])
+def test_an_answer_beyond_all_numbers_is_a_status(solver):
+    soft = Parameters(surface_tension=1e-120)
+    body = Model(POINTS, TRIANGLES, soft, formulation="vector", fixed=BASE, solver=solver)
+    [status] = body.solve([Load(PUSH)]).status
+    assert status.code == "not-finite"
+    assert "check the size of the loads and moduli" in status.remedy

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from vdm.constraints import Load
+from vdm.constraints import LARGEST, Load
 from vdm.problem import LinearStep, Problem, Step
 from vdm.solution import Status
 
@@ -27,7 +27,11 @@ ERROR_LIMIT = 1e-3  # of the largest displacement: as good as the accuracy that 
 PATH_LIMIT = 1e-3  # of the largest displacement so far: by how much the steps on the way may move an answer
 REFINED = 1e-10  # residual or error above which a correction is worth its price
 MOST_SWEEPS = 3
-NOT_FINITE = Status("not-finite", "the solution holds nan or inf", "check the size of the loads and moduli")
+NOT_FINITE = Status(
+    "not-finite",
+    f"the solution holds nan, inf or numbers beyond {LARGEST:.0e}",
+    "check the size of the loads and moduli",
+)
 
 
 @dataclass(frozen=True)
@@ -93,7 +97,7 @@ def judged(step: Step, found: Audit) -> Step:
     """
     if not step.status.ok:
         return step
-    if not np.isfinite(step.displacement).all():
+    if not np.abs(step.displacement).max() <= LARGEST:
         return replace(step, status=NOT_FINITE)
     if not found.residual <= found.limit:
         message = f"the balance lacks {found.residual:.1e} of the largest force"
