@@ -21,6 +21,7 @@ PARAMETERS = {
     "foundation": ("foundation k", "Pa/m"),
     "surface_tension": ("tension T", "N/m"),
     "stretch_stiffness": ("stretch stiffness E_s", "N/m"),
+    "coarse_nodes": ("nodes of the coarse body", "1"),
     "penalty": ("penalty alpha", "1"),
 }
 # which of them a formulation reads, where a study gives more than that
@@ -28,7 +29,7 @@ _READ = {
     "paper": ("bulk_modulus", "connectivity_modulus", "penalty"),
     "consistent": ("foundation", "surface_tension", "penalty"),
     "vector": ("foundation", "surface_tension", "stretch_stiffness", "penalty"),
-    "boundary": ("shear_modulus", "penalty"),
+    "boundary": ("shear_modulus", "coarse_nodes", "penalty"),
 }
 _MOST_VALUES = 4
 SURFACE_MODELS = ("vdm-", "mass-spring")

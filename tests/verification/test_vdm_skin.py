@@ -13,6 +13,7 @@ from vdm import Load, Model, Parameters, SolverError, SurfaceMesh
 from vdm.formulations.boundary import (
     MAX_NODES,
     BoundaryFormulation,
+    Dense,
     DenseFactor,
     rigid_motions,
     surface_stiffness,
@@ -20,7 +21,7 @@ from vdm.formulations.boundary import (
 from vdm.formulations.coarse_surface import coarsened
 from vdm.formulations.interpolation import interpolation
 from vdm.formulations.skin import LARGEST_RATIO, Skin
-from vdm.material import ball_compliance
+from vdm.material import ParameterError, ball_compliance
 
 ELLIPSOID = SurfaceMesh(*icosphere(3, (1.0, 0.8, 0.6)))
 FREE = ELLIPSOID.points[:, 2] > -0.5
@@ -143,6 +144,31 @@ def test_reactions_of_a_skin_with_a_tool_that_moves_are_those_of_the_operator(mo
     assert_allclose(lacking, solution.reaction_force[0], rtol=0.0, atol=1e-10 * size)
     assert_allclose(np.vdot(ELLIPSOID.area_vectors, u), 0.0, rtol=0.0, atol=1e-16)
     assert_allclose(solution.energy[0], 0.5 * np.vdot(u, model.formulation.apply(u)), rtol=1e-10, atol=0.0)
+
+
+def test_the_coarse_body_may_be_smaller():
+    few = Parameters(shear_modulus=2.0, coarse_nodes=200)
+    form = BoundaryFormulation(ELLIPSOID, few)
+    assert isinstance(form.body, Skin)
+    assert form.body.inner.shape == (600, 600)
+    assert few.record()["coarse_nodes"] == 200.0
+    # a surface that has no more is taken as it is
+    small = SurfaceMesh(*icosphere(2, (1.0, 0.8, 0.6)))
+    assert isinstance(BoundaryFormulation(small, few).body, Dense)
+    with pytest.raises(SolverError, match="no matrix where it is a skin"):
+        form.stiffness()
+    for count in (199, 1001, 300.5, "300", True):
+        with pytest.raises(ParameterError, match="coarse_nodes must be a whole number from 200 to 1,000"):
+            Parameters(shear_modulus=2.0, coarse_nodes=count)
+    # a smooth push is answered as by all 642 nodes, but for what the coarse body's facets lack
+    push = [Load(np.exp(-4.0 * ((ELLIPSOID.points - [0.0, 0.5, 0.4]) ** 2).sum(axis=1)))]
+    options = {"formulation": "boundary", "fixed": ~FREE}
+    whole, coarse = (
+        Model(ELLIPSOID.points, ELLIPSOID.triangles, parameters, **options).solve(push).displacement[0]
+        for parameters in (Parameters(shear_modulus=2.0), few)
+    )
+    gap = np.linalg.norm(coarse - whole) / np.linalg.norm(whole)
+    assert 1e-3 < gap < 0.08, gap
 
 
 def test_a_skin_held_at_too_few_nodes_is_singular(skin):

@@ -44,7 +44,9 @@ class BoundaryFormulation(Formulation):
     reactions balance the load. The traction of V^-1 is taken without its mean pressure: that pressure is dP.
 
     Dense, (3N)^2 numbers, set-up of order N^3, up to `MAX_NODES` nodes; more are the skin of a coarser body (see
-    `vdm.formulations.skin`). At large displacements S turns with the rotation Q that best fits the surface:
+    `vdm.formulations.skin`), and so are fewer where `Parameters.coarse_nodes` says so.
+
+    At large displacements S turns with the rotation Q that best fits the surface:
     `E = 1/2 w.S w`, w = (positions) Q^T - (rest), Q from `sum a_i |x_i - X_i Q|^2`, areas a_i and arms X_i at rest.
     As Q turns with the positions, the force is `Q^T S w` less `lambda x (a_i X_i Q)`: forces that take off the
     moment of the first term, so that the internal force has neither a resultant nor a moment.
@@ -65,10 +67,10 @@ class BoundaryFormulation(Formulation):
             raise ParameterError("the boundary formulation needs shear_modulus, one positive number")
         self.shear_modulus = float(modulus)
         self.body: Dense | Skin
-        if surface.n_nodes <= MAX_NODES:
+        if surface.n_nodes <= (parameters.coarse_nodes or MAX_NODES):
             self.body = Dense(surface_stiffness(surface, surface.area_vectors))
         else:
-            self.body = Skin(surface, COARSE_NODES, surface_stiffness)
+            self.body = Skin(surface, parameters.coarse_nodes or COARSE_NODES, surface_stiffness)
         self.columns = DenseColumns(surface.area_vectors[:, :, None])
         self.rows = self.columns
         self.corner = np.zeros((1, 1))
@@ -89,8 +91,8 @@ class BoundaryFormulation(Formulation):
             raise SolverError(
                 Status(
                     "too-large",
-                    f"the boundary formulation has no matrix for more than {MAX_NODES} nodes",
-                    "use a coarser mesh, or the linear or the nonlinear solver",
+                    "the boundary formulation has no matrix where it is a skin on a coarse body",
+                    f"use the linear or the nonlinear solver, or a mesh of at most {MAX_NODES:,} nodes",
                 )
             )
         return sparse.csr_array(self.shear_modulus * self.body.matrix)

@@ -42,12 +42,15 @@ def interpolation(surface: SurfaceMesh, coarse: CoarseSurface) -> Interpolation:
     i, j = coarse.surface.edges.T
     ring = sparse.csr_array((np.ones(len(i)), (i, j)), shape=(count, count))
     ring = sparse.csr_array(ring + ring.T + sparse.eye_array(count))
+    rings = sparse.csr_array(ring @ ring)
+    rings.sort_indices()
+    two_rings = np.split(rings.indices.astype(np.int64), rings.indptr[1:-1])
     members = np.split(np.argsort(cells, kind="stable"), np.cumsum(np.bincount(cells, minlength=count))[:-1])
     rows: list[Index] = []
     columns: list[Index] = []
     values: list[Array] = []
     for cell, nodes in enumerate(members):
-        stencil, weights = _cell(ring, cell, coarse.surface.points, surface.points[nodes])
+        stencil, weights = _cell(ring, two_rings[cell], coarse.surface.points, surface.points[nodes])
         rows.append(np.repeat(nodes, len(stencil)))
         columns.append(np.tile(stencil, len(nodes)))
         values.append(weights.ravel())
@@ -61,11 +64,8 @@ def interpolation(surface: SurfaceMesh, coarse: CoarseSurface) -> Interpolation:
     return Interpolation(matrix, cells)
 
 
-def _cell(ring: sparse.csr_array, cell: int, coarse: Array, targets: Array) -> tuple[Index, Array]:
-    """The stencil (m,) of a cell and the weights (t, m) of its fine nodes at `targets`."""
-    stencil: Index = np.array([cell])
-    for _ in range(2):
-        stencil = _around(ring, stencil)
+def _cell(ring: sparse.csr_array, stencil: Index, coarse: Array, targets: Array) -> tuple[Index, Array]:
+    """The stencil (m,) of a cell, its two rings or more, and the weights (t, m) of its fine nodes at `targets`."""
     while True:
         weights = _polyharmonic(coarse[stencil], targets)
         off = np.abs(weights @ coarse[stencil] - targets).max()
