@@ -26,6 +26,7 @@ from studies.run import Options, run_plan
 from studies.study_file.config import expand, load_study
 from tests.docs.vdm_accuracy import README, ROOT, STUDIES, as_per_cent
 from vdm.formulations.boundary import surface_stiffness
+from vdm.formulations.skin import Skin
 from vdm.formulations.vector import (
     block_diagonal,
     block_laplacian,
@@ -105,6 +106,14 @@ class Body:
     def fibres_4(self) -> Array:
         """Fibres between all pairs, A_i A_j / r^4, made of the same unit by the body's size."""
         return self.surface.volume ** (1.0 / 3.0) * self._fibres(4)
+
+    def on_coarse_body(self, count: int) -> Array:
+        """Boundary integrals of a coarse body of `count` nodes under a skin of springs."""
+        skin = Skin(self.surface, count, surface_stiffness)
+        n = self.surface.n_nodes
+        columns = [skin.apply(unit.reshape(n, 3)).reshape(-1) for unit in np.eye(3 * n)]
+        matrix = np.stack(columns, axis=1)
+        return np.asarray(0.5 * (matrix + matrix.T))
 
     def with_global_rotation(self, laplacian: Array) -> Array:
         """(3N, 3N) of a Laplacian in every direction, less what the best rotation of the body takes off."""
@@ -235,6 +244,8 @@ CANDIDATES = (
         "full",
         lambda b, _: surface_stiffness(b.surface, b.surface.area_vectors),
     ),
+    Candidate("the same on 300 nodes, a skin", 0, "full, 300", lambda b, _: b.on_coarse_body(300)),
+    Candidate("the same on 200 nodes, a skin", 0, "full, 200", lambda b, _: b.on_coarse_body(200)),
 )
 
 
