@@ -26,6 +26,10 @@ _START = 2.0  # s to load the libraries, and to write the tables and an empty re
 _PROCESS_BYTES = 1.3e8  # of a worker that has done nothing
 _DENSE_NODES = 1000.0  # `vdm.formulations.boundary.MAX_NODES`, which would load the library
 _MOST_READ = 3  # case files that are read to learn from
+_SEARCH_LOADS = 30  # that a search for small-strain limits tries, each of them once for all models
+_DEEP = (
+    8.0  # cost of a load amid the limits, which is reached in steps that are halved, over one of the study's
+)
 # unknowns per tetrahedron, as these elements have them on meshes of some thousand
 _UNKNOWNS = {"P1": 0.7, "P2": 4.7}
 # the path's own estimate is for choosing one; of it, a solve of 3,000 to 25,000 tetrahedra takes
@@ -80,6 +84,8 @@ def estimate(plan: Plan, cases: Sequence[PlannedCase]) -> Estimate | None:
         seconds += part.setups * cost.setup + part.solves * cost.step
         # what the cases of a group share is held until the group is done
         held[part.group] = held.get(part.group, 0.0) + cost.bytes
+    for case in cases:
+        seconds += _search(case, sizes[case.mesh], learnt)
     disk = 0.0
     for case in cases:
         results, steps = len(case.results) + 1, len(case.study.load.history)
@@ -96,6 +102,26 @@ def estimate(plan: Plan, cases: Sequence[PlannedCase]) -> Estimate | None:
     )
     factor = FACTOR_MEASURED if learnt else FACTOR_LAWS
     return Estimate(seconds if cases else 0.0, _PROCESS_BYTES + max(held.values(), default=0.0), disk, factor)
+
+
+def _search(case: PlannedCase, size: Size, learnt: Mapping[str, Cost]) -> float:
+    """Seconds that the search for a case's small-strain limits takes."""
+    study = case.study
+    if study.limits is None:
+        return 0.0
+    seconds, steps = 0.0, study.load.steps or 1
+
+    def tried(name: str, level: int, loads: int) -> float:
+        cost = _cost(ModelWork(name, case.mesh, case.setup, level, loads, steps * loads, steps), size, learnt)
+        deep = _DEEP if name in models.FINITE_STRAIN or name.endswith(":nonlinear") else 1.0
+        setups = loads if name in models.FINITE_STRAIN else 1
+        return setups * cost.setup + deep * loads * steps * cost.step
+
+    for name in study.study.models:
+        seconds += tried(name, 0, _SEARCH_LOADS)
+        if study.uncertainty is not None and models.find(name)[0].volumetric:
+            seconds += tried(name, 1, 2)  # a small load and one amid the limits
+    return seconds
 
 
 def _size(plan: Plan, mesh: PlannedMesh) -> Size | None:

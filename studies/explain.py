@@ -74,6 +74,8 @@ def _shared(plan: Plan, todo: Sequence[PlannedCase], work: Sequence[ModelWork]) 
                     f"{where}: {_count(solves, 'solve')} for {steps} load steps; "
                     "the others are multiples or sums of them"
                 )
+    if any(case.study.limits for case in todo):
+        lines.append("small-strain limits: a load that is tried serves all models and thresholds")
     return lines
 
 

@@ -314,3 +314,21 @@ def test_a_batch_and_one_case_give_one_reference(tmp_path: Path, cache: Path) ->
     stored = case.models["fem-linear refined"].displacement
     assert_allclose(finest.displacement, stored, rtol=0, atol=1e-12 * np.abs(stored).max())
     assert error.keys() == case.reference_error.keys()
+
+
+def test_a_plan_expects_the_search_for_limits_to_cost_many_loads(tmp_path: Path) -> None:
+    """Counted as 25 to 29 loads of every model in the shipped study, at twenty times what its own loads take."""
+    tables = {
+        "study": TABLES["study"] | {"models": ["vdm-vector", "fem-linear", "fem"], "reference": "fem"},
+        "uncertainty": None,
+    }
+    limits = {"limits": {"along": "constraints.finger.force"}}
+    own, searched, with_bars = (
+        summary(plan_of(tmp_path / "a", tmp_path / "cache", **tables | more))
+        for more in ({}, limits, limits | {"uncertainty": {"levels": 2}})
+    )
+    assert searched["estimate"]["seconds"] > 10 * own["estimate"]["seconds"]
+    assert with_bars["estimate"]["seconds"] > 1.5 * searched["estimate"]["seconds"]
+    line = "small-strain limits: a load that is tried serves all models and thresholds"
+    assert line in searched["shared"]
+    assert line not in own["shared"]
