@@ -19,7 +19,8 @@ from studies.hdf5 import Data, Entry, Group, Stored, StoreError, Text, sealed
 
 @pytest.fixture(autouse=True)
 def no_skeletons(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(hdf5, "_skeletons", {})
+    for kept in ("_skeletons", "_plain", "_header_bytes"):
+        monkeypatch.setattr(hdf5, kept, {})
 
 
 def entries(seed: int, rows: int = 3, name: str = "first") -> list[Entry]:
@@ -163,3 +164,68 @@ def test_a_newer_schema_is_refused(tmp_path: Path) -> None:
     path.write_bytes(sealed(entries(1)))
     with pytest.raises(StoreError, match="newer"):
         Stored(path, schema=0)
+
+
+def assert_read(path: Path) -> None:
+    """What `Stored` reads is what h5py reads."""
+    with h5py.File(io.BytesIO(path.read_bytes()[: -hdf5.TRAILER_BYTES])) as file, Stored(path, 1) as stored:
+        for name, (_, *content) in tree(file).items():
+            if len(content) > 1 and content[0].kind in "iuf":
+                read = stored.floats if content[0].kind == "f" else stored.integers
+                assert_array_equal(read(name), np.array(content[1]).reshape(file[name].shape), err_msg=name)
+                assert read(name).flags.writeable
+
+
+def test_what_is_known_of_a_file_serves_files_of_its_structure_only(tmp_path: Path) -> None:
+    path = tmp_path / "case.h5"
+    for seed, rows, name in [
+        (1, 3, "first"),
+        (2, 3, "first"),
+        (3, 4, "first"),
+        (4, 3, "other"),
+        (5, 3, "first"),
+    ]:
+        before = len(hdf5._plain)
+        path.write_bytes(sealed(entries(seed, rows, name)))
+        assert_read(path)
+        if seed in (2, 5):
+            assert len(hdf5._plain) == before, "the headers are those of the first file"
+        elif seed in (1, 3):
+            assert len(hdf5._plain) > before
+    assert hdf5._plain
+
+
+def test_a_known_array_is_found_by_its_link_and_its_header(tmp_path: Path) -> None:
+    """The same arrays under each other's names, and one made anew at the place of another."""
+    path = tmp_path / "case.h5"
+
+    def swapped(file: h5py.File) -> None:
+        file.move("data/first", "data/kept")
+        file.move("data/dense", "data/first")
+        file.move("data/kept", "data/dense")
+
+    def anew(file: h5py.File) -> None:
+        del file["data/first"]
+        file["data/first"] = np.arange(3, dtype=np.int32)
+        file["data/big"] = np.arange(3, dtype=">f8")
+
+    for edit in (swapped, anew):
+        content = sealed(entries(1))
+        path.write_bytes(content)
+        assert_read(path)
+        buffer = io.BytesIO(content[: -hdf5.TRAILER_BYTES])
+        with h5py.File(buffer, "r+") as file:
+            edit(file)
+            file.flush()
+            image = file.id.get_file_image()
+        path.write_bytes(image + hdf5.TRAILER + hashlib.sha256(image).hexdigest().encode() + b"\n")
+        assert_read(path)
+
+
+def test_what_is_known_of_headers_is_bounded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(hdf5, "_MOST_PLAIN", 7)
+    path = tmp_path / "case.h5"
+    for rows in range(2, 12):
+        path.write_bytes(sealed(entries(1, rows)))
+        assert_read(path)
+        assert len(hdf5._plain) <= 7
