@@ -15,7 +15,7 @@ import numpy as np
 
 from .case import ModelResult, StepStatus
 from .memory import peak_bytes_since, reset_peak
-from .meshing.mesh import Array, Index, Mask
+from .meshing.mesh import Array, Mask, Mesh
 from .metrics import enclosed_volumes
 from .proportional import Solved
 from .scene import Scene
@@ -304,8 +304,7 @@ def _vdm_inputs(scene: Scene, formulation: str, solver: str, name: str) -> dict[
     """What decides a set-up. Parameters by the study, by the model's own table, else by rule from the tissue."""
     fibres = scene.anisotropy
     return {
-        "points": scene.mesh.surface_points,
-        "triangles": scene.mesh.triangles,
+        "mesh": scene.mesh,
         "tissue": (scene.tissue.youngs_modulus, scene.tissue.poisson_ratio, scene.tissue.density),
         "given": {**scene.parameters, **scene.overrides.get(name, {})},
         "fibres": (fibres.fibre_direction, fibres.contrast) if fibres else None,
@@ -340,8 +339,7 @@ def contact_frame(scene: Scene, name: str) -> Callable[[], object] | None:
 
 def _vdm_model(
     *,
-    points: Array,
-    triangles: Index,
+    mesh: Mesh,
     tissue: tuple[float, float, float],
     given: dict[str, Any],
     fibres: tuple[tuple[float, ...], float] | None,
@@ -372,8 +370,8 @@ def _vdm_model(
         options |= {"constraint_method": "penalty-replaced", "penalty": penalty}  # (25) and (26) as printed
         solver = "lu"
     return VdmModel(
-        points,
-        triangles,
+        mesh.surface_points,
+        mesh.triangles,
         parameters,
         formulation=formulation,
         density=density,

@@ -11,7 +11,8 @@ import numpy as np
 from .meshing.mesh import Array, InputError, Mask, Mesh
 from .metrics import corner_sum, facet_area_vectors, nodal_sum
 from .regions import profile_coordinate, select
-from .study_file.schema import Anisotropy, Constraint, Study, Tissue
+from .setups import shared
+from .study_file.schema import Anisotropy, Constraint, Region, Study, Tissue
 
 
 class SceneError(InputError):
@@ -169,16 +170,13 @@ def _contact_pressure(constraint: Constraint, study: Study, mesh: Mesh, mask: Ma
     every quadrature point, so that it does not change with the mesh: Hertz p0 sqrt(1 - rho^2), Gaussian
     p0 exp(-9/2 rho^2) with its third standard deviation at the rim rho = 1 and nothing beyond.
     """
-    barycentric, weights = _quadrature()
-    if constraint.profile == "uniform":
-        shape = np.repeat(np.all(mask[mesh.triangles], axis=1)[:, None].astype(float), len(weights), axis=1)
-    else:
-        points = np.einsum("qk,fki->fqi", barycentric, mesh.surface_points[mesh.triangles])
-        rho = profile_coordinate(study.regions[constraint.region], mesh, points)
-        hertz = np.sqrt(np.clip(1 - rho**2, 0.0, None))
-        shape = hertz if constraint.profile == "hertz" else np.where(rho < 1, np.exp(-4.5 * rho**2), 0.0)
-    vectors = facet_area_vectors(mesh.surface_points, mesh.triangles)
-    resultant = float(np.linalg.norm((shape @ weights) @ vectors))
+    shape, resultant = shared(
+        _contact_shape,
+        mesh=mesh,
+        mask=mask,
+        profile=constraint.profile,
+        region=study.regions[constraint.region],
+    )
     if resultant == 0.0:
         raise SceneError(
             f"contact {constraint.name!r} loads no facet; enlarge its region or take a smaller mesh_size"
@@ -186,3 +184,17 @@ def _contact_pressure(constraint: Constraint, study: Study, mesh: Mesh, mask: Ma
     if constraint.force is not None:
         return shape * (constraint.force / resultant)
     return shape * (constraint.pressure or 0.0)
+
+
+def _contact_shape(*, mesh: Mesh, mask: Mask, profile: str, region: Region) -> tuple[Array, float]:
+    """(F, Q) pressure at the quadrature points over its peak, and the size of its resultant force [m^2]."""
+    barycentric, weights = _quadrature()
+    if profile == "uniform":
+        shape = np.repeat(np.all(mask[mesh.triangles], axis=1)[:, None].astype(float), len(weights), axis=1)
+    else:
+        points = np.einsum("qk,fki->fqi", barycentric, mesh.surface_points[mesh.triangles])
+        rho = profile_coordinate(region, mesh, points)
+        hertz = np.sqrt(np.clip(1 - rho**2, 0.0, None))
+        shape = hertz if profile == "hertz" else np.where(rho < 1, np.exp(-4.5 * rho**2), 0.0)
+    vectors = facet_area_vectors(mesh.surface_points, mesh.triangles)
+    return shape, float(np.linalg.norm((shape @ weights) @ vectors))

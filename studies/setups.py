@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from typing import Any, TypeVar
 
 import numpy as np
+from pydantic import BaseModel
 
 T = TypeVar("T")
 
@@ -69,7 +70,7 @@ def watched() -> Iterator[list[Setup]]:
 def shared(make: Callable[..., T], **inputs: Any) -> T:
     """make(**inputs), or what it made before of the same inputs. What it makes must not change when it is used.
 
-    Inputs are arrays, plain values, dataclasses and containers of them.
+    Inputs are arrays, plain values, meshes, tables of a study, dataclasses and containers of them.
     """
     key = _key(make, inputs)
     setup = _used(key)
@@ -106,7 +107,7 @@ def _watch(setup: Setup) -> None:
 
 
 def content_key(value: Any) -> str:
-    """SHA-256 (hex) of arrays, plain values, dataclasses and containers of them."""
+    """SHA-256 (hex) of arrays, plain values, meshes, tables of a study, dataclasses and containers of them."""
     digest = hashlib.sha256()
     _feed(digest, value)
     return digest.hexdigest()
@@ -125,6 +126,10 @@ def _feed(digest: Any, value: Any) -> None:
         digest.update(f"sequence {len(value)} ".encode())
         for item in value:
             _feed(digest, item)
+    elif isinstance(getattr(value, "content_hash", None), str):  # which knows its own
+        _feed(digest, (type(value).__qualname__, value.content_hash))
+    elif isinstance(value, BaseModel):
+        _feed(digest, (type(value).__qualname__, value.model_dump()))
     elif dataclasses.is_dataclass(value) and not isinstance(value, type):
         _feed(
             digest,

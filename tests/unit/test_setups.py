@@ -7,7 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
+from studies.meshing.mesh import Mesh
 from studies.setups import content_key, next_turn, shared, sharing, watched
+from studies.study_file.schema import Ball, Region
 
 
 @dataclass(frozen=True)
@@ -22,6 +24,15 @@ def make(**inputs: object) -> list[object]:
 
 def other(**inputs: object) -> list[object]:
     return [inputs]
+
+
+def ball(radius: float) -> Region:
+    return Region(ball=Ball(center=(0.0, 0.0, 1.0), radius=radius))
+
+
+def mesh(height: float) -> Mesh:
+    points = np.eye(4, 3) * [1.0, 1.0, 1.0 + height]
+    return Mesh(points, np.array([[0, 1, 2, 3]]), np.arange(4), np.zeros((0, 3), dtype=np.int64))
 
 
 def test_the_same_inputs_give_the_same_object_inside_only() -> None:
@@ -65,7 +76,10 @@ def test_content_keys_tell_things_apart() -> None:
         None, 0, 0.0, False, "", "0", (), (0,), ((0,),), {"a": 1}, {"a": 1.0}, {"b": 1},
         np.zeros(2), np.zeros((2, 1)), np.zeros(2, dtype=np.int64),
         Point(1.0), Point(2.0), Point(1.0, "a"), ("ab", "c"), ("a", "bc"),
+        ball(0.1), ball(0.2), Ball(center=(0.0, 0.0, 1.0), radius=0.2), mesh(0.0), mesh(1.0),
     ]  # fmt: skip
+    assert content_key(ball(0.1)) == content_key(ball(0.1))
+    assert content_key(mesh(0.0)) == content_key(mesh(0.0))
     assert len({content_key(thing) for thing in things}) == len(things)
     assert content_key([1, 2]) == content_key((1, 2))
     assert content_key({"a": 1, "b": 2}) == content_key({"b": 2, "a": 1})
