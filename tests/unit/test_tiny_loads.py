@@ -40,7 +40,7 @@ def test_a_surface_model_at_large_displacements_refuses_what_rounding_hides(form
     # the rule of the linear paper form keeps A_i L_i, the nonlinear one the polyhedron's volume
     slack = 0.01 if formulation == "paper" else 3e-3
     seen = set()
-    for pressure in (*TINY, 1e-14, 1e-12, 1e-10, 1e-8, 1e-6):
+    for pressure in (*TINY, 1e-14, 1e-10, 1e-8, 1e-6, 1e-4):
         load = Load(np.where(TOP, pressure, 0.0))
         status = nonlinear.solve([load]).status[0]
         seen.add(status.code)
@@ -50,7 +50,7 @@ def test_a_surface_model_at_large_displacements_refuses_what_rounding_hides(form
             assert np.abs(found - expected).max() <= slack * np.abs(expected).max(), pressure
         else:
             assert (status.code, "linear solver" in status.remedy) == ("too-small", True)
-            assert pressure <= 1e-8
+            assert pressure <= 1e-6
     assert seen == {"converged", "too-small"}
 
 
@@ -129,7 +129,7 @@ def test_elements_at_finite_strain_refuse_what_rounding_hides() -> None:
     assert np.abs(history.displacement[2:]).max() < 1e-6 * np.abs(history.displacement[1]).max()
 
 
-@pytest.mark.parametrize("scale", [1e-100, 1e-12, 1.0, 1e12, 1e100])
+@pytest.mark.parametrize("scale", [1e-90, 1e-12, 1.0, 1e12, 1e90])
 @pytest.mark.parametrize("solver", ["single", "refined"])
 def test_single_precision_does_not_care_for_the_unit_of_the_moduli(solver: str, scale: float) -> None:
     load = Load(np.where(TOP, 100.0 * scale, 0.0))
@@ -138,3 +138,30 @@ def test_single_precision_does_not_care_for_the_unit_of_the_moduli(solver: str, 
     assert found.status[0].ok
     tolerance = 1e-5 if solver == "single" else 1e-10
     assert_allclose(found.displacement, expected.displacement, rtol=0, atol=tolerance * whole_size(expected))
+
+
+@pytest.mark.parametrize("height", [1e-3, 1e-5])
+def test_supports_nearly_on_a_line_do_not_hide_what_rounding_does(height: float) -> None:
+    """Three held nodes, the third nearly on the line of the others: rounding rocks the body about it."""
+    held_facet = TRIANGLES[POINTS[TRIANGLES].mean(axis=1)[:, 2].argmin()]
+    points = POINTS.copy()
+    a, b, c = points[held_facet]
+    foot = a + (b - a) * ((c - a) @ (b - a)) / ((b - a) @ (b - a))
+    points[held_facet[2]] = foot + height * (c - foot)
+    held = np.zeros(len(points), dtype=bool)
+    held[held_facet] = True
+    rule = Parameters.from_tissue(5000.0, 0.4999, SurfaceMesh(points, TRIANGLES), "vector", held=held)
+    linear, nonlinear = (
+        Model(points, TRIANGLES, rule, formulation="vector", fixed=held, solver=solver)
+        for solver in ("linear", "nonlinear")
+    )
+    codes = []
+    for pressure in (0.1, 1e-2, 1e-3, 1e-5):
+        load = Load(np.where(TOP, pressure, 0.0))
+        found, expected = nonlinear.solve([load]), linear.solve([load])
+        codes.append(found.status[0].code)
+        if found.status[0].ok:  # what is left is that of large displacements, of second order in the load
+            error = np.abs(found.displacement - expected.displacement).max() / whole_size(expected)
+            assert error < 0.1 * pressure + 1e-3
+    assert codes[-1] == "too-small"
+    assert (codes[0] == "converged") == (height == 1e-3)

@@ -12,7 +12,7 @@ from vdm.deformed import DeformedSurface
 from vdm.problem import Problem, Step
 from vdm.solution import Status
 from vdm.solvers.anderson import Anderson
-from vdm.solvers.audit import Audit
+from vdm.solvers.audit import ERROR_LIMIT, Audit
 from vdm.solvers.linear import BorderedFactor
 
 Array = NDArray[np.float64]
@@ -31,14 +31,6 @@ NOT_CONVERGED = Status(
     "not-converged",
     "the nonlinear balance was not found, the load step halved six times",
     "use smaller load steps, a smaller load or a stiffer material",
-)
-LOST = (
-    1e-3  # of the largest forces of the history, what a balance may lack where rounding decides when to stop
-)
-TOO_SMALL = Status(
-    "too-small",
-    "the load moves the body by less than the rounding of its coordinates",
-    "use the linear solver, which such a load does not tell from this one, or load the body more",
 )
 
 
@@ -120,9 +112,8 @@ class NonlinearSolver:
         answer[self._free_nodes] = self.factor.response.first
         moved = float(np.abs(problem.formulation.displacement(answer)).max())
         push = float(np.linalg.norm(problem.formulation.columns.first[self._free_nodes]))
-        self._resistance = push / moved  # force per motion
-        self.smallest_force = SMALLEST_MOTION * size * self._resistance
-        self._rounding = float(np.finfo(np.float64).eps) * size * self._resistance
+        self.smallest_force = SMALLEST_MOTION * size / moved * push
+        self._rounding = self._moved_by_rounding(size)
         unloaded = Load(np.zeros(n), np.zeros((n, 3)), np.zeros((n, 3)))
         self._rest = _Converged(unloaded, np.zeros((n, d)), 0.0)
         self._last = self._before = self._rest
@@ -158,7 +149,6 @@ class NonlinearSolver:
         if balance is None:
             return self._failed(x, iterations)
         self._before, self._last = last, _Converged(load, x, pressure)
-        self._largest = max(self._largest, balance.scale)
         border = np.zeros(self.factor.n_border)
         border[0] = pressure
         energy = self.problem.formulation.deformed_energy(x, balance.state)
@@ -179,14 +169,26 @@ class NonlinearSolver:
         balance = self._balance(load, step.unknown, step.pressure_change)
         residual = float(np.linalg.norm(balance.lacking[self._free_nodes]))
         gap = abs(balance.state.volume - self.rest_volume) / self.rest_volume
-        moved = float(np.abs(self.problem.held_unknown(load)).max())
-        if moved > 0.0 or self.problem.force(load).any():
-            # a support that turns the body as a whole leaves no other force to compare with
-            largest = max(self._largest, moved * self._resistance)
-            lacking = float(np.abs(balance.lacking[self._free_nodes]).max())
-            if max(lacking, self._rounding) > LOST * largest:
-                step = replace(step, status=TOO_SMALL)
-        return step, Audit(max(residual / max(balance.scale, self.smallest_force), gap))
+        displaced = self.problem.formulation.displacement
+        moved = float(np.abs(displaced(step.unknown)).max())
+        self._largest = max(self._largest, moved)
+        found = Audit(max(residual / max(balance.scale, self.smallest_force), gap))
+        if not self.problem.force(load).any() and not self.problem.held_unknown(load).any():
+            return step, found
+        if self._rounding > ERROR_LIMIT * self._largest:
+            return replace(step, status=_hidden(self._rounding, moved)), found
+        change = self.factor.correction(balance.lacking, np.zeros(self.factor.n_border))[0]
+        return step, replace(found, error=float(np.abs(displaced(change)).max()) / self._largest)
+
+    def _moved_by_rounding(self, size: float) -> float:
+        """How far the rounding of positions `size` large moves the body [m], by the forces that it makes."""
+        formulation = self.problem.formulation
+        random = np.random.default_rng(0)
+        signs = random.choice([-1.0, 1.0], (2, formulation.surface.n_nodes, formulation.components))
+        # a product with random signs is as large as the rows are; other signs, and no motion has these forces
+        forces = np.finfo(np.float64).eps * size * np.abs(formulation.apply(signs[0])) * signs[1]
+        change = self.factor.correction(forces, np.zeros(self.factor.n_border))[0]
+        return float(np.abs(formulation.displacement(change)).max())
 
     def _ahead(self, load: Load) -> tuple[Array, float]:
         """Where the last two converged steps point to under a load that goes on as it went between them."""
@@ -265,6 +267,14 @@ class NonlinearSolver:
             x[self._free_nodes] += amount * shift
             balance = self._balance(load, x, balance.pressure + amount)
         return None
+
+
+def _hidden(rounding: float, moved: float) -> Status:
+    return Status(
+        "too-small",
+        f"rounding of the coordinates moves the body by {rounding:.1e} m, and the load by {moved:.1e} m",
+        "use the linear solver, which such a load does not tell from this one, or a wider support, or load it more",
+    )
 
 
 def _share(before: Load, last: Load, load: Load) -> float:
