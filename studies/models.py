@@ -120,22 +120,22 @@ def _vdm_paper(scene: Scene, solver: str, name: str) -> VdmSolution:
     return _vdm(scene, "paper", solver, name)
 
 
-@_model("vdm-consistent", version="1", solvers=VDM_SOLVERS)
+@_model("vdm-consistent", version="2", solvers=VDM_SOLVERS)
 def _vdm_consistent(scene: Scene, solver: str, name: str) -> VdmSolution:
     return _vdm(scene, "consistent", solver, name)
 
 
-@_model("vdm-vector", version="3", solvers=VDM_SOLVERS)
+@_model("vdm-vector", version="4", solvers=VDM_SOLVERS)
 def _vdm_vector(scene: Scene, solver: str, name: str) -> VdmSolution:
     return _vdm(scene, "vector", solver, name)
 
 
-@_model("vdm-boundary", version="3", solvers=("linear", "nonlinear"))
+@_model("vdm-boundary", version="4", solvers=("linear", "nonlinear"))
 def _vdm_boundary(scene: Scene, solver: str, name: str) -> VdmSolution:
     return _vdm(scene, "boundary", solver, name)
 
 
-@_model("mass-spring", version="1", solvers=VDM_SOLVERS)
+@_model("mass-spring", version="2", solvers=VDM_SOLVERS)
 def _mass_spring(scene: Scene, solver: str, name: str) -> VdmSolution:
     return _vdm(scene, "mass-spring", solver, name)
 

@@ -21,6 +21,9 @@ class DeformableSurface:
         # about the centroid, so that a body far from the origin loses no digits of volume
         self.origin: Array = surface.points.mean(axis=0)
         self.rest: Array = surface.points - self.origin
+        # (N, 3) a_i X_i about the surface's centroid: their sum is zero, so that positions need no centre
+        areas = surface.nodal_areas
+        self.levers: Array = areas[:, None] * (surface.points - areas @ surface.points / areas.sum())
         self.corners = np.ascontiguousarray(surface.triangles.T)
         n_facets = len(surface.triangles)
         facets = np.repeat(np.arange(n_facets), 3)
@@ -59,17 +62,35 @@ class DeformedSurface:
             self.body.gather @ np.sqrt(np.einsum("cf,cf->f", self.facet_vectors, self.facet_vectors))
         )
 
+    @cached_property
+    def rotation(self) -> Array:
+        """(3, 3) Q that minimises `sum a_i |x_i - X_i Q|^2` over the nodes, in rows, about their centroids."""
+        return best_rotation(self.body.levers.T @ self.positions)
 
-def follow(force: Array, rest_vectors: Array, vectors: Array) -> Array:
-    """Nodal forces (N, 3) turned with their nodes: scaled by |g| / |g0|, rotated by the least turn from g0 to g.
 
-    A force -p g0 becomes -p g exactly; a force along a patch's rim keeps its angle to the normal.
+def best_rotation(moment: Array) -> Array:
+    """Q (..., 3, 3) that minimises sum w |after - before Q|^2, of the moment sum w before^T after (rows)."""
+    left, _, right = np.linalg.svd(moment)
+    sign = np.where(np.linalg.det(left @ right) < 0.0, -1.0, 1.0)
+    left[..., :, 2] *= sign[..., None]
+    rotation: Array = left @ right
+    return rotation
+
+
+def follow(force: Array, rest_vectors: Array, state: DeformedSurface) -> Array:
+    """Nodal forces (N, 3) turned with the body and their nodes, and scaled by |g| / |g0|.
+
+    First by the body's best-fit rotation, then by the least turn that takes g0, so turned, to g: a body that only
+    turns takes its forces along. A force -p g0 becomes -p g exactly; one along a patch's rim keeps its angle to
+    the normal.
     """
+    vectors = state.area_vectors
     rest_size = np.linalg.norm(rest_vectors, axis=1)
     size = np.linalg.norm(vectors, axis=1)
     loaded = np.flatnonzero(force.any(axis=1))
     turned = np.zeros_like(force)
-    f, before = force[loaded], rest_vectors[loaded] / rest_size[loaded, None]
+    f = force[loaded] @ state.rotation
+    before = (rest_vectors[loaded] / rest_size[loaded, None]) @ state.rotation
     after = vectors[loaded] / size[loaded, None]
     axis = np.cross(before, after)
     cosine = np.einsum("ic,ic->i", before, after)[:, None]

@@ -148,12 +148,13 @@ def test_the_energy_is_the_work_of_the_load_and_goes_back_with_it(formulation):
 
 @pytest.mark.parametrize("formulation", ["vector", "boundary", "mass-spring"])
 def test_a_support_that_turns_turns_the_answer(formulation):
-    """Held nodes turned by 17 degrees under a pressure that follows the surface: the answer, turned."""
+    """Held nodes turned by 17 degrees under facet pressures that follow the surface: the answer, turned."""
     c, s = np.cos(0.3), np.sin(0.3)
     turn = np.array([[c, 0.0, -s], [0.0, 1.0, 0.0], [s, 0.0, c]])
     body = model(formulation, fixed=None, constrained=BASE)
-    pushed = Load(SIDE.contact_pressure, None, np.zeros_like(POINTS))
-    moved = Load(SIDE.contact_pressure, None, np.where(BASE[:, None], POINTS @ turn - POINTS, 0.0))
+    facets = np.where((SIDE.contact_pressure[TRIANGLES] > 0.0).all(axis=1), 300.0, 0.0)
+    pushed = Load.from_facet_pressure(BODY, facets, np.zeros_like(POINTS))
+    moved = Load.from_facet_pressure(BODY, facets, np.where(BASE[:, None], POINTS @ turn - POINTS, 0.0))
     still, turned = (body.solve([load]) for load in (pushed, moved))
     assert still.status[0].ok
     assert turned.status[0].ok

@@ -105,17 +105,22 @@ def test_a_following_force_is_the_follower_pressure():
     surface = SurfaceMesh(*icosphere(1))
     turn = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
     force = np.random.default_rng(2).standard_normal(surface.points.shape)
-    grown = 4.0 * surface.area_vectors
-    pressed = follow(-3.0 * surface.area_vectors, surface.area_vectors, grown @ turn.T)
-    assert_allclose(pressed, -3.0 * grown @ turn.T, rtol=0.0, atol=1e-14)
-    same = follow(force, surface.area_vectors, surface.area_vectors)
-    assert_allclose(same, force, rtol=1e-14, atol=0.0)
+    body = DeformableSurface(surface)
+    grown = body.at(2.0 * surface.points @ turn.T - surface.points)
+    pressed = follow(-3.0 * surface.area_vectors, surface.area_vectors, grown)
+    assert_allclose(pressed, -12.0 * surface.area_vectors @ turn.T, rtol=0.0, atol=1e-13)
+    # a body that turns takes its forces along, whatever their angle to the surface
+    taken = follow(force, surface.area_vectors, grown)
+    assert_allclose(taken, 4.0 * force @ turn.T, rtol=0.0, atol=1e-13)
+    # one node's own turn comes on top: its force keeps its length per area and its angle to the normal
+    dented = body.at(np.where(surface.points[:, 2:] > 0.99, [0.05, 0.0, -0.1], 0.0))
+    size = np.linalg.norm(dented.area_vectors, axis=1) / np.linalg.norm(surface.area_vectors, axis=1)
+    followed = follow(force, surface.area_vectors, dented)
     assert_allclose(
-        np.linalg.norm(follow(force, surface.area_vectors, surface.area_vectors @ turn.T), axis=1),
-        np.linalg.norm(force, axis=1),
-        rtol=1e-13,
-        atol=0.0,
+        np.linalg.norm(followed, axis=1), size * np.linalg.norm(force, axis=1), rtol=1e-13, atol=0.0
     )
+    along = np.einsum("ic,ic->i", followed, dented.area_vectors) / size**2
+    assert_allclose(along, np.einsum("ic,ic->i", force, surface.area_vectors), rtol=0.0, atol=1e-13)
 
 
 def _bad_surfaces():

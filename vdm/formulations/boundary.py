@@ -12,7 +12,6 @@ from vdm.formulations.base import Factor, Factorise, Formulation, Mask
 from vdm.formulations.border import DenseColumns
 from vdm.formulations.boundary_integrals import layer_potentials, mass_matrix
 from vdm.formulations.skin import PIVOT_TOLERANCE, Skin
-from vdm.formulations.vector import best_rotation
 from vdm.material import ParameterError, Parameters
 from vdm.solution import SolverError, Status
 from vdm.solvers.cholesky import Cholesky
@@ -74,9 +73,6 @@ class BoundaryFormulation(Formulation):
         self.columns = DenseColumns(surface.area_vectors[:, :, None])
         self.rows = self.columns
         self.corner = np.zeros((1, 1))
-        # (N, 3) a_i X_i about the surface's centroid: their sum is zero, so that positions need no centre
-        areas = surface.nodal_areas
-        self._levers: Array = areas[:, None] * (surface.points - areas @ surface.points / areas.sum())
 
     def apply(self, x: Array) -> Array:
         return self.shear_modulus * self.body.apply(x)
@@ -116,7 +112,7 @@ class BoundaryFormulation(Formulation):
         force = self.apply(unturned) @ turn
         # dQ = Q [omega]x with (tr P - P) omega = -sum levers x dx, P = sum levers (x) positions, is symmetric;
         # the energy changes by omega . sum positions x force
-        levers = self._levers @ turn
+        levers = state.body.levers @ turn
         stretch = levers.T @ state.positions
         inertia = np.trace(stretch) * np.eye(3) - stretch
         pull = np.linalg.solve(inertia, _axial(state.positions.T @ force))
@@ -133,11 +129,11 @@ class BoundaryFormulation(Formulation):
     def deformed_contact_force(self, load: Load, state: DeformedSurface) -> Array:
         if load.contact_force is None:
             return -load.contact_pressure[:, None] * state.area_vectors
-        return follow(load.contact_force, self.surface.area_vectors, state.area_vectors)
+        return follow(load.contact_force, self.surface.area_vectors, state)
 
     def _unturned(self, state: DeformedSurface) -> tuple[Array, Array]:
         """The best-fit rotation Q of the nodes and the displacement left after it is undone."""
-        turn = best_rotation(self._levers.T @ state.positions)
+        turn = state.rotation
         return turn, state.positions @ turn.T - state.body.rest
 
 

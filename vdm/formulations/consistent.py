@@ -72,5 +72,5 @@ class ConsistentFormulation(ScalarFormulation):
         normals = self.surface.normals
         if load.contact_force is None:
             return -load.contact_pressure[:, None] * self.volume_gradient(state)
-        force = follow(load.contact_force, self.surface.area_vectors, state.area_vectors)
+        force = follow(load.contact_force, self.surface.area_vectors, state)
         return np.einsum("ic,ic->i", force, normals)[:, None]

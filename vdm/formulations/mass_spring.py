@@ -104,7 +104,7 @@ class MassSpringFormulation(Formulation):
     def deformed_contact_force(self, load: Load, state: DeformedSurface) -> Array:
         if load.contact_force is None:
             return -load.contact_pressure[:, None] * state.area_vectors
-        return follow(load.contact_force, self.surface.area_vectors, state.area_vectors)
+        return follow(load.contact_force, self.surface.area_vectors, state)
 
     def _stretched(self, state: DeformedSurface) -> tuple[Array, Array]:
         """(R, 3) directions of the springs as they are now and (R,) how much longer they are [m]."""

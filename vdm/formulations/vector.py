@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy import sparse
 
 from vdm.constraints import Load
-from vdm.deformed import DeformedSurface, follow
+from vdm.deformed import DeformedSurface, best_rotation, follow
 from vdm.formulations.base import Factor, Factorise, Formulation, Mask, SparseFactor, rigid_motions
 from vdm.formulations.border import Columns, DenseColumns, TurningColumns
 from vdm.material import ParameterError, Parameters, per_item
@@ -148,7 +148,7 @@ class VectorFormulation(Formulation):
     def deformed_contact_force(self, load: Load, state: DeformedSurface) -> Array:
         if load.contact_force is None:
             return -load.contact_pressure[:, None] * state.area_vectors
-        return follow(load.contact_force, self.surface.area_vectors, state.area_vectors)
+        return follow(load.contact_force, self.surface.area_vectors, state)
 
     def _deformed(self, x: Array, state: DeformedSurface) -> tuple[Array, float]:
         rest = state.body.rest
@@ -208,15 +208,6 @@ class SharedFactor:
     def solve(self, right_hand_side: Array) -> Array:
         """The solution, same shape, all components in one pass through the factor."""
         return self.factor.solve(right_hand_side.reshape(self.factor.size, -1)).reshape(right_hand_side.shape)
-
-
-def best_rotation(moment: Array) -> Array:
-    """Q (..., 3, 3) that minimises sum w |after - before Q|^2, of the moment sum w before^T after (rows)."""
-    left, _, right = np.linalg.svd(moment)
-    sign = np.where(np.linalg.det(left @ right) < 0.0, -1.0, 1.0)
-    left[..., :, 2] *= sign[..., None]
-    rotation: Array = left @ right
-    return rotation
 
 
 def edge_vectors(surface: SurfaceMesh) -> Array:
