@@ -61,9 +61,11 @@ bench-fem: setup
 bench-sharing: setup
 	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(RUN)python -m tests.benchmarks.sharing
 
-# README's performance section and figure; BENCH=results/bench/bench.h5 takes what is measured already
+# README's performance section and figure; SURFACE=liver.obj measures a third body,
+# BENCH=results/bench/bench.h5 takes what is measured already
 performance: setup
-	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(RUN)python -m tests.docs.performance $(BENCH)
+	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(RUN)python -m tests.docs.performance \
+	  $(if $(SURFACE),--surface $(SURFACE)) $(if $(BENCH),--bench $(BENCH))
 
 # the benchmark's machine-independent figures that the tests hold: look at the difference before committing it
 bench-baseline: setup

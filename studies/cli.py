@@ -157,7 +157,7 @@ def _parser() -> argparse.ArgumentParser:
     accept.add_argument("--reason", required=True, metavar="TEXT", help="why these numbers are right")
     bench = study_verb("bench", cli_study.bench_verb, "measure run time against error for every model", "?")
     bench.add_argument("--out", type=Path, metavar="DIR", help="directory (default results/bench)")
-    bench.add_argument("--large", action="store_true", help="finer meshes, surfaces of up to 163,842 nodes")
+    bench.add_argument("--large", action="store_true", help="growth on surfaces of up to 163,842 nodes")
     verb("doctor", cli_results.doctor_verb, "say what the machine has and lacks")
     return parser
 

@@ -153,24 +153,26 @@ def calibrate_verb(options: argparse.Namespace) -> int:
 
 
 def bench_verb(options: argparse.Namespace) -> int:
-    """Measure the study, or a sphere and an organ (the given surface in its stead) with every model."""
+    """Measure the study, or a sphere, an organ and the surface that is given, with every model."""
     from .benchmark import bench
     from .benchmark.bench_data import answers, machine_independent, rows
     from .benchmark.bench_store import write_bench
     from .report.bench_page import write_bench_page
 
-    names = [options.study] if options.study else ["quickstart", "accuracy-organ"]
-    surfaces = [options.surface] if options.study else [None, options.surface]
-    studies = [
-        _load(argparse.Namespace(**vars(options) | {"study": name, "surface": surface}))[0]
-        for name, surface in zip(names, surfaces, strict=True)
-    ]
+    wanted = {"sphere": ("quickstart", None), "organ": ("accuracy-organ", None)}
+    if options.study:
+        wanted = {Path(options.study).stem: (options.study, options.surface)}
+    elif options.surface:
+        wanted[options.surface.stem] = ("accuracy-organ", options.surface)
+    studies = {
+        body: _load(argparse.Namespace(**vars(options) | {"study": name, "surface": surface}))[0]
+        for body, (name, surface) in wanted.items()
+    }
     out = options.out or results_directory() / "bench"
     found = bench.measure(
         studies,
         results_directory() / "cache",
         names=None if options.study else bench.MODELS,
-        sizes=bench.LARGE_SIZES if options.large else bench.SIZES,
         large=options.large,
         watch=lambda text: tell(f"measuring {text}"),
     )
@@ -183,7 +185,7 @@ def bench_verb(options: argparse.Namespace) -> int:
     print(", ".join(f"{name}: {text}" for name, text in list(found.machine.items())[:5]))
     print_table(rows(found))
     for growth in found.growths:
-        print(f"{growth.what} grows as nodes ^ {growth.exponent:.2f}")
+        print(f"{growth.what} grows as nodes ^ {growth.exponent:.2f}, up to {int(growth.nodes[-1]):,} nodes")
     print(*answers(found), f"report: {out / 'bench.html'}", sep="\n")
     return OK
 

@@ -11,7 +11,7 @@ import dataclasses
 import gc
 import os
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -35,20 +35,24 @@ from .bench_data import YARDSTICK, Bench, Entry
 MODELS = (
     "mass-spring",
     "vdm-paper",
+    "vdm-paper:quasi-linear",
+    "vdm-paper:nonlinear",
     "vdm-paper:bicg",
     "vdm-consistent",
+    "vdm-consistent:nonlinear",
+    "vdm-consistent:cg",
     "vdm-vector",
     "vdm-vector:quasi-linear",
     "vdm-vector:nonlinear",
     "vdm-boundary",
+    "vdm-boundary:nonlinear",
     "fem-coarse",
     "fem-p1",
     "fem-condensed",
     "fem-linear",
     "fem",
 )
-SIZES = (2.0, 1.6, 1.3)  # mesh sizes over that of the study
-LARGE_SIZES = (2.0, 1.5, 1.2, 1.0)
+SIZES = (2.6, 2.0, 1.6, 1.3)  # mesh sizes over that of the study: four, for the exponents of growth
 ROUNDS = 3
 BUDGET = 10.0  # seconds after which a model is measured no further on one mesh
 FRAMES = np.array([0.5, 1.0])
@@ -72,7 +76,7 @@ class _Tally:
 
 
 def measure(
-    bodies: Sequence[Study],
+    bodies: Mapping[str, Study],
     cache: Path,
     *,
     names: Sequence[str] | None = None,
@@ -85,6 +89,7 @@ def measure(
 
     Parameters
     ----------
+    bodies : the studies by what their bodies are called
     names : the models; None for those of each study itself
     sizes : mesh sizes over that of the study, the coarsest first
     large : growth on surfaces of up to 163,842 nodes
@@ -97,17 +102,17 @@ def measure(
     """
     entries: list[Entry] = []
     about: dict[str, str] = {}
-    for body in bodies:
-        case = expand(body)[0].study
+    for body, given in bodies.items():
+        case = expand(given)[0].study
         for size in sizes:
             study = case if size == 1.0 else with_mesh_size(case, size)
             if study is None:  # a mesh of its own, of one size
                 study = case
             mesh = mesh_from_cache(geometry_of(study), cache)
             about = about or provenance(mesh)
-            watch(f"{study.study.name}, {len(mesh.surface_nodes)} nodes")
+            watch(f"{body}, {len(mesh.surface_nodes)} nodes")
             scene = build_scene(study, mesh)
-            entries += _on_mesh(study, scene, names or study.study.models, rounds)
+            entries += _on_mesh(body, study, scene, names or study.study.models, rounds)
             if study is case:
                 break
     watch("growth")
@@ -128,7 +133,7 @@ def _machine(about: dict[str, str], rounds: int) -> dict[str, str]:
     }
 
 
-def _on_mesh(study: Study, scene: Scene, names: Sequence[str], rounds: int) -> list[Entry]:
+def _on_mesh(body: str, study: Study, scene: Scene, names: Sequence[str], rounds: int) -> list[Entry]:
     """Every model on one mesh, each against linear elements on its refinement."""
     contact = dataclasses.replace(scene, load_factors=FRAMES)
     surface = Surface(scene.mesh.surface_points, scene.mesh.triangles, scene.contact)
@@ -151,9 +156,7 @@ def _on_mesh(study: Study, scene: Scene, names: Sequence[str], rounds: int) -> l
                     values.append(np.nan)
     yard = tallies.get(YARDSTICK)
     return [
-        _entry(
-            name, tally, yard, scene, study, surface, reference, bars["gci:relative_l2_displacement_error"]
-        )
+        _entry(name, tally, yard, scene, body, surface, reference, bars["gci:relative_l2_displacement_error"])
         for name, tally in tallies.items()
     ]
 
@@ -210,7 +213,7 @@ def _entry(
     tally: _Tally,
     yard: _Tally | None,
     scene: Scene,
-    study: Study,
+    body: str,
     surface: Surface,
     reference: History,
     bar: float,
@@ -228,7 +231,7 @@ def _entry(
     nothing = np.full(len(setup), np.nan)
     counts = {key: float(result.parameters[key]) for key in COUNTS if key in result.parameters}
     return Entry(
-        body=study.study.name,
+        body=body,
         model=name,
         nodes=len(scene.fixed),
         tetrahedra=len(scene.mesh.tetrahedra),

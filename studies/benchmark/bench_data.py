@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
+_LEAST_SIZES = 4  # of a mesh, for an exponent
 YARDSTICK = "fem-linear"  # ratios are over its time in the same round
 
 
@@ -99,6 +100,52 @@ def spread(values: Array) -> tuple[float, float]:
     return (float(known.min()), float(known.max())) if known.size else (math.nan, math.nan)
 
 
+def deviation(bench: Bench) -> tuple[float, float]:
+    """How far the times of a round are off their median over rounds: in the median, and at most."""
+    off = [
+        float(np.abs(values / median(values) - 1.0).max())
+        for e in bench.entries
+        for values in (e.setup, e.frame_all, e.frame_local, e.recut)
+        if np.isfinite(values).all() and median(values) > 0.0
+    ]
+    return (float(np.median(off)), max(off)) if off else (math.nan, math.nan)
+
+
+@dataclass(frozen=True)
+class ModelGrowth:
+    """How a model's costs grow on one body: set-up, a load over all nodes and memory, None where not measured."""
+
+    body: str
+    model: str
+    setup: Growth | None
+    frame: Growth | None
+    memory: Growth | None
+
+
+def model_growths(bench: Bench) -> list[ModelGrowth]:
+    """Of every model that was measured on four meshes or more of a body."""
+    pairs = dict.fromkeys((e.body, e.model) for e in bench.entries)
+    out = []
+    for body, model in pairs:
+        entries = [e for e in bench.entries if (e.body, e.model) == (body, model)]
+        growths = (
+            _grown("set-up", "s", entries, [median(e.setup) for e in entries]),
+            _grown("frame", "s", entries, [median(e.frame_all) for e in entries]),
+            _grown("memory", "B", entries, [e.peak_bytes for e in entries]),
+        )
+        if any(growths):
+            out.append(ModelGrowth(body, model, *growths))
+    return out
+
+
+def _grown(what: str, unit: str, entries: Sequence[Entry], values: Sequence[float]) -> Growth | None:
+    known = [(e.nodes, value) for e, value in zip(entries, values, strict=True) if value > 0.0]
+    if len(known) < _LEAST_SIZES:
+        return None
+    nodes, measured = np.array(known, dtype=float).T
+    return Growth(what, unit, nodes, measured)
+
+
 def break_even(fast: Entry, slow: Entry) -> float:
     """Frames per set-up below which `slow`, which has the shorter set-up, costs less in total than `fast`.
 
@@ -129,7 +176,8 @@ def _answers(entries: Sequence[Entry]) -> list[str]:
     surface = [e for e in usable if not e.model.startswith("fem")]
     condensed = next((e for e in usable if e.model == "fem-condensed"), None)
     if surface and condensed:
-        lines += [_against_condensed(e, condensed) for e in _front(surface)]
+        told = "; ".join(_against_condensed(e, condensed) for e in _front(surface))
+        lines.append(f"against fem-condensed ({100 * condensed.error:.3g} %), in total: {told}")
     return lines
 
 
@@ -174,12 +222,12 @@ def _front(entries: Sequence[Entry]) -> list[Entry]:
 
 def _against_condensed(entry: Entry, condensed: Entry) -> str:
     frames = break_even(condensed, entry)
-    pair = f"{entry.model} ({100 * entry.error:.3g} %) against fem-condensed ({100 * condensed.error:.3g} %)"
+    name = f"{entry.model} ({100 * entry.error:.3g} %)"
     if math.isinf(frames):
-        return f"{pair}: faster for any number of frames per re-cut"
+        return f"{name} is faster for any number of frames per re-cut"
     if frames < 1.0:
-        return f"{pair}: slower from the first frame after a re-cut"
-    return f"{pair}: faster in total up to {frames:,.0f} frames per re-cut, slower beyond"
+        return f"{name} is slower from the first frame after a re-cut"
+    return f"{name} is faster up to {frames:,.0f} frames per re-cut, slower beyond"
 
 
 def pareto(entries: Iterable[Entry]) -> list[Entry]:
@@ -242,4 +290,5 @@ def machine_independent(bench: Bench) -> dict[str, float]:
     for growth in bench.growths:
         if growth.unit != "s":
             out[f"growth/{growth.what}"] = growth.exponent
+            out[f"growth/{growth.what}/{int(growth.nodes[-1])}"] = float(growth.values[-1])
     return out

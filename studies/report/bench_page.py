@@ -8,12 +8,24 @@ from pathlib import Path
 
 from markupsafe import Markup
 
-from ..benchmark.bench_data import Bench, Entry, Growth, answers, median, pareto, rows, seconds, spread
+from ..benchmark.bench_data import (
+    Bench,
+    Entry,
+    Growth,
+    ModelGrowth,
+    answers,
+    median,
+    model_growths,
+    pareto,
+    rows,
+    seconds,
+    spread,
+)
 from ..files import write_atomically
 from .blocks import Answer, Cell, Column, Facts, Figure, Figures, Section, Table, Text
 from .document import encoded, html_document, written
-from .formatting import listed, short_percent
-from .plots import Plot, colour, marker, percent_axis, time_ticks
+from .formatting import NOTHING, listed, short_percent
+from .plots import colour, marker, panel, percent_axis, time_ticks
 
 NOTE = (
     "Every model answers the same contact load on the same mesh. Its error is the relative L2 difference from "
@@ -50,6 +62,8 @@ def bench_html(bench: Bench) -> str:
         ),
         Section("table", "Costs", [Text(NOTE, kind="note"), _table(bench, numbers)]),
     ]
+    if models := model_growths(bench):
+        sections.append(_model_growth(models, numbers))
     if bench.growths:
         sections.append(_growth(bench.growths))
     sections.append(Section("machine", "Machine", [Facts(list(bench.machine.items()))]))
@@ -72,22 +86,19 @@ FIGURE_NOTE = (
 def pareto_plot(entries: Sequence[Entry], numbers: dict[str, int], salt: str) -> Markup:
     """Frame and re-cut time against the error of the models on one mesh."""
     usable = [e for e in entries if math.isfinite(e.error) and median(e.frame_local) > 0.0]
-    plot = Plot("time", "displacement error", salt)
-    with plot as axes:
-        front = pareto(usable)
-        axes.plot(
-            [median(e.frame_local) for e in front], [e.error for e in front], color="0.7", linewidth=1.0
-        )
-        for e in usable:
-            k, frame, recut = numbers[e.model], median(e.frame_local), median(e.recut)
-            axes.plot(list(spread(e.frame_local)), [e.error] * 2, color=colour(k), linewidth=1.0)
-            axes.plot([frame, recut], [e.error] * 2, ":", color=colour(k), linewidth=1.0)
-            axes.plot([recut], [e.error], marker=marker(k), color=colour(k), markerfacecolor="none")
-            axes.plot([frame], [e.error], marker=marker(k), color=colour(k), markersize=6.5, linestyle="none")
-        time_ticks(axes)
-        percent_axis(axes, [e.error for e in usable])
+    axes = panel("time", "displacement error", salt)
+    front = pareto(usable)
+    axes.plot([median(e.frame_local) for e in front], [e.error for e in front], color="0.7", linewidth=1.0)
+    for e in usable:
+        k, frame, recut = numbers[e.model], median(e.frame_local), median(e.recut)
+        axes.plot(list(spread(e.frame_local)), [e.error] * 2, color=colour(k), linewidth=1.0)
+        axes.plot([frame, recut], [e.error] * 2, ":", color=colour(k), linewidth=1.0)
+        axes.plot([recut], [e.error], marker=marker(k), color=colour(k), hollow=True)
+        axes.plot([frame], [e.error], marker=marker(k), color=colour(k), markersize=6.5, linestyle="none")
+    time_ticks(axes)
+    percent_axis(axes, [e.error for e in usable])
     told = [f"{e.model} {seconds(median(e.frame_local))} at {short_percent(e.error)}" for e in usable]
-    return plot.drawn(f"Run time against displacement error: {listed(told)}.")
+    return axes.drawn(f"Run time against displacement error: {listed(told)}.")
 
 
 def _table(bench: Bench, numbers: dict[str, int]) -> Table:
@@ -102,6 +113,26 @@ def _table(bench: Bench, numbers: dict[str, int]) -> Table:
         for e, row in zip(bench.entries, shown, strict=True)
     ]
     return Table("bench", "", columns, cells, [numbers[e.model] for e in bench.entries], open_rows=200)
+
+
+def _model_growth(growths: Sequence[ModelGrowth], numbers: dict[str, int]) -> Section:
+    columns = [Column("model", numeric=False), Column("body", numeric=False), Column("surface nodes")]
+    columns += [Column(f"{what}, exponent") for what in ("set-up", "frame, all nodes", "memory")]
+    cells = []
+    for g in growths:
+        known = [part for part in (g.setup, g.frame, g.memory) if part]
+        least, most = (f(int(f(part.nodes)) for part in known) for f in (min, max))
+        exponents = [
+            Cell(f"{part.exponent:.2f}", value=part.exponent) if part else Cell(NOTHING)
+            for part in (g.setup, g.frame, g.memory)
+        ]
+        cells.append([Cell(g.model), Cell(g.body), Cell(f"{least:,} to {most:,}"), *exponents])
+    note = (
+        "Least-squares slope of the logarithms over the meshes above. On small meshes what a call costs whatever "
+        "its size hides the growth; of the surface model, larger spheres show it."
+    )
+    table = Table("growth-models", "", columns, cells, [numbers[g.model] for g in growths], open_rows=200)
+    return Section("growth-models", "Growth of every model", [Text(note, kind="note"), table])
 
 
 def _growth(growths: Sequence[Growth]) -> Section:
@@ -120,7 +151,9 @@ def _growth(growths: Sequence[Growth]) -> Section:
         ]
         for g in growths
     ]
-    note = (
-        "Least-squares slope of the logarithms over surface nodes of a sphere. Fill: non-zeros of the factor."
+    note = "Least-squares slope of the logarithms over surface nodes of a sphere. Fill and flops: non-zeros of the factor, and the operations of making it."
+    return Section(
+        "growth",
+        "Growth of the surface model",
+        [Text(note, kind="note"), Table("growth", "", columns, cells)],
     )
-    return Section("growth", "Growth", [Text(note, kind="note"), Table("growth", "", columns, cells)])

@@ -52,7 +52,7 @@ def claim_picture(verdict: Verdict) -> str | None:
         [
             f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {width:g} {height:g}" '
             f'width="{width:g}" height="{height:g}" role="img" aria-label="{told.group(1) if told else ""}">',
-            f"<style>{_style()}</style>",
+            f"<style>{figure_style()}</style>",
             f'<rect width="{width:g}" height="{height:g}" fill="var(--paper)"/>',
             *texts,
             body,
@@ -84,13 +84,18 @@ def _legend(figure: Figure, models: Sequence[tuple[int, str, bool]]) -> list[str
         if letters + len(name) + 4 > _LETTERS and lines[-1]:
             lines.append([])
             letters = 0
-        glyph = _GLYPHS[0 if is_reference else k]
-        lines[-1].append(f'<tspan fill="var(--{colour})">{glyph}</tspan> {escape(name)}')
+        mark = glyph(0 if is_reference else k)
+        lines[-1].append(f'<tspan fill="var(--{colour})">{mark}</tspan> {escape(name)}')
         letters += len(name) + 4
     return ["  ".join(line).replace("  <", "\u2003<") for line in lines if line]
 
 
-def _style() -> str:
+def glyph(number: int) -> str:
+    """A letter that looks like the marker of a model's number."""
+    return _GLYPHS[number % len(_GLYPHS)]
+
+
+def figure_style() -> str:
     """The colours of the page, light and dark, and what else its figures take from its style sheet."""
     css = _CSS.read_text()
     light = re.search(r":root \{[^}]*\}", css)

@@ -1,24 +1,54 @@
-"""README's performance section, from `vdmbench bench`: `make performance`; or from a bench.h5 that is named."""
+"""README's performance section, from `vdmbench bench --large`: `make performance`.
+
+SURFACE=liver.obj measures a third body; BENCH=results/bench/bench.h5 takes what is measured already. The whole
+table, of every model on every mesh with the spread of its rounds, goes to results/gallery/bench.html.
+"""
 
 from __future__ import annotations
 
+import argparse
 import re
-import sys
 import tempfile
 from pathlib import Path
 
-from matplotlib import rc_context
-from matplotlib.figure import Figure
+from markupsafe import escape
 
-from studies.benchmark.bench_data import Bench, Entry, answers, median, seconds
+from studies.benchmark.bench_data import (
+    Bench,
+    Entry,
+    Growth,
+    answers,
+    deviation,
+    median,
+    model_growths,
+    seconds,
+)
 from studies.benchmark.bench_store import read_bench
+from studies.report.bench_page import pareto_plot, write_bench_page
 from tests.command import vdmbench
+from tests.docs.gallery import figure_style, glyph
 
 ROOT = Path(__file__).parents[2]
 README = ROOT / "README.md"
-PICTURE = ROOT / "results" / "gallery" / "performance.svg"
-MARKERS = "os^DvPX*<>phd"
+GALLERY = ROOT / "results" / "gallery"
 _SECTION = re.compile(r"(<!-- performance -->\n).*?(<!-- /performance -->)", re.DOTALL)
+# models that stand for their kind; the others differ from them by their solver, and are in the whole table
+SHOWN = (
+    "mass-spring",
+    "vdm-paper",
+    "vdm-consistent",
+    "vdm-vector",
+    "vdm-vector:nonlinear",
+    "vdm-boundary",
+    "fem-coarse",
+    "fem-p1",
+    "fem-condensed",
+    "fem-linear",
+    "fem",
+)
+GROWN = ("vdm-boundary", "fem-condensed", "fem-linear", "fem")
+_PANEL, _HEIGHT, _GAP, _LINE = 317.0, 216.0, 14.0, 13.0
+_IN_A_LINE = 5  # names of the legend
 
 
 def finest(bench: Bench) -> list[list[Entry]]:
@@ -27,60 +57,113 @@ def finest(bench: Bench) -> list[list[Entry]]:
 
 
 def section(bench: Bench) -> str:
-    """The machine, the table and the answers as Markdown."""
+    """The machine, the tables and the answers as Markdown."""
     machine = bench.machine
     bodies = finest(bench)
-    sizes = " and ".join(f"{body[0].body} ({body[0].nodes:,} surface nodes)" for body in bodies)
+    sizes = ", ".join(f"{body[0].body} ({body[0].nodes:,} surface nodes)" for body in bodies)
+    typical, largest = deviation(bench)
     text = (
-        f"{machine['processor']}, {machine['cores']} cores, one thread; medians of {machine['rounds']} rounds; "
-        f"{sizes}. Errors are in the displacement, ± the reference's own.\n\n"
+        f"{machine['processor']}, {machine['cores']} cores, {machine['memory']}, one thread; medians of "
+        f"{machine['rounds']} rounds, which a round is off by {100 * typical:.0f} % in the median and by "
+        f"{100 * largest:.0f} % at most; {sizes}. Errors are in the displacement, ± the reference's own. "
+        "[Every model on every mesh](results/gallery/bench.html).\n\n"
         "| body | model | set-up | frame, all nodes | frame, contact | re-cut | memory | error |\n"
         "| --- | --- | --- | --- | --- | --- | --- | --- |\n"
     )
-    for e in [e for body in bodies for e in body]:
+    for e in [e for body in bodies for e in body if e.model in SHOWN]:
         times = (seconds(median(values)) for values in (e.setup, e.frame_all, e.frame_local, e.recut))
         error = f"{100 * e.error:.3g} % ± {100 * e.bar:.2g} %"
         text += f"| {e.body} | {e.model} | {' | '.join(times)} | {e.peak_bytes / 1e6:.0f} MB | {error} |\n"
-    return text + "\n" + "".join(f"- {line}\n" for line in answers(bench))
+    told = "".join(f"- {line}\n" for line in answers(bench))
+    return f"{text}\n{told}\n{growth(bench)}"
 
 
-def picture(bench: Bench, path: Path) -> None:
-    """Time against error on the finest mesh of each body: filled a contact frame, hollow a re-cut."""
+def growth(bench: Bench) -> str:
+    """How costs grow: those of the sparse surface models on spheres, those of the others on the first body."""
+    lines = [
+        "Growth with the surface nodes n, by least squares over four sizes or more; and the cost at the largest:\n",
+        "\n",
+        "| model | surface nodes | set-up | frame, all nodes | memory |\n",
+        "| --- | --- | --- | --- | --- |\n",
+    ]
+    found = {g.what: g for g in bench.growths}
+    for model in dict.fromkeys(what.rpartition(" ")[0] for what in found):
+        parts = [found[f"{model} {what}"] for what in ("set-up", "frame", "fill")]
+        lines.append(_grown(model, parts))
+    body = bench.meshes()[0][0]
+    lines += [
+        _grown(g.model, (g.setup, g.frame, g.memory))
+        for g in model_growths(bench)
+        if g.body == body and g.model in GROWN
+    ]
+    return "".join(lines)
+
+
+def _grown(model: str, parts: list[Growth | None] | tuple[Growth | None, ...]) -> str:
+    known = [part for part in parts if part]
+    least, most = min(part.nodes[0] for part in known), max(part.nodes[-1] for part in known)
+    cells = [
+        f"n^{part.exponent:.2f}, {_amount(float(part.values[-1]), part.unit)}" if part else "–"
+        for part in parts
+    ]
+    return f"| {model} | {int(least):,} to {int(most):,} | {' | '.join(cells)} |\n"
+
+
+def _amount(value: float, unit: str) -> str:
+    if unit == "s":
+        return seconds(value)
+    return f"{value / 1e6:.3g} MB" if unit == "B" else f"{value / 1e6:.3g} million non-zeros"
+
+
+def picture(bench: Bench) -> str:
+    """Time against error on the finest mesh of each body, side by side, for light and dark."""
     bodies = finest(bench)
-    with rc_context({"svg.hashsalt": "performance", "font.size": 8.0, "svg.fonttype": "none"}):
-        canvas = Figure(figsize=(4.4 * len(bodies) + 2.0, 3.6), layout="constrained")
-        for axes, body in zip(
-            canvas.subplots(1, len(bodies), sharey=True, squeeze=False)[0], bodies, strict=True
-        ):
-            for k, e in enumerate(body):
-                colour, marker = f"C{k % 10}", MARKERS[k % len(MARKERS)]
-                frame, recut = median(e.frame_local), median(e.recut)
-                axes.plot([frame, recut], [100 * e.error] * 2, ":", color=colour, linewidth=1.0)
-                axes.plot([recut], [100 * e.error], marker, color=colour, markerfacecolor="none")
-                axes.plot([frame], [100 * e.error], marker, color=colour, label=e.model)
-            axes.set(
-                xscale="log",
-                yscale="log",
-                xlabel="time [s]",
-                title=f"{body[0].body}, {body[0].nodes:,} nodes",
-            )
-        canvas.axes[0].set_ylabel("displacement error [%]")
-        canvas.legend(*canvas.axes[0].get_legend_handles_labels(), loc="outside right center")
-        canvas.savefig(path, metadata={"Date": None, "Creator": None})
+    models = list(dict.fromkeys(e.model for e in bench.entries if e.model in SHOWN))
+    numbers = {model: k for k, model in enumerate(models)}
+    width = len(bodies) * (_PANEL + _GAP)
+    rows = [models[k : k + _IN_A_LINE] for k in range(0, len(models), _IN_A_LINE)]
+    height = _HEIGHT + _LINE * (len(rows) + 2.4)
+    parts = [
+        f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {width:g} {height:g}" width="{width:g}" '
+        f'height="{height:g}" role="img" aria-label="Run time against error on {len(bodies)} bodies">',
+        f"<style>{figure_style()}</style>",
+        f'<rect width="{width:g}" height="{height:g}" fill="var(--paper)"/>',
+    ]
+    for k, body in enumerate(bodies):
+        left = k * (_PANEL + _GAP) + _GAP / 2
+        title = f"{body[0].body}, {body[0].nodes:,} nodes"
+        parts.append(f'<text class="claim" x="{left + 60:g}" y="{_LINE:g}">{escape(title)}</text>')
+        place = f'<svg x="{left:g}" y="{1.4 * _LINE:g}" width="{_PANEL:g}" height="{_HEIGHT:g}" '
+        panel = pareto_plot([e for e in body if e.model in SHOWN], numbers, f"t{k}")
+        parts.append(str(panel).replace("<svg ", place, 1))
+    for k, row in enumerate(rows):
+        names = "\u2003".join(
+            f'<tspan fill="var(--model-{numbers[name] % 7})">{glyph(numbers[name])}</tspan> {escape(name)}'
+            for name in row
+        )
+        top = _HEIGHT + _LINE * (k + 2.6)
+        parts.append(f'<text x="{_GAP:g}" y="{top:g}">{names}</text>')
+    return "\n".join([*parts, "</svg>\n"])
 
 
 def main() -> None:
-    """Write the section and the figure; an argument names the benchmark's file."""
-    with tempfile.TemporaryDirectory() as name:
-        stored = Path(sys.argv[1]).resolve() if len(sys.argv) > 1 else Path(name) / "bench" / "bench.h5"
-        if len(sys.argv) == 1:
-            result = vdmbench(
-                "bench", "--out", "bench", cwd=Path(name), seconds=3600, OPENBLAS_NUM_THREADS="1"
-            )
+    """Write the section, the figure and the whole table."""
+    options = argparse.ArgumentParser(description=__doc__)
+    options.add_argument("--bench", type=Path, help="a benchmark's file, in place of measuring")
+    options.add_argument("--surface", type=Path, help="a third body")
+    given = options.parse_args()
+    if given.bench:
+        bench = read_bench(given.bench)
+    else:
+        third = ["--surface", given.surface.resolve()] if given.surface else []
+        with tempfile.TemporaryDirectory() as name:
+            command = ["bench", "--large", *third, "--out", "bench"]
+            result = vdmbench(*command, cwd=Path(name), seconds=3600, OPENBLAS_NUM_THREADS="1")
             if result.returncode:
                 raise RuntimeError(result.stderr)
-        bench = read_bench(stored)
-    picture(bench, PICTURE)
+            bench = read_bench(Path(name) / "bench" / "bench.h5")
+    (GALLERY / "performance.svg").write_text(picture(bench), encoding="utf-8")
+    write_bench_page(bench, GALLERY / "bench.html")
     text = section(bench)
     README.write_text(_SECTION.sub(lambda found: found.group(1) + text + found.group(2), README.read_text()))
 

@@ -26,7 +26,7 @@ SIZE = 2.0  # mesh size over that of the quickstart
 def trial(directory: Path) -> Bench:
     """One round of every model on a coarse sphere."""
     study = load_study(ROOT / "studies" / "cases" / "quickstart.toml")
-    return bench.measure([study], directory, names=bench.MODELS, sizes=(SIZE,), rounds=1, watch=str)
+    return bench.measure({"sphere": study}, directory, names=bench.MODELS, sizes=(SIZE,), rounds=1, watch=str)
 
 
 def test_figures_are_what_was_accepted_and_the_file_keeps_them(tmp_path: Path) -> None:

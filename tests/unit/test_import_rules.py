@@ -168,7 +168,8 @@ def test_what_only_plans_and_reports_starts_without_the_libraries_of_those_who_c
         "study = load_study(pathlib.Path('studies/cases/quickstart.toml'))\n"
         "with tempfile.TemporaryDirectory() as name:\n"
         "    where = pathlib.Path(name)\n"
-        "    assert studies.plan.make_plan(study, expand(study), where, where).cases\n"
+        "    plan = studies.plan.make_plan(study, expand(study), where, where)\n"
+        "    assert studies.run.summary(plan)\n"
         "print(sorted({name.split('.')[0] for name in sys.modules}))"
     )
     result = subprocess.run(
