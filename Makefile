@@ -71,7 +71,7 @@ performance: setup
 bench-baseline: setup
 	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(RUN)python -m tests.regression.test_bench
 
-# where the time of `make demo` and of a sweep of twenty cases goes
+# where the time of `make demo` and of sweeps of twenty cases goes; README's table of it
 bench-stages: setup
 	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(RUN)python -m tests.benchmarks.stages
 

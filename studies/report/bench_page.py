@@ -151,7 +151,10 @@ def _growth(growths: Sequence[Growth]) -> Section:
         ]
         for g in growths
     ]
-    note = "Least-squares slope of the logarithms over surface nodes of a sphere. Fill and flops: non-zeros of the factor, and the operations of making it."
+    note = (
+        "Least-squares slope of the logarithms over surface nodes of a sphere. Fill and flops: non-zeros of the "
+        "factor, and the operations of making it."
+    )
     return Section(
         "growth",
         "Growth of the surface model",

@@ -1,4 +1,4 @@
-"""Where the time goes, stage by stage: the quickstart of `make demo` and sweeps of twenty cases.
+"""Where the time goes, stage by stage: the quickstart of `make demo` and sweeps of twenty cases; README's table.
 
 Each study runs twice: once as a user runs it, whose processor time is taken with that of all its processes; and
 once with its cases in this process, where everything is loaded already, the processor time of whose functions is
@@ -10,13 +10,14 @@ from __future__ import annotations
 
 import ctypes
 import os
+import re
 import resource
 import statistics
 import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -37,6 +38,8 @@ SWEEPS = {
 }
 PHYSICS = ("mesh", "set-up and solve")
 STARTS = "start and imports"
+README = ROOT / "README.md"
+_TABLE = re.compile(r"(<!-- stages -->\n).*?(<!-- /stages -->)", re.DOTALL)
 _PR_SET_CHILD_SUBREAPER = 36  # linux/prctl.h: orphans of our children become ours, with their times
 
 
@@ -185,8 +188,31 @@ def table(seconds: dict[str, float]) -> list[str]:
     ]
 
 
+def markdown(found: Mapping[str, tuple[float, Mapping[str, float]]]) -> str:
+    """README's table: the shares of processor time by study, physics first. `found`: seconds of wall, stages."""
+    stages = dict.fromkeys(stage for _, spent in found.values() for stage in spent)
+    order = [
+        *PHYSICS,
+        *sorted(set(stages) - set(PHYSICS), key=lambda s: -max(t[s] for _, t in found.values())),
+    ]
+    lines = [
+        f"| stage | {' | '.join(found)} |\n",
+        f"| --- |{' --- |' * len(found)}\n",
+        *(
+            f"| {stage} | {' | '.join(_share(spent, stage) for _, spent in found.values())} |\n"
+            for stage in order
+        ),
+        f"| all, one case at once | {' | '.join(f'{wall:.3g} s' for wall, _ in found.values())} |\n",
+    ]
+    return "".join(lines)
+
+
+def _share(spent: Mapping[str, float], stage: str) -> str:
+    return f"{100.0 * spent[stage] / sum(spent.values()):.1f} %"
+
+
 def main() -> None:
-    """Print where the time goes."""
+    """Print where the time goes, and write README's table."""
     ctypes.CDLL(None).prctl(_PR_SET_CHILD_SUBREAPER, 1, 0, 0, 0)
     empty, program = (
         start_seconds("pass"),
@@ -203,6 +229,7 @@ def main() -> None:
     print(f"vdmbench --help {helped:.2f} s")
     with tempfile.TemporaryDirectory() as text:  # loads everything
         measure(studied(Path(text), FORCES % 2, coarse=True), Path(text))
+    found: dict[str, tuple[float, dict[str, float]]] = {}
     for name, sweep in SWEEPS.items():
         with tempfile.TemporaryDirectory() as text:
             directory = Path(text)
@@ -212,6 +239,9 @@ def main() -> None:
         stages[STARTS] = max(processor - sum(stages.values()), 0.0)
         print(f"{name}: {seconds:.2f} s as a user runs it, one case at once; processor time by stage:")
         print("\n".join(table(stages)), flush=True)
+        found[name] = seconds, stages
+    text = markdown(found)
+    README.write_text(_TABLE.sub(lambda part: part.group(1) + text + part.group(2), README.read_text()))
 
 
 if __name__ == "__main__":

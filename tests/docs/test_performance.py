@@ -1,0 +1,75 @@
+"""README's performance section follows from a benchmark's numbers; here from some chosen by hand."""
+
+from __future__ import annotations
+
+import re
+import xml.etree.ElementTree as ET
+from dataclasses import replace
+
+import numpy as np
+
+from studies.benchmark.bench_data import Bench, Growth
+from tests.docs import performance
+from tests.unit.test_bench import CONDENSED, LINEAR, VECTOR
+
+NODES = np.array([642.0, 2562.0, 10242.0, 40962.0, 163842.0])
+MACHINE = {"processor": "a processor", "cores": "2", "memory": "8.6 GB", "rounds": "3"}
+
+
+def bench() -> Bench:
+    """Three models on four meshes of a ball and one of an organ; set-up as the nodes, frame as their root."""
+    entries = [
+        replace(
+            e, nodes=n, setup=n * 1e-4 * np.ones(3), frame_all=np.sqrt(n) * np.ones(3), peak_bytes=1e4 * n
+        )
+        for n in (100, 200, 400, 800)
+        for e in (VECTOR, CONDENSED, LINEAR, replace(VECTOR, model="vdm-vector:quasi-linear"))
+    ]
+    entries += [replace(e, body="organ", nodes=300) for e in (VECTOR, CONDENSED, LINEAR)]
+    growths = [
+        Growth(f"vdm-vector {what}", "s" if what in ("set-up", "frame") else "1", NODES, scale * NODES**power)
+        for what, scale, power in (
+            ("set-up", 1e-5, 1.0),
+            ("frame", 1e-7, 1.5),
+            ("fill", 8.0, 1.25),
+            ("flops", 30.0, 1.5),
+        )
+    ]
+    return Bench(MACHINE, entries, growths)
+
+
+def test_the_section_has_the_machine_the_finest_meshes_the_answers_and_the_growth() -> None:
+    text = performance.section(bench())
+    assert text.startswith(
+        "a processor, 2 cores, 8.6 GB, one thread; medians of 3 rounds, which a round is off by "
+    )
+    assert "ball (800 surface nodes), organ (300 surface nodes)" in text
+    rows = [line for line in text.splitlines() if line.startswith(("| ball | ", "| organ | "))]
+    assert len(rows) == 6, "of solvers that only differ in theirs, one stands for all"
+    assert "| ball | fem-linear | 80 ms | 28.3 s | 50 ms | 100 ms | 8 MB | 3 % ± 1 % |" in rows
+    assert text.count("\n- ball, 800 nodes: ") == text.count("\n- organ, 300 nodes: ") == 5
+    assert (
+        "| vdm-vector | 642 to 163,842 | n^1.00, 1.64 s | n^1.50, 6.63 s | n^1.25, 26.4 million non-zeros |"
+        in text
+    )
+    assert "| fem-linear | 100 to 800 | n^1.00, 80 ms | n^0.50, 28.3 s | n^1.00, 8 MB |" in text
+
+
+def test_the_figure_has_a_panel_for_each_body_and_names_its_models() -> None:
+    root = ET.fromstring(performance.picture(bench()))
+    panels = [part for part in root if part.tag.endswith("svg")]
+    assert len(panels) == 2
+    width = float(root.get("width", ""))
+    edges = [(float(p.get("x", "")), float(p.get("x", "")) + float(p.get("width", ""))) for p in panels]
+    assert 0 <= edges[0][0] < edges[0][1] <= edges[1][0] < edges[1][1] <= width
+    words = "".join(root.itertext())
+    assert {"ball, 800 nodes", "vdm-vector", "fem-condensed"} <= set(re.split(r"\n|[●■▲◆▼✚✖\u2003] ?", words))
+
+
+def test_readme_says_where_its_numbers_come_from() -> None:
+    readme = performance.README.read_text()
+    assert "make performance" in readme
+    assert (performance.GALLERY / "performance.svg").exists()
+    section = performance._SECTION.search(readme)
+    assert section is not None
+    assert re.search(r"\d cores, .*one thread; medians of \d rounds", section.group(0))
