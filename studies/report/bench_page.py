@@ -22,10 +22,10 @@ from ..benchmark.bench_data import (
     spread,
 )
 from ..files import write_atomically
-from .blocks import Answer, Cell, Column, Facts, Figure, Figures, Section, Table, Text
+from .blocks import Answer, Block, Cell, Column, Facts, Figure, Figures, Section, Table, Text
 from .document import encoded, html_document, written
 from .formatting import NOTHING, listed, short_percent
-from .plots import colour, marker, panel, percent_axis, time_ticks
+from .plots import Plot, colour, marker, percent_axis, time_ticks
 
 NOTE = (
     "Every model answers the same contact load on the same mesh. Its error is the relative L2 difference from "
@@ -86,19 +86,22 @@ FIGURE_NOTE = (
 def pareto_plot(entries: Sequence[Entry], numbers: dict[str, int], salt: str) -> Markup:
     """Frame and re-cut time against the error of the models on one mesh."""
     usable = [e for e in entries if math.isfinite(e.error) and median(e.frame_local) > 0.0]
-    axes = panel("time", "displacement error", salt)
-    front = pareto(usable)
-    axes.plot([median(e.frame_local) for e in front], [e.error for e in front], color="0.7", linewidth=1.0)
-    for e in usable:
-        k, frame, recut = numbers[e.model], median(e.frame_local), median(e.recut)
-        axes.plot(list(spread(e.frame_local)), [e.error] * 2, color=colour(k), linewidth=1.0)
-        axes.plot([frame, recut], [e.error] * 2, ":", color=colour(k), linewidth=1.0)
-        axes.plot([recut], [e.error], marker=marker(k), color=colour(k), hollow=True)
-        axes.plot([frame], [e.error], marker=marker(k), color=colour(k), markersize=6.5, linestyle="none")
-    time_ticks(axes)
-    percent_axis(axes, [e.error for e in usable])
+    plot = Plot("time", "displacement error", salt)
+    with plot as axes:
+        front = pareto(usable)
+        axes.plot(
+            [median(e.frame_local) for e in front], [e.error for e in front], color="0.7", linewidth=1.0
+        )
+        for e in usable:
+            k, frame, recut = numbers[e.model], median(e.frame_local), median(e.recut)
+            axes.plot(list(spread(e.frame_local)), [e.error] * 2, color=colour(k), linewidth=1.0)
+            axes.plot([frame, recut], [e.error] * 2, ":", color=colour(k), linewidth=1.0)
+            axes.plot([recut], [e.error], marker=marker(k), color=colour(k), markerfacecolor="none")
+            axes.plot([frame], [e.error], marker=marker(k), color=colour(k), markersize=6.5, linestyle="none")
+        time_ticks(axes)
+        percent_axis(axes, [e.error for e in usable])
     told = [f"{e.model} {seconds(median(e.frame_local))} at {short_percent(e.error)}" for e in usable]
-    return axes.drawn(f"Run time against displacement error: {listed(told)}.")
+    return plot.drawn(f"Run time against displacement error: {listed(told)}.")
 
 
 def _table(bench: Bench, numbers: dict[str, int]) -> Table:
@@ -155,8 +158,5 @@ def _growth(growths: Sequence[Growth]) -> Section:
         "Least-squares slope of the logarithms over surface nodes of a sphere. Fill and flops: non-zeros of the "
         "factor, and the operations of making it."
     )
-    return Section(
-        "growth",
-        "Growth of the surface model",
-        [Text(note, kind="note"), Table("growth", "", columns, cells)],
-    )
+    blocks: list[Block] = [Text(note, kind="note"), Table("growth", "", columns, cells)]
+    return Section("growth", "Growth of the surface model", blocks)
