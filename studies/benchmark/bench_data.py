@@ -173,9 +173,9 @@ def _answers(entries: Sequence[Entry]) -> list[str]:
         return ["nothing to compare"]
     lines = [_fastest(usable, limit) for limit in (0.1, 0.25)]
     lines += [_most_accurate(usable, limit) for limit in _frame_times(usable)]
-    surface = [e for e in usable if not e.model.startswith("fem")]
+    surface = [e for e in usable if not e.model.startswith("fem") and ":" not in e.model]
     condensed = next((e for e in usable if e.model == "fem-condensed"), None)
-    if surface and condensed:
+    if surface and condensed:  # of each form, its first solver: others change the time more than the error
         told = "; ".join(_against_condensed(e, condensed) for e in _front(surface))
         lines.append(f"against fem-condensed ({100 * condensed.error:.3g} %), in total: {told}")
     return lines

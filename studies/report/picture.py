@@ -88,11 +88,15 @@ def _drawn(panel: Panel, axes: Array, scale: float, shift: Array, width: int, he
 
 def _averaged(drawn: np.ndarray) -> np.ndarray:
     """Blocks of pixels as one; what is transparent has no colour to give."""
-    parts = [
-        drawn[row::_FINER, column::_FINER].astype(np.float32)
-        for row in range(_FINER)
-        for column in range(_FINER)
-    ]
-    alpha = sum(part[:, :, 3:] for part in parts)
-    colour = sum(part[:, :, :3] * part[:, :, 3:] for part in parts) / np.maximum(alpha, 1.0)
-    return np.concatenate([colour, alpha / _FINER**2], axis=2).round().astype(np.uint8)
+    rows = drawn[::_FINER].astype(np.uint16) + drawn[1::_FINER]
+    total = rows[:, ::_FINER] + rows[:, 1::_FINER]
+    out = ((total + _FINER**2 // 2) // _FINER**2).astype(np.uint8)
+    # at the outline, where pixels of a block differ in alpha, it weighs their colours
+    alpha = total[:, :, 3]
+    height, width = alpha.shape
+    outline = (alpha > 0) & (alpha < 255 * _FINER**2)
+    blocks = drawn.reshape(height, _FINER, width, _FINER, 4).swapaxes(1, 2)[outline].astype(np.float32)
+    weights = blocks[..., 3:]
+    weighed = (blocks[..., :3] * weights).sum(axis=(1, 2)) / weights.sum(axis=(1, 2))
+    out[outline, :3] = weighed.round().astype(np.uint8)
+    return out

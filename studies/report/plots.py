@@ -25,6 +25,7 @@ from matplotlib.ticker import (
     MaxNLocator,
     NullLocator,
 )
+from matplotlib.transforms import blended_transform_factory
 
 from .digest import REFERENCE, Array
 from .formatting import plain, quantity
@@ -38,6 +39,7 @@ _MODELS = tuple(f"#0405{k:02x}" for k in range(PALETTE_SIZE))
 _WIDTH, _HEIGHT = 4.4, 3.0  # inches of 72 points: as wide as a phone, so that text stays readable there
 # the same for all plots, so that their axes line up on the page; room for a label and ticks of eight characters
 _MARGINS = {"left": 0.19, "right": 0.97, "bottom": 0.155, "top": 0.98}
+_LABELS = 0.045, 0.066  # how far the axes' labels are from the left and from the bottom
 _BOTTOM_FOR_SLANTED_NAMES = 0.34
 _STYLE: dict[str, Any] = {
     "svg.fonttype": "none",
@@ -85,11 +87,38 @@ def shortened(text: str, most: int = 22) -> str:
     return text if len(text) <= most else f"{text[: most - 1]}…"
 
 
-class Plot:
-    """One panel: draw on its axes inside the `with` block, then take `drawn`."""
+class Sheet:
+    """What panels with the same axes are drawn on, one after the other: their ticks are made once."""
 
-    def __init__(self, x_label: str, y_label: str, salt: str) -> None:
+    def __init__(self) -> None:
+        self.canvas = Canvas(figsize=(_WIDTH, _HEIGHT))
+        self._axes: Axes | None = None
+
+    def cleared(self) -> Axes:
+        """The axes without what was drawn on them; their scale follows what will be."""
+        if self._axes is None:
+            self.canvas.subplots_adjust(**_MARGINS)
+            self.canvas.patch.set_visible(False)
+            axes = self._axes = self.canvas.add_subplot()
+            axes.patch.set_visible(False)
+            # labels at the margins: to look for a place beside the ticks takes longer than to draw the curves
+            page = self.canvas.transFigure
+            axes.xaxis.set_label_coords(0.5, _LABELS[1], blended_transform_factory(axes.transAxes, page))
+            axes.yaxis.set_label_coords(_LABELS[0], 0.5, blended_transform_factory(page, axes.transAxes))
+        else:
+            for artist in (*self._axes.lines, *self._axes.collections):
+                artist.remove()
+            self._axes.relim()
+            self._axes.autoscale()
+        return self._axes
+
+
+class Plot:
+    """One panel: draw on its axes in the `with` block, then take `drawn`. Panels of a sheet share their axes."""
+
+    def __init__(self, x_label: str, y_label: str, salt: str, sheet: Sheet | None = None) -> None:
         self.salt = salt
+        self._sheet = sheet or Sheet()
         self._svg = ""
         style: Any = {**_STYLE, "svg.hashsalt": salt}
         self._style = rc_context(style)
@@ -97,11 +126,7 @@ class Plot:
 
     def __enter__(self) -> Axes:
         self._style.__enter__()
-        self._canvas = Canvas(figsize=(_WIDTH, _HEIGHT))
-        self._canvas.subplots_adjust(**_MARGINS)
-        self._canvas.patch.set_visible(False)
-        self.axes: Axes = self._canvas.add_subplot()
-        self.axes.patch.set_visible(False)
+        self.axes = self._sheet.cleared()
         self.axes.set_xlabel(shortened(self._labels[0], 60))
         self.axes.set_ylabel(shortened(self._labels[1], 40))
         return self.axes
@@ -119,7 +144,7 @@ class Plot:
         with warnings.catch_warnings():
             # a glyph that matplotlib's own font lacks is drawn by the browser's
             warnings.filterwarnings("ignore", "Glyph .* missing", UserWarning)
-            self._canvas.savefig(out, format="svg", metadata=metadata, transparent=True)
+            self._sheet.canvas.savefig(out, format="svg", metadata=metadata, transparent=True)
         return out.getvalue()
 
     def drawn(self, alt: str) -> Markup:

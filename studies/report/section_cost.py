@@ -8,18 +8,19 @@ from collections.abc import Sequence
 from .blocks import Block, Figure, Figures, Section, Text
 from .digest import DEFORMATION, REFERENCE, VECTOR, Digest, ModelSummary, Spread
 from .formatting import listed, quantity, short_percent
-from .plots import Plot, colour, marker, percent_axis, time_ticks
+from .plots import Plot, Sheet, colour, marker, percent_axis, time_ticks
 
 
 def run_time_against_error(digest: Digest) -> Section | None:
     """Time per frame, and set-up as a hollow marker, against the median error; whiskers reach best and worst."""
     figures = []
+    sheet = Sheet()
     spreads = [digest.spread(model, metric) for model in digest.compared for metric in (VECTOR, DEFORMATION)]
     heights = [
         height for spread in spreads if spread for height in (spread.best, spread.median, spread.worst)
     ]
     for k, (metric, title) in enumerate(((VECTOR, "Displacement error"), (DEFORMATION, "Deformation error"))):
-        figure = _pareto(digest, metric, title, heights, f"c{k}")
+        figure = _pareto(digest, metric, title, heights, f"c{k}", sheet)
         figures += [figure] if figure else []
     if not figures:
         return None
@@ -56,7 +57,9 @@ def time_notes(summaries: Sequence[ModelSummary], *, several: bool) -> list[str]
     return notes
 
 
-def _pareto(digest: Digest, metric: str, title: str, heights: Sequence[float], salt: str) -> Figure | None:
+def _pareto(
+    digest: Digest, metric: str, title: str, heights: Sequence[float], salt: str, sheet: Sheet
+) -> Figure | None:
     points: list[tuple[str, float, float, Spread]] = []
     for summary in digest.summaries:
         spread = digest.spread(summary.name, metric)
@@ -66,7 +69,7 @@ def _pareto(digest: Digest, metric: str, title: str, heights: Sequence[float], s
         return None
     reference = next((s for s in digest.summaries if s.is_reference), None)
     many = len(digest.cases) > 1
-    plot = Plot("time", f"{title} (median)" if many else title, salt)
+    plot = Plot("time", f"{title} (median)" if many else title, salt, sheet)
     with plot as axes:
         for model, frame, setup, spread in points:
             k = digest.colour(model)

@@ -13,7 +13,7 @@ from ..case import CaseResult
 from .blocks import Block, Figure, Figures, Section, Text
 from .digest import DEFORMATION, REFERENCE, VECTOR, Digest, at_full_load, reference_bar, series
 from .formatting import listed, scale_of, short_percent, swept_value
-from .plots import Plot, colour, line, log_axis, marker, name_ticks, percent_axis, place
+from .plots import Plot, Sheet, colour, line, log_axis, marker, name_ticks, percent_axis, place
 
 QUANTITIES = ((VECTOR, "Displacement error"), (DEFORMATION, "Deformation error"))
 PARTS = (
@@ -45,11 +45,16 @@ def error_against_parameters(digest: Digest) -> Section | None:
     pairs = []
     for k, key in enumerate(digest.swept_keys):
         axis = _axis(digest.cases, key, alone=len(digest.swept_keys) == 1)
+        sheet = Sheet()
         for group, summary in ((QUANTITIES, ""), (PARTS, f"{_PARTS_OF} {axis.name}")):
             shown = [
                 figure
                 for j, (metric, title) in enumerate(group)
-                if (figure := _against_parameter(digest, axis, metric, title, group, f"p{k}{title[:2]}{j}"))
+                if (
+                    figure := _against_parameter(
+                        digest, axis, metric, title, group, f"p{k}{title[:2]}{j}", sheet
+                    )
+                )
             ]
             pairs += [Figures(shown, digest.legend, summary)] if shown else []
     if not pairs:
@@ -116,11 +121,17 @@ def _axis(all_cases: Iterable[CaseResult], key: str, *, alone: bool) -> _Axis:
 
 
 def _against_parameter(
-    digest: Digest, axis: _Axis, metric: str, title: str, group: Sequence[tuple[str, str]], salt: str
+    digest: Digest,
+    axis: _Axis,
+    metric: str,
+    title: str,
+    group: Sequence[tuple[str, str]],
+    salt: str,
+    sheet: Sheet,
 ) -> Figure | None:
     """One measure against a parameter, on the scale that its group shares."""
     described = []
-    plot = Plot(axis.label, title, salt)
+    plot = Plot(axis.label, title, salt, sheet)
     with plot as axes:
         for rank, model in enumerate(digest.compared):
             errors = [at_full_load(case, model, metric) for case in axis.cases]
@@ -184,8 +195,9 @@ def error_against_load(digest: Digest) -> Section | None:
     heights = [
         y for by_model in curves.values() for table in by_model.values() for ys in table.values() for y in ys
     ]
+    sheet = Sheet()
     figures = [
-        _against_load(digest, curves[metric], _own(digest, metric), title, heights, f"l{k}")
+        _against_load(digest, curves[metric], _own(digest, metric), title, heights, f"l{k}", sheet)
         for k, (metric, title) in enumerate(QUANTITIES)
         if curves[metric]
     ]
@@ -227,9 +239,10 @@ def _against_load(
     title: str,
     heights: Sequence[float],
     salt: str,
+    sheet: Sheet,
 ) -> Figure:
     described = []
-    plot = Plot("load factor", title, salt)
+    plot = Plot("load factor", title, salt, sheet)
     with plot as axes:
         for model, table in curves.items():
             k = digest.colour(model)

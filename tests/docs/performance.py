@@ -46,9 +46,18 @@ SHOWN = (
     "fem-linear",
     "fem",
 )
+DRAWN = (
+    "mass-spring",
+    "vdm-paper",
+    "vdm-vector",
+    "vdm-boundary",
+    "fem-coarse",
+    "fem-condensed",
+    "fem-linear",
+)
 GROWN = ("vdm-boundary", "fem-condensed", "fem-linear", "fem")
 _PANEL, _HEIGHT, _GAP, _LINE = 317.0, 216.0, 14.0, 13.0
-_IN_A_LINE = 5  # names of the legend
+_IN_A_LINE = 4  # names of the legend
 
 
 def finest(bench: Bench) -> list[list[Entry]]:
@@ -118,7 +127,7 @@ def _amount(value: float, unit: str) -> str:
 def picture(bench: Bench) -> str:
     """Time against error on the finest mesh of each body, side by side, for light and dark."""
     bodies = finest(bench)
-    models = list(dict.fromkeys(e.model for e in bench.entries if e.model in SHOWN))
+    models = [model for model in DRAWN if any(e.model == model for e in bench.entries)]
     numbers = {model: k for k, model in enumerate(models)}
     width = len(bodies) * (_PANEL + _GAP)
     rows = [models[k : k + _IN_A_LINE] for k in range(0, len(models), _IN_A_LINE)]
@@ -134,11 +143,11 @@ def picture(bench: Bench) -> str:
         title = f"{body[0].body}, {body[0].nodes:,} nodes"
         parts.append(f'<text class="claim" x="{left + 60:g}" y="{_LINE:g}">{escape(title)}</text>')
         place = f'<svg x="{left:g}" y="{1.4 * _LINE:g}" width="{_PANEL:g}" height="{_HEIGHT:g}" '
-        panel = pareto_plot([e for e in body if e.model in SHOWN], numbers, f"t{k}")
+        panel = pareto_plot([e for e in body if e.model in DRAWN], numbers, f"t{k}")
         parts.append(str(panel).replace("<svg ", place, 1))
     for k, row in enumerate(rows):
         names = "\u2003".join(
-            f'<tspan fill="var(--model-{numbers[name] % 7})">{glyph(numbers[name])}</tspan> {escape(name)}'
+            f'<tspan fill="var(--model-{numbers[name]})">{glyph(numbers[name])}</tspan> {escape(name)}'
             for name in row
         )
         top = _HEIGHT + _LINE * (k + 2.6)
