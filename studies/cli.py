@@ -14,6 +14,8 @@ from typing import Any, NoReturn
 from . import cli_results, cli_study
 from .cli_output import DAMAGED, INTERRUPTED, MACHINE, OK, USAGE, complain
 
+_LEAST_MEMORY = 50_000_000
+
 
 def main(arguments: Sequence[str] | None = None) -> NoReturn:
     """Entry point of `vdmbench`."""
@@ -182,7 +184,12 @@ def _bytes(text: str) -> int:
     found = re.fullmatch(r"([0-9]+(?:\.[0-9]+)?) ?(kB|MB|GB|TB)", text)
     if found is None or float(found[1]) == 0:
         raise argparse.ArgumentTypeError("write a size such as 500MB or 4GB")
-    return int(float(found[1]) * 1000 ** (1 + ["kB", "MB", "GB", "TB"].index(found[2])))
+    size = int(float(found[1]) * 1000 ** (1 + ["kB", "MB", "GB", "TB"].index(found[2])))
+    if size < _LEAST_MEMORY:
+        raise argparse.ArgumentTypeError(
+            f"must be {_LEAST_MEMORY // 1_000_000}MB or more: a worker takes as much before it solves anything"
+        )
+    return size
 
 
 def _shard(text: str) -> tuple[int, int]:

@@ -168,6 +168,7 @@ def test_list_names_the_shipped_studies(tmp_path: Path) -> None:
         (["run", "small.toml", "--jobs", "many"], "--jobs: must be a whole number of 1 or more, not 'many'"),
         (["run", "small.toml", "--shard", "3/2"], "1 <= I <= N"),
         (["run", "small.toml", "--timeout", "-1"], "more than 0"),
+        (["run", "small.toml", "--memory", "1MB"], "must be 50MB or more"),
         (["run", "small.toml", "--timeout", "nan"], "must be a number of seconds of more than 0, not 'nan'"),
         (["run", "sphere"], "no shipped study of that name"),
         (["run", "../cases/quickstart"], "no shipped study"),
