@@ -13,7 +13,7 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import bsr_array, coo_array, csr_array
+from scipy.sparse import coo_array, csr_array
 from skfem import ElementTetP1, ElementTetP2
 
 from fem_reference.mesh import TetMesh
@@ -170,24 +170,6 @@ def mass_matrix(mesh: TetMesh) -> csr_array:
     rows = np.repeat(t, 4, axis=1).ravel()
     columns = np.tile(t, (1, 4)).ravel()
     return csr_array(coo_array((values.ravel(), (rows, columns)), shape=(mesh.n_vertices, mesh.n_vertices)))
-
-
-def elasticity_matrix(mesh: TetMesh, divergence: float, fibres: Array | None = None) -> bsr_array:
-    """The whole (3 n_nodes, 3 n_nodes) matrix of `elasticity_blocks`, displacement components interleaved."""
-    pattern = scalar_pattern(mesh)
-    blocks = elasticity_blocks(mesh, pattern, divergence, fibres)
-    size = 3 * mesh.n_nodes
-    return bsr_array((blocks, pattern.indices, pattern.indptr), shape=(size, size))
-
-
-def divergence_matrix(mesh: TetMesh) -> bsr_array:
-    """The whole (n, 3 n_nodes) matrix of `divergence_blocks`."""
-    pattern = scalar_pattern(mesh)
-    blocks = divergence_blocks(mesh, pattern)
-    end = mesh.n_vertices
-    return bsr_array(
-        (blocks, pattern.indices[: len(blocks)], pattern.indptr[: end + 1]), shape=(end, 3 * mesh.n_nodes)
-    )
 
 
 def gravity_weights(mesh: TetMesh) -> Array:

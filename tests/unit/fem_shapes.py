@@ -7,10 +7,12 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy import sparse
 from skfem import MeshTet
 
+from fem_reference import assembly
 from fem_reference.linear import LinearProblem, Load
-from fem_reference.mesh import facet_quadrature
+from fem_reference.mesh import TetMesh, facet_quadrature
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -128,3 +130,21 @@ def octant_shell(inner: float, outer: float, layers: int, rows: int) -> Body:
     split = [(a, b, c, c + n), (a, b, b + n, c + n), (a, a + n, b + n, c + n)]
     single = np.concatenate([np.column_stack(parts) for parts in split])
     return body(points, np.concatenate([single + layer * n for layer in range(layers)]))
+
+
+def elasticity_matrix(mesh: TetMesh, divergence: float, fibres: Array | None = None) -> sparse.bsr_array:
+    """The whole (3 n_nodes, 3 n_nodes) matrix of `elasticity_blocks`, displacement components interleaved."""
+    pattern = assembly.scalar_pattern(mesh)
+    blocks = assembly.elasticity_blocks(mesh, pattern, divergence, fibres)
+    size = 3 * mesh.n_nodes
+    return sparse.bsr_array((blocks, pattern.indices, pattern.indptr), shape=(size, size))
+
+
+def divergence_matrix(mesh: TetMesh) -> sparse.bsr_array:
+    """The whole (n, 3 n_nodes) matrix of `divergence_blocks`."""
+    pattern = assembly.scalar_pattern(mesh)
+    blocks = assembly.divergence_blocks(mesh, pattern)
+    end = mesh.n_vertices
+    return sparse.bsr_array(
+        (blocks, pattern.indices[: len(blocks)], pattern.indptr[: end + 1]), shape=(end, 3 * mesh.n_nodes)
+    )
