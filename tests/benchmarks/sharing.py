@@ -1,13 +1,20 @@
 """What 100 linear loads cost beside one: shared as `run` does it, and the naive way, with the numbers compared.
 
-Run with `make bench-sharing`, or `python -m tests.benchmarks.sharing --loads 20 --naive 5` for less.
+Run with `make bench-sharing`, or `python -m tests.benchmarks.sharing --mesh-sizes 10 5 --naive 5` for less.
 
-A study's cost is everything from its directory to its report: mesh, set-ups, solves, metrics, files, report. Three
-studies of the same body are timed whole, by `run_plan` in one worker and with an empty cache each: one load; a load
-history of 100 loads in one case; 100 cases, ten places of the finger by ten pressures. The naive way is each of the
-100 cases by itself: its own set-ups and factorisation, nothing cached but the mesh, no report.
+A study's cost is everything from its directory to its report: mesh, set-ups, solves, metrics, files, report. Studies
+of the same body are timed whole, by `run_plan` in one worker and with an empty cache each: one load; a load history
+of 100 loads in one case; 100 cases that are multiples of one load; 100 cases, ten places of the finger by ten
+pressures, which are ten loads and their multiples. The naive way is each of these 100 cases by itself: its own
+set-ups and factorisation, nothing cached but the mesh, no report.
 
 What is compared is processor time, that of the workers included: what else runs on the machine disturbs it least.
+What 100 cases cannot share is measured too, part by part: the scene, the results' scaling, the metrics, the file that
+each case leaves and its reading for the report.
+
+The numbers of the two ways are compared. A surface model is solved by the same factors in both. The finite elements
+choose their solver by the number of loads: where that is another for the group than for a case alone, both are
+printed, and one case is solved again alone by the group's solver.
 """
 
 from __future__ import annotations
@@ -16,21 +23,28 @@ import argparse
 import copy
 import os
 import tempfile
-from collections.abc import Sequence
+import time
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
+from fem_reference.linear import LinearProblem
+from studies import models
 from studies.case import CaseResult
 from studies.execute import run_tasks
-from studies.plan import Plan, make_plan, task_of
+from studies.plan import Plan, PlannedCase, make_plan, task_of
 from studies.run import Options, run_plan
-from studies.store import read_case
+from studies.scene import build_scene
+from studies.setups import next_turn, sharing
+from studies.store import read_case, write_case
 from studies.study_file.config import expand
 from studies.study_file.schema import Study
-from studies.worker import run_case
+from studies.worker import _mesh, compare, run_case
 
 TABLES: dict[str, Any] = {
     "study": {
@@ -58,19 +72,31 @@ class Costs:
 
     Attributes
     ----------
+    nodes : of the surface
     one : a study of one load
     history : a study of one case whose history has all loads
-    cases : a study of a case per load
+    multiples : a study of a case per load, all multiples of one
+    cases : a study of a case per load, a tenth of them independent
     naive : a case per load, each alone; measured on some of them and scaled up
-    difference : largest difference of a stored displacement, shared to naive, over the case's largest
+    difference : largest difference of a surface model's displacement, shared to naive, over the case's largest
+    reference_difference : the same of the finite elements, as each way solves them
+    same_solver_difference : of the finite elements of one case, both by the solver that all of them shared
+    solvers : of the finite elements: shared, alone
+    further : part -> processor seconds of one further case that is a multiple, median
     """
 
     loads: int
+    nodes: int
     one: float
     history: float
+    multiples: float
     cases: float
     naive: float
     difference: float
+    reference_difference: float
+    same_solver_difference: float
+    solvers: tuple[str, str]
+    further: dict[str, float]
 
 
 def measure(loads: int, naive: int, directory: Path, **changes: Any) -> Costs:
@@ -78,22 +104,67 @@ def measure(loads: int, naive: int, directory: Path, **changes: Any) -> Costs:
     pressures = np.linspace(8.0, 80.0, loads // 10).tolist()
     places = np.linspace(-0.6, 0.6, 10).tolist()
     sweep = {"regions.finger.cap.direction.0": places, "constraints.finger.pressure": pressures}
+    line = {"constraints.finger.pressure": np.linspace(0.8, 80.0, loads).tolist()}
     factors = np.linspace(0.02, 2.0, loads).tolist()
     _timed("warm-up", directory, changes)  # the first run also loads the libraries of the report
-    one = _timed("one", directory, changes)
-    history = _timed("history", directory, changes | {"load": {"factors": factors}})
-    shared, seconds = _timed("cases", directory, changes | {"sweep": sweep})
+    one = _timed("one", directory, changes)[1]
+    history = _timed("history", directory, changes | {"load": {"factors": factors}})[1]
+    of_one, multiples = _timed("multiples", directory, changes | {"sweep": line})
+    shared, cases = _timed("cases", directory, changes | {"sweep": sweep})
     chosen = shared.cases[:: max(1, len(shared.cases) // naive)]
     alone, seconds_alone = _naive(shared, directory / "naive", [case.hash for case in chosen])
     pairs = [(read_case(shared.case_file(case)), alone[case.hash]) for case in chosen]
+    reference = TABLES["study"]["reference"]
+    solvers = tuple(str(case.models[reference].parameters["solver"]) for case in pairs[0])
     return Costs(
         loads=len(shared.cases),
-        one=one[1],
-        history=history[1],
-        cases=seconds,
+        nodes=len(pairs[0][0].points),
+        one=one,
+        history=history,
+        multiples=multiples,
+        cases=cases,
         naive=seconds_alone * len(shared.cases) / len(chosen),
-        difference=max(_difference(a, b) for a, b in pairs),
+        difference=max(_difference(a, b, name) for a, b in pairs for name in b.models if name[:3] != "fem"),
+        reference_difference=max(_difference(a, b, reference) for a, b in pairs),
+        same_solver_difference=_same_solver_difference(shared, chosen[-1], solvers[0]),
+        solvers=(solvers[0], solvers[1]),
+        further=_further(of_one, (multiples - one) / (loads - 1)),
     )
+
+
+def _same_solver_difference(plan: Plan, case: PlannedCase, solver: str) -> float:
+    """Of a case's finite elements on its own mesh, solved alone by `solver`, to what is stored, over the largest."""
+    scene = build_scene(case.study, _mesh(case.study, task_of(case, plan)))
+    stored = read_case(plan.case_file(case)).models[TABLES["study"]["reference"]].displacement
+    # as many loads as the group has decide the precision of a factor
+    problem = LinearProblem(**models._body(scene), solver=solver, expected_loads=10)
+    own = problem.solve(models._fem_loads(scene)).displacement
+    return float(np.abs(stored - own).max() / np.abs(own).max())
+
+
+def _further(plan: Plan, seconds: float) -> dict[str, float]:
+    """What a further case of multiples takes, of `seconds` in all, part by part."""
+    taken: dict[str, list[float]] = {}
+
+    def timed(part: str, work: Callable[[], Any]) -> Any:
+        began = time.process_time()
+        out = work()
+        taken.setdefault(part, []).append(time.process_time() - began)
+        return out
+
+    with threadpool_limits(1), sharing():
+        for planned in plan.cases[-12:]:
+            next_turn()
+            study, path = planned.study, plan.case_file(planned)
+            case = timed("reading it for the report", partial(read_case, path))
+            mesh = _mesh(study, task_of(planned, plan))
+            scene = timed("scene on the mesh", partial(build_scene, study, mesh))
+            names = [name for name in study.study.models if not models.find(name)[0].volumetric]
+            timed("results of the surface models", lambda: [models.run_model(scene, n) for n in names])  # noqa: B023
+            timed("metrics", partial(compare, scene, case.models, case.reference))
+            timed("file", partial(write_case, path, case))
+    parts = {part: float(np.median(values[2:])) for part, values in taken.items()}
+    return parts | {"study, task, plan, tables and report": seconds - sum(parts.values())}
 
 
 def _timed(name: str, directory: Path, changes: dict[str, Any]) -> tuple[Plan, float]:
@@ -142,12 +213,10 @@ def _processor_seconds() -> float:
     return sum(os.times()[:4]) + ticks / os.sysconf("SC_CLK_TCK")
 
 
-def _difference(a: CaseResult, b: CaseResult) -> float:
-    """Largest difference of displacements of two cases, each model by its own largest displacement."""
-    return max(
-        float(np.abs(a.models[name].displacement - u).max() / np.abs(u).max())
-        for name, u in ((name, result.displacement) for name, result in b.models.items())
-    )
+def _difference(a: CaseResult, b: CaseResult, name: str) -> float:
+    """Largest difference of a model's displacements of two cases, over the largest displacement."""
+    u = b.models[name].displacement
+    return float(np.abs(a.models[name].displacement - u).max() / np.abs(u).max())
 
 
 def table(costs: Costs) -> str:
@@ -155,28 +224,40 @@ def table(costs: Costs) -> str:
     rows = [
         ("one load", costs.one),
         (f"one case, a history of {costs.loads} loads", costs.history),
-        (f"{costs.loads} cases of one load", costs.cases),
+        (f"{costs.loads} cases, multiples of one load", costs.multiples),
+        (f"{costs.loads} cases, {costs.loads // 10} multiples each of 10 loads", costs.cases),
         (f"{costs.loads} cases, each alone", costs.naive),
     ]
-    lines = [f"{what:<40} {seconds:8.2f} s  {seconds / costs.one:7.2f}" for what, seconds in rows]
-    return "\n".join([*lines, f"largest difference, shared to alone: {costs.difference:.1e} of the largest"])
+    shared, alone = costs.solvers
+    return "\n".join(
+        [
+            f"{costs.nodes} surface nodes",
+            *(f"{what:<44} {seconds:8.2f} s  {seconds / costs.one:7.2f}" for what, seconds in rows),
+            f"largest difference, shared to alone, of the largest: surface models {costs.difference:.1e}, "
+            f"finite elements {costs.reference_difference:.1e} ({shared} shared, {alone} alone), "
+            f"{costs.same_solver_difference:.1e} both {shared}",
+            "a further case that is a multiple, ms: "
+            + ", ".join(f"{part} {1e3 * seconds:.1f}" for part, seconds in costs.further.items()),
+        ]
+    )
 
 
 def main() -> None:
-    """Print the table."""
+    """Print the tables."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--loads", type=int, default=100, help="how many, a multiple of ten")
-    parser.add_argument("--naive", type=int, default=100, help="how many cases to run the naive way too")
-    parser.add_argument("--mesh-size", type=float, default=10.0, help="millimetres")
+    parser.add_argument("--naive", type=int, default=5, help="how many cases to run the naive way too")
+    parser.add_argument("--mesh-sizes", type=float, nargs="+", default=[10.0, 5.0, 3.0], help="millimetres")
     parser.add_argument("--levels", type=int, default=1, help="mesh levels of the reference, 1 to 3")
     options = parser.parse_args()
-    changes: dict[str, Any] = {"geometry": TABLES["geometry"] | {"mesh_size": options.mesh_size / 1e3}}
-    if options.levels > 1:
-        changes["uncertainty"] = {"levels": options.levels}
-    with tempfile.TemporaryDirectory() as directory:
-        print(table(measure(options.loads, options.naive, Path(directory), **changes)))
+    changes: dict[str, Any] = {"uncertainty": {"levels": options.levels}} if options.levels > 1 else {}
+    for size in options.mesh_sizes:
+        changes["geometry"] = TABLES["geometry"] | {"mesh_size": size / 1e3}
+        with tempfile.TemporaryDirectory() as directory:
+            print(f"mesh of {size:g} mm, {options.levels} level(s) of the reference:", end=" ", flush=True)
+            print(table(measure(options.loads, options.naive, Path(directory), **changes)), flush=True)
 
 
 if __name__ == "__main__":
