@@ -14,12 +14,20 @@ from . import models
 from .study_file.config import case_inputs
 from .study_file.schema import Study
 
+_latest: list[tuple[Study, Mapping[str, Any]]] = []  # all keys of a case are asked for one after the other
+
+
+def _inputs(study: Study) -> Mapping[str, Any]:
+    if not _latest or _latest[0][0] is not study:
+        _latest[:] = [(study, case_inputs(study))]
+    return _latest[0][1]
+
 
 def case_hash(study: Study, mesh_key: str) -> str:
     """SHA-256 (hex) over what decides a case's numbers: inputs, mesh, and each model's declared version."""
     return _digest(
         {
-            "inputs": {name: value for name, value in case_inputs(study).items() if name != "geometry"},
+            "inputs": {name: value for name, value in _inputs(study).items() if name != "geometry"},
             "mesh": mesh_key,
             "models": {name: models.find(name)[0].version for name in study.study.models},
             "reference": study.study.reference,
@@ -30,7 +38,7 @@ def case_hash(study: Study, mesh_key: str) -> str:
 
 def result_keys(study: Study, mesh_key: str) -> dict[str, str]:
     """Model name -> key of its result: mesh, tissue, supports, loads, version, and for VDM its parameters."""
-    inputs = case_inputs(study)
+    inputs = _inputs(study)
     scene = _body(inputs, mesh_key) | {
         "constraints": anonymous_constraints(study),
         "load": inputs["load"],
@@ -58,7 +66,7 @@ def reference_key(result_key: str, n_levels: int) -> str:
 
 def setup_key(study: Study, mesh_key: str) -> str:
     """Key of what the volumetric models' set-ups depend on: cases that share it differ in loads and VDM only."""
-    inputs = case_inputs(study)
+    inputs = _inputs(study)
     held = [
         _anonymous({"kind": "held", "region": constraint["region"]}, inputs)
         for constraint in inputs["constraints"]
@@ -69,7 +77,7 @@ def setup_key(study: Study, mesh_key: str) -> str:
 
 def surface_key(study: Study) -> str:
     """Key of the parameters of the VDM models: cases of one set-up that share it share their set-ups too."""
-    inputs = case_inputs(study)
+    inputs = _inputs(study)
     return _digest({name: inputs.get(name) for name in ("vdm", "models", "environment")})
 
 
@@ -79,7 +87,7 @@ def _body(inputs: Mapping[str, Any], mesh_key: str) -> dict[str, Any]:
 
 def anonymous_constraints(study: Study) -> list[dict[str, Any]]:
     """A study's constraints without their names, with the regions themselves instead of the regions' names."""
-    inputs = case_inputs(study)
+    inputs = _inputs(study)
     return [_anonymous(constraint, inputs) for constraint in inputs["constraints"]]
 
 

@@ -206,6 +206,8 @@ METRICS: dict[str, Metric] = {}
 
 def full_load_step(load_factors: Array) -> int:
     """The step of the largest load, the last of several."""
+    if len(load_factors) == 1:  # asked for often, of cases that mostly have one
+        return 0
     return int(len(load_factors) - 1 - np.argmax(np.abs(load_factors)[::-1]))
 
 

@@ -2,15 +2,15 @@
 
 Run with `make bench-sharing`, or `python -m tests.benchmarks.sharing --mesh-sizes 10 5 --naive 5` for less.
 
-A study's cost is everything from its directory to its report: mesh, set-ups, solves, metrics, files, report. Studies
-of the same body are timed whole, by `run_plan` in one worker and with an empty cache each: one load; a load history
-of 100 loads in one case; 100 cases that are multiples of one load; 100 cases, ten places of the finger by ten
-pressures, which are ten loads and their multiples. The naive way is each of these 100 cases by itself: its own
+A study's cost is everything from its directory to its report: mesh, set-ups, solves, metrics, files, report.
+Studies of one body are timed whole, by `run_plan` in one worker and with an empty cache each: one load; a load
+history of 100 loads in one case; 100 cases that are multiples of one load; 100 cases, ten places of the finger by
+ten pressures, which are ten loads and their multiples. The naive way is each of these last 100 by itself: its own
 set-ups and factorisation, nothing cached but the mesh, no report.
 
 What is compared is processor time, that of the workers included: what else runs on the machine disturbs it least.
-What 100 cases cannot share is measured too, part by part: the scene, the results' scaling, the metrics, the file that
-each case leaves and its reading for the report.
+What cases cannot share is measured too, part by part: the scene, the results' scaling, the metrics, the file that
+each of them leaves and its reading for the report.
 
 The numbers of the two ways are compared. A surface model is solved by the same factors in both. The finite elements
 choose their solver by the number of loads: where that is another for the group than for a case alone, both are
@@ -133,7 +133,7 @@ def measure(loads: int, naive: int, directory: Path, **changes: Any) -> Costs:
 
 
 def _same_solver_difference(plan: Plan, case: PlannedCase, solver: str) -> float:
-    """Of a case's finite elements on its own mesh, solved alone by `solver`, to what is stored, over the largest."""
+    """Of a case's finite elements, solved alone by `solver`, to what is stored, over the largest displacement."""
     scene = build_scene(case.study, _mesh(case.study, task_of(case, plan)))
     stored = read_case(plan.case_file(case)).models[TABLES["study"]["reference"]].displacement
     # as many loads as the group has decide the precision of a factor
