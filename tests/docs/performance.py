@@ -164,7 +164,7 @@ def main() -> None:
     if given.bench:
         bench = read_bench(given.bench)
     else:
-        third = ["--surface", given.surface.resolve()] if given.surface else []
+        third = ["--surface", given.surface.absolute()] if given.surface else []
         with tempfile.TemporaryDirectory() as name:
             command = ["bench", "--large", *third, "--out", "bench"]
             result = vdmbench(*command, cwd=Path(name), seconds=3600, OPENBLAS_NUM_THREADS="1")
