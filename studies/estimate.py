@@ -113,9 +113,9 @@ def _search(case: PlannedCase, size: Size, learnt: Mapping[str, Cost]) -> float:
 
     def tried(name: str, level: int, loads: int) -> float:
         cost = _cost(ModelWork(name, case.mesh, case.setup, level, loads, steps * loads, steps), size, learnt)
-        deep = _DEEP if name in models.FINITE_STRAIN or name.endswith(":nonlinear") else 1.0
+        bent = name in models.FINITE_STRAIN or name.endswith(":nonlinear")
         setups = loads if name in models.FINITE_STRAIN else 1
-        return setups * cost.setup + deep * loads * steps * cost.step
+        return setups * cost.setup + loads * (max(steps, _DEEP) if bent else steps) * cost.step
 
     for name in study.study.models:
         seconds += tried(name, 0, _SEARCH_LOADS)
