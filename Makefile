@@ -48,9 +48,9 @@ calibrations: setup
 candidates: setup
 	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(RUN)python -m tests.docs.candidates $(SURFACE)
 
-# what the surface model costs on this machine, in one thread
+# what the surface model costs on this machine, in one thread; README=1 writes it into vdm/README.md too
 bench-vdm: setup
-	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(RUN)python -m tests.benchmarks.vdm_speed
+	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(RUN)python -m tests.benchmarks.vdm_speed $(if $(README),--readme)
 
 # what the linear finite elements cost, beside NGSolve and scikit-fem, in one thread
 bench-fem: setup

@@ -4,7 +4,12 @@ from __future__ import annotations
 
 import re
 
-from tests.benchmarks.vdm_speed import HEAD, Sizes, report
+from tests.benchmarks.vdm_speed import HEAD, README, README_HEAD, SECTION, Sizes, report
+
+
+def kind(what: str) -> str:
+    """A line's name without the numbers in it, which depend on the size."""
+    return re.sub(r"[\d.e+]+ (iterations|nodes)", r"\1", re.sub(r", [\d.e+]+ iterations", "", what)).strip()
 
 
 def test_a_small_benchmark_prints_one_table() -> None:
@@ -15,6 +20,7 @@ def test_a_small_benchmark_prints_one_table() -> None:
     assert {line.count("|") for line in table} == {len(HEAD) + 1}
     rows = [[cell.strip() for cell in line.strip("|").split("|")] for line in table[2:]]
     assert sum(row[0].startswith("set-up") for row in rows) == 8
+    assert all(float(row[4]) > 0.0 for row in rows)
     for part in ("BiCG as printed, warm", "BiCG as printed, cold"):
         assert sum(re.match(rf"{part}, [\d.e+]+ iterations, paper", row[0]) is not None for row in rows) == 1
     counts = {"quasi-linear step": 3, "warm nonlinear step": 2, "local contact": 6, "of it the rule": 6}
@@ -24,6 +30,13 @@ def test_a_small_benchmark_prints_one_table() -> None:
         assert re.fullmatch(r"[\d.e+-]+ m?s", row[2]), row
         # the ratios of the linear solves: positive numbers
         assert all(float(cell) > 0.0 for cell in row[4:6] if cell), row
+    # the README shows the same lines, of the full size
+    shown = SECTION.search(README.read_text())
+    assert shown is not None
+    written = [line.strip("|").split("|") for line in shown.group(0).splitlines() if line.startswith("|")]
+    assert tuple(cell.strip() for cell in written[0]) == README_HEAD
+    assert [kind(cells[0]) for cells in written[2:]] == [kind(row[0]) for row in rows]
+    assert all(float(cells[3]) > 0.0 for cells in written[2:])
     solves = [row for row in rows if "triangular" in row[0]]
     assert len(solves) == 6
     assert all(row[4] and row[5] for row in solves)

@@ -3,23 +3,28 @@
 All times are processor time of the one thread that works, which other work on the machine makes longer by what it
 takes of caches and memory only.
 
-The bound of a linear solve is the time that two readings of its factor take: of an array of the factor's
-size, 8 bytes a non-zero, indices not counted, so that a factor that fits into a cache is held against the
-cache. cholespy does not tell its non-zeros; they are those of SuperLU's symmetric minimum degree ordering, an
-upper bound as long as cholespy's ordering is no worse. That of a local contact is one reading of its columns,
-that of the boundary form on a coarse body one of half its dense matrix, which is symmetric. Memory is set against
-what one factor more takes of the process, its indices and all; the last column is what its library takes while it
-makes that factor.
+The bound of a set-up and of a step is the time that two readings of the factor take: of an array of the
+factor's size, 8 bytes a non-zero, indices not counted, so that a factor that fits into a cache is held against
+the cache. cholespy does not tell its non-zeros; they are those of SuperLU's symmetric minimum degree ordering,
+an upper bound as long as cholespy's ordering is no worse. The paper, the consistent and the vector form of one
+body have the same scalar factor, and its two readings are the bound of iterations and nonlinear steps too,
+which need many. That of a local contact is one reading of its columns, that of the boundary form two of half
+its dense matrix, which is symmetric, and on a coarse body one of half the coarse matrix, an inverse. Memory is
+set against what one factor more takes of the process, its indices and all; the last column is what its library
+takes while it makes that factor.
 
 A set-up goes from points, triangles and a tissue to the factor: checks, the rule for the parameters, assembly.
 """
 
 from __future__ import annotations
 
+import os
 import platform
+import re
+import sys
 import time
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
@@ -59,6 +64,11 @@ HEAD = (
     "peak over factor",
     "of it the factor's own making",
 )
+
+
+README_HEAD = ("what", "nodes", "median", "over the bound")
+README = Path(__file__).parents[2] / "vdm" / "README.md"
+SECTION = re.compile(r"(<!-- speed -->\n).*?(<!-- /speed -->)", re.DOTALL)
 
 
 @dataclass(frozen=True)
@@ -186,20 +196,53 @@ def rows_of_one(formulation: str, sizes: Sizes, levels: int, repeats: int) -> It
     )
     bound = 2.0 * reading_seconds(BYTES_PER_NONZERO * superlu.L.nnz, repeats)
     memory = (amount / max(factor_resident, 1) for amount in (resident, peak, library))
-    set_up = set_up_seconds(formulation, levels, sizes.slow_repeats)
-    yield Row(f"set-up, {formulation}", n_nodes, set_up, None, None, *memory)
-    rule = timed(partial(tissue, model.surface, formulation, ~free), sizes.slow_repeats)
-    yield Row(f"of it the rule for the parameters, {formulation}", n_nodes, rule)
+
+    def row(what: str, seconds: Array) -> Row:
+        return Row(f"{what}, {formulation}", n_nodes, seconds, float(np.median(seconds)) / bound)
+
+    set_up = row("set-up", set_up_seconds(formulation, levels, sizes.slow_repeats))
+    yield replace(set_up, **dict(zip(("resident", "peak", "library"), memory, strict=True)))
+    yield row("of it one factor", timed(partial(Cholesky, sparse.csr_array(block)), sizes.slow_repeats))
+    yield row(
+        "of it the rule for the parameters",
+        timed(partial(tissue, model.surface, formulation, ~free), sizes.slow_repeats),
+    )
     load = Load(100.0 * np.random.default_rng(0).random(n_nodes))
-    step = timed(partial(model.solver.step, load), repeats)
-    share = float(np.median(step)) / bound
-    yield Row(f"linear step, every node loaded, {formulation}", n_nodes, step, share)
+    yield row("linear step, every node loaded", timed(partial(model.solver.step, load), repeats))
+    yield row("the same with reactions and energy", timed(partial(asked, model, load), repeats))
+    yield row("audit of the step", timed_audit(model, load, repeats))
     right = np.random.default_rng(1).standard_normal((int(free.sum()) * form.components,))
     others = partial(superlu.solve, right.reshape(block.shape[0], -1))
     solve, other = timed_in_turns(partial(model.solver.factor.block.solve, right), others, repeats)
     typical = float(np.median(solve))
     ratios = typical / bound, float(np.median(other)) / typical
     yield Row(f"its triangular solves, {formulation}", n_nodes, solve, *ratios)
+
+
+def asked(model: Model, load: Load) -> tuple[Array, float]:
+    """A step, and what is computed only when it is asked for."""
+    step = model.solver.step(load)
+    return step.reaction_force, step.energy
+
+
+def timed_audit(model: Model, load: Load, repeats: int) -> Array:
+    """Seconds of each audit of a new step; a frame alone has none, a history one for every step."""
+    seconds = []
+    for _ in range(repeats):
+        step = model.solver.step(load)
+        seconds.append(timed_once(partial(model.solver.audited, load, step)))
+    return np.array(seconds)
+
+
+def two_readings(model: Model, repeats: int) -> float:
+    """Seconds of two readings of the model's scalar factor."""
+    superlu = linalg.splu(
+        scalar_block(model),
+        permc_spec="MMD_AT_PLUS_A",
+        diag_pivot_thresh=0.0,
+        options={"SymmetricMode": True},
+    )
+    return 2.0 * reading_seconds(BYTES_PER_NONZERO * superlu.L.nnz, repeats)
 
 
 def scalar_block(model: Model) -> sparse.csc_array:
@@ -229,6 +272,7 @@ def contact_rows(model: Model, sizes: Sizes) -> Iterator[Row]:
 def krylov_rows(sizes: Sizes) -> Iterator[Row]:
     """One load by iteration from zero: fibres of contrast 3, with the diagonal and with the factor without them."""
     methods: tuple[Method, ...] = ("cg", "minres")
+    bound = two_readings(ball("consistent", sizes.levels), sizes.repeats)
     for formulation in ("consistent", "vector"):
         plain = ball(formulation, sizes.levels)
         surface, free = plain.surface, plain.problem.free
@@ -241,11 +285,12 @@ def krylov_rows(sizes: Sizes) -> Iterator[Row]:
                 seconds = timed(partial(solver.step, load), sizes.slow_repeats)
                 count = solver.step(load).iterations
                 what = f"{method} by the {name}, {count} iterations, fibres added, {formulation}"
-                yield Row(what, surface.n_nodes, seconds)
+                yield Row(what, surface.n_nodes, seconds, float(np.median(seconds)) / bound)
 
 
 def history_rows(sizes: Sizes) -> Iterator[Row]:
     """Steps of a load that grows by a twentieth each, once the history has begun, and their mean iterations."""
+    bound = two_readings(ball("consistent", sizes.levels), sizes.repeats)
     for formulation, solver, what in (
         ("paper", "bicg", "BiCG as printed, warm"),
         ("paper", "bicg-cold", "BiCG as printed, cold"),
@@ -266,21 +311,26 @@ def history_rows(sizes: Sizes) -> Iterator[Row]:
             iterations.append(step.iterations)
         mean = np.mean(iterations[3:])
         counted = f", {mean:.3g} iterations" if mean else ""
-        yield Row(f"{what}{counted}, {formulation}", model.surface.n_nodes, np.array(seconds[3:]))
+        taken = np.array(seconds[3:])
+        share = float(np.median(taken)) / bound
+        yield Row(f"{what}{counted}, {formulation}", model.surface.n_nodes, taken, share)
 
 
 def skin_rows(sizes: Sizes) -> Iterator[Row]:
     """The boundary form of many nodes, on a coarse body: set-up, every node loaded, a local contact."""
     model = ball("boundary", sizes.levels)
     n_nodes = model.surface.n_nodes
-    yield Row("set-up, boundary", n_nodes, set_up_seconds("boundary", sizes.levels, 1))
     form = model.formulation
     assert isinstance(form, BoundaryFormulation)
     bound = reading_seconds(dense_bytes(form) // 2, sizes.repeats)
-    step = timed(
-        partial(model.solver.step, Load(100.0 * np.random.default_rng(0).random(n_nodes))), sizes.repeats
-    )
-    yield Row("linear step, every node loaded, boundary", n_nodes, step, float(np.median(step)) / bound)
+    load = Load(100.0 * np.random.default_rng(0).random(n_nodes))
+    for what, seconds in (
+        ("set-up", set_up_seconds("boundary", sizes.levels, 1)),
+        ("linear step, every node loaded", timed(partial(model.solver.step, load), sizes.repeats)),
+        ("the same with reactions and energy", timed(partial(asked, model, load), sizes.repeats)),
+        ("audit of the step", timed_audit(model, load, sizes.repeats)),
+    ):
+        yield Row(f"{what}, boundary", n_nodes, seconds, float(np.median(seconds)) / bound)
     yield from contact_rows(model, sizes)
 
 
@@ -299,32 +349,58 @@ def boundary_rows(sizes: Sizes) -> Iterator[Row]:
             start = time.thread_time()
             model = Model(points, triangles, parameters, formulation="boundary", fixed=points[:, 2] < -0.015)
             seconds.append(time.thread_time() - start)
+        form = model.formulation
+        assert isinstance(form, BoundaryFormulation)
+        # a dense Cholesky factor is read twice, the inverse of a coarse body once
+        readings = 1 if isinstance(form.body, Skin) else 2
+        bound = readings * reading_seconds(dense_bytes(form) // 2, sizes.repeats)
         load = Load(100.0 * np.random.default_rng(3).random(len(points)))
-        yield Row("set-up, boundary", len(points), np.array(seconds))
         frame = timed(partial(model.solver.step, load), sizes.repeats)
-        yield Row("linear step, every node loaded, boundary", len(points), frame)
+        for what, taken in (("set-up", np.array(seconds)), ("linear step, every node loaded", frame)):
+            yield Row(f"{what}, boundary", len(points), taken, float(np.median(taken)) / bound)
+
+
+def rows_of(sizes: Sizes) -> Iterator[Row]:
+    """All lines of the table."""
+    yield from linear_rows(sizes, sizes.levels, sizes.repeats)
+    for formulation in ("consistent", "vector"):
+        yield from contact_rows(ball(formulation, sizes.levels), sizes)
+    yield from krylov_rows(sizes)
+    yield from history_rows(sizes)
+    yield from skin_rows(sizes)
+    yield from boundary_rows(sizes)
+    yield from linear_rows(sizes, sizes.fine_levels, 3 * sizes.slow_repeats)
+
+
+def machine() -> Iterator[str]:
+    """What it was measured on."""
+    threads = {f"{info['internal_api']}: {info['num_threads']}" for info in threadpool_info()}
+    yield f"{processor()}; threads: {', '.join(sorted(threads))}; {platform.platform()}."
+    load = f"{os.getloadavg()[1]:.1f} of {os.cpu_count()} processors busy in the five minutes before"
+    yield f"Copying memory: {copy_bandwidth() / 1e9:.1f} GB/s read and written; {load}."
+
+
+def table(head: Sequence[str], lines: Iterable[Sequence[str]]) -> Iterator[str]:
+    """As Markdown."""
+    yield f"| {' | '.join(head)} |"
+    yield f"| {' | '.join(['---'] * len(head))} |"
+    for cells in lines:
+        yield f"| {' | '.join(cells)} |"
 
 
 def report(sizes: Sizes) -> Iterator[str]:
     """The lines of the table, headed by the machine."""
-    threads = {f"{info['internal_api']}: {info['num_threads']}" for info in threadpool_info()}
-    yield f"{processor()}; threads: {', '.join(sorted(threads))}; {platform.platform()}."
-    yield f"Copying memory: {copy_bandwidth() / 1e9:.1f} GB/s read and written."
+    yield from machine()
     yield ""
-    yield f"| {' | '.join(HEAD)} |"
-    yield f"| {' | '.join(['---'] * len(HEAD))} |"
-    parts = (
-        linear_rows(sizes, sizes.levels, sizes.repeats),
-        *(contact_rows(ball(formulation, sizes.levels), sizes) for formulation in ("consistent", "vector")),
-        krylov_rows(sizes),
-        history_rows(sizes),
-        skin_rows(sizes),
-        boundary_rows(sizes),
-        linear_rows(sizes, sizes.fine_levels, 3 * sizes.slow_repeats),
-    )
-    for rows in parts:
-        for row in rows:
-            yield f"| {' | '.join(row.cells())} |"
+    yield from table(HEAD, (row.cells() for row in rows_of(sizes)))
+
+
+def readme_section(sizes: Sizes) -> Iterator[str]:
+    """What the README shows of it: medians and how far they are from the bound."""
+    yield from machine()
+    yield ""
+    chosen = [HEAD.index(name) for name in README_HEAD]
+    yield from table(README_HEAD, ([row.cells()[k] for k in chosen] for row in rows_of(sizes)))
 
 
 def processor() -> str:
@@ -335,9 +411,17 @@ def processor() -> str:
 
 
 def main() -> None:
-    """Print the table line by line."""
-    for line in report(Sizes()):
+    """Print the table line by line; with --readme what the README shows of it, and write it there."""
+    if "--readme" not in sys.argv[1:]:
+        for line in report(Sizes()):
+            print(line, flush=True)
+        return
+    lines = []
+    for line in readme_section(Sizes()):
         print(line, flush=True)
+        lines.append(line + "\n")
+    text = "".join(lines)
+    README.write_text(SECTION.sub(lambda found: found.group(1) + text + found.group(2), README.read_text()))
 
 
 if __name__ == "__main__":

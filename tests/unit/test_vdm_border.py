@@ -46,6 +46,14 @@ def test_products_with_turning_columns_equal_dense_ones(sets):
     assert_allclose(long.dotted(vector), short.dotted(vector), rtol=0.0, atol=2e-14)
 
 
+def test_magnitudes_are_the_products_of_absolute_values():
+    short, long = turning()
+    vector = RNG.standard_normal(21)
+    expected = np.abs(long.values).reshape(21, 4).T @ np.abs(vector)
+    assert_allclose(short.magnitude(vector), expected, rtol=1e-14, atol=0.0)
+    assert_allclose(long.magnitude(vector), expected, rtol=1e-14, atol=0.0)
+
+
 class Written(VectorFormulation):
     """The same form with its border written out: the factor solves every column."""
 

@@ -103,6 +103,28 @@ def test_warm_start_saves_iterations_only_where_the_load_hardly_changes():
     assert np.all(warm[1:] < 0.75 * cold[1:])
 
 
+def test_a_start_close_to_the_solution_saves_bicg_the_last_digits_only():
+    points, triangles = icosphere(4, (0.05, 0.05, 0.05))
+    material = Parameters.from_tissue(5000.0, 0.4999, SurfaceMesh(points, triangles), "paper")
+    problem = Model(points, triangles, material, formulation="paper", fixed=points[:, 2] < -0.045).problem
+    push = Load(np.where(points[:, 2] > 0.045, 100.0, 0.0))
+
+    def iterations(first_tolerance: float, warm: bool) -> int:
+        """Of a load that has grown by a twentieth, after one that was solved to its own tolerance."""
+        solver = KrylovSolver(problem, "bicg", warm_start=warm, tolerance=first_tolerance)
+        before = solver.step(push)
+        solver.tolerance = 1e-10
+        after = solver.step(push.scaled(1.05), before)
+        assert before.status.ok
+        assert after.status.ok
+        return after.iterations
+
+    cold = iterations(1e-10, warm=False)
+    # 211 from zero, 200 from the exact last solution, 204 from the last solution as it is
+    assert 0.85 * cold < iterations(1e-13, warm=True) < 1.1 * cold
+    assert 0.85 * cold < iterations(1e-10, warm=True) < 1.15 * cold
+
+
 @pytest.mark.parametrize("formulation", NAMES)
 def test_border_update_equals_dense_sherman_morrison(formulation):
     solver = model(formulation, fixed=None if formulation == "paper" else BASE, solver="quasi-linear")

@@ -31,6 +31,10 @@ class Columns(ABC):
         """(m,) products of the columns with a vector (n d,); with k vectors (n d, k) (m, k)."""
 
     @abstractmethod
+    def magnitude(self, vector: Array) -> Array:
+        """(m,) products of absolute values, of the columns with a vector (n d,): what rounding is measured by."""
+
+    @abstractmethod
     def at(self, nodes: Mask) -> Columns:
         """The columns at some nodes (n,)."""
 
@@ -54,6 +58,9 @@ class DenseColumns(Columns):
 
     def dotted(self, vector: Array) -> Array:
         return np.asarray(self.values.reshape(-1, self.count).T @ vector)
+
+    def magnitude(self, vector: Array) -> Array:
+        return np.asarray(np.abs(self.values).reshape(-1, self.count).T @ np.abs(vector))
 
     def at(self, nodes: Mask) -> DenseColumns:
         return DenseColumns(self.values[nodes])
@@ -84,6 +91,12 @@ class TurningColumns(Columns):
         turned = np.einsum("abc,cak->bk", LEVI_CIVITA, moments)
         pressed = np.atleast_1d(self.first.reshape(-1) @ vector)
         return np.concatenate([pressed[None], turned]).reshape(4, *vector.shape[1:])
+
+    def magnitude(self, vector: Array) -> Array:
+        sizes = np.abs(vector)
+        moments = np.abs(self.pull).T @ sizes.reshape(-1, 3)
+        pressed = np.abs(self.first).reshape(-1) @ sizes
+        return np.append(pressed, np.einsum("abc,ca->b", np.abs(LEVI_CIVITA), moments))
 
     def at(self, nodes: Mask) -> TurningColumns:
         return TurningColumns(self.first[nodes], self.pull[nodes])

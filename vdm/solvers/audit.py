@@ -128,9 +128,7 @@ def _audited(
     open_rows = np.zeros_like(s)
     if border:
         open_rows = -(formulation.rows.dotted(x.reshape(-1)) + formulation.corner @ s)
-        size = np.einsum("idm,id->m", np.abs(formulation.rows.dense()), np.abs(x)) + np.abs(
-            formulation.corner
-        ) @ np.abs(s)
+        size = formulation.rows.magnitude(x.reshape(-1)) + np.abs(formulation.corner) @ np.abs(s)
         residual = max(residual, *(_share(a, b) for a, b in zip(np.abs(open_rows), size, strict=True)))
     if correction is None:
         return Audit(residual), None

@@ -33,6 +33,14 @@ NOT_CONVERGED = Status(
 class KrylovSolver:
     """Solves the state matrix with held nodes eliminated, without factors of the whole.
 
+    What a warm start is worth to BiCG on the printed matrix, at 10,242 nodes and a load that grows by a twentieth a
+    step: nothing, 426 iterations on average against 403 from zero. From zero the residual, of the load, falls to
+    5e-6 in 150 iterations, rises to 14 in 240, when the volume row [m^3] beside rows in Pa has its turn, and then
+    falls for good, from 1e-9 to 5e-11 in the last 20 of 398. A residual that starts at a twentieth saves these 20
+    and no more: 378 from the exact last solution. From the last solution as it is it takes 422, for what the
+    tolerance left of its residual is now 2e-9 of the whole, not along the load, and has to be reduced too. Only a
+    load that changes by a few millionths saves the way over the hill.
+
     Parameters
     ----------
     problem : formulation and supports
