@@ -28,24 +28,17 @@ DIMENSIONS = {
     "m/s^2": ("an acceleration", "9.81 m/s^2"),
     "1": ("a plain number", "0.45"),
 }
-# what nearly every study writes, so that the library of all other units need not be started
-_Powers = tuple[int, int, int, int]  # of m, kg, s, rad
-_PREFIXES = {"": 0, "n": -9, "u": -6, "µ": -6, "m": -3, "c": -2, "k": 3, "M": 6, "G": 9}
-_SYMBOLS: dict[str, tuple[int, _Powers]] = {
-    "m": (0, (1, 0, 0, 0)),
-    "g": (-3, (0, 1, 0, 0)),
-    "s": (0, (0, 0, 1, 0)),
-    "N": (0, (1, 1, -2, 0)),
-    "Pa": (0, (-1, 1, -2, 0)),
-    "rad": (0, (0, 0, 0, 1)),
-}
+# what nearly every study writes, in the unit of its dimension; pint, 0.4 s to start, knows all others
 _COMMON = {
-    prefix + symbol: (power + own, powers)
-    for symbol, (own, powers) in _SYMBOLS.items()
-    for prefix, power in _PREFIXES.items()
+    "m": {"m": "1", "cm": "0.01", "mm": "0.001", "um": "1e-6"},
+    "rad": {"rad": "1", "deg": "0.01745329251994329576923690768"},
+    "Pa": {"Pa": "1", "kPa": "1e3", "MPa": "1e6", "GPa": "1e9"},
+    "N": {"N": "1", "mN": "0.001"},
+    "N/m": {"N/m": "1"},
+    "Pa/m": {"Pa/m": "1"},
+    "kg/m^3": {"kg/m^3": "1"},
+    "m/s^2": {"m/s^2": "1"},
 }
-_DEGREE = Decimal("3.141592653589793238462643383") / 180
-_TERM = re.compile(r"([^\W\d_]+)(?:(?:\*\*|\^)(-?\d))?")
 _ANGLES = {"radian", "degree", "turn", "arcminute", "arcsecond", "milliradian", "grade"}
 
 
@@ -107,36 +100,13 @@ def _registry() -> Any:
     return pint.UnitRegistry(non_int_type=Decimal)
 
 
-def _common(text: str) -> tuple[Decimal, _Powers] | None:
-    """Factor and dimension of a unit made of common ones, None where it has others."""
-    if text == "deg":
-        return _DEGREE, (0, 0, 0, 1)
-    total, powers = 0, (0, 0, 0, 0)
-    sign = 1
-    for part in re.split(r"((?<!\*)\*(?!\*)|/)", text.removeprefix("1")):
-        if part in ("*", "/", ""):
-            sign = -1 if part == "/" else 1
-            continue
-        match = _TERM.fullmatch(part.strip())
-        if match is None or match[1] not in _COMMON:
-            return None
-        times = sign * int(match[2] or 1)
-        power, own = _COMMON[match[1]]
-        total += times * power
-        powers = tuple(a + times * b for a, b in zip(powers, own, strict=True))  # type: ignore[assignment]
-    return Decimal(1).scaleb(total), powers
-
-
 @lru_cache(maxsize=256)
 def _factor(text: str, unit: str) -> Decimal:
     """What one `text` is in SI `unit`."""
     what, example = DIMENSIONS[unit]
     wrong = f'"{text}" is not a unit of {what}; write it as in "{example}"'
-    known, wanted = _common(text), _common(unit)
-    if known is not None and wanted is not None:
-        if known[1] != wanted[1]:
-            raise QuantityError(wrong)
-        return known[0]
+    if text in _COMMON[unit]:
+        return Decimal(_COMMON[unit][text])
     import pint
 
     registry = _registry()
