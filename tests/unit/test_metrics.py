@@ -338,6 +338,15 @@ def test_distances_where_a_surface_comes_near_to_itself(monkeypatch: pytest.Monk
             assert_distances(body, moved[:2], moved[2])
             assert_distances(body, moved[:2] + np.array([0.0, 0.0, 0.04]), moved[2])
             assert_distances(body, moved[:2] + 5.0, moved[2] + 5.0)  # far away together
+    # few facets are measured at rest: what is known of all others, and that they may be the nearest, matters more
+    monkeypatch.setattr("studies.nearest._NEAR", 24)
+    points, triangles = octahedron()
+    for _ in range(4):
+        points, triangles = _quartered(points, triangles)
+    pressed = points * [1.0, 1.0, 0.001]  # the poles meet, each with all that is around it
+    moved = np.stack([pressed + 0.001 * generator.standard_normal(points.shape) for _ in range(2)])
+    assert_distances(Surface(points, triangles), moved[:1], moved[1])
+    monkeypatch.setattr("studies.nearest._NEAR", 64)
     searched: list[int] = []
 
     def counted(queries: np.ndarray, *others: Any) -> Any:
