@@ -7,7 +7,7 @@ PYTHON ?= python3
 RUN := .venv/bin/
 PYTEST := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(RUN)python -m pytest
 
-.PHONY: demo test verify docs baselines accuracy candidates claims calibrations setup libraries clean
+.PHONY: demo test verify docs baselines accuracy candidates claims calibrations stability setup libraries clean
 .PHONY: bench-vdm bench-fem bench-sharing bench-baseline bench-stages performance
 
 demo: setup
@@ -39,6 +39,10 @@ baselines: setup
 # the paper's claims on trial: results/gallery/claims.html, a picture of each, and the table in README.md
 claims: setup
 	$(RUN)python -m tests.docs.claims
+
+# the studies of numerical stability, some minutes each, and the table of what breaks where in README.md
+stability: setup
+	$(RUN)python -m tests.docs.stability
 
 # the fits of the surface models' parameters: results/calibrations.md
 calibrations: setup

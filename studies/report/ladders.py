@@ -10,6 +10,7 @@ import numpy as np
 
 from ..case import CaseResult, ModelResult
 from .digest import Array, Digest, failed_steps, series
+from .formatting import swept_value
 
 RESIDUAL = 1e-6  # relative; more is no solution of the system
 SINGLE_RESIDUAL = 1e-3  # the same where 32 bits were asked for: they leave 1e-4 at 10,000 nodes
@@ -64,6 +65,12 @@ class Ladder:
     values: tuple[float, ...]
     base: float | None  # the study's own value, None where it has none
     readings: dict[str, tuple[Reading | None, ...]]  # model -> one per value; None: not run
+
+    def text(self, value: float) -> str:
+        """A value with its unit, in as many digits as tell it from the others."""
+        texts = Counter(swept_value(other, self.unit) for other in self.values)
+        short = swept_value(value, self.unit)
+        return short if texts[short] <= 1 or self.unit != "1" else f"{value:.12g}"
 
     def sound_range(self, model: str) -> tuple[int, int] | None:
         """First and last place of the values at which a model is right: around the base, else the longest run."""

@@ -47,15 +47,14 @@ def numerical_stability(digest: Digest) -> Section | None:
 
 
 def _ends(ladder: Ladder) -> str:
-    first, last = (swept_value(ladder.values[k], ladder.unit) for k in (0, -1))
-    return f"{first} to {last}"
+    return f"{ladder.text(ladder.values[0])} to {ladder.text(ladder.values[-1])}"
 
 
 def _verdict(found: Sequence[Ladder]) -> list[str]:
     pairs = [(ladder, model) for ladder in found for model in ladder.readings]
     broken = [pair for pair in pairs if pair[0].breakdowns(pair[1])]
     silent = [
-        f"{model} at {parameter_name(ladder.key)} {swept_value(value, ladder.unit)}"
+        f"{model} at {parameter_name(ladder.key)} {ladder.text(value)}"
         for ladder, model in pairs
         for value, reading in zip(ladder.values, ladder.readings[model], strict=True)
         if reading is not None and reading.silent
@@ -106,7 +105,7 @@ def _solvers(digest: Digest, found: Sequence[Ladder]) -> Table:
         on = [ladder for ladder in found if model in ladder.readings]
         right = [r for ladder in on for r in ladder.readings[model] if r is not None and r.ok]
         ends = [
-            f"{parameter_name(ladder.key)} {swept_value(value, ladder.unit)}"
+            f"{parameter_name(ladder.key)} {ladder.text(value)}"
             for ladder in on
             for value, _ in ladder.breakdowns(model)
         ]
@@ -187,11 +186,11 @@ def _right(ladder: Ladder, model: str) -> list[Cell]:
     sound = ladder.sound_range(model)
     if sound is None:
         return [Cell("nowhere", tone="bad"), Cell(NOTHING)]
-    return [Cell(swept_value(ladder.values[k], ladder.unit), value=ladder.values[k]) for k in sound]
+    return [Cell(ladder.text(ladder.values[k]), value=ladder.values[k]) for k in sound]
 
 
 def _breakdown(ladder: Ladder, value: float, reading: Reading) -> tuple[Cell, Cell, Cell]:
-    at = Cell(swept_value(value, ladder.unit), value=value)
+    at = Cell(ladder.text(value), value=value)
     tone = "bad" if reading.silent else ""
     return at, Cell(reading.code, reading.message, tone=tone), Cell(reading.remedy or NOTHING)
 

@@ -97,6 +97,13 @@ def test_a_breakdown_is_beside_the_range_that_is_right(found: dict[str, Ladder])
     assert found[NU].breakdowns(DIRECT)[0][1].residual == 1e-5
 
 
+def test_values_are_told_from_each_other() -> None:
+    ratios = (0.3, 0.4999, 0.4999999, 0.49999999999, 0.5)
+    ladder = Ladder(NU, "1", ratios, None, {})
+    assert [ladder.text(value) for value in ratios] == ["0.3", "0.4999", "0.4999999", "0.49999999999", "0.5"]
+    assert Ladder(SLIVERS, "1", (1e4, 1e6), None, {}).text(1e6) == "1e+06"
+
+
 def test_the_measures_are_the_worst_of_the_history() -> None:
     read = reading(case({}), DIRECT)
     assert read is not None

@@ -1,0 +1,103 @@
+"""Runs the shipped studies of numerical stability and writes what breaks where to README.md: `make stability`.
+
+The studies run in `results/runs`, where what is there already is kept.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from studies.report.digest import Digest
+from studies.report.ladders import Ladder, alike, ladders
+from studies.report.section_errors import parameter_name
+from studies.store import Run, read_run
+from tests.command import vdmbench
+
+ROOT = Path(__file__).parents[2]
+README = ROOT / "README.md"
+CASES = ROOT / "studies" / "cases"
+HEADING = ["study", "parameter", "range", "stand it all", "break down at"]
+_TABLE = re.compile(r"(<!-- stability -->\n).*?(<!-- /stability -->)", re.DOTALL)
+
+
+def stability_studies() -> list[str]:
+    """The shipped studies that raise one parameter at a time."""
+    return sorted(path.stem for path in CASES.glob("stability-*.toml"))
+
+
+def rows(run: Run) -> list[list[str]]:
+    """One row for each parameter of a study: how many solvers stand all of it, and where the others break down.
+
+    Raises
+    ------
+    RuntimeError
+        a step that is called converged and is wrong: the table has no place for it.
+    """
+    with np.errstate(all="ignore"):  # of what solvers leave behind that broke down
+        found = ladders(Digest(run))
+    for ladder in found:
+        for model, readings in ladder.readings.items():
+            if any(reading is not None and reading.silent for reading in readings):
+                raise RuntimeError(f"{model} is wrong in silence along {ladder.key}")
+    name = str(run.study["name"])
+    return [
+        [name, parameter_name(ladder.key), _range(ladder), _stand(ladder), _breaks(ladder)]
+        for ladder in found
+    ]
+
+
+def _range(ladder: Ladder) -> str:
+    return f"{ladder.text(ladder.values[0])} to {ladder.text(ladder.values[-1])}"
+
+
+def _stand(ladder: Ladder) -> str:
+    right = sum(not ladder.breakdowns(model) for model in ladder.readings)
+    return f"{right} of {len(ladder.readings)}"
+
+
+def _breaks(ladder: Ladder) -> str:
+    places: dict[str, list[str]] = {}
+    for models in alike(ladder):
+        for value, reading in ladder.breakdowns(models[0]):
+            place = f"{ladder.text(value)} ({reading.code})"
+            places.setdefault(place, []).extend(f"`{model}`" for model in models)
+    return "; ".join(f"{place}: {', '.join(models)}" for place, models in places.items()) or "nowhere"
+
+
+def as_markdown(table: Sequence[Sequence[str]]) -> str:
+    """The rows under their heading."""
+    lines = [HEADING, ["---"] * len(HEADING), *table]
+    return "".join(f"| {' | '.join(line)} |\n" for line in lines)
+
+
+def table_in_readme() -> list[list[str]]:
+    """The rows that README.md shows now."""
+    found = _TABLE.search(README.read_text())
+    if found is None:
+        raise RuntimeError("README.md has lost the marks of its table of numerical stability")
+    lines = found.group(0).splitlines()[3:-1]
+    return [[cell.strip() for cell in line.strip("|").split(" | ")] for line in lines]
+
+
+def write(directories: Sequence[Path]) -> None:
+    """Write the table of finished runs to README.md."""
+    table = as_markdown([row for directory in directories for row in rows(read_run(directory))])
+    README.write_text(_TABLE.sub(lambda old: old.group(1) + table + old.group(2), README.read_text()))
+
+
+def main() -> None:
+    """Run the studies one after another and write the table."""
+    names = stability_studies()
+    for name in names:
+        result = vdmbench("run", name, cwd=ROOT, seconds=7200)
+        if result.returncode not in (0, 3):
+            raise RuntimeError(f"{name}: {result.stderr}")
+    write([ROOT / "results" / "runs" / name for name in names])
+
+
+if __name__ == "__main__":
+    main()
