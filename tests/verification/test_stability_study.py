@@ -42,7 +42,7 @@ SMALL: dict[str, tuple[tuple[tuple[str, str], ...], int]] = {
         ),
         1,
     ),
-    "stability-surface": ((('mesh_size = "8 mm"', 'mesh_size = "16 mm"'),), 2),
+    "stability-surface": ((('mesh_size = "12 mm"', 'mesh_size = "16 mm"'),), 2),
     "stability-volume": ((('mesh_size = "12 mm"', 'mesh_size = "20 mm"'),), 3),
 }
 
