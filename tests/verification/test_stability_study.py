@@ -136,7 +136,7 @@ def test_elements_break_down_by_a_status(tmp_path: Path) -> None:
         for model in ("fem-linear", "fem-p1")
     }
     # a displacement element's grows as 1 / (1 - 2 nu), the mixed one's does not
-    assert max(conditions["fem-p1"]) > 1e6 * min(conditions["fem-p1"])
+    assert max(conditions["fem-p1"]) > 1e5 * min(conditions["fem-p1"])
     assert max(conditions["fem-linear"]) < 3.0 * min(conditions["fem-linear"])
     for model in ("fem-linear", "fem"):
         sound = study["geometry.slivers"].sound_range(model)
