@@ -8,6 +8,7 @@ from numpy.testing import assert_allclose
 
 from tests.unit.vdm_shapes import icosphere
 from vdm import Load, Model, Parameters, SurfaceMesh
+from vdm.solvers import compliance
 from vdm.solvers.compliance import ContactCompliance
 
 POINTS, TRIANGLES = icosphere(4, (0.06, 0.05, 0.045))
@@ -92,3 +93,17 @@ def test_the_printed_sign_holds_for_columns_too():
     assert_allclose(found, moved, rtol=0.0, atol=1e-6 * np.abs(moved).max())
     assert_allclose(fluid, expected, rtol=1e-6, atol=0.0)
     assert found[PATCH[0]] @ BODY.normals[PATCH[0]] > 0.0, "bulges towards the finger"
+
+
+def test_a_contact_that_wanders_keeps_the_latest_columns_only(solver, monkeypatch):
+    column = 4 * (len(POINTS) * solver.formulation.components + 1)
+    monkeypatch.setattr(compliance, "KEPT", 60 * column)
+    contact = ContactCompliance(solver.problem)
+    order = np.argsort(-POINTS[:, 2])
+    for nodes in (order[:50], np.append(order[:5], order[50:95]), order[80:130], order[:50]):
+        unknown, _ = contact.frame(nodes, np.full(50, 50.0))
+        moved, _ = displacement(solver, nodes, np.full(50, 50.0))
+        found = solver.formulation.displacement(unknown)
+        assert_allclose(found, moved, rtol=0.0, atol=1e-6 * np.abs(moved).max())
+        assert set(nodes.tolist()) <= set(contact._columns)
+        assert len(contact._columns) <= 60

@@ -16,7 +16,7 @@ from studies.metrics import relative_l2, rigid_motion_removed
 from tests.unit.vdm_shapes import icosphere
 from tests.verification.records import Verified
 from vdm import Load, Model, ParameterError, Parameters, SolverError, SurfaceMesh
-from vdm.formulations.boundary import rigid_motions, surface_stiffness
+from vdm.formulations.boundary import rigid_basis, surface_stiffness
 from vdm.formulations.boundary_integrals import layer_potentials, mass_matrix
 from vdm.material import ball_compliance
 
@@ -36,7 +36,7 @@ def test_mass_matrix_integrates_linear_functions_exactly():
     assert_allclose(x @ (mass @ x), exact, rtol=1e-13, atol=0.0)
 
 
-def test_single_layer_of_the_normal_is_zero_and_the_double_layer_annuls_rigid_motions():
+def test_single_layer_of_the_normal_is_zero_and_the_double_layer_annuls_rigid_basis():
     errors = []
     for level in (1, 2):
         surface = ball(level)
@@ -70,7 +70,7 @@ def ball_error(degree: int, level: int) -> float:
     areas = surface.vector_areas
     force = (harmonic[:, None] * surface.area_vectors).reshape(-1)
     gradient = surface.area_vectors.reshape(-1)
-    rigid = rigid_motions(surface)
+    rigid = rigid_basis(surface)
     stiffness = stiffness + np.abs(np.diagonal(stiffness)).max() * rigid @ rigid.T
     both = np.linalg.solve(stiffness, np.stack([force, gradient], axis=1))
     u = both[:, 0] - both[:, 1] * (gradient @ both[:, 0]) / (gradient @ both[:, 1])

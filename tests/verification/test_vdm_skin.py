@@ -15,7 +15,7 @@ from vdm.formulations.boundary import (
     BoundaryFormulation,
     Dense,
     DenseFactor,
-    rigid_motions,
+    rigid_basis,
     surface_stiffness,
 )
 from vdm.formulations.coarse_surface import coarsened
@@ -78,11 +78,11 @@ def test_a_dimple_in_a_flat_face_is_reached_by_a_larger_stencil():
     assert_allclose(weights @ coarse.surface.points, points, rtol=0.0, atol=1e-10)
 
 
-def test_skin_is_symmetric_semi_definite_and_rigid_motions_cost_nothing(skin):
+def test_skin_is_symmetric_semi_definite_and_rigid_basis_cost_nothing(skin):
     n = ELLIPSOID.n_nodes
     matrix = np.stack([skin.apply(e.reshape(n, 3)).reshape(-1) for e in np.eye(3 * n)])
     assert_allclose(matrix, matrix.T, rtol=0.0, atol=1e-12 * np.abs(matrix).max())
-    assert_allclose(matrix @ rigid_motions(ELLIPSOID), 0.0, rtol=0.0, atol=1e-12 * np.abs(matrix).max())
+    assert_allclose(matrix @ rigid_basis(ELLIPSOID), 0.0, rtol=0.0, atol=1e-12 * np.abs(matrix).max())
     values = np.linalg.eigvalsh(matrix)
     assert values[6] > 1e-4 * values[-1]
     dofs = np.repeat(FREE, 3)

@@ -8,7 +8,7 @@ from scipy import linalg, sparse
 
 from vdm.constraints import Load
 from vdm.deformed import DeformedSurface, follow
-from vdm.formulations.base import Factor, Factorise, Formulation, Mask
+from vdm.formulations.base import Factor, Factorise, Formulation, Mask, rigid_motions
 from vdm.formulations.border import DenseColumns
 from vdm.formulations.boundary_integrals import layer_potentials, mass_matrix
 from vdm.formulations.skin import PIVOT_TOLERANCE, Skin
@@ -208,7 +208,7 @@ def surface_stiffness(surface: SurfaceMesh, volume_gradient: Array) -> Array:
     mass = mass_matrix(surface)
     stiffness = np.asarray(mass @ tractions.reshape(surface.n_nodes, -1)).reshape(size, size)
     stiffness = 0.5 * (stiffness + stiffness.T)
-    rigid = rigid_motions(surface)
+    rigid = rigid_basis(surface)
     stiffness -= rigid @ (rigid.T @ stiffness)
     stiffness -= (stiffness @ rigid) @ rigid.T
     # a change of volume, which the constraint rules out, must not be free: it would make the block indefinite
@@ -219,11 +219,7 @@ def surface_stiffness(surface: SurfaceMesh, volume_gradient: Array) -> Array:
     return 0.5 * (stiffness + stiffness.T)
 
 
-def rigid_motions(surface: SurfaceMesh) -> Array:
+def rigid_basis(surface: SurfaceMesh) -> Array:
     """(3N, 6) orthonormal basis of the infinitesimal rigid motions."""
-    centred = surface.points - surface.points.mean(axis=0)
-    motions = [np.broadcast_to(axis, centred.shape) for axis in np.eye(3)]
-    motions += [np.cross(axis, centred) for axis in np.eye(3)]
-    flat = np.stack([motion.reshape(-1) / np.linalg.norm(motion) for motion in motions], axis=1)
-    basis: Array = np.linalg.qr(flat)[0]
+    basis: Array = np.linalg.qr(rigid_motions(surface).reshape(-1, 6))[0]
     return basis

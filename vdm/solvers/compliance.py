@@ -22,6 +22,8 @@ LEFT_OUT = 1e-7
 WORTH = 0.25
 # right-hand sides per pass through the factor: wider blocks no longer gain and cost memory
 BATCH = 32
+# bytes of columns that are kept for nodes no longer in contact: a contact that wanders ends up everywhere
+KEPT = 256 << 20
 
 
 @dataclass(frozen=True)
@@ -59,8 +61,9 @@ class _Shortened:
 class ContactCompliance:
     """Displacement and dP per unit contact pressure at chosen nodes, by the linear solver's factor.
 
-    Columns are computed when a node is first used and kept. A frame costs a dense product with the columns in
-    use: N d values for each contact node, all displacements included; nothing else of the model is touched.
+    Columns are computed when a node is first used and kept, the latest `KEPT` bytes of them. A frame costs a dense
+    product with the columns in use: N d values for each contact node, all displacements included; nothing else of
+    the model is touched.
 
     In single precision, which halves the memory that a frame reads, a contact that stays on the same nodes is
     shortened at its second frame: far from it the columns look alike, and fewer directions than nodes span them.
@@ -107,8 +110,12 @@ class ContactCompliance:
             self._compute(missing[first : first + BATCH])
         size = n_nodes * self.problem.formulation.components + 1
         columns = np.empty((size, len(nodes)), dtype=self.dtype, order="F")
-        for k, node in enumerate(nodes):
-            columns[:, k] = self._columns[int(node)]
+        for k, node in enumerate(nodes.tolist()):
+            columns[:, k] = self._columns[node]
+        for node in dict.fromkeys(nodes.tolist()):  # the last in use are the last to go
+            self._columns[node] = self._columns.pop(node)
+        while len(self._columns) > max(nodes.size, KEPT // (size * columns.itemsize)):
+            del self._columns[next(iter(self._columns))]
         self._active, self._key, self._frames, self._short = (nodes.copy(), columns), key, 0, None
         return columns
 
