@@ -3,12 +3,19 @@
 from __future__ import annotations
 
 import os
+import signal
 import subprocess
 import sys
 from pathlib import Path
 from typing import Any
 
 SCRIPT = Path(sys.executable).parent / "vdmbench"
+
+
+def heed_ctrl_c() -> None:
+    """Run in a child before its program: what runs in the background of a script is born deaf to SIGINT."""
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+
 
 SMALL_STUDY = """
 [study]

@@ -16,7 +16,7 @@ import pytest
 
 from studies import store
 from studies.metrics import METRICS
-from tests.command import SCRIPT, vdmbench, write_study
+from tests.command import SCRIPT, heed_ctrl_c, vdmbench, write_study
 
 
 @pytest.fixture(scope="module")
@@ -313,7 +313,11 @@ def test_an_interrupted_run_goes_on(tmp_path: Path, number: signal.Signals) -> N
         b=('"16 mm"', '"9 mm"'),
     )
     process = subprocess.Popen(
-        [SCRIPT, "run", "small.toml", "--jobs", "1"], cwd=tmp_path, stderr=subprocess.PIPE, text=True
+        [SCRIPT, "run", "small.toml", "--jobs", "1"],
+        cwd=tmp_path,
+        stderr=subprocess.PIPE,
+        text=True,
+        preexec_fn=heed_ctrl_c,
     )
     cases = tmp_path / RUN / "cases"
     deadline = time.monotonic() + 120

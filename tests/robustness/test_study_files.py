@@ -28,7 +28,7 @@ BASE: dict[str, Any] = {
         "rest": {
             "all": [{"not": "base"}, {"any": ["finger", {"box": {"min": [0, 0, 0], "max": [1, 1, 1]}}]}]
         },
-        "named": {"group": "left"},
+        "named": {"above": {"axis": "x", "fraction": 0.9}},
     },
     "constraints": [
         {"kind": "fixed", "region": "base"},
