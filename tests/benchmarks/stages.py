@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import ctypes
 import os
-import re
 import resource
 import statistics
 import subprocess
@@ -27,6 +26,7 @@ from studies.meshing import geometry
 from studies.plan import Plan, make_plan, task_of
 from studies.study_file.config import expand, load_study
 from tests.command import vdmbench
+from tests.docs import marked
 
 ROOT = Path(__file__).parents[2]
 FORCES = '"constraints.finger.force" = { start = "0.05 N", stop = "0.4 N", num = %d }'
@@ -39,7 +39,6 @@ SWEEPS = {
 PHYSICS = ("mesh", "set-up and solve")
 STARTS = "start and imports"
 README = ROOT / "README.md"
-_TABLE = re.compile(r"(<!-- stages -->\n).*?(<!-- /stages -->)", re.DOTALL)
 _PR_SET_CHILD_SUBREAPER = 36  # linux/prctl.h: orphans of our children become ours, with their times
 
 
@@ -195,16 +194,9 @@ def markdown(found: Mapping[str, tuple[float, Mapping[str, float]]]) -> str:
         *PHYSICS,
         *sorted(set(stages) - set(PHYSICS), key=lambda s: -max(t[s] for _, t in found.values())),
     ]
-    lines = [
-        f"| stage | {' | '.join(found)} |\n",
-        f"| --- |{' --- |' * len(found)}\n",
-        *(
-            f"| {stage} | {' | '.join(_share(spent, stage) for _, spent in found.values())} |\n"
-            for stage in order
-        ),
-        f"| all, one case at once | {' | '.join(f'{wall:.3g} s' for wall, _ in found.values())} |\n",
-    ]
-    return "".join(lines)
+    rows = [[stage, *(_share(spent, stage) for _, spent in found.values())] for stage in order]
+    rows.append(["all, one case at once", *(f"{wall:.3g} s" for wall, _ in found.values())])
+    return marked.table(["stage", *found], rows)
 
 
 def _share(spent: Mapping[str, float], stage: str) -> str:
@@ -240,8 +232,7 @@ def main() -> None:
         print(f"{name}: {seconds:.2f} s as a user runs it, one case at once; processor time by stage:")
         print("\n".join(table(stages)), flush=True)
         found[name] = seconds, stages
-    text = markdown(found)
-    README.write_text(_TABLE.sub(lambda part: part.group(1) + text + part.group(2), README.read_text()))
+    marked.show(README, "stages", markdown(found))
 
 
 if __name__ == "__main__":

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import re
 
-from tests.benchmarks.vdm_speed import HEAD, README, README_HEAD, SECTION, Sizes, report
+from tests.benchmarks.vdm_speed import HEAD, PART, README, README_HEAD, Sizes, report
+from tests.docs import marked
 
 
 def kind(what: str) -> str:
@@ -31,12 +32,10 @@ def test_a_small_benchmark_prints_one_table() -> None:
         # the ratios of the linear solves: positive numbers
         assert all(float(cell) > 0.0 for cell in row[4:6] if cell), row
     # the README shows lines of the same kinds, of the full size
-    shown = SECTION.search(README.read_text())
-    assert shown is not None
-    written = [line.strip("|").split("|") for line in shown.group(0).splitlines() if line.startswith("|")]
-    assert tuple(cell.strip() for cell in written[0]) == README_HEAD
-    assert {kind(cells[0]) for cells in written[2:]} == {kind(row[0]) for row in rows}
-    assert all(float(cells[3]) > 0.0 for cells in written[2:])
+    head, *written = marked.cells(marked.shown(README, PART))
+    assert tuple(head) == README_HEAD
+    assert {kind(cells[0]) for cells in written} == {kind(row[0]) for row in rows}
+    assert all(float(cells[3]) > 0.0 for cells in written)
     solves = [row for row in rows if "triangular" in row[0]]
     assert len(solves) == 6
     assert all(row[4] and row[5] for row in solves)

@@ -20,7 +20,6 @@ from __future__ import annotations
 
 import os
 import platform
-import re
 import sys
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -35,6 +34,7 @@ from scipy.sparse import linalg
 from threadpoolctl import threadpool_info
 
 from studies.memory import peak_bytes_since, reset_peak
+from tests.docs import marked
 from tests.unit.vdm_shapes import icosphere, torus
 from vdm import FORMULATIONS, Load, Model, Parameters, SurfaceMesh
 from vdm.formulations.boundary import BoundaryFormulation
@@ -68,7 +68,7 @@ HEAD = (
 
 README_HEAD = ("what", "nodes", "median", "over the bound")
 README = Path(__file__).parents[2] / "vdm" / "README.md"
-SECTION = re.compile(r"(<!-- speed -->\n).*?(<!-- /speed -->)", re.DOTALL)
+PART = "speed"
 
 
 @dataclass(frozen=True)
@@ -420,8 +420,7 @@ def main() -> None:
     for line in readme_section(Sizes()):
         print(line, flush=True)
         lines.append(line + "\n")
-    text = "".join(lines)
-    README.write_text(SECTION.sub(lambda found: found.group(1) + text + found.group(2), README.read_text()))
+    marked.show(README, PART, "".join(lines))
 
 
 if __name__ == "__main__":

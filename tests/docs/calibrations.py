@@ -17,6 +17,7 @@ import numpy as np
 
 from studies.report.formatting import percent
 from tests.command import vdmbench
+from tests.docs import marked
 
 ROOT = Path(__file__).parents[2]
 DOCUMENT = ROOT / "results" / "calibrations.md"
@@ -76,9 +77,17 @@ def rule(multiples: Mapping[str, Mapping[str, float]]) -> str:
 
 
 def _fits(entries: Mapping[str, Any]) -> str:
-    rows = [
-        ["body", "times its rule", "training", "by rule", "fitted", "reference's own", "finer mesh", "there"]
+    head = [
+        "body",
+        "times its rule",
+        "training",
+        "by rule",
+        "fitted",
+        "reference's own",
+        "finer mesh",
+        "there",
     ]
+    rows = []
     for study, entry in entries.items():
         fit = entry["fit"]
         rows.append(
@@ -93,15 +102,15 @@ def _fits(entries: Mapping[str, Any]) -> str:
                 _errors(entry["on_finer"]),
             ]
         )
-    return _markdown(rows)
+    return marked.table(head, rows)
 
 
 def _transfer(entries: Mapping[str, Any]) -> str:
-    rows = [["fit of", *map(_body, entries)]]
+    rows = []
     for study, entry in entries.items():
         tried = {**entry["transfer"], study: entry["fit"]["held_out"]}
         rows.append([_body(study), *(_errors(tried[other]) for other in entries)])
-    return _markdown(rows)
+    return marked.table(["fit of", *map(_body, entries)], rows)
 
 
 def _body(study: str) -> str:
@@ -114,11 +123,6 @@ def _multiples(multiples: Mapping[str, float]) -> str:
 
 def _errors(found: Mapping[str, float]) -> str:
     return f"{percent(found['vector'])} / {percent(found['deformation'])}"
-
-
-def _markdown(rows: list[list[str]]) -> str:
-    head, *rest = rows
-    return "".join(f"| {' | '.join(row)} |\n" for row in (head, ["---"] * len(head), *rest))
 
 
 def main() -> None:

@@ -9,7 +9,6 @@ search, and its errors are those on the six loads held out. A surface may be nam
 from __future__ import annotations
 
 import os
-import re
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -24,6 +23,7 @@ from studies.calibration.fit import Errors, Sample, Trial, least_error, samples_
 from studies.plan import make_plan
 from studies.run import Options, run_plan
 from studies.study_file.config import expand, load_study
+from tests.docs import marked
 from tests.docs.vdm_accuracy import README, ROOT, STUDIES, as_per_cent
 from vdm.formulations.boundary import surface_stiffness
 from vdm.formulations.skin import Skin
@@ -44,7 +44,7 @@ Build = Callable[["Body", Array], Array]
 
 # beta of the rotations' own stiffness where it is not fitted
 BETA = 0.01
-_TABLE = re.compile(r"(<!-- candidates -->\n).*?(<!-- /candidates -->)", re.DOTALL)
+_PART = "candidates"
 
 
 class Body:
@@ -314,17 +314,8 @@ def _cell(errors: Errors) -> str:
 
 def table_in_readme() -> dict[str, dict[str, str]]:
     """The columns that `vdm/README.md` shows now: body -> candidate -> cell."""
-    found = _TABLE.search(README.read_text(encoding="utf-8"))
-    if found is None:
-        raise RuntimeError("vdm/README.md has lost the marks of its table of candidates")
-    lines = [
-        [cell.strip() for cell in line.strip("|").split("|")] for line in found.group(0).splitlines()[1:-1]
-    ]
-    if not lines:
-        return {}
-    return {
-        body: {line[0]: line[k] for line in lines[2:]} for k, body in enumerate(lines[0]) if k >= len(_HEAD)
-    }
+    head, *rows = marked.cells(marked.shown(README, _PART))
+    return {body: {row[0]: row[k] for row in rows} for k, body in enumerate(head) if k >= len(_HEAD)}
 
 
 _HEAD = ("candidate", "fitted", "matrix")
@@ -332,10 +323,13 @@ _HEAD = ("candidate", "fitted", "matrix")
 
 def written(columns: dict[str, dict[str, str]]) -> str:
     """The table as Markdown."""
-    lines = [[*_HEAD, *columns], ["---"] * (len(_HEAD) + len(columns))]
-    for c in CANDIDATES:
-        lines.append([c.name, str(c.fitted), c.unknowns, *(column[c.name] for column in columns.values())])
-    return "".join(f"| {' | '.join(line)} |\n" for line in lines)
+    return marked.table(
+        [*_HEAD, *columns],
+        (
+            [c.name, str(c.fitted), c.unknowns, *(column[c.name] for column in columns.values())]
+            for c in CANDIDATES
+        ),
+    )
 
 
 def main() -> None:
@@ -346,9 +340,7 @@ def main() -> None:
     for argument in sys.argv[1:]:
         surface = Path(argument).resolve()
         columns[surface.stem] = column_of("calibrate-organ", surface)
-    text = README.read_text(encoding="utf-8")
-    text = _TABLE.sub(lambda found: found.group(1) + written(columns) + found.group(2), text)
-    README.write_text(text, encoding="utf-8")
+    marked.show(README, _PART, written(columns))
 
 
 if __name__ == "__main__":

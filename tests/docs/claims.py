@@ -6,42 +6,26 @@ The studies run in `results/runs`, where what is there already is kept; the page
 
 from __future__ import annotations
 
-import re
 import tomllib
-from collections.abc import Sequence
 from pathlib import Path
 
 from studies.report.claims_page import verdict_rows, write_claims
 from studies.store import read_run
 from tests.command import vdmbench
-from tests.docs import gallery
+from tests.docs import gallery, marked
 
 ROOT = Path(__file__).parents[2]
 README = ROOT / "README.md"
 PAGE = ROOT / "results" / "gallery" / "claims.html"
 CASES = ROOT / "studies" / "cases"
-_TABLE = re.compile(r"(<!-- claims -->\n).*?(<!-- /claims -->)", re.DOTALL)
-_PICTURES = re.compile(r"(<!-- claim pictures -->\n).*?(<!-- /claim pictures -->)", re.DOTALL)
+PART = "claims"
+_PICTURES = "claim pictures"
 
 
 def studies_on_trial() -> list[str]:
     """The shipped studies that name claims."""
     studies = {path.stem: tomllib.loads(path.read_text())["study"] for path in CASES.glob("*.toml")}
     return sorted(name for name, study in studies.items() if study.get("claims"))
-
-
-def as_markdown(rows: Sequence[dict[str, str]]) -> str:
-    """Verdicts as a table."""
-    lines = [list(rows[0]), ["---"] * len(rows[0]), *(list(row.values()) for row in rows)]
-    return "".join(f"| {' | '.join(line)} |\n" for line in lines)
-
-
-def table_in_readme() -> str:
-    """What README.md shows now."""
-    found = _TABLE.search(README.read_text())
-    if found is None:
-        raise RuntimeError("README.md has lost the marks of its table of claims")
-    return found.group(0).split("\n", 1)[1].rsplit("<!--", 1)[0]
 
 
 def main() -> None:
@@ -52,10 +36,9 @@ def main() -> None:
         if result.returncode:
             raise RuntimeError(f"{name}: {result.stderr}")
     found = write_claims([read_run(ROOT / "results" / "runs" / name) for name in names], PAGE)
-    table = as_markdown(verdict_rows(found))
-    pictures = gallery.as_markdown(gallery.write_claim_pictures(found))
-    text = _TABLE.sub(lambda old: old.group(1) + table + old.group(2), README.read_text())
-    README.write_text(_PICTURES.sub(lambda old: old.group(1) + pictures + old.group(2), text))
+    rows = verdict_rows(found)
+    marked.show(README, PART, marked.table(list(rows[0]), [list(row.values()) for row in rows]))
+    marked.show(README, _PICTURES, gallery.as_markdown(gallery.write_claim_pictures(found)))
 
 
 if __name__ == "__main__":

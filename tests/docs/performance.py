@@ -7,7 +7,6 @@ table, of every model on every mesh with the spread of its rounds, goes to resul
 from __future__ import annotations
 
 import argparse
-import re
 import tempfile
 from pathlib import Path
 
@@ -26,12 +25,13 @@ from studies.benchmark.bench_data import (
 from studies.benchmark.bench_store import read_bench
 from studies.report.bench_page import pareto_plot, write_bench_page
 from tests.command import vdmbench
+from tests.docs import marked
 from tests.docs.gallery import figure_style, glyph
 
 ROOT = Path(__file__).parents[2]
 README = ROOT / "README.md"
 GALLERY = ROOT / "results" / "gallery"
-_SECTION = re.compile(r"(<!-- performance -->\n).*?(<!-- /performance -->)", re.DOTALL)
+PART = "performance"
 # models that stand for their kind; the others differ from them by their solver, and are in the whole table
 SHOWN = (
     "mass-spring",
@@ -173,8 +173,7 @@ def main() -> None:
             bench = read_bench(Path(name) / "bench" / "bench.h5")
     (GALLERY / "performance.svg").write_text(picture(bench), encoding="utf-8")
     write_bench_page(bench, GALLERY / "bench.html")
-    text = section(bench)
-    README.write_text(_SECTION.sub(lambda found: found.group(1) + text + found.group(2), README.read_text()))
+    marked.show(README, PART, section(bench))
 
 
 if __name__ == "__main__":

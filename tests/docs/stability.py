@@ -5,7 +5,6 @@ The studies run in `results/runs`, where what is there already is kept.
 
 from __future__ import annotations
 
-import re
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -16,12 +15,13 @@ from studies.report.ladders import Ladder, alike, ladders
 from studies.report.section_errors import parameter_name
 from studies.store import Run, read_run
 from tests.command import vdmbench
+from tests.docs import marked
 
 ROOT = Path(__file__).parents[2]
 README = ROOT / "README.md"
 CASES = ROOT / "studies" / "cases"
 HEADING = ["study", "parameter", "range", "stand it all", "break down at"]
-_TABLE = re.compile(r"(<!-- stability -->\n).*?(<!-- /stability -->)", re.DOTALL)
+PART = "stability"
 
 
 def stability_studies() -> list[str]:
@@ -68,25 +68,10 @@ def _breaks(ladder: Ladder) -> str:
     return "; ".join(f"{place}: {', '.join(models)}" for place, models in places.items()) or "nowhere"
 
 
-def as_markdown(table: Sequence[Sequence[str]]) -> str:
-    """The rows under their heading."""
-    lines = [HEADING, ["---"] * len(HEADING), *table]
-    return "".join(f"| {' | '.join(line)} |\n" for line in lines)
-
-
-def table_in_readme() -> list[list[str]]:
-    """The rows that README.md shows now."""
-    found = _TABLE.search(README.read_text())
-    if found is None:
-        raise RuntimeError("README.md has lost the marks of its table of numerical stability")
-    lines = found.group(0).splitlines()[3:-1]
-    return [[cell.strip() for cell in line.strip("|").split(" | ")] for line in lines]
-
-
 def write(directories: Sequence[Path]) -> None:
     """Write the table of finished runs to README.md."""
-    table = as_markdown([row for directory in directories for row in rows(read_run(directory))])
-    README.write_text(_TABLE.sub(lambda old: old.group(1) + table + old.group(2), README.read_text()))
+    found = [row for directory in directories for row in rows(read_run(directory))]
+    marked.show(README, PART, marked.table(HEADING, found))
 
 
 def main() -> None:

@@ -7,11 +7,11 @@ import re
 from xml.etree import ElementTree
 
 from studies.report.claims import CLAIMS, FAILS, HOLDS, WITHIN_LIMITS
-from tests.docs import claims, gallery
+from tests.docs import claims, gallery, marked
 
 
 def test_every_claim_is_decided_in_readme_and_page_alike() -> None:
-    rows = [line.strip("| ").split(" | ") for line in claims.table_in_readme().splitlines()[2:]]
+    rows = marked.cells(marked.shown(claims.README, claims.PART))[1:]
     assert [row[0] for row in rows] == [f"{c.number}. {c.text}" for c in CLAIMS.values()]
     assert {row[1] for row in rows} <= {HOLDS, WITHIN_LIMITS, FAILS}
     page = claims.PAGE.read_text()

@@ -6,12 +6,12 @@ import pytest
 
 from studies.report.section_errors import parameter_name
 from studies.study_file.config import expand, load_study
-from tests.docs import stability
+from tests.docs import marked, stability
 from tests.unit.report_runs import make_case, make_run
 
 
 def test_the_table_is_about_the_shipped_studies() -> None:
-    shown = stability.table_in_readme()
+    shown = marked.cells(marked.shown(stability.README, stability.PART))[1:]
     assert shown
     for name in stability.stability_studies():
         study = load_study(stability.CASES / f"{name}.toml")

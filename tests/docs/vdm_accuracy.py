@@ -6,7 +6,6 @@ that are not named stay as they are.
 
 from __future__ import annotations
 
-import re
 import sys
 import tempfile
 from collections.abc import Iterator, Sequence
@@ -20,6 +19,7 @@ from studies.report.digest import DEFORMATION, VECTOR, at_full_load, reference_b
 from studies.store import read_run
 from studies.uncertainty import is_resolved
 from tests.command import vdmbench
+from tests.docs import marked
 
 ROOT = Path(__file__).parents[2]
 README = ROOT / "vdm" / "README.md"
@@ -36,7 +36,7 @@ COLUMNS = {
 }
 MEASURES = (VECTOR, DEFORMATION)
 HEAD = ("body", "nodes", "loads", "reference's own", *COLUMNS.values())
-_TABLE = re.compile(r"(<!-- accuracy -->\n).*?(<!-- /accuracy -->)", re.DOTALL)
+_PART = "accuracy"
 
 
 def row_of(study: str, directory: Path, name: str, surface: Path | None = None) -> list[str]:
@@ -81,18 +81,12 @@ def as_per_cent(share: np.floating[Any] | float) -> str:
 
 def rows_in_readme() -> dict[str, list[str]]:
     """The rows that `vdm/README.md` shows now, by body."""
-    found = _TABLE.search(README.read_text(encoding="utf-8"))
-    if found is None:
-        raise RuntimeError("vdm/README.md has lost the marks of its accuracy table")
-    lines = found.group(0).splitlines()[3:-1]
-    rows = [[cell.strip() for cell in line.strip("|").split("|")] for line in lines]
-    return {row[0]: row for row in rows}
+    return {row[0]: row for row in marked.cells(marked.shown(README, _PART))[1:]}
 
 
 def written(rows: dict[str, list[str]]) -> str:
     """The table as Markdown."""
-    lines = [HEAD, ["---"] * len(HEAD), *rows.values()]
-    return "".join(f"| {' | '.join(line)} |\n" for line in lines)
+    return marked.table(HEAD, rows.values())
 
 
 def main() -> None:
@@ -105,9 +99,7 @@ def main() -> None:
         for surface in sys.argv[1:]:
             body = Path(surface).stem
             rows[body] = row_of("accuracy-organ", directory, body, Path(surface).resolve())
-    text = README.read_text(encoding="utf-8")
-    text = _TABLE.sub(lambda found: found.group(1) + written(rows) + found.group(2), text)
-    README.write_text(text, encoding="utf-8")
+    marked.show(README, _PART, written(rows))
 
 
 if __name__ == "__main__":
