@@ -22,7 +22,7 @@ from fem_reference.loads import check_loads, gather_to_vertices, prescribed_node
 from fem_reference.memory import available_memory
 from fem_reference.mesh import facet_quadrature, triangle_p2
 from fem_reference.outputs import mean_pressure
-from fem_reference.solution import CONVERGED, Solution, SolverError, Status
+from fem_reference.solution import CONVERGED, Solution, SolverError, Status, check_outputs
 
 Array = NDArray[np.float64]
 
@@ -128,9 +128,7 @@ class CondensedProblem:
             For a load that `LinearProblem` would refuse, pressure outside the contact region, held nodes that move
             otherwise than `motions`, and an unknown output.
         """
-        if outputs - {CONDITION}:
-            name = sorted(outputs - {CONDITION})[0]
-            raise SolverError(Status("bad-output", f"output {name!r} is unknown", f"use {CONDITION}"))
+        check_outputs(outputs, [CONDITION])
         mesh = self.problem.mesh
         check_loads(mesh, loads)
         frames = np.empty((len(loads), len(self.matrix)))

@@ -26,7 +26,7 @@ from fem_reference.loads import (
 from fem_reference.materials import make_law
 from fem_reference.mesh import TetMesh, facet_quadrature
 from fem_reference.newton import Newton, ScaledLoad, Substep
-from fem_reference.solution import Solution, SolverError, Status
+from fem_reference.solution import Solution, SolverError, Status, check_outputs
 from fem_reference.system import LinearSystem, build_system
 from fem_reference.tangent_solver import TangentSolver, TangentSystem
 
@@ -215,15 +215,7 @@ class FiniteStrainProblem:
         SolverError
             For a load of the wrong shape or with values that are not finite, and for an unknown output.
         """
-        unknown = outputs - OUTPUTS.keys()
-        if unknown:
-            raise SolverError(
-                Status(
-                    "bad-output",
-                    f"output {sorted(unknown)[0]!r} is unknown",
-                    f"use some of {', '.join(OUTPUTS)}",
-                )
-            )
+        check_outputs(outputs, OUTPUTS)
         record = Record(self.system, self._assembly, self.shear_modulus, len(loads), outputs)
         factorisations, steps = self.solver.factorisations, self.solver.steps
         for number, attempt in self.substeps(loads):

@@ -27,7 +27,7 @@ from fem_reference.loads import (
 from fem_reference.materials import TransverselyIsotropic, make_law
 from fem_reference.mesh import TetMesh
 from fem_reference.outputs import OUTPUTS, mean_pressure, strain_outputs
-from fem_reference.solution import CONVERGED, Solution, SolverError, Status
+from fem_reference.solution import CONVERGED, Solution, SolverError, Status, check_outputs
 from fem_reference.system import LinearSystem, build_system
 
 __all__ = ["ELEMENTS", "Fields", "LinearProblem", "Load"]
@@ -170,15 +170,7 @@ class LinearProblem:
             For a load of the wrong shape or with values that are not finite, and for an unknown output.
         """
         start = time.perf_counter()
-        unknown = outputs - OUTPUTS.keys()
-        if unknown:
-            raise SolverError(
-                Status(
-                    "bad-output",
-                    f"output {sorted(unknown)[0]!r} is unknown",
-                    f"use some of {', '.join(OUTPUTS)}",
-                )
-            )
+        check_outputs(outputs, OUTPUTS)
         check_loads(self.mesh, loads)
         chosen, coefficients = independent_loads(loads)
         if not len(chosen):  # no load at all: one solve of nothing

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -33,6 +34,14 @@ class SolverError(ValueError):
     def __init__(self, status: Status) -> None:
         super().__init__(f"{status.message}; {status.remedy}" if status.remedy else status.message)
         self.status = status
+
+
+def check_outputs(outputs: frozenset[str], known: Iterable[str]) -> None:
+    """Refuse outputs that a model does not have. Raises SolverError."""
+    unknown = sorted(outputs - set(known))
+    if unknown:
+        remedy = f"use some of {', '.join(known)}"
+        raise SolverError(Status("bad-output", f"output {unknown[0]!r} is unknown", remedy))
 
 
 @dataclass(frozen=True)
