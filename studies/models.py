@@ -130,7 +130,7 @@ def _vdm_vector(scene: Scene, solver: str, name: str) -> VdmSolution:
     return _vdm(scene, "vector", solver, name)
 
 
-@_model("vdm-boundary", version="4", solvers=("linear", "nonlinear"))
+@_model("vdm-boundary", version="5", solvers=("linear", "nonlinear"))
 def _vdm_boundary(scene: Scene, solver: str, name: str) -> VdmSolution:
     return _vdm(scene, "boundary", solver, name)
 
@@ -205,7 +205,7 @@ def _condensed_problem(*, contact: Mask, motions: Array, **body: Any) -> Condens
     return CondensedProblem(problem, contact, motions=motions)
 
 
-@_model("fem-coarse", version="1", volumetric=True)
+@_model("fem-coarse", version="2", volumetric=True)
 def _fem_coarse(scene: Scene, solver: str, name: str) -> FemSolution:  # noqa: ARG001
     from .meshing.coarse import solve_coarse
 

@@ -202,11 +202,6 @@ class Model:
 
         For "lu" and "bicg" the state matrix in the units it has in print, with its penalty; for all others the
         symmetric operator at rest, scaled.
-
-        Raises
-        ------
-        SolverError
-            where there is no matrix: the boundary formulation of many nodes.
         """
         solver, n_border = self.solver, self.formulation.columns.count
         if isinstance(solver, LuSolver):
@@ -221,8 +216,8 @@ class Model:
     def _condition(self, n_steps: int) -> dict[str, Array]:
         try:
             estimate = self.condition_estimate().system
-        except SolverError:  # none for want of a matrix; the steps are as good as they are
-            estimate = np.nan
+        except SolverError:  # singular in double precision, what the steps came from did not see it
+            estimate = np.inf
         return {"condition_estimate": np.full(n_steps, estimate)}
 
     def _record(self) -> dict[str, float | str]:

@@ -134,6 +134,10 @@ def solve_coarse(scene: Scene) -> Solution:
             "coarse_surface_nodes": float(len(coarse.surface_nodes)),
             "dofs": float(problem.system.size),
         },
+        scalars={
+            "relative_residual": np.array([frame.residual for frame in frames]),
+            **({"condition_estimate": np.full(len(frames), problem.condition)} if scene.condition else {}),
+        },
     )
 
 
@@ -143,6 +147,7 @@ class _Frame:
     pressure: float
     reaction: Array
     energy: float
+    residual: float
     status: Status
     seconds: float
 
@@ -168,6 +173,7 @@ def _frame(scene: Scene, problem: LinearProblem, transfer: Transfer, factor: flo
         pressure=float(mean_pressure(problem, fields)[0]),
         reaction=_reaction(scene, problem, fields.reaction[0]),
         energy=0.5 * float(work),
+        residual=residual,
         status=CONVERGED if residual <= problem.solver.tolerance else _not_converged(residual),
         seconds=seconds,
     )

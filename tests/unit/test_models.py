@@ -113,15 +113,16 @@ def test_the_condensed_model_gives_the_linear_one(scene: Scene) -> None:
         assert_allclose(a, b, rtol=0, atol=1e-8 * np.abs(b).max(), err_msg=field)
 
 
-def test_the_condition_is_estimated_where_it_is_asked_for(scene: Scene) -> None:
+@pytest.mark.parametrize("name", ["vdm-consistent", "fem-coarse"])
+def test_the_condition_is_estimated_where_it_is_asked_for(name: str, scene: Scene) -> None:
     plain, asked = (
-        models.run_model(dataclasses.replace(scene, condition=condition), "vdm-consistent")
-        for condition in (False, True)
+        models.run_model(dataclasses.replace(scene, condition=condition), name) for condition in (False, True)
     )
     assert "condition_estimate" not in plain.scalars
     estimate = asked.scalars["condition_estimate"]
     assert estimate.shape == (len(scene.load_factors),)
     assert (estimate > 1.0).all()
+    assert (asked.scalars["relative_residual"] < 1e-8).all()
     assert np.array_equal(plain.displacement, asked.displacement)
 
 

@@ -114,15 +114,23 @@ def test_a_history_tells_its_condition_when_asked():
     assert_allclose(told, 2 * [body.condition_estimate().system], rtol=1e-15, atol=0.0)
 
 
-def test_a_body_without_a_matrix_has_no_estimate(monkeypatch):
+@pytest.mark.parametrize("solver", ["linear", "nonlinear"])
+def test_a_body_without_a_matrix_has_an_estimate_too(monkeypatch, solver):
     monkeypatch.setattr("vdm.formulations.boundary.MAX_NODES", 100)
     monkeypatch.setattr("vdm.formulations.boundary.COARSE_NODES", 60)
-    body = model("boundary")
-    solution = body.solve([PUSH], condition=True)
-    assert solution.status[0].ok
-    assert np.isnan(solution.scalars["condition_estimate"]).all()
+    body = model("boundary", solver=solver)
     with pytest.raises(SolverError, match="a mesh of at most 100 nodes"):
-        body.condition_estimate()
+        body.formulation.stiffness()
+    columns = [body.formulation.apply(unit.reshape(-1, 3)).ravel() for unit in np.eye(3 * len(POINTS))]
+    matrix = np.array(columns).T
+    assert_allclose(body.formulation.diagonal(), np.diag(matrix), rtol=1e-9, atol=0.0)
+    monkeypatch.setattr(body.formulation, "stiffness", lambda: sparse.csr_array(matrix))
+    block, whole = dense_operator(body)
+    estimate = body.condition_estimate()
+    check(estimate.block, block)
+    check(estimate.system, whole)
+    told = body.solve([PUSH], condition=True).scalars["condition_estimate"]
+    assert_allclose(told, estimate.system, rtol=1e-15, atol=0.0)
 
 
 @pytest.mark.parametrize("formulation", SPARSE)

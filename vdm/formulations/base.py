@@ -61,6 +61,7 @@ class Formulation(ABC):
 
     name: ClassVar[str]
     components: ClassVar[int]
+    has_matrix = True  # whether `stiffness` gives one
     # what to do where a motion that costs no energy is left free
     remedy: ClassVar[str] = "hold at least three nodes that are not on one line"
     columns: Columns
@@ -98,6 +99,10 @@ class Formulation(ABC):
     @abstractmethod
     def stiffness(self) -> sparse.csr_array:
         """K as a matrix (N d, N d), for the solvers that assemble the whole state matrix."""
+
+    def diagonal(self) -> Array:
+        """(N d,) diagonal of K."""
+        return self.stiffness().diagonal()
 
     @abstractmethod
     def contact_force(self, load: Load) -> Array:

@@ -70,6 +70,7 @@ class BoundaryFormulation(Formulation):
             self.body = Dense(surface_stiffness(surface, surface.area_vectors))
         else:
             self.body = Skin(surface, parameters.coarse_nodes or COARSE_NODES, surface_stiffness)
+        self.has_matrix = isinstance(self.body, Dense)
         self.columns = DenseColumns(surface.area_vectors[:, :, None])
         self.rows = self.columns
         self.corner = np.zeros((1, 1))
@@ -92,6 +93,9 @@ class BoundaryFormulation(Formulation):
                 )
             )
         return sparse.csr_array(self.shear_modulus * self.body.matrix)
+
+    def diagonal(self) -> Array:
+        return self.shear_modulus * self.body.diagonal()
 
     def contact_force(self, load: Load) -> Array:
         if load.contact_force is None:
@@ -159,6 +163,10 @@ class Dense:
         """(N, 3) elastic force of displacements (N, 3)."""
         force: Array = (self.matrix @ x.reshape(-1)).reshape(-1, 3)
         return force
+
+    def diagonal(self) -> Array:
+        """(3N,) of the matrix."""
+        return np.diagonal(self.matrix)
 
     def factor(self, free: Mask, scale: float) -> DenseFactor:
         """The factor of its multiple over the free nodes."""

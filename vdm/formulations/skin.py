@@ -36,6 +36,8 @@ Stiffness = Callable[[SurfaceMesh, Array], Array]
 # largest ratio of the coarse body's stiffness to the springs'; 0.5 to 0.9 give errors within a tenth of each other
 LARGEST_RATIO = 0.75
 POWER_ITERATIONS = 60
+# fine nodes that are multiplied with the dense matrix of the coarse body at once: bounds the temporary arrays
+ROWS = 4096
 # smallest over largest pivot of a factor that is told from a singular one
 PIVOT_TOLERANCE = 1e-6
 
@@ -76,6 +78,16 @@ class Skin:
         z = blas.dsymv(1.0, self.inner, gathered, lower=1).reshape(-1, 3)
         force: Array = self.springs[:, None] * (x - self.spread @ z)
         return force
+
+    def diagonal(self) -> Array:
+        """(3N,) of the operator."""
+        rows, parts = sparse.csr_array(self.spread), []
+        for start in range(0, len(self.springs), ROWS):
+            some = rows[start : start + ROWS]
+            inner = [some.multiply(some @ self.inner[k::3, k::3]).sum(axis=1) for k in range(3)]
+            parts.append(np.stack(inner, axis=1))
+        springs = self.springs[:, None]
+        return np.asarray(springs - springs**2 * np.concatenate(parts)).reshape(-1)
 
     def factor(self, free: Mask, scale: float) -> SkinFactor:
         """The inverse of its multiple over the free nodes."""

@@ -14,11 +14,13 @@ from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse import linalg
 
+from vdm.formulations.base import Formulation, Mask
 from vdm.problem import Problem
 from vdm.solvers.linear import BorderedFactor
 
 Array = NDArray[np.float64]
 Solve = Callable[[Array], Array]
+Matrix = sparse.csc_array | linalg.LinearOperator
 
 
 @dataclass(frozen=True)
@@ -42,18 +44,17 @@ def condition_of_operator(problem: Problem, factor: BorderedFactor | None = None
     Math. 14 (1969) 14), and a Cholesky factor does not see it; border columns and rows are scaled by what they
     move. Costs about a dozen solves, and the factor where none is given.
 
+    An operator without a matrix, the skin of a coarse body, has its norm estimated too, from as many products.
+
     Raises
     ------
     SolverError
-        an operator that is singular, or that is too large for a matrix.
+        an operator that is singular.
     """
     factor = factor or BorderedFactor(problem)
     formulation = problem.formulation
-    inside = np.repeat(factor.free, formulation.components)
-    stiffness = formulation.stiffness()[inside][:, inside]
-    unit = 1.0 / np.sqrt(stiffness.diagonal())
-    scaling = sparse.diags_array(unit)
-    block = sparse.csc_array(scaling @ stiffness @ scaling)
+    unit = 1.0 / np.sqrt(formulation.diagonal()[factor.unknowns])
+    block = _scaled_block(formulation, factor.unknowns, unit)
 
     def solve_block(b: Array) -> Array:
         each = unit if b.ndim == 1 else unit[:, None]
@@ -67,11 +68,7 @@ def condition_of_operator(problem: Problem, factor: BorderedFactor | None = None
     columns, column_unit = _in_own_units(columns, solve_block, formulation.corner)
     rows, row_unit = _in_own_units(rows, solve_block, formulation.corner)
     corner = row_unit[:, None] * formulation.corner * column_unit
-    whole = sparse.csc_array(
-        sparse.block_array(
-            [[block, sparse.csc_array(-columns)], [sparse.csc_array(rows.T), sparse.csc_array(corner)]]
-        )
-    )
+    whole = _bordered(block, columns, rows, corner)
     solved_columns, solved_rows = solve_block(columns), solve_block(rows)
     schur = rows.T @ solved_columns + corner
     n = len(unit)
@@ -100,17 +97,62 @@ def condition_of_matrix(matrix: sparse.csr_array, n_border: int) -> Condition:
 
 def inverse_norm(solve: Solve, solve_transposed: Solve, size: int) -> float:
     """Lower bound of |M^-1|_1 of a matrix (size, size) from solves with M and with its transpose."""
-    inverse = linalg.LinearOperator(
-        (size, size),
-        matvec=lambda b: solve(b.reshape(-1)),
-        rmatvec=lambda b: solve_transposed(b.reshape(-1)),
-        dtype=np.float64,
-    )
-    found = float(linalg.onenormest(inverse, t=1))
+    return _estimated_norm(_operator(size, solve, solve_transposed))
+
+
+def _estimated_norm(operator: linalg.LinearOperator) -> float:
+    """Lower bound of an operator's 1-norm."""
+    size = operator.shape[1]
+    found = float(linalg.onenormest(operator, t=1))
     # Higham's second guess, for the matrices that Hager's walk is blind to
     alternating = 1.0 + np.arange(size) / max(size - 1, 1)
     alternating[1::2] *= -1.0
-    return max(found, 2.0 * float(np.abs(solve(alternating)).sum()) / (3.0 * size))
+    return max(found, 2.0 * float(np.abs(operator @ alternating).sum()) / (3.0 * size))
+
+
+def _scaled_block(formulation: Formulation, inside: Mask, unit: Array) -> Matrix:
+    """K of the unknowns `inside`, each in its unit."""
+    if formulation.has_matrix:
+        scaling = sparse.diags_array(unit)
+        return sparse.csc_array(scaling @ formulation.stiffness()[inside][:, inside] @ scaling)
+    x = np.zeros(len(inside))
+
+    def apply(b: Array) -> Array:
+        x[inside] = unit * b
+        force = formulation.apply(x.reshape(-1, formulation.components))
+        return np.asarray(unit * force.reshape(-1)[inside])
+
+    return _operator(len(unit), apply, apply)
+
+
+def _bordered(block: Matrix, columns: Array, rows: Array, corner: Array) -> Matrix:
+    """[block -columns; rows^T corner]."""
+    if not isinstance(block, linalg.LinearOperator):
+        return sparse.csc_array(
+            sparse.block_array(
+                [[block, sparse.csc_array(-columns)], [sparse.csc_array(rows.T), sparse.csc_array(corner)]]
+            )
+        )
+    n = len(columns)
+
+    def apply(b: Array) -> Array:
+        x, s = np.split(b, [n])
+        return np.concatenate([block @ x - columns @ s, rows.T @ x + corner @ s])
+
+    def apply_transposed(b: Array) -> Array:
+        x, s = np.split(b, [n])
+        return np.concatenate([block @ x + rows @ s, corner.T @ s - columns.T @ x])
+
+    return _operator(n + len(corner), apply, apply_transposed)
+
+
+def _operator(size: int, product: Solve, product_transposed: Solve) -> linalg.LinearOperator:
+    return linalg.LinearOperator(
+        (size, size),
+        matvec=lambda b: product(b.reshape(-1)),
+        rmatvec=lambda b: product_transposed(b.reshape(-1)),
+        dtype=np.float64,
+    )
 
 
 def _in_own_units(border: Array, solve_block: Solve, corner: Array) -> tuple[Array, Array]:
@@ -132,5 +174,7 @@ def _condition(matrix: sparse.csr_array) -> float:
     return _norm(matrix) * norm if np.isfinite(norm) else np.inf
 
 
-def _norm(matrix: sparse.csc_array | sparse.csr_array) -> float:
+def _norm(matrix: Matrix | sparse.csr_array) -> float:
+    if isinstance(matrix, linalg.LinearOperator):
+        return _estimated_norm(matrix)
     return float(linalg.norm(matrix, 1))
