@@ -223,9 +223,7 @@ class Stored:
             damaged, of a newer schema, or with a link: an external one could read other files of the machine.
         """
         self._file, self._image = _open(path)
-        self._opened: dict[
-            str, Any
-        ] = {}  # of the arrays that need no opening to be read, for their attributes
+        self._opened: dict[str, Any] = {}  # arrays that need no opening to be read, for their attributes
         try:
             self._objects = _objects(self._file, self._image, path)
             found = int(self.number("case", "schema")) if "case" in self._objects else 0

@@ -133,7 +133,6 @@ class Surface:
     triangles: Index
     contact: Mask = field(default_factory=lambda: np.zeros(0, dtype=bool))  # (N,) nodes under contact
     contact_force: Array = field(default_factory=lambda: np.zeros((0, 3)))  # (N, 3) at load factor 1
-    body: Surface | None = None  # the same in no contact, of which what is measured is measured once for all
 
     @cached_property
     def areas(self) -> Array:
@@ -164,14 +163,12 @@ class Surface:
     @cached_property
     def neighbourhood(self) -> Neighbourhood:
         """For distances between deformed surfaces."""
-        return (
-            self.body.neighbourhood if self.body is not None else Neighbourhood(self.points, self.triangles)
-        )
+        return Neighbourhood(self.points, self.triangles)
 
     def under(self, contact: Mask, contact_force: Array) -> Surface:
         """The same surface in another contact; what is measured of it is measured once."""
-        other = replace(self, contact=contact, contact_force=contact_force, body=self)
-        for name in ("areas", "volume_gradient", "normals", "rigid_motions", "volume"):
+        other = replace(self, contact=contact, contact_force=contact_force)
+        for name in ("areas", "volume_gradient", "normals", "rigid_motions", "volume", "neighbourhood"):
             other.__dict__[name] = getattr(self, name)
         return other
 
@@ -206,8 +203,6 @@ METRICS: dict[str, Metric] = {}
 
 def full_load_step(load_factors: Array) -> int:
     """The step of the largest load, the last of several."""
-    if len(load_factors) == 1:  # asked for often, of cases that mostly have one
-        return 0
     return int(len(load_factors) - 1 - np.argmax(np.abs(load_factors)[::-1]))
 
 
