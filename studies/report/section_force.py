@@ -10,6 +10,7 @@ import numpy as np
 
 from ..case import CaseResult
 from ..metrics import Surface, facet_area_vectors
+from ..setups import shared
 from .blocks import Figure, Figures, Section, Text
 from .digest import Array, Digest, full_load
 from .formatting import listed, quantity, scale_of
@@ -171,7 +172,8 @@ def indentation(case: CaseResult, model: str) -> Array:
             mask |= case.regions[str(constraint.get("region"))]
     if not mask.any():
         mask[:] = True
-    normals = Surface(case.points, case.triangles).normals[mask]
+    # cases mostly have one surface, which has its normals once
+    normals = shared(Surface, points=case.points, triangles=case.triangles).normals[mask]
     inward = -np.einsum("sij,ij->si", case.models[model].displacement[:, mask], normals)
     result: Array = inward.max(axis=1)
     return result
