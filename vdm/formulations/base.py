@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy import sparse
 
 from vdm.constraints import Load
-from vdm.deformed import DeformedSurface
+from vdm.deformed import DeformedSurface, follow
 from vdm.formulations.border import Columns, DenseColumns
 from vdm.material import Parameters
 from vdm.solvers.cholesky import Cholesky
@@ -201,7 +201,6 @@ class ScalarFormulation(Formulation):
         return gradient
 
     def factor(self, free: Mask, factorise: Factorise = Cholesky) -> Factor:
-        # imported here: the solvers package imports the formulations
         block = self.operator if free.all() else self.operator[free][:, free]
         return factorise(block)
 
@@ -217,3 +216,31 @@ class ScalarFormulation(Formulation):
 
     def nodal_force(self, generalised: Array) -> Array:
         return generalised * self.surface.normals
+
+
+class DisplacementFormulation(Formulation):
+    """Three unknowns per node: x is the displacement, and a generalised force is a force."""
+
+    components = 3
+
+    def unknown(self, displacement: Array) -> Array:
+        return displacement
+
+    def displacement(self, x: Array) -> Array:
+        return x
+
+    def nodal_force(self, generalised: Array) -> Array:
+        return generalised
+
+    def contact_force(self, load: Load) -> Array:
+        if load.contact_force is None:
+            return self.surface.area_vectors * -load.contact_pressure[:, None]
+        return load.contact_force
+
+    def deformed_columns(self, state: DeformedSurface) -> tuple[Array, Array]:
+        return state.area_vectors, state.area_vectors
+
+    def deformed_contact_force(self, load: Load, state: DeformedSurface) -> Array:
+        if load.contact_force is None:
+            return -load.contact_pressure[:, None] * state.area_vectors
+        return follow(load.contact_force, self.surface.area_vectors, state)

@@ -6,9 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg, sparse
 
-from vdm.constraints import Load
-from vdm.deformed import DeformedSurface, follow
-from vdm.formulations.base import Factor, Factorise, Formulation, Mask, rigid_motions
+from vdm.deformed import DeformedSurface
+from vdm.formulations.base import DisplacementFormulation, Factor, Factorise, Mask, rigid_motions
 from vdm.formulations.border import DenseColumns
 from vdm.formulations.boundary_integrals import layer_potentials, mass_matrix
 from vdm.formulations.skin import PIVOT_TOLERANCE, Skin
@@ -34,7 +33,7 @@ INDEFINITE = Status(
 )
 
 
-class BoundaryFormulation(Formulation):
+class BoundaryFormulation(DisplacementFormulation):
     """Stationary point of `1/2 u.S u - sum (dP + rho g delta_i) g_i.u_i - sum F_i.u_i` under `sum g_i.u_i = 0`.
 
     S is the body's surface stiffness: the work of the tractions that an incompressible solid of shear modulus mu
@@ -57,7 +56,6 @@ class BoundaryFormulation(Formulation):
     """
 
     name = "boundary"
-    components = 3
 
     def __init__(self, surface: SurfaceMesh, parameters: Parameters) -> None:
         super().__init__(surface, parameters)
@@ -97,20 +95,6 @@ class BoundaryFormulation(Formulation):
     def diagonal(self) -> Array:
         return self.shear_modulus * self.body.diagonal()
 
-    def contact_force(self, load: Load) -> Array:
-        if load.contact_force is None:
-            return self.surface.area_vectors * -load.contact_pressure[:, None]
-        return load.contact_force
-
-    def unknown(self, displacement: Array) -> Array:
-        return displacement
-
-    def displacement(self, x: Array) -> Array:
-        return x
-
-    def nodal_force(self, generalised: Array) -> Array:
-        return generalised
-
     def deformed_internal_force(self, x: Array, state: DeformedSurface) -> Array:  # noqa: ARG002 - x is in state
         turn, unturned = self._unturned(state)
         force = self.apply(unturned) @ turn
@@ -126,14 +110,6 @@ class BoundaryFormulation(Formulation):
     def deformed_energy(self, x: Array, state: DeformedSurface) -> float:  # noqa: ARG002 - x is in state
         unturned = self._unturned(state)[1]
         return 0.5 * float(np.vdot(unturned, self.apply(unturned)))
-
-    def deformed_columns(self, state: DeformedSurface) -> tuple[Array, Array]:
-        return state.area_vectors, state.area_vectors
-
-    def deformed_contact_force(self, load: Load, state: DeformedSurface) -> Array:
-        if load.contact_force is None:
-            return -load.contact_pressure[:, None] * state.area_vectors
-        return follow(load.contact_force, self.surface.area_vectors, state)
 
     def _unturned(self, state: DeformedSurface) -> tuple[Array, Array]:
         """The best-fit rotation Q of the nodes and the displacement left after it is undone."""

@@ -6,9 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
-from vdm.constraints import Load
-from vdm.deformed import DeformedSurface, follow
-from vdm.formulations.base import Factor, Factorise, Formulation, Mask
+from vdm.deformed import DeformedSurface
+from vdm.formulations.base import DisplacementFormulation, Factor, Factorise, Mask
 from vdm.formulations.border import DenseColumns
 from vdm.material import ParameterError, Parameters
 from vdm.solvers.cholesky import Cholesky
@@ -29,7 +28,7 @@ _CONE = np.cos(np.radians(20.0))
 _CHUNK = 256  # nodes per pass: bounds the temporary arrays
 
 
-class MassSpringFormulation(Formulation):
+class MassSpringFormulation(DisplacementFormulation):
     """Stationary point of `1/2 sum k_r ((u_i - u_j).e_r)^2 - sum (dP + rho g delta_i) g_i.u_i - sum F_i.u_i`
     under `sum g_i.u_i = 0`, r over the springs.
 
@@ -49,7 +48,6 @@ class MassSpringFormulation(Formulation):
     """
 
     name = "mass-spring"
-    components = 3
 
     def __init__(self, surface: SurfaceMesh, parameters: Parameters) -> None:
         super().__init__(surface, parameters)
@@ -76,20 +74,6 @@ class MassSpringFormulation(Formulation):
     def stiffness(self) -> sparse.csr_array:
         return self.matrix
 
-    def contact_force(self, load: Load) -> Array:
-        if load.contact_force is None:
-            return -self.surface.area_vectors * load.contact_pressure[:, None]
-        return load.contact_force
-
-    def unknown(self, displacement: Array) -> Array:
-        return displacement
-
-    def displacement(self, x: Array) -> Array:
-        return x
-
-    def nodal_force(self, generalised: Array) -> Array:
-        return generalised
-
     def deformed_internal_force(self, x: Array, state: DeformedSurface) -> Array:  # noqa: ARG002
         directions, growth = self._stretched(state)
         turned = _elongation(self.springs, directions, self.surface.n_nodes)
@@ -97,14 +81,6 @@ class MassSpringFormulation(Formulation):
 
     def deformed_energy(self, x: Array, state: DeformedSurface) -> float:  # noqa: ARG002
         return 0.5 * float(self.spring_constants @ self._stretched(state)[1] ** 2)
-
-    def deformed_columns(self, state: DeformedSurface) -> tuple[Array, Array]:
-        return state.area_vectors, state.area_vectors
-
-    def deformed_contact_force(self, load: Load, state: DeformedSurface) -> Array:
-        if load.contact_force is None:
-            return -load.contact_pressure[:, None] * state.area_vectors
-        return follow(load.contact_force, self.surface.area_vectors, state)
 
     def _stretched(self, state: DeformedSurface) -> tuple[Array, Array]:
         """(R, 3) directions of the springs as they are now and (R,) how much longer they are [m]."""

@@ -8,9 +8,15 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
-from vdm.constraints import Load
-from vdm.deformed import DeformedSurface, best_rotation, follow
-from vdm.formulations.base import Factor, Factorise, Formulation, Mask, SparseFactor, rigid_motions
+from vdm.deformed import DeformedSurface, best_rotation
+from vdm.formulations.base import (
+    DisplacementFormulation,
+    Factor,
+    Factorise,
+    Mask,
+    SparseFactor,
+    rigid_motions,
+)
 from vdm.formulations.border import Columns, DenseColumns, TurningColumns
 from vdm.material import ParameterError, Parameters, per_item
 from vdm.solvers.cholesky import Cholesky
@@ -19,7 +25,7 @@ from vdm.surface import SurfaceMesh
 Array = NDArray[np.float64]
 
 
-class VectorFormulation(Formulation):
+class VectorFormulation(DisplacementFormulation):
     """Stationary point of
 
     `1/2 k sum a_i (u_i.n_i)^2 + 1/2 T min_omega sum w_ij |u_i - u_j - omega x (x_i - x_j)|^2
@@ -41,8 +47,7 @@ class VectorFormulation(Formulation):
     """
 
     name = "vector"
-    components = 3
-    remedy = Formulation.remedy + ", or make foundation positive somewhere"
+    remedy = DisplacementFormulation.remedy + ", or make foundation positive somewhere"
 
     @classmethod
     def free_motions(cls, surface: SurfaceMesh, parameters: Parameters) -> Array:
@@ -121,34 +126,12 @@ class VectorFormulation(Formulation):
         matrix = sparse.csr_array(sparse.kron(self.tension, sparse.eye_array(3), format="csr"))
         return matrix if self.coupling is None else sparse.csr_array(matrix + self.coupling)
 
-    def contact_force(self, load: Load) -> Array:
-        if load.contact_force is None:
-            return self.surface.area_vectors * -load.contact_pressure[:, None]
-        return load.contact_force
-
-    def unknown(self, displacement: Array) -> Array:
-        return displacement
-
-    def displacement(self, x: Array) -> Array:
-        return x
-
-    def nodal_force(self, generalised: Array) -> Array:
-        return generalised
-
     def deformed_internal_force(self, x: Array, state: DeformedSurface) -> Array:
         """Tension about the best-fit finite rotation, stretch by the change of edge lengths, foundation at rest."""
         return self._deformed(x, state)[0]
 
     def deformed_energy(self, x: Array, state: DeformedSurface) -> float:
         return self._deformed(x, state)[1]
-
-    def deformed_columns(self, state: DeformedSurface) -> tuple[Array, Array]:
-        return state.area_vectors, state.area_vectors
-
-    def deformed_contact_force(self, load: Load, state: DeformedSurface) -> Array:
-        if load.contact_force is None:
-            return -load.contact_pressure[:, None] * state.area_vectors
-        return follow(load.contact_force, self.surface.area_vectors, state)
 
     def _deformed(self, x: Array, state: DeformedSurface) -> tuple[Array, float]:
         rest = state.body.rest
