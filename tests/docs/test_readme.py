@@ -5,6 +5,8 @@ from __future__ import annotations
 import json
 import re
 import shlex
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -19,10 +21,19 @@ def blocks(language: str) -> list[str]:
     return re.findall(rf"^```{language}\n(.*?)^```", TEXT, flags=re.MULTILINE | re.DOTALL)
 
 
-def test_the_result_table_is_what_the_command_prints(tmp_path: Path) -> None:
-    assert regenerate.headline_table(tmp_path) == marked.shown(regenerate.README, regenerate.PART), (
-        "run `make docs` and look at it"
+def test_the_result_table_is_what_the_command_prints_and_a_notebook_reads_it(tmp_path: Path) -> None:
+    table = regenerate.headline_table(tmp_path)
+    assert table == marked.shown(regenerate.README, regenerate.PART), "run `make docs` and look at it"
+    (notebook,) = blocks("python")
+    code = f"import pyvista\npyvista.OFF_SCREEN = True\n{notebook}\nprint(*error, *ratio, case.n_points)"
+    told = subprocess.run(
+        [sys.executable, "-c", code], cwd=tmp_path, check=True, capture_output=True, text=True
     )
+    *numbers, nodes = (float(word) for word in told.stdout.split())
+    assert sorted(numbers[6:]) == [0.45, 0.45, 0.49, 0.49, 0.4999, 0.4999]
+    worst = next(row for row in marked.cells(table) if row[0] == "vdm-vector")[1].split("worst ")[1]
+    assert f"{100 * max(numbers[:6]):.1f} %" == worst.replace("\u00a0", " ")
+    assert nodes == 487
 
 
 def test_the_first_study_and_its_commands(tmp_path: Path) -> None:
