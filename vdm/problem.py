@@ -194,11 +194,8 @@ def check_held(
     SolverError
         with the formulation's remedy.
     """
-    motions = formulation.free_motions(surface, parameters)
+    motions = formulation.free_motions(surface, parameters, held)
     count = motions.shape[2]
-    stopped = 0
-    if count and held.any():
-        stopped = int(np.linalg.matrix_rank(motions[held].reshape(-1, count), tol=FREE_MOTION))
-    if stopped < count:
+    if count and np.linalg.matrix_rank(motions.reshape(-1, count), tol=FREE_MOTION) < count:
         message = "the supports leave the body free to move without any resistance"
         raise SolverError(Status("singular", message, formulation.remedy))

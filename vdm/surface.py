@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import cached_property
+from typing import NoReturn
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -50,7 +51,6 @@ class SurfaceMesh:
         self.edges: NDArray[np.int32]
         self.facet_edges: NDArray[np.int32]
         self.edges, self.facet_edges = _edges(self.triangles, self.n_nodes)
-        _check_topology(self.triangles, self.facet_edges, self.edges, self.n_nodes)
 
         # V = (1/6) sum of x0 . (x1 x x2), taken about the centroid so that no digits are lost far from the origin
         centred = corners[0] - self.points.mean(axis=0)
@@ -205,60 +205,82 @@ def _check_facets(corners: tuple[Array, Array, Array], areas: Array) -> None:
 
 
 def _edges(triangles: Index, n_nodes: int) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
-    """(E, 2) edges with the smaller node first, in ascending order, and (F, 3) the edges of each facet."""
-    start, end = triangles.ravel(), np.roll(triangles, -1, axis=1).ravel()
-    keys = np.minimum(start, end) * n_nodes + np.maximum(start, end)
-    unique, inverse = np.unique(keys, return_inverse=True)
-    edges = np.stack([unique // n_nodes, unique % n_nodes], axis=1).astype(np.int32)
-    return edges, inverse.reshape(-1, 3).astype(np.int32)
+    """(E, 2) edges with the smaller node first, in ascending order, and (F, 3) the edges of each facet.
 
-
-def _check_topology(
-    triangles: Index, facet_edges: NDArray[np.int32], edges: NDArray[np.int32], n_nodes: int
-) -> None:
-    use = np.bincount(facet_edges.ravel(), minlength=len(edges))
-    if np.any(use == 1):
-        i, j = edges[np.flatnonzero(use == 1)[0]]
-        raise SurfaceError(
-            f"the surface is open: {np.count_nonzero(use == 1)} edges have one facet (first: nodes {i}-{j}); "
-            "close the holes"
-        )
-    if np.any(use > 2):
-        i, j = edges[np.flatnonzero(use > 2)[0]]
-        raise SurfaceError(
-            f"the surface is not manifold: more than two facets meet at edge {i}-{j}; "
-            "remove duplicate or inner facets"
-        )
-    forward = triangles < np.roll(triangles, -1, axis=1)
-    balance = np.bincount(facet_edges.ravel(), np.where(forward, 1.0, -1.0).ravel(), len(edges))
-    if np.any(balance != 0.0):
-        i, j = edges[np.flatnonzero(balance)[0]]
-        raise SurfaceError(
-            f"neighbouring facets are oriented against each other at edge {i}-{j}; orient all outward"
-        )
-    graph = sparse.coo_array((np.ones(len(edges)), (edges[:, 0], edges[:, 1])), shape=(n_nodes, n_nodes))
-    pieces = int(connected_components(graph, directed=False)[0])
+    Edge k of a facet starts at its corner k. Of a closed, oriented manifold each is one half of an edge: those that
+    rise to the greater node and those that fall to the smaller one are the same pairs.
+    """
+    start, end = (c.ravel().astype(np.int32) for c in (triangles, np.roll(triangles, -1, axis=1)))
+    rising, falling = (np.flatnonzero(way).astype(np.int32) for way in (start < end, start > end))
+    shape = (n_nodes, n_nodes)
+    # sorted by counting, row by row; halves of the same pair would be added to one entry
+    up = sparse.csr_array((rising, (start[rising], end[rising])), shape=shape)
+    down = sparse.csr_array((falling, (end[falling], start[falling])), shape=shape)
+    if not (
+        up.nnz == len(rising)
+        and down.nnz == len(falling)
+        and np.array_equal(up.indptr, down.indptr)
+        and np.array_equal(up.indices, down.indices)
+    ):
+        _refuse_edges(start, end, n_nodes)
+    pieces = int(connected_components(up, directed=False)[0])
     if pieces != 1:
         raise SurfaceError(
             f"the surface has {pieces} components; keep one closed body (cavities are not supported)"
         )
-    _check_fans(triangles, facet_edges, n_nodes)
+    opposite = np.empty_like(start)
+    opposite[up.data], opposite[down.data] = down.data, up.data
+    _check_fans(triangles, opposite, n_nodes)
+    numbers = np.arange(up.nnz, dtype=np.int32)
+    facet_edges = np.empty_like(start)
+    facet_edges[up.data], facet_edges[down.data] = numbers, numbers
+    nodes = np.arange(n_nodes, dtype=np.int32)
+    return np.stack([np.repeat(nodes, np.diff(up.indptr)), up.indices], axis=1), facet_edges.reshape(-1, 3)
 
 
-def _check_fans(triangles: Index, facet_edges: NDArray[np.int32], n_nodes: int) -> None:
-    """Every node must have a single fan of facets: circles of corners around nodes are counted."""
-    corners = np.arange(triangles.size)
-    # corner k of a facet is that of its half edge to corner k + 1; an edge has two halves, one each way
-    edges = facet_edges.ravel()
-    both = np.bincount(edges, corners)
-    other = both[edges] - corners
-    # the half edge that ends at the corner, seen from the next facet, starts there
-    around = np.roll(other.reshape(-1, 3), 1, axis=1).ravel().astype(np.int32)
-    graph = sparse.csr_array(
-        (np.ones(len(corners)), around, np.arange(len(corners) + 1)), shape=2 * (len(corners),)
-    )
-    fans = int(connected_components(graph, directed=True, connection="strong")[0])
-    if fans != n_nodes:
+def _refuse_edges(start: NDArray[np.int32], end: NDArray[np.int32], n_nodes: int) -> NoReturn:
+    """Says of half edges that do not pair up what is wrong with the first such edge."""
+    keys = np.minimum(start, end) * np.int64(n_nodes) + np.maximum(start, end)
+    unique, inverse, use = np.unique(keys, return_inverse=True, return_counts=True)
+    balance = np.bincount(inverse, np.where(start < end, 1.0, -1.0))
+
+    def first(bad: NDArray[np.bool_]) -> str:
+        i, j = divmod(int(unique[bad][0]), n_nodes)
+        return f"{i}-{j}"
+
+    if np.any(use == 1):
         raise SurfaceError(
-            f"the surface touches itself at {fans - n_nodes} nodes (two fans of facets share a node); split them"
+            f"the surface is open: {np.count_nonzero(use == 1)} edges have one facet (first: nodes "
+            f"{first(use == 1)}); close the holes"
+        )
+    if np.any(use > 2):
+        raise SurfaceError(
+            f"the surface is not manifold: more than two facets meet at edge {first(use > 2)}; "
+            "remove duplicate or inner facets"
+        )
+    raise SurfaceError(
+        f"neighbouring facets are oriented against each other at edge {first(balance != 0.0)}; orient all outward"
+    )
+
+
+def _check_fans(triangles: Index, opposite: NDArray[np.int32], n_nodes: int) -> None:
+    """Every node must have a single fan of facets: a walk round it from one corner must pass them all.
+
+    `opposite` (3F,): the other half of the half edge that starts at each corner.
+    """
+    # the half edge that ends at a corner, seen from the next facet, starts there
+    around = np.roll(opposite.reshape(-1, 3), 1, axis=1).ravel()
+    nodes = triangles.ravel()
+    first = np.empty(n_nodes, dtype=np.int32)
+    first[nodes] = np.arange(len(nodes), dtype=np.int32)
+    unseen = np.bincount(nodes) - 1
+    walking, here = np.arange(n_nodes), around[first]
+    while walking.size:
+        on = here != first[walking]
+        walking, here = walking[on], around[here[on]]
+        unseen[walking] -= 1
+    pinched = np.count_nonzero(unseen)
+    if pinched:
+        raise SurfaceError(
+            f"the surface touches itself at {pinched} nodes (two fans of facets share a node); split them"
         )

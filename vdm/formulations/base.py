@@ -12,7 +12,7 @@ from scipy import sparse
 
 from vdm.constraints import Load
 from vdm.deformed import DeformedSurface, follow
-from vdm.formulations.border import Columns, DenseColumns
+from vdm.formulations.border import LEVI_CIVITA, Columns, DenseColumns
 from vdm.material import Parameters
 from vdm.solvers.cholesky import Cholesky
 from vdm.surface import SurfaceMesh
@@ -73,12 +73,12 @@ class Formulation(ABC):
         self.parameters = parameters
 
     @classmethod
-    def free_motions(cls, surface: SurfaceMesh, parameters: Parameters) -> Array:  # noqa: ARG003
-        """(N, d, r) motions x, of the order of one, that cost no energy: supports must stop them all.
+    def free_motions(cls, surface: SurfaceMesh, parameters: Parameters, nodes: Mask) -> Array:  # noqa: ARG003
+        """(n, d, r) at `nodes` (N,): motions x, of the order of one, that cost no energy; supports must stop them.
 
         Known before anything is assembled: here the six rigid motions of a body that is not tied to space.
         """
-        return rigid_motions(surface)
+        return rigid_motions(surface, nodes)
 
     @abstractmethod
     def apply(self, x: Array) -> Array:
@@ -175,12 +175,13 @@ class Formulation(ABC):
         return force
 
 
-def rigid_motions(surface: SurfaceMesh) -> Array:
-    """(N, 3, 6): three unit translations, and three rotations about the centroid over the body's radius."""
-    arms = (surface.points - surface.points.mean(axis=0)) / surface.equivalent_radius
-    motions = np.empty((surface.n_nodes, 3, 6))
+def rigid_motions(surface: SurfaceMesh, nodes: Mask) -> Array:
+    """(n, 3, 6) at `nodes` (N,): unit translations, and rotations about the centroid over the body's radius."""
+    arms = (surface.points[nodes] - surface.points.mean(axis=0)) / surface.equivalent_radius
+    motions = np.empty((len(arms), 3, 6))
     motions[:, :, :3] = np.eye(3)
-    motions[:, :, 3:] = np.stack([np.cross(axis, arms) for axis in np.eye(3)], axis=2)
+    # column k is e_k x arm
+    motions[:, :, 3:] = (arms @ LEVI_CIVITA.reshape(9, 3).T).reshape(-1, 3, 3)
     return motions
 
 

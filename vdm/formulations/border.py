@@ -102,5 +102,5 @@ class TurningColumns(Columns):
         return TurningColumns(self.first[nodes], self.pull[nodes])
 
     def dense(self) -> Array:
-        turns = np.einsum("abc,nc->nab", LEVI_CIVITA, self.pull)
+        turns = (self.pull @ LEVI_CIVITA.reshape(9, 3).T).reshape(-1, 3, 3)
         return np.concatenate([self.first[:, :, None], turns], axis=2)

@@ -205,5 +205,7 @@ def surface_stiffness(surface: SurfaceMesh, volume_gradient: Array) -> Array:
 
 def rigid_basis(surface: SurfaceMesh) -> Array:
     """(3N, 6) orthonormal basis of the infinitesimal rigid motions."""
-    basis: Array = np.linalg.qr(rigid_motions(surface).reshape(-1, 6))[0]
+    basis: Array = np.linalg.qr(
+        rigid_motions(surface, np.ones(surface.n_nodes, dtype=np.bool_)).reshape(-1, 6)
+    )[0]
     return basis

@@ -8,7 +8,7 @@ from scipy import sparse
 
 from vdm.constraints import Load
 from vdm.deformed import DeformedSurface, follow
-from vdm.formulations.base import ScalarFormulation
+from vdm.formulations.base import Mask, ScalarFormulation
 from vdm.formulations.border import DenseColumns
 from vdm.material import ParameterError, Parameters, per_item
 from vdm.surface import SurfaceMesh
@@ -34,10 +34,10 @@ class ConsistentFormulation(ScalarFormulation):
     remedy = "hold a node, or make foundation positive somewhere"
 
     @classmethod
-    def free_motions(cls, surface: SurfaceMesh, parameters: Parameters) -> Array:
+    def free_motions(cls, surface: SurfaceMesh, parameters: Parameters, nodes: Mask) -> Array:  # noqa: ARG003
         """A uniform unknown, where foundation is zero everywhere."""
         tied = np.any(np.asarray(parameters.foundation, dtype=np.float64))
-        return np.ones((surface.n_nodes, 1, 0 if tied else 1))
+        return np.ones((np.count_nonzero(nodes), 1, 0 if tied else 1))
 
     def __init__(self, surface: SurfaceMesh, parameters: Parameters) -> None:
         super().__init__(surface, parameters)

@@ -8,7 +8,7 @@ from scipy import sparse
 
 from vdm.constraints import Load
 from vdm.deformed import DeformedSurface
-from vdm.formulations.base import ScalarFormulation
+from vdm.formulations.base import Mask, ScalarFormulation
 from vdm.formulations.border import DenseColumns
 from vdm.material import ParameterError, Parameters, per_item
 from vdm.surface import SurfaceMesh
@@ -34,10 +34,10 @@ class PaperFormulation(ScalarFormulation):
     remedy = "hold a node, or make bulk_modulus positive somewhere"
 
     @classmethod
-    def free_motions(cls, surface: SurfaceMesh, parameters: Parameters) -> Array:
+    def free_motions(cls, surface: SurfaceMesh, parameters: Parameters, nodes: Mask) -> Array:  # noqa: ARG003
         """A uniform unknown, where bulk_modulus is zero everywhere."""
         tied = np.any(np.asarray(parameters.bulk_modulus, dtype=np.float64))
-        return np.ones((surface.n_nodes, 1, 0 if tied else 1))
+        return np.ones((np.count_nonzero(nodes), 1, 0 if tied else 1))
 
     def __init__(self, surface: SurfaceMesh, parameters: Parameters) -> None:
         super().__init__(surface, parameters)

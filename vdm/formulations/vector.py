@@ -50,12 +50,12 @@ class VectorFormulation(DisplacementFormulation):
     remedy = DisplacementFormulation.remedy + ", or make foundation positive somewhere"
 
     @classmethod
-    def free_motions(cls, surface: SurfaceMesh, parameters: Parameters) -> Array:
+    def free_motions(cls, surface: SurfaceMesh, parameters: Parameters, nodes: Mask) -> Array:
         """The rigid motions, of which a tension without free rotations leaves the translations only.
 
         None with a foundation, which may or may not stop them: then the factor has to tell.
         """
-        motions = rigid_motions(surface)
+        motions = rigid_motions(surface, nodes)
         if parameters.foundation is not None and np.any(np.asarray(parameters.foundation)):
             return motions[:, :, :0]
         if parameters.rotation == "none" and np.any(np.asarray(parameters.surface_tension, dtype=np.float64)):
@@ -89,18 +89,17 @@ class VectorFormulation(DisplacementFormulation):
         self.columns: Columns
         self.columns, self.corner = DenseColumns(surface.area_vectors[:, :, None]), np.zeros((1, 1))
         if parameters.rotation == "global":
-            self.columns, self.corner = self._with_global_rotation(weights)
+            self.columns, self.corner = self._with_global_rotation()
         self.rows = self.columns
 
-    def _with_global_rotation(self, weights: Array) -> tuple[Columns, Array]:
+    def _with_global_rotation(self) -> tuple[Columns, Array]:
         """Border of (dP, omega): stationarity in omega reads `sum_e w d x (u_i - u_j) = T J omega`."""
         surface = self.surface
         centred = surface.points - surface.points.mean(axis=0)
         # column k is the tension force of the rotation e_k: L (e_k x X) = e_k x (L X)
         columns = TurningColumns(surface.area_vectors, np.asarray(self.tension @ centred))
         corner = np.zeros((4, 4))
-        vectors = edge_vectors(surface)
-        second = vectors.T @ (weights[:, None] * vectors)
+        second = centred.T @ columns.pull  # the sum of w d d^T over the edges
         corner[1:, 1:] = second - np.trace(second) * np.eye(3)  # less the sum of `edge_inertia`
         return columns, corner
 
