@@ -186,7 +186,8 @@ def bench_verb(options: argparse.Namespace) -> int:
     print_table(rows(found))
     for growth in found.growths:
         print(f"{growth.what} grows as nodes ^ {growth.exponent:.2f}, up to {int(growth.nodes[-1]):,} nodes")
-    print(*answers(found), f"report: {out / 'bench.html'}", sep="\n")
+    print_table(answers(found))
+    print(f"report: {out / 'bench.html'}")
     return OK
 
 

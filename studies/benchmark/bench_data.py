@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -158,76 +159,63 @@ def break_even(fast: Entry, slow: Entry) -> float:
     return setup / frame if frame > 0.0 else math.inf
 
 
-def answers(bench: Bench) -> list[str]:
-    """The benchmark's questions answered in one line each, on the finest mesh of each body."""
-    lines = []
-    for body in dict.fromkeys(entry.body for entry in bench.entries):
-        mesh = [m for m in bench.meshes() if m[0] == body][-1]
-        lines += [f"{body}, {mesh[1]:,} nodes: {text}" for text in _answers(bench.on(mesh))]
-    return lines
+def answers(bench: Bench) -> list[dict[str, str]]:
+    """What is fastest, what is most accurate, where condensed elements win: question, and an answer per body.
 
-
-def _answers(entries: Sequence[Entry]) -> list[str]:
-    usable = [e for e in entries if math.isfinite(e.error) and median(e.frame_local) > 0.0]
-    if not usable:
-        return ["nothing to compare"]
-    lines = [_fastest(usable, limit) for limit in (0.1, 0.25)]
-    lines += [_most_accurate(usable, limit) for limit in _frame_times(usable)]
-    surface = [e for e in usable if not e.model.startswith("fem") and ":" not in e.model]
-    condensed = next((e for e in usable if e.model == "fem-condensed"), None)
-    if surface and condensed:  # of each form, its first solver: others change the time more than the error
-        told = "; ".join(_against_condensed(e, condensed) for e in _front(surface))
-        lines.append(f"against fem-condensed ({100 * condensed.error:.3g} %), in total: {told}")
-    return lines
-
-
-def _fastest(entries: Sequence[Entry], limit: float) -> str:
-    within = [e for e in entries if e.error <= limit]
-    if not within:
-        return f"no model is within {100 * limit:g} % of the reference"
-    best = min(within, key=lambda e: median(e.frame_local))
-    again = min(within, key=lambda e: median(e.recut))
-    return (
-        f"at an error of at most {100 * limit:g} % the fastest frame is {best.model}'s"
-        f" ({seconds(median(best.frame_local))}), the fastest re-cut is {again.model}'s"
-        f" ({seconds(median(again.recut))})"
-    )
-
-
-def _frame_times(entries: Sequence[Entry]) -> list[float]:
-    """Frame times worth asking about: a frame of haptics and one of graphics."""
-    fastest = min(median(e.frame_local) for e in entries)
-    return [limit for limit in (1e-3, 1 / 60) if limit >= fastest]
-
-
-def _most_accurate(entries: Sequence[Entry], limit: float) -> str:
-    within = [e for e in entries if median(e.frame_local) <= limit]
-    best = min(within, key=lambda e: e.error)
-    cuts = [e for e in within if median(e.recut) <= limit]
-    text = f"at {seconds(limit)} a frame the most accurate is {best.model} ({100 * best.error:.3g} %)"
-    if cuts:
-        cut = min(cuts, key=lambda e: e.error)
-        return f"{text}, with a re-cut in every frame {cut.model} ({100 * cut.error:.3g} %)"
-    return f"{text}; with a re-cut in every frame, none"
-
-
-def _front(entries: Sequence[Entry]) -> list[Entry]:
-    """Those that no other beats in both error and re-cut time."""
+    On the finest mesh of each body.
+    """
+    finest = {mesh[0]: mesh for mesh in bench.meshes()}.values()
+    asked: dict[str, Callable[[Sequence[Entry]], str]] = {}
+    for limit in (0.1, 0.25):
+        error = f"error at most {100 * limit:g} %"
+        asked[f"{error}: fastest frame"] = partial(_fastest, limit=limit, cut=False)
+        asked[f"{error}: fastest re-cut"] = partial(_fastest, limit=limit, cut=True)
+    for time in (1e-3, 1 / 60):  # a frame of haptics and one of graphics
+        asked[f"{seconds(time)} a frame: most accurate"] = partial(_most_accurate, time=time, cut=False)
+        asked[f"{seconds(time)} a frame, cut in each: most accurate"] = partial(
+            _most_accurate, time=time, cut=True
+        )
+    asked["cheaper than fem-condensed, re-cut and frames together"] = _against_condensed
+    usable = {
+        f"{mesh[0]}, {mesh[1]:,} nodes": [
+            e for e in bench.on(mesh) if math.isfinite(e.error) and median(e.frame_local) > 0.0
+        ]
+        for mesh in finest
+    }
     return [
-        e
-        for e in entries
-        if not any(o.error < e.error and median(o.recut) < median(e.recut) for o in entries if o is not e)
+        {"question": question} | {mesh: answer(entries) for mesh, entries in usable.items()}
+        for question, answer in asked.items()
     ]
 
 
-def _against_condensed(entry: Entry, condensed: Entry) -> str:
-    frames = break_even(condensed, entry)
-    name = f"{entry.model} ({100 * entry.error:.3g} %)"
-    if math.isinf(frames):
-        return f"{name} is faster for any number of frames per re-cut"
-    if frames < 1.0:
-        return f"{name} is slower from the first frame after a re-cut"
-    return f"{name} is faster up to {frames:,.0f} frames per re-cut, slower beyond"
+def _fastest(entries: Sequence[Entry], *, limit: float, cut: bool) -> str:
+    within = {e.model: median(e.recut if cut else e.frame_local) for e in entries if e.error <= limit}
+    best = min(within, key=lambda model: within[model], default=None)
+    return "none" if best is None else f"{best}, {seconds(within[best])}"
+
+
+def _most_accurate(entries: Sequence[Entry], *, time: float, cut: bool) -> str:
+    within = [e for e in entries if median(e.frame_local) <= time and not (cut and median(e.recut) > time)]
+    best = min(within, key=lambda e: e.error, default=None)
+    return "none" if best is None else f"{best.model}, {100 * best.error:.3g} %"
+
+
+def _against_condensed(entries: Sequence[Entry]) -> str:
+    """Surface models that no other beats in both error and re-cut, by how many frames a re-cut they pay for."""
+    condensed = next((e for e in entries if e.model == "fem-condensed"), None)
+    # of each form, its first solver: others change the time more than the error
+    surface = [e for e in entries if not e.model.startswith("fem") and ":" not in e.model]
+    if condensed is None:
+        return "not measured"
+    groups: dict[str, list[str]] = {}
+    for e in surface:
+        if not any(o.error < e.error and median(o.recut) < median(e.recut) for o in surface):
+            frames = break_even(condensed, e)
+            when = "never" if frames < 1.0 else f"up to {frames:,.0f} frames per re-cut"
+            groups.setdefault("always" if math.isinf(frames) else when, []).append(
+                f"{e.model} ({100 * e.error:.3g} %)"
+            )
+    return "; ".join(f"{when}: {', '.join(models)}" for when, models in groups.items()) or "none"
 
 
 def pareto(entries: Iterable[Entry]) -> list[Entry]:

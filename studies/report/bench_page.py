@@ -55,8 +55,10 @@ def bench_html(bench: Bench) -> str:
         Figure(pareto_plot(bench.on(mesh), numbers, f"p{k}"), f"{mesh[0]}, {mesh[1]:,} nodes")
         for k, mesh in enumerate(bench.meshes())
     ]
+    told = answers(bench)
+    question, lead = told[0]["question"], {mesh: a for mesh, a in told[0].items() if mesh != "question"}
     sections = [
-        Section("answers", "In one line each", [Text(text) for text in answers(bench)]),
+        Section("answers", "Which model", [_answers(told)]),
         Section(
             "pareto", "Run time against error", [Text(FIGURE_NOTE, kind="note"), Figures(figures, legend)]
         ),
@@ -70,7 +72,7 @@ def bench_html(bench: Bench) -> str:
     return html_document(
         title="Run time against error",
         name="bench",
-        verdict=[Answer("", "", answers(bench)[:1])],
+        verdict=[Answer("", "", [f"{question}: {'; '.join(f'{mesh}: {a}' for mesh, a in lead.items())}."])],
         counts=[(f"{len(bench.entries)} measurements", "")],
         models=legend,
         sections=[written(section) for section in sections],
@@ -102,6 +104,11 @@ def pareto_plot(entries: Sequence[Entry], numbers: dict[str, int], salt: str) ->
         percent_axis(axes, [e.error for e in usable])
     told = [f"{e.model} {seconds(median(e.frame_local))} at {short_percent(e.error)}" for e in usable]
     return plot.drawn(f"Run time against displacement error: {listed(told)}.")
+
+
+def _answers(told: Sequence[dict[str, str]]) -> Table:
+    columns = [Column("" if title == "question" else title, numeric=False) for title in told[0]]
+    return Table("answers", "", columns, [[Cell(text) for text in row.values()] for row in told])
 
 
 def _table(bench: Bench, numbers: dict[str, int]) -> Table:

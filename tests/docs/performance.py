@@ -76,25 +76,23 @@ def section(bench: Bench) -> str:
         f"{machine['rounds']} rounds, which a round is off by {100 * typical:.0f} % in the median and by "
         f"{100 * largest:.0f} % at most; {sizes}. Errors are in the displacement, ± the reference's own. "
         "[Every model on every mesh](results/gallery/bench.html).\n\n"
-        "| body | model | set-up | frame, all nodes | frame, contact | re-cut | memory | error |\n"
-        "| --- | --- | --- | --- | --- | --- | --- | --- |\n"
     )
+    told = answers(bench)
+    text += marked.table(list(told[0]), [list(row.values()) for row in told]) + "\n"
+    lines = []
     for e in [e for body in bodies for e in body if e.model in SHOWN]:
-        times = (seconds(median(values)) for values in (e.setup, e.frame_all, e.frame_local, e.recut))
+        times = [seconds(median(values)) for values in (e.setup, e.frame_all, e.frame_local, e.recut)]
         error = f"{100 * e.error:.3g} % ± {100 * e.bar:.2g} %"
-        text += f"| {e.body} | {e.model} | {' | '.join(times)} | {e.peak_bytes / 1e6:.0f} MB | {error} |\n"
-    told = "".join(f"- {line}\n" for line in answers(bench))
-    return f"{text}\n{told}\n{growth(bench)}"
+        lines.append([e.body, e.model, *times, f"{e.peak_bytes / 1e6:.0f} MB", error])
+    text += marked.table(
+        ["body", "model", "set-up", "frame, all nodes", "frame, contact", "re-cut", "memory", "error"], lines
+    )
+    return f"{text}\n{growth(bench)}"
 
 
 def growth(bench: Bench) -> str:
     """How costs grow: those of the sparse surface models on spheres, those of the others on the first body."""
-    lines = [
-        "Growth with the surface nodes n, by least squares over four sizes or more; and the cost at the largest:\n",
-        "\n",
-        "| model | surface nodes | set-up | frame, all nodes | memory |\n",
-        "| --- | --- | --- | --- | --- |\n",
-    ]
+    lines = []
     found = {g.what: g for g in bench.growths}
     for model in dict.fromkeys(what.rpartition(" ")[0] for what in found):
         parts = [found[f"{model} {what}"] for what in ("set-up", "frame", "fill")]
@@ -105,17 +103,20 @@ def growth(bench: Bench) -> str:
         for g in model_growths(bench)
         if g.body == body and g.model in GROWN
     ]
-    return "".join(lines)
+    return (
+        "Growth with the surface nodes n, by least squares over four sizes or more; and the cost at the largest:"
+        f"\n\n{marked.table(['model', 'surface nodes', 'set-up', 'frame, all nodes', 'memory'], lines)}"
+    )
 
 
-def _grown(model: str, parts: list[Growth | None] | tuple[Growth | None, ...]) -> str:
+def _grown(model: str, parts: list[Growth | None] | tuple[Growth | None, ...]) -> list[str]:
     known = [part for part in parts if part]
     least, most = min(part.nodes[0] for part in known), max(part.nodes[-1] for part in known)
     cells = [
         f"n^{part.exponent:.2f}, {_amount(float(part.values[-1]), part.unit)}" if part else "–"
         for part in parts
     ]
-    return f"| {model} | {int(least):,} to {int(most):,} | {' | '.join(cells)} |\n"
+    return [model, f"{int(least):,} to {int(most):,}", *cells]
 
 
 def _amount(value: float, unit: str) -> str:
