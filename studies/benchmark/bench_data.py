@@ -167,15 +167,14 @@ def answers(bench: Bench) -> list[dict[str, str]]:
     finest = {mesh[0]: mesh for mesh in bench.meshes()}.values()
     asked: dict[str, Callable[[Sequence[Entry]], str]] = {}
     for limit in (0.1, 0.25):
-        error = f"error at most {100 * limit:g} %"
-        asked[f"{error}: fastest frame"] = partial(_fastest, limit=limit, cut=False)
-        asked[f"{error}: fastest re-cut"] = partial(_fastest, limit=limit, cut=True)
+        error = f"at an error of at most {100 * limit:g} %"
+        asked[f"Fastest frame {error}"] = partial(_fastest, limit=limit, cut=False)
+        asked[f"Fastest re-cut {error}"] = partial(_fastest, limit=limit, cut=True)
     for time in (1e-3, 1 / 60):  # a frame of haptics and one of graphics
-        asked[f"{seconds(time)} a frame: most accurate"] = partial(_most_accurate, time=time, cut=False)
-        asked[f"{seconds(time)} a frame, cut in each: most accurate"] = partial(
-            _most_accurate, time=time, cut=True
-        )
-    asked["cheaper than fem-condensed, re-cut and frames together"] = _against_condensed
+        most = f"Most accurate at {seconds(time)} a frame"
+        asked[most] = partial(_most_accurate, time=time, cut=False)
+        asked[f"{most} with a re-cut in each"] = partial(_most_accurate, time=time, cut=True)
+    asked["Cheaper than fem-condensed, re-cut and frames together"] = _against_condensed
     usable = {
         f"{mesh[0]}, {mesh[1]:,} nodes": [
             e for e in bench.on(mesh) if math.isfinite(e.error) and median(e.frame_local) > 0.0
