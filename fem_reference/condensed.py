@@ -21,7 +21,6 @@ from fem_reference.linear_algebra import BATCH
 from fem_reference.loads import check_loads, gather_to_vertices, prescribed_nodes
 from fem_reference.memory import available_memory
 from fem_reference.mesh import facet_quadrature, triangle_p2
-from fem_reference.outputs import mean_pressure
 from fem_reference.solution import CONVERGED, Solution, SolverError, Status, check_outputs
 
 Array = NDArray[np.float64]
@@ -275,7 +274,7 @@ class CondensedProblem:
             u[:, mesh.surface_nodes],
             np.einsum("sck,ck->sc", u[:, self.nodes[self.pushed]], self.directions),
             reaction,
-            mean_pressure(self.problem, fields),
+            self.problem.mean_pressure(fields),
             np.einsum("n,snk->sk", self._unit_weight, u),
             np.einsum("snk,mnk->sm", fields.reaction, self._moved_nodes),
         )

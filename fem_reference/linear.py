@@ -149,6 +149,10 @@ class LinearProblem:
         self.solver: Solver = choose_solver(self.system, solver, expected_loads, memory_limit)
         self.seconds_setup = time.perf_counter() - start
 
+    def mean_pressure(self, fields: Fields) -> Array:
+        """(S,) volume mean of -tr(stress)/3 [Pa]."""
+        return mean_pressure(self.system, self.shear_modulus, fields.displacement, fields.pressure)
+
     @cached_property
     def condition(self) -> float:
         """Condition number of the system, estimated by about a dozen solves: see `fem_reference.condition`."""
@@ -209,7 +213,7 @@ class LinearProblem:
             scalars["condition_estimate"] = np.full(len(forces), self.condition)
         return Solution(
             displacement=np.ascontiguousarray(fields.displacement[:, self.mesh.surface_nodes]),
-            fluid_pressure=mean_pressure(self, fields),
+            fluid_pressure=self.mean_pressure(fields),
             reaction_force=gather_to_vertices(self.mesh, fields.reaction),
             energy=0.5 * (work + reaction_work),
             iterations=fields.iterations,

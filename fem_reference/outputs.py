@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 from numpy.typing import NDArray
 from skfem.quadrature import get_quadrature
@@ -12,9 +10,7 @@ from skfem.refdom import RefTet
 from fem_reference.assembly import tetrahedron_quadrature
 from fem_reference.mesh import TetMesh
 from fem_reference.recovery import StrainRecovery, displacement_gradient
-
-if TYPE_CHECKING:
-    from fem_reference.linear import Fields, LinearProblem
+from fem_reference.system import LinearSystem
 
 Array = NDArray[np.float64]
 
@@ -28,24 +24,21 @@ OUTPUTS = {
 }
 
 
-def mean_pressure(problem: LinearProblem, fields: Fields) -> Array:
-    """(S,) volume mean of -tr(stress)/3 [Pa]."""
-    mesh = problem.mesh
+def mean_pressure(system: LinearSystem, shear_modulus: float, displacement: Array, pressure: Array) -> Array:
+    """(S,) volume mean of -tr(stress)/3 [Pa], of fields (S, n_nodes, 3) [m] and (S, n) [Pa]."""
+    mesh = system.mesh
     # The volume integral of grad u is that of u x n over the surface, exact for the P1 and P2 traces.
     share = np.repeat([0.0, 1.0 / 3.0], 3) if mesh.order == 2 else np.full(3, 1.0 / 3.0)
-    trace = np.einsum("sfni,n->sfi", fields.displacement[:, mesh.facet_nodes], share)
+    trace = np.einsum("sfni,n->sfi", displacement[:, mesh.facet_nodes], share)
     gradient: Array = np.einsum("sfi,fj->sij", trace, mesh.area_vectors) / mesh.volume
     dilation: Array = np.einsum("sii->s", gradient)
-    if problem.system.mixed:
-        means = fields.pressure[:, mesh.tetrahedra].mean(axis=2)
-        pressure = means @ mesh.volumes / mesh.volume - problem.shear_modulus * dilation / 1.5
-    else:
-        pressure = -problem.youngs_modulus / (3.0 * (1.0 - 2.0 * problem.poisson_ratio)) * dilation
-    fibres = problem.system.fibres
-    if fibres is not None:
-        tension = np.einsum("ij,sij->s", fibres, gradient) * np.trace(fibres)
-        pressure = pressure - problem.shear_modulus * tension / 3.0
-    return np.asarray(pressure)
+    mean = -shear_modulus * (system.divergence_coefficient + 2.0 / 3.0) * dilation
+    if system.mixed:
+        mean = mean + pressure[:, mesh.tetrahedra].mean(axis=2) @ mesh.volumes / mesh.volume
+    if system.fibres is not None:
+        tension = np.einsum("ij,sij->s", system.fibres, gradient) * np.trace(system.fibres)
+        mean = mean - shear_modulus * tension / 3.0
+    return np.asarray(mean)
 
 
 def strain_outputs(mesh: TetMesh, displacements: Array, names: frozenset[str]) -> dict[str, Array]:

@@ -18,7 +18,6 @@ from scipy.spatial import cKDTree
 from fem_reference.linear import LinearProblem
 from fem_reference.loads import Load, nodal_forces, prescribed_nodes
 from fem_reference.mesh import TetMesh, facet_quadrature, triangle_p2
-from fem_reference.outputs import mean_pressure
 from fem_reference.solution import CONVERGED, Solution, Status
 
 from ..metrics import facet_area_vectors
@@ -170,7 +169,7 @@ def _frame(scene: Scene, problem: LinearProblem, transfer: Transfer, factor: flo
     residual = float(fields.residual[0])
     return _Frame(
         displacement=displacement,
-        pressure=float(mean_pressure(problem, fields)[0]),
+        pressure=float(problem.mean_pressure(fields)[0]),
         reaction=_reaction(scene, problem, fields.reaction[0]),
         energy=0.5 * float(work),
         residual=residual,
