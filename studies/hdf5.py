@@ -3,7 +3,7 @@
 A file is built in memory, because HDF5 crashes the process on a full disk. Its last bytes hold the SHA-256 of all
 before them, checked before HDF5 sees the file.
 
-HDF5 takes some 50 microseconds for each object and attribute, and a case has hundreds, of which only the numbers
+HDF5 takes some 50 microseconds for each object and attribute, and a case has fifty, of which only the numbers
 differ from those of the case before it. So the file without its numbers, the skeleton, is made once for all files
 of one structure, and the numbers are put where HDF5 says that they belong. For the same reason all of this is in
 h5py's low-level interface, which takes a quarter of the time of the other.
@@ -12,9 +12,9 @@ h5py's low-level interface, which takes a quarter of the time of the other.
 from __future__ import annotations
 
 import hashlib
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import lru_cache
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
@@ -118,7 +118,7 @@ def _structure(entry: Group | Data) -> tuple[Any, ...]:
         return (entry.path, *((name, _kind(value)) for name, value in entry.attributes.items()))
     values = entry.values
     attributes = tuple(entry.attributes.items())
-    return (entry.path, values.dtype.str, values.shape, _compressed(values), attributes, entry.labels)
+    return (entry.path, values.dtype, values.shape, _compressed(values), attributes, entry.labels)
 
 
 def _kind(value: Any) -> tuple[Any, ...]:
@@ -192,6 +192,7 @@ def _fill(attribute: Any, value: Any) -> None:
 def _in_memory(image: bytes = b"") -> Any:
     access = h5p.create(h5p.FILE_ACCESS)
     access.set_fapl_core(1 << 16, False)
+    access.set_fclose_degree(h5f.CLOSE_STRONG)  # and with it whatever is open in it
     access.set_libver_bounds(h5f.LIBVER_V110, h5f.LIBVER_V110)
     if image:
         access.set_file_image(image)
@@ -222,15 +223,16 @@ class Stored:
         StoreError
             damaged, of a newer schema, or with a link: an external one could read other files of the machine.
         """
-        self._file, self._image = _open(path)
-        self._opened: dict[str, Any] = {}  # arrays that need no opening to be read, for their attributes
+        self._file = _open(path)
         try:
-            self._objects = _objects(self._file, self._image, path)
+            self._objects = _objects(self._file, path)
             found = int(self.number("case", "schema")) if "case" in self._objects else 0
             if found > schema:
                 raise StoreError(
                     f"{path}: schema {found} is newer than this program's {schema}; update vdmbench"
                 )
+            if found < schema:
+                raise StoreError(f"{path}: schema {found} is older than this program's {schema}; run again")
         except BaseException:
             self._file.close()
             raise
@@ -245,8 +247,6 @@ class Stored:
 
     def close(self) -> None:
         """Let go of the file."""
-        self._objects.clear()
-        self._opened.clear()
         self._file.close()
 
     def __contains__(self, path: str) -> bool:
@@ -255,7 +255,7 @@ class Stored:
     def members(self, path: str) -> list[str]:
         """Names of what a group holds, in the order in which it was written."""
         names: list[str] = []
-        group = self._object(path)
+        group = self._objects[path]
         if not isinstance(group, h5g.GroupID):
             raise KeyError(path)
         group.links.iterate(lambda name: names.append(name.decode()), idx_type=h5.INDEX_CRT_ORDER)
@@ -263,11 +263,17 @@ class Stored:
 
     def floats(self, path: str) -> NDArray[np.float64]:
         """An array of double precision."""
-        return self._numbers(path, np.dtype(np.float64), h5t.NATIVE_DOUBLE)
+        return self._read(path, np.dtype(np.float64), h5t.NATIVE_DOUBLE)
 
     def integers(self, path: str) -> NDArray[np.int64]:
         """An array of whole numbers."""
-        return self._numbers(path, np.dtype(np.int64), h5t.NATIVE_INT64)
+        return self._read(path, np.dtype(np.int64), h5t.NATIVE_INT64)
+
+    def table(self, path: str) -> dict[str, NDArray[np.float64]]:
+        """The columns of a table of numbers by name."""
+        kind = self._dataset(path).dtype
+        rows = self._read(path, kind, _in_memory_type(kind))
+        return {name: rows[name].astype(np.float64) for name in kind.names or ()}
 
     def texts(self, path: str) -> Any:
         """A text, or nested lists of texts."""
@@ -277,23 +283,17 @@ class Stored:
     def number(self, path: str, name: str) -> float:
         """An attribute that is a number."""
         value = np.empty(())
-        h5a.open(self._object(path), name.encode()).read(value, mtype=h5t.NATIVE_DOUBLE)
+        h5a.open(self._objects[path], name.encode()).read(value, mtype=h5t.NATIVE_DOUBLE)
         return float(value)
 
     def text(self, path: str, name: str, default: str | None = None) -> str:
         """An attribute that is a text."""
-        owner = self._object(path)
+        owner = self._objects[path]
         if default is not None and not h5a.exists(owner, name.encode()):
             return default
         value = np.empty((), dtype=object)
         h5a.open(owner, name.encode()).read(value, mtype=_STRING)
         return str(_decoded(value[()]))
-
-    def _numbers(self, path: str, kind: np.dtype[Any], stored: Any) -> Any:
-        found = self._objects[path]
-        if isinstance(found, _Plain) and found.kind.kind == kind.kind:
-            return found.read(self._image).astype(kind)
-        return self._read(path, kind, stored)
 
     def _read(self, path: str, kind: np.dtype[Any], stored: Any) -> Any:
         dataset = self._dataset(path)
@@ -302,18 +302,15 @@ class Stored:
         return values
 
     def _dataset(self, path: str) -> Any:
-        found = self._object(path)
+        found = self._objects[path]
         if not isinstance(found, h5d.DatasetID):
             raise KeyError(path)
         return found
 
-    def _object(self, path: str) -> Any:
-        found = self._objects[path]
-        if isinstance(found, _Plain):
-            found = self._opened.get(path)
-            if found is None:
-                found = self._opened[path] = h5o.open(self._file, path.encode())
-        return found
+
+@lru_cache(maxsize=64)
+def _in_memory_type(kind: np.dtype[Any]) -> Any:
+    return h5t.py_create(kind)
 
 
 def _decoded(values: Any) -> Any:
@@ -322,7 +319,7 @@ def _decoded(values: Any) -> Any:
     return values.decode("utf-8", "surrogateescape") if isinstance(values, bytes) else str(values)
 
 
-def _open(path: Path) -> tuple[Any, bytes]:
+def _open(path: Path) -> Any:
     if not path.is_file():
         what = "is not a file; remove it and run again" if path.exists() else "no such file"
         raise StoreError(f"{path}: {what}")
@@ -335,73 +332,29 @@ def _open(path: Path) -> tuple[Any, bytes]:
     if trailer != TRAILER + digest + b"\n":
         raise StoreError(f"{path}: damaged (its SHA-256 does not match); delete it and run again")
     try:
-        return h5f.open(b"case.h5", h5f.ACC_RDONLY, fapl=_in_memory(image)), image
+        return h5f.open(b"case.h5", h5f.ACC_RDONLY, fapl=_in_memory(image))
     except OSError as error:
         raise StoreError(f"{path}: not an HDF5 file ({error}); delete it and run again") from error
 
 
-@dataclass(frozen=True)
-class _Plain:
-    """An array of numbers that lies in one piece of the file, as it is in memory."""
-
-    place: int
-    kind: np.dtype[Any]
-    shape: tuple[int, ...]
-
-    def read(self, image: bytes) -> NDArray[Any]:
-        count = math.prod(self.shape)
-        return np.frombuffer(image, self.kind, count, self.place).reshape(self.shape)
-
-
-# A dataset's header says all of it but its numbers, so that the same header is the same array: HDF5, which
-# takes 100 microseconds for an array, is asked once for all files of one structure.
-_plain: dict[bytes, _Plain] = {}  # by the bytes of its header
-_header_bytes: dict[int, int] = {}  # place of a header -> its length, of the latest that HDF5 was asked for
-_MOST_PLAIN = 1 << 14
-
-
-def _objects(file: Any, image: bytes, path: Path) -> dict[str, Any]:
+def _objects(file: Any, path: Path) -> dict[str, Any]:
     """Everything in a file by its path. Raises StoreError for a link, followed by nobody, and for outside data."""
-    places: dict[bytes, int] = {}
+    names: list[bytes] = []
 
     def see(name: bytes, link: Any) -> bytes | None:
-        places[name] = link.u
+        names.append(name)
         return None if link.type == h5l.TYPE_HARD else name
 
     linked = file.links.visit(see, info=True)
     if linked is not None:
         name = linked.decode(errors="replace")
         raise StoreError(f"{path}: holds a link (/{name}), which a result file never does")
-    objects: dict[str, Any] = {}
-    for name, place in places.items():
-        item = _plain.get(image[place : place + _header_bytes.get(place, 0)])
-        if item is None:
-            item = h5o.open(file, name)
-            if isinstance(item, h5d.DatasetID):
-                where = item.get_offset()
-                # what has a place in the file is not outside it
-                if where is None and _is_outside(item):
-                    raise StoreError(
-                        f"{path}: /{name.decode(errors='replace')} is stored outside the file, "
-                        "which a result file never does"
-                    )
-                _remember(item, place, where, image)
-        objects[name.decode(errors="replace")] = item
+    objects = {name.decode(errors="replace"): h5o.open(file, name) for name in names}
+    for name, item in objects.items():
+        # what has a place in the file is not outside it
+        if isinstance(item, h5d.DatasetID) and item.get_offset() is None and _is_outside(item):
+            raise StoreError(f"{path}: /{name} is stored outside the file, which a result file never does")
     return objects
-
-
-def _remember(dataset: Any, place: int, where: int | None, image: bytes) -> None:
-    """Keep what a header says, where it is in one piece and so are the numbers, which are as they are in memory."""
-    about, kind = h5o.get_info(dataset), dataset.dtype
-    if where is None or about.hdr.nchunks != 1 or kind.kind not in "iuf" or not kind.isnative:
-        return
-    if dataset.get_create_plist().get_layout() != h5d.CONTIGUOUS or dataset.get_type().committed():
-        return
-    if len(_plain) >= _MOST_PLAIN:
-        _plain.clear()
-    length = about.hdr.space.total  # read from `about`, which has to be there as long
-    _header_bytes[place] = length
-    _plain[image[place : place + length]] = _Plain(where, kind, dataset.shape)
 
 
 def _is_outside(dataset: Any) -> bool:

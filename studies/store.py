@@ -31,12 +31,12 @@ from .hdf5 import Data, Entry, Group, Stored, StoreError, Text, sealed
 from .metrics import METRICS
 from .metrics_table import metric_rows, metrics_csv
 
-SCHEMA = 1
+SCHEMA = 2
 STUDY_FILE = "study.h5"
 CASE_SUFFIX = ".vtkhdf"
 _VTK_TRIANGLE = 5
 
-# per-model (S,) arrays that are stored as they are, with their units
+# the columns of a model's table of steps that every model has, with their units
 _SERIES = {
     "fluid_pressure": "Pa",
     "energy": "J",
@@ -44,6 +44,19 @@ _SERIES = {
     "iterations": "1",
     "seconds_per_step": "s",
 }
+# what is not in arrays: of a case, of a model, of a metric
+_ABOUT_CASE = (
+    "label",
+    "reference",
+    "swept",
+    "swept_units",
+    "resolved",
+    "provenance",
+    "reference_error",
+    "mesh_quality",
+)
+_ABOUT_MODEL = ("seconds_setup", "peak_bytes", "version", "key", "parameters")
+_ABOUT_METRIC = ("unit", "definition", "version")
 # of a small-strain limit, besides the load itself
 _LIMIT_UNITS = {"threshold": "1", "bar": "1", "indentation": "m", "strain": "1"}
 
@@ -66,7 +79,7 @@ def read_case(path: Path, expected: str | None = None) -> CaseResult:
             if expected not in (None, file.text("case", "hash")):
                 raise ValueError("it holds another case")
             return _read_case(file)
-        except (KeyError, ValueError, TypeError, OSError) as error:
+        except (KeyError, ValueError, TypeError, AttributeError, OSError) as error:
             raise StoreError(
                 f"{path}: not readable as a case file ({error}); delete it and run again"
             ) from error
@@ -157,8 +170,9 @@ def result_keys(path: Path) -> dict[str, str]:
     """Model name -> content key of the results in a case file; nothing where it cannot be read."""
     try:
         with Stored(path, SCHEMA) as file:
-            return {name: file.text(f"models/{name}", "key", "") for name in file.members("models")}
-    except (StoreError, KeyError):
+            about = json.loads(file.texts("case/about"))["models"]
+            return {name: str(model["key"]) for name, model in about.items()}
+    except (StoreError, KeyError, TypeError, AttributeError, ValueError):
         return {}
 
 
@@ -204,30 +218,21 @@ def failure_path(directory: Path, case_hash: str) -> Path:
 
 
 def _case_entries(case: CaseResult) -> list[Entry]:
+    """Numbers in arrays and tables, all else in one text: HDF5 takes its time for each object, however small."""
+    metrics = {name: entry for series in case.metrics.values() for name, entry in series.items()}
+    about = {
+        **{name: getattr(case, name) for name in _ABOUT_CASE},
+        "models": {name: _about_model(model) for name, model in case.models.items()},
+        "metrics": {name: {key: getattr(m, key) for key in _ABOUT_METRIC} for name, m in metrics.items()},
+    }
     return [
         *_vtk_entries(case),
         Group("case", {"schema": SCHEMA, "hash": case.hash}),
-        *(
-            Text(f"case/{name}", text)
-            for name, text in {
-                "label": case.label,
-                "reference": case.reference or "",
-                "resolved": _json(case.resolved),
-                "swept": _json(case.swept),
-                "swept_units": _json(case.swept_units),
-                "provenance": _json(case.provenance),
-                "reference_error": _json(case.reference_error),
-                "mesh_quality": _json(case.mesh_quality),
-            }.items()
-        ),
+        Text("case/about", json.dumps(about, default=_plain)),
         Group("models"),
-        *(entry for name, model in case.models.items() for entry in _model_entries(f"models/{name}", model)),
+        *(_steps_table(f"models/{name}", model) for name, model in case.models.items()),
         Group("metrics", {"versions": _metric_versions()}),
-        *(
-            entry
-            for name, series in case.metrics.items()
-            for entry in _metric_entries(f"metrics/{name}", series)
-        ),
+        *(_metrics_table(f"metrics/{name}", series) for name, series in case.metrics.items() if series),
         *(_limits_entries(case.small_strain) if case.small_strain is not None else ()),
     ]
 
@@ -274,38 +279,20 @@ def _vtk_entries(case: CaseResult) -> list[Entry]:
     return entries
 
 
-def _model_entries(path: str, model: ModelResult) -> list[Entry]:
-    about = {
-        "seconds_setup": model.seconds_setup,
-        "peak_bytes": model.peak_bytes,
-        "version": model.version,
-        "key": model.key,
-        "point_fields": _json(list(model.point_fields)),
-    }
-    return [
-        Group(path, about),
-        *(_data(f"{path}/{name}", getattr(model, name), unit) for name, unit in _SERIES.items()),
-        Text(f"{path}/status", [[s.code, s.message, s.remedy] for s in model.status]),
-        Text(f"{path}/parameters", _json(model.parameters)),
-        Group(f"{path}/scalars"),
-        *(_data(f"{path}/scalars/{name}", values, "1") for name, values in model.scalars.items()),
-    ]
+def _about_model(model: ModelResult) -> dict[str, Any]:
+    status = [[s.code, s.message, s.remedy] for s in model.status]
+    further = {"status": status, "point_fields": list(model.point_fields)}
+    return {name: getattr(model, name) for name in _ABOUT_MODEL} | further
 
 
-def _metric_entries(path: str, series: Mapping[str, MetricSeries]) -> list[Entry]:
-    return [
-        Group(path),
-        *(_metric_data(f"{path}/{metric}", entry.values, entry) for metric, entry in series.items()),
-    ]
+def _steps_table(path: str, model: ModelResult) -> Data:
+    columns = {name: getattr(model, name) for name in _SERIES} | dict(model.scalars)
+    return _table(path, columns, {name: _SERIES.get(name, "1") for name in columns})
 
 
-def _metric_data(path: str, values: NDArray[Any], about: MetricSeries, labels: tuple[str, ...] = ()) -> Data:
-    return Data(
-        path,
-        values,
-        {"unit": about.unit, "definition": about.definition, "version": about.version},
-        labels,
-    )
+def _metrics_table(path: str, series: Mapping[str, MetricSeries]) -> Data:
+    columns = {name: metric.values for name, metric in series.items()}
+    return _table(path, columns, {name: metric.unit for name, metric in series.items()})
 
 
 def _limits_entries(found: SmallStrainLimits) -> list[Entry]:
@@ -346,71 +333,47 @@ def _read_case(file: Stored) -> CaseResult:
     load_factors = file.floats("VTKHDF/Steps/Values")
     shape = (len(load_factors), len(points))
 
-    def text(name: str) -> str:
-        return str(file.texts(f"case/{name}"))
-
     def per_step(name: str) -> NDArray[np.float64]:
         values = file.floats(f"VTKHDF/PointData/{name}")
         return values.reshape(*shape, *values.shape[1:])
 
-    fields = file.members("VTKHDF/PointData")
+    about = json.loads(file.texts("case/about"))
     return CaseResult(
         hash=file.text("case", "hash"),
-        label=text("label"),
-        swept=json.loads(text("swept")),
-        swept_units=json.loads(text("swept_units")),
-        resolved=json.loads(text("resolved")),
-        provenance=json.loads(text("provenance")),
+        **{name: about[name] for name in _ABOUT_CASE},
         points=points,
         triangles=file.integers("VTKHDF/Connectivity").reshape(-1, 3),
         load_factors=load_factors,
         regions={
             name.removeprefix("region."): file.integers(f"VTKHDF/PointData/{name}").astype(bool)
-            for name in fields
+            for name in file.members("VTKHDF/PointData")
             if name.startswith("region.")
         },
-        models={name: _read_model(file, name, per_step) for name in file.members("models")},
-        metrics=_read_metrics(file),
-        reference=text("reference") or None,
-        reference_error=json.loads(text("reference_error")),
-        mesh_quality=json.loads(text("mesh_quality")),
+        models={name: _read_model(file, name, model, per_step) for name, model in about["models"].items()},
+        metrics={name: _read_metrics(file, f"metrics/{name}", about["metrics"]) for name in about["models"]},
         small_strain=_read_limits(file) if "limits" in file else None,
     )
 
 
-def _read_model(file: Stored, name: str, per_step: Callable[[str], NDArray[np.float64]]) -> ModelResult:
-    path = f"models/{name}"
+def _read_model(
+    file: Stored, name: str, about: Mapping[str, Any], per_step: Callable[[str], NDArray[np.float64]]
+) -> ModelResult:
+    steps: dict[str, Any] = dict(file.table(f"models/{name}"))
     return ModelResult(
         displacement=per_step(f"{name}.displacement"),
         reaction_force=per_step(f"{name}.reaction_force"),
-        **{series: file.floats(f"{path}/{series}") for series in _SERIES if series != "iterations"},
-        iterations=file.integers(f"{path}/iterations"),
-        status=tuple(StepStatus(*row) for row in file.texts(f"{path}/status")),
-        seconds_setup=file.number(path, "seconds_setup"),
-        peak_bytes=int(file.number(path, "peak_bytes")),
-        version=file.text(path, "version"),
-        key=file.text(path, "key", ""),
-        parameters=json.loads(file.texts(f"{path}/parameters")),
-        scalars={
-            scalar: file.floats(f"{path}/scalars/{scalar}") for scalar in file.members(f"{path}/scalars")
-        },
-        point_fields={f: per_step(f"{name}.{f}") for f in json.loads(file.text(path, "point_fields"))},
+        **{series: steps.pop(series) for series in _SERIES if series != "iterations"},
+        iterations=steps.pop("iterations").astype(np.int64),
+        status=tuple(StepStatus(*row) for row in about["status"]),
+        **{key: about[key] for key in _ABOUT_MODEL},
+        scalars=steps,
+        point_fields={field: per_step(f"{name}.{field}") for field in about["point_fields"]},
     )
 
 
-def _read_metrics(file: Stored) -> dict[str, dict[str, MetricSeries]]:
-    """A metric is one thing in a file: its unit, definition and version are read once, for all models."""
-    about: dict[str, tuple[str, str, int]] = {}
-    found: dict[str, dict[str, MetricSeries]] = {}
-    for name in file.members("metrics"):
-        found[name] = {}
-        for metric in file.members(f"metrics/{name}"):
-            path = f"metrics/{name}/{metric}"
-            if metric not in about:
-                unit, definition = (file.text(path, key) for key in ("unit", "definition"))
-                about[metric] = unit, definition, int(file.number(path, "version"))
-            found[name][metric] = MetricSeries(file.floats(path), *about[metric])
-    return found
+def _read_metrics(file: Stored, path: str, about: Mapping[str, Any]) -> dict[str, MetricSeries]:
+    table = file.table(path) if path in file else {}
+    return {name: MetricSeries(values, **about[name]) for name, values in table.items()}
 
 
 # --- a whole study ---
@@ -446,8 +409,14 @@ def _study_entries(run: Run) -> list[Entry]:
         about[model, metric] = series
     entries += [Group(f"metrics/{model}") for model in dict.fromkeys(model for model, _ in tables)]
     entries += [
-        _metric_data(f"metrics/{model}/{metric}", table, about[model, metric], ("case", "step"))
+        Data(
+            f"metrics/{model}/{metric}",
+            table,
+            {"unit": entry.unit, "definition": entry.definition, "version": entry.version},
+            ("case", "step"),
+        )
         for (model, metric), table in tables.items()
+        for entry in (about[model, metric],)
     ]
     return entries
 
@@ -457,6 +426,16 @@ def _study_entries(run: Run) -> list[Entry]:
 
 def _data(path: str, values: NDArray[Any], unit: str) -> Data:
     return Data(path, np.asarray(values), {"unit": unit})
+
+
+def _table(path: str, columns: Mapping[str, NDArray[Any]], units: Mapping[str, str]) -> Data:
+    """Columns of (S,) numbers by name as one array of S rows."""
+    rows = np.empty(
+        len(next(iter(columns.values()))), [(name, values.dtype) for name, values in columns.items()]
+    )
+    for name, values in columns.items():
+        rows[name] = values
+    return Data(path, rows, {"units": _json(units)})
 
 
 def _json(value: Mapping[str, Any] | Sequence[Any]) -> str:

@@ -11,9 +11,9 @@ import numpy as np
 from ..files import write_atomically
 from ..hdf5 import Data, Group, Stored, StoreError, Text, sealed
 from ..hdf5 import Entry as StoredEntry
-from ..store import SCHEMA
 from .bench_data import Bench, Entry, Growth
 
+SCHEMA = 1
 _SERIES = ("setup", "frame_all", "frame_local", "columns", "recut")  # (rounds,) [s]
 _RATIOS = ("ratio_setup", "ratio_frame")
 _NUMBERS = {

@@ -19,8 +19,14 @@ from studies.hdf5 import Data, Entry, Group, Stored, StoreError, Text, sealed
 
 @pytest.fixture(autouse=True)
 def no_skeletons(monkeypatch: pytest.MonkeyPatch) -> None:
-    for kept in ("_skeletons", "_plain", "_header_bytes"):
-        monkeypatch.setattr(hdf5, kept, {})
+    monkeypatch.setattr(hdf5, "_skeletons", {})
+
+
+def table(rng: np.random.Generator, rows: int) -> np.ndarray:
+    """Columns of numbers; of zeros mostly, as a large array that is compressed has them."""
+    values = np.zeros(rows, [("length", "f8"), ("of seed", "i8")])
+    values["length"][-1], values["of seed"] = rng.normal(), rng.integers(0, 2, rows)
+    return values
 
 
 def entries(seed: int, rows: int = 3, name: str = "first") -> list[Entry]:
@@ -36,6 +42,7 @@ def entries(seed: int, rows: int = 3, name: str = "first") -> list[Entry]:
         Data("data/dense", rng.normal(size=(3000, 3)), {"unit": "m"}),
         Data("data/sparse", sparse, {"unit": "N"}),
         Data("data/counts", rng.integers(0, 9, (2, rows)), {}, ("case", "step")),
+        Data("data/table", table(rng, rows), {"units": "m, 1"}),
         Data("data/mask", rng.integers(0, 2, 5).astype(np.int8)),
         Data("data/empty", np.zeros((0, 3)), {"unit": "m"}),
         Text("data/states", [["ok", "", f"é{seed}"], ["bad", "why\n", ""]]),
@@ -124,8 +131,15 @@ def test_what_is_read_is_what_was_listed(tmp_path: Path) -> None:
         ]
         for entry in wanted:
             if isinstance(entry, Data):
-                read = stored.floats if entry.values.dtype == float else stored.integers
-                assert_array_equal(read(entry.path), entry.values)
+                if entry.values.dtype.names:
+                    read = stored.table(entry.path)
+                    assert list(read) == list(entry.values.dtype.names)
+                    for name, values in read.items():
+                        assert_array_equal(values, entry.values[name])
+                        assert values.dtype == float
+                    continue
+                numbers = stored.floats if entry.values.dtype == float else stored.integers
+                assert_array_equal(numbers(entry.path), entry.values)
             elif isinstance(entry, Text):
                 assert stored.texts(entry.path) == entry.values
         assert stored.text("case", "hash") == "77777"
@@ -146,6 +160,7 @@ def test_a_file_that_plain_h5py_wrote_is_read(tmp_path: Path) -> None:
     path = tmp_path / "file.h5"
     values = np.random.default_rng(3).normal(size=(500, 30))
     with h5py.File(path, "w") as file:
+        file.create_group("case").attrs["schema"] = 1
         group = file.create_group("data", track_order=True)
         group.create_dataset("b", data=values, compression="gzip", shuffle=True)
         group["a"] = values.astype(np.float32)
@@ -164,68 +179,23 @@ def test_a_newer_schema_is_refused(tmp_path: Path) -> None:
     path.write_bytes(sealed(entries(1)))
     with pytest.raises(StoreError, match="newer"):
         Stored(path, schema=0)
+    with pytest.raises(StoreError, match="older"):
+        Stored(path, schema=2)
 
 
-def assert_read(path: Path) -> None:
-    """What `Stored` reads is what h5py reads."""
-    with h5py.File(io.BytesIO(path.read_bytes()[: -hdf5.TRAILER_BYTES])) as file, Stored(path, 1) as stored:
-        for name, (_, *content) in tree(file).items():
-            if len(content) > 1 and content[0].kind in "iuf":
-                read = stored.floats if content[0].kind == "f" else stored.integers
-                assert_array_equal(read(name), np.array(content[1]).reshape(file[name].shape), err_msg=name)
-                assert read(name).flags.writeable
+def test_tables_that_differ_in_a_column_s_name_are_of_two_structures() -> None:
+    for name in ("a", "b"):
+        with opened(sealed([Data("table", np.ones(2, [(name, "f8")]))])) as file:
+            assert file["table"].dtype.names == (name,)
 
 
-def test_what_is_known_of_a_file_serves_files_of_its_structure_only(tmp_path: Path) -> None:
-    path = tmp_path / "case.h5"
-    for seed, rows, name in [
-        (1, 3, "first"),
-        (2, 3, "first"),
-        (3, 4, "first"),
-        (4, 3, "other"),
-        (5, 3, "first"),
-    ]:
-        before = len(hdf5._plain)
-        path.write_bytes(sealed(entries(seed, rows, name)))
-        assert_read(path)
-        if seed in (2, 5):
-            assert len(hdf5._plain) == before, "the headers are those of the first file"
-        elif seed in (1, 3):
-            assert len(hdf5._plain) > before
-    assert hdf5._plain
-
-
-def test_a_known_array_is_found_by_its_link_and_its_header(tmp_path: Path) -> None:
-    """The same arrays under each other's names, and one made anew at the place of another."""
-    path = tmp_path / "case.h5"
-
-    def swapped(file: h5py.File) -> None:
-        file.move("data/first", "data/kept")
-        file.move("data/dense", "data/first")
-        file.move("data/kept", "data/dense")
-
-    def anew(file: h5py.File) -> None:
-        del file["data/first"]
-        file["data/first"] = np.arange(3, dtype=np.int32)
-        file["data/big"] = np.arange(3, dtype=">f8")
-
-    for edit in (swapped, anew):
-        content = sealed(entries(1))
-        path.write_bytes(content)
-        assert_read(path)
-        buffer = io.BytesIO(content[: -hdf5.TRAILER_BYTES])
-        with h5py.File(buffer, "r+") as file:
-            edit(file)
-            file.flush()
-            image = file.id.get_file_image()
-        path.write_bytes(image + hdf5.TRAILER + hashlib.sha256(image).hexdigest().encode() + b"\n")
-        assert_read(path)
-
-
-def test_what_is_known_of_headers_is_bounded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(hdf5, "_MOST_PLAIN", 7)
-    path = tmp_path / "case.h5"
-    for rows in range(2, 12):
-        path.write_bytes(sealed(entries(1, rows)))
-        assert_read(path)
-        assert len(hdf5._plain) <= 7
+def test_a_long_table_is_compressed_where_it_is_empty(tmp_path: Path) -> None:
+    path, rng = tmp_path / "file.h5", np.random.default_rng(3)
+    empty, full = (table(rng, 9000) for _ in range(2))
+    empty["of seed"] = 0
+    full["length"] = 1.0
+    path.write_bytes(sealed([Group("case", {"schema": 1}), Data("empty", empty), Data("full", full)]))
+    with opened(path.read_bytes()) as file, Stored(path, schema=1) as stored:
+        assert [file[name].compression for name in ("empty", "full")] == ["gzip", None]
+        for name, values in (("empty", empty), ("full", full)):
+            assert_array_equal(stored.table(name)["length"], values["length"])

@@ -80,11 +80,19 @@ def test_every_array_has_a_unit(tmp_path: Path) -> None:
     path = tmp_path / "case.vtkhdf"
     store.write_case(path, example_case())
     with h5py.File(path) as file:
-        for name in ("VTKHDF/Points", "VTKHDF/PointData/vdm-paper.displacement", "models/vdm-paper/energy"):
-            assert file[name].attrs["unit"] in {"m", "J"}, name
-        for metric in file["metrics/vdm-paper"].values():
-            assert metric.attrs["definition"]
-            assert metric.attrs["version"] >= 1
+        for name in ("VTKHDF/Points", "VTKHDF/PointData/vdm-paper.displacement"):
+            assert file[name].attrs["unit"] == "m", name
+        about = json.loads(file["case/about"][()])["metrics"]
+        for name in ("models/vdm-paper", "metrics/vdm-paper"):
+            units = json.loads(file[name].attrs["units"])
+            assert list(file[name].dtype.names) == sorted(units, key=file[name].dtype.names.index)
+            assert set(units.values()) <= {"m", "J", "Pa", "m^3", "s", "1"}
+        for metric in file["metrics/vdm-paper"].dtype.names:
+            assert about[metric]["definition"]
+            assert about[metric]["version"] >= 1
+        assert (
+            file["models/vdm-paper"]["energy"].tolist() == example_case().models["vdm-paper"].energy.tolist()
+        )
 
 
 @pytest.mark.parametrize("keep", [0, 1, 100, 0.25, 0.5, 0.9, 0.999])
@@ -118,6 +126,16 @@ def _reseal(path: Path, edit: Any) -> None:
     path.write_bytes(image + hdf5.TRAILER + hashlib.sha256(image).hexdigest().encode() + b"\n")
 
 
+def _replace(file: h5py.File, path: str, values: np.ndarray) -> None:
+    del file[path]
+    file[path] = values
+
+
+def _edit_about(file: h5py.File, **changes: Any) -> None:
+    text = json.dumps(json.loads(file["case/about"][()]) | changes)
+    file["case/about"][()] = text
+
+
 @pytest.mark.parametrize(
     ("edit", "message"),
     [
@@ -125,8 +143,17 @@ def _reseal(path: Path, edit: Any) -> None:
         (lambda f: f.__setitem__("case/stolen", h5py.ExternalLink("/etc/hostname", "/x")), "link"),
         (lambda f: f.__setitem__("case/soft", h5py.SoftLink("/models")), "link"),
         (lambda f: f.create_dataset("case/raw", (4,), "u1", external=[("/etc/hostname", 0, 4)]), "outside"),
-        (lambda f: f.__delitem__("case/resolved"), "not readable"),
-        (lambda f: f["models/vdm-paper"].__delitem__("energy"), "not readable"),
+        (lambda f: f["case"].attrs.__setitem__("schema", 1), "older"),
+        (lambda f: f.__delitem__("case/about"), "not readable"),
+        (lambda f: f["case/about"].__setitem__((), "[]"), "not readable"),
+        (lambda f: f["case/about"].__setitem__((), "{"), "not readable"),
+        (lambda f: _edit_about(f, models=[]), "not readable"),
+        (lambda f: _edit_about(f, metrics=[]), "not readable"),
+        (lambda f: f.__delitem__("models/vdm-paper"), "not readable"),
+        (lambda f: (f.__delitem__("models/vdm-paper"), f.create_group("models/vdm-paper")), "not readable"),
+        (lambda f: _replace(f, "models/vdm-paper", np.zeros(3)), "not readable"),
+        (lambda f: _replace(f, "metrics/vdm-paper", np.zeros(3, [("volume_drift", "S3")])), "not readable"),
+        (lambda f: _replace(f, "metrics/vdm-paper", np.zeros(3, [("unheard_of", "f8")])), "not readable"),
     ],
 )
 def test_a_tampered_file_is_refused(tmp_path: Path, edit: Any, message: str) -> None:
