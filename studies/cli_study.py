@@ -52,7 +52,7 @@ def check_verb(options: argparse.Namespace) -> int:
     try:
         study, path = _load(options)
         cases = expand(study)
-        _make_plan(study, cases, None)
+        _check_files(_make_plan(study, cases, None))
     except StudyError as error:
         if options.json:
             problems = [problem._asdict() for problem in error.problems]
@@ -65,6 +65,18 @@ def check_verb(options: argparse.Namespace) -> int:
     return OK
 
 
+def _check_files(plan: Plan) -> None:
+    """Read the files that are still to be meshed. Raises StudyError for those that cannot be used."""
+    from .meshing.mesh import MeshError
+    from .study_file.config import geometry_error
+
+    for mesh in plan.missing_meshes(plan.cases):
+        try:
+            _ = mesh.expected_size
+        except MeshError as error:
+            raise geometry_error(plan.study, str(error)) from error
+
+
 def plan_verb(options: argparse.Namespace) -> int:
     """Print what a run would do, and what it would cost."""
     from .explain import summary
@@ -72,6 +84,7 @@ def plan_verb(options: argparse.Namespace) -> int:
 
     study, _ = _load(options)
     plan = _make_plan(study, expand(study), options.out)
+    _check_files(plan)
     planned = summary(plan)
     if options.json:
         return print_json(planned)
@@ -89,9 +102,7 @@ def plan_verb(options: argparse.Namespace) -> int:
     return OK
 
 
-def _estimate(expected: dict[str, float] | None) -> str:
-    if expected is None:
-        return "estimate: none before the surface is meshed"
+def _estimate(expected: dict[str, float]) -> str:
     return (
         f"estimate: {expected['seconds']:.0f} s on one core, {expected['memory'] / 1e6:.0f} MB a worker, "
         f"{expected['disk'] / 1e6:.1f} MB on disk; each within a factor of {expected['factor']:g}"

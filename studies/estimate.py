@@ -15,7 +15,7 @@ import numpy as np
 from . import models
 from .case import CaseResult
 from .hdf5 import StoreError
-from .meshing.geometry_spec import area_and_volume, estimated_nodes
+from .meshing.mesh import MeshError
 from .meshing.mesh_cache import mesh_path, read_mesh
 from .plan import Plan, PlannedCase, PlannedMesh
 from .store import read_case
@@ -68,7 +68,7 @@ class Estimate:
 
 
 def estimate(plan: Plan, cases: Sequence[PlannedCase]) -> Estimate | None:
-    """What it takes to run these cases; None where a mesh has a size that nobody knows before it is made."""
+    """What it takes to run these cases; None where a file cannot be meshed."""
     sizes: dict[str, Size] = {}
     for key, mesh in plan.meshes.items():
         size = _size(plan, mesh)
@@ -128,14 +128,10 @@ def _size(plan: Plan, mesh: PlannedMesh) -> Size | None:
     cached = read_mesh(mesh_path(plan.cache, mesh.key))
     if cached is not None:
         return Size(len(cached.surface_nodes), len(cached.tetrahedra))
-    if mesh.geometry.shape == "file":
+    try:
+        return Size(*mesh.expected_size)
+    except MeshError:
         return None
-    area, volume = area_and_volume(mesh.geometry)
-    h = mesh.geometry.mesh_size
-    # a tetrahedral mesh with many nodes has about six cells to a node, on the surface about two
-    on_surface = estimated_nodes(area, 0.0, h)
-    inside = max(0.0, estimated_nodes(area, volume, h) - on_surface)
-    return Size(on_surface, 2.6 * on_surface + 6.5 * inside if mesh.volume else 0.0)
 
 
 def _law(name: str, size: Size, loads: int) -> Cost:

@@ -11,7 +11,14 @@ from typing import Any
 
 from . import models
 from .keys import case_hash, load_key, reference_key, result_keys, setup_key, surface_key
-from .meshing.geometry_spec import MAX_NODES, Geometry, area_and_volume, check_node_budget, geometry_key
+from .meshing.geometry_spec import (
+    MAX_NODES,
+    Geometry,
+    area_and_volume,
+    check_node_budget,
+    expected_size,
+    geometry_key,
+)
 from .meshing.mesh_cache import mesh_path
 from .result_cache import reference_path
 from .store import CASE_SUFFIX, case_path, case_state
@@ -46,6 +53,33 @@ class PlannedMesh:
     key: str
     geometry: Geometry
     volume: bool
+
+    @cached_property
+    def expected_size(self) -> tuple[float, float]:
+        """Surface nodes and tetrahedra that it will have, about; a file is read for it, and checked on the way.
+
+        Raises
+        ------
+        MeshError
+            a file that cannot be used.
+        """
+        geometry = self.geometry
+        if geometry.shape != "file":
+            area, inside = area_and_volume(geometry)
+        else:
+            from .meshing.imported import (  # readers are slow to load
+                imported_surface,
+                imported_tetrahedra,
+                named,
+            )
+
+            with named(geometry):
+                if geometry.has_own_tetrahedra:
+                    mesh = imported_tetrahedra(geometry, max_nodes=MAX_NODES)
+                    return float(len(mesh.surface_nodes)), float(len(mesh.tetrahedra) if self.volume else 0)
+                surface = imported_surface(geometry, volume=self.volume, max_nodes=MAX_NODES)
+            area, inside = surface.area, surface.volume
+        return expected_size(area, inside if self.volume else 0.0, geometry.mesh_size)
 
 
 @dataclass(frozen=True)

@@ -16,19 +16,15 @@ from .geometry_spec import (
     MAX_NODES,
     Geometry,
     area_and_volume,
-    check_extent,
     check_geometry,
-    check_mesh_size,
     check_node_budget,
     extents,
 )
+from .imported import centred, imported_surface, imported_tetrahedra, named
 from .intersections import without_intersections
 from .mesh import Array, Index, Mesh, MeshError
-from .mesh_file import check_readable, read_surface, read_tetrahedra
-from .msh_file import read_msh
 from .organ import liver_points
-from .repair import clean_surface, clean_tetrahedra
-from .topology import area_vectors, mesh_from_tetrahedra, mesh_from_triangles, surface_only, surface_volume
+from .topology import mesh_from_tetrahedra, mesh_from_triangles, surface_only, surface_volume
 
 _TRIANGLE, _TETRAHEDRON = 2, 4  # gmsh's element types
 _ORGAN_SUBDIVISIONS = 6  # 40,962 points, far finer than any mesh of it
@@ -67,11 +63,9 @@ def build_mesh(geometry: Geometry, *, volume: bool = True, max_nodes: int = MAX_
     check_geometry(geometry)
     started = time.perf_counter()
     if geometry.shape == "file":
-        try:
+        with named(geometry):
             build = _tetrahedra_of_file if geometry.has_own_tetrahedra else _fill_surface_of_file
             mesh = build(geometry, volume, max_nodes)
-        except MeshError as error:
-            raise MeshError(f"{geometry.path.name}: {error}") from error
     else:
         area, inside = area_and_volume(geometry)
         check_node_budget(area, inside if volume else 0.0, geometry.mesh_size, max_nodes)
@@ -101,53 +95,14 @@ def _organ(geometry: Geometry, volume: bool) -> Mesh:
 
 
 def _fill_surface_of_file(geometry: Geometry, volume: bool, max_nodes: int) -> Mesh:
-    clean = clean_surface(*read_surface(geometry.path))
-    points, factor = _placed(clean.points, geometry)
-    check_mesh_size(geometry.mesh_size, float(np.ptp(points, axis=0).min()))
-    area = float(np.linalg.norm(area_vectors(points, clean.triangles), axis=1).sum())
-    inside = surface_volume(points, clean.triangles) if volume else 0.0
-    check_node_budget(area, inside, geometry.mesh_size, max_nodes)
-    mesh = fill_surface(points, clean.triangles, geometry.mesh_size, volume)
-    repairs = {
-        "scale": factor,
-        "imported_points": float(len(clean.points)),
-        "points_merged": float(clean.points_merged),
-        "points_dropped": float(clean.points_dropped),
-        "facets_dropped": float(clean.facets_dropped),
-        "facets_flipped": float(clean.facets_flipped),
-    }
-    return replace(mesh, quality={**mesh.quality, **repairs})
+    given = imported_surface(geometry, volume=volume, max_nodes=max_nodes)
+    mesh = fill_surface(given.points, given.triangles, geometry.mesh_size, volume)
+    return replace(mesh, quality={**mesh.quality, **given.repairs})
 
 
 def _tetrahedra_of_file(geometry: Geometry, volume: bool, max_nodes: int) -> Mesh:
-    if geometry.path.suffix.lower() == ".msh":
-        check_readable(geometry.path)
-        points, tetrahedra, groups = read_msh(geometry.path)
-    else:
-        points, tetrahedra = read_tetrahedra(geometry.path)
-        groups = {}
-    clean = clean_tetrahedra(points, tetrahedra, groups)
-    if len(clean.points) > max_nodes:
-        raise MeshError(f"has {len(clean.points)} nodes, more than the {max_nodes} allowed; coarsen it")
-    points, factor = _placed(clean.points, geometry)
-    repairs = {
-        "scale": factor,
-        "points_dropped": float(clean.points_dropped),
-        "tetrahedra_turned": float(clean.tetrahedra_turned),
-    }
-    mesh = mesh_from_tetrahedra(points, clean.tetrahedra, groups=clean.groups, quality=repairs)
+    mesh = imported_tetrahedra(geometry, max_nodes=max_nodes)
     return mesh if volume else surface_only(mesh)
-
-
-def _placed(points: Array, geometry: Geometry) -> tuple[Array, float]:
-    """Points of a file scaled to m, with the centre of their bounding box in the origin; and the factor."""
-    extent = float(np.ptp(points, axis=0).max())
-    size = geometry.number("size") if "size" in geometry.parameters else None
-    factor = geometry.number("scale") if "scale" in geometry.parameters else 1.0
-    if size is None:
-        size = factor * extent
-        check_extent(size, "give `size`, its largest extent in metres, or `scale`, the file's unit in metres")
-    return centred(points, size), size / extent
 
 
 def fill_surface(points: Array, triangles: Index, mesh_size: float, volume: bool = True) -> Mesh:
@@ -171,12 +126,6 @@ def fill_surface(points: Array, triangles: Index, mesh_size: float, volume: bool
     if surface_only(mesh).content_hash != surface.content_hash:
         raise MeshError("gmsh changed the surface while it filled it; use another mesh_size")
     return replace(mesh, quality={**mesh.quality, **quality})
-
-
-def centred(points: Array, size: float) -> Array:
-    """Points scaled to a largest extent `size`, with the centre of their bounding box in the origin."""
-    low, high = points.min(axis=0), points.max(axis=0)
-    return (points - 0.5 * (low + high)) * (size / float((high - low).max()))
 
 
 def _unit(extent: float) -> float:

@@ -194,6 +194,16 @@ def estimated_nodes(area: float, volume: float, mesh_size: float) -> float:
     return on_surface + max(0.0, 0.6 * volume / mesh_size**3 - 0.37 * area / mesh_size**2)
 
 
+def expected_size(area: float, volume: float, mesh_size: float) -> tuple[float, float]:
+    """Surface nodes and tetrahedra of a uniform mesh; of those none where `volume` is 0.
+
+    A tetrahedral mesh with many nodes has about six cells to a node, on the surface about two.
+    """
+    on_surface = estimated_nodes(area, 0.0, mesh_size)
+    inside = max(0.0, estimated_nodes(area, volume, mesh_size) - on_surface)
+    return on_surface, 2.6 * on_surface + 6.5 * inside if volume else 0.0
+
+
 def check_node_budget(area: float, volume: float, mesh_size: float, max_nodes: int) -> None:
     """Raise MeshError where the estimated number of nodes exceeds `max_nodes`."""
     nodes = estimated_nodes(area, volume, mesh_size)

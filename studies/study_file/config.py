@@ -120,6 +120,11 @@ def resolved(study: Study) -> dict[str, Any]:
     return data
 
 
+def geometry_error(study: Study, text: str) -> StudyError:
+    """The error of a study whose geometry turned out to be unusable, with the place in its file."""
+    return study._source.error([(("geometry", "path"), text)], _plain(study))
+
+
 def case_inputs(study: Study) -> dict[str, Any]:
     """The part of `resolved` that a case's hash covers: all that decides its numbers.
 

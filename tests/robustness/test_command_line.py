@@ -364,12 +364,15 @@ def test_a_surface_that_bounds_nothing_is_a_mistake_of_the_input(tmp_path: Path)
     write_study(tmp_path, a=('shape = "sphere"\nradius = "50 mm"', 'shape = "file"\npath = "open.obj"'))
     facets = ["v 0 0 0", "v 0.1 0 0", "v 0 0.1 0", "v 0 0 0.1", "f 1 3 2", "f 1 2 4", "f 1 4 3"]
     (tmp_path / "open.obj").write_text("\n".join(facets))
-    result = vdmbench("run", "small.toml", cwd=tmp_path)
-    assert result.returncode == 2
-    complaints = [line for line in result.stderr.splitlines() if line.startswith("vdmbench:")]
-    assert len(complaints) == 1
-    assert "open.obj" in complaints[0]
-    assert "closed" in complaints[0] or "open" in complaints[0]
+    for verb in ("check", "plan", "run"):
+        result = vdmbench(verb, "small.toml", cwd=tmp_path)
+        assert result.returncode == 2, verb
+        (complaint,) = (line for line in result.stderr.splitlines() if line.startswith("vdmbench:"))
+        assert "open.obj: the surface is open" in complaint
+        if verb != "run":
+            assert "small.toml:10: geometry.path: " in complaint
+    (problem,) = json.loads(vdmbench("check", "small.toml", "--json", cwd=tmp_path).stdout)["problems"]
+    assert (problem["line"], problem["key"]) == (10, "geometry.path")
 
 
 def test_a_body_that_nothing_holds_is_a_mistake_of_the_input(tmp_path: Path) -> None:

@@ -19,6 +19,7 @@ from studies.meshing.geometry import build_mesh
 from studies.meshing.geometry_spec import Geometry
 from studies.meshing.mesh import Array, Index, Mesh, MeshError
 from studies.meshing.topology import tetrahedron_volumes
+from studies.plan import PlannedMesh
 
 SUFFIXES = ["a.stl", "b.stl", "a.obj", "a.ply", "b.ply", "a.vtp", "b.vtp"]
 VOLUMES = [
@@ -101,6 +102,18 @@ def write_msh(
 
 
 # --- files that are not there, not readable, or not what their name says ------------------------------
+
+
+@pytest.mark.parametrize("suffix", [".stl", ".msh"])
+def test_the_size_of_a_mesh_is_known_before_it_is_made(tmp_path: Path, ball: Mesh, suffix: str) -> None:
+    write_surface(tmp_path / "ball.stl", ball.surface_points, ball.triangles)
+    write_msh(tmp_path / "ball.msh", ball.points, {4: ball.tetrahedra})
+    for volume in (True, False):
+        geometry = Geometry("file", 0.012, {"path": str(tmp_path / f"ball{suffix}")})
+        mesh = build_mesh(geometry, volume=volume)
+        counted = [len(mesh.surface_nodes), len(mesh.tetrahedra)]
+        expected = PlannedMesh("", geometry, volume).expected_size
+        assert_allclose(expected, counted, rtol=0.0 if suffix == ".msh" else 0.25, atol=0.0)
 
 
 @pytest.mark.parametrize("suffix", [".stl", ".obj", ".ply", ".vtp", ".msh", ".vtu", ".vtk"])

@@ -1,0 +1,92 @@
+"""Bodies from files: read, cleaned, scaled to metres and checked, before anything is meshed."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+
+import numpy as np
+
+from .geometry_spec import Geometry, check_extent, check_mesh_size, check_node_budget
+from .mesh import Array, Index, Mesh, MeshError
+from .mesh_file import check_readable, read_surface, read_tetrahedra
+from .msh_file import read_msh
+from .repair import clean_surface, clean_tetrahedra
+from .topology import area_vectors, mesh_from_tetrahedra, surface_volume
+
+
+@dataclass(frozen=True)
+class ImportedSurface:
+    """A closed surface (N, 3) [m], its area [m^2] and volume [m^3], and what was repaired."""
+
+    points: Array
+    triangles: Index
+    area: float
+    volume: float
+    repairs: dict[str, float]
+
+
+def imported_surface(geometry: Geometry, *, volume: bool, max_nodes: int) -> ImportedSurface:
+    """The surface of a file, fit to be meshed as asked. Raises MeshError."""
+    clean = clean_surface(*read_surface(geometry.path))
+    points, factor = _placed(clean.points, geometry)
+    check_mesh_size(geometry.mesh_size, float(np.ptp(points, axis=0).min()))
+    area = float(np.linalg.norm(area_vectors(points, clean.triangles), axis=1).sum())
+    inside = surface_volume(points, clean.triangles)
+    check_node_budget(area, inside if volume else 0.0, geometry.mesh_size, max_nodes)
+    repairs = {
+        "scale": factor,
+        "imported_points": float(len(clean.points)),
+        "points_merged": float(clean.points_merged),
+        "points_dropped": float(clean.points_dropped),
+        "facets_dropped": float(clean.facets_dropped),
+        "facets_flipped": float(clean.facets_flipped),
+    }
+    return ImportedSurface(points, clean.triangles, area, inside, repairs)
+
+
+def imported_tetrahedra(geometry: Geometry, *, max_nodes: int) -> Mesh:
+    """The tetrahedra of a file, used as they are. Raises MeshError."""
+    if geometry.path.suffix.lower() == ".msh":
+        check_readable(geometry.path)
+        points, tetrahedra, groups = read_msh(geometry.path)
+    else:
+        points, tetrahedra = read_tetrahedra(geometry.path)
+        groups = {}
+    clean = clean_tetrahedra(points, tetrahedra, groups)
+    if len(clean.points) > max_nodes:
+        raise MeshError(f"has {len(clean.points)} nodes, more than the {max_nodes} allowed; coarsen it")
+    points, factor = _placed(clean.points, geometry)
+    repairs = {
+        "scale": factor,
+        "points_dropped": float(clean.points_dropped),
+        "tetrahedra_turned": float(clean.tetrahedra_turned),
+    }
+    return mesh_from_tetrahedra(points, clean.tetrahedra, groups=clean.groups, quality=repairs)
+
+
+@contextmanager
+def named(geometry: Geometry) -> Iterator[None]:
+    """Errors begin with the name of the file."""
+    try:
+        yield
+    except MeshError as error:
+        raise MeshError(f"{geometry.path.name}: {error}") from error
+
+
+def centred(points: Array, size: float) -> Array:
+    """Points scaled to a largest extent `size`, with the centre of their bounding box in the origin."""
+    low, high = points.min(axis=0), points.max(axis=0)
+    return (points - 0.5 * (low + high)) * (size / float((high - low).max()))
+
+
+def _placed(points: Array, geometry: Geometry) -> tuple[Array, float]:
+    """Points of a file scaled to m, with the centre of their bounding box in the origin; and the factor."""
+    extent = float(np.ptp(points, axis=0).max())
+    size = geometry.number("size") if "size" in geometry.parameters else None
+    factor = geometry.number("scale") if "scale" in geometry.parameters else 1.0
+    if size is None:
+        size = factor * extent
+        check_extent(size, "give `size`, its largest extent in metres, or `scale`, the file's unit in metres")
+    return centred(points, size), size / extent
