@@ -130,7 +130,7 @@ def _vdm_vector(scene: Scene, solver: str, name: str) -> VdmSolution:
     return _vdm(scene, "vector", solver, name)
 
 
-@_model("vdm-boundary", version="5", solvers=("linear", "nonlinear"))
+@_model("vdm-boundary", version="6", solvers=("linear", "nonlinear"))
 def _vdm_boundary(scene: Scene, solver: str, name: str) -> VdmSolution:
     return _vdm(scene, "boundary", solver, name)
 

@@ -9,6 +9,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from vdm.bending import bending_error, reserved
 from vdm.constraints import (
     CONTACT_SIGNS,
     ConstraintError,
@@ -21,6 +22,7 @@ from vdm.constraints import (
 )
 from vdm.formulations import FORMULATIONS
 from vdm.formulations.base import Factor
+from vdm.formulations.boundary import BoundaryFormulation
 from vdm.formulations.paper import PaperFormulation
 from vdm.material import ParameterError, Parameters
 from vdm.problem import Problem, Step, check_held
@@ -61,6 +63,7 @@ SOLVERS: tuple[str, ...] = (
     "cg",
     "minres",
 )
+FactorSolver = LinearSolver | QuasiLinearSolver | NonlinearSolver
 OUTPUTS: tuple[str, ...] = ("nodal_stress", "normal_traction")
 
 
@@ -137,6 +140,10 @@ class Model:
         self.solver_name = solver
         self.solver: Solver
         self.solver = _make_solver(solver, self.problem, constraint_method, penalty, volume_row)
+        # how wrong the boundary form is about a bending that is known, where there is a factor to tell
+        self.bending_error = np.nan
+        if isinstance(self.formulation, BoundaryFormulation) and isinstance(self.solver, FactorSolver):
+            self.bending_error = bending_error(self.problem, self.formulation, self.solver.factor)
         self.seconds_setup = time.perf_counter() - start
 
     def solve(self, loads: Sequence[Load], condition: bool = False) -> Solution:
@@ -176,7 +183,7 @@ class Model:
             last = judged(step, found)
             pressure[k], iterations[k], residual[k] = step.pressure_change, step.iterations, found.residual
             path_error[k] = found.path
-            status.append(last.status)
+            status.append(self._reserved(last.status))
             for name, values in fields.items():
                 values[k] = self._point_field(name, step)
         return Solution(
@@ -208,7 +215,7 @@ class Model:
             return condition_of_matrix(solver.solved_matrix(), n_border)
         if isinstance(solver, KrylovSolver) and solver.method == "bicg":
             return condition_of_matrix(solver.matrix, n_border)
-        if isinstance(solver, LinearSolver | QuasiLinearSolver | NonlinearSolver):
+        if isinstance(solver, FactorSolver):
             single = isinstance(solver, LinearSolver) and solver.precision == "single"
             return condition_of_operator(self.problem, None if single else solver.factor)
         return condition_of_operator(self.problem)
@@ -220,6 +227,10 @@ class Model:
             estimate = np.inf
         return {"condition_estimate": np.full(n_steps, estimate)}
 
+    def _reserved(self, status: Status) -> Status:
+        form = self.formulation
+        return reserved(status, self.bending_error, form) if isinstance(form, BoundaryFormulation) else status
+
     def _record(self) -> dict[str, float | str]:
         formulation = self.formulation
         return {
@@ -227,6 +238,7 @@ class Model:
             "solver": self.solver_name,
             **formulation.parameters.record(),
             "clamped_edges": float(self.surface.clamped_edges),
+            **({} if np.isnan(self.bending_error) else {"bending_error": self.bending_error}),
         }
 
     def _point_field(self, name: str, step: Step) -> Array:

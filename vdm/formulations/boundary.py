@@ -10,7 +10,7 @@ from vdm.deformed import DeformedSurface
 from vdm.formulations.base import DisplacementFormulation, Factor, Factorise, Mask, rigid_motions
 from vdm.formulations.border import DenseColumns
 from vdm.formulations.boundary_integrals import layer_potentials, mass_matrix
-from vdm.formulations.skin import PIVOT_TOLERANCE, Skin
+from vdm.formulations.skin import INDEFINITE, PIVOT_TOLERANCE, Skin
 from vdm.material import ParameterError, Parameters
 from vdm.solution import SolverError, Status
 from vdm.solvers.cholesky import Cholesky
@@ -24,12 +24,6 @@ MAX_NODES = 1000
 COARSE_NODES = 800
 DENSE = Status(
     "dense", "the boundary formulation has a dense factor, in double precision only", "use the linear solver"
-)
-
-INDEFINITE = Status(
-    "singular",
-    "the boundary formulation's stiffness is not positive definite",
-    "hold at least three nodes that are not on one line, and remesh a surface with slivers or folds",
 )
 
 
@@ -134,6 +128,7 @@ class Dense:
 
     def __init__(self, matrix: Array) -> None:
         self.matrix = matrix
+        self.n_nodes = len(matrix) // 3
 
     def apply(self, x: Array) -> Array:
         """(N, 3) elastic force of displacements (N, 3)."""
@@ -189,7 +184,7 @@ def surface_stiffness(surface: SurfaceMesh, volume_gradient: Array) -> Array:
     bordered[size, :size] = scale * surface.area_vectors.reshape(-1) / surface.area
     right = np.concatenate([jump, np.zeros((1, size))])
     tractions = linalg.solve(bordered, right, overwrite_a=True, overwrite_b=True, check_finite=False)[:size]
-    mass = mass_matrix(surface)
+    mass = mass_matrix(surface, surface.facet_areas)
     stiffness = np.asarray(mass @ tractions.reshape(surface.n_nodes, -1)).reshape(size, size)
     stiffness = 0.5 * (stiffness + stiffness.T)
     rigid = rigid_basis(surface)

@@ -25,8 +25,7 @@ from scipy.linalg import blas, lapack
 
 from vdm.formulations.coarse_surface import coarsened
 from vdm.formulations.interpolation import interpolation
-from vdm.solution import SolverError
-from vdm.solvers.cholesky import SINGULAR
+from vdm.solution import SolverError, Status
 from vdm.surface import SurfaceMesh
 
 Array = NDArray[np.float64]
@@ -40,6 +39,12 @@ POWER_ITERATIONS = 60
 ROWS = 4096
 # smallest over largest pivot of a factor that is told from a singular one
 PIVOT_TOLERANCE = 1e-6
+INDEFINITE = Status(
+    "singular",
+    "the boundary formulation's stiffness is not positive definite",
+    "hold at least three nodes that are not on one line, refine a surface or a coarse body that is thinner than its"
+    " mesh is coarse, and remesh slivers and folds",
+)
 
 
 class Skin:
@@ -55,7 +60,7 @@ class Skin:
     def __init__(self, surface: SurfaceMesh, count: int, stiffness: Stiffness) -> None:
         coarse = coarsened(surface, count)
         spread = interpolation(surface, coarse)
-        n = len(coarse.kept)
+        self.n_nodes = n = len(coarse.kept)
         # both by columns: scipy's product with three vectors is then half as long, as no sum waits for itself
         self.spread = sparse.csc_array(spread.weights)
         self.gather = sparse.csc_array(spread.weights.T)
@@ -114,10 +119,10 @@ class SkinFactor:
         matrix = np.asfortranarray(skin.body + skin.held_matrix(~free))
         factor, info = lapack.dpotrf(matrix, lower=1, overwrite_a=1)
         if info:
-            raise SolverError(SINGULAR)
+            raise SolverError(INDEFINITE)
         pivots = np.diagonal(factor)
         if pivots.min() < PIVOT_TOLERANCE * pivots.max():
-            raise SolverError(SINGULAR)
+            raise SolverError(INDEFINITE)
         self._response = lapack.dpotri(factor, lower=1, overwrite_c=1)[0]
         self._response /= scale
         rows = sparse.csr_array(skin.spread)

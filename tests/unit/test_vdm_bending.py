@@ -1,0 +1,146 @@
+"""The boundary form tries itself on pure bending: right where the mesh knows the body, a reservation where not."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+from numpy.typing import NDArray
+
+from studies.meshing.geometry import build_mesh
+from studies.meshing.geometry_spec import Geometry
+from tests.unit.vdm_shapes import box, icosphere, torus
+from vdm import Load, Model, Parameters, SurfaceMesh
+from vdm.bending import BENDING_LIMIT, bendings
+from vdm.formulations.boundary import rigid_basis
+from vdm.formulations.coarse_surface import coarsened
+from vdm.solution import SolverError
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+THICK, THIN = (0.1, 0.05, 0.05), (0.1, 0.015, 0.015)
+
+
+def held_at_one_end(
+    points: Array, triangles: Index, coarse_nodes: int | None = None, **options: str
+) -> Model:
+    """A body whose lowest tenth along x is held."""
+    x = points[:, 0]
+    parameters = Parameters(shear_modulus=1667.0, coarse_nodes=coarse_nodes)
+    fixed = x < x.min() + 0.15 * np.ptp(x)
+    return Model(points, triangles, parameters, formulation="boundary", fixed=fixed, **options)
+
+
+def told(model: Model) -> tuple[str, str]:
+    """What the status of a small push says, and the remedy; the step is usable whatever it says."""
+    solution = model.solve([Load(np.where(model.surface.points[:, 2] > 0.0, 1.0, 0.0))])
+    assert solution.status[0].ok
+    assert solution.parameters["bending_error"] == model.bending_error
+    return solution.status[0].message, solution.status[0].remedy
+
+
+def test_the_bendings_are_those_of_an_incompressible_solid() -> None:
+    """Their forces balance, the volume stays, and they do the work of the stress 3 b on the strain b."""
+    errors = []
+    sides = np.array([0.3, 0.5, 0.8])
+    for n in (4, 8):
+        surface = SurfaceMesh(*box(n, tuple(sides)))
+        moved, forces = bendings(surface)
+        assert_allclose(forces.sum(axis=1), 0.0, rtol=0.0, atol=1e-15)
+        moments = np.cross(surface.points - surface.points.mean(axis=0), forces).sum(axis=1)
+        assert_allclose(moments, 0.0, rtol=0.0, atol=1e-15)
+        work = np.einsum("kic,kic->k", moved, forces)
+        # the axis b of each of the six, the longest side the third of them
+        along = np.array([1, 2, 0, 2, 0, 1])
+        order = np.argsort([np.abs(surface.points[:, a] ** 2 * surface.nodal_areas).sum() for a in range(3)])
+        exact = 3.0 * sides.prod() * sides[order][along] ** 2 / 12.0
+        change = np.einsum("kic,ic->k", moved, surface.area_vectors)
+        errors.append([np.abs(work / exact - 1.0).max(), np.abs(change).max()])
+    assert_allclose(errors[1], np.array(errors[0]) / 4.0, rtol=0.1, atol=1e-15)
+
+
+def test_a_mesh_that_knows_its_body_bends_right_and_better_when_refined() -> None:
+    coarse, fine = (held_at_one_end(*icosphere(n, (0.05, 0.05, 0.05))).bending_error for n in (1, 2))
+    assert 0.04 < coarse < 0.08
+    assert fine < 0.45 * coarse
+
+
+def test_the_error_belongs_to_the_body_not_to_axes_or_moduli() -> None:
+    points, triangles = icosphere(1, (0.05, 0.04, 0.03))
+    fixed = points[:, 0] < -0.03
+    turn = np.linalg.qr(np.random.default_rng(1).standard_normal((3, 3)))[0]
+    turn *= np.linalg.det(turn)
+    errors = [
+        Model(p, triangles, Parameters(shear_modulus=mu), formulation="boundary", fixed=fixed).bending_error
+        for p, mu in ((points, 1.0), (1e3 * points @ turn.T + 5.0, 3e4))
+    ]
+    assert_allclose(errors[1], errors[0], rtol=1e-6, atol=0.0)
+
+
+def test_bodies_thick_enough_for_their_mesh_have_no_reservation() -> None:
+    for points, triangles in (icosphere(2, THICK), torus(), box(4, (0.05, 0.05, 0.05))):
+        model = held_at_one_end(points, triangles)
+        assert 0.0 < model.bending_error < 0.7 * BENDING_LIMIT
+        assert told(model) == ("", "")
+
+
+def test_a_rod_thinner_than_its_mesh_is_coarse_has_one() -> None:
+    model = held_at_one_end(*icosphere(2, THIN))
+    message, remedy = told(model)
+    assert 0.3 < model.bending_error < 0.5
+    assert f"a known bending comes out {model.bending_error:.0%} wrong" in message
+    assert remedy == "refine the surface, above all where it is thin, to 324 nodes or more"
+    assert held_at_one_end(*icosphere(2, THIN), solver="nonlinear").bending_error == model.bending_error
+
+
+def test_so_has_a_coarse_body_too_coarse_for_its_skin() -> None:
+    points, triangles = icosphere(3, (0.08, 0.08, 0.016))
+    model = held_at_one_end(points, triangles, coarse_nodes=200)
+    assert model.bending_error > BENDING_LIMIT
+    assert told(model)[1] == "set coarse_nodes to 400 or more"
+
+
+def test_a_lens_that_the_mesh_cannot_tell_from_nothing_is_refused() -> None:
+    with pytest.raises(SolverError, match="refine a surface or a coarse body that is thinner than its mesh"):
+        held_at_one_end(*icosphere(2, (0.08, 0.08, 0.01)))
+
+
+def test_only_the_homogeneous_solid_is_tried() -> None:
+    points, triangles = icosphere(1, (0.05, 0.05, 0.05))
+    model = Model(
+        points, triangles, Parameters(surface_tension=1.0), formulation="vector", fixed=points[:, 2] < 0.0
+    )
+    assert "bending_error" not in model.solve([Load(np.zeros(len(points)))]).parameters
+
+
+def deformation(surface: SurfaceMesh, displacement: Array) -> float:
+    """Size of a displacement without its best rigid motion."""
+    rigid = rigid_basis(surface)
+    left = displacement.reshape(-1) - rigid @ (rigid.T @ displacement.reshape(-1))
+    return float(np.linalg.norm(left))
+
+
+@pytest.mark.slow
+@pytest.mark.liver
+def test_a_liver_of_150_nodes_has_a_reservation_and_is_wrong(liver: Path) -> None:
+    mesh = build_mesh(Geometry("file", 0.015, {"path": str(liver), "size": 0.19}), volume=False)
+    fine = SurfaceMesh(mesh.surface_points, mesh.triangles)
+    coarse = coarsened(fine, 150)
+    height = fine.points[:, 2] - fine.points[:, 2].min()
+    fixed = height < 0.1 * height.max()
+    models = [
+        Model(s.points, s.triangles, Parameters(shear_modulus=1667.0), formulation="boundary", fixed=held)
+        for s, held in ((fine, fixed), (coarse.surface, fixed[coarse.kept]))
+    ]
+    assert models[0].bending_error < 0.15
+    assert told(models[0]) == ("", "")
+    assert models[1].bending_error > 1.0
+    push = Load(
+        100.0 * np.clip(1.0 - np.linalg.norm(fine.points - [0.05, 0.0, 0.05], axis=1) / 0.04, 0.0, None)
+    )
+    right = models[0].solve([push]).displacement[0, coarse.kept]
+    found = models[1].solve([Load(push.contact_pressure[coarse.kept])]).displacement[0]
+    assert deformation(coarse.surface, found - right) > BENDING_LIMIT * deformation(coarse.surface, right)
+    assert told(models[1])[1] == "refine the surface, above all where it is thin, to 300 nodes or more"
