@@ -135,7 +135,7 @@ def _vdm_boundary(scene: Scene, solver: str, name: str) -> VdmSolution:
     return _vdm(scene, "boundary", solver, name)
 
 
-@_model("mass-spring", version="2", solvers=VDM_SOLVERS)
+@_model("mass-spring", version="3", solvers=VDM_SOLVERS)
 def _mass_spring(scene: Scene, solver: str, name: str) -> VdmSolution:
     return _vdm(scene, "mass-spring", solver, name)
 

@@ -117,7 +117,7 @@ def through_springs(surface: SurfaceMesh) -> tuple[Index, Array]:
     lies within 20 degrees of that direction, else at the one nearest to that direction.
     """
     nodes = np.arange(surface.n_nodes)
-    directions = _strut_directions(surface.normals)
+    directions = _strut_directions(surface)
     starts, ends = [], []
     for first in range(0, surface.n_nodes, _CHUNK):
         some = nodes[first : first + _CHUNK]
@@ -140,18 +140,32 @@ def through_springs(surface: SurfaceMesh) -> tuple[Index, Array]:
     return pairs, areas
 
 
-def _strut_directions(normals: Array) -> Array:
+def _strut_directions(surface: SurfaceMesh) -> Array:
     """(1 + _TILTED, N, 3) unit vectors into the body."""
-    # any tangent will do: the axis that the normal is furthest from, made perpendicular to it
-    axis = np.eye(3)[_rounded(np.abs(normals)).argmin(axis=1)]
-    tangent = np.cross(normals, axis)
-    tangent /= np.linalg.norm(tangent, axis=1)[:, None]
+    normals, tangent = surface.normals, _along_longest_edges(surface)
     other = np.cross(normals, tangent)
     directions = [-normals]
     for turn in 2.0 * np.pi * np.arange(_TILTED) / _TILTED:
         sideways = np.cos(turn) * tangent + np.sin(turn) * other
         directions.append(np.sin(_TILT) * sideways - np.cos(_TILT) * normals)
     return np.array(directions)
+
+
+def _along_longest_edges(surface: SurfaceMesh) -> Array:
+    """(N, 3) unit tangents: of each node's edges the one that is longest along the surface.
+
+    A direction of the body itself, other at every node: one taken from the axes of space would brace the body in
+    some directions more than in others, and the answer would depend on how it lies.
+    """
+    ends = np.concatenate([surface.edges, surface.edges[:, ::-1]])
+    vectors = surface.points[ends[:, 1]] - surface.points[ends[:, 0]]
+    normals = surface.normals[ends[:, 0]]
+    vectors -= np.einsum("ec,ec->e", vectors, normals)[:, None] * normals
+    lengths = np.linalg.norm(vectors, axis=1)
+    order = np.lexsort((-_rounded(lengths / surface.equivalent_radius), ends[:, 0]))
+    longest = order[np.searchsorted(ends[order, 0], np.arange(surface.n_nodes))]
+    tangents: Array = vectors[longest] / lengths[longest, None]
+    return tangents
 
 
 def _rounded(values: Array) -> Array:
