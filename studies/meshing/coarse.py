@@ -18,14 +18,20 @@ from scipy.spatial import cKDTree
 from fem_reference.linear import LinearProblem
 from fem_reference.loads import Load, nodal_forces, prescribed_nodes
 from fem_reference.mesh import TetMesh, facet_quadrature, triangle_p2
-from fem_reference.solution import CONVERGED, Solution, Status
+from fem_reference.solution import CONVERGED, Solution, SolverError, Status
 
-from ..metrics import facet_area_vectors
+from ..metrics import enclosed_volume, facet_area_vectors
 from ..scene import Scene
 from .geometry import fill_surface
 from .mesh import Array, Index, Mask, Mesh
 
 COARSENING = 2.0  # edge of the coarse mesh over that of the case's own
+MOST_OFF = 0.5  # of the support's area on the coarse mesh, over that of the case's own
+SMALL_SUPPORT = Status(
+    "small-support",
+    "the support is too small for the coarse mesh: facets as large as its own would hold another area",
+    "hold a wider region, or take a smaller mesh_size",
+)
 _CHUNK = 256  # points per pass: bounds the temporary arrays
 
 
@@ -61,6 +67,11 @@ def coarse_support(scene: Scene, coarse: Mesh) -> tuple[Mask, Index]:
 
     A support is the facets whose three nodes are held. On nodes as far apart as these its area is what decides
     how a body rocks: nodes are held up to the distance at which the area is closest to that of the scene.
+
+    Raises
+    ------
+    SolverError
+        a support so small that what coarse facets can hold has another area, by more than half.
     """
     nodes = np.flatnonzero(scene.held)
     if not len(nodes):
@@ -73,7 +84,10 @@ def coarse_support(scene: Scene, coarse: Mesh) -> tuple[Mask, Index]:
     order = np.argsort(of_facet)
     covered = np.cumsum(_areas(coarse)[order])
     wanted = _areas(scene.mesh)[scene.held[scene.mesh.triangles].all(axis=1)].sum()
-    reach = of_facet[order][np.abs(covered - wanted).argmin()]
+    closest = np.abs(covered - wanted).argmin()
+    if not abs(covered[closest] - wanted) <= MOST_OFF * wanted:
+        raise SolverError(SMALL_SUPPORT)
+    reach = of_facet[order][closest]
     return distance <= reach, nodes[place]
 
 
@@ -82,17 +96,23 @@ def _areas(mesh: Mesh) -> Array:
     return areas
 
 
+def _volume(mesh: Mesh) -> float:
+    return enclosed_volume(mesh.surface_points, mesh.triangles)
+
+
 def solve_coarse(scene: Scene) -> Solution:
     """Answer a scene with the mixed P2-P1 element on a coarser mesh; fields are at the scene's surface nodes.
 
-    Contact is the scene's nodal forces. Coarse nodes are held within the distance of the scene's held nodes that
+    Contact is the scene's nodal forces, and the body weighs what the scene's does, whatever volume flatter facets
+    leave it. Coarse nodes are held within the distance of the scene's held nodes that
     gives the support its area; reactions go to the nearest held node. Held nodes of the scene have the
     displacement that is given.
 
     Raises
     ------
     ValueError
-        MeshError where the body cannot be remeshed as coarsely, or what `LinearProblem` refuses.
+        MeshError where the body cannot be remeshed as coarsely, SolverError of a support that is too small for it,
+        or what `LinearProblem` refuses.
     """
     start = time.perf_counter()
     coarse, tissue, fibres = coarse_mesh(scene.mesh), scene.tissue, scene.anisotropy
@@ -107,7 +127,7 @@ def solve_coarse(scene: Scene) -> Solution:
         coarse.triangles,
         youngs_modulus=tissue.youngs_modulus,
         poisson_ratio=tissue.poisson_ratio,
-        density=tissue.density,
+        density=tissue.density * _volume(scene.mesh) / _volume(coarse),
         held=held,
         solver="direct",
         expected_loads=len(scene.load_factors),

@@ -19,7 +19,7 @@ from studies.meshing.coarse import (
 )
 from studies.meshing.geometry import build_mesh
 from studies.meshing.mesh import Mesh
-from studies.metrics import Surface, relative_l2
+from studies.metrics import Surface, enclosed_volume, relative_l2
 from studies.scene import Scene, build_scene
 from studies.study_file.config import geometry_of
 from studies.study_file.schema import Study
@@ -121,7 +121,7 @@ def test_weight_and_a_moved_tool() -> None:
     )
     result = solve_coarse(pulled)
     assert_allclose(result.displacement[1][pulled.held], pulled.prescribed[pulled.held], rtol=0, atol=0)
-    weight = 1000.0 * 9.81 * coarse_mesh(pulled.mesh).quality["volume"]
+    weight = 1000.0 * 9.81 * enclosed_volume(pulled.mesh.surface_points, pulled.mesh.triangles)
     assert_allclose(result.reaction_force[:, :, 2].sum(axis=1), weight, rtol=1e-8, atol=0)
 
 
@@ -130,3 +130,15 @@ def test_what_cannot_be_solved_is_refused(scene: Scene) -> None:
     result = models.run_model(free, "fem-coarse")
     assert result.status[0].code == models.REFUSED
     assert "nothing is held" in result.status[0].message
+
+
+@pytest.mark.parametrize("count", [1, 2, 3])
+def test_a_support_smaller_than_its_facets_is_refused(scene: Scene, count: int) -> None:
+    """One node or two let a body turn, and the facet that the coarse mesh would hold in their place does not."""
+    nodes = scene.mesh.triangles[scene.fixed[scene.mesh.triangles].all(axis=1)][0][:count]
+    fixed = np.zeros_like(scene.fixed)
+    fixed[nodes] = True
+    result = models.run_model(dataclasses.replace(scene, fixed=fixed), "fem-coarse")
+    assert {status.code for status in result.status} == {models.REFUSED}
+    assert "too small for the coarse mesh" in result.status[0].message
+    assert "hold a wider region" in result.status[0].remedy

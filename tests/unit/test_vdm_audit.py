@@ -19,6 +19,7 @@ from vdm.solvers.linear import BorderedFactor, LinearSolver
 Array = np.ndarray
 POINTS, TRIANGLES = icosphere(1, (0.05, 0.06, 0.045))
 BASE = POINTS[:, 2] < -0.03
+BODY = SurfaceMesh(POINTS, TRIANGLES)
 FINGER = Load(np.where(POINTS[:, 2] > 0.03, 20.0, 0.0))
 SOLVERS = ("linear", "lu", "bicg", "bicg-cold", "cg", "minres")
 MODULI = {
@@ -216,3 +217,19 @@ def test_three_held_nodes_nearly_on_one_line(solver: str) -> None:
         else:
             assert offset > 1e-6
             held_to_the_truth(model, FINGER, 1e-3)
+
+
+@pytest.mark.parametrize("solver", ["linear", "single", "refined", "lu", "cg", "minres"])
+@pytest.mark.parametrize("formulation", ["vector", "mass-spring", "boundary"])
+def test_a_body_that_its_support_carries_along_is_right(formulation: str, solver: str) -> None:
+    """No force is left but rounding, of which nothing can be lacking."""
+    if formulation == "boundary" and solver in ("single", "refined"):
+        return
+    rule = Parameters.from_tissue(5000.0, 0.4999, BODY, formulation)
+    model = Model(POINTS, TRIANGLES, rule, formulation=formulation, constrained=BASE, solver=solver)
+    shift = np.array([1e-3, -2e-3, 5e-3])
+    load = Load(np.zeros(len(POINTS)), prescribed=np.where(BASE[:, None], shift, 0.0))
+    solution = model.solve([load])
+    assert solution.status[0].ok, solution.status[0].message
+    tolerance = 1e-5 if solver == "single" else 1e-10
+    assert_allclose(solution.displacement[0], shift + 0.0 * POINTS, rtol=0, atol=tolerance * 5e-3)

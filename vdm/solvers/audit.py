@@ -124,7 +124,10 @@ def _audited(
         return Audit(np.inf, np.inf), None
     force, pushed, internal = problem.force(load), formulation.columns.times(s), step.product
     lacking = np.where(free[:, None], force + pushed - internal, 0.0)
-    residual = _share(np.abs(lacking).max(), max(np.abs(a).max() for a in (force, pushed, internal)))
+    sizes = [force, pushed, internal]
+    if load.prescribed is not None:  # of a body that is moved as a whole, rounding is all that is left
+        sizes.append(formulation.apply(problem.held_unknown(load)))
+    residual = _share(np.abs(lacking).max(), max(np.abs(a).max() for a in sizes))
     open_rows = np.zeros_like(s)
     if border:
         open_rows = -(formulation.rows.dotted(x.reshape(-1)) + formulation.corner @ s)
