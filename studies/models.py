@@ -125,12 +125,12 @@ def _vdm_consistent(scene: Scene, solver: str, name: str) -> VdmSolution:
     return _vdm(scene, "consistent", solver, name)
 
 
-@_model("vdm-vector", version="4", solvers=VDM_SOLVERS)
+@_model("vdm-vector", version="5", solvers=VDM_SOLVERS)
 def _vdm_vector(scene: Scene, solver: str, name: str) -> VdmSolution:
     return _vdm(scene, "vector", solver, name)
 
 
-@_model("vdm-boundary", version="6", solvers=("linear", "nonlinear"))
+@_model("vdm-boundary", version="7", solvers=("linear", "nonlinear"))
 def _vdm_boundary(scene: Scene, solver: str, name: str) -> VdmSolution:
     return _vdm(scene, "boundary", solver, name)
 
@@ -205,7 +205,7 @@ def _condensed_problem(*, contact: Mask, motions: Array, **body: Any) -> Condens
     return CondensedProblem(problem, contact, motions=motions)
 
 
-@_model("fem-coarse", version="2", volumetric=True)
+@_model("fem-coarse", version="3", volumetric=True)
 def _fem_coarse(scene: Scene, solver: str, name: str) -> FemSolution:  # noqa: ARG001
     from .meshing.coarse import solve_coarse
 
