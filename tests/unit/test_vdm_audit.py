@@ -10,6 +10,9 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy import linalg
 
+from studies.meshing.distort import distorted
+from studies.meshing.geometry import build_mesh
+from studies.meshing.geometry_spec import Geometry
 from tests.unit.vdm_shapes import icosphere
 from vdm import FORMULATIONS, Load, Model, Parameters, SurfaceMesh
 from vdm.problem import Problem
@@ -120,6 +123,23 @@ def test_slivers(formulation: str) -> None:
             assert "slivers" in model
         else:
             assert held_to_the_truth(model, FINGER, 1e-6) == "converged"
+
+
+@pytest.mark.parametrize("formulation", ["consistent", "vector"])
+def test_refinement_takes_slivers_out_of_a_factor_in_single_precision(formulation: str) -> None:
+    """By as many sweeps as it takes, each of which must halve the rest; without any, the audit says so."""
+    body = build_mesh(Geometry("sphere", 0.015, {"radius": 0.05}), volume=False)
+    for ratio in (1e2, 1e5, 1e6):
+        mesh = distorted(body, slivers=ratio, perturbation=None)
+        points, triangles = mesh.surface_points, mesh.triangles
+        fixed, load = points[:, 2] < -0.03, Load(np.where(points[:, 2] > 0.03, 20.0, 0.0))
+        rule = Parameters.from_tissue(5000.0, 0.4999, SurfaceMesh(points, triangles), formulation, held=fixed)
+        single, refined = (
+            Model(points, triangles, rule, formulation=formulation, fixed=fixed, solver=solver)
+            for solver in ("single", "refined")
+        )
+        assert held_to_the_truth(refined, load, 1e-9) == "converged"
+    assert single.solve([load]).status[0].code == "inaccurate"
 
 
 @pytest.mark.parametrize("formulation", FORMULATIONS)

@@ -26,7 +26,7 @@ SINGLE_LIMIT = 1e-3  # the same where 32 bits were asked for: they leave 1e-4 at
 ERROR_LIMIT = 1e-3  # of the largest displacement: as good as the accuracy that any of the models has
 PATH_LIMIT = 1e-3  # of the largest displacement so far: by how much the steps on the way may move an answer
 REFINED = 1e-10  # residual or error above which a correction is worth its price
-MOST_SWEEPS = 3
+MOST_SWEEPS = 20  # each must halve what is left: slivers of 1e6 take a dozen in single precision
 NOT_FINITE = Status(
     "not-finite",
     f"the solution holds nan, inf or numbers beyond {LARGEST:.0e}",
