@@ -115,12 +115,12 @@ VDM_SOLVERS = (
 
 
 # MINRES needs a symmetric matrix, which the printed form has not
-@_model("vdm-paper", version="1", solvers=tuple(name for name in VDM_SOLVERS if name != "minres"))
+@_model("vdm-paper", version="2", solvers=tuple(name for name in VDM_SOLVERS if name != "minres"))
 def _vdm_paper(scene: Scene, solver: str, name: str) -> VdmSolution:
     return _vdm(scene, "paper", solver, name)
 
 
-@_model("vdm-consistent", version="2", solvers=VDM_SOLVERS)
+@_model("vdm-consistent", version="3", solvers=VDM_SOLVERS)
 def _vdm_consistent(scene: Scene, solver: str, name: str) -> VdmSolution:
     return _vdm(scene, "consistent", solver, name)
 
