@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import gc
 import os
 import re
 import signal
@@ -15,10 +16,14 @@ from . import cli_results, cli_study
 from .cli_output import DAMAGED, INTERRUPTED, MACHINE, OK, USAGE, complain
 
 _LEAST_MEMORY = 50_000_000
+_OBJECTS = (
+    200_000  # made between two looks for garbage, which take a quarter of the time of imports if frequent
+)
 
 
 def main(arguments: Sequence[str] | None = None) -> NoReturn:
     """Entry point of `vdmbench`."""
+    gc.set_threshold(_OBJECTS)
     signal.signal(signal.SIGTERM, _interrupt)
     options = _parser().parse_args(arguments)
     try:
@@ -38,6 +43,7 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
         code = complain(f"{name}{error.strerror or error}", MACHINE)
     except ValueError as error:
         code = _complain_of(error)
+    gc.freeze()  # the end is no time to look for garbage
     sys.exit(code)
 
 

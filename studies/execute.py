@@ -34,8 +34,6 @@ from .meshing.mesh import InputError
 
 Task = Mapping[str, Any]
 Group = Sequence[Task]
-# imported once, before the workers are forked: what every case needs, and no case should be timed with
-PRELOAD = ["studies.worker", "vdm.model", "fem_reference.linear", "scipy.spatial"]
 LOG = ".log"  # ends the hidden names of workers' logs
 _MORE_MEMORY = "use a coarser mesh, fewer --jobs, or allow more with --memory"
 # what C++, Rust, the system and its loader of libraries say where memory runs out
@@ -110,7 +108,7 @@ def run_tasks(
     timeout : seconds that one task may take; what a group shares may take as much as its tasks together
     """
     context = multiprocessing.get_context("forkserver")
-    context.set_forkserver_preload(PRELOAD)
+    context.set_forkserver_preload(["studies.server"])
     log_directory.mkdir(parents=True, exist_ok=True)
     threads = max(1, (os.cpu_count() or 1) // jobs)
     queue = [list(group) for group in groups if group][::-1]

@@ -8,21 +8,18 @@ import contextlib
 import io
 import re
 import warnings
-from collections.abc import Callable
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-import meshio
 import numpy as np
 
 from .mesh import Array, Index, MeshError
 from .obj_file import read_obj
 from .ply_file import read_ply
 
-_READERS: dict[str, Callable[[str], meshio.Mesh]] = {
-    ".stl": meshio.stl.read,
-    ".vtu": meshio.vtu.read,
-    ".vtk": meshio.vtk.read,
-}
+if TYPE_CHECKING:
+    import meshio
+
 # cells that are passed over beside tetrahedra, and their number of nodes
 _FLAT_CELLS = {"vertex": 1, "line": 2, "triangle": 3, "quad": 4}
 
@@ -89,7 +86,10 @@ def check_readable(path: Path) -> None:
 
 def _read(path: Path) -> meshio.Mesh:
     """Read by the format's own reader: `meshio.read` prints and ends the process where it fails."""
+    import meshio  # with all its formats slow to load: only where a file is read
+
     suffix = path.suffix.lower()
+    readers = {".stl": meshio.stl.read, ".vtu": meshio.vtu.read, ".vtk": meshio.vtk.read}
     silent = io.StringIO()
     try:
         with (
@@ -99,7 +99,7 @@ def _read(path: Path) -> meshio.Mesh:
         ):
             warnings.simplefilter("ignore")
             warnings.filterwarnings("error", message="string or file could not be read to its end")
-            return _READERS[suffix](str(path))
+            return readers[suffix](str(path))
     except MemoryError:
         raise
     except Exception as error:  # meshio fails on damaged files with whatever its parsing runs into

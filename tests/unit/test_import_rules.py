@@ -183,4 +183,22 @@ def test_what_only_plans_and_reports_starts_without_the_libraries_of_those_who_c
 def test_making_a_solid_starts_no_renderer() -> None:
     code = "import sys, studies.meshing.geometry; print(sorted({name.split('.')[0] for name in sys.modules}))"
     result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert not {"pyvista", "vtkmodules", "pyacvd", "matplotlib"} & set(ast.literal_eval(result.stdout))
+    assert not {"pyvista", "vtkmodules", "pyacvd", "matplotlib", "meshio", "rich"} & set(
+        ast.literal_eval(result.stdout)
+    )
+
+
+def test_workers_are_forked_with_the_solvers_loaded_and_nothing_that_few_of_them_need() -> None:
+    code = (
+        "import gc, sys, studies.server\n"
+        "frozen = gc.get_freeze_count()\n"
+        "print((gc.isenabled(), frozen, sorted({name.split('.')[0] for name in sys.modules})))"
+    )
+    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    collects, frozen, names = ast.literal_eval(result.stdout)
+    assert {"numpy", "scipy", "skfem", "pyamg", "vdm", "fem_reference", "studies"} <= set(names)
+    assert not {"gmsh", "meshio", "pyvista", "vtkmodules", "matplotlib", "jinja2", "pint", "rich"} & set(
+        names
+    )
+    assert collects, "workers may run for hours"
+    assert frozen > 10_000, "what they share is not looked at"

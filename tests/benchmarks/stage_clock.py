@@ -1,0 +1,128 @@
+"""Processor seconds by stage inside every process of a run: the runner, the server of workers, each worker.
+
+`SITE` is a `sitecustomize` that starts the clock before the program does. What a process spends before that, its
+imports wherever they happen, and what a worker does between its fork and its work count as `STARTS`; the functions
+of the other stages are timed from when their module is there. Each process leaves its seconds as a file in the
+directory that the environment names. This file imports nothing that every program does not start with.
+"""
+
+from __future__ import annotations
+
+import atexit
+import builtins
+import importlib
+import os
+import sys
+import time
+from collections.abc import Callable
+from functools import partial, wraps
+from typing import Any
+
+DIRECTORY = "STAGES_DIRECTORY"
+SITE = "from tests.benchmarks import stage_clock\nstage_clock.start()\n"
+Function = Callable[..., Any]
+STARTS, REST = "start and imports", "the rest"
+FUNCTIONS = {
+    "studies.meshing.geometry": {"build_mesh": "mesh"},
+    "studies.meshing.refine": {"refine": "mesh"},
+    "studies.models": {"run_model": "set-up and solve", "run_together": "set-up and solve"},
+    "studies.scene": {"build_scene": "scene"},
+    "studies.worker": {"compare": "metrics"},
+    "studies.reference": {"own_error": "metrics"},
+    "studies.store": {"write_case": "store", "read_case": "store", "write_study": "store"},
+    "studies.result_cache": {"write_levels": "store"},
+    "studies.report.page": {"write_report": "report"},
+}
+
+
+class Stages:
+    """Processor seconds by stage; what a stage does inside another counts for the inner one only."""
+
+    def __init__(self) -> None:
+        self.seconds: dict[str, float] = {}
+        self._inner = [0.0]
+
+    def timed(self, stage: str, function: Function) -> Function:
+        """The function, its time kept."""
+
+        @wraps(function)
+        def wrapped(*arguments: Any, **options: Any) -> Any:
+            start = time.process_time()
+            self._inner.append(0.0)
+            try:
+                return function(*arguments, **options)
+            finally:
+                spent = time.process_time() - start
+                self.seconds[stage] = self.seconds.get(stage, 0.0) + spent - self._inner.pop()
+                self._inner[-1] += spent
+
+        return wrapped
+
+    def rest_is(self, stage: str) -> None:
+        """Count what this process has spent, and no stage yet has been given, for this one."""
+        unnamed = time.process_time() - sum(self.seconds.values())
+        self.seconds[stage] = self.seconds.get(stage, 0.0) + unnamed
+
+
+def start() -> None:
+    """Time this process and those that it forks, until each ends."""
+    stages = Stages()
+    stages.rest_is(STARTS)
+    process = _process()
+
+    def work(function: Function) -> Function:
+        @wraps(function)
+        def wrapped(*arguments: Any) -> None:
+            stages.rest_is(STARTS)
+            function(*arguments)
+
+        return wrapped
+
+    changes: dict[str, dict[str, Callable[[Function], Function]]] = {
+        module: {name: partial(stages.timed, stage) for name, stage in functions.items()}
+        for module, functions in FUNCTIONS.items()
+    }
+    changes["studies.execute"] = {"_main": work}  # where a worker begins
+
+    def importing(function: Function) -> Function:
+        timed = stages.timed(STARTS, function)
+
+        @wraps(function)
+        def wrapped(*arguments: Any, **options: Any) -> Any:
+            found = timed(*arguments, **options)
+            for name in [name for name in changes if name in sys.modules]:
+                module, wanted = sys.modules[name], changes[name]  # it may be half imported
+                for part in [part for part in wanted if hasattr(module, part)]:
+                    setattr(module, part, wanted.pop(part)(getattr(module, part)))
+                if not wanted:
+                    del changes[name]
+            return found
+
+        return wrapped
+
+    def leave() -> None:
+        stages.rest_is(REST)
+        with open(os.path.join(os.environ[DIRECTORY], f"{process}.{os.getpid()}"), "w") as file:
+            file.writelines(f"{seconds!r} {stage}\n" for stage, seconds in stages.seconds.items())
+
+    def ending(function: Function) -> Function:  # of a forked process
+        def wrapped(code: int) -> None:
+            nonlocal process
+            process = "worker"
+            leave()
+            function(code)
+
+        return wrapped
+
+    builtins.__import__ = importing(builtins.__import__)
+    importlib.import_module = importing(importlib.import_module)
+    os._exit = ending(os._exit)  # type: ignore[assignment]
+    os.register_at_fork(after_in_child=stages.seconds.clear)
+    atexit.register(leave)
+
+
+def _process() -> str:
+    """What this process is, by its command line."""
+    return next(
+        (name for name in ("forkserver", "resource_tracker") if name in " ".join(sys.orig_argv)), "runner"
+    )
