@@ -13,7 +13,7 @@ from .case import ModelResult
 from .execute import TaskError
 from .meshing.mesh import Array, Index, InputError
 from .meshing.refine import inherit, refine
-from .metrics import History, Surface, evaluate, full_load_step, rigid_motion_removed, weighted_norm
+from .metrics import History, Surface, evaluate_all, full_load_step, rigid_motion_removed, weighted_norm
 from .scene import Scene, build_scene
 from .setups import shared
 from .study_file.schema import Study
@@ -80,10 +80,9 @@ def own_error(surface: Surface, levels: Sequence[ModelResult], load_factors: Arr
         for level in levels[:2]
     )
     margin = vector.gci / differences[0] if differences[0] else 0.0
-    alone = evaluate(surface, finest, None)
-    for metric, values in evaluate(surface, next_finest, finest).items():
-        if metric not in alone:
-            error[f"gci:{metric}"] = margin * abs(float(values[0]))
+    found = evaluate_all(surface, {"next": next_finest, "finest": finest}, "finest")
+    for metric in found["next"].keys() - found["finest"].keys():
+        error[f"gci:{metric}"] = margin * abs(float(found["next"][metric][0]))
     error["gci:relative_l2_deformation_error"] = deformation.gci
     return error
 
