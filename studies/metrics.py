@@ -203,7 +203,7 @@ METRICS: dict[str, Metric] = {}
 
 def full_load_step(load_factors: Array) -> int:
     """The step of the largest load, the last of several."""
-    return int(len(load_factors) - 1 - np.argmax(np.abs(load_factors)[::-1]))
+    return int(len(load_factors) - 1 - np.abs(load_factors)[::-1].argmax())
 
 
 Function = Callable[..., Array]
