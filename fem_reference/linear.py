@@ -7,7 +7,6 @@ import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -56,25 +55,17 @@ class Fields:
     residual: Array
     iterations: NDArray[np.int64]
 
-    def combined(self, coefficients: Array) -> Fields:
-        """The S fields that are combinations of these r, with coefficients (r, S).
-
-        A combination has the largest residual and the iterations of all that are in it.
-        """
-        part_of = coefficients != 0.0
-        return Fields(
-            displacement=_combination(self.displacement, coefficients),
-            pressure=_combination(self.pressure, coefficients),
-            reaction=_combination(self.reaction, coefficients),
-            residual=np.where(part_of, self.residual[:, None], 0.0).max(axis=0),
-            iterations=np.where(part_of, self.iterations[:, None], 0).max(axis=0),
-        )
-
 
 def _combination(values: Array, coefficients: Array) -> Array:
     """(S, ...) sums of (r, ...) values with coefficients (r, S)."""
     flat: Array = coefficients.T @ values.reshape(len(values), -1)
     return flat.reshape(coefficients.shape[1], *values.shape[1:])
+
+
+def _works(forces: Array, displacement: Array, coefficients: Array) -> Array:
+    """(S,) works of combined forces on the displacement combined alike, of (r, n, 3) with coefficients (r, S)."""
+    works = forces.reshape(len(forces), -1) @ displacement.reshape(len(displacement), -1).T
+    return np.einsum("as,ab,bs->s", coefficients, works, coefficients)
 
 
 class LinearProblem:
@@ -189,40 +180,50 @@ class LinearProblem:
             fields = Fields(
                 *(np.concatenate([getattr(f, name) for f in (fields, more[1])]) for name in names)
             )
-        # all steps at once can be many times the memory of those that were solved
-        parts = [coefficients[:, first : first + BATCH] for first in range(0, len(loads), BATCH)]
-        batches = [
-            self._solution(_combination(forces, part), fields.combined(part), outputs, seconds)
-            for part in parts
-        ]
-        return _joined(batches)
+        return self._combined(forces, fields, coefficients, outputs, seconds)
 
     def _solve_some(self, loads: Sequence[Load]) -> tuple[Array, Fields]:
         """Nodal forces and fields of some loads."""
         forces = nodal_forces(self.mesh, loads, self.density)
         return forces, self.solve_nodal(forces, prescribed_nodes(self.mesh, loads))
 
-    def _solution(self, forces: Array, fields: Fields, outputs: frozenset[str], seconds: float) -> Solution:
-        work = np.einsum("snk,snk->s", forces, fields.displacement)
-        reaction_work = np.einsum("snk,snk->s", fields.reaction, fields.displacement)
-        scalars = strain_outputs(self.mesh, fields.displacement, outputs - {"compliance"})
-        scalars["relative_residual"] = fields.residual
+    def _combined(
+        self, forces: Array, fields: Fields, coefficients: Array, outputs: frozenset[str], seconds: float
+    ) -> Solution:
+        """The S steps that are combinations of r solved ones, with coefficients (r, S).
+
+        What is linear is combined at the surface only, what is a work from the r x r works of one step's forces on
+        another's displacement. A combination has the largest residual and the iterations of all that are in it.
+        """
+        part_of = coefficients != 0.0
+        residual = np.where(part_of, fields.residual[:, None], 0.0).max(axis=0)
+        work = _works(forces, fields.displacement, coefficients)
+        scalars = self._strain_outputs(fields, coefficients, outputs - {"compliance", "condition_estimate"})
+        scalars["relative_residual"] = residual
         if "compliance" in outputs:
             scalars["compliance"] = work
         if "condition_estimate" in outputs:
-            scalars["condition_estimate"] = np.full(len(forces), self.condition)
+            scalars["condition_estimate"] = np.full(len(residual), self.condition)
         return Solution(
-            displacement=np.ascontiguousarray(fields.displacement[:, self.mesh.surface_nodes]),
-            fluid_pressure=self.mean_pressure(fields),
-            reaction_force=gather_to_vertices(self.mesh, fields.reaction),
-            energy=0.5 * (work + reaction_work),
-            iterations=fields.iterations,
-            status=tuple(self._status(residual) for residual in fields.residual),
+            displacement=_combination(fields.displacement[:, self.mesh.surface_nodes], coefficients),
+            fluid_pressure=_combination(self.mean_pressure(fields), coefficients),
+            reaction_force=_combination(gather_to_vertices(self.mesh, fields.reaction), coefficients),
+            energy=0.5 * (work + _works(fields.reaction, fields.displacement, coefficients)),
+            iterations=np.where(part_of, fields.iterations[:, None], 0).max(axis=0),
+            status=tuple(self._status(value) for value in residual),
             seconds_setup=self.seconds_setup,
-            seconds_per_step=np.full(len(forces), seconds),
-            parameters=self._parameters(fields),
+            seconds_per_step=np.full(len(residual), seconds),
+            parameters=self._parameters(float(residual.max())),
             scalars=scalars,
         )
+
+    def _strain_outputs(self, fields: Fields, coefficients: Array, names: frozenset[str]) -> dict[str, Array]:
+        if not names:
+            return {}
+        # all steps at once can be many times the memory of those that were solved
+        parts = [coefficients[:, first : first + BATCH] for first in range(0, coefficients.shape[1], BATCH)]
+        found = [strain_outputs(self.mesh, _combination(fields.displacement, part), names) for part in parts]
+        return {name: np.concatenate([part[name] for part in found]) for name in found[0]}
 
     def solve_nodal(self, forces: Array, prescribed: Array) -> Fields:
         """Solve for forces given at the nodes.
@@ -272,7 +273,7 @@ class LinearProblem:
             remedy,
         )
 
-    def _parameters(self, fields: Fields) -> dict[str, float | str]:
+    def _parameters(self, residual: float) -> dict[str, float | str]:
         return {
             "element": self.element,
             "youngs_modulus": self.youngs_modulus,
@@ -285,24 +286,8 @@ class LinearProblem:
             "solver_estimated_bytes": self.solver.estimated_bytes,
             "dofs": float(self.system.size),
             "tetrahedra": float(len(self.mesh.tetrahedra)),
-            "relative_residual": float(fields.residual.max()),
+            "relative_residual": residual,
         }
-
-
-def _joined(parts: Sequence[Solution]) -> Solution:
-    """One solution of the steps of several; the residual in the parameters is the largest."""
-    first, residual = parts[0], "relative_residual"
-    arrays = ("displacement", "fluid_pressure", "reaction_force", "energy", "iterations", "seconds_per_step")
-    joined: dict[str, Any] = {
-        name: np.concatenate([getattr(part, name) for part in parts]) for name in arrays
-    }
-    return dataclasses.replace(
-        first,
-        **joined,
-        status=tuple(status for part in parts for status in part.status),
-        parameters={**first.parameters, residual: max(float(part.parameters[residual]) for part in parts)},
-        scalars={name: np.concatenate([part.scalars[name] for part in parts]) for name in first.scalars},
-    )
 
 
 def check_material(youngs_modulus: float, poisson_ratio: float, density: float, *, mixed: bool) -> None:
