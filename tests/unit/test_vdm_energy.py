@@ -146,10 +146,11 @@ def test_the_energy_is_the_work_of_the_load_and_goes_back_with_it(formulation):
     assert abs(energy[-1]) < 1e-12 * energy[0]
 
 
+@pytest.mark.parametrize("angle", [0.3, 1.0, 2.0, 3.0])
 @pytest.mark.parametrize("formulation", ["vector", "boundary", "mass-spring"])
-def test_a_support_that_turns_turns_the_answer(formulation):
-    """Held nodes turned by 17 degrees under facet pressures that follow the surface: the answer, turned."""
-    c, s = np.cos(0.3), np.sin(0.3)
+def test_a_support_that_turns_turns_the_answer(formulation, angle):
+    """Held nodes turned by 17 to 172 degrees under facet pressures that follow the surface: the answer, turned."""
+    c, s = np.cos(angle), np.sin(angle)
     turn = np.array([[c, 0.0, -s], [0.0, 1.0, 0.0], [s, 0.0, c]])
     body = model(formulation, fixed=None, constrained=BASE)
     facets = np.where((SIDE.contact_pressure[TRIANGLES] > 0.0).all(axis=1), 300.0, 0.0)
@@ -158,6 +159,7 @@ def test_a_support_that_turns_turns_the_answer(formulation):
     still, turned = (body.solve([load]) for load in (pushed, moved))
     assert still.status[0].ok
     assert turned.status[0].ok
+    assert turned.iterations[0] == still.iterations[0], "the body starts carried along, in its own frame"
     # both stop at a residual of 1e-8 of the forces
     size = np.abs(still.displacement).max()
     assert_allclose(
@@ -170,3 +172,23 @@ def test_a_support_that_turns_turns_the_answer(formulation):
     assert_allclose(turned.fluid_pressure, still.fluid_pressure, rtol=1e-6, atol=0.0)
     force = np.abs(still.reaction_force).max()
     assert_allclose(turned.reaction_force[0], still.reaction_force[0] @ turn, rtol=0.0, atol=1e-6 * force)
+
+
+def test_the_body_is_carried_only_by_supports_that_move_as_one():
+    """Two nodes say nothing of a rotation about their line: none is made. A finger that pushes carries nothing."""
+    ends = np.isin(np.arange(len(POINTS)), [POINTS[:, 2].argmin(), POINTS[:, 2].argmax()])
+    rotation_free = Parameters(surface_tension=100.0, rotation="none")
+    rod = Model(
+        POINTS, TRIANGLES, rotation_free, formulation="vector", constrained=ends, solver="nonlinear"
+    ).solver
+    rest = np.zeros_like(POINTS)
+    shift = np.where(ends[:, None], [0.01, 0.02, 0.0], 0.0)
+    moved, turn = rod._carried(rest, shift)
+    assert_allclose(turn, np.eye(3), rtol=0.0, atol=1e-12)
+    assert_allclose(moved, np.tile([0.01, 0.02, 0.0], (len(POINTS), 1)), rtol=0.0, atol=1e-12)
+    finger = POINTS[:, 2] > 0.03
+    pushed = model("vector", constrained=finger).solver
+    dent = np.where(finger[:, None], [0.0, 0.0, -0.01], 0.0)
+    moved, turn = pushed._carried(rest, dent)
+    assert_allclose(turn, np.eye(3), rtol=0.0, atol=0.0)
+    assert_allclose(moved, dent, rtol=0.0, atol=0.0)

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vdm.constraints import Load
-from vdm.deformed import DeformedSurface
+from vdm.deformed import DeformedSurface, best_rotation
 from vdm.problem import Problem, Step
 from vdm.solution import Status
 from vdm.solvers.anderson import Anderson
@@ -21,6 +21,10 @@ MAX_ITERATIONS = 60
 HISTORY = 10
 FURTHEST = 3.0  # sizes of the body
 SMALLEST_SUBSTEP = 1.0 / 64.0
+AS_ONE = (
+    0.3  # of the held nodes' motion that no rigid motion explains: beyond it they do not move as one body
+)
+LEAST_TURN = 1e-9  # of the second moment of the held nodes: rotations about which they say less are not made
 FURTHEST_AHEAD = 2.0  # increments of load that are extrapolated
 SMALLEST_MOTION = (
     1e-6  # sizes of the body; forces that move it less are measured by those that move it so far
@@ -36,8 +40,9 @@ NOT_CONVERGED = Status(
 
 @dataclass(frozen=True)
 class _Balance:
-    """A state and what its balance lacks."""
+    """A state and what its balance lacks; `turn` (3, 3) is how the supports are turned from rest."""
 
+    turn: Array
     x: Array
     pressure: float
     state: DeformedSurface
@@ -85,7 +90,8 @@ class NonlinearSolver:
     The rest state's bordered factor, with the current pressure column and volume gradient as border, turns what
     the balance lacks into a correction; Anderson acceleration mixes the corrections. A last shift along the
     response to pressure closes the volume to rounding. A load step starts from the last converged one and is
-    halved where it fails; nothing of a failed step is kept.
+    halved where it fails; nothing of a failed step is kept. Where the held nodes are moved, the body starts
+    carried along as they are, best fit by a rigid motion, and the factor answers in their frame.
 
     Parameters
     ----------
@@ -166,7 +172,8 @@ class NonlinearSolver:
         """The step and what its balance on the deformed surface lacks."""
         if not step.status.ok:
             return step, Audit(np.nan)
-        balance = self._balance(load, step.unknown, step.pressure_change)
+        turn = self._carried(np.zeros_like(step.unknown), step.unknown)[1]
+        balance = self._balance(turn, load, step.unknown, step.pressure_change)
         residual = float(np.linalg.norm(balance.lacking[self._free_nodes]))
         gap = abs(balance.state.volume - self.rest_volume) / self.rest_volume
         displaced = self.problem.formulation.displacement
@@ -177,7 +184,8 @@ class NonlinearSolver:
             return step, found
         if self._rounding > ERROR_LIMIT * self._largest:
             return replace(step, status=_hidden(self._rounding, moved)), found
-        change = self.factor.correction(balance.lacking, np.zeros(self.factor.n_border))[0]
+        lacking = _turned(balance.lacking, balance.turn.T)
+        change = self.factor.correction(lacking, np.zeros(self.factor.n_border))[0]
         return step, replace(found, error=float(np.abs(displaced(change)).max()) / self._largest)
 
     def _moved_by_rounding(self, size: float) -> float:
@@ -210,7 +218,27 @@ class NonlinearSolver:
             stored=np.nan,
         )
 
-    def _balance(self, load: Load, x: Array, pressure: float) -> _Balance:
+    def _carried(self, x: Array, held: Array) -> tuple[Array, Array]:
+        """x (N, d) with the held nodes where `held` has them and the others carried along, and the rotation (3, 3).
+
+        Only where the held nodes move as one body, and not along the normals alone, d = 1.
+        """
+        nodes, rest, free = self.problem.held_nodes, self.problem.body.rest, self.free[:, None]
+        left = np.where(free, x, held), np.eye(3)
+        start, end = x[nodes], held[nodes]
+        if x.shape[1] != 3 or np.array_equal(start, end):
+            return left
+        before, after = rest[nodes] + start, rest[nodes] + end
+        middle, centre = before.mean(axis=0), after.mean(axis=0)
+        moment = (before - middle).T @ (after - centre)
+        # what the held nodes leave open, on one line or at one point, is not turned
+        turn = best_rotation(moment + LEAST_TURN * np.linalg.norm(before - middle) ** 2 * np.eye(3))
+        missed = np.linalg.norm((before - middle) @ turn + centre - after)
+        if missed > AS_ONE * np.linalg.norm(after - before):
+            return left
+        return np.where(free, (rest + x - middle) @ turn + centre - rest, held), turn
+
+    def _balance(self, turn: Array, load: Load, x: Array, pressure: float) -> _Balance:
         problem = self.problem
         state = problem.deformed(x)
         column, row = problem.formulation.deformed_columns(state)
@@ -218,12 +246,13 @@ class NonlinearSolver:
         applied = problem.deformed_force(load, state, column) + pressure * column
         nodes = self._free_nodes
         scale = max(float(np.linalg.norm(internal[nodes])), float(np.linalg.norm(applied[nodes])))
-        return _Balance(x, pressure, state, column, row, internal - applied, scale)
+        return _Balance(turn, x, pressure, state, column, row, internal - applied, scale)
 
     def _solve(self, load: Load, x: Array, pressure: float) -> tuple[_Balance | None, int]:
-        free, nodes, factor = self.free, self._free_nodes, self.factor
+        nodes, factor = self._free_nodes, self.factor
         held = self.problem.held_unknown(load)
-        x = np.where(free[:, None], x, held)
+        x = self._carried(x, held)[0]
+        turn = self._carried(np.zeros_like(x), held)[1]
         # the pressure is mixed beside displacements: in units that make its column as long as theirs
         unit = float(np.linalg.norm(factor.response.first))
         # what the last load step learnt of the slope holds here too, nearly
@@ -233,7 +262,7 @@ class NonlinearSolver:
         for iteration in range(MAX_ITERATIONS):
             if not np.abs(self.problem.formulation.displacement(x)).max() < self.reach:
                 return None, iteration
-            balance = self._balance(load, x, pressure)
+            balance = self._balance(turn, load, x, pressure)
             residual = float(np.linalg.norm(balance.lacking[nodes]))
             gap = (balance.state.volume - self.rest_volume) / self.rest_volume
             if not np.isfinite(residual) or residual > GROWTH_LIMIT * max(smallest, balance.scale):
@@ -247,17 +276,19 @@ class NonlinearSolver:
             target = np.zeros(factor.n_border)
             target[0] = -gap * self.rest_volume
             # the pressure's column stays that of the rest state: it moves no balance, only the way there
-            lacking, row = (part[nodes].reshape(-1) for part in (-balance.lacking, balance.row))
+            lacking, row = (
+                _turned(part[nodes], turn.T).reshape(-1) for part in (-balance.lacking, balance.row)
+            )
             change, border = factor.solve_updated(lacking, target, row)
-            iterate = np.append(x[nodes].reshape(-1), pressure * unit)
+            iterate = np.append(_turned(x[nodes], turn.T).reshape(-1), pressure * unit)
             mixed = anderson.next(iterate, np.append(change, border[0] * unit))
             x = x.copy()
-            x[nodes] = mixed[:-1].reshape(-1, x.shape[1])
+            x[nodes] = _turned(mixed[:-1].reshape(-1, x.shape[1]), turn)
             pressure = float(mixed[-1]) / unit
         return None, MAX_ITERATIONS
 
     def _close_volume(self, load: Load, balance: _Balance) -> _Balance | None:
-        shift = self.factor.response.first
+        shift = _turned(self.factor.response.first, balance.turn)
         for _ in range(5):
             gap = balance.state.volume - self.rest_volume
             if abs(gap) <= self.volume_tolerance * self.rest_volume:
@@ -265,8 +296,13 @@ class NonlinearSolver:
             amount = -gap / float(np.vdot(balance.row[self._free_nodes], shift))
             x = balance.x.copy()
             x[self._free_nodes] += amount * shift
-            balance = self._balance(load, x, balance.pressure + amount)
+            balance = self._balance(balance.turn, load, x, balance.pressure + amount)
         return None
+
+
+def _turned(vectors: Array, turn: Array) -> Array:
+    """Vectors (n, 3) in rows after a rotation; unknowns along the normals (n, 1) stay."""
+    return vectors @ turn if vectors.shape[1] == 3 else vectors
 
 
 def _hidden(rounding: float, moved: float) -> Status:
