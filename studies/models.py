@@ -125,17 +125,17 @@ def _vdm_consistent(scene: Scene, solver: str, name: str) -> VdmSolution:
     return _vdm(scene, "consistent", solver, name)
 
 
-@_model("vdm-vector", version="5", solvers=VDM_SOLVERS)
+@_model("vdm-vector", version="6", solvers=VDM_SOLVERS)
 def _vdm_vector(scene: Scene, solver: str, name: str) -> VdmSolution:
     return _vdm(scene, "vector", solver, name)
 
 
-@_model("vdm-boundary", version="7", solvers=("linear", "nonlinear"))
+@_model("vdm-boundary", version="8", solvers=("linear", "nonlinear"))
 def _vdm_boundary(scene: Scene, solver: str, name: str) -> VdmSolution:
     return _vdm(scene, "boundary", solver, name)
 
 
-@_model("mass-spring", version="3", solvers=VDM_SOLVERS)
+@_model("mass-spring", version="4", solvers=VDM_SOLVERS)
 def _mass_spring(scene: Scene, solver: str, name: str) -> VdmSolution:
     return _vdm(scene, "mass-spring", solver, name)
 
