@@ -1,20 +1,18 @@
 """What 100 linear loads cost beside one: shared as `run` does it, and the naive way, with the numbers compared.
 
-Run with `make bench-sharing`, or `python -m tests.benchmarks.sharing --mesh-sizes 10 5 --naive 5` for less.
+Run with `make bench-sharing`, or `python -m tests.benchmarks.sharing --mesh-sizes 10 --refined` for less.
 
 A study's cost is everything from its directory to its report: mesh, set-ups, solves, metrics, files, report.
 Studies of one body are timed whole, by `run_plan` in one worker and with an empty cache each: one load; a load
 history of 100 loads in one case; 100 cases that are multiples of one load; 100 cases, ten places of the finger by
-ten pressures, which are ten loads and their multiples. The naive way is each of these last 100 by itself: its own
-set-ups and factorisation, nothing cached but the mesh, no report.
+ten pressures, which are ten loads and their multiples. The naive way is each of the 100 multiples by itself: its
+own set-ups and solves on every mesh level, nothing cached but the mesh, no report.
 
 What is compared is processor time, that of the workers included: what else runs on the machine disturbs it least.
 What cases cannot share is measured too, part by part: the scene, the results' scaling, the metrics, the file that
-each of them leaves and its reading for the report.
+each of them leaves and its reading for the report. It grows with the surface, one load grows with the body.
 
-The numbers of the two ways are compared. A surface model is solved by the same factors in both. The finite elements
-choose their solver by the number of loads: where that is another for the group than for a case alone, both are
-printed, and one case is solved again alone by the group's solver.
+The numbers of the two ways are compared, of every model and mesh level.
 """
 
 from __future__ import annotations
@@ -33,25 +31,26 @@ from typing import Any
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from fem_reference.linear import LinearProblem
 from studies import models
 from studies.case import CaseResult
 from studies.execute import run_tasks
-from studies.plan import Plan, PlannedCase, make_plan, task_of
+from studies.plan import Plan, make_plan, task_of
+from studies.reference import own_error
 from studies.run import Options, run_plan
 from studies.scene import build_scene
 from studies.setups import next_turn, sharing
 from studies.store import read_case, write_case
 from studies.study_file.config import expand
 from studies.study_file.schema import Study
-from studies.worker import _mesh, compare, run_case
+from studies.worker import _mesh, _surface, compare, run_case
 
+REFERENCE = "fem-linear"
 TABLES: dict[str, Any] = {
     "study": {
         "name": "sharing",
         "title": "Many loads on one body",
-        "models": ["vdm-paper", "vdm-consistent", "vdm-vector", "vdm-boundary", "fem-linear"],
-        "reference": "fem-linear",
+        "models": ["vdm-paper", "vdm-consistent", "vdm-vector", "vdm-boundary", REFERENCE],
+        "reference": REFERENCE,
     },
     "geometry": {"shape": "sphere", "radius": 0.05, "mesh_size": 0.01},
     "tissue": {"youngs_modulus": 5000.0, "poisson_ratio": 0.49},
@@ -78,10 +77,7 @@ class Costs:
     multiples : a study of a case per load, all multiples of one
     cases : a study of a case per load, a tenth of them independent
     naive : a case per load, each alone; measured on some of them and scaled up
-    difference : largest difference of a surface model's displacement, shared to naive, over the case's largest
-    reference_difference : the same of the finite elements, as each way solves them
-    same_solver_difference : of the finite elements of one case, both by the solver that all of them shared
-    solvers : of the finite elements: shared, alone
+    difference : largest difference of a displacement, shared to naive, over the model's largest
     further : part -> processor seconds of one further case that is a multiple, median
     """
 
@@ -93,9 +89,6 @@ class Costs:
     cases: float
     naive: float
     difference: float
-    reference_difference: float
-    same_solver_difference: float
-    solvers: tuple[str, str]
     further: dict[str, float]
 
 
@@ -111,36 +104,21 @@ def measure(loads: int, naive: int, directory: Path, **changes: Any) -> Costs:
     one = _timed("one", directory, changes)[1]
     history = _timed("history", directory, changes | {"load": {"factors": factors}})[1]
     of_one, multiples = _timed("multiples", directory, changes | {"sweep": line})
-    shared, cases = _timed("cases", directory, changes | {"sweep": sweep})
-    chosen = shared.cases[:: max(1, len(shared.cases) // naive)]
-    alone, seconds_alone = _naive(shared, directory / "naive", [case.hash for case in chosen])
-    pairs = [(read_case(shared.case_file(case)), alone[case.hash]) for case in chosen]
-    reference = TABLES["study"]["reference"]
-    solvers = tuple(str(case.models[reference].parameters["solver"]) for case in pairs[0])
+    cases = _timed("cases", directory, changes | {"sweep": sweep})[1]
+    chosen = of_one.cases[loads // naive // 2 :: loads // naive]  # none of them the first, which is solved
+    alone, seconds_alone = _naive(of_one, directory / "naive", [case.hash for case in chosen])
+    pairs = [(read_case(of_one.case_file(case)), alone[case.hash]) for case in chosen]
     return Costs(
-        loads=len(shared.cases),
+        loads=loads,
         nodes=len(pairs[0][0].points),
         one=one,
         history=history,
         multiples=multiples,
         cases=cases,
-        naive=seconds_alone * len(shared.cases) / len(chosen),
-        difference=max(_difference(a, b, name) for a, b in pairs for name in b.models if name[:3] != "fem"),
-        reference_difference=max(_difference(a, b, reference) for a, b in pairs),
-        same_solver_difference=_same_solver_difference(shared, chosen[-1], solvers[0]),
-        solvers=(solvers[0], solvers[1]),
+        naive=seconds_alone * loads / len(chosen),
+        difference=max(_difference(a, b, name) for a, b in pairs for name in b.models),
         further=_further(of_one, (multiples - one) / (loads - 1)),
     )
-
-
-def _same_solver_difference(plan: Plan, case: PlannedCase, solver: str) -> float:
-    """Of a case's finite elements, solved alone by `solver`, to what is stored, over the largest displacement."""
-    scene = build_scene(case.study, _mesh(case.study, task_of(case, plan)))
-    stored = read_case(plan.case_file(case)).models[TABLES["study"]["reference"]].displacement
-    # as many loads as the group has decide the precision of a factor
-    problem = LinearProblem(**models._body(scene), solver=solver, expected_loads=10)
-    own = problem.solve(models._fem_loads(scene)).displacement
-    return float(np.abs(stored - own).max() / np.abs(own).max())
 
 
 def _further(plan: Plan, seconds: float) -> dict[str, float]:
@@ -163,9 +141,12 @@ def _further(plan: Plan, seconds: float) -> dict[str, float]:
             names = [name for name in study.study.models if not models.find(name)[0].volumetric]
             timed("results of the surface models", lambda: [models.run_model(scene, n) for n in names])  # noqa: B023
             timed("metrics", partial(compare, scene, case.models, case.reference))
+            if case.reference_error:
+                levels = [case.models[name] for name in (case.reference or "", REFERENCE)]
+                timed("error bar", partial(own_error, _surface(scene), levels, case.load_factors))
             timed("file", partial(write_case, path, case))
     parts = {part: float(np.median(values[2:])) for part, values in taken.items()}
-    return parts | {"study, task, plan, tables and report": seconds - sum(parts.values())}
+    return parts | {"the rest": seconds - sum(parts.values())}
 
 
 def _timed(name: str, directory: Path, changes: dict[str, Any]) -> tuple[Plan, float]:
@@ -226,19 +207,16 @@ def table(costs: Costs) -> str:
         ("one load", costs.one),
         (f"one case, a history of {costs.loads} loads", costs.history),
         (f"{costs.loads} cases, multiples of one load", costs.multiples),
-        (f"{costs.loads} cases, {costs.loads // 10} multiples each of 10 loads", costs.cases),
-        (f"{costs.loads} cases, each alone", costs.naive),
+        (f"{costs.loads} cases, 10 multiples each of 10 loads", costs.cases),
+        (f"{costs.loads} multiples, each alone", costs.naive),
     ]
-    shared, alone = costs.solvers
+    further = ", ".join(f"{part} {1e3 * seconds:.1f}" for part, seconds in costs.further.items())
     return "\n".join(
         [
             f"{costs.nodes} surface nodes",
             *(f"{what:<44} {seconds:8.2f} s  {seconds / costs.one:7.2f}" for what, seconds in rows),
-            f"largest difference, shared to alone, of the largest: surface models {costs.difference:.1e}, "
-            f"finite elements {costs.reference_difference:.1e} ({shared} shared, {alone} alone), "
-            f"{costs.same_solver_difference:.1e} both {shared}",
-            "a further case that is a multiple, ms: "
-            + ", ".join(f"{part} {1e3 * seconds:.1f}" for part, seconds in costs.further.items()),
+            f"largest difference of a displacement, shared to alone, over the largest: {costs.difference:.1e}",
+            f"a further case that is a multiple, ms: {1e3 * sum(costs.further.values()):.0f}: {further}",
         ]
     )
 
@@ -249,16 +227,25 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--loads", type=int, default=100, help="how many, a multiple of ten")
-    parser.add_argument("--naive", type=int, default=5, help="how many cases to run the naive way too")
-    parser.add_argument("--mesh-sizes", type=float, nargs="+", default=[10.0, 5.0, 3.0], help="millimetres")
-    parser.add_argument("--levels", type=int, default=1, help="mesh levels of the reference, 1 to 3")
+    parser.add_argument("--naive", type=int, default=2, help="how many cases to run the naive way too")
+    parser.add_argument("--mesh-sizes", type=float, nargs="*", default=[10.0, 5.0], help="millimetres")
+    parser.add_argument(
+        "--refined",
+        type=float,
+        nargs="*",
+        default=[5.0, 4.0],
+        help="mesh sizes with the reference's error bar",
+    )
     options = parser.parse_args()
-    changes: dict[str, Any] = {"uncertainty": {"levels": options.levels}} if options.levels > 1 else {}
-    for size in options.mesh_sizes:
-        changes["geometry"] = TABLES["geometry"] | {"mesh_size": size / 1e3}
+    bar: dict[str, Any] = {"uncertainty": {"levels": 2}}
+    runs = [(size, {}) for size in options.mesh_sizes] + [(size, bar) for size in options.refined]
+    for size, changes in runs:
+        geometry = TABLES["geometry"] | {"mesh_size": size / 1e3}
         with tempfile.TemporaryDirectory() as directory:
-            print(f"mesh of {size:g} mm, {options.levels} level(s) of the reference:", end=" ", flush=True)
-            print(table(measure(options.loads, options.naive, Path(directory), **changes)), flush=True)
+            how = "with" if changes else "no"
+            print(f"mesh of {size:g} mm, {how} error bar of the reference:", end=" ", flush=True)
+            costs = measure(options.loads, options.naive, Path(directory), geometry=geometry, **changes)
+            print(table(costs), flush=True)
 
 
 if __name__ == "__main__":
