@@ -23,6 +23,7 @@ import traceback
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
+from multiprocessing import forkserver, resource_tracker
 from multiprocessing.connection import wait
 from multiprocessing.context import ForkServerProcess
 from pathlib import Path
@@ -84,6 +85,17 @@ class _Running:
         return 1 if self.begun else max(1, len(self.tasks))
 
 
+def start_server() -> None:
+    """Start the process that workers are forked from; it loads its libraries while this one goes on."""
+    multiprocessing.get_context("forkserver").set_forkserver_preload(["studies.server"])
+    resource_tracker.ensure_running()  # first, because it lets signals in again
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})  # Ctrl-C is the runner's to handle
+    try:
+        forkserver.ensure_running()
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
 def run_tasks(
     work: Callable[[Task], None],
     groups: Sequence[Group],
@@ -108,7 +120,7 @@ def run_tasks(
     timeout : seconds that one task may take; what a group shares may take as much as its tasks together
     """
     context = multiprocessing.get_context("forkserver")
-    context.set_forkserver_preload(["studies.server"])
+    start_server()
     log_directory.mkdir(parents=True, exist_ok=True)
     threads = max(1, (os.cpu_count() or 1) // jobs)
     queue = [list(group) for group in groups if group][::-1]

@@ -10,6 +10,7 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +18,7 @@ import tomli_w
 
 from .case import Run
 from .cluster import Cluster, connected
-from .execute import LOG, Group, Outcome, Task, run_tasks, write_failure
+from .execute import LOG, Group, Outcome, Task, run_tasks, start_server, write_failure
 from .explain import summary
 from .files import clear_abandoned, write_atomically
 from .memory import machine_memory
@@ -69,6 +70,9 @@ def run_plan(
     """
     plan.directory.mkdir(parents=True, exist_ok=True)
     with _cluster(options) as cluster, _locked(plan.directory, options.shard):
+        if cluster is None and plan.cases_to_run(options.shard, fresh=options.fresh):
+            start_server()
+            import_module("studies.report.page")  # while the server loads, too
         _tidy(plan)
         write_atomically(plan.directory / "study.toml", study_text.encode())
         write_atomically(plan.directory / "resolved.toml", tomli_w.dumps(resolved(plan.study)).encode())
@@ -87,7 +91,7 @@ def run_plan(
 
 def rebuild(directory: Path) -> tuple[Run, Path]:
     """Write the tables and the report from the stored results alone; returns the run and the report's path."""
-    from .report.page import write_report  # plotting takes a second to load: after the work, not before
+    from .report.page import write_report  # plotting is slow to load, and who only plans draws nothing
 
     read_plan(directory)  # nothing is left in a directory that is none of ours
     report = directory / "report.html"

@@ -18,6 +18,8 @@ from studies import store
 from studies.metrics import METRICS
 from tests.command import SCRIPT, heed_ctrl_c, vdmbench, write_study
 
+from . import processes
+
 
 @pytest.fixture(scope="module")
 def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
@@ -335,6 +337,30 @@ def test_an_interrupted_run_goes_on(tmp_path: Path, number: signal.Signals) -> N
     result = vdmbench("run", "small.toml", cwd=tmp_path)
     assert result.returncode == 0
     assert result.stderr.count("done poisson_ratio") == 6 - done
+
+
+@pytest.mark.parametrize("moment", [0.05, 0.3, 0.6])
+def test_ctrl_c_while_libraries_load(tmp_path: Path, moment: float) -> None:
+    """A terminal sends it to all processes of a run; only the runner answers."""
+    write_study(tmp_path)
+    process = subprocess.Popen(
+        [SCRIPT, "run", "small.toml"],
+        cwd=tmp_path,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+        start_new_session=True,
+        preexec_fn=heed_ctrl_c,
+    )
+    while len(processes.children(process.pid)) < 2:  # the tracker of resources and the server of workers
+        assert process.poll() is None
+        time.sleep(0.01)
+    time.sleep(moment)
+    os.killpg(process.pid, signal.SIGINT)
+    output, _ = process.communicate(timeout=60)
+    assert process.returncode == 130
+    assert "Traceback" not in output
+    assert "interrupted" in output
 
 
 def test_output_into_a_closed_pipe(finished: Path) -> None:
