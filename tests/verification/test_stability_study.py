@@ -34,8 +34,9 @@ SMALL: dict[str, tuple[tuple[tuple[str, str], ...], int]] = {
     "stability-size-volume": ((('"10 mm", "7 mm", "5 mm"]', '"12 mm"]'),), 1),
     "stability-skin": (
         (
+            ('mesh_size = "4.5 mm"', 'mesh_size = "8 mm"'),
+            ("[regions.base]", "[vdm]\ncoarse_nodes = 200\n\n[regions.base]"),
             ("= [1e2, 1e4, 1e6, 1e8, 1e10]", "= [1e4, 1e10]"),
-            ("= [0.2, 0.5]", "= [0.5]"),
             ("= [0, 0.5]", "= [0.5]"),
             ("= [0.4, 0.1, 0.05]", "= [0.05]"),
             ('"1 Pa", "2 kPa", "20 kPa", "50 kPa"', '"50 kPa"'),
