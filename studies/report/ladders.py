@@ -9,14 +9,17 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..case import CaseResult, ModelResult
+from ..metrics import Surface
 from .digest import Array, Digest, failed_steps, series
 from .formatting import swept_value
 
 RESIDUAL = 1e-6  # relative; more is no solution of the system
 SINGLE_RESIDUAL = 1e-3  # the same where 32 bits were asked for: they leave 1e-4 at 10,000 nodes
 DIFFERENT = 1e-3  # of the largest displacement; more is another answer than the trusted solver's
+BEYOND_LINEAR = 0.05  # of the volume, which linear terms keep and the displacement that they give does not
 LEFT = 1e-3  # of the largest displacement, left after all loads are taken away
 NOT_LINEAR = ("quasi-linear", "nonlinear")  # solvers of another problem than the linear one
+FINITE_STRAIN = "fem"  # the model whose only solver is
 MEASURES = ("residual", "condition", "difference", "drift", "left")
 
 
@@ -28,7 +31,8 @@ class Reading:
     ----------
     code : "converged", the status of the first step that failed, "wrong": called converged and is not right, or
         "step-too-long": the quasi-linear solver's volume is that of the last step by its definition (33), an error
-        of second order in the step that no status of one step can tell
+        of second order in the step that no status of one step can tell; or "beyond-linear": a linear answer, right
+        as such, at a load that its assumptions do not reach
     message, remedy : what happened and what to change
     residual, condition : largest relative residual and condition estimate of any step, NaN where not stored
     difference : from the trusted solver of the same system, over its largest displacement; NaN without one
@@ -157,6 +161,12 @@ def reading(case: CaseResult, model: str) -> Reading | None:
             f"the volume lags a step behind: {values['left']:.1e} of the displacement stays without load"
         )
         return Reading("step-too-long", message, "take smaller load steps, or the nonlinear solver", **values)
+    second = _second_order(case, model)
+    if second > BEYOND_LINEAR:
+        message = (
+            f"the load is beyond small displacements: terms of second order are {second:.1e} of the volume"
+        )
+        return Reading("beyond-linear", message, "take a smaller load or a nonlinear solver", **values)
     for name, (most, sentence) in _TESTS.items():
         if name == "residual" and model.endswith(":single"):
             most = SINGLE_RESIDUAL
@@ -190,6 +200,15 @@ def _difference(case: CaseResult, model: str) -> float:
     if size == 0.0:
         return math.nan
     return float(np.linalg.norm(u[both] - v[both], axis=(1, 2)).max()) / size
+
+
+def _second_order(case: CaseResult, model: str) -> float:
+    """Largest change of volume of a linear model that its own first order does not have, over the volume."""
+    if model == FINITE_STRAIN or model.partition(":")[2] in NOT_LINEAR:
+        return math.nan
+    surface, result = Surface(case.points, case.triangles), case.models[model]
+    first = np.einsum("sni,ni->s", result.displacement, surface.volume_gradient)
+    return _largest((result.volume - surface.volume - first) / surface.volume)
 
 
 def _left(case: CaseResult, result: ModelResult) -> float:

@@ -8,7 +8,18 @@ from collections.abc import Sequence
 from .blocks import Block, Cell, Column, Figure, Figures, Section, Table, Text
 from .digest import Digest
 from .formatting import NOTHING, listed, plural, scale_of, swept_value
-from .ladders import DIFFERENT, LEFT, MEASURES, RESIDUAL, SINGLE_RESIDUAL, Ladder, Reading, alike, ladders
+from .ladders import (
+    BEYOND_LINEAR,
+    DIFFERENT,
+    LEFT,
+    MEASURES,
+    RESIDUAL,
+    SINGLE_RESIDUAL,
+    Ladder,
+    Reading,
+    alike,
+    ladders,
+)
 from .plots import Plot, colour, line, log_axis, marker, name_ticks, place
 from .section_errors import parameter_name
 
@@ -79,9 +90,10 @@ def _reading_note() -> str:
         "single precision), it is more than "
         f"{DIFFERENT:g} of the displacement away from the trusted solver of the same system (refined where the "
         "study runs it, else the direct one in double precision), or more than "
-        f"{LEFT:g} of the displacement is left without load. Residuals and conditions are shown where the solver "
-        "reports them. Crosses mark values at which a solver has broken down. All measures are the worst of the "
-        "load history; zero is drawn at 1e-17."
+        f"{LEFT:g} of the displacement is left without load. A linear answer is beyond-linear where what it adds "
+        f"to the volume in second order is more than {100 * BEYOND_LINEAR:g} % of it. Residuals and conditions are "
+        "shown where the solver reports them. Crosses mark values at which a solver has broken down. All measures "
+        "are the worst of the load history; zero is drawn at 1e-17."
     )
 
 

@@ -208,6 +208,29 @@ def test_a_quasi_linear_step_that_is_too_long_is_told_from_a_wrong_number() -> N
     assert "1.0e-02 of the displacement stays" in read.message
 
 
+@pytest.mark.parametrize("grown", [0.04, 0.2])
+def test_a_linear_answer_to_a_load_that_is_too_large_is_told(grown: float) -> None:
+    """A ball that grows by g all over: volume (1 + g)^3, 3 g of it in first order; nonlinear, it is right."""
+    sound = case({})
+    u = grown * sound.points[None]
+    volume = (1.0 + grown) ** 3 * sound.models[DIRECT].volume[:1]
+    results = {
+        name: dataclasses.replace(sound.models[name], displacement=u, volume=volume)
+        for name in (DIRECT, NONLINEAR)
+    }
+    grew = dataclasses.replace(sound, models=results, metrics={})
+    direct, nonlinear = (reading(grew, name) for name in (DIRECT, NONLINEAR))
+    assert direct is not None
+    assert nonlinear is not None
+    assert nonlinear.ok
+    if grown < 0.1:  # 0.5 %
+        assert direct.ok
+    else:  # 12.8 %
+        assert (direct.code, direct.silent) == ("beyond-linear", False)
+        assert "terms of second order are 1.3e-01 of the volume" in direct.message
+        assert direct.remedy == "take a smaller load or a nonlinear solver"
+
+
 def test_figures_show_each_measure_that_is_stored(section: Section) -> None:
     groups = [block for block in section.blocks if isinstance(block, Figures)]
     assert [group.summary for group in groups] == [

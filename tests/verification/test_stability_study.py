@@ -20,6 +20,7 @@ from studies.worker import compare
 from tests.unit.report_runs import make_run
 
 SHIPPED = Path(__file__).parents[2] / "studies" / "cases"
+LOCKING = ("fem-p1", "fem-p2")
 VOLUMETRIC = ("stability-history", "stability-size-volume", "stability-volume")
 # study -> (texts that make it small, every how many-th value of a ladder is solved)
 SMALL: dict[str, tuple[tuple[tuple[str, str], ...], int]] = {
@@ -178,7 +179,9 @@ def test_the_size_of_the_mesh_breaks_no_solver(name: str, tmp_path: Path) -> Non
         # a membrane's and a solid's condition grow with the square of the size over the edge
         growth = finest.condition / coarsest.condition
         squared = (ladder.values[-1] / ladder.values[0]) ** 2
-        assert 0.15 * squared < growth < 3.0 * squared, (model, growth)
+        assert growth < 3.0 * squared, (model, growth)
+        # where the bulk modulus is ten thousand times the shear modulus, it hides that of elements that lock
+        assert model in LOCKING or 0.15 * squared < growth, (model, growth)
 
 
 @pytest.mark.slow
