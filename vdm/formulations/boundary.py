@@ -194,7 +194,11 @@ def surface_stiffness(surface: SurfaceMesh, volume_gradient: Array) -> Array:
     gradient = volume_gradient.reshape(-1)
     gradient = gradient - rigid @ (rigid.T @ gradient)
     gradient /= np.linalg.norm(gradient)
-    stiffness += np.abs(np.diagonal(stiffness)).max() * np.outer(gradient, gradient)
+    # the stiffest node decides how much: at large displacements the volume changes in second order and feels it, so
+    # it must not depend on the axes of space
+    nodes = np.arange(surface.n_nodes)
+    own = stiffness.reshape(surface.n_nodes, 3, surface.n_nodes, 3)[nodes, :, nodes]
+    stiffness += np.abs(np.linalg.eigvalsh(own)).max() * np.outer(gradient, gradient)
     return 0.5 * (stiffness + stiffness.T)
 
 
