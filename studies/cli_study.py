@@ -185,7 +185,7 @@ def bench_verb(options: argparse.Namespace) -> int:
         results_directory() / "cache",
         names=None if options.study else bench.MODELS,
         large=options.large,
-        watch=lambda text: tell(f"measuring {text}"),
+        watch=tell,
     )
     write_bench(out / "bench.h5", found)
     write_bench_page(found, out / "bench.html")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from functools import partial
 
 import numpy as np
 from scipy import sparse
@@ -12,6 +13,7 @@ from vdm import Load, Model, Parameters, SurfaceMesh
 from vdm.formulations.vector import VectorFormulation
 
 from .benchmark.bench_data import Growth, median
+from .benchmark.timing import median_seconds
 from .meshing.mesh import Array, Index
 
 LEVELS, LARGE_LEVELS = (2, 3, 4, 5), (3, 4, 5, 6, 7)
@@ -75,10 +77,7 @@ def _measure(formulation: str, levels: int, rounds: int) -> tuple[float, ...]:
             break
         model = Model(points, triangles, parameters, formulation=formulation, fixed=fixed)
         setups.append(model.seconds_setup)
-        model.solver.step(load)
-        begun = time.perf_counter()
-        model.solver.step(load)
-        frames.append(time.perf_counter() - begun)
+        frames.append(median_seconds(partial(model.solver.step, load)))
     return len(points), median(np.array(setups)), median(np.array(frames)), *fill_and_flops(model)
 
 

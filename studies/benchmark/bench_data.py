@@ -96,17 +96,19 @@ def median(values: Array) -> float:
 
 
 def spread(values: Array) -> tuple[float, float]:
-    """Least and largest of what was measured."""
+    """First and third quartile of what was measured."""
     known = values[np.isfinite(values)]
-    return (float(known.min()), float(known.max())) if known.size else (math.nan, math.nan)
+    first, third = np.quantile(known, (0.25, 0.75)).tolist() if known.size else (math.nan, math.nan)
+    return first, third
 
 
 def deviation(bench: Bench) -> tuple[float, float]:
-    """How far the times of a round are off their median over rounds: in the median, and at most."""
+    """Interquartile range of the times of rounds over their median: in the median of all times, and at most."""
     off = [
-        float(np.abs(values / median(values) - 1.0).max())
+        (third - first) / median(values)
         for e in bench.entries
         for values in (e.setup, e.frame_all, e.frame_local, e.recut)
+        for first, third in [spread(values)]
         if np.isfinite(values).all() and median(values) > 0.0
     ]
     return (float(np.median(off)), max(off)) if off else (math.nan, math.nan)

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
+from studies.benchmark import bench
 from studies.benchmark.bench_data import (
     Bench,
     Entry,
@@ -22,8 +25,12 @@ from studies.benchmark.bench_data import (
     pareto,
     rows,
     seconds,
+    spread,
 )
+from studies.benchmark.timing import SAMPLE, SAMPLES, calls_of_a_sample, median_of_samples, median_seconds
 from studies.growth import RADIUS, fill_and_flops, sphere
+from studies.meshing.mesh import InputError
+from studies.study_file.config import load_study
 from vdm import Model, Parameters, SurfaceMesh
 
 
@@ -124,9 +131,100 @@ def test_growth_of_a_model_needs_four_meshes_on_which_it_was_measured() -> None:
 
 
 def test_how_far_rounds_are_off_their_median() -> None:
-    even, uneven = np.array([1.0, 1.0, 1.0]), np.array([0.5, 1.0, 1.2])
+    """By the middle half of them: one round in which the machine did something else weighs nothing."""
+    even, uneven = np.array([2.0, 2.0, 2.0, 2.0, 1e4]), np.array([2.0, 4.0, 5.0, 6.0, 1e4])
     measured = replace(VECTOR, setup=even, frame_all=even * np.nan, frame_local=even, recut=uneven)
-    assert_allclose(deviation(Bench({}, [measured], [])), (0.0, 0.5), rtol=1e-12, atol=1e-15)
+    assert spread(uneven) == (4.0, 6.0)
+    assert all(math.isnan(part) for part in spread(even * np.nan))
+    assert_allclose(deviation(Bench({}, [measured], [])), (0.0, 0.4), rtol=1e-12, atol=1e-15)
+
+
+class Clock:
+    """A call that takes as long as it is told, by a clock of its own."""
+
+    def __init__(self, takes: Callable[[int], float]) -> None:
+        self.now, self.calls, self.takes = 0.0, 0, takes
+
+    def read(self) -> float:
+        return self.now
+
+    def __call__(self) -> None:
+        self.calls += 1
+        self.now += self.takes(self.calls)
+
+
+def test_what_is_too_short_for_a_reading_of_the_clock_is_repeated() -> None:
+    short = Clock(lambda call: 10.0 if call == 200 else 3e-6)  # once the machine does something else
+    assert_allclose(median_seconds(short, short.read), 3e-6, rtol=1e-9, atol=0)
+    assert short.calls >= SAMPLES * SAMPLE / 3e-6
+    long = Clock(lambda call: 10.0 if call == 3 else 0.2)
+    assert_allclose(median_seconds(long, long.read), 0.2, rtol=1e-9, atol=0)
+    assert long.calls == 1 + SAMPLES
+    assert calls_of_a_sample(0.0) < 1e7, "a clock that stood still"
+
+
+def test_samples_of_single_times() -> None:
+    """Five samples of two: the median is that of their means, whatever one of them is."""
+    times = np.array([1.0, 3.0, 2.0, 2.0, 1e3, 0.0, 1.0, 2.0, 3.0, 2.0])
+    assert_allclose(median_of_samples(times), 2.0, rtol=1e-15, atol=0)
+
+
+STUDY = """
+[study]
+name = "ball"
+models = ["vdm-consistent", "fem-linear"]
+condition = true
+
+[geometry]
+shape = "sphere"
+radius = "50 mm"
+mesh_size = "{size} mm"
+
+[tissue]
+youngs_modulus = "5 kPa"
+poisson_ratio = 0.45
+
+[regions.base]
+below = {{ axis = "z", fraction = 0.3 }}
+
+[regions.finger]
+above = {{ axis = "z", fraction = {fraction} }}
+
+[[constraints]]
+kind = "fixed"
+region = "base"
+
+[[constraints]]
+kind = "contact"
+region = "finger"
+pressure = "100 Pa"
+"""
+
+
+def test_a_size_that_the_author_never_wrote_and_nothing_stands_is_left_out(tmp_path: Path) -> None:
+    """A ball of 100 mm has no mesh with edges of 76 or 99 mm."""
+    path = tmp_path / "ball.toml"
+    path.write_text(STUDY.format(size=38, fraction=0.7))
+    told: list[str] = []
+    found = bench.measure(
+        {"ball": load_study(path)}, tmp_path, sizes=(2.6, 2.0, 1.0), rounds=1, watch=told.append
+    )
+    (mesh,) = found.meshes()
+    assert all(entry.status == "converged" for entry in found.entries)
+    left_out = found.machine["left out"]
+    assert left_out.count("times its mesh_size: ") == 2
+    assert left_out.startswith("ball at 2.6 times its mesh_size: ")
+    assert f"left out {left_out.split('; ball')[0]}" in told
+    # nothing else is to be had: the study as it is
+    alone = bench.measure({"ball": load_study(path)}, tmp_path, sizes=(2.6,), rounds=1, watch=told.append)
+    assert alone.meshes() == [mesh]
+
+
+def test_a_study_that_cannot_be_measured_at_all_says_why(tmp_path: Path) -> None:
+    path = tmp_path / "ball.toml"
+    path.write_text(STUDY.format(size=38, fraction=0.999))
+    with pytest.raises(InputError, match="enlarge its region"):
+        bench.measure({"ball": load_study(path)}, tmp_path, sizes=(2.0,), rounds=1, watch=str)
 
 
 @pytest.mark.parametrize("levels", [0, 1, 3])

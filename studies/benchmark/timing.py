@@ -1,0 +1,35 @@
+"""Times of calls too short for one reading of the clock: medians of samples that are long enough for it."""
+
+from __future__ import annotations
+
+import math
+import timeit
+from collections.abc import Callable
+
+import numpy as np
+
+from .bench_data import Array
+
+SAMPLE = 1e-3  # seconds of a sample at least: beside it the clock's grain and a call's overhead are nothing
+SAMPLES = 5
+_TRIED = 5  # calls by which the length of a sample is chosen, where they take no longer than one
+
+
+def median_seconds(call: Callable[[], object], clock: Callable[[], float] = timeit.default_timer) -> float:
+    """Of a call: the median of `SAMPLES` samples, each the mean of as many calls as take `SAMPLE` or longer."""
+    timer = timeit.Timer(call, timer=clock)
+    once = timer.timeit(1)
+    if once < SAMPLE:
+        once = timer.timeit(_TRIED) / _TRIED
+    number = calls_of_a_sample(once)
+    return float(np.median(timer.repeat(SAMPLES, number))) / number
+
+
+def calls_of_a_sample(seconds: float) -> int:
+    """How many calls of so many seconds take `SAMPLE` or longer."""
+    return max(1, math.ceil(SAMPLE / max(seconds, 1e-9)))
+
+
+def median_of_samples(seconds: Array) -> float:
+    """The same from single times (k,) of calls one after another, k of them enough for `SAMPLES` samples."""
+    return float(np.median([part.mean() for part in np.array_split(seconds, SAMPLES)]))
