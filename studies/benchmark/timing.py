@@ -12,21 +12,20 @@ from .bench_data import Array
 
 SAMPLE = 1e-3  # seconds of a sample at least: beside it the clock's grain and a call's overhead are nothing
 SAMPLES = 5
-_TRIED = 5  # calls by which the length of a sample is chosen, where they take no longer than one
+LONG = (
+    2e-2  # seconds that need no second sample in a round: what else the machine does is a small part of them
+)
 
 
 def median_seconds(call: Callable[[], object], clock: Callable[[], float] = timeit.default_timer) -> float:
     """Of a call: the median of `SAMPLES` samples, each the mean of as many calls as take `SAMPLE` or longer."""
     timer = timeit.Timer(call, timer=clock)
-    once = timer.timeit(1)
-    if once < SAMPLE:
-        once = timer.timeit(_TRIED) / _TRIED
-    number = calls_of_a_sample(once)
+    number = calls_of_a_sample(min(timer.repeat(SAMPLES, 1)))
     return float(np.median(timer.repeat(SAMPLES, number))) / number
 
 
 def calls_of_a_sample(seconds: float) -> int:
-    """How many calls of so many seconds take `SAMPLE` or longer."""
+    """How many calls of so many seconds, the least of several, take `SAMPLE` or longer."""
     return max(1, math.ceil(SAMPLE / max(seconds, 1e-9)))
 
 
