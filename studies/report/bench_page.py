@@ -30,7 +30,7 @@ from .plots import Plot, colour, marker, percent_axis, time_ticks
 NOTE = (
     "Every model answers the same contact load on the same mesh. Its error is the relative L2 difference from "
     "linear elements on the refined mesh, ± that reference's own. Times are medians [first, third quartile] over "
-    "rounds in which all models take turns; in each, frames of less than 20 ms are samples of a millisecond or more. "
+    "rounds in which all models take turns; in each, a frame below 20 ms is a median of five samples. "
     "Ratios are to fem-linear in the same round. Frame, contact: by the columns of the contact nodes where the "
     "model has them; displacement alone, for condensed elements reactions too. Re-cut: from a changed mesh to its "
     "first answer, without meshing."

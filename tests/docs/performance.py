@@ -73,7 +73,7 @@ def section(bench: Bench) -> str:
     typical, largest = deviation(bench)
     text = (
         f"{machine['processor']}, {machine['cores']} cores, {machine['memory']}, one thread; medians of "
-        f"{machine['rounds']} rounds, in each of which a frame below 20 ms is the median of five samples of a millisecond or more; "
+        f"{machine['rounds']} rounds, in each a frame below 20 ms is the median of five samples of 1 ms or more; "
         f"the interquartile range over the rounds is {100 * typical:.0f} % of the median for the typical time and "
         f"{100 * largest:.0f} % at most; {sizes}. Errors are in the displacement, ± the reference's own. "
         "[Every model on every mesh](results/gallery/bench.html).\n\n"

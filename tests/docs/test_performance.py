@@ -41,8 +41,8 @@ def bench() -> Bench:
 def test_the_section_has_the_machine_the_finest_meshes_the_answers_and_the_growth() -> None:
     text = performance.section(bench())
     assert text.startswith(
-        "a processor, 2 cores, 8.6 GB, one thread; medians of 3 rounds, in each of which a frame below 20 "
-        "ms is the median of five samples of a millisecond or more; the interquartile range over the rounds is 0 % of the median for "
+        "a processor, 2 cores, 8.6 GB, one thread; medians of 3 rounds, in each a frame below 20 ms is the "
+        "median of five samples of 1 ms or more; the interquartile range over the rounds is 0 % of the median for "
         "the typical time and 0 % at most; ball"
     )
     assert "ball (800 surface nodes), organ (300 surface nodes)" in text
