@@ -184,7 +184,7 @@ def surface_stiffness(surface: SurfaceMesh, volume_gradient: Array) -> Array:
     bordered[size, :size] = scale * surface.area_vectors.reshape(-1) / surface.area
     right = np.concatenate([jump, np.zeros((1, size))])
     tractions = linalg.solve(bordered, right, overwrite_a=True, overwrite_b=True, check_finite=False)[:size]
-    mass = mass_matrix(surface, surface.facet_areas)
+    mass = mass_matrix(surface)
     stiffness = np.asarray(mass @ tractions.reshape(surface.n_nodes, -1)).reshape(size, size)
     stiffness = 0.5 * (stiffness + stiffness.T)
     rigid = rigid_basis(surface)

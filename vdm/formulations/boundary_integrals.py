@@ -71,10 +71,10 @@ def _to_corners(kernel: Array, areas: Array, shares: Array) -> Array:
     return integrals.transpose(1, 2, 0)
 
 
-def mass_matrix(surface: SurfaceMesh, areas: Array) -> sparse.csr_array:
-    """(N, N) integrals of products of the linear shape functions [m^2], of facets with `areas` (F,), any sign."""
+def mass_matrix(surface: SurfaceMesh) -> sparse.csr_array:
+    """(N, N) integrals of products of the linear shape functions [m^2]."""
     local = (np.ones((3, 3)) + np.eye(3)) / 12.0
-    values = areas[:, None, None] * local
+    values = surface.facet_areas[:, None, None] * local
     rows = np.repeat(surface.triangles, 3, axis=1).ravel()
     columns = np.tile(surface.triangles, (1, 3)).ravel()
     shape = (surface.n_nodes, surface.n_nodes)
