@@ -15,6 +15,7 @@ from scipy.sparse.linalg import splu
 
 from fem_reference import costs
 from fem_reference.costs import superlu_bytes
+from fem_reference.memory import reserved_not_counted
 from fem_reference.system import LinearSystem
 
 Array = NDArray[np.float64]
@@ -71,7 +72,10 @@ def pivotable_triangle(system: LinearSystem) -> csc_array:
 
 class _Rslab:
     def __init__(self, lower: csc_array) -> None:
-        self._symbolic = costs.rslab.analyze(lower, path="ldlt")
+        with (
+            reserved_not_counted()
+        ):  # stacks of its threads, gigabytes for a large matrix, mostly never touched
+            self._symbolic = costs.rslab.analyze(lower, path="ldlt")
 
     def needed_bytes(self, precision: str, columns: int) -> float:
         return float(self._symbolic.memory_plan(dtype=precision, nrhs=columns)["peak_bytes"])

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import os
 import resource
+from collections.abc import Iterator
+from contextlib import contextmanager
 
 from fem_reference.solution import SolverError, Status
 
@@ -25,6 +27,33 @@ def available_memory() -> float:
     if limit != resource.RLIM_INFINITY:
         available = min(available, limit - used)
     return available
+
+
+@contextmanager
+def reserved_not_counted() -> Iterator[None]:
+    """What is reserved inside does not count against the limit of this process's data (RLIMIT_DATA)."""
+    limit, hard = resource.getrlimit(resource.RLIMIT_DATA)
+    if limit == hard:
+        yield
+        return
+    resource.setrlimit(resource.RLIMIT_DATA, (hard, hard))
+    before = _data_bytes()
+    try:
+        yield
+    finally:
+        wanted = limit + max(0, _data_bytes() - before)
+        if hard != resource.RLIM_INFINITY:
+            wanted = min(wanted, hard)
+        resource.setrlimit(resource.RLIMIT_DATA, (wanted, hard))
+
+
+def _data_bytes() -> int:
+    """Private data of this process, touched or not (VmData), which Linux holds against RLIMIT_DATA."""
+    try:
+        with open("/proc/self/status", encoding="ascii") as lines:
+            return next(1024 * int(line.split()[1]) for line in lines if line.startswith("VmData:"))
+    except OSError:  # not Linux
+        return 0
 
 
 def check_memory(needed: float, limit: float | None, path: str) -> None:

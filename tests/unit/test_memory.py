@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
+
 import numpy as np
 import pytest
 
@@ -23,3 +26,57 @@ def test_an_earlier_peak_does_not_count() -> None:
     array = np.ones(10_000_000)
     del array
     assert peak_bytes_since(reset_peak()) < 2e6
+
+
+_RESERVES = """
+import mmap
+import numpy as np
+from fem_reference.memory import reserved_not_counted
+from studies.memory import limit_memory
+
+def taken(megabytes):
+    try:
+        return bool(np.ones(megabytes * 125_000).all())
+    except MemoryError:
+        return False
+
+def reserve():
+    return mmap.mmap(-1, 1 << 30, flags=mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS)
+
+limit_memory(300_000_000)
+try:
+    reserve()
+except OSError:
+    print("refused")
+for _ in range(2):
+    with reserved_not_counted():
+        kept = reserve()
+    print(taken(200), taken(400))
+"""
+
+
+def test_what_is_reserved_and_not_used_does_not_count_against_the_limit() -> None:
+    done = subprocess.run([sys.executable, "-c", _RESERVES], capture_output=True, text=True, check=True)
+    assert done.stdout.split("\n")[:3] == ["refused", "True False", "True False"]
+
+
+_ANALYSES = """
+import resource
+from scipy.sparse import csc_array, diags_array, eye_array, kron, tril
+from fem_reference.factorisation import analyse
+from fem_reference.memory import _data_bytes
+from studies.memory import limit_memory
+
+line, one = diags_array([-1.0, 2.0, -1.0], offsets=[-1, 0, 1], shape=(20, 20)), eye_array(20)
+cube = kron(kron(line, one), one) + kron(kron(one, line), one) + kron(kron(one, one), line)
+limit_memory(8_000_000_000)
+room = resource.getrlimit(resource.RLIMIT_DATA)[0] - _data_bytes()
+kept = analyse(csc_array(tril(cube)))
+print(room - (resource.getrlimit(resource.RLIMIT_DATA)[0] - _data_bytes()))
+"""
+
+
+def test_an_analysis_leaves_the_room_for_its_factor() -> None:
+    """The library reserves a gigabyte and more for the stacks of its threads."""
+    done = subprocess.run([sys.executable, "-c", _ANALYSES], capture_output=True, text=True, check=True)
+    assert int(done.stdout) < 50e6
