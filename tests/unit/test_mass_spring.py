@@ -7,7 +7,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from tests.unit.vdm_shapes import box, icosphere
-from vdm import Load, Model, ParameterError, Parameters, SurfaceMesh
+from vdm import Load, Model, ParameterError, Parameters, SolverError, SurfaceMesh
 from vdm.formulations.mass_spring import MassSpringFormulation, make_springs, through_springs
 
 MU = 1700.0
@@ -93,5 +93,8 @@ def test_what_it_cannot_use_is_refused() -> None:
     surface, _, _ = _setting(icosphere(1, (0.05, 0.05, 0.05)))
     with pytest.raises(ParameterError, match="needs shear_modulus, one positive number"):
         MassSpringFormulation(surface, Parameters(surface_tension=50.0))
+    many, _, _ = _setting(icosphere(5, (0.05, 0.05, 0.05)))
+    with pytest.raises(SolverError, match="10,242 nodes are too many; use a mesh of at most 5,000 nodes"):
+        MassSpringFormulation(many, Parameters(shear_modulus=MU))
     with pytest.raises(ParameterError, match="mass-spring formulations are isotropic"):
         Parameters(shear_modulus=MU).anisotropic(surface, [0.0, 0.0, 1.0], 3.0)
