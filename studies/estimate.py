@@ -144,6 +144,9 @@ def _law(name: str, size: Size, loads: int) -> Cost:
         dense = min(n, _DENSE_NODES)  # more nodes are a sparse skin over a dense body
         step = (3e-7 if solver == "nonlinear" else 3e-8) * dense**2
         return Cost(3e-5 * dense**1.7 + 2e-5 * n + 1e-2, step, 620.0 * dense**2 + 6e3 * (n - dense))
+    if model.name == "mass-spring":  # struts from side to side: a dense factor
+        step = (1e-7 if solver == "nonlinear" else 3.5e-9) * n**2
+        return Cost(1e-2 + 1.6e-9 * n**3, 7e-7 * n + step, 6e3 * n + 36.0 * n**2)
     step = {"nonlinear": 2e-5, "linear": 7e-7, "lu": 2e-6, "quasi-linear": 7e-7}.get(solver, 6e-5)
     return Cost(1e-2 + (2e-4 if solver == "lu" else 2e-5) * n, step * n, (3e4 if solver == "lu" else 6e3) * n)
 
