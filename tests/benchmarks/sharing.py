@@ -3,10 +3,11 @@
 Run with `make bench-sharing`, or `python -m tests.benchmarks.sharing --mesh-sizes 10 --refined` for less.
 
 A study's cost is everything from its directory to its report: mesh, set-ups, solves, metrics, files, report.
-Studies of one body are timed whole, by `run_plan` in one worker and with an empty cache each: one load; a load
-history of 100 loads in one case; 100 cases that are multiples of one load; 100 cases, ten places of the finger by
-ten pressures, which are ten loads and their multiples. The naive way is each of the 100 multiples by itself: its
-own set-ups and solves on every mesh level, nothing cached but the mesh, no report.
+Studies of one body are timed whole, by `run_plan` in one worker and with an empty cache each: one load; 100 cases
+that are multiples of one load; and, where the reference has no error bar, a load history of 100 loads in one case
+and 100 cases, ten places of the finger by ten pressures, which are ten loads and their multiples. The naive way is
+each of the 100 multiples by itself: its own set-ups and solves on every mesh level, nothing cached but the mesh, no
+report.
 
 What is compared is processor time, that of the workers included: what else runs on the machine disturbs it least.
 What cases cannot share is measured too, part by part: the scene, the results' scaling, the metrics, the file that
@@ -73,9 +74,8 @@ class Costs:
     ----------
     nodes : of the surface
     one : a study of one load
-    history : a study of one case whose history has all loads
     multiples : a study of a case per load, all multiples of one
-    cases : a study of a case per load, a tenth of them independent
+    others : other studies of as many loads -> processor seconds
     naive : a case per load, each alone; measured on some of them and scaled up
     difference : largest difference of a displacement, shared to naive, over the model's largest
     further : part -> processor seconds of one further case that is a multiple, median
@@ -84,16 +84,17 @@ class Costs:
     loads: int
     nodes: int
     one: float
-    history: float
     multiples: float
-    cases: float
+    others: dict[str, float]
     naive: float
     difference: float
     further: dict[str, float]
 
 
-def measure(loads: int, naive: int, directory: Path, **changes: Any) -> Costs:
+def measure(loads: int, naive: int, directory: Path, *, bar: bool = False, **changes: Any) -> Costs:
     """Run the studies in `directory`. `loads` is a multiple of ten; `naive` cases are run alone."""
+    if bar:
+        changes = changes | {"uncertainty": {"levels": 2}}
     pressures = np.linspace(8.0, 80.0, loads // 10).tolist()
     places = np.linspace(-0.6, 0.6, 10).tolist()
     sweep = {"regions.finger.cap.direction.0": places, "constraints.finger.pressure": pressures}
@@ -102,9 +103,11 @@ def measure(loads: int, naive: int, directory: Path, **changes: Any) -> Costs:
     # the first run also loads the libraries of the report
     _timed("warm-up", directory, {"geometry": TABLES["geometry"] | {"mesh_size": 0.02}})
     one = _timed("one", directory, changes)[1]
-    history = _timed("history", directory, changes | {"load": {"factors": factors}})[1]
     of_one, multiples = _timed("multiples", directory, changes | {"sweep": line})
-    cases = _timed("cases", directory, changes | {"sweep": sweep})[1]
+    others = {
+        f"one case, a history of {loads} loads": {"load": {"factors": factors}},
+        f"{loads} cases, {loads // 10} multiples each of 10 loads": {"sweep": sweep},
+    }
     chosen = of_one.cases[loads // naive // 2 :: loads // naive]  # none of them the first, which is solved
     alone, seconds_alone = _naive(of_one, directory / "naive", [case.hash for case in chosen])
     pairs = [(read_case(of_one.case_file(case)), alone[case.hash]) for case in chosen]
@@ -112,9 +115,10 @@ def measure(loads: int, naive: int, directory: Path, **changes: Any) -> Costs:
         loads=loads,
         nodes=len(pairs[0][0].points),
         one=one,
-        history=history,
         multiples=multiples,
-        cases=cases,
+        others={}
+        if bar
+        else {what: _timed(what, directory, changes | own)[1] for what, own in others.items()},
         naive=seconds_alone * loads / len(chosen),
         difference=max(_difference(a, b, name) for a, b in pairs for name in b.models),
         further=_further(of_one, (multiples - one) / (loads - 1)),
@@ -205,9 +209,8 @@ def table(costs: Costs) -> str:
     """The costs as text."""
     rows = [
         ("one load", costs.one),
-        (f"one case, a history of {costs.loads} loads", costs.history),
         (f"{costs.loads} cases, multiples of one load", costs.multiples),
-        (f"{costs.loads} cases, 10 multiples each of 10 loads", costs.cases),
+        *costs.others.items(),
         (f"{costs.loads} multiples, each alone", costs.naive),
     ]
     further = ", ".join(f"{part} {1e3 * seconds:.1f}" for part, seconds in costs.further.items())
@@ -233,18 +236,17 @@ def main() -> None:
         "--refined",
         type=float,
         nargs="*",
-        default=[5.0, 4.0],
+        default=[4.0],
         help="mesh sizes with the reference's error bar",
     )
     options = parser.parse_args()
-    bar: dict[str, Any] = {"uncertainty": {"levels": 2}}
-    runs = [(size, {}) for size in options.mesh_sizes] + [(size, bar) for size in options.refined]
-    for size, changes in runs:
+    runs = [(size, False) for size in options.mesh_sizes] + [(size, True) for size in options.refined]
+    for size, bar in runs:
         geometry = TABLES["geometry"] | {"mesh_size": size / 1e3}
         with tempfile.TemporaryDirectory() as directory:
-            how = "with" if changes else "no"
+            how = "with" if bar else "no"
             print(f"mesh of {size:g} mm, {how} error bar of the reference:", end=" ", flush=True)
-            costs = measure(options.loads, options.naive, Path(directory), geometry=geometry, **changes)
+            costs = measure(options.loads, options.naive, Path(directory), bar=bar, geometry=geometry)
             print(table(costs), flush=True)
 
 

@@ -10,13 +10,14 @@ from .sharing import TABLES, measure, table
 
 
 @pytest.mark.slow
-def test_shared_and_naive_numbers_agree(tmp_path: Path) -> None:
+@pytest.mark.parametrize("bar", [False, True])
+def test_shared_and_naive_numbers_agree(tmp_path: Path, bar: bool) -> None:
     geometry = TABLES["geometry"] | {"mesh_size": 0.02}
-    costs = measure(20, 5, tmp_path, geometry=geometry, uncertainty={"levels": 2})
+    costs = measure(20, 5, tmp_path, bar=bar, geometry=geometry)
     assert costs.loads == 20
     assert costs.difference <= 1e-12
-    ways = (costs.one, costs.history, costs.multiples, costs.cases, costs.naive)
-    assert all(seconds > 0 for seconds in ways)
+    assert all(seconds > 0 for seconds in (costs.one, costs.multiples, costs.naive, *costs.others.values()))
+    assert len(costs.others) == (0 if bar else 2)
     assert (
         min(costs.further.values()) > -costs.one
     )  # the last is what is left of a difference of two measurements
