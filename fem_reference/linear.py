@@ -65,7 +65,7 @@ def _combination(values: Array, coefficients: Array) -> Array:
 def _works(forces: Array, displacement: Array, coefficients: Array) -> Array:
     """(S,) works of combined forces on the displacement combined alike, of (r, n, 3) with coefficients (r, S)."""
     works = forces.reshape(len(forces), -1) @ displacement.reshape(len(displacement), -1).T
-    return np.einsum("as,ab,bs->s", coefficients, works, coefficients)
+    return np.einsum("as,as->s", coefficients, works @ coefficients)
 
 
 class LinearProblem:
