@@ -51,7 +51,7 @@ def _data_bytes() -> int:
     """Private data of this process, touched or not (VmData), which Linux holds against RLIMIT_DATA."""
     try:
         with open("/proc/self/status", encoding="ascii") as lines:
-            return next(1024 * int(line.split()[1]) for line in lines if line.startswith("VmData:"))
+            return sum(1024 * int(line.split()[1]) for line in lines if line.startswith("VmData:"))
     except OSError:  # not Linux
         return 0
 
