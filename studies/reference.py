@@ -81,8 +81,9 @@ def own_error(surface: Surface, levels: Sequence[ModelResult], load_factors: Arr
     )
     margin = vector.gci / differences[0] if differences[0] else 0.0
     found = evaluate_all(surface, {"next": next_finest, "finest": finest}, "finest")
-    for metric in found["next"].keys() - found["finest"].keys():
-        error[f"gci:{metric}"] = margin * abs(float(found["next"][metric][0]))
+    for metric, values in found["next"].items():
+        if metric not in found["finest"]:
+            error[f"gci:{metric}"] = margin * abs(float(values[0]))
     error["gci:relative_l2_deformation_error"] = deformation.gci
     return error
 

@@ -94,6 +94,8 @@ def test_own_error_of_a_known_sequence(scene: Scene, order: float) -> None:
     # a measure in metres: the largest |h^p e| of any node
     largest = 0.1**order * np.linalg.norm(e, axis=1).max()
     assert_allclose(reference_bar(error, "max_nodal_error"), 1.25 * largest, rtol=1e-9, atol=0)
+    bars = [name.removeprefix("gci:") for name in error if name.startswith("gci:")]
+    assert bars == [name for name in METRICS if name in bars], "the same order in every process"
     turned = own_error(surface, [level(h) for h in (0.1, -0.2 if order % 2 else 0.2, 0.4)], factors)
     behaviour = stored_estimate(turned).behaviour
     assert behaviour == ("oscillating" if order % 2 else "converging")
