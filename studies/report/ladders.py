@@ -161,12 +161,6 @@ def reading(case: CaseResult, model: str) -> Reading | None:
             f"the volume lags a step behind: {values['left']:.1e} of the displacement stays without load"
         )
         return Reading("step-too-long", message, "take smaller load steps, or the nonlinear solver", **values)
-    second = _second_order(case, model)
-    if second > BEYOND_LINEAR:
-        message = (
-            f"the load is beyond small displacements: terms of second order are {second:.1e} of the volume"
-        )
-        return Reading("beyond-linear", message, "take a smaller load or a nonlinear solver", **values)
     for name, (most, sentence) in _TESTS.items():
         if name == "residual" and model.endswith(":single"):
             most = SINGLE_RESIDUAL
@@ -174,6 +168,12 @@ def reading(case: CaseResult, model: str) -> Reading | None:
             other = trusted(case, model) or ""
             message = sentence.format(values[name], other=other)
             return Reading("wrong", message, "compare with another solver", **values)
+    second = _second_order(case, model)
+    if second > BEYOND_LINEAR:
+        message = (
+            f"the load is beyond small displacements: terms of second order are {second:.1e} of the volume"
+        )
+        return Reading("beyond-linear", message, "take a smaller load or a nonlinear solver", **values)
     return Reading("converged", "", "", **values)
 
 

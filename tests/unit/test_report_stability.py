@@ -229,6 +229,11 @@ def test_a_linear_answer_to_a_load_that_is_too_large_is_told(grown: float) -> No
         assert (direct.code, direct.silent) == ("beyond-linear", False)
         assert "terms of second order are 1.3e-01 of the volume" in direct.message
         assert direct.remedy == "take a smaller load or a nonlinear solver"
+        scalars = {"relative_residual": np.full(1, 1e-3)}
+        unsolved = dataclasses.replace(results[DIRECT], scalars=scalars)
+        read = reading(dataclasses.replace(grew, models={DIRECT: unsolved}), DIRECT)
+        assert read is not None
+        assert read.code == "wrong", "a load that is too large excuses no residual"
 
 
 def test_figures_show_each_measure_that_is_stored(section: Section) -> None:
