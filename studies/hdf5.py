@@ -37,7 +37,7 @@ _LARGEST_SKELETON = 8 << 20
 
 
 class StoreError(ValueError):
-    """A stored result is damaged or of a newer schema; the message says which file and what to do."""
+    """A stored result is damaged or of another schema; the message says which file and what to do."""
 
 
 # --- what a file is made of ---
@@ -216,12 +216,12 @@ class Stored:
     """
 
     def __init__(self, path: Path, schema: int) -> None:
-        """Open a file of at most this schema.
+        """Open a file of this schema.
 
         Raises
         ------
         StoreError
-            damaged, of a newer schema, or with a link: an external one could read other files of the machine.
+            damaged, of another schema, or with a link: an external one could read other files of the machine.
         """
         self._file = _open(path)
         try:

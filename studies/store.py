@@ -72,7 +72,7 @@ def read_case(path: Path, expected: str | None = None) -> CaseResult:
     Raises
     ------
     StoreError
-        not a case file, damaged, written by a newer schema, or not the case with the hash `expected`.
+        not a case file, damaged, of another schema, or not the case with the hash `expected`.
     """
     with Stored(path, SCHEMA) as file:
         try:

@@ -209,6 +209,11 @@ class Model:
 
         For "lu" and "bicg" the state matrix in the units it has in print, with its penalty; for all others the
         symmetric operator at rest, scaled.
+
+        Raises
+        ------
+        SolverError
+            an operator that is singular in double precision, in which a solver in single precision has no factor.
         """
         solver, n_border = self.solver, self.formulation.columns.count
         if isinstance(solver, LuSolver):

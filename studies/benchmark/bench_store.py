@@ -67,7 +67,7 @@ def read_bench(path: Path) -> Bench:
     Raises
     ------
     StoreError
-        not a benchmark's file, damaged, or written by a newer schema.
+        not a benchmark's file, damaged, or of another schema.
     """
     with Stored(path, SCHEMA) as file:
         try:
