@@ -72,9 +72,8 @@ def pivotable_triangle(system: LinearSystem) -> csc_array:
 
 class _Rslab:
     def __init__(self, lower: csc_array) -> None:
-        with (
-            reserved_not_counted()
-        ):  # stacks of its threads, gigabytes for a large matrix, mostly never touched
+        # stacks of its threads, gigabytes for a large matrix, mostly never touched
+        with reserved_not_counted():
             self._symbolic = costs.rslab.analyze(lower, path="ldlt")
 
     def needed_bytes(self, precision: str, columns: int) -> float:

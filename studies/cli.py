@@ -16,9 +16,8 @@ from . import cli_results, cli_study
 from .cli_output import DAMAGED, INTERRUPTED, MACHINE, OK, USAGE, complain
 
 _LEAST_MEMORY = 50_000_000
-_OBJECTS = (
-    200_000  # made between two looks for garbage, which take a quarter of the time of imports if frequent
-)
+# made between two looks for garbage, which take a quarter of the time of imports if frequent
+_OBJECTS = 200_000
 
 
 def main(arguments: Sequence[str] | None = None) -> NoReturn:

@@ -12,9 +12,8 @@ from .bench_data import Array
 
 SAMPLE = 1e-3  # seconds of a sample at least: beside it the clock's grain and a call's overhead are nothing
 SAMPLES = 5
-LONG = (
-    2e-2  # seconds that need no second sample in a round: what else the machine does is a small part of them
-)
+# seconds that need no second sample in a round: what else the machine does is a small part of them
+LONG = 2e-2
 
 
 def median_seconds(call: Callable[[], object], clock: Callable[[], float] = timeit.default_timer) -> float:

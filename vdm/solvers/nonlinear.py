@@ -21,14 +21,12 @@ MAX_ITERATIONS = 60
 HISTORY = 10
 FURTHEST = 3.0  # sizes of the body
 SMALLEST_SUBSTEP = 1.0 / 64.0
-AS_ONE = (
-    0.3  # of the held nodes' motion that no rigid motion explains: beyond it they do not move as one body
-)
+# of the held nodes' motion that no rigid motion explains: beyond it they do not move as one body
+AS_ONE = 0.3
 LEAST_TURN = 1e-9  # of the second moment of the held nodes: rotations about which they say less are not made
 FURTHEST_AHEAD = 2.0  # increments of load that are extrapolated
-SMALLEST_MOTION = (
-    1e-6  # sizes of the body; forces that move it less are measured by those that move it so far
-)
+# sizes of the body; forces that move it less are measured by those that move it so far
+SMALLEST_MOTION = 1e-6
 GROWTH_LIMIT = 1e3  # a residual that grew by this much will not come back
 
 NOT_CONVERGED = Status(
