@@ -226,7 +226,7 @@ class Stored:
         self._file = _open(path)
         try:
             self._objects = _objects(self._file, path)
-            found = int(self.number("case", "schema")) if "case" in self._objects else 0
+            found = self._schema()
             if found > schema:
                 raise StoreError(
                     f"{path}: schema {found} is newer than this program's {schema}; update vdmbench"
@@ -236,6 +236,13 @@ class Stored:
         except BaseException:
             self._file.close()
             raise
+
+    def _schema(self) -> int:
+        """Its schema; 0 where it has none."""
+        try:
+            return int(self.number("case", "schema"))
+        except (KeyError, TypeError, ValueError, OSError, OverflowError):
+            return 0
 
     def __enter__(self) -> Self:
         return self
