@@ -22,8 +22,10 @@ from .cli_output import (
 )
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from .case import Run
-    from .plan import Plan
+    from .plan import Plan, PlannedCase
     from .study_file.schema import Study
 
 SHIPPED = Path(__file__).parent / "cases"
@@ -52,7 +54,8 @@ def check_verb(options: argparse.Namespace) -> int:
     try:
         study, path = _load(options)
         cases = expand(study)
-        _check_files(_make_plan(study, cases, None))
+        plan = _make_plan(study, cases, None)
+        _check_files(plan, plan.cases)
     except StudyError as error:
         if options.json:
             problems = [problem._asdict() for problem in error.problems]
@@ -65,12 +68,12 @@ def check_verb(options: argparse.Namespace) -> int:
     return OK
 
 
-def _check_files(plan: Plan) -> None:
-    """Read the files that are still to be meshed. Raises StudyError for those that cannot be used."""
+def _check_files(plan: Plan, cases: Sequence[PlannedCase]) -> None:
+    """Read the files of cases that are still to be meshed. Raises StudyError for those that cannot be used."""
     from .meshing.mesh import MeshError
     from .study_file.config import geometry_error
 
-    for mesh in plan.missing_meshes(plan.cases):
+    for mesh in plan.missing_meshes(cases):
         try:
             _ = mesh.expected_size
         except MeshError as error:
@@ -84,7 +87,7 @@ def plan_verb(options: argparse.Namespace) -> int:
 
     study, _ = _load(options)
     plan = _make_plan(study, expand(study), options.out)
-    _check_files(plan)
+    _check_files(plan, plan.cases_to_run())
     planned = summary(plan)
     if options.json:
         return print_json(planned)
@@ -102,7 +105,9 @@ def plan_verb(options: argparse.Namespace) -> int:
     return OK
 
 
-def _estimate(expected: dict[str, float]) -> str:
+def _estimate(expected: dict[str, float] | None) -> str:
+    if expected is None:  # a mesh in the cache is damaged, and the file that it was made of is, too
+        return "estimate: none, as a file cannot be meshed"
     return (
         f"estimate: {expected['seconds']:.0f} s on one core, {expected['memory'] / 1e6:.0f} MB a worker, "
         f"{expected['disk'] / 1e6:.1f} MB on disk; each within a factor of {expected['factor']:g}"

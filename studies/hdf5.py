@@ -40,6 +40,10 @@ class StoreError(ValueError):
     """A stored result is damaged or of another schema; the message says which file and what to do."""
 
 
+class OlderSchemaError(StoreError):
+    """A stored result of an older version of the program, sound for that one."""
+
+
 # --- what a file is made of ---
 
 
@@ -231,8 +235,12 @@ class Stored:
                 raise StoreError(
                     f"{path}: schema {found} is newer than this program's {schema}; update vdmbench"
                 )
+            if found < 1:
+                raise StoreError(f"{path}: not a result file (it has no schema); delete it and run again")
             if found < schema:
-                raise StoreError(f"{path}: schema {found} is older than this program's {schema}; run again")
+                raise OlderSchemaError(
+                    f"{path}: schema {found} is older than this program's {schema}; run again"
+                )
         except BaseException:
             self._file.close()
             raise

@@ -13,7 +13,9 @@ from importlib import import_module
 _MODULES = ("studies.worker", "vdm.model", "fem_reference.linear", "scipy.spatial")
 
 gc.disable()
-for _name in _MODULES:
-    import_module(_name)
-gc.freeze()
-gc.enable()
+try:
+    for _name in _MODULES:
+        import_module(_name)
+    gc.freeze()
+finally:  # the server goes on without what it could not load, and its workers say what is missing
+    gc.enable()

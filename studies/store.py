@@ -27,7 +27,7 @@ from .case import (
     StepStatus,
 )
 from .files import write_atomically
-from .hdf5 import Data, Entry, Group, Stored, StoreError, Text, sealed
+from .hdf5 import Data, Entry, Group, OlderSchemaError, Stored, StoreError, Text, sealed
 from .metrics import METRICS
 from .metrics_table import metric_rows, metrics_csv
 
@@ -146,13 +146,18 @@ def run_state(directory: Path) -> dict[str, list[Any]]:
     if tables.exists():
         try:
             Stored(tables, SCHEMA).close()
+        except OlderSchemaError:
+            pass  # the next run writes it
         except StoreError:
             state["damaged"].append(f"{STUDY_FILE} (vdmbench report makes it anew)")
     return state
 
 
 def case_state(directory: Path, case_hash: str) -> str:
-    """ "done", "stale" (done, but by other versions of the metrics), "damaged", "failed" or "missing"."""
+    """ "done", "stale" (done, but by other versions of the metrics), "damaged", "failed" or "missing".
+
+    A file of an older schema counts as missing: the next run writes it anew.
+    """
     path = case_path(directory, case_hash)
     if path.exists():
         try:
@@ -160,7 +165,9 @@ def case_state(directory: Path, case_hash: str) -> str:
                 if file.text("case", "hash") != case_hash:
                     return "damaged"
                 fresh = "metrics" in file and file.text("metrics", "versions", "") == _metric_versions()
-        except (StoreError, KeyError):
+        except OlderSchemaError:
+            return "missing"
+        except (StoreError, KeyError, TypeError, ValueError, OSError):
             return "damaged"
         return "done" if fresh else "stale"
     return "failed" if failure_path(directory, case_hash).exists() else "missing"

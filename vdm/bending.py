@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from vdm.formulations.boundary import BoundaryFormulation, rigid_basis
 from vdm.formulations.skin import Skin
-from vdm.material import COARSE_NODES
+from vdm.material import COARSE_NODES_RANGE
 from vdm.problem import Problem
 from vdm.solution import Status
 from vdm.solvers.linear import BorderedFactor
@@ -60,16 +60,18 @@ def reserved(status: Status, error: float, form: BoundaryFormulation) -> Status:
     """The status of a step, with a reservation where the mesh is too coarse for the body, by `bending_error`."""
     if not status.ok or status.message or not error > BENDING_LIMIT:
         return status
-    skin = isinstance(form.body, Skin)
-    nodes, most = 2 * form.body.n_nodes, COARSE_NODES[1]
-    if nodes > most:
+    most = COARSE_NODES_RANGE[1]
+    nodes = min(2 * form.body.n_nodes, most)
+    if form.body.n_nodes >= most:
         remedy = (
             f"solve so thin a body with finite elements: it takes more than the {most:,} nodes of this form"
         )
-    elif skin:
-        remedy = f"set coarse_nodes to {nodes} or more"
+    elif isinstance(form.body, Skin):
+        remedy = f"set coarse_nodes to {nodes:,}"
     else:
-        remedy = f"refine the surface, above all where it is thin, to {nodes} nodes or more"
+        remedy = f"refine the surface, above all where it is thin, to {nodes:,} nodes"
+        if form.parameters.coarse_nodes is not None:
+            remedy += f" and set coarse_nodes to {nodes:,}"
     message = f"the mesh is too coarse for the body's thin parts: a known bending comes out {error:.0%} wrong"
     return replace(status, message=message, remedy=remedy)
 

@@ -122,8 +122,8 @@ def checked_load(load: Load, support: Support) -> Load:
     Raises
     ------
     ConstraintError
-        values that are not numbers, a wrong shape, nan, inf or beyond 1e100, or constrained nodes without a
-        displacement.
+        values that are not numbers, a wrong shape, nan, inf or beyond 1e100, constrained nodes without a
+        displacement, or a displacement of nodes that are not constrained.
     """
     n = len(support.fixed)
     pressure = _checked(load.contact_pressure, "contact_pressure", (n,))
@@ -133,6 +133,8 @@ def checked_load(load: Load, support: Support) -> Load:
     prescribed = _checked(load.prescribed, "prescribed", (n, 3))
     if prescribed is None and support.constrained.any():
         raise ConstraintError("constrained nodes need the load's prescribed displacement")
+    if prescribed is not None and prescribed[~support.constrained].any():
+        raise ConstraintError("the load moves nodes that are not constrained; name them in constrained")
     return Load(pressure, force, prescribed)
 
 

@@ -28,7 +28,7 @@ SUPPORTED_TENSION: dict[Rotation, float] = {"none": 1.1, "global": 1.1, "nodal":
 
 
 # of the boundary form's body: the thin lobes of a liver were lost at 150 nodes, more than 1,000 are dear
-COARSE_NODES = (200, 1000)
+COARSE_NODES_RANGE = (200, 1000)
 NODE_MODULI = ("bulk_modulus", "foundation")
 EDGE_MODULI = ("connectivity_modulus", "surface_tension", "stretch_stiffness")
 MODULI = (*NODE_MODULI, *EDGE_MODULI, "shear_modulus")
@@ -73,7 +73,7 @@ class Parameters:
         for name, value in self.moduli().items():
             if not _not_negative(value):
                 raise ParameterError(f"{name} must be finite and not negative")
-        (fewest, most), count = COARSE_NODES, self.coarse_nodes
+        (fewest, most), count = COARSE_NODES_RANGE, self.coarse_nodes
         if count is not None and not (isinstance(count, int | np.integer) and fewest <= count <= most):
             raise ParameterError(
                 f"coarse_nodes must be a whole number from {fewest} to {most:,}, not {count!r}"

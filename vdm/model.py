@@ -228,8 +228,8 @@ class Model:
     def _condition(self, n_steps: int) -> dict[str, Array]:
         try:
             estimate = self.condition_estimate().system
-        except SolverError:  # singular in double precision, what the steps came from did not see it
-            estimate = np.inf
+        except SolverError as error:  # singular in double precision: what the steps came from did not see it
+            estimate = np.inf if error.status.code == "singular" else np.nan
         return {"condition_estimate": np.full(n_steps, estimate)}
 
     def _reserved(self, status: Status) -> Status:

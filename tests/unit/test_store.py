@@ -136,6 +136,18 @@ def _edit_about(file: h5py.File, **changes: Any) -> None:
     file["case/about"][()] = text
 
 
+def test_a_case_of_an_older_program_is_made_anew(tmp_path: Path) -> None:
+    case = example_case()
+    path = store.case_path(tmp_path, case.hash)
+    path.parent.mkdir()
+    store.write_case(path, case)
+    assert store.case_state(tmp_path, case.hash) == "done"
+    _reseal(path, lambda f: f["case"].attrs.__setitem__("schema", 1))
+    assert store.case_state(tmp_path, case.hash) == "missing"
+    _reseal(path, lambda f: f["case"].attrs.__delitem__("schema"))
+    assert store.case_state(tmp_path, case.hash) == "damaged"
+
+
 @pytest.mark.parametrize(
     ("edit", "message"),
     [
@@ -144,9 +156,9 @@ def _edit_about(file: h5py.File, **changes: Any) -> None:
         (lambda f: f.__setitem__("case/soft", h5py.SoftLink("/models")), "link"),
         (lambda f: f.create_dataset("case/raw", (4,), "u1", external=[("/etc/hostname", 0, 4)]), "outside"),
         (lambda f: f["case"].attrs.__setitem__("schema", 1), "older"),
-        (lambda f: f["case"].attrs.__delitem__("schema"), "older"),
-        (lambda f: f["case"].attrs.__setitem__("schema", "two"), "older"),
-        (lambda f: f["case"].attrs.__setitem__("schema", np.inf), "older"),
+        (lambda f: f["case"].attrs.__delitem__("schema"), "no schema"),
+        (lambda f: f["case"].attrs.__setitem__("schema", "two"), "no schema"),
+        (lambda f: f["case"].attrs.__setitem__("schema", np.inf), "no schema"),
         (lambda f: f.__delitem__("case/about"), "not readable"),
         (lambda f: f["case/about"].__setitem__((), "[]"), "not readable"),
         (lambda f: f["case/about"].__setitem__((), "{"), "not readable"),

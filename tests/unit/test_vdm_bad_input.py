@@ -41,6 +41,11 @@ def model(**options) -> Model:
         ("contact_force", np.full((N, 3), -1e200), "contact_force has values beyond"),
         ("prescribed", np.full((N, 3), 1e200), "prescribed has values beyond"),
         ("prescribed", np.zeros((3, N)), "prescribed must have shape"),
+        (
+            "prescribed",
+            np.full((N, 3), 1e-3),
+            "moves nodes that are not constrained; name them in constrained",
+        ),
     ],
 )
 def test_a_load_that_is_none(part, value, words, solver, monkeypatch):

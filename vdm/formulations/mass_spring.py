@@ -168,8 +168,8 @@ def _strut_directions(surface: SurfaceMesh) -> Array:
 def _along_longest_edges(surface: SurfaceMesh) -> Array:
     """(N, 3) unit tangents: of each node's edges the one that is longest along the surface.
 
-    A direction of the body itself, other at every node: one taken from the axes of space would brace the body in
-    some directions more than in others, and the answer would depend on how it lies.
+    A direction of the body itself, another one at every node: one taken from the axes of space would brace the body
+    in some directions more than in others, and the answer would depend on how it lies.
     """
     ends = np.concatenate([surface.edges, surface.edges[:, ::-1]])
     vectors = surface.points[ends[:, 1]] - surface.points[ends[:, 0]]
