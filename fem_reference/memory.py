@@ -23,9 +23,10 @@ def available_memory() -> float:
             used = float(statm.read().split()[0]) * page
     except OSError:  # not Linux: the physical memory is the bound that is left
         return available
-    limit, _ = resource.getrlimit(resource.RLIMIT_AS)
-    if limit != resource.RLIM_INFINITY:
-        available = min(available, limit - used)
+    for kind, taken in ((resource.RLIMIT_AS, used), (resource.RLIMIT_DATA, _data_bytes())):
+        limit, _ = resource.getrlimit(kind)
+        if limit != resource.RLIM_INFINITY:
+            available = min(available, limit - taken)
     return available
 
 

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
+
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
@@ -283,3 +286,14 @@ def test_an_unknown_solver_is_told() -> None:
 
 def test_available_memory_is_plausible() -> None:
     assert 1e7 < available_memory() < 1e14
+
+
+def test_a_limit_of_the_process_is_a_bound_of_what_is_available() -> None:
+    code = (
+        "import resource; from fem_reference.memory import available_memory, _data_bytes;"
+        "limit = _data_bytes() + 300_000_000;"
+        "resource.setrlimit(resource.RLIMIT_DATA, (limit, resource.RLIM_INFINITY));"
+        "print(available_memory())"
+    )
+    told = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True).stdout
+    assert 2e8 < float(told) <= 3e8
