@@ -123,7 +123,7 @@ def checked_load(load: Load, support: Support) -> Load:
     ------
     ConstraintError
         values that are not numbers, a wrong shape, nan, inf or beyond 1e100, constrained nodes without a
-        displacement, or a displacement of nodes that are not constrained.
+        displacement, or a displacement where no node is constrained.
     """
     n = len(support.fixed)
     pressure = _checked(load.contact_pressure, "contact_pressure", (n,))
@@ -133,8 +133,8 @@ def checked_load(load: Load, support: Support) -> Load:
     prescribed = _checked(load.prescribed, "prescribed", (n, 3))
     if prescribed is None and support.constrained.any():
         raise ConstraintError("constrained nodes need the load's prescribed displacement")
-    if prescribed is not None and prescribed[~support.constrained].any():
-        raise ConstraintError("the load moves nodes that are not constrained; name them in constrained")
+    if prescribed is not None and prescribed.any() and not support.constrained.any():
+        raise ConstraintError("the load moves nodes and none is constrained; name them in constrained")
     return Load(pressure, force, prescribed)
 
 

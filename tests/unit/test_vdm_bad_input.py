@@ -44,7 +44,7 @@ def model(**options) -> Model:
         (
             "prescribed",
             np.full((N, 3), 1e-3),
-            "moves nodes that are not constrained; name them in constrained",
+            "moves nodes and none is constrained; name them in constrained",
         ),
     ],
 )
