@@ -211,8 +211,9 @@ def test_what_is_damaged_is_made_again(
     for key, displacement in theirs.items():
         atol = 1e-12 * float(np.abs(displacement).max())
         assert_allclose(ours[key], displacement, rtol=0, atol=atol, err_msg=str(key))
-    links = sum(path.is_symlink() for path in copy.rglob("*"))
-    assert links <= 2, "the reference that no case needed, and the one that leads to what it should hold"
+    # a link to what should be there is as good as that
+    left = [path for path in copy.rglob("*") if path.is_symlink() and path != references[1]]
+    assert len(left) <= 1, "the reference that no case needed"
     assert sum(_reads("reference", path) for path in references) >= 5, "of the cases that were run"
 
 
