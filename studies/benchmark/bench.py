@@ -111,7 +111,8 @@ def measure(
 
     def measured(body: str, study: Study) -> list[Entry]:
         mesh = mesh_from_cache(geometry_of(study), cache)
-        about.update(about or provenance(mesh))
+        if not about:
+            about.update(provenance(mesh))
         watch(f"measuring {body}, {len(mesh.surface_nodes)} nodes")
         scene = build_scene(study, mesh)
         return _on_mesh(body, study, scene, names or study.study.models, rounds)
