@@ -20,34 +20,6 @@ from .study_file.schema import Study
 from .uncertainty import estimate_error
 
 
-def refined_reference(
-    study: Study, scene: Scene, name: str, result: ModelResult, n_levels: int
-) -> tuple[ModelResult, dict[str, float]]:
-    """Solve the scene on `n_levels` - 1 refinements, each splitting every tetrahedron into eight.
-
-    The body, its supports and its loads stay what they are; a smooth profile is evaluated anew on each level.
-    All levels share the surface nodes of the case's mesh, where they are compared.
-
-    Parameters
-    ----------
-    name : the reference model
-    result : its result on the case's own mesh
-
-    Returns
-    -------
-    finest : the finest level's result at the surface nodes of the case's mesh
-    error : the finest level's own error at the largest load, see `own_error`
-
-    Raises
-    ------
-    TaskError
-        a level that did not converge.
-    """
-    surface = Surface(scene.mesh.surface_points, scene.mesh.triangles, scene.contact)
-    levels = [result, *refined_levels([study], [scene], name, n_levels)[0]]
-    return levels[-1], own_error(surface, levels[::-1], scene.load_factors)
-
-
 def own_error(surface: Surface, levels: Sequence[ModelResult], load_factors: Array) -> dict[str, float]:
     """The error of the finest of S-step results on one surface, at the largest load.
 
@@ -106,7 +78,9 @@ def refined_levels(
 ) -> list[list[ModelResult]]:
     """Each scene's results on the `n_levels` - 1 refinements of their common mesh, at its surface nodes.
 
-    The scenes differ in their loads only: all are solved with one factorisation per level where the model can.
+    Each splits every tetrahedron into eight. The body, its supports and its loads stay what they are; a smooth
+    profile is evaluated anew on each level. The scenes differ in their loads only: all are solved with one
+    factorisation per level where the model can.
 
     Raises
     ------

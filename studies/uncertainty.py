@@ -70,7 +70,7 @@ def reference_bar(reference_error: Mapping[str, float], metric: str) -> float:
 
     Parameters
     ----------
-    reference_error : of a case, see `studies.reference.refined_reference`
+    reference_error : of a case, see `studies.reference.own_error`
     metric : a name of `studies.metrics.METRICS`
     """
     return reference_error.get(f"gci:{metric}", math.nan)

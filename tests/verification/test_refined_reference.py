@@ -12,7 +12,7 @@ from studies import models
 from studies.case import ModelResult
 from studies.meshing.geometry import build_mesh
 from studies.metrics import METRICS, History, Surface, evaluate, relative_l2
-from studies.reference import own_error, refined_reference
+from studies.reference import own_error, refined_levels
 from studies.scene import Scene, build_scene
 from studies.study_file.config import geometry_of
 from studies.study_file.schema import Study, VdmTable
@@ -43,13 +43,22 @@ def scene() -> Scene:
     return build_scene(STUDY, build_mesh(geometry_of(STUDY)))
 
 
+def levels_of(study: Study, scene: Scene, model: str, n_levels: int) -> list[ModelResult]:
+    """The coarsest first."""
+    return [models.run_model(scene, model), *refined_levels([study], [scene], model, n_levels)[0]]
+
+
+def surface_of(scene: Scene) -> Surface:
+    return Surface(scene.mesh.surface_points, scene.mesh.triangles, scene.contact)
+
+
 def test_three_levels(scene: Scene) -> None:
-    coarse = models.run_model(scene, "fem-linear")
-    middle, two = refined_reference(STUDY, scene, "fem-linear", coarse, 2)
-    fine, three = refined_reference(STUDY, scene, "fem-linear", coarse, 3)
-    areas = Surface(scene.mesh.surface_points, scene.mesh.triangles).areas
+    coarse, middle, fine = levels_of(STUDY, scene, "fem-linear", 3)
+    surface = surface_of(scene)
+    two = own_error(surface, [middle, coarse], scene.load_factors)
+    three = own_error(surface, [fine, middle, coarse], scene.load_factors)
     u0, u1, u2 = (result.displacement[-1] for result in (coarse, middle, fine))
-    seen, unseen = relative_l2(u0, u1, areas), relative_l2(u1, u2, areas)
+    seen, unseen = relative_l2(u0, u1, surface.areas), relative_l2(u1, u2, surface.areas)
     assert unseen < 0.6 * seen, "levels come closer"
     # the bar of two levels holds the difference to the third, and is not wildly wide
     bar = reference_bar(two, VECTOR)
@@ -60,7 +69,6 @@ def test_three_levels(scene: Scene) -> None:
     assert three["levels"] == 3
     assert stored_estimate(three).behaviour == "converging"
     # every measure that compares has a bar of its own, and the third level lies within that of the second
-    surface = Surface(scene.mesh.surface_points, scene.mesh.triangles, scene.contact)
     histories = [History(r.displacement, r.reaction_force, scene.load_factors) for r in (middle, fine)]
     for metric, values in evaluate(surface, *histories).items():
         own = reference_bar(two, metric)
@@ -73,7 +81,7 @@ def test_three_levels(scene: Scene) -> None:
 @pytest.mark.parametrize("order", [1.0, 2.0, 3.0])
 def test_own_error_of_a_known_sequence(scene: Scene, order: float) -> None:
     """Levels u + h^p e with the largest load in the middle of the history: the bar is 1.25 h^p |e| / |u|."""
-    surface = Surface(scene.mesh.surface_points, scene.mesh.triangles, scene.contact)
+    surface = surface_of(scene)
     rng = np.random.default_rng(0)
     coarse = models.run_model(scene, "fem-linear")
     exact, e = coarse.displacement[-1], 1e-3 * rng.standard_normal(coarse.displacement[-1].shape)
@@ -102,8 +110,7 @@ def test_own_error_of_a_known_sequence(scene: Scene, order: float) -> None:
 
 
 def test_a_restricted_level_keeps_its_forces_and_steps(scene: Scene) -> None:
-    coarse = models.run_model(scene, "fem-linear")
-    finest, _ = refined_reference(STUDY, scene, "fem-linear", coarse, 2)
+    coarse, finest = levels_of(STUDY, scene, "fem-linear", 2)
     assert finest.displacement.shape == coarse.displacement.shape == (2, len(scene.fixed), 3)
     assert_allclose(finest.displacement[:, scene.fixed], 0.0, rtol=0, atol=0)
     assert_allclose(finest.displacement[0], 0.5 * finest.displacement[1], rtol=1e-6, atol=1e-12)
@@ -128,9 +135,9 @@ def test_levels_of_a_surface_model_without_an_inside(
     study = STUDY.model_copy(update={"vdm": VdmTable(**moduli)})
     scene = build_scene(study, build_mesh(geometry_of(study), volume=False))
     assert len(scene.mesh.tetrahedra) == 0
-    finest, error = refined_reference(study, scene, model, models.run_model(scene, model), 4)
-    assert finest.displacement.shape == (2, len(scene.fixed), 3)
-    estimate = stored_estimate(error)
+    levels = levels_of(study, scene, model, 4)
+    assert levels[-1].displacement.shape == (2, len(scene.fixed), 3)
+    estimate = stored_estimate(own_error(surface_of(scene), levels[::-1], scene.load_factors))
     assert estimate is not None
     assert estimate.behaviour == behaviour
     if behaviour == "diverging":
