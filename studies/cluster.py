@@ -203,7 +203,9 @@ def connected(address: str, *, insecure: bool) -> Iterator[Cluster]:
     try:
         client = distributed.Client(address, set_as_default=False)  # type: ignore[no-untyped-call]
     except (OSError, TimeoutError):
-        raise ClusterError(f"no scheduler answers at {address}; start one with: dask scheduler") from None
+        trusting = " that trusts this certificate" if address.startswith("tls:") else ""
+        message = f"no scheduler{trusting} answers at {address}; start one with: dask scheduler"
+        raise ClusterError(message) from None
     with client:
         cluster = Cluster(client, address)
         cluster.wait_for_workers()

@@ -10,11 +10,13 @@ import socket
 import subprocess
 import time
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+import trustme
 
 from studies.cluster import AddressError, checked_address, refusal
 from studies.journal import Journal
@@ -32,14 +34,14 @@ SWEEP = """
 """
 
 
-@pytest.fixture(scope="module")
-def scheduler(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
+@contextmanager
+def _cluster(place: Path, *options: str, **environment: str) -> Iterator[str]:
     """The address of a scheduler with two workers of one thread each."""
-    place = tmp_path_factory.mktemp("cluster")
     contact = place / "scheduler.json"
     quiet: dict[str, Any] = {"cwd": place, "stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
+    quiet["env"] = os.environ | environment
     start = [*_documented("dask scheduler", "8786", "0"), "--no-dashboard", "--scheduler-file", str(contact)]
-    with subprocess.Popen(start, **quiet) as head:
+    with subprocess.Popen([*start, *options], **quiet) as head:
         _wait_for(lambda: contact.exists() and contact.read_text().endswith("}"))
         address = json.loads(contact.read_text())["address"]
         work = [*_documented("dask worker", "tcp://127.0.0.1:8786", address), "--no-dashboard"]
@@ -47,6 +49,23 @@ def scheduler(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
             yield address
             hands.terminate()
         head.terminate()
+
+
+@pytest.fixture(scope="module")
+def scheduler(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
+    """The address of a scheduler on this machine that anyone here may talk to."""
+    with _cluster(tmp_path_factory.mktemp("cluster")) as address:
+        yield address
+
+
+def _certificates(place: Path, authority: trustme.CA) -> dict[str, str]:
+    """Dask's configuration of a certificate for each part of a cluster, as variables of the environment."""
+    signed, ca = place / "signed.pem", place / "ca.pem"
+    authority.issue_cert("127.0.0.1").private_key_and_cert_chain_pem.write_to_path(signed)
+    authority.cert_pem.write_to_path(ca)
+    tls = "DASK_DISTRIBUTED__COMM__TLS__"
+    parts = ("CLIENT", "SCHEDULER", "WORKER")
+    return {f"{tls}CA_FILE": str(ca), **{f"{tls}{part}__CERT": str(signed) for part in parts}}
 
 
 def _documented(command: str, old: str, new: str) -> list[str]:
@@ -170,6 +189,24 @@ def test_ctrl_c_stops_what_runs_and_keeps_what_is_done(
     assert vdmbench("run", study, "--out", "run", "--scheduler", scheduler, cwd=tmp_path).returncode == 0
     assert {path: path.stat().st_mtime_ns for path in kept} == kept
     _assert_same_cases(run, local_run)
+
+
+def test_tls_takes_those_with_a_certificate_only(tmp_path: Path, local_run: Path) -> None:
+    study, authority = _study(tmp_path), trustme.CA()
+    trusted = _certificates(tmp_path, authority)
+    (tmp_path / "stranger").mkdir()
+    stranger = _certificates(tmp_path / "stranger", trustme.CA()) | NEAR_ZERO_PATIENCE
+    with _cluster(tmp_path, "--protocol", "tls", **trusted) as address:
+        assert address.startswith("tls://127.0.0.1:")
+        refused = vdmbench("run", study, "--out", "run", "--scheduler", address, cwd=tmp_path, **stranger)
+        assert refused.returncode == 4
+        assert refused.stderr.startswith(
+            f"vdmbench: no scheduler that trusts this certificate answers at {address};"
+        )
+        assert len(refused.stderr.splitlines()) == 1
+        result = vdmbench("run", study, "--out", "run", "--scheduler", address, cwd=tmp_path, **trusted)
+    assert result.returncode == 0, result.stderr
+    _assert_same_cases(tmp_path / "run", local_run)
 
 
 def test_nobody_there_and_nobody_to_be_trusted(tmp_path: Path) -> None:
