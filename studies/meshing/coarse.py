@@ -148,7 +148,7 @@ def solve_coarse(scene: Scene) -> Solution:
         parameters={
             "youngs_modulus": tissue.youngs_modulus,
             "poisson_ratio": tissue.poisson_ratio,
-            "density": tissue.density,
+            "coarse_density": problem.density,  # flatter facets hold less: the weight is the case's own
             "coarse_tetrahedra": float(len(coarse.tetrahedra)),
             "coarse_surface_nodes": float(len(coarse.surface_nodes)),
             "dofs": float(problem.system.size),

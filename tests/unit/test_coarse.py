@@ -123,6 +123,9 @@ def test_weight_and_a_moved_tool() -> None:
     assert_allclose(result.displacement[1][pulled.held], pulled.prescribed[pulled.held], rtol=0, atol=0)
     weight = 1000.0 * 9.81 * enclosed_volume(pulled.mesh.surface_points, pulled.mesh.triangles)
     assert_allclose(result.reaction_force[:, :, 2].sum(axis=1), weight, rtol=1e-8, atol=0)
+    mesh = coarse_mesh(pulled.mesh)
+    volume = enclosed_volume(mesh.surface_points, mesh.triangles)
+    assert_allclose(9.81 * volume * result.parameters["coarse_density"], weight, rtol=1e-12, atol=0)
 
 
 def test_what_cannot_be_solved_is_refused(scene: Scene) -> None:
