@@ -60,7 +60,6 @@ class Solution:
     seconds_per_step : (S,) time of each step after set-up [s]
     parameters : the material and solver parameters that were used
     scalars : further (S,) outputs by name
-    point_fields : further (S, N) outputs by name
     """
 
     displacement: Array
@@ -73,4 +72,3 @@ class Solution:
     seconds_per_step: Array
     parameters: dict[str, float | str] = field(default_factory=dict)
     scalars: dict[str, Array] = field(default_factory=dict)
-    point_fields: dict[str, Array] = field(default_factory=dict)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from typing import Any
 
 import numpy as np
@@ -28,7 +28,7 @@ class StepStatus:
 
 @dataclass(frozen=True)
 class ModelResult:
-    """One model's load history of S steps on N surface nodes; the fields of `vdm.solution.Solution` plus memory.
+    """One model's load history of S steps on N surface nodes: a solution as its library gives it, and its memory.
 
     A step that failed holds NaN in its arrays; its status says why.
     """
@@ -46,8 +46,12 @@ class ModelResult:
     version: str  # declared version of the model
     parameters: Mapping[str, float | str] = field(default_factory=dict)
     scalars: Mapping[str, Array] = field(default_factory=dict)  # (S,) each
-    point_fields: Mapping[str, Array] = field(default_factory=dict)  # (S, N) each
     key: str = ""  # content key of all that decides the result; "" where it is not to be used again
+
+    def __post_init__(self) -> None:
+        taken = self.scalars.keys() & {own.name for own in fields(self)}
+        if taken:  # they are columns of one table
+            raise ValueError(f"a model's own output cannot be called {min(taken)!r}: every result has one")
 
 
 @dataclass(frozen=True)

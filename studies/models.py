@@ -165,7 +165,6 @@ def _part(solution: FemSolution, steps: slice) -> FemSolution:
         solution,
         **{name: getattr(solution, name)[steps] for name in (*arrays, "status")},
         scalars={name: values[steps] for name, values in solution.scalars.items()},
-        point_fields={name: values[steps] for name, values in solution.point_fields.items()},
     )
 
 
@@ -456,7 +455,6 @@ def _result(
         version=model.version,
         parameters={**solution.parameters, **mark},
         scalars=solution.scalars,
-        point_fields=solution.point_fields,
     )
 
 

@@ -51,7 +51,6 @@ class Solved:
             status=solution.status[k],
             seconds_per_step=np.array([np.median(solution.seconds_per_step)]),
             scalars={name: values[k] for name, values in solution.scalars.items()},
-            point_fields={name: values[k] for name, values in solution.point_fields.items()},
         )
         return cls(loads, step, scene.environment_pressure)
 
@@ -78,7 +77,6 @@ class Solved:
             status=one.status * len(factors),
             seconds_per_step=np.repeat(one.seconds_per_step, len(factors)),
             scalars={name: np.repeat(values, len(factors)) for name, values in one.scalars.items()},
-            point_fields={name: factors[:, None] * values for name, values in one.point_fields.items()},
         )
 
 

@@ -126,7 +126,6 @@ def _restricted(result: ModelResult, lineage: list[Index]) -> ModelResult:
         result,
         displacement=result.displacement[:, :n_nodes],
         reaction_force=force,
-        point_fields={name: values[:, :n_nodes] for name, values in result.point_fields.items()},
     )
 
 

@@ -42,7 +42,6 @@ def write_levels(path: Path, levels: Sequence[ModelResult]) -> None:
         arrays[f"{number}/about"] = np.array(json.dumps(about))
         arrays |= {f"{number}/{name}": getattr(result, name) for name in _ARRAYS}
         arrays |= {f"{number}/scalar/{name}": values for name, values in result.scalars.items()}
-        arrays |= {f"{number}/point_field/{name}": values for name, values in result.point_fields.items()}
     write_arrays(path, arrays)
 
 
@@ -57,15 +56,12 @@ def read_levels(path: Path) -> list[ModelResult] | None:
 def _level(arrays: dict[str, Any], prefix: str) -> ModelResult:
     about = json.loads(str(arrays[f"{prefix}about"]))
 
-    def named(kind: str) -> dict[str, Any]:
-        start = f"{prefix}{kind}/"
-        return {name.removeprefix(start): values for name, values in arrays.items() if name.startswith(start)}
-
+    start = f"{prefix}scalar/"
+    scalars = {name.removeprefix(start): values for name, values in arrays.items() if name.startswith(start)}
     return ModelResult(
         **{name: arrays[f"{prefix}{name}"] for name in _ARRAYS},
         **{name: about[name] for name in _NUMBERS},
         status=tuple(StepStatus(*status) for status in about["status"]),
         parameters=about["parameters"],
-        scalars=named("scalar"),
-        point_fields=named("point_field"),
+        scalars=scalars,
     )

@@ -279,8 +279,6 @@ def _vtk_entries(case: CaseResult) -> list[Entry]:
     for name, model in case.models.items():
         per_step(f"{name}.displacement", model.displacement, "m")
         per_step(f"{name}.reaction_force", model.reaction_force, "N")
-        for further, values in model.point_fields.items():
-            per_step(f"{name}.{further}", values, "")
     for name, mask in case.regions.items():
         field(f"region.{name}", mask.astype(np.int8), "1", none)
     return entries
@@ -288,8 +286,7 @@ def _vtk_entries(case: CaseResult) -> list[Entry]:
 
 def _about_model(model: ModelResult) -> dict[str, Any]:
     status = [[s.code, s.message, s.remedy] for s in model.status]
-    further = {"status": status, "point_fields": list(model.point_fields)}
-    return {name: getattr(model, name) for name in _ABOUT_MODEL} | further
+    return {name: getattr(model, name) for name in _ABOUT_MODEL} | {"status": status}
 
 
 def _steps_table(path: str, model: ModelResult) -> Data:
@@ -374,7 +371,6 @@ def _read_model(
         status=tuple(StepStatus(*row) for row in about["status"]),
         **{key: about[key] for key in _ABOUT_MODEL},
         scalars=steps,
-        point_fields={field: per_step(f"{name}.{field}") for field in about["point_fields"]},
     )
 
 

@@ -51,7 +51,7 @@ class Solution:
     seconds_per_step : (S,) time of each step after set-up [s]
     parameters : the material and solver parameters that were used
     scalars : further (S,) outputs by name
-    point_fields : further (S, N) outputs by name
+    point_fields : further (S, N) outputs by name [Pa], see `vdm.model.OUTPUTS`
     """
 
     displacement: Array

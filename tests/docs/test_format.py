@@ -12,7 +12,7 @@ from studies import hdf5, store
 from tests.unit.example_case import example_case
 
 FORMAT = Path(__file__).parents[2] / "results" / "FORMAT.md"
-PLACEHOLDERS = {"<model>": r"[^/.]+?", "<region>": r"[^/]+", "<metric>": r"[^/]+", "<field>": r"[^/.]+"}
+PLACEHOLDERS = {"<model>": r"[^/.]+?", "<region>": r"[^/]+", "<metric>": r"[^/]+"}
 
 
 def _documented() -> dict[str, re.Pattern[str]]:

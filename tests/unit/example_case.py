@@ -42,7 +42,6 @@ def model_result(rng: np.random.Generator, n_nodes: int) -> ModelResult:
         version="1",
         parameters={"bulk_modulus": 10.0, "solver": "direct"},
         scalars={"compliance": rng.normal(size=N_STEPS)},
-        point_fields={"nodal_stress": rng.normal(size=(N_STEPS, n_nodes))},
     )
 
 
