@@ -17,6 +17,7 @@ from .case import CaseResult
 from .hdf5 import StoreError
 from .meshing.mesh import MeshError
 from .meshing.mesh_cache import mesh_path, read_mesh
+from .model_name import FINITE_STRAIN, split
 from .plan import Plan, PlannedCase, PlannedMesh
 from .store import read_case
 from .work import ModelWork, work_of
@@ -113,8 +114,9 @@ def _search(case: PlannedCase, size: Size, learnt: Mapping[str, Cost]) -> float:
 
     def tried(name: str, level: int, loads: int) -> float:
         cost = _cost(ModelWork(name, case.mesh, case.setup, level, loads, steps * loads, steps), size, learnt)
-        bent = name in models.FINITE_STRAIN or name.endswith(":nonlinear")
-        setups = loads if name in models.FINITE_STRAIN else 1
+        base, solver = split(name)
+        bent = base in FINITE_STRAIN or solver == "nonlinear"
+        setups = loads if base in FINITE_STRAIN else 1
         return setups * cost.setup + loads * (max(steps, _DEEP) if bent else steps) * cost.step
 
     for name in study.study.models:

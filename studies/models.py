@@ -57,7 +57,6 @@ class Model:
 
 
 MODELS: dict[str, Model] = {}
-FINITE_STRAIN = ("fem",)  # models that can serve as the reference of the small-strain limits
 REFUSED = "refused"  # status of a model that could not be set up: before any solve, for a reason of the input
 
 

@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..case import CaseResult
+from ..model_name import is_linear, split
 from .blocks import Figure
 from .claim_figures import Line, bars, curves
 from .digest import VECTOR, Digest, at_full_load, failed_steps, full_load, is_vdm, series
@@ -72,10 +73,6 @@ def _iterative(case: CaseResult, model: str) -> bool:
     return model in case.models and case.models[model].parameters.get("solver") == "iterative"
 
 
-def _solver(model: str) -> str:
-    return model.partition(":")[2] or "linear"
-
-
 @_claim(
     1,
     "Volume is conserved by every solver.",
@@ -96,7 +93,7 @@ def _volume(digests: Sequence[Digest]) -> Judgement | None:
                 found[model] = max(found.get(model, 0.0), largest)
     if not drift:
         return None
-    exact = [m for m in drift if _solver(m) == "nonlinear"]
+    exact = [m for m in drift if split(m)[1] == "nonlinear"]
     others = [m for m in drift if m not in exact]
     worst = max(drift, key=lambda m: drift[m])
     if drift[worst] <= EXACT:
@@ -144,7 +141,7 @@ def _linear(digests: Sequence[Digest]) -> Judgement | None:
                 strains += [
                     lim.strain for lim in entry.limits if lim.state == "found" and lim.threshold <= KEPT
                 ]
-            elif is_vdm(model) and _solver(model) == "linear":
+            elif is_vdm(model) and split(model)[1] == "linear":
                 structural[model] = max(structural.get(model, 0.0), entry.structural_error)
     if not strains or not structural:
         return None
@@ -393,7 +390,7 @@ def _large_strain(digests: Sequence[Digest]) -> Judgement | None:
     stopped: list[str] = []
     lines: list[Line] = []
     for digest in digests:
-        models = [m for m in digest.compared if is_vdm(m) and _solver(m) == "nonlinear"]
+        models = [m for m in digest.compared if is_vdm(m) and split(m)[1] == "nonlinear"]
         lines += _histories(digest, VECTOR, [*models, *(m for m in digest.compared if m == "fem-linear")])
         for case in digest.cases:
             for model in models:
@@ -430,7 +427,7 @@ def _stability(digests: Sequence[Digest]) -> Judgement | None:
     for digest in digests:
         for case in digest.cases:
             for model in digest.compared:
-                if model not in case.models or _solver(model) in ("quasi-linear", "nonlinear"):
+                if model not in case.models or not is_linear(model):
                     continue  # another problem than the linear one: a difference is no instability
                 total += 1
                 error = at_full_load(case, model, VECTOR)

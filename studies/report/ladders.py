@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..case import CaseResult, ModelResult
-from ..metrics import Surface
+from ..model_name import is_linear, split
 from .digest import Array, Digest, failed_steps, series
 from .formatting import swept_value
 
@@ -18,8 +18,6 @@ SINGLE_RESIDUAL = 1e-3  # the same where 32 bits were asked for: they leave 1e-4
 DIFFERENT = 1e-3  # of the largest displacement; more is another answer than the trusted solver's
 BEYOND_LINEAR = 0.05  # of the volume, which linear terms keep and the displacement that they give does not
 LEFT = 1e-3  # of the largest displacement, left after all loads are taken away
-NOT_LINEAR = ("quasi-linear", "nonlinear")  # solvers of another problem than the linear one
-FINITE_STRAIN = "fem"  # the model whose only solver is
 MEASURES = ("residual", "condition", "difference", "drift", "left")
 
 
@@ -131,9 +129,9 @@ def _ladder(digest: Digest, key: str, cases: dict[float, CaseResult], base: floa
 
 def trusted(case: CaseResult, model: str) -> str | None:
     """The solver of the same linear system whose answer is taken as right: refined, else the direct one."""
-    name, _, solver = model.partition(":")
-    if solver in NOT_LINEAR:
+    if not is_linear(model):
         return None
+    name, _ = split(model)
     candidates = (f"{name}:refined", name, f"{name}:linear")
     return next((other for other in candidates if other in case.models and other != model), None)
 
@@ -204,11 +202,12 @@ def _difference(case: CaseResult, model: str) -> float:
 
 def _second_order(case: CaseResult, model: str) -> float:
     """Largest change of volume of a linear model that its own first order does not have, over the volume."""
-    if model == FINITE_STRAIN or model.partition(":")[2] in NOT_LINEAR:
+    names = ("volume_drift", "mean_strain_x", "mean_strain_y", "mean_strain_z")
+    known = [values for name in names if (values := series(case, model, name)) is not None]
+    if not is_linear(model) or len(known) < len(names):
         return math.nan
-    surface, result = Surface(case.points, case.triangles), case.models[model]
-    first = np.einsum("sni,ni->s", result.displacement, surface.volume_gradient)
-    return _largest((result.volume - surface.volume - first) / surface.volume)
+    drift, *strains = known
+    return _largest(drift - sum(strains))
 
 
 def _left(case: CaseResult, result: ModelResult) -> float:

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from ..case import CaseResult
+from ..model_name import FINITE_STRAIN, split
 from .digest import DEFORMATION, VECTOR, Digest, full_load, reference_bar, series
 from .formatting import listed, plain, quantity, short_percent, swept_value
 from .section_errors import parameter_name
@@ -17,7 +18,6 @@ from .section_limits import limits_in_words
 CLOSE = 0.10  # "within 10 %", the threshold that the paper's claim speaks of
 WITHIN, OPEN, BEYOND, LOST = "within", "open", "beyond", "lost"
 _LOADS = ("force", "pressure", "displacement")  # parts of swept keys that are a load
-_FINITE_STRAIN = "fem"
 
 
 def case_state(case: CaseResult, model: str, step: int) -> str:
@@ -52,17 +52,12 @@ def loads_in_words(digest: Digest, model: str) -> list[str]:
         sentences = [f"One load was tried{' in each case' if len(digest.cases) > 1 else ''}: {tried}."]
     elif tried:
         sentences.append(f"Full load is {tried}.")
-    if digest.reference is not None and _base(digest.reference) != _FINITE_STRAIN:
+    if digest.reference is not None and split(digest.reference)[0] not in FINITE_STRAIN:
         sentences.append(
             f"{digest.reference} is a small-strain reference, so the errors of linear models do not grow with the "
             'load by construction: where small strain ends is only told by reference = "fem".'
         )
     return sentences
-
-
-def _base(model: str) -> str:
-    """Name in the registry: without solver, and without what tells a refined level."""
-    return model.partition(" ")[0].partition(":")[0]
 
 
 def _is_load(key: str) -> bool:

@@ -11,6 +11,7 @@ from typing import Any
 
 from ..fields import FieldRow, field_table, targets
 from ..meshing.geometry_spec import Geometry as GeometrySpec
+from ..model_name import FINITE_STRAIN, split
 from .checks import geometry_spec, unknown
 from .problems import Finding, Problem, Source, StudyError, file_fault
 from .schema import Constraint, Region, Study, Tissue
@@ -300,8 +301,6 @@ def _check_limits(data: Mapping[str, Any], study: Study | None) -> Iterator[Find
 
 
 def _check_limits_reference(reference: str | None) -> Iterator[Finding]:
-    from ..models import FINITE_STRAIN, find
-
-    if reference is None or find(reference)[0].name not in FINITE_STRAIN:
+    if reference is None or split(reference)[0] not in FINITE_STRAIN:
         wanted = " or ".join(f'"{name}"' for name in FINITE_STRAIN)
         yield ("limits",), f"the limits are those against finite strain: they need study.reference = {wanted}"

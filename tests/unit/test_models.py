@@ -11,6 +11,7 @@ from numpy.testing import assert_allclose
 from studies import models
 from studies.meshing.geometry import build_mesh
 from studies.metrics import Surface, relative_l2
+from studies.model_name import is_linear, split
 from studies.scene import Scene, build_scene
 from studies.study_file.config import geometry_of
 from studies.study_file.schema import Study
@@ -50,6 +51,21 @@ def test_every_name_runs(scene: Scene, name: str) -> None:
     assert result.version == model.version
     assert (result.seconds_per_step > 0).all()
     assert result.seconds_setup > 0
+
+
+def test_what_a_name_tells_is_what_the_registry_knows() -> None:
+    names = models.model_names()
+    assert [split(name) for name in names] == [(m.name, s) for m, s in map(models.find, names)]
+    assert [name for name in names if not is_linear(name) and split(name)[1] == "linear"] == [
+        "fem",
+        "fem:linear",
+    ]
+    assert {split(name)[1] for name in names if not is_linear(name)} == {
+        "linear",
+        "quasi-linear",
+        "nonlinear",
+    }
+    assert split("fem refined") == ("fem", "linear")
 
 
 def test_solver_names_are_those_of_the_library() -> None:

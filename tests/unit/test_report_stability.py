@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from studies.case import CaseResult
+from studies.case import CaseResult, MetricSeries
+from studies.metrics import History, Surface, evaluate
 from studies.report.blocks import Figures, Section, Table, Text
 from studies.report.digest import Digest, series
 from studies.report.ladders import Ladder, ladders, reading, trusted
@@ -213,12 +214,12 @@ def test_a_linear_answer_to_a_load_that_is_too_large_is_told(grown: float) -> No
     """A ball that grows by g all over: volume (1 + g)^3, 3 g of it in first order; nonlinear, it is right."""
     sound = case({})
     u = grown * sound.points[None]
-    volume = (1.0 + grown) ** 3 * sound.models[DIRECT].volume[:1]
-    results = {
-        name: dataclasses.replace(sound.models[name], displacement=u, volume=volume)
-        for name in (DIRECT, NONLINEAR)
-    }
-    grew = dataclasses.replace(sound, models=results, metrics={})
+    results = {name: dataclasses.replace(sound.models[name], displacement=u) for name in (DIRECT, NONLINEAR)}
+    measured = evaluate(
+        Surface(sound.points, sound.triangles), History(u, np.zeros_like(u), np.ones(1)), None
+    )
+    metrics = {name: MetricSeries(values, "1", "", 1) for name, values in measured.items()}
+    grew = dataclasses.replace(sound, models=results, metrics=dict.fromkeys(results, metrics))
     direct, nonlinear = (reading(grew, name) for name in (DIRECT, NONLINEAR))
     assert direct is not None
     assert nonlinear is not None

@@ -1,0 +1,18 @@
+"""What a model's name tells, for those who may not ask the registry: the report reads results alone."""
+
+from __future__ import annotations
+
+FINITE_STRAIN = ("fem",)  # models that can serve as the reference of the small-strain limits
+_NOT_LINEAR = ("quasi-linear", "nonlinear")  # solvers of another problem than the linear one
+
+
+def split(name: str) -> tuple[str, str]:
+    """Name in the registry and solver, "linear" where none is named; what tells a refined level is left out."""
+    base, _, solver = name.partition(" ")[0].partition(":")
+    return base, solver or "linear"
+
+
+def is_linear(name: str) -> bool:
+    """Whether a model solves the linear problem, in small displacements from rest."""
+    base, solver = split(name)
+    return base not in FINITE_STRAIN and solver not in _NOT_LINEAR
