@@ -411,16 +411,9 @@ def _study_entries(run: Run) -> list[Entry]:
         table[index[case.hash], : len(series.values)] = series.values
         about[model, metric] = series
     entries += [Group(f"metrics/{model}") for model in dict.fromkeys(model for model, _ in tables)]
-    entries += [
-        Data(
-            f"metrics/{model}/{metric}",
-            table,
-            {"unit": entry.unit, "definition": entry.definition, "version": entry.version},
-            ("case", "step"),
-        )
-        for (model, metric), table in tables.items()
-        for entry in (about[model, metric],)
-    ]
+    for (model, metric), table in tables.items():
+        attributes = {key: getattr(about[model, metric], key) for key in _ABOUT_METRIC}
+        entries.append(Data(f"metrics/{model}/{metric}", table, attributes, ("case", "step")))
     return entries
 
 

@@ -29,6 +29,7 @@ SUPPORTED_TENSION: dict[Rotation, float] = {"none": 1.1, "global": 1.1, "nodal":
 
 # of the boundary form's body: the thin lobes of a liver were lost at 150 nodes, more than 1,000 are dear
 COARSE_NODES_RANGE = (200, 1000)
+COARSE_NODES = 800  # of the body under the skin of a surface that has more nodes than the range
 NODE_MODULI = ("bulk_modulus", "foundation")
 EDGE_MODULI = ("connectivity_modulus", "surface_tension", "stretch_stiffness")
 MODULI = (*NODE_MODULI, *EDGE_MODULI, "shear_modulus")

@@ -29,7 +29,8 @@ COARSENING = 2.0  # edge of the coarse mesh over that of the case's own
 MOST_OFF = 0.5  # of the support's area on the coarse mesh, over that of the case's own
 SMALL_SUPPORT = Status(
     "small-support",
-    "the support is too small for the coarse mesh: facets as large as its own would hold another area",
+    f"the support is too small for the coarse mesh, whose edges are {COARSENING:g} times as long: "
+    f"the facets that could hold there have an area more than {MOST_OFF:.0%} off",
     "hold a wider region, or take a smaller mesh_size",
 )
 _CHUNK = 256  # points per pass: bounds the temporary arrays

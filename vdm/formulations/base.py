@@ -61,7 +61,7 @@ class Formulation(ABC):
 
     name: ClassVar[str]
     components: ClassVar[int]
-    has_matrix = True  # whether `stiffness` gives one
+    has_matrix: bool = True  # whether `stiffness` gives one
     # what to do where a motion that costs no energy is left free
     remedy: ClassVar[str] = "hold at least three nodes that are not on one line"
     columns: Columns

@@ -11,7 +11,7 @@ from vdm.formulations.base import DisplacementFormulation, Factor, Factorise, Ma
 from vdm.formulations.border import DenseColumns
 from vdm.formulations.boundary_integrals import layer_potentials, mass_matrix
 from vdm.formulations.skin import INDEFINITE, PIVOT_TOLERANCE, Skin
-from vdm.material import ParameterError, Parameters
+from vdm.material import COARSE_NODES, COARSE_NODES_RANGE, ParameterError, Parameters
 from vdm.solution import SolverError, Status
 from vdm.solvers.cholesky import Cholesky
 from vdm.surface import SurfaceMesh
@@ -19,9 +19,7 @@ from vdm.surface import SurfaceMesh
 Array = NDArray[np.float64]
 
 # surfaces of up to as many nodes are taken as they are: dense matrices of (3N)^2 numbers
-MAX_NODES = 1000
-# nodes of the coarse body under the skin of a larger one
-COARSE_NODES = 800
+MAX_NODES = COARSE_NODES_RANGE[1]
 DENSE = Status(
     "dense", "the boundary formulation has a dense factor, in double precision only", "use the linear solver"
 )
