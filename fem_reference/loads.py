@@ -18,6 +18,8 @@ Mask = NDArray[np.bool_]
 
 # what a load may differ from a combination of others, of its norm
 _DEPENDENT = 1e-13
+# what a load may differ from a multiple of another, of its largest value: rounding, and no more
+_SAME = 1e-14
 # of any number in a load: the square of its response can still be formed
 _LARGEST = 1e100
 
@@ -147,10 +149,10 @@ def independent_loads(loads: Sequence[Load]) -> tuple[NDArray[np.int64], Array]:
     chosen : (r,) ascending numbers of loads
     coefficients : (r, S); load s is the sum over k of coefficients[k, s] times load chosen[k], to rounding
     """
-    parts = [
-        np.array([np.ravel(getattr(load, name)) for load in loads], dtype=np.float64)
-        for name in ("facet_pressure", "prescribed", "gravity")
-    ]
+    # histories and sweeps are mostly runs of multiples, which are cheaper to tell than combinations
+    first, share = _runs_of_multiples([_kinds(load) for load in loads])
+    heads, run = np.unique(first, return_inverse=True)
+    parts = [np.array(part) for part in zip(*(_kinds(loads[k]) for k in heads), strict=True)]
     # pressures, lengths and accelerations side by side: each kind in units of its largest value
     kinds = [part[:, part.any(axis=0)] / np.abs(part).max() for part in parts if part.any()]
     if not kinds:
@@ -158,7 +160,48 @@ def independent_loads(loads: Sequence[Load]) -> tuple[NDArray[np.int64], Array]:
     columns = np.concatenate(kinds, axis=1).T
     chosen, coefficients = independent_columns(columns, _DEPENDENT)
     order = np.argsort(chosen)
-    return chosen[order], coefficients[order]
+    return heads[chosen[order]], coefficients[order][:, run] * share
+
+
+def _kinds(load: Load) -> tuple[Array, ...]:
+    """Pressure, prescribed displacement and weight, each flat."""
+    parts = (load.facet_pressure, load.prescribed, load.gravity)
+    return tuple(np.ravel(np.asarray(part, dtype=np.float64)) for part in parts)
+
+
+def _runs_of_multiples(loads: Sequence[tuple[Array, ...]]) -> tuple[NDArray[np.int64], Array]:
+    """For each load the first of its run, the load itself where none is, and how much of that it is."""
+    first, share = np.arange(len(loads)), np.ones(len(loads))
+    for k in range(1, len(loads)):
+        found = multiple_of(loads[first[k - 1]], loads[k])
+        if found is not None:
+            first[k], share[k] = first[k - 1], found
+    return first, share
+
+
+def multiple_of(load: Sequence[Array], other: Sequence[Array]) -> float | None:
+    """c where the other load is c times this one, each kind of it to rounding; None where it is not.
+
+    Parameters
+    ----------
+    load, other : arrays of as many kinds, such as pressures and displacements, of one shape each
+    """
+    places = [np.flatnonzero(part) for part in load]  # of most loads few
+    parts = [part.ravel()[place] for part, place in zip(load, places, strict=True)]
+    others = [part.ravel()[place] for part, place in zip(other, places, strict=True)]
+    kind = next((kind for kind, place in enumerate(places) if len(place)), None)
+    if kind is None or any(
+        np.count_nonzero(part) != np.count_nonzero(there) for part, there in zip(other, others, strict=True)
+    ):
+        return None
+    largest = np.abs(parts[kind]).argmax()
+    with np.errstate(over="ignore", invalid="ignore"):  # a multiple that is no number is none
+        share = float(others[kind][largest] / parts[kind][largest])
+        for part, there in zip(parts, others, strict=True):
+            gap = np.abs(there - share * part).max(initial=0.0)
+            if not gap <= _SAME * np.abs(there).max(initial=0.0):
+                return None
+    return share
 
 
 def gather_to_vertices(mesh: TetMesh, nodal: Array) -> Array:

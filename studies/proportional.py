@@ -14,9 +14,6 @@ from .scene import Scene
 if TYPE_CHECKING:
     from vdm.solution import Solution
 
-# of the largest value of a load: two loads further apart than rounding are two loads
-SAME = 1e-14
-
 
 @dataclass(frozen=True)
 class Solved:
@@ -61,7 +58,9 @@ class Solved:
         """
         if scene.condition and "condition_estimate" not in self.step.scalars:
             return None
-        share = _share(self.loads, _loads(scene))
+        from fem_reference.loads import multiple_of  # slow to load, and a plan needs none
+
+        share = multiple_of(self.loads, _loads(scene))
         if share is None:
             return None
         factors = share * scene.load_factors
@@ -82,15 +81,3 @@ class Solved:
 
 def _loads(scene: Scene) -> tuple[Array, ...]:
     return scene.contact_pressure, scene.contact_force.ravel(), scene.prescribed.ravel()
-
-
-def _share(loads: tuple[Array, ...], others: tuple[Array, ...]) -> float | None:
-    """c where the others are c times the loads, each kind to rounding; None where they are not."""
-    kind = next(kind for kind, part in enumerate(loads) if part.any())
-    place = int(np.abs(loads[kind]).argmax())
-    share = float(others[kind][place] / loads[kind][place])
-    for part, other in zip(loads, others, strict=True):
-        scaled = share * part
-        if not np.abs(other - scaled).max(initial=0.0) <= SAME * np.abs(scaled).max(initial=0.0):
-            return None
-    return share

@@ -15,7 +15,7 @@ from numpy.testing import assert_allclose
 
 import fem_reference.linear
 import vdm.model
-from fem_reference.loads import Load, independent_loads
+from fem_reference.loads import Load, independent_loads, multiple_of
 from studies import metrics, worker
 from studies import work as counted
 from studies.case import CaseResult
@@ -278,6 +278,42 @@ def test_independent_loads_span_the_others() -> None:
     assert len(chosen) == 2
     assert np.abs(coefficients).max() < 2
     assert len(independent_loads([mix(0.0, 0.0)])[0]) == 0
+
+
+def test_runs_of_multiples_are_one_load_each() -> None:
+    rng = np.random.default_rng(4)
+    a, b = (Load(rng.normal(size=(5, 4)), rng.normal(size=(3, 3)), np.zeros(3)) for _ in range(2))
+
+    def times(factor: float, load: Load, gravity: float = 0.0) -> Load:
+        weight = np.array([0.0, 0.0, gravity])
+        return Load(factor * load.facet_pressure, factor * load.prescribed, weight)
+
+    factors = [0.3, 0.0, 1e-150, -7.0, 1.5]
+    chosen, coefficients = independent_loads([times(f, a) for f in factors])
+    assert chosen.tolist() == [0]
+    assert_allclose(coefficients[0], np.array(factors) / 0.3, rtol=1e-15, atol=0)
+    loads = [times(f, load) for load in (a, b) for f in (0.0, *factors)] + [
+        times(3.0, a, -9.81),
+        times(2.0, b),
+    ]
+    chosen, coefficients = independent_loads(loads)
+    assert len(chosen) == 3, "two loads and the weight"
+    for name in ("facet_pressure", "prescribed", "gravity"):
+        there = np.array([getattr(load, name) for load in loads])
+        made = np.tensordot(coefficients, there[chosen], axes=(0, 0))
+        assert_allclose(made, there, rtol=0, atol=1e-14 * np.abs(there).max())
+    # a hair off is another load
+    off = times(2.0, a)
+    off.prescribed[0, 0] *= 1 + 1e-10
+    assert len(independent_loads([a, times(2.0, a)])[0]) == 1
+    assert len(independent_loads([a, off])[0]) == 2
+    assert multiple_of([np.array([1e-300])], [np.array([1e100])]) is None
+    pair = [np.array([1.0, 1e-20, 0.0]), np.zeros(1)]
+    assert multiple_of(pair, [np.array([2.0, 2e-20, 0.0]), np.zeros(1)]) == 2.0
+    assert multiple_of(pair, [np.array([2.0, 0.0, 5.0]), np.zeros(1)]) is None
+    assert multiple_of(pair, [np.array([2.0, 2e-20, 0.0]), np.ones(1)]) is None
+    assert multiple_of(pair, [np.zeros(3), np.zeros(1)]) == 0.0
+    assert multiple_of([np.zeros(3), np.zeros(1)], pair) is None
 
 
 def test_what_a_plan_expects_grows_with_the_work(tmp_path: Path) -> None:
