@@ -77,7 +77,7 @@ def _check_files(plan: Plan, cases: Sequence[PlannedCase]) -> None:
         try:
             _ = mesh.expected_size
         except MeshError as error:
-            raise geometry_error(plan.study, str(error)) from error
+            raise geometry_error(plan.study, error) from error
 
 
 def plan_verb(options: argparse.Namespace) -> int:

@@ -19,11 +19,12 @@ from .meshing.geometry_spec import (
     expected_size,
     geometry_key,
 )
+from .meshing.mesh import MeshError
 from .meshing.mesh_cache import mesh_path
 from .result_cache import reference_path
 from .store import CASE_SUFFIX, case_path, case_state
 from .store import result_keys as stored_keys
-from .study_file.config import ResolvedCase, geometry_of, resolved
+from .study_file.config import ResolvedCase, geometry_error, geometry_of, resolved
 from .study_file.schema import Study
 
 SPLIT_FROM = 4  # cases: a group of fewer is not worth a second set-up
@@ -166,7 +167,7 @@ def make_plan(study: Study, cases: Sequence[ResolvedCase], directory: Path, cach
 
     Raises
     ------
-    MeshError
+    StudyError
         a geometry that cannot be meshed as asked, found without meshing.
     """
     found: dict[str, PlannedMesh] = {}  # by what is asked for: a file is read for its key, once for all cases
@@ -175,7 +176,10 @@ def make_plan(study: Study, cases: Sequence[ResolvedCase], directory: Path, cach
         geometry, volume = geometry_of(case.study), needs_volume(case.study)
         asked = f"{geometry!r} {volume}"
         if asked not in found:
-            found[asked] = _planned_mesh(geometry, volume)
+            try:
+                found[asked] = _planned_mesh(geometry, volume)
+            except MeshError as error:
+                raise geometry_error(study, error) from error
         planned.append(_planned(case, found[asked].key))
     meshes = {mesh.key: mesh for mesh in found.values()}
     return Plan(study, tuple(planned), meshes, directory, cache)

@@ -162,7 +162,8 @@ def check_mesh_size(mesh_size: float, smallest_extent: float) -> None:
     if mesh_size > 0.5 * smallest_extent * (1 + 1e-9):
         raise MeshError(
             f"mesh_size {mesh_size:g} m is too large for a body whose smallest extent is {smallest_extent:g} m; "
-            f"use at most {0.5 * smallest_extent:g} m"
+            f"use at most {0.5 * smallest_extent:g} m",
+            "mesh_size",
         )
 
 
@@ -210,7 +211,8 @@ def check_node_budget(area: float, volume: float, mesh_size: float, max_nodes: i
     if nodes > max_nodes:
         raise MeshError(
             f"mesh_size {mesh_size:g} m would give about {nodes:.2g} nodes, more than the {max_nodes} allowed; "
-            "use a larger mesh_size"
+            "use a larger mesh_size",
+            "mesh_size",
         )
 
 

@@ -72,7 +72,7 @@ def named(geometry: Geometry) -> Iterator[None]:
     try:
         yield
     except MeshError as error:
-        raise MeshError(f"{geometry.path.name}: {error}") from error
+        raise MeshError(f"{geometry.path.name}: {error}", error.key) from error
 
 
 def centred(points: Array, size: float) -> Array:

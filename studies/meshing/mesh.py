@@ -20,7 +20,11 @@ class InputError(ValueError):
 
 
 class MeshError(InputError):
-    """A geometry that cannot be used."""
+    """A geometry that cannot be used; `key` is what a study's [geometry] has to change, where it is known."""
+
+    def __init__(self, text: str, key: str = "path") -> None:
+        super().__init__(text)
+        self.key = key
 
 
 @dataclass(frozen=True)

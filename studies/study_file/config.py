@@ -11,6 +11,7 @@ from typing import Any
 
 from ..fields import FieldRow, field_table, targets
 from ..meshing.geometry_spec import Geometry as GeometrySpec
+from ..meshing.mesh import MeshError
 from ..model_name import FINITE_STRAIN, split
 from .checks import geometry_spec, unknown
 from .problems import Finding, Problem, Source, StudyError, file_fault
@@ -121,9 +122,12 @@ def resolved(study: Study) -> dict[str, Any]:
     return data
 
 
-def geometry_error(study: Study, text: str) -> StudyError:
+def geometry_error(study: Study, error: MeshError) -> StudyError:
     """The error of a study whose geometry turned out to be unusable, with the place in its file."""
-    return study._source.error([(("geometry", "path"), text)], _plain(study))
+    data = _plain(study)
+    swept = {axis.key: axis.loc for axis in read_axes(data)[0]}
+    loc = swept.get(f"geometry.{error.key}", ("geometry", error.key))
+    return study._source.error([(loc, str(error))], data)
 
 
 def case_inputs(study: Study) -> dict[str, Any]:

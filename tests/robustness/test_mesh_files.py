@@ -305,10 +305,11 @@ def test_inside_out_repeated_and_flat_facets_are_mended_and_counted(tmp_path: Pa
 @pytest.mark.parametrize("name", ["a.stl", "a.vtp"])
 def test_mesh_size_beyond_the_body_and_over_the_budget(tmp_path: Path, ball: Mesh, name: str) -> None:
     parameters = {"path": str(write_named(tmp_path / name, ball))}
-    with pytest.raises(MeshError, match="too large for a body whose smallest extent"):
+    with pytest.raises(MeshError, match="too large for a body whose smallest extent") as large:
         build_mesh(Geometry("file", 0.06, parameters))
-    with pytest.raises(MeshError, match=r"would give about .* nodes, more than the 2000000 allowed"):
+    with pytest.raises(MeshError, match=r"would give about .* nodes, more than the 2000000 allowed") as small:
         build_mesh(Geometry("file", 1e-5, parameters))
+    assert large.value.key == small.value.key == "mesh_size", "the file is sound"
 
 
 def test_no_facets_or_other_cells(tmp_path: Path, ball: Mesh) -> None:

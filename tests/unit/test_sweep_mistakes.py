@@ -6,7 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from studies.study_file.config import StudyError
+from studies.plan import make_plan
+from studies.study_file.config import StudyError, expand
 
 from .study_texts import SWEPT, load, sweep_problems, swept
 
@@ -219,3 +220,23 @@ def test_the_number_of_cases_allowed_can_be_raised(tmp_path: Path) -> None:
     assert len(swept(tmp_path, sweep, SWEPT.replace("[geometry]", "max_cases = 6\n[geometry]"))) == 6
     [(_, message)] = sweep_problems(tmp_path, sweep, SWEPT.replace("[geometry]", "max_cases = 5\n[geometry]"))
     assert "makes 6 cases, more than the 5 allowed" in message
+
+
+@pytest.mark.parametrize(
+    ("text", "line", "key"),
+    [
+        (SWEPT.replace("mesh_size = 0.006", "mesh_size = 1e-4"), 7, "geometry.mesh_size"),
+        (f'{SWEPT}[sweep]\n"geometry.mesh_size" = [6e-3, 1e-4]\n', 27, 'sweep."geometry.mesh_size"'),
+    ],
+)
+def test_too_many_nodes_are_told_where_the_mesh_size_is_written(
+    tmp_path: Path, text: str, line: int, key: str
+) -> None:
+    study = load(tmp_path, text)
+    with pytest.raises(StudyError) as caught:
+        make_plan(study, expand(study), tmp_path / "run", tmp_path / "cache")
+    (problem,) = caught.value.problems
+    assert (problem.line, problem.key) == (line, key)
+    assert (
+        "mesh_size 0.0001 m would give about 2.3e+06 nodes, more than the 2000000 allowed" in problem.message
+    )
