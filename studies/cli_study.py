@@ -48,6 +48,7 @@ def list_verb(options: argparse.Namespace) -> int:
 
 def check_verb(options: argparse.Namespace) -> int:
     """Print whether a study is right, or every mistake in it."""
+    from .explain import refused
     from .study_file.config import expand
     from .study_file.problems import StudyError
 
@@ -62,9 +63,12 @@ def check_verb(options: argparse.Namespace) -> int:
             print_json({"ok": False, "problems": problems})
             return USAGE
         raise
+    expected = refused(plan, plan.cases)
     if options.json:
-        return print_json({"ok": True, "problems": [], "cases": len(cases)})
+        return print_json({"ok": True, "problems": [], "cases": len(cases), "refused": expected})
     print(f"{path}: ok, {count(len(cases), 'case')}")
+    for line in expected:
+        print(f"will be refused: {line}")
     return OK
 
 
@@ -98,9 +102,9 @@ def plan_verb(options: argparse.Namespace) -> int:
         print(f"  {case['hash'][:12]}  {case['state']:<8} {case['label']}")
     meshes = count(planned["meshes_to_make"], "mesh", "meshes")
     print(f"to run: {count(planned['cases_to_run'], 'case')}, {meshes}")
-    for kind in ("shared", "skipped"):
+    for kind, word in (("shared", "shared"), ("skipped", "skipped"), ("refused", "will be refused")):
         for line in planned[kind]:
-            print(f"{kind}: {line}")
+            print(f"{word}: {line}")
     print(_estimate(planned["estimate"]))
     return OK
 

@@ -72,7 +72,7 @@ def estimate(plan: Plan, cases: Sequence[PlannedCase]) -> Estimate | None:
     """What it takes to run these cases; None where a file cannot be meshed."""
     sizes: dict[str, Size] = {}
     for key, mesh in plan.meshes.items():
-        size = _size(plan, mesh)
+        size = size_of(plan, mesh)
         if size is None:
             return None
         sizes[key] = size
@@ -126,7 +126,8 @@ def _search(case: PlannedCase, size: Size, learnt: Mapping[str, Cost]) -> float:
     return seconds
 
 
-def _size(plan: Plan, mesh: PlannedMesh) -> Size | None:
+def size_of(plan: Plan, mesh: PlannedMesh) -> Size | None:
+    """Of a mesh, counted where the cache or a file has it; None where its file cannot be meshed."""
     cached = read_mesh(mesh_path(plan.cache, mesh.key))
     if cached is not None:
         return Size(len(cached.surface_nodes), len(cached.tetrahedra))

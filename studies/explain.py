@@ -7,9 +7,11 @@ from collections.abc import Sequence
 from typing import Any
 
 from . import models
-from .estimate import estimate
+from .estimate import estimate, size_of
 from .plan import Plan, PlannedCase
 from .work import ModelWork, work_of
+
+DOUBT = 1.3  # expected surface nodes of a mesh over those that it may have
 
 
 def summary(plan: Plan) -> dict[str, Any]:
@@ -46,6 +48,7 @@ def summary(plan: Plan) -> dict[str, Any]:
         "work": [dataclasses.asdict(part) for part in work],
         "shared": _shared(plan, todo, work),
         "skipped": _skipped(plan, todo),
+        "refused": refused(plan, todo),
         "estimate": dataclasses.asdict(expected) if expected else None,
     }
 
@@ -106,6 +109,24 @@ def _skipped(plan: Plan, todo: Sequence[PlannedCase]) -> list[str]:
         known = sum(name in plan.reused(case) for case in todo)
         if known and name != plan.study.study.reference:
             lines.append(f"{name} of {_count(known, 'case')}: already in case files of an earlier run")
+    return lines
+
+
+def refused(plan: Plan, cases: Sequence[PlannedCase]) -> list[str]:
+    """The models that will refuse a mesh of these cases for its surface nodes, so far as that is beyond doubt."""
+    limits = {name: most for name in plan.study.study.models if (most := models.most_nodes(name)) is not None}
+    lines: list[str] = []
+    if not limits:
+        return lines
+    missing = plan.missing_meshes(cases)
+    for mesh in {case.mesh: plan.meshes[case.mesh] for case in cases}.values():
+        size, counted = size_of(plan, mesh), mesh.geometry.has_own_tetrahedra or mesh not in missing
+        lines += [
+            f"{name} on a mesh of {'' if counted else 'about '}{size.nodes:,.0f} surface nodes, more than its "
+            f"{most:,}; use a larger mesh_size, or leave the model out"
+            for name, most in limits.items()
+            if size is not None and size.nodes > most * (1.0 if counted else DOUBT)
+        ]
     return lines
 
 

@@ -99,6 +99,15 @@ def find(name: str) -> tuple[Model, str]:
     return model, solver or model.solvers[0]
 
 
+def most_nodes(name: str) -> int | None:
+    """Surface nodes beyond which a model refuses a mesh, whatever else; None where it has no such limit."""
+    if find(name)[0].name != "mass-spring":
+        return None
+    from vdm.formulations.mass_spring import MAX_NODES
+
+    return MAX_NODES
+
+
 VDM_SOLVERS = (
     "linear",
     "single",

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import dataclasses
+import math
 from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
@@ -20,6 +21,7 @@ from studies import metrics, worker
 from studies import work as counted
 from studies.case import CaseResult
 from studies.explain import summary
+from studies.meshing.mesh_cache import mesh_from_cache
 from studies.plan import Plan, make_plan, task_of
 from studies.reference import own_error, refined_levels
 from studies.store import read_case
@@ -336,6 +338,33 @@ def test_what_a_plan_expects_grows_with_the_work(tmp_path: Path) -> None:
     again = plan_of(tmp_path / "a", cache, load={"factors": [0.5, 1.0, 2.0]})
     assert summary(plan_of(tmp_path / "a", cache))["estimate"]["seconds"] == 0
     assert summary(again)["estimate"]["seconds"] > 0
+
+
+@pytest.mark.parametrize(
+    ("share", "known", "told"),
+    [
+        (0.7, False, "about 75 surface nodes"),
+        (0.8, False, None),
+        (0.95, True, "{} surface nodes"),
+        (1.0, True, None),
+    ],
+)
+def test_a_model_that_will_refuse_a_mesh_is_named(
+    tmp_path: Path, cache: Path, monkeypatch: pytest.MonkeyPatch, share: float, known: bool, told: str | None
+) -> None:
+    """An expected number of nodes may be a quarter off, one of a mesh that is there is counted."""
+    study = TABLES["study"] | {"models": ["mass-spring", "fem-linear"]}
+    plan = plan_of(tmp_path, cache if known else tmp_path, study=study)
+    (mesh,) = plan.meshes.values()
+    nodes = mesh.expected_size[0]
+    if known:
+        nodes = len(mesh_from_cache(mesh.geometry, cache).surface_nodes)
+    monkeypatch.setattr("vdm.formulations.mass_spring.MAX_NODES", math.ceil(share * nodes))
+    lines = summary(plan)["refused"]
+    assert len(lines) == (told is not None)
+    for line in lines:
+        assert line.startswith(f"mass-spring on a mesh of {told.format(nodes)}, more than its ")
+    assert summary(plan_of(tmp_path, cache))["refused"] == []
 
 
 def test_a_batch_and_one_case_give_one_reference(tmp_path: Path, cache: Path) -> None:
