@@ -61,7 +61,7 @@ bench-fem: setup
 	.venv/bin/pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable '.[benchmark]'
 	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(RUN)python -m tests.benchmarks.fem_speed
 
-# 100 linear loads beside one: shared, and each alone
+# 100 linear loads beside one: shared, and each alone; the table in results/FORMAT.md
 bench-sharing: setup
 	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(RUN)python -m tests.benchmarks.sharing
 

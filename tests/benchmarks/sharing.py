@@ -44,8 +44,11 @@ from studies.store import read_case, write_case
 from studies.study_file.config import expand
 from studies.study_file.schema import Study
 from studies.worker import _mesh, _surface, compare, run_case
+from tests.docs import marked
 
 REFERENCE = "fem-linear"
+FORMAT = Path(__file__).parents[2] / "results" / "FORMAT.md"
+SHOWN = [(10.0, False), (5.0, False), (4.0, True)]  # mesh size [mm], with error bar
 TABLES: dict[str, Any] = {
     "study": {
         "name": "sharing",
@@ -205,19 +208,39 @@ def _difference(a: CaseResult, b: CaseResult, name: str) -> float:
     return float(np.abs(a.models[name].displacement - u).max() / np.abs(u).max())
 
 
+def studies_of(costs: Costs) -> dict[str, float]:
+    """Study -> processor seconds, that of one load first."""
+    return {
+        "one load": costs.one,
+        f"{costs.loads} cases, multiples of one load": costs.multiples,
+        **costs.others,
+        f"the {costs.loads} multiples, each alone": costs.naive,
+    }
+
+
+def written(columns: Sequence[tuple[str, Costs]]) -> str:
+    """Body -> its costs as the Markdown table of `results/FORMAT.md`: seconds of one load, the others over it."""
+    first, *others = studies_of(columns[0][1])
+
+    def row(study: str) -> list[str]:
+        times = [found[study] / c.one if study in (found := studies_of(c)) else None for _, c in columns]
+        return [study, *("not run" if ratio is None else f"{ratio:.3g} times" for ratio in times)]
+
+    rows = [
+        [first, *(f"{c.one:.3g} s" for _, c in columns)],
+        *map(row, others),
+        ["a further multiple", *(f"{1e3 * sum(c.further.values()):.0f} ms" for _, c in columns)],
+    ]
+    return marked.table(["study", *(body for body, _ in columns)], rows)
+
+
 def table(costs: Costs) -> str:
     """The costs as text."""
-    rows = [
-        ("one load", costs.one),
-        (f"{costs.loads} cases, multiples of one load", costs.multiples),
-        *costs.others.items(),
-        (f"{costs.loads} multiples, each alone", costs.naive),
-    ]
     further = ", ".join(f"{part} {1e3 * seconds:.1f}" for part, seconds in costs.further.items())
     return "\n".join(
         [
             f"{costs.nodes} surface nodes",
-            *(f"{what:<44} {seconds:8.2f} s  {seconds / costs.one:7.2f}" for what, seconds in rows),
+            *(f"{w:<44} {s:8.2f} s  {s / costs.one:7.2f}" for w, s in studies_of(costs).items()),
             f"largest difference of a displacement, shared to alone, over the largest: {costs.difference:.1e}",
             f"a further case that is a multiple, ms: {1e3 * sum(costs.further.values()):.0f}: {further}",
         ]
@@ -225,7 +248,7 @@ def table(costs: Costs) -> str:
 
 
 def main() -> None:
-    """Print the tables."""
+    """Print the tables; with the sizes that `results/FORMAT.md` shows, write its table too."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
@@ -240,6 +263,7 @@ def main() -> None:
         help="mesh sizes with the reference's error bar",
     )
     options = parser.parse_args()
+    columns = []
     runs = [(size, False) for size in options.mesh_sizes] + [(size, True) for size in options.refined]
     for size, bar in runs:
         geometry = TABLES["geometry"] | {"mesh_size": size / 1e3}
@@ -248,6 +272,9 @@ def main() -> None:
             print(f"mesh of {size:g} mm, {how} error bar of the reference:", end=" ", flush=True)
             costs = measure(options.loads, options.naive, Path(directory), bar=bar, geometry=geometry)
             print(table(costs), flush=True)
+        columns.append((f"{size:g} mm, {costs.nodes:,} nodes{', with error bar' if bar else ''}", costs))
+    if runs == SHOWN:
+        marked.show(FORMAT, "sharing", written(columns))
 
 
 if __name__ == "__main__":

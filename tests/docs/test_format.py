@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import re
 from pathlib import Path
@@ -9,6 +10,8 @@ from pathlib import Path
 import h5py
 
 from studies import hdf5, store
+from tests.benchmarks import sharing
+from tests.docs import marked
 from tests.unit.example_case import example_case
 
 FORMAT = Path(__file__).parents[2] / "results" / "FORMAT.md"
@@ -58,3 +61,20 @@ def test_attributes_and_seal_are_as_documented(tmp_path: Path) -> None:
         told = {*about, *about["models"]["vdm-paper"], *about["metrics"]["max_nodal_error"], *columns}
         assert [name for name in sorted(told) if f"`{name}`" not in text] == []
     assert f"last {hdf5.TRAILER_BYTES} bytes" in text
+
+
+def test_the_table_of_sharing_is_as_its_benchmark_writes_it() -> None:
+    bare = sharing.Costs(100, 390, 2.0, 4.84, {}, 150.0, 1e-14, {"file": 0.03, "metrics": 0.013})
+    full = dataclasses.replace(bare, one=10.0, others={"one case, a history of 100 loads": 15.0})
+    rows = marked.cells(sharing.written([("5 mm, 1,531 nodes", full), ("4 mm, 2,384 nodes", bare)]))
+    assert rows == [
+        ["study", "5 mm, 1,531 nodes", "4 mm, 2,384 nodes"],
+        ["one load", "10 s", "2 s"],
+        ["100 cases, multiples of one load", "0.484 times", "2.42 times"],
+        ["one case, a history of 100 loads", "1.5 times", "not run"],
+        ["the 100 multiples, each alone", "15 times", "75 times"],
+        ["a further multiple", "43 ms", "43 ms"],
+    ]
+    shown = marked.cells(marked.shown(FORMAT, "sharing"))
+    assert {row[0] for row in rows} <= {row[0] for row in shown}
+    assert len(shown[0]) == 1 + len(sharing.SHOWN)
