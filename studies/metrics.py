@@ -94,13 +94,8 @@ def relative_l2(values: Array, reference: Array, weights: Array) -> float:
     return weighted_norm(values - reference, weights) / norm if norm > 0 else np.nan
 
 
-def weighted_quantile(values: Array, weights: Array, quantile: float) -> float:
-    """The smallest value below or at which at least `quantile` of the weight lies."""
-    return float(_weighted_quantiles(values[None], weights, quantile)[0])
-
-
-def _weighted_quantiles(values: Array, weights: Array, quantile: float) -> Array:
-    """(S,) the same for each row of (S, N) values."""
+def weighted_quantiles(values: Array, weights: Array, quantile: float) -> Array:
+    """(S,) of each row of (S, N) values the smallest at or below which at least `quantile` of the weight lies."""
     order = np.argsort(values, axis=1)
     cumulative = np.cumsum(weights[order], axis=1)
     below = cumulative < quantile * cumulative[:, -1:] * (1 - 1e-12)
@@ -280,7 +275,7 @@ def max_nodal_error_relative(surface: Surface, model: History, reference: Histor
 @_metric("m", "|u - r| that 95 % of the surface area stays below")
 def p95_nodal_error(surface: Surface, model: History, reference: History) -> Array:
     return _each_step(
-        surface, model, reference, lambda s, u, r: _weighted_quantiles(_nodal_error(u, r), s.areas, 0.95)
+        surface, model, reference, lambda s, u, r: weighted_quantiles(_nodal_error(u, r), s.areas, 0.95)
     )
 
 

@@ -111,7 +111,6 @@ class ModelSummary:
     vector: Spread | None
     deformation: Spread | None
     drift: Spread | None
-    drift_of_displaced: Spread | None
     seconds_setup: float  # median over cases
     seconds_per_step: float  # median over cases and steps
     peak_bytes: float  # largest over cases
@@ -218,7 +217,6 @@ class Digest:
             vector=self.spread(name, VECTOR),
             deformation=self.spread(name, DEFORMATION),
             drift=self.spread(name, "volume_drift"),
-            drift_of_displaced=self.spread(name, "volume_drift_of_displaced"),
             seconds_setup=float(np.median(setups)) if setups else math.nan,
             seconds_per_step=float(np.median(times)) if len(times) else math.nan,
             peak_bytes=float(max((r.peak_bytes for r in results if _has_answer(r)), default=math.nan)),

@@ -125,11 +125,11 @@ def test_normal_and_tangential_parts(surface: Surface) -> None:
 
 
 def test_quantile_is_weighted() -> None:
-    values, weights = np.array([4.0, 1.0, 3.0, 2.0]), np.array([1.0, 94.0, 1.0, 4.0])
+    values, weights = np.array([[4.0, 1.0, 3.0, 2.0]]), np.array([1.0, 94.0, 1.0, 4.0])
     # weights in order of value: 94, 4, 1, 1: 94 % lies at 1, 98 % at or below 2
-    assert metrics.weighted_quantile(values, weights, 0.94) == 1.0
-    assert metrics.weighted_quantile(values, weights, 0.95) == 2.0
-    assert metrics.weighted_quantile(values, weights, 1.0) == 4.0
+    assert metrics.weighted_quantiles(values, weights, 0.94) == 1.0
+    assert metrics.weighted_quantiles(values, weights, 0.95) == 2.0
+    assert metrics.weighted_quantiles(values, weights, 1.0) == 4.0
 
 
 def test_sliding_is_blind_to_shape_and_inflation_is_not(surface: Surface) -> None:
