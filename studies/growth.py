@@ -66,7 +66,7 @@ def growths(rounds: int, *, large: bool = False) -> list[Growth]:
 
 def _measure(formulation: str, levels: int, rounds: int) -> tuple[float, ...]:
     points, triangles = sphere(levels)
-    parameters = Parameters.from_tissue(5000.0, 0.4999, SurfaceMesh(points, triangles), formulation)
+    parameters = Parameters.from_tissue(5000.0, SurfaceMesh(points, triangles), formulation)
     fixed = points[:, 2] < -0.9 * RADIUS
     load = Load(100.0 * (points[:, 2] / RADIUS) ** 2)
     setups: list[float] = []

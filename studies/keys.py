@@ -48,8 +48,9 @@ def result_keys(study: Study, mesh_key: str) -> dict[str, str]:
         model, _ = models.find(name)
         own = {"model": name, "version": model.version, "overrides": inputs["models"].get(name)}
         own |= _outputs(study)
-        if not model.volumetric:
-            own |= {"vdm": inputs["vdm"], "environment": inputs.get("environment")}
+        if not model.volumetric:  # whose fluid keeps the volume whatever Poisson's ratio is
+            tissue = {k: v for k, v in inputs["tissue"].items() if k != "poisson_ratio"}
+            own |= {"tissue": tissue, "vdm": inputs["vdm"], "environment": inputs.get("environment")}
         keys[name] = _digest(scene | own)
     return keys
 

@@ -123,27 +123,27 @@ VDM_SOLVERS = (
 
 
 # MINRES needs a symmetric matrix, which the printed form has not
-@_model("vdm-paper", version="2", solvers=tuple(name for name in VDM_SOLVERS if name != "minres"))
+@_model("vdm-paper", version="3", solvers=tuple(name for name in VDM_SOLVERS if name != "minres"))
 def _vdm_paper(scene: Scene, solver: str, name: str) -> VdmSolution:
     return _vdm(scene, "paper", solver, name)
 
 
-@_model("vdm-consistent", version="3", solvers=VDM_SOLVERS)
+@_model("vdm-consistent", version="4", solvers=VDM_SOLVERS)
 def _vdm_consistent(scene: Scene, solver: str, name: str) -> VdmSolution:
     return _vdm(scene, "consistent", solver, name)
 
 
-@_model("vdm-vector", version="6", solvers=VDM_SOLVERS)
+@_model("vdm-vector", version="7", solvers=VDM_SOLVERS)
 def _vdm_vector(scene: Scene, solver: str, name: str) -> VdmSolution:
     return _vdm(scene, "vector", solver, name)
 
 
-@_model("vdm-boundary", version="8", solvers=("linear", "nonlinear"))
+@_model("vdm-boundary", version="9", solvers=("linear", "nonlinear"))
 def _vdm_boundary(scene: Scene, solver: str, name: str) -> VdmSolution:
     return _vdm(scene, "boundary", solver, name)
 
 
-@_model("mass-spring", version="4", solvers=VDM_SOLVERS)
+@_model("mass-spring", version="5", solvers=VDM_SOLVERS)
 def _mass_spring(scene: Scene, solver: str, name: str) -> VdmSolution:
     return _vdm(scene, "mass-spring", solver, name)
 
@@ -312,7 +312,8 @@ def _vdm_inputs(scene: Scene, formulation: str, solver: str, name: str) -> dict[
     fibres = scene.anisotropy
     return {
         "mesh": scene.mesh,
-        "tissue": (scene.tissue.youngs_modulus, scene.tissue.poisson_ratio, scene.tissue.density),
+        "youngs_modulus": scene.tissue.youngs_modulus,
+        "density": scene.tissue.density,
         "given": {**scene.parameters, **scene.overrides.get(name, {})},
         "fibres": (fibres.fibre_direction, fibres.contrast) if fibres else None,
         "formulation": formulation,
@@ -347,25 +348,24 @@ def contact_frame(scene: Scene, name: str) -> Callable[[], object] | None:
 def _vdm_model(
     *,
     mesh: Mesh,
-    tissue: tuple[float, float, float],
+    youngs_modulus: float,
     given: dict[str, Any],
     fibres: tuple[tuple[float, ...], float] | None,
     formulation: str,
     solver: str,
     **options: Any,
 ) -> VdmModel:
-    """The model of E, nu and density `tissue` with the parameters `given`; `options` are the model's own."""
+    """The model of a tissue of E with the parameters `given`; `options` are the model's own."""
     from vdm.material import Parameters
     from vdm.model import Model as VdmModel
 
-    youngs_modulus, poisson_ratio, density = tissue
     penalty = given.get("penalty")
     chosen = {name: value for name, value in given.items() if name != "penalty"}
     rotation: Any = chosen.get("rotation", "global")
     held = options["fixed"] | options["constrained"]
 
     def parameters(surface: SurfaceMesh) -> Parameters:
-        rule = Parameters.from_tissue(youngs_modulus, poisson_ratio, surface, formulation, rotation, held)
+        rule = Parameters.from_tissue(youngs_modulus, surface, formulation, rotation, held)
         whole = dataclasses.replace(rule, **chosen)
         if isinstance(rule.surface_tension, np.ndarray) and "surface_tension" in chosen:
             # a T of the study is the mean over the edges of one that grows from the support
@@ -381,7 +381,6 @@ def _vdm_model(
         mesh.triangles,
         parameters,
         formulation=formulation,
-        density=density,
         solver=solver,
         **options,
     )

@@ -88,7 +88,6 @@ class Parameters:
     def from_tissue(
         cls,
         youngs_modulus: float,
-        poisson_ratio: float,
         surface: SurfaceMesh,
         formulation: str,
         rotation: Rotation = "global",
@@ -96,7 +95,8 @@ class Parameters:
     ) -> Parameters:
         """Parameters by rule, without a fit: matched to an incompressible ball of the same R = 3 V / A.
 
-        With mu = E / (2 (1 + nu)):
+        The fluid keeps the volume, so that Young's modulus is all there is of a tissue: mu = E / 3, Poisson's
+        ratio of 1/2. (The shear modulus of a tissue of 0.45, kept in place of E, is 3 % stiffer and further off.)
 
         - consistent: k = (46/35) mu / R and T = (29/70) mu R, the exact answer of the ball to P_2 and P_3;
         - paper: B = k V / A, and B_ij = T (V / A) / (sqrt(3) A / N), the constant that a mesh of N equal
@@ -110,7 +110,6 @@ class Parameters:
         Parameters
         ----------
         youngs_modulus : E [Pa]
-        poisson_ratio : nu, in (-1, 0.5]
         surface : the body's surface
         formulation : "paper", "consistent", "vector", "boundary" or "mass-spring"
         rotation : of the vector form
@@ -119,15 +118,13 @@ class Parameters:
         Raises
         ------
         ParameterError
-            E not positive, nu out of range, or an unknown formulation or rotation.
+            E not positive, or an unknown formulation or rotation.
         """
         if rotation not in ROTATIONS:
             raise ParameterError(f"rotation must be one of {', '.join(ROTATIONS)}, not {rotation!r}")
         if not (np.isfinite(youngs_modulus) and youngs_modulus > 0.0):
             raise ParameterError(f"youngs_modulus must be positive, not {youngs_modulus}")
-        if not -1.0 < poisson_ratio <= 0.5:
-            raise ParameterError(f"poisson_ratio must be in (-1, 0.5], not {poisson_ratio}")
-        mu = youngs_modulus / (2.0 * (1.0 + poisson_ratio))
+        mu = youngs_modulus / 3.0
         radius = surface.equivalent_radius
         foundation, tension = BALL_FOUNDATION * mu / radius, BALL_TENSION * mu * radius
         if formulation == "paper":

@@ -158,7 +158,7 @@ def set_up_on(points: Array, triangles: Index, formulation: str, solver: str = "
 
 def tissue(surface: SurfaceMesh, formulation: str, held: Mask) -> Parameters:
     """The rule for the parameters, as a study uses it."""
-    return Parameters.from_tissue(5000.0, 0.4999, surface, formulation, held=held)
+    return Parameters.from_tissue(5000.0, surface, formulation, held=held)
 
 
 def set_up_seconds(formulation: str, levels: int, repeats: int) -> Array:

@@ -258,8 +258,7 @@ class CandidateTrial(Trial):
         self.samples = tuple(samples)
         self._build = candidate.build
         self._body = body
-        tissue = samples[0].scene.tissue
-        self._shear_modulus = tissue.youngs_modulus / (2.0 * (1.0 + tissue.poisson_ratio))
+        self._shear_modulus = samples[0].scene.tissue.youngs_modulus / 3.0
 
     def answers(self, multiples: Array) -> list[Array]:
         """Displacements (N, 3) under the loads, held nodes and volume exact."""

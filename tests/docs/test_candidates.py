@@ -34,7 +34,7 @@ def condensed(form: Formulation) -> c.Array:
         (BODY.stretch, Parameters(surface_tension=0.0, stretch_stiffness=1.0, rotation="none")),
         (
             1.1 * SURFACE.equivalent_radius * BODY.grown_membrane,
-            Parameters.from_tissue(3.0, 0.5, SURFACE, "vector", held=HELD),
+            Parameters.from_tissue(3.0, SURFACE, "vector", held=HELD),
         ),
     ],
 )

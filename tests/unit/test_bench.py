@@ -241,7 +241,7 @@ def test_spheres_are_closed_and_outward(levels: int) -> None:
 
 def test_fill_is_at_least_that_of_the_matrix() -> None:
     points, triangles = sphere(2)
-    parameters = Parameters.from_tissue(5000.0, 0.4999, SurfaceMesh(points, triangles), "vector")
+    parameters = Parameters.from_tissue(5000.0, SurfaceMesh(points, triangles), "vector")
     fixed = points[:, 2] < -0.9 * RADIUS
     model = Model(points, triangles, parameters, formulation="vector", fixed=fixed)
     ends = np.sort(np.stack([triangles, np.roll(triangles, -1, axis=1)], axis=2).reshape(-1, 2), axis=1)

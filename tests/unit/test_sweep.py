@@ -212,3 +212,13 @@ def test_a_result_with_a_condition_is_another_one_than_without(tmp_path: Path) -
     asked = load(tmp_path, SWEPT.replace("[geometry]", "condition = true\n[geometry]"))
     assert case_hash(plain, "m") != case_hash(asked, "m")
     assert result_keys(plain, "m") != result_keys(asked, "m")
+
+
+def test_a_surface_model_asks_for_no_poisson_ratio(tmp_path: Path) -> None:
+    both = SWEPT.replace('["vdm-paper"]', '["vdm-paper", "fem-linear"]')
+    one = result_keys(load(tmp_path, both), "m")
+    other = result_keys(load(tmp_path, both.replace("poisson_ratio = 0.45", "poisson_ratio = 0.3")), "m")
+    assert one["vdm-paper"] == other["vdm-paper"]
+    assert one["fem-linear"] != other["fem-linear"]
+    stiffer = result_keys(load(tmp_path, both.replace("= 5e3", "= 6e3")), "m")
+    assert one["vdm-paper"] != stiffer["vdm-paper"]

@@ -93,7 +93,7 @@ def test_moduli_far_apart(formulation: str, solver: str) -> None:
 @pytest.mark.parametrize("method", ["penalty-added", "penalty-replaced"])
 @pytest.mark.parametrize("formulation", [*MODULI, "mass-spring"])
 def test_penalties_of_eighteen_orders(formulation: str, method: str) -> None:
-    rule = Parameters.from_tissue(5000.0, 0.4999, SurfaceMesh(POINTS, TRIANGLES), formulation)
+    rule = Parameters.from_tissue(5000.0, SurfaceMesh(POINTS, TRIANGLES), formulation)
     for exponent in (2, 4, 8, 12, 16, 20):
         options = {"constraint_method": method, "penalty": 10.0**exponent}
         model = Model(POINTS, TRIANGLES, rule, formulation=formulation, fixed=BASE, solver="lu", **options)
@@ -104,7 +104,7 @@ def test_penalties_of_eighteen_orders(formulation: str, method: str) -> None:
 
 def made(points: Array, formulation: str, fixed: Array, solver: str = "linear") -> Model | str:
     """The model, or why it was refused."""
-    rule = Parameters.from_tissue(5000.0, 0.4999, SurfaceMesh(points, TRIANGLES), formulation)
+    rule = Parameters.from_tissue(5000.0, SurfaceMesh(points, TRIANGLES), formulation)
     try:
         return Model(points, TRIANGLES, rule, formulation=formulation, fixed=fixed, solver=solver)
     except ValueError as refused:
@@ -133,7 +133,7 @@ def test_refinement_takes_slivers_out_of_a_factor_in_single_precision(formulatio
         mesh = distorted(body, slivers=ratio, perturbation=None)
         points, triangles = mesh.surface_points, mesh.triangles
         fixed, load = points[:, 2] < -0.03, Load(np.where(points[:, 2] > 0.03, 20.0, 0.0))
-        rule = Parameters.from_tissue(5000.0, 0.4999, SurfaceMesh(points, triangles), formulation, held=fixed)
+        rule = Parameters.from_tissue(5000.0, SurfaceMesh(points, triangles), formulation, held=fixed)
         single, refined = (
             Model(points, triangles, rule, formulation=formulation, fixed=fixed, solver=solver)
             for solver in ("single", "refined")
@@ -245,7 +245,7 @@ def test_a_body_that_its_support_carries_along_is_right(formulation: str, solver
     """No force is left but rounding, of which nothing can be lacking."""
     if formulation == "boundary" and solver in ("single", "refined"):
         return
-    rule = Parameters.from_tissue(5000.0, 0.4999, BODY, formulation)
+    rule = Parameters.from_tissue(5000.0, BODY, formulation)
     model = Model(POINTS, TRIANGLES, rule, formulation=formulation, constrained=BASE, solver=solver)
     shift = np.array([1e-3, -2e-3, 5e-3])
     load = Load(np.zeros(len(POINTS)), prescribed=np.where(BASE[:, None], shift, 0.0))

@@ -15,7 +15,7 @@ from vdm.material import ParameterError
 POINTS, TRIANGLES = icosphere(1, (0.05, 0.06, 0.045))
 N = len(POINTS)
 BASE = POINTS[:, 2] < -0.03
-RULE = Parameters.from_tissue(5000.0, 0.49, SurfaceMesh(POINTS, TRIANGLES), "vector", held=BASE)
+RULE = Parameters.from_tissue(5000.0, SurfaceMesh(POINTS, TRIANGLES), "vector", held=BASE)
 PUSH = np.where(POINTS[:, 2] > 0.03, 20.0, 0.0)
 ZERO = Load(np.zeros(N), np.zeros((N, 3)), np.zeros((N, 3)))
 

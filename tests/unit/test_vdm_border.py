@@ -16,7 +16,7 @@ from vdm.solvers.linear import BorderedFactor
 POINTS, TRIANGLES = icosphere(2, (0.05, 0.06, 0.045))
 BODY = SurfaceMesh(POINTS, TRIANGLES)
 BASE = POINTS[:, 2] < -0.03
-RULE = Parameters.from_tissue(5000.0, 0.4999, BODY, "vector")
+RULE = Parameters.from_tissue(5000.0, BODY, "vector")
 RNG = np.random.default_rng(3)
 
 

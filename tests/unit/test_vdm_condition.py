@@ -23,7 +23,7 @@ SPARSE = ("paper", "consistent", "vector", "mass-spring")
 
 
 def model(formulation: str, rotation: str = "global", **options) -> Model:
-    rule = Parameters.from_tissue(5000.0, 0.4999, BODY, formulation, rotation)
+    rule = Parameters.from_tissue(5000.0, BODY, formulation, rotation)
     return Model(POINTS, TRIANGLES, rule, formulation=formulation, **{"fixed": BASE, **options})
 
 

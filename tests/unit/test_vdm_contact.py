@@ -19,7 +19,7 @@ PATCH = np.argsort(-POINTS[:, 2])[:50]
 
 @pytest.fixture(scope="module", params=["paper", "consistent", "vector"])
 def solver(request) -> Model:
-    material = Parameters.from_tissue(5000.0, 0.4999, BODY, request.param)
+    material = Parameters.from_tissue(5000.0, BODY, request.param)
     return Model(POINTS, TRIANGLES, material, formulation=request.param, fixed=BASE)
 
 
@@ -84,7 +84,7 @@ def test_a_contact_that_moves_within_its_own_array_is_seen(solver):
 
 
 def test_the_printed_sign_holds_for_columns_too():
-    material = Parameters.from_tissue(5000.0, 0.4999, BODY, "consistent")
+    material = Parameters.from_tissue(5000.0, BODY, "consistent")
     body = Model(POINTS, TRIANGLES, material, formulation="consistent", fixed=BASE, contact_sign="printed")
     pressure = np.linspace(1.0, 50.0, len(PATCH))
     unknown, fluid = ContactCompliance(body.problem).frame(PATCH, pressure)

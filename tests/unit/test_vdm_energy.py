@@ -18,7 +18,7 @@ DEFORMABLE = DeformableSurface(BODY)
 BASE = POINTS[:, 2] < -0.03
 # off the axis: the body dents and leans
 SIDE = Load(np.where(POINTS @ [0.7, 0.2, 0.6] > 0.035, 300.0, 0.0))
-TISSUE = {name: Parameters.from_tissue(5000.0, 0.4999, BODY, name, held=BASE) for name in FORMULATIONS}
+TISSUE = {name: Parameters.from_tissue(5000.0, BODY, name, held=BASE) for name in FORMULATIONS}
 FORMS = {
     **{name: (name, parameters) for name, parameters in TISSUE.items()},
     "paper, stiffening": (

@@ -127,7 +127,7 @@ def test_linear_solver_equals_lu_of_the_whole_state_matrix(formulation, shape):
         Model(
             points,
             triangles,
-            Parameters.from_tissue(5000.0, 0.4999, surface, formulation),
+            Parameters.from_tissue(5000.0, surface, formulation),
             formulation=formulation,
             fixed=fixed,
             constrained=constrained,
@@ -160,7 +160,7 @@ def test_a_step_alone_counts_the_volume_that_moved_nodes_take(formulation):
     body = Model(
         points,
         BODY.triangles,
-        Parameters.from_tissue(5000.0, 0.5, BODY, formulation),
+        Parameters.from_tissue(5000.0, BODY, formulation),
         formulation=formulation,
         fixed=low,
         constrained=high,

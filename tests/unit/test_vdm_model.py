@@ -34,7 +34,7 @@ NAMES = list(FORMULATIONS)
 
 
 def model(formulation: str, **options) -> Model:
-    parameters = options.pop("parameters", None) or Parameters.from_tissue(5000.0, 0.4999, BODY, formulation)
+    parameters = options.pop("parameters", None) or Parameters.from_tissue(5000.0, BODY, formulation)
     return Model(POINTS, TRIANGLES, parameters, formulation=formulation, **options)
 
 
@@ -139,7 +139,7 @@ def test_gravity_datum_changes_the_pressure_only(formulation):
         return Model(
             points,
             TRIANGLES,
-            Parameters.from_tissue(5000.0, 0.4999, BODY, formulation),
+            Parameters.from_tissue(5000.0, BODY, formulation),
             formulation=formulation,
             fixed=BASE,
             density=1060.0,
@@ -238,26 +238,26 @@ def test_exact_pressure_per_facet_gives_its_resultant():
 
 def test_rule_from_tissue_matches_the_ball():
     ball = SurfaceMesh(*icosphere(4, (0.05, 0.05, 0.05)))
-    mu, radius = 5000.0 / 2.9998, ball.equivalent_radius
-    rule = Parameters.from_tissue(5000.0, 0.4999, ball, "consistent")
+    mu, radius = 5000.0 / 3.0, ball.equivalent_radius
+    rule = Parameters.from_tissue(5000.0, ball, "consistent")
     for degree in (2, 3):
         compliance = 1.0 / (rule.foundation + degree * (degree + 1) * rule.surface_tension / radius**2)
         assert_allclose(compliance, ball_compliance(degree) * radius / mu, rtol=1e-13, atol=0.0)
     assert_allclose(
         [ball_compliance(n) for n in (2, 3, 4, 5)], [0.26316, 0.15909, 0.11765, 0.09418], rtol=0.0, atol=5e-6
     )
-    paper = Parameters.from_tissue(5000.0, 0.4999, ball, "paper")
+    paper = Parameters.from_tissue(5000.0, ball, "paper")
     assert_allclose(paper.bulk_modulus * ball.area / ball.volume, rule.foundation, rtol=1e-14, atol=0.0)
 
 
 def test_rule_of_the_vector_form_knows_its_rotation():
-    unit = 5000.0 / 2.9998 * BODY.equivalent_radius
+    unit = 5000.0 / 3.0 * BODY.equivalent_radius
     for rotation, factor in (("none", 0.7), ("global", 0.7), ("nodal", 3.3)):
-        rule = Parameters.from_tissue(5000.0, 0.4999, BODY, "vector", rotation)
+        rule = Parameters.from_tissue(5000.0, BODY, "vector", rotation)
         assert rule.rotation == rotation
         assert_allclose(rule.surface_tension, factor * unit, rtol=1e-13, atol=0.0)
     with pytest.raises(ParameterError, match="rotation must be one of none, global, nodal"):
-        Parameters.from_tissue(5000.0, 0.4999, BODY, "vector", "each")
+        Parameters.from_tissue(5000.0, BODY, "vector", "each")
 
 
 def test_tension_grows_as_the_root_of_the_distance_from_the_support():
@@ -269,12 +269,12 @@ def test_tension_grows_as_the_root_of_the_distance_from_the_support():
     assert held.any()
     assert (distance > 0.5 * length).any()
     for rotation, factor in (("none", 1.1), ("global", 1.1), ("nodal", 4.2)):
-        rule = Parameters.from_tissue(5000.0, 0.4999, BODY, "vector", rotation, held)
-        expected = factor * 5000.0 / 2.9998 * np.sqrt(BODY.equivalent_radius * distance)
+        rule = Parameters.from_tissue(5000.0, BODY, "vector", rotation, held)
+        expected = factor * 5000.0 / 3.0 * np.sqrt(BODY.equivalent_radius * distance)
         assert rule.rotation == rotation
         assert_allclose(rule.surface_tension, expected, rtol=1e-12, atol=0.0)
-    nothing = Parameters.from_tissue(5000.0, 0.4999, BODY, "vector", held=np.zeros_like(held))
-    assert nothing == Parameters.from_tissue(5000.0, 0.4999, BODY, "vector")
+    nothing = Parameters.from_tissue(5000.0, BODY, "vector", held=np.zeros_like(held))
+    assert nothing == Parameters.from_tissue(5000.0, BODY, "vector")
 
 
 def test_anisotropy_follows_the_fibre():
@@ -346,12 +346,10 @@ def test_bad_moduli(values, message):
         Parameters(**values)
 
 
-@pytest.mark.parametrize(
-    ("youngs", "poisson"), [(0.0, 0.4), (np.nan, 0.4), (1.0, 0.6), (1.0, -1.0), (1.0, np.nan)]
-)
-def test_bad_tissue(youngs, poisson):
-    with pytest.raises(ParameterError):
-        Parameters.from_tissue(youngs, poisson, BODY, "paper")
+@pytest.mark.parametrize("youngs", [0.0, -1.0, np.nan, np.inf])
+def test_bad_tissue(youngs):
+    with pytest.raises(ParameterError, match="youngs_modulus"):
+        Parameters.from_tissue(youngs, BODY, "paper")
 
 
 BAD_SCENES = [
@@ -468,9 +466,7 @@ SURFACES = {
 def test_bad_surfaces_are_refused_by_every_form(surface, formulation):
     points, triangles, message = SURFACES[surface]
     with pytest.raises(SurfaceError, match=message):
-        Model(
-            points, triangles, Parameters.from_tissue(5e3, 0.4999, BODY, formulation), formulation=formulation
-        )
+        Model(points, triangles, Parameters.from_tissue(5e3, BODY, formulation), formulation=formulation)
 
 
 MODULI = {
@@ -484,7 +480,7 @@ MODULI = {
 
 @pytest.mark.parametrize("formulation", NAMES)
 def test_moduli_without_meaning_are_refused_by_every_form(formulation):
-    rule = Parameters.from_tissue(5e3, 0.4999, BODY, formulation)
+    rule = Parameters.from_tissue(5e3, BODY, formulation)
     for name in MODULI[formulation]:
         for value in (-1.0, np.nan, np.inf, None):
             with pytest.raises(ParameterError, match=name):

@@ -17,7 +17,7 @@ NAMES = list(FORMULATIONS)
 
 
 def model(formulation: str, **options) -> Model:
-    rule = Parameters.from_tissue(5000.0, 0.4999, SurfaceMesh(POINTS, TRIANGLES), formulation)
+    rule = Parameters.from_tissue(5000.0, SurfaceMesh(POINTS, TRIANGLES), formulation)
     return Model(POINTS, TRIANGLES, rule, formulation=formulation, fixed=BASE, **options)
 
 
@@ -59,7 +59,7 @@ def test_a_rule_for_the_parameters_is_a_part_of_the_set_up():
     def rule(surface: SurfaceMesh) -> Parameters:
         seen.append(surface)
         time.sleep(0.05)
-        return Parameters.from_tissue(5e3, 0.4999, surface, "vector", held=BASE)
+        return Parameters.from_tissue(5e3, surface, "vector", held=BASE)
 
     ruled = Model(POINTS, TRIANGLES, rule, formulation="vector", fixed=BASE)
     assert len(seen) == 1

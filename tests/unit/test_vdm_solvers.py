@@ -29,7 +29,7 @@ VECTOR_FORMS = [
 
 
 def model(formulation: str, parameters: Parameters | None = None, **options) -> Model:
-    material = parameters or Parameters.from_tissue(5000.0, 0.4999, BODY, formulation)
+    material = parameters or Parameters.from_tissue(5000.0, BODY, formulation)
     return Model(POINTS, TRIANGLES, material, formulation=formulation, **{"fixed": BASE, **options})
 
 
@@ -105,7 +105,7 @@ def test_warm_start_saves_iterations_only_where_the_load_hardly_changes():
 
 def test_a_start_close_to_the_solution_saves_bicg_the_last_digits_only():
     points, triangles = icosphere(4, (0.05, 0.05, 0.05))
-    material = Parameters.from_tissue(5000.0, 0.4999, SurfaceMesh(points, triangles), "paper")
+    material = Parameters.from_tissue(5000.0, SurfaceMesh(points, triangles), "paper")
     problem = Model(points, triangles, material, formulation="paper", fixed=points[:, 2] < -0.045).problem
     push = Load(np.where(points[:, 2] > 0.045, 100.0, 0.0))
 
@@ -291,7 +291,7 @@ def test_nonlinear_prescribed_displacement_and_genus_one(formulation):
     surface = SurfaceMesh(points, triangles)
     base, top = points[:, 2] < -0.015, points[:, 2] > 0.018
     load = Load(np.zeros(len(points)), None, np.where(top[:, None], [0.0, 0.0, -0.004], 0.0))
-    parameters = Parameters.from_tissue(5000.0, 0.5, surface, formulation)
+    parameters = Parameters.from_tissue(5000.0, surface, formulation)
     solution = Model(
         points,
         triangles,
@@ -315,7 +315,7 @@ def test_every_linear_solver_on_a_torus(formulation):
     points, triangles = torus()
     surface = SurfaceMesh(points, triangles)
     assert surface.genus == 1
-    material = Parameters.from_tissue(5000.0, 0.5, surface, formulation)
+    material = Parameters.from_tissue(5000.0, surface, formulation)
     load = Load(np.where(points[:, 2] > 0.018, 1.0, 0.0))
 
     def answer(solver):

@@ -27,7 +27,7 @@ def model(form: str, monkeypatch, **options) -> Model:
         monkeypatch.setattr(boundary, "MAX_NODES", 100)
         monkeypatch.setattr(boundary, "COARSE_NODES", 60)
         form = "boundary"
-    rule = Parameters.from_tissue(5000.0, 0.4999, SurfaceMesh(POINTS, TRIANGLES), form)
+    rule = Parameters.from_tissue(5000.0, SurfaceMesh(POINTS, TRIANGLES), form)
     return Model(POINTS, TRIANGLES, rule, formulation=form, fixed=BASE, **options)
 
 

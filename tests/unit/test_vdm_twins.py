@@ -36,7 +36,7 @@ def answer(
     triangles = place[TRIANGLES[:, ::-1] if flip else TRIANGLES]
     points = POINTS[order] @ motion.T
     held = (BASE | TIP)[order]
-    rule = Parameters.from_tissue(5000.0, 0.4999, SurfaceMesh(points, triangles), formulation, "global", held)
+    rule = Parameters.from_tissue(5000.0, SurfaceMesh(points, triangles), formulation, "global", held)
     model = Model(
         points,
         triangles,

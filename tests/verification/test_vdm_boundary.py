@@ -134,7 +134,7 @@ def test_held_patches_against_mixed_finite_elements(shape):
     soft = Model(
         surface.points,
         mesh.triangles,
-        Parameters.from_tissue(5000.0, 0.4999, surface, "boundary"),
+        Parameters.from_tissue(5000.0, surface, "boundary"),
         formulation="boundary",
         fixed=base,
     ).solve([load])

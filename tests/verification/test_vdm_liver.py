@@ -32,7 +32,7 @@ def palpated(request, liver: Path):
     model = Model(
         points,
         triangles,
-        lambda surface: Parameters.from_tissue(5000.0, 0.4999, surface, request.param, held=fixed),
+        lambda surface: Parameters.from_tissue(5000.0, surface, request.param, held=fixed),
         formulation=request.param,
         fixed=fixed,
         solver="nonlinear",

@@ -31,7 +31,7 @@ def free_parameters(formulation: str, surface: SurfaceMesh) -> Parameters:
     """Parameters for which nothing needs to be held; the vector form gets a foundation and no free rotation."""
     if formulation == "vector":
         return Parameters(foundation=2e4, surface_tension=50.0, rotation="none")
-    return Parameters.from_tissue(5000.0, 0.5, surface, formulation)
+    return Parameters.from_tissue(5000.0, surface, formulation)
 
 
 def answer(points, triangles, parameters, formulation, loads, **options):
@@ -44,7 +44,7 @@ def reciprocity_gap(formulation: str, shape) -> float:
     surface = SurfaceMesh(points, triangles)
     loads = [Load(np.where(points[:, a] > 0.6 * points[:, a].max(), 100.0, 0.0)) for a in (0, 2)]
     fixed = points[:, 2] < 0.9 * points[:, 2].min()
-    parameters = Parameters.from_tissue(5000.0, 0.5, surface, formulation)
+    parameters = Parameters.from_tissue(5000.0, surface, formulation)
     solution = answer(points, triangles, parameters, formulation, loads, fixed=fixed)
     areas = surface.nodal_areas if formulation == "paper" else surface.vector_areas
     normal = np.einsum("sic,ic->si", solution.displacement, surface.normals)
@@ -75,7 +75,7 @@ def rigid_share(formulation: str, kind: str) -> float:
     """Energy of a rigid motion over that of a stretch of the same size, by the operator with its free rotation."""
     points, triangles = icosphere(2, (0.05, 0.06, 0.045))
     surface = SurfaceMesh(points, triangles)
-    form = FORMULATIONS[formulation](surface, Parameters.from_tissue(5000.0, 0.5, surface, formulation))
+    form = FORMULATIONS[formulation](surface, Parameters.from_tissue(5000.0, surface, formulation))
     centred = points - points.mean(axis=0)
     fields = {
         "translation": np.broadcast_to([0.0, 0.0, 0.05], points.shape),
@@ -100,7 +100,7 @@ def unbalanced_share(formulation: str) -> float:
     surface = SurfaceMesh(points, triangles)
     pressure = np.where((points[:, 2] > 0.03) & (points[:, 0] > 0.01), 200.0, 0.0)
     force = -(surface.area_vectors * pressure[:, None]).sum(axis=0)
-    parameters = Parameters.from_tissue(5000.0, 0.5, surface, formulation)
+    parameters = Parameters.from_tissue(5000.0, surface, formulation)
     solution = answer(
         points, triangles, parameters, formulation, [Load(pressure)], fixed=points[:, 2] < -0.04
     )
@@ -111,7 +111,7 @@ def datum_share(formulation: str) -> float:
     """How far displacements move when every delta_i grows by 1 m, over their size."""
     points, triangles = icosphere(2, (0.05, 0.06, 0.045))
     surface = SurfaceMesh(points, triangles)
-    parameters = Parameters.from_tissue(5000.0, 0.5, surface, formulation)
+    parameters = Parameters.from_tissue(5000.0, surface, formulation)
     weight = 1000.0 * 9.81 * (points[:, 2].max() - points[:, 2])
     loads = [Load(-weight), Load(-weight - 9810.0)]
     fixed = points[:, 2] < -0.03
