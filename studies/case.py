@@ -4,10 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+
+from .metrics import full_load_step
 
 Array = NDArray[np.float64]
 
@@ -115,6 +118,11 @@ class CaseResult:
     # error of the reference itself, see studies.reference.own_error; empty where not measured
     mesh_quality: Mapping[str, float] = field(default_factory=dict)
     small_strain: SmallStrainLimits | None = None  # where [limits] asks for them
+
+    @cached_property
+    def full_load(self) -> int:
+        """The step of the largest load, the last of several."""
+        return full_load_step(self.load_factors)
 
 
 DAMAGED = "damaged"  # code of a failure: the case was done, its file cannot be read

@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 MAX_BYTES = 2 << 30
 TRAILER = b"\nvdmbench-sha256 "
 TRAILER_BYTES = len(TRAILER) + 64 + 1
-_COMPRESS_FROM = 4096  # values
+_COMPRESS_FROM = 1 << 17  # bytes; of less, compressing takes longer than all else of a file
 _CHUNK = 16384  # rows
 _TEXT = h5t.py_create(string_dtype("utf-8"), logical=True)  # in a file
 _STRING = h5t.py_create(string_dtype("utf-8"))  # in memory
@@ -131,7 +131,7 @@ def _kind(value: Any) -> tuple[Any, ...]:
 
 def _compressed(values: NDArray[Any]) -> bool:
     """Zeros shrink, the digits of a solution hardly do."""
-    return bool(values.size > _COMPRESS_FROM and 2 * np.count_nonzero(values) < values.size)
+    return bool(values.nbytes > _COMPRESS_FROM and 2 * np.count_nonzero(values) < values.size)
 
 
 def _skeleton_of(entries: Sequence[Group | Data]) -> tuple[bytes, list[int | None]]:
@@ -286,8 +286,8 @@ class Stored:
 
     def table(self, path: str) -> dict[str, NDArray[np.float64]]:
         """The columns of a table of numbers by name."""
-        kind = self._dataset(path).dtype
-        rows = self._read(path, kind, _in_memory_type(kind))
+        kind, stored = _columns(self._dataset(path).get_type().encode())
+        rows = self._read(path, kind, stored)
         return {name: rows[name].astype(np.float64) for name in kind.names or ()}
 
     def texts(self, path: str) -> Any:
@@ -323,9 +323,11 @@ class Stored:
         return found
 
 
-@lru_cache(maxsize=64)
-def _in_memory_type(kind: np.dtype[Any]) -> Any:
-    return h5t.py_create(kind)
+@lru_cache(maxsize=64)  # the types of two tables of the same columns are one
+def _columns(encoded: bytes) -> tuple[np.dtype[Any], Any]:
+    """A table's rows as numpy and HDF5 have them in memory, from the type in the file."""
+    kind = h5t.decode(encoded).dtype
+    return kind, h5t.py_create(kind)
 
 
 def _decoded(values: Any) -> Any:

@@ -73,10 +73,10 @@ def rigid_motion_removed(points: Array, displacement: Array, weights: Array) -> 
 
     Infinitesimal, so that the result of a linear model scales with its load.
     """
-    return _without(rigid_motions(points, weights), displacement[None], weights)[0]
+    return without_motions(rigid_motions(points, weights), displacement[None], weights)[0]
 
 
-def _without(motions: Array, displacements: Array, weights: Array) -> Array:
+def without_motions(motions: Array, displacements: Array, weights: Array) -> Array:
     """(S, N, 3) displacements less their parts along orthonormal motions (6, N, 3)."""
     shares = np.tensordot(displacements * weights[:, None], motions, axes=((1, 2), (1, 2)))
     return displacements - np.tensordot(shares, motions, axes=1)
@@ -238,7 +238,7 @@ def relative_l2_displacement_error(surface: Surface, model: History, reference: 
 @_metric("1", "as the displacement error, the best-fit rigid motion removed from model and reference alike")
 def relative_l2_deformation_error(surface: Surface, model: History, reference: History) -> Array:
     def compare(s: Surface, u: Array, r: Array) -> Array:
-        u, r = (_without(s.rigid_motions, v, s.areas) for v in (u, r))
+        u, r = (without_motions(s.rigid_motions, v, s.areas) for v in (u, r))
         return _relative_l2(u, r, s.areas)
 
     return _each_step(surface, model, reference, compare)

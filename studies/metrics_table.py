@@ -7,7 +7,6 @@ import io
 import math
 
 from .case import CaseResult, MetricSeries, Run
-from .metrics import full_load_step
 from .uncertainty import reference_bar
 
 
@@ -29,7 +28,7 @@ def metrics_csv(run: Run) -> str:
     writer.writerow(["case", *keys, "model", "load_factor", "metric", "value", "unit", "reference_error"])
     for case, model, metric, series in metric_rows(run):
         swept = [_cell(case.swept.get(key, "")) for key in keys]
-        full_load, bar = full_load_step(case.load_factors), reference_bar(case.reference_error, metric)
+        full_load, bar = case.full_load, reference_bar(case.reference_error, metric)
         for step, (factor, value) in enumerate(zip(case.load_factors, series.values, strict=True)):
             own = repr(bar) if step == full_load and math.isfinite(bar) else ""  # measured at full load only
             row = [model, repr(float(factor)), metric, repr(float(value)), series.unit, own]

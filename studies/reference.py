@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -13,19 +13,25 @@ from .case import ModelResult
 from .execute import TaskError
 from .meshing.mesh import Array, Index, InputError
 from .meshing.refine import inherit, refine
-from .metrics import History, Surface, evaluate_all, full_load_step, rigid_motion_removed, weighted_norm
+from .metrics import METRICS, History, Surface, evaluate_all, full_load_step, weighted_norm, without_motions
 from .scene import Scene, build_scene
 from .setups import shared
 from .study_file.schema import Study
 from .uncertainty import estimate_error
 
 
-def own_error(surface: Surface, levels: Sequence[ModelResult], load_factors: Array) -> dict[str, float]:
+def own_error(
+    surface: Surface,
+    levels: Sequence[ModelResult],
+    load_factors: Array,
+    found: Mapping[str, Array] | None = None,
+) -> dict[str, float]:
     """The error of the finest of S-step results on one surface, at the largest load.
 
     Parameters
     ----------
     levels : the finest first, each refined once from the next
+    found : every metric of the second level against the finest; only where S is 1, else they are computed
 
     Returns
     -------
@@ -39,7 +45,7 @@ def own_error(surface: Surface, levels: Sequence[ModelResult], load_factors: Arr
     step = full_load_step(load_factors)
     fields = [level.displacement[step] for level in levels]
     differences = _differences(fields, surface.areas)
-    deformed = [rigid_motion_removed(surface.points, u, surface.areas) for u in fields]
+    deformed = list(without_motions(surface.rigid_motions, np.stack(fields), surface.areas))
     vector, deformation = estimate_error(differences), estimate_error(_differences(deformed, surface.areas))
     error = {f"difference_{k}{k + 1}": difference for k, difference in enumerate(differences)}
     error |= {
@@ -47,15 +53,18 @@ def own_error(surface: Surface, levels: Sequence[ModelResult], load_factors: Arr
         "observed_order": vector.observed_order,
         "levels": float(len(levels)),
     }
-    finest, next_finest = (
-        History(level.displacement[[step]], level.reaction_force[[step]], load_factors[[step]])
-        for level in levels[:2]
-    )
     margin = vector.gci / differences[0] if differences[0] else 0.0
-    found = evaluate_all(surface, {"next": next_finest, "finest": finest}, "finest")
-    for metric, values in found["next"].items():
-        if metric not in found["finest"]:
-            error[f"gci:{metric}"] = margin * abs(float(values[0]))
+    if found is None:
+        finest, second = (
+            History(level.displacement[[step]], level.reaction_force[[step]], load_factors[[step]])
+            for level in levels[:2]
+        )
+        found = evaluate_all(surface, {"second": second, "finest": finest}, "finest")["second"]
+    error |= {
+        f"gci:{metric}": margin * abs(float(value[0]))
+        for metric, value in found.items()
+        if METRICS[metric].needs_reference
+    }
     error["gci:relative_l2_deformation_error"] = deformation.gci
     return error
 
@@ -92,14 +101,17 @@ def refined_levels(
     for _ in range(n_levels - 1):
         coarse = scenes[0].mesh
         mesh, parents = shared(refine, mesh=coarse)
+        # most scenes have the same regions
+        masks = {mask.tobytes(): mask for scene in scenes for mask in scene.regions.values()}
+        finer = {key: inherit(mask, coarse, parents) for key, mask in masks.items()}
         scenes = [
-            build_scene(study, mesh, {r: inherit(mask, coarse, parents) for r, mask in scene.regions.items()})
+            build_scene(study, mesh, {r: finer[mask.tobytes()] for r, mask in scene.regions.items()})
             for study, scene in zip(studies, scenes, strict=True)
         ]
         lineage.append(parents)
-        for levels, finer in zip(found, models.run_together(scenes, name), strict=True):
-            require_converged(f"{name} on the refined mesh", finer)
-            levels.append(_restricted(finer, lineage))
+        for levels, result in zip(found, models.run_together(scenes, name), strict=True):
+            require_converged(f"{name} on the refined mesh", result)
+            levels.append(_restricted(result, lineage))
     return found
 
 

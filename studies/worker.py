@@ -66,7 +66,7 @@ def run_case(task: Task) -> None:
     mesh = _mesh(study, task)
     scene = build_scene(study, mesh)
     known = _known(task)
-    reference_error: dict[str, float] = {}
+    levels: list[ModelResult] = []
     if reference is not None:
         levels = _reference_levels(study, scene, task, known)
         known[reference] = levels[0]
@@ -75,9 +75,9 @@ def run_case(task: Task) -> None:
     _last.clear()
     _last.update({result.key: result for result in results.values()})
     if reference is not None and len(levels) > 1:
-        reference_error = own_error(_surface(scene), levels[::-1], scene.load_factors)
         reference += REFINED
         results[reference] = levels[-1]
+    metrics = compare(scene, results, reference)
     small_strain = None
     if study.limits is not None:
         with sharing():  # its many loads share their set-ups too
@@ -96,9 +96,9 @@ def run_case(task: Task) -> None:
             load_factors=scene.load_factors,
             regions=scene.regions,
             models=results,
-            metrics=compare(scene, results, reference),
+            metrics=metrics,
             reference=reference,
-            reference_error=reference_error,
+            reference_error=_reference_error(scene, levels, metrics.get(study.study.reference or "", {})),
             small_strain=small_strain,
             mesh_quality={
                 **mesh.quality,
@@ -165,6 +165,17 @@ def _reference_levels(
         _written.add(key)
     _ahead[key] = levels
     return levels
+
+
+def _reference_error(
+    scene: Scene, levels: Sequence[ModelResult], coarsest: Mapping[str, MetricSeries]
+) -> dict[str, float]:
+    """The reference's own error from its levels, coarse first; `coarsest` are the metrics of the first."""
+    if len(levels) < 2:
+        return {}
+    is_pair = len(levels) == 2 and len(scene.load_factors) == 1  # compared already
+    found = {name: series.values for name, series in coarsest.items()} if is_pair and coarsest else None
+    return own_error(_surface(scene), levels[::-1], scene.load_factors, found)
 
 
 def _reference_is_there(task: Task) -> bool:

@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 
 from .. import uncertainty
 from ..case import CaseResult, ModelResult, Run
-from ..metrics import full_load_step
 
 Array = NDArray[np.float64]
 
@@ -24,7 +23,7 @@ REFERENCE = -1
 
 def full_load(case: CaseResult) -> int:
     """The step of the largest load, the last of several."""
-    return full_load_step(case.load_factors)
+    return case.full_load
 
 
 def series(case: CaseResult, model: str, metric: str) -> Array | None:

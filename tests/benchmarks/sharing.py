@@ -147,10 +147,11 @@ def _further(plan: Plan, seconds: float) -> dict[str, float]:
             scene = timed("scene on the mesh", partial(build_scene, study, mesh))
             names = [name for name in study.study.models if not models.find(name)[0].volumetric]
             timed("results of the surface models", lambda: [models.run_model(scene, n) for n in names])  # noqa: B023
-            timed("metrics", partial(compare, scene, case.models, case.reference))
+            found = timed("metrics", partial(compare, scene, case.models, case.reference))
             if case.reference_error:
                 levels = [case.models[name] for name in (case.reference or "", REFERENCE)]
-                timed("error bar", partial(own_error, _surface(scene), levels, case.load_factors))
+                known = {name: series.values for name, series in found[REFERENCE].items()}
+                timed("error bar", partial(own_error, _surface(scene), levels, case.load_factors, known))
             timed("file", partial(write_case, path, case))
     parts = {part: float(np.median(values[2:])) for part, values in taken.items()}
     return parts | {"the rest": seconds - sum(parts.values())}

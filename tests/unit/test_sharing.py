@@ -367,9 +367,11 @@ def test_a_model_that_will_refuse_a_mesh_is_named(
     assert summary(plan_of(tmp_path, cache))["refused"] == []
 
 
-def test_a_batch_and_one_case_give_one_reference(tmp_path: Path, cache: Path) -> None:
-    case = run(plan_of(tmp_path, cache))[0]
-    plan = plan_of(tmp_path, cache)
+@pytest.mark.parametrize("factors", [[0.5, 1.0], [1.0]])
+def test_a_batch_and_one_case_give_one_reference(tmp_path: Path, cache: Path, factors: list[float]) -> None:
+    """And one error of it: of a single load it comes from the metrics of the case."""
+    plan = plan_of(tmp_path, cache, load={"factors": factors})
+    case = run(plan)[0]
     study = plan.cases[0].study
     task = task_of(plan.cases[0], plan)
     scene = worker.build_scene(study, worker._mesh(study, task))
