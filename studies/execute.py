@@ -4,7 +4,7 @@ A failure is an error, a crash, a timeout or a kill for want of memory. Workers 
 that has the slow imports done; each gets its share of the cores for the sparse factors, and one thread for dense
 algebra, whose threads would spin between small products. A worker does the tasks of one group after the
 other and answers after each. Where it dies, the tasks that it had finished stay finished, the one that it was at is
-tried once more alone, and the rest goes to a new worker.
+tried once more alone, and the rest goes to a new worker; where it dies of what they share, each half does.
 """
 
 from __future__ import annotations
@@ -207,8 +207,9 @@ def _finish(r: _Running, timeout: float | None) -> tuple[Outcome | None, list[li
         outcome = Outcome(culprit, "timeout", seconds, f"stopped after {timeout:g} s", remedy, log)
         return outcome, [rest] if rest else []
     if not alone:
-        # while at what they share it may be any one's fault; else the rest may go on together
-        return None, [[task] for task in r.tasks] if not r.begun else [[culprit], *([rest] if rest else [])]
+        # at what they share it may be any one's fault: half of them may do without; else the rest goes on together
+        half = 1 if r.begun else len(r.tasks) // 2
+        return None, [part for part in (r.tasks[:half], r.tasks[half:]) if part]
     return Outcome(culprit, "crashed", seconds, *_death(r.process.exitcode or 0, log), log), []
 
 

@@ -59,19 +59,26 @@ def _work(task: Mapping[str, Any]) -> None:
 
 @contextmanager
 def _together(tasks: Sequence[Mapping[str, Any]]) -> Iterator[None]:
-    """What a group shares: it may fail as its tasks may."""
-    kind = tasks[0].get("shared", "")
-    if kind:
-        _work({"kind": kind})
+    """What a group shares: it may fail as its tasks may, for the sake of any of them."""
+    for task in tasks:
+        if task["shared"]:
+            _work({"kind": task["shared"]})
+    for task in tasks:
+        Path(f"{task['path']}-in-company").write_text(",".join(task["id"] for task in tasks))
     yield
 
 
 def _run_group(
-    tmp_path: Path, *kinds: str, shared: str = "", **options: Any
+    tmp_path: Path, *kinds: str, shared: str = "", culprit: int | None = None, **options: Any
 ) -> tuple[dict[str, Outcome], list[str]]:
-    """One group of tasks; also the ids of the tasks that were begun, in order."""
+    """One group of tasks, what they share failing for each or for one; also the ids of those begun, in order."""
     tasks = [
-        {"id": f"{n}", "kind": kind, "path": str(tmp_path / f"out-{n}"), "shared": shared}
+        {
+            "id": f"{n}",
+            "kind": kind,
+            "path": str(tmp_path / f"out-{n}"),
+            "shared": shared if culprit in (None, n) else "",
+        }
         for n, kind in enumerate(kinds)
     ]
     begun: list[str] = []
@@ -210,6 +217,18 @@ def test_what_a_group_shares_may_fail(tmp_path: Path, shared: str) -> None:
     outcomes, begun = _run_group(tmp_path, "write", "write", shared=shared, timeout=2.5)
     assert [outcomes[n].code for n in "01"] == ["done", "done"]
     assert sorted(begun) == ["0", "0", "1"]
+
+
+@pytest.mark.parametrize("shared", ["segfault", "out of memory"])
+def test_one_that_kills_what_a_group_shares_leaves_the_others_their_share(
+    tmp_path: Path, shared: str
+) -> None:
+    """By halves: only who is left with the culprit goes on alone."""
+    outcomes, begun = _run_group(tmp_path, *["write"] * 8, shared=shared, culprit=5)
+    assert [outcomes[f"{n}"].code for n in range(8)] == ["done"] * 8
+    company = {path.name[4]: path.read_text() for path in tmp_path.glob("*-in-company")}
+    assert company == dict.fromkeys("0123", "0,1,2,3") | dict.fromkeys("67", "6,7")
+    assert len(begun) == 8 + 3, "three workers died before their first task"
 
 
 def test_fail_fast_stops_within_a_group(tmp_path: Path) -> None:
