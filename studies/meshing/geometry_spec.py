@@ -230,7 +230,7 @@ def geometry_key(geometry: Geometry, *, volume: bool) -> str:
     if geometry.shape == "cylinder":
         inputs.setdefault("axis", "z")
     if geometry.shape == "file":
-        inputs["file"] = _file_digest(geometry.path)
+        inputs["file"] = file_digest(geometry.path)
         inputs["kind"] = geometry.path.suffix.lower()
         if "size" not in inputs:
             inputs.setdefault("scale", [(1.0).hex()])
@@ -255,7 +255,8 @@ def _packages(geometry: Geometry) -> tuple[str, ...]:
     return ("gmsh",)
 
 
-def _file_digest(path: Path) -> str:
+def file_digest(path: Path) -> str:
+    """SHA-256 (hex) of a file. Raises MeshError where it cannot be read."""
     try:
         with path.open("rb") as file:
             return hashlib.file_digest(file, "sha256").hexdigest()

@@ -5,14 +5,16 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
 
 import numpy as np
 
-from .geometry_spec import Geometry, check_extent, check_mesh_size, check_node_budget
+from .geometry_spec import Geometry, check_extent, check_mesh_size, check_node_budget, file_digest
 from .mesh import Array, Index, Mesh, MeshError
 from .mesh_file import check_readable, read_surface, read_tetrahedra
 from .msh_file import read_msh
-from .repair import clean_surface, clean_tetrahedra
+from .repair import CleanSurface, clean_surface, clean_tetrahedra
 from .topology import area_vectors, mesh_from_tetrahedra, surface_volume
 
 
@@ -29,7 +31,8 @@ class ImportedSurface:
 
 def imported_surface(geometry: Geometry, *, volume: bool, max_nodes: int) -> ImportedSurface:
     """The surface of a file, fit to be meshed as asked. Raises MeshError."""
-    clean = clean_surface(*read_surface(geometry.path))
+    check_readable(geometry.path)
+    clean = _clean_surface(geometry.path, file_digest(geometry.path))
     points, factor = _placed(clean.points, geometry)
     check_mesh_size(geometry.mesh_size, float(np.ptp(points, axis=0).min()))
     area = float(np.linalg.norm(area_vectors(points, clean.triangles), axis=1).sum())
@@ -44,6 +47,12 @@ def imported_surface(geometry: Geometry, *, volume: bool, max_nodes: int) -> Imp
         "facets_flipped": float(clean.facets_flipped),
     }
     return ImportedSurface(points, clean.triangles, area, inside, repairs)
+
+
+@lru_cache(maxsize=1)
+def _clean_surface(path: Path, digest: str) -> CleanSurface:  # noqa: ARG001
+    """The facets of the file with these bytes, which a study of several mesh sizes asks for again and again."""
+    return clean_surface(*read_surface(path))
 
 
 def imported_tetrahedra(geometry: Geometry, *, max_nodes: int) -> Mesh:

@@ -18,9 +18,11 @@ from numpy.testing import assert_allclose, assert_array_equal
 from studies.meshing import geometry_spec
 from studies.meshing.geometry import build_mesh
 from studies.meshing.geometry_spec import Geometry, area_and_volume, check_geometry, extents, geometry_key
+from studies.meshing.imported import imported_surface
 from studies.meshing.intersections import intersecting_facets
-from studies.meshing.mesh import Mesh, MeshError
+from studies.meshing.mesh import Array, Index, Mesh, MeshError
 from studies.meshing.mesh_cache import mesh_from_cache, read_mesh, write_mesh
+from studies.meshing.mesh_file import read_surface
 from studies.meshing.organ import liver_points
 from studies.meshing.remesh import subdivided, surface_distance, uniform_surface, unit_sphere
 from studies.meshing.topology import (
@@ -399,6 +401,29 @@ def test_a_file_counts_by_its_content_not_its_path(tmp_path: Path) -> None:
     assert keys[0] == keys[1] != keys[2]
     with pytest.raises(MeshError, match=r"missing\.stl: cannot be read"):
         geometry_key(Geometry("file", 0.01, {"path": str(tmp_path / "missing.stl")}), volume=True)
+
+
+def test_a_file_is_read_once_for_several_mesh_sizes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As long as its bytes are the same, whatever its path says."""
+    reads: list[Path] = []
+
+    def reading(path: Path) -> tuple[Array, Index]:
+        reads.append(path)
+        return read_surface(path)
+
+    monkeypatch.setattr("studies.meshing.imported.read_surface", reading)
+    path = surface_file(tmp_path / "body.stl", build_mesh(SPHERE, volume=False))
+
+    def areas() -> list[float]:
+        sizes = (0.008, 0.01, 0.012)
+        found = [Geometry("file", size, {"path": str(path), "scale": 1e-3}) for size in sizes]
+        return [imported_surface(geometry, volume=True, max_nodes=10**6).area for geometry in found]
+
+    first = areas()
+    assert len(reads) == 1
+    surface_file(path, build_mesh(BOX, volume=False))
+    assert areas() != first
+    assert len(reads) == 2
 
 
 def test_mesh_size_does_not_count_where_the_file_brings_its_tetrahedra(tmp_path: Path) -> None:
