@@ -1,6 +1,6 @@
 """The registry of models: name -> function of a Scene. The only place that knows both solver packages.
 
-A model is one decorated function. Solver packages are imported inside, so that naming models costs nothing.
+A model is one registered function. Solver packages are imported inside, so that naming models costs nothing.
 """
 
 from __future__ import annotations
@@ -15,19 +15,17 @@ import numpy as np
 
 from .case import ModelResult, StepStatus
 from .memory import peak_bytes_since, reset_peak
-from .meshing.mesh import Array, Mask, Mesh
+from .meshing.mesh import Array, Mask
 from .metrics import enclosed_volumes
-from .proportional import Solved
 from .scene import Scene
-from .setups import kept, shared, watched
+from .setups import shared, watched
+from .surface_model import scaled, solve_surface
 
 if TYPE_CHECKING:
     from fem_reference.condensed import CondensedProblem
     from fem_reference.loads import Load as FemLoad
     from fem_reference.solution import Solution as FemSolution
-    from vdm.model import Model as VdmModel
     from vdm.solution import Solution as VdmSolution
-    from vdm.surface import SurfaceMesh
 
     Solution = FemSolution | VdmSolution
     Solve = Callable[[Scene, str, str], Solution]
@@ -123,29 +121,13 @@ VDM_SOLVERS = (
 
 
 # MINRES needs a symmetric matrix, which the printed form has not
-@_model("vdm-paper", version="3", solvers=tuple(name for name in VDM_SOLVERS if name != "minres"))
-def _vdm_paper(scene: Scene, solver: str, name: str) -> VdmSolution:
-    return _vdm(scene, "paper", solver, name)
-
-
-@_model("vdm-consistent", version="4", solvers=VDM_SOLVERS)
-def _vdm_consistent(scene: Scene, solver: str, name: str) -> VdmSolution:
-    return _vdm(scene, "consistent", solver, name)
-
-
-@_model("vdm-vector", version="7", solvers=VDM_SOLVERS)
-def _vdm_vector(scene: Scene, solver: str, name: str) -> VdmSolution:
-    return _vdm(scene, "vector", solver, name)
-
-
-@_model("vdm-boundary", version="9", solvers=("linear", "nonlinear"))
-def _vdm_boundary(scene: Scene, solver: str, name: str) -> VdmSolution:
-    return _vdm(scene, "boundary", solver, name)
-
-
-@_model("mass-spring", version="5", solvers=VDM_SOLVERS)
-def _mass_spring(scene: Scene, solver: str, name: str) -> VdmSolution:
-    return _vdm(scene, "mass-spring", solver, name)
+_model("vdm-paper", version="3", solvers=tuple(name for name in VDM_SOLVERS if name != "minres"))(
+    solve_surface
+)
+_model("vdm-consistent", version="4", solvers=VDM_SOLVERS)(solve_surface)
+_model("vdm-vector", version="7", solvers=VDM_SOLVERS)(solve_surface)
+_model("vdm-boundary", version="9", solvers=("linear", "nonlinear"))(solve_surface)
+_model("mass-spring", version="5", solvers=VDM_SOLVERS)(solve_surface)
 
 
 def _fem_small_strain(scenes: Sequence[Scene], element: str) -> list[FemSolution]:
@@ -250,140 +232,10 @@ def _fem_loads(scene: Scene) -> list[FemLoad]:
     return [Load(f * scene.facet_pressure, f * scene.prescribed, scene.gravity) for f in scene.load_factors]
 
 
-def _vdm(scene: Scene, formulation: str, solver: str, name: str) -> VdmSolution:
-    """A VDM formulation over the scene's load history."""
-    from vdm.constraints import Load
-    from vdm.solvers.linear import LinearSolver
-
-    made = shared(_vdm_set_up, **_vdm_inputs(scene, formulation, solver, name))
-    solution = made.model.solve(
-        [
-            Load(
-                contact_pressure=factor * scene.contact_pressure,
-                contact_force=factor * scene.contact_force,
-                prescribed=factor * scene.prescribed,
-            )
-            for factor in scene.load_factors
-        ],
-        condition=scene.condition,
-    )
-    # a penalty leaves more rounding than a multiple may differ by
-    linear = isinstance(made.model.solver, LinearSolver) and scales(name) and not scene.gravity.any()
-    good = all(status.ok for status in solution.status)
-    made.solved = Solved.largest_step(scene, solution) if linear and good else None
-    return solution
-
-
-@dataclass
-class _VdmSetUp:
-    model: VdmModel
-    solved: Solved | None = None  # the latest
-
-
-def _vdm_set_up(**inputs: Any) -> _VdmSetUp:
-    return _VdmSetUp(_vdm_model(**inputs))
-
-
 def scales(name: str) -> bool:
-    """Whether a surface model's result for a multiple of a load is taken from the multiple of its result."""
+    """Whether a surface model's result for a multiple of a load is the multiple of its result."""
     model, solver = find(name)
     return not model.volumetric and solver == "linear"
-
-
-def _scaled(scene: Scene, name: str) -> tuple[VdmSolution, int] | None:
-    """The scene's solution as a multiple of the one before on the same set-up, and that set-up's peak of memory.
-
-    None where it is no multiple of it, and where the model is not linear in the loads.
-    """
-    if not scales(name) or scene.gravity.any():
-        return None
-    _, solver = find(name)
-    setup = kept(_vdm_set_up, **_vdm_inputs(scene, _formulation(name), solver, name))
-    solution = setup.value.solved.scaled_to(scene) if setup is not None and setup.value.solved else None
-    return None if setup is None or solution is None else (solution, setup.peak_bytes)
-
-
-def _formulation(name: str) -> str:
-    return name.partition(":")[0].removeprefix("vdm-")
-
-
-def _vdm_inputs(scene: Scene, formulation: str, solver: str, name: str) -> dict[str, Any]:
-    """What decides a set-up. Parameters by the study, by the model's own table, else by rule from the tissue."""
-    fibres = scene.anisotropy
-    return {
-        "mesh": scene.mesh,
-        "youngs_modulus": scene.tissue.youngs_modulus,
-        "density": scene.tissue.density,
-        "given": {**scene.parameters, **scene.overrides.get(name, {})},
-        "fibres": (fibres.fibre_direction, fibres.contrast) if fibres else None,
-        "formulation": formulation,
-        "solver": solver,
-        "fixed": scene.fixed,
-        "constrained": scene.constrained,
-        "gravity": scene.gravity,
-        "environment_pressure": scene.environment_pressure,
-    }
-
-
-def contact_frame(scene: Scene, name: str) -> Callable[[], object] | None:
-    """One frame of a surface model from the columns of its contact nodes; None for other models and solvers.
-
-    The first call computes the columns, those after it are a product each. Pressure alone loads the body: no
-    weight, no held node that moves.
-    """
-    model, solver = find(name)
-    if model.volumetric or solver != "linear":
-        return None
-    from vdm.solvers.compliance import ContactCompliance
-    from vdm.solvers.linear import LinearSolver
-
-    made = shared(_vdm_set_up, **_vdm_inputs(scene, _formulation(name), solver, name)).model
-    if not isinstance(made.solver, LinearSolver):  # a penalty
-        return None
-    contact = ContactCompliance(made.problem, made.solver)
-    nodes = np.flatnonzero(scene.contact)
-    return partial(contact.frame, nodes, scene.contact_pressure[nodes])
-
-
-def _vdm_model(
-    *,
-    mesh: Mesh,
-    youngs_modulus: float,
-    given: dict[str, Any],
-    fibres: tuple[tuple[float, ...], float] | None,
-    formulation: str,
-    solver: str,
-    **options: Any,
-) -> VdmModel:
-    """The model of a tissue of E with the parameters `given`; `options` are the model's own."""
-    from vdm.material import Parameters
-    from vdm.model import Model as VdmModel
-
-    penalty = given.get("penalty")
-    chosen = {name: value for name, value in given.items() if name != "penalty"}
-    rotation: Any = chosen.get("rotation", "global")
-    held = options["fixed"] | options["constrained"]
-
-    def parameters(surface: SurfaceMesh) -> Parameters:
-        rule = Parameters.from_tissue(youngs_modulus, surface, formulation, rotation, held)
-        whole = dataclasses.replace(rule, **chosen)
-        if isinstance(rule.surface_tension, np.ndarray) and "surface_tension" in chosen:
-            # a T of the study is the mean over the edges of one that grows from the support
-            grown = chosen["surface_tension"] * (rule.surface_tension / rule.surface_tension.mean())
-            whole = dataclasses.replace(whole, surface_tension=grown)
-        return whole if fibres is None else whole.anisotropic(surface, *fibres)
-
-    if penalty is not None:
-        options |= {"constraint_method": "penalty-replaced", "penalty": penalty}  # (25) and (26) as printed
-        solver = "lu"
-    return VdmModel(
-        mesh.surface_points,
-        mesh.triangles,
-        parameters,
-        formulation=formulation,
-        solver=solver,
-        **options,
-    )
 
 
 def run_model(scene: Scene, name: str) -> ModelResult:
@@ -400,7 +252,7 @@ def run_model(scene: Scene, name: str) -> ModelResult:
         model.volumetric
     ):  # what it may not depend on, as its results are shared between cases that differ there
         scene = dataclasses.replace(scene, parameters={}, environment_pressure=0.0)
-    follows = _scaled(scene, name)
+    follows = scaled(scene, name) if scales(name) else None
     if follows is not None:
         return _result(scene, *follows, model, {"setup_shared": "yes", "steps_scaled": "yes"})
     return _measured(model, [scene], lambda: [model.solve(scene, solver, name)])[0]

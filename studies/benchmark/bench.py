@@ -33,6 +33,7 @@ from ..scene import Scene, build_scene
 from ..setups import sharing
 from ..study_file.config import expand, geometry_of, with_mesh_size
 from ..study_file.schema import Study
+from ..surface_model import contact_frame
 from ..worker import provenance
 from .bench_data import YARDSTICK, Bench, Entry
 from .timing import LONG, SAMPLES, calls_of_a_sample, median_of_samples, median_seconds
@@ -205,7 +206,7 @@ def _once(contact: Scene, everywhere: Scene, name: str, tally: _Tally) -> None:
         frame, columns, everything = _frame(contact, name, result), 0.0, np.nan
         if name != "fem-condensed" or len(contact.fixed) <= MOST_CONDENSED:
             everything = _frame(everywhere, name, models.run_model(everywhere, name))
-        short = models.contact_frame(contact, name) if result.status[0].ok else None
+        short = contact_frame(contact, name) if models.scales(name) and result.status[0].ok else None
         if short is not None:
             columns = timeit.timeit(short, number=1)
             product = median_seconds(short)
