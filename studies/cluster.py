@@ -1,7 +1,7 @@
-"""Runs cases on an existing Dask cluster, whose workers start for each group the process that a run here would.
+"""Runs cases on an existing Dask cluster, whose workers start for some groups the process that a run here would.
 
 What travels is text: a request in JSON there, a journal back. Results go to the run directory, which the machines
-of the cluster share. Dask gives the group of a worker that died to another, which goes on where the journal ends.
+of the cluster share. Dask gives the groups of a worker that died to another, which goes on where the journal ends.
 
 A request has "tasks", "journal" (its path), "timeout" (s) and "memory" (bytes), or None for no such limit, and
 "versions" (see `_versions`).
@@ -10,6 +10,7 @@ A request has "tasks", "journal" (its path), "timeout" (s) and "memory" (bytes),
 from __future__ import annotations
 
 import ipaddress
+import itertools
 import json
 import logging
 import shutil
@@ -31,6 +32,9 @@ from .journal import Journal
 
 INSTALL = "pip install --constraint constraints.txt --editable '.[distributed]'"
 _POLL = 0.2  # s
+# a process with its libraries takes seconds to start: it is given several groups, where there are many, and yet
+# few enough that all places end at about the same time
+_REQUESTS_PER_PLACE = 8
 _WITHOUT_WORKERS = 60.0  # s that a scheduler may have no worker at all
 
 
@@ -83,8 +87,8 @@ class Cluster:
         waiting: dict[Any, _Sent] = {}
         try:
             self._require_fit(home)
-            for group in groups:
-                sent = _Sent({task["id"]: task for task in group}, Journal(home / uuid4().hex))
+            for tasks in packed(groups, max(1, self.places()) * _REQUESTS_PER_PLACE):
+                sent = _Sent({task["id"]: task for task in tasks}, Journal(home / uuid4().hex))
                 waiting[self._submit(sent, limits)] = sent
             asked = time.monotonic()
             while waiting:
@@ -159,6 +163,13 @@ class Cluster:
         return ClusterError(
             f"the scheduler at {self.address} is gone; the same command goes on once it is back"
         )
+
+
+def packed(groups: Sequence[Group], most: int) -> list[list[Task]]:
+    """The tasks of all groups in order, in at most `most` parts of about as many groups; no group is divided."""
+    ends = [round(k * len(groups) / most) for k in range(most + 1)]
+    parts = [groups[first:end] for first, end in itertools.pairwise(ends) if first < end]
+    return [[task for group in part for task in group] for part in parts]
 
 
 @dataclass

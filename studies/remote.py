@@ -1,4 +1,4 @@
-"""The process that a worker of a cluster starts for one group of cases: it runs them as a run on one machine does.
+"""The process that a worker of a cluster starts for some groups of cases, to run them as a run here does.
 
 It is given the path of a request (see `studies.cluster`) and ends when its standard input is closed, as it is when
 the worker dies or the run is over. What becomes of each case goes to the journal that the request names.
@@ -70,9 +70,11 @@ def record(outcome: Outcome) -> dict[str, Any]:
 
 
 def _groups(tasks: Sequence[Task], journal: Journal) -> list[Group]:
-    """Cases that a worker died at go alone; the others stay together."""
-    alone: list[Group] = [[task] for task in tasks if journal.begun[task["id"]]]
-    return [*alone, [task for task in tasks if not journal.begun[task["id"]]]]
+    """Cases that a worker died at go alone; the others stay with those that they share a set-up with."""
+    groups: dict[str, list[Task]] = {}
+    for task in tasks:
+        groups.setdefault(task["id"] if journal.begun[task["id"]] else task["setup"], []).append(task)
+    return list(groups.values())
 
 
 def _end_with_input() -> None:

@@ -18,10 +18,13 @@ import numpy as np
 import pytest
 import trustme
 
-from studies.cluster import AddressError, checked_address, refusal
+from studies.cluster import AddressError, checked_address, packed, refusal
 from studies.journal import Journal
+from studies.meshing.mesh_cache import mesh_from_cache
+from studies.plan import make_plan, task_of
 from studies.remote import ATTEMPTS, serve
 from studies.store import read_case
+from studies.study_file.config import expand, load_study
 from tests.command import SCRIPT, heed_ctrl_c, vdmbench, write_study
 from tests.docs.regenerate import README
 
@@ -281,6 +284,21 @@ def test_workers_that_differ_or_do_not_see_the_directory_are_refused(tmp_path: P
     assert "does not see" in answer(_versions(), tmp_path / "elsewhere")
 
 
+def test_one_request_may_be_several_groups(tmp_path: Path, local_run: Path) -> None:
+    study = load_study(_study(tmp_path))
+    plan = make_plan(study, expand(study), tmp_path / "run", tmp_path / "cache")
+    for mesh in plan.meshes.values():
+        mesh_from_cache(mesh.geometry, plan.cache, volume=mesh.volume)
+    (tmp_path / "run" / "cases").mkdir(parents=True)
+    tasks = [task_of(case, plan) for case in plan.in_order]
+    assert [task["setup"] == tasks[0]["setup"] for task in tasks] == [True, True, False, False]
+    journal = Journal(tmp_path / "journal")
+    serve({"tasks": tasks, "journal": str(journal.path), "timeout": None, "memory": None})
+    done = [record["id"] for record in journal.news() if record.get("code") == "done"]
+    assert done == [task["id"] for task in tasks]
+    _assert_same_cases(tmp_path / "run", local_run)
+
+
 def test_a_case_that_costs_three_workers_is_given_up(tmp_path: Path) -> None:
     journal = Journal(tmp_path / "journal")
     for _ in range(ATTEMPTS):
@@ -291,6 +309,17 @@ def test_a_case_that_costs_three_workers_is_given_up(tmp_path: Path) -> None:
     assert (last["id"], last["code"]) == ("a", "crashed")
     assert "lost 3 times" in last["message"]
     assert "more memory" in last["remedy"]
+
+
+@pytest.mark.parametrize(("n_groups", "most"), [(1, 16), (16, 16), (17, 16), (100, 16), (5, 1)])
+def test_many_groups_go_in_a_few_requests(n_groups: int, most: int) -> None:
+    groups = [[{"id": f"{k}{part}"} for part in "ab"] for k in range(n_groups)]
+    requests = packed(groups, most)
+    assert len(requests) == min(n_groups, most)
+    assert [task for tasks in requests for task in tasks] == [task for group in groups for task in group]
+    sizes = [len(tasks) for tasks in requests]
+    assert max(sizes) - min(sizes) <= 2, "one group more or less"
+    assert all(size % 2 == 0 for size in sizes), "no group is divided"
 
 
 def test_a_journal_goes_on_after_a_line_cut_short(tmp_path: Path) -> None:
