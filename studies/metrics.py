@@ -179,6 +179,12 @@ class History:
     distances: tuple[Array, float] | None = None
     volume: Array | None = None  # (S,) enclosed volumes [m^3], where they are known
 
+    @cached_property
+    def largest(self) -> Array:
+        """(S,) largest displacement [m]; NaN where nothing moves."""
+        largest = np.linalg.norm(self.displacement, axis=2).max(axis=1)
+        return np.where(largest > 0, largest, np.nan)
+
 
 @dataclass(frozen=True)
 class Metric:
@@ -269,7 +275,7 @@ def max_nodal_error(surface: Surface, model: History, reference: History) -> Arr
 
 @_metric("1", "largest |u - r| over largest |r|")
 def max_nodal_error_relative(surface: Surface, model: History, reference: History) -> Array:
-    return max_nodal_error(surface, model, reference) / _largest(reference)
+    return max_nodal_error(surface, model, reference) / reference.largest
 
 
 @_metric("m", "|u - r| that 95 % of the surface area stays below")
@@ -281,7 +287,7 @@ def p95_nodal_error(surface: Surface, model: History, reference: History) -> Arr
 
 @_metric("1", "|u - r| that 95 % of the surface area stays below, over largest |r|")
 def p95_nodal_error_relative(surface: Surface, model: History, reference: History) -> Array:
-    return p95_nodal_error(surface, model, reference) / _largest(reference)
+    return p95_nodal_error(surface, model, reference) / reference.largest
 
 
 @_metric("1", "displacement error over the loaded nodes only", needs_contact=True)
@@ -465,12 +471,6 @@ def _along(displacements: Array, normals: Array) -> Array:
 def _nodal_error(u: Array, r: Array) -> Array:
     """(S, N) |u - r|."""
     return np.linalg.norm(u - r, axis=2)
-
-
-def _largest(reference: History) -> Array:
-    """(S,) largest |r|; NaN where the reference does not move."""
-    largest = np.linalg.norm(reference.displacement, axis=2).max(axis=1)
-    return np.where(largest > 0, largest, np.nan)
 
 
 def _regional(surface: Surface, model: History, reference: History, mask: Mask) -> Array:

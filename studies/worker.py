@@ -61,10 +61,8 @@ def run_case(task: Task) -> None:
         the reference failed, so that there is nothing to compare with.
     """
     next_turn()
-    study = Study.model_validate(task["study"])
-    reference = study.study.reference
-    mesh = _mesh(study, task)
-    scene = build_scene(study, mesh)
+    study, scene = _scenes.pop(task["id"]) if task["id"] in _scenes else _built(task)
+    mesh, reference = scene.mesh, study.study.reference
     known = _known(task)
     levels: list[ModelResult] = []
     if reference is not None:
@@ -121,26 +119,34 @@ def share(tasks: Sequence[Task]) -> Iterator[None]:
         with suppress(ValueError):
             _solve_ahead(missing)
         yield
+    _scenes.clear()
 
 
-# what this process knows: references that it solved, which of them are in the cache, the results of the case before
+# what this process knows: scenes of cases to come, references that it solved, which of them are in the cache, the
+# results of the case before
+_scenes: dict[str, tuple[Study, Scene]] = {}
 _ahead: dict[str, list[ModelResult]] = {}
 _last: dict[str, ModelResult] = {}
 _written: set[str] = set()
 
 
 def _solve_ahead(tasks: Sequence[Task]) -> None:
-    studies = [Study.model_validate(task["study"]) for task in tasks]
-    if len(tasks) < 2 or not models.solves_together(studies[0].study.reference or ""):
+    if len(tasks) < 2 or not models.solves_together(name := tasks[0]["study"]["study"]["reference"]):
         return
-    name = studies[0].study.reference or ""
-    scenes = [build_scene(study, _mesh(study, task)) for study, task in zip(studies, tasks, strict=True)]
+    _scenes.update({task["id"]: _built(task) for task in tasks})
+    studies, scenes = zip(*(_scenes[task["id"]] for task in tasks), strict=True)
     coarse = models.run_together(scenes, name)
     for result in coarse:
         require_converged(name, result)
     finer = refined_levels(studies, scenes, name, _n_levels(studies[0]))
     for task, first, others in zip(tasks, coarse, finer, strict=True):
         _ahead[task["reference_key"]] = [first, *others]
+
+
+def _built(task: Task) -> tuple[Study, Scene]:
+    """A task's study, and its scene on its mesh."""
+    study = Study.model_validate(task["study"])
+    return study, build_scene(study, _mesh(study, task))
 
 
 def _reference_levels(
