@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 from . import cli_results, cli_study
-from .cli_output import DAMAGED, INTERRUPTED, MACHINE, OK, USAGE, complain
+from .cli_output import BUG, DAMAGED, INTERRUPTED, MACHINE, OK, USAGE, complain
 
 _LEAST_MEMORY = 50_000_000
 # made between two looks for garbage, which take a quarter of the time of imports if frequent
@@ -42,6 +42,11 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
         code = complain(f"{name}{error.strerror or error}", MACHINE)
     except ValueError as error:
         code = _complain_of(error)
+    except Exception as error:  # noqa: BLE001 -- what nobody has thought of
+        import traceback
+
+        traceback.print_exc()
+        code = complain(f"this is a bug: {error!r}; please report it with the lines above", BUG)
     gc.freeze()  # the end is no time to look for garbage
     sys.exit(code)
 
@@ -64,7 +69,7 @@ def _parser() -> argparse.ArgumentParser:
         description="Compare the Volume Distribution Method with finite elements on the same mesh.",
         epilog="exit codes: 0 ok, 1 accuracy regressed, 2 usage or study file wrong, 3 some cases failed, "
         "4 machine lacks something, 5 stored results damaged, "
-        "6 nothing was compared, 130 interrupted",
+        "6 nothing was compared, 70 a bug of the program, 130 interrupted",
     )
     verbs = parser.add_subparsers(title="verbs", required=True, metavar="VERB")
 

@@ -13,7 +13,8 @@ if TYPE_CHECKING:
     from .case import Run
     from .run import Event
 
-OK, REGRESSED, USAGE, FAILED, MACHINE, DAMAGED, NOTHING_COMPARED, INTERRUPTED = 0, 1, 2, 3, 4, 5, 6, 130
+OK, REGRESSED, USAGE, FAILED, MACHINE, DAMAGED, NOTHING_COMPARED = range(7)
+BUG, INTERRUPTED = 70, 130
 
 
 class UsageError(ValueError):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from ..report.formatting import NOT_MEASURED, percent, quantity
+from ..report.formatting import NOT_MEASURED, NOTHING, percent, quantity
 from .calibrate import Calibration
 from .fit import Errors
 
@@ -20,6 +20,7 @@ UNITS = {
 
 def table(entries: Sequence[Calibration]) -> list[dict[str, str]]:
     """One row per model. Errors are mean displacement / mean deformation over the loads."""
+    elsewhere = dict.fromkeys(study for entry in entries for study in entry.transfer)
     rows = []
     for entry in entries:
         fit = entry.fit
@@ -37,8 +38,9 @@ def table(entries: Sequence[Calibration]) -> list[dict[str, str]]:
         if entry.finer is not None and entry.on_finer is not None:
             row["fit of a finer mesh"] = _multiples(entry.finer)
             row["there, this fit"] = errors(entry.on_finer)
-        for study, found in entry.transfer.items():
-            row[f"on {study}"] = errors(found)
+        for study in elsewhere:  # which need not have all the models
+            found = entry.transfer.get(study)
+            row[f"on {study}"] = errors(found) if found is not None else NOTHING
         rows.append(row)
     return rows
 

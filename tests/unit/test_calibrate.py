@@ -155,6 +155,13 @@ def test_a_fit_is_carried_to_another_body_as_a_multiple_of_its_rule(samples: lis
     (row,) = table([entry])
     assert row["times its rule"] == "1.3"
     assert "on stiff" in row
+    assert row["on stiff"] != "–"
+    # a body that has no such model leaves its place in the table empty
+    lacking = Body("else", ("vdm-paper",), None, tuple(stiff[:2]), tuple(stiff[2:]))
+    both = Body("soft", ("vdm-vector", "vdm-paper"), None, body.training, body.held_out)
+    rows = table(calibrate(both, [lacking]))
+    assert [list(row) for row in rows] == [list(rows[0])] * 2
+    assert rows[0]["on else"] == "–" != rows[1]["on else"]
     written = tomllib.loads(as_toml([entry]))
     assert_allclose(
         written["vdm"]["surface_tension"], entry.fit.parameters["surface_tension"], rtol=1e-5, atol=0
