@@ -96,7 +96,12 @@ def _parser() -> argparse.ArgumentParser:
         return sub
 
     def directory(sub: argparse.ArgumentParser) -> None:
-        sub.add_argument("--out", type=Path, metavar="DIR", help="run directory (default results/runs/NAME)")
+        sub.add_argument(
+            "--out",
+            type=Path,
+            metavar="DIR",
+            help="run directory (default results/runs/NAME, with --surface FILE NAME-FILE)",
+        )
 
     verb("list", cli_study.list_verb, "list the shipped studies")
     study_verb("check", cli_study.check_verb, "validate a study without running it")

@@ -6,7 +6,7 @@ import argparse
 import json
 import os
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from .cli_output import (
     OK,
@@ -49,13 +49,11 @@ def list_verb(options: argparse.Namespace) -> int:
 def check_verb(options: argparse.Namespace) -> int:
     """Print whether a study is right, or every mistake in it."""
     from .explain import refused
-    from .study_file.config import expand
     from .study_file.problems import StudyError
 
     try:
         study, path = _load(options)
-        cases = expand(study)
-        plan = _make_plan(study, cases, None)
+        plan = _make_plan(study, options)
         _check_files(plan, plan.cases)
     except StudyError as error:
         if options.json:
@@ -65,8 +63,8 @@ def check_verb(options: argparse.Namespace) -> int:
         raise
     expected = refused(plan, plan.cases)
     if options.json:
-        return print_json({"ok": True, "problems": [], "cases": len(cases), "refused": expected})
-    print(f"{path}: ok, {count(len(cases), 'case')}")
+        return print_json({"ok": True, "problems": [], "cases": len(plan.cases), "refused": expected})
+    print(f"{path}: ok, {count(len(plan.cases), 'case')}")
     for line in expected:
         print(f"will be refused: {line}")
     return OK
@@ -87,10 +85,9 @@ def _check_files(plan: Plan, cases: Sequence[PlannedCase]) -> None:
 def plan_verb(options: argparse.Namespace) -> int:
     """Print what a run would do, and what it would cost."""
     from .explain import summary
-    from .study_file.config import expand
 
     study, _ = _load(options)
-    plan = _make_plan(study, expand(study), options.out)
+    plan = _make_plan(study, options)
     _check_files(plan, plan.cases_to_run())
     planned = summary(plan)
     if options.json:
@@ -121,10 +118,9 @@ def _estimate(expected: dict[str, float] | None) -> str:
 def run_verb(options: argparse.Namespace) -> int:
     """Run what is missing, write the report, print the headline table."""
     from .run import Options, run_plan
-    from .study_file.config import expand
 
     study, path = _load(options)
-    plan = _make_plan(study, expand(study), options.out)
+    plan = _make_plan(study, options)
     how = Options(
         jobs=options.jobs or os.cpu_count() or 1,
         shard=options.shard,
@@ -150,17 +146,19 @@ def calibrate_verb(options: argparse.Namespace) -> int:
 
     study, path = _load(options)
     check(study)
-    out = options.out or results_directory() / "runs" / study.study.name
-    finer = with_mesh_size(study, FINER)
-    own = body(
-        *_run_for_fit(study, path, out, options),
-        _run_for_fit(finer, path, out / "finer", options) if finer is not None else None,
-    )
+    plan, finer = _make_plan(study, options), with_mesh_size(study, FINER)
+    out = plan.directory
+    run, there = _run_for_fit(plan, path, options), None
+    if finer is not None:
+        again = _command("calibrate", options)
+        planned = _make_plan(finer, options, directory=out / "finer", command=again)
+        there = _run_for_fit(planned, path, options)
+    own = body(*run, there)
     others = []
     for name in options.transfer:
-        other, other_path = _load(argparse.Namespace(**{**vars(options), "study": name}))
-        where = results_directory() / "runs" / other.study.name
-        others.append(body(*_run_for_fit(other, other_path, where, options), None))
+        elsewhere = argparse.Namespace(**vars(options) | {"study": name, "surface": None, "out": None})
+        other, other_path = _load(elsewhere)
+        others.append(body(*_run_for_fit(_make_plan(other, elsewhere), other_path, options), None))
     entries = calibrate(own, others)
     data = {own.name: as_json(entries)}
     write_atomically(out / "calibration.json", json.dumps(data, indent=1).encode())
@@ -226,20 +224,41 @@ def _load(options: argparse.Namespace) -> tuple[Study, Path]:
     return load_study(path, allow_outside=options.allow_outside, surface=options.surface), path
 
 
-def _make_plan(study: Study, cases: Any, out: Path | None) -> Plan:
+def _make_plan(
+    study: Study,
+    options: argparse.Namespace,
+    *,
+    directory: Path | None = None,
+    command: tuple[str, ...] = (),
+) -> Plan:
+    """The plan of all cases; in --out or results/runs/NAME, of another surface NAME-SURFACE, by default."""
     from .plan import make_plan
-
-    return make_plan(
-        study, cases, out or results_directory() / "runs" / study.study.name, results_directory() / "cache"
-    )
-
-
-def _run_for_fit(study: Study, path: Path, out: Path, options: argparse.Namespace) -> tuple[Plan, Run]:
-    """Run what is missing of a study that parameters are fitted on."""
-    from .run import Options, run_plan
     from .study_file.config import expand
 
-    plan = _make_plan(study, expand(study), out)
+    directory = directory or vars(options).get("out")
+    if directory is None:
+        body = f"-{options.surface.stem}" if options.surface else ""
+        directory = results_directory() / "runs" / f"{study.study.name}{body}"
+    cache = results_directory() / "cache"
+    return make_plan(study, expand(study), directory, cache, command or _command("run", options))
+
+
+def _command(verb: str, options: argparse.Namespace) -> tuple[str, ...]:
+    """What to type to get the same results again: the words of this command that decide them."""
+    given = vars(options)
+    words = [verb, given["study"]]
+    for option in ("surface", "out"):
+        if given.get(option):
+            words += [f"--{option}", str(given[option])]
+    if given["allow_outside"]:
+        words.append("--allow-outside")
+    return tuple(words)
+
+
+def _run_for_fit(plan: Plan, path: Path, options: argparse.Namespace) -> tuple[Plan, Run]:
+    """Run what is missing of a study that parameters are fitted on."""
+    from .run import Options, run_plan
+
     cases = plan.cases_to_run()
     with Progress(len(cases) + len(plan.missing_meshes(cases)), quiet=options.json) as progress:
         run, _ = run_plan(

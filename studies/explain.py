@@ -29,6 +29,8 @@ def summary(plan: Plan) -> dict[str, Any]:
             "claims": list(study.claims),
             "sweep": plan.study.sweep.mode,
         },
+        "command": list(plan.command),
+        "directory": str(plan.directory),
         "cases": [
             {
                 "hash": case.hash,

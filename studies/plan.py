@@ -92,6 +92,7 @@ class Plan:
     meshes: Mapping[str, PlannedMesh]
     directory: Path
     cache: Path
+    command: tuple[str, ...] = ()  # of vdmbench, that runs it again; () where none was given
 
     @cached_property
     def state(self) -> dict[str, str]:
@@ -162,7 +163,13 @@ class Plan:
         return case_path(self.directory, case.hash)
 
 
-def make_plan(study: Study, cases: Sequence[ResolvedCase], directory: Path, cache: Path) -> Plan:
+def make_plan(
+    study: Study,
+    cases: Sequence[ResolvedCase],
+    directory: Path,
+    cache: Path,
+    command: tuple[str, ...] = (),
+) -> Plan:
     """Work out what a study needs. Meshes nothing.
 
     Raises
@@ -182,7 +189,7 @@ def make_plan(study: Study, cases: Sequence[ResolvedCase], directory: Path, cach
                 raise geometry_error(study, error) from error
         planned.append(_planned(case, found[asked].key))
     meshes = {mesh.key: mesh for mesh in found.values()}
-    return Plan(study, tuple(planned), meshes, directory, cache)
+    return Plan(study, tuple(planned), meshes, directory, cache, command)
 
 
 def _planned_mesh(geometry: Geometry, volume: bool) -> PlannedMesh:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shlex
 from collections.abc import Mapping
+from pathlib import Path
 
 from .blocks import Block, Code, Facts, Section, Text
 from .digest import Digest
@@ -21,17 +22,16 @@ _SHORT = 16  # hex digits of a hash that are shown
 
 def how_to_reproduce(digest: Digest) -> Section:
     """The commands, and the study as it was written."""
-    name = shlex.quote(str(digest.run.study.get("name", "study")))
-    commands = [
-        f"vdmbench run {name}",
-        f"vdmbench report results/runs/{name}",
-    ]
+    plan, name = digest.run.plan, str(digest.run.study.get("name", "study"))
+    command = plan.get("command")
+    words = [str(word) for word in command] if isinstance(command, list) and command else ["run", name]
+    commands = [words, ["report", str(plan.get("directory", f"results/runs/{name}"))]]
     blocks: list[Block] = [
         Text(
-            "The first command runs the study, or only what is missing of it; a study of your own goes by the path "
-            "of its file. The second makes this page again from the stored results alone."
+            "The first command runs the study, or only what is missing of it, where it was run before. The second "
+            "makes this page again from the stored results alone."
         ),
-        Code("\n".join(commands)),
+        Code("\n".join(shlex.join(["vdmbench", *words]) for words in commands)),
         Text(
             "Every number on this page is computed from the case files of the run directory, cases/<hash>.vtkhdf, "
             "which ParaView opens too; study.h5 and metrics.csv hold all metrics of all cases.",
@@ -39,7 +39,8 @@ def how_to_reproduce(digest: Digest) -> Section:
         ),
     ]
     if digest.run.study_text.strip():
-        blocks.append(Code(digest.run.study_text.rstrip(), summary="The study file"))
+        instead = ", whose geometry --surface replaced" if "--surface" in words else ""
+        blocks.append(Code(digest.run.study_text.rstrip(), summary=f"The study file{instead}"))
     return Section("reproduce", "How to reproduce", blocks)
 
 
@@ -60,6 +61,8 @@ def provenance(digest: Digest) -> Section | None:
         (f"mesh: {key.replace('_', ' ')}", _range(values, _MESH_UNITS.get(key, "")))
         for key, values in quality.items()
     ]
+    if files := _geometry_files(digest):
+        rows.insert(0, ("geometry file", listed(files)))
     blocks: list[Block] = [Facts(rows)]
     for model in digest.models:
         case = next((case for case in digest.cases if model in case.models), None)
@@ -73,6 +76,13 @@ def provenance(digest: Digest) -> Section | None:
         suffix = "" if len(digest.cases) == 1 else f", as in {digest.case_name(case)}"
         blocks.append(Facts(entries, summary=f"Parameters of {model}{suffix}"))
     return Section("provenance", "Provenance", blocks)
+
+
+def _geometry_files(digest: Digest) -> list[str]:
+    """The names of the files that the bodies are from; their directories are the user's own affair."""
+    geometries = [case.resolved.get("geometry") for case in digest.cases]
+    paths = [str(g["path"]) for g in geometries if isinstance(g, Mapping) and "path" in g]
+    return [Path(path).name for path in dict.fromkeys(paths)]
 
 
 def _quality_keys(digest: Digest) -> list[str]:

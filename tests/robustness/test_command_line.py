@@ -12,12 +12,14 @@ import sys
 import time
 from pathlib import Path
 
+import meshio
 import numpy as np
 import pytest
 
 from studies import store
 from studies.metrics import METRICS
 from tests.command import SCRIPT, heed_ctrl_c, vdmbench, write_study
+from tests.unit.report_runs import icosphere
 
 from . import processes
 
@@ -156,6 +158,27 @@ def test_list_names_the_shipped_studies(tmp_path: Path) -> None:
     assert {"quickstart", "liver-palpation", "poisson-sweep", "convergence"} <= titles.keys()
     for name in ("quickstart", "regression"):  # all of them are checked in one process elsewhere
         assert vdmbench("check", name, cwd=tmp_path).returncode == 0, name
+
+
+def test_a_surface_has_a_directory_of_its_own_and_its_report_says_how_to_get_it_again(tmp_path: Path) -> None:
+    write_study(
+        tmp_path, a=('["vdm-paper", "fem-linear"]', '["vdm-paper"]'), b=('reference = "fem-linear"\n', "")
+    )
+    points, triangles = icosphere(3)
+    (tmp_path / "scans").mkdir()
+    meshio.Mesh(0.05 * points, [("triangle", triangles)]).write(tmp_path / "scans/ball.obj")
+    command = "vdmbench run small.toml --surface scans/ball.obj"
+    for extra, place in (("", "results/runs/small-ball"), (" --out elsewhere", "elsewhere")):
+        result = vdmbench(*f"{command}{extra}".split()[1:], cwd=tmp_path)
+        assert result.returncode == 0, result.stderr
+        page = (tmp_path / place / "report.html").read_text()
+        assert f"{command}{extra}\nvdmbench report {place}<" in page
+        assert "<dt>geometry file</dt>" in page
+        assert "<dd>ball.obj</dd>" in page
+        assert str(tmp_path) not in page
+    plan = vdmbench("plan", *command.split()[2:], "--json", cwd=tmp_path)
+    assert json.loads(plan.stdout)["cases_to_run"] == 0, "the same command finds its results"
+    assert not (tmp_path / RUN).exists(), "the study's own results are not touched"
 
 
 # --- mistakes ---

@@ -7,6 +7,7 @@ import json
 import tomllib
 from pathlib import Path
 
+import meshio
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
@@ -23,6 +24,7 @@ from studies.store import read_case
 from studies.study_file.config import expand, geometry_of, load_study, with_mesh_size
 from studies.worker import run_case
 from tests.command import vdmbench
+from tests.unit.report_runs import icosphere
 
 STUDY = """
 [study]
@@ -222,6 +224,30 @@ def test_the_command_writes_a_table_to_paste(tmp_path: Path) -> None:
         if ",vdm-vector," in row and "relative_l2_displacement_error" in row
     ][-1]
     assert_allclose(last, entry["held_out"]["vector"], rtol=1e-4, atol=0)
+
+
+def test_a_fit_to_another_surface_is_tried_on_the_study_as_it_is(tmp_path: Path) -> None:
+    text = STUDY.replace('"fem-linear"', '"vdm-boundary"')
+    (tmp_path / "fit.toml").write_text(text)
+    (tmp_path / "mine.toml").write_text(text.replace('"fit"', '"mine"').replace('"vdm-paper", ', ""))
+    points, triangles = icosphere(2)
+    meshio.Mesh(0.03 * points, [("triangle", triangles)]).write(tmp_path / "ball.obj")
+    words = ["calibrate", "fit.toml", "--surface", "ball.obj", "--transfer", "mine.toml"]
+    result = vdmbench(*words, cwd=tmp_path)
+    assert result.returncode == 0, result.stderr
+    rows = {row.split()[0]: row for row in result.stdout.splitlines()[1:3]}
+    assert rows["vdm-paper"].endswith("–"), "which the other study does not have"
+    assert rows["vdm-vector"].endswith("%")
+    runs = tmp_path / "results/runs"
+    shapes = {
+        name: tomllib.loads((runs / name / "resolved.toml").read_text())["geometry"]["shape"]
+        for name in ("fit-ball", "fit-ball/finer", "mine")
+    }
+    assert shapes == {"fit-ball": "file", "fit-ball/finer": "file", "mine": "ellipsoid"}
+    commands = {name: json.loads((runs / name / "plan.json").read_text())["command"] for name in shapes}
+    assert commands["mine"] == ["run", "mine.toml"]
+    assert commands["fit-ball"] == ["run", *words[1:4]]
+    assert commands["fit-ball/finer"] == words[:4]
 
 
 def test_a_history_that_does_not_end_at_factor_one_gives_the_same_fit(tmp_path: Path) -> None:

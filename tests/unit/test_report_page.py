@@ -233,6 +233,21 @@ def test_reproduce_shows_commands_and_the_study_file(html: str) -> None:
     assert "name = &#34;ball&#34;" in text
 
 
+def test_reproduce_shows_the_command_as_it_was_given() -> None:
+    run = make_run([make_case({"a": 0.1}, subdivisions=0)], name="ball")
+    words = ["run", "my ball.toml", "--surface", "scans/a.obj", "--out", "elsewhere"]
+    text = section(
+        page_html(
+            dataclasses.replace(run, plan={**run.plan, "command": words, "directory": "elsewhere"}),
+            no_pictures,
+        ),
+        "reproduce",
+    )
+    command = "vdmbench run &#39;my ball.toml&#39; --surface scans/a.obj --out elsewhere"
+    assert f"{command}\nvdmbench report elsewhere<" in text
+    assert "The study file, whose geometry --surface replaced" in text
+
+
 def test_provenance(html: str) -> None:
     text = words(section(html, "provenance"))
     assert "surface nodes 162" in text
