@@ -95,21 +95,23 @@ class Progress:
         self.total = total
 
     def __enter__(self) -> Progress:
-        if not self.quiet and self.total and sys.stderr.isatty():
-            from rich.console import Console
-            from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
-
-            self.bar = Progress(
-                TextColumn("{task.description}", markup=False),
-                BarColumn(),
-                MofNCompleteColumn(),
-                TimeElapsedColumn(),
-                console=Console(stderr=True),
-                transient=True,
-            )
-            self.bar.start()
-            self.task = self.bar.add_task("starting", total=self.total)
         return self
+
+    def _bar(self) -> Any:
+        from rich.console import Console
+        from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+
+        bar = Progress(
+            TextColumn("{task.description}", markup=False),
+            BarColumn(),
+            MofNCompleteColumn(),
+            TimeElapsedColumn(),
+            console=Console(stderr=True),
+            transient=True,
+        )
+        bar.start()
+        self.task = bar.add_task("starting", total=self.total)
+        return bar
 
     def __exit__(self, *_: object) -> None:
         if self.bar is not None:
@@ -118,6 +120,10 @@ class Progress:
     def show(self, event: Event) -> None:
         """Show one event of the run."""
         label = event.label or "the case"
+        if self.bar is None and not self.quiet and sys.stderr.isatty():
+            self.bar = (
+                self._bar()
+            )  # not sooner: it is a thread, and workers are to be forked from one that is alone
         if self.bar is not None:
             advance = event.kind in ("done", "failed")
             self.bar.update(self.task, description=label[:60], advance=1 if advance else 0)

@@ -1,10 +1,11 @@
 """Runs tasks in worker processes, in groups that share work, so that a failure still costs its task only.
 
 A failure is an error, a crash, a timeout or a kill for want of memory. Workers are forked from a server process
-that has the slow imports done; each gets its share of the cores for the sparse factors, and one thread for dense
-algebra, whose threads would spin between small products. A worker does the tasks of one group after the
-other and answers after each. Where it dies, the tasks that it had finished stay finished, the one that it was at is
-tried once more alone, and the rest goes to a new worker; where it dies of what they share, each half does.
+that has the slow imports done (`studies.server`); each gets its share of the cores for the sparse factors, and
+one thread for dense algebra, whose threads would spin between small products. A worker does the tasks of one
+group after the other and answers after each. Where it dies, the tasks that it had finished stay finished, the one
+that it was at is tried once more alone, and the rest goes to a new worker; where it dies of what they share, each
+half does.
 """
 
 from __future__ import annotations
@@ -20,18 +21,18 @@ import sys
 import threading
 import time
 import traceback
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager
+from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager, closing
 from dataclasses import dataclass
-from multiprocessing import forkserver, resource_tracker
-from multiprocessing.connection import wait
-from multiprocessing.context import ForkServerProcess
+from multiprocessing.connection import Connection, wait
+from multiprocessing.context import ForkProcess
 from pathlib import Path
 from typing import Any
 
 from .files import write_atomically
 from .memory import limit_memory
 from .meshing.mesh import InputError
+from .server import CONTEXT, start_server
 
 Task = Mapping[str, Any]
 Group = Sequence[Task]
@@ -72,7 +73,7 @@ class TaskError(ValueError):
 @dataclass
 class _Running:
     tasks: list[Task]  # not finished yet; the first is at work once `begun`
-    process: ForkServerProcess
+    process: ForkProcess
     answer: Any  # the reading end of its pipe
     log: Path
     since: float  # of the stretch of work that it is at
@@ -83,17 +84,6 @@ class _Running:
     def share(self) -> int:
         """How many tasks' time the present stretch may take."""
         return 1 if self.begun else max(1, len(self.tasks))
-
-
-def start_server() -> None:
-    """Start the process that workers are forked from; it loads its libraries while this one goes on."""
-    multiprocessing.get_context("forkserver").set_forkserver_preload(["studies.server"])
-    resource_tracker.ensure_running()  # first, because it lets signals in again
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})  # Ctrl-C is the runner's to handle
-    try:
-        forkserver.ensure_running()
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def run_tasks(
@@ -119,25 +109,48 @@ def run_tasks(
     memory : bytes that one worker may take, so that no case can take another's or the machine's
     timeout : seconds that one task may take; what a group shares may take as much as its tasks together
     """
-    context = multiprocessing.get_context("forkserver")
-    start_server()
+    queue = [list(group) for group in groups if group]
+    if not queue:
+        return
     log_directory.mkdir(parents=True, exist_ok=True)
+    how = (work, together, queue, jobs, log_directory, timeout, memory, fail_fast)
+    with closing(start_server().ask(_in_workers, *how)) as events:
+        for event in events:
+            if isinstance(event, Outcome):
+                yield event
+            else:
+                started(event)
+
+
+def _in_workers(
+    line: Connection,
+    work: Callable[[Task], None],
+    together: Callable[[Group], AbstractContextManager[None]] | None,
+    groups: list[list[Task]],
+    jobs: int,
+    log_directory: Path,
+    timeout: float | None,
+    memory: int | None,
+    fail_fast: bool,
+) -> Generator[Task | Outcome, None, None]:
+    """The server's part of `run_tasks`: each task as it is started, each outcome as it comes."""
     threads = max(1, (os.cpu_count() or 1) // jobs)
-    queue = [list(group) for group in groups if group][::-1]
+    queue = groups[::-1]
     running: list[_Running] = []
     try:
         while queue or running:
             while queue and len(running) < jobs:
                 tasks = queue.pop()
-                started(tasks[0])
-                running.append(_start(context, work, together, tasks, threads, memory, log_directory))
-            ready = [part for r in running for part in (r.answer, r.process.sentinel)]
-            wait(ready, timeout=0.2 if timeout else None)
+                yield tasks[0]
+                running.append(_start(work, together, tasks, threads, memory, log_directory))
+            parts = [part for r in running for part in (r.answer, r.process.sentinel)]
+            if line in wait([*parts, line], timeout=0.2 if timeout else None):
+                return  # nobody listens any more
             for r in list(running):
                 alive = r.process.is_alive()  # asked before the answers are read: a dead worker sends no more
-                for outcome in _answers(r, started):
-                    yield outcome
-                    if fail_fast and not outcome.ok:
+                for event in _answers(r):
+                    yield event
+                    if fail_fast and isinstance(event, Outcome) and not event.ok:
                         return
                 late = timeout is not None and time.monotonic() - r.since > timeout * r.share
                 if not r.tasks or not alive or late:
@@ -155,7 +168,6 @@ def run_tasks(
 
 
 def _start(
-    context: Any,
     work: Callable[[Task], None],
     together: Callable[[Group], AbstractContextManager[None]] | None,
     tasks: list[Task],
@@ -163,16 +175,16 @@ def _start(
     memory: int | None,
     logs: Path,
 ) -> _Running:
-    reader, writer = context.Pipe(duplex=False)
+    reader, writer = CONTEXT.Pipe(duplex=False)
     log = logs / f".{tasks[0]['id']}.{os.getpid()}{LOG}"
     arguments = (work, together if len(tasks) > 1 else None, tasks, threads, memory, writer, str(log))
-    process = context.Process(target=_main, args=arguments, daemon=True)
+    process = CONTEXT.Process(target=_main, args=arguments, daemon=True)
     process.start()
     writer.close()
     return _Running(tasks, process, reader, log, time.monotonic(), len(tasks) > 1)
 
 
-def _answers(r: _Running, started: Callable[[Task], None]) -> Iterator[Outcome]:
+def _answers(r: _Running) -> Iterator[Task | Outcome]:
     """What a worker has said since it was last asked: the start and the end of each of its tasks."""
     while r.tasks and r.answer.poll():
         try:
@@ -182,7 +194,7 @@ def _answers(r: _Running, started: Callable[[Task], None]) -> Iterator[Outcome]:
         now = time.monotonic()
         if answer is None:
             if r.begun:
-                started(r.tasks[0])
+                yield r.tasks[0]
             r.since, r.begun = now, True
         else:
             yield Outcome(r.tasks.pop(0), seconds=now - r.since, **answer)
@@ -227,7 +239,7 @@ def _death(code: int, log: str) -> tuple[str, str]:
     return f"the worker ended with exit code {code}", "see the log in the failed/ folder"
 
 
-def _stop(process: ForkServerProcess) -> None:
+def _stop(process: ForkProcess) -> None:
     process.terminate()
     process.join(_GRACE)
     if process.is_alive():
@@ -245,12 +257,12 @@ def _main(
     log: str,
 ) -> None:
     """The worker process: output goes to the log, outcomes through the pipe."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the parent's to handle
     os.environ["RAYON_NUM_THREADS"], os.environ["OMP_NUM_THREADS"] = str(threads), "1"
     descriptor = os.open(log, os.O_RDWR | os.O_CREAT | os.O_TRUNC | os.O_APPEND, 0o644)
     fcntl.flock(descriptor, fcntl.LOCK_EX)  # in use, as long as this process lives
     os.dup2(descriptor, 1)
     os.dup2(descriptor, 2)
+    sys.stdout, sys.stderr = (open(number, "w", buffering=1, closefd=False) for number in (1, 2))  # noqa: SIM115
     threading.Thread(target=_end_with_parent, daemon=True).start()
     if memory is not None:
         limit_memory(memory)

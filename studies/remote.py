@@ -18,6 +18,7 @@ from typing import Any, NoReturn
 
 from .execute import Group, Outcome, Task, run_tasks
 from .journal import Journal
+from .server import start_server
 from .worker import run_case, share
 
 ATTEMPTS = 3  # times that one case may be begun where workers die
@@ -28,6 +29,7 @@ def main() -> None:
     """Serve the one request, then end."""
     signal.signal(signal.SIGTERM, _interrupt)
     request = json.loads(Path(sys.argv[1]).read_text())
+    start_server()  # while there is one thread
     threading.Thread(target=_end_with_input, daemon=True).start()
     try:
         serve(request)

@@ -18,11 +18,12 @@ import tomli_w
 
 from .case import Run
 from .cluster import Cluster, connected
-from .execute import LOG, Group, Outcome, Task, run_tasks, start_server, write_failure
+from .execute import LOG, Group, Outcome, Task, run_tasks, write_failure
 from .explain import summary
 from .files import clear_abandoned, write_atomically
 from .memory import machine_memory
 from .plan import Plan, PlannedMesh, task_of
+from .server import start_server
 from .store import case_path, failure_path, read_plan, read_run, write_study
 from .study_file.config import resolved
 from .worker import make_mesh, run_case, share
@@ -69,9 +70,12 @@ def run_plan(
         disk full or read-only; a cluster that is not there or does not fit.
     """
     plan.directory.mkdir(parents=True, exist_ok=True)
+    cases = plan.cases_to_run(options.shard, fresh=options.fresh)
+    here = bool(cases) and options.scheduler is None
+    if here or plan.missing_meshes(cases):
+        start_server()  # before there are a cluster's threads, and a lock that it would hold on to
     with _cluster(options) as cluster, _locked(plan.directory, options.shard):
-        if cluster is None and plan.cases_to_run(options.shard, fresh=options.fresh):
-            start_server()
+        if here:
             import_module("studies.report.page")  # while the server loads, too
         _tidy(plan)
         write_atomically(plan.directory / "study.toml", study_text.encode())
@@ -82,8 +86,7 @@ def run_plan(
         _run_missing(plan, options, watch, cluster)
         _tidy(plan)  # a worker may have been killed
         run, report = rebuild(plan.directory)
-        here = cluster is None and options.shard == (1, 1)
-        if here and not options.fresh and planned["cases_to_run"]:
+        if here and options.shard == (1, 1) and not options.fresh:
             planned["taken"] = {"seconds": time.perf_counter() - began, "jobs": options.jobs}
             write_atomically(plan.directory / "plan.json", json.dumps(planned, indent=1).encode())
         return dataclasses.replace(run, plan=planned), report

@@ -11,7 +11,6 @@ from __future__ import annotations
 import atexit
 import importlib
 import os
-import sys
 import time
 from collections.abc import Callable
 from functools import partial, wraps
@@ -67,7 +66,7 @@ def start() -> None:
     """Time this process and those that it forks, until each ends."""
     stages = Stages()
     stages.rest_is(STARTS)
-    process = _process()
+    process = "runner"
 
     def work(function: Function) -> Function:
         @wraps(function)
@@ -96,23 +95,19 @@ def start() -> None:
 
     def ending(function: Function) -> Function:  # of a forked process
         def wrapped(code: int) -> None:
-            nonlocal process
-            process = "worker"
             leave()
             function(code)
 
         return wrapped
 
+    def forked() -> None:
+        nonlocal process
+        process = "server" if process == "runner" else "worker"
+        stages.seconds.clear()
+
     # what Python calls for each module that is not loaded yet, and only then: some thousand times in all
     load = stages.timed(STARTS, importlib._bootstrap._find_and_load)
     importlib._bootstrap._find_and_load = loading
     os._exit = ending(os._exit)  # type: ignore[assignment]
-    os.register_at_fork(after_in_child=stages.seconds.clear)
+    os.register_at_fork(after_in_child=forked)
     atexit.register(leave)
-
-
-def _process() -> str:
-    """What this process is, by its command line."""
-    return next(
-        (name for name in ("forkserver", "resource_tracker") if name in " ".join(sys.orig_argv)), "runner"
-    )

@@ -58,7 +58,7 @@ def test_every_process_of_a_run_tells_every_stage(tmp_path: Path) -> None:
     )
     run = subprocess.run([sys.executable, "-c", code, tmp_path], capture_output=True, text=True, check=True)
     stages, starts = json.loads(run.stdout)
-    assert set(starts) == {"runner", "forkserver", "resource_tracker", "worker", "ends"}
+    assert set(starts) == {"runner", "server", "worker", "ends"}
     named = {stage for functions in stage_clock.FUNCTIONS.values() for stage in functions.values()}
     assert set(stages) == named | {STARTS, "the rest"}
     assert set(PHYSICS) < named

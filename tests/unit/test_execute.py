@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import faulthandler
 import os
 import signal
 import sys
@@ -31,6 +32,7 @@ def _work(task: Mapping[str, Any]) -> None:
     elif kind == "exit":
         os._exit(7)
     elif kind == "segfault":
+        faulthandler.disable()  # which pytest has enabled, and the worker inherits
         os.kill(os.getpid(), signal.SIGSEGV)
     elif kind == "out of memory":
         os.kill(os.getpid(), signal.SIGKILL)

@@ -9,6 +9,8 @@ from pathlib import Path
 
 import pytest
 
+from tests.command import vdmbench, write_study
+
 ROOT = Path(__file__).parents[2]
 PACKAGES = ("vdm", "fem_reference", "studies")
 FILES = [path for package in PACKAGES for path in sorted((ROOT / package).rglob("*.py"))]
@@ -180,6 +182,30 @@ def test_what_only_plans_and_reports_starts_without_the_libraries_of_those_who_c
     assert not heavy & set(ast.literal_eval(result.stdout))
 
 
+def test_a_run_that_has_nothing_left_to_do_loads_no_solver_and_starts_no_process(tmp_path: Path) -> None:
+    study = write_study(tmp_path)
+    assert vdmbench("run", study, "--out", "run", cwd=tmp_path).returncode == 0
+    code = (
+        "import sys, contextlib\n"
+        "from studies.cli import main\n"
+        "with contextlib.suppress(SystemExit): main(sys.argv[1:])\n"
+        "from studies import server\n"
+        "print(sorted({name.split('.')[0] for name in sys.modules}), file=sys.stderr)\n"
+        "print(len(server._running), file=sys.stderr)"
+    )
+    result = subprocess.run(
+        [sys.executable, "-c", code, "run", str(study), "--out", "run"],
+        capture_output=True,
+        text=True,
+        check=True,
+        cwd=tmp_path,
+    )
+    modules, servers = (ast.literal_eval(line) for line in result.stderr.splitlines())
+    assert "1 done, 0 failed" in result.stdout
+    assert not {"scipy", "skfem", "pyamg", "vdm", "gmsh", "rich"} & set(modules)
+    assert servers == 0
+
+
 def test_making_a_solid_starts_no_renderer() -> None:
     code = "import sys, studies.meshing.geometry; print(sorted({name.split('.')[0] for name in sys.modules}))"
     result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
@@ -191,6 +217,7 @@ def test_making_a_solid_starts_no_renderer() -> None:
 def test_workers_are_forked_with_the_solvers_loaded_and_nothing_that_few_of_them_need() -> None:
     code = (
         "import gc, sys, studies.server\n"
+        "studies.server.load()\n"
         "frozen = gc.get_freeze_count()\n"
         "print((gc.isenabled(), frozen, sorted({name.split('.')[0] for name in sys.modules})))"
     )
