@@ -23,6 +23,8 @@ _OBJECTS = 200_000
 def main(arguments: Sequence[str] | None = None) -> NoReturn:
     """Entry point of `vdmbench`."""
     gc.set_threshold(_OBJECTS)
+    # which would be looked for in every installed package
+    os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")
     signal.signal(signal.SIGTERM, _interrupt)
     options = _parser().parse_args(arguments)
     try:

@@ -19,6 +19,7 @@ from studies.execute import Outcome, TaskError, run_tasks
 
 
 def _work(task: Mapping[str, Any]) -> None:
+    faulthandler.disable()  # which pytest has enabled, and a worker inherits
     kind = task["kind"]
     if kind == "write":
         Path(task["path"]).write_text("done")
@@ -32,7 +33,6 @@ def _work(task: Mapping[str, Any]) -> None:
     elif kind == "exit":
         os._exit(7)
     elif kind == "segfault":
-        faulthandler.disable()  # which pytest has enabled, and the worker inherits
         os.kill(os.getpid(), signal.SIGSEGV)
     elif kind == "out of memory":
         os.kill(os.getpid(), signal.SIGKILL)
