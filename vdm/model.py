@@ -239,9 +239,8 @@ class Model:
     def _record(self) -> dict[str, float | str]:
         formulation = self.formulation
         return {
-            "formulation": formulation.name,
+            **formulation.record(),
             "solver": self.solver_name,
-            **formulation.parameters.record(),
             "clamped_edges": float(self.surface.clamped_edges),
             **({} if np.isnan(self.bending_error) else {"bending_error": self.bending_error}),
         }

@@ -16,6 +16,7 @@ from .plots import Plot, colour, line, log_axis, marker, percent_axis
 
 MESH_SIZE = "geometry.mesh_size"
 WORK = "contact_work"
+CHANGED = "another scheme"
 _LEVELS = 3  # fewer show no order
 
 
@@ -26,8 +27,14 @@ class _Series:
     model: str
     sizes: Sequence[float]
     values: Sequence[float]
+    schemes: Sequence[str]  # "" of a model that has one only
     limit: float
     estimate: ErrorEstimate
+
+    @property
+    def behaviour(self) -> str:
+        """What the levels do; of two schemes nothing is told."""
+        return CHANGED if len(set(self.schemes)) > 1 else self.estimate.behaviour
 
 
 def mesh_convergence(digest: Digest) -> Section | None:
@@ -38,7 +45,7 @@ def mesh_convergence(digest: Digest) -> Section | None:
     found = [s for model in digest.models if (s := _series(cases, model)) is not None]
     if not found:
         return None
-    fixed = next((s for s in found if s.model == digest.reference), None)
+    fixed = next((s for s in found if s.model == digest.reference and s.behaviour != CHANGED), None)
     reading = (
         "The work that the contact does on the displacement, at full load, on each mesh. The order is that of the "
         "three finest; where it is between 0.5 and 4 the limit is extrapolated from it and ± is the grid "
@@ -53,32 +60,45 @@ def mesh_convergence(digest: Digest) -> Section | None:
 
 
 def _series(cases: Sequence[CaseResult], model: str) -> _Series | None:
-    points = [(float(case.swept[MESH_SIZE]), at_full_load(case, model, WORK)) for case in cases]
-    points = [(size, work) for size, work in points if math.isfinite(work)]
-    sizes, values = [size for size, _ in points], [work for _, work in points]
+    known = [case for case in cases if math.isfinite(at_full_load(case, model, WORK))]
+    sizes = [float(case.swept[MESH_SIZE]) for case in known]
+    values = [at_full_load(case, model, WORK) for case in known]
+    schemes = [str(case.models[model].parameters.get("scheme", "")) for case in known]
     if len(set(sizes)) < _LEVELS or len(set(sizes)) < len(sizes):
         return None
     limit, estimate = estimate_limit(values, [b / a for a, b in itertools.pairwise(sizes)])
-    return _Series(model, sizes, values, limit, estimate)
+    return _Series(model, sizes, values, schemes, limit, estimate)
 
 
 def _verdict(found: Sequence[_Series], reference: str | None) -> list[str]:
-    converge = [s for s in found if s.estimate.behaviour == CONVERGING and s.model != reference]
-    rest = [s for s in found if s.estimate.behaviour != CONVERGING]
+    converge = [s for s in found if s.behaviour == CONVERGING and s.model != reference]
+    rest = [s for s in found if s.behaviour != CONVERGING]
     sentences = []
     if converge:
         orders = listed(f"{s.model} with order {plain(s.estimate.observed_order, 2)}" for s in converge)
         sentences.append(f"Under refinement {orders} come{'s' if len(converge) == 1 else ''} to rest.")
     for s in rest:
+        if s.behaviour == CHANGED:
+            sentences.append(
+                f"Of {s.model} no order and no limit is told: it is not one scheme on these meshes but "
+                f"{_schemes_in_words(s)}."
+            )
+            continue
         growth = plain(s.values[0] / s.values[-1], 3)
         change = f"from the coarsest to the finest mesh its answer changes by a factor of {growth}"
-        if s.estimate.behaviour in (DIVERGING, TOO_SLOW):
-            sentences.append(f"{s.model} does not: its levels are {s.estimate.behaviour}, {change}.")
+        if s.behaviour in (DIVERGING, TOO_SLOW):
+            sentences.append(f"{s.model} does not: its levels are {s.behaviour}, {change}.")
         else:
-            sentences.append(
-                f"No limit of {s.model} can be told: its levels are {s.estimate.behaviour}, {change}."
-            )
+            sentences.append(f"No limit of {s.model} can be told: its levels are {s.behaviour}, {change}.")
     return sentences
+
+
+def _schemes_in_words(s: _Series) -> str:
+    """Each scheme with its mesh sizes, the coarsest first."""
+    sizes: dict[str, list[str]] = {}
+    for size, scheme in zip(reversed(s.sizes), reversed(s.schemes), strict=True):
+        sizes.setdefault(scheme, []).append(quantity(size, "m"))
+    return listed(f"{scheme} at {listed(where)}" for scheme, where in sizes.items())
 
 
 def _table(digest: Digest, found: Sequence[_Series], fixed: _Series | None) -> Table:
@@ -97,17 +117,17 @@ def _table(digest: Digest, found: Sequence[_Series], fixed: _Series | None) -> T
             Cell(quantity(by_size[h], "J"), value=by_size[h]) if h in by_size else Cell(NOTHING)
             for h in sizes
         ]
-        converging = s.estimate.behaviour == CONVERGING
+        converging = s.behaviour == CONVERGING
         order = Cell(NOTHING)
-        if s.estimate.behaviour != DIVERGING:
+        if s.behaviour not in (DIVERGING, CHANGED):
             order = Cell(plain(s.estimate.observed_order, 3), value=s.estimate.observed_order)
         limit = Cell(
-            quantity(s.limit, "J") if converging else s.estimate.behaviour,
-            f"± {quantity(s.estimate.gci, 'J')}",
+            quantity(s.limit, "J") if converging else s.behaviour,
+            "" if s.behaviour == CHANGED else f"± {quantity(s.estimate.gci, 'J')}",
             s.limit if converging else None,
             tone="" if converging else "bad",
         )
-        last = Cell(s.estimate.behaviour)
+        last = Cell(s.behaviour)
         if fixed is not None:
             last = _against(s, fixed) if converging and s is not fixed else Cell(NOTHING)
         rows.append([Cell(s.model), *works, order, limit, last])

@@ -82,6 +82,34 @@ def test_figure_shows_shares_of_the_reference_limit(section: Section) -> None:
     assert "vdm-vector from 74 % to 122 %" in figure.svg
 
 
+def told(schemes: tuple[str, str, str]) -> tuple[list[str], Table]:
+    """What the section says of the vector form, and its table, where its results are of these schemes."""
+    cases = []
+    for h, scheme in zip(SIZES, schemes, strict=True):
+        made = case(h, works(h))
+        vector = dataclasses.replace(made.models["vdm-vector"], parameters={"scheme": scheme})
+        cases.append(dataclasses.replace(made, models={**made.models, "vdm-vector": vector}))
+    section = mesh_convergence(Digest(make_run(cases)))
+    assert section is not None
+    texts = [b.text for b in section.blocks if isinstance(b, Text) and "vdm-vector" in b.text]
+    return texts, next(block for block in section.blocks if isinstance(block, Table))
+
+
+def test_nothing_is_told_across_a_change_of_scheme() -> None:
+    texts, table = told(("dense", "dense", "skin on 800 nodes"))
+    assert texts == [
+        "Of vdm-vector no order and no limit is told: it is not one scheme on these meshes but dense at 16.0 mm "
+        "and 8.00 mm and skin on 800 nodes at 4.00 mm."
+    ]
+    *works_at, order, limit, against = next(row for row in table.rows if row[0].text == "vdm-vector")[1:]
+    assert [cell.text for cell in works_at] == ["1.48 mJ", "2.24 mJ", "2.44 mJ"]
+    assert [cell.text for cell in (order, limit, against)] == ["–", "another scheme", "–"]
+    assert limit.detail == ""
+    assert limit.value is None
+    texts, _ = told(("dense", "dense", "dense"))
+    assert texts == ["Under refinement vdm-vector with order 2 comes to rest."]
+
+
 def test_only_a_sweep_of_the_mesh_size_is_read_so() -> None:
     two = [case(h, works(h)) for h in SIZES[:2]]
     assert mesh_convergence(Digest(make_run(two))) is None, "two meshes show no order"

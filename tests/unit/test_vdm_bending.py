@@ -16,6 +16,7 @@ from vdm import Load, Model, Parameters, SurfaceMesh
 from vdm.bending import BENDING_LIMIT, bendings
 from vdm.formulations.boundary import rigid_basis
 from vdm.formulations.coarse_surface import coarsened
+from vdm.material import COARSE_NODES_RANGE
 from vdm.solution import SolverError
 
 Array = NDArray[np.float64]
@@ -84,6 +85,9 @@ def test_bodies_thick_enough_for_their_mesh_have_no_reservation() -> None:
         model = held_at_one_end(points, triangles)
         assert 0.0 < model.bending_error < 0.7 * BENDING_LIMIT
         assert told(model) == ("", "")
+        record = model.formulation.record()
+        assert record["scheme"] == "dense"
+        assert "coarse_nodes" not in record
 
 
 def test_a_rod_thinner_than_its_mesh_is_coarse_has_one() -> None:
@@ -100,6 +104,27 @@ def test_so_has_a_coarse_body_too_coarse_for_its_skin() -> None:
     model = held_at_one_end(points, triangles, coarse_nodes=200)
     assert model.bending_error > BENDING_LIMIT
     assert told(model)[1] == "set coarse_nodes to 400"
+
+
+@pytest.mark.slow
+def test_a_surface_that_became_a_skin_unasked_says_so_and_what_to_do() -> None:
+    points, triangles = box(14, (0.05, 0.05, 0.05))
+    assert len(points) > COARSE_NODES_RANGE[1]
+    unasked, asked = (held_at_one_end(points, triangles, count) for count in (None, 200))
+    message, remedy = told(unasked)
+    assert message == (
+        f"{len(points):,} nodes are a skin on a coarse body of 800: under a narrow load less accurate than a "
+        "coarser mesh that is taken whole"
+    )
+    assert remedy == (
+        "mesh the surface with at most 1,000 nodes, which are taken whole, or set coarse_nodes, up to 1,000, where "
+        "the skin is what you want"
+    )
+    assert told(asked) == ("", "")
+    for model, nodes in ((unasked, 800), (asked, 200)):
+        record = model.formulation.record()
+        assert record["scheme"] == f"skin on {nodes} nodes"
+        assert record["coarse_nodes"] == float(nodes)
 
 
 def test_a_lens_that_the_mesh_cannot_tell_from_nothing_is_refused() -> None:

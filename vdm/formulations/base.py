@@ -120,6 +120,10 @@ class Formulation(ABC):
     def nodal_force(self, generalised: Array) -> Array:
         """(N, 3) force [N] of a generalised force (N, d)."""
 
+    def record(self) -> dict[str, float | str]:
+        """Name and material for the record of a run."""
+        return {"formulation": self.name, **self.parameters.record()}
+
     def state_matrix(self) -> sparse.csr_array:
         """K of equation 22 with its border, (N d + m, N d + m), in the formulation's own unknowns and rows."""
         columns, rows = (part.dense().reshape(-1, part.count) for part in (self.columns, self.rows))

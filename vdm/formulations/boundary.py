@@ -65,6 +65,13 @@ class BoundaryFormulation(DisplacementFormulation):
         self.rows = self.columns
         self.corner = np.zeros((1, 1))
 
+    def record(self) -> dict[str, float | str]:
+        record = super().record()
+        if not isinstance(self.body, Skin):
+            return {**record, "scheme": "dense"}
+        nodes = self.body.n_nodes
+        return {**record, "scheme": f"skin on {nodes} nodes", "coarse_nodes": float(nodes)}
+
     def apply(self, x: Array) -> Array:
         return self.shear_modulus * self.body.apply(x)
 
