@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Collection
 from functools import partial
 
 import numpy as np
@@ -49,14 +50,17 @@ def _longest_side(corners: Array) -> float:
     return float(np.linalg.norm(corners - np.roll(corners, 1, axis=0), axis=1).max())
 
 
-def growths(rounds: int, *, large: bool = False) -> list[Growth]:
-    """Set-up [s], one load over all nodes [s], fill and work of the factor, for each sparse formulation.
+def growths(rounds: int, names: Collection[str], *, large: bool = False) -> list[Growth]:
+    """Set-up [s], one load over all nodes [s], fill and work of a factor, for each sparse formulation among models.
 
-    Fill and work are those of SuperLU's symmetric minimum degree ordering: the factor in use does not tell its own.
+    Fill and work are those of a stand-in, a factor by SuperLU's symmetric minimum degree ordering: that in use,
+    cholespy's by METIS, does not tell its own.
     """
     out = []
     levels = LARGE_LEVELS if large else LEVELS
     for formulation in FORMULATIONS:
+        if f"vdm-{formulation}" not in names:
+            continue
         measured = [_measure(formulation, level, rounds) for level in levels]
         nodes, *columns = (np.array(column, dtype=float) for column in zip(*measured, strict=True))
         for (what, unit), values in zip(QUANTITIES.items(), columns, strict=True):

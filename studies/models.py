@@ -19,12 +19,14 @@ from .meshing.mesh import Array, Mask
 from .metrics import enclosed_volumes
 from .scene import Scene
 from .setups import shared, watched
-from .surface_model import scaled, solve_surface
+from .surface_model import linear_model, scaled, solve_surface
 
 if TYPE_CHECKING:
     from fem_reference.condensed import CondensedProblem
+    from fem_reference.linear import LinearProblem
     from fem_reference.loads import Load as FemLoad
     from fem_reference.solution import Solution as FemSolution
+    from vdm.model import Model as VdmModel
     from vdm.solution import Solution as VdmSolution
 
     Solution = FemSolution | VdmSolution
@@ -130,17 +132,23 @@ _model("vdm-boundary", version="9", solvers=("linear", "nonlinear"))(solve_surfa
 _model("mass-spring", version="5", solvers=VDM_SOLVERS)(solve_surface)
 
 
-def _fem_small_strain(scenes: Sequence[Scene], element: str) -> list[FemSolution]:
+_ELEMENTS = {"fem-linear": "P2-P1", "fem-p1": "P1", "fem-p2": "P2"}
+
+
+def _fem_small_strain(scenes: Sequence[Scene], name: str) -> list[FemSolution]:
     """One factorisation and one batch of right-hand sides for the loads of all scenes."""
+    loads = [load for scene in scenes for load in _fem_loads(scene)]
+    whole = _linear_problem(scenes[0], name, loads).solve(loads, _asked(scenes[0]))
+    ends = np.cumsum([len(scene.load_factors) for scene in scenes]).tolist()
+    return [_part(whole, slice(*ends)) for ends in zip([0, *ends], ends, strict=False)]
+
+
+def _linear_problem(scene: Scene, name: str, loads: Sequence[FemLoad]) -> LinearProblem:
     from fem_reference.linear import LinearProblem
     from fem_reference.loads import independent_loads
 
-    loads = [load for scene in scenes for load in _fem_loads(scene)]
     n_solves = len(independent_loads(loads)[0])
-    problem = shared(LinearProblem, **_body(scenes[0]), element=element, expected_loads=n_solves)
-    whole = problem.solve(loads, _asked(scenes[0]))
-    ends = np.cumsum([len(scene.load_factors) for scene in scenes]).tolist()
-    return [_part(whole, slice(*ends)) for ends in zip([0, *ends], ends, strict=False)]
+    return shared(LinearProblem, **_body(scene), element=_ELEMENTS[name], expected_loads=n_solves)
 
 
 def _asked(scene: Scene, *outputs: str) -> frozenset[str]:
@@ -158,34 +166,37 @@ def _part(solution: FemSolution, steps: slice) -> FemSolution:
     )
 
 
-@_model("fem-linear", version="2", volumetric=True, together=partial(_fem_small_strain, element="P2-P1"))
+@_model("fem-linear", version="2", volumetric=True, together=partial(_fem_small_strain, name="fem-linear"))
 def _fem_linear(scene: Scene, solver: str, name: str) -> FemSolution:  # noqa: ARG001
-    return _fem_small_strain([scene], "P2-P1")[0]
+    return _fem_small_strain([scene], "fem-linear")[0]
 
 
-@_model("fem-p1", version="1", volumetric=True, together=partial(_fem_small_strain, element="P1"))
+@_model("fem-p1", version="1", volumetric=True, together=partial(_fem_small_strain, name="fem-p1"))
 def _fem_p1(scene: Scene, solver: str, name: str) -> FemSolution:  # noqa: ARG001
-    return _fem_small_strain([scene], "P1")[0]
+    return _fem_small_strain([scene], "fem-p1")[0]
 
 
-@_model("fem-p2", version="1", volumetric=True, together=partial(_fem_small_strain, element="P2"))
+@_model("fem-p2", version="1", volumetric=True, together=partial(_fem_small_strain, name="fem-p2"))
 def _fem_p2(scene: Scene, solver: str, name: str) -> FemSolution:  # noqa: ARG001
-    return _fem_small_strain([scene], "P2")[0]
+    return _fem_small_strain([scene], "fem-p2")[0]
 
 
 @_model("fem-condensed", version="2", volumetric=True)
 def _fem_condensed(scene: Scene, solver: str, name: str) -> FemSolution:  # noqa: ARG001
+    return _condensed_problem(scene).solve(_fem_loads(scene), _asked(scene))
+
+
+def _condensed_problem(scene: Scene) -> CondensedProblem:
     body = _body(scene)
     if not scene.gravity.any():
         body["density"] = 0.0  # no columns for a weight that does not act
     # one motion of held nodes, in units of its largest component: cases that move them further share it
     largest = np.abs(scene.prescribed).max(initial=0.0)
     motions = scene.prescribed[None] / largest if largest else np.zeros((0, *scene.prescribed.shape))
-    problem = shared(_condensed_problem, contact=scene.contact, motions=motions, **body)
-    return problem.solve(_fem_loads(scene), _asked(scene))
+    return shared(_condensed_set_up, contact=scene.contact, motions=motions, **body)
 
 
-def _condensed_problem(*, contact: Mask, motions: Array, **body: Any) -> CondensedProblem:
+def _condensed_set_up(*, contact: Mask, motions: Array, **body: Any) -> CondensedProblem:
     from fem_reference.condensed import CondensedProblem
     from fem_reference.linear import LinearProblem
 
@@ -236,6 +247,16 @@ def scales(name: str) -> bool:
     """Whether a surface model's result for a multiple of a load is the multiple of its result."""
     model, solver = find(name)
     return not model.volumetric and solver == "linear"
+
+
+def pressure_problem(scene: Scene, name: str) -> VdmModel | LinearProblem | CondensedProblem | None:
+    """What answers contact pressures linearly, set up as a solve of the model does; None where nothing does."""
+    model, _ = find(name)
+    if model.name == "fem-condensed":
+        return _condensed_problem(scene)
+    if model.name in _ELEMENTS:
+        return _linear_problem(scene, model.name, _fem_loads(scene))
+    return linear_model(scene, name) if scales(name) else None
 
 
 def run_model(scene: Scene, name: str) -> ModelResult:

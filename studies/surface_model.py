@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -68,21 +66,12 @@ def scaled(scene: Scene, name: str) -> tuple[Solution, int] | None:
     return None if setup is None or solution is None else (solution, setup.peak_bytes)
 
 
-def contact_frame(scene: Scene, name: str) -> Callable[[], object] | None:
-    """One frame of a linear surface model from the columns of its contact nodes; None under a penalty.
-
-    The first call computes the columns, those after it are a product each. Pressure alone loads the body: no
-    weight, no held node that moves.
-    """
-    from vdm.solvers.compliance import ContactCompliance
+def linear_model(scene: Scene, name: str) -> Model | None:
+    """The set-up of a linear surface model; None under a penalty."""
     from vdm.solvers.linear import LinearSolver
 
     made = shared(_set_up, **_inputs(scene, name)).model
-    if not isinstance(made.solver, LinearSolver):
-        return None
-    contact = ContactCompliance(made.problem, made.solver)
-    nodes = np.flatnonzero(scene.contact)
-    return partial(contact.frame, nodes, scene.contact_pressure[nodes])
+    return made if isinstance(made.solver, LinearSolver) else None
 
 
 def _inputs(scene: Scene, name: str) -> dict[str, Any]:

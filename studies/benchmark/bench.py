@@ -13,9 +13,9 @@ import gc
 import math
 import os
 import time
-import timeit
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -33,9 +33,9 @@ from ..scene import Scene, build_scene
 from ..setups import sharing
 from ..study_file.config import expand, geometry_of, with_mesh_size
 from ..study_file.schema import Study
-from ..surface_model import contact_frame
 from ..worker import provenance
-from .bench_data import YARDSTICK, Bench, Entry
+from .bench_data import YARDSTICK, Bench, Entry, Growth
+from .contact import Problem, contact_frame
 from .timing import LONG, SAMPLES, calls_of_a_sample, median_of_samples, median_seconds
 
 MODELS = (
@@ -59,6 +59,14 @@ MODELS = (
     "fem",
 )
 SIZES = (2.6, 2.0, 1.6, 1.3)  # mesh sizes over that of the study: four, for the exponents of growth
+FINER = (1.3, 1.0, 0.7, 0.48)  # the same for the growth of the models below: some 300 to 2,000 nodes
+GROWN = (
+    "vdm-boundary",
+    "fem-coarse",
+    "fem-linear",
+    "fem",
+)  # whose growth no sphere of the sparse forms shows
+LOADS = 20  # for which elements are set up there
 ROUNDS = 5
 BUDGET = 10.0  # seconds after which a model is measured no further on one mesh
 FRAMES = np.array([0.5, 1.0])
@@ -75,6 +83,7 @@ class _Tally:
     frame_all: list[float] = field(default_factory=list)
     frame_local: list[float] = field(default_factory=list)
     columns: list[float] = field(default_factory=list)
+    recut: list[float] = field(default_factory=list)
     peak: list[float] = field(default_factory=list)
     spent: float = 0.0
     result: ModelResult | None = None
@@ -98,7 +107,7 @@ def measure(
     names : the models; None for those of each study itself
     sizes : mesh sizes over that of the study, the coarsest first; one that the body, a region or the reference
         does not stand is left out, and where none is left the study's own is measured
-    large : growth on surfaces of up to 163,842 nodes
+    large : growth on surfaces of up to 163,842 nodes, and of elements and the dense form on up to some 2,000
     watch : told what is measured, and what is left out and why
 
     Raises
@@ -135,7 +144,52 @@ def measure(
     machine = _machine(about, rounds)
     if left_out:
         machine["left out"] = "; ".join(left_out)
-    return Bench(machine, entries, growths(rounds, large=large))
+    known = {entry.model for entry in entries}
+    grown = growths(rounds, known, large=large)
+    if large:
+        grown += _finer_growths(next(iter(bodies.values())), known.intersection(GROWN), cache, rounds)
+    return Bench(machine, entries, grown)
+
+
+def _finer_growths(given: Study, names: Collection[str], cache: Path, rounds: int) -> list[Growth]:
+    """Set-up, one load over all nodes and memory of models on meshes too fine for a reference of their own."""
+    case = expand(given)[0].study
+    nodes: list[int] = []
+    found: dict[str, list[tuple[float, float, float]]] = {name: [] for name in sorted(names)}
+    for study in filter(None, (with_mesh_size(case, size) for size in FINER)):
+        scene = build_scene(study, mesh_from_cache(geometry_of(study), cache))
+        one = dataclasses.replace(scene, load_factors=np.ones(1), condition=False)
+        everywhere = dataclasses.replace(one, facet_pressure=_pressure_everywhere(one))
+        nodes.append(len(scene.fixed))
+        for name, costs in found.items():
+            costs.append(_costs(everywhere, name, rounds))
+    return [
+        Growth(f"{name} {what}", unit, np.array(nodes, dtype=float), np.array(values))
+        for name, costs in found.items()
+        for (what, unit), values in zip(
+            {"set-up": "s", "frame": "s", "memory": "B"}.items(), zip(*costs, strict=True), strict=True
+        )
+    ]
+
+
+def _costs(scene: Scene, name: str, rounds: int) -> tuple[float, float, float]:
+    """Medians of set-up [s], frame [s] and memory [B] over rounds, as many of them as `BUDGET` allows."""
+    scenes = [scene]
+    if models.solves_together(name):  # for one load alone they may iterate; frames are answered by a factor
+        amounts = np.random.default_rng(0).random((LOADS, *scene.facet_pressure.shape))
+        scenes += [dataclasses.replace(scene, facet_pressure=scene.facet_pressure * part) for part in amounts]
+    measured: list[tuple[float, float, float]] = []
+    start = time.perf_counter()
+    for _ in range(rounds):
+        if measured and time.perf_counter() - start > BUDGET:
+            break
+        gc.collect()
+        with sharing():
+            result = models.run_together(scenes, name)[0]
+            frame = _frame(scene, name, result)
+        measured.append((result.seconds_setup, frame, float(result.peak_bytes)))
+    setup, frame, peak = np.median(measured, axis=0).tolist()
+    return setup, frame, peak
 
 
 def _machine(about: dict[str, str], rounds: int) -> dict[str, str]:
@@ -171,7 +225,7 @@ def _on_mesh(body: str, study: Study, scene: Scene, names: Sequence[str], rounds
                 _once(contact, everywhere, name, tally)
                 tally.spent += time.perf_counter() - start
             else:
-                for values in (tally.setup, tally.frame_all, tally.frame_local, tally.columns):
+                for values in (tally.setup, tally.frame_all, tally.frame_local, tally.columns, tally.recut):
                     values.append(np.nan)
     yard = tallies.get(YARDSTICK)
     return [
@@ -203,21 +257,28 @@ def _once(contact: Scene, everywhere: Scene, name: str, tally: _Tally) -> None:
         result = models.run_model(contact, name)
         tally.setup.append(result.seconds_setup)
         tally.peak.append(float(result.peak_bytes))
-        frame, columns, everything = _frame(contact, name, result), 0.0, np.nan
+        direct, everything = _frame(contact, name, result), np.nan
         if name != "fem-condensed" or len(contact.fixed) <= MOST_CONDENSED:
             everything = _frame(everywhere, name, models.run_model(everywhere, name))
-        short = contact_frame(contact, name) if models.scales(name) and result.status[0].ok else None
-        if short is not None:
-            columns = timeit.timeit(short, number=1)
-            product = median_seconds(short)
-            if product < frame:
-                frame = product
-            else:
-                columns = 0.0
-        tally.frame_local.append(frame)
+        columns, product = 0.0, np.inf
+        problem = models.pressure_problem(contact, name) if result.status[0].ok else None
+        if problem is not None:
+            columns, product = _by_columns(problem, contact)
+        tally.frame_local.append(min(direct, product))
         tally.frame_all.append(everything)
-        tally.columns.append(columns)
+        tally.columns.append(columns if product < direct else 0.0)
+        tally.recut.append(result.seconds_setup + direct)
     tally.result = result
+
+
+def _by_columns(problem: Problem, contact: Scene) -> tuple[float, float]:
+    """Seconds that the columns of the contact nodes take, and of a frame by them."""
+    pressure = contact.contact_pressure[contact.contact]
+    start = time.perf_counter()
+    frame = partial(contact_frame(problem, contact), pressure)
+    frame()
+    frame()  # shortens the columns
+    return time.perf_counter() - start, median_seconds(frame)
 
 
 def _frame(scene: Scene, name: str, result: ModelResult) -> float:
@@ -250,7 +311,6 @@ def _entry(
         found = evaluate(surface, History(result.displacement, result.reaction_force, FRAMES), reference)
         errors = {metric: float(values[-1]) for metric, values in found.items()}
     setup, local = np.array(tally.setup), np.array(tally.frame_local)
-    columns = np.array(tally.columns)
     nothing = np.full(len(setup), np.nan)
     counts = {key: float(result.parameters[key]) for key in COUNTS if key in result.parameters}
     return Entry(
@@ -261,8 +321,8 @@ def _entry(
         setup=setup,
         frame_all=np.array(tally.frame_all),
         frame_local=local,
-        columns=columns,
-        recut=setup + columns + local,
+        columns=np.array(tally.columns),
+        recut=np.array(tally.recut),
         ratio_setup=setup / np.array(yard.setup) if yard else nothing,
         ratio_frame=local / np.array(yard.frame_local) if yard else nothing,
         peak_bytes=float(np.median(tally.peak)),

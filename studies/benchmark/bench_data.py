@@ -13,6 +13,8 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 _LEAST_SIZES = 4  # of a mesh, for an exponent
+SAME = 1.5  # times up to which two costs count as the same: runs differ by as much
+_DIGITS = 1e-4  # relative difference of errors that are the same answer's
 YARDSTICK = "fem-linear"  # ratios are over its time in the same round
 
 
@@ -26,9 +28,10 @@ class Entry:
     nodes, tetrahedra : of the mesh that all models share
     setup : operators and factors of a new body, mesh given
     frame_all : one load over the whole free surface
-    frame_local : one load on the study's contact region, by the cheapest way that the model has
+    frame_local : one load on the study's contact region, by the cheapest way that the model has: where it is linear
+        in the pressure, the product with one column per contact node, the same for all such models
     columns : what `frame_local` needs once per contact region, beyond the set-up; zero where nothing
-    recut : from a changed mesh to the first answer: set-up, columns and a frame; no meshing
+    recut : from a changed mesh to the first answer: set-up and a solve, without columns; no meshing
     ratio_setup, ratio_frame : of set-up and `frame_local` over those of `YARDSTICK` in the same round
     peak_bytes : resident memory that set-up and solve added at their peak
     error, deformation_error : relative L2 against the finest reference, of the contact load
@@ -149,74 +152,77 @@ def _grown(what: str, unit: str, entries: Sequence[Entry], values: Sequence[floa
     return Growth(what, unit, nodes, measured)
 
 
-def break_even(fast: Entry, slow: Entry) -> float:
-    """Frames per set-up below which `slow`, which has the shorter set-up, costs less in total than `fast`.
-
-    0 where `slow` never wins, infinite where it always does.
-    """
-    setup = median(fast.recut) - median(slow.recut)
-    frame = median(slow.frame_local) - median(fast.frame_local)
-    if setup <= 0.0:
-        return math.inf if frame < 0.0 else 0.0
-    return setup / frame if frame > 0.0 else math.inf
+_COSTS: dict[str, Callable[[Entry], float]] = {
+    "frame of a contact": lambda e: median(e.frame_local),
+    "frame with all nodes loaded": lambda e: median(e.frame_all),
+    "set-up with the contact's columns": lambda e: median(e.setup + e.columns),
+    "re-cut": lambda e: median(e.recut),
+}
 
 
 def answers(bench: Bench) -> list[dict[str, str]]:
-    """What is fastest, what is most accurate, where condensed elements win: question, and an answer per body.
+    """What is fastest, what is most accurate, where a surface model wins: question, and an answer per body.
 
-    On the finest mesh of each body.
+    On the finest mesh of each body. Of a form with several solvers the plain one answers: others change the time
+    more than the error.
     """
     finest = {mesh[0]: mesh for mesh in bench.meshes()}.values()
     asked: dict[str, Callable[[Sequence[Entry]], str]] = {}
     for limit in (0.1, 0.25):
-        error = f"at an error of at most {100 * limit:g} %"
-        asked[f"Fastest frame {error}"] = partial(_fastest, limit=limit, cut=False)
-        asked[f"Fastest re-cut {error}"] = partial(_fastest, limit=limit, cut=True)
+        for what, cost in _COSTS.items():
+            asked[f"Fastest {what} at an error of at most {100 * limit:g} %"] = partial(
+                _fastest, limit=limit, cost=cost
+            )
     for time in (1e-3, 1 / 60):  # a frame of haptics and one of graphics
-        most = f"Most accurate at {seconds(time)} a frame"
+        most = f"Most accurate at {seconds(time)} a frame of a contact"
         asked[most] = partial(_most_accurate, time=time, cut=False)
         asked[f"{most} with a re-cut in each"] = partial(_most_accurate, time=time, cut=True)
-    asked["Cheaper than fem-condensed, re-cut and frames together"] = _against_condensed
-    usable = {
-        f"{mesh[0]}, {mesh[1]:,} nodes": [
-            e for e in bench.on(mesh) if math.isfinite(e.error) and median(e.frame_local) > 0.0
+    for what, cost in _COSTS.items():
+        asked[f"Surface models whose {what} no elements as close match"] = partial(_unmatched, cost=cost)
+    usable = {}
+    for mesh in finest:
+        measured = {e.model: e for e in bench.on(mesh)}
+        usable[f"{mesh[0]}, {mesh[1]:,} nodes"] = [
+            e
+            for e in measured.values()
+            if math.isfinite(e.error) and (":" not in e.model or e.model.partition(":")[0] not in measured)
         ]
-        for mesh in finest
-    }
     return [
         {"question": question} | {mesh: answer(entries) for mesh, entries in usable.items()}
         for question, answer in asked.items()
     ]
 
 
-def _fastest(entries: Sequence[Entry], *, limit: float, cut: bool) -> str:
-    within = {e.model: median(e.recut if cut else e.frame_local) for e in entries if e.error <= limit}
-    best = min(within, key=lambda model: within[model], default=None)
-    return "none" if best is None else f"{best}, {seconds(within[best])}"
+def _fastest(entries: Sequence[Entry], *, limit: float, cost: Callable[[Entry], float]) -> str:
+    """All that take about the same, with the time of the fastest."""
+    within = {e.model: cost(e) for e in entries if e.error <= limit and math.isfinite(cost(e))}
+    if not within:
+        return "none"
+    least = min(within.values())
+    alike = sorted((value, model) for model, value in within.items() if value <= SAME * least)
+    return f"{', '.join(model for _, model in alike)}, {seconds(least)}"
 
 
 def _most_accurate(entries: Sequence[Entry], *, time: float, cut: bool) -> str:
     within = [e for e in entries if median(e.frame_local) <= time and not (cut and median(e.recut) > time)]
-    best = min(within, key=lambda e: e.error, default=None)
-    return "none" if best is None else f"{best.model}, {100 * best.error:.3g} %"
+    if not within:
+        return "none"
+    least = min(e.error for e in within)
+    alike = [e.model for e in within if e.error <= (1.0 + _DIGITS) * least]
+    return f"{', '.join(alike)}, {100 * least:.3g} %"
 
 
-def _against_condensed(entries: Sequence[Entry]) -> str:
-    """Surface models that no other beats in both error and re-cut, by how many frames a re-cut they pay for."""
-    condensed = next((e for e in entries if e.model == "fem-condensed"), None)
-    # of each form, its first solver: others change the time more than the error
-    surface = [e for e in entries if not e.model.startswith("fem") and ":" not in e.model]
-    if condensed is None:
-        return "not measured"
-    groups: dict[str, list[str]] = {}
-    for e in surface:
-        if not any(o.error < e.error and median(o.recut) < median(e.recut) for o in surface):
-            frames = break_even(condensed, e)
-            when = "never" if frames < 1.0 else f"up to {frames:,.0f} frames per re-cut"
-            groups.setdefault("always" if math.isinf(frames) else when, []).append(
-                f"{e.model} ({100 * e.error:.3g} %)"
-            )
-    return "; ".join(f"{when}: {', '.join(models)}" for when, models in groups.items()) or "none"
+def _unmatched(entries: Sequence[Entry], *, cost: Callable[[Entry], float]) -> str:
+    """Surface models that no other surface model and no element model equals in both error and time."""
+    elements = [e for e in entries if e.model.startswith("fem")]
+    surface = [e for e in entries if not e.model.startswith("fem") and math.isfinite(cost(e))]
+    found = [
+        f"{e.model} ({100 * e.error:.3g} %, {seconds(cost(e))})"
+        for e in surface
+        if not any(o.error <= e.error and cost(o) <= SAME * cost(e) for o in elements)
+        and not any(o.error < e.error and cost(o) <= cost(e) for o in surface)
+    ]
+    return ", ".join(found) or "none"
 
 
 def pareto(entries: Iterable[Entry]) -> list[Entry]:
@@ -237,6 +243,13 @@ def seconds(value: float) -> str:
     return "–"
 
 
+def amount(value: float, unit: str) -> str:
+    """A time, a size in memory or a number of non-zeros or operations."""
+    if unit == "s":
+        return seconds(value)
+    return f"{value / 1e6:.3g} MB" if unit == "B" else f"{value / 1e6:.3g} million"
+
+
 def rows(bench: Bench) -> list[dict[str, str]]:
     """The printed table: column title -> text."""
 
@@ -252,6 +265,7 @@ def rows(bench: Bench) -> list[dict[str, str]]:
             "set-up": timed(e.setup),
             "frame, all nodes": timed(e.frame_all),
             "frame, contact": timed(e.frame_local),
+            "columns": timed(e.columns) if median(e.columns) > 0.0 else "–",
             "re-cut": timed(e.recut),
             "set-up ratio": _ratio(e.ratio_setup),
             "frame ratio": _ratio(e.ratio_frame),
@@ -277,7 +291,7 @@ def machine_independent(bench: Bench) -> dict[str, float]:
         out[f"{at}/iterations"] = e.iterations
         out |= {f"{at}/{name}": value for name, value in e.counts.items()}
     for growth in bench.growths:
-        if growth.unit != "s":
+        if growth.unit == "1":
             out[f"growth/{growth.what}"] = growth.exponent
             out[f"growth/{growth.what}/{int(growth.nodes[-1])}"] = float(growth.values[-1])
     return out

@@ -13,6 +13,7 @@ from ..benchmark.bench_data import (
     Entry,
     Growth,
     ModelGrowth,
+    amount,
     answers,
     median,
     model_growths,
@@ -31,9 +32,10 @@ NOTE = (
     "Every model answers the same contact load on the same mesh. Its error is the relative L2 difference from "
     "linear elements on the refined mesh, ± that reference's own. Times are medians [first, third quartile] over "
     "rounds in which all models take turns; in each, a frame below 20 ms is a median of five samples. "
-    "Ratios are to fem-linear in the same round. Frame, contact: by the columns of the contact nodes where the "
-    "model has them; displacement alone, for condensed elements reactions too. Re-cut: from a changed mesh to its "
-    "first answer, without meshing."
+    "Ratios are to fem-linear in the same round. Frame, contact: displacement and fluid pressure in single "
+    "precision by the columns of the contact nodes, one each, where the model is linear in the load; the product "
+    "is the same for all of them. Columns: what these take once per contact. Re-cut: from a changed mesh to its "
+    "first answer, without columns and without meshing."
 )
 
 
@@ -158,13 +160,14 @@ def _growth(growths: Sequence[Growth]) -> Section:
             Cell(g.what),
             Cell(f"{g.exponent:.2f}", value=g.exponent),
             Cell(", ".join(f"{int(n):,}" for n in g.nodes)),
-            Cell(seconds(float(g.values[-1])) if g.unit == "s" else f"{g.values[-1]:,.0f}"),
+            Cell(amount(float(g.values[-1]), g.unit)),
         ]
         for g in growths
     ]
     note = (
-        "Least-squares slope of the logarithms over surface nodes of a sphere. Fill and flops: non-zeros of the "
-        "factor, and the operations of making it."
+        "Least-squares slope of the logarithms over surface nodes: of spheres for the sparse forms, of the first "
+        "body for the others. Fill and flops: non-zeros of a factor in minimum degree order and the operations "
+        "of making it, a stand-in for the factor in use, which does not tell its own."
     )
     blocks: list[Block] = [Text(note, kind="note"), Table("growth", "", columns, cells)]
-    return Section("growth", "Growth of the surface model", blocks)
+    return Section("growth", "Growth", blocks)

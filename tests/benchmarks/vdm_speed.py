@@ -263,7 +263,7 @@ def contact_rows(model: Model, sizes: Sizes) -> Iterator[Row]:
         frame = partial(contact.frame, nodes, pressure)
         frame()
         seconds = timed(frame, 5 * sizes.repeats)
-        bound = reading_seconds(contact.frame_bytes, sizes.repeats)
+        bound = reading_seconds(contact.prepare(nodes).nbytes, sizes.repeats)
         precision = "single" if single else "double"
         what = f"local contact of {len(nodes)} nodes, {model.formulation.name}, {precision} precision"
         yield Row(what, model.surface.n_nodes, seconds, float(np.median(seconds)) / bound)

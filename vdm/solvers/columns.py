@@ -1,0 +1,113 @@
+"""A small dense product per frame: the answers of a surface to unit pressures on the nodes of a contact at rest."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+
+# radii of the contact from its middle, beyond which the columns of its nodes look alike
+FAR = 4.0
+# what may be left out there, of the largest answer to contact pressures of the same size
+LEFT_OUT = 1e-7
+# the share of the columns that a shorter basis must save, and of the nodes that must be far, to be worth its making
+WORTH = 0.25
+
+
+@dataclass(frozen=True)
+class _Shortened:
+    """Columns (d N + 1, k), but for some rows (m,), as a basis (N, r) times a mix (r, k) for each of d components.
+
+    A component needs half as many directions as all of them together. The rows are kept as block (m, k), the mixes
+    are one matrix (sum of r, k).
+    """
+
+    bases: tuple[Array, ...]
+    mixes: Array
+    rows: Index
+    block: Array
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes that an answer reads."""
+        return sum(basis.nbytes for basis in self.bases) + self.mixes.nbytes + self.block.nbytes
+
+    def answer(self, pressure: Array) -> Array:
+        """The columns times a vector (k,)."""
+        n = len(self.bases[0])
+        answer = np.empty(len(self.bases) * n + 1, dtype=self.block.dtype)
+        mixed = self.mixes @ pressure
+        first = 0
+        for c, basis in enumerate(self.bases):
+            last = first + basis.shape[1]
+            np.matmul(basis, mixed[first:last], out=answer[c * n : (c + 1) * n])
+            first = last
+        answer[self.rows] = self.block @ pressure
+        return answer
+
+
+class ContactColumns:
+    """Answers to pressures on the nodes of a contact that rests, whatever model its columns come from.
+
+    A frame is a dense product with the columns: d N + 1 values for each contact node. In single precision, which
+    halves the memory that a frame reads, the columns are shortened at the second frame: far from the contact they
+    look alike, and fewer directions than nodes span them. Both together err by less than 1e-6 of the largest
+    displacement.
+
+    Parameters
+    ----------
+    columns : (d N + 1, k) answers to unit pressures, one component of all nodes after the other, then a pressure;
+        in 32 bits, which are shortened, or in 64 bits, which stay as they are
+    points : (N, 3) of the surface
+    nodes : (k,) of the contact
+    """
+
+    def __init__(self, columns: Array, points: Array, nodes: Index) -> None:
+        self.columns = np.asfortranarray(columns)
+        self._points, self._nodes = points, nodes.copy()  # the caller may change its array
+        self._frames = 0
+        self._short: _Shortened | None = None
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes of what the next frame reads."""
+        return self.columns.nbytes if self._short is None else self._short.nbytes
+
+    def frame(self, pressure: Array) -> tuple[Array, float]:
+        """Unknowns x (N, d) and dP [Pa] under contact pressures (k,) [Pa]."""
+        pressure = pressure.astype(self.columns.dtype, copy=False)
+        self._frames += 1
+        if self._frames == 2 and self.columns.dtype == np.float32 and pressure.size:
+            self._short = self._shortened()
+        answer = self.columns @ pressure if self._short is None else self._short.answer(pressure)
+        return answer[:-1].reshape(-1, len(self._points)).T, float(answer[-1])
+
+    def _shortened(self) -> _Shortened | None:
+        """The columns with a shorter basis for all nodes far from the contact, None where that saves little."""
+        columns, components = self.columns, (len(self.columns) - 1) // len(self._points)
+        contact = self._points[self._nodes]
+        middle = contact.mean(axis=0)
+        reach = FAR * float(np.linalg.norm(contact - middle, axis=1).max())
+        near = np.linalg.norm(self._points - middle, axis=1) <= reach
+        if np.mean(~near) < WORTH:
+            return None
+        # dP, in the last row, is not a displacement and is kept as it is
+        rows = np.append(np.flatnonzero(np.tile(near, components)), len(columns) - 1)
+        far = columns.astype(np.float64)
+        largest = np.sqrt(np.linalg.eigvalsh(far[:-1].T @ far[:-1])[-1])
+        far[rows] = 0.0
+        bases: list[Array] = []
+        mixes: list[Array] = []
+        for part in np.split(far[:-1], components):
+            squares, directions = np.linalg.eigh(part.T @ part)
+            kept = np.sqrt(np.cumsum(np.maximum(squares, 0.0))) > LEFT_OUT * largest
+            bases.append((part @ directions[:, kept]).astype(columns.dtype, order="F"))
+            mixes.append(directions[:, kept].T)
+        mix: Array = np.asarray(np.concatenate(mixes), dtype=columns.dtype)
+        if len(mix) > (1.0 - WORTH) * columns.shape[1] * len(bases):
+            return None
+        return _Shortened(tuple(bases), mix, rows, np.asfortranarray(columns[rows]))
