@@ -1,0 +1,101 @@
+"""A frame of a resting contact: the model's own answer, to single precision, whatever model the columns are of."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from fem_reference.condensed import CondensedProblem
+from fem_reference.linear import LinearProblem
+from fem_reference.loads import Load
+from fem_reference.mesh import facet_quadrature
+from studies import models
+from studies.benchmark.contact import contact_frame
+from studies.meshing.geometry import build_mesh
+from studies.metrics import facet_area_vectors
+from studies.scene import Scene, build_scene
+from studies.study_file.config import geometry_of
+from studies.study_file.schema import Study
+
+STUDY = {
+    "study": {"name": "test", "models": ["vdm-paper"]},
+    "geometry": {"shape": "ellipsoid", "semi_axes": [0.06, 0.04, 0.05], "mesh_size": 0.013},
+    "tissue": {"youngs_modulus": 5000.0, "poisson_ratio": 0.49},
+    "regions": {
+        "base": {"below": {"axis": "z", "fraction": 0.2}},
+        "finger": {"cap": {"direction": [0.3, 0.0, 1.0], "angle": 0.5}},
+    },
+    "constraints": [
+        {"kind": "fixed", "region": "base"},
+        {"kind": "contact", "region": "finger", "force": 0.1, "profile": "hertz"},
+    ],
+}
+
+
+@pytest.fixture(scope="module")
+def scene() -> Scene:
+    study = Study.model_validate(STUDY)
+    return build_scene(study, build_mesh(geometry_of(study)))
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "vdm-paper",
+        "vdm-consistent",
+        "vdm-vector",
+        "vdm-boundary",
+        "mass-spring",
+        "fem-linear",
+        "fem-condensed",
+    ],
+)
+def test_a_frame_is_the_answer_of_the_model(scene: Scene, name: str) -> None:
+    result = models.run_model(scene, name)
+    problem = models.pressure_problem(scene, name)
+    assert problem is not None
+    frame = contact_frame(problem, scene)
+    pressure = scene.contact_pressure[scene.contact]
+    largest = np.abs(result.displacement[-1]).max()
+    for factor in (1.0, 1.0, -0.5):  # the second frame may shorten the columns
+        displacement, fluid_pressure = frame(factor * pressure)
+        assert displacement.shape == (len(scene.fixed), 3)
+        assert displacement.dtype == (np.float64 if name in ("vdm-paper", "vdm-consistent") else np.float32)
+        assert_allclose(displacement, factor * result.displacement[-1], rtol=0, atol=1e-6 * largest)
+        assert_allclose(fluid_pressure, factor * result.fluid_pressure[-1], rtol=1e-6, atol=0)
+
+
+@pytest.mark.parametrize("name", ["fem-linear", "fem-condensed"])
+def test_a_node_has_its_share_of_the_contact(scene: Scene, name: str) -> None:
+    """100 Pa at one node: the contact's pressure times the node's share of each point, 100 Pa A_i in all."""
+    points, triangles = scene.mesh.surface_points, scene.mesh.triangles
+    problem = models.pressure_problem(scene, name)
+    assert isinstance(problem, LinearProblem | CondensedProblem)
+    node = int(np.argmax(scene.contact_pressure))
+    pressure = np.where(np.flatnonzero(scene.contact) == node, 100.0, 0.0)
+    displacement, fluid_pressure = contact_frame(problem, scene)(pressure)
+    corners, weights = facet_quadrature()
+    part = np.zeros_like(scene.facet_pressure)
+    for facet, corner in zip(*np.nonzero(triangles == node), strict=True):
+        part[facet] = scene.facet_pressure[facet] * corners[:, corner]
+    part *= 100.0 / scene.contact_pressure[node]
+    areas = np.linalg.norm(facet_area_vectors(points, triangles), axis=1)
+    around = areas[(triangles == node).any(axis=1)].sum() / 3.0
+    assert_allclose(areas @ part @ weights, 100.0 * around, rtol=1e-12, atol=0)
+    solved = problem.solve([Load(part, np.zeros_like(scene.prescribed), np.zeros(3))])
+    size = np.abs(solved.displacement).max()
+    assert_allclose(displacement, solved.displacement[0], rtol=0, atol=1e-6 * size)
+    assert_allclose(fluid_pressure, solved.fluid_pressure[0], rtol=1e-6, atol=0)
+
+
+@pytest.mark.parametrize("name", ["fem", "fem-coarse", "vdm-vector:nonlinear", "vdm-paper:bicg"])
+def test_other_models_have_no_columns(scene: Scene, name: str) -> None:
+    assert models.pressure_problem(scene, name) is None
+
+
+def test_a_penalty_has_no_columns(scene: Scene) -> None:
+    penalised = dataclasses.replace(scene, parameters={"penalty": 1e8})
+    assert models.pressure_problem(penalised, "vdm-paper") is None
