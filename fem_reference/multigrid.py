@@ -7,6 +7,7 @@ same mesh; P1 is left to one V-cycle of smoothed aggregation with the rigid moti
 from __future__ import annotations
 
 import numpy as np
+import pyamg
 from numpy.typing import NDArray
 from scipy.sparse import bsr_array, bsr_matrix, coo_array, csr_array
 
@@ -94,8 +95,6 @@ class DisplacementPreconditioner:
             coarse = _p1_stiffness(system, vertices, self._free)
         x = mesh.points[vertices] - mesh.points[vertices].mean(axis=0)
         modes = rigid_modes(x / mesh.mean_edge) * self._free[:, :, None]
-        import pyamg  # slow to load, and systems small enough to be factorised do without it
-
         smoother = ("block_gauss_seidel", {"sweep": "symmetric"})
         self.hierarchy = pyamg.smoothed_aggregation_solver(
             coarse,

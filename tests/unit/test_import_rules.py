@@ -223,8 +223,9 @@ def test_workers_are_forked_with_the_solvers_loaded_and_nothing_that_few_of_them
     )
     result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     collects, frozen, names = ast.literal_eval(result.stdout)
-    assert {"numpy", "scipy", "skfem", "vdm", "fem_reference", "studies"} <= set(names)
-    few = {"gmsh", "meshio", "pyvista", "vtkmodules", "pyamg", "matplotlib", "jinja2", "pint", "rich"}
+    # pyamg for the references on refined meshes
+    assert {"numpy", "scipy", "skfem", "pyamg", "vdm", "fem_reference", "studies"} <= set(names)
+    few = {"gmsh", "meshio", "pyvista", "vtkmodules", "matplotlib", "jinja2", "pint", "rich"}
     assert not few & set(names)
     assert collects, "workers may run for hours"
     assert frozen > 10_000, "what they share is not looked at"
