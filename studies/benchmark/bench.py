@@ -260,13 +260,13 @@ def _once(contact: Scene, everywhere: Scene, name: str, tally: _Tally) -> None:
         direct, everything = _frame(contact, name, result), np.nan
         if name != "fem-condensed" or len(contact.fixed) <= MOST_CONDENSED:
             everything = _frame(everywhere, name, models.run_model(everywhere, name))
-        columns, product = 0.0, np.inf
+        columns, product = np.nan, np.inf
         problem = models.pressure_problem(contact, name) if result.status[0].ok else None
         if problem is not None:
             columns, product = _by_columns(problem, contact)
         tally.frame_local.append(min(direct, product))
         tally.frame_all.append(everything)
-        tally.columns.append(columns if product < direct else 0.0)
+        tally.columns.append(columns if product < direct else np.nan)
         tally.recut.append(result.seconds_setup + direct)
     tally.result = result
 

@@ -10,9 +10,11 @@ import argparse
 import tempfile
 from pathlib import Path
 
+import numpy as np
 from markupsafe import escape
 
 from studies.benchmark.bench_data import (
+    YARDSTICK,
     Bench,
     Entry,
     amount,
@@ -54,6 +56,12 @@ DRAWN = (
     "fem-condensed",
     "fem-linear",
 )
+COMPARED = (
+    "vdm-vector",
+    "vdm-boundary",
+    "fem-coarse",
+    "fem-condensed",
+)  # with linear elements, in one line each
 _PANEL, _HEIGHT, _GAP, _LINE = 317.0, 216.0, 14.0, 13.0
 _IN_A_LINE = 4  # names of the legend
 
@@ -83,8 +91,6 @@ def section(bench: Bench) -> str:
         times = [
             seconds(median(values)) for values in (e.setup, e.frame_all, e.columns, e.frame_local, e.recut)
         ]
-        if not median(e.columns) > 0.0:
-            times[2] = "–"
         error = f"{100 * e.error:.3g} % ± {100 * e.bar:.2g} %"
         lines.append([e.body, e.model, *times, f"{e.peak_bytes / 1e6:.0f} MB", error])
     text += marked.table(
@@ -101,7 +107,33 @@ def section(bench: Bench) -> str:
         ],
         lines,
     )
-    return f"{text}\n{growth(bench)}"
+    return f"{text}\n{relative(bodies)}\n{growth(bench)}"
+
+
+def relative(bodies: list[list[Entry]]) -> str:
+    """What models cost over linear elements, from the body where that is least to the one where it is most."""
+    lines = []
+    for model in COMPARED:
+        pairs = [
+            (next(e for e in body if e.model == model), next(e for e in body if e.model == YARDSTICK))
+            for body in bodies
+            if {model, YARDSTICK} <= {e.model for e in body}
+        ]
+        if not pairs:
+            continue
+        ratios = [
+            [median(getattr(e, cost)) / median(getattr(yard, cost)) for e, yard in pairs]
+            for cost in ("setup", "columns", "frame_local", "frame_all", "recut")
+        ]
+        cells = [
+            f"{min(found):.2g} to {max(found):.2g}" if np.isfinite(found).all() else "–" for found in ratios
+        ]
+        errors = [100 * e.error for e, _ in pairs]
+        lines.append([model, *cells, f"{min(errors):.3g} to {max(errors):.3g} %"])
+    head = ["model", "set-up", "columns", "frame, contact", "frame, all nodes", "re-cut", "error"]
+    return (
+        f"The same as multiples of what {YARDSTICK} takes, over these bodies:\n\n{marked.table(head, lines)}"
+    )
 
 
 def growth(bench: Bench) -> str:

@@ -55,6 +55,7 @@ def test_the_section_has_the_machine_the_finest_meshes_the_answers_and_the_growt
     assert (
         "| vdm-vector | 642 to 163,842 | n^1.00, 1.64 s | n^1.50, 6.63 s | – | n^1.25, 26.4 million |" in text
     )
+    assert "| vdm-vector | 0.1 to 1 | – | 0.02 to 0.02 | 1 to 1 | 0.1 to 0.1 | 20 to 20 % |" in text
     assert "| fem-linear | 642 to 163,842 | – | – | n^1.00, 1.64e+03 MB | – |" in text
 
 
