@@ -34,7 +34,7 @@ from ..setups import sharing
 from ..study_file.config import expand, geometry_of, with_mesh_size
 from ..study_file.schema import Study
 from ..worker import provenance
-from .bench_data import YARDSTICK, Bench, Entry, Growth
+from .bench_data import LEAST_SIZES, YARDSTICK, Bench, Entry, Growth
 from .contact import Problem, contact_frame
 from .timing import LONG, SAMPLES, calls_of_a_sample, median_of_samples, median_seconds
 
@@ -66,6 +66,7 @@ GROWN = (
     "fem-linear",
     "fem",
 )  # whose growth no sphere of the sparse forms shows
+QUANTITIES = {"set-up": "s", "frame": "s", "memory": "B"}
 LOADS = 20  # for which elements are set up there
 ROUNDS = 5
 BUDGET = 10.0  # seconds after which a model is measured no further on one mesh
@@ -147,29 +148,34 @@ def measure(
     known = {entry.model for entry in entries}
     grown = growths(rounds, known, large=large)
     if large:
-        grown += _finer_growths(next(iter(bodies.values())), known.intersection(GROWN), cache, rounds)
+        grown += _finer_growths(next(iter(bodies.values())), known.intersection(GROWN), cache, rounds, watch)
     return Bench(machine, entries, grown)
 
 
-def _finer_growths(given: Study, names: Collection[str], cache: Path, rounds: int) -> list[Growth]:
+def _finer_growths(
+    given: Study, names: Collection[str], cache: Path, rounds: int, watch: Callable[[str], object]
+) -> list[Growth]:
     """Set-up, one load over all nodes and memory of models on meshes too fine for a reference of their own."""
     case = expand(given)[0].study
     nodes: list[int] = []
     found: dict[str, list[tuple[float, float, float]]] = {name: [] for name in sorted(names)}
     for study in filter(None, (with_mesh_size(case, size) for size in FINER)):
-        scene = build_scene(study, mesh_from_cache(geometry_of(study), cache))
+        try:
+            scene = build_scene(study, mesh_from_cache(geometry_of(study), cache))
+        except InputError as error:  # finer than its author wrote
+            watch(f"no growth on finer meshes: {error}")
+            return []
         one = dataclasses.replace(scene, load_factors=np.ones(1), condition=False)
         everywhere = dataclasses.replace(one, facet_pressure=_pressure_everywhere(one))
         nodes.append(len(scene.fixed))
         for name, costs in found.items():
             costs.append(_costs(everywhere, name, rounds))
-    return [
-        Growth(f"{name} {what}", unit, np.array(nodes, dtype=float), np.array(values))
-        for name, costs in found.items()
-        for (what, unit), values in zip(
-            {"set-up": "s", "frame": "s", "memory": "B"}.items(), zip(*costs, strict=True), strict=True
-        )
-    ]
+    out = []
+    for name, costs in found.items():
+        for (what, unit), values in zip(QUANTITIES.items(), np.array(costs).reshape(-1, 3).T, strict=True):
+            if len(nodes) >= LEAST_SIZES and (values > 0.0).all():  # NaN of a model that could not be set up
+                out.append(Growth(f"{name} {what}", unit, np.array(nodes, dtype=float), values))
+    return out
 
 
 def _costs(scene: Scene, name: str, rounds: int) -> tuple[float, float, float]:

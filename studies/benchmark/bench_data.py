@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-_LEAST_SIZES = 4  # of a mesh, for an exponent
+LEAST_SIZES = 4  # of a mesh, for an exponent
 SAME = 1.5  # times up to which two costs count as the same: runs differ by as much
 FAR_OFF = 0.5  # error from which on an answer is no answer: that of a body that does not move is 1
 _DIGITS = 1e-4  # relative difference of errors that are the same answer's
@@ -147,7 +147,7 @@ def model_growths(bench: Bench) -> list[ModelGrowth]:
 
 def _grown(what: str, unit: str, entries: Sequence[Entry], values: Sequence[float]) -> Growth | None:
     known = [(e.nodes, value) for e, value in zip(entries, values, strict=True) if value > 0.0]
-    if len(known) < _LEAST_SIZES:
+    if len(known) < LEAST_SIZES:
         return None
     nodes, measured = np.array(known, dtype=float).T
     return Growth(what, unit, nodes, measured)

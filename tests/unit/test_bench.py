@@ -19,6 +19,7 @@ from studies.benchmark.bench_data import (
     Growth,
     answers,
     deviation,
+    machine_independent,
     median,
     model_growths,
     pareto,
@@ -258,9 +259,37 @@ def test_a_size_that_the_author_never_wrote_and_nothing_stands_is_left_out(tmp_p
     assert left_out.count("times its mesh_size: ") == 2
     assert left_out.startswith("ball at 2.6 times its mesh_size: ")
     assert f"left out {left_out.split('; ball')[0]}" in told
+    assert {growth.what.split()[0] for growth in found.growths} == {"vdm-consistent"}, "of its models only"
     # nothing else is to be had: the study as it is
     alone = bench.measure({"ball": load_study(path)}, tmp_path, sizes=(2.6,), rounds=1, watch=told.append)
     assert alone.meshes() == [mesh]
+
+
+def test_growth_of_elements_and_the_dense_form_on_finer_meshes(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "ball.toml"
+    path.write_text(STUDY.format(size=38, fraction=0.7))
+    monkeypatch.setattr(bench, "FINER", (1.0, 0.85, 0.7, 0.6))
+    monkeypatch.setattr(bench, "growths", lambda *_, **__: [])
+    study, told = load_study(path), list[str]()
+    given = {"cache": tmp_path, "sizes": (1.0,), "rounds": 1, "large": True, "watch": told.append}
+    names = ["vdm-boundary", "vdm-vector", "fem-linear"]
+    found = bench.measure({"ball": study}, names=names, **given)
+    assert [g.what for g in found.growths] == [
+        f"{model} {what}"
+        for model in ("fem-linear", "vdm-boundary")
+        for what in ("set-up", "frame", "memory")
+    ]
+    for growth in found.growths:
+        assert growth.nodes[0] == found.entries[0].nodes
+        assert (np.diff(growth.nodes) > 0).all()
+        assert (growth.values > 0).all()
+    assert not any(key.startswith("growth") for key in machine_independent(found)), "of this machine"
+    # a mesh that cannot be made that fine is said, and the rest kept
+    monkeypatch.setattr(bench, "FINER", (1.0, 0.85, 0.7, 1e-3))
+    assert bench.measure({"ball": study}, names=names, **given).growths == []
+    assert any(line.startswith("no growth on finer meshes: ") for line in told)
 
 
 def test_a_study_that_cannot_be_measured_at_all_says_why(tmp_path: Path) -> None:
