@@ -38,9 +38,8 @@ class Server:
     def __init__(self) -> None:
         self._line, theirs = CONTEXT.Pipe()
         self._process = CONTEXT.Process(target=_serve, args=(theirs, self._line))
-        before = signal.pthread_sigmask(
-            signal.SIG_BLOCK, _SIGNALS
-        )  # until the server has its own answer to them
+        # until the server has its own answer to them
+        before = signal.pthread_sigmask(signal.SIG_BLOCK, _SIGNALS)
         try:
             self._process.start()
         finally:
@@ -52,9 +51,7 @@ class Server:
         """Whether it can be asked."""
         return not self._line.closed and self._process.is_alive()
 
-    def ask(
-        self, function: Callable[..., Generator[Any, None, None]], *arguments: Any
-    ) -> Generator[Any, None, None]:
+    def ask(self, function: Callable[..., Events], *arguments: Any) -> Events:
         """What `function(line, *arguments)` yields in the server: a module's function, and plain data.
 
         It has to return when its `line` can be read from: then nobody listens any more, as after this iterator is
