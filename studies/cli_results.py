@@ -13,6 +13,7 @@ from .cli_output import (
     OK,
     REGRESSED,
     UsageError,
+    complain,
     count,
     print_json,
     print_run,
@@ -84,7 +85,12 @@ def gate_verb(options: argparse.Namespace) -> int:
 
     run = read_run(options.directory)
     study = str(run.study["name"])
-    baseline = gate.read_baseline(_baseline(options, study))
+    path = _baseline(options, study)
+    if (
+        options.baseline is None and not path.exists()
+    ):  # nobody has accepted anything: no mistake of the command
+        return complain(f"nothing was compared: {gate.no_baseline(path)}", NOTHING_COMPARED)
+    baseline = gate.read_baseline(path)
     findings = gate.compare(run, baseline)
     if options.junit:
         write_atomically(options.junit, junit(study, findings))

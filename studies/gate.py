@@ -162,6 +162,11 @@ def baseline_path(results: Path, study: str) -> Path:
     return results / "baselines" / f"{safe_name(study)}.json"
 
 
+def no_baseline(path: Path) -> str:
+    """What is wrong, and what to do, where a study has no baseline."""
+    return f"{path}: no such baseline; make one with: vdmbench accept DIR --reason TEXT"
+
+
 def read_baseline(path: Path) -> Baseline:
     """Read and validate a baseline.
 
@@ -171,7 +176,7 @@ def read_baseline(path: Path) -> Baseline:
         no such file, not a baseline, or of a newer schema.
     """
     if not path.exists():
-        raise BaselineError(f"{path}: no such baseline; make one with: vdmbench accept DIR --reason TEXT")
+        raise BaselineError(no_baseline(path))
     if fault := file_fault(path):
         raise BaselineError(f"{path}: {fault}")
     if path.stat().st_size > MAX_BYTES:
@@ -187,10 +192,8 @@ def read_baseline(path: Path) -> Baseline:
         return Baseline.model_validate_json(json.dumps(data))
     except ValidationError as error:
         first = error.errors()[0]
-        place = ".".join(str(part) for part in first["loc"])
-        raise BaselineError(
-            f"{path}: not a baseline ({place}: {first['msg']}); restore it or accept anew"
-        ) from None
+        fault = ": ".join(filter(None, (".".join(map(str, first["loc"])), first["msg"])))
+        raise BaselineError(f"{path}: not a baseline ({fault}); restore it or accept anew") from None
 
 
 def accept(run: Run, path: Path, reason: str) -> Baseline:

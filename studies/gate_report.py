@@ -6,9 +6,9 @@ import math
 from collections.abc import Sequence
 from xml.etree import ElementTree
 
-from .gate import MISSING, NOT_COMPARABLE, REGRESSED, SAME, Finding, counts
+from .gate import MISSING, NEW, NOT_COMPARABLE, REGRESSED, SAME, Finding, counts
 
-_SKIPPED = (NOT_COMPARABLE, MISSING)
+_SKIPPED = (NOT_COMPARABLE, MISSING, NEW)  # nothing was compared
 
 
 def describe(finding: Finding) -> str:
@@ -29,7 +29,7 @@ def summary(findings: Sequence[Finding]) -> str:
 
 
 def junit(study: str, findings: Sequence[Finding]) -> bytes:
-    """JUnit XML: one test case per finding; what got worse is a failure, what cannot be compared is skipped."""
+    """JUnit XML: one test case per finding; what got worse is a failure, what was not compared is skipped."""
     suite = ElementTree.Element(
         "testsuite",
         name=_clean(f"accuracy of {study}"),

@@ -15,7 +15,7 @@ import pytest
 
 from studies import gate
 from studies.case import CaseResult, MetricSeries, Run
-from studies.gate import BaselineError, Finding, accept, compare, counts, read_baseline
+from studies.gate import Baseline, BaselineError, Finding, accept, compare, counts, read_baseline
 from studies.gate_report import describe, junit, markdown, summary
 from tests.command import SMALL_STUDY, vdmbench
 
@@ -187,7 +187,7 @@ def test_a_baseline_of_another_study_is_refused(path: Path) -> None:
     [
         (b"\xff\xfe", "not JSON"),
         (b"[" * 100_000, "not JSON"),
-        (b"[]", "not a baseline"),
+        (b"[]", r"not a baseline \(Input should be an object\)"),
         (b'{"schema": 99}', "newer than this program"),
         (b'{"schema": 0, "study": "a", "reason": "r", "date": "d", "cases": {}}', "greater than or equal"),
         (b'{"schema": 1, "study": 3}', "not a baseline"),
@@ -253,13 +253,23 @@ def test_junit_and_markdown(path: Path) -> None:
     assert "model version 1 -> 2" in describe(next(f for f in findings if f.model == "vdm-paper"))
 
 
+def test_junit_does_not_pass_what_the_baseline_has_not() -> None:
+    nothing = Baseline(schema=1, study="ball", reason="first", date="2026-01-02", cases={})
+    findings = compare(run_of({"vdm-vector": 0.2}), nothing)
+    assert counts(findings) == {gate.NEW: 1}
+    assert gate.nothing_compared(findings)
+    (suite,) = ElementTree.fromstring(junit("ball", findings))
+    assert suite.attrib["skipped"] == suite.attrib["tests"] == "1"
+
+
 def test_the_commands_and_their_exit_codes(tmp_path: Path) -> None:
     (tmp_path / "small.toml").write_text(SMALL_STUDY)
     assert vdmbench("run", "small.toml", cwd=tmp_path).returncode == 0
     directory = "results/runs/small"
     nothing = vdmbench("gate", directory, cwd=tmp_path)
-    assert nothing.returncode == 2
+    assert nothing.returncode == 6
     assert "vdmbench accept DIR" in nothing.stderr
+    assert vdmbench("gate", directory, "--baseline", "nowhere.json", cwd=tmp_path).returncode == 2
     assert vdmbench("accept", directory, cwd=tmp_path).returncode == 2
     assert vdmbench("accept", directory, "--reason", " ", cwd=tmp_path).returncode == 2
     accepted = vdmbench("accept", directory, "--reason", "first", cwd=tmp_path)
