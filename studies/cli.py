@@ -31,7 +31,8 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
         code = options.verb(options)
         sys.stdout.flush()
     except KeyboardInterrupt:
-        code = complain("interrupted; what is done is kept, the same command goes on from here", INTERRUPTED)
+        again = "begins again (--fresh)" if vars(options).get("fresh") else "goes on from here"
+        code = complain(f"interrupted; what is done is kept, the same command {again}", INTERRUPTED)
     except BrokenPipeError:
         os.dup2(
             os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno()
@@ -39,6 +40,8 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
         code = OK
     except ImportError as error:
         code = complain(f"{error}; see what is missing with: vdmbench doctor", MACHINE)
+    except FileExistsError as error:  # where a directory was to be made
+        code = complain(f"{error.filename}: is not a directory; remove it, or choose another", MACHINE)
     except OSError as error:
         name = f"{error.filename}: " if error.filename else ""
         code = complain(f"{name}{error.strerror or error}", MACHINE)

@@ -28,9 +28,15 @@ def results_directory() -> Path:
 
 def print_run(run: Run, directory: Path, report: Path, as_json: bool) -> int:
     """The headline table, the failures and the report's path."""
+    from .report.digest import Digest
     from .report.headline import headline_rows
+    from .report.section_cases import stopped_models
 
     rows = headline_rows(run)
+    stopped = [
+        f"stopped: {model} ({place}): {message}" + (f"; {remedy}" if remedy else "")
+        for model, place, message, remedy in stopped_models(Digest(run))
+    ]
     if as_json:
         print_json(
             {
@@ -39,6 +45,7 @@ def print_run(run: Run, directory: Path, report: Path, as_json: bool) -> int:
                 "done": len(run.cases),
                 "failed": list(run.failed),
                 "missing": list(run.missing),
+                "stopped": stopped,
                 "headline": rows,
             }
         )
@@ -46,9 +53,9 @@ def print_run(run: Run, directory: Path, report: Path, as_json: bool) -> int:
         print_table(rows)
         for failure in run.failed:
             remedy = f"; {failure['remedy']}" if failure["remedy"] else ""
-            complain(
-                f"failed: {failure['label'] or failure['hash'][:12]}: {failure['message']}{remedy}", FAILED
-            )
+            complain(f"failed: {failure['label']}: {failure['message']}{remedy}", FAILED)
+        for line in stopped:
+            print(line)
         lost = f", {run.damaged} damaged" if run.damaged else ""
         print(
             f"{len(run.cases)} done, {len(run.failed) - run.damaged} failed{lost}, {len(run.missing)} missing"
@@ -89,7 +96,8 @@ def print_table(rows: Sequence[dict[str, str]]) -> None:
 class Progress:
     """A bar on a terminal, a line per event otherwise; on standard error, so that output can be piped."""
 
-    def __init__(self, total: int, *, quiet: bool) -> None:
+    def __init__(self, total: int, name: str, *, quiet: bool) -> None:
+        self.name = name  # of the study, for the case of a study of one
         self.quiet = quiet
         self.bar: Any = None
         self.total = total
@@ -119,7 +127,7 @@ class Progress:
 
     def show(self, event: Event) -> None:
         """Show one event of the run."""
-        label = event.label or "the case"
+        label = event.label or self.name
         if self.bar is None and not self.quiet and sys.stderr.isatty():
             self.bar = (
                 self._bar()

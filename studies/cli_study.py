@@ -132,7 +132,8 @@ def run_verb(options: argparse.Namespace) -> int:
         insecure_scheduler=options.insecure_scheduler,
     )
     cases = plan.cases_to_run(how.shard, fresh=how.fresh)
-    with Progress(len(cases) + len(plan.missing_meshes(cases)), quiet=options.json) as progress:
+    total = len(cases) + len(plan.missing_meshes(cases))
+    with Progress(total, study.study.name, quiet=options.json) as progress:
         run, report = run_plan(plan, path.read_text(), how, progress.show)
     return print_run(run, plan.directory, report, options.json)
 
@@ -186,6 +187,11 @@ def bench_verb(options: argparse.Namespace) -> int:
         body: _load(argparse.Namespace(**vars(options) | {"study": name, "surface": surface}))[0]
         for body, (name, surface) in wanted.items()
     }
+    if options.study:
+        for study in studies.values():
+            _make_plan(
+                study, options
+            )  # a mesh that cannot be made is told with its line before anything is measured
     out = options.out or results_directory() / "bench"
     found = bench.measure(
         studies,
@@ -260,7 +266,8 @@ def _run_for_fit(plan: Plan, path: Path, options: argparse.Namespace) -> tuple[P
     from .run import Options, run_plan
 
     cases = plan.cases_to_run()
-    with Progress(len(cases) + len(plan.missing_meshes(cases)), quiet=options.json) as progress:
+    total = len(cases) + len(plan.missing_meshes(cases))
+    with Progress(total, plan.study.study.name, quiet=options.json) as progress:
         run, _ = run_plan(
             plan, path.read_text(), Options(jobs=options.jobs or os.cpu_count() or 1), progress.show
         )

@@ -9,6 +9,7 @@ from typing import Any
 from . import models
 from .estimate import estimate, size_of
 from .plan import Plan, PlannedCase
+from .study_file.config import holds_nothing
 from .work import ModelWork, work_of
 
 DOUBT = 1.3  # expected surface nodes of a mesh over those that it may have
@@ -115,9 +116,16 @@ def _skipped(plan: Plan, todo: Sequence[PlannedCase]) -> list[str]:
 
 
 def refused(plan: Plan, cases: Sequence[PlannedCase]) -> list[str]:
-    """The models that will refuse a mesh of these cases for its surface nodes, so far as that is beyond doubt."""
-    limits = {name: most for name in plan.study.study.models if (most := models.most_nodes(name)) is not None}
-    lines: list[str] = []
+    """The models that will refuse these cases: elements that nothing holds, and a mesh of more surface nodes than
+    a model takes, so far as that is beyond doubt."""
+    names = plan.study.study.models
+    limits = {name: most for name in names if (most := models.most_nodes(name)) is not None}
+    free = any(holds_nothing(case.study) for case in cases)
+    lines = [
+        f"{name}: nothing is held; hold a region, by kind fixed or constrained"
+        for name in names
+        if free and models.find(name)[0].volumetric
+    ]
     if not limits:
         return lines
     missing = plan.missing_meshes(cases)

@@ -254,9 +254,9 @@ def compare(run: Run, baseline: Baseline) -> list[Finding]:
     if baseline.study != name:
         raise BaselineError(f"the baseline is of study {baseline.study!r}, the run of {name!r}")
     now = _cases(run)
-    # a failure is labelled for people: in a study of one case by the beginning of its hash
+    # a failure is labelled for people: in a study of one case by the study's name
     failed = {
-        ONLY_CASE if failure["label"] == failure["hash"][:12] else failure["label"]: failure["message"]
+        ONLY_CASE if failure["label"] == name else failure["label"]: failure["message"]
         for failure in run.failed
     }
     unfinished = {label or ONLY_CASE for label in run.missing}

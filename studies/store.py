@@ -109,6 +109,7 @@ def read_run(directory: Path, *, damaged: bool = False) -> Run:
         raise StoreError(f"{directory}/study.toml: not readable ({error}); run the study again") from error
     cases, failed, missing = [], [], []
     for planned in plan["cases"]:
+        label = planned["label"] or plan["study"]["name"]
         path = case_path(directory, planned["hash"])
         # reading it says the rest
         state = "done" if path.exists() else case_state(directory, planned["hash"])
@@ -121,9 +122,9 @@ def read_run(directory: Path, *, damaged: bool = False) -> Run:
                 if not damaged:
                     raise
                 about = {"code": DAMAGED, "message": str(error), "remedy": ""}
-                failed.append({"hash": planned["hash"], "label": planned["label"], **about})
+                failed.append({"hash": planned["hash"], "label": label, **about})
         elif state == "failed":
-            failed.append(_read_failure(directory, planned))
+            failed.append(_read_failure(directory, planned["hash"], label))
         else:
             missing.append(planned["label"])
     return Run(plan["study"], study_text, cases, failed, missing, plan)
@@ -138,10 +139,12 @@ def run_state(directory: Path) -> dict[str, list[Any]]:
         not a run directory.
     """
     state: dict[str, list[Any]] = {"done": [], "stale": [], "failed": [], "damaged": [], "missing": []}
-    for planned in read_plan(directory)["cases"]:
+    plan = read_plan(directory)
+    for planned in plan["cases"]:
         kind = case_state(directory, planned["hash"])
-        label = planned["label"] or planned["hash"][:12]
-        state[kind].append(_read_failure(directory, planned) if kind == "failed" else label)
+        label = planned["label"] or plan["study"]["name"]
+        failed = kind == "failed"
+        state[kind].append(_read_failure(directory, planned["hash"], label) if failed else label)
     tables = directory / STUDY_FILE
     if tables.exists():
         try:
@@ -201,14 +204,14 @@ def read_plan(directory: Path) -> dict[str, Any]:
     return plan
 
 
-def _read_failure(directory: Path, planned: Mapping[str, Any]) -> dict[str, str]:
-    path = failure_path(directory, planned["hash"])
+def _read_failure(directory: Path, case_hash: str, label: str) -> dict[str, str]:
+    path = failure_path(directory, case_hash)
     try:
         record = json.loads(path.read_text())
         known = {key: str(record[key]) for key in ("hash", "code", "message", "remedy")}
     except (KeyError, TypeError, ValueError, IsADirectoryError) as error:
         raise StoreError(f"{path}: damaged ({error}); delete it and run again") from error
-    return {**known, "label": planned["label"] or planned["hash"][:12]}
+    return {**known, "label": label}
 
 
 def case_path(directory: Path, case_hash: str) -> Path:

@@ -20,6 +20,7 @@ from .ply_file import read_ply
 if TYPE_CHECKING:
     import meshio
 
+_STL_HEAD, _STL_FACET = 84, 50  # bytes of a binary STL: a title and the number of facets; each facet
 # cells that are passed over beside tetrahedra, and their number of nodes
 _FLAT_CELLS = {"vertex": 1, "line": 2, "triangle": 3, "quad": 4}
 
@@ -40,6 +41,7 @@ def read_surface(path: Path) -> tuple[Array, Index]:
 
         points, triangles = read_vtp(path)
     else:
+        _check_binary_stl(path)
         mesh = _read(path)
         points, triangles = _coordinates(mesh.points), _triangles(mesh)
     if len(triangles) == 0:
@@ -104,6 +106,24 @@ def _read(path: Path) -> meshio.Mesh:
         raise
     except Exception as error:  # meshio fails on damaged files with whatever its parsing runs into
         raise MeshError(f"cannot be read as {suffix}; it is damaged, truncated or of another kind") from error
+
+
+def _check_binary_stl(path: Path) -> None:
+    """meshio takes a binary STL of another length than it announces for text."""
+    with path.open("rb") as file:
+        head = file.read(_STL_HEAD)
+    if b"\0" not in head:
+        return  # text
+    announced = int.from_bytes(head[-4:], "little") if len(head) == _STL_HEAD else 0
+    room = (path.stat().st_size - _STL_HEAD) / _STL_FACET
+    if room < announced:
+        raise MeshError(
+            f"is truncated or is not an STL: it announces {announced:,} facets and ends after {max(int(room), 0):,}"
+        )
+    if room > announced:
+        raise MeshError(
+            f"is damaged or is not an STL: it announces {announced:,} facets and goes on after the last"
+        )
 
 
 def _check_legacy_vtk(path: Path, cells: int) -> None:

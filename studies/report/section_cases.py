@@ -96,12 +96,12 @@ def failures(digest: Digest) -> Section | None:
             for entry in digest.run.failed
         ]
         blocks.append(Table("failed", "Cases that failed", _failure_columns("Case"), rows))
-    if rows := _model_failures(digest):
-        blocks.append(
-            Table(
-                "stopped", "Models that stopped in a finished case", _failure_columns("Model and case"), rows
-            )
-        )
+    if stopped := stopped_models(digest):
+        rows = [
+            [Cell(m, place), Cell(message), Cell(remedy or NOTHING)] for m, place, message, remedy in stopped
+        ]
+        columns = _failure_columns("Model and case")
+        blocks.append(Table("stopped", "Models that stopped in a finished case", columns, rows))
     if rows := _reservations(digest):
         columns = _failure_columns("Model and case")
         blocks.append(
@@ -119,8 +119,8 @@ def _failure_columns(first: str) -> list[Column]:
     return [Column(title, numeric=False) for title in (first, "What happened", "What to do")]
 
 
-def _model_failures(digest: Digest) -> list[list[Cell]]:
-    """One row per model and reason: where it happened and how often."""
+def stopped_models(digest: Digest) -> list[tuple[str, str, str, str]]:
+    """Model, where it stopped in a finished case and how often, why, and what to do: once for each reason."""
     found: dict[tuple[str, str, str], list[tuple[CaseResult, int]]] = {}
     for case in digest.cases:
         for model, result in case.models.items():
@@ -129,7 +129,7 @@ def _model_failures(digest: Digest) -> list[list[Cell]]:
                 reason = (model, status.message or status.code, status.remedy)
                 found.setdefault(reason, []).append((case, step))
     return [
-        [Cell(model, _places(digest, places)), Cell(message), Cell(remedy or NOTHING)]
+        (model, _places(digest, places), message, remedy)
         for (model, message, remedy), places in found.items()
     ]
 

@@ -78,6 +78,7 @@ def load_study(
     findings += axis_findings
     findings += _check_model_names(data)
     findings += _check_limits(base, study)
+    findings += _check_held(study)
     swept_well = not axis_findings and not any(loc[:1] == ("sweep",) for loc, _ in findings)
     if axes and swept_well:
         most = study.study.max_cases if study is not None else 1000
@@ -279,6 +280,22 @@ def _check_model_names(data: Mapping[str, Any]) -> list[Finding]:
         for place, name in enumerate(names if isinstance(names, list) else [])
         if isinstance(name, str) and name not in known
     ]
+
+
+def holds_nothing(study: Study) -> bool:
+    """Whether no constraint holds a part of the body, so that elements have no answer."""
+    return all(constraint.kind == "contact" for constraint in study.constraints or ())
+
+
+def _check_held(study: Study | None) -> Iterator[Finding]:
+    from ..models import find, model_names
+
+    reference = study.study.reference if study is not None else None
+    if study is None or reference not in model_names():
+        return
+    if find(reference)[0].volumetric and holds_nothing(study):
+        text = f"nothing is held, so {reference} has no answer; hold a region, by kind fixed or constrained"
+        yield ("study", "reference"), text
 
 
 def _check_limits(data: Mapping[str, Any], study: Study | None) -> Iterator[Finding]:

@@ -245,9 +245,10 @@ def test_every_problem_of_a_study_at_once(tmp_path: Path) -> None:
 
 def test_a_mesh_that_cannot_be_made_is_found_before_the_run(tmp_path: Path) -> None:
     write_study(tmp_path, a=('"16 mm"', '"0.05 mm"'))
-    for verb in ("check", "plan", "run"):
+    for verb in ("check", "plan", "run", "bench"):
         result = vdmbench(verb, "small.toml", cwd=tmp_path)
         assert result.returncode == 2, verb
+        assert result.stderr.startswith("vdmbench: small.toml:11: geometry.mesh_size: ")
         assert "nodes" in result.stderr
 
 
@@ -344,6 +345,9 @@ def test_results_that_cannot_be_written(tmp_path: Path) -> None:
     result = vdmbench("run", "small.toml", cwd=tmp_path)
     assert result.returncode == 4
     assert "results" in result.stderr
+    result = vdmbench("run", "small.toml", "--out", "results", cwd=tmp_path)
+    assert result.returncode == 4
+    assert result.stderr == "vdmbench: results: is not a directory; remove it, or choose another\n"
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
@@ -442,6 +446,33 @@ def test_a_surface_that_bounds_nothing_is_a_mistake_of_the_input(tmp_path: Path)
 
 def test_a_body_that_nothing_holds_is_a_mistake_of_the_input(tmp_path: Path) -> None:
     write_study(tmp_path, a=('kind = "fixed"\nregion = "base"\n[[constraints]]\n', ""))
+    (words,) = vdmbench("check", "small.toml", cwd=tmp_path).stderr.splitlines()
+    assert words.startswith(
+        "vdmbench: small.toml:6: study.reference: nothing is held, so fem-linear has no answer"
+    )
+    assert vdmbench("run", "small.toml", cwd=tmp_path).returncode == 2
+
+
+def test_a_model_that_refuses_a_case_says_why(tmp_path: Path) -> None:
+    # the printed form of VDM stands on its own foundation, elements do not
+    write_study(tmp_path, a=('kind = "fixed"\nregion = "base"\n[[constraints]]\n', ""),
+                b=('reference = "fem-linear"', 'reference = "vdm-paper"'))  # fmt: skip
+    result = vdmbench("check", "small.toml", cwd=tmp_path)
+    assert result.returncode == 0
+    assert "will be refused: fem-linear: nothing is held" in result.stdout
+    result = vdmbench("run", "small.toml", cwd=tmp_path)
+    assert result.returncode == 0
+    assert "done small (" in result.stderr, "the only case goes by the study's name"
+    told = (
+        "stopped: fem-linear (the only case, load factor 0.5): nothing is held, so the body can move freely; "
+    )
+    assert told in result.stdout
+    assert "\n1 done, 0 failed" in result.stdout
+
+
+def test_the_only_case_fails_by_the_study_s_name(tmp_path: Path) -> None:
+    write_study(tmp_path, a=('"30 deg"', '"0.1 deg"'))
     result = vdmbench("run", "small.toml", cwd=tmp_path)
     assert result.returncode == 2
-    assert "nothing is held" in result.stderr
+    assert "vdmbench: failed: small: " in result.stderr
+    assert "\nfailed: small: " in vdmbench("status", RUN, cwd=tmp_path).stdout

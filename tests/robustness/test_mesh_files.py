@@ -104,6 +104,20 @@ def write_msh(
 # --- files that are not there, not readable, or not what their name says ------------------------------
 
 
+def test_a_binary_stl_that_is_cut_or_too_long_says_so(tmp_path: Path, ball: Mesh) -> None:
+    path = write_surface(tmp_path / "ball.stl", ball.surface_points, ball.triangles)
+    whole = path.read_bytes()
+    count = len(ball.triangles)
+    assert len(whole) == 84 + 50 * count
+    for size, room in ((84 + 50 * (count // 2), count // 2), (len(whole) - 50, count - 1), (84, 0)):
+        path.write_bytes(whole[:size])
+        refused(path, f"is truncated or is not an STL: it announces {count:,} facets and ends after {room:,}")
+    path.write_bytes(whole + b"more")
+    refused(path, "is damaged or is not an STL: it announces")
+    path.write_bytes(whole)
+    assert len(from_file(path).surface_nodes) > 10
+
+
 @pytest.mark.parametrize("suffix", [".stl", ".msh"])
 def test_the_size_of_a_mesh_is_known_before_it_is_made(tmp_path: Path, ball: Mesh, suffix: str) -> None:
     write_surface(tmp_path / "ball.stl", ball.surface_points, ball.triangles)
