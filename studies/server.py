@@ -20,6 +20,8 @@ from typing import Any
 
 Events = Generator[Any, None, None]
 
+# what the program needs later too, to estimate and to plot: loaded before the fork, it is loaded once
+_SHARED = ("fem_reference.costs", "numpy.ma", "unittest")
 # what every case needs, and no case should be timed with
 _MODULES = ("studies.worker", "vdm.model", "fem_reference.linear", "scipy.spatial")
 _SIGNALS = {signal.SIGINT, signal.SIGTERM}
@@ -82,6 +84,8 @@ _running: list[Server] = []  # one at most
 def start_server() -> Server:
     """The server, forked now unless it is there; it loads its libraries while this program goes on."""
     if not (_running and _running[0].alive):
+        for name in _SHARED:
+            import_module(name)
         _running[:] = [Server()]
         atexit.register(_running[0].close)
     return _running[0]
