@@ -29,14 +29,10 @@ def results_directory() -> Path:
 def print_run(run: Run, directory: Path, report: Path, as_json: bool) -> int:
     """The headline table, the failures and the report's path."""
     from .report.digest import Digest
-    from .report.headline import headline_rows
+    from .report.headline import headline_metrics, headline_rows
     from .report.section_cases import stopped_models
 
-    rows = headline_rows(run)
-    stopped = [
-        f"stopped: {model} ({place}): {message}" + (f"; {remedy}" if remedy else "")
-        for model, place, message, remedy in stopped_models(Digest(run))
-    ]
+    rows, stopped = headline_rows(run), stopped_models(Digest(run))
     if as_json:
         print_json(
             {
@@ -45,8 +41,11 @@ def print_run(run: Run, directory: Path, report: Path, as_json: bool) -> int:
                 "done": len(run.cases),
                 "failed": list(run.failed),
                 "missing": list(run.missing),
-                "stopped": stopped,
+                "stopped": [
+                    dict(zip(("model", "where", "message", "remedy"), row, strict=True)) for row in stopped
+                ],
                 "headline": rows,
+                "metrics": headline_metrics(run),
             }
         )
     else:
@@ -54,8 +53,8 @@ def print_run(run: Run, directory: Path, report: Path, as_json: bool) -> int:
         for failure in run.failed:
             remedy = f"; {failure['remedy']}" if failure["remedy"] else ""
             complain(f"failed: {failure['label']}: {failure['message']}{remedy}", FAILED)
-        for line in stopped:
-            print(line)
+        for model, place, message, remedy in stopped:
+            print(f"stopped: {model} ({place}): {message}" + (f"; {remedy}" if remedy else ""))
         lost = f", {run.damaged} damaged" if run.damaged else ""
         print(
             f"{len(run.cases)} done, {len(run.failed) - run.damaged} failed{lost}, {len(run.missing)} missing"

@@ -7,7 +7,7 @@ import math
 from ..case import Run
 from ..uncertainty import is_resolved
 from .blocks import Cell, Column, Section, Table, Text
-from .digest import Digest, ModelSummary, Spread, full_load
+from .digest import DEFORMATION, VECTOR, Digest, ModelSummary, Spread, full_load
 from .formatting import NOT_MEASURED, NOTHING, percent, plain, plural, quantity
 from .section_cost import time_notes
 
@@ -30,6 +30,34 @@ def headline_rows(run: Run) -> list[dict[str, str]]:
         row["memory"] = quantity(summary.peak_bytes, "B")
         rows.append(row)
     return rows
+
+
+def headline_metrics(run: Run) -> dict[str, dict[str, dict[str, float | str | None]]]:
+    """The numbers of `headline_rows`: model -> measure -> value (median), worst, bars, unit; None for none."""
+    found = {}
+    for summary in Digest(run).summaries:
+        spreads = {VECTOR: summary.vector, DEFORMATION: summary.deformation, "volume_drift": summary.drift}
+        single = {
+            "seconds_setup": (summary.seconds_setup, "s"),
+            "seconds_per_step": (summary.seconds_per_step, "s"),
+            "peak_bytes": (summary.peak_bytes, "B"),
+        }
+        found[summary.name] = {
+            **{
+                name: _numbers(spread.median, spread.worst, spread.median_bar, spread.worst_bar, unit="1")
+                for name, spread in spreads.items()
+                if spread is not None
+            },
+            **{name: _numbers(value, unit=unit) for name, (value, unit) in single.items()},
+        }
+    return found
+
+
+def _numbers(
+    value: float, worst: float = math.nan, bar: float = math.nan, worst_bar: float = math.nan, *, unit: str
+) -> dict[str, float | str | None]:
+    numbers = {"value": value, "worst": worst, "bar": bar, "worst_bar": worst_bar}
+    return {key: float(n) if math.isfinite(n) else None for key, n in numbers.items()} | {"unit": unit}
 
 
 def _one_line(spread: Spread | None) -> str:

@@ -144,6 +144,26 @@ def test_the_report_is_rebuilt_from_a_copied_directory(copy: Path, tmp_path: Pat
     assert (elsewhere / "report.html").stat().st_size > 10_000
     rows = json.loads(vdmbench("report", "elsewhere", "--json", cwd=tmp_path).stdout)
     assert [row["model"].split()[0] for row in rows["headline"]] == ["vdm-paper", "fem-linear"]
+    # the same in numbers
+    errors = [
+        case.metrics["vdm-paper"]["relative_l2_displacement_error"].values[-1]
+        for case in store.read_run(elsewhere).cases
+    ]
+    told = rows["metrics"]["vdm-paper"]["relative_l2_displacement_error"]
+    assert told == {
+        "value": pytest.approx(np.mean(errors), rel=1e-12),  # which is the median of two
+        "worst": max(errors),
+        "bar": None,
+        "worst_bar": None,
+        "unit": "1",
+    }
+    assert set(rows["metrics"]["fem-linear"]) == {
+        "volume_drift",
+        "seconds_setup",
+        "seconds_per_step",
+        "peak_bytes",
+    }
+    assert rows["metrics"]["fem-linear"]["peak_bytes"]["unit"] == "B"
 
 
 @pytest.mark.parametrize("verb", ["list", "doctor", "check small.toml", "plan small.toml", f"status {RUN}"])
