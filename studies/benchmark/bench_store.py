@@ -13,7 +13,7 @@ from ..hdf5 import Data, Group, Stored, StoreError, Text, sealed
 from ..hdf5 import Entry as StoredEntry
 from .bench_data import Bench, Entry, Growth
 
-SCHEMA = 1
+SCHEMA = 2  # of 1, re-cuts counted the columns and elements had none
 _SERIES = ("setup", "frame_all", "frame_local", "columns", "recut")  # (rounds,) [s]
 _RATIOS = ("ratio_setup", "ratio_frame")
 _NUMBERS = {

@@ -14,6 +14,7 @@ import numpy as np
 from markupsafe import escape
 
 from studies.benchmark.bench_data import (
+    FAR_OFF,
     YARDSTICK,
     Bench,
     Entry,
@@ -82,6 +83,7 @@ def section(bench: Bench) -> str:
         f"{machine['rounds']} rounds, in each a frame below 20 ms is the median of five samples of 1 ms or more; "
         f"the interquartile range over the rounds is {100 * typical:.0f} % of the median for the typical time and "
         f"{100 * largest:.0f} % at most; {sizes}. Errors are in the displacement, ± the reference's own. "
+        f"What is {100 * FAR_OFF:g} % off or more answers no question. "
         "[Every model on every mesh](results/gallery/bench.html).\n\n"
     )
     told = answers(bench)
@@ -126,7 +128,8 @@ def relative(bodies: list[list[Entry]]) -> str:
             for cost in ("setup", "columns", "frame_local", "frame_all", "recut")
         ]
         cells = [
-            f"{min(found):.2g} to {max(found):.2g}" if np.isfinite(found).all() else "–" for found in ratios
+            f"{_multiple(min(found))} to {_multiple(max(found))}" if np.isfinite(found).all() else "–"
+            for found in ratios
         ]
         errors = [100 * e.error for e, _ in pairs]
         lines.append([model, *cells, f"{min(errors):.3g} to {max(errors):.3g} %"])
@@ -134,6 +137,10 @@ def relative(bodies: list[list[Entry]]) -> str:
     return (
         f"The same as multiples of what {YARDSTICK} takes, over these bodies:\n\n{marked.table(head, lines)}"
     )
+
+
+def _multiple(value: float) -> str:
+    return f"{value:,.0f}" if value >= 100.0 else f"{value:.2g}"
 
 
 def growth(bench: Bench) -> str:

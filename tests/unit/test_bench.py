@@ -118,19 +118,19 @@ def test_answers_name_the_winners() -> None:
             "fem-p1, 19 %",
             "vdm-vector, 20 %",
         ),
-        "Surface models, less than 50 % off, whose frame of a contact no elements as close match": (
+        "Surface models whose frame of a contact no elements as close match": (
             "mass-spring (49 %, 10 µs)",
             "vdm-vector (20 %, 1 ms)",
         ),
-        "Surface models, less than 50 % off, whose frame with all nodes loaded no elements as close match": (
+        "Surface models whose frame with all nodes loaded no elements as close match": (
             "none",
             "none",
         ),
-        "Surface models, less than 50 % off, whose set-up with the contact's columns no elements as close match": (
+        "Surface models whose set-up with the contact's columns no elements as close match": (
             "vdm-vector (20 %, 12 ms), mass-spring (49 %, 1.1 ms)",
             "vdm-vector (20 %, 12 ms)",
         ),
-        "Surface models, less than 50 % off, whose re-cut no elements as close match": (
+        "Surface models whose re-cut no elements as close match": (
             "mass-spring (49 %, 1 ms)",
             "vdm-vector (20 %, 10 ms)",
         ),
