@@ -108,12 +108,17 @@ def _parser() -> argparse.ArgumentParser:
             help="run directory (default results/runs/NAME, with --surface FILE NAME-FILE)",
         )
 
+    def jobs(sub: argparse.ArgumentParser) -> None:
+        sub.add_argument("--jobs", type=_positive, metavar="N", help="cases at once (default: one per core)")
+
     verb("list", cli_study.list_verb, "list the shipped studies")
     study_verb("check", cli_study.check_verb, "validate a study without running it")
-    directory(study_verb("plan", cli_study.plan_verb, "say what a run would do"))
+
+    plan = study_verb("plan", cli_study.plan_verb, "say what a run would do")
     run = study_verb("run", cli_study.run_verb, "run what is missing and write the report")
-    directory(run)
-    run.add_argument("--jobs", type=_positive, metavar="N", help="cases at once (default: one per core)")
+    for sub in (plan, run):
+        directory(sub)
+        jobs(sub)
     run.add_argument(
         "--shard",
         type=_shard,
@@ -146,9 +151,7 @@ def _parser() -> argparse.ArgumentParser:
         "fit VDM parameters on half of a study's loads, try them on the rest",
     )
     directory(calibrate)
-    calibrate.add_argument(
-        "--jobs", type=_positive, metavar="N", help="cases at once (default: one per core)"
-    )
+    jobs(calibrate)
     calibrate.add_argument(
         "--transfer",
         action="append",

@@ -89,7 +89,7 @@ def plan_verb(options: argparse.Namespace) -> int:
     study, _ = _load(options)
     plan = _make_plan(study, options)
     _check_files(plan, plan.cases_to_run())
-    planned = summary(plan)
+    planned = summary(plan, options.jobs or os.cpu_count() or 1)
     if options.json:
         return print_json(planned)
     print(f"{study.study.title}: {count(len(planned['cases']), 'case')} of {', '.join(study.study.models)}")
@@ -99,7 +99,12 @@ def plan_verb(options: argparse.Namespace) -> int:
         print(f"  {case['hash'][:12]}  {case['state']:<8} {case['label']}")
     meshes = count(planned["meshes_to_make"], "mesh", "meshes")
     print(f"to run: {count(planned['cases_to_run'], 'case')}, {meshes}")
-    for kind, word in (("shared", "shared"), ("skipped", "skipped"), ("refused", "will be refused")):
+    for kind, word in (
+        ("needed", "needed"),
+        ("shared", "shared"),
+        ("skipped", "skipped"),
+        ("refused", "will be refused"),
+    ):
         for line in planned[kind]:
             print(f"{word}: {line}")
     print(_estimate(planned["estimate"]))

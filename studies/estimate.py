@@ -68,8 +68,8 @@ class Estimate:
     factor: float
 
 
-def estimate(plan: Plan, cases: Sequence[PlannedCase]) -> Estimate | None:
-    """What it takes to run these cases; None where a file cannot be meshed."""
+def estimate(plan: Plan, cases: Sequence[PlannedCase], jobs: int = 1) -> Estimate | None:
+    """What it takes to run these cases in `jobs` workers; None where a file cannot be meshed."""
     sizes: dict[str, Size] = {}
     for key, mesh in plan.meshes.items():
         size = size_of(plan, mesh)
@@ -77,14 +77,14 @@ def estimate(plan: Plan, cases: Sequence[PlannedCase]) -> Estimate | None:
             return None
         sizes[key] = size
     learnt = _learn(plan, sizes)
-    work = work_of(plan, cases)
+    work = work_of(plan, cases, jobs)
     seconds = _START + sum(1.0 + 2e-4 * sizes[mesh.key].tetrahedra for mesh in plan.missing_meshes(cases))
-    held: dict[str, float] = {}
+    held: dict[int, float] = {}
     for part in work:
         cost = _cost(part, sizes[part.mesh], learnt)
         seconds += part.setups * cost.setup + part.solves * cost.step
         # what the cases of a group share is held until the group is done
-        held[part.group] = held.get(part.group, 0.0) + cost.bytes
+        held[part.worker] = held.get(part.worker, 0.0) + cost.bytes
     for case in cases:
         seconds += _search(case, sizes[case.mesh], learnt)
     disk = 0.0
@@ -113,7 +113,9 @@ def _search(case: PlannedCase, size: Size, learnt: Mapping[str, Cost]) -> float:
     seconds, steps = 0.0, study.load.steps or 1
 
     def tried(name: str, level: int, loads: int) -> float:
-        cost = _cost(ModelWork(name, case.mesh, case.setup, level, loads, steps * loads, steps), size, learnt)
+        cost = _cost(
+            ModelWork(name, case.mesh, case.setup, 0, level, loads, steps * loads, steps), size, learnt
+        )
         base, solver = split(name)
         bent = base in FINITE_STRAIN or solver == "nonlinear"
         setups = loads if base in FINITE_STRAIN else 1

@@ -15,11 +15,11 @@ from .work import ModelWork, work_of
 DOUBT = 1.3  # expected surface nodes of a mesh over those that it may have
 
 
-def summary(plan: Plan) -> dict[str, Any]:
-    """The plan as plain data: `plan.json`, and what `vdmbench plan` prints."""
+def summary(plan: Plan, jobs: int = 1) -> dict[str, Any]:
+    """The plan for `jobs` workers as plain data: `plan.json`, and what `vdmbench plan` prints."""
     todo = plan.cases_to_run()
-    work = work_of(plan, todo)
-    expected = estimate(plan, todo)
+    work = work_of(plan, todo, jobs)
+    expected = estimate(plan, todo, jobs)
     study = plan.study.study
     return {
         "study": {
@@ -47,39 +47,51 @@ def summary(plan: Plan) -> dict[str, Any]:
         "meshes": len(plan.meshes),
         "meshes_to_make": len(plan.missing_meshes(todo)),
         "cases_to_run": len(todo),
-        "groups": len(plan.groups(todo, 1)),
+        "groups": len(plan.groups(todo, jobs)),
         "work": [dataclasses.asdict(part) for part in work],
-        "shared": _shared(plan, todo, work),
+        "needed": _needed(work),
+        "shared": _shared(plan, todo, work, jobs),
         "skipped": _skipped(plan, todo),
         "refused": refused(plan, todo),
         "estimate": dataclasses.asdict(expected) if expected else None,
     }
 
 
-def _shared(plan: Plan, todo: Sequence[PlannedCase], work: Sequence[ModelWork]) -> list[str]:
+def _needed(work: Sequence[ModelWork]) -> list[str]:
+    """The refinements that the reference's error bars are from."""
+    lines = []
+    for name, level in dict.fromkeys((part.name, part.level) for part in work if part.level):
+        parts = [part for part in work if (part.name, part.level) == (name, level)]
+        setups, steps, solves = (sum(getattr(p, k) for p in parts) for k in ("setups", "steps", "solves"))
+        lines.append(
+            f"{name}, refined {_count(level, 'time')} for its error bar: {_count(setups, 'set-up')}, "
+            f"{_count(solves, 'solve')} for {_count(steps, 'load step')}"
+        )
+    return lines
+
+
+def _shared(plan: Plan, todo: Sequence[PlannedCase], work: Sequence[ModelWork], jobs: int) -> list[str]:
     """What the cases to run have in common."""
     lines = []
     meshes = {case.mesh for case in todo}
     if len(meshes) < len(todo):
         lines.append(f"{_count(len(meshes), 'mesh', 'meshes')} for {len(todo)} cases")
-    groups = plan.groups(todo, 1)
+    groups = plan.groups(todo, jobs)
     if len(groups) < len(todo):
         lines.append(
             f"{_count(len(groups), 'group')} of cases with one mesh, tissue and supports: "
             "the cases of each differ in loads and VDM parameters only and share a worker"
         )
     for name in plan.study.study.models:
-        for level in sorted({part.level for part in work if part.name == name}):
-            parts = [part for part in work if part.name == name and part.level == level]
-            setups, steps, solves = (sum(getattr(p, k) for p in parts) for k in ("setups", "steps", "solves"))
-            where = f"{name}, refined {_count(level, 'time')}" if level else name
-            if setups < steps:
-                lines.append(f"{where}: {_count(setups, 'set-up')} for {_count(steps, 'load step')}")
-            if solves < steps:
-                lines.append(
-                    f"{where}: {_count(solves, 'solve')} for {steps} load steps; "
-                    "the others are multiples or sums of them"
-                )
+        parts = [part for part in work if part.name == name and not part.level]
+        setups, steps, solves = (sum(getattr(p, k) for p in parts) for k in ("setups", "steps", "solves"))
+        if setups < steps:
+            lines.append(f"{name}: {_count(setups, 'set-up')} for {_count(steps, 'load step')}")
+        if solves < steps:
+            lines.append(
+                f"{name}: {_count(solves, 'solve')} for {steps} load steps; "
+                "the others are multiples or sums of them"
+            )
     if any(case.study.limits for case in todo):
         lines.append("small-strain limits: a load that is tried serves all models and thresholds")
     return lines

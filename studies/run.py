@@ -80,7 +80,7 @@ def run_plan(
         _tidy(plan)
         write_atomically(plan.directory / "study.toml", study_text.encode())
         write_atomically(plan.directory / "resolved.toml", tomli_w.dumps(resolved(plan.study)).encode())
-        planned = summary(plan)
+        planned = summary(plan, options.jobs if cluster is None else cluster.places())
         write_atomically(plan.directory / "plan.json", json.dumps(planned, indent=1).encode())
         began = time.perf_counter()
         _run_missing(plan, options, watch, cluster)

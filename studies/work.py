@@ -20,6 +20,7 @@ class ModelWork:
     Attributes
     ----------
     name, mesh, group : the model, and the keys of the mesh of its cases and of what they share
+    worker : which of the groups that run apart, each with set-ups of its own
     level : 0 on the cases' own mesh, 1 on its first refinement and so on
     setups : operators and factors made
     steps : load steps asked for
@@ -29,16 +30,17 @@ class ModelWork:
     name: str
     mesh: str
     group: str
+    worker: int
     level: int
     setups: int
     steps: int
     solves: int
 
 
-def work_of(plan: Plan, cases: Sequence[PlannedCase]) -> list[ModelWork]:
-    """The work of some cases, group by group: what is stored or cached counts nothing."""
+def work_of(plan: Plan, cases: Sequence[PlannedCase], jobs: int = 1) -> list[ModelWork]:
+    """The work of some cases in `jobs` workers, group by group: what is stored or cached counts nothing."""
     out: list[ModelWork] = []
-    for group in plan.groups(cases, 1):
+    for worker, group in enumerate(plan.groups(cases, jobs)):
         reference, levels = group[0].study.study.reference, group[0].study.uncertainty
         n_levels = levels.levels if levels else 1
         for name in group[0].study.study.models:
@@ -50,11 +52,11 @@ def work_of(plan: Plan, cases: Sequence[PlannedCase]) -> list[ModelWork]:
             unique = list({case.results[name]: case for case in wanted}.values())
             if unique:
                 for level in range(n_levels if name == reference else 1):
-                    out.append(_work(name, level, unique))
+                    out.append(_work(name, worker, level, unique))
     return out
 
 
-def _work(name: str, level: int, cases: Sequence[PlannedCase]) -> ModelWork:
+def _work(name: str, worker: int, level: int, cases: Sequence[PlannedCase]) -> ModelWork:
     model = models.find(name)[0]
     steps = sum(len(case.study.load.history) for case in cases)
     solves = steps
@@ -67,7 +69,7 @@ def _work(name: str, level: int, cases: Sequence[PlannedCase]) -> ModelWork:
     setups = 1 if model.volumetric else len({case.surface for case in cases})
     if model.volumetric and model.together is None:
         setups = len(cases)
-    return ModelWork(name, cases[0].mesh, cases[0].setup, level, setups, steps, solves)
+    return ModelWork(name, cases[0].mesh, cases[0].setup, worker, level, setups, steps, solves)
 
 
 def _has_penalty(name: str, study: Study) -> bool:

@@ -58,11 +58,11 @@ def plan_of(directory: Path, cache: Path, **changes: Any) -> Plan:
     return make_plan(study, expand(study), directory, cache)
 
 
-def run(plan: Plan, *, fresh: bool = False) -> list[CaseResult]:
+def run(plan: Plan, *, fresh: bool = False, jobs: int = 1) -> list[CaseResult]:
     """What a worker does with each group, here."""
-    for state in (worker._ahead, worker._last, worker._written):
-        state.clear()
-    for group in plan.groups(plan.cases_to_run(fresh=fresh), 1):
+    for group in plan.groups(plan.cases_to_run(fresh=fresh), jobs):
+        for state in (worker._ahead, worker._last, worker._written):
+            state.clear()
         tasks = [task_of(case, plan, fresh=fresh) for case in group]
         with share(tasks):
             for task in tasks:
@@ -155,6 +155,30 @@ def test_what_is_planned_is_what_is_done(tmp_path: Path, made: Counter[str], cha
         "vdm solves": sum(part.solves for part in of_vdm),
     }
     assert made == planned
+
+
+def test_workers_that_divide_a_group_make_its_set_ups_each(tmp_path: Path, made: Counter[str]) -> None:
+    plan = plan_of(tmp_path / "run", tmp_path / "cache")
+    work = counted.work_of(plan, plan.cases_to_run(), 2)
+    run(plan, jobs=2)
+    for kind, name in (("fem", "fem-linear"), ("vdm", "vdm-vector")):
+        parts = [part for part in work if part.name == name]
+        assert made[f"{kind} set-ups"] == sum(part.setups for part in parts)
+        assert made[f"{kind} solves"] == sum(part.solves for part in parts)
+
+    plan = plan_of(tmp_path, tmp_path / "cache", uncertainty={"levels": 3})
+    assert len(plan.groups(plan.in_order, 2)) == 2 > len(plan.groups(plan.in_order, 1))
+    work = counted.work_of(plan, plan.cases_to_run(), 2)
+    vector = [part for part in work if part.name == "vdm-vector"]
+    assert [(part.worker, part.setups) for part in vector] == [(0, 1), (1, 1)]
+    alone, divided = (summary(plan, jobs) for jobs in (1, 2))
+    assert (alone["groups"], divided["groups"]) == (1, 2)
+    assert divided["estimate"]["seconds"] > alone["estimate"]["seconds"]
+    assert [line.split(": 1 set-up, ")[0] for line in alone["needed"]] == [
+        f"fem-linear, refined {times} for its error bar" for times in ("1 time", "2 times")
+    ]
+    assert all(": 2 set-ups, " in line for line in divided["needed"])
+    assert summary(plan_of(tmp_path, tmp_path / "cache", uncertainty=None))["needed"] == []
 
 
 def test_a_further_model_costs_that_model(tmp_path: Path, cache: Path, made: Counter[str]) -> None:
