@@ -77,6 +77,8 @@ class Limit:
     bar: float  # relative uncertainty of `load` from the reference's own error; NaN where not measured
     indentation: float  # of the reference at `load` [m]; NaN where nothing is in contact
     strain: float  # largest principal Green-Lagrange strain of the reference at `load`
+    indentation_bar: float = np.nan  # relative uncertainty of `indentation`, that of `load` counted in
+    strain_bar: float = np.nan  # likewise of `strain`
 
 
 @dataclass(frozen=True)

@@ -62,6 +62,10 @@ class LoadPath:
         point = self.at(factor)
         return point.error[model] - self.structural_error(model) if point is not None else math.nan
 
+    def solved(self) -> list[tuple[float, LoadPoint]]:
+        """(factor, point) of every load evaluated so far at which the reference has a solution, rising."""
+        return [(factor, point) for factor in sorted(self._points) if (point := self._points[factor])]
+
     def known(self, model: str) -> list[tuple[float, float]]:
         """(factor, departure) of every load evaluated so far, rising, those without a solution left out."""
         pairs = [(factor, self.departure(model, factor)) for factor in sorted(self._points)]
@@ -79,27 +83,45 @@ def model_limits(path: LoadPath, model: str, thresholds: Sequence[float]) -> Mod
 
 @dataclass(frozen=True)
 class Change:
-    """What a finer reference does to a model: to its structural error, and to its departure amid the limits."""
+    """What a finer reference does: to a model's structural error, and to its departure amid the limits.
+
+    There it changes its own indentation and strain too.
+    """
 
     structural: float  # |e0 fine - e0|
     departure: float  # |departure fine - departure| / |departure|
+    indentation: float  # likewise, of the reference at the same load
+    strain: float
 
 
 def with_bars(limits: ModelLimits, path: LoadPath, model: str, change: Change) -> ModelLimits:
     """The limits with the uncertainty that a change of the reference brings to them.
 
-    A departure grows like load^p, p being its slope around the limit; so a load is uncertain by the relative
-    change of the departure over p.
+    A departure grows like load^p, p being its slope around the limit, at least 1/2; so a load is uncertain by the
+    relative change of the departure over p. Indentation and strain are uncertain by their own change, and by that
+    of the load times their slope over it.
     """
     return replace(
         limits,
         structural_bar=change.structural,
         limits=tuple(
-            replace(limit, bar=change.departure / _slope(path, model, limit.load / path.start))
-            if limit.state == "found"
-            else limit
+            _barred(limit, path, model, change) if limit.state == "found" else limit
             for limit in limits.limits
         ),
+    )
+
+
+def _barred(limit: Limit, path: LoadPath, model: str, change: Change) -> Limit:
+    factor = limit.load / path.start
+    bar = change.departure / max(_slope(path.known(model), factor), 0.5)
+    points = path.solved()
+    indentation = _slope([(at, abs(point.indentation)) for at, point in points], factor)
+    strain = _slope([(at, point.strain) for at, point in points], factor)
+    return replace(
+        limit,
+        bar=bar,
+        indentation_bar=change.indentation + abs(indentation) * bar,
+        strain_bar=change.strain + abs(strain) * bar,
     )
 
 
@@ -160,13 +182,13 @@ def _crossing(path: LoadPath, model: str, threshold: float, low: float, high: fl
     return high
 
 
-def _slope(path: LoadPath, model: str, factor: float) -> float:
-    """d ln(departure) / d ln(load) around a limit, from the nearest loads on either side; at least 1/2."""
-    points = [pair for pair in path.known(model) if pair[1] > 0]
+def _slope(pairs: Sequence[tuple[float, float]], factor: float) -> float:
+    """d ln(value) / d ln(load) around a limit, from the nearest loads on either side; 1 where there are none."""
+    points = [pair for pair in pairs if pair[1] > 0]
     below = [pair for pair in points if pair[0] <= factor][-2:]
     above = [pair for pair in points if pair[0] > factor][:1]
     near = [*below, *above]
     if len(near) < 2:
         return 1.0
     (x0, y0), (x1, y1) = near[0], near[-1]
-    return max(math.log(y1 / y0) / math.log(x1 / x0), 0.5)
+    return math.log(y1 / y0) / math.log(x1 / x0)

@@ -24,8 +24,8 @@ def small_strain_limits(study: Study, scene: Scene) -> SmallStrainLimits:
     """Structural error and growth limits of every compared model of a study with [limits].
 
     Where the study has [uncertainty], a small load and one amid the limits are solved again with every tetrahedron
-    split into eight. The change of a departure there, its grid convergence index for two levels and second order,
-    gives the bar of the model's limits.
+    split into eight. The changes of a departure and of the reference's own indentation and strain there, each its
+    grid convergence index for two levels and second order, give the bars of the model's limits.
     """
     asked, reference = study.limits, study.study.reference
     if asked is None or reference is None:
@@ -64,12 +64,7 @@ class _Evaluator:
         if not _solved(reference):
             return None
         results = {name: models.run_model(scene, name) for name in self._names}
-        return LoadPoint(
-            load,
-            self._errors(results, reference.displacement[-1]),
-            float(mean_indentation(self._surface, reference.displacement)[-1]),
-            float(reference.scalars[STRAIN][-1]) if STRAIN in reference.scalars else math.nan,
-        )
+        return self._point(load, reference, results)
 
     def changes(self, path: LoadPath, factor: float) -> dict[str, Change]:
         """What a refined mesh changes at `factor` times the study's load; NaN where it has no solution."""
@@ -77,29 +72,42 @@ class _Evaluator:
         regions = {
             name: inherit(mask, self._scene.mesh, parents) for name, mask in self._scene.regions.items()
         }
-        departures: list[dict[str, float]] = []
+        points: list[LoadPoint] = []
         for share in (SMALL, factor):
             load = share * path.start
             fine = self._at(load, self._scene, regions, mesh)
             coarse = self._at(load, self._scene, self._scene.regions)
             reference = models.run_model(fine, self._reference)
             if not _solved(reference):
-                return dict.fromkeys(self._names, Change(math.nan, math.nan))
+                return dict.fromkeys(self._names, Change(*[math.nan] * 4))
             results = {
                 name: models.run_model(fine if models.find(name)[0].volumetric else coarse, name)
                 for name in self._names
             }
-            departures.append(self._errors(results, reference.displacement[-1, : len(self._surface.points)]))
-        small, large = departures
-        changes = {}
-        for name in self._names:
-            coarse_departure = path.departure(name, factor)
-            change = abs(large[name] - small[name] - coarse_departure)
-            changes[name] = Change(
-                abs(small[name] - path.structural_error(name)),
-                change / abs(coarse_departure) if coarse_departure else math.nan,
+            points.append(self._point(load, reference, results))
+        small, large = points
+        own = path.at(factor)
+        indentation = _change(large.indentation, own.indentation if own else math.nan)
+        strain = _change(large.strain, own.strain if own else math.nan)
+        return {
+            name: Change(
+                abs(small.error[name] - path.structural_error(name)),
+                _change(large.error[name] - small.error[name], path.departure(name, factor)),
+                indentation,
+                strain,
             )
-        return changes
+            for name in self._names
+        }
+
+    def _point(self, load: float, reference: ModelResult, results: Mapping[str, ModelResult]) -> LoadPoint:
+        """What was found, on the nodes of the case's own mesh, which come first on a refined one."""
+        truth = reference.displacement[-1, : len(self._surface.points)]
+        return LoadPoint(
+            load,
+            self._errors(results, truth),
+            float(mean_indentation(self._surface, truth[None])[0]),
+            float(reference.scalars[STRAIN][-1]) if STRAIN in reference.scalars else math.nan,
+        )
 
     def _at(self, load: float, scene: Scene, regions: Mapping[str, Mask], mesh: Mesh | None = None) -> Scene:
         return build_scene(raised(self._study, self._along, load), mesh or scene.mesh, regions)
@@ -112,6 +120,11 @@ class _Evaluator:
             else math.nan
             for name, result in results.items()
         }
+
+
+def _change(fine: float, coarse: float) -> float:
+    """Relative change of a number; NaN of zero."""
+    return abs(fine - coarse) / abs(coarse) if coarse else math.nan
 
 
 def _solved(result: ModelResult) -> bool:

@@ -31,7 +31,7 @@ from .hdf5 import Data, Entry, Group, OlderSchemaError, Stored, StoreError, Text
 from .metrics import METRICS
 from .metrics_table import metric_rows, metrics_csv
 
-SCHEMA = 2
+SCHEMA = 3
 STUDY_FILE = "study.h5"
 CASE_SUFFIX = ".vtkhdf"
 _VTK_TRIANGLE = 5
@@ -58,7 +58,14 @@ _ABOUT_CASE = (
 _ABOUT_MODEL = ("seconds_setup", "peak_bytes", "version", "key", "parameters")
 _ABOUT_METRIC = ("unit", "definition", "version")
 # of a small-strain limit, besides the load itself
-_LIMIT_UNITS = {"threshold": "1", "bar": "1", "indentation": "m", "strain": "1"}
+_LIMIT_UNITS = {
+    "threshold": "1",
+    "bar": "1",
+    "indentation": "m",
+    "indentation_bar": "1",
+    "strain": "1",
+    "strain_bar": "1",
+}
 
 
 def write_case(path: Path, case: CaseResult) -> None:

@@ -45,8 +45,9 @@ def small_strain_limits(digest: Digest) -> Section | None:
         f"threshold; of {LINEAR} this is the linearisation limit, where small-strain theory departs from finite "
         "strain on the same mesh. Indentation (mean inward displacement under the contact) and largest principal "
         "Green-Lagrange strain are the reference's at that load; the largest strain is a local one, at the rim of "
-        "the contact or of the support. Bars follow from the change of the departure on a mesh with every "
-        "tetrahedron split into eight."
+        "the contact or of the support. Bars follow from the changes of the departure, of the indentation and of "
+        "the strain on a mesh with every tetrahedron split into eight; those of indentation and strain count the "
+        "load's in. A load's bar is relative, all others are in the unit of their figure."
     )
     return Section(
         "limits", "Small-strain limits", [*blocks, _table(digest, rows), Text(reading, kind="note")]
@@ -57,6 +58,27 @@ def limits_in_words(digest: Digest) -> list[str]:
     """What the limits say of the focus model and of small-strain theory, for the top of the page."""
     rows = list(_rows(digest.cases))
     return [sentence for sentence in (_growth(digest, rows), _against_the_paper(rows)) if sentence]
+
+
+def strain_side(limit: Limit) -> int:
+    """Where a limit's strain lies of the paper's bound: -1 below, 1 above, 0 where its bar straddles the bound.
+
+    A bar that was not measured counts as none.
+    """
+    low, high = strain_range(limit)
+    return 1 if low >= PAPER_STRAIN else -1 if high < PAPER_STRAIN else 0
+
+
+def strain_range(limit: Limit) -> tuple[float, float]:
+    """The ends of a limit's bar of strain."""
+    half = limit.strain * limit.strain_bar if math.isfinite(limit.strain_bar) else 0.0
+    return limit.strain - half, limit.strain + half
+
+
+def strain_in_words(limit: Limit) -> str:
+    """A limit's strain with its bar where that was measured."""
+    half = limit.strain * limit.strain_bar
+    return short_percent(limit.strain) + (f" ± {short_percent(half)}" if math.isfinite(half) else "")
 
 
 def _rows(cases: Iterable[CaseResult]) -> Iterator[_Row]:
@@ -74,17 +96,21 @@ def _against_the_paper(rows: list[_Row]) -> str:
         return ""
     parts = []
     for threshold in sorted({row.limit.threshold for row in found}):
-        strains = [row.limit.strain for row in found if row.limit.threshold == threshold]
-        low, high = min(strains), max(strains)
-        span = short_percent(low) if len(strains) == 1 else f"{short_percent(low)} to {short_percent(high)}"
+        mine = [row.limit for row in found if row.limit.threshold == threshold]
+        ends = [min(mine, key=lambda limit: limit.strain), max(mine, key=lambda limit: limit.strain)]
+        span = " to ".join(dict.fromkeys(map(strain_in_words, ends)))
         parts.append(f"{short_percent(threshold)} at a largest principal strain of {span}")
-    below = sum(row.limit.strain < PAPER_STRAIN for row in found)
+    sides = [strain_side(row.limit) for row in found]
+    below, open_ = sides.count(-1), sides.count(0)
     bound = f"the paper's bound of {short_percent(PAPER_STRAIN)} strain"
-    verdict = (
-        f"{below} of these {len(found)} limits lie below {bound}."
-        if below
-        else f"All of these lie above {bound}."
+    told = [f"{below} of these {len(found)} limits lie below {bound}"] if below else []
+    told += (
+        [f"of {open_} of these {len(found)} it is unresolved on which side of {bound} they lie"]
+        if open_
+        else []
     )
+    verdict = f"{listed(told)}." if told else f"All of these lie above {bound}."
+    verdict = verdict[0].upper() + verdict[1:]
     return f"Small-strain theory ({LINEAR}) departs from finite strain by {listed(parts)}. {verdict}"
 
 
@@ -137,8 +163,8 @@ def _table(digest: Digest, rows: list[_Row]) -> Table:
                 _structural(row.entry),
                 Cell(f"+ {short_percent(limit.threshold)}", value=limit.threshold),
                 _load(limit, row.unit),
-                Cell(quantity(limit.indentation, "m"), value=limit.indentation),
-                Cell(percent(limit.strain), value=limit.strain),
+                _found(limit, limit.indentation, limit.indentation_bar, "m"),
+                _found(limit, limit.strain, limit.strain_bar, "%"),
             ]
         )
     marks = [digest.colour(row.model) for row in rows]
@@ -153,6 +179,21 @@ def _load(limit: Limit, unit: str) -> Cell:
         return Cell(text, _bar(limit.bar), limit.load)
     prefix = "≥ " if limit.state == "beyond" else "to "
     return Cell(f"{prefix}{text}", _WHY[limit.state], limit.load, tone="muted")
+
+
+def _found(limit: Limit, value: float, bar: float, unit: str) -> Cell:
+    """An indentation or a strain with its bar; that of a limit not found has none."""
+
+    def text(number: float) -> str:
+        return percent(number) if unit == "%" else quantity(number, unit)
+
+    if limit.state != "found" or not math.isfinite(value):
+        return Cell(text(value), value=value)
+    if not math.isfinite(bar):
+        return Cell(text(value), _bar(bar), value)
+    return Cell(
+        text(value), f"± {text(bar * abs(value))}" + ("" if is_resolved(1.0, bar) else "\nunresolved"), value
+    )
 
 
 def _bar(bar: float) -> str:

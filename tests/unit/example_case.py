@@ -78,7 +78,7 @@ def example_case(case_hash: str = "ab" * 32, label: str = "poisson_ratio = 0.45"
                     0.75,
                     0.02,
                     (
-                        Limit(0.05, "found", 350.0, 0.08, 0.004, 0.11),
+                        Limit(0.05, "found", 350.0, 0.08, 0.004, 0.11, 0.05, 0.07),
                         Limit(0.1, "model-stopped", 600.0, float("nan"), 0.006, 0.17),
                     ),
                 )

@@ -60,11 +60,19 @@ def test_volume(exact: float, linear: float, displaced: float, verdict: str) -> 
 
 
 @pytest.mark.parametrize(
-    ("strain", "structural", "verdict"), [(0.2, 0.05, HOLDS), (0.2, 0.5, WITHIN_LIMITS), (0.07, 0.05, FAILS)]
+    ("strain", "bar", "structural", "verdict"),
+    [
+        (0.2, 0.1, 0.05, HOLDS),
+        (0.2, math.nan, 0.05, HOLDS),
+        (0.2, 0.1, 0.5, WITHIN_LIMITS),
+        (0.07, 0.1, 0.05, FAILS),
+        (0.2, 0.6, 0.05, OPEN),
+        (0.07, 0.5, 0.05, OPEN),
+    ],
 )
-def test_linear_analysis(strain: float, structural: float, verdict: str) -> None:
+def test_linear_analysis(strain: float, bar: float, structural: float, verdict: str) -> None:
     def limits(e0: float) -> ModelLimits:
-        return ModelLimits(e0, 0.0, (Limit(0.05, "found", 100.0, 0.01, 0.001, strain),))
+        return ModelLimits(e0, 0.0, (Limit(0.05, "found", 100.0, 0.01, 0.001, strain, strain_bar=bar),))
 
     case = make_case({"vdm-paper": structural, "fem-linear": 0.0}, reference="fem", subdivisions=0)
     found = SmallStrainLimits(
@@ -72,7 +80,8 @@ def test_linear_analysis(strain: float, structural: float, verdict: str) -> None
     )
     outcome = judged(2, dataclasses.replace(case, small_strain=found))
     assert outcome.verdict == verdict
-    assert f"{100 * strain:g} % strain" in outcome.number
+    shown = "" if math.isnan(bar) else f" ± {100 * strain * bar:.2g} %"
+    assert outcome.number == f"{100 * strain:g} %{shown} strain at 5 % departure"
 
 
 @pytest.mark.parametrize(

@@ -94,11 +94,14 @@ def test_nothing_to_find_where_nothing_can_be_solved() -> None:
 
 def test_bars_follow_the_slope() -> None:
     path = LoadPath(Body(c=1e-4, p=2.0), 10.0)
-    limits = with_bars(model_limits(path, "m", (0.05,)), path, "m", Change(0.01, 0.1))
+    limits = with_bars(model_limits(path, "m", (0.05,)), path, "m", Change(0.01, 0.1, 0.02, 0.03))
     # a departure that grows with the square of the load moves its limit by half of its own change
     assert_allclose(limits.limits[0].bar, 0.05, rtol=0.02, atol=0)
     assert limits.structural_bar == 0.01
-    unfound = with_bars(model_limits(path, "flat", (0.05,)), path, "flat", Change(0.01, 0.1))
+    # both grow with the load itself: their own change, and all of the load's
+    assert_allclose(limits.limits[0].indentation_bar, 0.07, rtol=0.02, atol=0)
+    assert_allclose(limits.limits[0].strain_bar, 0.08, rtol=0.02, atol=0)
+    unfound = with_bars(model_limits(path, "flat", (0.05,)), path, "flat", Change(0.01, 0.1, 0.02, 0.03))
     assert np.isnan(unfound.limits[0].bar)
 
 

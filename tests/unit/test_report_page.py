@@ -93,7 +93,7 @@ def test_small_strain_limits_say_what_was_found_and_what_not() -> None:
                 0.08,
                 0.005,
                 (
-                    Limit(0.05, "found", 350.0, 0.04, 0.004, 0.3),
+                    Limit(0.05, "found", 350.0, 0.04, 0.004, 0.3, 0.05, 0.2),
                     Limit(0.1, "beyond", 12800.0, math.nan, 0.02, 2.0),
                 ),
             ),
@@ -101,7 +101,7 @@ def test_small_strain_limits_say_what_was_found_and_what_not() -> None:
                 1e-5,
                 1e-6,
                 (
-                    Limit(0.05, "found", 200.0, 0.2, 0.002, 0.08),
+                    Limit(0.05, "found", 200.0, 0.2, 0.002, 0.08, 0.15, 0.1),
                     Limit(0.1, "reference-stopped", 400.0, math.nan, 0.02, 2.0),
                 ),
             ),
@@ -109,11 +109,13 @@ def test_small_strain_limits_say_what_was_found_and_what_not() -> None:
     )
     html = page_html(make_run([dataclasses.replace(case, small_strain=limits)]), no_pictures)
     text = words(section(html, "limits"))
-    assert "vdm-vector 8.00 % ± 0.50 % + 5 % 350 Pa ± 4.00 % 4.00 mm 30.0 %" in text
+    assert (
+        "vdm-vector 8.00 % ± 0.50 % + 5 % 350 Pa ± 4.00 % 4.00 mm ± 200 µm 30.0 % ± 6.00 % unresolved" in text
+    )
     assert "+ 10 % ≥ 12.8 kPa not reached" in text
-    assert "+ 5 % 200 Pa ± 20.0 % unresolved 2.00 mm 8.00 %" in text
+    assert "+ 5 % 200 Pa ± 20.0 % unresolved 2.00 mm ± 300 µm unresolved 8.00 % ± 0.80 %" in text
     assert "+ 10 % to 400 Pa the reference has no solution beyond" in text
-    assert "5 % at a largest principal strain of 8 %. 1 of these 1 limits lie below" in text
+    assert "5 % at a largest principal strain of 8 % ± 0.8 %. 1 of these 1 limits lie below" in text
 
 
 def test_an_unresolved_difference_is_called_so() -> None:
