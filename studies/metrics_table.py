@@ -7,7 +7,7 @@ import io
 import math
 
 from .case import CaseResult, MetricSeries, Run
-from .uncertainty import reference_bar
+from .uncertainty import value_bar
 
 
 def metric_rows(run: Run) -> list[tuple[CaseResult, str, str, MetricSeries]]:
@@ -28,7 +28,7 @@ def metrics_csv(run: Run) -> str:
     writer.writerow(["case", *keys, "model", "load_factor", "metric", "value", "unit", "reference_error"])
     for case, model, metric, series in metric_rows(run):
         swept = [_cell(case.swept.get(key, "")) for key in keys]
-        full_load, bar = case.full_load, reference_bar(case.reference_error, metric)
+        full_load, bar = case.full_load, value_bar(case, model, metric)
         for step, (factor, value) in enumerate(zip(case.load_factors, series.values, strict=True)):
             own = repr(bar) if step == full_load and math.isfinite(bar) else ""  # measured at full load only
             row = [model, repr(float(factor)), metric, repr(float(value)), series.unit, own]

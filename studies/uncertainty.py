@@ -29,6 +29,12 @@ import itertools
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from .model_name import REFINED
+
+if TYPE_CHECKING:
+    from .case import CaseResult
 
 FORMAL_ORDER = 2.0
 REASONABLE_ORDERS = (0.5, 4.0)
@@ -74,6 +80,24 @@ def reference_bar(reference_error: Mapping[str, float], metric: str) -> float:
     metric : a name of `studies.metrics.METRICS`
     """
     return reference_error.get(f"gci:{metric}", math.nan)
+
+
+def value_bar(case: CaseResult, model: str, metric: str) -> float:
+    """The bar of a metric's value at full load; NaN where it has none.
+
+    Of a model that is compared, the reference's own part in the metric. Of the reference's own figures, such as its
+    volume drift, the GCI from the finest level and the case's mesh, where both are there. What a model that is not
+    compared in a metric does on its own mesh is exact as it stands.
+    """
+    coarse = model.removesuffix(REFINED)
+    levels = case.reference_error.get("levels", 1.0)
+    if model != case.reference or coarse == model or levels < 2.0:
+        return reference_bar(case.reference_error, metric)
+    found = [case.metrics.get(name, {}).get(metric) for name in (model, coarse)]
+    values = [float(series.values[case.full_load]) for series in found if series is not None]
+    if len(values) < 2 or not all(map(math.isfinite, values)):
+        return math.nan
+    return estimate_error([values[1] - values[0]], 2.0 ** (levels - 1.0)).gci
 
 
 def stored_estimate(reference_error: Mapping[str, float]) -> ErrorEstimate | None:

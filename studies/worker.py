@@ -19,6 +19,7 @@ from .meshing.geometry_spec import Geometry
 from .meshing.mesh import Mesh
 from .meshing.mesh_cache import mesh_from_cache
 from .metrics import METRICS, History, Surface, evaluate_all
+from .model_name import REFINED
 from .plan import needs_volume
 from .reference import own_error, refined_levels, require_converged
 from .result_cache import read_levels, reference_path, write_levels
@@ -30,7 +31,6 @@ from .study_file.config import geometry_of
 from .study_file.schema import Study
 
 Task = Mapping[str, Any]
-REFINED = " refined"  # what the reference's name gets where it is solved on refinements of the case's mesh
 PACKAGES = (
     "vdmbench",
     "numpy",

@@ -215,7 +215,10 @@ class Digest:
             is_reference=name == self.reference,
             vector=self.spread(name, VECTOR),
             deformation=self.spread(name, DEFORMATION),
-            drift=self.spread(name, "volume_drift"),
+            drift=spread_of(
+                (at_full_load(c, name, "volume_drift"), uncertainty.value_bar(c, name, "volume_drift"))
+                for c in self.cases
+            ),
             seconds_setup=float(np.median(setups)) if setups else math.nan,
             seconds_per_step=float(np.median(times)) if len(times) else math.nan,
             peak_bytes=float(max((r.peak_bytes for r in results if _has_answer(r)), default=math.nan)),

@@ -24,7 +24,8 @@ def headline_rows(run: Run) -> list[dict[str, str]]:
             row["displacement error"] = _one_line(summary.vector)
             row["deformation error"] = _one_line(summary.deformation)
             row["reference's own"] = _bars_in_words(summary.vector, summary.deformation)
-        row["volume drift"] = _drift(summary.drift).text
+        drift = _drift(summary.drift)
+        row["volume drift"] = " ".join(filter(None, (drift.text, drift.detail)))
         row["set-up"] = quantity(summary.seconds_setup, "s")
         row["per frame"] = quantity(summary.seconds_per_step, "s")
         row["memory"] = quantity(summary.peak_bytes, "B")
@@ -148,7 +149,11 @@ def _bar(value: float, bar: float) -> str:
 
 
 def _drift(spread: Spread | None) -> Cell:
-    return Cell(NOTHING) if spread is None else Cell(percent(spread.worst, signed=True), value=spread.worst)
+    """The largest drift; of the reference's own, which is an estimate, with its bar."""
+    if spread is None:
+        return Cell(NOTHING)
+    bar = f"± {percent(spread.worst_bar)}" if math.isfinite(spread.worst_bar) else ""
+    return Cell(percent(spread.worst, signed=True), bar, spread.worst)
 
 
 def _reading(digest: Digest) -> str:
@@ -168,8 +173,9 @@ def _reading(digest: Digest) -> str:
             "is at most a tenth of it."
         )
     parts.append(
-        "Volume drift is the change of the exact enclosed volume. Times are medians, memory is the largest amount "
-        "that the model added."
+        "Volume drift is the change of the exact enclosed volume, the largest of all cases; that of elements is "
+        "what a compressible tissue gives under its load, and ± is the reference's. Times are medians, memory is "
+        "the largest amount that the model added."
     )
     if digest.compared:
         marked = any(s.shared_cases or s.earlier_cases or s.iterative for s in digest.summaries)

@@ -2,11 +2,17 @@
 
 from __future__ import annotations
 
+import csv
+import dataclasses
+import io
 import math
 
+import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
+from studies.case import MetricSeries
+from studies.metrics_table import metrics_csv
 from studies.report import headline
 from studies.report.digest import (
     DEFORMATION,
@@ -72,6 +78,36 @@ def test_the_error_bar_is_the_convergence_index_of_the_metric() -> None:
     assert reference_bar(case, DEFORMATION) == 0.025
     assert math.isnan(reference_bar(case, "volume_drift"))
     assert math.isnan(reference_bar(make_case({"m": 0.1}, subdivisions=0)))
+
+
+def test_the_references_own_drift_has_a_bar_from_its_levels_and_nobody_elses_has() -> None:
+    made = make_case({"vdm-m": 0.1, "fem-linear": 0.02}, reference="fem-linear refined", subdivisions=0)
+    drifts = {"vdm-m": 5e-4, "fem-linear": -18e-4, "fem-linear refined": -21e-4}
+    metrics = {
+        name: {**made.metrics[name], "volume_drift": MetricSeries(np.array([0, 0, 0, drift]), "1", "", 1)}
+        for name, drift in drifts.items()
+    }
+
+    def bars(levels: float) -> list[float]:
+        case = dataclasses.replace(made, metrics=metrics, reference_error={"levels": levels})
+        summaries = {s.name: s.drift for s in Digest(make_run([case])).summaries}
+        return [spread.worst_bar for name in drifts if (spread := summaries[name]) is not None]
+
+    # three times the estimated error: a third of the difference on two levels, a fifteenth on three
+    assert_allclose(bars(2.0), [np.nan, np.nan, 3e-4], rtol=1e-12, atol=0)
+    assert_allclose(bars(3.0), [np.nan, np.nan, 0.6e-4], rtol=1e-12, atol=0)
+    case = dataclasses.replace(made, metrics=metrics, reference_error={"levels": 2.0})
+    run = make_run([case])
+    shown = {row["model"]: row["volume drift"].replace("\u00a0", " ") for row in headline.headline_rows(run)}
+    assert shown["fem-linear refined (reference)"] == "−0.21 % ± 0.030 %"
+    assert shown["vdm-m"] == "+0.050 %"
+    written = {
+        row["model"]: row["reference_error"]
+        for row in csv.DictReader(io.StringIO(metrics_csv(run)))
+        if row["metric"] == "volume_drift" and float(row["load_factor"]) == 1.0
+    }
+    assert_allclose(float(written["fem-linear refined"]), 3e-4, rtol=1e-12, atol=0)
+    assert written["vdm-m"] == written["fem-linear"] == ""
 
 
 def test_full_load_is_the_largest_of_a_history_that_comes_back() -> None:
