@@ -7,7 +7,9 @@ import re
 from pathlib import Path
 
 import fem_reference.solution
+import vdm.formulations.boundary
 import vdm.solution
+from studies import estimate
 from studies.case import ModelResult
 from studies.doctor import LIBRARIES
 
@@ -29,6 +31,11 @@ def test_both_libraries_answer_in_the_same_words() -> None:
 
 def test_the_stored_result_keeps_all_that_a_solution_has() -> None:
     assert fields(fem_reference.solution.Solution).keys() <= fields(ModelResult).keys()
+
+
+def test_an_estimate_knows_where_the_boundary_form_becomes_a_skin() -> None:
+    """Without loading the library: a plan has to be quick."""
+    assert vdm.formulations.boundary.MAX_NODES == estimate._DENSE_NODES
 
 
 def test_make_and_doctor_want_the_same_libraries() -> None:
