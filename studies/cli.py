@@ -113,7 +113,6 @@ def _parser() -> argparse.ArgumentParser:
 
     verb("list", cli_study.list_verb, "list the shipped studies")
     study_verb("check", cli_study.check_verb, "validate a study without running it")
-
     plan = study_verb("plan", cli_study.plan_verb, "say what a run would do")
     run = study_verb("run", cli_study.run_verb, "run what is missing and write the report")
     for sub in (plan, run):

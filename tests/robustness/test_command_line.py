@@ -245,6 +245,22 @@ def test_a_bug_is_told_from_a_regression(tmp_path: Path) -> None:
     assert trace[0].startswith("Traceback")
 
 
+@pytest.mark.parametrize(
+    ("option", "words"), [([], "goes on from here"), (["--fresh"], "begins again (--fresh)")]
+)
+def test_an_interruption_says_what_the_same_command_does(option: list[str], words: str) -> None:
+    program = (
+        "import sys; from studies import cli, cli_study\n"
+        "def interrupted(options): raise KeyboardInterrupt\n"
+        "cli_study.run_verb = interrupted\n"
+        "cli.main(sys.argv[1:])"
+    )
+    command = [sys.executable, "-c", program, "run", "small.toml", *option]
+    result = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert result.returncode == 130
+    assert result.stderr == f"vdmbench: interrupted; what is done is kept, the same command {words}\n"
+
+
 def test_every_problem_of_a_study_at_once(tmp_path: Path) -> None:
     write_study(
         tmp_path,
