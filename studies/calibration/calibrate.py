@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
@@ -96,16 +97,38 @@ def _errors(name: str, samples: Sequence[Sample], found: Fit) -> Errors:
     return Trial(name, samples, tuple(found.multiples)).errors(np.array(list(found.multiples.values())))
 
 
+def worse_than_rule(by_rule: Errors, fitted: Errors) -> str:
+    """In which measures a fit does worse than the rule, by more than the reference's own error; "" in none."""
+    pairs = {
+        "displacement": (by_rule.vector, fitted.vector, fitted.bar),
+        "deformation": (by_rule.deformation, fitted.deformation, fitted.bar_deformation),
+    }
+    return ", ".join(
+        f"{what} {100 * after:.3g} against {100 * before:.3g} %"
+        for what, (before, after, bar) in pairs.items()
+        if after - before > (bar if math.isfinite(bar) else 0.0)
+    )
+
+
 def as_json(entries: Sequence[Calibration]) -> dict[str, dict[str, object]]:
     """Model -> its calibration as plain data."""
     return {entry.fit.model: dataclasses.asdict(entry) for entry in entries}
 
 
 def as_toml(entries: Sequence[Calibration]) -> str:
-    """Tables to paste into a study file: [vdm] for one model, a [models."NAME"] table each for several."""
+    """Tables to paste into a study file: [vdm] for one model, a [models."NAME"] table each for several.
+
+    A fit that does worse than the rule on the loads held out says so in a comment.
+    """
     blocks = []
     for entry in entries:
         title = "vdm" if len(entries) == 1 else f'models."{entry.fit.model}"'
         lines = [f"{key} = {value:.6g}" for key, value in entry.fit.parameters.items()]
-        blocks.append("\n".join([f"[{title}]", *lines]))
+        worse = worse_than_rule(entry.fit.by_rule, entry.fit.held_out)
+        warning = (
+            [f"# worse than the rule on the loads held out: {worse}; the rule may serve better"]
+            if worse
+            else []
+        )
+        blocks.append("\n".join([*warning, f"[{title}]", *lines]))
     return "\n\n".join(blocks) + "\n"

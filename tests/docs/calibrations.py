@@ -15,6 +15,8 @@ from typing import Any
 
 import numpy as np
 
+from studies.calibration.calibrate import worse_than_rule
+from studies.calibration.fit import Errors
 from studies.report.formatting import percent
 from tests.command import vdmbench
 from tests.docs import marked
@@ -61,6 +63,7 @@ def document(found: Mapping[str, Mapping[str, Any]]) -> str:
         text += "\nTransfer, the fit of a row on the held-out loads of a column:\n\n"
         text += _transfer({study: entries[model] for study, entries in found.items()})
         text += f"\n{rule({study: entries[model]['fit']['multiples'] for study, entries in found.items()})}\n"
+        text += worse({study: entries[model]["fit"] for study, entries in found.items()})
     return text
 
 
@@ -74,6 +77,20 @@ def rule(multiples: Mapping[str, Mapping[str, float]]) -> str:
             f"`{key}` {math.exp(float(logs.mean())):.2g} times its rule, {spread:.2g} between the extremes"
         )
     return f"One number for all bodies: {'; '.join(parts)}."
+
+
+def worse(fits: Mapping[str, Any]) -> str:
+    """The bodies on whose held-out loads the fit does worse than the rule."""
+    told = {
+        _body(study): worse_than_rule(Errors(**fit["by_rule"]), Errors(**fit["held_out"]))
+        for study, fit in fits.items()
+    }
+    bodies = [f"{body} ({what})" for body, what in told.items() if what]
+    return (
+        f"\nWorse than the rule on the loads held out, where the rule may serve better: {'; '.join(bodies)}.\n"
+        if bodies
+        else ""
+    )
 
 
 def _fits(entries: Mapping[str, Any]) -> str:

@@ -50,10 +50,16 @@ def test_a_shipped_calibration_comes_out_again(study: str, tmp_path: Path) -> No
 
 @pytest.mark.parametrize("study", STUDIES)
 def test_the_table_to_paste_holds_the_fit(study: str) -> None:
-    tables = tomllib.loads((TABLES / f"{study}.toml").read_text())["models"]
+    text = (TABLES / f"{study}.toml").read_text()
+    tables = tomllib.loads(text)["models"]
     for model, entry in stored(study).items():
         for key, value in entry["fit"]["parameters"].items():
             assert_allclose(tables[model][key], value, rtol=1e-5, atol=0)
+        before = text[: text.index(f'[models."{model}"]')].rstrip("\n").rpartition("\n")[2]
+        rule, fit = entry["fit"]["by_rule"], entry["fit"]["held_out"]
+        worse = fit["vector"] > rule["vector"] + fit["bar"]
+        worse |= fit["deformation"] > rule["deformation"] + fit["bar_deformation"]
+        assert before.startswith("# worse than the rule on the loads held out") is worse, model
 
 
 def test_the_document_shows_the_stored_fits() -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import math
 import tomllib
 from pathlib import Path
 
@@ -12,9 +13,19 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from studies.calibration.calibrate import Body, as_toml, calibrate
+from studies.calibration.calibrate import Body, Calibration, as_toml, calibrate, worse_than_rule
 from studies.calibration.calibration_table import table
-from studies.calibration.fit import CalibrationError, Sample, Trial, fit, least_error, samples_of, split
+from studies.calibration.fit import (
+    CalibrationError,
+    Errors,
+    Fit,
+    Sample,
+    Trial,
+    fit,
+    least_error,
+    samples_of,
+    split,
+)
 from studies.case import Run
 from studies.meshing.mesh_cache import mesh_from_cache
 from studies.models import run_model
@@ -167,6 +178,21 @@ def test_a_fit_is_carried_to_another_body_as_a_multiple_of_its_rule(samples: lis
     written = tomllib.loads(as_toml([entry]))
     assert_allclose(
         written["vdm"]["surface_tension"], entry.fit.parameters["surface_tension"], rtol=1e-5, atol=0
+    )
+
+
+def test_a_fit_that_is_worse_than_the_rule_says_so() -> None:
+    def errors(vector: float, deformation: float, bar: float = 0.02) -> Errors:
+        return Errors(vector, vector, deformation, deformation, bar, bar)
+
+    assert worse_than_rule(errors(0.3, 0.9), errors(0.2, 0.91)) == "", "within the reference's own error"
+    assert worse_than_rule(errors(0.3, 0.9), errors(0.2, 3.7)) == "deformation 370 against 90 %"
+    both = "displacement 30.1 against 30 %, deformation 90.1 against 90 %"
+    assert worse_than_rule(errors(0.3, 0.9), errors(0.301, 0.901, math.nan)) == both
+    fitted = Fit("vdm-paper", {}, {"bulk_modulus": 7.0}, errors(0.3, 0.9), errors(0.2, 0.8), errors(0.2, 3.7))
+    assert as_toml([Calibration(fitted, None, None, {})]) == (
+        "# worse than the rule on the loads held out: deformation 370 against 90 %; the rule may serve better\n"
+        "[vdm]\nbulk_modulus = 7\n"
     )
 
 
