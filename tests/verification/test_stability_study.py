@@ -9,6 +9,8 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
+from fem_reference.linear import LinearProblem
+from fem_reference.loads import Load as FemLoad
 from studies import models
 from studies.case import CaseResult
 from studies.meshing.geometry import build_mesh
@@ -222,3 +224,45 @@ def test_conditions_are_told(found: dict[str, Ladder]) -> None:
     assert len(conditions) >= 2
     assert np.isfinite(conditions).all()
     assert max(conditions) > 1e5 * min(conditions), "and they grow with the penalty"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "hard", ["tissue.poisson_ratio", "geometry.slivers", "anisotropy.contrast", "geometry.perturbation"]
+)
+def test_direct_and_iterative_elements_agree_where_both_converge(hard: str, tmp_path: Path) -> None:
+    """The solvers have nothing but the equations in common: at the end of each ladder, and at its base."""
+    path = tmp_path / "stability-volume.toml"
+    text = (SHIPPED / path.name).read_text()
+    for old, new in SMALL["stability-volume"][0]:
+        text = text.replace(old, new)
+    path.write_text(text)
+    cases = expand(load_study(path))
+    base, on_it = cases[0], [case for case in cases if case.swept.get(hard) != cases[0].swept.get(hard)]
+    compared = 0
+    for case in (base, on_it[-1]):
+        scene = build_scene(case.study, build_mesh(geometry_of(case.study), volume=True))
+        tissue, fibres = scene.tissue, scene.anisotropy
+        assert fibres is not None
+        direct, iterative = (
+            LinearProblem(
+                scene.mesh.points,
+                scene.mesh.tetrahedra,
+                scene.mesh.surface_nodes,
+                scene.mesh.triangles,
+                youngs_modulus=tissue.youngs_modulus,
+                poisson_ratio=tissue.poisson_ratio,
+                held=scene.held,
+                fibre_direction=fibres.fibre_direction,
+                contrast=fibres.contrast,
+                solver=solver,
+            ).solve([FemLoad(scene.facet_pressure, scene.prescribed, scene.gravity)])
+            for solver in ("direct", "iterative")
+        )
+        for solution in (direct, iterative):
+            assert solution.status[0].ok or solution.status[0].remedy
+        if direct.status[0].ok and iterative.status[0].ok:
+            compared += 1
+            size = np.abs(direct.displacement).max()
+            assert_allclose(iterative.displacement, direct.displacement, rtol=0, atol=1e-6 * size)
+    assert compared >= 1, "at the base both converge"
