@@ -159,7 +159,7 @@ TABLE: dict[str, tuple[Prepare, int, str]] = {
     "over the node budget": (study(('"16 mm"', '"0.05 mm"')), 2, "nodes, more than the"),
     "region that selects nothing": (study(('"30 deg"', '"0.1 deg"'), verb="run"), 2, "finger"),
     "contact over fixed": (study(('"30 deg"', '"179 deg"'), verb="run"), 2, "finger"),
-    "nothing held": (study((HELD_ONLY, ""), verb="run"), 2, "nothing is held"),
+    "nothing held": (study((HELD_ONLY, "")), 2, "nothing is held"),
     "radius in mm": (study(('"50 mm"', "50")), 2, "geometry.radius: "),
     "E in kPa": (study(('"5 kPa"', "5")), 2, "mixed-up unit"),
     "no convergence": (
@@ -251,7 +251,7 @@ DAMAGE: dict[str, tuple[Prepare, int, str]] = {
     "damaged plan": (_plan_cut, 5, "plan.json: damaged"),
     "no study text": (_study_lost, 5, "study.toml: not readable"),
     "damaged failure": (_failure_cut, 5, "damaged ('hash'); delete it and run again"),
-    "no baseline": (_no_baseline, 2, "no such baseline; make one with: vdmbench accept"),
+    "no baseline": (_no_baseline, 6, "no such baseline; make one with: vdmbench accept"),
     "baseline of another study": (_foreign_baseline, 2, "another"),
     "newer baseline": (_newer_baseline, 2, "schema 99 is newer"),
 }
