@@ -124,7 +124,7 @@ def _search(case: PlannedCase, size: Size, learnt: Mapping[str, Cost]) -> float:
     for name in study.study.models:
         seconds += tried(name, 0, _SEARCH_LOADS)
         if study.uncertainty is not None and models.find(name)[0].volumetric:
-            seconds += tried(name, 1, 2)  # a small load and one amid the limits
+            seconds += tried(name, 1, 4)  # a small load and some amid the limits of the models
     return seconds
 
 

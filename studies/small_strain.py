@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from . import models
-from .case import ModelResult, SmallStrainLimits
+from .case import ModelLimits, ModelResult, SmallStrainLimits
 from .limits import SMALL, Change, LoadPath, LoadPoint, model_limits, with_bars
 from .meshing.mesh import Array, Mask, Mesh
 from .meshing.refine import inherit, refine
@@ -23,9 +23,9 @@ STRAIN = "max_principal_strain"
 def small_strain_limits(study: Study, scene: Scene) -> SmallStrainLimits:
     """Structural error and growth limits of every compared model of a study with [limits].
 
-    Where the study has [uncertainty], a small load and one amid the limits are solved again with every tetrahedron
-    split into eight. The changes of a departure and of the reference's own indentation and strain there, each its
-    grid convergence index for two levels and second order, give the bars of the model's limits.
+    Where the study has [uncertainty], a small load and one amid each model's limits are solved again with every
+    tetrahedron split into eight. The changes of a departure, and of the reference's indentation and strain there,
+    each its grid convergence index for two levels and second order, give the bars of the model's limits.
     """
     asked, reference = study.limits, study.study.reference
     if asked is None or reference is None:
@@ -36,17 +36,17 @@ def small_strain_limits(study: Study, scene: Scene) -> SmallStrainLimits:
     path = LoadPath(evaluator.point, start)
     found = {name: model_limits(path, name, asked.thresholds) for name in names}
     if study.uncertainty is not None:
-        factors = [
-            limit.load / path.start
-            for entry in found.values()
-            for limit in entry.limits
-            if limit.state == "found"
-        ]
-        if factors:
-            amid = math.exp(float(np.mean(np.log(factors))))
+        amid = {name: factor for name, entry in found.items() if (factor := _amid(entry, path.start))}
+        if amid:
             changes = evaluator.changes(path, amid)
             found = {name: with_bars(entry, path, name, changes[name]) for name, entry in found.items()}
     return SmallStrainLimits(asked.along, unit, found)
+
+
+def _amid(entry: ModelLimits, start: float) -> float | None:
+    """A factor amid the limits that were found: of few, so that models with limits close by share a solve."""
+    found = [math.log2(limit.load / start) for limit in entry.limits if limit.state == "found"]
+    return 2.0 ** (0.5 * round(2.0 * sum(found) / len(found))) if found else None
 
 
 class _Evaluator:
@@ -66,38 +66,44 @@ class _Evaluator:
         results = {name: models.run_model(scene, name) for name in self._names}
         return self._point(load, reference, results)
 
-    def changes(self, path: LoadPath, factor: float) -> dict[str, Change]:
-        """What a refined mesh changes at `factor` times the study's load; NaN where it has no solution."""
+    def changes(self, path: LoadPath, amid: Mapping[str, float]) -> dict[str, Change]:
+        """What a refined mesh changes at `amid` times the study's load, by model; NaN where it has no solution."""
         mesh, parents = refine(self._scene.mesh)
         regions = {
             name: inherit(mask, self._scene.mesh, parents) for name, mask in self._scene.regions.items()
         }
-        points: list[LoadPoint] = []
-        for share in (SMALL, factor):
-            load = share * path.start
+
+        def refined(factor: float, names: Sequence[str]) -> LoadPoint | None:
+            load = factor * path.start
             fine = self._at(load, self._scene, regions, mesh)
             coarse = self._at(load, self._scene, self._scene.regions)
             reference = models.run_model(fine, self._reference)
             if not _solved(reference):
-                return dict.fromkeys(self._names, Change(*[math.nan] * 4))
+                return None
             results = {
                 name: models.run_model(fine if models.find(name)[0].volumetric else coarse, name)
-                for name in self._names
+                for name in names
             }
-            points.append(self._point(load, reference, results))
-        small, large = points
-        own = path.at(factor)
-        indentation = _change(large.indentation, own.indentation if own else math.nan)
-        strain = _change(large.strain, own.strain if own else math.nan)
-        return {
-            name: Change(
-                abs(small.error[name] - path.structural_error(name)),
-                _change(large.error[name] - small.error[name], path.departure(name, factor)),
-                indentation,
-                strain,
-            )
-            for name in self._names
-        }
+            return self._point(load, reference, results)
+
+        small = refined(SMALL, self._names)
+        if small is None:
+            return dict.fromkeys(self._names, Change(*[math.nan] * 4))
+        e0 = {name: abs(small.error[name] - path.structural_error(name)) for name in self._names}
+        changes = {name: Change(e0[name], *[math.nan] * 3) for name in self._names}
+        for factor in sorted(set(amid.values())):
+            names = [name for name in amid if amid[name] == factor]
+            large, own = refined(factor, names), path.at(factor)
+            if large is None or own is None:
+                continue
+            for name in names:
+                changes[name] = Change(
+                    e0[name],
+                    _change(large.error[name] - small.error[name], path.departure(name, factor)),
+                    _change(large.indentation, own.indentation),
+                    _change(large.strain, own.strain),
+                )
+        return changes
 
     def _point(self, load: float, reference: ModelResult, results: Mapping[str, ModelResult]) -> LoadPoint:
         """What was found, on the nodes of the case's own mesh, which come first on a refined one."""

@@ -8,11 +8,11 @@ import pytest
 from numpy.testing import assert_allclose
 
 from studies import models
-from studies.case import SmallStrainLimits
+from studies.case import Limit, ModelLimits, SmallStrainLimits
 from studies.meshing.mesh_cache import mesh_from_cache
 from studies.metrics import Surface, relative_l2
 from studies.scene import Scene, build_scene
-from studies.small_strain import small_strain_limits
+from studies.small_strain import _amid, small_strain_limits
 from studies.study_file.config import geometry_of, load_study, raised, value_and_unit
 from studies.study_file.schema import Study
 
@@ -99,6 +99,17 @@ def test_the_reference_gives_the_limits_their_bars(found: Found) -> None:
         assert 0 < limit.indentation_bar < 1
         # the rim's strain rises as it is refined, and is the least known
         assert limit.indentation_bar < limit.strain_bar < 1
+
+
+def test_models_with_limits_close_by_share_the_load_of_their_bars() -> None:
+    def entry(*loads: float, state: str = "found") -> ModelLimits:
+        return ModelLimits(0.5, 0.0, tuple(Limit(0.05, state, load, 0.0, 0.0, 0.0) for load in loads))
+
+    factors = [
+        _amid(entry(*loads), 4000.0) for loads in ((1301, 1935), (1538, 2662), (1500, 2500), (5228, 6079))
+    ]
+    assert_allclose(factors, [2**-1.5, 0.5, 0.5, 2**0.5], rtol=1e-15, atol=0)
+    assert _amid(entry(9513.0, state="model-stopped"), 4000.0) is None
 
 
 def test_a_raised_study_has_one_load_step_at_the_new_value(found: Found) -> None:
