@@ -128,9 +128,8 @@ class Progress:
         """Show one event of the run."""
         label = event.label or self.name
         if self.bar is None and not self.quiet and sys.stderr.isatty():
-            self.bar = (
-                self._bar()
-            )  # not sooner: it is a thread, and workers are to be forked from one that is alone
+            # not sooner: it is a thread, and workers are to be forked from a process that has no other
+            self.bar = self._bar()
         if self.bar is not None:
             advance = event.kind in ("done", "failed")
             self.bar.update(self.task, description=label[:60], advance=1 if advance else 0)
