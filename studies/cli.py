@@ -34,9 +34,8 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
         again = "begins again (--fresh)" if vars(options).get("fresh") else "goes on from here"
         code = complain(f"interrupted; what is done is kept, the same command {again}", INTERRUPTED)
     except BrokenPipeError:
-        os.dup2(
-            os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno()
-        )  # the reader has gone: nothing to tell it
+        # the reader has gone: nothing to tell it
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         code = OK
     except ImportError as error:
         code = complain(f"{error}; see what is missing with: vdmbench doctor", MACHINE)

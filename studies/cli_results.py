@@ -86,9 +86,8 @@ def gate_verb(options: argparse.Namespace) -> int:
     run = read_run(options.directory)
     study = str(run.study["name"])
     path = _baseline(options, study)
-    if (
-        options.baseline is None and not path.exists()
-    ):  # nobody has accepted anything: no mistake of the command
+    # nobody has accepted anything: no mistake of the command
+    if options.baseline is None and not path.exists():
         return complain(f"nothing was compared: {gate.no_baseline(path)}", NOTHING_COMPARED)
     baseline = gate.read_baseline(path)
     findings = gate.compare(run, baseline)

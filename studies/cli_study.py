@@ -194,9 +194,8 @@ def bench_verb(options: argparse.Namespace) -> int:
     }
     if options.study:
         for study in studies.values():
-            _make_plan(
-                study, options
-            )  # a mesh that cannot be made is told with its line before anything is measured
+            # a mesh that cannot be made is told with its line before anything is measured
+            _make_plan(study, options)
     out = options.out or results_directory() / "bench"
     found = bench.measure(
         studies,

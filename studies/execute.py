@@ -285,7 +285,7 @@ def _main(
 
 
 def _end_with_parent() -> None:
-    """A worker whose runner was killed has nobody to work for, and must not stand in the next run's way."""
+    """A worker whose server has ended works for nobody, and must not stand in the next run's way."""
     parent = multiprocessing.parent_process()
     if parent is not None:
         parent.join()

@@ -269,9 +269,8 @@ def run_model(scene: Scene, name: str) -> ModelResult:
     `steps_scaled` marks it.
     """
     model, solver = find(name)
-    if (
-        model.volumetric
-    ):  # what it may not depend on, as its results are shared between cases that differ there
+    # what it may not depend on, as its results are shared between cases that differ there
+    if model.volumetric:
         scene = dataclasses.replace(scene, parameters={}, environment_pressure=0.0)
     follows = scaled(scene, name) if scales(name) else None
     if follows is not None:

@@ -134,9 +134,8 @@ def _run_missing(
         if not outcome.ok:
             broken[outcome.task["id"]] = outcome
     died = [[outcome.task] for outcome in broken.values() if outcome.code == "crashed"]
-    if (
-        not options.fail_fast
-    ):  # many cases may hang on a mesh: the death of its worker costs a second try only
+    # many cases may hang on a mesh: the death of its worker costs a second try only
+    if not options.fail_fast:
         for outcome in _make_meshes(died, logs, options, watch):
             if outcome.ok:
                 del broken[outcome.task["id"]]

@@ -209,7 +209,7 @@ class Tissue(Table):
         float,
         SI("1"),
         number_check(lambda v: -1 < v <= 0.5, "must be above -1 and at most 0.5 (incompressible)"),
-    ] = Field(description="Poisson's ratio, up to and including 0.5")
+    ] = Field(description="Poisson's ratio, up to and including 0.5; surface models keep the volume")
     density: Annotated[
         float,
         SI("kg/m^3"),

@@ -40,7 +40,7 @@ def children(process: int) -> list[int]:
 
 
 def workers(runner: int) -> list[int]:
-    """The worker processes of a run: the children of its fork server."""
+    """The worker processes of a run: the children of the server of workers."""
     return [worker for server in children(runner) for worker in children(server)]
 
 

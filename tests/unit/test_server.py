@@ -5,13 +5,17 @@ from __future__ import annotations
 import gc
 import os
 import signal
+import subprocess
+import sys
 import time
-from collections.abc import Generator, Iterator
+from collections.abc import Generator, Iterator, Mapping
+from contextlib import closing
 from multiprocessing.connection import Connection, wait
 from pathlib import Path
 from typing import Any
 
 import pytest
+from scipy.sparse import csc_array, diags_array
 
 from studies.server import Server, ServerError, start_server
 
@@ -31,6 +35,20 @@ def _killed(_: Connection) -> Generator[Any, None, None]:
 def _fails(_: Connection) -> Generator[Any, None, None]:
     yield 1
     raise OSError(28, "No space left on device")
+
+
+class _Unpicklable(Exception):
+    def __init__(self, one: int, other: int) -> None:
+        super().__init__(f"{one} and {other}")
+
+
+def _is_wrong(_: Connection) -> Generator[Any, None, None]:
+    yield 1
+    raise _Unpicklable(2, 3)
+
+
+def _says_much(_: Connection) -> Generator[Any, None, None]:
+    yield from range(100)
 
 
 def _until_nobody_listens(line: Connection, path: str) -> Generator[Any, None, None]:
@@ -59,14 +77,55 @@ def test_it_is_a_process_that_leaves_ctrl_c_to_the_program_and_collects_its_garb
         later = Server()
     finally:
         gc.set_threshold(*threshold)
-    for one in (server, later):
-        (process, parent, place), handlers, blocked, collector = one.ask(_manners)
-        assert process != parent == os.getpid()
-        assert place == str(tmp_path)
-        assert handlers == (signal.SIG_IGN, signal.SIG_DFL)
-        assert blocked == set()
-        assert collector == (True, (700, 10, 10))
-    later.close()
+    with closing(later):
+        for one in (server, later):
+            (process, parent, place), handlers, blocked, collector = one.ask(_manners)
+            assert process != parent == os.getpid()
+            assert place == str(tmp_path)
+            assert handlers == (signal.SIG_IGN, signal.SIG_DFL)
+            assert blocked == set()
+            assert collector == (True, (700, 10, 10))
+
+
+def factorise(_: Mapping[str, Any]) -> None:
+    """By the library of the elements, whose threads a fork would wait for in vain once they have been started."""
+    from fem_reference.factorisation import analyse
+
+    analyse(csc_array(diags_array([2.0, 0.5], offsets=[0, -1], shape=(500, 500))))
+
+
+_PROGRAM = """
+import sys, threading, time
+from pathlib import Path
+from tests.unit.test_server import factorise
+from studies.execute import run_tasks
+from studies.server import start_server
+
+def main(before):
+    if before == "solve":
+        factorise({})
+    if before == "thread":
+        threading.Thread(target=time.sleep, args=(60,), daemon=True).start()
+    print(type(start_server()._process).__name__)
+    logs = Path(sys.argv[2])
+    for outcome in run_tasks(factorise, [[{"id": "a"}]], jobs=1, log_directory=logs, started=lambda _: None):
+        print(outcome.code)
+
+if __name__ == "__main__":
+    main(sys.argv[1])
+"""
+
+
+@pytest.mark.parametrize(
+    ("before", "process"), [("nothing", "ForkProcess"), ("solve", "SpawnProcess"), ("thread", "SpawnProcess")]
+)
+def test_a_program_with_threads_is_not_forked(before: str, process: str, tmp_path: Path) -> None:
+    program = tmp_path / "program.py"
+    program.write_text(_PROGRAM)
+    result = subprocess.run(
+        [sys.executable, program, before, tmp_path], capture_output=True, text=True, timeout=120, check=True
+    )
+    assert result.stdout.split() == [process, "done"]
 
 
 def test_what_goes_wrong_in_it_is_raised_here(server: Server) -> None:
@@ -74,6 +133,36 @@ def test_what_goes_wrong_in_it_is_raised_here(server: Server) -> None:
     assert next(said) == 1
     with pytest.raises(OSError, match="No space left on device"):
         next(said)
+
+
+def test_a_bug_in_it_is_raised_here_with_its_traceback(server: Server) -> None:
+    said = server.ask(_is_wrong)
+    assert next(said) == 1
+    with pytest.raises(RuntimeError, match=r"in _is_wrong[\s\S]*_Unpicklable: 2 and 3"):
+        next(said)
+
+
+def test_it_has_one_question_at_a_time(server: Server) -> None:
+    said = server.ask(_says_much)
+    assert next(said) == 0
+    with pytest.raises(ServerError, match="at work in this process already"):
+        next(server.ask(_manners))
+    assert list(said) == list(range(1, 100)), "the first is not disturbed"
+    assert len(list(server.ask(_manners))) == 4
+
+
+def test_what_was_said_and_not_heard_is_no_fault(server: Server, capfd: pytest.CaptureFixture[str]) -> None:
+    said = server.ask(_says_much)
+    assert next(said) == 0
+    said.close()
+    assert server._process.exitcode == 0
+    assert capfd.readouterr().err == ""
+
+
+def test_a_server_that_was_asked_nothing_is_not_waited_for() -> None:
+    server = Server()
+    server.close()
+    assert server._process.exitcode in (0, -signal.SIGTERM)
 
 
 def test_a_server_that_is_killed_is_told_and_replaced() -> None:
