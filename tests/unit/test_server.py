@@ -19,6 +19,8 @@ from scipy.sparse import csc_array, diags_array
 
 from studies.server import Server, ServerError, start_server
 
+ROOT = Path(__file__).parents[2]
+
 
 def _manners(_: Connection) -> Generator[Any, None, None]:
     yield os.getpid(), os.getppid(), os.getcwd()
@@ -123,9 +125,13 @@ def test_a_program_with_threads_is_not_forked(before: str, process: str, tmp_pat
     program = tmp_path / "program.py"
     program.write_text(_PROGRAM)
     result = subprocess.run(
-        [sys.executable, program, before, tmp_path], capture_output=True, text=True, timeout=120, check=True
+        [sys.executable, program, before, tmp_path],
+        env=os.environ | {"PYTHONPATH": str(ROOT)},
+        capture_output=True,
+        text=True,
+        timeout=120,
     )
-    assert result.stdout.split() == [process, "done"]
+    assert result.stdout.split() == [process, "done"], result.stderr
 
 
 def test_what_goes_wrong_in_it_is_raised_here(server: Server) -> None:
