@@ -99,14 +99,9 @@ def plan_verb(options: argparse.Namespace) -> int:
         print(f"  {case['hash'][:12]}  {case['state']:<8} {case['label']}")
     meshes = count(planned["meshes_to_make"], "mesh", "meshes")
     print(f"to run: {count(planned['cases_to_run'], 'case')}, {meshes}")
-    for kind, word in (
-        ("needed", "needed"),
-        ("shared", "shared"),
-        ("skipped", "skipped"),
-        ("refused", "will be refused"),
-    ):
+    for kind in ("needed", "shared", "skipped", "refused"):
         for line in planned[kind]:
-            print(f"{word}: {line}")
+            print(f"{'will be refused' if kind == 'refused' else kind}: {line}")
     print(_estimate(planned["estimate"]))
     return OK
 
