@@ -16,7 +16,7 @@ from ..case import CaseResult, Limit
 from ..model_name import is_linear, split
 from .blocks import Figure
 from .claim_figures import Line, bars, curves
-from .digest import VECTOR, Digest, at_full_load, failed_steps, full_load, is_vdm, series
+from .digest import VECTOR, Digest, at_full_load, failed_steps, is_vdm, series
 from .formatting import listed, percent, plain, plural, quantity, short_percent
 from .section_limits import strain_in_words, strain_range, strain_side
 
@@ -288,7 +288,7 @@ def _blood(digests: Sequence[Digest]) -> Judgement | None:
         modulus, model = case.swept.get("vdm.bulk_modulus"), case.models.get("vdm-paper")
         if case.reference is None or model is None or not isinstance(modulus, int | float):
             continue
-        step = full_load(case)
+        step = case.full_load
         size = [
             float(np.linalg.norm(result.displacement[step], axis=1).max())
             for result in (model, case.models[case.reference])
@@ -397,7 +397,7 @@ def _large_strain(digests: Sequence[Digest]) -> Judgement | None:
                     stopped.append(model)
                 elif values is not None and len(values) > 1:
                     first = int(np.argmin(np.abs(case.load_factors)))
-                    grown[model] = (float(values[first]), float(values[full_load(case)]))
+                    grown[model] = (float(values[first]), float(values[case.full_load]))
     if not grown and not stopped:
         return None
     kept = [m for m, (small, large) in grown.items() if large - small <= KEPT]

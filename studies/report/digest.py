@@ -21,11 +21,6 @@ DEFORMATION = "relative_l2_deformation_error"
 REFERENCE = -1
 
 
-def full_load(case: CaseResult) -> int:
-    """The step of the largest load, the last of several."""
-    return case.full_load
-
-
 def series(case: CaseResult, model: str, metric: str) -> Array | None:
     """(S,) values of a metric, None where the case has none."""
     entry = case.metrics.get(model, {}).get(metric)
@@ -35,7 +30,7 @@ def series(case: CaseResult, model: str, metric: str) -> Array | None:
 def at_full_load(case: CaseResult, model: str, metric: str) -> float:
     """A metric at the step of the largest load; NaN where there is none."""
     values = series(case, model, metric)
-    return math.nan if values is None or not len(values) else float(values[full_load(case)])
+    return math.nan if values is None or not len(values) else float(values[case.full_load])
 
 
 def reference_bar(case: CaseResult, metric: str = VECTOR) -> float:
@@ -268,7 +263,7 @@ class Digest:
         result = case.models.get(self.focus)
         if result is None:
             return math.nan
-        return float(np.linalg.norm(result.displacement[full_load(case)], axis=1).max())
+        return float(np.linalg.norm(result.displacement[case.full_load], axis=1).max())
 
     @cached_property
     def swept_keys(self) -> list[str]:

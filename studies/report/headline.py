@@ -7,7 +7,7 @@ import math
 from ..case import Run
 from ..uncertainty import is_resolved
 from .blocks import Cell, Column, Section, Table, Text
-from .digest import DEFORMATION, VECTOR, Digest, ModelSummary, Spread, full_load
+from .digest import DEFORMATION, VECTOR, Digest, ModelSummary, Spread
 from .formatting import NOT_MEASURED, NOTHING, percent, plain, plural, quantity
 from .section_cost import time_notes
 
@@ -158,7 +158,7 @@ def _drift(spread: Spread | None) -> Cell:
 
 def _reading(digest: Digest) -> str:
     parts = []
-    loads = {float(case.load_factors[full_load(case)]) for case in digest.cases}
+    loads = {float(case.load_factors[case.full_load]) for case in digest.cases}
     parts.append(
         "All figures at full load"
         + (f" (load factor {plain(loads.pop())})" if len(loads) == 1 else "")

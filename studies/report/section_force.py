@@ -12,7 +12,7 @@ from ..case import CaseResult
 from ..metrics import Surface, facet_area_vectors
 from ..setups import shared
 from .blocks import Figure, Figures, Section, Text
-from .digest import Array, Digest, full_load
+from .digest import Array, Digest
 from .formatting import listed, quantity, scale_of
 from .plots import Plot, colour, line, marker
 
@@ -224,7 +224,7 @@ def _stiffness(
         xs, ys = [], []
         for case in cases:
             pair = push.curve(case, model) if model in case.models else None
-            steps = slice(None) if history else slice(full_load(case), full_load(case) + 1)
+            steps = slice(None) if history else slice(case.full_load, case.full_load + 1)
             if pair is not None:
                 xs.append(pair[0][steps])
                 ys.append(pair[1][steps])

@@ -10,7 +10,7 @@ import numpy as np
 
 from ..case import CaseResult
 from .blocks import Section, Text, Viewer
-from .digest import Array, Digest, full_load
+from .digest import Array, Digest
 from .formatting import plain, quantity
 from .picture import Panel
 from .view import azimuth, candidates, displacement_scale, payload
@@ -64,7 +64,7 @@ def _title(digest: Digest, role: str, case: CaseResult) -> str:
 
 def still(digest: Digest, case: CaseResult) -> tuple[list[Panel], str]:
     """Reference, focus model and their difference at full load, drawn alike, and what they show in words."""
-    step, scale, seen_from = full_load(case), displacement_scale(case), azimuth(case)
+    step, scale, seen_from = case.full_load, displacement_scale(case), azimuth(case)
     names = [name for name in dict.fromkeys((case.reference, digest.focus)) if name in case.models]
     fields = {str(name): case.models[str(name)].displacement[step] for name in names}
     fields = {name: u for name, u in fields.items() if np.isfinite(u).all()}

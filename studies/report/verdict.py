@@ -8,7 +8,7 @@ from collections.abc import Iterable, Sequence
 from ..case import CaseResult
 from ..uncertainty import is_resolved
 from .blocks import Answer
-from .digest import Digest, ModelSummary, Spread, full_load, is_vdm
+from .digest import Digest, ModelSummary, Spread, is_vdm
 from .formatting import listed, plain, plural, quantity, short_percent, swept_value
 from .section_errors import parameter_name
 from .verdict_load import CLOSE, OPEN, WITHIN, case_state, loads_in_words, value_range
@@ -83,7 +83,7 @@ def _good_enough(digest: Digest, best: ModelSummary, rated: dict[str, Spread]) -
     if str(digest.reference).startswith(SURFACE_MODELS):
         rest = f"the reference, {digest.reference}, is a surface model itself: agreement with it is not accuracy."
         return _answer(question, "Not judged", [rest, _accuracy(digest, best, among=len(rated))])
-    states = [case_state(case, best.name, full_load(case)) for case in digest.cases]
+    states = [case_state(case, best.name, case.full_load) for case in digest.cases]
     limit = short_percent(CLOSE)
     count, within, left = len(states), states.count(WITHIN), states.count(OPEN)
     beyond = count - within - left

@@ -9,7 +9,7 @@ import numpy as np
 
 from ..case import CaseResult
 from ..model_name import FINITE_STRAIN, split
-from .digest import DEFORMATION, VECTOR, Digest, full_load, reference_bar, series
+from .digest import DEFORMATION, VECTOR, Digest, reference_bar, series
 from .formatting import listed, plain, quantity, short_percent, swept_value
 from .section_errors import parameter_name
 from .section_force import contact_pressure, contact_resultant, indentation, moved, movement_force
@@ -67,7 +67,7 @@ def _is_load(key: str) -> bool:
 def _over_history(digest: Digest, model: str) -> str:
     """Up to which step of their histories the cases are within the tolerance."""
     reached = [_reached(case, model) for case in digest.cases]
-    whole = sum(step == full_load(case) for step, case in zip(reached, digest.cases, strict=True))
+    whole = sum(step == case.full_load for step, case in zip(reached, digest.cases, strict=True))
     none = sum(step is None for step in reached)
     limit = short_percent(CLOSE)
     if len(reached) == 1:
@@ -138,13 +138,13 @@ def _over_sweep(digest: Digest, model: str, key: str) -> str:
     held: float | None = None
     for value in values:
         mine = [case for case in cases if float(case.swept[key]) == value]
-        if any(case_state(case, model, full_load(case)) != WITHIN for case in mine):
+        if any(case_state(case, model, case.full_load) != WITHIN for case in mine):
             break
         held = value
     limit, name = short_percent(CLOSE), parameter_name(key)
     tried = f"{swept_value(values[0], unit)} to {swept_value(values[-1], unit)}"
     if held is None:
-        some = any(case_state(case, model, full_load(case)) == WITHIN for case in cases)
+        some = any(case_state(case, model, case.full_load) == WITHIN for case in cases)
         text = f"No {name} tried ({tried}) keeps every case within {limit}"
         return f"{text}: what else varies decides." if some and len(digest.swept_keys) > 1 else f"{text}."
     if held == values[-1]:
@@ -156,11 +156,11 @@ def _full_load_in_words(digest: Digest) -> str:
     """Force and indentation at full load, over the cases."""
     loads: dict[str, list[float]] = {}
     for case in digest.cases:
-        load, unit = _load(case, full_load(case))
+        load, unit = _load(case, case.full_load)
         loads.setdefault(unit, []).append(load)
     depths, shares = [], []
     for case in digest.cases:
-        if math.isfinite(depth := _depth(case, full_load(case))):
+        if math.isfinite(depth := _depth(case, case.full_load)):
             depths.append(depth)
             shares.append(depth / float(np.ptp(case.points, axis=0).min()))
     parts = [value_range(loads[unit], unit) for unit in sorted(loads) if unit]

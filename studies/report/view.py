@@ -15,7 +15,7 @@ from matplotlib import colormaps
 from numpy.typing import NDArray
 
 from ..case import CaseResult
-from .digest import Array, Digest, full_load
+from .digest import Array, Digest
 
 _U16, _I16 = 65535, 32767
 
@@ -38,7 +38,7 @@ class View:
             if self.most_steps > 1
             else set()
         )
-        last = full_load(case)
+        last = case.full_load
         if last not in kept:
             kept = {last, *sorted(kept)[: self.most_steps - 1]}
         return sorted(kept)

@@ -19,7 +19,6 @@ from studies.report.digest import (
     VECTOR,
     Digest,
     at_full_load,
-    full_load,
     reference_bar,
     spread_of,
 )
@@ -112,7 +111,7 @@ def test_the_references_own_drift_has_a_bar_from_its_levels_and_nobody_elses_has
 
 def test_full_load_is_the_largest_of_a_history_that_comes_back() -> None:
     case = make_case({"m": 0.2}, steps=(0.5, 1.0, 0.5, 0.0), subdivisions=1)
-    assert full_load(case) == 1
+    assert case.full_load == 1
     assert_allclose(at_full_load(case, "m", VECTOR), 0.2, rtol=RTOL, atol=ATOL)
 
 
