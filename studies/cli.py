@@ -92,7 +92,7 @@ def _parser() -> argparse.ArgumentParser:
             "--surface",
             type=Path,
             metavar="FILE",
-            help="use this surface (STL, OBJ, PLY, VTP) as the geometry",
+            help="use this surface (STL, OBJ, PLY, VTP) as the geometry; names the study NAME-FILE",
         )
         sub.add_argument(
             "--allow-outside", action="store_true", help="allow files outside the study file's directory"
@@ -104,7 +104,7 @@ def _parser() -> argparse.ArgumentParser:
             "--out",
             type=Path,
             metavar="DIR",
-            help="run directory (default results/runs/NAME, with --surface FILE NAME-FILE)",
+            help="run directory (default results/runs/NAME; another --surface of the same file name needs its own)",
         )
 
     def jobs(sub: argparse.ArgumentParser) -> None:

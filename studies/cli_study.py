@@ -236,14 +236,13 @@ def _make_plan(
     directory: Path | None = None,
     command: tuple[str, ...] = (),
 ) -> Plan:
-    """The plan of all cases; in --out or results/runs/NAME, of another surface NAME-SURFACE, by default."""
+    """The plan of all cases; in --out or results/runs/NAME by default."""
     from .plan import make_plan
     from .study_file.config import expand
 
     directory = directory or vars(options).get("out")
     if directory is None:
-        body = f"-{options.surface.stem}" if options.surface else ""
-        directory = results_directory() / "runs" / f"{study.study.name}{body}"
+        directory = results_directory() / "runs" / study.study.name
     cache = results_directory() / "cache"
     return make_plan(study, expand(study), directory, cache, command or _command("run", options))
 

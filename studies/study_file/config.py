@@ -14,6 +14,7 @@ from ..meshing.geometry_spec import Geometry as GeometrySpec
 from ..meshing.mesh import MeshError
 from ..model_name import FINITE_STRAIN, split
 from .checks import geometry_spec, unknown
+from .kinds import MAX_NAME, is_safe_name
 from .problems import Finding, Problem, Source, StudyError, file_fault
 from .schema import Constraint, Region, Study, Tissue
 from .sweep import ResolvedCase, check_cases, first_case, read_axes, substituted
@@ -56,7 +57,7 @@ def load_study(
     path : the study file, TOML in UTF-8 (a byte order mark is passed over)
     allow_outside : whether the study may name files outside its own directory
     surface : a mesh file to use as the geometry, wherever it lies; `mesh_size` and the largest extent `size` of
-        the study are kept
+        the study are kept, its name is followed by the file's
 
     Raises
     ------
@@ -69,6 +70,7 @@ def load_study(
     source = replace(source, directory=directory, allow_outside=allow_outside)
     if surface is not None:
         data["geometry"] = _surface_geometry(data.get("geometry"), surface)
+        _name_after(surface, data.get("study"))
         source = replace(source, trusted=surface.absolute())
     axes, axis_findings = read_axes(data)
     base = first_case(data, axes)
@@ -267,6 +269,14 @@ def _surface_geometry(geometry: Any, surface: Path) -> dict[str, Any]:
         if isinstance(kept.get("size"), list):
             del kept["size"]
     return kept
+
+
+def _name_after(surface: Path, study: Any) -> None:
+    """Another body is another study, with a run directory and a baseline of its own."""
+    if isinstance(study, dict) and is_safe_name(name := study.get("name")):
+        file = re.sub(r"[^A-Za-z0-9_.-]+", "-", surface.stem)
+        room = max(1, MAX_NAME - len(name) - 1)  # scans are told apart by how their names end
+        study["name"] = f"{name}-{file[-room:]}"
 
 
 def _check_model_names(data: Mapping[str, Any]) -> list[Finding]:

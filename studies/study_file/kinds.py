@@ -6,14 +6,15 @@ import math
 import re
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, TypeGuard
 
 from pydantic import AfterValidator, GetCoreSchemaHandler
 from pydantic_core import CoreSchema, core_schema
 
 from .units import QuantityError, shown, to_si, type_name
 
-_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,63}")
+MAX_NAME = 64  # characters
+_NAME = re.compile(rf"[A-Za-z0-9][A-Za-z0-9_.-]{{0,{MAX_NAME - 1}}}")
 
 Vector3 = tuple[float, float, float]
 
@@ -67,7 +68,7 @@ positive = number_check(lambda v: v > 0, "must be positive")
 not_negative = number_check(lambda v: v >= 0, "must be positive or zero")
 
 
-def is_safe_name(value: Any) -> bool:
+def is_safe_name(value: Any) -> TypeGuard[str]:
     """Whether a value is a name that `safe_name` lets pass."""
     return isinstance(value, str) and _NAME.fullmatch(value) is not None
 
@@ -77,7 +78,7 @@ def safe_name(value: str) -> str:
     if not is_safe_name(value):
         raise ValueError(
             f"{shown(value)} is not a usable name: begin with a letter or digit, then letters, digits, _ . - "
-            "(64 characters at most)"
+            f"({MAX_NAME} characters at most)"
         )
     return value
 

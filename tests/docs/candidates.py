@@ -288,9 +288,8 @@ def column_of(study: str, surface: Path | None = None) -> dict[str, str]:
     """What the table's column of one calibration study says, by candidate."""
     path = ROOT / "studies" / "cases" / f"{study}.toml"
     loaded = load_study(path, surface=surface)
-    name = study if surface is None else f"{study}-{surface.stem}"
     results = Path(os.environ.get("VDMBENCH_RESULTS", "results"))
-    plan = make_plan(loaded, expand(loaded), results / "runs" / name, results / "cache")
+    plan = make_plan(loaded, expand(loaded), results / "runs" / loaded.study.name, results / "cache")
     run, _ = run_plan(plan, path.read_text(encoding="utf-8"), Options(jobs=1), lambda _: None)
     training, held_out = split(
         samples_of(plan, run), loaded.calibration.training if loaded.calibration else None

@@ -199,6 +199,18 @@ def test_a_surface_has_a_directory_of_its_own_and_its_report_says_how_to_get_it_
     plan = vdmbench("plan", *command.split()[2:], "--json", cwd=tmp_path)
     assert json.loads(plan.stdout)["cases_to_run"] == 0, "the same command finds its results"
     assert not (tmp_path / RUN).exists(), "the study's own results are not touched"
+    accepted = vdmbench("accept", "results/runs/small-ball", "--reason", "first", cwd=tmp_path)
+    assert accepted.returncode == 0, accepted.stderr
+    assert accepted.stdout == "accepted 1 case: results/baselines/small-ball.json\n"
+    same = vdmbench("gate", "elsewhere", cwd=tmp_path)
+    assert same.returncode == 0, same.stdout
+    assert same.stdout.startswith("small-ball: ")
+    assert " unchanged " in same.stdout
+    (tmp_path / "scans/ball.obj").rename(tmp_path / "scans/my egg.obj")
+    assert vdmbench("run", "small.toml", "--surface", "scans/my egg.obj", cwd=tmp_path).returncode == 0
+    other = vdmbench("gate", "results/runs/small-my-egg", cwd=tmp_path)
+    assert other.returncode == 6, "the baseline is of another surface"
+    assert "results/baselines/small-my-egg.json: no such baseline" in other.stderr
 
 
 # --- mistakes ---

@@ -281,6 +281,13 @@ def test_a_surface_given_beside_the_study_replaces_the_geometry(tmp_path: Path) 
     expected = {"shape": "file", "mesh_size": 0.006, "size": 0.19, "path": str(surface)}
     assert resolved(study)["geometry"] == expected
     assert resolved(expand(study)[0].study)["geometry"] == expected
+    assert study.study.name == expand(study)[0].study.study.name == "small-liver"
+    scan = outside / f"{'1.2.840 ' * 12}left lobe.obj"
+    scan.write_text("")
+    long = load_study(path, surface=scan).study.name
+    assert long.startswith("small-")
+    assert long.endswith(".840-left-lobe")
+    assert len(long) == 64
     link = outside / "link.obj"
     link.symlink_to(surface)
     assert resolved(expand(load_study(path, surface=link))[0].study)["geometry"] == expected
