@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from types import MethodType
 
 import numpy as np
 import pytest
@@ -19,6 +20,7 @@ from studies.metrics import facet_area_vectors
 from studies.scene import Scene, build_scene
 from studies.study_file.config import geometry_of
 from studies.study_file.schema import Study
+from vdm.solvers.columns import ContactColumns
 
 STUDY = {
     "study": {"name": "test", "models": ["vdm-paper"]},
@@ -89,6 +91,33 @@ def test_a_node_has_its_share_of_the_contact(scene: Scene, name: str) -> None:
     size = np.abs(solved.displacement).max()
     assert_allclose(displacement, solved.displacement[0], rtol=0, atol=1e-6 * size)
     assert_allclose(fluid_pressure, solved.fluid_pressure[0], rtol=1e-6, atol=0)
+
+
+@pytest.mark.parametrize("name", ["fem-linear", "fem-condensed"])
+def test_columns_of_elements_are_shortened(name: str) -> None:
+    """A finger at the end of a long body, most of which is far from it: few directions span what happens there."""
+    study = Study.model_validate(
+        STUDY
+        | {
+            "geometry": {"shape": "ellipsoid", "semi_axes": [0.02, 0.02, 0.12], "mesh_size": 0.008},
+            "regions": STUDY["regions"] | {"finger": {"ball": {"center": [0.0, 0.0, 0.12], "radius": 0.03}}},
+        }
+    )
+    scene = build_scene(study, build_mesh(geometry_of(study)))
+    problem = models.pressure_problem(scene, name)
+    assert problem is not None
+    frame = contact_frame(problem, scene)
+    # from one side: what a long body does under it is not small beside the parts that it is summed from
+    pressure = np.where(scene.mesh.surface_points[:, 0] > 0.0, scene.contact_pressure, 0.0)[scene.contact]
+    assert isinstance(frame, MethodType)
+    columns = frame.__self__
+    assert isinstance(columns, ContactColumns)
+    (whole, first), read = frame(pressure), columns.nbytes
+    (short, second), read_then = frame(pressure), columns.nbytes
+    assert read == columns.columns.nbytes
+    assert read_then < 0.75 * read
+    assert_allclose(short, whole, rtol=0, atol=1e-6 * np.abs(whole).max())
+    assert_allclose(second, first, rtol=1e-6, atol=0)
 
 
 @pytest.mark.parametrize("name", ["fem", "fem-coarse", "vdm-vector:nonlinear", "vdm-paper:bicg"])

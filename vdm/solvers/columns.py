@@ -55,8 +55,8 @@ class ContactColumns:
 
     A frame is a dense product with the columns: d N + 1 values for each contact node. In single precision, which
     halves the memory that a frame reads, the columns are shortened at the second frame: far from the contact they
-    look alike, and fewer directions than nodes span them. Both together err by less than 1e-6 of the largest
-    displacement.
+    look alike, and fewer directions than nodes span them. Both together err by less than 1e-6 of the
+    largest displacement that pressures of the same size can cause.
 
     Parameters
     ----------
