@@ -19,15 +19,15 @@ from .meshing.mesh import Array, Mask
 from .metrics import enclosed_volumes
 from .scene import Scene
 from .setups import shared, watched
-from .surface_model import linear_model, scaled, solve_surface
+from .surface_model import linear_solver, scaled, solve_surface
 
 if TYPE_CHECKING:
     from fem_reference.condensed import CondensedProblem
     from fem_reference.linear import LinearProblem
     from fem_reference.loads import Load as FemLoad
     from fem_reference.solution import Solution as FemSolution
-    from vdm.model import Model as VdmModel
     from vdm.solution import Solution as VdmSolution
+    from vdm.solvers.linear import LinearSolver
 
     Solution = FemSolution | VdmSolution
     Solve = Callable[[Scene, str, str], Solution]
@@ -249,14 +249,14 @@ def scales(name: str) -> bool:
     return not model.volumetric and solver == "linear"
 
 
-def pressure_problem(scene: Scene, name: str) -> VdmModel | LinearProblem | CondensedProblem | None:
+def pressure_problem(scene: Scene, name: str) -> LinearSolver | LinearProblem | CondensedProblem | None:
     """What answers contact pressures linearly, set up as a solve of the model does; None where nothing does."""
     model, _ = find(name)
     if model.name == "fem-condensed":
         return _condensed_problem(scene)
     if model.name in _ELEMENTS:
         return _linear_problem(scene, model.name, _fem_loads(scene))
-    return linear_model(scene, name) if scales(name) else None
+    return linear_solver(scene, name) if scales(name) else None
 
 
 def run_model(scene: Scene, name: str) -> ModelResult:

@@ -17,6 +17,7 @@ from .setups import kept, shared
 if TYPE_CHECKING:
     from vdm.model import Model
     from vdm.solution import Solution
+    from vdm.solvers.linear import LinearSolver
     from vdm.surface import SurfaceMesh
 
 
@@ -66,12 +67,12 @@ def scaled(scene: Scene, name: str) -> tuple[Solution, int] | None:
     return None if setup is None or solution is None else (solution, setup.peak_bytes)
 
 
-def linear_model(scene: Scene, name: str) -> Model | None:
-    """The set-up of a linear surface model; None under a penalty."""
+def linear_solver(scene: Scene, name: str) -> LinearSolver | None:
+    """The solver of a linear surface model, set up; None under a penalty."""
     from vdm.solvers.linear import LinearSolver
 
-    made = shared(_set_up, **_inputs(scene, name)).model
-    return made if isinstance(made.solver, LinearSolver) else None
+    solver = shared(_set_up, **_inputs(scene, name)).model.solver
+    return solver if isinstance(solver, LinearSolver) else None
 
 
 def _inputs(scene: Scene, name: str) -> dict[str, Any]:

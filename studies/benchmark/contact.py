@@ -10,7 +10,6 @@ from fem_reference.condensed import CondensedProblem
 from fem_reference.linear import LinearProblem
 from fem_reference.loads import Load
 from fem_reference.mesh import facet_quadrature
-from vdm import Model
 from vdm.solvers.columns import ContactColumns
 from vdm.solvers.compliance import ContactCompliance
 from vdm.solvers.linear import LinearSolver
@@ -18,7 +17,7 @@ from vdm.solvers.linear import LinearSolver
 from ..meshing.mesh import Array, Index
 from ..scene import Scene
 
-Problem = Model | LinearProblem | CondensedProblem
+Problem = LinearSolver | LinearProblem | CondensedProblem
 Frame = Callable[[Array], tuple[Array, float]]
 
 
@@ -31,16 +30,15 @@ def contact_frame(problem: Problem, scene: Scene) -> Frame:
     weight, no held node that moves.
     """
     nodes = np.flatnonzero(scene.contact)
-    if not isinstance(problem, Model):
+    if not isinstance(problem, LinearSolver):
         columns = _element_columns(problem, scene, nodes)
         return ContactColumns(columns.astype(np.float32), scene.mesh.surface_points, nodes).frame
     push = scene.contact_force / np.where(scene.contact, scene.contact_pressure, 1.0)[:, None]
-    solver = problem.solver if isinstance(problem.solver, LinearSolver) else None
-    prepared = ContactCompliance(problem.problem, solver, push=push).prepare(nodes)
+    prepared = ContactCompliance(problem.problem, problem, push=push).prepare(nodes)
 
     def frame(pressure: Array) -> tuple[Array, float]:
         unknown, fluid_pressure = prepared.frame(pressure)
-        return problem.formulation.displacement(unknown), fluid_pressure
+        return problem.problem.formulation.displacement(unknown), fluid_pressure
 
     return frame
 
