@@ -113,9 +113,7 @@ def _search(case: PlannedCase, size: Size, learnt: Mapping[str, Cost]) -> float:
     seconds, steps = 0.0, study.load.steps or 1
 
     def tried(name: str, level: int, loads: int) -> float:
-        cost = _cost(
-            ModelWork(name, case.mesh, case.setup, 0, level, loads, steps * loads, steps), size, learnt
-        )
+        cost = _cost(ModelWork(name, case.mesh, 0, level, loads, steps * loads, steps), size, learnt)
         base, solver = split(name)
         bent = base in FINITE_STRAIN or solver == "nonlinear"
         setups = loads if base in FINITE_STRAIN else 1

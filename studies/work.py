@@ -19,7 +19,7 @@ class ModelWork:
 
     Attributes
     ----------
-    name, mesh, group : the model, and the keys of the mesh of its cases and of what they share
+    name, mesh : the model, and the key of the mesh of its cases
     worker : which of the groups that run apart, each with set-ups of its own
     level : 0 on the cases' own mesh, 1 on its first refinement and so on
     setups : operators and factors made
@@ -29,7 +29,6 @@ class ModelWork:
 
     name: str
     mesh: str
-    group: str
     worker: int
     level: int
     setups: int
@@ -69,7 +68,7 @@ def _work(name: str, worker: int, level: int, cases: Sequence[PlannedCase]) -> M
     setups = 1 if model.volumetric else len({case.surface for case in cases})
     if model.volumetric and model.together is None:
         setups = len(cases)
-    return ModelWork(name, cases[0].mesh, cases[0].setup, worker, level, setups, steps, solves)
+    return ModelWork(name, cases[0].mesh, worker, level, setups, steps, solves)
 
 
 def _has_penalty(name: str, study: Study) -> bool:
