@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import re
 import shlex
@@ -11,6 +12,12 @@ from pathlib import Path
 
 import pytest
 
+from studies import models
+from studies.cli_study import SHIPPED
+from studies.meshing.geometry import build_mesh
+from studies.scene import build_scene
+from studies.study_file.config import expand, geometry_of, load_study
+from studies.worker import compare
 from tests.command import vdmbench
 from tests.docs import marked, regenerate
 
@@ -58,6 +65,24 @@ def test_a_surface_of_ones_own(tmp_path: Path, liver: Path) -> None:
     assert vdmbench("check", *words[2:], cwd=tmp_path).returncode == 0
     plan = json.loads(vdmbench("plan", *words[2:], "--json", cwd=tmp_path).stdout)
     assert plan["cases_to_run"] == 1
+
+
+def test_the_coarse_elements_on_a_ball_and_on_its_mirror_image() -> None:
+    study = expand(load_study(SHIPPED / "quickstart.toml"))[0].study
+    mesh = build_mesh(geometry_of(study))
+    mirrored = dataclasses.replace(
+        mesh,
+        points=mesh.points * [-1.0, 1.0, 1.0],
+        tetrahedra=mesh.tetrahedra[:, [1, 0, 2, 3]],
+        triangles=mesh.triangles[:, ::-1].copy(),
+    )
+    told = []
+    for body in (mesh, mirrored):
+        scene = build_scene(study, body)
+        results = {name: models.run_model(scene, name) for name in ("fem-coarse", "fem-linear")}
+        series = compare(scene, results, "fem-linear")["fem-coarse"]["relative_l2_displacement_error"]
+        told.append(f"{series.values[-1]:.0%}".replace("%", " %"))
+    assert f"{told[0]} on the quickstart's ball and {told[1]} on its mirror image" in TEXT
 
 
 def test_make_targets_exist() -> None:
