@@ -19,9 +19,9 @@ from typing import Annotated, Any
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from .case import CaseResult, Run
+from .case import CaseResult, MetricSeries, Run
 from .files import write_atomically
-from .metrics import METRICS, full_load_step
+from .metrics import METRICS, Metric, full_load_step
 from .study_file.kinds import safe_name
 from .study_file.problems import file_fault
 
@@ -114,9 +114,14 @@ def _entries(case: CaseResult, model: str) -> Iterator[tuple[str, Entry]]:
             value = float(series.values[step])
             yield name, _entry(name, value, series.unit, series.version)
     if model == case.reference:
+        # of the unit and version in which the run measured it, or would have where it has no other model
+        kinds: dict[str, Metric | MetricSeries] = {**METRICS}
+        for found in case.metrics.values():
+            kinds |= found
         for key, value in sorted(case.reference_error.items()):
-            if key.startswith("gci:"):
-                yield OWN + key.removeprefix("gci:"), _entry(key, float(value), "1", 1)
+            name = key.removeprefix("gci:")
+            if name != key and name in kinds:
+                yield OWN + name, _entry(name, float(value), kinds[name].unit, kinds[name].version)
 
 
 def _entry(name: str, value: float, unit: str, version: int) -> Entry:

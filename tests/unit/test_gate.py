@@ -17,6 +17,7 @@ from studies import gate
 from studies.case import CaseResult, MetricSeries, Run
 from studies.gate import Baseline, BaselineError, Finding, accept, compare, counts, read_baseline
 from studies.gate_report import describe, junit, markdown, summary
+from studies.metrics import METRICS
 from tests.command import SMALL_STUDY, vdmbench
 
 from .report_runs import make_case, make_run
@@ -93,6 +94,35 @@ def test_the_reference_s_own_error_is_gated_too(path: Path) -> None:
         reference_error={"gci:relative_l2_displacement_error": 0.02},
     )
     assert found(path, make_run([case]), gate.OWN + VECTOR)["fem-linear"].outcome == gate.WORSE
+
+
+@pytest.mark.parametrize("models", [{"vdm-vector": 0.2}, {}])
+def test_the_reference_s_own_error_has_the_unit_and_the_floor_of_its_metric(
+    tmp_path: Path, models: Mapping[str, float]
+) -> None:
+    def measured(distance: float, drift: float) -> Run:
+        bars = {"gci:hausdorff_distance": distance, "gci:volume_drift": drift, "gci:no_such_metric": 1.0}
+        return make_run([make_case(models, subdivisions=0, reference_error=bars)])
+
+    accept(measured(10e-6, 1e-7), tmp_path / "b.json", "first numbers")
+    text = json.loads((tmp_path / "b.json").read_text())
+    entries = text["cases"][gate.ONLY_CASE]["models"]["fem-linear"]["metrics"]
+    assert entries[gate.OWN + "hausdorff_distance"] == {
+        "value": 1e-5,
+        "tolerance": 1e-6,
+        "unit": "m",
+        "version": METRICS["hausdorff_distance"].version,
+    }
+    assert gate.OWN + "no_such_metric" not in entries
+    for now, outcome in {
+        (10.9e-6, 1e-7): gate.SAME,
+        (11.1e-6, 1e-7): gate.WORSE,
+        (8.9e-6, 1e-7): gate.BETTER,
+    }.items():
+        name = gate.OWN + "hausdorff_distance"
+        assert found(tmp_path / "b.json", measured(*now), name)["fem-linear"].outcome == outcome
+    drifting = measured(10e-6, 2e-7)
+    assert found(tmp_path / "b.json", drifting, gate.OWN + "volume_drift")["fem-linear"].outcome == gate.WORSE
 
 
 def test_failing_and_passing(path: Path, tmp_path: Path) -> None:
