@@ -27,12 +27,15 @@ def results_directory() -> Path:
 
 
 def print_run(run: Run, directory: Path, report: Path, as_json: bool) -> int:
-    """The headline table, the failures and the report's path."""
+    """The headline table, the verdict, the failures and the report's path."""
     from .report.digest import Digest
     from .report.headline import headline_metrics, headline_rows
     from .report.section_cases import stopped_models
+    from .report.verdict import answers
 
-    rows, stopped = headline_rows(run), stopped_models(Digest(run))
+    digest = Digest(run)
+    rows, stopped = headline_rows(run), stopped_models(digest)
+    verdict = answers(digest)[0]
     if as_json:
         print_json(
             {
@@ -46,10 +49,13 @@ def print_run(run: Run, directory: Path, report: Path, as_json: bool) -> int:
                 ],
                 "headline": rows,
                 "metrics": headline_metrics(run),
+                "verdict": {"word": verdict.word, "reason": verdict.sentences[0]},
             }
         )
     else:
         print_table(rows)
+        if verdict.word:
+            print(f"{verdict.question} {verdict.word}: {verdict.sentences[0]}")
         for failure in run.failed:
             remedy = f"; {failure['remedy']}" if failure["remedy"] else ""
             complain(f"failed: {failure['label']}: {failure['message']}{remedy}", FAILED)

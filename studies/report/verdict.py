@@ -11,7 +11,15 @@ from .blocks import Answer
 from .digest import Digest, ModelSummary, Spread, is_vdm
 from .formatting import listed, plain, plural, quantity, short_percent, swept_value
 from .section_errors import parameter_name
-from .verdict_load import CLOSE, OPEN, WITHIN, case_state, loads_in_words, value_range
+from .verdict_load import (
+    CLOSE,
+    OPEN,
+    WITHIN,
+    beyond_small_strain,
+    case_state,
+    loads_in_words,
+    value_range,
+)
 
 # what a VDM model was given, by its name in the study file: what it is called, its unit
 PARAMETERS = {
@@ -82,6 +90,8 @@ def _good_enough(digest: Digest, best: ModelSummary, rated: dict[str, Spread]) -
     question = "Is it good enough?"
     if str(digest.reference).startswith(SURFACE_MODELS):
         rest = f"the reference, {digest.reference}, is a surface model itself: agreement with it is not accuracy."
+        return _answer(question, "Not judged", [rest, _accuracy(digest, best, among=len(rated))])
+    if rest := beyond_small_strain(digest):
         return _answer(question, "Not judged", [rest, _accuracy(digest, best, among=len(rated))])
     states = [case_state(case, best.name, case.full_load) for case in digest.cases]
     limit = short_percent(CLOSE)

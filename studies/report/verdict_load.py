@@ -9,7 +9,7 @@ import numpy as np
 
 from ..case import CaseResult
 from ..model_name import FINITE_STRAIN, split
-from .digest import DEFORMATION, VECTOR, Digest, reference_bar, series
+from .digest import DEFORMATION, VECTOR, Digest, at_full_load, reference_bar, series
 from .formatting import listed, plain, quantity, short_percent, swept_value
 from .section_errors import parameter_name
 from .section_force import contact_pressure, contact_resultant, indentation, moved, movement_force
@@ -18,6 +18,8 @@ from .section_limits import limits_in_words
 CLOSE = 0.10  # "within 10 %", the threshold that the paper's claim speaks of
 WITHIN, OPEN, BEYOND, LOST = "within", "open", "beyond", "lost"
 _LOADS = ("force", "pressure", "displacement")  # parts of swept keys that are a load
+# shares of the body's smallest extent and of its volume: beyond them a small-strain reference judges nothing
+_MOST_MOVED, _MOST_DRIFT = 0.10, 0.05
 
 
 def case_state(case: CaseResult, model: str, step: int) -> str:
@@ -43,21 +45,55 @@ def case_state(case: CaseResult, model: str, step: int) -> str:
 def loads_in_words(digest: Digest, model: str) -> list[str]:
     """Sentences on the load up to which `model` is within the tolerance, and on how large the loads are."""
     sentences = limits_in_words(digest)
-    if not sentences and digest.has_steps:
-        sentences = [_over_history(digest, model)]
-    if not sentences:
-        sentences = [_over_sweep(digest, model, key) for key in digest.swept_keys if _is_load(key)]
+    loads = [key for key in digest.swept_keys if _is_load(key)]
+    several = bool(sentences or digest.has_steps or loads)
+    if not sentences and not beyond_small_strain(digest):
+        sentences = (
+            [_over_history(digest, model)]
+            if digest.has_steps
+            else [_over_sweep(digest, model, key) for key in loads]
+        )
     tried = _full_load_in_words(digest)
-    if not sentences and tried:
+    if not several and tried:
         sentences = [f"One load was tried{' in each case' if len(digest.cases) > 1 else ''}: {tried}."]
     elif tried:
         sentences.append(f"Full load is {tried}.")
-    if digest.reference is not None and split(digest.reference)[0] not in FINITE_STRAIN:
+    if _is_small_strain(digest):
         sentences.append(
             f"{digest.reference} is a small-strain reference, so the errors of linear models do not grow with the "
             'load by construction: where small strain ends is only told by reference = "fem".'
         )
     return sentences
+
+
+def _is_small_strain(digest: Digest) -> bool:
+    return digest.reference is not None and split(digest.reference)[0] not in FINITE_STRAIN
+
+
+def beyond_small_strain(digest: Digest) -> str:
+    """Why the reference is outside its own theory at full load, and what to do; "" where it is not."""
+    if not _is_small_strain(digest):
+        return ""
+    moved_by = drift = 0.0
+    for case in digest.cases:
+        if (result := case.models.get(str(case.reference))) is None:
+            continue
+        largest = float(np.linalg.norm(result.displacement[case.full_load], axis=1).max())
+        moved_by = max(moved_by, largest / float(np.ptp(case.points, axis=0).min()))
+        drift = max(drift, abs(at_full_load(case, str(case.reference), "volume_drift")))
+    parts = []
+    if moved_by > _MOST_MOVED:
+        parts.append(f"moves the body by {short_percent(moved_by)} of its smallest extent")
+    if drift > _MOST_DRIFT:
+        whose = "its" if parts else "the body's"
+        parts.append(f"changes {whose} volume by {short_percent(drift)}")
+    if not parts:
+        return ""
+    where = " in some case" if len(digest.cases) > 1 else ""
+    return (
+        f"the load {listed(parts)}{where}, more than {digest.reference}, which holds for small strain, can judge; "
+        'lower it or take reference = "fem".'
+    )
 
 
 def _is_load(key: str) -> bool:

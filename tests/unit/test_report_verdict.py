@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Mapping
 
+import numpy as np
 import pytest
 
 from studies.case import CaseResult, Limit, ModelLimits, Run, SmallStrainLimits
@@ -273,6 +274,42 @@ def test_without_a_result_or_a_reference() -> None:
     text = told(lost)
     assert text[""] == "No model has a result at full load to hold against fem-linear."
     assert "m in 1 case" in text[SURE]
+
+
+@pytest.mark.parametrize("error", [0.01, 0.5])
+def test_nothing_is_judged_beyond_small_strain(error: float) -> None:
+    def text(load: float, reference: str = REFERENCE) -> dict[str, str]:
+        return told(make_run([make_case({"vdm-m": error}, load=load, reference=reference)]))
+
+    case = make_case({"vdm-m": error}, load=8.0)
+    moved = np.linalg.norm(case.models[REFERENCE].displacement[-1], axis=1).max()
+    share = 100 * moved / np.ptp(case.points, axis=0).min()
+    assert 15 < share < 17
+    words = (
+        f"Not judged: the load moves the body by {share:.0f} % of its smallest extent, more than fem-linear, which "
+        'holds for small strain, can judge; lower it or take reference = "fem". At full load vdm-m is '
+    )
+    assert text(8.0)[GOOD].startswith(words)
+    assert text(8.0)[LOAD].startswith("Full load is 4.00 N, ")
+    assert "stays within" not in text(8.0)[LOAD]
+    judged = "Yes: " if error < 0.1 else "No: "
+    assert text(4.0)[GOOD].startswith(judged)
+    assert text(8.0, "fem")[GOOD].startswith(judged), "finite strain has no such bound"
+
+
+def test_nothing_is_judged_where_the_references_volume_is_off() -> None:
+    def text(drift: float, other: float) -> str:
+        cases = []
+        for k, value in enumerate((drift, other)):
+            case = make_case({"vdm-m": 0.01}, label=str(k), swept={"k": float(k)}, subdivisions=1)
+            own = case.metrics[REFERENCE]["volume_drift"]
+            changed = {"volume_drift": dataclasses.replace(own, values=value * case.load_factors)}
+            cases.append(dataclasses.replace(case, metrics={**case.metrics, REFERENCE: changed}))
+        return told(make_run(cases))[GOOD]
+
+    words = "Not judged: the load changes the body's volume by 6 % in some case, more than fem-linear"
+    assert text(0.01, -0.06).startswith(words)
+    assert text(-0.04, 0.04).startswith("Yes: ")
 
 
 def test_agreement_with_a_surface_model_is_not_called_accuracy() -> None:
