@@ -22,6 +22,7 @@ from .meshing.geometry_spec import (
 from .meshing.mesh import MeshError
 from .meshing.mesh_cache import mesh_path
 from .result_cache import reference_path
+from .sealed import is_sound
 from .store import CASE_SUFFIX, case_path, case_state
 from .store import result_keys as stored_keys
 from .study_file.config import ResolvedCase, geometry_error, geometry_of, resolved
@@ -151,12 +152,12 @@ class Plan:
 
     def reference_cached(self, case: PlannedCase) -> bool:
         """Whether the cache holds the case's reference."""
-        return case.reference is not None and reference_path(self.cache, case.reference).exists()
+        return case.reference is not None and is_sound(reference_path(self.cache, case.reference))
 
     def missing_meshes(self, cases: Sequence[PlannedCase]) -> list[PlannedMesh]:
         """The meshes that these cases need and the cache does not hold."""
         keys = dict.fromkeys(case.mesh for case in cases)
-        return [self.meshes[key] for key in keys if not mesh_path(self.cache, key).exists()]
+        return [self.meshes[key] for key in keys if not is_sound(mesh_path(self.cache, key))]
 
     def case_file(self, case: PlannedCase) -> Path:
         """Where the case is kept once it is done."""

@@ -35,14 +35,24 @@ def read_arrays(path: Path) -> dict[str, NDArray[Any]] | None:
     OSError
         the file may not be read.
     """
+    content = _content(path)
+    if content is None:
+        return None
+    with np.load(io.BytesIO(content), allow_pickle=False) as stored:
+        return {name: stored[name] for name in stored}
+
+
+def is_sound(path: Path) -> bool:
+    """Whether `read_arrays` finds arrays at `path`. Raises OSError where the file may not be read."""
+    return _content(path) is not None
+
+
+def _content(path: Path) -> bytes | None:
     if not path.is_file():  # where something else is in its place, writing it says so
         return None
     data = path.read_bytes()
     content, seal = data[:-_DIGEST_BYTES], data[-_DIGEST_BYTES:]
-    if _seal(path, content) != seal:
-        return None
-    with np.load(io.BytesIO(content), allow_pickle=False) as stored:
-        return {name: stored[name] for name in stored}
+    return content if _seal(path, content) == seal else None
 
 
 def _seal(path: Path, content: bytes) -> bytes:
