@@ -102,17 +102,12 @@ def plan_verb(options: argparse.Namespace) -> int:
     for kind in ("needed", "shared", "skipped", "refused"):
         for line in planned[kind]:
             print(f"{'will be refused' if kind == 'refused' else kind}: {line}")
-    print(_estimate(planned["estimate"]))
-    return OK
-
-
-def _estimate(expected: dict[str, float] | None) -> str:
-    if expected is None:  # a mesh in the cache is damaged, and the file that it was made of is, too
-        return "estimate: none, as a file cannot be meshed"
-    return (
+    expected = planned["estimate"]
+    print(
         f"estimate: {expected['seconds']:.0f} s on one core, {expected['memory'] / 1e6:.0f} MB a worker, "
         f"{expected['disk'] / 1e6:.1f} MB on disk; each within a factor of {expected['factor']:g}"
     )
+    return OK
 
 
 def run_verb(options: argparse.Namespace) -> int:

@@ -1,29 +1,29 @@
 """What a plan will take: seconds, memory and disk, by simple laws measured on small bodies, and by what has run.
 
-The laws hold within a factor of about five on a machine of 2020 to 2026; where cases of the study have run on this
-one, their measured times take over and the factor is about three.
+Seconds are those of one core with nothing else to do. On a machine of 2020 to 2026 most shipped studies take half
+to twice as many; the factor that is told leaves room for other machines and for solvers that struggle. Where cases
+of the study have run on this one, its speed is known and the factor smaller.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from pathlib import Path
+from collections import defaultdict
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from . import models
-from .case import CaseResult
 from .hdf5 import StoreError
 from .meshing.mesh import MeshError
 from .meshing.mesh_cache import mesh_path, read_mesh
 from .model_name import FINITE_STRAIN, split
 from .plan import Plan, PlannedCase, PlannedMesh
 from .store import read_case
-from .work import ModelWork, work_of
+from .work import work_of
 
 FACTOR_MEASURED, FACTOR_LAWS = 3.0, 5.0
-_START = 2.0  # s to load the libraries, and to write the tables and an empty report
+_START = 3.0  # s to load the libraries, and to write the tables and the report
 _PROCESS_BYTES = 1.3e8  # of a worker that has done nothing
 _DENSE_NODES = 1000.0  # `vdm.formulations.boundary.MAX_NODES`, which would load the library
 _MOST_READ = 3  # case files that are read to learn from
@@ -33,8 +33,8 @@ _DEEP = (
 )
 # unknowns per tetrahedron, as these elements have them on meshes of some thousand
 _UNKNOWNS = {"P1": 0.7, "P2": 4.7}
-# the path's own estimate is for choosing one; of it, a solve of 3,000 to 25,000 tetrahedra takes
-_MEASURED_SHARE = {"direct": 1.0, "iterative": 0.6}
+# the paths' own estimates are for choosing one; of this one, a solve of 3,000 to 25,000 tetrahedra takes
+_ITERATIVE_SHARE = 0.6
 
 
 @dataclass(frozen=True)
@@ -71,29 +71,28 @@ class Estimate:
 def estimate(plan: Plan, cases: Sequence[PlannedCase], jobs: int = 1) -> Estimate | None:
     """What it takes to run these cases in `jobs` workers; None where a file cannot be meshed."""
     sizes: dict[str, Size] = {}
-    for key, mesh in plan.meshes.items():
-        size = size_of(plan, mesh)
+    for key in dict.fromkeys(case.mesh for case in cases):
+        size = size_of(plan, plan.meshes[key])
         if size is None:
             return None
         sizes[key] = size
-    learnt = _learn(plan, sizes)
-    work = work_of(plan, cases, jobs)
-    seconds = _START + sum(1.0 + 2e-4 * sizes[mesh.key].tetrahedra for mesh in plan.missing_meshes(cases))
-    held: dict[int, float] = {}
-    for part in work:
-        cost = _cost(part, sizes[part.mesh], learnt)
+    speed = _speed(plan)
+    seconds = disk = 0.0
+    held: defaultdict[int, float] = defaultdict(float)
+    for part in work_of(plan, cases, jobs):
+        cost = _law(part.name, sizes[part.mesh].refined(part.level), part.solves)
         seconds += part.setups * cost.setup + part.solves * cost.step
         # what the cases of a group share is held until the group is done
-        held[part.worker] = held.get(part.worker, 0.0) + cost.bytes
-    for case in cases:
-        seconds += _search(case, sizes[case.mesh], learnt)
-    disk = 0.0
+        held[part.worker] += cost.bytes
+    seconds += sum(_search(case, sizes[case.mesh]) for case in cases)
+    seconds *= speed or 1.0
+    seconds += _START + sum(_mesh_seconds(sizes[mesh.key]) for mesh in plan.missing_meshes(cases))
     for case in cases:
         results, steps = len(case.results) + 1, len(case.study.load.history)
         per_result = 48.0 * steps * sizes[case.mesh].nodes
         nodes = sizes[case.mesh].nodes
         # files, report; metrics of one step, with the distances of surfaces; those of the other steps
-        seconds += 0.04 + results * (2e-3 + 1.2e-5 * nodes + 1e-6 * steps * nodes)
+        seconds += 0.05 + 1e-6 * results * nodes * (15.0 + steps)
         disk += results * (per_result + 2e4) + 5e4
         if case.reference is not None and not plan.reference_cached(case):
             disk += 2 * per_result
@@ -101,11 +100,15 @@ def estimate(plan: Plan, cases: Sequence[PlannedCase], jobs: int = 1) -> Estimat
         40.0 * sizes[mesh.key].tetrahedra + 80.0 * sizes[mesh.key].nodes
         for mesh in plan.missing_meshes(cases)
     )
-    factor = FACTOR_MEASURED if learnt else FACTOR_LAWS
+    factor = FACTOR_MEASURED if speed else FACTOR_LAWS
     return Estimate(seconds if cases else 0.0, _PROCESS_BYTES + max(held.values(), default=0.0), disk, factor)
 
 
-def _search(case: PlannedCase, size: Size, learnt: Mapping[str, Cost]) -> float:
+def _mesh_seconds(size: Size) -> float:
+    return 0.3 + 2e-4 * size.tetrahedra
+
+
+def _search(case: PlannedCase, size: Size) -> float:
     """Seconds that the search for a case's small-strain limits takes."""
     study = case.study
     if study.limits is None:
@@ -113,7 +116,7 @@ def _search(case: PlannedCase, size: Size, learnt: Mapping[str, Cost]) -> float:
     seconds, steps = 0.0, study.load.steps or 1
 
     def tried(name: str, level: int, loads: int) -> float:
-        cost = _cost(ModelWork(name, case.mesh, 0, level, loads, steps * loads, steps), size, learnt)
+        cost = _law(name, size.refined(level), steps)
         base, solver = split(name)
         bent = base in FINITE_STRAIN or solver == "nonlinear"
         setups = loads if base in FINITE_STRAIN else 1
@@ -150,20 +153,23 @@ def _law(name: str, size: Size, loads: int) -> Cost:
     if model.name == "mass-spring":  # struts from side to side: a dense factor
         step = (1e-7 if solver == "nonlinear" else 3.5e-9) * n**2
         return Cost(1e-2 + 1.6e-9 * n**3, 7e-7 * n + step, 6e3 * n + 36.0 * n**2)
-    step = {"nonlinear": 2e-5, "linear": 7e-7, "lu": 2e-6, "quasi-linear": 7e-7}.get(solver, 6e-5)
+    step = 1e-6 if solver in ("linear", "lu", "quasi-linear") else 2e-5
     return Cost(1e-2 + (2e-4 if solver == "lu" else 2e-5) * n, step * n, (3e4 if solver == "lu" else 6e3) * n)
 
 
 def _volumetric(name: str, size: Size, loads: int) -> Cost:
     from fem_reference.costs import estimate_costs
 
+    if name == "fem-coarse":
+        cost = _volumetric("fem-linear", size.refined(-1), loads)
+        return replace(cost, setup=cost.setup + _mesh_seconds(size.refined(-1)))
     unknowns = _UNKNOWNS["P1" if name == "fem-p1" else "P2"] * size.tetrahedra
     vertices = 0.22 * size.tetrahedra
     if name == "fem-condensed":
         loads = max(loads, 600)
     one, many = (estimate_costs(int(unknowns), int(vertices), k) for k in (0, loads))
     path = min(many, key=lambda kind: many[kind].seconds)
-    share = _MEASURED_SHARE[path]
+    share = _ITERATIVE_SHARE if path == "iterative" else 1.0
     setup = share * one[path].seconds + 1e-5 * unknowns
     step = share * (many[path].seconds - one[path].seconds) / loads
     if name == "fem-condensed":
@@ -173,34 +179,23 @@ def _volumetric(name: str, size: Size, loads: int) -> Cost:
     return Cost(setup, step, (1.8e4 if path == "direct" else 2.6e3) * unknowns)
 
 
-def _cost(part: ModelWork, size: Size, learnt: Mapping[str, Cost]) -> Cost:
-    law = _law(part.name, size.refined(part.level), part.solves)
-    share = learnt.get(part.name, Cost(1.0, 1.0, 1.0))
-    return Cost(law.setup * share.setup, law.step * share.step, law.bytes * share.bytes)
-
-
-def _learn(plan: Plan, sizes: Mapping[str, Size]) -> dict[str, Cost]:
-    """Model -> measured over expected, from a few of the cases that are done."""
-    shares: dict[str, list[Cost]] = {}
+def _speed(plan: Plan) -> float | None:
+    """Measured over expected seconds of the solvers in a few of the cases that are done; None where none is."""
+    shares = []
     done = [case for case in plan.in_order if plan.state[case.hash] in ("done", "stale")]
     for case in done[:: max(1, len(done) // _MOST_READ)][:_MOST_READ]:
-        stored = _read(plan.case_file(case))
-        for name in case.results if stored is not None else ():
-            result = stored.models.get(name) if stored is not None else None
-            if result is None or not np.isfinite([result.seconds_setup, *result.seconds_per_step]).all():
-                continue
-            law = _law(name, sizes[case.mesh], 1)
-            step = float(np.median(result.seconds_per_step))
-            measured = (result.seconds_setup / law.setup, step / law.step, result.peak_bytes / law.bytes)
-            shares.setdefault(name, []).append(Cost(*measured))
-    return {
-        name: Cost(*(float(np.median([getattr(c, k) for c in costs])) for k in ("setup", "step", "bytes")))
-        for name, costs in shares.items()
-    }
-
-
-def _read(path: Path) -> CaseResult | None:
-    try:
-        return read_case(path)
-    except StoreError:
-        return None
+        size = size_of(plan, plan.meshes[case.mesh])
+        try:
+            solved = read_case(plan.case_file(case)).models
+        except StoreError:
+            continue
+        if size is None:
+            continue
+        measured = expected = 0.0
+        for name in solved.keys() & case.results.keys():
+            law, spent = _law(name, size, 1), [solved[name].seconds_setup, *solved[name].seconds_per_step]
+            if np.isfinite(spent).all():  # a model that stopped tells nothing
+                measured += sum(spent)
+                expected += law.setup + law.step * (len(spent) - 1)
+        shares += [measured / expected] if expected else []
+    return float(np.median(shares)) if shares else None

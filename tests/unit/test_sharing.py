@@ -6,7 +6,7 @@ import copy
 import dataclasses
 import math
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +24,7 @@ from studies.explain import summary
 from studies.meshing.mesh_cache import mesh_from_cache
 from studies.plan import Plan, make_plan, task_of
 from studies.reference import own_error, refined_levels
-from studies.store import read_case
+from studies.store import read_case, write_case
 from studies.study_file.config import expand
 from studies.study_file.schema import Study
 from studies.worker import run_case, share
@@ -364,6 +364,35 @@ def test_what_a_plan_expects_grows_with_the_work(tmp_path: Path) -> None:
     again = plan_of(tmp_path / "a", cache, load={"factors": [0.5, 1.0, 2.0]})
     assert summary(plan_of(tmp_path / "a", cache))["estimate"]["seconds"] == 0
     assert summary(again)["estimate"]["seconds"] > 0
+
+
+def test_a_plan_knows_the_speed_of_the_machine_from_cases_that_are_done(tmp_path: Path, cache: Path) -> None:
+    """Seconds in the case files that are so many times as long are expected of the other cases too."""
+
+    def expected() -> Mapping[str, float]:
+        sweep = {"constraints.finger.force": [0.1, 0.3], "regions.finger.cap.direction.0": [0.0, 0.4, 0.8]}
+        plan = plan_of(tmp_path, cache, sweep=sweep)
+        assert Counter(plan.state.values()) == {"done": 4, "missing": 2}
+        return summary(plan)["estimate"]
+
+    plan = plan_of(tmp_path, cache)
+    cases = run(plan)
+    seconds = [expected()["seconds"]]
+    for times in (100.0, 300.0):
+        for planned, case in zip(plan.cases, cases, strict=True):
+            slow = {
+                name: dataclasses.replace(
+                    result,
+                    seconds_setup=times * result.seconds_setup,
+                    seconds_per_step=times * result.seconds_per_step,
+                )
+                for name, result in case.models.items()
+            }
+            write_case(plan.case_file(planned), dataclasses.replace(case, models=slow))
+        seconds.append(expected()["seconds"])
+    assert expected()["factor"] == 3
+    assert seconds[1] > seconds[0]
+    assert_allclose((seconds[2] - seconds[0]) / (seconds[1] - seconds[0]), 299 / 99, rtol=1e-6, atol=0)
 
 
 @pytest.mark.parametrize(
