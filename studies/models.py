@@ -16,9 +16,9 @@ import numpy as np
 from .case import ModelResult, StepStatus
 from .memory import peak_bytes_since, reset_peak
 from .meshing.mesh import Array, Mask
-from .metrics import enclosed_volumes
 from .scene import Scene
 from .setups import shared, watched
+from .surface_measures import enclosed_volumes
 from .surface_model import linear_solver, scaled, solve_surface
 
 if TYPE_CHECKING:

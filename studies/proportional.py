@@ -1,15 +1,19 @@
-"""A linear model's solution as a multiple of one that is there, where the loads are."""
+"""What follows for a multiple of a load: a linear model's solution, and metrics of results that are multiples."""
 
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from .meshing.mesh import Array
+from .meshing.mesh import Array, Mesh
+from .metrics import METRICS, History, evaluate_all
 from .scene import Scene
+from .surface_measures import Surface
 
 if TYPE_CHECKING:
     from vdm.solution import Solution
@@ -81,3 +85,73 @@ class Solved:
 
 def _loads(scene: Scene) -> tuple[Array, ...]:
     return scene.contact_pressure, scene.contact_force.ravel(), scene.prescribed.ravel()
+
+
+@dataclass
+class Comparisons:
+    """The metrics of case after case on one mesh: of a multiple only those are measured that do not follow."""
+
+    mesh: Mesh
+    _measured: _Measured | None = None  # the latest case that is a multiple of none
+
+    @cached_property
+    def surface(self) -> Surface:
+        """The mesh's surface; its measures are those of all cases."""
+        return Surface(points=self.mesh.surface_points, triangles=self.mesh.triangles)
+
+    def compare(
+        self, surface: Surface, models: Mapping[str, History], reference: str | None
+    ) -> dict[str, dict[str, Array]]:
+        """`evaluate_all` of models on this surface under a contact."""
+        case = _Measured(surface, models, reference)
+        known = self._measured.metrics_of(case) if self._measured is not None else {}
+        case.metrics = evaluate_all(surface, models, reference, known)
+        if not known:
+            self._measured = case
+        return case.metrics
+
+
+@dataclass
+class _Measured:
+    """A case's results, and its metrics."""
+
+    surface: Surface
+    models: Mapping[str, History]
+    reference: str | None
+    metrics: Mapping[str, Mapping[str, Array]] = dataclasses.field(default_factory=dict)
+
+    def metrics_of(self, other: _Measured) -> dict[str, dict[str, Array]]:
+        """The metrics of another case that follow, if all its results are these times one number; else none."""
+        from fem_reference.loads import multiple_of  # slow to load, and a plan needs none
+
+        if not self._is_like(other):
+            return {}
+        share = multiple_of([*self._arrays()], [*other._arrays()])
+        if share is None or share <= 0:
+            return {}
+        return {
+            model: {
+                name: share**degree * values
+                for name, values in metrics.items()
+                if (degree := METRICS[name].degree) is not None
+            }
+            for model, metrics in self.metrics.items()
+        }
+
+    def _is_like(self, other: _Measured) -> bool:
+        return (
+            self.reference == other.reference
+            and list(self.models) == list(other.models)
+            and np.array_equal(self.surface.contact, other.surface.contact)
+            and all(
+                np.array_equal(model.load_factors, other.models[name].load_factors)
+                for name, model in self.models.items()
+            )
+        )
+
+    def _arrays(self) -> Iterator[Array]:
+        """All that the metrics are made of."""
+        yield self.surface.contact_force
+        for model in self.models.values():
+            yield model.displacement
+            yield model.reaction_force

@@ -13,10 +13,11 @@ from .case import ModelResult
 from .execute import TaskError
 from .meshing.mesh import Array, Index, InputError
 from .meshing.refine import inherit, refine
-from .metrics import METRICS, History, Surface, evaluate_all, full_load_step, weighted_norm, without_motions
+from .metrics import METRICS, History, evaluate_all, full_load_step
 from .scene import Scene, build_scene
 from .setups import shared
 from .study_file.schema import Study
+from .surface_measures import Surface, weighted_norm, without_motions
 from .uncertainty import estimate_error
 
 

@@ -9,10 +9,10 @@ from functools import cached_property
 import numpy as np
 
 from .meshing.mesh import Array, InputError, Mask, Mesh
-from .metrics import corner_sum, facet_area_vectors, nodal_sum
 from .regions import profile_coordinate, select
 from .setups import shared
 from .study_file.schema import Anisotropy, Constraint, Region, Study, Tissue
+from .surface_measures import corner_sum, facet_area_vectors, nodal_sum
 
 
 class SceneError(InputError):

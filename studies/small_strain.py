@@ -12,10 +12,11 @@ from .case import ModelLimits, ModelResult, SmallStrainLimits
 from .limits import SMALL, Change, LoadPath, LoadPoint, model_limits, with_bars
 from .meshing.mesh import Array, Mask, Mesh
 from .meshing.refine import inherit, refine
-from .metrics import Surface, mean_indentation, relative_l2
+from .metrics import mean_indentation
 from .scene import Scene, build_scene
 from .study_file.config import raised, value_and_unit
 from .study_file.schema import Study
+from .surface_measures import Surface, relative_l2
 
 STRAIN = "max_principal_strain"
 

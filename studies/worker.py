@@ -18,9 +18,10 @@ from .hdf5 import StoreError
 from .meshing.geometry_spec import Geometry
 from .meshing.mesh import Mesh
 from .meshing.mesh_cache import mesh_from_cache
-from .metrics import METRICS, History, Surface, evaluate_all
+from .metrics import METRICS, History
 from .model_name import REFINED
 from .plan import needs_volume
+from .proportional import Comparisons
 from .reference import own_error, refined_levels, require_converged
 from .result_cache import read_levels, reference_path, write_levels
 from .scene import Scene, build_scene
@@ -29,6 +30,7 @@ from .small_strain import small_strain_limits
 from .store import read_case, write_case
 from .study_file.config import geometry_of
 from .study_file.schema import Study
+from .surface_measures import Surface
 
 Task = Mapping[str, Any]
 PACKAGES = (
@@ -226,27 +228,25 @@ def compare(
     scene: Scene, results: Mapping[str, ModelResult], reference: str | None
 ) -> dict[str, dict[str, MetricSeries]]:
     """Every metric of every model; the reference itself gets those that need no comparison."""
-    surface = _surface(scene)
     histories = {
         name: History(result.displacement, result.reaction_force, scene.load_factors)
         for name, result in results.items()
     }
+    found = shared(Comparisons, mesh=scene.mesh).compare(_surface(scene), histories, reference)
     return {
         name: {
             metric: MetricSeries(
                 values, METRICS[metric].unit, METRICS[metric].definition, METRICS[metric].version
             )
-            for metric, values in found.items()
+            for metric, values in series.items()
         }
-        for name, found in evaluate_all(surface, histories, reference).items()
+        for name, series in found.items()
     }
 
 
 def _surface(scene: Scene) -> Surface:
-    """The scene's surface; its measures are those of all cases on the mesh."""
-    mesh = scene.mesh
-    surface = shared(Surface, points=mesh.surface_points, triangles=mesh.triangles)
-    return surface.under(scene.contact, scene.contact_force)
+    """The scene's surface under its contact."""
+    return shared(Comparisons, mesh=scene.mesh).surface.under(scene.contact, scene.contact_force)
 
 
 def provenance(mesh: Mesh) -> dict[str, str]:

@@ -27,12 +27,13 @@ from ..execute import TaskError
 from ..growth import growths
 from ..meshing.mesh import Array, InputError
 from ..meshing.mesh_cache import mesh_from_cache
-from ..metrics import History, Surface, evaluate
+from ..metrics import History, evaluate
 from ..reference import own_error, refined_levels, require_converged
 from ..scene import Scene, build_scene
 from ..setups import sharing
 from ..study_file.config import expand, geometry_of, with_mesh_size
 from ..study_file.schema import Study
+from ..surface_measures import Surface
 from ..worker import provenance
 from .bench_data import LEAST_SIZES, YARDSTICK, Bench, Entry, Growth
 from .contact import Problem, contact_frame

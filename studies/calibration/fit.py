@@ -21,10 +21,11 @@ from .. import models
 from ..case import ModelResult, Run
 from ..meshing.mesh import Array, InputError
 from ..meshing.mesh_cache import mesh_from_cache
-from ..metrics import Surface, full_load_step, relative_l2, rigid_motion_removed, weighted_norm
+from ..metrics import full_load_step
 from ..plan import Plan, needs_volume
 from ..scene import Scene, build_scene
 from ..study_file.config import geometry_of
+from ..surface_measures import Surface, relative_l2, rigid_motion_removed, weighted_norm
 from ..uncertainty import reference_bar
 
 MODULI = {  # parameters that can be fitted -> the one whose rule gives the scale where it has none of its own

@@ -20,8 +20,8 @@ from fem_reference.loads import Load, nodal_forces, prescribed_nodes
 from fem_reference.mesh import TetMesh, facet_quadrature, triangle_p2
 from fem_reference.solution import CONVERGED, Solution, SolverError, Status
 
-from ..metrics import enclosed_volume, facet_area_vectors
 from ..scene import Scene
+from ..surface_measures import enclosed_volume, facet_area_vectors
 from .geometry import fill_surface
 from .mesh import Array, Index, Mask, Mesh
 

@@ -9,7 +9,6 @@ import numpy as np
 
 from ..case import Run
 from ..files import write_atomically
-from ..setups import sharing
 from . import headline, picture, verdict
 from .blocks import Section
 from .digest import Digest
@@ -89,7 +88,7 @@ def write_report(run: Run, path: Path) -> None:
 def page_html(run: Run, render: Renderer) -> str:
     """The page as text. `render` makes the still pictures of the surface."""
     # overflow is no surprise in what a model that broke down left behind; its numbers are shown as not finite
-    with np.errstate(all="ignore"), sharing():
+    with np.errstate(all="ignore"):
         return _page_html(Digest(run), render)
 
 

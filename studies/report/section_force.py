@@ -9,8 +9,7 @@ from functools import partial
 import numpy as np
 
 from ..case import CaseResult
-from ..metrics import Surface, facet_area_vectors
-from ..setups import shared
+from ..surface_measures import facet_area_vectors
 from .blocks import Figure, Figures, Section, Text
 from .digest import Array, Digest
 from .formatting import listed, quantity, scale_of
@@ -172,9 +171,7 @@ def indentation(case: CaseResult, model: str) -> Array:
             mask |= case.regions[str(constraint.get("region"))]
     if not mask.any():
         mask[:] = True
-    # cases mostly have one surface, which has its normals once
-    normals = shared(Surface, points=case.points, triangles=case.triangles).normals[mask]
-    inward = -np.einsum("sij,ij->si", case.models[model].displacement[:, mask], normals)
+    inward = -np.einsum("sij,ij->si", case.models[model].displacement[:, mask], case.normals[mask])
     result: Array = inward.max(axis=1)
     return result
 

@@ -9,7 +9,8 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from studies.case import CaseResult, MetricSeries, ModelResult, Run, StepStatus
-from studies.metrics import METRICS, History, Surface, evaluate
+from studies.metrics import METRICS, History, evaluate
+from studies.surface_measures import Surface
 
 RADIUS = 0.05  # m
 AMPLITUDE = 0.002  # m, radial displacement at the poles at full load

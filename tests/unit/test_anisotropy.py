@@ -13,10 +13,11 @@ from studies import models
 from studies.case import ModelResult
 from studies.meshing.geometry import build_mesh
 from studies.meshing.mesh import Mesh
-from studies.metrics import METRICS, History, Surface
+from studies.metrics import METRICS, History
 from studies.scene import build_scene
 from studies.study_file.config import geometry_of
 from studies.study_file.schema import Study
+from studies.surface_measures import Surface
 from tests.unit.study_texts import SMALL, swept
 from vdm.material import Parameters
 from vdm.surface import SurfaceMesh

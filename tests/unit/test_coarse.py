@@ -19,10 +19,10 @@ from studies.meshing.coarse import (
 )
 from studies.meshing.geometry import build_mesh
 from studies.meshing.mesh import Mesh
-from studies.metrics import Surface, enclosed_volume, relative_l2
 from studies.scene import Scene, build_scene
 from studies.study_file.config import geometry_of
 from studies.study_file.schema import Study
+from studies.surface_measures import Surface, enclosed_volume, relative_l2
 
 STUDY = {
     "study": {"name": "test", "models": ["fem-coarse"]},

@@ -16,10 +16,10 @@ from fem_reference.mesh import facet_quadrature
 from studies import models
 from studies.benchmark.contact import contact_frame
 from studies.meshing.geometry import build_mesh
-from studies.metrics import facet_area_vectors
 from studies.scene import Scene, build_scene
 from studies.study_file.config import geometry_of
 from studies.study_file.schema import Study
+from studies.surface_measures import facet_area_vectors
 from vdm.solvers.columns import ContactColumns
 
 STUDY = {

@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from studies import metrics
-from studies.metrics import History, Surface, evaluate, evaluate_all
+from studies import metrics, surface_measures
+from studies.metrics import METRICS, History, evaluate, evaluate_all
 from studies.nearest import nearest_on_surface
+from studies.surface_measures import Surface
 
 # round-off of sums over a few hundred terms of order one
 ROUND = {"rtol": 1e-12, "atol": 1e-14}
@@ -75,7 +76,7 @@ def test_contact_work_by_hand(surface: Surface, field: np.ndarray) -> None:
 def test_volume_does_not_depend_on_the_origin(surface: Surface) -> None:
     far = surface.points + np.array([1e5, -3e4, 2e5])
     # 1e5 m away a coordinate has 1.5e-11 m of round-off; the volume's error is of that order times the area
-    assert_allclose(metrics.enclosed_volume(far, surface.triangles), 4 / 3, rtol=1e-9, atol=0)
+    assert_allclose(surface_measures.enclosed_volume(far, surface.triangles), 4 / 3, rtol=1e-9, atol=0)
 
 
 def test_equal_fields_have_no_error(surface: Surface, field: np.ndarray) -> None:
@@ -101,14 +102,14 @@ def test_a_scaled_field_is_off_by_its_scale(surface: Surface, field: np.ndarray)
 def test_relative_l2_weighs_by_area() -> None:
     values, reference = np.array([1.0, 0.0]), np.array([0.0, 1.0])
     # the weighted sums are (3 + 1) over 1
-    assert_allclose(metrics.relative_l2(values, reference, np.array([3.0, 1.0])), 2.0, **ROUND)
-    assert np.isnan(metrics.relative_l2(values, np.zeros(2), np.ones(2)))
+    assert_allclose(surface_measures.relative_l2(values, reference, np.array([3.0, 1.0])), 2.0, **ROUND)
+    assert np.isnan(surface_measures.relative_l2(values, np.zeros(2), np.ones(2)))
 
 
 def test_a_rigid_motion_is_no_deformation(surface: Surface, field: np.ndarray) -> None:
     rigid = np.array([0.3, -0.2, 0.5]) + np.cross([0.1, 0.2, -0.3], surface.points)
     assert_allclose(
-        metrics.rigid_motion_removed(surface.points, rigid, surface.areas), 0.0, atol=1e-14, rtol=0
+        surface_measures.rigid_motion_removed(surface.points, rigid, surface.areas), 0.0, atol=1e-14, rtol=0
     )
     values = evaluate(surface, history(field + rigid), history(field))
     assert_allclose(values["relative_l2_deformation_error"], 0.0, atol=1e-13, rtol=0)
@@ -127,9 +128,9 @@ def test_normal_and_tangential_parts(surface: Surface) -> None:
 def test_quantile_is_weighted() -> None:
     values, weights = np.array([[4.0, 1.0, 3.0, 2.0]]), np.array([1.0, 94.0, 1.0, 4.0])
     # weights in order of value: 94, 4, 1, 1: 94 % lies at 1, 98 % at or below 2
-    assert metrics.weighted_quantiles(values, weights, 0.94) == 1.0
-    assert metrics.weighted_quantiles(values, weights, 0.95) == 2.0
-    assert metrics.weighted_quantiles(values, weights, 1.0) == 4.0
+    assert surface_measures.weighted_quantiles(values, weights, 0.94) == 1.0
+    assert surface_measures.weighted_quantiles(values, weights, 0.95) == 2.0
+    assert surface_measures.weighted_quantiles(values, weights, 1.0) == 4.0
 
 
 def test_sliding_is_blind_to_shape_and_inflation_is_not(surface: Surface) -> None:
@@ -233,6 +234,47 @@ def test_mean_strain_is_that_of_the_body(surface: Surface) -> None:
     for axis, (name, by_hand) in enumerate((("x", 0.2), ("y", 0.0), ("z", 0.0))):
         found = metrics.METRICS[f"mean_strain_{name}"].function(surface, steps)
         assert_allclose(found, [gradient[axis, axis], by_hand, 0.0], **ROUND)
+
+
+@pytest.mark.parametrize("share", [1e-6, 0.3, 7.0])
+def test_metrics_grow_with_their_degree(share: float) -> None:
+    surface, models = bumpy(5)
+    factors = np.array([0.2, 0.5, 1.0])
+    push = factors[:, None, None] * -surface.normals
+    first = {
+        name: History(push + 0.1 * model.displacement[0], model.reaction_force, factors)
+        for name, model in zip("abr", models, strict=True)
+    }
+    more = {
+        name: dataclasses.replace(
+            m, displacement=share * m.displacement, reaction_force=share * m.reaction_force
+        )
+        for name, m in first.items()
+    }
+    loaded = surface.under(surface.contact, np.where(surface.contact[:, None], surface.normals, 0.0))
+    found = evaluate_all(loaded, first, "r")
+    grown = evaluate_all(loaded.under(loaded.contact, share * loaded.contact_force), more, "r")
+    seen = set()
+    for name, metric in METRICS.items():
+        for model, values in found.items():
+            if name in values and metric.degree is not None and np.isfinite(values[name]).any():
+                assert_allclose(
+                    grown[model][name], share**metric.degree * values[name], err_msg=name, **ROUND
+                )
+                seen.add(name)
+    assert seen == {name for name, metric in METRICS.items() if metric.degree is not None}
+
+
+def test_what_is_known_is_not_measured(surface: Surface, field: np.ndarray) -> None:
+    models = {"a": history(field), "r": history(2 * field)}
+    known = {"a": {"max_nodal_error": np.array([7.0])}}
+    found = evaluate_all(surface, models, "r", known)
+    plain = evaluate_all(surface, models, "r")
+    assert found["a"].pop("max_nodal_error").tolist() == [7.0]
+    assert plain["a"].pop("max_nodal_error").tolist() != [7.0]
+    assert found["r"].keys() == plain["r"].keys()
+    for name, values in plain["a"].items():
+        assert np.array_equal(found["a"][name], values, equal_nan=True), name
 
 
 def test_distances_are_taken_at_full_load_only(surface: Surface) -> None:

@@ -10,11 +10,11 @@ from numpy.testing import assert_allclose
 
 from studies import models
 from studies.meshing.geometry import build_mesh
-from studies.metrics import Surface, relative_l2
 from studies.model_name import is_linear, split
 from studies.scene import Scene, build_scene
 from studies.study_file.config import geometry_of
 from studies.study_file.schema import Study
+from studies.surface_measures import Surface, relative_l2
 
 STUDY = {
     "study": {"name": "test", "models": ["vdm-paper"]},

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from typing import Any
 
 import numpy as np
@@ -11,10 +12,13 @@ from numpy.testing import assert_allclose
 from studies import models
 from studies.meshing.geometry import build_mesh
 from studies.meshing.mesh import Mesh
+from studies.metrics import METRICS, History, Metric, evaluate_all
+from studies.proportional import Comparisons
 from studies.scene import Scene, build_scene
 from studies.setups import sharing
 from studies.study_file.config import geometry_of
 from studies.study_file.schema import Study
+from studies.surface_measures import Surface
 
 NAMES = ["vdm-paper", "vdm-consistent", "vdm-vector", "vdm-boundary", "mass-spring"]
 BASE = {"kind": "fixed", "region": "base"}
@@ -109,3 +113,101 @@ def test_nothing_is_scaled_from_no_load_or_from_a_failure(mesh: Mesh) -> None:
         assert not is_scaled(models.run_model(scene_of(mesh), "vdm-vector"))
         # no load is a multiple of any
         assert is_scaled(models.run_model(scene_of(mesh, 0.0, 0.0), "vdm-vector"))
+
+
+def histories_of(scene: Scene, names: list[str]) -> dict[str, History]:
+    results = {name: models.run_model(scene, name) for name in names}
+    return {
+        name: History(result.displacement, result.reaction_force, scene.load_factors)
+        for name, result in results.items()
+    }
+
+
+def under(comparisons: Comparisons, scene: Scene) -> Surface:
+    return comparisons.surface.under(scene.contact, scene.contact_force)
+
+
+def measured(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """The metrics that are measured from now on."""
+    seen: list[str] = []
+
+    def watched(metric: Metric) -> Metric:
+        def function(*arguments: Any) -> Any:
+            seen.append(metric.name)
+            return metric.function(*arguments)
+
+        return dataclasses.replace(metric, function=function)
+
+    for name, metric in METRICS.items():
+        monkeypatch.setitem(METRICS, name, watched(metric))
+    return seen
+
+
+@pytest.mark.parametrize("share", [1e-3, 1.7])
+def test_a_multiple_has_the_metrics_of_its_own_case(
+    mesh: Mesh, share: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    comparisons, scene, other = Comparisons(mesh), scene_of(mesh), scene_of(mesh, share, share)
+    with sharing():
+        first, results = (histories_of(each, ["vdm-paper", "vdm-vector"]) for each in (scene, other))
+    comparisons.compare(under(comparisons, scene), first, "vdm-vector")
+    plain = evaluate_all(under(comparisons, other), results, "vdm-vector")
+    seen = measured(monkeypatch)
+    found = comparisons.compare(under(comparisons, other), results, "vdm-vector")
+    assert set(seen) == {name for name, metric in METRICS.items() if metric.degree is None}
+    assert {model: set(metrics) for model, metrics in found.items()} == {m: set(v) for m, v in plain.items()}
+    for model, metrics in plain.items():
+        for name, values in metrics.items():
+            assert_allclose(found[model][name], values, rtol=1e-12, atol=0, err_msg=f"{model} {name}")
+
+
+def test_what_is_no_multiple_is_measured(mesh: Mesh) -> None:
+    scene = scene_of(mesh)
+    comparisons = Comparisons(mesh)
+    first = histories_of(scene, ["vdm-paper", "vdm-vector"])
+    comparisons.compare(under(comparisons, scene), first, "vdm-vector")
+    twice = {
+        name: dataclasses.replace(h, displacement=2 * h.displacement, reaction_force=2 * h.reaction_force)
+        for name, h in first.items()
+    }
+    nudged = twice["vdm-paper"].displacement.copy()
+    nudged[0, 0, 0] += 1e-12 * np.abs(nudged).max()
+    gone = np.where(np.arange(len(nudged))[:, None, None] == 0, np.nan, nudged)
+    more = scene_of(mesh, 2.0, 2.0)
+    paper = twice["vdm-paper"]
+    for surface, models_, reference in [
+        (
+            under(comparisons, more),
+            twice | {"vdm-paper": dataclasses.replace(paper, displacement=nudged)},
+            "vdm-vector",
+        ),
+        (
+            under(comparisons, more),
+            twice | {"vdm-paper": dataclasses.replace(paper, displacement=gone)},
+            "vdm-vector",
+        ),
+        (under(comparisons, scene), twice, "vdm-vector"),
+        (under(comparisons, more), twice, "vdm-paper"),
+        (under(comparisons, more), twice, None),
+        (comparisons.surface.under(~scene.contact, 2 * scene.contact_force), twice, "vdm-vector"),
+        (
+            comparisons.surface.under(scene.contact, -scene.contact_force),
+            {
+                n: dataclasses.replace(h, displacement=-h.displacement, reaction_force=-h.reaction_force)
+                for n, h in first.items()
+            },
+            "vdm-vector",
+        ),
+        (
+            under(comparisons, more),
+            {n: dataclasses.replace(h, load_factors=2 * h.load_factors) for n, h in twice.items()},
+            "vdm-vector",
+        ),
+    ]:
+        found = dataclasses.replace(comparisons).compare(surface, models_, reference)
+        plain = evaluate_all(surface, models_, reference)
+        assert found.keys() == plain.keys()
+        for model, metrics in plain.items():
+            assert metrics.keys() == found[model].keys()
+            for name, values in metrics.items():
+                assert np.array_equal(found[model][name], values, equal_nan=True), (model, name)

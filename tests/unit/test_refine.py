@@ -8,7 +8,7 @@ from numpy.testing import assert_allclose
 from studies.meshing.mesh import Mesh
 from studies.meshing.refine import inherit, refine
 from studies.meshing.topology import surface_only
-from studies.metrics import enclosed_volume, facet_area_vectors
+from studies.surface_measures import enclosed_volume, facet_area_vectors
 
 
 def wedge() -> Mesh:

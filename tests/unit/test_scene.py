@@ -14,11 +14,11 @@ from studies import models
 from studies.meshing.geometry import build_mesh
 from studies.meshing.mesh import Mesh, MeshError
 from studies.meshing.refine import inherit, refine
-from studies.metrics import Surface, facet_area_vectors, nodal_sum
 from studies.regions import select
 from studies.scene import Scene, SceneError, build_scene
 from studies.study_file.config import geometry_of
 from studies.study_file.schema import Region, Study
+from studies.surface_measures import Surface, facet_area_vectors, nodal_sum
 
 BASE: dict[str, Any] = {
     "study": {"name": "test", "models": ["vdm-paper", "fem-linear"], "reference": "fem-linear"},

@@ -10,11 +10,11 @@ from numpy.testing import assert_allclose
 from studies import models
 from studies.case import Limit, ModelLimits, SmallStrainLimits
 from studies.meshing.mesh_cache import mesh_from_cache
-from studies.metrics import Surface, relative_l2
 from studies.scene import Scene, build_scene
 from studies.small_strain import _amid, small_strain_limits
 from studies.study_file.config import geometry_of, load_study, raised, value_and_unit
 from studies.study_file.schema import Study
+from studies.surface_measures import Surface, relative_l2
 
 STUDY = """
 [study]

@@ -11,11 +11,12 @@ from numpy.testing import assert_allclose
 from studies import models
 from studies.case import ModelResult
 from studies.meshing.geometry import build_mesh
-from studies.metrics import METRICS, History, Surface, evaluate, relative_l2
+from studies.metrics import METRICS, History, evaluate
 from studies.reference import own_error, refined_levels
 from studies.scene import Scene, build_scene
 from studies.study_file.config import geometry_of
 from studies.study_file.schema import Study, VdmTable
+from studies.surface_measures import Surface, relative_l2
 from studies.uncertainty import reference_bar, stored_estimate
 
 VECTOR = "relative_l2_displacement_error"

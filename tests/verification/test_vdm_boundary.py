@@ -12,7 +12,7 @@ from fem_reference.loads import Load as VolumeLoad
 from fem_reference.mesh import facet_quadrature
 from studies.meshing.geometry import build_mesh
 from studies.meshing.geometry_spec import Geometry
-from studies.metrics import relative_l2, rigid_motion_removed
+from studies.surface_measures import relative_l2, rigid_motion_removed
 from tests.unit.vdm_shapes import icosphere
 from tests.verification.records import Verified
 from vdm import Load, Model, ParameterError, Parameters, SolverError, SurfaceMesh

@@ -10,7 +10,7 @@ from numpy.testing import assert_allclose
 
 from studies.meshing.geometry import build_mesh
 from studies.meshing.geometry_spec import Geometry
-from studies.metrics import enclosed_volume
+from studies.surface_measures import enclosed_volume
 from vdm import Load, Model, Parameters
 from vdm.deformed import DeformableSurface
 

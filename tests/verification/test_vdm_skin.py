@@ -7,7 +7,7 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy.special import eval_legendre
 
-from studies.metrics import rigid_motion_removed
+from studies.surface_measures import rigid_motion_removed
 from tests.unit.vdm_shapes import box, icosphere, torus
 from vdm import Load, Model, Parameters, SolverError, SurfaceMesh
 from vdm.formulations.boundary import (

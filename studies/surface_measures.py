@@ -1,0 +1,143 @@
+"""What is measured of a triangle surface and of fields on it: areas, normals, volume, norms, rigid motions."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .nearest import Neighbourhood
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+Index = NDArray[np.int64]
+
+
+def facet_area_vectors(points: Array, triangles: Index) -> Array:
+    """(F, 3) area times unit normal of each facet [m^2]."""
+    a, b, c = (points[triangles[:, k]] for k in range(3))
+    return 0.5 * np.cross(b - a, c - a)
+
+
+def corner_sum(per_corner: Array, triangles: Index, n_nodes: int) -> Array:
+    """Sum values given per facet corner at the nodes: (F, 3, ...) -> (N, ...)."""
+    out = np.zeros((n_nodes, *per_corner.shape[2:]))
+    for corner in range(3):
+        np.add.at(out, triangles[:, corner], per_corner[:, corner])
+    return out
+
+
+def nodal_sum(per_facet: Array, triangles: Index, n_nodes: int) -> Array:
+    """Spread a third of each facet's value to its three nodes: (F, ...) -> (N, ...)."""
+    return corner_sum(np.repeat(per_facet[:, None] / 3.0, 3, axis=1), triangles, n_nodes)
+
+
+def enclosed_volume(points: Array, triangles: Index) -> float:
+    """Exact volume of the closed polyhedron, by the divergence theorem [m^3]."""
+    return float(enclosed_volumes(points[None], triangles)[0])
+
+
+def enclosed_volumes(points: Array, triangles: Index) -> Array:
+    """(S,) exact volumes of polyhedra (S, N, 3) of the same facets [m^3]."""
+    components = np.ascontiguousarray(np.moveaxis(points - points[:, :1], -1, 0))  # (3, S, N)
+    corners = np.ascontiguousarray(triangles.T)
+    (ax, ay, az), (bx, by, bz), (cx, cy, cz) = ([x[:, nodes] for x in components] for nodes in corners)
+    parts = ax * (by * cz - bz * cy) + ay * (bz * cx - bx * cz) + az * (bx * cy - by * cx)
+    return np.asarray(parts.sum(axis=1) / 6.0)
+
+
+def rigid_motions(points: Array, weights: Array) -> Array:
+    """(6, N, 3) rigid motions, infinitesimal and orthonormal by area; zero where one is another's multiple."""
+    x = points - np.average(points, axis=0, weights=weights)
+    turns = np.array([np.cross(axis, x) for axis in np.eye(3)])
+    shifts = np.broadcast_to(np.eye(3)[:, None, :], turns.shape) / np.sqrt(weights.sum())
+    # about the centroid a turn and a shift are orthogonal: only the turns need their Gram matrix (of inertia)
+    values, vectors = np.linalg.eigh(np.einsum("ani,n,bni->ab", turns, weights, turns))
+    proper = values > 1e-14 * values[-1]
+    scale = np.where(proper, 1.0 / np.sqrt(np.where(proper, values, 1.0)), 0.0)
+    return np.concatenate([shifts, np.einsum("am,m,ani->mni", vectors, scale, turns)])
+
+
+def rigid_motion_removed(points: Array, displacement: Array, weights: Array) -> Array:
+    """(N, 3) displacement less its best-fit infinitesimal rigid motion (area-weighted least squares) [m].
+
+    Infinitesimal, so that the result of a linear model scales with its load.
+    """
+    return without_motions(rigid_motions(points, weights), displacement[None], weights)[0]
+
+
+def without_motions(motions: Array, displacements: Array, weights: Array) -> Array:
+    """(S, N, 3) displacements less their parts along orthonormal motions (6, N, 3)."""
+    shares = np.tensordot(displacements * weights[:, None], motions, axes=((1, 2), (1, 2)))
+    return displacements - np.tensordot(shares, motions, axes=1)
+
+
+def weighted_norm(values: Array, weights: Array) -> float:
+    """sqrt(sum_i w_i |v_i|^2) of (N,) or (N, 3) values."""
+    squared = values**2 if values.ndim == 1 else np.einsum("ij,ij->i", values, values)
+    return float(np.sqrt(weights @ squared))
+
+
+def relative_l2(values: Array, reference: Array, weights: Array) -> float:
+    """||values - reference|| / ||reference||; NaN where the reference is zero."""
+    norm = weighted_norm(reference, weights)
+    return weighted_norm(values - reference, weights) / norm if norm > 0 else np.nan
+
+
+def weighted_quantiles(values: Array, weights: Array, quantile: float) -> Array:
+    """(S,) of each row of (S, N) values the smallest at or below which at least `quantile` of the weight lies."""
+    order = np.argsort(values, axis=1)
+    cumulative = np.cumsum(weights[order], axis=1)
+    below = cumulative < quantile * cumulative[:, -1:] * (1 - 1e-12)
+    position = np.minimum(below.sum(axis=1, keepdims=True), order.shape[1] - 1)
+    return np.take_along_axis(values, np.take_along_axis(order, position, axis=1), axis=1)[:, 0]
+
+
+@dataclass(frozen=True)
+class Surface:
+    """The undeformed surface with its measures."""
+
+    points: Array
+    triangles: Index
+    contact: Mask = field(default_factory=lambda: np.zeros(0, dtype=bool))  # (N,) nodes under contact
+    contact_force: Array = field(default_factory=lambda: np.zeros((0, 3)))  # (N, 3) at load factor 1
+
+    @cached_property
+    def areas(self) -> Array:
+        """(N,) nodal areas A_i [m^2] (eq. 1)."""
+        facets = np.linalg.norm(facet_area_vectors(self.points, self.triangles), axis=1)
+        return nodal_sum(facets, self.triangles, len(self.points))
+
+    @cached_property
+    def volume_gradient(self) -> Array:
+        """(N, 3) exact gradient g_i of the enclosed volume [m^2]."""
+        return nodal_sum(facet_area_vectors(self.points, self.triangles), self.triangles, len(self.points))
+
+    @cached_property
+    def normals(self) -> Array:
+        """(N, 3) outward unit normals g_i/|g_i|."""
+        return self.volume_gradient / np.linalg.norm(self.volume_gradient, axis=1, keepdims=True)
+
+    @cached_property
+    def rigid_motions(self) -> Array:
+        """(6, N, 3), see `rigid_motions`."""
+        return rigid_motions(self.points, self.areas)
+
+    @cached_property
+    def volume(self) -> float:
+        """Enclosed volume [m^3]."""
+        return enclosed_volume(self.points, self.triangles)
+
+    @cached_property
+    def neighbourhood(self) -> Neighbourhood:
+        """For distances between deformed surfaces."""
+        return Neighbourhood(self.points, self.triangles)
+
+    def under(self, contact: Mask, contact_force: Array) -> Surface:
+        """The same surface in another contact; what is measured of it is measured once."""
+        other = replace(self, contact=contact, contact_force=contact_force)
+        for name in ("areas", "volume_gradient", "normals", "rigid_motions", "volume", "neighbourhood"):
+            other.__dict__[name] = getattr(self, name)
+        return other
