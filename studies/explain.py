@@ -119,7 +119,9 @@ def _skipped(plan: Plan, todo: Sequence[PlannedCase]) -> list[str]:
         lines.append(f"{_count(cached, 'mesh', 'meshes')}: already in the cache")
     references = sum(plan.reference_cached(case) for case in todo)
     if references:
-        lines.append(f"the reference of {_count(references, 'case')}: already in the cache")
+        lines.append(
+            f"the reference of {_count(references, 'case')}: already in the cache, or a multiple of it is"
+        )
     for name in plan.study.study.models:
         known = sum(name in plan.reused(case) for case in todo)
         if known and name != plan.study.study.reference:

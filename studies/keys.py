@@ -60,9 +60,21 @@ def _outputs(study: Study) -> dict[str, bool]:
     return {"condition": True} if study.study.condition else {}
 
 
-def reference_key(result_key: str, n_levels: int) -> str:
-    """Key of a reference on `n_levels` mesh levels."""
-    return _digest({"result": result_key, "levels": n_levels})
+def reference_key(study: Study, mesh_key: str, n_levels: int) -> str:
+    """Key of a study's reference on `n_levels` mesh levels; of one that scales, up to a factor of its loads."""
+    name = study.study.reference or ""
+    if study.gravity is not None or not models.solves_together(name):
+        return _digest({"result": result_keys(study, mesh_key)[name], "levels": n_levels})
+    return _digest(
+        {
+            "model": name,
+            "version": models.find(name)[0].version,
+            "setup": setup_key(study, mesh_key),
+            "loads": load_key(study),
+            "levels": n_levels,
+        }
+        | _outputs(study)
+    )
 
 
 def setup_key(study: Study, mesh_key: str) -> str:
@@ -105,11 +117,17 @@ def unit_loads(study: Study) -> list[tuple[str, float]]:
     return out
 
 
-def load_key(study: Study) -> str:
-    """Key of a study's loads up to a common factor; of those with a weight, which does not scale, as they are."""
+def loads_of(study: Study) -> dict[str, float]:
+    """Load of size 1 -> how much of it acts at load factor 1, the weight apart."""
     parts: dict[str, float] = {}
     for unit, value in unit_loads(study):
         parts[unit] = parts.get(unit, 0.0) + value
+    return parts
+
+
+def load_key(study: Study) -> str:
+    """Key of a study's loads up to a common factor; of those with a weight, which does not scale, as they are."""
+    parts = loads_of(study)
     largest = max((abs(value) for value in parts.values()), default=0.0)
     first = next((value for value in parts.values() if abs(value) == largest), 0.0)
     if not first or study.gravity is not None:

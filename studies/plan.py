@@ -220,7 +220,7 @@ def _planned(case: ResolvedCase, mesh_key: str) -> PlannedCase:
         surface=surface_key(study),
         load=load_key(study),
         results=results,
-        reference=reference_key(results[name], n_levels) if name is not None else None,
+        reference=reference_key(study, mesh_key, n_levels) if name is not None else None,
     )
 
 

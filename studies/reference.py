@@ -11,13 +11,13 @@ import numpy as np
 from . import models
 from .case import ModelResult
 from .execute import TaskError
-from .meshing.mesh import Array, Index, InputError
+from .meshing.mesh import Array, Index, InputError, Mesh
 from .meshing.refine import inherit, refine
 from .metrics import METRICS, History, evaluate_all, full_load_step
 from .scene import Scene, build_scene
 from .setups import shared
 from .study_file.schema import Study
-from .surface_measures import Surface, weighted_norm, without_motions
+from .surface_measures import Surface, enclosed_volumes, weighted_norm, without_motions
 from .uncertainty import estimate_error
 
 
@@ -98,6 +98,7 @@ def refined_levels(
         a level that did not converge.
     """
     found: list[list[ModelResult]] = [[] for _ in scenes]
+    coarsest = scenes[0].mesh
     lineage: list[Index] = []
     for _ in range(n_levels - 1):
         coarse = scenes[0].mesh
@@ -112,7 +113,7 @@ def refined_levels(
         lineage.append(parents)
         for levels, result in zip(found, models.run_together(scenes, name), strict=True):
             require_converged(f"{name} on the refined mesh", result)
-            levels.append(_restricted(result, lineage))
+            levels.append(_restricted(result, lineage, coarsest))
     return found
 
 
@@ -129,16 +130,17 @@ def require_converged(name: str, result: ModelResult) -> None:
         )
 
 
-def _restricted(result: ModelResult, lineage: list[Index]) -> ModelResult:
+def _restricted(result: ModelResult, lineage: list[Index], mesh: Mesh) -> ModelResult:
     """A refined level's result at the case's surface nodes; the force of a middle node is shared by its ends."""
     force = result.reaction_force
     for parents in reversed(lineage):
         force = _to_parents(force, parents)
-    n_nodes = force.shape[1]
+    displacement = result.displacement[:, : force.shape[1]]
     return dataclasses.replace(
         result,
-        displacement=result.displacement[:, :n_nodes],
+        displacement=displacement,
         reaction_force=force,
+        volume=enclosed_volumes(mesh.surface_points + displacement, mesh.triangles),
     )
 
 

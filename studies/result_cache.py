@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import dataclasses
 import json
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from .case import ModelResult, StepStatus
+from .proportional import Reference
 from .sealed import read_arrays, write_arrays
 
 _ARRAYS = (
@@ -30,10 +30,14 @@ def reference_path(cache: Path, key: str) -> Path:
     return cache / "references" / f"{key}.npz"
 
 
-def write_levels(path: Path, levels: Sequence[ModelResult]) -> None:
-    """Store a reference: its result on each mesh level at the surface nodes, coarse first. Raises OSError."""
-    arrays: dict[str, Any] = {"levels": np.array(len(levels))}
-    for number, result in enumerate(levels):
+def write_reference(path: Path, reference: Reference) -> None:
+    """Store a reference at the surface nodes, with the loads that it answers. Raises OSError."""
+    arrays: dict[str, Any] = {
+        "levels": np.array(len(reference.levels)),
+        "loads": np.array(json.dumps(dict(reference.loads))),
+        "load_factors": reference.load_factors,
+    }
+    for number, result in enumerate(reference.levels):
         about = {
             **{name: getattr(result, name) for name in _NUMBERS},
             "parameters": dict(result.parameters),
@@ -45,12 +49,13 @@ def write_levels(path: Path, levels: Sequence[ModelResult]) -> None:
     write_arrays(path, arrays)
 
 
-def read_levels(path: Path) -> list[ModelResult] | None:
-    """The levels stored at `path`, or None where there is nothing or it is damaged."""
+def read_reference(path: Path) -> Reference | None:
+    """The reference stored at `path`, or None where there is nothing or it is damaged."""
     arrays = read_arrays(path)
     if arrays is None:
         return None
-    return [_level(arrays, f"{number}/") for number in range(int(arrays["levels"]))]
+    levels = [_level(arrays, f"{number}/") for number in range(int(arrays["levels"]))]
+    return Reference(levels, json.loads(str(arrays["loads"])), arrays["load_factors"])
 
 
 def _level(arrays: dict[str, Any], prefix: str) -> ModelResult:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from . import models
-from .keys import unit_loads
+from .keys import loads_of
 from .plan import Plan, PlannedCase
 from .study_file.schema import Study
 
@@ -83,9 +83,7 @@ def independent_loads(studies: Iterable[Study]) -> int:
     """
     columns: list[dict[str, float]] = []
     for study in studies:
-        parts: dict[str, float] = {}
-        for unit, value in unit_loads(study):
-            parts[unit] = parts.get(unit, 0.0) + value
+        parts = loads_of(study)
         weight = {"gravity": 1.0} if study.gravity else {}
         columns += [{unit: f * value for unit, value in parts.items()} | weight for f in study.load.history]
     units = sorted({unit for column in columns for unit in column})

@@ -6,6 +6,7 @@ import dataclasses
 import platform
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
+from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from functools import cache
 from importlib.metadata import PackageNotFoundError, version
@@ -15,15 +16,16 @@ from typing import Any
 from . import models
 from .case import CaseResult, MetricSeries, ModelResult
 from .hdf5 import StoreError
+from .keys import loads_of
 from .meshing.geometry_spec import Geometry
 from .meshing.mesh import Mesh
 from .meshing.mesh_cache import mesh_from_cache
 from .metrics import METRICS, History
 from .model_name import REFINED
 from .plan import needs_volume
-from .proportional import Comparisons
+from .proportional import Comparisons, Reference
 from .reference import own_error, refined_levels, require_converged
-from .result_cache import read_levels, reference_path, write_levels
+from .result_cache import read_reference, reference_path, write_reference
 from .scene import Scene, build_scene
 from .setups import next_turn, shared, sharing
 from .small_strain import small_strain_limits
@@ -63,17 +65,17 @@ def run_case(task: Task) -> None:
         the reference failed, so that there is nothing to compare with.
     """
     next_turn()
-    study, scene = _scenes.pop(task["id"]) if task["id"] in _scenes else _built(task)
+    group = _group or _Group()
+    study, scene = group.scenes.pop(task["id"]) if task["id"] in group.scenes else _built(task)
     mesh, reference = scene.mesh, study.study.reference
-    known = _known(task)
+    known = _known(task, group)
     levels: list[ModelResult] = []
     if reference is not None:
-        levels = _reference_levels(study, scene, task, known)
+        levels = _reference_levels(study, scene, task, known, group)
         known[reference] = levels[0]
     results = {name: known.get(name) or models.run_model(scene, name) for name in study.study.models}
     results = {name: dataclasses.replace(result, key=task["keys"][name]) for name, result in results.items()}
-    _last.clear()
-    _last.update({result.key: result for result in results.values()})
+    group.last = {result.key: result for result in results.values()}
     if reference is not None and len(levels) > 1:
         reference += REFINED
         results[reference] = levels[-1]
@@ -109,40 +111,60 @@ def run_case(task: Task) -> None:
     )
 
 
+@dataclass
+class _Group:
+    """What cases that run one after the other know of each other.
+
+    Attributes
+    ----------
+    scenes : case -> its study and scene, of cases to come
+    references : reference key -> what was solved, or read from the cache
+    stored : keys of those that the cache holds
+    last : result key -> result, of the case before
+    """
+
+    scenes: dict[str, tuple[Study, Scene]] = field(default_factory=dict)
+    references: dict[str, Reference] = field(default_factory=dict)
+    stored: set[str] = field(default_factory=set)
+    last: dict[str, ModelResult] = field(default_factory=dict)
+
+
+_group: _Group | None = None  # inside `share`
+
+
 @contextmanager
 def share(tasks: Sequence[Task]) -> Iterator[None]:
     """Around cases that differ in their loads and VDM parameters: one set-up each, one solve of all references.
 
     What cannot be done for all, because a scene or a solve fails, each case finds out for itself.
     """
-    with sharing():
-        wanted = {task["reference_key"]: task for task in tasks if task["reference_key"]}
-        missing = [task for task in wanted.values() if not _reference_is_there(task)]
-        with suppress(ValueError):
-            _solve_ahead(missing)
-        yield
-    _scenes.clear()
+    global _group
+    _group = _Group()
+    try:
+        with sharing():
+            with suppress(ValueError):
+                _solve_ahead(tasks, _group)
+            yield
+    finally:
+        _group = None
 
 
-# what this process knows: scenes of cases to come, references that it solved, which of them are in the cache, the
-# results of the case before
-_scenes: dict[str, tuple[Study, Scene]] = {}
-_ahead: dict[str, list[ModelResult]] = {}
-_last: dict[str, ModelResult] = {}
-_written: set[str] = set()
-
-
-def _solve_ahead(tasks: Sequence[Task]) -> None:
-    if len(tasks) < 2 or not models.solves_together(name := tasks[0]["study"]["study"]["reference"]):
+def _solve_ahead(tasks: Sequence[Task], group: _Group) -> None:
+    """The references that the cache lacks, each of the first case that asks for it."""
+    first = {task["reference_key"]: task for task in reversed(tasks) if task["reference_key"]}
+    missing = [task for task in reversed(first.values()) if not _reference_is_there(task)]
+    if len(missing) < 2 or not models.solves_together(name := missing[0]["study"]["study"]["reference"]):
         return
-    _scenes.update({task["id"]: _built(task) for task in tasks})
-    studies, scenes = zip(*(_scenes[task["id"]] for task in tasks), strict=True)
+    group.scenes.update({task["id"]: _built(task) for task in missing})
+    studies, scenes = zip(*(group.scenes[task["id"]] for task in missing), strict=True)
     coarse = models.run_together(scenes, name)
     for result in coarse:
         require_converged(name, result)
     finer = refined_levels(studies, scenes, name, _n_levels(studies[0]))
-    for task, first, others in zip(tasks, coarse, finer, strict=True):
-        _ahead[task["reference_key"]] = [first, *others]
+    for task, study, scene, one, others in zip(missing, studies, scenes, coarse, finer, strict=True):
+        group.references[task["reference_key"]] = Reference(
+            [one, *others], loads_of(study), scene.load_factors
+        )
 
 
 def _built(task: Task) -> tuple[Study, Scene]:
@@ -152,27 +174,30 @@ def _built(task: Task) -> tuple[Study, Scene]:
 
 
 def _reference_levels(
-    study: Study, scene: Scene, task: Task, known: Mapping[str, ModelResult]
+    study: Study, scene: Scene, task: Task, known: Mapping[str, ModelResult], group: _Group
 ) -> list[ModelResult]:
-    """The reference on each mesh level: solved ahead, from the cache, or solved now."""
-    name, key = study.study.reference or "", task["reference_key"]
+    """The reference on each mesh level: solved before, here or in another run, a multiple of it, or solved now."""
+    name, key, loads = study.study.reference or "", task["reference_key"], loads_of(study)
     path = reference_path(Path(task["cache"]), key)
-    levels = _ahead.get(key)
-    if levels is None and not task["fresh"]:
-        levels = read_levels(path)
-        if levels is not None:
-            return [_marked(level) for level in levels]
+    if key not in group.references and not task["fresh"]:
+        stored = read_reference(path)
+        if stored is not None:
+            levels = [_marked(level) for level in stored.levels]
+            group.references[key] = dataclasses.replace(stored, levels=levels)
+            group.stored.add(key)
+    found = group.references[key].under(loads, scene) if key in group.references else None
+    if found is None:
         if name in known and _n_levels(study) == 1:
             return [known[name]]
-    if levels is None:
         coarse = models.run_model(scene, name)
         require_converged(name, coarse)
-        levels = [coarse, *refined_levels([study], [scene], name, _n_levels(study))[0]]
-    if key not in _written:
-        write_levels(path, levels)
-        _written.add(key)
-    _ahead[key] = levels
-    return levels
+        found = [coarse, *refined_levels([study], [scene], name, _n_levels(study))[0]]
+        group.references[key] = Reference(found, loads, scene.load_factors)
+        group.stored.discard(key)
+    if key not in group.stored:
+        write_reference(path, group.references[key])
+        group.stored.add(key)
+    return found
 
 
 def _reference_error(
@@ -190,9 +215,9 @@ def _reference_is_there(task: Task) -> bool:
     return not task["fresh"] and reference_path(Path(task["cache"]), task["reference_key"]).exists()
 
 
-def _known(task: Task) -> dict[str, ModelResult]:
+def _known(task: Task, group: _Group) -> dict[str, ModelResult]:
     """Results that need not be solved again: of the case before, and of case files that the plan names."""
-    known = {name: _last[key] for name, key in task["keys"].items() if key in _last}
+    known = {name: group.last[key] for name, key in task["keys"].items() if key in group.last}
     for path in sorted(set(task["reuse"].values())):
         with suppress(StoreError):
             stored = read_case(Path(path)).models

@@ -28,7 +28,7 @@ FUNCTIONS = {
     "studies.worker": {"compare": "metrics"},
     "studies.reference": {"own_error": "metrics"},
     "studies.store": {"write_case": "store", "read_case": "store", "write_study": "store"},
-    "studies.result_cache": {"write_levels": "store"},
+    "studies.result_cache": {"write_reference": "store"},
     "studies.report.page": {"write_report": "report"},
 }
 

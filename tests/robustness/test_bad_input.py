@@ -259,8 +259,7 @@ DAMAGE: dict[str, tuple[Prepare, int, str]] = {
 
 def in_this_process(work: Any, groups: Sequence[Group], *, started: Any, **_: Any) -> Iterator[Outcome]:
     """`run_tasks` without processes."""
-    for state in (worker._ahead, worker._last, worker._written, worker._meshes):
-        state.clear()
+    worker._meshes.clear()
     for task in (task for group in groups for task in group):
         started(task)
         code, message, remedy = execute._attempt(work, task, alone=True)

@@ -23,6 +23,7 @@ from studies.case import CaseResult
 from studies.explain import summary
 from studies.meshing.mesh_cache import mesh_from_cache
 from studies.plan import Plan, make_plan, task_of
+from studies.proportional import Reference
 from studies.reference import own_error, refined_levels
 from studies.store import read_case, write_case
 from studies.study_file.config import expand
@@ -61,8 +62,6 @@ def plan_of(directory: Path, cache: Path, **changes: Any) -> Plan:
 def run(plan: Plan, *, fresh: bool = False, jobs: int = 1) -> list[CaseResult]:
     """What a worker does with each group, here."""
     for group in plan.groups(plan.cases_to_run(fresh=fresh), jobs):
-        for state in (worker._ahead, worker._last, worker._written):
-            state.clear()
         tasks = [task_of(case, plan, fresh=fresh) for case in group]
         with share(tasks):
             for task in tasks:
@@ -106,8 +105,6 @@ def test_shared_numbers_are_those_of_each_case_alone(tmp_path: Path, cache: Path
     for case, planned in zip(together, plan.cases, strict=True):
         alone_plan = plan_of(tmp_path / "alone", cache)
         task = task_of(planned, alone_plan, fresh=True)
-        worker._ahead.clear()
-        worker._last.clear()
         run_case(task)
         alone = read_case(Path(task["path"]))
         for name, result in case.models.items():
@@ -215,6 +212,68 @@ def test_another_study_uses_the_same_reference(tmp_path: Path, cache: Path, made
     assert made == {"vdm set-ups": 2, "vdm solves": 8}, (
         "names do not matter, and VDM's parameters not to the reference"
     )
+
+
+@pytest.mark.parametrize("factors", [[0.5, 1.0], [0.2, -3.0]])
+@pytest.mark.parametrize("levels", [1, 2])
+def test_a_load_that_is_a_multiple_of_a_stored_one_is_not_solved(
+    tmp_path: Path, cache: Path, made: Counter[str], factors: list[float], levels: int
+) -> None:
+    bar = {"uncertainty": {"levels": levels} if levels > 1 else None}
+    run(plan_of(tmp_path / "a", tmp_path / "cache", sweep={}, **bar))
+    made.clear()
+    edited = {"sweep": {"constraints.finger.force": [0.07, 11.0]}, "load": {"factors": factors}} | bar
+    plan = plan_of(tmp_path / "b", tmp_path / "cache", **edited)
+    assert any("the reference of 2 cases: already in the cache" in line for line in summary(plan)["skipped"])
+    assert not [part for part in counted.work_of(plan, plan.cases) if part.name == "fem-linear"]
+    found = run(plan)
+    assert made["fem solves"] == made["fem set-ups"] == 0
+    alone = run(plan_of(tmp_path / "c", cache, **edited), fresh=True)
+    assert made["fem solves"] > 0
+    for case, other in zip(found, alone, strict=True):
+        for name in case.models:
+            for field in ("displacement", "reaction_force", "energy", "fluid_pressure", "volume"):
+                a, b = getattr(case.models[name], field), getattr(other.models[name], field)
+                assert_allclose(a, b, rtol=0, atol=1e-12 * np.abs(b).max(), err_msg=f"{name} {field}")
+        assert "measured_earlier" in case.models["fem-linear"].parameters
+        assert case.reference_error.keys() == other.reference_error.keys()
+        for name, value in other.reference_error.items():
+            assert_allclose(case.reference_error[name], value, rtol=1e-8, atol=1e-12, err_msg=name)
+
+
+def test_a_stored_reference_answers_its_multiples_only(cache: Path, tmp_path: Path) -> None:
+    plan = plan_of(tmp_path, cache)
+    task = task_of(plan.cases[0], plan)
+    study, scene = worker._built(task)
+    result = worker.models.run_model(scene, "fem-linear")
+    loads = worker.loads_of(study)
+    stored = Reference([result], loads, scene.load_factors)
+    (same,) = stored.under(loads, scene) or [None]
+    assert same is result
+    (twice,) = stored.under({unit: 2 * value for unit, value in loads.items()}, scene) or [None]
+    assert twice is not None
+    assert_allclose(twice.displacement, 2 * result.displacement, rtol=1e-14, atol=0)
+    assert "steps_scaled" in twice.parameters
+    two = {"a": 1.0, "b": 2.0}
+    stored = Reference([result], two, scene.load_factors)
+    assert stored.under({"a": 3.0, "b": 6.0}, scene) is not None
+    for other in ({"a": 3.0, "b": 6.0 * (1 + 1e-13)}, {"a": 3.0}, {"a": 3.0, "c": 6.0}, {"a": 0.0, "b": 6.0}):
+        assert stored.under(other, scene) is None, other
+    assert Reference([result], {"a": 0.0}, scene.load_factors).under({"a": 1.0}, scene) is None
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"gravity": {"acceleration": [0.0, 0.0, -9.81]}, "tissue": TABLES["tissue"] | {"density": 1000.0}},
+        {"study": {"name": "test", "models": ["vdm-vector", "fem"], "reference": "fem"}, "uncertainty": None},
+    ],
+)
+def test_what_does_not_scale_has_a_reference_per_load(
+    tmp_path: Path, cache: Path, changes: dict[str, Any]
+) -> None:
+    assert len({case.reference for case in plan_of(tmp_path, cache).cases}) == 2
+    assert len({case.reference for case in plan_of(tmp_path, cache, **changes).cases}) == 4
 
 
 def test_fresh_uses_nothing_that_is_stored(tmp_path: Path, cache: Path, made: Counter[str]) -> None:
