@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..case import Run
+from ..model_name import is_linear
 from ..plan import Plan
 from ..study_file.schema import Study
 from .fit import CalibrationError, Errors, Fit, Sample, Trial, fit, samples_of, split, surface_models
@@ -35,13 +36,15 @@ class Calibration:
     """One model fitted on one body, and what the fit is worth elsewhere.
 
     `finer` are the multiples of the rule that a finer mesh gives; `on_finer` the errors there of those of the
-    study's own mesh; `transfer` the errors of these on the held-out loads of other bodies, by study.
+    study's own mesh; `transfer` the errors of these on the held-out loads of other bodies, by study; `repeated` the
+    labels of held-out loads that are multiples of training loads, where model and reference are linear.
     """
 
     fit: Fit
     finer: Mapping[str, float] | None
     on_finer: Errors | None
     transfer: Mapping[str, Errors]
+    repeated: Sequence[str] = ()
 
 
 def check(study: Study) -> None:
@@ -90,7 +93,9 @@ def _calibration(body: Body, name: str, others: Sequence[Body]) -> Calibration:
         finer = fit(name, body.finer_training, body.finer_held_out, body.asked).multiples
         on_finer = _errors(name, body.finer_held_out, found)
     transfer = {other.name: _errors(name, other.held_out, found) for other in others if name in other.models}
-    return Calibration(found, finer, on_finer, transfer)
+    trained = {sample.key for sample in body.training} if is_linear(name) else set()
+    repeated = [sample.label for sample in body.held_out if sample.key in trained]
+    return Calibration(found, finer, on_finer, transfer, repeated)
 
 
 def _errors(name: str, samples: Sequence[Sample], found: Fit) -> Errors:
@@ -110,6 +115,16 @@ def worse_than_rule(by_rule: Errors, fitted: Errors) -> str:
     )
 
 
+def no_test(entry: Calibration) -> str:
+    """That held-out loads are multiples of training loads, where any is, and what to do; else ""."""
+    if not entry.repeated:
+        return ""
+    return (
+        f"of the loads held out {len(entry.repeated)} are multiples of training loads and test nothing: "
+        f"vary place, size or profile"
+    )
+
+
 def as_json(entries: Sequence[Calibration]) -> dict[str, dict[str, object]]:
     """Model -> its calibration as plain data."""
     return {entry.fit.model: dataclasses.asdict(entry) for entry in entries}
@@ -118,17 +133,15 @@ def as_json(entries: Sequence[Calibration]) -> dict[str, dict[str, object]]:
 def as_toml(entries: Sequence[Calibration]) -> str:
     """Tables to paste into a study file: [vdm] for one model, a [models."NAME"] table each for several.
 
-    A fit that does worse than the rule on the loads held out says so in a comment.
+    Comments say where a fit does worse than the rule on the loads held out, and where these test nothing.
     """
     blocks = []
     for entry in entries:
         title = "vdm" if len(entries) == 1 else f'models."{entry.fit.model}"'
         lines = [f"{key} = {value:.6g}" for key, value in entry.fit.parameters.items()]
+        warning = [f"# {told}"] if (told := no_test(entry)) else []
         worse = worse_than_rule(entry.fit.by_rule, entry.fit.held_out)
-        warning = (
-            [f"# worse than the rule on the loads held out: {worse}; the rule may serve better"]
-            if worse
-            else []
-        )
+        if worse:
+            warning += [f"# worse than the rule on the loads held out: {worse}; the rule may serve better"]
         blocks.append("\n".join([*warning, f"[{title}]", *lines]))
     return "\n\n".join(blocks) + "\n"

@@ -32,7 +32,8 @@ def table(entries: Sequence[Calibration]) -> list[dict[str, str]]:
             "times its rule": _multiples(fit.multiples),
             "training loads": errors(fit.training),
             "held out, by rule": errors(fit.by_rule),
-            "held out, fitted": errors(fit.held_out),
+            "held out, fitted": errors(fit.held_out)
+            + (f", {len(entry.repeated)} no test" if entry.repeated else ""),
             "reference's own": bars(fit.held_out),
         }
         if entry.finer is not None and entry.on_finer is not None:

@@ -22,6 +22,7 @@ from ..case import ModelResult, Run
 from ..meshing.mesh import Array, InputError
 from ..meshing.mesh_cache import mesh_from_cache
 from ..metrics import full_load_step
+from ..model_name import is_linear
 from ..plan import Plan, needs_volume
 from ..scene import Scene, build_scene
 from ..study_file.config import geometry_of
@@ -54,6 +55,7 @@ class Sample:
     scene: Scene
     reference: Array  # (N, 3) m
     bars: Mapping[str, float]  # metric -> the reference's own error, NaN where not measured
+    key: str  # of body and load; one where the reference only answers a multiple to a multiple of the load
 
     @cached_property
     def surface(self) -> Surface:
@@ -93,12 +95,13 @@ def samples_of(plan: Plan, run: Run) -> list[Sample]:
     CalibrationError
         no finished case with a reference.
     """
-    planned = {case.hash: case.study for case in plan.cases}
+    planned = {case.hash: case for case in plan.cases}
     samples = []
     for case in run.cases:
         if case.reference is None:
             continue
-        study = planned[case.hash]
+        found = planned[case.hash]
+        study = found.study
         mesh = mesh_from_cache(geometry_of(study), plan.cache, volume=needs_volume(study))
         step = full_load_step(case.load_factors)
         samples.append(
@@ -107,6 +110,7 @@ def samples_of(plan: Plan, run: Run) -> list[Sample]:
                 dataclasses.replace(build_scene(study, mesh), load_factors=case.load_factors[[step]]),
                 case.models[case.reference].displacement[step],
                 {metric: reference_bar(case.reference_error, metric) for metric in (VECTOR, DEFORMATION)},
+                f"{found.setup} {found.load}" if is_linear(case.reference) else case.hash,
             )
         )
     if not samples:

@@ -11,6 +11,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from studies.calibration.calibrate import as_json, body, calibrate
+from studies.keys import load_key
 from studies.plan import make_plan
 from studies.run import Options, run_plan
 from studies.study_file.config import expand, load_study
@@ -60,6 +61,12 @@ def test_the_table_to_paste_holds_the_fit(study: str) -> None:
         worse = fit["vector"] > rule["vector"] + fit["bar"]
         worse |= fit["deformation"] > rule["deformation"] + fit["bar_deformation"]
         assert before.startswith("# worse than the rule on the loads held out") is worse, model
+
+
+@pytest.mark.parametrize("study", STUDIES)
+def test_no_load_of_a_shipped_calibration_is_a_multiple_of_another(study: str) -> None:
+    cases = expand(load_study(ROOT / "studies" / "cases" / f"{study}.toml"))
+    assert len({load_key(case.study) for case in cases}) == len(cases) == 12
 
 
 def test_the_document_shows_the_stored_fits() -> None:

@@ -6,6 +6,7 @@ import dataclasses
 import json
 import math
 import tomllib
+from collections.abc import Mapping
 from pathlib import Path
 
 import meshio
@@ -13,7 +14,15 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from studies.calibration.calibrate import Body, Calibration, as_toml, calibrate, worse_than_rule
+from studies.calibration.calibrate import (
+    Body,
+    Calibration,
+    as_json,
+    as_toml,
+    body,
+    calibrate,
+    worse_than_rule,
+)
 from studies.calibration.calibration_table import table
 from studies.calibration.fit import (
     CalibrationError,
@@ -29,7 +38,7 @@ from studies.calibration.fit import (
 from studies.case import Run
 from studies.meshing.mesh_cache import mesh_from_cache
 from studies.models import run_model
-from studies.plan import make_plan, task_of
+from studies.plan import Plan, make_plan, task_of
 from studies.scene import build_scene
 from studies.store import read_case
 from studies.study_file.config import expand, geometry_of, load_study, with_mesh_size
@@ -76,7 +85,13 @@ def samples(tmp_path_factory: pytest.TempPathFactory) -> list[Sample]:
     cases = expand(load_study(directory / "study.toml"))
     mesh = mesh_from_cache(geometry_of(cases[0].study), directory, volume=False)
     return [
-        Sample(case.label, build_scene(case.study, mesh), np.zeros((len(mesh.surface_nodes), 3)), NOWHERE)
+        Sample(
+            case.label,
+            build_scene(case.study, mesh),
+            np.zeros((len(mesh.surface_nodes), 3)),
+            NOWHERE,
+            case.label,
+        )
         for case in cases
     ]
 
@@ -196,6 +211,52 @@ def test_a_fit_that_is_worse_than_the_rule_says_so() -> None:
     )
 
 
+@pytest.mark.parametrize(
+    ("reference", "models", "told"),
+    [
+        (
+            "vdm-boundary",
+            ("vdm-vector", "vdm-vector:nonlinear"),
+            {"vdm-vector": 1, "vdm-vector:nonlinear": 0},
+        ),
+        ("vdm-boundary:nonlinear", ("vdm-vector",), {"vdm-vector": 0}),
+    ],
+)
+def test_held_out_multiples_of_training_loads_are_told(
+    reference: str, models: tuple[str, ...], told: Mapping[str, int], tmp_path: Path
+) -> None:
+    text = STUDY.replace("training = 3", "training = 2").replace(
+        '"regions.tip.cap.direction.0" = [0.0, 0.4, -0.5, 0.8]',
+        'mode = "zip"\n"regions.tip.cap.direction.0" = [0.0, 0.4, 0.4, 0.8]\n'
+        '"constraints.tip.pressure" = [40.0, 20.0, 80.0, 20.0]',
+    )
+    text = text.replace('["vdm-paper", "vdm-vector", "fem-linear"]', json.dumps([*models, reference]))
+    run, plan = finished(text.replace('reference = "fem-linear"', f'reference = "{reference}"'), tmp_path)
+    entries = {entry.fit.model: entry for entry in calibrate(body(plan, run, None))}
+    assert {name: len(entries[name].repeated) for name in models} == told
+    for entry in (entries[name] for name in models):
+        (row,) = table([entry])
+        repeated = bool(told[entry.fit.model])
+        assert ("1 no test" in row["held out, fitted"]) is repeated
+        note = "# of the loads held out 1 are multiples of training loads and test nothing: vary place"
+        assert as_toml([entry]).startswith(note) is repeated
+    if "vdm-vector" in models and reference == "vdm-boundary":
+        (label,) = as_json([entries["vdm-vector"]])["vdm-vector"]["repeated"]  # type: ignore[misc]
+        assert "80 Pa" in label
+
+
+def finished(text: str, directory: Path) -> tuple[Run, Plan]:
+    """A study's run and plan, all its cases done here."""
+    (directory / "study.toml").write_text(text)
+    study = load_study(directory / "study.toml")
+    plan = make_plan(study, expand(study), directory / "run", directory / "cache")
+    (plan.directory / "cases").mkdir(parents=True)
+    for case in plan.cases:
+        run_case(task_of(case, plan))
+    cases = [read_case(plan.case_file(case)) for case in plan.cases]
+    return Run({"name": study.study.name}, "", cases, [], [], {}), plan
+
+
 def test_what_cannot_be_fitted_says_why(samples: list[Sample]) -> None:
     with pytest.raises(CalibrationError, match="sweep more loads"):
         split(samples[:1], None)
@@ -281,14 +342,9 @@ def test_a_history_that_does_not_end_at_factor_one_gives_the_same_fit(tmp_path: 
     for history in ("[1.0]", "[0.5]", "[2.0, 0.25]"):
         name = f"history-{len(fits)}"
         text = STUDY.replace('"fem-linear"', '"vdm-boundary"').replace('"fit"', f'"{name}"')
-        (tmp_path / f"{name}.toml").write_text(f"{text}[load]\nfactors = {history}\n")
-        study = load_study(tmp_path / f"{name}.toml")
-        plan = make_plan(study, expand(study), tmp_path / name, tmp_path / "cache")
-        (plan.directory / "cases").mkdir(parents=True)
-        for case in plan.cases:
-            run_case(task_of(case, plan))
-        cases = [read_case(plan.case_file(case)) for case in plan.cases]
-        found = samples_of(plan, Run({"name": name}, "", cases, [], [], {}))
+        (tmp_path / name).mkdir()
+        run, plan = finished(f"{text}[load]\nfactors = {history}\n", tmp_path / name)
+        found = samples_of(plan, run)
         fits.append(fit("vdm-vector", found[:3], found[3:]))
     for other in fits[1:]:
         # all models are linear: the same body under more or less of the same load
