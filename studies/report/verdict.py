@@ -108,10 +108,11 @@ def _good_enough(digest: Digest, best: ModelSummary, rated: dict[str, Spread]) -
     elif beyond == count:
         word, rest = "No", f"not within {limit}{every.replace('every', 'any')}."
     else:
-        parts = [f"within {limit} in {within} of {count} cases"]
+        parts = [f"within {limit} in {within} of {count} cases"] if within else []
         parts += [f"beyond in {beyond}"] if beyond else []
         parts += [f"undecided in {left}, within the reference's own error"] if left else []
-        word, rest = "In part", f"{listed(parts)}."
+        none = "" if within else f"within {limit} in none of {count} cases: "
+        word, rest = "In part" if within else "Not shown", f"{none}{listed(parts)}."
     return _answer(
         question,
         word,

@@ -99,6 +99,16 @@ def test_a_model_that_has_no_answer_is_not_good_enough() -> None:
     assert "No answer at some load or at all: vdm-m in 1 case; the reasons are below." in text[SURE]
 
 
+def test_within_in_no_case_is_not_in_part() -> None:
+    cases = [
+        make_case({"vdm-m": error}, swept={"k": error}, reference_error=bars(0.01), subdivisions=1)
+        for error in (0.2, 0.101, 0.3)
+    ]
+    assert told(make_run(cases))[GOOD].startswith(
+        "Not shown: within 10 % in none of 3 cases: beyond in 2 and undecided in 1, within the reference's own "
+    )
+
+
 def test_the_parameter_that_decides_is_named_only_if_it_does() -> None:
     def run(errors: Mapping[tuple[float, float], float]) -> Run:
         return make_run(
