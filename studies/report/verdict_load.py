@@ -114,12 +114,12 @@ def _over_history(digest: Digest, model: str) -> str:
         return (
             f"{model} stays within {limit} over the whole history, up to {load}; more was not tried."
             if whole
-            else f"{model} stays within {limit} up to {load}, and not beyond."
+            else f"{model} stays within {limit} up to {load}; beyond that not surely."
         )
     parts = [f"over the whole load history in {whole} of {len(reached)} cases"]
     parts += [f"over a part of it in {len(reached) - whole - none}"] if len(reached) - whole - none else []
     parts += [f"at no load in {none}"] if none else []
-    return f"{model} stays within {limit} {listed(parts)}."
+    return f"{model} stays surely within {limit} {listed(parts)}."
 
 
 def _reached(case: CaseResult, model: str) -> int | None:
@@ -181,11 +181,11 @@ def _over_sweep(digest: Digest, model: str, key: str) -> str:
     tried = f"{swept_value(values[0], unit)} to {swept_value(values[-1], unit)}"
     if held is None:
         some = any(case_state(case, model, case.full_load) == WITHIN for case in cases)
-        text = f"No {name} tried ({tried}) keeps every case within {limit}"
+        text = f"No {name} tried ({tried}) surely keeps every case within {limit}"
         return f"{text}: what else varies decides." if some and len(digest.swept_keys) > 1 else f"{text}."
     if held == values[-1]:
-        return f"Every case stays within {limit} up to the largest {name} tried, {swept_value(held, unit)}."
-    return f"Every case stays within {limit} up to a {name} of {swept_value(held, unit)} (tried: {tried})."
+        return f"Every case stays surely within {limit} up to the largest {name} tried, {swept_value(held, unit)}."
+    return f"Every case stays surely within {limit} up to a {name} of {swept_value(held, unit)} (tried: {tried})."
 
 
 def _full_load_in_words(digest: Digest) -> str:
