@@ -16,8 +16,8 @@ from .formatting import listed, quantity, scale_of
 from .plots import Plot, colour, line, marker
 
 _CONTACT_NOTE = (
-    "Under a contact the force is given and the indentation is the answer: the largest inward displacement of the "
-    "nodes in contact, along the undeformed normal."
+    "Under a contact the force is given and the indentation is the answer: the largest displacement of the nodes "
+    "in contact along the undeformed normal, inwards, negative where they are pulled out."
 )
 _MOVED_NOTE = (
     "Where a region is moved by a given amount the force is the answer: the resultant of its nodes’ reactions, "
@@ -164,7 +164,10 @@ def contact_pressure(case: CaseResult) -> float | None:
 
 
 def indentation(case: CaseResult, model: str) -> Array:
-    """(S,) largest inward displacement of the nodes in contact, of all nodes where no contact is stored [m]."""
+    """(S,) displacement along the normal, inwards, of the node in contact that it moves farthest [m].
+
+    Negative where the contact pulls. Of all nodes where no contact is stored.
+    """
     mask = np.zeros(len(case.points), dtype=bool)
     for constraint in _constraints(case):
         if constraint.get("kind") == "contact" and str(constraint.get("region")) in case.regions:
@@ -172,7 +175,8 @@ def indentation(case: CaseResult, model: str) -> Array:
     if not mask.any():
         mask[:] = True
     inward = -np.einsum("sij,ij->si", case.models[model].displacement[:, mask], case.normals[mask])
-    result: Array = inward.max(axis=1)
+    farthest = np.abs(inward).argmax(axis=1)
+    result: Array = inward[np.arange(len(inward)), farthest]
     return result
 
 
@@ -245,8 +249,9 @@ def _stiffness(
         axes.set_xlim(left=min(0.0, axes.get_xlim()[0]))
         axes.set_ylim(bottom=min(0.0, axes.get_ylim()[0]))
     place = f"{push.name}, {title}" if push.name else title
+    farthest = {model: int(np.argmax(np.abs(x))) for model, (x, _) in curves.items()}
     told = listed(
-        f"{model} {quantity(float(y[np.argmax(np.abs(x))]), push.unit)} at {quantity(float(np.abs(x).max()), 'm')}"
+        f"{model} {quantity(float(y[farthest[model]]), push.unit)} at {quantity(float(x[farthest[model]]), 'm')}"
         for model, (x, y) in curves.items()
     )
     what = f"{push.y_label[:1].upper()}{push.y_label[1:]}"

@@ -155,7 +155,7 @@ def _load(case: CaseResult, step: int) -> tuple[float, str]:
 
 
 def _depth(case: CaseResult, step: int) -> float:
-    """How far the reference is pushed in or moved at a step [m]; NaN where nothing does that."""
+    """How far the reference is pushed in (pulled out: negative) or moved at a step [m]; NaN where it is not."""
     if case.reference is None or case.reference not in case.models:
         return math.nan
     if any(c.get("kind") == "contact" for c in case.resolved.get("constraints") or ()):
@@ -201,8 +201,8 @@ def _full_load_in_words(digest: Digest) -> str:
             shares.append(depth / float(np.ptp(case.points, axis=0).min()))
     parts = [value_range(loads[unit], unit) for unit in sorted(loads) if unit]
     if depths:
-        deepest = int(np.argmax(depths))
-        share = short_percent(shares[deepest])
+        deepest = int(np.argmax(np.abs(depths)))
+        share = short_percent(abs(shares[deepest]))
         up_to = "up to " if len(depths) > 1 else ""
         parts.append(
             f"{up_to}{quantity(depths[deepest], 'm')} of indentation in the reference, {share} of the body's "

@@ -56,6 +56,14 @@ def test_indentation_is_the_deepest_node_of_the_contact() -> None:
     assert_allclose(indentation(case, "m"), 1.5 * indentation(case, REFERENCE), rtol=RTOL, atol=ATOL)
 
 
+def test_a_pull_is_the_mirror_image_of_a_push() -> None:
+    push, pull = (make_case({"m": 0.5}, steps=(0.5, 1.0), load=sign) for sign in (1.0, -1.0))
+    assert indentation(push, "m")[-1] > 0.9 * 1.5 * AMPLITUDE
+    assert_allclose(indentation(pull, "m"), -indentation(push, "m"), rtol=RTOL, atol=ATOL)
+    ((_, told),) = figures_of(force_section(pull))
+    assert "m −500 mN at −3.00 mm" in told
+
+
 def moved_case(displacement: object = (0.0, 0.003, 0.004), **how: object) -> CaseResult:
     """The base is moved; model m pulls at it with 1 N along z at full load, twice that in the reference."""
     case = make_case(

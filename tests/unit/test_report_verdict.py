@@ -310,6 +310,17 @@ def test_nothing_is_judged_beyond_small_strain(error: float) -> None:
     assert text(8.0, "fem")[GOOD].startswith(judged), "finite strain has no such bound"
 
 
+def test_a_pull_is_told_by_its_largest_displacement() -> None:
+    cases = [
+        make_case({"vdm-m": 0.01}, label=str(k), swept={"k": float(k)}, steps=(1.0,), load=load)
+        for k, load in enumerate((-0.5, -1.0))
+    ]
+    assert (
+        "up to −2.00 mm of indentation in the reference, 2 % of the body's smallest extent"
+        in told(make_run(cases))[LOAD]
+    )
+
+
 def test_nothing_is_judged_where_the_references_volume_is_off() -> None:
     def text(drift: float, other: float) -> str:
         cases = []
