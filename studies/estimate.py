@@ -153,8 +153,8 @@ def _law(name: str, size: Size, loads: int) -> Cost:
     if model.name == "mass-spring":  # struts from side to side: a dense factor
         step = (1e-7 if solver == "nonlinear" else 3.5e-9) * n**2
         return Cost(1e-2 + 1.6e-9 * n**3, 7e-7 * n + step, 6e3 * n + 36.0 * n**2)
-    step = 1e-6 if solver in ("linear", "lu", "quasi-linear") else 2e-5
-    return Cost(1e-2 + (2e-4 if solver == "lu" else 2e-5) * n, step * n, (3e4 if solver == "lu" else 6e3) * n)
+    step = 1e-6 * n if solver in ("linear", "lu", "quasi-linear") else 2e-3 + 1.2e-5 * n
+    return Cost(1e-2 + (2e-4 if solver == "lu" else 2e-5) * n, step, (3e4 if solver == "lu" else 6e3) * n)
 
 
 def _volumetric(name: str, size: Size, loads: int) -> Cost:
