@@ -159,8 +159,8 @@ def _parser() -> argparse.ArgumentParser:
     )
     status = verb("status", cli_results.status_verb, "say what is done, failed and missing")
     report = verb("report", cli_results.report_verb, "rebuild the report from the stored results")
-    status.add_argument("directory", type=Path, metavar="DIR", help="run directory")
-    report.add_argument("directories", type=Path, metavar="DIR", nargs="+", help="run directory")
+    status.add_argument("directory", type=_run_directory, metavar="DIR", help="run directory")
+    report.add_argument("directories", type=_run_directory, metavar="DIR", nargs="+", help="run directory")
     report.add_argument(
         "--claims", action="store_true", help="put the paper's claims on trial by the results of all DIRs"
     )
@@ -171,7 +171,7 @@ def _parser() -> argparse.ArgumentParser:
     gate = verb("gate", cli_results.gate_verb, "hold a run's accuracy against its baseline")
     accept = verb("accept", cli_results.accept_verb, "make a run's accuracy the baseline")
     for sub in (gate, accept):
-        sub.add_argument("directory", type=Path, metavar="DIR", help="run directory")
+        sub.add_argument("directory", type=_run_directory, metavar="DIR", help="run directory")
         sub.add_argument(
             "--baseline", type=Path, metavar="FILE", help="baseline (default results/baselines/STUDY.json)"
         )
@@ -187,6 +187,14 @@ def _parser() -> argparse.ArgumentParser:
 
 def _interrupt(*_: object) -> NoReturn:
     raise KeyboardInterrupt
+
+
+def _run_directory(text: str) -> Path:
+    """A directory with a plan, or one that has lost it, which is not the command's fault."""
+    path = Path(text)
+    if not any(map(os.path.exists, (path / "plan.json", path / "cases"))):
+        raise argparse.ArgumentTypeError(f"{text}: not a run directory (it has no plan.json)")
+    return path
 
 
 def _positive(text: str) -> int:

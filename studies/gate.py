@@ -10,6 +10,7 @@ from __future__ import annotations
 import hashlib
 import json
 import math
+import shlex
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -181,7 +182,7 @@ def read_baseline(path: Path) -> Baseline:
         no such file, not a baseline, or of a newer schema.
     """
     if not path.exists():
-        raise BaselineError(no_baseline(path))
+        raise BaselineError(f"{no_baseline(path)} --baseline {shlex.quote(str(path))}")
     if fault := file_fault(path):
         raise BaselineError(f"{path}: {fault}")
     if path.stat().st_size > MAX_BYTES:

@@ -355,9 +355,11 @@ def test_a_damaged_mesh_is_made_again(copy: Path) -> None:
 
 @pytest.mark.parametrize("verb", ["status", "report"])
 def test_a_directory_without_a_run(tmp_path: Path, verb: str) -> None:
-    result = vdmbench(verb, tmp_path, cwd=tmp_path)
-    assert result.returncode == 5
-    assert "not a run directory" in result.stderr
+    for directory in (tmp_path, tmp_path / "mistyped", "x" * 300):
+        result = vdmbench(verb, directory, cwd=tmp_path)
+        assert result.returncode == 2, "the command is wrong, no result is damaged"
+        assert "not a run directory" in result.stderr
+        assert "Traceback" not in result.stderr
 
 
 def test_a_shard_and_a_run_of_the_whole_exclude_each_other(copy: Path) -> None:

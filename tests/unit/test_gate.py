@@ -299,7 +299,10 @@ def test_the_commands_and_their_exit_codes(tmp_path: Path) -> None:
     nothing = vdmbench("gate", directory, cwd=tmp_path)
     assert nothing.returncode == 6
     assert "vdmbench accept DIR" in nothing.stderr
-    assert vdmbench("gate", directory, "--baseline", "nowhere.json", cwd=tmp_path).returncode == 2
+    assert "--baseline" not in nothing.stderr
+    nowhere = vdmbench("gate", directory, "--baseline", "nowhere.json", cwd=tmp_path)
+    assert nowhere.returncode == 2
+    assert "vdmbench accept DIR --reason TEXT --baseline nowhere.json" in nowhere.stderr
     assert vdmbench("accept", directory, cwd=tmp_path).returncode == 2
     assert vdmbench("accept", directory, "--reason", " ", cwd=tmp_path).returncode == 2
     accepted = vdmbench("accept", directory, "--reason", "first", cwd=tmp_path)
