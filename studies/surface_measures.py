@@ -23,10 +23,11 @@ def facet_area_vectors(points: Array, triangles: Index) -> Array:
 
 def corner_sum(per_corner: Array, triangles: Index, n_nodes: int) -> Array:
     """Sum values given per facet corner at the nodes: (F, 3, ...) -> (N, ...)."""
-    out = np.zeros((n_nodes, *per_corner.shape[2:]))
-    for corner in range(3):
-        np.add.at(out, triangles[:, corner], per_corner[:, corner])
-    return out
+    shape = per_corner.shape[2:]
+    nodes = triangles.T.ravel()
+    columns = per_corner.swapaxes(0, 1).reshape(len(nodes), int(np.prod(shape))).T
+    sums = [np.bincount(nodes, column, n_nodes) for column in columns]  # np.add.at takes five times as long
+    return np.stack(sums, axis=-1).reshape(n_nodes, *shape).astype(np.float64, copy=False)
 
 
 def nodal_sum(per_facet: Array, triangles: Index, n_nodes: int) -> Array:

@@ -10,6 +10,7 @@ each of the 100 multiples by itself: its own set-ups and solves on every mesh le
 report.
 
 What is compared is processor time, that of the workers included: what else runs on the machine disturbs it least.
+All studies are run in turn, in several rounds: a ratio is that of the medians, and its range that of the rounds.
 What cases cannot share is measured too, part by part: the scene, the results' scaling, the metrics, the file that
 each of them leaves and its reading for the report. It grows with the surface, one load grows with the body.
 
@@ -24,7 +25,7 @@ import os
 import tempfile
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -76,56 +77,77 @@ class Costs:
     Attributes
     ----------
     nodes : of the surface
-    one : a study of one load
-    multiples : a study of a case per load, all multiples of one
-    others : other studies of as many loads -> processor seconds
+    rounds : study -> processor seconds, that of one load first, in each round
     naive : a case per load, each alone; measured on some of them and scaled up
-    difference : largest difference of a displacement, shared to naive, over the model's largest
+    difference : largest difference of a stored number, shared to naive, over the model's largest of its kind
     further : part -> processor seconds of one further case that is a multiple, median
     """
 
     loads: int
     nodes: int
-    one: float
-    multiples: float
-    others: dict[str, float]
+    rounds: Sequence[dict[str, float]]
     naive: float
     difference: float
     further: dict[str, float]
 
+    @property
+    def seconds(self) -> dict[str, float]:
+        """Study -> median processor seconds, that of one load first."""
+        medians = {
+            study: float(np.median([seconds[study] for seconds in self.rounds])) for study in self.rounds[0]
+        }
+        return medians | {f"the {self.loads} multiples, each alone": self.naive}
 
-def measure(loads: int, naive: int, directory: Path, *, bar: bool = False, **changes: Any) -> Costs:
+    def ratio(self, study: str) -> tuple[float, float, float]:
+        """A study over one load: the ratio of the medians, and the least and the largest of a round."""
+        one = next(iter(self.rounds[0]))
+        each = [seconds.get(study, self.naive) / seconds[one] for seconds in self.rounds]
+        return self.seconds[study] / self.seconds[one], min(each), max(each)
+
+
+def measure(
+    loads: int, naive: int, directory: Path, *, rounds: int = 1, bar: bool = False, **changes: Any
+) -> Costs:
     """Run the studies in `directory`. `loads` is a multiple of ten; `naive` cases are run alone."""
     if bar:
         changes = changes | {"uncertainty": {"levels": 2}}
     pressures = np.linspace(8.0, 80.0, loads // 10).tolist()
     places = np.linspace(-0.6, 0.6, 10).tolist()
-    sweep = {"regions.finger.cap.direction.0": places, "constraints.finger.pressure": pressures}
-    line = {"constraints.finger.pressure": np.linspace(0.8, 80.0, loads).tolist()}
     factors = np.linspace(0.02, 2.0, loads).tolist()
+    one, multiples = "one load", f"{loads} cases, multiples of one load"
+    studies: dict[str, dict[str, Any]] = {
+        one: {},
+        multiples: {"sweep": {"constraints.finger.pressure": np.linspace(0.8, 80.0, loads).tolist()}},
+    }
+    if not bar:
+        studies |= {
+            f"one case, a history of {loads} loads": {"load": {"factors": factors}},
+            f"{loads} cases, {loads // 10} multiples each of 10 loads": {
+                "sweep": {"regions.finger.cap.direction.0": places, "constraints.finger.pressure": pressures}
+            },
+        }
     # the first run also loads the libraries of the report
     _timed("warm-up", directory, {"geometry": TABLES["geometry"] | {"mesh_size": 0.02}})
-    one = _timed("one", directory, changes)[1]
-    of_one, multiples = _timed("multiples", directory, changes | {"sweep": line})
-    others = {
-        f"one case, a history of {loads} loads": {"load": {"factors": factors}},
-        f"{loads} cases, {loads // 10} multiples each of 10 loads": {"sweep": sweep},
-    }
-    chosen = of_one.cases[loads // naive // 2 :: loads // naive]  # none of them the first, which is solved
-    alone, seconds_alone = _naive(of_one, directory / "naive", [case.hash for case in chosen])
-    pairs = [(read_case(of_one.case_file(case)), alone[case.hash]) for case in chosen]
-    return Costs(
+    plans: dict[str, Plan] = {}
+    taken: list[dict[str, float]] = []
+    for number in range(rounds):
+        taken.append({})
+        for place, (study, own) in enumerate(studies.items()):
+            plans[study], taken[-1][study] = _timed(f"{number}-{place}", directory, changes | own)
+    plan = plans[multiples]
+    chosen = plan.cases[loads // naive // 2 :: loads // naive]  # none of them the first, which is solved
+    alone, seconds_alone = _naive(plan, directory / "naive", [case.hash for case in chosen])
+    pairs = [(read_case(plan.case_file(case)), alone[case.hash]) for case in chosen]
+    costs = Costs(
         loads=loads,
         nodes=len(pairs[0][0].points),
-        one=one,
-        multiples=multiples,
-        others={}
-        if bar
-        else {what: _timed(what, directory, changes | own)[1] for what, own in others.items()},
+        rounds=taken,
         naive=seconds_alone * loads / len(chosen),
         difference=max(_difference(a, b, name) for a, b in pairs for name in b.models),
-        further=_further(of_one, (multiples - one) / (loads - 1)),
+        further={},
     )
+    further = (costs.seconds[multiples] - costs.seconds[one]) / (loads - 1)
+    return replace(costs, further=_further(plan, further))
 
 
 def _further(plan: Plan, seconds: float) -> dict[str, float]:
@@ -204,32 +226,29 @@ def _processor_seconds() -> float:
 
 
 def _difference(a: CaseResult, b: CaseResult, name: str) -> float:
-    """Largest difference of a model's displacements of two cases, over the largest displacement."""
-    u = b.models[name].displacement
-    return float(np.abs(a.models[name].displacement - u).max() / np.abs(u).max())
-
-
-def studies_of(costs: Costs) -> dict[str, float]:
-    """Study -> processor seconds, that of one load first."""
-    return {
-        "one load": costs.one,
-        f"{costs.loads} cases, multiples of one load": costs.multiples,
-        **costs.others,
-        f"the {costs.loads} multiples, each alone": costs.naive,
-    }
+    """Largest difference of a model's displacements, forces, energies or volumes, over the largest of its kind."""
+    gaps = []
+    for field in ("displacement", "reaction_force", "energy", "volume"):
+        found, alone = (getattr(case.models[name], field) for case in (a, b))
+        gaps.append(np.abs(found - alone).max() / np.abs(alone).max())
+    return float(max(gaps))
 
 
 def written(columns: Sequence[tuple[str, Costs]]) -> str:
     """Body -> its costs as the Markdown table of `results/FORMAT.md`: seconds of one load, the others over it."""
-    first, *others = studies_of(columns[0][1])
+    first, *others = columns[0][1].seconds
 
-    def row(study: str) -> list[str]:
-        times = [found[study] / c.one if study in (found := studies_of(c)) else None for _, c in columns]
-        return [study, *("not run" if ratio is None else f"{ratio:.3g} times" for ratio in times)]
+    def cell(costs: Costs, study: str) -> str:
+        if study not in costs.seconds:
+            return "not run"
+        ratio, least, most = costs.ratio(study)
+        return f"{ratio:.3g} times" + (
+            "" if study not in costs.rounds[0] else f" ({least:.3g} to {most:.3g})"
+        )
 
     rows = [
-        [first, *(f"{c.one:.3g} s" for _, c in columns)],
-        *map(row, others),
+        [first, *(f"{c.seconds[first]:.3g} s" for _, c in columns)],
+        *([study, *(cell(c, study) for _, c in columns)] for study in others),
         ["a further multiple", *(f"{1e3 * sum(c.further.values()):.0f} ms" for _, c in columns)],
     ]
     return marked.table(["study", *(body for body, _ in columns)], rows)
@@ -238,11 +257,15 @@ def written(columns: Sequence[tuple[str, Costs]]) -> str:
 def table(costs: Costs) -> str:
     """The costs as text."""
     further = ", ".join(f"{part} {1e3 * seconds:.1f}" for part, seconds in costs.further.items())
+    lines = []
+    for study, seconds in costs.seconds.items():
+        ratio, least, most = costs.ratio(study)
+        lines.append(f"{study:<44} {seconds:8.2f} s  {ratio:7.3f} ({least:.3f} to {most:.3f})")
     return "\n".join(
         [
-            f"{costs.nodes} surface nodes",
-            *(f"{w:<44} {s:8.2f} s  {s / costs.one:7.2f}" for w, s in studies_of(costs).items()),
-            f"largest difference of a displacement, shared to alone, over the largest: {costs.difference:.1e}",
+            f"{costs.nodes} surface nodes, {len(costs.rounds)} rounds",
+            *lines,
+            f"largest difference of a number, shared to alone, over the largest: {costs.difference:.1e}",
             f"a further case that is a multiple, ms: {1e3 * sum(costs.further.values()):.0f}: {further}",
         ]
     )
@@ -255,6 +278,7 @@ def main() -> None:
     )
     parser.add_argument("--loads", type=int, default=100, help="how many, a multiple of ten")
     parser.add_argument("--naive", type=int, default=2, help="how many cases to run the naive way too")
+    parser.add_argument("--rounds", type=int, default=3, help="how often to run each study of the shared way")
     parser.add_argument("--mesh-sizes", type=float, nargs="*", default=[10.0, 5.0], help="millimetres")
     parser.add_argument(
         "--refined",
@@ -271,7 +295,14 @@ def main() -> None:
         with tempfile.TemporaryDirectory() as directory:
             how = "with" if bar else "no"
             print(f"mesh of {size:g} mm, {how} error bar of the reference:", end=" ", flush=True)
-            costs = measure(options.loads, options.naive, Path(directory), bar=bar, geometry=geometry)
+            costs = measure(
+                options.loads,
+                options.naive,
+                Path(directory),
+                rounds=options.rounds,
+                bar=bar,
+                geometry=geometry,
+            )
             print(table(costs), flush=True)
         columns.append((f"{size:g} mm, {costs.nodes:,} nodes{', with error bar' if bar else ''}", costs))
     if runs == SHOWN:

@@ -64,15 +64,20 @@ def test_attributes_and_seal_are_as_documented(tmp_path: Path) -> None:
 
 
 def test_the_table_of_sharing_is_as_its_benchmark_writes_it() -> None:
-    bare = sharing.Costs(100, 390, 2.0, 4.84, {}, 150.0, 1e-14, {"file": 0.03, "metrics": 0.013})
-    full = dataclasses.replace(bare, one=10.0, others={"one case, a history of 100 loads": 15.0})
+    history, multiples = "one case, a history of 100 loads", "100 cases, multiples of one load"
+    rounds = [
+        {"one load": 10.0, multiples: 11.0, history: 15.0},
+        {"one load": 20.0, multiples: 24.0, history: 30.0},
+    ]
+    full = sharing.Costs(100, 390, rounds, 150.0, 1e-14, {"file": 0.03, "metrics": 0.013})
+    bare = dataclasses.replace(full, rounds=[{"one load": 2.0, multiples: 4.84}])
     rows = marked.cells(sharing.written([("5 mm, 1,531 nodes", full), ("4 mm, 2,384 nodes", bare)]))
     assert rows == [
         ["study", "5 mm, 1,531 nodes", "4 mm, 2,384 nodes"],
-        ["one load", "10 s", "2 s"],
-        ["100 cases, multiples of one load", "0.484 times", "2.42 times"],
-        ["one case, a history of 100 loads", "1.5 times", "not run"],
-        ["the 100 multiples, each alone", "15 times", "75 times"],
+        ["one load", "15 s", "2 s"],
+        ["100 cases, multiples of one load", "1.17 times (1.1 to 1.2)", "2.42 times (2.42 to 2.42)"],
+        ["one case, a history of 100 loads", "1.5 times (1.5 to 1.5)", "not run"],
+        ["the 100 multiples, each alone", "10 times", "75 times"],
         ["a further multiple", "43 ms", "43 ms"],
     ]
     shown = marked.cells(marked.shown(FORMAT, "sharing"))
