@@ -73,6 +73,21 @@ def test_a_contact_all_over_the_body_is_not_shortened(solver):
     assert_allclose(found, moved, rtol=0.0, atol=1e-6 * np.abs(moved).max())
 
 
+@pytest.mark.parametrize(("axis", "gains"), [(0, False), (2, True)])
+def test_a_contact_amid_a_long_body_is_not_shortened_to_more(axis, gains):
+    """Most of its nodes are far from the contact, but those that are near are too many."""
+    points, triangles = icosphere(4, (0.02, 0.02, 0.12))
+    body = SurfaceMesh(points, triangles)
+    material = Parameters.from_tissue(5000.0, body, "vector")
+    model = Model(points, triangles, material, formulation="vector", fixed=points[:, 2] < -0.1)
+    contact, nodes = ContactCompliance(model.problem), np.argsort(-points[:, axis])[:20]
+    for _ in range(2):
+        contact.frame(nodes, np.full(len(nodes), 50.0))
+    columns = contact.prepare(nodes)
+    assert (columns._short is not None) == gains
+    assert (columns.nbytes < columns.columns.nbytes) == gains
+
+
 def test_a_contact_that_moves_within_its_own_array_is_seen(solver):
     contact, nodes = ContactCompliance(solver.problem), PATCH.copy()
     pressure = np.full(len(nodes), 50.0)

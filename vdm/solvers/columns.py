@@ -14,7 +14,7 @@ Index = NDArray[np.int64]
 FAR = 4.0
 # what may be left out there, of the largest answer to contact pressures of the same size
 LEFT_OUT = 1e-7
-# the share of the columns that a shorter basis must save, and of the nodes that must be far, to be worth its making
+# the share of the nodes that must be far for a shorter basis to be worth its making
 WORTH = 0.25
 
 
@@ -87,7 +87,7 @@ class ContactColumns:
         return answer[:-1].reshape(-1, len(self._points)).T, float(answer[-1])
 
     def _shortened(self) -> _Shortened | None:
-        """The columns with a shorter basis for all nodes far from the contact, None where that saves little."""
+        """The columns with a shorter basis for all nodes far from the contact, None where a frame reads no less."""
         columns, components = self.columns, (len(self.columns) - 1) // len(self._points)
         contact = self._points[self._nodes]
         middle = contact.mean(axis=0)
@@ -108,6 +108,5 @@ class ContactColumns:
             bases.append((part @ directions[:, kept]).astype(columns.dtype, order="F"))
             mixes.append(directions[:, kept].T)
         mix: Array = np.asarray(np.concatenate(mixes), dtype=columns.dtype)
-        if len(mix) > (1.0 - WORTH) * columns.shape[1] * len(bases):
-            return None
-        return _Shortened(tuple(bases), mix, rows, np.asfortranarray(columns[rows]))
+        short = _Shortened(tuple(bases), mix, rows, np.asfortranarray(columns[rows]))
+        return short if short.nbytes < columns.nbytes else None
