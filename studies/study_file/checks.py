@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import difflib
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
 
 from ..meshing.geometry_spec import (
     DISTORTIONS,
@@ -60,6 +61,15 @@ def unknown(value: str, known: Sequence[str], what: str, *, list_all: bool = Tru
     if close:
         return f'unknown {what} {shown(value)}; did you mean "{close[0]}"?'
     return f"unknown {what} {shown(value)}" + (f"; known: {', '.join(known) or 'none'}" if list_all else "")
+
+
+def fits_kind(data: Mapping[str, Any], loc: Loc) -> bool:
+    """Whether a key's place in `data`, as parsed, is in no constraint, or in one of a kind that takes the key."""
+    if loc[0] != "constraints":
+        return True
+    kind = data["constraints"][loc[1]].get("kind")
+    others = set[str]().union(*(keys for name, keys in _KIND_KEYS.items() if name != kind))
+    return loc[2] not in others - _KIND_KEYS.get(str(kind), others)
 
 
 def _given(table: Table) -> set[str]:
@@ -282,7 +292,9 @@ def _check_kind(constraint: Constraint, loc: Loc, regions: dict[str, Region]) ->
     for key in sorted(given - allowed):
         takes = f"it takes {_listed(allowed)}" if allowed else "it takes a region only"
         yield (*loc, key), f"a {constraint.kind} constraint has no {key}; {takes}"
-    if constraint.kind == "contact" and len(given & {"pressure", "force"}) != 1:
+    if constraint.kind == "contact" and {"pressure", "force"} <= given:
+        yield loc, "has both pressure and force; keep one"
+    elif constraint.kind == "contact" and not given & {"pressure", "force"}:
         yield loc, "a contact needs either pressure or force"
     if constraint.kind == "constrained" and "displacement" not in given:
         yield (*loc, "displacement"), 'is missing; give three lengths, such as ["0 mm", "0 mm", "-5 mm"]'

@@ -13,7 +13,7 @@ from ..fields import FieldRow, field_table, targets
 from ..meshing.geometry_spec import Geometry as GeometrySpec
 from ..meshing.mesh import MeshError
 from ..model_name import FINITE_STRAIN, split
-from .checks import geometry_spec, unknown
+from .checks import fits_kind, geometry_spec, unknown
 from .kinds import MAX_NAME, is_safe_name
 from .problems import Finding, Problem, Source, StudyError, file_fault
 from .schema import Constraint, Region, Study, Tissue
@@ -317,7 +317,9 @@ def _check_limits(data: Mapping[str, Any], study: Study | None) -> Iterator[Find
     loads = [
         key
         for key, target in targets(data).items()
-        if target.si is not None and target.loc[0] in ("constraints", "gravity")
+        if target.si is not None
+        and target.loc[0] in ("constraints", "gravity")
+        and fits_kind(data, target.loc)
     ]
     if along not in loads:
         yield ("limits", "along"), unknown(along, loads, "load")

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 from ..fields import Target, targets
-from .checks import unknown
+from .checks import fits_kind, unknown
 from .problems import Finding, Loc, Source
 from .schema import Study
 from .units import shown, type_name
@@ -106,7 +106,8 @@ def read_axes(data: Mapping[str, Any]) -> tuple[list[Axis], list[Finding]]:
     findings: list[Finding] = []
     for key, loc, value in _entries(entries, known):
         if key not in known:
-            findings.append((loc, _unknown_key(key, known)))
+            fitting = [name for name, target in known.items() if fits_kind(data, target.loc)]
+            findings.append((loc, _unknown_key(key, fitting)))
         elif key in axes:
             findings.append((loc, "is swept twice"))
         else:
@@ -136,8 +137,8 @@ def _entries(
             yield key, place, value
 
 
-def _unknown_key(key: str, known: Mapping[str, Target]) -> str:
-    return unknown(key, list(known), "key", list_all=False) + " (an axis is the path of a key of the study)"
+def _unknown_key(key: str, known: Sequence[str]) -> str:
+    return unknown(key, known, "key", list_all=False) + " (an axis is the path of a key of the study)"
 
 
 def _axis(key: str, loc: Loc, target: Target, value: Any, *, sampled: bool) -> Axis:

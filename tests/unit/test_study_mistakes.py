@@ -227,6 +227,13 @@ CASES = {
         "constraints.tip",
         "either pressure or force",
     ),
+    "contact with two loads": (
+        "pressure = 200",
+        'pressure = 200\nforce = "1 N"',
+        '[[constraints]]\nkind = "contact"',
+        "constraints.tip",
+        "has both pressure and force; keep one",
+    ),
     "load on fixed": ('"contact"', '"fixed"', "pressure", "constraints.tip.pressure", "has no pressure"),
     "unknown kind": (
         '"contact"',
@@ -339,6 +346,13 @@ CASES = {
     "limits along nothing": (
         "[tissue]",
         "[limits]\nalong = 'constraints.tip.presure'\n[tissue]",
+        "along",
+        "limits.along",
+        'mean "constraints.tip.pressure"?',
+    ),
+    "limits along a load of another kind of constraint": (
+        "[tissue]",
+        "[limits]\nalong = 'constraints.baze.pressure'\n[tissue]",
         "along",
         "limits.along",
         'mean "constraints.tip.pressure"?',

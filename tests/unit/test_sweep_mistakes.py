@@ -27,6 +27,11 @@ WRONG = {
         '0: sweep."constraints.fingr.pressure"',
         "did you mean",
     ),
+    "constraint of another kind, which has no such key": (
+        '"constraints.baze.pressure" = [1]',
+        '0: sweep."constraints.baze.pressure"',
+        'did you mean "constraints.finger.pressure"?',
+    ),
     "misspelt mode": ("mod = 'zip'", "0: sweep.mod", "unknown key"),
     "wrong mode": ("mode = 'zap'", "0: sweep.mode", 'did you mean "zip"?'),
     "name": ('"study.name" = ["a"]', '0: sweep."study.name"', "unknown key"),
