@@ -205,13 +205,15 @@ def expected_size(area: float, volume: float, mesh_size: float) -> tuple[float, 
     return on_surface, 2.6 * on_surface + 6.5 * inside if volume else 0.0
 
 
-def check_node_budget(area: float, volume: float, mesh_size: float, max_nodes: int) -> None:
+def check_node_budget(
+    area: float, volume: float, mesh_size: float, max_nodes: int, remedy: str = "use a larger mesh_size"
+) -> None:
     """Raise MeshError where the estimated number of nodes exceeds `max_nodes`."""
     nodes = estimated_nodes(area, volume, mesh_size)
     if nodes > max_nodes:
         raise MeshError(
             f"mesh_size {mesh_size:g} m would give about {nodes:.2g} nodes, more than the {max_nodes} allowed; "
-            "use a larger mesh_size",
+            f"{remedy}",
             "mesh_size",
         )
 

@@ -37,7 +37,12 @@ def imported_surface(geometry: Geometry, *, volume: bool, max_nodes: int) -> Imp
     check_mesh_size(geometry.mesh_size, float(np.ptp(points, axis=0).min()))
     area = float(np.linalg.norm(area_vectors(points, clean.triangles), axis=1).sum())
     inside = surface_volume(points, clean.triangles)
-    check_node_budget(area, inside if volume else 0.0, geometry.mesh_size, max_nodes)
+    remedy = f"the body is {np.ptp(points, axis=0).max():.3g} m across: " + (
+        "use a larger mesh_size"
+        if {"size", "scale"} & geometry.parameters.keys()
+        else "if the file is not in metres give scale or size, else use a larger mesh_size"
+    )
+    check_node_budget(area, inside if volume else 0.0, geometry.mesh_size, max_nodes, remedy)
     repairs = {
         "scale": factor,
         "imported_points": float(len(clean.points)),

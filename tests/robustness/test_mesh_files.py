@@ -321,8 +321,13 @@ def test_mesh_size_beyond_the_body_and_over_the_budget(tmp_path: Path, ball: Mes
     parameters = {"path": str(write_named(tmp_path / name, ball))}
     with pytest.raises(MeshError, match="too large for a body whose smallest extent") as large:
         build_mesh(Geometry("file", 0.06, parameters))
-    with pytest.raises(MeshError, match=r"would give about .* nodes, more than the 2000000 allowed") as small:
+    unit = f"the body is {np.ptp(ball.surface_points, axis=0).max():.3g} m across: "
+    asked = f"{unit}if the file is not in metres give scale or size, else use a larger mesh_size"
+    budget = "would give about .* nodes, more than the 2000000 allowed; "
+    with pytest.raises(MeshError, match=f"{budget}{asked}$") as small:
         build_mesh(Geometry("file", 1e-5, parameters))
+    with pytest.raises(MeshError, match=f"{budget}{unit}use a larger mesh_size$"):
+        build_mesh(Geometry("file", 1e-5, {**parameters, "scale": 1.0}))
     assert large.value.key == small.value.key == "mesh_size", "the file is sound"
 
 
