@@ -45,6 +45,21 @@ def select(region: Region | str, mesh: Mesh, named: Mapping[str, Region]) -> Mas
     return profile_coordinate(region, mesh, mesh.surface_points) <= 1 + _TOLERANCE
 
 
+def lies_outside(region: Region, mesh: Mesh) -> bool:
+    """Whether a half-space, box or ball does not meet the body's bounding box; of other regions False."""
+    low, high = mesh.surface_points.min(axis=0), mesh.surface_points.max(axis=0)
+    if region.below is not None and region.below.value is not None:
+        return bool(region.below.value < low[_AXES[region.below.axis]])
+    if region.above is not None and region.above.value is not None:
+        return bool(region.above.value > high[_AXES[region.above.axis]])
+    if region.box is not None:
+        return bool(np.any(np.array(region.box.min) > high) or np.any(np.array(region.box.max) < low))
+    if region.ball is not None:
+        center = np.array(region.ball.center)
+        return bool(np.linalg.norm(center - np.clip(center, low, high)) > region.ball.radius)
+    return False
+
+
 def _beyond(plane: HalfSpace, mesh: Mesh, sign: float) -> Mask:
     """Nodes above (sign 1) or below (-1) a plane, those on it included."""
     coordinate = mesh.surface_points[:, _AXES[plane.axis]]

@@ -254,7 +254,23 @@ def test_environment_pressure_moves_the_datum_only(sphere: Mesh) -> None:
     [
         (
             {"regions": BASE["regions"] | {"finger": {"above": {"axis": "z", "value": 0.06}}}},
-            "selects no node",
+            r"selects no node of the mesh: the body has x from -0.05 to 0.0495, y from -0.0497 to 0.05, "
+            r"z from -0.05 to 0.05 m; a mixed-up unit\? A bare number is in metres",
+        ),
+        *(
+            ({"regions": BASE["regions"] | {"finger": finger}}, words)
+            for words, fingers in {
+                "a mixed-up unit": (
+                    {"below": {"axis": "x", "value": -19.0}},
+                    {"ball": {"center": [0.0, 0.0, 20.0], "radius": 0.01}},
+                    {"box": {"min": [-30.0, -1.0, -1.0], "max": [-20.0, 1.0, 1.0]}},
+                ),
+                "enlarge it": (
+                    {"ball": {"center": [0.05, 0.05, 0.05], "radius": 0.01}},
+                    {"box": {"min": [-0.01] * 3, "max": [0.01] * 3}},
+                ),
+            }.items()
+            for finger in fingers
         ),
         ({"regions": BASE["regions"] | {"finger": {"cap": {"direction": [0, 0, 1], "angle": 0.02}}}}, "no "),
         (
