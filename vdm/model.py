@@ -161,6 +161,10 @@ class Model:
         ConstraintError
             a load that does not fit the surface.
         """
+        if isinstance(loads, Load):
+            raise ConstraintError(
+                "solve takes a list of loads, one per step; for a single one: solve([load])"
+            )
         loads = [checked_load(load, self.problem.support) for load in loads]
         count, n_nodes = len(loads), self.surface.n_nodes
         displacement, reaction_force = (np.empty((count, n_nodes, 3)) for _ in range(2))

@@ -55,6 +55,11 @@ def test_a_load_that_is_none(part, value, words, solver, monkeypatch):
         body.solve([ZERO, replace(ZERO, **{part: value})])
 
 
+def test_one_load_without_a_list():
+    with pytest.raises(ConstraintError, match=r"solve takes a list of loads, .* solve\(\[load\]\)"):
+        model().solve(ZERO)
+
+
 def test_a_load_may_be_lists_of_whole_numbers():
     exact, listed = (model().solve([Load(p)]).displacement for p in (PUSH, [int(p) for p in PUSH]))
     assert np.array_equal(exact, listed)
