@@ -173,9 +173,11 @@ def _reading(digest: Digest) -> str:
             "is at most a tenth of it."
         )
     parts.append(
-        "Volume drift is the change of the exact enclosed volume, the largest of all cases; that of elements is "
-        "what a compressible tissue gives under its load, and ± is the reference's. Times are medians, memory is "
-        "the largest amount that the model added."
+        "Volume drift is the change of the exact enclosed volume, the largest of all cases: what a linear answer "
+        "adds in second order and, of elements, the tissue's compression and what the flat facets between the "
+        "nodes leave out. Its ±, from the reference's mesh levels at the same nodes, covers of these the "
+        "compression alone. "
+        "Times are medians, memory is the largest amount that the model added."
     )
     if digest.compared:
         marked = any(s.shared_cases or s.earlier_cases or s.iterative for s in digest.summaries)

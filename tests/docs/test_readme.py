@@ -10,6 +10,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from studies import models
@@ -17,11 +18,13 @@ from studies.cli_study import SHIPPED
 from studies.meshing.geometry import build_mesh
 from studies.scene import build_scene
 from studies.study_file.config import expand, geometry_of, load_study
+from studies.surface_measures import Surface, enclosed_volume
 from studies.worker import compare
 from tests.command import vdmbench
 from tests.docs import marked, regenerate
 
 TEXT = regenerate.README.read_text()
+ONE_LINE = " ".join(TEXT.split())
 
 
 def blocks(language: str) -> list[str]:
@@ -83,6 +86,44 @@ def test_the_coarse_elements_on_a_ball_and_on_its_mirror_image() -> None:
         series = compare(scene, results, "fem-linear")["fem-coarse"]["relative_l2_displacement_error"]
         told.append(f"{series.values[-1]:.0%}".replace("%", " %"))
     assert f"{told[0]} on the quickstart's ball and {told[1]} on its mirror image" in TEXT
+
+
+def test_what_the_volume_drift_of_elements_is_made_of() -> None:
+    """The tissue's compression from the mean pressure, the rest from the first order of the polyhedron's volume."""
+
+    def parts(ratio: float, mesh_size: float) -> tuple[float, float, float, float]:
+        (study,) = (
+            case.study
+            for case in expand(load_study(SHIPPED / "quickstart.toml"))
+            if case.swept == {"constraints.finger.force": 0.4, "tissue.poisson_ratio": ratio}
+        )
+        geometry = study.geometry.model_copy(update={"mesh_size": mesh_size})
+        study = study.model_copy(update={"geometry": geometry})
+        scene = build_scene(study, build_mesh(geometry_of(study)))
+        result = models.run_model(scene, "fem-linear")
+        points, triangles = scene.mesh.surface_points, scene.mesh.triangles
+        drift = (
+            enclosed_volume(points + result.displacement[-1], triangles) / enclosed_volume(points, triangles)
+            - 1
+        )
+        body = Surface(points, triangles)
+        first = float(np.sum(body.volume_gradient * result.displacement[-1])) / body.volume
+        compression = -result.fluid_pressure[-1] * 3 * (1 - 2 * ratio) / study.tissue.youngs_modulus
+        return drift, compression, first - compression, drift - first
+
+    _, compression, _, _ = parts(0.45, 0.009)
+    assert f"compression at a Poisson ratio of 0.45 ({per_cent(compression, 2)})" in ONE_LINE
+    drift, compression, facets, second = parts(0.4999, 0.009)
+    assert f"at 0.4999 that is {per_cent(compression, 4)} of a drift of {per_cent(drift, 2)}," in ONE_LINE
+    assert f"adds in second order ({per_cent(second, 2)} on the quickstart at 0.4 N)" in ONE_LINE
+    coarse = parts(0.4999, 0.014)[2]
+    words = f"leave out ({per_cent(facets, 2)} there, {per_cent(coarse, 2)} on a mesh of 14 mm instead of 9)"
+    assert words in ONE_LINE
+    assert max(compression, facets, second, coarse) < 0.0, "all of them add up"
+
+
+def per_cent(share: float, digits: int) -> str:
+    return f"{100 * abs(share):.{digits}f} %"
 
 
 def test_make_targets_exist() -> None:
