@@ -30,6 +30,7 @@ from .files import write_atomically
 from .hdf5 import Data, Entry, Group, OlderSchemaError, Stored, StoreError, Text, sealed
 from .metrics import METRICS
 from .metrics_table import metric_rows, metrics_csv
+from .uncertainty import value_bar
 
 SCHEMA = 3
 STUDY_FILE = "study.h5"
@@ -393,7 +394,10 @@ def _read_metrics(file: Stored, path: str, about: Mapping[str, Any]) -> dict[str
 
 
 def _study_entries(run: Run) -> list[Entry]:
-    """One (cases, steps) array per model and metric, with labelled dimensions; NaN where a case has none."""
+    """One (cases, steps) array per model and metric, with labelled dimensions; NaN where a case has none.
+
+    Beside it, where it is measured, one (cases,) of the reference's own error in the value at full load.
+    """
     entries: list[Entry] = [
         Group("case", {"schema": SCHEMA}),
         Text("case/study", run.study_text),
@@ -415,15 +419,24 @@ def _study_entries(run: Run) -> list[Entry]:
     entries += [_data("load_factor", factors, "1"), Group("metrics")]
     index = {case.hash: row for row, case in enumerate(run.cases)}
     tables: dict[tuple[str, str], NDArray[np.float64]] = {}
+    bars: dict[tuple[str, str], NDArray[np.float64]] = {}
     about: dict[tuple[str, str], MetricSeries] = {}
     for case, model, metric, series in metric_rows(run):
         table = tables.setdefault((model, metric), np.full((len(run.cases), n_steps), np.nan))
         table[index[case.hash], : len(series.values)] = series.values
         about[model, metric] = series
+        bar = value_bar(case, model, metric)
+        if np.isfinite(bar):
+            bars.setdefault((model, metric), np.full(len(run.cases), np.nan))[index[case.hash]] = bar
     entries += [Group(f"metrics/{model}") for model in dict.fromkeys(model for model, _ in tables)]
     for (model, metric), table in tables.items():
         attributes = {key: getattr(about[model, metric], key) for key in _ABOUT_METRIC}
         entries.append(Data(f"metrics/{model}/{metric}", table, attributes, ("case", "step")))
+    entries += [Group("reference_error")]
+    entries += [Group(f"reference_error/{model}") for model in dict.fromkeys(model for model, _ in bars)]
+    for (model, metric), bar_of in bars.items():
+        attributes = {"unit": about[model, metric].unit}
+        entries.append(Data(f"reference_error/{model}/{metric}", bar_of, attributes, ("case",)))
     return entries
 
 

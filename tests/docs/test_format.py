@@ -8,8 +8,11 @@ import re
 from pathlib import Path
 
 import h5py
+import numpy as np
+from numpy.testing import assert_array_equal
 
 from studies import hdf5, store
+from studies.case import Run
 from tests.benchmarks import sharing
 from tests.docs import marked
 from tests.unit.example_case import example_case
@@ -43,6 +46,36 @@ def test_every_dataset_is_documented_and_every_document_has_a_dataset(tmp_path: 
     assert undocumented == []
     unwritten = [row for row, p in documented.items() if not any(p.fullmatch(name) for name in written)]
     assert unwritten == []
+
+
+def test_the_tables_of_a_study_are_as_documented(tmp_path: Path) -> None:
+    case = dataclasses.replace(example_case(), reference_error={"gci:max_nodal_error": 0.02})
+    bare = dataclasses.replace(case, hash="0" * 64, reference_error={})
+    run = Run({"name": "s", "models": [*case.models]}, "text", [case, bare], [], [], {})
+    store.write_study(tmp_path, run)
+    section = FORMAT.read_text().split("## A study: `study.h5`")[1].split("\n## ")[0]
+    documented = {
+        path
+        for cell in re.findall(r"^\| (`[^|]+) \|", section, flags=re.MULTILINE)
+        for path in re.findall(r"`([^`]+)`", cell)
+    }
+    written: dict[str, tuple[int, ...]] = {}
+    with h5py.File(tmp_path / store.STUDY_FILE) as file:
+        file.visititems(
+            lambda name, item: written.update({name: item.shape}) if isinstance(item, h5py.Dataset) else None
+        )
+        bars = file["reference_error/vdm-paper/max_nodal_error"]
+        assert_array_equal(bars, [0.02, np.nan])
+        assert bars.attrs["unit"] == "m"
+    general = {
+        re.sub(
+            r"^swept/.*",
+            "swept/<key>",
+            re.sub(r"^(metrics|reference_error)/.*", r"\1/<model>/<metric>", name),
+        )
+        for name in written
+    }
+    assert general == documented
 
 
 def test_attributes_and_seal_are_as_documented(tmp_path: Path) -> None:
