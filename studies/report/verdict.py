@@ -98,25 +98,26 @@ def _good_enough(digest: Digest, best: ModelSummary, rated: dict[str, Spread]) -
     count, within, left = len(states), states.count(WITHIN), states.count(OPEN)
     beyond = count - within - left
     every = " in every case" if count > 1 else ""
+    bare = "" if rated[best.name].measured else " (no error bar)"
     if within == count:
-        word, rest = "Yes", f"displacement and deformation error are within {limit}{every}."
+        word, rest = "Yes", f"displacement and deformation error are within {limit}{every}"
     elif left == count:
         word, rest = (
             "Undecided",
-            f"the reference's own error leaves open whether the model is within {limit}.",
+            f"the reference's own error leaves open whether the model is within {limit}",
         )
     elif beyond == count:
-        word, rest = "No", f"not within {limit}{every.replace('every', 'any')}."
+        word, rest = "No", f"not within {limit}{every.replace('every', 'any')}"
     else:
         parts = [f"within {limit} in {within} of {count} cases"] if within else []
         parts += [f"beyond in {beyond}"] if beyond else []
         parts += [f"undecided in {left}, within the reference's own error"] if left else []
         none = "" if within else f"within {limit} in none of {count} cases: "
-        word, rest = "In part" if within else "Not shown", f"{none}{listed(parts)}."
+        word, rest = "In part" if within else "Not shown", f"{none}{listed(parts)}"
     return _answer(
         question,
         word,
-        [rest, _accuracy(digest, best, among=len(rated)), _what_decides(digest, states)],
+        [f"{rest}{bare}.", _accuracy(digest, best, among=len(rated)), _what_decides(digest, states)],
     )
 
 

@@ -68,8 +68,8 @@ def test_a_sweep_in_words() -> None:
 @pytest.mark.parametrize(
     ("error", "measured", "state", "words"),
     [
-        (0.09, {}, WITHIN, "Yes: displacement and deformation error are within 10 %."),
-        (0.11, {}, BEYOND, "No: not within 10 %."),
+        (0.09, {}, WITHIN, "Yes: displacement and deformation error are within 10 % (no error bar)."),
+        (0.11, {}, BEYOND, "No: not within 10 % (no error bar)."),
         (0.095, bars(0.004), WITHIN, "Yes: displacement and deformation error are within 10 %."),
         (
             0.095,
@@ -95,7 +95,7 @@ def test_a_model_that_has_no_answer_is_not_good_enough() -> None:
     assert case_state(case, "vdm-m", 3) == LOST
     other = make_case({"vdm-m": 0.01}, swept={"k": 2.0}, subdivisions=1)
     text = told(make_run([case, other]))
-    assert text[GOOD].startswith("In part: within 10 % in 1 of 2 cases and beyond in 1.")
+    assert text[GOOD].startswith("In part: within 10 % in 1 of 2 cases and beyond in 1 (no error bar).")
     assert "Within 10 % are the cases with k = 2." in text[GOOD]
     assert "No answer at some load or at all: vdm-m in 1 case; the reasons are below." in text[SURE]
 
@@ -134,7 +134,7 @@ def test_the_verdict_is_about_vdm_even_where_elements_are_closer() -> None:
     )
     text = told(make_run([dataclasses.replace(case, models={**case.models, "fem-condensed": quick})]))
     assert text[GOOD].startswith(
-        "No: not within 10 %. At full load vdm-b, the closest of 2 VDM models, is 20 %"
+        "No: not within 10 % (no error bar). At full load vdm-b, the closest of 2 VDM models, is 20 %"
     )
     assert text[COST].endswith(
         "Both faster per frame and closer: fem-condensed (200 µs, 1 % off, 60 ms of set-up)."
