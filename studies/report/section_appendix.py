@@ -9,6 +9,7 @@ from pathlib import Path
 from .blocks import Block, Code, Facts, Section, Text
 from .digest import Digest
 from .formatting import listed, plain, plural
+from .verdict import PARAMETERS
 
 _MESH_UNITS = {
     "area": "m²",
@@ -16,6 +17,15 @@ _MESH_UNITS = {
     "seconds": "s",
     "surface_distance_max": "m",
     "surface_distance_mean": "m",
+}
+_PARAMETER_UNITS = {
+    **{name: unit for name, (_, unit) in PARAMETERS.items()},
+    "youngs_modulus": "Pa",
+    "density": "kg/m³",
+    "coarse_density": "kg/m³",
+    "solver_estimated_bytes": "B",
+    "matrix_bytes": "B",
+    "seconds_precompute": "s",
 }
 _SHORT = 16  # hex digits of a hash that are shown
 
@@ -71,7 +81,7 @@ def provenance(digest: Digest) -> Section | None:
         result = case.models[model]
         entries = [
             ("version", result.version),
-            *((key, _parameter(value)) for key, value in result.parameters.items()),
+            *((key, _parameter(key, value)) for key, value in result.parameters.items()),
         ]
         suffix = "" if len(digest.cases) == 1 else f", as in {digest.case_name(case)}"
         blocks.append(Facts(entries, summary=f"Parameters of {model}{suffix}"))
@@ -107,5 +117,8 @@ def _over_cases(digest: Digest, key: str) -> str:
     return listed(values)
 
 
-def _parameter(value: Mapping[str, object] | float | str) -> str:
-    return plain(float(value), 6) if isinstance(value, int | float) else str(value)
+def _parameter(name: str, value: float | str) -> str:
+    if isinstance(value, str):
+        return value
+    unit = _PARAMETER_UNITS.get(name, "1")
+    return plain(float(value), 6) + ("" if unit == "1" else f" {unit}")

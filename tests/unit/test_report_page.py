@@ -258,6 +258,24 @@ def test_provenance(html: str) -> None:
     assert "bulk modulus" in text.replace("_", " ")
 
 
+def test_parameters_come_with_their_units() -> None:
+    case = make_case({"vdm-m": 0.1}, subdivisions=0)
+    used = {
+        "vdm-m": {
+            "foundation": 44039.8117,
+            "surface_tension": 34.25,
+            "coarse_nodes": 800.0,
+            "solver": "linear",
+        },
+        "fem-linear": {"youngs_modulus": 5000.0, "poisson_ratio": 0.45, "density": 1060.0, "dofs": 15699.0},
+    }
+    changed = {name: dataclasses.replace(case.models[name], parameters=used[name]) for name in used}
+    run = make_run([dataclasses.replace(case, models=changed)])
+    text = words(section(page_html(run, no_pictures), "provenance"))
+    assert "foundation 44039.8 Pa/m surface_tension 34.25 N/m coarse_nodes 800 solver linear" in text
+    assert "youngs_modulus 5000 Pa poisson_ratio 0.45 density 1060 kg/m³ dofs 15699" in text
+
+
 # --- partial and odd runs ---
 
 
