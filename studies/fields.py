@@ -11,7 +11,7 @@ from pydantic.fields import FieldInfo
 
 from .study_file.kinds import SI
 from .study_file.problems import Loc
-from .study_file.schema import Region, Study, Table
+from .study_file.schema import Region, Study, Sweep, Table
 from .study_file.units import DIMENSIONS
 
 _NEVER_SWEPT = {"study", "sweep", "limits", "calibration"}
@@ -173,6 +173,28 @@ def _rows(table: type[Table], prefix: str) -> Iterator[FieldRow]:
             yield from _rows(args[0], f"{prefix}{name}[].")
         else:
             yield FieldRow(prefix + name, _kind(annotation, si), _default(field), field.description or "")
+    if table is Sweep:
+        yield from _axis_rows()
+
+
+def _axis_rows() -> Iterator[FieldRow]:
+    """What `read_axes` takes beside the named keys of [sweep]."""
+    closed = ", ".join(f"`{name}`" for name in sorted(_NEVER_SWEPT))
+    axis = 'sweep."KEY"'
+    yield FieldRow(
+        axis,
+        "list of values, or a range",
+        "",
+        "an axis: KEY is the path of a key that takes one number or text, such as `regions.finger.cap.angle`, "
+        "`constraints.finger.force` (a constraint goes by its name, else by its region) or `gravity.acceleration.2` "
+        f"(a component by its index); not of {closed}",
+    )
+    yield FieldRow(f"{axis}.start", "as of KEY", "required", "a range, of numbers: its first value")
+    yield FieldRow(f"{axis}.stop", "as of KEY", "required", "a range: its last value")
+    yield FieldRow(
+        f"{axis}.num", "whole number", "", "a range: how many values, 2 or more; latin-hypercube: none"
+    )
+    yield FieldRow(f"{axis}.scale", "linear | log", "linear", "a range: in equal steps or in equal ratios")
 
 
 def _kind(annotation: Any, si: SI | None) -> str:

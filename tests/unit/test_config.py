@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 import subprocess
 import sys
 import tomllib
@@ -14,8 +15,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from studies.fields import keys_of, targets
 from studies.meshing.geometry_spec import check_geometry
-from studies.study_file import units
+from studies.study_file import sweep, units
 from studies.study_file.checks import SHAPE_KEYS
 from studies.study_file.config import (
     Study,
@@ -333,6 +335,23 @@ def test_the_reference_lists_every_key_with_its_help() -> None:
         if not key.startswith(("regions.base", "regions.rest", "constraints.1", "constraints.2"))
     }
     assert keys <= set(rows)
+
+
+def test_the_reference_lists_what_an_axis_takes() -> None:
+    rows = {row.key.removeprefix('sweep."KEY"'): row for row in field_table() if '"KEY"' in row.key}
+    assert set(rows) == {"", *(f".{name}" for name in sweep._RANGE_KEYS)}
+    data = {
+        "constraints": [{"name": "finger", "region": "tip"}],
+        "regions": {"finger": {"cap": {"angle": 1}}},
+        "gravity": {"acceleration": [0, 0, -9.81]},
+        "anisotropy": {"fibre_direction": [0, 0, 1]},
+        "models": {"vdm-paper": {}},
+    }
+    open_tables = {key.partition(".")[0] for key in targets(data)}
+    paths, closed = (re.findall(r"`([^`]+)`", part) for part in rows[""].help.split("; not of"))
+    assert set(paths) <= set(targets(data))
+    assert len(paths) == 3
+    assert set(closed) == keys_of(Study).keys() - open_tables
 
 
 def _leaves(data: object, path: tuple[str | int, ...] = ()) -> list[tuple[str | int, ...]]:
