@@ -44,6 +44,19 @@ def test_the_result_table_is_what_the_command_prints_and_a_notebook_reads_it(tmp
     worst = next(row for row in marked.cells(table) if row[0] == "vdm-vector")[1].split("worst ")[1]
     assert f"{100 * max(numbers[:6]):.1f} %" == worst.replace("\u00a0", " ")
     assert nodes == 487
+    (reading,) = re.findall(
+        r"```python\n(.*?)```", (regenerate.ROOT / "results/FORMAT.md").read_text(), re.DOTALL
+    )
+    told = subprocess.run(
+        [sys.executable, "-c", f"{reading}\nprint(*error, *u.shape)"],
+        cwd=tmp_path,
+        check=True,
+        capture_output=True,
+        text=True,
+    )
+    errors, shape = told.stdout.split()[:-3], told.stdout.split()[-3:]
+    assert 0.7 < float(errors[-1]) < 0.8, "of vdm-paper, as in the table"
+    assert shape == [str(len(errors)), "487", "3"]
 
 
 def test_the_first_study_and_its_commands(tmp_path: Path) -> None:
