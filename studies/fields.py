@@ -186,8 +186,8 @@ def _axis_rows() -> Iterator[FieldRow]:
         "list of values, or a range",
         "",
         "an axis: KEY is the path of a key that takes one number or text, such as `regions.finger.cap.angle`, "
-        "`constraints.finger.force` (a constraint goes by its name, else by its region) or `gravity.acceleration.2` "
-        f"(a component by its index); not of {closed}",
+        "`constraints.finger.force` (a constraint goes by its name or region) or `gravity.acceleration.2` (a "
+        f"component by its index); not of {closed}",
     )
     yield FieldRow(f"{axis}.start", "as of KEY", "required", "a range, of numbers: its first value")
     yield FieldRow(f"{axis}.stop", "as of KEY", "required", "a range: its last value")
