@@ -70,8 +70,16 @@ def test_the_first_study_and_its_commands(tmp_path: Path) -> None:
         result = vdmbench(*words[1:], cwd=tmp_path)
         assert result.returncode == 0, f"{line}\n{result.stderr}"
     assert (tmp_path / "results/runs/mine/report.html").exists()
-    rows = json.loads(vdmbench("report", "results/runs/mine", "--json", cwd=tmp_path).stdout)["headline"]
-    assert [row["model"].split()[0] for row in rows] == ["vdm-paper", "vdm-vector", "fem-linear"]
+    found = json.loads(vdmbench("report", "results/runs/mine", "--json", cwd=tmp_path).stdout)
+    assert list(found["metrics"]) == [
+        "vdm-paper",
+        "vdm-vector",
+        "vdm-boundary",
+        "fem-linear",
+        "fem-linear refined",
+    ]
+    error = found["metrics"]["vdm-boundary"]["relative_l2_displacement_error"]
+    assert 0 < error["bar"] < error["value"] < 0.1, "a usable model, and an error bar that tells so"
 
 
 def test_a_surface_of_ones_own(tmp_path: Path, liver: Path) -> None:
