@@ -27,6 +27,7 @@ from .proportional import Comparisons, Reference
 from .reference import own_error, refined_levels, require_converged
 from .result_cache import read_reference, reference_path, write_reference
 from .scene import Scene, build_scene
+from .sealed import is_sound
 from .setups import next_turn, shared, sharing
 from .small_strain import small_strain_limits
 from .store import read_case, write_case
@@ -212,7 +213,7 @@ def _reference_error(
 
 
 def _reference_is_there(task: Task) -> bool:
-    return not task["fresh"] and reference_path(Path(task["cache"]), task["reference_key"]).exists()
+    return not task["fresh"] and is_sound(reference_path(Path(task["cache"]), task["reference_key"]))
 
 
 def _known(task: Task, group: _Group) -> dict[str, ModelResult]:

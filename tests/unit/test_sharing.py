@@ -295,6 +295,9 @@ def test_a_damaged_reference_is_made_again(tmp_path: Path, cache: Path, made: Co
     made.clear()
     planned = plan_of(tmp_path / "b", cache)
     assert not any(planned.reference_cached(case) for case in planned.cases), "what has to be made is counted"
+    with share([task_of(case, planned) for case in planned.cases]):
+        assert worker._group is not None
+        assert len(worker._group.references) == 2, "all at once"
     after = run(planned)
     assert made["fem solves"] > 0
     for a, b in zip(after, before, strict=True):
