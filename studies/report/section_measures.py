@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import math
 
-from ..uncertainty import is_resolved
+from ..uncertainty import is_resolved, value_bar
 from .blocks import Cell, Column, Section, Table, Text
-from .digest import Digest, Spread
+from .digest import Digest, Spread, at_full_load, spread_of
 from .formatting import NOTHING, of_unit
 
 _IN_HEADLINE = frozenset({"volume_drift"})
 
 
 def all_measures(digest: Digest) -> Section | None:
-    """Every metric of every compared model at full load, with its definition."""
+    """Every metric of every compared model at full load, defined, and what the reference has of its own."""
     if not digest.compared:
         return None
     many = len(digest.cases) > 1
@@ -26,26 +26,38 @@ def all_measures(digest: Digest) -> Section | None:
     for name, (unit, definition) in first.items():
         if name in _IN_HEADLINE:
             continue
-        row = [Cell(measure_name(name), definition)]
-        for model in digest.compared:
-            spread = digest.spread(model, name)
-            if spread is None:
-                row.append(Cell(NOTHING))
-                continue
-            worst = f"\nworst {of_unit(spread.worst, unit)}" if many else ""
-            row.append(
-                Cell(of_unit(spread.median, unit), f"{_bar(spread, unit)}{worst}".strip(), spread.median)
-            )
-        rows.append(row)
+        own = _of_the_reference(digest, name)
+        farthest = "" if not many else "worst" if own is None else "largest"
+        spreads = [*(digest.spread(model, name) for model in digest.compared), own]
+        rows.append([Cell(measure_name(name), definition), *(_cell(s, unit, farthest) for s in spreads)])
     if not rows:
         return None
     columns = [
         Column("Measure", numeric=False),
         *(Column(model, "median" if many else "") for model in digest.compared),
+        Column(str(digest.reference), "reference"),
     ]
-    note = "± is the reference's own part in a measure, from its mesh levels; none where it was not measured."
+    note = (
+        "± is the reference's own part in a measure, from its mesh levels; none where it was not measured. The "
+        "last column has what can be said of the reference alone."
+    )
     table = Table("measures", "", columns, rows)
     return Section("measures", "All measures at full load", [Text(note, kind="note"), table])
+
+
+def _of_the_reference(digest: Digest, metric: str) -> Spread | None:
+    """A measure that needs no comparison, of the reference itself."""
+    return spread_of(
+        (at_full_load(case, str(case.reference), metric), value_bar(case, str(case.reference), metric))
+        for case in digest.cases
+    )
+
+
+def _cell(spread: Spread | None, unit: str, farthest: str) -> Cell:
+    if spread is None:
+        return Cell(NOTHING)
+    extreme = f"\n{farthest} {of_unit(spread.worst, unit)}" if farthest else ""
+    return Cell(of_unit(spread.median, unit), f"{_bar(spread, unit)}{extreme}".strip(), spread.median)
 
 
 def _bar(spread: Spread, unit: str) -> str:

@@ -19,6 +19,7 @@ from studies.case import Limit, ModelLimits, SmallStrainLimits, StepStatus
 from studies.report import page as page_module
 from studies.report.digest import Digest
 from studies.report.document import script_json
+from studies.report.formatting import percent
 from studies.report.page import MOST_BYTES, page_html, write_report
 from studies.report.picture import Panel
 from studies.report.plots import place
@@ -227,6 +228,20 @@ def test_all_measures_with_definitions(html: str) -> None:
     assert "Displacement error area-weighted ||u - r|| / ||r||" in text
     assert "Hausdorff distance" in text
     assert "Volume drift (V - V0)/V0" not in text, "in the headline already"
+
+
+def test_measures_that_need_no_comparison_stand_beside_the_references_own() -> None:
+    cases = [
+        make_case({"m": 0.1}, label=str(k), swept={"k": float(k)}, subdivisions=1, steps=(1.0,), load=1.0 + k)
+        for k in range(3)
+    ]
+    strains = [[c.metrics[name]["mean_strain_z"].values[-1] for c in cases] for name in ("m", "fem-linear")]
+    assert_allclose(strains[0], 1.1 * np.array(strains[1]), rtol=1e-9, atol=0)
+    text = words(section(page_html(make_run(cases), no_pictures), "measures"))
+    model, own = (f"{percent(s[1])} largest {percent(s[2])}" for s in strains)
+    assert "Measure m median fem-linear reference" in text
+    assert f"Mean strain z mean of du_z/dz over the body&#39;s volume {model} {own} " in text
+    assert "10.0 % worst 10.0 % –" in text, "the reference has no error of itself"
 
 
 def test_reproduce_shows_commands_and_the_study_file(html: str) -> None:
