@@ -122,12 +122,12 @@ def _table(digest: Digest) -> Table:
 
 def _about_setup(summary: ModelSummary) -> str:
     marks = ["shared"] if summary.shared_cases else []
-    return "\n".join([*marks, *(["measured earlier"] if summary.earlier_cases else [])])
+    return "\n".join([*marks, *(["earlier"] if summary.earlier_cases else [])])
 
 
 def _about_frame(summary: ModelSummary) -> str:
     marks = ["iterative"] if summary.iterative else []
-    return "\n".join([*marks, *(["measured earlier"] if summary.earlier_cases else [])])
+    return "\n".join([*marks, *(["earlier"] if summary.earlier_cases else [])])
 
 
 def _median(spread: Spread | None) -> Cell:

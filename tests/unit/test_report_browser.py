@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import dataclasses
 import io
 import urllib.parse
 from collections.abc import Iterator
@@ -19,6 +20,7 @@ from studies.report.page import page_html
 from .browser import Browser, chromium
 from .report_runs import REFERENCE, cheap_run, make_case, make_run, sweep_run
 from .test_report_page import no_pictures
+from .test_report_verdict import bars
 
 pytestmark = pytest.mark.skipif(chromium() is None, reason="chromium is not installed")
 
@@ -102,6 +104,30 @@ def test_opens_without_complaint_and_fits(browser: Browser, page: Path, width: i
     assert abs(text - paper).min() > 150
     ink = browser.evaluate("getComputedStyle(document.querySelector('.plot text')).fill")
     assert ink == colours[0], "figures take the colour of the page's text"
+
+
+def test_the_headline_is_whole_on_a_wide_window_however_much_is_marked(
+    browser: Browser, tmp_path: Path
+) -> None:
+    names = ("vdm-paper", "vdm-consistent", "vdm-vector", "vdm-boundary", "fem-condensed")
+    marks: dict[str, float | str] = {"setup_shared": "yes", "measured_earlier": "yes", "solver": "iterative"}
+    cases = []
+    for k in range(2):
+        errors = bars(0.0174) | {"levels": 2.0}
+        case = make_case(
+            dict.fromkeys(names, 0.05),
+            label=str(k),
+            swept={"k": float(k)},
+            subdivisions=0,
+            reference_error=errors,
+        )
+        models = {n: dataclasses.replace(m, parameters=marks) for n, m in case.models.items()}
+        cases.append(dataclasses.replace(case, models=models))
+    path = tmp_path / "marked.html"
+    path.write_text(page_html(make_run(cases), no_pictures))
+    browser.open(path, 1400)
+    table = "document.querySelector('#headline .scroll')"
+    assert browser.evaluate(f"{table}.scrollWidth") <= browser.evaluate(f"{table}.clientWidth")
 
 
 def test_three_hundred_cases_fit_a_phone(browser: Browser, tmp_path: Path) -> None:
