@@ -10,6 +10,8 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
+from ..uncertainty import is_resolved
+
 Array = NDArray[np.float64]
 
 LEAST_SIZES = 4  # of a mesh, for an exponent
@@ -165,7 +167,8 @@ def answers(bench: Bench) -> list[dict[str, str]]:
     """What is fastest, what is most accurate, where a surface model wins: question, and an answer per body.
 
     On the finest mesh of each body; a model that is far off answers nothing. Of a form with several solvers the
-    plain one answers: others change the time more than the error.
+    plain one answers: others change the time more than the error. What the reference's own error leaves open is
+    named as undecided.
     """
     finest = {mesh[0]: mesh for mesh in bench.meshes()}.values()
     asked: dict[str, Callable[[Sequence[Entry]], str]] = {}
@@ -195,35 +198,56 @@ def answers(bench: Bench) -> list[dict[str, str]]:
 
 
 def _fastest(entries: Sequence[Entry], *, limit: float, cost: Callable[[Entry], float]) -> str:
-    """All that take about the same, with the time of the fastest."""
-    within = {e.model: cost(e) for e in entries if e.error <= limit and math.isfinite(cost(e))}
-    if not within:
-        return "none"
-    least = min(within.values())
-    alike = sorted((value, model) for model, value in within.items() if value <= SAME * least)
-    return f"{', '.join(model for _, model in alike)}, {seconds(least)}"
+    """All surely within that take about the same, with the time of the fastest; and as fast ones perhaps within."""
+    timed = sorted((e for e in entries if math.isfinite(cost(e))), key=lambda e: (cost(e), e.model))
+    sure = [e for e in timed if e.error + e.bar <= limit]
+    least = cost(sure[0]) if sure else math.inf
+    alike = [e.model for e in sure if cost(e) <= SAME * least]
+    perhaps = [
+        e.model
+        for e in timed
+        if not (e.error + e.bar <= limit or e.error - e.bar > limit) and cost(e) <= SAME * least
+    ]
+    return _answer([*alike, seconds(least)] if sure else [], perhaps)
 
 
 def _most_accurate(entries: Sequence[Entry], *, time: float, cut: bool) -> str:
+    """The one of least error and those of the same; undecided where others are closer to it than the bar."""
     within = [e for e in entries if median(e.frame_local) <= time and not (cut and median(e.recut) > time)]
     if not within:
         return "none"
-    least = min(e.error for e in within)
-    alike = [e.model for e in within if e.error <= (1.0 + _DIGITS) * least]
-    return f"{', '.join(alike)}, {100 * least:.3g} %"
+    best = min(within, key=lambda e: e.error)
+    alike = [e.model for e in within if e.error <= (1.0 + _DIGITS) * best.error]
+    near = [e.model for e in within if e.model not in alike and not e.error - best.error >= best.bar]
+    if near:
+        return _answer([], [*alike, *near, f"{error_text(best)} at best"])
+    return _answer([*alike, error_text(best)], [])
 
 
 def _unmatched(entries: Sequence[Entry], *, cost: Callable[[Entry], float]) -> str:
-    """Surface models that no other surface model and no element model equals in both error and time."""
+    """Surface models that no other surface model equals in both error and time, and no element model.
+
+    Undecided where the closest elements of the same time differ by less than the bar.
+    """
     elements = [e for e in entries if e.model.startswith("fem")]
     surface = [e for e in entries if not e.model.startswith("fem") and math.isfinite(cost(e))]
-    found = [
-        f"{e.model} ({100 * e.error:.3g} %, {seconds(cost(e))})"
-        for e in surface
-        if not any(o.error <= e.error and cost(o) <= SAME * cost(e) for o in elements)
-        and not any(o.error < e.error and cost(o) <= cost(e) for o in surface)
-    ]
-    return ", ".join(found) or "none"
+    sure, perhaps = [], []
+    for e in surface:
+        if any(o.error < e.error and cost(o) <= cost(e) for o in surface):
+            continue
+        closest = min((o.error for o in elements if cost(o) <= SAME * cost(e)), default=math.inf)
+        if closest == math.inf or closest - e.error >= e.bar:
+            sure.append(f"{e.model} ({error_text(e)}, {seconds(cost(e))})")
+        elif not closest - e.error <= -e.bar:
+            perhaps.append(e.model)
+    return _answer(sure, perhaps)
+
+
+def _answer(sure: Sequence[str], perhaps: Sequence[str]) -> str:
+    parts = [", ".join(sure)] if sure else []
+    if perhaps:
+        parts.append(f"undecided: {', '.join(perhaps)}")
+    return "; ".join(parts) or "none"
 
 
 def pareto(entries: Iterable[Entry]) -> list[Entry]:
@@ -251,6 +275,14 @@ def amount(value: float, unit: str) -> str:
     return f"{value / 1e6:.3g} MB" if unit == "B" else f"{value / 1e6:.3g} million"
 
 
+def error_text(e: Entry) -> str:
+    """Error ± the reference's own, after a ~ where that is more than a tenth; the status of what has no answer."""
+    if not math.isfinite(e.error):
+        return e.status
+    unresolved = "" if is_resolved(e.error, e.bar) else "~"
+    return f"{unresolved}{100 * e.error:.3g} % ± {100 * e.bar:.2g} %"
+
+
 def rows(bench: Bench) -> list[dict[str, str]]:
     """The printed table: column title -> text."""
 
@@ -271,7 +303,7 @@ def rows(bench: Bench) -> list[dict[str, str]]:
             "set-up ratio": _ratio(e.ratio_setup),
             "frame ratio": _ratio(e.ratio_frame),
             "memory": f"{e.peak_bytes / 1e6:.0f} MB",
-            "error": f"{100 * e.error:.3g} % ± {100 * e.bar:.2g} %" if math.isfinite(e.error) else e.status,
+            "error": error_text(e),
         }
         for e in bench.entries
     ]

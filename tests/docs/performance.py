@@ -21,6 +21,7 @@ from studies.benchmark.bench_data import (
     amount,
     answers,
     deviation,
+    error_text,
     median,
     seconds,
 )
@@ -82,8 +83,9 @@ def section(bench: Bench) -> str:
         f"{machine['processor']}, {machine['cores']} cores, {machine['memory']}, one thread; medians of "
         f"{machine['rounds']} rounds, in each a frame below 20 ms is the median of five samples of 1 ms or more; "
         f"the interquartile range over the rounds is {100 * typical:.0f} % of the median for the typical time and "
-        f"{100 * largest:.0f} % at most; {sizes}. Errors are in the displacement, ± the reference's own. "
-        f"What is {100 * FAR_OFF:g} % off or more answers no question. "
+        f"{100 * largest:.0f} % at most; {sizes}. Errors are in the displacement, ± the reference's own, ~ where "
+        f"that is more than a tenth; what it leaves open is undecided. What is {100 * FAR_OFF:g} % off or more "
+        "answers no question. "
         "[Every model on every mesh](results/gallery/bench.html).\n\n"
     )
     told = answers(bench)
@@ -93,8 +95,7 @@ def section(bench: Bench) -> str:
         times = [
             seconds(median(values)) for values in (e.setup, e.frame_all, e.columns, e.frame_local, e.recut)
         ]
-        error = f"{100 * e.error:.3g} % ± {100 * e.bar:.2g} %"
-        lines.append([e.body, e.model, *times, f"{e.peak_bytes / 1e6:.0f} MB", error])
+        lines.append([e.body, e.model, *times, f"{e.peak_bytes / 1e6:.0f} MB", error_text(e)])
     text += marked.table(
         [
             "body",
