@@ -10,6 +10,7 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
+from ..report.formatting import quantity
 from ..uncertainty import is_resolved
 
 Array = NDArray[np.float64]
@@ -272,7 +273,7 @@ def amount(value: float, unit: str) -> str:
     """A time, a size in memory or a number of non-zeros or operations."""
     if unit == "s":
         return seconds(value)
-    return f"{value / 1e6:.3g} MB" if unit == "B" else f"{value / 1e6:.3g} million"
+    return quantity(value, unit) if unit == "B" else f"{value / 1e6:.3g} million"
 
 
 def error_text(e: Entry) -> str:
@@ -302,7 +303,7 @@ def rows(bench: Bench) -> list[dict[str, str]]:
             "re-cut": timed(e.recut),
             "set-up ratio": _ratio(e.ratio_setup),
             "frame ratio": _ratio(e.ratio_frame),
-            "memory": f"{e.peak_bytes / 1e6:.0f} MB",
+            "memory": amount(e.peak_bytes, "B"),
             "error": error_text(e),
         }
         for e in bench.entries

@@ -95,7 +95,7 @@ def section(bench: Bench) -> str:
         times = [
             seconds(median(values)) for values in (e.setup, e.frame_all, e.columns, e.frame_local, e.recut)
         ]
-        lines.append([e.body, e.model, *times, f"{e.peak_bytes / 1e6:.0f} MB", error_text(e)])
+        lines.append([e.body, e.model, *times, amount(e.peak_bytes, "B"), error_text(e)])
     text += marked.table(
         [
             "body",

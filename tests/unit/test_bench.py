@@ -198,6 +198,12 @@ def test_a_round_that_was_left_out_counts_nothing() -> None:
     assert row["columns"] == "–", "none were needed"
 
 
+def test_memory_has_the_unit_that_suits_it() -> None:
+    """Pages are what is counted: nothing less than 4 kB, and no model takes 0 MB."""
+    small, large = (rows(Bench({}, [replace(VECTOR, peak_bytes=size)], []))[0] for size in (49152.0, 1.52e9))
+    assert (small["memory"], large["memory"]) == ("49.2 kB", "1.52 GB")
+
+
 @pytest.mark.parametrize(
     ("value", "text"), [(2.0, "2 s"), (0.0015, "1.5 ms"), (2.5e-6, "2.5 µs"), (math.nan, "–")]
 )
