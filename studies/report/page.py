@@ -24,7 +24,7 @@ from .section_force import force_against_indentation
 from .section_limits import small_strain_limits
 from .section_measures import all_measures
 from .section_stability import numerical_stability
-from .section_view import Renderer, still, surfaces
+from .section_view import Renderer, heading, still, surfaces
 from .section_volume import volume_drift
 
 
@@ -68,10 +68,11 @@ def write_picture(run: Run, path: Path) -> None:
         disk full or read-only.
     """
     digest = Digest(run)
-    panels = still(digest, digest.key_cases[0][1])[0] if digest.cases else []
-    if not panels:
+    role, case = digest.key_cases[0] if digest.cases else ("", None)
+    panels = [] if case is None else still(digest, case)[0]
+    if case is None or not panels:
         raise PictureError("there is no finished case to draw")
-    write_atomically(path, picture.render([panels])[0])
+    write_atomically(path, picture.labelled(panels, heading(digest, role, case)))
 
 
 def write_report(run: Run, path: Path) -> None:

@@ -7,19 +7,27 @@ that a machine may lack, and a fraction of the time that a renderer takes to sta
 from __future__ import annotations
 
 import io
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
+from textwrap import shorten
 from typing import Any
 
 import numpy as np
 from matplotlib import colormaps
 from matplotlib.backends.backend_agg import RendererAgg
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import Normalize
+from matplotlib.figure import Figure
 from matplotlib.image import imsave
 from matplotlib.transforms import IdentityTransform
 
 from .digest import Array
+from .formatting import scale_of
 
 _PANEL = 420  # pixels
+# of a picture with labels: dots per inch, pixels of height for them, letters of a line above one panel
+_DPI, _LABELS, _LETTERS = 100, 150, 55
 _FINER = 2  # drawn so many times as large, then averaged: smooth outlines
 _MARGIN = 1.06  # of the body's extent, seen from the camera
 _SHAPES = (0.45, 1.1)  # least and largest height of a panel over its width
@@ -40,6 +48,8 @@ class Panel:
     values: np.ndarray  # (N,)
     colour_map: str
     azimuth: float  # about z, from where it is seen [rad]
+    title: str = ""
+    top: float = 1.0  # what the value 1 stands for [m]
 
 
 def render(pictures: Sequence[Sequence[Panel]]) -> list[bytes]:
@@ -47,7 +57,43 @@ def render(pictures: Sequence[Sequence[Panel]]) -> list[bytes]:
     return [_png(panels) for panels in pictures]
 
 
+def labelled(panels: Sequence[Panel], heading: Sequence[str]) -> bytes:
+    """PNG file that stands alone: `panels` side by side under lines of `heading`, each with its title and scale."""
+    out = io.BytesIO()
+    with warnings.catch_warnings():
+        warnings.filterwarnings(
+            "ignore", "Glyph .* missing"
+        )  # a letter that the font lacks is drawn as a box
+        _figure(panels, heading).savefig(out, format="png", metadata=_NO_METADATA)
+    return out.getvalue()
+
+
+def _figure(panels: Sequence[Panel], heading: Sequence[str]) -> Figure:
+    drawings, count = _drawings(panels), len(panels)
+    height, width = drawings[0].shape[:2]
+    figure = Figure((count * width / _DPI, (height + _LABELS) / _DPI), _DPI, layout="constrained")
+    lines = [shorten(line, count * _LETTERS, placeholder=" …") for line in heading]
+    figure.suptitle("\n".join(lines), fontsize="medium", parse_math=False)
+    places = figure.subplots(1, count, squeeze=False)[0]
+    for axes, panel, pixels in zip(places, panels, drawings, strict=True):
+        axes.imshow(pixels)
+        axes.set_axis_off()
+        axes.set_title(panel.title, fontsize="medium", parse_math=False)
+        factor, unit = scale_of("m", [panel.top])
+        colours = ScalarMappable(Normalize(0.0, panel.top / factor), panel.colour_map)
+        figure.colorbar(colours, ax=axes, orientation="horizontal", shrink=0.7, label=unit)
+    return figure
+
+
 def _png(panels: Sequence[Panel]) -> bytes:
+    out = io.BytesIO()
+    pixels = np.concatenate(_drawings(panels), axis=1)
+    imsave(out, pixels, format="png", metadata=_NO_METADATA, pil_kwargs=_QUICK)
+    return out.getvalue()
+
+
+def _drawings(panels: Sequence[Panel]) -> list[np.ndarray]:
+    """(height, width, 4) pixels of each panel, all to one scale."""
     everything = np.concatenate([panel.points for panel in panels])
     axes = _directions(panels[0].azimuth)
     low, high = (f(everything @ axes.T, axis=0) for f in (np.min, np.max))
@@ -56,10 +102,7 @@ def _png(panels: Sequence[Panel]) -> bytes:
     height = round(_PANEL * float(np.clip(half_height / half_width, *_SHAPES))) * _FINER
     scale = 0.5 * min(width / half_width, height / half_height)  # pixels per metre
     shift = np.array([width / 2, height / 2]) - scale * (low + high)[:2] / 2
-    out = io.BytesIO()
-    pixels = np.concatenate([_drawn(panel, axes, scale, shift, width, height) for panel in panels], axis=1)
-    imsave(out, pixels, format="png", metadata=_NO_METADATA, pil_kwargs=_QUICK)
-    return out.getvalue()
+    return [_drawn(panel, axes, scale, shift, width, height) for panel in panels]
 
 
 def _directions(azimuth: float) -> Array:

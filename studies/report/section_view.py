@@ -57,6 +57,13 @@ def _introduction(digest: Digest) -> str:
     return f"Of {len(digest.cases)} cases, those with the largest, the median and the smallest displacement."
 
 
+def heading(digest: Digest, role: str, case: CaseResult) -> tuple[str, str]:
+    """What a picture of one case shows: the study; the case and the scale."""
+    study = str(digest.run.study.get("title") or digest.run.study.get("name", ""))
+    scale = plain(displacement_scale(case))
+    return study, f"{_title(digest, role, case)}, drawn with {scale} times the displacement"
+
+
 def _title(digest: Digest, role: str, case: CaseResult) -> str:
     name = digest.case_name(case)
     return f"{role[:1].upper()}{role[1:]}: {name}" if role else name
@@ -73,17 +80,20 @@ def still(digest: Digest, case: CaseResult) -> tuple[list[Panel], str]:
     sizes = {name: np.linalg.norm(u, axis=1) for name, u in fields.items()}
     largest = max(float(size.max()) for size in sizes.values())
 
-    def panel(name: str, values: Array, top: float, colour_map: str) -> Panel:
+    def panel(name: str, values: Array, top: float, colour_map: str, title: str) -> Panel:
         points = case.points + scale * fields[name]
-        return Panel(points, case.triangles, values / top if top > 0 else values, colour_map, seen_from)
+        shares = values / top if top > 0 else values
+        return Panel(points, case.triangles, shares, colour_map, seen_from, title, top)
 
-    panels = [panel(name, size, largest, _COLOUR_MAPS[0]) for name, size in sizes.items()]
+    panels = [
+        panel(name, size, largest, _COLOUR_MAPS[0], f"displacement of {name}") for name, size in sizes.items()
+    ]
     parts = [f"{name}, displaced by up to {quantity(float(size.max()), 'm')}" for name, size in sizes.items()]
     colours = f"from 0, dark, to {quantity(largest, 'm')}, light"
     if len(fields) == 2:
         reference, model = fields
         gap = np.linalg.norm(fields[model] - fields[reference], axis=1)
-        panels.append(panel(model, gap, float(gap.max()), _COLOUR_MAPS[1]))
+        panels.append(panel(model, gap, float(gap.max()), _COLOUR_MAPS[1], "difference"))
         parts.append(f"their difference, up to {quantity(float(gap.max()), 'm')}")
         colours += f", and to {quantity(float(gap.max()), 'm')} for the difference"
     order = "Left to right: " if len(panels) > 1 else ""

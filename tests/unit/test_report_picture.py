@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import dataclasses
 import io
+from pathlib import Path
 
 import numpy as np
 from PIL import Image
 
 from studies.report import picture
-from studies.report.page import page_html
-from studies.report.picture import Panel, render
+from studies.report.digest import Digest
+from studies.report.page import page_html, write_picture
+from studies.report.picture import Panel, labelled, render
+from studies.report.section_view import heading, still
 
 from .report_runs import icosphere, make_case, make_run
 
@@ -37,6 +41,38 @@ def test_panels_side_by_side_on_nothing() -> None:
     yellow, purple = pixels[int(0.1 * height), width // 4], pixels[int(0.9 * height), width // 4]
     assert yellow[0] > yellow[2], "the top has the largest value: viridis ends in yellow"
     assert purple[2] > purple[1], "and begins in purple"
+
+
+def test_a_picture_that_stands_alone_tells_what_it_shows(tmp_path: Path) -> None:
+    run = make_run([make_case({"m": 0.5}, subdivisions=2)])
+    write_picture(run, tmp_path / "picture.png")
+    pixels = np.asarray(Image.open(tmp_path / "picture.png"))
+    assert pixels.shape[1:] == (3 * 420, 4)
+    assert (pixels[..., 3] == 255).all(), "its letters are read on any ground"
+    digest = Digest(run)
+    panels, _ = still(digest, run.cases[0])
+    figure = picture._figure(panels, heading(digest, "", run.cases[0]))
+    assert (
+        figure.get_suptitle()
+        == "A ball under a fingertip\nthe only case, drawn with 5 times the displacement"
+    )
+    drawn, bars = figure.axes[:3], figure.axes[3:]
+    assert [a.get_title() for a in drawn] == ["displacement of fem-linear", "displacement of m", "difference"]
+    tops = [np.linalg.norm(u, axis=1).max() for u in (run.cases[0].models["m"].displacement[-1],) * 2]
+    tops.append(tops[0] / 3)  # 1.5 times the reference
+    np.testing.assert_allclose(
+        [bar.get_xlim() for bar in bars], [(0.0, 1e3 * top) for top in tops], rtol=1e-9, atol=1e-12
+    )
+    assert {bar.get_xlabel() for bar in bars} == {"mm"}
+
+
+def test_a_picture_of_no_displacement_under_any_heading() -> None:
+    still_ball = dataclasses.replace(ball(), title="$\\frac{", top=0.0)
+    words = ["$\\frac{" * 100, "\u809d\u81d3 <b>"]
+    assert labelled([still_ball], words) == labelled([still_ball], words)
+    (first, second) = picture._figure([still_ball], words).get_suptitle().split("\n")
+    assert len(first) <= 55
+    assert second == words[1]
 
 
 def test_a_flat_body_has_a_flat_picture() -> None:
