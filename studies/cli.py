@@ -83,11 +83,12 @@ def _parser() -> argparse.ArgumentParser:
         sub.set_defaults(verb=function)
         return sub
 
-    def study_verb(name: str, function: Any, text: str, count: str | None = None) -> argparse.ArgumentParser:
+    def study_verb(
+        name: str, function: Any, text: str, count: str | None = None, use: str = ""
+    ) -> argparse.ArgumentParser:
         sub = verb(name, function, text)
-        sub.add_argument(
-            "study", metavar="STUDY", nargs=count, help="path of a study file, or a shipped study's name"
-        )
+        told = f"path of a study file, or a shipped study's name{use}"
+        sub.add_argument("study", metavar="STUDY", nargs=count, help=told)
         sub.add_argument(
             "--surface",
             type=Path,
@@ -178,7 +179,13 @@ def _parser() -> argparse.ArgumentParser:
     gate.add_argument("--junit", type=Path, metavar="FILE", help="write JUnit XML too")
     gate.add_argument("--markdown", type=Path, metavar="FILE", help="write a summary in Markdown too")
     accept.add_argument("--reason", required=True, metavar="TEXT", help="why these numbers are right")
-    bench = study_verb("bench", cli_study.bench_verb, "measure run time against error for every model", "?")
+    bench = study_verb(
+        "bench",
+        cli_study.bench_verb,
+        "measure run time against error for every model, in about five minutes a body",
+        "?",
+        ": its body and its models, in place of every model on a sphere, an organ and the --surface given",
+    )
     bench.add_argument("--out", type=Path, metavar="DIR", help="directory (default results/bench)")
     bench.add_argument("--large", action="store_true", help="growth on surfaces of up to 163,842 nodes")
     verb("doctor", cli_results.doctor_verb, "say what the machine has and lacks")

@@ -121,23 +121,23 @@ def measure(
     about: dict[str, str] = {}
     left_out: list[str] = []
 
-    def measured(body: str, study: Study) -> list[Entry]:
+    def measured(body: str, study: Study, place: str = "") -> list[Entry]:
         mesh = mesh_from_cache(geometry_of(study), cache)
         if not about:
             about.update(provenance(mesh))
-        watch(f"measuring {body}, {len(mesh.surface_nodes)} nodes")
+        watch(f"measuring {body}, {len(mesh.surface_nodes)} nodes{place}")
         scene = build_scene(study, mesh)
         return _on_mesh(body, study, scene, names or study.study.models, rounds)
 
-    for body, given in bodies.items():
+    for number, (body, given) in enumerate(bodies.items()):
         case = expand(given)[0].study
         found: list[Entry] = []
-        for size in sizes:
+        for k, size in enumerate(sizes, start=number * len(sizes) + 1):
             study = with_mesh_size(case, size)
             if study is None:  # a mesh of its own, of one size
                 break
             try:
-                found += measured(body, study)
+                found += measured(body, study, f", mesh {k} of {len(bodies) * len(sizes)}")
             except (InputError, TaskError) as error:  # of a size that the study's author never wrote
                 left_out.append(f"{body} at {size:g} times its mesh_size: {error}")
                 watch(f"left out {left_out[-1]}")

@@ -31,6 +31,7 @@ from studies.benchmark.timing import SAMPLE, SAMPLES, calls_of_a_sample, median_
 from studies.growth import RADIUS, fill_and_flops, sphere
 from studies.meshing.mesh import InputError
 from studies.study_file.config import load_study
+from tests.command import vdmbench
 from vdm import Model, Parameters, SurfaceMesh
 
 
@@ -317,10 +318,22 @@ def test_a_size_that_the_author_never_wrote_and_nothing_stands_is_left_out(tmp_p
     assert left_out.count("times its mesh_size: ") == 2
     assert left_out.startswith("ball at 2.6 times its mesh_size: ")
     assert f"left out {left_out.split('; ball')[0]}" in told
+    assert f"measuring ball, {mesh[1]} nodes, mesh 3 of 3" in told
     assert {growth.what.split()[0] for growth in found.growths} == {"vdm-consistent"}, "of its models only"
     # nothing else is to be had: the study as it is
     alone = bench.measure({"ball": load_study(path)}, tmp_path, sizes=(2.6,), rounds=1, watch=told.append)
     assert alone.meshes() == [mesh]
+
+
+def test_help_says_how_long_it_takes_and_what_a_study_does(tmp_path: Path) -> None:
+    told = " ".join(vdmbench("bench", "--help", cwd=tmp_path).stdout.split())
+    assert "about five minutes a body" in told
+    assert (
+        "its body and its models, in place of every model on a sphere, an organ and the --surface given"
+        in told
+    )
+    check = " ".join(vdmbench("check", "--help", cwd=tmp_path).stdout.split())
+    assert "path of a study file, or a shipped study's name options:" in check
 
 
 def test_growth_of_elements_and_the_dense_form_on_finer_meshes(
