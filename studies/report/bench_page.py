@@ -75,7 +75,7 @@ def bench_html(bench: Bench) -> str:
     return html_document(
         title="Run time against error",
         name="bench",
-        verdict=[Answer("", "", [f"{question}: {'; '.join(f'{mesh}: {a}' for mesh, a in lead.items())}."])],
+        verdict=[Answer(question, "", [f"{mesh}: {answer}." for mesh, answer in lead.items()])],
         counts=[(f"{len(bench.entries)} measurements", "")],
         models=legend,
         sections=[written(section) for section in sections],

@@ -30,6 +30,7 @@ from studies.benchmark.bench_data import (
 from studies.benchmark.timing import SAMPLE, SAMPLES, calls_of_a_sample, median_of_samples, median_seconds
 from studies.growth import RADIUS, fill_and_flops, sphere
 from studies.meshing.mesh import InputError
+from studies.report.bench_page import bench_html
 from studies.study_file.config import load_study
 from tests.command import vdmbench
 from vdm import Model, Parameters, SurfaceMesh
@@ -165,6 +166,10 @@ def test_what_the_reference_leaves_open_is_undecided() -> None:
     )
     assert (
         found["Fastest frame of a contact at an error of at most 25 %"] == "mass-spring, vdm-boundary, 10 µs"
+    )
+    page = bench_html(Bench({}, [linear, boundary, vector, spring, slow], []))
+    assert "<p>ball, 100 nodes: fem-linear, 100 µs; undecided: vdm-boundary, vdm-vector.</p>" in page.replace(
+        "\u00a0", " "
     )
     assert told(boundary, spring)[fastest] == "undecided: vdm-boundary", "none is surely within"
     assert told(spring)[fastest] == "none"
