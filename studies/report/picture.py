@@ -61,9 +61,8 @@ def labelled(panels: Sequence[Panel], heading: Sequence[str]) -> bytes:
     """PNG file that stands alone: `panels` side by side under lines of `heading`, each with its title and scale."""
     out = io.BytesIO()
     with warnings.catch_warnings():
-        warnings.filterwarnings(
-            "ignore", "Glyph .* missing"
-        )  # a letter that the font lacks is drawn as a box
+        # a letter that the font lacks is drawn as a box
+        warnings.filterwarnings("ignore", "Glyph .* missing")
         _figure(panels, heading).savefig(out, format="png", metadata=_NO_METADATA)
     return out.getvalue()
 

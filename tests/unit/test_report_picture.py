@@ -67,11 +67,11 @@ def test_a_picture_that_stands_alone_tells_what_it_shows(tmp_path: Path) -> None
 
 
 def test_a_picture_of_no_displacement_under_any_heading() -> None:
-    still_ball = dataclasses.replace(ball(), title="$\\frac{", top=0.0)
-    words = ["$\\frac{" * 100, "\u809d\u81d3 <b>"]
+    still_ball = dataclasses.replace(ball(), title="$\\frac{$", top=0.0)
+    words = ["$\\frac{$ " * 100, "\u809d\u81d3 <b>"]
     assert labelled([still_ball], words) == labelled([still_ball], words)
     (first, second) = picture._figure([still_ball], words).get_suptitle().split("\n")
-    assert len(first) <= 55
+    assert first == "$\\frac{$ " * 6 + "…"
     assert second == words[1]
 
 
