@@ -19,7 +19,7 @@ CLOSE = 0.10  # "within 10 %", the threshold that the paper's claim speaks of
 WITHIN, OPEN, BEYOND, LOST = "within", "open", "beyond", "lost"
 _LOADS = ("force", "pressure", "displacement")  # parts of swept keys that are a load
 # shares of the body's smallest extent and of its volume: beyond them a small-strain reference judges nothing
-_MOST_MOVED, _MOST_DRIFT = 0.10, 0.05
+MOST_MOVED, MOST_DRIFT = 0.10, 0.05
 
 
 def case_state(case: CaseResult, model: str, step: int) -> str:
@@ -82,9 +82,9 @@ def beyond_small_strain(digest: Digest) -> str:
         moved_by = max(moved_by, largest / float(np.ptp(case.points, axis=0).min()))
         drift = max(drift, abs(at_full_load(case, str(case.reference), "volume_drift")))
     parts = []
-    if moved_by > _MOST_MOVED:
+    if moved_by > MOST_MOVED:
         parts.append(f"moves the body by {short_percent(moved_by)} of its smallest extent")
-    if drift > _MOST_DRIFT:
+    if drift > MOST_DRIFT:
         whose = "its" if parts else "the body's"
         parts.append(f"changes {whose} volume by {short_percent(drift)}")
     if not parts:

@@ -16,6 +16,7 @@ import pytest
 from studies import models
 from studies.cli_study import SHIPPED
 from studies.meshing.geometry import build_mesh
+from studies.report.verdict_load import MOST_DRIFT, MOST_MOVED
 from studies.scene import build_scene
 from studies.study_file.config import expand, geometry_of, load_study
 from studies.surface_measures import Surface, enclosed_volume
@@ -141,6 +142,12 @@ def test_what_the_volume_drift_of_elements_is_made_of() -> None:
     words = f"leave out ({per_cent(facets, 2)} there, {per_cent(coarse, 2)} on a mesh of 14 mm instead of 9)"
     assert words in ONE_LINE
     assert max(compression, facets, second, coarse) < 0.0, "all of them add up"
+
+
+def test_where_nothing_is_judged() -> None:
+    moved, drift = (per_cent(share, 0) for share in (MOST_MOVED, MOST_DRIFT))
+    words = f"more than {moved} of its smallest extent, or changes its volume by more than {drift}"
+    assert words in ONE_LINE
 
 
 def per_cent(share: float, digits: int) -> str:
