@@ -88,9 +88,9 @@ def _shared(plan: Plan, todo: Sequence[PlannedCase], work: Sequence[ModelWork], 
         if setups < steps:
             lines.append(f"{name}: {_count(setups, 'set-up')} for {_count(steps, 'load step')}")
         if solves < steps:
+            sums = " or sums" if models.find(name)[0].together else ""
             lines.append(
-                f"{name}: {_count(solves, 'solve')} for {steps} load steps; "
-                "the others are multiples or sums of them"
+                f"{name}: {_count(solves, 'solve')} for {steps} load steps; the others are multiples{sums} of them"
             )
     if any(case.study.limits for case in todo):
         lines.append("small-strain limits: a load that is tried serves all models and thresholds")

@@ -60,9 +60,8 @@ def _outputs(study: Study) -> dict[str, bool]:
     return {"condition": True} if study.study.condition else {}
 
 
-def reference_key(study: Study, mesh_key: str, n_levels: int) -> str:
-    """Key of a study's reference on `n_levels` mesh levels; of one that scales, up to a factor of its loads."""
-    name = study.study.reference or ""
+def answer_key(study: Study, mesh_key: str, name: str, n_levels: int = 1) -> str:
+    """Key of what a model answers on `n_levels` mesh levels; of one that scales, up to a factor of its loads."""
     if study.gravity is not None or not models.solves_together(name):
         return _digest({"result": result_keys(study, mesh_key)[name], "levels": n_levels})
     return _digest(

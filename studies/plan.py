@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from . import models
-from .keys import case_hash, load_key, reference_key, result_keys, setup_key, surface_key
+from .keys import answer_key, case_hash, load_key, result_keys, setup_key, surface_key
 from .meshing.geometry_spec import (
     MAX_NODES,
     Geometry,
@@ -45,7 +45,8 @@ class PlannedCase:
     surface: str  # key of its VDM parameters
     load: str  # key of its loads up to a factor
     results: Mapping[str, str]  # model -> key of its result
-    reference: str | None  # key of its reference on all mesh levels
+    reference: str | None  # key of its reference on all mesh levels, of linear elements up to a factor
+    elements: Mapping[str, str]  # other linear elements -> key of their result up to a factor
 
 
 @dataclass(frozen=True)
@@ -220,7 +221,12 @@ def _planned(case: ResolvedCase, mesh_key: str) -> PlannedCase:
         surface=surface_key(study),
         load=load_key(study),
         results=results,
-        reference=reference_key(study, mesh_key, n_levels) if name is not None else None,
+        reference=answer_key(study, mesh_key, name, n_levels) if name is not None else None,
+        elements={
+            other: answer_key(study, mesh_key, other)
+            for other in study.study.models
+            if other != name and models.solves_together(other)
+        },
     )
 
 
@@ -238,6 +244,7 @@ def task_of(case: PlannedCase, plan: Plan, *, fresh: bool = False) -> dict[str, 
         "setup": case.setup,
         "keys": dict(case.results),
         "reference_key": case.reference,
+        "elements": dict(case.elements),
         "reuse": {name: str(path) for name, path in plan.reused(case, fresh=fresh).items()},
         "fresh": fresh,
     }

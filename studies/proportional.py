@@ -97,8 +97,8 @@ def _share(loads: Sequence[Array], others: Sequence[Array]) -> float | None:
 
 
 @dataclass(frozen=True)
-class Reference:
-    """A reference on its mesh levels, coarse first, and the loads that it answers.
+class Answer:
+    """What a model answers on its mesh levels, coarse first, and to which loads.
 
     Attributes
     ----------

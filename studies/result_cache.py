@@ -1,4 +1,4 @@
-"""Reference solutions kept on disk by content key, shared between studies: checked before they are read."""
+"""Answer solutions kept on disk by content key, shared between studies: checked before they are read."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from .case import ModelResult, StepStatus
-from .proportional import Reference
+from .proportional import Answer
 from .sealed import read_arrays, write_arrays
 
 _ARRAYS = (
@@ -30,7 +30,7 @@ def reference_path(cache: Path, key: str) -> Path:
     return cache / "references" / f"{key}.npz"
 
 
-def write_reference(path: Path, reference: Reference) -> None:
+def write_reference(path: Path, reference: Answer) -> None:
     """Store a reference at the surface nodes, with the loads that it answers. Raises OSError."""
     arrays: dict[str, Any] = {
         "levels": np.array(len(reference.levels)),
@@ -49,13 +49,13 @@ def write_reference(path: Path, reference: Reference) -> None:
     write_arrays(path, arrays)
 
 
-def read_reference(path: Path) -> Reference | None:
+def read_reference(path: Path) -> Answer | None:
     """The reference stored at `path`, or None where there is nothing or it is damaged."""
     arrays = read_arrays(path)
     if arrays is None:
         return None
     levels = [_level(arrays, f"{number}/") for number in range(int(arrays["levels"]))]
-    return Reference(levels, json.loads(str(arrays["loads"])), arrays["load_factors"])
+    return Answer(levels, json.loads(str(arrays["loads"])), arrays["load_factors"])
 
 
 def _level(arrays: dict[str, Any], prefix: str) -> ModelResult:

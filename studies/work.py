@@ -66,9 +66,19 @@ def _work(name: str, worker: int, level: int, cases: Sequence[PlannedCase]) -> M
         solved = {(case.surface, case.load): case for case in reversed(cases)}
         solves = sum(len(case.study.load.history) for case in solved.values())
     setups = 1 if model.volumetric else len({case.surface for case in cases})
-    if model.volumetric and model.together is None:
+    if model.name == "fem-condensed":
+        setups = len({_condensed_to(case.study) for case in cases})
+    elif model.volumetric and model.together is None:
         setups = len(cases)
     return ModelWork(name, cases[0].mesh, worker, level, setups, steps, solves)
+
+
+def _condensed_to(study: Study) -> tuple[tuple[str, float], ...]:
+    """What a set-up of condensed elements is for: where there is contact, and one motion up to a factor."""
+    loads = loads_of(study)
+    moved = {unit: value for unit, value in loads.items() if not unit.startswith(("force ", "pressure "))}
+    largest = max(map(abs, moved.values()), default=0.0) or 1.0
+    return tuple((unit, value / largest if unit in moved else 1.0) for unit, value in loads.items() if value)
 
 
 def _has_penalty(name: str, study: Study) -> bool:

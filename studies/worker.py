@@ -23,7 +23,7 @@ from .meshing.mesh_cache import mesh_from_cache
 from .metrics import METRICS, History
 from .model_name import REFINED
 from .plan import needs_volume
-from .proportional import Comparisons, Reference
+from .proportional import Answer, Comparisons
 from .reference import own_error, refined_levels, require_converged
 from .result_cache import read_reference, reference_path, write_reference
 from .scene import Scene, build_scene
@@ -74,7 +74,9 @@ def run_case(task: Task) -> None:
     if reference is not None:
         levels = _reference_levels(study, scene, task, known, group)
         known[reference] = levels[0]
-    results = {name: known.get(name) or models.run_model(scene, name) for name in study.study.models}
+    results = {
+        name: known.get(name) or _result(study, scene, task, name, group) for name in study.study.models
+    }
     results = {name: dataclasses.replace(result, key=task["keys"][name]) for name, result in results.items()}
     group.last = {result.key: result for result in results.values()}
     if reference is not None and len(levels) > 1:
@@ -119,13 +121,13 @@ class _Group:
     Attributes
     ----------
     scenes : case -> its study and scene, of cases to come
-    references : reference key -> what was solved, or read from the cache
-    stored : keys of those that the cache holds
+    answers : key of linear elements or of a reference -> what was solved, or read from the cache
+    stored : keys of those references that the cache holds
     last : result key -> result, of the case before
     """
 
     scenes: dict[str, tuple[Study, Scene]] = field(default_factory=dict)
-    references: dict[str, Reference] = field(default_factory=dict)
+    answers: dict[str, Answer] = field(default_factory=dict)
     stored: set[str] = field(default_factory=set)
     last: dict[str, ModelResult] = field(default_factory=dict)
 
@@ -135,7 +137,7 @@ _group: _Group | None = None  # inside `share`
 
 @contextmanager
 def share(tasks: Sequence[Task]) -> Iterator[None]:
-    """Around cases that differ in their loads and VDM parameters: one set-up each, one solve of all references.
+    """Around cases that differ in their loads and VDM parameters: one set-up each, one solve of all their loads.
 
     What cannot be done for all, because a scene or a solve fails, each case finds out for itself.
     """
@@ -151,21 +153,36 @@ def share(tasks: Sequence[Task]) -> Iterator[None]:
 
 
 def _solve_ahead(tasks: Sequence[Task], group: _Group) -> None:
-    """The references that the cache lacks, each of the first case that asks for it."""
-    first = {task["reference_key"]: task for task in reversed(tasks) if task["reference_key"]}
-    missing = [task for task in reversed(first.values()) if not _reference_is_there(task)]
-    if len(missing) < 2 or not models.solves_together(name := missing[0]["study"]["study"]["reference"]):
+    """What linear elements have to solve for the cases: of loads that are multiples of each other the first."""
+    study = tasks[0]["study"]["study"]
+    for name in filter(models.solves_together, study["models"]):
+        is_reference = name == study.get("reference")
+        first: dict[str, Task] = {}
+        for task in tasks:
+            if is_reference:
+                first.setdefault(task["reference_key"], task)
+            elif name not in task["reuse"]:
+                first.setdefault(task["elements"][name], task)
+        missing = {k: task for k, task in first.items() if not (is_reference and _reference_is_there(task))}
+        if len(missing) > 1:
+            _solve_together(name, missing, group, is_reference=is_reference)
+
+
+def _solve_together(name: str, tasks: Mapping[str, Task], group: _Group, *, is_reference: bool) -> None:
+    """The answers by their keys, to the loads of one case each; none but the reference's where a step fails."""
+    group.scenes |= {task["id"]: _built(task) for task in tasks.values() if task["id"] not in group.scenes}
+    studies, scenes = zip(*(group.scenes[task["id"]] for task in tasks.values()), strict=True)
+    results = models.run_together(scenes, name)
+    levels = [[result] for result in results]
+    if is_reference:
+        for result in results:
+            require_converged(name, result)
+        finer = refined_levels(studies, scenes, name, _n_levels(studies[0]))
+        levels = [[result, *others] for result, others in zip(results, finer, strict=True)]
+    elif not all(status.ok for result in results for status in result.status):
         return
-    group.scenes.update({task["id"]: _built(task) for task in missing})
-    studies, scenes = zip(*(group.scenes[task["id"]] for task in missing), strict=True)
-    coarse = models.run_together(scenes, name)
-    for result in coarse:
-        require_converged(name, result)
-    finer = refined_levels(studies, scenes, name, _n_levels(studies[0]))
-    for task, study, scene, one, others in zip(missing, studies, scenes, coarse, finer, strict=True):
-        group.references[task["reference_key"]] = Reference(
-            [one, *others], loads_of(study), scene.load_factors
-        )
+    for key, study, scene, found in zip(tasks, studies, scenes, levels, strict=True):
+        group.answers[key] = Answer(found, loads_of(study), scene.load_factors)
 
 
 def _built(task: Task) -> tuple[Study, Scene]:
@@ -174,29 +191,41 @@ def _built(task: Task) -> tuple[Study, Scene]:
     return study, build_scene(study, _mesh(study, task))
 
 
+def _result(study: Study, scene: Scene, task: Task, name: str, group: _Group) -> ModelResult:
+    """A model's result: of linear elements a multiple of what was solved before, if it is one, else solved now."""
+    key, loads = task["elements"].get(name, ""), loads_of(study)
+    found = group.answers[key].under(loads, scene) if key in group.answers else None
+    if found is not None:
+        return found[0]
+    result = models.run_model(scene, name)
+    if key and all(status.ok for status in result.status):
+        group.answers[key] = Answer([result], loads, scene.load_factors)
+    return result
+
+
 def _reference_levels(
     study: Study, scene: Scene, task: Task, known: Mapping[str, ModelResult], group: _Group
 ) -> list[ModelResult]:
     """The reference on each mesh level: solved before, here or in another run, a multiple of it, or solved now."""
     name, key, loads = study.study.reference or "", task["reference_key"], loads_of(study)
     path = reference_path(Path(task["cache"]), key)
-    if key not in group.references and not task["fresh"]:
+    if key not in group.answers and not task["fresh"]:
         stored = read_reference(path)
         if stored is not None:
             levels = [_marked(level) for level in stored.levels]
-            group.references[key] = dataclasses.replace(stored, levels=levels)
+            group.answers[key] = dataclasses.replace(stored, levels=levels)
             group.stored.add(key)
-    found = group.references[key].under(loads, scene) if key in group.references else None
+    found = group.answers[key].under(loads, scene) if key in group.answers else None
     if found is None:
         if name in known and _n_levels(study) == 1:
             return [known[name]]
         coarse = models.run_model(scene, name)
         require_converged(name, coarse)
         found = [coarse, *refined_levels([study], [scene], name, _n_levels(study))[0]]
-        group.references[key] = Reference(found, loads, scene.load_factors)
+        group.answers[key] = Answer(found, loads, scene.load_factors)
         group.stored.discard(key)
     if key not in group.stored:
-        write_reference(path, group.references[key])
+        write_reference(path, group.answers[key])
         group.stored.add(key)
     return found
 

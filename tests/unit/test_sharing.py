@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
+import fem_reference.condensed
 import fem_reference.linear
 import vdm.model
 from fem_reference.loads import Load, independent_loads, multiple_of
@@ -23,7 +24,7 @@ from studies.case import CaseResult
 from studies.explain import summary
 from studies.meshing.mesh_cache import mesh_from_cache
 from studies.plan import Plan, make_plan, task_of
-from studies.proportional import Reference
+from studies.proportional import Answer
 from studies.reference import own_error, refined_levels
 from studies.store import read_case, write_case
 from studies.study_file.config import expand
@@ -139,12 +140,44 @@ MOVED = {
 }
 
 
-@pytest.mark.parametrize("changes", [{}, HISTORY, TISSUES, PARAMETERS, WEIGHT, SUPPORTS, PENALTY, MOVED])
+ALONE = {"study": {"name": "test", "models": ["vdm-vector", "fem-linear"]}, "uncertainty": None}
+BESIDE = {
+    "study": {
+        "name": "test",
+        "models": ["vdm-vector", "fem-p1", "fem-p2", "fem-linear"],
+        "reference": "fem-linear",
+    }
+}
+FINITE = {
+    "study": {"name": "test", "models": ["vdm-vector", "fem-linear", "fem"], "reference": "fem"},
+    "uncertainty": None,
+    "geometry": TABLES["geometry"] | {"mesh_size": 0.03},
+}
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {},
+        HISTORY,
+        TISSUES,
+        PARAMETERS,
+        WEIGHT,
+        SUPPORTS,
+        PENALTY,
+        MOVED,
+        ALONE,
+        BESIDE,
+        FINITE,
+        ALONE | WEIGHT,
+    ],
+)
 def test_what_is_planned_is_what_is_done(tmp_path: Path, made: Counter[str], changes: dict[str, Any]) -> None:
     plan = plan_of(tmp_path, tmp_path / "cache", **changes)
     work = counted.work_of(plan, plan.cases)
     run(plan)
-    of_fem, of_vdm = ([part for part in work if part.name == name] for name in ("fem-linear", "vdm-vector"))
+    linear = ("fem-linear", "fem-p1", "fem-p2")
+    of_fem, of_vdm = ([part for part in work if part.name in names] for names in (linear, ("vdm-vector",)))
     planned = {
         "fem set-ups": sum(part.setups for part in of_fem),
         "fem solves": sum(part.solves for part in of_fem),
@@ -152,6 +185,41 @@ def test_what_is_planned_is_what_is_done(tmp_path: Path, made: Counter[str], cha
         "vdm solves": sum(part.solves for part in of_vdm),
     }
     assert made == planned
+
+
+@pytest.mark.parametrize("changes", [ALONE, BESIDE, ALONE | WEIGHT, ALONE | MOVED])
+def test_elements_beside_the_reference_have_the_numbers_of_each_case_alone(
+    tmp_path: Path, cache: Path, changes: dict[str, Any]
+) -> None:
+    plan = plan_of(tmp_path / "together", cache, **changes)
+    for case, planned in zip(run(plan), plan.cases, strict=True):
+        task = task_of(planned, plan_of(tmp_path / "alone", cache, **changes), fresh=True)
+        run_case(task)
+        alone = read_case(Path(task["path"]))
+        for name, result in case.models.items():
+            for field in ("displacement", "reaction_force", "energy", "volume"):
+                a, b = getattr(result, field), getattr(alone.models[name], field)
+                assert_allclose(a, b, rtol=0, atol=1e-12 * np.abs(b).max(), err_msg=f"{name} {field}")
+
+
+@pytest.mark.parametrize("displacements", [[-0.001, -0.002], [-0.001, 0.0]])
+def test_condensed_elements_are_set_up_as_often_as_planned(
+    tmp_path: Path, cache: Path, monkeypatch: pytest.MonkeyPatch, displacements: list[float]
+) -> None:
+    made: list[int] = []
+    start = fem_reference.condensed.CondensedProblem.__init__
+
+    def counted_start(self: Any, *arguments: Any, **options: Any) -> None:
+        made.append(1)
+        start(self, *arguments, **options)
+
+    monkeypatch.setattr(fem_reference.condensed.CondensedProblem, "__init__", counted_start)
+    sweep = {"constraints.tool.displacement.0": displacements, "constraints.finger.force": [0.1, 0.2]}
+    study = {"study": {"name": "test", "models": ["fem-condensed"]}, "uncertainty": None}
+    plan = plan_of(tmp_path, cache, **(MOVED | study | {"sweep": sweep}))
+    (work,) = counted.work_of(plan, plan.cases)
+    run(plan)
+    assert len(made) == work.setups
 
 
 def test_workers_that_divide_a_group_make_its_set_ups_each(tmp_path: Path, made: Counter[str]) -> None:
@@ -247,7 +315,7 @@ def test_a_stored_reference_answers_its_multiples_only(cache: Path, tmp_path: Pa
     study, scene = worker._built(task)
     result = worker.models.run_model(scene, "fem-linear")
     loads = worker.loads_of(study)
-    stored = Reference([result], loads, scene.load_factors)
+    stored = Answer([result], loads, scene.load_factors)
     (same,) = stored.under(loads, scene) or [None]
     assert same is result
     (twice,) = stored.under({unit: 2 * value for unit, value in loads.items()}, scene) or [None]
@@ -255,11 +323,11 @@ def test_a_stored_reference_answers_its_multiples_only(cache: Path, tmp_path: Pa
     assert_allclose(twice.displacement, 2 * result.displacement, rtol=1e-14, atol=0)
     assert "steps_scaled" in twice.parameters
     two = {"a": 1.0, "b": 2.0}
-    stored = Reference([result], two, scene.load_factors)
+    stored = Answer([result], two, scene.load_factors)
     assert stored.under({"a": 3.0, "b": 6.0}, scene) is not None
     for other in ({"a": 3.0, "b": 6.0 * (1 + 1e-13)}, {"a": 3.0}, {"a": 3.0, "c": 6.0}, {"a": 0.0, "b": 6.0}):
         assert stored.under(other, scene) is None, other
-    assert Reference([result], {"a": 0.0}, scene.load_factors).under({"a": 1.0}, scene) is None
+    assert Answer([result], {"a": 0.0}, scene.load_factors).under({"a": 1.0}, scene) is None
 
 
 @pytest.mark.parametrize(
@@ -297,7 +365,7 @@ def test_a_damaged_reference_is_made_again(tmp_path: Path, cache: Path, made: Co
     assert not any(planned.reference_cached(case) for case in planned.cases), "what has to be made is counted"
     with share([task_of(case, planned) for case in planned.cases]):
         assert worker._group is not None
-        assert len(worker._group.references) == 2, "all at once"
+        assert len(worker._group.answers) == 2, "all at once"
     after = run(planned)
     assert made["fem solves"] > 0
     for a, b in zip(after, before, strict=True):
