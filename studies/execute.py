@@ -264,11 +264,12 @@ def _main(
     os.dup2(descriptor, 2)
     sys.stdout, sys.stderr = (open(number, "w", buffering=1, closefd=False) for number in (1, 2))  # noqa: SIM115
     threading.Thread(target=_end_with_parent, daemon=True).start()
-    if memory is not None:
-        limit_memory(memory)
     from threadpoolctl import threadpool_limits
 
-    with threadpool_limits(1), together(tasks) if together else contextlib.nullcontext():
+    threadpool_limits(1)  # for good: more of them at the end might find no memory, and wait for it
+    if memory is not None:
+        limit_memory(memory)
+    with together(tasks) if together else contextlib.nullcontext():
         for task in tasks:
             os.ftruncate(descriptor, 0)  # the log is that of the task at work
             answer.send_bytes(json.dumps(None).encode())

@@ -26,12 +26,29 @@ def limit_memory(size: int) -> None:
     """Let this process take so many bytes more, for the rest of its life; then allocations fail.
 
     What counts is private data (RLIMIT_DATA), touched or not; on another system than Linux nothing is limited.
+    From here on dense algebra has one thread.
     """
     if _STATUS.exists():
+        _take_working_buffers()
         _, hard = resource.getrlimit(resource.RLIMIT_DATA)
         wanted = _read("VmData") + size
         limit = wanted if hard == resource.RLIM_INFINITY else min(wanted, hard)
         resource.setrlimit(resource.RLIMIT_DATA, (limit, hard))
+
+
+def _take_working_buffers() -> None:
+    """Have numpy's and scipy's OpenBLAS take the memory that they work in, which they keep.
+
+    At its first product each maps 32 MB, and where the system refuses it asks again, for ever (blas_memory_alloc
+    in OpenBLAS's driver/others/memory.c). A thread takes such a buffer for itself, too, when their number is set.
+    """
+    import numpy as np
+    from scipy.linalg import lu_factor
+    from threadpoolctl import threadpool_limits
+
+    threadpool_limits(1)
+    np.linalg.solve(np.eye(2), np.eye(2))
+    lu_factor(np.eye(2))
 
 
 def reset_peak() -> int:

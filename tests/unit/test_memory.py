@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 
@@ -80,3 +81,38 @@ def test_an_analysis_leaves_the_room_for_its_factor() -> None:
     """The library reserves a gigabyte and more for the stacks of its threads."""
     done = subprocess.run([sys.executable, "-c", _ANALYSES], capture_output=True, text=True, check=True)
     assert int(done.stdout) < 50e6
+
+
+_MULTIPLIES = """
+import numpy as np
+from scipy.linalg import lu_factor, solve_triangular
+from threadpoolctl import threadpool_limits
+from studies.memory import limit_memory
+
+limit_memory(10_000_000)
+with threadpool_limits(1):
+    square = np.eye(200) + 0.1
+    print(float((square @ square)[0, 1]))
+    print(float(solve_triangular(square, np.triu(square))[1, 1]), lu_factor(square)[0].shape)
+try:
+    np.ones(10**7)
+except MemoryError:
+    print("no more")
+"""
+
+
+@pytest.mark.parametrize("threads", ["1", "4"])
+def test_dense_algebra_does_not_wait_for_memory_that_it_may_not_have(threads: str) -> None:
+    """OpenBLAS, refused its working memory, asks again for ever."""
+    surroundings = os.environ | {"OPENBLAS_NUM_THREADS": threads, "OMP_NUM_THREADS": threads}
+    done = subprocess.run(
+        [sys.executable, "-c", _MULTIPLIES],
+        capture_output=True,
+        text=True,
+        check=True,
+        timeout=60,
+        env=surroundings,
+    )
+    product, triangle, rest = done.stdout.split("\n", 2)
+    np.testing.assert_allclose(float(product), 2 * 0.1 + 200 * 0.1**2, rtol=1e-12, atol=0)
+    assert (triangle, rest) == ("1.0 (200, 200)", "no more\n")
