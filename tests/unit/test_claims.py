@@ -253,4 +253,4 @@ def test_the_command(tmp_path: Path) -> None:
         mistake = vdmbench("report", *wrong, cwd=tmp_path)
         assert mistake.returncode == 2
         assert "--claims" in mistake.stderr
-    assert vdmbench("report", "--claims", "nowhere", cwd=tmp_path).returncode == 5
+    assert vdmbench("report", "--claims", "nowhere", cwd=tmp_path).returncode == 2
