@@ -141,20 +141,22 @@ def calibrate_verb(options: argparse.Namespace) -> int:
     from .study_file.config import with_mesh_size
 
     study, path = _load(options)
-    check(study)
     plan, finer = _make_plan(study, options), with_mesh_size(study, FINER)
+    check(plan)
+    elsewhere = []  # read, and found to be of use, before anything is run
+    for name in options.transfer:
+        there = argparse.Namespace(**vars(options) | {"study": name, "surface": None, "out": None})
+        other, other_path = _load(there)
+        elsewhere.append((_make_plan(other, there), other_path))
+        check(elsewhere[-1][0])
     out = plan.directory
-    run, there = _run_for_fit(plan, path, options), None
+    run, refined = _run_for_fit(plan, path, options), None
     if finer is not None:
         again = _command("calibrate", options)
         planned = _make_plan(finer, options, directory=out / "finer", command=again)
-        there = _run_for_fit(planned, path, options)
-    own = body(*run, there)
-    others = []
-    for name in options.transfer:
-        elsewhere = argparse.Namespace(**vars(options) | {"study": name, "surface": None, "out": None})
-        other, other_path = _load(elsewhere)
-        others.append(body(*_run_for_fit(_make_plan(other, elsewhere), other_path, options), None))
+        refined = _run_for_fit(planned, path, options)
+    own = body(*run, refined)
+    others = [body(*_run_for_fit(*other, options), None) for other in elsewhere]
     entries = calibrate(own, others)
     data = {own.name: as_json(entries)}
     write_atomically(out / "calibration.json", json.dumps(data, indent=1).encode())

@@ -13,7 +13,18 @@ from ..case import Run
 from ..model_name import is_linear
 from ..plan import Plan
 from ..study_file.schema import Study
-from .fit import CalibrationError, Errors, Fit, Sample, Trial, fit, samples_of, split, surface_models
+from .fit import (
+    CalibrationError,
+    Errors,
+    Fit,
+    Sample,
+    Trial,
+    count_of_training,
+    fit,
+    samples_of,
+    split,
+    surface_models,
+)
 
 FINER = 0.75  # mesh size of the second mesh over that of the study
 
@@ -47,12 +58,18 @@ class Calibration:
     repeated: Sequence[str] = ()
 
 
-def check(study: Study) -> None:
-    """Raise CalibrationError where nothing could be fitted whatever a run gives."""
+def check(plan: Plan) -> None:
+    """Raise CalibrationError where nothing could be fitted, or tried, whatever a run gives."""
+    study = plan.study
     if study.study.reference is None:
         raise CalibrationError("a calibration needs study.reference, the model to fit to")
     if not surface_models(study.study.models):
         raise CalibrationError(f"{study.study.name} has no surface model whose parameters could be fitted")
+    count_of_training(len(plan.state), _training(study))
+
+
+def _training(study: Study) -> int | None:
+    return study.calibration.training if study.calibration is not None else None
 
 
 def body(plan: Plan, run: Run, finer: tuple[Plan, Run] | None) -> Body:
@@ -63,11 +80,10 @@ def body(plan: Plan, run: Run, finer: tuple[Plan, Run] | None) -> Body:
     CalibrationError
         no reference, no surface model, or too few finished cases.
     """
-    study = plan.study
-    check(study)
+    check(plan)
+    study, count = plan.study, _training(plan.study)
     models = surface_models(study.study.models)
     asked = study.calibration.parameters if study.calibration is not None else None
-    count = study.calibration.training if study.calibration is not None else None
     training, held_out = split(samples_of(plan, run), count)
     there = split(samples_of(*finer), count) if finer is not None else ([], [])
     return Body(

@@ -126,13 +126,19 @@ def split(samples: Sequence[Sample], training: int | None) -> tuple[list[Sample]
     CalibrationError
         nothing would be left on one side.
     """
-    count = (len(samples) + 1) // 2 if training is None else training
-    if not 0 < count < len(samples):
-        raise CalibrationError(
-            f"a calibration needs training loads and others held out: this study has {len(samples)} finished "
-            f"cases, of which {count} would train; sweep more loads, or set calibration.training"
-        )
+    count = count_of_training(len(samples), training)
     return list(samples[:count]), list(samples[count:])
+
+
+def count_of_training(loads: int, training: int | None) -> int:
+    """How many of a study's loads train; raises CalibrationError as `split` does."""
+    count = (loads + 1) // 2 if training is None else training
+    if not 0 < count < loads:
+        raise CalibrationError(
+            f"a calibration needs training loads and others held out: {count} of {loads} would train; "
+            "sweep more loads, or set calibration.training"
+        )
+    return count
 
 
 def surface_models(names: Sequence[str]) -> list[str]:

@@ -260,7 +260,7 @@ def finished(text: str, directory: Path) -> tuple[Run, Plan]:
 def test_what_cannot_be_fitted_says_why(samples: list[Sample]) -> None:
     with pytest.raises(CalibrationError, match="sweep more loads"):
         split(samples[:1], None)
-    with pytest.raises(CalibrationError, match="4 would train"):
+    with pytest.raises(CalibrationError, match="4 of 4 would train"):
         split(samples, 4)
     with pytest.raises(CalibrationError, match="has no foundation"):
         Trial("vdm-paper", samples, ["foundation"])
@@ -354,12 +354,26 @@ def test_a_history_that_does_not_end_at_factor_one_gives_the_same_fit(tmp_path: 
         assert_allclose(other.held_out.vector, fits[0].held_out.vector, rtol=1e-9, atol=0)
 
 
-def test_mistakes_of_the_command(tmp_path: Path) -> None:
-    (tmp_path / "no.toml").write_text(STUDY.replace('reference = "fem-linear"', ""))
-    result = vdmbench("calibrate", "no.toml", cwd=tmp_path)
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["none.toml"], "needs study.reference"),
+        (["one.toml"], "3 of 1 would train; sweep more loads"),
+        (["fit.toml", "--transfer", "nothing"], "no shipped study of that name"),
+        (["fit.toml", "--transfer", "none.toml"], "needs study.reference"),
+        (["fit.toml", "--transfer", "one.toml"], "3 of 1 would train; sweep more loads"),
+    ],
+)
+def test_mistakes_of_the_command_are_told_before_anything_is_run(
+    tmp_path: Path, words: list[str], said: str
+) -> None:
+    (tmp_path / "fit.toml").write_text(STUDY)
+    (tmp_path / "none.toml").write_text(STUDY.replace('reference = "fem-linear"', ""))
+    (tmp_path / "one.toml").write_text(STUDY.partition("[sweep]")[0])
+    result = vdmbench("calibrate", *words, cwd=tmp_path)
     assert result.returncode == 2
-    assert "needs study.reference" in result.stderr
-    assert "Traceback" not in result.stderr
+    assert said in result.stderr
+    assert not (tmp_path / "results").exists()
 
 
 def test_a_finer_study_has_a_finer_mesh_and_nothing_else(tmp_path: Path) -> None:
