@@ -130,8 +130,8 @@ def _skipped(plan: Plan, todo: Sequence[PlannedCase]) -> list[str]:
 
 
 def refused(plan: Plan, cases: Sequence[PlannedCase]) -> list[str]:
-    """The models that will refuse these cases: elements that nothing holds, and a mesh of more surface nodes than
-    a model takes, so far as that is beyond doubt."""
+    """The models that will refuse these cases: elements that nothing holds, fibres, and a mesh of more surface
+    nodes than a model takes, so far as that is beyond doubt."""
     names = plan.study.study.models
     limits = {name: most for name in names if (most := models.most_nodes(name)) is not None}
     free = any(holds_nothing(case.study) for case in cases)
@@ -140,6 +140,12 @@ def refused(plan: Plan, cases: Sequence[PlannedCase]) -> list[str]:
         for name in names
         if free and models.find(name)[0].volumetric
     ]
+    if any(case.study.anisotropy for case in cases):
+        lines += [
+            f"{name}: it is isotropic; use another model for fibres"
+            for name in names
+            if not models.knows_fibres(name)
+        ]
     if not limits:
         return lines
     missing = plan.missing_meshes(cases)

@@ -108,6 +108,13 @@ def most_nodes(name: str) -> int | None:
     return MAX_NODES
 
 
+def knows_fibres(name: str) -> bool:
+    """Whether a model solves a body with fibres, or refuses it."""
+    from vdm.material import ISOTROPIC
+
+    return find(name)[0].name.removeprefix("vdm-") not in ISOTROPIC
+
+
 VDM_SOLVERS = (
     "linear",
     "single",

@@ -33,6 +33,7 @@ COARSE_NODES = 800  # of the body under the skin of a surface that has more node
 NODE_MODULI = ("bulk_modulus", "foundation")
 EDGE_MODULI = ("connectivity_modulus", "surface_tension", "stretch_stiffness")
 MODULI = (*NODE_MODULI, *EDGE_MODULI, "shear_modulus")
+ISOTROPIC = ("boundary", "mass-spring")  # formulations that know no fibres
 
 
 class ParameterError(ValueError):
@@ -139,7 +140,7 @@ class Parameters:
                 return cls(surface_tension=VECTOR_TENSION[rotation] * mu * radius, rotation=rotation)
             grown = mu * np.sqrt(radius * distance_from_support(surface, held))
             return cls(surface_tension=SUPPORTED_TENSION[rotation] * grown, rotation=rotation)
-        if formulation in ("boundary", "mass-spring"):
+        if formulation in ISOTROPIC:
             return cls(shear_modulus=mu)
         raise ParameterError(
             f"unknown formulation {formulation!r}; use paper, consistent, vector, boundary or mass-spring"
@@ -164,7 +165,7 @@ class Parameters:
         """
         if self.shear_modulus is not None:
             raise ParameterError(
-                "the boundary and mass-spring formulations are isotropic; use another one for fibres"
+                f"the {' and '.join(ISOTROPIC)} formulations are isotropic; use another one for fibres"
             )
         direction = np.asarray(fibre, dtype=np.float64)
         length = float(np.linalg.norm(direction))

@@ -11,11 +11,13 @@ from numpy.testing import assert_allclose
 
 from studies import models
 from studies.case import ModelResult
+from studies.explain import refused
 from studies.meshing.geometry import build_mesh
 from studies.meshing.mesh import Mesh
 from studies.metrics import METRICS, History
+from studies.plan import make_plan
 from studies.scene import build_scene
-from studies.study_file.config import geometry_of
+from studies.study_file.config import expand, geometry_of
 from studies.study_file.schema import Study
 from studies.surface_measures import Surface
 from tests.unit.study_texts import SMALL, swept
@@ -96,6 +98,19 @@ def test_a_model_without_fibres_is_refused_by_itself(mesh: Mesh) -> None:
         assert softer.status[0].message == "contrast is 0.5"
         assert softer.status[0].remedy == "give 1 or more: fibres stiffen the body"
     assert run(mesh, "vdm-paper", {"fibre_direction": Z, "contrast": 0.5}).status[0].ok
+
+
+@pytest.mark.parametrize("anisotropy", [None, {"fibre_direction": X, "contrast": 4.0}])
+def test_a_plan_names_the_models_that_refuse_fibres(
+    mesh: Mesh, tmp_path: Path, anisotropy: dict[str, Any] | None
+) -> None:
+    names = [name for name in models.MODELS if name != "fem"]
+    wanted = STUDY | {"study": STUDY["study"] | {"models": names}}
+    study = Study.model_validate(wanted | ({"anisotropy": anisotropy} if anisotropy else {}))
+    plan = make_plan(study, expand(study), tmp_path / "run", tmp_path / "cache")
+    told = {line.partition(":")[0] for line in refused(plan, plan.cases)}
+    assert told == {name for name in names if run(mesh, name, anisotropy).status[0].code == models.REFUSED}
+    assert told == ({"vdm-boundary", "mass-spring"} if anisotropy else set())
 
 
 @pytest.mark.parametrize("contrast", [0.3, 3.0, 30.0])
