@@ -18,11 +18,18 @@ def write_atomically(path: Path, data: bytes) -> None:
     Raises
     ------
     OSError
-        disk full or read-only, or a directory of that name; nothing is left behind.
+        disk full or read-only, or a directory of that name; it names `path`, and nothing is left behind.
     """
     if path.is_dir():
         raise IsADirectoryError(errno.EISDIR, "a directory is in a file's place; remove it", str(path))
     path.parent.mkdir(parents=True, exist_ok=True)
+    try:
+        _replace(path, data)
+    except OSError as error:  # a write names no file, and others the one that was to become this
+        raise OSError(error.errno, error.strerror, str(path)) from error
+
+
+def _replace(path: Path, data: bytes) -> None:
     handle, name = _temporary(path)
     try:
         with os.fdopen(handle, "wb") as file:  # its lock is held until it has its final name

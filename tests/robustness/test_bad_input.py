@@ -339,17 +339,17 @@ def test_a_full_disk_is_told(
 ) -> None:
     """As the run begins; a case that finds the disk full is a failed case."""
 
-    def full(_: Any, path: Path) -> None:
-        raise OSError(errno.ENOSPC, "No space left on device", str(path))
+    def no_room(*_: Any) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
 
     arguments = study(verb="run")(tmp_path)
     with monkeypatch.context() as patch:
-        patch.setattr(files.os, "fsync", lambda _: full(_, Path("x")))
-        assert "No space left on device" in said(arguments, 4, capsys)
+        patch.setattr(files.os, "fsync", no_room)
+        assert f"{RUN}/study.toml: No space left on device" in said(arguments, 4, capsys)
     assert [path for path in (tmp_path / "results").rglob("*") if path.is_file()] == [
         tmp_path / RUN / ".lock"
     ]
-    monkeypatch.setattr(worker, "write_case", lambda path, case: full(case, path))
+    monkeypatch.setattr(worker, "write_case", no_room)
     told = said(arguments, 3, capsys)
     assert "No space left on device" in told
     assert "; check free space and permissions" in told
