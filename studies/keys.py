@@ -14,6 +14,7 @@ from . import models
 from .study_file.config import case_inputs
 from .study_file.schema import Study
 
+_FORMAT = 2  # of the cache's files of references: raised with what is in them
 _latest: list[tuple[Study, Mapping[str, Any]]] = []  # all keys of a case are asked for one after the other
 
 
@@ -63,7 +64,7 @@ def _outputs(study: Study) -> dict[str, bool]:
 def answer_key(study: Study, mesh_key: str, name: str, n_levels: int = 1) -> str:
     """Key of what a model answers on `n_levels` mesh levels; of one that scales, up to a factor of its loads."""
     if study.gravity is not None or not models.solves_together(name):
-        return _digest({"result": result_keys(study, mesh_key)[name], "levels": n_levels})
+        return _digest({"result": result_keys(study, mesh_key)[name], "levels": n_levels, "format": _FORMAT})
     return _digest(
         {
             "model": name,
@@ -71,6 +72,7 @@ def answer_key(study: Study, mesh_key: str, name: str, n_levels: int = 1) -> str
             "setup": setup_key(study, mesh_key),
             "loads": load_key(study),
             "levels": n_levels,
+            "format": _FORMAT,
         }
         | _outputs(study)
     )
@@ -131,7 +133,8 @@ def load_key(study: Study) -> str:
     first = next((value for value in parts.values() if abs(value) == largest), 0.0)
     if not first or study.gravity is not None:
         return _digest({"loads": parts, "history": study.load.history})
-    return _digest({"loads": {unit: round(value / first, 12) for unit, value in parts.items()}})
+    # 0.0 is added because -0.0 is written otherwise
+    return _digest({"loads": {unit: round(value / first, 12) + 0.0 for unit, value in parts.items()}})
 
 
 def _anonymous(constraint: Mapping[str, Any], inputs: Mapping[str, Any]) -> dict[str, Any]:

@@ -91,9 +91,11 @@ def _loads(scene: Scene) -> tuple[Array, ...]:
 
 
 def _share(loads: Sequence[Array], others: Sequence[Array]) -> float | None:
+    """How many times the loads the others are; None if they are no multiple, or one whose energy is no number."""
     from fem_reference.loads import multiple_of  # slow to load, and a plan needs none
 
-    return multiple_of(loads, others)
+    share = multiple_of(loads, others)
+    return None if share is None or (share and not 1e-50 < abs(share) < 1e50) else share
 
 
 @dataclass(frozen=True)

@@ -84,9 +84,9 @@ def _differences(fields: Sequence[Array], areas: Array) -> list[float]:
 
 
 def refined_levels(
-    studies: Sequence[Study], scenes: Sequence[Scene], name: str, n_levels: int
+    studies: Sequence[Study], scenes: Sequence[Scene], name: str, n_levels: Sequence[int]
 ) -> list[list[ModelResult]]:
-    """Each scene's results on the `n_levels` - 1 refinements of their common mesh, at its surface nodes.
+    """Each scene's results on its `n_levels` - 1 refinements of their common mesh, at its surface nodes.
 
     Each splits every tetrahedron into eight. The body, its supports and its loads stay what they are; a smooth
     profile is evaluated anew on each level. The scenes differ in their loads only: all are solved with one
@@ -98,22 +98,24 @@ def refined_levels(
         a level that did not converge.
     """
     found: list[list[ModelResult]] = [[] for _ in scenes]
-    coarsest = scenes[0].mesh
     lineage: list[Index] = []
-    for _ in range(n_levels - 1):
-        coarse = scenes[0].mesh
+    left = list(range(len(scenes)))
+    finer = list(scenes)
+    for level in range(1, max(n_levels)):
+        left = [place for place in left if n_levels[place] > level]
+        coarse = finer[left[0]].mesh
         mesh, parents = shared(refine, mesh=coarse)
         # most scenes have the same regions
-        masks = {mask.tobytes(): mask for scene in scenes for mask in scene.regions.values()}
-        finer = {key: inherit(mask, coarse, parents) for key, mask in masks.items()}
-        scenes = [
-            build_scene(study, mesh, {r: finer[mask.tobytes()] for r, mask in scene.regions.items()})
-            for study, scene in zip(studies, scenes, strict=True)
-        ]
+        masks = {mask.tobytes(): mask for place in left for mask in finer[place].regions.values()}
+        inherited = {key: inherit(mask, coarse, parents) for key, mask in masks.items()}
+        for place in left:
+            regions = {r: inherited[mask.tobytes()] for r, mask in finer[place].regions.items()}
+            finer[place] = build_scene(studies[place], mesh, regions)
         lineage.append(parents)
-        for levels, result in zip(found, models.run_together(scenes, name), strict=True):
+        results = models.run_together([finer[place] for place in left], name)
+        for place, result in zip(left, results, strict=True):
             require_converged(f"{name} on the refined mesh", result)
-            levels.append(_restricted(result, lineage, coarsest))
+            found[place].append(_restricted(result, lineage, scenes[place].mesh))
     return found
 
 

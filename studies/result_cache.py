@@ -1,4 +1,4 @@
-"""Answer solutions kept on disk by content key, shared between studies: checked before they are read."""
+"""Reference solutions kept on disk by content key, shared between studies: checked before they are read."""
 
 from __future__ import annotations
 

@@ -68,7 +68,8 @@ def watched() -> Iterator[list[Setup]]:
 
 
 def shared(make: Callable[..., T], **inputs: Any) -> T:
-    """make(**inputs), or what it made before of the same inputs. What it makes must not change when it is used.
+    """make(**inputs), or what it made before of the same inputs. What it makes must not change when it is used,
+    but for what it remembers of its last use.
 
     Inputs are arrays, plain values, meshes, tables of a study, dataclasses and containers of them.
     """

@@ -40,19 +40,25 @@ def work_of(plan: Plan, cases: Sequence[PlannedCase], jobs: int = 1) -> list[Mod
     """The work of some cases in `jobs` workers, group by group: what is stored or cached counts nothing."""
     out: list[ModelWork] = []
     for worker, group in enumerate(plan.groups(cases, jobs)):
-        reference, levels = group[0].study.study.reference, group[0].study.uncertainty
-        n_levels = levels.levels if levels else 1
         for name in group[0].study.study.models:
-            if name == reference:
-                wanted = [case for case in group if not plan.reference_cached(case)]
-                wanted = [case for case in wanted if n_levels > 1 or name not in plan.reused(case)]
-            else:
-                wanted = [case for case in group if name not in plan.reused(case)]
-            unique = list({case.results[name]: case for case in wanted}.values())
-            if unique:
-                for level in range(n_levels if name == reference else 1):
-                    out.append(_work(name, worker, level, unique))
+            unique = {
+                (case.results[name], n_levels): case
+                for case in group
+                if (n_levels := _levels_to_solve(plan, case, name))
+            }
+            for level in range(max((n_levels for _, n_levels in unique), default=0)):
+                there = [case for (_, n_levels), case in unique.items() if n_levels > level]
+                out.append(_work(name, worker, level, there))
     return out
+
+
+def _levels_to_solve(plan: Plan, case: PlannedCase, name: str) -> int:
+    """On how many mesh levels a case has to ask a model; 0 where its result is there."""
+    is_there = name in plan.reused(case)
+    if name != case.study.study.reference:
+        return 0 if is_there else 1
+    levels = case.study.uncertainty.levels if case.study.uncertainty else 1
+    return 0 if plan.reference_cached(case) or (is_there and levels == 1) else levels
 
 
 def _work(name: str, worker: int, level: int, cases: Sequence[PlannedCase]) -> ModelWork:
@@ -103,4 +109,5 @@ def independent_loads(studies: Iterable[Study]) -> int:
     table = table[table.any(axis=1)]
     largest = np.abs(table).max(axis=0)
     table = table / np.where(largest > 0, largest, 1.0)
+    table = table / np.abs(table).max(axis=1, keepdims=True)
     return int(np.linalg.matrix_rank(table / np.linalg.norm(table, axis=1, keepdims=True)))

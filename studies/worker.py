@@ -177,7 +177,7 @@ def _solve_together(name: str, tasks: Mapping[str, Task], group: _Group, *, is_r
     if is_reference:
         for result in results:
             require_converged(name, result)
-        finer = refined_levels(studies, scenes, name, _n_levels(studies[0]))
+        finer = refined_levels(studies, scenes, name, [_n_levels(study) for study in studies])
         levels = [[result, *others] for result, others in zip(results, finer, strict=True)]
     elif not all(status.ok for result in results for status in result.status):
         return
@@ -218,10 +218,11 @@ def _reference_levels(
     found = group.answers[key].under(loads, scene) if key in group.answers else None
     if found is None:
         if name in known and _n_levels(study) == 1:
+            require_converged(name, known[name])
             return [known[name]]
         coarse = models.run_model(scene, name)
         require_converged(name, coarse)
-        found = [coarse, *refined_levels([study], [scene], name, _n_levels(study))[0]]
+        found = [coarse, *refined_levels([study], [scene], name, [_n_levels(study)])[0]]
         group.answers[key] = Answer(found, loads, scene.load_factors)
         group.stored.discard(key)
     if key not in group.stored:

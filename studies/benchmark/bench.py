@@ -220,7 +220,7 @@ def _on_mesh(body: str, study: Study, scene: Scene, names: Sequence[str], rounds
     with sharing():
         own = models.run_model(contact, YARDSTICK)
         require_converged(YARDSTICK, own)
-        finest = refined_levels([_with_history(study)], [contact], YARDSTICK, 2)[0][0]
+        finest = refined_levels([_with_history(study)], [contact], YARDSTICK, [2])[0][0]
     bars = own_error(surface, [finest, own], FRAMES)
     reference = History(finest.displacement, finest.reaction_force, FRAMES)
     everywhere = dataclasses.replace(contact, facet_pressure=_pressure_everywhere(scene))

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..case import CaseResult
 from ..surface_measures import facet_area_vectors
@@ -130,6 +131,18 @@ def _prescribed(constraint: Mapping[str, object]) -> Array:
     if not isinstance(given, Sequence) or len(given) != 3:
         return np.zeros(3)
     return np.array(given, dtype=np.float64)
+
+
+def supports(case: CaseResult) -> NDArray[np.bool_]:
+    """(N,) nodes that a support holds or moves."""
+    mask = np.zeros(len(case.points), dtype=bool)
+    for constraint in _constraints(case):
+        if (
+            constraint.get("kind") in ("fixed", "constrained")
+            and str(constraint.get("region")) in case.regions
+        ):
+            mask |= case.regions[str(constraint.get("region"))]
+    return mask
 
 
 def contact_resultant(case: CaseResult) -> float | None:

@@ -67,7 +67,8 @@ def fits_kind(data: Mapping[str, Any], loc: Loc) -> bool:
     """Whether a key's place in `data`, as parsed, is in no constraint, or in one of a kind that takes the key."""
     if loc[0] != "constraints":
         return True
-    kind = data["constraints"][loc[1]].get("kind")
+    entry = data["constraints"][loc[1]]
+    kind = entry.get("kind") if isinstance(entry, Mapping) else None
     others = set[str]().union(*(keys for name, keys in _KIND_KEYS.items() if name != kind))
     return loc[2] not in others - _KIND_KEYS.get(str(kind), others)
 

@@ -275,8 +275,10 @@ def _name_after(surface: Path, study: Any) -> None:
     """Another body is another study, with a run directory and a baseline of its own."""
     if isinstance(study, dict) and is_safe_name(name := study.get("name")):
         file = re.sub(r"[^A-Za-z0-9_.-]+", "-", surface.stem)
-        room = max(1, MAX_NAME - len(name) - 1)  # scans are told apart by how their names end
-        study["name"] = f"{name}-{file[-room:]}"
+        room = min(len(file), max(16, MAX_NAME - len(name) - 1))
+        study["name"] = (
+            f"{name[: MAX_NAME - room - 1]}-{file[-room:]}"  # how names of scans end tells them apart
+        )
 
 
 def _check_model_names(data: Mapping[str, Any]) -> list[Finding]:

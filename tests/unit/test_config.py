@@ -290,6 +290,8 @@ def test_a_surface_given_beside_the_study_replaces_the_geometry(tmp_path: Path) 
     assert long.startswith("small-")
     assert long.endswith(".840-left-lobe")
     assert len(long) == 64
+    path.write_text(path.read_text().replace('name = "small"', f'name = "{63 * "n"}"'))
+    assert load_study(path, surface=surface).study.name == f"{58 * 'n'}-liver"
     link = outside / "link.obj"
     link.symlink_to(surface)
     assert resolved(expand(load_study(path, surface=link))[0].study)["geometry"] == expected

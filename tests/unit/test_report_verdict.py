@@ -310,6 +310,29 @@ def test_nothing_is_judged_beyond_small_strain(error: float) -> None:
     assert text(8.0, "fem")[GOOD].startswith(judged), "finite strain has no such bound"
 
 
+@pytest.mark.parametrize(("also_fixed", "judged"), [(False, True), (True, False)])
+def test_a_body_carried_along_with_its_supports_is_judged(also_fixed: bool, judged: bool) -> None:
+    case = make_case({"vdm-m": 0.01}, load=1.0)
+    shift = np.array([0.0, 0.03, 0.0])
+    ends = {"low": case.points[:, 2] < -0.04, "high": case.points[:, 2] > 0.045}
+    constraints = [{"kind": "constrained", "region": "low", "displacement": shift.tolist()}]
+    results = {
+        name: dataclasses.replace(
+            result, displacement=np.where(ends["low"][:, None], 0, result.displacement) + shift
+        )
+        for name, result in case.models.items()
+    }
+    if also_fixed:
+        constraints.append({"kind": "fixed", "region": "high"})
+        results = {
+            name: dataclasses.replace(r, displacement=np.where(ends["high"][:, None], 0.0, r.displacement))
+            for name, r in results.items()
+        }
+    resolved = {"constraints": [*case.resolved["constraints"][1:], *constraints]}  # the base is let go
+    case = dataclasses.replace(case, models=results, resolved=resolved, regions={**case.regions, **ends})
+    assert told(make_run([case]))[GOOD].startswith("Yes: " if judged else "Not judged: ")
+
+
 def test_a_pull_is_told_by_its_largest_displacement() -> None:
     cases = [
         make_case({"vdm-m": 0.01}, label=str(k), swept={"k": float(k)}, steps=(1.0,), load=load)

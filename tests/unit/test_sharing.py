@@ -20,7 +20,7 @@ import vdm.model
 from fem_reference.loads import Load, independent_loads, multiple_of
 from studies import metrics, worker
 from studies import work as counted
-from studies.case import CaseResult
+from studies.case import CaseResult, StepStatus
 from studies.explain import summary
 from studies.meshing.mesh_cache import mesh_from_cache
 from studies.plan import Plan, make_plan, task_of
@@ -140,6 +140,7 @@ MOVED = {
 }
 
 
+LEVELS = {"sweep": {"uncertainty.levels": [2, 3], "constraints.finger.force": [0.1, 0.3]}}
 ALONE = {"study": {"name": "test", "models": ["vdm-vector", "fem-linear"]}, "uncertainty": None}
 BESIDE = {
     "study": {
@@ -187,8 +188,8 @@ def test_what_is_planned_is_what_is_done(tmp_path: Path, made: Counter[str], cha
     assert made == planned
 
 
-@pytest.mark.parametrize("changes", [ALONE, BESIDE, ALONE | WEIGHT, ALONE | MOVED])
-def test_elements_beside_the_reference_have_the_numbers_of_each_case_alone(
+@pytest.mark.parametrize("changes", [ALONE, BESIDE, ALONE | WEIGHT, ALONE | MOVED, LEVELS])
+def test_elements_of_any_place_have_the_numbers_of_each_case_alone(
     tmp_path: Path, cache: Path, changes: dict[str, Any]
 ) -> None:
     plan = plan_of(tmp_path / "together", cache, **changes)
@@ -196,6 +197,7 @@ def test_elements_beside_the_reference_have_the_numbers_of_each_case_alone(
         task = task_of(planned, plan_of(tmp_path / "alone", cache, **changes), fresh=True)
         run_case(task)
         alone = read_case(Path(task["path"]))
+        assert case.reference_error.get("levels") == alone.reference_error.get("levels")
         for name, result in case.models.items():
             for field in ("displacement", "reaction_force", "energy", "volume"):
                 a, b = getattr(result, field), getattr(alone.models[name], field)
@@ -307,6 +309,54 @@ def test_a_load_that_is_a_multiple_of_a_stored_one_is_not_solved(
         assert case.reference_error.keys() == other.reference_error.keys()
         for name, value in other.reference_error.items():
             assert_allclose(case.reference_error[name], value, rtol=1e-8, atol=1e-12, err_msg=name)
+
+
+def test_a_result_that_failed_is_no_reference(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    study = {"name": "test", "models": ["vdm-vector", "fem-linear"]}
+    changes: dict[str, Any] = {"sweep": {}, "uncertainty": None}
+    with monkeypatch.context() as patched:
+        run_model = worker.models.run_model
+
+        def failing(scene: Any, name: str) -> Any:
+            result = run_model(scene, name)
+            if name != "fem-linear":
+                return result
+            stopped = StepStatus("diverged", "it did not converge", "")
+            return dataclasses.replace(
+                result, status=(stopped,) * 2, displacement=np.full_like(result.displacement, np.nan)
+            )
+
+        patched.setattr(worker.models, "run_model", failing)
+        run(plan_of(tmp_path, tmp_path / "cache", study=study, **changes))
+    with pytest.raises(ValueError, match="it did not converge"):
+        run(plan_of(tmp_path, tmp_path / "cache", study=study | {"reference": "fem-linear"}, **changes))
+
+
+def test_loads_that_differ_beyond_measure_are_no_multiples(tmp_path: Path, cache: Path) -> None:
+    for force in (1e-155, 0.1):
+        (case,) = run(plan_of(tmp_path, tmp_path / "cache", sweep={"constraints.finger.force": [force]}))
+        assert all(np.isfinite(result.energy).all() for result in case.models.values()), force
+    (alone,) = run(plan_of(tmp_path / "b", cache, sweep={"constraints.finger.force": [0.1]}), fresh=True)
+    for name, result in alone.models.items():
+        assert_allclose(case.models[name].energy, result.energy, rtol=1e-12, atol=0, err_msg=name)
+    plan = plan_of(tmp_path, tmp_path / "none", sweep={"constraints.finger.force": [1e-170, 200.0]})
+    assert all(part.solves for part in counted.work_of(plan, plan.cases))
+
+
+def test_a_motion_back_is_a_multiple(tmp_path: Path, cache: Path) -> None:
+    plan = plan_of(
+        tmp_path, cache, **(MOVED | {"sweep": {"constraints.tool.displacement.2": [0.001, -0.001]}})
+    )
+    assert len({case.load for case in plan.cases}) == 2, "the finger's force stays"
+    constraints = [c for c in MOVED["constraints"] if c.get("name") != "finger"]
+    alone = MOVED | {
+        "constraints": constraints,
+        "sweep": {"constraints.tool.displacement.2": [0.001, -0.001]},
+    }
+    alone["constraints"] = [
+        c | {"displacement": [0.0, 0.0, 0.0]} if c.get("name") == "tool" else c for c in constraints
+    ]
+    assert len({case.load for case in plan_of(tmp_path, cache, **alone).cases}) == 1
 
 
 def test_a_stored_reference_answers_its_multiples_only(cache: Path, tmp_path: Path) -> None:
@@ -560,7 +610,7 @@ def test_a_batch_and_one_case_give_one_reference(tmp_path: Path, cache: Path, fa
     study = plan.cases[0].study
     task = task_of(plan.cases[0], plan)
     scene = worker.build_scene(study, worker._mesh(study, task))
-    finest = refined_levels([study], [scene], "fem-linear", 2)[0][0]
+    finest = refined_levels([study], [scene], "fem-linear", [2])[0][0]
     stored = case.models["fem-linear refined"].displacement
     assert_allclose(finest.displacement, stored, rtol=0, atol=1e-12 * np.abs(stored).max())
     error = own_error(worker._surface(scene), [finest, case.models["fem-linear"]], scene.load_factors)

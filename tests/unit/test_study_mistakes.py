@@ -12,6 +12,16 @@ from studies.study_file.config import load_study
 from .study_texts import SMALL, problems
 
 
+@pytest.mark.parametrize(
+    "more", ['[sweep]\n"constraints.tip.presure" = [1]\n', '[limits]\nalong = "constraints.tip.presure"\n']
+)
+def test_constraints_as_a_table_are_told_whatever_else_is_wrong(tmp_path: Path, more: str) -> None:
+    text = SMALL.split("[[constraints]]")[0] + '[constraints]\nkind = "fixed"\nregion = "base"\n' + more
+    assert ("constraints", "must be a list, not a table") in {
+        (key, what[:27]) for _, key, what in problems(tmp_path, text)
+    }
+
+
 def test_every_problem_at_once_in_the_order_of_the_file(tmp_path: Path) -> None:
     text = """\
 [study]

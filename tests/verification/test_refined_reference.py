@@ -46,7 +46,7 @@ def scene() -> Scene:
 
 def levels_of(study: Study, scene: Scene, model: str, n_levels: int) -> list[ModelResult]:
     """The coarsest first."""
-    return [models.run_model(scene, model), *refined_levels([study], [scene], model, n_levels)[0]]
+    return [models.run_model(scene, model), *refined_levels([study], [scene], model, [n_levels])[0]]
 
 
 def surface_of(scene: Scene) -> Surface:
