@@ -16,7 +16,7 @@ from ..case import CaseResult, Limit
 from ..model_name import is_linear, split
 from .blocks import Figure
 from .claim_figures import Line, bars, curves
-from .digest import VECTOR, Digest, at_full_load, failed_steps, is_vdm, series
+from .digest import VECTOR, Digest, at_full_load, failed_steps, is_vdm, reference_bar, series
 from .formatting import listed, percent, plain, plural, quantity, short_percent
 from .section_limits import strain_in_words, strain_range, strain_side
 
@@ -242,7 +242,9 @@ def _small_steps(digests: Sequence[Digest]) -> Judgement | None:
     reason = f"With the smallest steps instead of the largest the error at full load goes, for {told}."
     largest = max(abs(one - many) for one, many in changes.values())
     figure = curves(digests[0], lines, "load steps", "displacement error at full load", "claim4", log_x=True)
-    return Judgement(verdict, f"{short_percent(largest)} at most by small steps", reason, figure)
+    return Judgement(
+        verdict, f"{short_percent(largest)} at most by small steps{_own_error(digests)}", reason, figure
+    )
 
 
 @_claim(
@@ -319,7 +321,8 @@ def _blood(digests: Sequence[Digest]) -> Judgement | None:
         log_x=True,
         ratio=True,
     )
-    return Judgement(verdict, f"{plain(ratio, 2)} of the reference's displacement", reason, figure)
+    number = f"{plain(ratio, 2)} of the reference's displacement{_own_error(digests)}"
+    return Judgement(verdict, number, reason, figure)
 
 
 @_claim(
@@ -408,7 +411,7 @@ def _large_strain(digests: Sequence[Digest]) -> Judgement | None:
         reason += f" {listed(dict.fromkeys(stopped))} did not reach the full load."
     worst = max((b - a for a, b in grown.values()), default=math.nan)
     figure = curves(digests[0], lines, "load factor", "displacement error", "claim8")
-    return Judgement(verdict, f"{short_percent(worst)} growth at most", reason, figure)
+    return Judgement(verdict, f"{short_percent(worst)} growth at most{_own_error(digests)}", reason, figure)
 
 
 @_claim(
@@ -449,6 +452,17 @@ def _stability(digests: Sequence[Digest]) -> Judgement | None:
 
 
 # --- what the rules share ---
+
+
+def _own_error(digests: Sequence[Digest]) -> str:
+    """The reference's own error, where every case has it, behind a number that is from errors against it."""
+    bars = [reference_bar(case) for digest in digests for case in digest.cases if case.reference is not None]
+    largest = float(np.max(bars)) if bars else math.nan  # NaN where one is
+    return (
+        f" (reference's own error {short_percent(largest)})"
+        if math.isfinite(largest)
+        else " (bar not measured)"
+    )
 
 
 def _histories(digest: Digest, metric: str, models: Iterable[str]) -> list[Line]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -131,7 +131,9 @@ def test_small_steps(few: float, many: float, verdict: str) -> None:
         )
         for n, error in ((20, many), (1, few))
     ]
-    assert judged(4, *cases).verdict == verdict
+    outcome = judged(4, *cases)
+    assert outcome.verdict == verdict
+    assert outcome.number == f"{100 * (few - many):.2g} % at most by small steps (bar not measured)"
 
 
 @pytest.mark.parametrize(("gains", "verdict"), [((3, 4), HOLDS), ((1, 4), WITHIN_LIMITS), ((1, 1), FAILS)])
@@ -154,12 +156,25 @@ def test_warm_start(gains: tuple[int, int], verdict: str) -> None:
     assert outcome.number == f"{max(gains)} times fewer at best"
 
 
+@pytest.mark.parametrize(
+    ("bars", "told"),
+    [((0.02, 0.05), "reference's own error 5 %"), ((0.02, math.nan), "bar not measured")],
+)
 @pytest.mark.parametrize(("error", "verdict"), [(0.5, HOLDS), (-0.999, FAILS), (3.0, FAILS)])
-def test_blood(error: float, verdict: str) -> None:
-    key = "vdm.bulk_modulus"
-    tissue = make_case({"vdm-paper": 0.1}, label="t", swept={key: 1e3}, subdivisions=0)
-    blood = make_case({"vdm-paper": error}, label="b", swept={key: 2.2e9}, subdivisions=0)
-    assert judged(6, blood, tissue).verdict == verdict
+def test_blood(error: float, verdict: str, bars: Sequence[float], told: str) -> None:
+    cases = [
+        make_case(
+            {"vdm-paper": own},
+            label=f"{modulus}",
+            swept={"vdm.bulk_modulus": modulus},
+            subdivisions=0,
+            reference_error={"gci:relative_l2_displacement_error": bar},
+        )
+        for own, modulus, bar in zip((error, 0.1), (2.2e9, 1e3), bars, strict=True)
+    ]
+    outcome = judged(6, *cases)
+    assert outcome.verdict == verdict
+    assert outcome.number == f"{1 + error:.2g} of the reference's displacement ({told})"
 
 
 @pytest.mark.parametrize(("own", "verdict"), [(1.6, HOLDS), (1.1, WITHIN_LIMITS), (0.8, FAILS)])
@@ -192,7 +207,9 @@ def growing(small: float, large: float, stopped: int = 4) -> CaseResult:
     [(growing(0.2, 0.22), HOLDS), (growing(0.2, 0.4), FAILS), (growing(0.2, 0.2, 2), FAILS)],
 )
 def test_large_strain(case: CaseResult, verdict: str) -> None:
-    assert judged(8, case).verdict == verdict
+    outcome = judged(8, case)
+    assert outcome.verdict == verdict
+    assert outcome.number.endswith(" growth at most (bar not measured)")
 
 
 @pytest.mark.parametrize(

@@ -42,7 +42,7 @@ def test_every_claim_is_on_trial_and_named_in_words() -> None:
             assert (f"laim {claim}" in text) == (claim in claims), f"{name} and claim {claim}"
 
 
-# under a minute each on two idle cores; of the others some take several
+# about a minute each at most on two idle cores; of the others some take several
 QUICK = (
     "anisotropy",
     "blood",
