@@ -78,10 +78,20 @@ def taken(plan: Mapping[str, Any]) -> str:
     spent, expected = plan.get("taken"), plan.get("estimate")
     if not isinstance(spent, dict) or not isinstance(expected, dict):
         return ""
-    seconds, jobs, before = spent.get("seconds"), spent.get("jobs"), expected.get("seconds")
-    if not (isinstance(seconds, float) and isinstance(jobs, int) and isinstance(before, float)):
+    numbers = (
+        spent.get("seconds"),
+        spent.get("processor_seconds"),
+        expected.get("seconds"),
+        expected.get("factor"),
+    )
+    jobs = spent.get("jobs")
+    if not (isinstance(jobs, int) and all(isinstance(number, float) for number in numbers)):
         return ""
-    return f"took {seconds:.0f} s with {count(jobs, 'job')}; expected {before:.0f} s on one core"
+    seconds, used, before, factor = numbers
+    return (
+        f"took {seconds:.0f} s with {count(jobs, 'job')}: {used:.0f} s of processor; expected {before:.0f} s, "
+        f"within a factor of {factor:g}"
+    )
 
 
 def print_table(rows: Sequence[dict[str, str]]) -> None:

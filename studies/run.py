@@ -23,7 +23,7 @@ from .explain import summary
 from .files import clear_abandoned, write_atomically
 from .memory import machine_memory
 from .plan import Plan, PlannedMesh, task_of
-from .server import start_server
+from .server import processor_seconds, start_server
 from .store import case_path, failure_path, read_plan, read_run, write_study
 from .study_file.config import resolved
 from .worker import make_mesh, run_case, share
@@ -82,12 +82,17 @@ def run_plan(
         write_atomically(plan.directory / "resolved.toml", tomli_w.dumps(resolved(plan.study)).encode())
         planned = summary(plan, options.jobs if cluster is None else cluster.places())
         write_atomically(plan.directory / "plan.json", json.dumps(planned, indent=1).encode())
-        began = time.perf_counter()
+        alone = here and options.shard == (1, 1) and not options.fresh
+        began, used = time.perf_counter(), processor_seconds(start_server()) if alone else 0.0
         _run_missing(plan, options, watch, cluster)
         _tidy(plan)  # a worker may have been killed
         run, report = rebuild(plan.directory)
-        if here and options.shard == (1, 1) and not options.fresh:
-            planned["taken"] = {"seconds": time.perf_counter() - began, "jobs": options.jobs}
+        if alone:
+            planned["taken"] = {
+                "seconds": time.perf_counter() - began,
+                "processor_seconds": processor_seconds(start_server()) - used,
+                "jobs": options.jobs,
+            }
             write_atomically(plan.directory / "plan.json", json.dumps(planned, indent=1).encode())
         return dataclasses.replace(run, plan=planned), report
 

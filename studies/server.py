@@ -12,9 +12,11 @@ import atexit
 import gc
 import multiprocessing
 import os
+import resource
 import signal
 import sys
 import threading
+import time
 import traceback
 from collections.abc import Callable, Generator, Sequence
 from contextlib import closing, suppress
@@ -133,6 +135,17 @@ def start_server() -> Server:
             atexit.register(_close_running)
         _running[:] = [Server()]
     return _running[0]
+
+
+def processor_seconds(server: Server) -> float:
+    """What this process, the server and those of its workers that have ended have had of processors [s]."""
+    (there,) = server.ask(_had)
+    return time.process_time() + float(there)
+
+
+def _had(_: Connection) -> Events:
+    workers = resource.getrusage(resource.RUSAGE_CHILDREN)
+    yield time.process_time() + workers.ru_utime + workers.ru_stime
 
 
 def _close_running() -> None:

@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 
 from studies.execute import Outcome, TaskError, run_tasks
+from studies.server import processor_seconds, start_server
 
 
 def _work(task: Mapping[str, Any]) -> None:
@@ -40,6 +41,11 @@ def _work(task: Mapping[str, Any]) -> None:
         time.sleep(60)
     elif kind == "memory error":
         raise MemoryError
+    elif kind == "sleep briefly":
+        time.sleep(1.0)
+    elif kind == "computes":
+        while time.process_time() < float(Path(task["path"]).name[-1]):
+            pass
     elif kind == "takes too much":
         np.ones(10**7)  # 80 MB
     elif kind == "takes a little":
@@ -236,3 +242,12 @@ def test_one_that_kills_what_a_group_shares_leaves_the_others_their_share(
 def test_fail_fast_stops_within_a_group(tmp_path: Path) -> None:
     outcomes, _ = _run_group(tmp_path, "value error", "sleep", fail_fast=True)
     assert list(outcomes) == ["0"]
+
+
+def test_what_workers_had_of_processors_is_known_once_they_have_ended(tmp_path: Path) -> None:
+    server = start_server()
+    before = processor_seconds(server)
+    outcomes = _run(tmp_path, "sleep briefly", "computes")
+    assert all(outcome.ok for outcome in outcomes.values())
+    # the worker of this name computed until it had had a second; nothing else here takes long
+    assert 1.0 <= processor_seconds(server) - before < 3.0
