@@ -56,7 +56,9 @@ class _Evaluator:
     def __init__(self, study: Study, along: str, scene: Scene, reference: str, names: Sequence[str]) -> None:
         self._study, self._along, self._scene = study, along, scene
         self._reference, self._names = reference, names
-        self._surface = Surface(scene.mesh.surface_points, scene.mesh.triangles, scene.contact)
+        self._surface = Surface(
+            scene.mesh.surface_points, scene.mesh.triangles, scene.contact, scene.contact_force
+        )
 
     def point(self, load: float) -> LoadPoint | None:
         """Every model at one load, None where the reference has no solution there."""

@@ -43,11 +43,11 @@ def small_strain_limits(digest: Digest) -> Section | None:
         f"Raised: {listed(sorted(along))}. Structural error: relative L2 displacement error against the "
         "finite-strain reference in the limit of a small load. Limit: where the error has grown from there by the "
         f"threshold; of {LINEAR} this is the linearisation limit, where small-strain theory departs from finite "
-        "strain on the same mesh. Indentation (mean inward displacement under the contact) and largest principal "
-        "Green-Lagrange strain are the reference's at that load; the largest strain is a local one, at the rim of "
-        "the contact or of the support. Bars follow from the changes of the departure, of the indentation and of "
-        "the strain on a mesh with every tetrahedron split into eight; those of indentation and strain count the "
-        "load's in. A load's bar is relative, all others are in the unit of their figure."
+        "strain on the same mesh. Indentation (mean displacement along the contact force, weighted by it) and "
+        "largest principal Green-Lagrange strain are the reference's at that load; the largest strain is a local "
+        "one, at the rim of the contact or of the support. Bars follow from the changes of the departure, of the "
+        "indentation and of the strain on a mesh with every tetrahedron split into eight; those of indentation and "
+        "strain count the load's in. A load's bar is relative, all others are in the unit of their figure."
     )
     return Section(
         "limits", "Small-strain limits", [*blocks, _table(digest, rows), Text(reading, kind="note")]

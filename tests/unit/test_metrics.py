@@ -81,7 +81,8 @@ def test_volume_does_not_depend_on_the_origin(surface: Surface) -> None:
 
 def test_equal_fields_have_no_error(surface: Surface, field: np.ndarray) -> None:
     same = history(field)
-    values = evaluate(surface, same, same)
+    pushed = dataclasses.replace(surface, contact_force=np.where(surface.contact[:, None], field, 0.0))
+    values = evaluate(pushed, same, same)
     for name in set(values) - {"reaction_force_error"}:
         if not metrics.METRICS[name].needs_reference:
             continue
@@ -189,16 +190,30 @@ def test_reaction_error_compares_totals(surface: Surface, field: np.ndarray) -> 
     assert_allclose(values["reaction_force_error"], 0.25, **ROUND)
 
 
-def test_indentation_force_of_a_model_twice_as_soft(surface: Surface) -> None:
+def test_indentation_is_the_work_of_the_contact_over_its_force(surface: Surface, field: np.ndarray) -> None:
+    force = np.zeros((6, 3))
+    force[4], force[0] = [0.0, 0.0, -3.0], [-1.0, 0.0, 0.0]
+    loaded = dataclasses.replace(surface, contact_force=force)
+    pushed = np.zeros((6, 3))
+    pushed[4], pushed[0], pushed[2] = [9.0, 9.0, -0.02], [-0.06, 9.0, 9.0], [9.0, 9.0, 9.0]
+    found = metrics.mean_indentation(loaded, np.stack([pushed, field]))
+    assert_allclose(found, [0.03, -(3.0 * field[4, 2] + field[0, 0]) / 4.0], **ROUND)
+    assert np.isnan(metrics.mean_indentation(surface, field[None])).all()
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_indentation_force_of_a_model_twice_as_soft(surface: Surface, sign: float) -> None:
+    """Of a push and of a pull."""
     push = np.zeros((6, 3))
-    push[4, 2] = -0.01
+    push[4, 2] = -0.01 * sign
+    loaded = dataclasses.replace(surface, contact_force=20.0 * push)
     steps = [0.25 * push, 0.5 * push, push]
     reference = history(*steps, factors=[0.25, 0.5, 1.0])
     soft = history(*[2 * step for step in steps], factors=[0.25, 0.5, 1.0])
     stiff = history(*[0.5 * step for step in steps], factors=[0.25, 0.5, 1.0])
-    assert_allclose(evaluate(surface, soft, reference)["indentation_force_error"], -0.5, **ROUND)
+    assert_allclose(evaluate(loaded, soft, reference)["indentation_force_error"], -0.5, **ROUND)
     # beyond the last step the curve goes on straight
-    assert_allclose(evaluate(surface, stiff, reference)["indentation_force_error"], 1.0, **ROUND)
+    assert_allclose(evaluate(loaded, stiff, reference)["indentation_force_error"], 1.0, **ROUND)
 
 
 def test_a_failed_step_is_not_a_number_and_spoils_no_other(surface: Surface, field: np.ndarray) -> None:
@@ -251,7 +266,7 @@ def test_metrics_grow_with_their_degree(share: float) -> None:
         )
         for name, m in first.items()
     }
-    loaded = surface.under(surface.contact, np.where(surface.contact[:, None], surface.normals, 0.0))
+    loaded = surface.under(surface.contact, np.where(surface.contact[:, None], -surface.normals, 0.0))
     found = evaluate_all(loaded, first, "r")
     grown = evaluate_all(loaded.under(loaded.contact, share * loaded.contact_force), more, "r")
     seen = set()
