@@ -35,6 +35,9 @@ _DEEP = (
 _UNKNOWNS = {"P1": 0.7, "P2": 4.7}
 # the paths' own estimates are for choosing one; of this one, a solve of 3,000 to 25,000 tetrahedra takes
 _ITERATIVE_SHARE = 0.6
+_NEWTON_SOLVES = (
+    3.2  # iterative solves whose time a load step of finite strain takes, where no factors are made
+)
 
 
 @dataclass(frozen=True)
@@ -175,7 +178,9 @@ def _volumetric(name: str, size: Size, loads: int) -> Cost:
     if name == "fem-condensed":
         return Cost(setup + loads * step, 1e-7 * unknowns, 2e4 * unknowns)
     if name == "fem":
-        return Cost(1e-5 * unknowns + one["iterative"].seconds, 5.0 * one["direct"].seconds, 1.8e4 * unknowns)
+        solve = (many["iterative"].seconds - one["iterative"].seconds) / loads
+        step = min(5.0 * one["direct"].seconds, _NEWTON_SOLVES * solve)
+        return Cost(1e-5 * unknowns + one["iterative"].seconds, step, 1.8e4 * unknowns)
     return Cost(setup, step, (1.8e4 if path == "direct" else 2.6e3) * unknowns)
 
 
