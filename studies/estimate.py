@@ -128,7 +128,8 @@ def _search(case: PlannedCase, size: Size) -> float:
     for name in study.study.models:
         seconds += tried(name, 0, _SEARCH_LOADS)
         if study.uncertainty is not None and models.find(name)[0].volumetric:
-            seconds += tried(name, 1, 4)  # a small load and some amid the limits of the models
+            limits = len(study.limits.thresholds) * (len(study.study.models) - 1)
+            seconds += tried(name, 1, 1 + limits)  # a small load, and that of each limit if all are found
     return seconds
 
 

@@ -13,6 +13,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from .case import Limit, ModelLimits
+from .uncertainty import estimate_error
 
 SMALL = 1.0 / 512.0  # of the study's load: where the structural error is measured
 LARGEST = 64.0  # times the study's load: where a search gives up
@@ -81,48 +82,51 @@ def model_limits(path: LoadPath, model: str, thresholds: Sequence[float]) -> Mod
     )
 
 
-@dataclass(frozen=True)
-class Change:
-    """What a finer reference does: to a model's structural error, and to its departure amid the limits.
+def on_finer_mesh(limits: ModelLimits, path: LoadPath, fine: LoadPath, model: str) -> ModelLimits:
+    """The limits as a finer mesh has them, with the bars of that mesh: its grid convergence index for two levels.
 
-    There it changes its own indentation and strain too.
+    `fine` is evaluated at a small load and once for each limit, at the load that `path` found for it. Around there
+    the departure grows like load^p, p being its slope on `path`, at least 1/2, and indentation and strain with
+    slopes of their own: this leads from what the finer mesh has at that load to what it has at its own limit.
+    Bars of indentation and strain count their own change at the same load, and that of the load times their slope.
+    A limit at which the finer mesh has no solution stays as it is, without bars.
     """
-
-    structural: float  # |e0 fine - e0|
-    departure: float  # |departure fine - departure| / |departure|
-    indentation: float  # likewise, of the reference at the same load
-    strain: float
-
-
-def with_bars(limits: ModelLimits, path: LoadPath, model: str, change: Change) -> ModelLimits:
-    """The limits with the uncertainty that a change of the reference brings to them.
-
-    A departure grows like load^p, p being its slope around the limit, at least 1/2; so a load is uncertain by the
-    relative change of the departure over p. Indentation and strain are uncertain by their own change, and by that
-    of the load times their slope over it.
-    """
-    return replace(
-        limits,
-        structural_bar=change.structural,
-        limits=tuple(
-            _barred(limit, path, model, change) if limit.state == "found" else limit
-            for limit in limits.limits
-        ),
+    e0 = fine.structural_error(model)
+    if not math.isfinite(e0):
+        return limits
+    found = tuple(
+        _on_finer_mesh(limit, path, fine, model) if limit.state == "found" else limit
+        for limit in limits.limits
     )
+    return ModelLimits(e0, _index(e0 - limits.structural_error), found)
 
 
-def _barred(limit: Limit, path: LoadPath, model: str, change: Change) -> Limit:
+def _on_finer_mesh(limit: Limit, path: LoadPath, fine: LoadPath, model: str) -> Limit:
     factor = limit.load / path.start
-    bar = change.departure / max(_slope(path.known(model), factor), 0.5)
+    own, other = path.at(factor), fine.at(factor)
+    departure = fine.departure(model, factor)
+    if own is None or other is None or not departure > 0:
+        return limit
+    power = 1.0 / max(_slope(path.known(model), factor), 0.5)
+    bar = _index(1.0 - (departure / path.departure(model, factor)) ** power)
+    further = (limit.threshold / departure) ** power  # the load of the finer mesh's limit, over this one
     points = path.solved()
     indentation = _slope([(at, abs(point.indentation)) for at, point in points], factor)
     strain = _slope([(at, point.strain) for at, point in points], factor)
     return replace(
         limit,
+        load=limit.load * further,
         bar=bar,
-        indentation_bar=change.indentation + abs(indentation) * bar,
-        strain_bar=change.strain + abs(strain) * bar,
+        indentation=other.indentation * further**indentation,
+        indentation_bar=_index(1.0 - own.indentation / other.indentation) + abs(indentation) * bar,
+        strain=other.strain * further**strain,
+        strain_bar=_index(1.0 - own.strain / other.strain) + abs(strain) * bar,
     )
+
+
+def _index(difference: float) -> float:
+    """GCI of the finer of two meshes, one split once from the other; NaN of a difference that is."""
+    return estimate_error([difference]).gci if math.isfinite(difference) else math.nan
 
 
 def _limit(path: LoadPath, model: str, threshold: float) -> Limit:

@@ -45,9 +45,10 @@ def small_strain_limits(digest: Digest) -> Section | None:
         f"threshold; of {LINEAR} this is the linearisation limit, where small-strain theory departs from finite "
         "strain on the same mesh. Indentation (mean displacement along the contact force, weighted by it) and "
         "largest principal Green-Lagrange strain are the reference's at that load; the largest strain is a local "
-        "one, at the rim of the contact or of the support. Bars follow from the changes of the departure, of the "
-        "indentation and of the strain on a mesh with every tetrahedron split into eight; those of indentation and "
-        "strain count the load's in. A load's bar is relative, all others are in the unit of their figure."
+        "one, at the rim of the contact or of the support. Figures with a bar are those of a mesh with every "
+        "tetrahedron split into eight, and bars follow from what that changes: in a limit's load, and, at the same "
+        "load, in indentation and strain, whose bars count the load's in. A load's bar is relative, all others are "
+        "in the unit of their figure."
     )
     return Section(
         "limits", "Small-strain limits", [*blocks, _table(digest, rows), Text(reading, kind="note")]

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from studies.limits import LARGEST, SMALL, Change, LoadPath, LoadPoint, model_limits, with_bars
+from studies.limits import LARGEST, SMALL, LoadPath, LoadPoint, model_limits, on_finer_mesh
 
 E0 = 0.2
 
@@ -92,17 +92,44 @@ def test_nothing_to_find_where_nothing_can_be_solved() -> None:
     assert model.limits[0].state == "model-stopped"
 
 
-def test_bars_follow_the_slope() -> None:
+def test_limits_of_a_finer_mesh_and_their_bars() -> None:
+    """Against the closed form: power laws on both meshes, each with factors of its own."""
+
+    def finer(load: float) -> LoadPoint:
+        return LoadPoint(load, {"m": 0.21 + 8e-5 * load**2, "flat": E0}, 1.2e-3 * load, 0.9e-4 * load)
+
+    path, fine = LoadPath(Body(c=1e-4, p=2.0), 10.0), LoadPath(finer, 10.0)
+    coarse = model_limits(path, "m", (0.05, 0.2))
+    limits = on_finer_mesh(coarse, path, fine, "m")
+    assert_allclose([limits.structural_error, limits.structural_bar], [0.21, 0.01], rtol=0.02, atol=0)
+    for threshold, limit in zip((0.05, 0.2), limits.limits, strict=True):
+        load = math.sqrt(threshold / 8e-5)
+        assert_allclose(
+            [limit.load, limit.indentation, limit.strain],
+            [load, 1.2e-3 * load, 0.9e-4 * load],
+            rtol=1e-3,
+            atol=0,
+        )
+        moved = 1.0 - math.sqrt(0.8)  # from the limit of the coarse mesh, of that of the finer one
+        bars = [moved, 1.0 - 1.0 / 1.2 + moved, 1.0 / 0.9 - 1.0 + moved]
+        assert_allclose([limit.bar, limit.indentation_bar, limit.strain_bar], bars, rtol=1e-3, atol=0)
+    alone = on_finer_mesh(model_limits(path, "m", (0.05,)), path, LoadPath(finer, 10.0), "m").limits[0]
+    assert_allclose([alone.load, alone.bar], [limits.limits[0].load, limits.limits[0].bar], rtol=1e-3, atol=0)
+    assert len(fine.solved()) == 3  # a small load, and one for each limit
+    unfound = on_finer_mesh(model_limits(path, "flat", (0.05,)), path, fine, "flat").limits[0]
+    assert unfound.state == "beyond"
+    assert np.isnan(unfound.bar)
+
+
+@pytest.mark.parametrize("stops", [0.0, 10.0])
+def test_where_the_finer_mesh_has_no_solution_a_limit_stays_without_bars(stops: float) -> None:
     path = LoadPath(Body(c=1e-4, p=2.0), 10.0)
-    limits = with_bars(model_limits(path, "m", (0.05,)), path, "m", Change(0.01, 0.1, 0.02, 0.03))
-    # a departure that grows with the square of the load moves its limit by half of its own change
-    assert_allclose(limits.limits[0].bar, 0.05, rtol=0.02, atol=0)
-    assert limits.structural_bar == 0.01
-    # both grow with the load itself: their own change, and all of the load's
-    assert_allclose(limits.limits[0].indentation_bar, 0.07, rtol=0.02, atol=0)
-    assert_allclose(limits.limits[0].strain_bar, 0.08, rtol=0.02, atol=0)
-    unfound = with_bars(model_limits(path, "flat", (0.05,)), path, "flat", Change(0.01, 0.1, 0.02, 0.03))
-    assert np.isnan(unfound.limits[0].bar)
+    coarse = model_limits(path, "m", (0.05,))
+    fine = LoadPath(Body(c=1e-4, p=2.0, reference_stops=stops), 10.0)
+    limits = on_finer_mesh(coarse, path, fine, "m")
+    assert limits.limits[0].load == coarse.limits[0].load
+    assert np.isnan([limits.limits[0].bar, limits.limits[0].strain_bar]).all()
+    assert np.isnan(limits.structural_bar) == (stops == 0.0)
 
 
 def test_a_crossing_of_one_model_helps_the_next() -> None:
