@@ -50,7 +50,7 @@ def levels_of(study: Study, scene: Scene, model: str, n_levels: int) -> list[Mod
 
 
 def surface_of(scene: Scene) -> Surface:
-    return Surface(scene.mesh.surface_points, scene.mesh.triangles, scene.contact)
+    return Surface(scene.mesh.surface_points, scene.mesh.triangles, scene.contact, scene.contact_force)
 
 
 def test_three_levels(scene: Scene) -> None:
