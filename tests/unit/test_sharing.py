@@ -200,9 +200,11 @@ def test_elements_of_any_place_have_the_numbers_of_each_case_alone(
         alone = read_case(Path(task["path"]))
         assert case.reference_error.get("levels") == alone.reference_error.get("levels")
         for name, result in case.models.items():
+            # iterations from a random start end at their own residual
+            tolerance = 1e-10 if result.parameters.get("solver") == "iterative" else 1e-12
             for field in ("displacement", "reaction_force", "energy", "volume"):
                 a, b = getattr(result, field), getattr(alone.models[name], field)
-                assert_allclose(a, b, rtol=0, atol=1e-12 * np.abs(b).max(), err_msg=f"{name} {field}")
+                assert_allclose(a, b, rtol=0, atol=tolerance * np.abs(b).max(), err_msg=f"{name} {field}")
 
 
 @pytest.mark.parametrize("displacements", [[-0.001, -0.002], [-0.001, 0.0]])
