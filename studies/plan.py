@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
 from operator import attrgetter
 from pathlib import Path
 from typing import Any
@@ -151,14 +151,19 @@ class Plan:
         found = {name: self.stored_results.get(key) for name, key in case.results.items()}
         return {name: path for name, path in found.items() if path is not None}
 
+    @cached_property
+    def _is_sound(self) -> Callable[[Path], bool]:
+        """`is_sound`, which reads a file, of each file once: many cases share one, and a plan is of one moment."""
+        return cache(is_sound)
+
     def reference_cached(self, case: PlannedCase) -> bool:
         """Whether the cache holds the case's reference."""
-        return case.reference is not None and is_sound(reference_path(self.cache, case.reference))
+        return case.reference is not None and self._is_sound(reference_path(self.cache, case.reference))
 
     def missing_meshes(self, cases: Sequence[PlannedCase]) -> list[PlannedMesh]:
         """The meshes that these cases need and the cache does not hold."""
         keys = dict.fromkeys(case.mesh for case in cases)
-        return [self.meshes[key] for key in keys if not is_sound(mesh_path(self.cache, key))]
+        return [self.meshes[key] for key in keys if not self._is_sound(mesh_path(self.cache, key))]
 
     def case_file(self, case: PlannedCase) -> Path:
         """Where the case is kept once it is done."""

@@ -8,7 +8,6 @@ from __future__ import annotations
 import hashlib
 import io
 from collections.abc import Mapping
-from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -45,15 +44,6 @@ def read_arrays(path: Path) -> dict[str, NDArray[Any]] | None:
 
 def is_sound(path: Path) -> bool:
     """Whether `read_arrays` finds arrays at `path`. Raises OSError where the file may not be read."""
-    if not path.is_file():
-        return False
-    found = path.stat()
-    return _is_sound(path, found.st_ino, found.st_size, found.st_mtime_ns, found.st_ctime_ns)
-
-
-@lru_cache(maxsize=1024)  # a plan asks for one file once for each case and purpose
-def _is_sound(path: Path, *state: int) -> bool:  # noqa: ARG001
-    """`is_sound` of a file in this state."""
     return _content(path) is not None
 
 
