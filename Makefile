@@ -65,8 +65,8 @@ bench-fem: setup
 bench-sharing: setup
 	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(RUN)python -m tests.benchmarks.sharing
 
-# README's performance section and figure; SURFACE=liver.obj measures a third body,
-# BENCH=results/bench/bench.h5 takes what is measured already
+# README's performance section and figure; SURFACE=liver.obj measures a third body. What is measured stays in
+# results/bench/bench.h5: BENCH=results/bench/bench.h5 makes them from it again, without measuring
 performance: setup
 	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(RUN)python -m tests.docs.performance \
 	  $(if $(SURFACE),--surface $(SURFACE)) $(if $(BENCH),--bench $(BENCH))

@@ -173,7 +173,7 @@ def bench_verb(options: argparse.Namespace) -> int:
     from .benchmark import bench
     from .benchmark.bench_data import answers, machine_independent, rows
     from .benchmark.bench_store import write_bench
-    from .report.bench_page import write_bench_page
+    from .report.bench_page import ANSWERS_NOTE, ERROR_NOTE, write_bench_page
 
     wanted = {"sphere": ("quickstart", None), "organ": ("accuracy-organ", None)}
     if options.study:
@@ -204,9 +204,11 @@ def bench_verb(options: argparse.Namespace) -> int:
         )
     print(", ".join(f"{name}: {text}" for name, text in list(found.machine.items())[:5]))
     print_table(rows(found))
+    print(ERROR_NOTE)
     for growth in found.growths:
         print(f"{growth.what} grows as nodes ^ {growth.exponent:.2f}, up to {int(growth.nodes[-1]):,} nodes")
     print_table(answers(found))
+    print(ANSWERS_NOTE)
     print(f"report: {out / 'bench.html'}")
     return OK
 

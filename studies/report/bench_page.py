@@ -28,9 +28,12 @@ from .document import encoded, html_document, written
 from .formatting import NOTHING, listed, short_percent
 from .plots import Plot, colour, marker, percent_axis, time_ticks
 
-NOTE = (
+ERROR_NOTE = (
     "Every model answers the same contact load on the same mesh. Its error is the relative L2 difference from "
-    "linear elements on the refined mesh, ± that reference's own; ~ where this is more than a tenth. "
+    "linear elements on the refined mesh, ± that reference's own; ~ where this is more than a tenth."
+)
+NOTE = (
+    f"{ERROR_NOTE} "
     "Times are medians [first, third quartile] over rounds in which all models take turns; in each, a frame below "
     "20 ms is a median of five samples. Ratios are to fem-linear in the same round. Frame, contact: displacement "
     "and fluid pressure in single precision by the columns of the contact nodes, one each, where the model is "

@@ -4,11 +4,16 @@ from __future__ import annotations
 
 import re
 import xml.etree.ElementTree as ET
+from argparse import Namespace
 from dataclasses import replace
+from pathlib import Path
+from subprocess import CompletedProcess
 
 import numpy as np
+import pytest
 
 from studies.benchmark.bench_data import Bench, Growth
+from studies.cli_study import bench_verb
 from tests.docs import marked, performance
 from tests.unit.test_bench import CONDENSED, LINEAR, VECTOR
 
@@ -55,7 +60,10 @@ def test_the_section_has_the_machine_the_finest_meshes_the_answers_and_the_growt
     assert (
         "| vdm-vector | 642 to 163,842 | n^1.00, 1.64 s | n^1.50, 6.63 s | – | n^1.25, 26.4 million |" in text
     )
-    assert "| vdm-vector | 0.1 to 1 | – | 0.02 to 0.02 | 1 to 1 | 0.1 to 0.1 | 20 to 20 % |" in text
+    assert (
+        "| vdm-vector | 0.1 to 1 | – | 0.02 to 0.02 | 1 to 1 | 0.1 to 0.1 | 20 % ± 1 % to 20 % ± 1 % |"
+        in text
+    )
     assert "| fem-linear | 642 to 163,842 | – | – | n^1.00, 1.64 GB | – |" in text
 
 
@@ -76,3 +84,45 @@ def test_readme_says_where_its_numbers_come_from() -> None:
     assert (performance.GALLERY / "performance.svg").exists()
     section = marked.shown(performance.README, performance.PART)
     assert re.search(r"\d cores, .*one thread; medians of \d rounds", section)
+
+
+def test_what_was_measured_stays_where_the_section_is_made_from_it_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The command runs for an hour: here its verb, with the measurement in place of measuring."""
+
+    def command(*words: str | Path, **_: object) -> CompletedProcess[str]:
+        given = Namespace(study=None, surface=None, allow_outside=False, large=True, json=False, out=None)
+        given.out = words[words.index("--out") + 1]
+        return CompletedProcess(words, bench_verb(given), "", "")
+
+    kept = "results/bench/bench.h5"
+    monkeypatch.setattr("studies.benchmark.bench.measure", lambda *_, **__: bench())
+    monkeypatch.setattr(performance, "vdmbench", command)
+    monkeypatch.setattr(performance, "README", tmp_path / "README.md")
+    monkeypatch.setattr(performance, "GALLERY", tmp_path)
+    monkeypatch.setattr(performance, "MEASURED", tmp_path / kept)
+    assert f"BENCH={kept}" in (performance.ROOT / "Makefile").read_text()
+    assert f"BENCH={kept}" in (performance.ROOT / "README.md").read_text()
+    assert "results/bench/" in (performance.ROOT / ".gitignore").read_text().splitlines()
+    made = []
+    for options in ([], ["--bench", str(tmp_path / kept)]):
+        (tmp_path / "README.md").write_text("<!-- performance -->\n<!-- /performance -->\n")
+        monkeypatch.setattr("sys.argv", ["performance", *options])
+        performance.main()
+        made.append((tmp_path / "README.md").read_text())
+        monkeypatch.setattr(performance, "vdmbench", None)  # from now on nothing is measured
+    assert made[0] == made[1]
+    assert performance.section(bench()) in made[0]
+
+
+def test_the_terminal_explains_its_signs(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("studies.benchmark.bench.measure", lambda *_, **__: bench())
+    given = Namespace(study=None, surface=None, allow_outside=False, large=False, json=False, out=tmp_path)
+    assert bench_verb(given) == 0
+    told = capsys.readouterr().out
+    table, answered = (told.index(words) for words in ("~3 % ± 1 %", "question"))
+    assert table < told.index("± that reference's own; ~ where this is more than a tenth") < answered
+    assert answered < told.index("Undecided: the reference's own error, ±, leaves open whether")
