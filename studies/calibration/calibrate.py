@@ -12,6 +12,7 @@ import numpy as np
 from ..case import Run
 from ..model_name import is_linear
 from ..plan import Plan
+from ..setups import sharing
 from ..study_file.schema import Study
 from .fit import (
     CalibrationError,
@@ -99,7 +100,8 @@ def body(plan: Plan, run: Run, finer: tuple[Plan, Run] | None) -> Body:
 
 def calibrate(body: Body, others: Sequence[Body] = ()) -> list[Calibration]:
     """Fit every surface model of a body and try the fits elsewhere."""
-    return [_calibration(body, name, others) for name in body.models]
+    with sharing():
+        return [_calibration(body, name, others) for name in body.models]
 
 
 def _calibration(body: Body, name: str, others: Sequence[Body]) -> Calibration:

@@ -25,6 +25,7 @@ from ..metrics import full_load_step
 from ..model_name import is_linear
 from ..plan import Plan, needs_volume
 from ..scene import Scene, build_scene
+from ..setups import next_turn
 from ..study_file.config import geometry_of
 from ..surface_measures import Surface, relative_l2, rigid_motion_removed, weighted_norm
 from ..uncertainty import reference_bar
@@ -183,7 +184,8 @@ class Trial:
         return dict(zip(self.names, (self._rules[0] * multiples).tolist(), strict=True))
 
     def answers(self, multiples: Array) -> list[Array]:
-        """The model's (N, 3) displacement for each load [m]."""
+        """The model's (N, 3) displacement for each load [m]; the loads share a set-up where set-ups are kept."""
+        next_turn()
         out = []
         for sample, rule in zip(self.samples, self._rules, strict=True):
             given = dict(zip(self.names, (rule * multiples).tolist(), strict=True))

@@ -6,14 +6,17 @@ import dataclasses
 import json
 import math
 import tomllib
-from collections.abc import Mapping
+from collections import Counter
+from collections.abc import Callable, Mapping
 from pathlib import Path
+from typing import Any
 
 import meshio
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
+from studies import models, surface_model
 from studies.calibration.calibrate import (
     Body,
     Calibration,
@@ -194,6 +197,35 @@ def test_a_fit_is_carried_to_another_body_as_a_multiple_of_its_rule(samples: lis
     assert_allclose(
         written["vdm"]["surface_tension"], entry.fit.parameters["surface_tension"], rtol=1e-5, atol=0
     )
+
+
+def test_the_loads_of_a_body_share_their_set_ups(
+    samples: list[Sample], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    known = answered(samples, "vdm-vector", [1.3], ["surface_tension"])
+    counts: Counter[str] = Counter()
+    for module, name in ((surface_model, "_model"), (surface_model, "solve_surface")):
+        monkeypatch.setattr(module, name, _counted(counts, name, getattr(module, name)))
+    found = models.MODELS["vdm-vector"]
+    monkeypatch.setitem(
+        models.MODELS, "vdm-vector", dataclasses.replace(found, solve=surface_model.solve_surface)
+    )
+    body = Body("soft", ("vdm-vector",), None, tuple(known[:2]), tuple(known[2:]))
+    (entry,) = calibrate(body)
+    shared = Counter(counts)
+    counts.clear()
+    alone = fit("vdm-vector", known[:2], known[2:])
+    assert counts["_model"] == counts["solve_surface"]
+    assert 3 * shared["_model"] <= counts["_model"], "three solves or more to a set-up"
+    assert_allclose(list(entry.fit.multiples.values()), list(alone.multiples.values()), rtol=1e-12, atol=0)
+
+
+def _counted(counts: Counter[str], name: str, function: Callable[..., Any]) -> Callable[..., Any]:
+    def call(*arguments: Any, **options: Any) -> Any:
+        counts[name] += 1
+        return function(*arguments, **options)
+
+    return call
 
 
 def test_a_fit_that_is_worse_than_the_rule_says_so() -> None:
