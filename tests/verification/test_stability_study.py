@@ -40,7 +40,6 @@ SMALL: dict[str, tuple[tuple[tuple[str, str], ...], int]] = {
             ('mesh_size = "4.5 mm"', 'mesh_size = "8 mm"'),
             ("[regions.base]", "[vdm]\ncoarse_nodes = 200\n\n[regions.base]"),
             ("= [1e2, 1e4, 1e6, 1e8, 1e10]", "= [1e4, 1e10]"),
-            ("= [0, 0.5]", "= [0.5]"),
             ("= [0.4, 0.1, 0.05]", "= [0.05]"),
             ('"1 Pa", "2 kPa", "20 kPa", "50 kPa"', '"50 kPa"'),
         ),
@@ -51,16 +50,20 @@ SMALL: dict[str, tuple[tuple[tuple[str, str], ...], int]] = {
 }
 
 
-def small(name: str, directory: Path) -> dict[str, Ladder]:
-    """The ladders of a shipped study made small."""
+def small_study(name: str, directory: Path) -> list[ResolvedCase]:
+    """The cases of a shipped study made small."""
     path = directory / f"{name}.toml"
     text = (SHIPPED / path.name).read_text()
-    changes, every = SMALL[name]
-    for old, new in changes:
+    for old, new in SMALL[name][0]:
         assert text.count(old) == 1, old
         text = text.replace(old, new)
     path.write_text(text)
-    cases = [solved(case, name in VOLUMETRIC) for case in some(expand(load_study(path)), every)]
+    return expand(load_study(path))
+
+
+def small(name: str, directory: Path) -> dict[str, Ladder]:
+    """The ladders of a shipped study made small."""
+    cases = [solved(case, name in VOLUMETRIC) for case in some(small_study(name, directory), SMALL[name][1])]
     return {ladder.key: ladder for ladder in ladders(Digest(make_run(cases)))}
 
 
@@ -117,6 +120,13 @@ def check(study: dict[str, Ladder]) -> list[Reading]:
     broken = [reading for *_, reading in readings if not reading.ok]
     assert all(reading.message and reading.remedy for reading in broken)
     return broken
+
+
+@pytest.mark.parametrize("name", SMALL)
+def test_what_makes_a_study_small_is_still_in_it(name: str, tmp_path: Path) -> None:
+    cases = small_study(name, tmp_path)
+    assert 1 < len(list(some(cases, SMALL[name][1]))) <= len(cases)
+    assert len(cases) <= len(expand(load_study(SHIPPED / f"{name}.toml")))
 
 
 def test_no_step_that_is_called_converged_is_wrong(found: dict[str, Ladder]) -> None:
@@ -240,12 +250,7 @@ def test_direct_and_iterative_elements_agree_where_both_converge(
     hard: str, both: int, tmp_path: Path
 ) -> None:
     """The solvers have nothing but the equations in common: at the base, and wherever on a ladder both converge."""
-    path = tmp_path / "stability-volume.toml"
-    text = (SHIPPED / path.name).read_text()
-    for old, new in SMALL["stability-volume"][0]:
-        text = text.replace(old, new)
-    path.write_text(text)
-    cases = expand(load_study(path))
+    cases = small_study("stability-volume", tmp_path)
     base, on_it = cases[0], [case for case in cases if case.swept.get(hard) != cases[0].swept.get(hard)]
     agreed = []
     for case in (base, *on_it):
