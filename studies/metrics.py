@@ -331,10 +331,6 @@ def evaluate_all(
 ) -> dict[str, dict[str, Array]]:
     """`evaluate` of each model against one of them, which is itself compared with nothing."""
     known = known or {}
-    models = {
-        name: replace(model, volume=enclosed_volumes(surface.points + model.displacement, surface.triangles))
-        for name, model in models.items()
-    }
     if reference is None:
         return {name: evaluate(surface, model, None, known.get(name)) for name, model in models.items()}
     others = [name for name in models if name != reference]

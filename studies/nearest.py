@@ -74,7 +74,7 @@ class Neighbourhood:
         there = np.concatenate([self._distances(part, other, nodes) for part in parts])
         farthest = there.max(axis=1)
         # a node of the other surface is no further from this one than from the node that it corresponds to
-        bounds = np.linalg.norm(copies - other, axis=2)
+        bounds = _lengths(copies - other)
         for place, copy in enumerate(copies):
             still = np.flatnonzero(bounds[place] > farthest[place])
             if len(still):
@@ -90,30 +90,35 @@ class Neighbourhood:
         u, v = second - corner, third - corner
         # a node is as far from the first corner as the copies are apart there
         apart = np.ascontiguousarray((copies - other).transpose(2, 0, 1))
-        gaps, _, _ = _nearest_in(apart[:, :, pairs[0]], u, v, _squares(u, v))
+        gaps, _, _ = _nearest_in(np.repeat(apart[:, :, nodes], counts, axis=2), u, v, _squares(u, v))
         distance: Array = np.sqrt(np.minimum.reduceat(gaps, starts, axis=1))
-        for row, copy in zip(distance, copies, strict=True):
-            open_to = self._unproven(row, copy, other, nodes)
-            if len(open_to):
-                row[open_to] = nearest_on_surface(copy[nodes[open_to]], other, self.triangles)[0]
+        for row, places in enumerate(self._unproven(distance, copies, other, nodes)):
+            if len(places):
+                queries = copies[row, nodes[places]]
+                distance[row, places] = nearest_on_surface(queries, other, self.triangles)[0]
         return distance
 
-    def _unproven(self, distance: Array, copy: Array, other: Array, nodes: Index) -> Index:
-        """Places among n `nodes` to which another facet than their own may be nearer than `distance` (n,).
+    def _unproven(self, distance: Array, copies: Array, other: Array, nodes: Index) -> list[Index]:
+        """Of each copy the places among n `nodes` to which another facet may be nearer than `distance` (B, n).
 
         A point of a facet moves by a mean of what its corners move by. So a facet at `a` from a node at rest is no
         nearer to it than `a` less the largest difference between the node's displacement and those of the corners.
         """
         clearance, beyond, around = self._at_rest
-        moved, others = copy[nodes] - self.points[nodes], other - self.points
-        middle = 0.5 * (others.min(axis=0) + others.max(axis=0))
-        most = np.linalg.norm(moved - middle, axis=1) + np.linalg.norm(others - middle, axis=1).max()
-        places = np.flatnonzero(distance >= np.minimum(clearance, beyond)[nodes] - most)
-        if not len(places):
-            return places
-        some = nodes[places]  # the displacements around them differ less
-        near = np.linalg.norm(others[around[some]] - moved[places, None], axis=2).max(axis=1)
-        return places[distance[places] >= np.minimum(clearance[some] - near, beyond[some] - most[places])]
+        moved, others = copies[:, nodes] - self.points[nodes], other - self.points
+        components = np.ascontiguousarray(others.T)
+        middle = 0.5 * (components.min(axis=1) + components.max(axis=1))
+        most = _lengths(moved - middle) + _lengths(others - middle).max()
+        found = []
+        for row, doubtful in enumerate(distance >= np.minimum(clearance, beyond)[nodes] - most):
+            places = np.flatnonzero(doubtful)
+            if len(places):
+                some = nodes[places]  # the displacements around them differ less
+                near = _lengths(others[around[some]] - moved[row, places, None]).max(axis=1)
+                bound = np.minimum(clearance[some] - near, beyond[some] - most[row, places])
+                places = places[distance[row, places] >= bound]
+            found.append(places)
+        return found
 
     @cached_property
     def _at_rest(self) -> tuple[Array, Array, Index]:
@@ -169,6 +174,12 @@ class _Facets:
         """`_nearest_in` of Q queries (Q, 3) and k candidate facets of each (Q, k)."""
         w = queries.T[:, :, None] - self._corner[:, candidates]
         return _nearest_in(w, self._u[:, candidates], self._v[:, candidates], self._squares[:, candidates])
+
+
+def _lengths(vectors: Array) -> Array:
+    """(...,) Euclidean lengths of vectors (..., 3)."""
+    lengths: Array = np.sqrt(np.einsum("...i,...i->...", vectors, vectors))
+    return lengths
 
 
 def _squares(u: Array, v: Array) -> Array:

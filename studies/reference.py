@@ -57,7 +57,12 @@ def own_error(
     margin = vector.gci / differences[0] if differences[0] else 0.0
     if found is None:
         finest, second = (
-            History(level.displacement[[step]], level.reaction_force[[step]], load_factors[[step]])
+            History(
+                level.displacement[[step]],
+                level.reaction_force[[step]],
+                load_factors[[step]],
+                volume=level.volume[[step]],
+            )
             for level in levels[:2]
         )
         found = evaluate_all(surface, {"second": second, "finest": finest}, "finest")["second"]

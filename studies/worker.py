@@ -285,7 +285,7 @@ def compare(
 ) -> dict[str, dict[str, MetricSeries]]:
     """Every metric of every model; the reference itself gets those that need no comparison."""
     histories = {
-        name: History(result.displacement, result.reaction_force, scene.load_factors)
+        name: History(result.displacement, result.reaction_force, scene.load_factors, volume=result.volume)
         for name, result in results.items()
     }
     found = shared(Comparisons, mesh=scene.mesh).compare(_surface(scene), histories, reference)

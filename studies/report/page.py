@@ -94,7 +94,7 @@ def page_html(run: Run, render: Renderer) -> str:
 
 
 def _page_html(digest: Digest, render: Renderer) -> str:
-    run = digest.run
+    run, answers = digest.run, verdict.answers(digest)
     before, after = (
         [written(s) for make in part if (s := make(digest))] for part in (SECTIONS_BEFORE, SECTIONS_AFTER)
     )
@@ -103,7 +103,7 @@ def _page_html(digest: Digest, render: Renderer) -> str:
         return html_document(
             title=str(run.study.get("title") or run.study.get("name", "study")),
             name=str(run.study.get("name", "")),
-            verdict=verdict.answers(digest),
+            verdict=answers,
             counts=_counts(run),
             models=digest.legend,
             sections=sections,

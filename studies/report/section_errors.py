@@ -25,6 +25,7 @@ PARTS = (
 _MOST_POINTS = 240  # per model and figure; beyond, every k-th case is drawn
 _ASIDE = 0.05  # between the clouds of two models at a named value, where neighbours are 1 apart
 _PARTS_OF = "Normal and tangential component, contact region and far field against"
+_MOST_MARKED = 25  # points of a line that get a marker; of more, every k-th
 _MOST_JOINED = 12  # values of a parameter that a line through medians joins
 
 
@@ -149,7 +150,14 @@ def _against_parameter(
             style = axis.line("--", len(axis.cases), len(known))
             x, y = zip(*known, strict=True)
             axes.plot(
-                x, y, linestyle=style, color=colour(REFERENCE), linewidth=1.0, marker="o", markersize=2.5
+                x,
+                y,
+                linestyle=style,
+                color=colour(REFERENCE),
+                linewidth=1.0,
+                marker="o",
+                markersize=2.5,
+                markevery=_every(style, known),
             )
         if axis.kind in ("even", "names"):
             name_ticks(axes, axis.ticks)
@@ -176,7 +184,18 @@ def _draw_model(
             at, y, linestyle="none", marker=marker(number), color=colour(number), markersize=2.6, alpha=0.45
         )
     if style != "none" or axis.kind == "names":
-        axes.plot(*zip(*medians, strict=True), linestyle=style, marker=marker(number), color=colour(number))
+        axes.plot(
+            *zip(*medians, strict=True),
+            linestyle=style,
+            marker=marker(number),
+            markevery=_every(style, medians),
+            color=colour(number),
+        )
+
+
+def _every(style: str, points: Sequence[tuple[float, float]]) -> int:
+    """Of how many points one is marked: of all, unless a line shows where they are."""
+    return 1 if style == "none" else math.ceil(len(points) / _MOST_MARKED)
 
 
 def _medians(points: Iterable[tuple[float, float]]) -> list[tuple[float, float]]:

@@ -115,9 +115,10 @@ def measure(
     places = np.linspace(-0.6, 0.6, 10).tolist()
     factors = np.linspace(0.02, 2.0, loads).tolist()
     one, multiples = "one load", f"{loads} cases, multiples of one load"
+    swept = np.linspace(0.8, 80.0, loads).tolist()
     studies: dict[str, dict[str, Any]] = {
-        one: {},
-        multiples: {"sweep": {"constraints.finger.pressure": np.linspace(0.8, 80.0, loads).tolist()}},
+        one: {"sweep": {"constraints.finger.pressure": swept[:1]}},
+        multiples: {"sweep": {"constraints.finger.pressure": swept}},
     }
     if not bar:
         studies |= {

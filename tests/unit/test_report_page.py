@@ -17,13 +17,14 @@ from numpy.testing import assert_allclose
 
 from studies.case import Limit, ModelLimits, SmallStrainLimits, StepStatus
 from studies.report import page as page_module
+from studies.report.blocks import Figures
 from studies.report.digest import Digest
 from studies.report.document import script_json
 from studies.report.formatting import percent
 from studies.report.page import MOST_BYTES, page_html, write_report
 from studies.report.picture import Panel
 from studies.report.plots import place
-from studies.report.section_errors import parameter_name
+from studies.report.section_errors import error_against_parameters, parameter_name
 from studies.report.view import View, candidates, displacement_scale, payload
 
 from .report_runs import REFERENCE, cheap_run, make_case, make_run, sweep_run
@@ -391,6 +392,21 @@ def test_hundreds_of_cases_stay_small() -> None:
     cases = viewer_data(html)["cases"]
     assert isinstance(cases, list)
     assert [case["title"].split(":")[0] for case in cases] == ["Worst", "Median", "Best"]
+
+
+@pytest.mark.parametrize(("named", "marked"), [(False, 20), (True, 60)])
+def test_a_line_marks_some_of_many_values_and_names_are_marked_each(named: bool, marked: int) -> None:
+    run = cheap_run(60)
+    cases = [
+        dataclasses.replace(case, swept={"tissue.youngs_modulus": f"name {k}" if named else 10.0 * k})
+        for k, case in enumerate(run.cases)
+    ]
+    section = error_against_parameters(Digest(make_run(cases)))
+    assert section is not None
+    figures = next(block for block in section.blocks if isinstance(block, Figures))
+    for figure in figures.figures:
+        groups = re.findall(r"<g clip-path[^>]*>\s*((?:<use[^>]*/>\s*)+)</g>", figure.svg)
+        assert [group.count("<use") for group in groups] == [marked, marked], "of two models"
 
 
 def test_thousands_of_cases_are_cut_and_say_so() -> None:
