@@ -31,13 +31,11 @@ class SI:
 
     def read(self, value: Any) -> float | tuple[float, ...]:
         """Convert a value of a study file. Raises QuantityError."""
-        if not isinstance(value, list | tuple):
+        if self.counts == (1,) or not isinstance(value, list | tuple):
             if 1 not in self.counts:
                 raise QuantityError(f"must be a list of {self._wanted()}, not {type_name(value)}")
             return to_si(value, self.unit)
-        if not value or not {0, len(value)} & set(self.counts):
-            if self.counts == (1,):
-                to_si(value, self.unit)  # says what is wanted instead of a list
+        if not value or not {0, len(value)} & (set(self.counts) - {1}):
             raise QuantityError(f"must have {self._wanted()}, not {len(value)}")
         numbers = []
         for place, item in enumerate(value, start=1):

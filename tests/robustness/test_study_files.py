@@ -207,6 +207,8 @@ def test_a_file_that_cannot_be_parsed_is_told(path: Path, content: bytes | str, 
         ("'" + "9" * 70 + " km'", "m across"),
         ("1979-05-27T07:32:00Z", "not a date or time"),
         ("07:32:00", "not a date or time"),
+        ("[0.05]", "not a list"),
+        ("[]", "not a list"),
     ],
     ids=lambda value: repr(value[:20]),
 )
@@ -215,6 +217,13 @@ def test_a_number_beyond_all_bounds_is_told(path: Path, radius: str, message: st
     found = fails(path, text)
     assert found.startswith(f"{text[: text.index('radius')].count(chr(10)) + 1}: geometry.radius: ")
     assert message in found
+
+
+@pytest.mark.parametrize("size", [[0.1], [0.1, 0.1]])
+def test_three_numbers_are_three(path: Path, size: list[float]) -> None:
+    geometry = {"shape": "box", "size": size, "mesh_size": "6 mm"}
+    found = fails(path, tomli_w.dumps({**BASE, "geometry": geometry}))
+    assert found.endswith(f"geometry.size: must have 3 numbers, not {len(size)}")
 
 
 def test_a_deep_region_is_told(path: Path) -> None:
@@ -324,6 +333,7 @@ def test_many_mutated_studies_never_break_the_reader(path: Path, data: dict[str,
 @example(data={**BASE, "regions": {"": {"all": [""]}}})
 @example(data={**BASE, "geometry": 5, "sweep": {"geometry.mesh_size": [1]}})
 @example(data={**BASE, "constraints": {"tip": {}}})
+@example(data={**BASE, "constraints": [{**BASE["constraints"][1], "pressure": [200]}]})
 @example(data={**BASE, "sweep": {"study": {"start": 1}}})
 def test_a_mutated_study_never_breaks_the_reader(path: Path, data: dict[str, Any]) -> None:
     path.write_text(tomli_w.dumps(data), encoding="utf-8")
