@@ -29,6 +29,7 @@ from fem_reference.newton import Newton, ScaledLoad, Substep
 from fem_reference.solution import Solution, SolverError, Status, check_outputs
 from fem_reference.system import LinearSystem, build_system
 from fem_reference.tangent_solver import TangentSolver, TangentSystem
+from fem_reference.walk import Walk
 
 __all__ = ["OUTPUTS", "PRESSURES", "FiniteStrainProblem", "Load"]
 
@@ -125,8 +126,8 @@ class FiniteStrainProblem:
         )
         self.seconds_setup = time.perf_counter() - start
 
-    def substeps(self, loads: Sequence[Load]) -> Iterator[tuple[int, Substep]]:
-        """Follow a load history from the undeformed body, one attempt at a time.
+    def substeps(self, loads: Sequence[Load], walk: Walk | None = None) -> Iterator[tuple[int, Substep]]:
+        """Follow a load history from the undeformed body, one attempt at a time; each load by `walk` if given.
 
         Yields the number of the load step and each attempt, converged or not; ends early where a load step cannot
         be reached. See `fem_reference.newton.Substep`; its quantities are in mean edges and shear moduli.
@@ -137,7 +138,7 @@ class FiniteStrainProblem:
             For a load of the wrong shape or with values that are not finite.
         """
         check_loads(self.mesh, loads)
-        return self._follow([self._scaled(load) for load in loads])
+        return self._follow([self._scaled(load) for load in loads], walk)
 
     def tangent(self, reached: Substep) -> TangentSystem:
         """The tangent in the state of a substep, in its scaled units."""
@@ -186,23 +187,25 @@ class FiniteStrainProblem:
                 fields.residual[number] = attempt.residuals[-1]
         return fields
 
-    def _follow(self, loads: Sequence[ScaledLoad]) -> Iterator[tuple[int, Substep]]:
-        start, state = ScaledLoad(*(np.zeros_like(a) for a in vars(loads[0]).values())), self._newton.rest
+    def _follow(self, loads: Sequence[ScaledLoad], walk: Walk | None = None) -> Iterator[tuple[int, Substep]]:
+        last = self._newton.rest
         for number, end in enumerate(loads):
-            for attempt in self._newton.follow(state, start, end):
-                yield number, attempt
-                state = attempt.state
-            if not (attempt.converged and attempt.load_factor == 1.0):
+            way = walk.follow(self._newton, end) if walk else self._newton.follow(last.state, last.load, end)
+            for last in way:
+                yield number, last
+            if not (last.converged and last.load_factor == 1.0):
                 return
-            start = end
 
-    def solve(self, loads: Sequence[Load], outputs: frozenset[str] = frozenset()) -> Solution:
+    def solve(
+        self, loads: Sequence[Load], outputs: frozenset[str] = frozenset(), walk: Walk | None = None
+    ) -> Solution:
         """Follow a load history: each step starts from the one before it, the first from the undeformed body.
 
         Parameters
         ----------
         loads : the load steps
         outputs : further scalars, see `OUTPUTS`
+        walk : on which each step starts instead, from what it knows of this problem's loads; remembers them
 
         Returns
         -------
@@ -216,9 +219,11 @@ class FiniteStrainProblem:
             For a load of the wrong shape or with values that are not finite, and for an unknown output.
         """
         check_outputs(outputs, OUTPUTS)
-        record = Record(self.system, self._assembly, self.shear_modulus, len(loads), outputs)
+        record = Record(
+            self.system, self._assembly, self.shear_modulus, len(loads), outputs, self._newton.rest
+        )
         factorisations, steps = self.solver.factorisations, self.solver.steps
-        for number, attempt in self.substeps(loads):
+        for number, attempt in self.substeps(loads, walk):
             record.add(number, attempt)
         record.end()
         condition = {

@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 
 from fem_reference.finite_strain_assembly import ElementAssembly
 from fem_reference.loads import gather_to_vertices
-from fem_reference.mesh import facet_quadrature
-from fem_reference.newton import ScaledLoad, State, Substep
+from fem_reference.newton import Substep
 from fem_reference.recovery import StrainRecovery
 from fem_reference.solution import CONVERGED, Solution, Status
 from fem_reference.system import LinearSystem
@@ -50,6 +49,7 @@ class Record:
     shear_modulus : unit of stress [Pa]
     steps : number of load steps
     outputs : names out of `OUTPUTS`
+    rest : the undeformed body
     """
 
     def __init__(
@@ -59,6 +59,7 @@ class Record:
         shear_modulus: float,
         steps: int,
         outputs: frozenset[str],
+        rest: Substep,
     ) -> None:
         mesh = self._mesh = system.mesh
         self._system = system
@@ -79,12 +80,7 @@ class Record:
         self._iterations = np.zeros(steps, dtype=np.int64)
         self._seconds = np.zeros(steps)
         self._status = [Status("not-reached", "an earlier load step failed", "see that step")] * steps
-        nothing = np.zeros((mesh.n_nodes, 3))
-        rest = State(nothing, np.zeros(mesh.n_vertices))
-        unloaded = ScaledLoad(np.zeros((len(mesh.triangles), len(facet_quadrature()[1]))), nothing, nothing)
-        self._converged = Substep(  # the last one, of any step
-            0.0, unloaded, rest, nothing, nothing, (0.0,), "converged"
-        )
+        self._converged = rest  # the last one, of any step
         self._open: tuple[int, float, Substep] | None = (
             None  # a step under way: number, load factor, last attempt
         )

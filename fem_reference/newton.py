@@ -13,6 +13,7 @@ from scipy.sparse import bsr_array, csr_array
 from fem_reference.assembly import Pattern, mass_matrix
 from fem_reference.finite_strain_assembly import ElementAssembly
 from fem_reference.follower import FollowerPressure
+from fem_reference.mesh import facet_quadrature
 from fem_reference.system import LinearSystem, hold_components
 from fem_reference.tangent_solver import TangentSolver, TangentSystem
 
@@ -44,6 +45,11 @@ class ScaledLoad:
     pressure: Array
     forces: Array
     given: Array
+
+    @property
+    def size(self) -> float:
+        """Its Euclidean norm."""
+        return float(np.sqrt(sum(np.vdot(part, part) for part in (self.pressure, self.forces, self.given))))
 
     def towards(self, other: ScaledLoad, share: float) -> ScaledLoad:
         """The load at `share` of the way to another."""
@@ -155,10 +161,13 @@ class Newton:
         self._inner_divergence = pattern.numbered[: mesh.n_vertices][:, system.kept]
 
     @property
-    def rest(self) -> State:
-        """The undeformed state."""
+    def rest(self) -> Substep:
+        """The undeformed body under no load."""
         mesh = self._system.mesh
-        return State(np.zeros((mesh.n_nodes, 3)), np.zeros(mesh.n_vertices))
+        nothing = np.zeros((mesh.n_nodes, 3))
+        unloaded = ScaledLoad(np.zeros((len(mesh.triangles), len(facet_quadrature()[1]))), nothing, nothing)
+        state = State(nothing, np.zeros(mesh.n_vertices))
+        return Substep(0.0, unloaded, state, nothing, nothing, (0.0,), "converged")
 
     def follow(self, state: State, start: ScaledLoad, end: ScaledLoad) -> Iterator[Substep]:
         """Go from one load to another in substeps as long as convergence allows.

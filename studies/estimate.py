@@ -17,7 +17,7 @@ from . import models
 from .hdf5 import StoreError
 from .meshing.mesh import MeshError
 from .meshing.mesh_cache import mesh_path, read_mesh
-from .model_name import FINITE_STRAIN, split
+from .model_name import split
 from .plan import Plan, PlannedCase, PlannedMesh
 from .store import read_case
 from .work import work_of
@@ -28,9 +28,9 @@ _PROCESS_BYTES = 1.3e8  # of a worker that has done nothing
 _DENSE_NODES = 1000.0  # `vdm.formulations.boundary.MAX_NODES`, which would load the library
 _MOST_READ = 3  # case files that are read to learn from
 _SEARCH_LOADS = 30  # that a search for small-strain limits tries, each of them once for all models
-_DEEP = (
-    8.0  # cost of a load amid the limits, which is reached in steps that are halved, over one of the study's
-)
+# steps of the study that a load amid the limits costs: of a model that goes there from rest in halved steps,
+# and of one that goes on from the last load, the end of its way counted in
+_DEEP, _ONWARD = 8.0, 2.0
 # unknowns per tetrahedron, as these elements have them on meshes of some thousand
 _UNKNOWNS = {"P1": 0.7, "P2": 4.7}
 # the paths' own estimates are for choosing one; of this one, a solve of 3,000 to 25,000 tetrahedra takes
@@ -120,16 +120,18 @@ def _search(case: PlannedCase, size: Size) -> float:
 
     def tried(name: str, level: int, loads: int) -> float:
         cost = _law(name, size.refined(level), steps)
-        base, solver = split(name)
-        bent = base in FINITE_STRAIN or solver == "nonlinear"
-        setups = loads if base in FINITE_STRAIN else 1
-        return setups * cost.setup + loads * (max(steps, _DEEP) if bent else steps) * cost.step
+        if models.find(name)[0].onward:
+            return cost.setup + loads * _ONWARD * cost.step
+        bent = split(name)[1] == "nonlinear"
+        return cost.setup + loads * (max(steps, _DEEP) if bent else steps) * cost.step
 
+    thresholds, others = len(study.limits.thresholds), len(study.study.models) - 1
     for name in study.study.models:
         seconds += tried(name, 0, _SEARCH_LOADS)
         if study.uncertainty is not None and models.find(name)[0].volumetric:
-            limits = len(study.limits.thresholds) * (len(study.study.models) - 1)
-            seconds += tried(name, 1, 1 + limits)  # a small load, and that of each limit if all are found
+            # a small load, and if all are found that of each limit: its own, or of the reference everybody's
+            limits = thresholds * (others if name == study.study.reference else 1)
+            seconds += tried(name, 1, 1 + limits)
     return seconds
 
 

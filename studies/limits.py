@@ -9,8 +9,10 @@ departs from finite strain on the same mesh.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from bisect import bisect_right
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import islice
 
 from .case import Limit, ModelLimits
 from .uncertainty import estimate_error
@@ -25,7 +27,7 @@ _RETREATS = 4  # bisections towards the load at which a solution stops
 
 @dataclass(frozen=True)
 class LoadPoint:
-    """What was found at one load. `error` of a model that has no solution there is NaN."""
+    """What was found at one load. `error` of a model that has no solution there is NaN; it is read when needed."""
 
     load: float
     error: Mapping[str, float]
@@ -63,14 +65,28 @@ class LoadPath:
         point = self.at(factor)
         return point.error[model] - self.structural_error(model) if point is not None else math.nan
 
-    def solved(self) -> list[tuple[float, LoadPoint]]:
-        """(factor, point) of every load evaluated so far at which the reference has a solution, rising."""
-        return [(factor, point) for factor in sorted(self._points) if (point := self._points[factor])]
+    def between(self, low: float, high: float) -> list[float]:
+        """Factors between two, of every load evaluated so far, rising."""
+        return [factor for factor in sorted(self._points) if low < factor < high]
 
-    def known(self, model: str) -> list[tuple[float, float]]:
-        """(factor, departure) of every load evaluated so far, rising, those without a solution left out."""
-        pairs = [(factor, self.departure(model, factor)) for factor in sorted(self._points)]
-        return [pair for pair in pairs if math.isfinite(pair[1])]
+    def slope(self, value: Callable[[LoadPoint], float], factor: float) -> float:
+        """d ln(value) / d ln(load) around a factor, from the nearest loads on either side; 1 where there are none.
+
+        Of the loads evaluated so far: the two at or below it and the one above, at which the value is positive.
+        """
+
+        def nearest(factors: Iterable[float], count: int) -> list[tuple[float, float]]:
+            points = ((at, point) for at in factors if (point := self._points[at]) is not None)
+            pairs = ((at, value(point)) for at, point in points)
+            return list(islice((pair for pair in pairs if pair[1] > 0), count))
+
+        rising = sorted(self._points)
+        above = bisect_right(rising, factor)
+        near = [*nearest(reversed(rising[:above]), 2)[::-1], *nearest(rising[above:], 1)]
+        if len(near) < 2:
+            return 1.0
+        (x0, y0), (x1, y1) = near[0], near[-1]
+        return math.log(y1 / y0) / math.log(x1 / x0)
 
 
 def model_limits(path: LoadPath, model: str, thresholds: Sequence[float]) -> ModelLimits:
@@ -107,12 +123,12 @@ def _on_finer_mesh(limit: Limit, path: LoadPath, fine: LoadPath, model: str) -> 
     departure = fine.departure(model, factor)
     if own is None or other is None or not departure > 0:
         return limit
-    power = 1.0 / max(_slope(path.known(model), factor), 0.5)
+    e0 = path.structural_error(model)
+    power = 1.0 / max(path.slope(lambda point: point.error[model] - e0, factor), 0.5)
     bar = _index(1.0 - (departure / path.departure(model, factor)) ** power)
     further = (limit.threshold / departure) ** power  # the load of the finer mesh's limit, over this one
-    points = path.solved()
-    indentation = _slope([(at, abs(point.indentation)) for at, point in points], factor)
-    strain = _slope([(at, point.strain) for at, point in points], factor)
+    indentation = path.slope(lambda point: abs(point.indentation), factor)
+    strain = path.slope(lambda point: point.strain, factor)
     return replace(
         limit,
         load=limit.load * further,
@@ -166,8 +182,9 @@ def _bracket(path: LoadPath, model: str, threshold: float) -> tuple[float, float
 
 def _crossing(path: LoadPath, model: str, threshold: float, low: float, high: float) -> float:
     """Factor at which the departure is the threshold to 2 %: bisection, its first steps along a power law."""
-    for factor, departure in path.known(model):  # what other models' searches have found already
-        if low < factor < high:
+    for factor in path.between(low, high):  # what other models' searches have evaluated already
+        departure = path.departure(model, factor)
+        if low < factor < high and math.isfinite(departure):
             low, high = (factor, high) if departure < threshold else (low, factor)
     for step in range(_MOST_STEPS):
         below, above = path.departure(model, low), path.departure(model, high)
@@ -184,15 +201,3 @@ def _crossing(path: LoadPath, model: str, threshold: float, low: float, high: fl
             return factor
         low, high = (factor, high) if departure < threshold else (low, factor)
     return high
-
-
-def _slope(pairs: Sequence[tuple[float, float]], factor: float) -> float:
-    """d ln(value) / d ln(load) around a limit, from the nearest loads on either side; 1 where there are none."""
-    points = [pair for pair in pairs if pair[1] > 0]
-    below = [pair for pair in points if pair[0] <= factor][-2:]
-    above = [pair for pair in points if pair[0] > factor][:1]
-    near = [*below, *above]
-    if len(near) < 2:
-        return 1.0
-    (x0, y0), (x1, y1) = near[0], near[-1]
-    return math.log(y1 / y0) / math.log(x1 / x0)

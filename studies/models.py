@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     Solution = FemSolution | VdmSolution
     Solve = Callable[[Scene, str, str], Solution]
     Together = Callable[[Sequence[Scene]], Sequence[Solution]]
+    Onward = Callable[[Scene, dict[str, Any]], Solution]
 
 
 @dataclass(frozen=True)
@@ -46,6 +47,8 @@ class Model:
     solvers : the solvers it offers, the default first
     solve : (scene, solver, the full name) -> Solution
     together : the same for scenes that differ in their loads only, all in one; None where that saves nothing
+    onward : (scene, what it left of the last) -> Solution of full load alone, from loads below that it has
+        solved of scenes that differ in one rising load only; None where that saves nothing
     """
 
     name: str
@@ -54,6 +57,7 @@ class Model:
     solvers: tuple[str, ...]
     solve: Solve
     together: Together | None = None
+    onward: Onward | None = None
 
 
 MODELS: dict[str, Model] = {}
@@ -67,9 +71,10 @@ def _model(
     solvers: tuple[str, ...] = ("linear",),
     volumetric: bool = False,
     together: Together | None = None,
+    onward: Onward | None = None,
 ) -> Callable[[Solve], Solve]:
     def register(solve: Solve) -> Solve:
-        MODELS[name] = Model(name, version, volumetric, solvers, solve, together)
+        MODELS[name] = Model(name, version, volumetric, solvers, solve, together, onward)
         return solve
 
     return register
@@ -219,13 +224,29 @@ def _fem_coarse(scene: Scene, solver: str, name: str) -> FemSolution:  # noqa: A
     return solve_coarse(scene)
 
 
-@_model("fem", version="1", volumetric=True)
+def _fem_onward(scene: Scene, known: dict[str, Any]) -> FemSolution:
+    from fem_reference.finite_strain import FiniteStrainProblem
+    from fem_reference.walk import Walk
+
+    if not known:
+        known.update(problem=FiniteStrainProblem(**_finite_strain(scene)), walk=Walk())
+    problem: FiniteStrainProblem = known["problem"]
+    return problem.solve(_fem_loads(scene)[-1:], _asked(scene, *_LARGEST), known["walk"])
+
+
+@_model("fem", version="1", volumetric=True, onward=_fem_onward)
 def _fem(scene: Scene, solver: str, name: str) -> FemSolution:  # noqa: ARG001
     from fem_reference.finite_strain import FiniteStrainProblem
 
+    return FiniteStrainProblem(**_finite_strain(scene)).solve(_fem_loads(scene), _asked(scene, *_LARGEST))
+
+
+_LARGEST = ("max_det_f_deviation", "max_principal_strain")
+
+
+def _finite_strain(scene: Scene) -> dict[str, Any]:
     material = "transversely-isotropic" if scene.anisotropy else "neo-hookean"
-    problem = FiniteStrainProblem(**_body(scene), material=material, expected_loads=len(scene.load_factors))
-    return problem.solve(_fem_loads(scene), _asked(scene, "max_det_f_deviation", "max_principal_strain"))
+    return {**_body(scene), "material": material, "expected_loads": len(scene.load_factors)}
 
 
 def _body(scene: Scene) -> dict[str, Any]:
@@ -266,7 +287,7 @@ def pressure_problem(scene: Scene, name: str) -> LinearSolver | LinearProblem | 
     return linear_solver(scene, name) if scales(name) else None
 
 
-def run_model(scene: Scene, name: str) -> ModelResult:
+def run_model(scene: Scene, name: str, known: dict[str, Any] | None = None) -> ModelResult:
     """Solve one scene with one model and measure what it took.
 
     A model that cannot be set up gives a result of NaN with the reason in its status: the other models of the
@@ -274,6 +295,9 @@ def run_model(scene: Scene, name: str) -> ModelResult:
     memory that were measured then, and marked by the parameter `setup_shared`. Where the surface model just solved
     a scene of which this one's loads are a multiple, so is its result (`studies.proportional`): the parameter
     `steps_scaled` marks it.
+
+    Scenes that differ in one rising load only can be run with the same dictionary, empty at first: a model that
+    goes to a load step by step then goes to the full one alone, from the largest below that it has solved.
     """
     model, solver = find(name)
     # what it may not depend on, as its results are shared between cases that differ there
@@ -282,6 +306,9 @@ def run_model(scene: Scene, name: str) -> ModelResult:
     follows = scaled(scene, name) if scales(name) else None
     if follows is not None:
         return _result(scene, *follows, model, {"setup_shared": "yes", "steps_scaled": "yes"})
+    onward = model.onward
+    if known is not None and onward is not None:
+        return _measured(model, [scene], lambda: [onward(scene, known)])[0]
     return _measured(model, [scene], lambda: [model.solve(scene, solver, name)])[0]
 
 

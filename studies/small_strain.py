@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping
+from functools import partial
+from typing import Any
 
 import numpy as np
 
 from . import models
 from .case import ModelResult, SmallStrainLimits
-from .limits import LoadPath, LoadPoint, model_limits, on_finer_mesh
+from .limits import SMALL, LoadPath, LoadPoint, model_limits, on_finer_mesh
 from .meshing.mesh import Array, Mask, Mesh
 from .meshing.refine import inherit, refine
 from .metrics import mean_indentation
@@ -33,10 +35,13 @@ def small_strain_limits(study: Study, scene: Scene) -> SmallStrainLimits:
         raise ValueError("a search for small-strain limits needs [limits] and a reference")
     names = [name for name in study.study.models if name != reference]
     start, unit = value_and_unit(study, asked.along)
-    path = LoadPath(_Evaluator(study, asked.along, scene, reference, names), start)
+    path = LoadPath(_Evaluator(study, asked.along, scene, reference), start)
     found = {name: model_limits(path, name, asked.thresholds) for name in names}
     if study.uncertainty is not None:
-        fine = LoadPath(_Evaluator(study, asked.along, scene, reference, names, _refined(scene)), start)
+        fine = LoadPath(_Evaluator(study, asked.along, scene, reference, _refined(scene)), start)
+        limits = [limit for entry in found.values() for limit in entry.limits if limit.state == "found"]
+        for factor in sorted({SMALL, *(limit.load / start for limit in limits)}):
+            fine.at(factor)  # rising: from each the reference goes on to the next
         found = {name: on_finer_mesh(entry, path, fine, name) for name, entry in found.items()}
     return SmallStrainLimits(asked.along, unit, found)
 
@@ -50,7 +55,7 @@ def _refined(scene: Scene) -> Level:
 
 
 class _Evaluator:
-    """Runs the models of one case at one value of the raised key; volumetric ones on `level` if given."""
+    """Runs the reference of one case at a value of the raised key, on `level` if given, and the other models."""
 
     def __init__(
         self,
@@ -58,46 +63,51 @@ class _Evaluator:
         along: str,
         scene: Scene,
         reference: str,
-        names: Sequence[str],
         level: Level | None = None,
     ) -> None:
         self._study, self._along = study, along
         self._own: Level = (scene.mesh, scene.regions)
         self._level = level or self._own
-        self._reference, self._names = reference, names
+        self._reference = reference
+        self._known: dict[str, Any] = {}
         self._areas = Surface(scene.mesh.surface_points, scene.mesh.triangles).areas
 
     def __call__(self, load: float) -> LoadPoint | None:
-        """Every model at one load, None where the reference has no solution there."""
+        """Every model at one load, volumetric ones on the level; None where the reference has no solution there."""
         raised_study = raised(self._study, self._along, load)
         own = build_scene(raised_study, *self._own)
         inside = own if self._level is self._own else build_scene(raised_study, *self._level)
-        reference = models.run_model(inside, self._reference)
+        reference = models.run_model(inside, self._reference, self._known)
         if not _solved(reference):
             return None
-        results = {
-            name: models.run_model(inside if models.find(name)[0].volumetric else own, name)
-            for name in self._names
-        }
         surface = Surface(
             inside.mesh.surface_points, inside.mesh.triangles, inside.contact, inside.contact_force
         )
         return LoadPoint(
             load,
-            self._errors(results, reference.displacement[-1]),
+            _Errors(partial(self._error, own, inside, reference.displacement[-1])),
             float(mean_indentation(surface, reference.displacement[-1:])[0]),
             float(reference.scalars[STRAIN][-1]) if STRAIN in reference.scalars else math.nan,
         )
 
-    def _errors(self, results: Mapping[str, ModelResult], reference: Array) -> dict[str, float]:
+    def _error(self, own: Scene, inside: Scene, reference: Array, name: str) -> float:
         """On the nodes of the case's own mesh, which come first on a refined one."""
+        result = models.run_model(inside if models.find(name)[0].volumetric else own, name)
+        if not _solved(result):
+            return math.nan
         n_nodes = len(self._areas)
-        return {
-            name: relative_l2(result.displacement[-1, :n_nodes], reference[:n_nodes], self._areas)
-            if _solved(result)
-            else math.nan
-            for name, result in results.items()
-        }
+        return relative_l2(result.displacement[-1, :n_nodes], reference[:n_nodes], self._areas)
+
+
+class _Errors(dict[str, float]):
+    """Of models at one load, each run when it is first asked for: no search asks for all at every load."""
+
+    def __init__(self, run: Callable[[str], float]) -> None:
+        self._run = run
+
+    def __missing__(self, name: str) -> float:
+        self[name] = self._run(name)
+        return self[name]
 
 
 def _solved(result: ModelResult) -> bool:

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from studies import models
+from studies import models, small_strain
 from studies.case import SmallStrainLimits
+from studies.limits import LoadPath, LoadPoint
 from studies.meshing.mesh_cache import mesh_from_cache
 from studies.meshing.refine import inherit, refine
 from studies.scene import Scene, build_scene
@@ -53,14 +56,30 @@ levels = 2
 Found = tuple[Study, Scene, SmallStrainLimits]
 
 
+Runs = list[tuple[int, str, models.ModelResult]]  # tetrahedra, model, what it gave
+
+
 @pytest.fixture(scope="module")
-def found(tmp_path_factory: pytest.TempPathFactory) -> Found:
+def runs() -> Runs:
+    """Of every model in the search."""
+    return []
+
+
+@pytest.fixture(scope="module")
+def found(tmp_path_factory: pytest.TempPathFactory, runs: Runs) -> Found:
     directory = tmp_path_factory.mktemp("limits")
     path: Path = directory / "study.toml"
     path.write_text(STUDY)
     study = load_study(path)
     scene = build_scene(study, mesh_from_cache(geometry_of(study), directory / "cache", volume=True))
-    with sharing():
+    run = models.run_model
+
+    def watched(scene: Scene, name: str, *known: dict[str, Any]) -> models.ModelResult:
+        runs.append((len(scene.mesh.tetrahedra), name, run(scene, name, *known)))
+        return runs[-1][-1]
+
+    with sharing(), pytest.MonkeyPatch.context() as patch:
+        patch.setattr(models, "run_model", watched)
         return study, scene, small_strain_limits(study, scene)
 
 
@@ -111,6 +130,49 @@ def test_the_limit_of_the_refined_mesh_lies_inside_the_bar(found: Found) -> None
             error, strain = grown(study, scene, "fem-linear", limit.load, refined=True)
             assert_allclose(error - linear.structural_error, limit.threshold, rtol=0.005, atol=0)
             assert_allclose(limit.strain, strain, rtol=0.02, atol=0)
+
+
+@pytest.mark.parametrize("bars", [False, pytest.param(True, marks=pytest.mark.slow)])
+def test_the_short_way_to_each_load_gives_the_limits_of_the_long_one(
+    found: Found, monkeypatch: pytest.MonkeyPatch, *, bars: bool
+) -> None:
+    """From rest to every load, on both meshes where there are bars, and every model at every one."""
+    study, scene, short = found
+    if not bars:
+        study = study.model_copy(update={"uncertainty": None})
+        with sharing():
+            short = small_strain_limits(study, scene)
+    monkeypatch.setitem(models.MODELS, "fem", replace(models.MODELS["fem"], onward=None))
+
+    class Long(LoadPath):
+        def at(self, factor: float) -> LoadPoint | None:
+            point = super().at(factor)
+            return replace(point, error={name: point.error[name] for name in short.models}) if point else None
+
+    monkeypatch.setattr(small_strain, "LoadPath", Long)
+    with sharing():
+        long = small_strain_limits(study, scene)
+    for name, wanted in long.models.items():
+        got = short.models[name]
+        for one, other in zip((got, *got.limits), (wanted, *wanted.limits), strict=True):
+            for field, value in vars(other).items():
+                if isinstance(value, float):
+                    assert_allclose(getattr(one, field), value, rtol=1e-6, atol=1e-12, err_msg=field)
+        assert [limit.state for limit in got.limits] == [limit.state for limit in wanted.limits]
+
+
+def test_a_search_tries_a_model_only_where_its_limit_may_be(found: Found, runs: Runs) -> None:
+    """And goes on from load to load on one set-up of the reference for each mesh."""
+    study, *_ = found
+    own, refined = (
+        {name: [r for n, other, r in runs if (n, other) == (size, name)] for name in study.study.models}
+        for size in sorted({n for n, _, _ in runs})
+    )
+    assert len(own["fem-linear"]) < len(own["fem"])
+    assert len(refined["fem"]) == 5  # a small load, and one for each limit
+    assert len(refined["fem-linear"]) == 3  # of its own
+    for results in (own["fem"], refined["fem"]):  # from rest each would make a factor
+        assert sum(float(result.parameters["factorisations"]) for result in results) < 0.5 * len(results)
 
 
 def test_linear_elements_have_no_structural_error_and_a_surface_model_has(found: Found) -> None:

@@ -1,0 +1,70 @@
+"""A walk along one rising load: the short way to each load ends where the long way from rest does."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from fem_reference.finite_strain import FiniteStrainProblem
+from fem_reference.loads import Load
+from fem_reference.solution import Solution
+from fem_reference.walk import Walk
+from tests.unit.fem_shapes import Body, cube
+
+OUTPUTS = frozenset({"max_principal_strain", "volume"})
+SHARES = (0.01, 0.5, 1.0, 0.25, 0.75, 0.6, 0.75)
+
+
+@pytest.fixture(scope="module")
+def block() -> Body:
+    return cube(1)
+
+
+def _problem(b: Body) -> FiniteStrainProblem:
+    held = b.surface[:, 2] == 0.0
+    return FiniteStrainProblem(*b.arrays, held=held, youngs_modulus=1.0, poisson_ratio=0.45)
+
+
+def _pulled(b: Body, pressure: float) -> Load:
+    return b.load(-pressure * b.facets_where(lambda x: x[:, 2] == 1.0))
+
+
+def _assert_same(one: Solution, other: Solution) -> None:
+    assert one.status[0].ok
+    assert other.status[0].ok
+    for name in ("displacement", "reaction_force", "fluid_pressure", "energy"):
+        wanted = getattr(other, name)
+        assert_allclose(getattr(one, name), wanted, rtol=0, atol=1e-8 * np.abs(wanted).max())
+    for name in OUTPUTS:
+        assert_allclose(one.scalars[name], other.scalars[name], rtol=1e-8, atol=0)
+
+
+def test_each_load_gives_what_it_gives_from_rest_and_is_nearer(block: Body) -> None:
+    problem, walk = _problem(block), Walk()
+    loads = [_pulled(block, 0.4 * share) for share in SHARES]
+    short = [problem.solve([load], OUTPUTS, walk) for load in loads]
+    long = [_problem(block).solve([load], OUTPUTS) for load in loads]
+    for one, other in zip(short, long, strict=True):
+        _assert_same(one, other)
+    steps = np.array(
+        [[one.iterations[0], other.iterations[0]] for one, other in zip(short, long, strict=True)]
+    )
+    assert steps[3:, 0].sum() < steps[3:, 1].sum(), "between loads that are known"
+    assert steps[-1, 0] == 0, "a load that is known"
+
+
+def test_the_end_of_the_way_is_where_it_is_from_rest_and_is_looked_for_once(block: Body) -> None:
+    """Too small a load is no end."""
+    problem, walk = _problem(block), Walk()
+    assert problem.solve([_pulled(block, 1e-17)], OUTPUTS, walk).status[0].code == "too-small"
+    stopped = problem.solve([_pulled(block, 20.0)], OUTPUTS, walk)
+    assert stopped.status[0].code in {"not-converged", "inverted"}
+    end = 20.0 * stopped.scalars["load_factor"][0]
+    again = problem.solve([_pulled(block, 1.2 * end)], OUTPUTS, walk)
+    assert again.status[0].code == stopped.status[0].code
+    assert again.iterations[0] == 0
+    assert_allclose(again.displacement, stopped.displacement, rtol=1e-14, atol=0)
+    assert not _problem(block).solve([_pulled(block, 1.2 * end)]).status[0].ok
+    below = _pulled(block, 0.95 * end)
+    _assert_same(problem.solve([below], OUTPUTS, walk), _problem(block).solve([below], OUTPUTS))
