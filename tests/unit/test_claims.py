@@ -194,22 +194,44 @@ def test_anisotropy(own: float, verdict: str) -> None:
     assert judged(7, *cases).verdict == verdict
 
 
-def growing(small: float, large: float, stopped: int = 4) -> CaseResult:
-    name = "vdm-vector:nonlinear"
-    case = make_case({name: 0.0}, reference="fem", subdivisions=0, stopped={name: stopped})
-    errors = MetricSeries(np.linspace(small, large, 4), "1", "", 1)
-    metrics = {**case.metrics, name: {**case.metrics[name], "relative_l2_displacement_error": errors}}
+def growing(errors: Mapping[str, tuple[float, float]], stopped: str = "") -> CaseResult:
+    """Nonlinear forms by their errors at the smallest and at full load; `stopped` names one that stops before."""
+    case = make_case(
+        dict.fromkeys(errors, 0.0), reference="fem", subdivisions=0, stopped={stopped: 2} if stopped else None
+    )
+    metrics = dict(case.metrics)
+    for name, (small, large) in errors.items():
+        grown = MetricSeries(np.linspace(small, large, 4), "1", "", 1)
+        metrics[name] = {**metrics[name], "relative_l2_displacement_error": grown}
     return dataclasses.replace(case, metrics=metrics)
 
 
+A, B = "vdm-vector:nonlinear", "vdm-boundary:nonlinear"
+
+
 @pytest.mark.parametrize(
-    ("case", "verdict"),
-    [(growing(0.2, 0.22), HOLDS), (growing(0.2, 0.4), FAILS), (growing(0.2, 0.2, 2), FAILS)],
+    ("cases", "verdict", "growth"),
+    [
+        ([growing({A: (0.2, 0.22)})], HOLDS, "2 %"),
+        ([growing({A: (0.2, 0.4)})], FAILS, "20 %"),
+        ([growing({A: (0.2, 0.22), B: (0.2, 0.4)})], WITHIN_LIMITS, "20 %"),
+        ([growing({A: (0.2, 0.22), B: (0.2, 0.2)}, B)], FAILS, "2 %"),
+        # of several cases the one with the largest growth counts, wherever it stands
+        ([growing({A: (0.2, 0.4)}), growing({A: (0.2, 0.22)})], FAILS, "20 %"),
+        ([growing({A: (0.2, 0.22)}), growing({A: (0.2, 0.4)})], FAILS, "20 %"),
+        ([growing({A: (0.2, math.nan)}), growing({A: (0.2, 0.22)})], FAILS, "– %"),
+    ],
 )
-def test_large_strain(case: CaseResult, verdict: str) -> None:
-    outcome = judged(8, case)
+def test_large_strain(cases: list[CaseResult], verdict: str, growth: str) -> None:
+    outcome = judged(8, *cases)
     assert outcome.verdict == verdict
-    assert outcome.number.endswith(" growth at most (bar not measured)")
+    assert outcome.number == f"{growth} growth at most (bar not measured)"
+
+
+def test_no_growth_is_told_of_forms_that_all_stop() -> None:
+    outcome = judged(8, growing({A: (0.2, 0.2)}, A))
+    assert (outcome.verdict, outcome.number) == (FAILS, "no form reaches the full load")
+    assert outcome.reason == f"{A} did not reach the full load."
 
 
 @pytest.mark.parametrize(
@@ -233,7 +255,9 @@ def test_a_claim_without_a_study_is_not_decided() -> None:
 @pytest.fixture
 def runs() -> list[Run]:
     hostile = make_run(
-        [growing(0.1, math.nan), growing(0.1, 0.11)], claims=[8, 1], name="<script>alert(1)</script>"
+        [growing({A: (0.1, math.nan)}), growing({A: (0.1, 0.11)})],
+        claims=[8, 1],
+        name="<script>alert(1)</script>",
     )
     blood = make_case({"vdm-paper": -0.9}, swept={"vdm.bulk_modulus": 2.2e9}, subdivisions=0)
     return [hostile, make_run([blood], claims=[6], name="blood")]
