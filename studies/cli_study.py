@@ -88,6 +88,7 @@ def plan_verb(options: argparse.Namespace) -> int:
 
     study, _ = _load(options)
     plan = _make_plan(study, options)
+    _keep_other_surface(plan, options)
     _check_files(plan, plan.cases_to_run())
     planned = summary(plan, options.jobs or os.cpu_count() or 1)
     if options.json:
@@ -116,6 +117,7 @@ def run_verb(options: argparse.Namespace) -> int:
 
     study, path = _load(options)
     plan = _make_plan(study, options)
+    _keep_other_surface(plan, options)
     how = Options(
         jobs=options.jobs or os.cpu_count() or 1,
         shard=options.shard,
@@ -142,6 +144,7 @@ def calibrate_verb(options: argparse.Namespace) -> int:
 
     study, path = _load(options)
     plan, finer = _make_plan(study, options), with_mesh_size(study, FINER)
+    _keep_other_surface(plan, options)
     check(plan)
     elsewhere = []  # read, and found to be of use, before anything is run
     for name in options.transfer:
@@ -244,6 +247,28 @@ def _make_plan(
         directory = results_directory() / "runs" / study.study.name
     cache = results_directory() / "cache"
     return make_plan(study, expand(study), directory, cache, command or _command("run", options))
+
+
+def _keep_other_surface(plan: Plan, options: argparse.Namespace) -> None:
+    """Raises UsageError where the default directory has the results of another surface file of the same name."""
+    from .hdf5 import StoreError
+    from .store import read_plan
+
+    if options.surface is None or options.out is not None:
+        return
+    try:
+        there = read_plan(plan.directory)
+    except StoreError:
+        return
+    words = there.get("command", [])
+    other = words[words.index("--surface") + 1] if "--surface" in words else None
+    if other is None or Path(other).resolve() == options.surface.resolve():
+        return
+    if not plan.meshes.keys() & {case.get("mesh") for case in there["cases"]}:  # nor a copy of the same
+        raise UsageError(
+            f"{plan.directory} has the results of another surface, {other}; give those of {options.surface} a "
+            "directory of their own by --out"
+        )
 
 
 def _command(verb: str, options: argparse.Namespace) -> tuple[str, ...]:

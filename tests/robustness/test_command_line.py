@@ -220,6 +220,36 @@ def test_a_surface_has_a_directory_of_its_own_and_its_report_says_how_to_get_it_
     assert "results/baselines/small-my-egg.json: no such baseline" in other.stderr
 
 
+def test_a_surface_of_the_same_file_name_does_not_overwrite_the_results_of_another(tmp_path: Path) -> None:
+    write_study(
+        tmp_path, a=('["vdm-paper", "fem-linear"]', '["vdm-paper"]'), b=('reference = "fem-linear"\n', "")
+    )
+    points, triangles = icosphere(3)
+    for name, radius in (("a", 0.05), ("b", 0.06)):
+        (tmp_path / name).mkdir()
+        meshio.Mesh(radius * points, [("triangle", triangles)]).write(tmp_path / name / "ball.obj")
+    shutil.copytree(tmp_path / "a", tmp_path / "copy")
+    command = ("small.toml", "--surface")
+    assert vdmbench("run", *command, "a/ball.obj", cwd=tmp_path).returncode == 0
+    report = tmp_path / "results/runs/small-ball/report.html"
+    first = report.read_bytes()
+    for verb in ("plan", "run", "calibrate"):
+        refused = vdmbench(verb, *command, "b/ball.obj", cwd=tmp_path)
+        assert refused.returncode == 2
+        assert refused.stderr.endswith(
+            "results/runs/small-ball has the results of another surface, a/ball.obj; give those of b/ball.obj a "
+            "directory of their own by --out\n"
+        )
+    assert report.read_bytes() == first
+    assert vdmbench("check", *command, "b/ball.obj", cwd=tmp_path).returncode == 0
+    assert vdmbench("run", *command, "b/ball.obj", "--out", "other", cwd=tmp_path).returncode == 0
+    moved = vdmbench("plan", *command, "copy/ball.obj", "--json", cwd=tmp_path)
+    assert json.loads(moved.stdout)["cases_to_run"] == 0, "a copy of it is the same surface"
+    (tmp_path / "a/ball.obj").write_bytes((tmp_path / "b/ball.obj").read_bytes())
+    changed = vdmbench("run", *command, "a/ball.obj", cwd=tmp_path)
+    assert changed.returncode == 0, "a file that has changed is the user's to run again"
+
+
 # --- mistakes ---
 
 
