@@ -86,23 +86,24 @@ def gate_verb(options: argparse.Namespace) -> int:
     run = read_run(options.directory)
     study = str(run.study["name"])
     path = _baseline(options, study)
-    # nobody has accepted anything: no mistake of the command
-    if options.baseline is None and not path.exists():
-        return complain(f"nothing was compared: {gate.no_baseline(path)}", NOTHING_COMPARED)
-    baseline = gate.read_baseline(path)
-    findings = gate.compare(run, baseline)
+    # where nobody has accepted anything, that is no mistake of the command, and whoever collects files finds them
+    missing = gate.no_baseline(path) if options.baseline is None and not path.exists() else ""
+    baseline = None if missing else gate.read_baseline(path)
+    findings = gate.compare(run, baseline) if baseline else [gate.not_comparable(missing)]
+    told = f"Baseline of {baseline.date}: {baseline.reason}" if baseline else "There is no baseline."
     if options.junit:
         write_atomically(options.junit, junit(study, findings))
     if options.markdown:
-        text = markdown(study, baseline.reason, baseline.date, findings)
-        write_atomically(options.markdown, text.encode("utf-8", "replace"))
+        write_atomically(options.markdown, markdown(study, told, findings).encode("utf-8", "replace"))
     if options.json:
         print_json({"study": study, "counts": gate.counts(findings), "findings": gate.as_data(findings)})
-    else:
+    elif baseline:
         for finding in findings:
             if finding.outcome != gate.SAME:
                 print(describe(finding))
         print(f"{study}: {summary(findings)} (baseline of {baseline.date}: {baseline.reason})")
+    if missing:
+        return complain(f"nothing was compared: {missing}", NOTHING_COMPARED)
     if gate.regressed(findings):
         return REGRESSED
     return NOTHING_COMPARED if gate.nothing_compared(findings) else OK

@@ -20,6 +20,7 @@ LIBRARIES = {
     "libXinerama.so.1": "libxinerama1",
     "libGL.so.1": "libgl1",
 }
+# what the project requires, and a module of each that needs all of it
 PACKAGES = {
     "numpy": "numpy",
     "scipy": "scipy",
@@ -27,10 +28,19 @@ PACKAGES = {
     "gmsh": "gmsh",
     "meshio": "meshio",
     "pyvista": "pyvista",
+    "vtk": "vtkmodules.vtkIOXML",
     "h5py": "h5py",
-    "rslab": "rslab",
-    "pyamg": "pyamg",
+    "pyacvd": "pyacvd",
     "cholespy": "cholespy",
+    "pyamg": "pyamg",
+    "rslab": "rslab",
+    "pint": "pint",
+    "pydantic": "pydantic",
+    "jinja2": "jinja2",
+    "matplotlib": "matplotlib.figure",
+    "rich": "rich",
+    "tomli-w": "tomli_w",
+    "threadpoolctl": "threadpoolctl",
 }
 # packages that are not needed, and what is done without them
 _FALLBACKS = {"rslab": "finite elements factorise with SciPy's SuperLU instead, slower and in more memory"}

@@ -102,14 +102,23 @@ def targets(data: Mapping[str, Any]) -> dict[str, Target]:
     """Every key path that `data`, as parsed from a study file, lets a sweep vary.
 
     Constraints, regions and the tables of single models go by their names (`constraints.finger.pressure`), the
-    components of a vector by their index (`gravity.acceleration.2`).
+    components of a vector by their index (`gravity.acceleration.2`). Each model of the study can have a table.
     """
     found: dict[str, Target] = {}
     for name, field in keys_of(Study).items():
         if name not in _NEVER_SWEPT:
-            for key, target in _targets(*_field_type(field), name, (name,), data.get(name)):
+            value = _of_each_model(data) if name == "models" else data.get(name)
+            for key, target in _targets(*_field_type(field), name, (name,), value):
                 found.setdefault(key, target)
     return found
+
+
+def _of_each_model(data: Mapping[str, Any]) -> dict[str, Any]:
+    """The tables of single models, empty where a model of the study has none."""
+    study, given = data.get("study"), data.get("models")
+    listed = study.get("models") if isinstance(study, dict) else None
+    names = [name for name in listed if isinstance(name, str)] if isinstance(listed, list | tuple) else []
+    return {name: {} for name in names} | (given if isinstance(given, dict) else {})
 
 
 def _targets(annotation: Any, si: SI | None, key: str, loc: Loc, value: Any) -> Iterator[tuple[str, Target]]:

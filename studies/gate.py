@@ -173,6 +173,11 @@ def no_baseline(path: Path) -> str:
     return f"{path}: no such baseline; make one with: vdmbench accept DIR --reason TEXT"
 
 
+def not_comparable(why: str) -> Finding:
+    """What there is to say of a study where nothing can be compared."""
+    return Finding(NOT_COMPARABLE, "baseline", "", "", why=why)
+
+
 def read_baseline(path: Path) -> Baseline:
     """Read and validate a baseline.
 

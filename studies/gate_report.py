@@ -55,9 +55,9 @@ def junit(study: str, findings: Sequence[Finding]) -> bytes:
     return out
 
 
-def markdown(study: str, reason: str, date: str, findings: Sequence[Finding]) -> str:
-    """A summary with a table of everything that is not as it was."""
-    text = f"# Accuracy of {_cell(study)}\n\n{summary(findings)}. Baseline of {date}: {_cell(reason)}\n"
+def markdown(study: str, baseline: str, findings: Sequence[Finding]) -> str:
+    """A summary with a table of everything that is not as it was; `baseline` is a sentence on it."""
+    text = f"# Accuracy of {_cell(study)}\n\n{summary(findings)}. {_cell(baseline)}\n"
     changed = [finding for finding in findings if finding.outcome != SAME]
     if changed:
         text += "\n| outcome | case | model | metric | was | is | tolerance | why |\n" + "| --- " * 8 + "|\n"

@@ -189,10 +189,19 @@ class Digest:
     @cached_property
     def unusual_levels(self) -> dict[str, int]:
         """Behaviour of the reference's mesh levels -> cases, where it gives no order to extrapolate with."""
-        estimates = [uncertainty.stored_estimate(case.reference_error) for case in self.cases]
-        names = [e.behaviour for e in estimates if e is not None]
-        usual = (uncertainty.CONVERGING, uncertainty.TWO_LEVELS)
+        names, usual = self._behaviours, (uncertainty.CONVERGING, uncertainty.TWO_LEVELS)
         return {name: names.count(name) for name in dict.fromkeys(names) if name not in usual}
+
+    @property
+    def order_is_assumed(self) -> bool:
+        """Whether all that is known of the reference's error is from two mesh levels, which show no order."""
+        return set(self._behaviours) == {uncertainty.TWO_LEVELS}
+
+    @cached_property
+    def _behaviours(self) -> list[str]:
+        """What the reference's mesh levels do, of each case that has them."""
+        estimates = [uncertainty.stored_estimate(case.reference_error) for case in self.cases]
+        return [e.behaviour for e in estimates if e is not None]
 
     @cached_property
     def summaries(self) -> tuple[ModelSummary, ...]:

@@ -264,6 +264,8 @@ def _resolution(digest: Digest, error: Spread) -> str:
             f"{name} in {plural(n, 'case')}" if many else name for name, n in digest.unusual_levels.items()
         ]
         bar += f" (its mesh levels are {listed(named)}: the widest margin was taken)"
+    elif digest.order_is_assumed:
+        bar += " (from two mesh levels, taken to converge with order 2; levels = 3 shows the order)"
     if error.resolved == error.cases:
         return f"{bar}, at most a tenth of the difference, which is thereby resolved."
     if not error.resolved:

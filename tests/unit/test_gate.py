@@ -275,7 +275,7 @@ def test_junit_and_markdown(path: Path) -> None:
     assert len(failures) == int(suite.attrib["failures"]) == counts(findings)[gate.WORSE]
     assert len(suite.findall("testcase/skipped")) == int(suite.attrib["skipped"]) == 1
     assert "0.2 -> 0.3 (tolerance 0.004)" in "".join(f.attrib["message"] for f in failures)
-    text = markdown("ball", "a | reason", "2026-01-02", findings)
+    text = markdown("ball", "Accepted for: a | reason", findings)
     assert f"| worse | nu = 0.49 | vdm-vector | {VECTOR} | 0.2 | 0.3 | 0.004 |  |" in text
     assert "a \\| reason" in text
     assert "unchanged |" not in text
@@ -296,8 +296,13 @@ def test_the_commands_and_their_exit_codes(tmp_path: Path) -> None:
     (tmp_path / "small.toml").write_text(SMALL_STUDY)
     assert vdmbench("run", "small.toml", cwd=tmp_path).returncode == 0
     directory = "results/runs/small"
-    nothing = vdmbench("gate", directory, cwd=tmp_path)
+    files = ("--junit", "none.xml", "--markdown", "none.md")
+    nothing = vdmbench("gate", directory, "--json", *files, cwd=tmp_path)
     assert nothing.returncode == 6
+    assert json.loads(nothing.stdout)["counts"] == {"not comparable": 1}
+    (suite,) = ElementTree.parse(tmp_path / "none.xml").getroot()
+    assert suite.attrib["tests"] == suite.attrib["skipped"] == "1"
+    assert "no such baseline" in (tmp_path / "none.md").read_text()
     assert "vdmbench accept DIR" in nothing.stderr
     assert "--baseline" not in nothing.stderr
     nowhere = vdmbench("gate", directory, "--baseline", "nowhere.json", cwd=tmp_path)

@@ -182,6 +182,13 @@ def test_files_can_be_swept(tmp_path: Path) -> None:
     assert "1 more cases" in message
 
 
+def test_a_model_of_the_study_needs_no_table_of_its_own(tmp_path: Path) -> None:
+    base = SWEPT.replace('models = ["vdm-paper"]', 'models = ["vdm-paper", "vdm-vector"]')
+    assert "vdm-vector" not in load(tmp_path, base).models
+    cases = swept(tmp_path, '"models.vdm-vector.bulk_modulus" = [1.0, 2.0]\n', base)
+    assert [case.study.models["vdm-vector"].bulk_modulus for case in cases] == [1.0, 2.0]
+
+
 def test_one_at_a_time_is_a_base_and_each_axis_alone(tmp_path: Path) -> None:
     cases = swept(tmp_path, STAR)
     pressure, penalty = "constraints.finger.pressure", "models.vdm-paper.penalty"

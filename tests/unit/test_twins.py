@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import re
+import tomllib
 from pathlib import Path
 
 import fem_reference.solution
@@ -11,7 +12,7 @@ import vdm.formulations.boundary
 import vdm.solution
 from studies import estimate
 from studies.case import ModelResult
-from studies.doctor import LIBRARIES
+from studies.doctor import LIBRARIES, PACKAGES
 
 ROOT = Path(__file__).parents[2]
 
@@ -42,6 +43,11 @@ def test_make_and_doctor_want_the_same_libraries() -> None:
     """`make` looks for them before there is a Python environment to ask."""
     makefile = (ROOT / "Makefile").read_text()
     assert dict(re.findall(r'"(lib[^"]+\.so\.\d+)": "([^"]+)"', makefile)) == LIBRARIES
+
+
+def test_doctor_looks_at_every_package_that_is_required() -> None:
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    assert [line.split(">=")[0] for line in project["dependencies"]] == list(PACKAGES)
 
 
 def test_what_is_required_is_pinned() -> None:
