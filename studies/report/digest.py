@@ -234,10 +234,18 @@ class Digest:
 
     @cached_property
     def focus(self) -> str | None:
-        """The model that the page looks at closely: the candidate with the smallest median error."""
-        rated = [(s.vector.median, s.name) for s in self.summaries if s.vector and s.name in self.candidates]
+        """The model that the page looks at closely: the candidate with the smallest median error.
+
+        A case without an answer counts as further off than any other: who answers few is not the closest.
+        """
+        rated = []
+        for name, spread in ((s.name, s.vector) for s in self.summaries if s.name in self.candidates):
+            if spread is not None:
+                errors = [at_full_load(case, name, VECTOR) for case in self.cases]
+                median = float(np.median([e if math.isfinite(e) else math.inf for e in errors]))
+                rated.append((median, -spread.cases, spread.median, name))
         if rated:
-            return min(rated, key=lambda pair: pair[0])[1]
+            return min(rated, key=lambda entry: entry[:-1])[-1]
         others = [name for name in self.models if name != self.reference]
         return next(iter([*others, *self.models]), None)
 

@@ -19,7 +19,8 @@ def headline_rows(run: Run) -> list[dict[str, str]]:
         return []
     rows = []
     for summary in digest.summaries:
-        row = {"model": f"{summary.name} (reference)" if summary.is_reference else summary.name}
+        about = _about_model(summary)
+        row = {"model": f"{summary.name} ({about})" if about else summary.name}
         if digest.compared:
             row["displacement error"] = _one_line(summary.vector)
             row["deformation error"] = _one_line(summary.deformation)
@@ -102,10 +103,7 @@ def _table(digest: Digest) -> Table:
     columns += [Column("Set-up", unit="s"), Column("Per frame", unit="s"), Column("Memory", unit="B")]
     rows = []
     for summary in digest.summaries:
-        about = ["reference"] if summary.is_reference else []
-        if summary.failed_cases:
-            about.append(f"incomplete in {plural(summary.failed_cases, 'case')}")
-        row = [Cell(summary.name, ", ".join(about))]
+        row = [Cell(summary.name, _about_model(summary))]
         if digest.compared:
             for spread in (summary.vector, summary.deformation):
                 row += [_median(spread), _worst(spread)] if many else [_worst(spread)]
@@ -118,6 +116,13 @@ def _table(digest: Digest) -> Table:
         rows.append(row)
     marks = [digest.colour(s.name) for s in digest.summaries]
     return Table(name="headline", caption="", columns=columns, rows=rows, marks=marks)
+
+
+def _about_model(summary: ModelSummary) -> str:
+    about = ["reference"] if summary.is_reference else []
+    if summary.failed_cases:
+        about.append(f"incomplete in {plural(summary.failed_cases, 'case')}")
+    return ", ".join(about)
 
 
 def _about_setup(summary: ModelSummary) -> str:

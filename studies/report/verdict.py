@@ -13,6 +13,7 @@ from .formatting import listed, plain, plural, quantity, short_percent, swept_va
 from .section_errors import parameter_name
 from .verdict_load import (
     CLOSE,
+    LOST,
     OPEN,
     WITHIN,
     beyond_small_strain,
@@ -95,8 +96,8 @@ def _good_enough(digest: Digest, best: ModelSummary, rated: dict[str, Spread]) -
         return _answer(question, "Not judged", [rest, _accuracy(digest, best, among=len(rated))])
     states = [case_state(case, best.name, case.full_load) for case in digest.cases]
     limit = short_percent(CLOSE)
-    count, within, left = len(states), states.count(WITHIN), states.count(OPEN)
-    beyond = count - within - left
+    count, within, left, lost = len(states), *map(states.count, (WITHIN, OPEN, LOST))
+    beyond = count - within - left - lost
     every = " in every case" if count > 1 else ""
     bare = "" if rated[best.name].measured else " (no error bar)"
     if within == count:
@@ -112,8 +113,9 @@ def _good_enough(digest: Digest, best: ModelSummary, rated: dict[str, Spread]) -
         parts = [f"within {limit} in {within} of {count} cases"] if within else []
         parts += [f"beyond in {beyond}"] if beyond else []
         parts += [f"undecided in {left}, within the reference's own error"] if left else []
+        parts += [f"no answer in {lost}"] if lost else []
         none = "" if within else f"within {limit} in none of {count} cases: "
-        word, rest = "In part" if within else "Not shown", f"{none}{listed(parts)}"
+        word, rest = "In part" if within else "Not shown" if left else "No", f"{none}{listed(parts)}"
     return _answer(
         question,
         word,
@@ -154,7 +156,14 @@ def _accuracy(digest: Digest, best: ModelSummary, among: int) -> str:
         if spread.cases > 1:
             text += f" (worst case {_with_bar(spread.worst, spread.worst_bar)})"
         parts.append(text)
-    return f"At full load {subject} is {' and '.join(parts)}."
+    answered = _answered(digest, best.vector)
+    return f"At full load{f', {answered},' if answered else ''} {subject} is {' and '.join(parts)}."
+
+
+def _answered(digest: Digest, error: Spread | None) -> str:
+    """In how many cases a model has an answer at full load, where it is not all."""
+    found, count = error.cases if error is not None else 0, len(digest.cases)
+    return f"in the {found} of {plural(count, 'case')} with an answer" if found < count else ""
 
 
 # --- formulation, cost, certainty ---
@@ -181,7 +190,7 @@ def _parameters(digest: Digest, best: ModelSummary, rated: dict[str, Spread]) ->
     sentences = [f"{text}."]
     if others:
         many = " (medians)" if len(digest.cases) > 1 else ""
-        sentences.append(f"The others: {listed(f'{n} {_short(e)}' for n, e in others.items())}{many}.")
+        sentences.append(f"The others: {listed(_short(digest, n, e) for n, e in others.items())}{many}.")
     return sentences
 
 
@@ -192,11 +201,11 @@ def _given(case: CaseResult, model: str) -> set[str]:
     return {*(case.resolved.get("vdm") or {}), *(table or {})}
 
 
-def _short(error: Spread) -> str:
-    """A median, named unresolved where the reference's own error was measured and is too wide for it."""
-    text = short_percent(error.median)
+def _short(digest: Digest, name: str, error: Spread) -> str:
+    """A model's median, named unresolved where the reference's own error was measured and is too wide for it."""
     resolved = not error.measured or is_resolved(error.median, error.median_bar)
-    return text if resolved else f"{text} (unresolved)"
+    text = f"{name} {short_percent(error.median)}{'' if resolved else ' (unresolved)'}"
+    return " ".join(filter(None, (text, _answered(digest, error))))
 
 
 def _cost(digest: Digest, best: ModelSummary) -> list[str]:
@@ -238,6 +247,7 @@ def _beaten(digest: Digest, best: ModelSummary) -> str:
         and s.vector
         and best.vector
         and s.vector.median < best.vector.median
+        and s.vector.cases >= best.vector.cases
         and s.seconds_per_step < best.seconds_per_step
     ]
     if not better:

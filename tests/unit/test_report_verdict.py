@@ -11,6 +11,7 @@ import pytest
 
 from studies.case import CaseResult, Limit, ModelLimits, Run, SmallStrainLimits
 from studies.report.digest import Digest
+from studies.report.headline import headline_rows
 from studies.report.verdict import _READ, PARAMETERS, answers
 from studies.report.verdict_load import BEYOND, LOST, OPEN, WITHIN, case_state
 from studies.study_file.schema import VdmTable
@@ -95,9 +96,53 @@ def test_a_model_that_has_no_answer_is_not_good_enough() -> None:
     assert case_state(case, "vdm-m", 3) == LOST
     other = make_case({"vdm-m": 0.01}, swept={"k": 2.0}, subdivisions=1)
     text = told(make_run([case, other]))
-    assert text[GOOD].startswith("In part: within 10 % in 1 of 2 cases and beyond in 1 (no error bar).")
+    assert text[GOOD].startswith(
+        "In part: within 10 % in 1 of 2 cases and no answer in 1 (no error bar). "
+        "At full load, in the 1 of 2 cases with an answer, vdm-m is 1 % off"
+    )
     assert "Within 10 % are the cases with k = 2." in text[GOOD]
     assert "No answer at some load or at all: vdm-m in 1 case; the reasons are below." in text[SURE]
+
+
+def partly_answered(*errors: tuple[float, float]) -> Run:
+    """vdm-a and vdm-b by case; NaN where one stops before full load."""
+    return make_run(
+        [
+            make_case(
+                dict(zip(("vdm-a", "vdm-b"), pair, strict=True)),
+                label=str(k),
+                swept={"k": float(k)},
+                stopped={n: 3 for n, e in zip(("vdm-a", "vdm-b"), pair, strict=True) if math.isnan(e)},
+                subdivisions=1,
+            )
+            for k, pair in enumerate(errors)
+        ]
+    )
+
+
+def test_who_answers_few_cases_is_not_the_closest() -> None:
+    few = partly_answered((0.03, 0.12), *[(math.nan, 0.12)] * 3)
+    assert Digest(few).focus == "vdm-b"
+    text = told(few)
+    assert text[GOOD].startswith(
+        "No: not within 10 % in any case (no error bar). At full load vdm-b, the closest of 2 VDM models, is 12 %"
+    )
+    assert text[WITH].endswith("The others: vdm-a 3 % in the 1 of 4 cases with an answer (medians).")
+    names = [row["model"] for row in headline_rows(few)]
+    assert names == ["vdm-a (incomplete in 3 cases)", "vdm-b", f"{REFERENCE} (reference)"]
+    # one case lost of four is no reason to call one that is four times further off the closest
+    assert Digest(partly_answered((math.nan, 0.12), *[(0.03, 0.12)] * 3)).focus == "vdm-a"
+    # where none answers half of the cases: who answers most
+    assert Digest(partly_answered((0.03, math.nan), *[(math.nan, math.nan)] * 3)).focus == "vdm-a"
+    rare = partly_answered((0.03, math.nan), (math.nan, 0.12), (math.nan, 0.12), *[(math.nan, math.nan)] * 3)
+    assert Digest(rare).focus == "vdm-b"
+
+
+def test_a_lost_case_is_neither_within_nor_beyond() -> None:
+    run = partly_answered((0.2, math.nan), (math.nan, math.nan), (0.3, math.nan))
+    assert told(run)[GOOD].startswith(
+        "No: within 10 % in none of 3 cases: beyond in 2 and no answer in 1 (no"
+    )
 
 
 def test_within_in_no_case_is_not_in_part() -> None:
@@ -132,13 +177,18 @@ def test_the_verdict_is_about_vdm_even_where_elements_are_closer() -> None:
     quick = dataclasses.replace(
         case.models["fem-condensed"], seconds_per_step=case.models["vdm-b"].seconds_per_step / 4
     )
-    text = told(make_run([dataclasses.replace(case, models={**case.models, "fem-condensed": quick})]))
+    run = make_run([dataclasses.replace(case, models={**case.models, "fem-condensed": quick})])
+    text = told(run)
     assert text[GOOD].startswith(
         "No: not within 10 % (no error bar). At full load vdm-b, the closest of 2 VDM models, is 20 %"
     )
     assert text[COST].endswith(
         "Both faster per frame and closer: fem-condensed (200 µs, 1 % off, 60 ms of set-up)."
     )
+    other = make_case(
+        {"vdm-a": 0.3, "vdm-b": 0.2, "fem-condensed": 0.01}, swept={"k": 2.0}, stopped={"fem-condensed": 0}
+    )
+    assert "Both faster" not in told(make_run([*run.cases, other]))[COST], "it has no answer in one of two"
     assert "Both faster" not in told(make_run([case]))[COST], "closer but slower"
 
 
