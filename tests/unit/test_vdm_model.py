@@ -487,3 +487,21 @@ def test_moduli_without_meaning_are_refused_by_every_form(formulation):
                 model(formulation, parameters=replace(rule, **{name: value}), fixed=BASE)
     with pytest.raises(ParameterError, match=f"{MODULI[formulation][-1]}.*positive"):
         model(formulation, parameters=replace(rule, **dict.fromkeys(MODULI[formulation], 0.0)), fixed=BASE)
+
+
+def test_one_frame_is_spent_before_any_is_measured(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Once for each set-up: the first is slower than those after it."""
+    body = model("paper", fixed=BASE)
+    seen: list[Load] = []
+    step = body.solver.step
+
+    def counted(load, previous=None):
+        seen.append(load)
+        return step(load, previous)
+
+    monkeypatch.setattr(body.solver, "step", counted)
+    half = Load(0.5 * FINGER.contact_pressure)
+    assert len(body.solve([half, FINGER]).seconds_per_step) == 2
+    body.solve([FINGER])
+    pressed = [load.contact_pressure.max() for load in seen]
+    assert pressed == [100.0, 100.0, 200.0, 200.0]
