@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import platform
+import subprocess
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
@@ -318,6 +319,7 @@ def provenance(mesh: Mesh) -> dict[str, str]:
 def _machine() -> dict[str, str]:
     return {
         **{f"package.{name}": _version(name) for name in PACKAGES},
+        "commit": _commit(),
         "python": platform.python_version(),
         "platform": platform.platform(),
         "processor": _processor(),
@@ -329,6 +331,18 @@ def _version(package: str) -> str:
         return version(package)
     except PackageNotFoundError:  # one that can be done without
         return "not installed"
+
+
+def _commit() -> str:
+    """Of the source tree that the program runs from, "-dirty" where it was changed since."""
+    root = Path(__file__).parents[1]
+    if not (root / ".git").exists():
+        return "not a source tree"
+    try:
+        asked = ["git", "-C", str(root), "describe", "--always", "--abbrev=40", "--dirty", "--exclude=*"]
+        return subprocess.run(asked, capture_output=True, text=True, check=True, timeout=10).stdout.strip()
+    except (OSError, subprocess.SubprocessError):  # no git, or one that does not trust whose tree it is
+        return "unknown"
 
 
 def _processor() -> str:

@@ -251,11 +251,6 @@ def written(columns: Sequence[tuple[str, Costs]]) -> str:
         [first, *(f"{c.seconds[first]:.3g} s" for _, c in columns)],
         *([study, *(cell(c, study) for _, c in columns)] for study in others),
         ["a further multiple", *(f"{1e3 * sum(c.further.values()):.0f} ms" for _, c in columns)],
-        *(
-            [f"of it {part}", *(f"{1e3 * c.further.get(part, 0.0):.1f} ms" for _, c in columns)]
-            for part in dict.fromkeys(part for _, c in columns for part in c.further)
-        ),
-        ["difference of a multiple's numbers", *(f"{c.difference:.0e}" for _, c in columns)],
     ]
     return marked.table(["study", *(body for body, _ in columns)], rows)
 

@@ -1,0 +1,34 @@
+"""Where a result comes from: the commit of the program's source tree."""
+
+from __future__ import annotations
+
+import subprocess
+from pathlib import Path
+
+import pytest
+
+from studies import worker
+
+
+def git(tree: Path, *words: str) -> str:
+    who = ("-c", "user.name=t", "-c", "user.email=t@example.org", "-c", "commit.gpgsign=false")
+    done = subprocess.run(["git", "-C", tree, *who, *words], capture_output=True, text=True, check=True)
+    return done.stdout.strip()
+
+
+def test_the_commit_is_that_of_the_tree(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    source = tmp_path / "studies" / "worker.py"
+    source.parent.mkdir()
+    source.write_text("first\n")
+    monkeypatch.setattr(worker, "__file__", str(source))
+    assert worker._commit() == "not a source tree"
+    git(tmp_path, "init", "-q")
+    assert worker._commit() == "unknown", "nothing is committed yet"
+    git(tmp_path, "add", ".")
+    git(tmp_path, "commit", "-qm", "first")
+    assert worker._commit() == git(tmp_path, "rev-parse", "HEAD")
+    git(tmp_path, "tag", "v1")
+    source.write_text("second\n")
+    assert worker._commit() == git(tmp_path, "rev-parse", "HEAD") + "-dirty"
+    monkeypatch.setenv("PATH", str(tmp_path))
+    assert worker._commit() == "unknown", "there is no git"
