@@ -18,6 +18,11 @@ RESTART = 80  # vectors that GMRES keeps
 # that an entry takes at the peak in single and double precision: balls and cubes of 4,000 to 28,000 unknowns.
 _FILL, _FILL_EXPONENT = 5.5e8, 1.6
 _BYTES_PER_ENTRY = {"float32": 8.5, "float64": 13.0}
+# Measured on a pressed sphere: Newton steps in a load step, preconditioners made, and the work of an inexact solve
+# over that of a linear problem (a dozen solves with a factor, half the GMRES steps).
+NEWTON_STEPS = 4
+_PREPARATIONS = {"direct": 1.5, "iterative": 1.0}
+_EFFORT = {"direct": 12.0, "iterative": 0.5}
 
 
 @dataclass(frozen=True)
@@ -42,6 +47,20 @@ def estimate_costs(unknowns: int, vertices: int, loads: int, stiffening: float =
     return {
         "direct": Estimate(direct_seconds(unknowns, loads), direct_bytes(unknowns)),
         "iterative": Estimate(0.8 * size + loads * 2.8 * iterations * size**1.1, vectors + coarse),
+    }
+
+
+def estimate_newton_costs(unknowns: int, vertices: int, loads: int) -> dict[str, Estimate]:
+    """Cost of the tangent systems of some load steps of finite strain on each path, by name."""
+    solves = NEWTON_STEPS * max(1, loads)
+    first, second = (estimate_costs(unknowns, vertices, n) for n in (0, 1))
+    return {
+        name: Estimate(
+            _PREPARATIONS[name] * first[name].seconds
+            + _EFFORT[name] * solves * (second[name].seconds - first[name].seconds),
+            second[name].bytes,
+        )
+        for name in first
     }
 
 

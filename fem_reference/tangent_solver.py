@@ -14,7 +14,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from fem_reference.costs import estimate_costs
+from fem_reference.costs import NEWTON_STEPS, estimate_costs, estimate_newton_costs
 from fem_reference.factorisation import LIBRARY, analyse, pivotable_triangle
 from fem_reference.krylov import gmres
 from fem_reference.linear_algebra import SOLVERS
@@ -25,12 +25,6 @@ from fem_reference.system import LinearSystem
 
 Array = NDArray[np.float64]
 Operator = Callable[[Array], Array]
-
-# For the estimate of costs, measured on a pressed sphere: Newton steps in a load step, preconditioners made, and
-# the work of an inexact solve over that of a linear problem (a dozen solves with a factor, half the GMRES steps).
-_NEWTON_STEPS = 4
-_PREPARATIONS = {"direct": 1.5, "iterative": 1.0}
-_EFFORT = {"direct": 12.0, "iterative": 0.5}
 
 
 @dataclass(frozen=True)
@@ -200,18 +194,12 @@ class TangentSolver:
 
 
 def _choose(system: LinearSystem, expected_loads: int, memory_limit: float | None) -> tuple[str, str]:
-    solves = _NEWTON_STEPS * max(1, expected_loads)
-    first, second = (estimate_costs(system.size, system.mesh.n_vertices, loads) for loads in (0, 1))
-    seconds = {
-        name: _PREPARATIONS[name] * first[name].seconds
-        + _EFFORT[name] * solves * (second[name].seconds - first[name].seconds)
-        for name in first
-    }
+    costs = estimate_newton_costs(system.size, system.mesh.n_vertices, expected_loads)
     allowed = _allowed(memory_limit)
-    reason = f"{system.size} unknowns, {solves} solves: " + ", ".join(
-        f"{name} about {seconds[name]:.2g} s and {cost.bytes / 1e6:.0f} MB" for name, cost in second.items()
+    reason = f"{system.size} unknowns, {NEWTON_STEPS * max(1, expected_loads)} solves: " + ", ".join(
+        f"{name} about {cost.seconds:.2g} s and {cost.bytes / 1e6:.0f} MB" for name, cost in costs.items()
     )
-    direct = second["direct"].bytes <= allowed and seconds["direct"] <= seconds["iterative"]
+    direct = costs["direct"].bytes <= allowed and costs["direct"].seconds <= costs["iterative"].seconds
     return ("direct" if direct else "iterative"), reason
 
 

@@ -62,6 +62,17 @@ class Cost:
 
 
 @dataclass(frozen=True)
+class Spent:
+    """Seconds on one core, and bytes held at the end."""
+
+    seconds: float
+    bytes: float
+
+    def __add__(self, other: Spent) -> Spent:
+        return Spent(self.seconds + other.seconds, self.bytes + other.bytes)
+
+
+@dataclass(frozen=True)
 class Estimate:
     """Seconds on one core in all, bytes of the largest worker and bytes on disk; each true within `factor`."""
 
@@ -87,7 +98,10 @@ def estimate(plan: Plan, cases: Sequence[PlannedCase], jobs: int = 1) -> Estimat
         seconds += part.setups * cost.setup + part.solves * cost.step
         # what the cases of a group share is held until the group is done
         held[part.worker] += cost.bytes
-    seconds += sum(_search(case, sizes[case.mesh]) for case in cases)
+    searches = [_search(case, sizes[case.mesh]) for case in cases]
+    seconds += sum(search.seconds for search in searches)
+    # by then what the models' own solves took is free again
+    memory = max([*held.values(), *(search.bytes for search in searches)], default=0.0)
     seconds *= speed or 1.0
     seconds += _START + sum(_mesh_seconds(sizes[mesh.key]) for mesh in plan.missing_meshes(cases))
     for case in cases:
@@ -104,35 +118,37 @@ def estimate(plan: Plan, cases: Sequence[PlannedCase], jobs: int = 1) -> Estimat
         for mesh in plan.missing_meshes(cases)
     )
     factor = FACTOR_MEASURED if speed else FACTOR_LAWS
-    return Estimate(seconds if cases else 0.0, _PROCESS_BYTES + max(held.values(), default=0.0), disk, factor)
+    return Estimate(seconds if cases else 0.0, _PROCESS_BYTES + memory, disk, factor)
 
 
 def _mesh_seconds(size: Size) -> float:
     return 0.3 + 2e-4 * size.tetrahedra
 
 
-def _search(case: PlannedCase, size: Size) -> float:
-    """Seconds that the search for a case's small-strain limits takes."""
-    study = case.study
+def _search(case: PlannedCase, size: Size) -> Spent:
+    """What the search for a case's small-strain limits takes; every set-up is held until it is done."""
+    study, spent = case.study, Spent(0.0, 0.0)
     if study.limits is None:
-        return 0.0
-    seconds, steps = 0.0, study.load.steps or 1
+        return spent
+    steps = study.load.steps or 1
 
-    def tried(name: str, level: int, loads: int) -> float:
+    def tried(name: str, level: int, loads: int) -> Spent:
         cost = _law(name, size.refined(level), steps)
+        each = float(steps)
         if models.find(name)[0].onward:
-            return cost.setup + loads * _ONWARD * cost.step
-        bent = split(name)[1] == "nonlinear"
-        return cost.setup + loads * (max(steps, _DEEP) if bent else steps) * cost.step
+            each = _ONWARD
+        elif split(name)[1] == "nonlinear":
+            each = max(each, _DEEP)
+        return Spent(cost.setup + loads * each * cost.step, cost.bytes)
 
     thresholds, others = len(study.limits.thresholds), len(study.study.models) - 1
     for name in study.study.models:
-        seconds += tried(name, 0, _SEARCH_LOADS)
+        spent += tried(name, 0, _SEARCH_LOADS)
         if study.uncertainty is not None and models.find(name)[0].volumetric:
             # a small load, and if all are found that of each limit: its own, or of the reference everybody's
             limits = thresholds * (others if name == study.study.reference else 1)
-            seconds += tried(name, 1, 1 + limits)
-    return seconds
+            spent += tried(name, 1, 1 + limits)
+    return spent
 
 
 def size_of(plan: Plan, mesh: PlannedMesh) -> Size | None:
@@ -164,7 +180,7 @@ def _law(name: str, size: Size, loads: int) -> Cost:
 
 
 def _volumetric(name: str, size: Size, loads: int) -> Cost:
-    from fem_reference.costs import estimate_costs
+    from fem_reference.costs import estimate_costs, estimate_newton_costs
 
     if name == "fem-coarse":
         cost = _volumetric("fem-linear", size.refined(-1), loads)
@@ -183,7 +199,9 @@ def _volumetric(name: str, size: Size, loads: int) -> Cost:
     if name == "fem":
         solve = (many["iterative"].seconds - one["iterative"].seconds) / loads
         step = min(5.0 * one["direct"].seconds, _NEWTON_SOLVES * solve)
-        return Cost(1e-5 * unknowns + one["iterative"].seconds, step, 1.8e4 * unknowns)
+        newton = estimate_newton_costs(int(unknowns), int(vertices), loads)
+        held = min(newton.values(), key=lambda cost: cost.seconds).bytes
+        return Cost(1e-5 * unknowns + one["iterative"].seconds, step, 5e7 + 6.3e3 * unknowns + held)
     return Cost(setup, step, (1.8e4 if path == "direct" else 2.6e3) * unknowns)
 
 

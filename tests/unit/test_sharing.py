@@ -22,7 +22,7 @@ from studies import metrics, worker
 from studies import work as counted
 from studies.case import CaseResult, StepStatus
 from studies.cli_study import SHIPPED
-from studies.estimate import FACTOR_MEASURED, Size, _law
+from studies.estimate import _PROCESS_BYTES, FACTOR_MEASURED, Size, _law
 from studies.explain import summary
 from studies.meshing.mesh_cache import mesh_from_cache
 from studies.plan import Plan, make_plan, task_of
@@ -637,6 +637,26 @@ def test_a_plan_expects_the_search_for_limits_to_cost_many_loads(tmp_path: Path)
     line = "small-strain limits: a load that is tried serves all models and thresholds"
     assert line in searched["shared"]
     assert line not in own["shared"]
+
+
+@pytest.mark.parametrize(
+    ("tetrahedra", "loads", "measured"),
+    [
+        (1032, 1, 220),
+        (4292, 1, 305),
+        (4292, 3, 451),
+        (8256, 1, 472),
+        (17520, 1, 808),
+        (17520, 20, 1232),
+        (34336, 1, 1304),
+    ],
+)
+def test_finite_strain_is_expected_to_take_the_memory_it_takes(
+    tetrahedra: float, loads: int, measured: float
+) -> None:
+    """Peak in MB of a process that solves the shipped slab, on its mesh or refined, with factors or without."""
+    expected = _PROCESS_BYTES + _law("fem", Size(0.0, tetrahedra), loads).bytes
+    assert expected == pytest.approx(1e6 * measured, rel=0.25, abs=0)
 
 
 def test_the_shipped_search_for_limits_is_expected_to_take_what_it_takes(cache: Path, tmp_path: Path) -> None:
