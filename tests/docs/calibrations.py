@@ -1,29 +1,41 @@
 """Calibrates every shipped body and tries each fit on all others: `make calibrations`.
 
-Writes `results/calibrations.md`; to paste into a study, `results/calibrations/<study>.toml`; and for the test that
-fits again, `results/calibrations/<study>.json`. The studies run in `results/runs`, where what is there is kept.
+Writes `results/calibrations.md`; to paste into a study, `results/calibrations/<study>.toml`; and for the tests,
+`results/calibrations/<study>.json` and, of the fits in other tissues, `results/calibrations/tissue.json`. The
+studies run in `results/runs`, where what is there is kept.
 """
 
 from __future__ import annotations
 
 import json
 import math
+import re
 import shutil
-from collections.abc import Mapping
+import tempfile
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from studies.calibration.calibrate import worse_than_rule
-from studies.calibration.fit import Errors
+from studies.calibration.calibrate import body, worse_than_rule
+from studies.calibration.fit import Errors, Trial, least_error
+from studies.plan import make_plan
 from studies.report.formatting import percent
+from studies.run import Options, run_plan
+from studies.setups import sharing
+from studies.study_file.config import expand, load_study
 from tests.command import vdmbench
 from tests.docs import marked
 
 ROOT = Path(__file__).parents[2]
 DOCUMENT = ROOT / "results" / "calibrations.md"
 TABLES = ROOT / "results" / "calibrations"
+TISSUE = TABLES / "tissue.json"
+STIFFENED, STIFFER = "calibrate-box", "50 kPa"  # one body: model and reference are linear, and both go with E
+POISSON_RATIOS = ("0.3", "0.45", "0.49", "0.4999")  # the last one is that of the shipped studies
+ROUNDING = 1e-9  # smaller changes of a multiple depend on the machine
+FLAT = 1e-3  # a modulus at a thousandth of its rule no longer matters, and the fit leaves it anywhere below
 STUDIES = tuple(f"calibrate-{body}" for body in ("sphere", "ellipsoid", "box", "cylinder", "organ"))
 HEAD = """# Calibrations of the surface models
 
@@ -32,7 +44,8 @@ width all over the upper surface: six train, six are held out. A parameter is gi
 (see `vdm/README.md`); errors are the means over the held-out loads, displacement / deformation, against mixed
 finite elements whose own error stands beside. "Finer mesh": what a fit on a mesh of 0.75 times the size gives,
 and what the coarse mesh's fit leaves there. `results/calibrations/<study>.toml` holds the fitted values, to
-paste into a study.
+paste into a study. All this is for E = 5 kPa and nu = 0.4999; what a fit becomes in another tissue stands in a line
+under each model, from fits to elements on the study's own mesh (the tables' are to those on the refined mesh).
 """
 
 
@@ -55,7 +68,45 @@ def calibrated(study: str) -> dict[str, Any]:
     return found
 
 
-def document(found: Mapping[str, Mapping[str, Any]]) -> str:
+def in_tissue(study: str, directory: Path, **tissue: str) -> dict[str, dict[str, float]]:
+    """Model -> the multiples of its rule that a shipped study gives in another tissue; works in `directory`.
+
+    The reference is that of the study's own mesh: half the work, and what differs is the tissue alone.
+    """
+    text = (ROOT / "studies" / "cases" / f"{study}.toml").read_text()
+    text = text.replace("[uncertainty]\nlevels = 2\n", "")
+    for key, value in tissue.items():
+        text, changed = re.subn(rf"^{key} = .*$", f"{key} = {value}", text, flags=re.MULTILINE)
+        if changed != 1:
+            raise RuntimeError(f"{study} has no line of {key}")
+    name = "-".join([study, *tissue.values()]).replace('"', "")
+    path = directory / f"{name}.toml"
+    path.write_text(text)
+    loaded = load_study(path)
+    plan = make_plan(loaded, expand(loaded), directory / name, directory / "cache")
+    run, _ = run_plan(plan, text, Options(jobs=2), lambda event: None)  # noqa: ARG005
+    found = body(plan, run, None)
+    multiples = {}
+    with sharing():
+        for model in found.models:
+            trial = Trial(model, found.training)
+            multiples[model] = dict(zip(trial.names, least_error(trial).tolist(), strict=True))
+    return multiples
+
+
+def in_other_tissues() -> dict[str, dict[str, dict[str, dict[str, float]]]]:
+    """Study -> E or nu -> model -> multiples of the rule: every body at several nu, one at another E."""
+    with tempfile.TemporaryDirectory() as name:
+        directory = Path(name)
+        found = {
+            study: {nu: in_tissue(study, directory, poisson_ratio=nu) for nu in POISSON_RATIOS}
+            for study in STUDIES
+        }
+        found[STIFFENED][STIFFER] = in_tissue(STIFFENED, directory, youngs_modulus=f'"{STIFFER}"')
+    return found
+
+
+def document(found: Mapping[str, Mapping[str, Any]], tissues: Mapping[str, Mapping[str, Any]]) -> str:
     """The whole document."""
     text = HEAD
     for model in next(iter(found.values())):
@@ -64,7 +115,43 @@ def document(found: Mapping[str, Mapping[str, Any]]) -> str:
         text += _transfer({study: entries[model] for study, entries in found.items()})
         text += f"\n{rule({study: entries[model]['fit']['multiples'] for study, entries in found.items()})}\n"
         text += worse({study: entries[model]["fit"] for study, entries in found.items()})
+        text += f"\n{tissue(model, tissues)}\n"
     return text
+
+
+def tissue(model: str, tissues: Mapping[str, Mapping[str, Any]]) -> str:
+    """How the multiples of a model depend on E and nu."""
+    *others, own = POISSON_RATIOS
+    here = {study: entries[own][model] for study, entries in tissues.items()}
+    parts = []
+    for key in next(iter(here.values())):
+        bodies = [study for study in here if here[study][key] > FLAT]
+        ratios = {
+            nu: [tissues[study][nu][model][key] / here[study][key] for study in bodies] for nu in others
+        }
+        told = ", ".join(f"{_range(values)} at {nu}" for nu, values in ratios.items())
+        parts.append(f"`{key}` {told}" + _left_out(len(here) - len(bodies)))
+    changes = [
+        abs(value / here[STIFFENED][key] - 1.0) for key, value in tissues[STIFFENED][STIFFER][model].items()
+    ]
+    power = _power_above(max(changes))
+    return (
+        f"With nu, over its value at {own}, the least and the most of the bodies: {'; '.join(parts)}. "
+        f"With E: on the {_body(STIFFENED)} {STIFFER} changes a multiple by less than {power} of it."
+    )
+
+
+def _range(values: Sequence[float]) -> str:
+    low, high = (f"{value:.3g}" for value in (min(values), max(values)))
+    return low if low == high else f"{low} to {high}"
+
+
+def _left_out(bodies: int) -> str:
+    return f" (without {bodies}, where it does not matter)" if bodies else ""
+
+
+def _power_above(value: float) -> str:
+    return f"{10.0 ** math.ceil(math.log10(max(value, ROUNDING))):.0e}"
 
 
 def rule(multiples: Mapping[str, Mapping[str, float]]) -> str:
@@ -144,7 +231,10 @@ def _errors(found: Mapping[str, float]) -> str:
 
 def main() -> None:
     """Calibrate all bodies and write what came out."""
-    DOCUMENT.write_text(document({study: calibrated(study) for study in STUDIES}))
+    found = {study: calibrated(study) for study in STUDIES}
+    tissues = in_other_tissues()
+    TISSUE.write_text(json.dumps(tissues, indent=1) + "\n")
+    DOCUMENT.write_text(document(found, tissues))
 
 
 if __name__ == "__main__":

@@ -15,16 +15,33 @@ from studies.keys import load_key
 from studies.plan import make_plan
 from studies.run import Options, run_plan
 from studies.study_file.config import expand, load_study
-from tests.docs.calibrations import DOCUMENT, ROOT, STUDIES, TABLES, document
+from tests.docs.calibrations import (
+    DOCUMENT,
+    FLAT,
+    POISSON_RATIOS,
+    ROOT,
+    STIFFENED,
+    STIFFER,
+    STUDIES,
+    TABLES,
+    TISSUE,
+    document,
+    in_tissue,
+)
 
 SAME = 0.02  # of a multiple: a modulus moves the body in proportion, so 2 % of it is 2 % of the displacement
 POINTS = 5e-3  # of a relative error
-FLAT = 1e-3  # a modulus at a thousandth of its rule no longer matters, and the fit leaves it anywhere below
 
 
 def stored(study: str) -> dict[str, Any]:
     """Model -> its shipped calibration."""
     found: dict[str, Any] = json.loads((TABLES / f"{study}.json").read_text())[study]
+    return found
+
+
+def tissues() -> dict[str, Any]:
+    """Study -> E or nu -> model -> the multiples fitted in that tissue."""
+    found: dict[str, Any] = json.loads(TISSUE.read_text())
     return found
 
 
@@ -49,6 +66,26 @@ def test_a_shipped_calibration_comes_out_again(study: str, tmp_path: Path) -> No
                 )
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("tissue", [{"poisson_ratio": "0.3"}, {"youngs_modulus": f'"{STIFFER}"'}])
+def test_a_fit_in_another_tissue_comes_out_again(tissue: dict[str, str], tmp_path: Path) -> None:
+    (name,) = (value.strip('"') for value in tissue.values())
+    again, shipped = in_tissue(STIFFENED, tmp_path, **tissue), tissues()[STIFFENED][name]
+    assert again.keys() == shipped.keys()
+    for model, multiples in shipped.items():
+        for key, value in multiples.items():
+            assert_allclose(again[model][key], value, rtol=SAME, atol=FLAT, err_msg=f"{model}: {key}")
+
+
+def test_the_fits_follow_youngs_modulus_and_know_every_poisson_ratio() -> None:
+    for study, found in tissues().items():
+        assert set(found) == {*POISSON_RATIOS, *([STIFFER] if study == STIFFENED else [])}
+    for model, multiples in tissues()[STIFFENED][STIFFER].items():
+        here = tissues()[STIFFENED][POISSON_RATIOS[-1]][model]
+        # the search for a ratio ends at 1e-4 of its logarithm
+        assert_allclose([multiples[key] for key in here], list(here.values()), rtol=1e-4, atol=0)
+
+
 @pytest.mark.parametrize("study", STUDIES)
 def test_the_table_to_paste_holds_the_fit(study: str) -> None:
     text = (TABLES / f"{study}.toml").read_text()
@@ -70,4 +107,4 @@ def test_no_load_of_a_shipped_calibration_is_a_multiple_of_another(study: str) -
 
 
 def test_the_document_shows_the_stored_fits() -> None:
-    assert DOCUMENT.read_text() == document({study: stored(study) for study in STUDIES})
+    assert DOCUMENT.read_text() == document({study: stored(study) for study in STUDIES}, tissues())
