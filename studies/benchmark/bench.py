@@ -109,7 +109,7 @@ def measure(
     names : the models; None for those of each study itself
     sizes : mesh sizes over that of the study, the coarsest first; one that the body, a region or the reference
         does not stand is left out, and where none is left the study's own is measured
-    large : growth on surfaces of up to 163,842 nodes, and of elements and the dense form on up to some 2,000
+    large : growth on surfaces of up to 163,842 nodes, and of elements and the boundary form on up to some 2,000
     watch : told what is measured, and what is left out and why
 
     Raises

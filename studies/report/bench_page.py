@@ -9,6 +9,7 @@ from pathlib import Path
 from markupsafe import Markup
 
 from ..benchmark.bench_data import (
+    TWO_SCHEMES,
     Bench,
     Entry,
     Growth,
@@ -176,5 +177,7 @@ def _growth(growths: Sequence[Growth]) -> Section:
         "body for the others. Fill and flops: non-zeros of a factor in minimum degree order and the operations "
         "of making it, a stand-in for the factor in use, which does not tell its own."
     )
+    if any(g.what.startswith("vdm-boundary ") for g in growths):
+        note += f" {TWO_SCHEMES}"
     blocks: list[Block] = [Text(note, kind="note"), Table("growth", "", columns, cells)]
     return Section("growth", "Growth", blocks)

@@ -15,6 +15,7 @@ from markupsafe import escape
 
 from studies.benchmark.bench_data import (
     FAR_OFF,
+    TWO_SCHEMES,
     YARDSTICK,
     Bench,
     Entry,
@@ -161,7 +162,7 @@ def growth(bench: Bench) -> str:
     return (
         "Growth with the surface nodes n, by least squares over four sizes or more; and the cost at the largest. "
         "The non-zeros are those of a factor in minimum degree order, a stand-in for the factor in use, whose "
-        f"library does not tell its own:\n\n{marked.table(head, lines)}"
+        f"library does not tell its own. {TWO_SCHEMES}\n\n{marked.table(head, lines)}"
     )
 
 
