@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-import json
 import os
 import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+
+from .files import json_text
 
 if TYPE_CHECKING:
     from .case import Run
@@ -159,7 +160,7 @@ def tell(text: str) -> None:
 
 
 def print_json(value: Any) -> int:
-    print(json.dumps(value, indent=1))
+    print(json_text(value, indent=1))
     return OK
 
 

@@ -96,7 +96,7 @@ def gate_verb(options: argparse.Namespace) -> int:
     if options.markdown:
         write_atomically(options.markdown, markdown(study, told, findings).encode("utf-8", "replace"))
     if options.json:
-        print_json({"study": study, "counts": gate.counts(findings), "findings": gate.as_data(findings)})
+        print_json({"study": study, "counts": gate.counts(findings), "findings": [vars(f) for f in findings]})
     elif baseline:
         for finding in findings:
             if finding.outcome != gate.SAME:

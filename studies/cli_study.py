@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import json
 import os
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -139,7 +138,7 @@ def calibrate_verb(options: argparse.Namespace) -> int:
     """Fit the VDM parameters on half of a study's loads; print and write the table for its `[vdm]`."""
     from .calibration.calibrate import FINER, as_json, as_toml, body, calibrate, check
     from .calibration.calibration_table import table
-    from .files import write_atomically
+    from .files import json_text, write_atomically
     from .study_file.config import with_mesh_size
 
     study, path = _load(options)
@@ -162,7 +161,7 @@ def calibrate_verb(options: argparse.Namespace) -> int:
     others = [body(*_run_for_fit(*other, options), None) for other in elsewhere]
     entries = calibrate(own, others)
     data = {own.name: as_json(entries)}
-    write_atomically(out / "calibration.json", json.dumps(data, indent=1).encode())
+    write_atomically(out / "calibration.json", json_text(data, indent=1).encode())
     write_atomically(out / "calibration.toml", as_toml(entries).encode())
     if options.json:
         return print_json(data)

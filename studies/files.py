@@ -1,15 +1,36 @@
-"""Writing files whole or not at all, and clearing away what a killed process left half-written."""
+"""Writing files whole or not at all, clearing away what a killed process left half-written, and strict JSON."""
 
 from __future__ import annotations
 
 import contextlib
 import errno
 import fcntl
+import json
+import math
 import os
 import tempfile
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 _PART = ".part"  # ends the names of files being written, which nothing reads
+
+
+def json_text(value: Any, *, indent: int | None = None, sort_keys: bool = False) -> str:
+    """JSON as every program reads it: null for a number that is not finite, for which JSON has no word."""
+    return json.dumps(_plain(value), indent=indent, sort_keys=sort_keys, allow_nan=False)
+
+
+def _plain(value: Any) -> Any:
+    if value is None or isinstance(value, str | int):
+        return value
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if isinstance(value, Mapping):
+        return {key: _plain(entry) for key, entry in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(entry) for entry in value]
+    return _plain(value.tolist()) if hasattr(value, "tolist") else value  # of NumPy, not loaded for this
 
 
 def write_atomically(path: Path, data: bytes) -> None:

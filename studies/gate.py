@@ -16,7 +16,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
@@ -358,14 +358,3 @@ def regressed(findings: Sequence[Finding]) -> bool:
 def nothing_compared(findings: Sequence[Finding]) -> bool:
     """Whether not one number could be held against another."""
     return not any(finding.outcome in _COMPARED for finding in findings)
-
-
-def as_data(findings: Sequence[Finding]) -> list[dict[str, Any]]:
-    """Findings as plain data; NaN as None."""
-    return [
-        {
-            key: None if isinstance(value, float) and math.isnan(value) else value
-            for key, value in vars(finding).items()
-        }
-        for finding in findings
-    ]

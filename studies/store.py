@@ -26,7 +26,7 @@ from .case import (
     SmallStrainLimits,
     StepStatus,
 )
-from .files import write_atomically
+from .files import json_text, write_atomically
 from .hdf5 import Data, Entry, Group, OlderSchemaError, Stored, StoreError, Text, sealed
 from .metrics import METRICS
 from .metrics_table import metric_rows, metrics_csv
@@ -57,6 +57,7 @@ _ABOUT_CASE = (
     "mesh_quality",
 )
 _ABOUT_MODEL = ("seconds_setup", "peak_bytes", "version", "key", "parameters")
+_NUMBERS = ("reference_error", "mesh_quality", "seconds_setup", "parameters")  # may hold NaN, stored as null
 _ABOUT_METRIC = ("unit", "definition", "version")
 # of a small-strain limit, besides the load itself
 _LIMIT_UNITS = {
@@ -195,7 +196,7 @@ def result_keys(path: Path) -> dict[str, str]:
 
 
 def _metric_versions() -> str:
-    return _json({name: metric.version for name, metric in METRICS.items()})
+    return json_text({name: metric.version for name, metric in METRICS.items()}, sort_keys=True)
 
 
 def read_plan(directory: Path) -> dict[str, Any]:
@@ -246,7 +247,7 @@ def _case_entries(case: CaseResult) -> list[Entry]:
     return [
         *_vtk_entries(case),
         Group("case", {"schema": SCHEMA, "hash": case.hash}),
-        Text("case/about", json.dumps(about, default=_plain)),
+        Text("case/about", json_text(about)),
         Group("models"),
         *(_steps_table(f"models/{name}", model) for name, model in case.models.items()),
         Group("metrics", {"versions": _metric_versions()}),
@@ -355,7 +356,7 @@ def _read_case(file: Stored) -> CaseResult:
     about = json.loads(file.texts("case/about"))
     return CaseResult(
         hash=file.text("case", "hash"),
-        **{name: about[name] for name in _ABOUT_CASE},
+        **_told(about, _ABOUT_CASE),
         points=points,
         triangles=file.integers("VTKHDF/Connectivity").reshape(-1, 3),
         load_factors=load_factors,
@@ -370,6 +371,17 @@ def _read_case(file: Stored) -> CaseResult:
     )
 
 
+def _told(about: Mapping[str, Any], names: Sequence[str]) -> dict[str, Any]:
+    """These entries of a text, with NaN where a number is null (an older program wrote NaN itself)."""
+    return {name: _or_nan(about[name]) if name in _NUMBERS else about[name] for name in names}
+
+
+def _or_nan(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _or_nan(entry) for key, entry in value.items()}
+    return np.nan if value is None else value
+
+
 def _read_model(
     file: Stored, name: str, about: Mapping[str, Any], per_step: Callable[[str], NDArray[np.float64]]
 ) -> ModelResult:
@@ -380,7 +392,7 @@ def _read_model(
         **{series: steps.pop(series) for series in _SERIES if series != "iterations"},
         iterations=steps.pop("iterations").astype(np.int64),
         status=tuple(StepStatus(*row) for row in about["status"]),
-        **{key: about[key] for key in _ABOUT_MODEL},
+        **_told(about, _ABOUT_MODEL),
         scalars=steps,
     )
 
@@ -454,18 +466,4 @@ def _table(path: str, columns: Mapping[str, NDArray[Any]], units: Mapping[str, s
     )
     for name, values in columns.items():
         rows[name] = values
-    return Data(path, rows, {"units": _json(units)})
-
-
-def _json(value: Mapping[str, Any] | Sequence[Any]) -> str:
-    return json.dumps(value, sort_keys=True, default=_plain)
-
-
-def _plain(value: Any) -> Any:
-    if isinstance(value, np.generic):
-        return value.item()
-    if isinstance(value, np.ndarray):
-        return value.tolist()
-    if isinstance(value, Mapping):
-        return dict(value)
-    raise TypeError(f"{type(value).__name__} cannot be stored as JSON")
+    return Data(path, rows, {"units": json_text(units, sort_keys=True)})

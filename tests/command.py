@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import signal
 import subprocess
@@ -10,6 +11,15 @@ from pathlib import Path
 from typing import Any
 
 SCRIPT = Path(sys.executable).parent / "vdmbench"
+
+
+def strict_json(text: str) -> Any:
+    """JSON as programs read it that know neither NaN nor Infinity. Raises ValueError."""
+
+    def refuse(word: str) -> None:
+        raise ValueError(f"{word} is no JSON")
+
+    return json.loads(text, parse_constant=refuse)
 
 
 def heed_ctrl_c() -> None:

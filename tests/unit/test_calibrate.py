@@ -46,7 +46,7 @@ from studies.scene import build_scene
 from studies.store import read_case
 from studies.study_file.config import expand, geometry_of, load_study, with_mesh_size
 from studies.worker import run_case
-from tests.command import vdmbench
+from tests.command import strict_json, vdmbench
 from tests.unit.report_runs import icosphere
 
 STUDY = """
@@ -319,8 +319,10 @@ def test_the_command_writes_a_table_to_paste(tmp_path: Path) -> None:
     (tmp_path / "fit.toml").write_text(STUDY)
     result = vdmbench("calibrate", "fit.toml", "--json", cwd=tmp_path)
     assert result.returncode == 0, result.stderr
-    found = json.loads(result.stdout)["fit"]
+    found = strict_json(result.stdout)["fit"]
+    assert strict_json((tmp_path / "results/runs/fit/calibration.json").read_text())["fit"] == found
     assert set(found) == {"vdm-paper", "vdm-vector"}
+    assert found["vdm-paper"]["fit"]["training"]["bar"] is None, "the reference's own error was not measured"
     entry = found["vdm-vector"]["fit"]
     assert entry["held_out"]["vector"] < entry["by_rule"]["vector"]
     pasted = tomllib.loads((tmp_path / "results/runs/fit/calibration.toml").read_text())

@@ -15,9 +15,10 @@ import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
 
-from studies import hdf5, store
+from studies import hdf5, store, uncertainty
 from studies.case import Run
 from studies.hdf5 import StoreError
+from tests.command import strict_json
 
 from .example_case import N_STEPS, example_case
 
@@ -44,6 +45,58 @@ def test_round_trip(tmp_path: Path) -> None:
     store.write_case(tmp_path / "case.vtkhdf", case)
     assert_same(case, store.read_case(tmp_path / "case.vtkhdf"))
     assert [path.name for path in tmp_path.iterdir()] == ["case.vtkhdf"], "no temporary file is left"
+
+
+def _about(path: Path) -> str:
+    with h5py.File(io.BytesIO(path.read_bytes())) as file:
+        return str(file["case/about"].asstr()[()])
+
+
+def test_numbers_that_are_not_there_are_null_to_others_and_nan_to_us(tmp_path: Path) -> None:
+    case = example_case()
+    result = dataclasses.replace(
+        case.models["vdm-paper"],
+        seconds_setup=np.nan,
+        parameters={"condition": np.float64("nan"), "solver": "x"},
+    )
+    case = dataclasses.replace(
+        case,
+        models={**case.models, "vdm-paper": result},
+        reference_error={
+            "difference_01": 0.03,
+            "observed_order": np.nan,
+            "gci:max_nodal_error": np.float32("nan"),
+        },
+        mesh_quality={"worst_sicn": np.nan},
+        resolved={"study": {"reference": None}},
+    )
+    path = tmp_path / "case.vtkhdf"
+    store.write_case(path, case)
+    about = strict_json(_about(path))
+    assert about["reference_error"] == {
+        "difference_01": 0.03,
+        "observed_order": None,
+        "gci:max_nodal_error": None,
+    }
+    assert about["models"]["vdm-paper"]["seconds_setup"] is None
+    assert about["models"]["vdm-paper"]["parameters"] == {"condition": None, "solver": "x"}
+    read = store.read_case(path)
+    assert_same(case, read)
+    assert read.resolved["study"]["reference"] is None, "which is no number"
+    assert np.isnan(uncertainty.reference_bar(read.reference_error, "max_nodal_error"))
+    assert uncertainty.stored_estimate(read.reference_error) == uncertainty.stored_estimate(
+        case.reference_error
+    )
+
+
+def test_a_case_file_of_an_older_program_with_bare_nan_is_read(tmp_path: Path) -> None:
+    case = example_case()
+    path = tmp_path / "case.vtkhdf"
+    store.write_case(path, case)
+    _reseal(path, lambda f: _edit_about(f, reference_error=dict(case.reference_error)))
+    with pytest.raises(ValueError, match="NaN is no JSON"):
+        strict_json(_about(path))
+    assert_same(case, store.read_case(path))
 
 
 def test_a_models_own_output_cannot_take_the_place_of_what_every_model_has() -> None:
