@@ -57,9 +57,7 @@ def print_run(run: Run, directory: Path, report: Path, as_json: bool) -> int:
         print_table(rows)
         if verdict.word:
             print(f"{verdict.question} {verdict.word}: {verdict.sentences[0]}")
-        for failure in run.failed:
-            remedy = f"; {failure['remedy']}" if failure["remedy"] else ""
-            complain(f"failed: {failure['label']}: {failure['message']}{remedy}", FAILED)
+        complain_of_failures(run)
         for model, place, message, remedy in stopped:
             print(f"stopped: {model} ({place}): {message}" + (f"; {remedy}" if remedy else ""))
         lost = f", {run.damaged} damaged" if run.damaged else ""
@@ -167,6 +165,12 @@ def print_json(value: Any) -> int:
 def complain(text: str, code: int) -> int:
     print(f"vdmbench: {text}", file=sys.stderr)
     return code
+
+
+def complain_of_failures(run: Run) -> None:
+    for failure in run.failed:
+        remedy = f"; {failure['remedy']}" if failure["remedy"] else ""
+        complain(f"failed: {failure['label']}: {failure['message']}{remedy}", FAILED)
 
 
 def count(number: int, singular: str, plural: str | None = None) -> str:

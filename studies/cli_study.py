@@ -8,10 +8,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from .cli_output import (
+    FAILED,
     OK,
     USAGE,
     Progress,
     UsageError,
+    complain_of_failures,
     count,
     print_json,
     print_run,
@@ -164,10 +166,11 @@ def calibrate_verb(options: argparse.Namespace) -> int:
     write_atomically(out / "calibration.json", json_text(data, indent=1).encode())
     write_atomically(out / "calibration.toml", as_toml(entries).encode())
     if options.json:
-        return print_json(data)
-    print_table(table(entries))
-    print(f"\n{as_toml(entries)}\nwritten: {out / 'calibration.toml'}")
-    return OK
+        print_json(data)
+    else:
+        print_table(table(entries))
+        print(f"\n{as_toml(entries)}\nwritten: {out / 'calibration.toml'}")
+    return FAILED if own.lost or any(other.lost for other in others) else OK
 
 
 def bench_verb(options: argparse.Namespace) -> int:
@@ -283,7 +286,7 @@ def _command(verb: str, options: argparse.Namespace) -> tuple[str, ...]:
 
 
 def _run_for_fit(plan: Plan, path: Path, options: argparse.Namespace) -> tuple[Plan, Run]:
-    """Run what is missing of a study that parameters are fitted on."""
+    """Run what is missing of a study that parameters are fitted on, and say what failed."""
     from .run import Options, run_plan
 
     cases = plan.cases_to_run()
@@ -292,4 +295,5 @@ def _run_for_fit(plan: Plan, path: Path, options: argparse.Namespace) -> tuple[P
         run, _ = run_plan(
             plan, path.read_text(), Options(jobs=options.jobs or os.cpu_count() or 1), progress.show
         )
+    complain_of_failures(run)
     return plan, run

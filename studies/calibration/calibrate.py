@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -22,6 +22,7 @@ from .fit import (
     Trial,
     count_of_training,
     fit,
+    loads_of,
     samples_of,
     split,
     surface_models,
@@ -41,6 +42,7 @@ class Body:
     held_out: tuple[Sample, ...]
     finer_training: tuple[Sample, ...] = ()
     finer_held_out: tuple[Sample, ...] = ()
+    lost: Mapping[str, Sequence[str]] = field(default_factory=dict)  # of which mesh -> loads that failed
 
 
 @dataclass(frozen=True)
@@ -49,7 +51,8 @@ class Calibration:
 
     `finer` are the multiples of the rule that a finer mesh gives; `on_finer` the errors there of those of the
     study's own mesh; `transfer` the errors of these on the held-out loads of other bodies, by study; `repeated` the
-    labels of held-out loads that are multiples of training loads, where model and reference are linear.
+    labels of held-out loads that are multiples of training loads, where model and reference are linear; `lost`
+    those of loads that failed and are in no figure here, by study.
     """
 
     fit: Fit
@@ -57,6 +60,7 @@ class Calibration:
     on_finer: Errors | None
     transfer: Mapping[str, Errors]
     repeated: Sequence[str] = ()
+    lost: Mapping[str, Sequence[str]] = field(default_factory=dict)
 
 
 def check(plan: Plan) -> None:
@@ -66,7 +70,7 @@ def check(plan: Plan) -> None:
         raise CalibrationError("a calibration needs study.reference, the model to fit to")
     if not surface_models(study.study.models):
         raise CalibrationError(f"{study.study.name} has no surface model whose parameters could be fitted")
-    count_of_training(len(plan.state), _training(study))
+    count_of_training(len(loads_of(plan)), _training(study))
 
 
 def _training(study: Study) -> int | None:
@@ -82,19 +86,23 @@ def body(plan: Plan, run: Run, finer: tuple[Plan, Run] | None) -> Body:
         no reference, no surface model, or too few finished cases.
     """
     check(plan)
-    study, count = plan.study, _training(plan.study)
+    study, count, loads = plan.study, _training(plan.study), len(loads_of(plan))
     models = surface_models(study.study.models)
     asked = study.calibration.parameters if study.calibration is not None else None
-    training, held_out = split(samples_of(plan, run), count)
-    there = split(samples_of(*finer), count) if finer is not None else ([], [])
+    training, held_out = split(samples_of(plan, run), loads, count)
+    there = split(samples_of(*finer), loads, count) if finer is not None else ([], [])
+    name = study.study.name
+    runs = {name: run} if finer is None else {name: run, f"{name}, finer mesh": finer[1]}
+    lost = {where: [failure["label"] for failure in found.failed] for where, found in runs.items()}
     return Body(
-        study.study.name,
+        name,
         tuple(models),
         asked,
         tuple(training),
         tuple(held_out),
         tuple(there[0]),
         tuple(there[1]),
+        {where: labels for where, labels in lost.items() if labels},
     )
 
 
@@ -113,7 +121,9 @@ def _calibration(body: Body, name: str, others: Sequence[Body]) -> Calibration:
     transfer = {other.name: _errors(name, other.held_out, found) for other in others if name in other.models}
     trained = {sample.key for sample in body.training} if is_linear(name) else set()
     repeated = [sample.label for sample in body.held_out if sample.key in trained]
-    return Calibration(found, finer, on_finer, transfer, repeated)
+    tried = [body, *(other for other in others if other.name in transfer)]
+    lost = {where: labels for each in tried for where, labels in each.lost.items()}
+    return Calibration(found, finer, on_finer, transfer, repeated, lost)
 
 
 def _errors(name: str, samples: Sequence[Sample], found: Fit) -> Errors:
@@ -143,6 +153,11 @@ def no_test(entry: Calibration) -> str:
     )
 
 
+def left_out(entry: Calibration) -> str:
+    """How many loads failed and are in no figure of a calibration; "" where none is."""
+    return ", ".join(f"{len(labels)} of {study}" for study, labels in entry.lost.items())
+
+
 def as_json(entries: Sequence[Calibration]) -> dict[str, dict[str, object]]:
     """Model -> its calibration as plain data."""
     return {entry.fit.model: dataclasses.asdict(entry) for entry in entries}
@@ -151,13 +166,15 @@ def as_json(entries: Sequence[Calibration]) -> dict[str, dict[str, object]]:
 def as_toml(entries: Sequence[Calibration]) -> str:
     """Tables to paste into a study file: [vdm] for one model, a [models."NAME"] table each for several.
 
-    Comments say where a fit does worse than the rule on the loads held out, and where these test nothing.
+    Comments say which loads failed, where a fit does worse than the rule on the loads held out, and where these
+    test nothing.
     """
     blocks = []
     for entry in entries:
         title = "vdm" if len(entries) == 1 else f'models."{entry.fit.model}"'
         lines = [f"{key} = {value:.6g}" for key, value in entry.fit.parameters.items()]
-        warning = [f"# {told}"] if (told := no_test(entry)) else []
+        warning = [f"# loads that failed are left out: {told}"] if (told := left_out(entry)) else []
+        warning += [f"# {told}"] if (told := no_test(entry)) else []
         worse = worse_than_rule(entry.fit.by_rule, entry.fit.held_out)
         if worse:
             warning += [f"# worse than the rule on the loads held out: {worse}; the rule may serve better"]

@@ -23,7 +23,7 @@ from ..meshing.mesh import Array, InputError
 from ..meshing.mesh_cache import mesh_from_cache
 from ..metrics import full_load_step
 from ..model_name import is_linear
-from ..plan import Plan, needs_volume
+from ..plan import Plan, PlannedCase, needs_volume
 from ..scene import Scene, build_scene
 from ..setups import next_turn
 from ..study_file.config import geometry_of
@@ -57,6 +57,7 @@ class Sample:
     reference: Array  # (N, 3) m
     bars: Mapping[str, float]  # metric -> the reference's own error, NaN where not measured
     key: str  # of body and load; one where the reference only answers a multiple to a multiple of the load
+    place: int  # of the load among the study's, from 0
 
     @cached_property
     def surface(self) -> Surface:
@@ -96,7 +97,8 @@ def samples_of(plan: Plan, run: Run) -> list[Sample]:
     CalibrationError
         no finished case with a reference.
     """
-    planned = {case.hash: case for case in plan.cases}
+    planned = loads_of(plan)
+    places = {key: place for place, key in enumerate(planned)}
     samples = []
     for case in run.cases:
         if case.reference is None:
@@ -112,6 +114,7 @@ def samples_of(plan: Plan, run: Run) -> list[Sample]:
                 case.models[case.reference].displacement[step],
                 {metric: reference_bar(case.reference_error, metric) for metric in (VECTOR, DEFORMATION)},
                 f"{found.setup} {found.load}" if is_linear(case.reference) else case.hash,
+                places[case.hash],
             )
         )
     if not samples:
@@ -119,16 +122,28 @@ def samples_of(plan: Plan, run: Run) -> list[Sample]:
     return samples
 
 
-def split(samples: Sequence[Sample], training: int | None) -> tuple[list[Sample], list[Sample]]:
-    """(training, held out): the first `training` loads and the others; by default half of them.
+def loads_of(plan: Plan) -> dict[str, PlannedCase]:
+    """The loads of a study by their case's hash, in the study's order, each once."""
+    return {case.hash: case for case in plan.cases}
+
+
+def split(samples: Sequence[Sample], loads: int, training: int | None) -> tuple[list[Sample], list[Sample]]:
+    """(training, held out): of the first `training` of a study's loads and of the others; by default half of them.
+
+    A load is on its side wherever others failed, so that none trains that was to be held out.
 
     Raises
     ------
     CalibrationError
         nothing would be left on one side.
     """
-    count = count_of_training(len(samples), training)
-    return list(samples[:count]), list(samples[count:])
+    count = count_of_training(loads, training)
+    sides = [s for s in samples if s.place < count], [s for s in samples if s.place >= count]
+    names = f"the first {count} loads, which train,", "the loads held out"
+    for side, name in zip(sides, names, strict=True):
+        if not side:
+            raise CalibrationError(f"none of {name} is finished: put right what failed, or sweep others")
+    return sides
 
 
 def count_of_training(loads: int, training: int | None) -> int:

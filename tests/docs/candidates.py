@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
 
-from studies.calibration.fit import Errors, Sample, Trial, least_error, samples_of, split
+from studies.calibration.fit import Errors, Sample, Trial, least_error, loads_of, samples_of, split
 from studies.plan import make_plan
 from studies.run import Options, run_plan
 from studies.study_file.config import expand, load_study
@@ -291,9 +291,8 @@ def column_of(study: str, surface: Path | None = None) -> dict[str, str]:
     results = Path(os.environ.get("VDMBENCH_RESULTS", "results"))
     plan = make_plan(loaded, expand(loaded), results / "runs" / loaded.study.name, results / "cache")
     run, _ = run_plan(plan, path.read_text(encoding="utf-8"), Options(jobs=1), lambda _: None)
-    training, held_out = split(
-        samples_of(plan, run), loaded.calibration.training if loaded.calibration else None
-    )
+    count = loaded.calibration.training if loaded.calibration else None
+    training, held_out = split(samples_of(plan, run), len(loads_of(plan)), count)
     mesh = training[0].scene.mesh
     body = Body(SurfaceMesh(mesh.surface_points, mesh.triangles), training[0].scene.held)
     return {c.name: _cell(errors_of(c, training, held_out, body)) for c in CANDIDATES}

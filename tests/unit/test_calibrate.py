@@ -94,8 +94,9 @@ def samples(tmp_path_factory: pytest.TempPathFactory) -> list[Sample]:
             np.zeros((len(mesh.surface_nodes), 3)),
             NOWHERE,
             case.label,
+            place,
         )
-        for case in cases
+        for place, case in enumerate(cases)
     ]
 
 
@@ -291,9 +292,13 @@ def finished(text: str, directory: Path) -> tuple[Run, Plan]:
 
 def test_what_cannot_be_fitted_says_why(samples: list[Sample]) -> None:
     with pytest.raises(CalibrationError, match="sweep more loads"):
-        split(samples[:1], None)
+        split(samples[:1], 1, None)
     with pytest.raises(CalibrationError, match="4 of 4 would train"):
-        split(samples, 4)
+        split(samples, 4, 4)
+    with pytest.raises(CalibrationError, match="none of the first 2 loads, which train, is finished"):
+        split(samples[2:], 4, None)
+    with pytest.raises(CalibrationError, match="none of the loads held out is finished"):
+        split(samples[:2], 4, 2)
     with pytest.raises(CalibrationError, match="has no foundation"):
         Trial("vdm-paper", samples, ["foundation"])
     given = [
@@ -311,8 +316,33 @@ def test_what_cannot_be_fitted_says_why(samples: list[Sample]) -> None:
 
 
 def test_half_of_the_loads_train_by_default(samples: list[Sample]) -> None:
-    training, held_out = split(samples[:3], None)
+    training, held_out = split(samples[:3], 3, None)
     assert (len(training), len(held_out)) == (2, 1)
+
+
+def test_a_load_that_fails_moves_no_other_to_the_other_side(tmp_path: Path) -> None:
+    text = STUDY.replace("0.4, -0.5, 0.8", "0.4, 400.0, -0.5, 0.8")  # the third is on the support
+    (tmp_path / "fit.toml").write_text(text.replace('"vdm-paper", ', ""))
+    result = vdmbench("calibrate", "fit.toml", "--json", cwd=tmp_path)
+    assert result.returncode == 3, result.stderr
+    label = "direction x = 400"
+    assert f"vdmbench: failed: {label}: " in result.stderr
+    entry = json.loads(result.stdout)["fit"]["vdm-vector"]
+    assert entry["lost"] == {"fit": [label], "fit, finer mesh": [label]}
+    toml = (tmp_path / "results/runs/fit/calibration.toml").read_text()
+    assert toml.startswith("# loads that failed are left out: 1 of fit, 1 of fit, finer mesh\n[vdm]\n")
+    # the first two loads train, those behind the one that failed do not
+    (tmp_path / "two.toml").write_text(
+        STUDY.replace('"fit"', '"two"').replace("training = 3", "training = 2").replace('"vdm-paper", ', "")
+    )
+    two = vdmbench("calibrate", "two.toml", "--json", cwd=tmp_path)
+    assert two.returncode == 0, two.stderr
+    other = json.loads(two.stdout)["two"]["vdm-vector"]
+    assert other["lost"] == {}
+    for part in ("multiples", "training", "held_out"):
+        found, expected = (list(e["fit"][part].values()) for e in (entry, other))
+        assert_allclose(np.array(found, float), np.array(expected, float), rtol=1e-9, atol=0)
+    assert_allclose(entry["on_finer"]["vector"], other["on_finer"]["vector"], rtol=1e-9, atol=0)
 
 
 def test_the_command_writes_a_table_to_paste(tmp_path: Path) -> None:
