@@ -13,7 +13,14 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from .surface_measures import Surface, enclosed_volumes, weighted_quantiles, without_motions
+from .surface_measures import (
+    Surface,
+    enclosed_volumes,
+    ratio,
+    relative_l2_steps,
+    weighted_quantiles,
+    without_motions,
+)
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -102,7 +109,7 @@ def _each_step(surface: Surface, model: History, reference: History, compare: Co
 
 @_metric("1", "area-weighted ||u - r|| / ||r|| of the displacement vector", degree=0)
 def relative_l2_displacement_error(surface: Surface, model: History, reference: History) -> Array:
-    return _each_step(surface, model, reference, lambda s, u, r: _relative_l2(u, r, s.areas))
+    return _each_step(surface, model, reference, lambda s, u, r: relative_l2_steps(u, r, s.areas))
 
 
 @_metric(
@@ -113,7 +120,7 @@ def relative_l2_displacement_error(surface: Surface, model: History, reference: 
 def relative_l2_deformation_error(surface: Surface, model: History, reference: History) -> Array:
     def compare(s: Surface, u: Array, r: Array) -> Array:
         u, r = (without_motions(s.rigid_motions, v, s.areas) for v in (u, r))
-        return _relative_l2(u, r, s.areas)
+        return relative_l2_steps(u, r, s.areas)
 
     return _each_step(surface, model, reference, compare)
 
@@ -122,7 +129,7 @@ def relative_l2_deformation_error(surface: Surface, model: History, reference: H
 def relative_l2_normal_error(surface: Surface, model: History, reference: History) -> Array:
     def compare(s: Surface, u: Array, r: Array) -> Array:
         u, r = (_along(v, s.normals) for v in (u, r))
-        return _relative_l2(u, r, s.areas)
+        return relative_l2_steps(u, r, s.areas)
 
     return _each_step(surface, model, reference, compare)
 
@@ -131,7 +138,7 @@ def relative_l2_normal_error(surface: Surface, model: History, reference: Histor
 def relative_l2_tangential_error(surface: Surface, model: History, reference: History) -> Array:
     def compare(s: Surface, u: Array, r: Array) -> Array:
         u, r = (v - _along(v, s.normals) * s.normals for v in (u, r))
-        return _relative_l2(u, r, s.areas)
+        return relative_l2_steps(u, r, s.areas)
 
     return _each_step(surface, model, reference, compare)
 
@@ -227,7 +234,7 @@ def _with_distances(surface: Surface, models: Sequence[History], reference: Hist
 def reaction_force_error(surface: Surface, model: History, reference: History) -> Array:  # noqa: ARG001
     total, total_reference = (history.reaction_force.sum(axis=1) for history in (model, reference))
     norm = np.linalg.norm(total_reference, axis=1)
-    return _ratio(np.linalg.norm(total - total_reference, axis=1), norm)
+    return ratio(np.linalg.norm(total - total_reference, axis=1), norm)
 
 
 @_metric(
@@ -262,7 +269,7 @@ def volume_drift(surface: Surface, model: History) -> Array:
 )
 def volume_drift_of_displaced(surface: Surface, model: History) -> Array:
     displaced = 0.5 * np.abs(np.einsum("sij,ij->si", model.displacement, surface.volume_gradient)).sum(axis=1)
-    return _ratio(volume_drift(surface, model) * surface.volume, displaced)
+    return ratio(volume_drift(surface, model) * surface.volume, displaced)
 
 
 def _mean_strain(surface: Surface, model: History, axis: int) -> Array:
@@ -356,7 +363,7 @@ def _nodal_error(u: Array, r: Array) -> Array:
 
 def _regional(surface: Surface, model: History, reference: History, mask: Mask) -> Array:
     weights = np.where(mask, surface.areas, 0.0)
-    return _each_step(surface, model, reference, lambda _, u, r: _relative_l2(u, r, weights))
+    return _each_step(surface, model, reference, lambda _, u, r: relative_l2_steps(u, r, weights))
 
 
 def _factor_at(depth: float, depths: Array, factors: Array) -> float:
@@ -368,17 +375,3 @@ def _factor_at(depth: float, depths: Array, factors: Array) -> float:
     if depth > x[-1]:
         return float(y[-1] + (depth - x[-1]) * (y[-1] - y[-2]) / (x[-1] - x[-2]))
     return float(np.interp(depth, x, y))
-
-
-def _relative_l2(values: Array, reference: Array, weights: Array) -> Array:
-    """(S,) `relative_l2` of each step of (S, N, ...) fields."""
-    return _ratio(_norms(values - reference, weights), _norms(reference, weights))
-
-
-def _norms(values: Array, weights: Array) -> Array:
-    return np.sqrt(np.einsum("sni,sni->sn", values, values) @ weights)
-
-
-def _ratio(part: Array, whole: Array) -> Array:
-    """(S,) part / whole, NaN where the whole is zero."""
-    return np.divide(part, whole, out=np.full(len(whole), np.nan), where=whole > 0)

@@ -76,15 +76,28 @@ def without_motions(motions: Array, displacements: Array, weights: Array) -> Arr
 
 
 def weighted_norm(values: Array, weights: Array) -> float:
-    """sqrt(sum_i w_i |v_i|^2) of (N,) or (N, 3) values."""
-    squared = values**2 if values.ndim == 1 else np.einsum("ij,ij->i", values, values)
-    return float(np.sqrt(weights @ squared))
+    """sqrt(sum_i w_i |v_i|^2) of (N, 3) values."""
+    return float(weighted_norms(values[None], weights)[0])
+
+
+def weighted_norms(values: Array, weights: Array) -> Array:
+    """(S,) `weighted_norm` of each step of (S, N, K) values."""
+    return np.sqrt(np.einsum("sni,sni->sn", values, values) @ weights)
 
 
 def relative_l2(values: Array, reference: Array, weights: Array) -> float:
     """||values - reference|| / ||reference||; NaN where the reference is zero."""
-    norm = weighted_norm(reference, weights)
-    return weighted_norm(values - reference, weights) / norm if norm > 0 else np.nan
+    return float(relative_l2_steps(values[None], reference[None], weights)[0])
+
+
+def relative_l2_steps(values: Array, reference: Array, weights: Array) -> Array:
+    """(S,) `relative_l2` of each step of (S, N, K) fields."""
+    return ratio(weighted_norms(values - reference, weights), weighted_norms(reference, weights))
+
+
+def ratio(part: Array, whole: Array) -> Array:
+    """(S,) part / whole, NaN where the whole is zero."""
+    return np.divide(part, whole, out=np.full(len(whole), np.nan), where=whole > 0)
 
 
 def weighted_quantiles(values: Array, weights: Array, quantile: float) -> Array:
