@@ -6,9 +6,13 @@ import dataclasses
 from collections.abc import Sequence
 from typing import Any
 
+import numpy as np
+
 from . import models
 from .estimate import estimate, size_of
+from .meshing.geometry_spec import extents
 from .plan import Plan, PlannedCase
+from .regions import body_extent, lies_outside
 from .study_file.config import holds_nothing
 from .work import ModelWork, work_of
 
@@ -130,15 +134,19 @@ def _skipped(plan: Plan, todo: Sequence[PlannedCase]) -> list[str]:
 
 
 def refused(plan: Plan, cases: Sequence[PlannedCase]) -> list[str]:
-    """The models that will refuse these cases: elements that nothing holds, fibres, and a mesh of more surface
-    nodes than a model takes, so far as that is beyond doubt."""
+    """What will be refused of these cases, so far as that is beyond doubt: a region that lies off the body, and
+    models, elements that nothing holds, fibres, and a mesh of more surface nodes than a model takes."""
     names = plan.study.study.models
     limits = {name: most for name in names if (most := models.most_nodes(name)) is not None}
+    off = dict.fromkeys(line for case in cases for line in _off_the_body(plan, case))
     free = any(holds_nothing(case.study) for case in cases)
     lines = [
-        f"{name}: nothing is held; hold a region, by kind fixed or constrained"
-        for name in names
-        if free and models.find(name)[0].volumetric
+        *off,
+        *(
+            f"{name}: nothing is held; hold a region, by kind fixed or constrained"
+            for name in names
+            if free and models.find(name)[0].volumetric
+        ),
     ]
     if any(case.study.anisotropy for case in cases):
         lines += [
@@ -158,6 +166,20 @@ def refused(plan: Plan, cases: Sequence[PlannedCase]) -> list[str]:
             if size is not None and size.nodes > most * (1.0 if counted else DOUBT)
         ]
     return lines
+
+
+def _off_the_body(plan: Plan, case: PlannedCase) -> list[str]:
+    """Of the shapes whose extents are known; a mesh may reach an edge further."""
+    geometry = plan.meshes[case.mesh].geometry
+    if geometry.shape == "file":
+        return []
+    high = np.array(extents(geometry)) / 2.0
+    reach = high + geometry.mesh_size
+    return [
+        f"region {name!r} lies off the body: {body_extent(-high, high)}"
+        for name in dict.fromkeys(constraint.region for constraint in case.study.constraints)
+        if lies_outside(case.study.regions[name], -reach, reach)
+    ]
 
 
 def _count(number: int, singular: str, plural: str | None = None) -> str:

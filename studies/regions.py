@@ -45,9 +45,8 @@ def select(region: Region | str, mesh: Mesh, named: Mapping[str, Region]) -> Mas
     return profile_coordinate(region, mesh, mesh.surface_points) <= 1 + _TOLERANCE
 
 
-def lies_outside(region: Region, mesh: Mesh) -> bool:
-    """Whether a half-space, box or ball does not meet the body's bounding box; of other regions False."""
-    low, high = mesh.surface_points.min(axis=0), mesh.surface_points.max(axis=0)
+def lies_outside(region: Region, low: Array, high: Array) -> bool:
+    """Whether a half-space, box or ball does not meet the body's bounding box, (3,) and (3,); of others False."""
     if region.below is not None and region.below.value is not None:
         return bool(region.below.value < low[_AXES[region.below.axis]])
     if region.above is not None and region.above.value is not None:
@@ -58,6 +57,12 @@ def lies_outside(region: Region, mesh: Mesh) -> bool:
         center = np.array(region.ball.center)
         return bool(np.linalg.norm(center - np.clip(center, low, high)) > region.ball.radius)
     return False
+
+
+def body_extent(low: Array, high: Array) -> str:
+    """What to tell beside a region that lies outside."""
+    extent = ", ".join(f"{a} from {p:.3g} to {q:.3g}" for a, p, q in zip("xyz", low, high, strict=True))
+    return f"the body has {extent} m; a mixed-up unit? A bare number is in metres"
 
 
 def _beyond(plane: HalfSpace, mesh: Mesh, sign: float) -> Mask:

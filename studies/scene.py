@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from .meshing.mesh import Array, InputError, Mask, Mesh
-from .regions import lies_outside, profile_coordinate, select
+from .regions import body_extent, lies_outside, profile_coordinate, select
 from .setups import shared
 from .study_file.schema import Anisotropy, Constraint, Region, Study, Tissue
 from .surface_measures import corner_sum, facet_area_vectors, nodal_sum
@@ -156,11 +156,10 @@ def build_scene(study: Study, mesh: Mesh, masks: Mapping[str, Mask] | None = Non
 
 def _selects_nothing(name: str, study: Study, mesh: Mesh) -> str:
     told = f"region {name!r} selects no node of the mesh"
-    if not lies_outside(study.regions[name], mesh):
-        return f"{told}; enlarge it or take a smaller mesh_size"
     low, high = mesh.surface_points.min(axis=0), mesh.surface_points.max(axis=0)
-    extent = ", ".join(f"{a} from {p:.3g} to {q:.3g}" for a, p, q in zip("xyz", low, high, strict=True))
-    return f"{told}: the body has {extent} m; a mixed-up unit? A bare number is in metres"
+    if not lies_outside(study.regions[name], low, high):
+        return f"{told}; enlarge it or take a smaller mesh_size"
+    return f"{told}: {body_extent(low, high)}"
 
 
 def _quadrature() -> tuple[Array, Array]:

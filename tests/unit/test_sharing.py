@@ -606,6 +606,30 @@ def test_a_model_that_will_refuse_a_mesh_is_named(
     assert summary(plan_of(tmp_path, cache))["refused"] == []
 
 
+@pytest.mark.parametrize(
+    ("finger", "told"),
+    [
+        ({"above": {"axis": "z", "value": 60.0}}, True),  # mm for m
+        ({"ball": {"center": [0.0, 0.0, 0.2], "radius": 0.05}}, True),
+        ({"box": {"min": [-1.0, -1.0, -0.2], "max": [1.0, 1.0, -0.1]}}, True),
+        ({"above": {"axis": "z", "value": 0.051}}, False),  # a distorted mesh may reach so far
+        ({"cap": {"direction": [0, 0, 1], "angle": 0.5}}, False),
+    ],
+)
+def test_a_region_off_the_body_is_named_before_it_is_meshed(
+    tmp_path: Path, finger: dict[str, Any], told: bool
+) -> None:
+    regions = TABLES["regions"] | {"finger": finger}
+    pressed = TABLES["constraints"][1] | {"profile": "uniform"}
+    constraints = [TABLES["constraints"][0], pressed]
+    plan = plan_of(tmp_path, tmp_path / "cache", regions=regions, constraints=constraints, sweep={})
+    line = (
+        "region 'finger' lies off the body: the body has x from -0.05 to 0.05, y from -0.05 to 0.05, "
+        "z from -0.05 to 0.05 m; a mixed-up unit? A bare number is in metres"
+    )
+    assert summary(plan)["refused"] == [line] * told
+
+
 @pytest.mark.parametrize("factors", [[0.5, 1.0], [1.0]])
 def test_a_batch_and_one_case_give_one_reference(tmp_path: Path, cache: Path, factors: list[float]) -> None:
     """And one error of it: of a single load it comes from the metrics of the case."""
