@@ -162,6 +162,9 @@ def _selects_nothing(name: str, study: Study, mesh: Mesh) -> str:
     return f"{told}: {body_extent(low, high)}"
 
 
+_LEAST_RESULTANT = 1e-6  # of a contact, over the sum of its facets' forces: below it is rounding or chance
+
+
 def _quadrature() -> tuple[Array, Array]:
     """The reference's rule on a facet; its package is slow to load, and a plan needs no scene."""
     from fem_reference.mesh import facet_quadrature
@@ -176,24 +179,29 @@ def _contact_pressure(constraint: Constraint, study: Study, mesh: Mesh, mask: Ma
     every quadrature point, so that it does not change with the mesh: Hertz p0 sqrt(1 - rho^2), Gaussian
     p0 exp(-9/2 rho^2) with its third standard deviation at the rim rho = 1 and nothing beyond.
     """
-    shape, resultant = shared(
+    shape, resultant, total = shared(
         _contact_shape,
         mesh=mesh,
         mask=mask,
         profile=constraint.profile,
         region=study.regions[constraint.region],
     )
-    if resultant == 0.0:
+    if total == 0.0:
         raise SceneError(
             f"contact {constraint.name!r} loads no facet; enlarge its region or take a smaller mesh_size"
         )
     if constraint.force is not None:
+        if resultant < _LEAST_RESULTANT * total:
+            raise SceneError(
+                f"contact {constraint.name!r} presses from all sides, so that its pressures have no resultant "
+                "to be given by force; give pressure, or a region on one side"
+            )
         return shape * (constraint.force / resultant)
     return shape * (constraint.pressure or 0.0)
 
 
-def _contact_shape(*, mesh: Mesh, mask: Mask, profile: str, region: Region) -> tuple[Array, float]:
-    """(F, Q) pressure at the quadrature points over its peak, and the size of its resultant force [m^2]."""
+def _contact_shape(*, mesh: Mesh, mask: Mask, profile: str, region: Region) -> tuple[Array, float, float]:
+    """(F, Q) pressure at the quadrature points over its peak; size of its resultant, sum of the facets' [m^2]."""
     barycentric, weights = _quadrature()
     if profile == "uniform":
         shape = np.repeat(np.all(mask[mesh.triangles], axis=1)[:, None].astype(float), len(weights), axis=1)
@@ -203,4 +211,5 @@ def _contact_shape(*, mesh: Mesh, mask: Mask, profile: str, region: Region) -> t
         hertz = np.sqrt(np.clip(1 - rho**2, 0.0, None))
         shape = hertz if profile == "hertz" else np.where(rho < 1, np.exp(-4.5 * rho**2), 0.0)
     vectors = facet_area_vectors(mesh.surface_points, mesh.triangles)
-    return shape, float(np.linalg.norm((shape @ weights) @ vectors))
+    areas = shape @ weights
+    return shape, float(np.linalg.norm(areas @ vectors)), float(areas @ np.linalg.norm(vectors, axis=1))

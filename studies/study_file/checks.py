@@ -22,6 +22,7 @@ from ..meshing.geometry_spec import (
 )
 from ..meshing.geometry_spec import Geometry as GeometrySpec
 from ..meshing.mesh import MeshError
+from ..model_name import split
 from .kinds import safe_name
 from .problems import Finding, Loc
 from .schema import Constraint, Geometry, HalfSpace, Region, Study, Table
@@ -47,6 +48,7 @@ _ONE_OF = "below, above, ball, box, cap, group, all, any, not"
 def check(study: Study) -> Iterator[Finding]:
     """Everything that is wrong with a study whose keys are right by themselves."""
     yield from _check_models(study)
+    yield from _check_penalty(study)
     yield from _check_geometry(study.geometry)
     yield from _check_regions(study.regions or {})
     yield from _check_groups(study)
@@ -96,6 +98,21 @@ def _check_models(study: Study) -> Iterator[Finding]:
     for name in study.models or {}:
         if name not in info.models:
             yield ("models", name), unknown(name, info.models, "model of this study")
+
+
+def _check_penalty(study: Study) -> Iterator[Finding]:
+    """Held nodes by penalty, equations (25) and (26), are solved by `lu`, whose answer no other may claim."""
+    names = [name for name in (study.study and study.study.models) or () if name and name.startswith("vdm-")]
+    others = [name for name in names if split(name)[1] not in ("linear", "lu")]
+    tables: list[tuple[Loc, Table | None, list[str]]] = [(("vdm", "penalty"), study.vdm, others)]
+    tables += [(("models", name, "penalty"), (study.models or {}).get(name), [name]) for name in others]
+    for loc, table, answered in tables:
+        if answered and getattr(table, "penalty", None) is not None:
+            instead = f'[models."{split(answered[0])[0]}:lu"]'
+            yield (
+                loc,
+                f"is solved by lu alone, not by {_listed(set(answered))}; give it in {instead} or leave it out",
+            )
 
 
 def _check_geometry(geometry: Geometry) -> Iterator[Finding]:

@@ -244,7 +244,8 @@ class VdmTable(Table):
         None, description="rotation that costs the skin no energy"
     )
     penalty: Annotated[float, SI("1"), positive] | None = Field(
-        None, description="alpha of (25) and (26); left out: held nodes are eliminated exactly"
+        None,
+        description="alpha of (25) and (26), which only lu solves; left out: held nodes are eliminated exactly",
     )
 
     def given(self) -> Vdm:

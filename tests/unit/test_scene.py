@@ -149,6 +149,15 @@ def test_a_force_is_the_resultant(sphere: Mesh) -> None:
         assert_allclose(np.linalg.norm(scene.contact_force.sum(axis=0)), 0.3, rtol=1e-12, atol=0)
 
 
+def test_a_contact_all_around_has_no_resultant_to_be_given(sphere: Mesh) -> None:
+    closed = {**BASE["regions"], "finger": {"cap": {"direction": [0, 0, 1], "angle": np.pi}}}
+    with pytest.raises(SceneError, match="no resultant to be given by force; give pressure"):
+        build_scene(study(regions=closed, constraints=contact(force=0.1)[1:]), sphere)
+    pressed = build_scene(study(regions=closed, constraints=contact(pressure=200.0)[1:]), sphere)
+    assert_allclose(pressed.facet_pressure, 200.0, rtol=1e-12, atol=0)
+    assert_allclose(exact_resultant(pressed), 0.0, rtol=0, atol=1e-12 * 200.0 * 4 * np.pi * 0.05**2)
+
+
 def test_uniform_pressure_acts_on_whole_facets_only(sphere: Mesh) -> None:
     scene = build_scene(study(), sphere)
     inside = scene.regions["finger"][sphere.triangles].all(axis=1)

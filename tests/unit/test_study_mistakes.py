@@ -290,6 +290,21 @@ CASES = {
         "study.reference",
         "not among the models",
     ),
+    "penalty for solvers that have none": (
+        '["vdm-paper"]\n',
+        '["vdm-paper:lu", "vdm-paper", "vdm-paper:nonlinear", "vdm-vector:bicg"]\n[vdm]\npenalty = 1e8\n',
+        "penalty",
+        "vdm.penalty",
+        "is solved by lu alone, not by vdm-paper:nonlinear and vdm-vector:bicg; give it in "
+        '[models."vdm-paper:lu"] or leave it out',
+    ),
+    "penalty of a solver that has none": (
+        '["vdm-paper"]\n',
+        '["vdm-paper:nonlinear"]\n[models."vdm-paper:nonlinear"]\npenalty = 1e8\n',
+        "penalty",
+        'models."vdm-paper:nonlinear".penalty',
+        "is solved by lu alone",
+    ),
     "override of another": (
         "[tissue]",
         "[models.fem]\npenalty = 1\n[tissue]",
