@@ -70,11 +70,11 @@ class Solved:
     environment_pressure: float
 
     @classmethod
-    def largest_step(cls, scene: Scene, solution: Solution) -> Solved | None:
-        """Of a solved history its largest step; None where it has no load."""
+    def largest_step(cls, scene: Scene, solution: Solution) -> Solved:
+        """Of a solved history its largest step."""
         factor, step = largest_step(solution, scene.load_factors)
         loads = tuple(factor * part for part in _loads(scene))
-        return cls(loads, step, scene.environment_pressure) if any(part.any() for part in loads) else None
+        return cls(loads, step, scene.environment_pressure)
 
     def scaled_to(self, scene: Scene) -> Solution | None:
         """The solution of another scene on the same set-up, None where its loads are no multiple of this one's."""

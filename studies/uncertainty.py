@@ -91,7 +91,7 @@ def value_bar(case: CaseResult, model: str, metric: str) -> float:
     """
     coarse = model.removesuffix(REFINED)
     levels = case.reference_error.get("levels", 1.0)
-    if model != case.reference or coarse == model or levels < 2.0:
+    if model != case.reference or levels < 2.0:
         return reference_bar(case.reference_error, metric)
     found = [case.metrics.get(name, {}).get(metric) for name in (model, coarse)]
     values = [float(series.values[case.full_load]) for series in found if series is not None]

@@ -183,8 +183,18 @@ def test_more_and_less_than_the_baseline(path: Path) -> None:
 
 def test_names_of_the_study_do_not_matter_to_the_inputs(path: Path) -> None:
     case = run_of({"vdm-vector": 0.2, "vdm-paper": 0.8}).cases[0]
-    renamed = dataclasses.replace(case, resolved={**case.resolved, "study": {"title": "another"}})
+    names = {"study": {"title": "another"}, "sweep": {"a": [1, 2]}, "calibration": {"training": 2}}
+    renamed = dataclasses.replace(case, resolved={**case.resolved, **names})
     assert set(counts(compare(make_run([renamed]), read_baseline(path)))) == {gate.SAME}
+
+
+@pytest.mark.parametrize("table", ["tissue", "models", "vdm", "load", "constraints", "uncertainty"])
+def test_every_other_table_of_the_study_is_an_input(path: Path, table: str) -> None:
+    case = run_of({"vdm-vector": 0.2, "vdm-paper": 0.8}).cases[0]
+    other = dataclasses.replace(
+        case, resolved={**case.resolved, table: {"vdm-vector": {"bulk_modulus": 1.0}}}
+    )
+    assert set(counts(compare(make_run([other]), read_baseline(path)))) == {gate.NOT_COMPARABLE}
 
 
 def test_descriptive_metrics_and_times_are_not_gated(path: Path) -> None:

@@ -115,6 +115,15 @@ def test_nothing_is_scaled_from_no_load_or_from_a_failure(mesh: Mesh) -> None:
         assert is_scaled(models.run_model(scene_of(mesh, 0.0, 0.0), "vdm-vector"))
 
 
+def test_a_condition_is_not_left_out_for_a_multiple(mesh: Mesh) -> None:
+    asking = {"study": TABLES["study"] | {"condition": True}}
+    with sharing():
+        models.run_model(scene_of(mesh), "vdm-vector")
+        asked, again = (models.run_model(scene_of(mesh, k, k, **asking), "vdm-vector") for k in (2.0, 3.0))
+    assert [is_scaled(result) for result in (asked, again)] == [False, True]
+    assert again.scalars["condition_estimate"][0] == asked.scalars["condition_estimate"][0] > 1.0
+
+
 def histories_of(scene: Scene, names: list[str]) -> dict[str, History]:
     results = {name: models.run_model(scene, name) for name in names}
     return {

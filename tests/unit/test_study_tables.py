@@ -1,0 +1,60 @@
+"""The tables of a whole study: load factors and bars as they are, what has no bar left out."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+
+from studies import store
+from studies.case import CaseResult
+
+from .report_runs import make_case, make_run
+
+REFINED = "fem-linear refined"
+DRIFT = "volume_drift"
+
+
+def refined_case(levels: float) -> CaseResult:
+    """The reference solved on `levels` meshes, of which it answers on the case's own one by 3 % too much."""
+    bars = {"levels": levels, "gci:max_nodal_error": 2e-6}
+    errors = {"vdm-paper": 0.1, "fem-linear": 0.03}
+    return make_case(errors, reference=REFINED, reference_error=bars, subdivisions=0, label="measured")
+
+
+@pytest.mark.parametrize(("levels", "share"), [(2.0, 1.0), (3.0, 1 / 5), (4.0, 3 / 63)])
+def test_study_tables_hold_load_factors_and_bars(tmp_path: Path, levels: float, share: float) -> None:
+    """The reference's own drift has a bar of its own: 3 |fine - coarse| / (r^2 - 1), r = 2^(levels - 1)."""
+    first = refined_case(levels)
+    second = make_case({"vdm-paper": 0.1}, reference=REFINED, subdivisions=0, steps=(0.5, -2.0), label="bare")
+    store.write_study(tmp_path, make_run([first, second]))
+    fine, coarse = (first.metrics[name][DRIFT].values[-1] for name in (REFINED, "fem-linear"))
+    assert abs(fine - coarse) > 1e-6
+    bars = {
+        f"{REFINED}/{DRIFT}": share * abs(fine - coarse),
+        "vdm-paper/max_nodal_error": 2e-6,
+        "fem-linear/max_nodal_error": 2e-6,
+    }
+    with h5py.File(tmp_path / store.STUDY_FILE) as file:
+        assert_array_equal(file["load_factor"], [[0.25, 0.5, 0.75, 1.0], [0.5, -2.0, np.nan, np.nan]])
+        found: list[str] = []
+        file["reference_error"].visititems(
+            lambda name, item: found.append(name) if isinstance(item, h5py.Dataset) else None
+        )
+        for name, bar in bars.items():
+            table = file["reference_error"][name]
+            assert_allclose(table, [bar, np.nan], rtol=1e-12, atol=0, err_msg=name)
+            assert [dimension.label for dimension in table.dims] == ["case"], name
+    own = {name for name in found if name.startswith(REFINED)}
+    assert set(found) - own == bars.keys() - own, "all else was not measured"
+    drifting = {f"{REFINED}/{metric}" for metric in first.metrics[REFINED]}
+    assert own <= drifting
+
+
+def test_a_reference_on_one_mesh_has_the_bar_that_was_measured() -> None:
+    case = dataclasses.replace(refined_case(1.0), reference_error={f"gci:{DRIFT}": 0.25})
+    assert store.value_bar(case, REFINED, DRIFT) == 0.25
