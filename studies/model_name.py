@@ -6,6 +6,20 @@ FINITE_STRAIN = ("fem",)  # models that can serve as the reference of the small-
 REFINED = " refined"  # what the reference's name gets where it is solved on refinements of the case's mesh
 _NOT_LINEAR = ("quasi-linear", "nonlinear")  # solvers of another problem than the linear one
 
+# keys of [vdm] that a surface model reads, in the order in which they are told
+_READS: dict[str, tuple[str, ...]] = {
+    "vdm-paper": ("bulk_modulus", "connectivity_modulus", "penalty"),
+    "vdm-consistent": ("foundation", "surface_tension", "penalty"),
+    "vdm-vector": ("foundation", "surface_tension", "stretch_stiffness", "rotation", "penalty"),
+    "vdm-boundary": ("shear_modulus", "coarse_nodes", "penalty"),
+    "mass-spring": ("shear_modulus", "penalty"),
+}
+
+
+def reads(name: str) -> tuple[str, ...]:
+    """Keys of [vdm] that a model reads, whatever its solver; none where it is volumetric or unknown."""
+    return _READS.get(split(name)[0], ())
+
 
 def split(name: str) -> tuple[str, str]:
     """Name in the registry and solver, "linear" where none is named; what tells a refined level is left out."""

@@ -6,6 +6,7 @@ import math
 from collections.abc import Iterable, Sequence
 
 from ..case import CaseResult
+from ..model_name import reads
 from ..uncertainty import is_resolved
 from .blocks import Answer
 from .digest import Digest, ModelSummary, Spread, is_vdm
@@ -32,13 +33,6 @@ PARAMETERS = {
     "stretch_stiffness": ("stretch stiffness E_s", "N/m"),
     "coarse_nodes": ("nodes of the coarse body", "1"),
     "penalty": ("penalty alpha", "1"),
-}
-# which of them a formulation reads, where a study gives more than that
-_READ = {
-    "paper": ("bulk_modulus", "connectivity_modulus", "penalty"),
-    "consistent": ("foundation", "surface_tension", "penalty"),
-    "vector": ("foundation", "surface_tension", "stretch_stiffness", "penalty"),
-    "boundary": ("shear_modulus", "coarse_nodes", "penalty"),
 }
 _MOST_VALUES = 4
 SURFACE_MODELS = ("vdm-", "mass-spring")
@@ -172,7 +166,8 @@ def _answered(digest: Digest, error: Spread | None) -> str:
 def _parameters(digest: Digest, best: ModelSummary, rated: dict[str, Spread]) -> list[str]:
     results = [case.models[best.name] for case in digest.cases if best.name in case.models]
     parts = []
-    read = _READ.get(str(results[0].parameters.get("formulation")) if results else "", tuple(PARAMETERS))
+    formulation = results[0].parameters.get("formulation") if results else None
+    read = [key for key in reads(f"vdm-{formulation}") or PARAMETERS if key in PARAMETERS]
     for key in read:
         name, unit = PARAMETERS[key]
         values = [v for result in results if isinstance(v := result.parameters.get(key), int | float)]

@@ -22,7 +22,7 @@ from ..meshing.geometry_spec import (
 )
 from ..meshing.geometry_spec import Geometry as GeometrySpec
 from ..meshing.mesh import MeshError
-from ..model_name import split
+from ..model_name import reads, split
 from .kinds import safe_name
 from .problems import Finding, Loc
 from .schema import Constraint, Geometry, HalfSpace, Region, Study, Table
@@ -49,6 +49,7 @@ def check(study: Study) -> Iterator[Finding]:
     """Everything that is wrong with a study whose keys are right by themselves."""
     yield from _check_models(study)
     yield from _check_penalty(study)
+    yield from _check_unread(study)
     yield from _check_geometry(study.geometry)
     yield from _check_regions(study.regions or {})
     yield from _check_groups(study)
@@ -102,7 +103,7 @@ def _check_models(study: Study) -> Iterator[Finding]:
 
 def _check_penalty(study: Study) -> Iterator[Finding]:
     """Held nodes by penalty, equations (25) and (26), are solved by `lu`, whose answer no other may claim."""
-    names = [name for name in (study.study and study.study.models) or () if name and name.startswith("vdm-")]
+    names = [name for name in (study.study and study.study.models) or () if name and reads(name)]
     others = [name for name in names if split(name)[1] not in ("linear", "lu")]
     tables: list[tuple[Loc, Table | None, list[str]]] = [(("vdm", "penalty"), study.vdm, others)]
     tables += [(("models", name, "penalty"), (study.models or {}).get(name), [name]) for name in others]
@@ -113,6 +114,21 @@ def _check_penalty(study: Study) -> Iterator[Finding]:
                 loc,
                 f"is solved by lu alone, not by {_listed(set(answered))}; give it in {instead} or leave it out",
             )
+
+
+def _check_unread(study: Study) -> Iterator[Finding]:
+    """Parameters that decide nothing: [vdm] may serve several models, but one of them has to read each."""
+    names = [name for name in (study.study and study.study.models) or () if name]
+    if any(not reads(name) and not name.startswith("fem") for name in names):
+        return  # a name that is wrong: nobody knows what it was to read
+    tables: list[tuple[Loc, Table | None, set[str]]] = [
+        (("models", name), (study.models or {}).get(name), set(reads(name))) for name in names
+    ]
+    tables.append((("vdm",), study.vdm, set().union(*map(reads, names))))
+    for loc, table, known in tables:
+        for key in sorted(_given(table) - known) if table is not None else ():
+            who = f"{loc[1]} does not read it" if len(loc) > 1 else "no model of this study reads it"
+            yield (*loc, key), f"{who}; leave it out. Read here: {_listed(known) if known else 'none'}"
 
 
 def _check_geometry(geometry: Geometry) -> Iterator[Finding]:

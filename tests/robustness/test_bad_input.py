@@ -107,6 +107,10 @@ HELD_ONLY = 'kind = "fixed"\nregion = "base"\n[[constraints]]\n'
 TABLE: dict[str, tuple[Prepare, int, str]] = {
     "missing file": (lambda _: ["check", "none.toml"], 2, "none.toml:1: does not exist"),
     "missing study": (lambda _: ["run", "sphere"], 2, "no shipped study of that name"),
+    "unread parameter": (
+        study(("[regions.base]", "[models.'vdm-paper']\nrotation = 'none'\n[regions.base]")), 2,
+        'models.vdm-paper.rotation: vdm-paper does not read it; leave it out',
+    ),
     "TOML syntax": (text("[study]\nname = = 1"), 2, "small.toml:2: TOML syntax: invalid value"),
     "byte order mark": (with_mark, 0, "small.toml: ok, 1 case"),
     "not UTF-8": (text(b"a = '\xff'"), 2, "is not UTF-8 text; save the file in UTF-8"),

@@ -17,7 +17,7 @@ from studies.study_file.config import Study, StudyError, expand, load_study, res
 SHIPPED = sorted((Path(__file__).parents[2] / "studies" / "cases").glob("*.toml"))
 
 BASE: dict[str, Any] = {
-    "study": {"name": "base", "title": "x", "models": ["vdm-paper", "fem"], "reference": "fem"},
+    "study": {"name": "base", "title": "x", "models": ["vdm-paper", "vdm-vector", "fem"], "reference": "fem"},
     "geometry": {"shape": "cylinder", "radius": "50 mm", "length": 0.2, "axis": "x", "mesh_size": "6 mm"},
     "tissue": {"youngs_modulus": "5 kPa", "poisson_ratio": 0.49, "density": "1060 kg/m^3"},
     "vdm": {"bulk_modulus": 10, "rotation": "global", "penalty": 1e6},
@@ -59,7 +59,7 @@ FURTHER: dict[str, dict[str, Any]] = {  # bases with the tables that exclude eac
             "regions.finger.cap.direction.0": {"start": 0, "stop": 0.3, "num": 4},
         },
         "calibration": {"training": 2, "parameters": ["bulk_modulus", "surface_tension"]},
-        "models": {"vdm-paper": {"surface_tension": "60 N/m", "rotation": "nodal"}},
+        "models": {"vdm-vector": {"surface_tension": "60 N/m", "rotation": "nodal"}},
     },
     "sample": {
         **BASE,

@@ -102,7 +102,7 @@ pressure = 200
 SWEPT = """\
 [study]
 name = "swept"
-models = ["vdm-paper"]
+models = ["vdm-paper", "vdm-vector:lu"]
 [geometry]
 shape = "ellipsoid"
 semi_axes = [0.05, 0.04, 0.03]

@@ -10,10 +10,10 @@ from numpy.testing import assert_allclose
 
 from studies import models
 from studies.meshing.geometry import build_mesh
-from studies.model_name import is_linear, split
+from studies.model_name import is_linear, reads, split
 from studies.scene import Scene, build_scene
 from studies.study_file.config import geometry_of
-from studies.study_file.schema import Study
+from studies.study_file.schema import Study, VdmTable
 from studies.surface_measures import Surface, relative_l2
 
 STUDY = {
@@ -99,6 +99,43 @@ def test_parameters_come_from_the_study_the_model_or_the_rule() -> None:
     # a penalty lets held nodes move a little; elimination does not
     assert_allclose(plain.displacement[:, scene.fixed], 0.0, rtol=0, atol=0)
     assert 0 < np.abs(own.displacement[:, scene.fixed]).max() < 1e-6
+
+
+VALUES = {
+    "bulk_modulus": 300.0,
+    "connectivity_modulus": 4000.0,
+    "foundation": 5e4,
+    "surface_tension": 40.0,
+    "stretch_stiffness": 30.0,
+    "shear_modulus": 1000.0,
+    "coarse_nodes": 200,
+    "rotation": "none",
+    "penalty": 1e3,
+}
+
+
+@pytest.mark.parametrize("name", sorted(name for name, m in models.MODELS.items() if not m.volumetric))
+def test_a_model_reads_the_keys_that_change_its_answer_and_no_others(name: str) -> None:
+    """Against solves: the list that study files are held against is what the models do."""
+    assert set(VALUES) == set(VdmTable.model_fields)
+    study = Study.model_validate(
+        STUDY | {"geometry": {"shape": "sphere", "radius": 0.05, "mesh_size": 0.012}}
+    )
+    scene = build_scene(study, build_mesh(geometry_of(study)))
+    assert len(scene.fixed) > 200, "enough for a skin on a coarse body"
+    plain = models.run_model(scene, name)
+    read = set()
+    for key, value in VALUES.items():
+        other = models.run_model(dataclasses.replace(scene, parameters={key: value}), name)
+        if not np.array_equal(other.displacement, plain.displacement, equal_nan=True):
+            read.add(key)
+    assert np.isfinite(plain.displacement).all()
+    assert read == set(reads(name))
+
+
+def test_elements_read_no_parameters_of_the_vdm() -> None:
+    assert {bool(reads(name)) for name, model in models.MODELS.items() if model.volumetric} == {False}
+    assert all(name.startswith("fem") == model.volumetric for name, model in models.MODELS.items())
 
 
 @pytest.mark.parametrize("gravity", [None, {"acceleration": [0.0, 0.0, -9.81]}], ids=["scaled", "solved"])

@@ -183,10 +183,9 @@ def test_files_can_be_swept(tmp_path: Path) -> None:
 
 
 def test_a_model_of_the_study_needs_no_table_of_its_own(tmp_path: Path) -> None:
-    base = SWEPT.replace('models = ["vdm-paper"]', 'models = ["vdm-paper", "vdm-vector"]')
-    assert "vdm-vector" not in load(tmp_path, base).models
-    cases = swept(tmp_path, '"models.vdm-vector.bulk_modulus" = [1.0, 2.0]\n', base)
-    assert [case.study.models["vdm-vector"].bulk_modulus for case in cases] == [1.0, 2.0]
+    assert "vdm-vector:lu" not in load(tmp_path, SWEPT).models
+    cases = swept(tmp_path, '"models.vdm-vector:lu.foundation" = [1.0, 2.0]\n')
+    assert [case.study.models["vdm-vector:lu"].foundation for case in cases] == [1.0, 2.0]
 
 
 def test_one_at_a_time_is_a_base_and_each_axis_alone(tmp_path: Path) -> None:
@@ -222,7 +221,7 @@ def test_a_result_with_a_condition_is_another_one_than_without(tmp_path: Path) -
 
 
 def test_a_surface_model_asks_for_no_poisson_ratio(tmp_path: Path) -> None:
-    both = SWEPT.replace('["vdm-paper"]', '["vdm-paper", "fem-linear"]')
+    both = SWEPT.replace('"vdm-vector:lu"]', '"fem-linear"]')
     one = result_keys(load(tmp_path, both), "m")
     other = result_keys(load(tmp_path, both.replace("poisson_ratio = 0.45", "poisson_ratio = 0.3")), "m")
     assert one["vdm-paper"] == other["vdm-paper"]

@@ -153,7 +153,7 @@ WRONG = {
     "another model's table": (
         '"models.vdm-vector.penalty" = [1]',
         '0: sweep."models.vdm-vector.penalty"',
-        'did you mean "models.vdm-paper.penalty"?',
+        'did you mean "models.vdm-vector:lu.penalty"?',
     ),
     "samples of a grid": ("samples = 3", "0: sweep.samples", 'only mode = "latin-hypercube"'),
     "latin without samples": (
