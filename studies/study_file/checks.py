@@ -109,7 +109,7 @@ def _check_penalty(study: Study) -> Iterator[Finding]:
     tables += [(("models", name, "penalty"), (study.models or {}).get(name), [name]) for name in others]
     for loc, table, answered in tables:
         if answered and getattr(table, "penalty", None) is not None:
-            instead = f'[models."{split(answered[0])[0]}:lu"]'
+            instead = f"[models.{split(answered[0])[0]}]"
             yield (
                 loc,
                 f"is solved by lu alone, not by {_listed(set(answered))}; give it in {instead} or leave it out",

@@ -41,7 +41,9 @@ def study_keys() -> str:
         "# Keys of a study file\n\n"
         "Made from `studies/study_file/schema.py` by `make docs`. NAME is a name of yours, `[]` an entry of an "
         "array of\ntables. "
-        "Numbers are in the unit shown; a text with another unit of the same dimension is converted.\n\n"
+        "Numbers are in the unit shown; a text with another unit of the same dimension is converted. A parameter\n"
+        "in [vdm] that no model of the study reads, or in a model's own table that this model does not, is a "
+        "mistake.\n\n"
     )
     rows = ((f"`{row.key}`", row.kind, row.default, row.help) for row in field_table())
     return text + marked.table(

@@ -296,7 +296,7 @@ CASES = {
         "penalty",
         "vdm.penalty",
         "is solved by lu alone, not by vdm-paper:nonlinear and vdm-vector:bicg; give it in "
-        '[models."vdm-paper:lu"] or leave it out',
+        "[models.vdm-paper] or leave it out",
     ),
     "penalty of a solver that has none": (
         '["vdm-paper"]\n',
