@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from studies.calibration.calibrate import body, worse_than_rule
-from studies.calibration.fit import Errors, Trial, least_error
+from studies.calibration.fit import WIDEST, Errors, Trial, least_error
 from studies.plan import make_plan
 from studies.report.formatting import percent
 from studies.run import Options, run_plan
@@ -155,15 +155,28 @@ def _power_above(value: float) -> str:
 
 
 def rule(multiples: Mapping[str, Mapping[str, float]]) -> str:
-    """Whether one multiple of the rule serves all bodies: the geometric mean of the fits and their spread."""
+    """Whether one multiple of the rule serves all bodies: the geometric mean of the fits and their spread.
+
+    Of two moduli the one may not matter to a body: then its fit stops where the search ends, and says nothing.
+    """
     parts = []
     for key in next(iter(multiples.values())):
-        logs = np.log([entry[key] for entry in multiples.values()])
+        ended = [study for study, entry in multiples.items() if _ends_the_search(key, entry)]
+        logs = np.log([entry[key] for study, entry in multiples.items() if study not in ended])
         spread = math.exp(float(logs.max() - logs.min()))
-        parts.append(
-            f"`{key}` {math.exp(float(logs.mean())):.2g} times its rule, {spread:.2g} between the extremes"
-        )
+        part = f"`{key}` {math.exp(float(logs.mean())):.2g} times its rule, {spread:.2g} between the extremes"
+        if ended:
+            bodies = " and ".join(map(_body, ended))
+            part += (
+                f" (without the {bodies}, where it does not matter: the fit ends with the search, at 1e-5)"
+            )
+        parts.append(part)
     return f"One number for all bodies: {'; '.join(parts)}."
+
+
+def _ends_the_search(key: str, multiples: Mapping[str, float]) -> bool:
+    """Whether the other of two moduli is as many times larger as the search allows."""
+    return any(math.log(other / multiples[key]) > WIDEST - 0.01 for other in multiples.values())
 
 
 def worse(fits: Mapping[str, Any]) -> str:

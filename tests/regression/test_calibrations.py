@@ -27,6 +27,7 @@ from tests.docs.calibrations import (
     TISSUE,
     document,
     in_tissue,
+    rule,
 )
 
 SAME = 0.02  # of a multiple: a modulus moves the body in proportion, so 2 % of it is 2 % of the displacement
@@ -108,3 +109,10 @@ def test_no_load_of_a_shipped_calibration_is_a_multiple_of_another(study: str) -
 
 def test_the_document_shows_the_stored_fits() -> None:
     assert DOCUMENT.read_text() == document({study: stored(study) for study in STUDIES}, tissues())
+
+
+def test_a_fit_that_ends_with_the_search_is_no_part_of_the_spread() -> None:
+    multiples = {"calibrate-a": {"x": 1e-5, "y": 1.0}, "calibrate-b": {"x": 2.0, "y": 1.0}}
+    told = rule({**multiples, "calibrate-c": {"x": 0.5, "y": 1.0}})
+    assert "`x` 1 times its rule, 4 between the extremes (without the a, where it does not matter" in told
+    assert told.endswith("`y` 1 times its rule, 1 between the extremes.")
