@@ -11,6 +11,8 @@ report.
 
 What is compared is processor time, that of the workers included: what else runs on the machine disturbs it least.
 All studies are run in turn, in several rounds: a ratio is that of the medians, and its range that of the rounds.
+The solve of one load differs from round to round by as much as all further cases take. So what they add is measured
+without it too: one other multiple and 100 others, in studies that find the reference in the cache.
 What cases cannot share is measured too, part by part: the scene, the results' scaling, the metrics, the file that
 each of them leaves and its reading for the report. It grows with the surface, one load grows with the body.
 
@@ -49,6 +51,7 @@ from tests.docs import marked
 
 REFERENCE = "fem-linear"
 FORMAT = Path(__file__).parents[2] / "results" / "FORMAT.md"
+BY_PARTS = "one load, and what 99 others add to one where the reference is cached"
 SHOWN = [(10.0, False), (5.0, False), (4.0, True)]  # mesh size [mm], with error bar
 TABLES: dict[str, Any] = {
     "study": {
@@ -78,6 +81,7 @@ class Costs:
     ----------
     nodes : of the surface
     rounds : study -> processor seconds, that of one load first, in each round
+    added : in each round what the further cases add to one, where the reference is cached [s]
     naive : a case per load, each alone; measured on some of them and scaled up
     difference : largest difference of a stored number, shared to naive, over the model's largest of its kind
     further : part -> processor seconds of one further case that is a multiple, median
@@ -86,6 +90,7 @@ class Costs:
     loads: int
     nodes: int
     rounds: Sequence[dict[str, float]]
+    added: Sequence[float]
     naive: float
     difference: float
     further: dict[str, float]
@@ -103,6 +108,15 @@ class Costs:
         one = next(iter(self.rounds[0]))
         each = [seconds.get(study, self.naive) / seconds[one] for seconds in self.rounds]
         return self.seconds[study] / self.seconds[one], min(each), max(each)
+
+    def ratio_by_parts(self) -> tuple[float, float, float]:
+        """One load and what the further cases add over one load: of the medians, the least and the largest."""
+        one = next(iter(self.seconds.values()))
+        return (
+            1.0 + float(np.median(self.added)) / one,
+            1.0 + min(self.added) / one,
+            1.0 + max(self.added) / one,
+        )
 
 
 def measure(
@@ -129,12 +143,20 @@ def measure(
         }
     # the first run also loads the libraries of the report
     _timed("warm-up", directory, {"geometry": TABLES["geometry"] | {"mesh_size": 0.02}})
+    others = (1.1 * np.array(swept)).tolist()
     plans: dict[str, Plan] = {}
     taken: list[dict[str, float]] = []
+    added = []
     for number in range(rounds):
         taken.append({})
         for place, (study, own) in enumerate(studies.items()):
             plans[study], taken[-1][study] = _timed(f"{number}-{place}", directory, changes | own)
+        cached = []
+        for few in (others[:1], others):
+            own = {"sweep": {"constraints.finger.pressure": few}}
+            name = f"{number}-cached-{len(few)}"
+            cached.append(_timed(name, directory, changes | own, plans[multiples].cache)[1])
+        added.append(cached[1] - cached[0])
     plan = plans[multiples]
     chosen = plan.cases[loads // naive // 2 :: loads // naive]  # none of them the first, which is solved
     alone, seconds_alone = _naive(plan, directory / "naive", [case.hash for case in chosen])
@@ -143,6 +165,7 @@ def measure(
         loads=loads,
         nodes=len(pairs[0][0].points),
         rounds=taken,
+        added=added,
         naive=seconds_alone * loads / len(chosen),
         difference=max(_difference(a, b, name) for a, b in pairs for name in b.models),
         further={},
@@ -180,9 +203,11 @@ def _further(plan: Plan, seconds: float) -> dict[str, float]:
     return parts | {"the rest": seconds - sum(parts.values())}
 
 
-def _timed(name: str, directory: Path, changes: dict[str, Any]) -> tuple[Plan, float]:
+def _timed(
+    name: str, directory: Path, changes: dict[str, Any], cache: Path | None = None
+) -> tuple[Plan, float]:
     began = _processor_seconds()
-    plan = _plan(directory / name, directory / name / "cache", changes)
+    plan = _plan(directory / name, cache or directory / name / "cache", changes)
     run, _ = run_plan(plan, "", Options(jobs=1), lambda _: None)
     seconds = _processor_seconds() - began
     if run.failed or run.missing:
@@ -239,18 +264,25 @@ def written(columns: Sequence[tuple[str, Costs]]) -> str:
     """Body -> its costs as the Markdown table of `results/FORMAT.md`: seconds of one load, the others over it."""
     first, *others = columns[0][1].seconds
 
+    def times(ratio: float, least: float, most: float) -> str:
+        return f"{ratio:.3g} times ({least:.3g} to {most:.3g})"
+
     def cell(costs: Costs, study: str) -> str:
         if study not in costs.seconds:
             return "not run"
-        ratio, least, most = costs.ratio(study)
-        return f"{ratio:.3g} times" + (
-            "" if study not in costs.rounds[0] else f" ({least:.3g} to {most:.3g})"
-        )
+        measured = costs.ratio(study)
+        return times(*measured) if study in costs.rounds[0] else f"{measured[0]:.3g} times"
 
     rows = [
         [first, *(f"{c.seconds[first]:.3g} s" for _, c in columns)],
         *([study, *(cell(c, study) for _, c in columns)] for study in others),
+        [BY_PARTS, *(times(*c.ratio_by_parts()) for _, c in columns)],
         ["a further multiple", *(f"{1e3 * sum(c.further.values()):.0f} ms" for _, c in columns)],
+        *(
+            [f"of it {part}", *(f"{1e3 * c.further.get(part, 0.0):.1f} ms" for _, c in columns)]
+            for part in dict.fromkeys(part for _, c in columns for part in c.further)
+        ),
+        ["difference of a multiple's numbers", *(f"{c.difference:.0e}" for _, c in columns)],
     ]
     return marked.table(["study", *(body for body, _ in columns)], rows)
 
@@ -262,6 +294,7 @@ def table(costs: Costs) -> str:
     for study, seconds in costs.seconds.items():
         ratio, least, most = costs.ratio(study)
         lines.append(f"{study:<44} {seconds:8.2f} s  {ratio:7.3f} ({least:.3f} to {most:.3f})")
+    lines.append("{}: {:.3f} ({:.3f} to {:.3f})".format(BY_PARTS, *costs.ratio_by_parts()))
     return "\n".join(
         [
             f"{costs.nodes} surface nodes, {len(costs.rounds)} rounds",

@@ -102,8 +102,8 @@ def test_the_table_of_sharing_is_as_its_benchmark_writes_it() -> None:
         {"one load": 10.0, multiples: 11.0, history: 15.0},
         {"one load": 20.0, multiples: 24.0, history: 30.0},
     ]
-    full = sharing.Costs(100, 390, rounds, 150.0, 1e-14, {"file": 0.03, "metrics": 0.013})
-    bare = dataclasses.replace(full, rounds=[{"one load": 2.0, multiples: 4.84}])
+    full = sharing.Costs(100, 390, rounds, [1.5, 3.0], 150.0, 1e-14, {"file": 0.03, "metrics": 0.013})
+    bare = dataclasses.replace(full, rounds=[{"one load": 2.0, multiples: 4.84}], added=[0.2])
     rows = marked.cells(sharing.written([("5 mm, 1,531 nodes", full), ("4 mm, 2,384 nodes", bare)]))
     assert rows == [
         ["study", "5 mm, 1,531 nodes", "4 mm, 2,384 nodes"],
@@ -111,7 +111,11 @@ def test_the_table_of_sharing_is_as_its_benchmark_writes_it() -> None:
         ["100 cases, multiples of one load", "1.17 times (1.1 to 1.2)", "2.42 times (2.42 to 2.42)"],
         ["one case, a history of 100 loads", "1.5 times (1.5 to 1.5)", "not run"],
         ["the 100 multiples, each alone", "10 times", "75 times"],
+        [sharing.BY_PARTS, "1.15 times (1.1 to 1.2)", "1.1 times (1.1 to 1.1)"],
         ["a further multiple", "43 ms", "43 ms"],
+        ["of it file", "30.0 ms", "30.0 ms"],
+        ["of it metrics", "13.0 ms", "13.0 ms"],
+        ["difference of a multiple's numbers", "1e-14", "1e-14"],
     ]
     shown = marked.cells(marked.shown(FORMAT, "sharing"))
     assert {row[0] for row in rows} <= {row[0] for row in shown}
