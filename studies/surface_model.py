@@ -124,7 +124,7 @@ def _model(
 
     if penalty is not None:
         options |= {"constraint_method": "penalty-replaced", "penalty": penalty}  # (25) and (26) as printed
-        solver = "lu"
+        solver = "lu" if solver == "linear" else solver  # lu solves the same problem; any other refuses
     return Model(
         mesh.surface_points,
         mesh.triangles,
