@@ -21,6 +21,11 @@ def reads(name: str) -> tuple[str, ...]:
     return _READS.get(split(name)[0], ())
 
 
+def is_vdm(name: str) -> bool:
+    """Whether a model is one of the surface models of VDM, whose parameters a calibration fits."""
+    return name.startswith("vdm-")
+
+
 def split(name: str) -> tuple[str, str]:
     """Name in the registry and solver, "linear" where none is named; what tells a refined level is left out."""
     base, _, solver = name.partition(" ")[0].partition(":")

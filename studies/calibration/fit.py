@@ -22,7 +22,7 @@ from ..case import ModelResult, Run
 from ..meshing.mesh import Array, InputError
 from ..meshing.mesh_cache import mesh_from_cache
 from ..metrics import full_load_step
-from ..model_name import is_linear
+from ..model_name import is_linear, is_vdm, reads
 from ..plan import Plan, PlannedCase, needs_volume
 from ..scene import Scene, build_scene
 from ..setups import next_turn
@@ -159,7 +159,7 @@ def count_of_training(loads: int, training: int | None) -> int:
 
 def surface_models(names: Sequence[str]) -> list[str]:
     """Those models of a study whose parameters can be fitted."""
-    return [name for name in names if models.find(name)[0].name.startswith("vdm-")]
+    return list(filter(is_vdm, names))
 
 
 class Trial:
@@ -167,12 +167,13 @@ class Trial:
 
     Parameters
     ----------
-    asked : parameters to fit; by default those that the model's rule sets and the study leaves to it
+    asked : parameters to fit, of which the model takes those that it reads; by default those that its rule sets
+        and the study leaves to it
 
     Raises
     ------
     CalibrationError
-        nothing to fit, a parameter that the model has not, or a load that the model cannot solve.
+        nothing to fit, or a load that the model cannot solve.
     """
 
     def __init__(self, name: str, samples: Sequence[Sample], asked: Sequence[str] | None = None) -> None:
@@ -185,12 +186,13 @@ class Trial:
             for key, value in self._run(samples[0], {}).parameters.items()
             if key in MODULI and isinstance(value, float)
         }
-        names = [key for key in known if key not in given] if asked is None else list(asked)
+        if asked is None:
+            names = [key for key in known if key not in given]
+        else:
+            names = [key for key in asked if key in reads(name)]
         if not names:
-            raise CalibrationError(f"{name} has no parameter left to fit: the study sets all of them")
-        for key in names:
-            if key not in known and MODULI.get(key, "") not in known:
-                raise CalibrationError(f"{name} has no {key}; it has {', '.join(known)}")
+            why = "the study sets all of them" if asked is None else f"it reads none of {', '.join(asked)}"
+            raise CalibrationError(f"{name} has no parameter left to fit: {why}")
         self.names = names
         self._rules = [self._rule(sample) for sample in samples]
 

@@ -22,7 +22,7 @@ from ..meshing.geometry_spec import (
 )
 from ..meshing.geometry_spec import Geometry as GeometrySpec
 from ..meshing.mesh import MeshError
-from ..model_name import reads, split
+from ..model_name import is_vdm, reads, split
 from .kinds import safe_name
 from .problems import Finding, Loc
 from .schema import Constraint, Geometry, HalfSpace, Region, Study, Table
@@ -50,6 +50,7 @@ def check(study: Study) -> Iterator[Finding]:
     yield from _check_models(study)
     yield from _check_penalty(study)
     yield from _check_unread(study)
+    yield from _check_calibration(study)
     yield from _check_geometry(study.geometry)
     yield from _check_regions(study.regions or {})
     yield from _check_groups(study)
@@ -129,6 +130,25 @@ def _check_unread(study: Study) -> Iterator[Finding]:
         for key in sorted(_given(table) - known) if table is not None else ():
             who = f"{loc[1]} does not read it" if len(loc) > 1 else "no model of this study reads it"
             yield (*loc, key), f"{who}; leave it out. Read here: {_listed(known) if known else 'none'}"
+
+
+def _check_calibration(study: Study) -> Iterator[Finding]:
+    """Parameters to fit, where the study names them: a model of VDM has to read each, each model one of them."""
+    names = [name for name in (study.study and study.study.models) or () if name and is_vdm(name)]
+    asked = (study.calibration and study.calibration.parameters) or ()
+    if not asked or not all(map(reads, names)):
+        return  # left to the rules, or a name is wrong
+    known = set().union(*map(reads, names)) & set(asked)
+    for place, key in enumerate(asked):
+        loc = ("calibration", "parameters", place)
+        if key not in known:
+            yield loc, f"no VDM model of this study reads {key}; leave it out"
+        elif key in asked[:place]:
+            yield loc, f"{key} is listed twice"
+    for name in names:
+        if known and known.isdisjoint(reads(name)):
+            text = f"{name} reads none of them; add one that it reads, or leave parameters out to fit all"
+            yield ("calibration", "parameters"), text
 
 
 def _check_geometry(geometry: Geometry) -> Iterator[Finding]:

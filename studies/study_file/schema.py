@@ -434,7 +434,10 @@ class Calibration(Table):
         ]
         | None
     ) = Field(
-        None, description="what to fit; left out: what the study leaves to each model's rule", strict=False
+        None,
+        description="what to fit, in each model what it reads; left out: what the study leaves to its rule",
+        min_length=1,
+        strict=False,
     )
 
 

@@ -290,6 +290,16 @@ def finished(text: str, directory: Path) -> tuple[Run, Plan]:
     return Run({"name": study.study.name}, "", cases, [], [], {}), plan
 
 
+def test_each_model_fits_what_it_reads_of_what_is_asked(samples: list[Sample]) -> None:
+    asked = ["stretch_stiffness", "connectivity_modulus", "surface_tension"]
+    names = {name: Trial(name, samples, asked).names for name in ("vdm-paper", "vdm-consistent", "vdm-vector")}
+    assert names == {
+        "vdm-paper": ["connectivity_modulus"],
+        "vdm-consistent": ["surface_tension"],
+        "vdm-vector": ["stretch_stiffness", "surface_tension"],
+    }
+
+
 def test_what_cannot_be_fitted_says_why(samples: list[Sample]) -> None:
     with pytest.raises(CalibrationError, match="sweep more loads"):
         split(samples[:1], 1, None)
@@ -299,7 +309,7 @@ def test_what_cannot_be_fitted_says_why(samples: list[Sample]) -> None:
         split(samples[2:], 4, None)
     with pytest.raises(CalibrationError, match="none of the loads held out is finished"):
         split(samples[:2], 4, 2)
-    with pytest.raises(CalibrationError, match="has no foundation"):
+    with pytest.raises(CalibrationError, match="it reads none of foundation"):
         Trial("vdm-paper", samples, ["foundation"])
     given = [
         dataclasses.replace(s, scene=dataclasses.replace(s.scene, parameters={"surface_tension": 9.0}))
