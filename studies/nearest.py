@@ -55,9 +55,12 @@ class Neighbourhood:
 
     def __init__(self, points: Array, triangles: Index) -> None:
         self.points, self.triangles = points, triangles
-        facet, corner = np.divmod(np.argsort(triangles, axis=None, kind="stable"), 3)
         # pairs of a node and a facet at it, by node: the facet's corners, the node first
-        self._pairs = np.stack([triangles[facet, (corner + k) % 3] for k in range(3)])  # (3, 3 F)
+        pairs = np.concatenate([triangles[:, [k, (k + 1) % 3, (k + 2) % 3]] for k in range(3)])
+        # an edge is the second of one facet and the first of its neighbour, but at a border: there it stands alone
+        first, second = (pairs[:, 0] * len(points) + pairs[:, k] for k in (1, 2))
+        pairs = np.concatenate([pairs, pairs[~np.isin(second, first)][:, [0, 2, 2]]])
+        self._pairs = np.ascontiguousarray(pairs[np.argsort(pairs[:, 0], kind="stable")].T)  # (3, P)
         self._ends = np.searchsorted(self._pairs[0], np.arange(len(points) + 1))
 
     def distances_and_farthest(self, copies: Array, other: Array) -> tuple[Array, Array]:
@@ -69,33 +72,41 @@ class Neighbourhood:
         farthest : (B,) the largest of these and of the distances of the other's nodes to each [m]
         """
         at_once = max(1, _MOST_AT_ONCE // self._pairs.shape[1])
-        parts = [copies[first : first + at_once] for first in range(0, len(copies), at_once)]
+        starts = range(0, len(copies), at_once)
+        copies, other = (np.ascontiguousarray(np.moveaxis(points, -1, 0)) for points in (copies, other))
         nodes = np.arange(len(self.points))
-        there = np.concatenate([self._distances(part, other, nodes) for part in parts])
+        there = np.concatenate([self._distances(copies[:, k : k + at_once], other, nodes) for k in starts])
         farthest = there.max(axis=1)
         # a node of the other surface is no further from this one than from the node that it corresponds to
-        bounds = _lengths(copies - other)
-        for place, copy in enumerate(copies):
-            still = np.flatnonzero(bounds[place] > farthest[place])
+        bounds = _lengths(copies - other[:, None])
+        for place, bound in enumerate(bounds):
+            still = np.flatnonzero(bound > farthest[place])
             if len(still):
-                farthest[place] = max(farthest[place], self._distances(other[None], copy, still).max())
+                back = self._distances(other[:, None], copies[:, place], still)
+                farthest[place] = max(farthest[place], back.max())
         return there, farthest
 
     def _distances(self, copies: Array, other: Array, nodes: Index) -> Array:
-        """(B, n) distances of n nodes of the copies (B, N, 3) to another (N, 3)."""
-        counts = self._ends[nodes + 1] - self._ends[nodes]
-        starts = np.cumsum(counts) - counts
-        pairs = self._pairs[:, np.arange(counts.sum()) + np.repeat(self._ends[nodes] - starts, counts)]
-        corner, second, third = np.ascontiguousarray(other.T)[:, pairs].swapaxes(0, 1)
-        u, v = second - corner, third - corner
+        """(B, n) distances of n nodes of the copies (3, B, N) to another (3, N)."""
+        first, last = self._ends[nodes], self._ends[nodes + 1]
+        starts = np.cumsum(last - first) - (last - first)
+        apart = copies[:, :, nodes] - other[:, None, nodes]
+        pairs = np.arange(len(self._pairs[0]))
+        if len(nodes) < len(self.points):
+            pairs = pairs[: (last - first).sum()] + np.repeat(first - starts, last - first)
+        corner, second, third = other[:, self._pairs[:, pairs]].swapaxes(0, 1)
         # a node is as far from the first corner as the copies are apart there
-        apart = np.ascontiguousarray((copies - other).transpose(2, 0, 1))
-        gaps, _, _ = _nearest_in(np.repeat(apart[:, :, nodes], counts, axis=2), u, v, _squares(u, v))
+        w = np.repeat(apart, last - first, axis=2)
+        gaps, heights = _nearest_in_wedge(w, second - corner, third - corner)
         distance: Array = np.sqrt(np.minimum.reduceat(gaps, starts, axis=1))
-        for row, places in enumerate(self._unproven(distance, copies, other, nodes)):
+        # what is nearest in a wedge is no further from its corner than the point is: then it is in the facet
+        in_facet = _dot(apart, apart) < np.minimum.reduceat(heights, starts)
+        for row, places in enumerate(
+            self._unproven(np.where(in_facet, distance, np.inf), copies, other, nodes)
+        ):
             if len(places):
-                queries = copies[row, nodes[places]]
-                distance[row, places] = nearest_on_surface(queries, other, self.triangles)[0]
+                queries = copies[:, row, nodes[places]]
+                distance[row, places] = nearest_on_surface(queries.T, other.T, self.triangles)[0]
         return distance
 
     def _unproven(self, distance: Array, copies: Array, other: Array, nodes: Index) -> list[Index]:
@@ -105,16 +116,16 @@ class Neighbourhood:
         nearer to it than `a` less the largest difference between the node's displacement and those of the corners.
         """
         clearance, beyond, around = self._at_rest
-        moved, others = copies[:, nodes] - self.points[nodes], other - self.points
-        components = np.ascontiguousarray(others.T)
-        middle = 0.5 * (components.min(axis=1) + components.max(axis=1))
-        most = _lengths(moved - middle) + _lengths(others - middle).max()
+        rest = self.points.T
+        moved, others = copies[:, :, nodes] - rest[:, None, nodes], other - rest
+        middle = 0.5 * (others.min(axis=1) + others.max(axis=1))
+        most = _lengths(moved - middle[:, None, None]) + _lengths(others - middle[:, None]).max()
         found = []
         for row, doubtful in enumerate(distance >= np.minimum(clearance, beyond)[nodes] - most):
             places = np.flatnonzero(doubtful)
             if len(places):
                 some = nodes[places]  # the displacements around them differ less
-                near = _lengths(others[around[some]] - moved[row, places, None]).max(axis=1)
+                near = _lengths(others[:, around[some]] - moved[:, row, places, None]).max(axis=1)
                 bound = np.minimum(clearance[some] - near, beyond[some] - most[row, places])
                 places = places[distance[row, places] >= bound]
             found.append(places)
@@ -176,15 +187,37 @@ class _Facets:
         return _nearest_in(w, self._u[:, candidates], self._v[:, candidates], self._squares[:, candidates])
 
 
+def _dot(u: Array, v: Array) -> Array:
+    """(...,) u.v of vectors (3, ...)."""
+    product: Array = u[0] * v[0] + u[1] * v[1] + u[2] * v[2]
+    return product
+
+
 def _lengths(vectors: Array) -> Array:
-    """(...,) Euclidean lengths of vectors (..., 3)."""
-    lengths: Array = np.sqrt(np.einsum("...i,...i->...", vectors, vectors))
-    return lengths
+    """(...,) Euclidean lengths of vectors (3, ...)."""
+    return np.sqrt(_dot(vectors, vectors))
 
 
 def _squares(u: Array, v: Array) -> Array:
     """(3, ...) u.u, u.v and v.v of vectors (3, ...)."""
-    return np.stack([x[0] * y[0] + x[1] * y[1] + x[2] * y[2] for x, y in ((u, u), (u, v), (v, v))])
+    return np.stack([_dot(u, u), _dot(u, v), _dot(v, v)])
+
+
+def _nearest_in_wedge(w: Array, u: Array, v: Array) -> tuple[Array, Array]:
+    """For points at w (3, B, P) from the first corner of P triangles with edges u and v (3, P) from it: what is
+    nearest to them inside the wedge of the two edges or on its edge u, either without end.
+
+    Returns the squared distance (B, P), and the square of how far from the corner the wedge is the triangle (P,):
+    to the line of the third edge; where v is u, which is an edge alone, to its end.
+    """
+    uu, uv, vv = _squares(u, v)
+    normal = np.stack([u[i - 2] * v[i - 1] - u[i - 1] * v[i - 2] for i in range(3)])
+    nn, third = _dot(normal, normal), _dot(v - u, v - u)
+    d1, d2 = _dot(u, w), _dot(v, w)
+    inside = (d1 * vv >= d2 * uv) & (d2 * uu >= d1 * uv) & (nn > 0)
+    flat = np.where(inside, _share(_dot(normal, w) ** 2, nn), np.inf)
+    x, y, z = w - _share(np.maximum(d1, 0.0), uu) * u[:, None]
+    return np.minimum(flat, x**2 + y**2 + z**2), np.where(third > 0, _share(nn, third), uu)
 
 
 def _nearest_in(w: Array, u: Array, v: Array, squares: Array) -> tuple[Array, Array, Array]:

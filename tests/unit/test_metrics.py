@@ -384,6 +384,21 @@ def assert_distances(surface: Surface, copies: np.ndarray, other: np.ndarray) ->
         assert_allclose(farthest[place], max(one.max(), back.max()), rtol=1e-12, atol=1e-15)
 
 
+def test_distances_of_a_surface_with_a_border_and_facets_without_area() -> None:
+    """At a border an edge is of one facet only; displacements go beyond the facets of a node, too."""
+    surface, _ = bumpy(9)
+    upper = surface.triangles[surface.points[surface.triangles, 2].min(axis=1) > 0.0]
+    used, facets = np.unique(upper, return_inverse=True)
+    facets = np.concatenate([facets.reshape(-1, 3), [[0, 1, 1], [0, 0, 0]]])
+    rest = surface.points[used]
+    generator = np.random.default_rng(2)
+    for triangles in (facets, facets[:, ::-1]):
+        for size in (1e-3, 0.03, 0.3):
+            moved = rest + size * generator.standard_normal((3, *rest.shape))
+            moved[1] = moved[2] * [1.2, 1.2, 1.0]  # the border is beyond the other's
+            assert_distances(Surface(rest, triangles), moved[:2], moved[2])
+
+
 def test_distances_where_a_surface_comes_near_to_itself(monkeypatch: pytest.MonkeyPatch) -> None:
     """Two sheets of a flattened ball, and one pushed through the other: a node's own facets are not the nearest."""
     surface, _ = bumpy(9)
