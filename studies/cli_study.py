@@ -78,7 +78,7 @@ def _check_files(plan: Plan, cases: Sequence[PlannedCase]) -> None:
 
     for mesh in plan.missing_meshes(cases):
         try:
-            _ = mesh.expected_size
+            _ = mesh.expected
         except MeshError as error:
             raise geometry_error(plan.study, error) from error
 

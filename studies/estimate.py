@@ -18,7 +18,7 @@ from .hdf5 import StoreError
 from .meshing.mesh import MeshError
 from .meshing.mesh_cache import mesh_path, read_mesh
 from .model_name import split
-from .plan import Plan, PlannedCase, PlannedMesh
+from .plan import Expected, Plan, PlannedCase, PlannedMesh
 from .store import read_case
 from .work import work_of
 
@@ -153,11 +153,17 @@ def _search(case: PlannedCase, size: Size) -> Spent:
 
 def size_of(plan: Plan, mesh: PlannedMesh) -> Size | None:
     """Of a mesh, counted where the cache or a file has it; None where its file cannot be meshed."""
+    known = known_of(plan, mesh)
+    return Size(known.nodes, known.tetrahedra) if known is not None else None
+
+
+def known_of(plan: Plan, mesh: PlannedMesh) -> Expected | None:
+    """What a mesh in the cache is, or one that is not there will be; None where its file cannot be meshed."""
     cached = read_mesh(mesh_path(plan.cache, mesh.key))
     if cached is not None:
-        return Size(len(cached.surface_nodes), len(cached.tetrahedra))
+        return Expected.of_mesh(cached)
     try:
-        return Size(*mesh.expected_size)
+        return mesh.expected
     except MeshError:
         return None
 

@@ -6,12 +6,9 @@ import dataclasses
 from collections.abc import Sequence
 from typing import Any
 
-import numpy as np
-
 from . import models
-from .estimate import estimate, size_of
-from .meshing.geometry_spec import extents
-from .plan import Plan, PlannedCase
+from .estimate import estimate, known_of, size_of
+from .plan import Expected, Plan, PlannedCase
 from .regions import body_extent, lies_outside
 from .study_file.config import holds_nothing
 from .work import ModelWork, work_of
@@ -138,10 +135,9 @@ def refused(plan: Plan, cases: Sequence[PlannedCase]) -> list[str]:
     models, elements that nothing holds, fibres, and a mesh of more surface nodes than a model takes."""
     names = plan.study.study.models
     limits = {name: most for name in names if (most := models.most_nodes(name)) is not None}
-    off = dict.fromkeys(line for case in cases for line in _off_the_body(plan, case))
     free = any(holds_nothing(case.study) for case in cases)
     lines = [
-        *off,
+        *dict.fromkeys(_off_the_body(plan, cases)),
         *(
             f"{name}: nothing is held; hold a region, by kind fixed or constrained"
             for name in names
@@ -168,17 +164,18 @@ def refused(plan: Plan, cases: Sequence[PlannedCase]) -> list[str]:
     return lines
 
 
-def _off_the_body(plan: Plan, case: PlannedCase) -> list[str]:
-    """Of the shapes whose extents are known; a mesh may reach an edge further."""
-    geometry = plan.meshes[case.mesh].geometry
-    if geometry.shape == "file":
-        return []
-    high = np.array(extents(geometry)) / 2.0
-    reach = high + geometry.mesh_size
+def _off_the_body(plan: Plan, cases: Sequence[PlannedCase]) -> list[str]:
+    """The regions of constraints that lie off their body; a mesh may reach an edge further."""
+    known: dict[str, Expected | None] = {}
+    for key in dict.fromkeys(case.mesh for case in cases):
+        mesh = plan.meshes[key]  # of a file read it, where it is there: that is quicker than the file
+        known[key] = known_of(plan, mesh) if mesh.geometry.shape == "file" else mesh.expected
     return [
-        f"region {name!r} lies off the body: {body_extent(-high, high)}"
+        f"region {name!r} lies off the body: {body_extent(body.low, body.high)}"
+        for case in cases
         for name in dict.fromkeys(constraint.region for constraint in case.study.constraints)
-        if lies_outside(case.study.regions[name], -reach, reach)
+        if (body := known[case.mesh]) is not None
+        and lies_outside(case.study.regions[name], body.low - body.reach, body.high + body.reach)
     ]
 
 

@@ -9,6 +9,8 @@ from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from . import models
 from .keys import answer_key, case_hash, load_key, result_keys, setup_key, surface_key
 from .meshing.geometry_spec import (
@@ -17,9 +19,10 @@ from .meshing.geometry_spec import (
     area_and_volume,
     check_node_budget,
     expected_size,
+    extents,
     geometry_key,
 )
-from .meshing.mesh import MeshError
+from .meshing.mesh import Array, Mesh, MeshError
 from .meshing.mesh_cache import mesh_path
 from .result_cache import reference_path
 from .sealed import is_sound
@@ -50,6 +53,26 @@ class PlannedCase:
 
 
 @dataclass(frozen=True)
+class Expected:
+    """A mesh's surface nodes and tetrahedra, its body's box (3,) (3,) [m], and how far it may reach beyond [m]."""
+
+    nodes: float
+    tetrahedra: float
+    low: Array
+    high: Array
+    reach: float
+
+    @classmethod
+    def of_mesh(cls, mesh: Mesh, *, volume: bool = True) -> Expected:
+        """Of a mesh that is there; distortions move a node by an edge at most."""
+        points = mesh.surface_points
+        corners = points[mesh.triangles]
+        reach = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max()
+        size = float(len(points)), float(len(mesh.tetrahedra) if volume else 0)
+        return cls(*size, points.min(axis=0), points.max(axis=0), float(reach))
+
+
+@dataclass(frozen=True)
 class PlannedMesh:
     """A mesh that one or more cases need."""
 
@@ -58,8 +81,8 @@ class PlannedMesh:
     volume: bool
 
     @cached_property
-    def expected_size(self) -> tuple[float, float]:
-        """Surface nodes and tetrahedra that it will have, about; a file is read for it, and checked on the way.
+    def expected(self) -> Expected:
+        """What it will be, about; a file is read for it, and checked on the way.
 
         Raises
         ------
@@ -69,6 +92,7 @@ class PlannedMesh:
         geometry = self.geometry
         if geometry.shape != "file":
             area, inside = area_and_volume(geometry)
+            high = np.array(extents(geometry)) / 2.0
         else:
             from .meshing.imported import (  # readers are slow to load
                 imported_surface,
@@ -79,10 +103,12 @@ class PlannedMesh:
             with named(geometry):
                 if geometry.has_own_tetrahedra:
                     mesh = imported_tetrahedra(geometry, max_nodes=MAX_NODES)
-                    return float(len(mesh.surface_nodes)), float(len(mesh.tetrahedra) if self.volume else 0)
+                    return Expected.of_mesh(mesh, volume=self.volume)
                 surface = imported_surface(geometry, volume=self.volume, max_nodes=MAX_NODES)
             area, inside = surface.area, surface.volume
-        return expected_size(area, inside if self.volume else 0.0, geometry.mesh_size)
+            high = surface.points.max(axis=0)
+        size = expected_size(area, inside if self.volume else 0.0, geometry.mesh_size)
+        return Expected(*size, -high, high, geometry.mesh_size)
 
 
 @dataclass(frozen=True)

@@ -292,7 +292,9 @@ def finished(text: str, directory: Path) -> tuple[Run, Plan]:
 
 def test_each_model_fits_what_it_reads_of_what_is_asked(samples: list[Sample]) -> None:
     asked = ["stretch_stiffness", "connectivity_modulus", "surface_tension"]
-    names = {name: Trial(name, samples, asked).names for name in ("vdm-paper", "vdm-consistent", "vdm-vector")}
+    names = {
+        name: Trial(name, samples, asked).names for name in ("vdm-paper", "vdm-consistent", "vdm-vector")
+    }
     assert names == {
         "vdm-paper": ["connectivity_modulus"],
         "vdm-consistent": ["surface_tension"],

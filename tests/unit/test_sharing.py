@@ -10,6 +10,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
+import meshio
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
@@ -24,6 +25,8 @@ from studies.case import CaseResult, StepStatus
 from studies.cli_study import SHIPPED
 from studies.estimate import _PROCESS_BYTES, FACTOR_MEASURED, Size, _law
 from studies.explain import summary
+from studies.meshing.geometry import build_mesh
+from studies.meshing.geometry_spec import Geometry
 from studies.meshing.mesh_cache import mesh_from_cache
 from studies.plan import Plan, make_plan, task_of
 from studies.proportional import Answer
@@ -595,7 +598,7 @@ def test_a_model_that_will_refuse_a_mesh_is_named(
     study = TABLES["study"] | {"models": ["mass-spring", "fem-linear"]}
     plan = plan_of(tmp_path, cache if known else tmp_path, study=study)
     (mesh,) = plan.meshes.values()
-    nodes = mesh.expected_size[0]
+    nodes = mesh.expected.nodes
     if known:
         nodes = len(mesh_from_cache(mesh.geometry, cache).surface_nodes)
     monkeypatch.setattr("vdm.formulations.mass_spring.MAX_NODES", math.ceil(share * nodes))
@@ -628,6 +631,37 @@ def test_a_region_off_the_body_is_named_before_it_is_meshed(
         "z from -0.05 to 0.05 m; a mixed-up unit? A bare number is in metres"
     )
     assert summary(plan)["refused"] == [line] * told
+
+
+@pytest.mark.parametrize("suffix", [".stl", ".vtu"])
+@pytest.mark.parametrize("known", [False, True])
+@pytest.mark.parametrize(("height", "told"), [(0.1, True), (0.055, False)])  # an edge beyond is no matter
+def test_a_region_off_the_body_of_a_file_is_named_before_it_is_meshed(
+    tmp_path: Path, suffix: str, known: bool, height: float, told: bool
+) -> None:
+    file, shape = tmp_path / f"ball{suffix}", Geometry("sphere", 0.022, {"radius": 0.05})
+    ball = build_mesh(shape)
+    cells = {
+        ".stl": (ball.surface_points, ("triangle", ball.triangles)),
+        ".vtu": (ball.points, ("tetra", ball.tetrahedra)),
+    }
+    meshio.write_points_cells(
+        file, cells[suffix][0] + 7.0, [cells[suffix][1]]
+    )  # its place is no matter either
+    geometry = {"shape": "file", "path": str(file), "mesh_size": 0.022}
+    regions = TABLES["regions"] | {"finger": {"above": {"axis": "z", "value": height}}}
+    pressed = TABLES["constraints"][1] | {"profile": "uniform"}
+    constraints = [TABLES["constraints"][0], pressed]
+    plan = plan_of(tmp_path, tmp_path, geometry=geometry, regions=regions, constraints=constraints, sweep={})
+    if known:
+        mesh_from_cache(next(iter(plan.meshes.values())).geometry, tmp_path)
+        file.unlink()  # which is slower to read
+    lines = summary(plan)["refused"]
+    assert len(lines) == told
+    for line in lines:
+        high = float(line.partition("z from ")[2].split()[2])
+        assert line.startswith("region 'finger' lies off the body: the body has x from -0.0")
+        assert_allclose(high, 0.05, rtol=0.05, atol=0)
 
 
 @pytest.mark.parametrize("factors", [[0.5, 1.0], [1.0]])
