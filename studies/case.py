@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .metrics import full_load_step
-from .surface_measures import Surface
 
 Array = NDArray[np.float64]
 
@@ -126,11 +125,6 @@ class CaseResult:
     def full_load(self) -> int:
         """The step of the largest load, the last of several."""
         return full_load_step(self.load_factors)
-
-    @cached_property
-    def normals(self) -> Array:
-        """(N, 3) outward unit normals of the undeformed surface."""
-        return Surface(self.points, self.triangles).normals
 
 
 DAMAGED = "damaged"  # code of a failure: the case was done, its file cannot be read

@@ -140,6 +140,11 @@ class Surface:
         return rigid_motions(self.points, self.areas)
 
     @cached_property
+    def smallest_extent(self) -> float:
+        """Smallest edge of the bounding box [m]."""
+        return float(np.ptp(self.points, axis=0).min())
+
+    @cached_property
     def volume(self) -> float:
         """Enclosed volume [m^3]."""
         return enclosed_volume(self.points, self.triangles)

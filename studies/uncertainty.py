@@ -89,10 +89,10 @@ def value_bar(case: CaseResult, model: str, metric: str) -> float:
     volume drift, the GCI from the finest level and the case's mesh, where both are there. What a model that is not
     compared in a metric does on its own mesh is exact as it stands.
     """
-    coarse = model.removesuffix(REFINED)
     levels = case.reference_error.get("levels", 1.0)
     if model != case.reference or levels < 2.0:
         return reference_bar(case.reference_error, metric)
+    coarse = model.removesuffix(REFINED)
     found = [case.metrics.get(name, {}).get(metric) for name in (model, coarse)]
     values = [float(series.values[case.full_load]) for series in found if series is not None]
     if len(values) < 2 or not all(map(math.isfinite, values)):

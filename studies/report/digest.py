@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from .. import uncertainty
 from ..case import CaseResult, ModelResult, Run
+from ..surface_measures import Surface
 
 Array = NDArray[np.float64]
 
@@ -75,12 +76,12 @@ class Spread:
         return f"resolved in {self.resolved} of {self.cases}" if self.resolved else "unresolved"
 
 
-def spread_of(pairs: Iterable[tuple[float, float]]) -> Spread | None:
-    """Spread of (value, reference's error); values that are not finite are left out. None where none is left."""
-    kept = np.array([(value, bar) for value, bar in pairs if math.isfinite(value)])
-    if not len(kept):
+def spread_of(values: Array, bars: Array) -> Spread | None:
+    """Spread of (C,) values, each with the reference's error; without those not finite, None if none is left."""
+    kept = np.isfinite(values)
+    if not kept.any():
         return None
-    values, bars = kept[:, 0], kept[:, 1]
+    values, bars = values[kept], bars[kept]
     sizes = np.abs(values)
     worst = int(np.argmax(sizes))
     known = np.isfinite(bars)
@@ -90,7 +91,7 @@ def spread_of(pairs: Iterable[tuple[float, float]]) -> Spread | None:
         worst=float(values[worst]),
         worst_bar=float(bars[worst]),
         best=float(values[np.argmin(sizes)]),
-        cases=len(kept),
+        cases=len(values),
         measured=int(known.sum()),
         resolved=sum(map(uncertainty.is_resolved, values.tolist(), bars.tolist())),
     )
@@ -124,6 +125,17 @@ class Digest:
     def cases(self) -> Sequence[CaseResult]:
         """The finished cases."""
         return self.run.cases
+
+    @cached_property
+    def surfaces(self) -> dict[str, Surface]:
+        """Hash of each case -> its undeformed surface; cases on the same mesh share one, measured once."""
+        shared: dict[tuple[bytes, bytes], Surface] = {}
+        return {
+            case.hash: shared.setdefault(
+                (case.points.tobytes(), case.triangles.tobytes()), Surface(case.points, case.triangles)
+            )
+            for case in self.cases
+        }
 
     @cached_property
     def models(self) -> tuple[str, ...]:
@@ -182,9 +194,49 @@ class Digest:
             return case.label
         return "the only case" if len(self.cases) == 1 else f"case {case.hash[:8]}"
 
+    @cached_property
+    def _full_loads(self) -> dict[tuple[str, str], Array]:
+        """(model, metric) -> (C,) what `at_full_load` says of each case, of all that any case has."""
+        found: dict[tuple[str, str], Array] = {}
+        for k, case in enumerate(self.cases):
+            step = case.full_load
+            for model, metrics in case.metrics.items():
+                for metric, entry in metrics.items():
+                    if (model, metric) not in found:
+                        found[model, metric] = np.full(len(self.cases), math.nan)
+                    if len(entry.values):
+                        found[model, metric][k] = entry.values[step]
+        return found
+
+    def full_loads(self, model: str, metric: str) -> Array:
+        """(C,) a metric of every case at the step of the largest load; NaN where there is none."""
+        found = self._full_loads.get((model, metric))
+        return np.full(len(self.cases), math.nan) if found is None else found
+
+    @cached_property
+    def _bars(self) -> dict[str, Array]:
+        """Metric -> (C,) what `reference_bar` says of each case, of all metrics that any case has."""
+        metrics = dict.fromkeys(metric for _, metric in self._full_loads)
+        return {metric: np.array([reference_bar(case, metric) for case in self.cases]) for metric in metrics}
+
+    def bars(self, metric: str) -> Array:
+        """(C,) the reference's own part in a metric of every case; NaN where there is none."""
+        found = self._bars.get(metric)
+        return np.full(len(self.cases), math.nan) if found is None else found
+
     def spread(self, model: str, metric: str) -> Spread | None:
         """A metric at full load over all cases."""
-        return spread_of((at_full_load(c, model, metric), reference_bar(c, metric)) for c in self.cases)
+        return spread_of(self.full_loads(model, metric), self.bars(metric))
+
+    def own_spread(self, metric: str, model: str | None = None) -> Spread | None:
+        """A metric of a model, else of each case's reference, at full load, with the bars of its own value."""
+        values, bars = np.full((2, len(self.cases)), math.nan)
+        for k, case in enumerate(self.cases):
+            name = model or str(case.reference)
+            values[k] = at_full_load(case, name, metric)
+            if math.isfinite(values[k]):
+                bars[k] = uncertainty.value_bar(case, name, metric)
+        return spread_of(values, bars)
 
     @cached_property
     def unusual_levels(self) -> dict[str, int]:
@@ -219,10 +271,7 @@ class Digest:
             is_reference=name == self.reference,
             vector=self.spread(name, VECTOR),
             deformation=self.spread(name, DEFORMATION),
-            drift=spread_of(
-                (at_full_load(c, name, "volume_drift"), uncertainty.value_bar(c, name, "volume_drift"))
-                for c in self.cases
-            ),
+            drift=self.own_spread("volume_drift", name),
             seconds_setup=float(np.median(setups)) if setups else math.nan,
             seconds_per_step=float(np.median(times)) if len(times) else math.nan,
             peak_bytes=float(max((r.peak_bytes for r in results if _has_answer(r)), default=math.nan)),
@@ -241,8 +290,8 @@ class Digest:
         rated = []
         for name, spread in ((s.name, s.vector) for s in self.summaries if s.name in self.candidates):
             if spread is not None:
-                errors = [at_full_load(case, name, VECTOR) for case in self.cases]
-                median = float(np.median([e if math.isfinite(e) else math.inf for e in errors]))
+                errors = self.full_loads(name, VECTOR)
+                median = float(np.median(np.where(np.isfinite(errors), errors, math.inf)))
                 rated.append((median, -spread.cases, spread.median, name))
         if rated:
             return min(rated, key=lambda entry: entry[:-1])[-1]

@@ -26,6 +26,7 @@ from matplotlib.ticker import (
     NullLocator,
 )
 from matplotlib.transforms import blended_transform_factory
+from numpy.typing import ArrayLike
 
 from .digest import REFERENCE, Array
 from .formatting import plain, quantity
@@ -154,33 +155,34 @@ class Plot:
 
 def _for_the_page(svg: str, alt: str, salt: str) -> str:
     """The <svg> element with the page's colours, sized by CSS, ids unique on the page."""
-    svg = svg[svg.index("<svg") :]
-    svg = re.sub(r"\s*<metadata>.*?</metadata>", "", svg, flags=re.S)
-    svg = re.sub(r"<!--.*?-->", "", svg, flags=re.S)
+    # bare lines first: of patterns that begin with white space each takes as long as all of these together
+    svg = "\n".join(filter(None, map(str.strip, svg[svg.index("<svg") :].split("\n"))))
     view_box = re.search(r'viewBox="([^"]+)"', svg)
     box = view_box.group(1) if view_box else ""
     svg = svg[svg.index(">") + 1 :]
-    names = dict.fromkeys(re.findall(r'\bid="([^"]+)"', svg))
-    used = set(re.findall(r'(?:url\(#|href="#)([^")]+)', svg))
+    svg = svg.replace("xlink:href=", "href=")
+    names = dict.fromkeys(re.findall(r' id="([^"]+)"', svg))
+    used = {*re.findall(r"url\(#([^)]+)\)", svg), *re.findall(r'href="#([^"]+)"', svg)}
     short = {name: f"{salt}-{k}" for k, name in enumerate(n for n in names if n in used)}
-    svg = re.sub(r'\s*\bid="([^"]+)"', lambda m: f' id="{short[m[1]]}"' if m[1] in short else "", svg)
+    svg = re.sub(r' id="([^"]+)"', lambda m: f' id="{short[m[1]]}"' if m[1] in short else "", svg)
     svg = re.sub(r"url\(#([^)]+)\)", lambda m: f"url(#{short[m[1]]})", svg)
-    svg = re.sub(r'(?:xlink:)?href="#([^"]+)"', lambda m: f'href="#{short[m[1]]}"', svg)
+    svg = re.sub(r'href="#([^"]+)"', lambda m: f'href="#{short[m[1]]}"', svg)
     colours = {_INK: "var(--ink)", _GRID: "var(--grid)", _REFERENCE: "var(--reference)"}
     colours |= {code: f"var(--model-{k})" for k, code in enumerate(_MODELS)}
     for code, variable in colours.items():
         svg = svg.replace(code, variable)
-    svg = re.sub(r"\s*<style.*?</style>", "", svg, flags=re.S)
+    svg = re.sub(r"\n<style.*?</style>", "", svg, flags=re.S)
     svg = re.sub(r" font-family: [^;\"]+;?", "", svg)
-    svg = re.sub(r"<[^>]*>", lambda tag: re.sub(r"(\d+\.\d\d)\d+", r"\1", tag[0]), svg)  # not in its texts
+    svg = _TAG.sub(lambda tag: _BEYOND_HUNDREDTHS.sub("", tag[0]), svg)  # not in its texts
     svg = re.sub(r' transform="rotate\(-0 [^"]*"', "", svg)
     svg = _MARKERS_OF_ONE_STYLE.sub(_style_once, svg)
-    svg = re.sub(r"\s*\n\s*", "\n", svg)
-    return f'<svg viewBox="{box}" role="img" aria-label="{escape(alt)}" class="plot">{svg}'
+    return f'<svg viewBox="{box}" role="img" aria-label="{escape(alt)}" class="plot">{svg}\n'
 
 
+_TAG = re.compile(r"<[^>]*>")
+_BEYOND_HUNDREDTHS = re.compile(r"(?<=\d\.\d\d)\d+")
 _MARKERS_OF_ONE_STYLE = re.compile(
-    r'<g( clip-path="[^"]*")?>\s*((?:<use href="[^"]*" x="[^"]*" y="[^"]*" style="[^"]*"/>\s*)+)</g>'
+    r'<g( clip-path="[^"]*")?>\n((?:<use href="[^"]*" x="[^"]*" y="[^"]*" style="[^"]*"/>\n)+)</g>'
 )
 
 
@@ -193,13 +195,14 @@ def _style_once(group: re.Match[str]) -> str:
     return f'<g{group[1] or ""} style="{styles.pop()}">{bare}</g>'
 
 
-def percent_axis(axes: Axes, values: Sequence[float]) -> None:
+def percent_axis(axes: Axes, values: ArrayLike) -> None:
     """The y axis shows ratios as percentages: from zero, or by decades where they span several."""
-    finite = [v for v in values if np.isfinite(v) and v > 0]
-    if finite and max(finite) > 3.0 and max(finite) > 30 * min(finite):
+    ratios = np.asarray(values, dtype=np.float64)
+    finite = ratios[np.isfinite(ratios) & (ratios > 0)]
+    if len(finite) and finite.max() > 3.0 and finite.max() > 30 * finite.min():
         log_axis(axes, "y")
     else:
-        axes.set_ylim(0.0, 1.08 * max(finite) if finite else 1.0)
+        axes.set_ylim(0.0, 1.08 * float(finite.max()) if len(finite) else 1.0)
         axes.yaxis.set_major_locator(MaxNLocator(6))
     percent_ticks(axes)
 

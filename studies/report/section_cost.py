@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 
 from .blocks import Block, Figure, Figures, Section, Text
-from .digest import DEFORMATION, REFERENCE, VECTOR, Digest, ModelSummary, Spread
+from .digest import REFERENCE, Digest, ModelSummary, Spread
 from .formatting import listed, quantity, short_percent
 from .plots import Plot, Sheet, colour, marker, percent_axis, time_ticks
 
@@ -15,12 +15,20 @@ def run_time_against_error(digest: Digest) -> Section | None:
     """Time per frame, and set-up as a hollow marker, against the median error; whiskers reach best and worst."""
     figures = []
     sheet = Sheet()
-    spreads = [digest.spread(model, metric) for model in digest.compared for metric in (VECTOR, DEFORMATION)]
+    compared = [summary for summary in digest.summaries if summary.name in digest.compared]
+    measures = (
+        ("Displacement error", [summary.vector for summary in compared]),
+        ("Deformation error", [summary.deformation for summary in compared]),
+    )
     heights = [
-        height for spread in spreads if spread for height in (spread.best, spread.median, spread.worst)
+        height
+        for _, spreads in measures
+        for spread in spreads
+        if spread
+        for height in (spread.best, spread.median, spread.worst)
     ]
-    for k, (metric, title) in enumerate(((VECTOR, "Displacement error"), (DEFORMATION, "Deformation error"))):
-        figure = _pareto(digest, metric, title, heights, f"c{k}", sheet)
+    for k, (title, spreads) in enumerate(measures):
+        figure = _pareto(digest, compared, spreads, title, heights, f"c{k}", sheet)
         figures += [figure] if figure else []
     if not figures:
         return None
@@ -58,13 +66,19 @@ def time_notes(summaries: Sequence[ModelSummary], *, several: bool) -> list[str]
 
 
 def _pareto(
-    digest: Digest, metric: str, title: str, heights: Sequence[float], salt: str, sheet: Sheet
+    digest: Digest,
+    compared: Sequence[ModelSummary],
+    spreads: Sequence[Spread | None],
+    title: str,
+    heights: Sequence[float],
+    salt: str,
+    sheet: Sheet,
 ) -> Figure | None:
-    points: list[tuple[str, float, float, Spread]] = []
-    for summary in digest.summaries:
-        spread = digest.spread(summary.name, metric)
-        if summary.name in digest.compared and spread and summary.seconds_per_step > 0:
-            points.append((summary.name, summary.seconds_per_step, summary.seconds_setup, spread))
+    points = [
+        (summary.name, summary.seconds_per_step, summary.seconds_setup, spread)
+        for summary, spread in zip(compared, spreads, strict=True)
+        if spread and summary.seconds_per_step > 0
+    ]
     if not points:
         return None
     reference = next((s for s in digest.summaries if s.is_reference), None)

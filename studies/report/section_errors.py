@@ -11,7 +11,7 @@ from matplotlib.axes import Axes
 
 from ..case import CaseResult
 from .blocks import Block, Figure, Figures, Section, Text
-from .digest import DEFORMATION, REFERENCE, VECTOR, Digest, at_full_load, reference_bar, series
+from .digest import DEFORMATION, REFERENCE, VECTOR, Digest, reference_bar, series
 from .formatting import listed, scale_of, short_percent, swept_value
 from .plots import Plot, Sheet, colour, line, log_axis, marker, name_ticks, percent_axis, place
 
@@ -67,14 +67,14 @@ def error_against_parameters(digest: Digest) -> Section | None:
         )
     if any(math.isfinite(reference_bar(case)) for case in digest.cases):
         notes.append("Dashed grey: the reference's own error.")
-    if (step := _stride(digest.cases)) > 1:
+    if (step := _stride(len(digest.cases))) > 1:
         notes.append(f"To keep the page small one in {step} cases is drawn.")
     blocks: list[Block] = [Text(" ".join(notes), kind="note")] if notes else []
     return Section("parameters", "Error against each swept parameter", [*blocks, *pairs])
 
 
-def _stride(cases: Sequence[CaseResult]) -> int:
-    return max(1, math.ceil(len(cases) / _MOST_POINTS))
+def _stride(cases: int) -> int:
+    return max(1, math.ceil(cases / _MOST_POINTS))
 
 
 @dataclass(frozen=True)
@@ -84,7 +84,7 @@ class _Axis:
     name: str
     label: str
     kind: str  # "linear", "log", "even" (numbers, evenly spaced) or "names"
-    cases: Sequence[CaseResult]  # those that have the parameter
+    cases: Sequence[int]  # which have the parameter
     positions: Sequence[float]  # one per case
     ticks: Sequence[tuple[float, str]]  # of an even axis or one of names
     alone: bool  # whether nothing else is swept
@@ -99,16 +99,16 @@ def _is_placed(value: float | str | None) -> bool:
     return isinstance(value, str) or (value is not None and math.isfinite(value))
 
 
-def _axis(all_cases: Iterable[CaseResult], key: str, *, alone: bool) -> _Axis:
-    cases = [case for case in all_cases if _is_placed(case.swept.get(key))]
-    values = [case.swept[key] for case in cases]
+def _axis(all_cases: Sequence[CaseResult], key: str, *, alone: bool) -> _Axis:
+    cases = [k for k, case in enumerate(all_cases) if _is_placed(case.swept.get(key))]
+    values = [all_cases[k].swept[key] for k in cases]
     name = parameter_name(key)
     numbers = [float(value) for value in values if not isinstance(value, str)]
     if len(numbers) < len(values):
         at = {text: float(k) for k, text in enumerate(dict.fromkeys(str(value) for value in values))}
         ticks = [(x, text) for text, x in at.items()]
         return _Axis(name, name, "names", cases, [at[str(value)] for value in values], ticks, alone)
-    factor, unit = scale_of(next((case.swept_units.get(key, "1") for case in cases), "1"), numbers)
+    factor, unit = scale_of(next((all_cases[k].swept_units.get(key, "1") for k in cases), "1"), numbers)
     kind, where = place([value / factor for value in numbers])
     return _Axis(
         name=name,
@@ -135,7 +135,7 @@ def _against_parameter(
     plot = Plot(axis.label, title, salt, sheet)
     with plot as axes:
         for rank, model in enumerate(digest.compared):
-            errors = [at_full_load(case, model, metric) for case in axis.cases]
+            errors = digest.full_loads(model, metric)[axis.cases].tolist()
             points = [(x, y) for x, y in zip(axis.positions, errors, strict=True) if math.isfinite(y)]
             if not points:
                 continue
@@ -145,8 +145,8 @@ def _against_parameter(
             described.append(f"{model} from {short_percent(low)} to {short_percent(high)}")
         if not described:
             return None
-        bars = [(x, reference_bar(case, metric)) for x, case in zip(axis.positions, axis.cases, strict=True)]
-        if known := _medians([(x, bar) for x, bar in bars if math.isfinite(bar)]):
+        bars = zip(axis.positions, digest.bars(metric)[axis.cases].tolist(), strict=True)
+        if known := _medians((x, bar) for x, bar in bars if math.isfinite(bar)):
             style = axis.line("--", len(axis.cases), len(known))
             x, y = zip(*known, strict=True)
             axes.plot(
@@ -163,8 +163,10 @@ def _against_parameter(
             name_ticks(axes, axis.ticks)
         elif axis.kind == "log":
             log_axis(axes, "x")
-        both = [at_full_load(c, m, q) for c in axis.cases for m in digest.compared for q, _ in group]
-        percent_axis(axes, both)
+        both = [
+            digest.full_loads(model, other)[axis.cases] for model in digest.compared for other, _ in group
+        ]
+        percent_axis(axes, np.concatenate(both))
     heading = f"{title} against {axis.name}"
     return Figure(plot.drawn(f"{heading}: {listed(described)}."), heading)
 
@@ -178,7 +180,7 @@ def _draw_model(
     shared = len(medians) < len(points)
     if shared or (style == "none" and axis.kind != "names"):
         shift = aside if axis.kind in ("even", "names") else 0.0
-        x, y = zip(*points[:: _stride(axis.cases)], strict=True)
+        x, y = zip(*points[:: _stride(len(axis.cases))], strict=True)
         at = [position + shift for position in x]
         axes.plot(
             at, y, linestyle="none", marker=marker(number), color=colour(number), markersize=2.6, alpha=0.45

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 
@@ -26,19 +26,19 @@ _MOVED_NOTE = (
 )
 
 
-Curve = Callable[[CaseResult, str], tuple[Array, Array] | None]
+Curves = Mapping[str, tuple[Array, Array]]  # model -> (S,) lengths [m], (S,) loads
 
 
 @dataclass(frozen=True)
 class Push:
-    """One place where a case is pushed: (S,) lengths [m] and loads of a model in a case."""
+    """One place where cases are pushed; `curves` of a case has the models whose curve is known."""
 
     name: str
     x_label: str
     y_label: str
     unit: str  # of the loads
     note: str
-    curve: Curve
+    curves: Callable[[Digest, CaseResult], Curves]
 
 
 def force_against_indentation(digest: Digest) -> Section | None:
@@ -78,9 +78,8 @@ def _pushes(cases: Sequence[CaseResult]) -> list[Push]:
     contacts = [c for c in _constraints(cases[0]) if c.get("kind") == "contact"]
     names = list(moved(cases[0]))
     found: list[Push] = []
-    how: tuple[str, str, Curve] | None
-    resultants = [contact_resultant(case) for case in cases]
-    if any(r is not None for r in resultants):
+    how: tuple[str, str, Callable[[Digest, CaseResult], Curves]] | None
+    if any(contact_resultant(case) is not None for case in cases):
         how = ("contact force", "N", _under_contact)
     elif any(contact_pressure(case) is not None for case in cases):
         how = ("contact pressure", "Pa", _under_pressure)
@@ -89,9 +88,9 @@ def _pushes(cases: Sequence[CaseResult]) -> list[Push]:
     else:
         how = None
     if how is not None:
-        y_label, unit, curve = how
+        y_label, unit, curves = how
         place = listed(_name(c) for c in contacts)
-        found.append(Push(place, "indentation", y_label, unit, _CONTACT_NOTE, curve))
+        found.append(Push(place, "indentation", y_label, unit, _CONTACT_NOTE, curves))
     for name in names:
         found.append(
             Push(
@@ -164,8 +163,8 @@ def contact_resultant(case: CaseResult) -> float | None:
         or contact.get("profile", "uniform") != "uniform"
     ):
         return None
-    loaded = mask[case.triangles].all(axis=1)
-    vectors = facet_area_vectors(case.points, case.triangles)[loaded]
+    first, second, third = mask[case.triangles].T
+    vectors = facet_area_vectors(case.points, case.triangles[first & second & third])
     return float(pressure * np.linalg.norm(vectors.sum(axis=0)))
 
 
@@ -176,21 +175,26 @@ def contact_pressure(case: CaseResult) -> float | None:
     return float(pressure) if isinstance(pressure, int | float) else None
 
 
-def indentation(case: CaseResult, model: str) -> Array:
-    """(S,) displacement along the normal, inwards, of the node in contact that it moves farthest [m].
+def indentation(case: CaseResult, models: Iterable[str], normals: Array) -> dict[str, Array]:
+    """Model -> (S,) displacement along the normal, inwards, of the node in contact that it moves farthest [m].
 
     Negative where the contact pulls. Of all nodes where no contact is stored.
+
+    Parameters
+    ----------
+    normals : (N, 3) outward unit normals of the undeformed surface
     """
     mask = np.zeros(len(case.points), dtype=bool)
     for constraint in _constraints(case):
         if constraint.get("kind") == "contact" and str(constraint.get("region")) in case.regions:
             mask |= case.regions[str(constraint.get("region"))]
-    if not mask.any():
-        mask[:] = True
-    inward = -np.einsum("sij,ij->si", case.models[model].displacement[:, mask], case.normals[mask])
-    farthest = np.abs(inward).argmax(axis=1)
-    result: Array = inward[np.arange(len(inward)), farthest]
-    return result
+    nodes = np.flatnonzero(mask if mask.any() else ~mask)
+    steps, along = np.arange(len(case.load_factors)), normals[nodes]
+    found = {}
+    for model in models:
+        inward = -np.einsum("sij,ij->si", case.models[model].displacement[:, nodes], along)
+        found[model] = inward[steps, np.abs(inward).argmax(axis=1)]
+    return found
 
 
 def movement_force(case: CaseResult, model: str, name: str) -> tuple[Array, Array]:
@@ -211,22 +215,30 @@ def movement_force(case: CaseResult, model: str, name: str) -> tuple[Array, Arra
     return case.load_factors * length, resultant @ (prescribed / length)
 
 
-def _under_contact(case: CaseResult, model: str) -> tuple[Array, Array] | None:
-    resultant = contact_resultant(case)
-    return None if resultant is None else (indentation(case, model), case.load_factors * resultant)
+def _under_contact(digest: Digest, case: CaseResult) -> Curves:
+    return _pushed_in(digest, case, contact_resultant(case))
 
 
-def _under_pressure(case: CaseResult, model: str) -> tuple[Array, Array] | None:
-    pressure = contact_pressure(case)
-    return None if pressure is None else (indentation(case, model), case.load_factors * pressure)
+def _under_pressure(digest: Digest, case: CaseResult) -> Curves:
+    return _pushed_in(digest, case, contact_pressure(case))
 
 
-def _under_load(case: CaseResult, model: str) -> tuple[Array, Array]:
-    return indentation(case, model), case.load_factors
+def _under_load(digest: Digest, case: CaseResult) -> Curves:
+    return _pushed_in(digest, case, 1.0)
 
 
-def _of_movement(case: CaseResult, model: str, name: str) -> tuple[Array, Array] | None:
-    return movement_force(case, model, name) if name in moved(case) else None
+def _pushed_in(digest: Digest, case: CaseResult, load: float | None) -> Curves:
+    """Indentation under a load that is known at load factor 1."""
+    if load is None:
+        return {}
+    depths = indentation(case, case.models, digest.surfaces[case.hash].normals)
+    return {model: (depth, case.load_factors * load) for model, depth in depths.items()}
+
+
+def _of_movement(_: Digest, case: CaseResult, name: str) -> Curves:
+    if name not in moved(case):
+        return {}
+    return {model: movement_force(case, model, name) for model in case.models}
 
 
 def _stiffness(
@@ -234,14 +246,14 @@ def _stiffness(
 ) -> Figure | None:
     history = len(cases) == 1 and len(cases[0].load_factors) > 1
     curves: dict[str, tuple[Array, Array]] = {}
+    of_cases = [push.curves(digest, case) for case in cases]
     for model in digest.models:
         xs, ys = [], []
-        for case in cases:
-            pair = push.curve(case, model) if model in case.models else None
+        for case, known in zip(cases, of_cases, strict=True):
             steps = slice(None) if history else slice(case.full_load, case.full_load + 1)
-            if pair is not None:
-                xs.append(pair[0][steps])
-                ys.append(pair[1][steps])
+            if model in known:
+                xs.append(known[model][0][steps])
+                ys.append(known[model][1][steps])
         if not xs:
             continue
         x, y = np.concatenate(xs), np.concatenate(ys)

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import math
 
-from ..uncertainty import is_resolved, value_bar
+from ..uncertainty import is_resolved
 from .blocks import Cell, Column, Section, Table, Text
-from .digest import Digest, Spread, at_full_load, spread_of
+from .digest import Digest, Spread
 from .formatting import NOTHING, of_unit
 
 _IN_HEADLINE = frozenset({"volume_drift"})
@@ -26,7 +26,7 @@ def all_measures(digest: Digest) -> Section | None:
     for name, (unit, definition) in first.items():
         if name in _IN_HEADLINE:
             continue
-        own = _of_the_reference(digest, name)
+        own = digest.own_spread(name)
         farthest = "" if not many else "worst" if own is None else "largest"
         spreads = [*(digest.spread(model, name) for model in digest.compared), own]
         rows.append([Cell(measure_name(name), definition), *(_cell(s, unit, farthest) for s in spreads)])
@@ -43,14 +43,6 @@ def all_measures(digest: Digest) -> Section | None:
     )
     table = Table("measures", "", columns, rows)
     return Section("measures", "All measures at full load", [Text(note, kind="note"), table])
-
-
-def _of_the_reference(digest: Digest, metric: str) -> Spread | None:
-    """A measure that needs no comparison, of the reference itself."""
-    return spread_of(
-        (at_full_load(case, str(case.reference), metric), value_bar(case, str(case.reference), metric))
-        for case in digest.cases
-    )
 
 
 def _cell(spread: Spread | None, unit: str, farthest: str) -> Cell:

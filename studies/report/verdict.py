@@ -56,9 +56,10 @@ def answers(digest: Digest) -> list[Answer]:
         text = f"No model has a result at full load to hold against {digest.reference}."
         return _alone(text, digest)
     best = next(s for s in digest.summaries if s.name == digest.focus)
+    outside = beyond_small_strain(digest)
     return [
-        _good_enough(digest, best, rated),
-        _answer("Up to which load?", "", loads_in_words(digest, best.name)),
+        _good_enough(digest, best, rated, outside),
+        _answer("Up to which load?", "", loads_in_words(digest, best.name, outside)),
         _answer("With which formulation and parameters?", "", _parameters(digest, best, rated)),
         _answer("At what cost per frame?", "", _cost(digest, best)),
         _answer("How sure is this?", "", [_resolution(digest, rated[best.name]), *_gaps(digest), _KIND]),
@@ -81,13 +82,13 @@ def _answer(question: str, word: str, sentences: Iterable[str]) -> Answer:
 # --- good enough? ---
 
 
-def _good_enough(digest: Digest, best: ModelSummary, rated: dict[str, Spread]) -> Answer:
+def _good_enough(digest: Digest, best: ModelSummary, rated: dict[str, Spread], outside: str) -> Answer:
     question = "Is it good enough?"
     if str(digest.reference).startswith(SURFACE_MODELS):
         rest = f"the reference, {digest.reference}, is a surface model itself: agreement with it is not accuracy."
         return _answer(question, "Not judged", [rest, _accuracy(digest, best, among=len(rated))])
-    if rest := beyond_small_strain(digest):
-        return _answer(question, "Not judged", [rest, _accuracy(digest, best, among=len(rated))])
+    if outside:
+        return _answer(question, "Not judged", [outside, _accuracy(digest, best, among=len(rated))])
     states = [case_state(case, best.name, case.full_load) for case in digest.cases]
     limit = short_percent(CLOSE)
     count, within, left, lost = len(states), *map(states.count, (WITHIN, OPEN, LOST))

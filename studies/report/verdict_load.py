@@ -49,12 +49,17 @@ def case_state(case: CaseResult, model: str, step: int) -> str:
     return next(state for state in (LOST, BEYOND, OPEN, WITHIN) if state in states)
 
 
-def loads_in_words(digest: Digest, model: str) -> list[str]:
-    """Sentences on the load up to which `model` is within the tolerance, and on how large the loads are."""
+def loads_in_words(digest: Digest, model: str, outside: str) -> list[str]:
+    """Sentences on the load up to which `model` is within the tolerance, and on how large the loads are.
+
+    Parameters
+    ----------
+    outside : what `beyond_small_strain` says of the run
+    """
     sentences = limits_in_words(digest)
     loads = [key for key in digest.swept_keys if _is_load(key)]
     several = bool(sentences or digest.has_steps or loads)
-    if not sentences and not beyond_small_strain(digest):
+    if not sentences and not outside:
         sentences = (
             [_over_history(digest, model)]
             if digest.has_steps
@@ -87,10 +92,10 @@ def beyond_small_strain(digest: Digest) -> str:
             continue
         displacement = result.displacement[case.full_load]
         held = displacement[supports(case)]
-        if len(held) and np.allclose(held, held[0], rtol=1e-9, atol=0.0):
+        if held.any() and np.allclose(held, held[0], rtol=1e-9, atol=0.0):
             displacement = displacement - held[0]  # carried along with its supports it does not deform
         largest = float(np.linalg.norm(displacement, axis=1).max())
-        moved_by = max(moved_by, largest / float(np.ptp(case.points, axis=0).min()))
+        moved_by = max(moved_by, largest / digest.surfaces[case.hash].smallest_extent)
         drift = max(drift, abs(at_full_load(case, str(case.reference), "volume_drift")))
     parts = []
     if moved_by > MOST_MOVED:
@@ -121,7 +126,7 @@ def _over_history(digest: Digest, model: str) -> str:
         case, (step,) = digest.cases[0], reached
         if step is None:
             return f"At no load of the history is {model} surely within {limit}."
-        load = f"load factor {plain(float(case.load_factors[step]))}{_at(case, step)}"
+        load = f"load factor {plain(float(case.load_factors[step]))}{_at(digest, case, step)}"
         return (
             f"{model} stays within {limit} over the whole history, up to {load}; more was not tried."
             if whole
@@ -145,13 +150,13 @@ def _reached(case: CaseResult, model: str) -> int | None:
     return found
 
 
-def _at(case: CaseResult, step: int) -> str:
+def _at(digest: Digest, case: CaseResult, step: int) -> str:
     """The force and the indentation of a step, where known, in brackets."""
     parts = []
     load, unit = _load(case, step)
     if unit:
         parts.append(quantity(load, unit))
-    if math.isfinite(depth := _depth(case, step)):
+    if math.isfinite(depth := _depth(digest, case, step)):
         parts.append(f"{quantity(depth, 'm')} of indentation")
     return f" ({', '.join(parts)})" if parts else ""
 
@@ -165,12 +170,13 @@ def _load(case: CaseResult, step: int) -> tuple[float, str]:
     return (math.nan, "") if pressure is None else (factor * pressure, "Pa")
 
 
-def _depth(case: CaseResult, step: int) -> float:
+def _depth(digest: Digest, case: CaseResult, step: int) -> float:
     """How far the reference is pushed in (pulled out: negative) or moved at a step [m]; NaN where it is not."""
     if case.reference is None or case.reference not in case.models:
         return math.nan
     if any(c.get("kind") == "contact" for c in case.resolved.get("constraints") or ()):
-        return float(indentation(case, case.reference)[step])
+        depths = indentation(case, [case.reference], digest.surfaces[case.hash].normals)
+        return float(depths[case.reference][step])
     lengths = [float(movement_force(case, case.reference, name)[0][step]) for name in moved(case)]
     return max(lengths, default=math.nan)
 
@@ -178,14 +184,16 @@ def _depth(case: CaseResult, step: int) -> float:
 def _over_sweep(digest: Digest, model: str, key: str) -> str:
     """Up to which value of a swept load every case is within the tolerance."""
     cases = [case for case in digest.cases if isinstance(case.swept.get(key), int | float)]
-    values = sorted({float(case.swept[key]) for case in cases}, key=abs)
+    at: dict[float, list[CaseResult]] = {}
+    for case in cases:
+        at.setdefault(float(case.swept[key]), []).append(case)
+    values = sorted(at, key=abs)
     if not values:
         return ""
     unit = next((case.swept_units.get(key, "1") for case in cases), "1")
     held: float | None = None
     for value in values:
-        mine = [case for case in cases if float(case.swept[key]) == value]
-        if any(case_state(case, model, case.full_load) != WITHIN for case in mine):
+        if any(case_state(case, model, case.full_load) != WITHIN for case in at[value]):
             break
         held = value
     limit, name = short_percent(CLOSE), parameter_name(key)
@@ -207,9 +215,9 @@ def _full_load_in_words(digest: Digest) -> str:
         loads.setdefault(unit, []).append(load)
     depths, shares = [], []
     for case in digest.cases:
-        if math.isfinite(depth := _depth(case, case.full_load)):
+        if math.isfinite(depth := _depth(digest, case, case.full_load)):
             depths.append(depth)
-            shares.append(depth / float(np.ptp(case.points, axis=0).min()))
+            shares.append(depth / digest.surfaces[case.hash].smallest_extent)
     parts = [value_range(loads[unit], unit) for unit in sorted(loads) if unit]
     if depths:
         deepest = int(np.argmax(np.abs(depths)))

@@ -23,6 +23,7 @@ from studies.report.digest import (
     spread_of,
 )
 from studies.report.verdict import answers
+from studies.uncertainty import value_bar
 
 from .report_runs import REFERENCE, make_case, make_run, sweep_run
 
@@ -35,17 +36,17 @@ def digest() -> Digest:
 
 
 def test_spread_takes_medians_the_largest_size_and_its_own_bar() -> None:
-    spread = spread_of([(0.1, 0.02), (-0.5, 0.01), (0.3, math.nan), (math.nan, 0.1)])
+    spread = spread_of(np.array([0.1, -0.5, 0.3, math.nan]), np.array([0.02, 0.01, math.nan, 0.1]))
     assert spread is not None
     assert (spread.median, spread.worst, spread.worst_bar, spread.best) == (0.1, -0.5, 0.01, 0.1)
     assert_allclose(spread.median_bar, 0.015, rtol=RTOL, atol=ATOL)
     assert (spread.cases, spread.measured, spread.resolved) == (3, 2, 1)
-    assert spread_of([(math.nan, 0.1)]) is None
+    assert spread_of(np.array([math.nan]), np.array([0.1])) is None
 
 
 def test_a_difference_is_resolved_where_the_reference_is_ten_times_better() -> None:
     for bar, resolved in ((0.0099, 1), (0.0101, 0)):
-        spread = spread_of([(0.1, bar)])
+        spread = spread_of(np.array([0.1]), np.array([bar]))
         assert spread is not None
         assert spread.resolved == resolved
 
@@ -107,6 +108,41 @@ def test_the_references_own_drift_has_a_bar_from_its_levels_and_nobody_elses_has
     }
     assert_allclose(float(written["fem-linear refined"]), 3e-4, rtol=1e-12, atol=0)
     assert written["vdm-m"] == written["fem-linear"] == ""
+
+
+def test_tables_over_the_cases_have_what_each_case_says() -> None:
+    first = make_case({"m": 0.1, "n": 0.2}, label="a", steps=(0.5, 1.0, 0.5), subdivisions=0)
+    last = make_case(
+        {"m": 0.3, REFERENCE: 0.1},
+        label="c",
+        reference=f"{REFERENCE} refined",
+        reference_error={"levels": 2.0, f"gci:{VECTOR}": 0.01},
+        subdivisions=0,
+    )
+    cases = [first, make_case({"m": 0.1}, label="b", reference=None, subdivisions=0), last]
+    digest = Digest(make_run(cases))
+    found = {metric for case in cases for entries in case.metrics.values() for metric in entries}
+    assert {VECTOR, "volume_drift"} <= found
+    for metric in [*found, "no metric"]:
+        np.testing.assert_array_equal(digest.bars(metric), [reference_bar(case, metric) for case in cases])
+        for model in ("m", "n", REFERENCE, f"{REFERENCE} refined", "no model"):
+            values = [at_full_load(case, model, metric) for case in cases]
+            np.testing.assert_array_equal(digest.full_loads(model, metric), values)
+            own = np.array([value_bar(case, model, metric) for case in cases])
+            assert repr(digest.own_spread(metric, model)) == repr(spread_of(np.array(values), own))
+        own = np.array([[f(c, str(c.reference), metric) for c in cases] for f in (at_full_load, value_bar)])
+        assert repr(digest.own_spread(metric)) == repr(spread_of(*own))
+
+
+def test_cases_on_the_same_mesh_share_its_measures() -> None:
+    cases = [make_case({"m": 0.1}, label=str(k), subdivisions=k % 2) for k in range(4)]
+    turned = dataclasses.replace(cases[0], hash="turned", triangles=cases[0].triangles[:, [1, 2, 0]])
+    surfaces = Digest(make_run([*cases, turned])).surfaces
+    assert len({id(surface) for surface in surfaces.values()}) == 3
+    for case in (*cases, turned):
+        np.testing.assert_array_equal(surfaces[case.hash].points, case.points)
+        np.testing.assert_array_equal(surfaces[case.hash].triangles, case.triangles)
+    assert surfaces["turned"].smallest_extent == min(np.ptp(cases[0].points, axis=0))
 
 
 def test_full_load_is_the_largest_of_a_history_that_comes_back() -> None:
@@ -208,8 +244,7 @@ def test_points_of_cases_that_share_a_value_are_not_joined() -> None:
     from studies.report.section_errors import _Axis, _draw_model
 
     axes = Figure().add_subplot()
-    cases = [make_case({"vdm": 0.2}) for _ in range(6)]
-    axis = _Axis("nu", "nu", "linear", cases, [0.1] * 3 + [0.4] * 3, [], alone=False)
+    axis = _Axis("nu", "nu", "linear", range(6), [0.1] * 3 + [0.4] * 3, [], alone=False)
     points = [(0.1, 3.0), (0.1, 5.0), (0.1, 12.0), (0.4, 3.0), (0.4, 5.0), (0.4, 12.0)]
     _draw_model(axes, axis, points, 0, 0.0)
     single, medians = axes.get_lines()
