@@ -65,17 +65,17 @@ class Scene:
     def _thrust(self) -> Array:
         """(F, 3) integral of pressure times shape function over each facet, per corner [N]."""
         barycentric, weights = _quadrature()
-        areas = np.linalg.norm(self._area_vectors, axis=1)
+        _, areas, _ = self._facets
         return areas[:, None] * ((self.facet_pressure * weights) @ barycentric)
 
     @cached_property
-    def _area_vectors(self) -> Array:
-        return facet_area_vectors(self.mesh.surface_points, self.mesh.triangles)
+    def _facets(self) -> tuple[Array, Array, Array]:
+        return shared(_facet_measures, mesh=self.mesh)
 
     @cached_property
     def contact_force(self) -> Array:
         """(N, 3) nodal contact forces at load factor 1; their sum is minus the integral of p n [N]."""
-        normals = self._area_vectors / np.linalg.norm(self._area_vectors, axis=1, keepdims=True)
+        normals, _, _ = self._facets
         return corner_sum(
             -self._thrust[:, :, None] * normals[:, None, :], self.mesh.triangles, len(self.fixed)
         )
@@ -83,9 +83,8 @@ class Scene:
     @cached_property
     def contact_pressure(self) -> Array:
         """(N,) nodal pressure over A_i at load factor 1: sum A_i p_i is the integral of p [Pa]."""
-        triangles, n_nodes = self.mesh.triangles, len(self.fixed)
-        areas = nodal_sum(np.linalg.norm(self._area_vectors, axis=1), triangles, n_nodes)
-        return corner_sum(self._thrust, triangles, n_nodes) / areas
+        _, _, nodal_areas = self._facets
+        return corner_sum(self._thrust, self.mesh.triangles, len(self.fixed)) / nodal_areas
 
     @property
     def contact(self) -> Mask:
@@ -104,7 +103,7 @@ def build_scene(study: Study, mesh: Mesh, masks: Mapping[str, Mask] | None = Non
         a region that selects nothing, or contact on a node that is held.
     """
     if masks is None:
-        masks = {name: select(region, mesh, study.regions) for name, region in study.regions.items()}
+        masks = shared(_masks, mesh=mesh, regions=study.regions)
     n_nodes = len(mesh.surface_nodes)
     fixed, constrained = np.zeros(n_nodes, dtype=bool), np.zeros(n_nodes, dtype=bool)
     prescribed = np.zeros((n_nodes, 3))
@@ -152,6 +151,17 @@ def build_scene(study: Study, mesh: Mesh, masks: Mapping[str, Mask] | None = Non
         anisotropy=study.anisotropy,
         condition=study.study.condition,
     )
+
+
+def _masks(*, mesh: Mesh, regions: Mapping[str, Region]) -> dict[str, Mask]:
+    return {name: select(region, mesh, regions) for name, region in regions.items()}
+
+
+def _facet_measures(*, mesh: Mesh) -> tuple[Array, Array, Array]:
+    """(F, 3) unit normals and (F,) areas of the facets, (N,) nodal areas A_i [m^2]."""
+    vectors = facet_area_vectors(mesh.surface_points, mesh.triangles)
+    areas = np.linalg.norm(vectors, axis=1)
+    return vectors / areas[:, None], areas, nodal_sum(areas, mesh.triangles, len(mesh.surface_points))
 
 
 def _selects_nothing(name: str, study: Study, mesh: Mesh) -> str:
