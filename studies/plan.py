@@ -14,6 +14,7 @@ import numpy as np
 from . import models
 from .keys import answer_key, case_hash, load_key, result_keys, setup_key, surface_key
 from .meshing.geometry_spec import (
+    DISTORTIONS,
     MAX_NODES,
     Geometry,
     area_and_volume,
@@ -79,6 +80,15 @@ class PlannedMesh:
     key: str
     geometry: Geometry
     volume: bool
+
+    @property
+    def label(self) -> str:
+        """What to call it: by its file or shape, and the size of its elements where it is made to one."""
+        geometry = self.geometry
+        name = geometry.path.name if geometry.shape == "file" else geometry.shape
+        if not geometry.has_own_tetrahedra:
+            return f"mesh of {name} at {geometry.mesh_size * 1e3:.3g} mm"
+        return f"mesh of {name}" + ("" if set(DISTORTIONS) & geometry.parameters.keys() else " as it is")
 
     @cached_property
     def expected(self) -> Expected:

@@ -217,7 +217,7 @@ def _mesh_task(mesh: PlannedMesh, plan: Plan) -> dict[str, Any]:
     geometry = mesh.geometry
     return {
         "id": mesh.key,
-        "label": f"mesh of {geometry.shape} at {geometry.mesh_size * 1e3:.3g} mm",
+        "label": mesh.label,
         "shape": geometry.shape,
         "mesh_size": geometry.mesh_size,
         "parameters": dict(geometry.parameters),

@@ -135,6 +135,20 @@ def test_the_size_of_a_mesh_is_known_before_it_is_made(tmp_path: Path, ball: Mes
         assert 0 < expected.reach < 0.05
 
 
+@pytest.mark.parametrize(
+    ("geometry", "label"),
+    [
+        (Geometry("sphere", 0.0155, {"radius": 0.05}), "mesh of sphere at 15.5 mm"),
+        (Geometry("file", 0.02, {"path": "/scans/liver.obj"}), "mesh of liver.obj at 20 mm"),
+        (Geometry("file", 0.0, {"path": "/scans/liver.msh", "size": 0.2}), "mesh of liver.msh as it is"),
+        (Geometry("file", 0.02, {"path": "/scans/liver.msh"}), "mesh of liver.msh as it is"),
+        (Geometry("file", 0.0, {"path": "/scans/liver.vtu", "slivers": 10.0}), "mesh of liver.vtu"),
+    ],
+)
+def test_a_mesh_is_called_what_it_is(geometry: Geometry, label: str) -> None:
+    assert PlannedMesh("", geometry, True).label == label
+
+
 @pytest.mark.parametrize("suffix", [".stl", ".obj", ".ply", ".vtp", ".msh", ".vtu", ".vtk"])
 def test_missing_empty_and_foreign_files(tmp_path: Path, suffix: str) -> None:
     refused(tmp_path / f"missing{suffix}", "no such file")
