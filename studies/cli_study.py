@@ -138,13 +138,13 @@ def run_verb(options: argparse.Namespace) -> int:
 
 def calibrate_verb(options: argparse.Namespace) -> int:
     """Fit the VDM parameters on half of a study's loads; print and write the table for its `[vdm]`."""
-    from .calibration.calibrate import FINER, as_json, as_toml, body, calibrate, check
+    from .calibration.calibrate import as_json, as_toml, body, calibrate, check, finer_study
     from .calibration.calibration_table import table
     from .files import json_text, write_atomically
-    from .study_file.config import with_mesh_size
+    from .study_file.problems import StudyError
 
     study, path = _load(options)
-    plan, finer = _make_plan(study, options), with_mesh_size(study, FINER)
+    plan = _make_plan(study, options)
     _keep_other_surface(plan, options)
     check(plan)
     elsewhere = []  # read, and found to be of use, before anything is run
@@ -155,12 +155,17 @@ def calibrate_verb(options: argparse.Namespace) -> int:
         check(elsewhere[-1][0])
     out = plan.directory
     run, refined = _run_for_fit(plan, path, options), None
+    finer, no_finer = finer_study(plan)
     if finer is not None:
         again = _command("calibrate", options)
-        planned = _make_plan(finer, options, directory=out / "finer", command=again)
-        refined = _run_for_fit(planned, path, options)
-    own = body(*run, refined)
-    others = [body(*_run_for_fit(*other, options), None) for other in elsewhere]
+        try:
+            planned = _make_plan(finer, options, directory=out / "finer", command=again)
+        except StudyError as error:
+            no_finer = error.problems[0].message
+        else:
+            refined = _run_for_fit(planned, path, options)
+    own = body(*run, refined, no_finer)
+    others = [body(*_run_for_fit(*other, options)) for other in elsewhere]
     entries = calibrate(own, others)
     data = {own.name: as_json(entries)}
     write_atomically(out / "calibration.json", json_text(data, indent=1).encode())

@@ -13,7 +13,9 @@ from ..case import Run
 from ..model_name import is_linear
 from ..plan import Plan
 from ..setups import sharing
+from ..study_file.config import with_mesh_size
 from ..study_file.schema import Study
+from ..study_file.units import shown
 from .fit import (
     CalibrationError,
     Errors,
@@ -33,7 +35,7 @@ FINER = 0.75  # mesh size of the second mesh over that of the study
 
 @dataclass(frozen=True)
 class Body:
-    """A study that has been run: its loads on the study's mesh and, where it has one, on a finer mesh."""
+    """A study that has been run: its loads on the study's mesh and on a finer mesh, or why there are none."""
 
     name: str
     models: tuple[str, ...]
@@ -43,6 +45,7 @@ class Body:
     finer_training: tuple[Sample, ...] = ()
     finer_held_out: tuple[Sample, ...] = ()
     lost: Mapping[str, Sequence[str]] = field(default_factory=dict)  # of which mesh -> loads that failed
+    no_finer: str = ""
 
 
 @dataclass(frozen=True)
@@ -52,7 +55,8 @@ class Calibration:
     `finer` are the multiples of the rule that a finer mesh gives; `on_finer` the errors there of those of the
     study's own mesh; `transfer` the errors of these on the held-out loads of other bodies, by study; `repeated` the
     labels of held-out loads that are multiples of training loads, where model and reference are linear; `lost`
-    those of loads that failed and are in no figure here, by study.
+    those of loads that failed and are in no figure here, by study; `no_finer` says why `finer` and `on_finer` are
+    not there.
     """
 
     fit: Fit
@@ -61,6 +65,7 @@ class Calibration:
     transfer: Mapping[str, Errors]
     repeated: Sequence[str] = ()
     lost: Mapping[str, Sequence[str]] = field(default_factory=dict)
+    no_finer: str = ""
 
 
 def check(plan: Plan) -> None:
@@ -73,12 +78,21 @@ def check(plan: Plan) -> None:
     count_of_training(len(loads_of(plan)), _training(study))
 
 
+def finer_study(plan: Plan) -> tuple[Study | None, str]:
+    """The study on a finer mesh; or none, and why."""
+    own = [mesh.geometry.path.name for mesh in plan.meshes.values() if mesh.geometry.has_own_tetrahedra]
+    if own:
+        return None, f"the tetrahedra of {shown(own[0])} are used as they are"
+    finer = with_mesh_size(plan.study, FINER)
+    return finer, "" if finer is not None else "the study sweeps geometry.mesh_size"
+
+
 def _training(study: Study) -> int | None:
     return study.calibration.training if study.calibration is not None else None
 
 
-def body(plan: Plan, run: Run, finer: tuple[Plan, Run] | None) -> Body:
-    """A study's loads, split into training and held-out ones.
+def body(plan: Plan, run: Run, finer: tuple[Plan, Run] | None = None, no_finer: str = "") -> Body:
+    """A study's loads, split into training and held-out ones; `no_finer` says why it has no finer mesh.
 
     Raises
     ------
@@ -90,7 +104,12 @@ def body(plan: Plan, run: Run, finer: tuple[Plan, Run] | None) -> Body:
     models = surface_models(study.study.models)
     asked = study.calibration.parameters if study.calibration is not None else None
     training, held_out = split(samples_of(plan, run), loads, count)
-    there = split(samples_of(*finer), loads, count) if finer is not None else ([], [])
+    there: tuple[list[Sample], list[Sample]] = [], []
+    if finer is not None:
+        try:
+            there = split(samples_of(*finer), loads, count)
+        except CalibrationError as error:
+            no_finer = f"on the finer mesh {error}"
     name = study.study.name
     runs = {name: run} if finer is None else {name: run, f"{name}, finer mesh": finer[1]}
     lost = {where: [failure["label"] for failure in found.failed] for where, found in runs.items()}
@@ -103,6 +122,7 @@ def body(plan: Plan, run: Run, finer: tuple[Plan, Run] | None) -> Body:
         tuple(there[0]),
         tuple(there[1]),
         {where: labels for where, labels in lost.items() if labels},
+        no_finer,
     )
 
 
@@ -114,16 +134,19 @@ def calibrate(body: Body, others: Sequence[Body] = ()) -> list[Calibration]:
 
 def _calibration(body: Body, name: str, others: Sequence[Body]) -> Calibration:
     found = fit(name, body.training, body.held_out, body.asked)
-    finer = on_finer = None
+    finer, on_finer, no_finer = None, None, body.no_finer
     if body.finer_training:
-        finer = fit(name, body.finer_training, body.finer_held_out, body.asked).multiples
-        on_finer = _errors(name, body.finer_held_out, found)
+        try:
+            finer = fit(name, body.finer_training, body.finer_held_out, body.asked).multiples
+            on_finer = _errors(name, body.finer_held_out, found)
+        except CalibrationError as error:
+            finer, no_finer = None, f"on the finer mesh {error}"
     transfer = {other.name: _errors(name, other.held_out, found) for other in others if name in other.models}
     trained = {sample.key for sample in body.training} if is_linear(name) else set()
     repeated = [sample.label for sample in body.held_out if sample.key in trained]
     tried = [body, *(other for other in others if other.name in transfer)]
     lost = {where: labels for each in tried for where, labels in each.lost.items()}
-    return Calibration(found, finer, on_finer, transfer, repeated, lost)
+    return Calibration(found, finer, on_finer, transfer, repeated, lost, no_finer)
 
 
 def _errors(name: str, samples: Sequence[Sample], found: Fit) -> Errors:
@@ -153,6 +176,11 @@ def no_test(entry: Calibration) -> str:
     )
 
 
+def not_measured(entry: Calibration) -> str:
+    """That, and why, nothing is known of a finer mesh; "" where it is."""
+    return f"mesh independence: not measured, because {entry.no_finer}" if entry.no_finer else ""
+
+
 def left_out(entry: Calibration) -> str:
     """How many loads failed and are in no figure of a calibration; "" where none is."""
     return ", ".join(f"{len(labels)} of {study}" for study, labels in entry.lost.items())
@@ -166,15 +194,15 @@ def as_json(entries: Sequence[Calibration]) -> dict[str, dict[str, object]]:
 def as_toml(entries: Sequence[Calibration]) -> str:
     """Tables to paste into a study file: [vdm] for one model, a [models."NAME"] table each for several.
 
-    Comments say which loads failed, where a fit does worse than the rule on the loads held out, and where these
-    test nothing.
+    Comments say which loads failed, why nothing is known of a finer mesh, where a fit does worse than the rule on
+    the loads held out, and where these test nothing.
     """
     blocks = []
     for entry in entries:
         title = "vdm" if len(entries) == 1 else f'models."{entry.fit.model}"'
         lines = [f"{key} = {value:.6g}" for key, value in entry.fit.parameters.items()]
         warning = [f"# loads that failed are left out: {told}"] if (told := left_out(entry)) else []
-        warning += [f"# {told}"] if (told := no_test(entry)) else []
+        warning += [f"# {told}" for told in (not_measured(entry), no_test(entry)) if told]
         worse = worse_than_rule(entry.fit.by_rule, entry.fit.held_out)
         if worse:
             warning += [f"# worse than the rule on the loads held out: {worse}; the rule may serve better"]

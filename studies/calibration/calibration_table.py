@@ -36,9 +36,8 @@ def table(entries: Sequence[Calibration]) -> list[dict[str, str]]:
             + (f", {len(entry.repeated)} no test" if entry.repeated else ""),
             "reference's own": bars(fit.held_out),
         }
-        if entry.finer is not None and entry.on_finer is not None:
-            row["fit of a finer mesh"] = _multiples(entry.finer)
-            row["there, this fit"] = errors(entry.on_finer)
+        row["fit of a finer mesh"] = _multiples(entry.finer) if entry.finer else NOT_MEASURED
+        row["there, this fit"] = errors(entry.on_finer) if entry.on_finer else NOT_MEASURED
         for study in elsewhere:  # which need not have all the models
             found = entry.transfer.get(study)
             row[f"on {study}"] = errors(found) if found is not None else NOTHING

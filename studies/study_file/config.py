@@ -162,10 +162,10 @@ def value_and_unit(study: Study, key: str) -> tuple[float, str]:
 
 
 def with_mesh_size(study: Study, factor: float) -> Study | None:
-    """The study on meshes of `factor` times its size; None where it names none, or sweeps it."""
-    data = _plain(study)
-    size = data["geometry"].get("mesh_size")
-    if size is None or "geometry.mesh_size" in {axis.key for axis in read_axes(data)[0]}:
+    """The study on meshes of `factor` times its size; None where it sweeps that, or has tetrahedra of its own."""
+    data, size = _plain(study), study.geometry.mesh_size
+    swept = "geometry.mesh_size" in {axis.key for axis in read_axes(data)[0]}
+    if size is None or swept or geometry_of(study).has_own_tetrahedra:
         return None
     finer = Study.model_validate(substituted(data, ("geometry", "mesh_size"), size * factor))
     finer._source = study._source

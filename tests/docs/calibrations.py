@@ -21,7 +21,7 @@ import numpy as np
 from studies.calibration.calibrate import body, worse_than_rule
 from studies.calibration.fit import WIDEST, Errors, Trial, least_error
 from studies.plan import make_plan
-from studies.report.formatting import percent
+from studies.report.formatting import NOTHING, percent
 from studies.run import Options, run_plan
 from studies.setups import sharing
 from studies.study_file.config import expand, load_study
@@ -85,7 +85,7 @@ def in_tissue(study: str, directory: Path, **tissue: str) -> dict[str, dict[str,
     loaded = load_study(path)
     plan = make_plan(loaded, expand(loaded), directory / name, directory / "cache")
     run, _ = run_plan(plan, text, Options(jobs=2), lambda event: None)  # noqa: ARG005
-    found = body(plan, run, None)
+    found = body(plan, run)
     multiples = {}
     with sharing():
         for model in found.models:
@@ -215,11 +215,19 @@ def _fits(entries: Mapping[str, Any]) -> str:
                 _errors(fit["by_rule"]),
                 _errors(fit["held_out"]),
                 f"± {percent(fit['held_out']['bar'])} / {percent(fit['held_out']['bar_deformation'])}",
-                _multiples(entry["finer"]),
-                _errors(entry["on_finer"]),
+                *(
+                    [_multiples(entry["finer"]), _errors(entry["on_finer"])]
+                    if entry["finer"]
+                    else [NOTHING] * 2
+                ),
             ]
         )
-    return marked.table(head, rows)
+    missing = [
+        f"\n{_body(study)}: mesh independence not measured, because {entry['no_finer']}.\n"
+        for study, entry in entries.items()
+        if not entry["finer"]
+    ]
+    return marked.table(head, rows) + "".join(missing)
 
 
 def _transfer(entries: Mapping[str, Any]) -> str:

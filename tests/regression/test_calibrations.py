@@ -116,3 +116,12 @@ def test_a_fit_that_ends_with_the_search_is_no_part_of_the_spread() -> None:
     told = rule({**multiples, "calibrate-c": {"x": 0.5, "y": 1.0}})
     assert "`x` 1 times its rule, 4 between the extremes (without the a, where it does not matter" in told
     assert told.endswith("`y` 1 times its rule, 1 between the extremes.")
+
+
+def test_a_body_without_a_finer_mesh_is_told_in_the_document() -> None:
+    found = {study: stored(study) for study in STUDIES}
+    assert "mesh independence" not in document(found, tissues())
+    for entry in found[STIFFENED].values():
+        entry |= {"finer": None, "on_finer": None, "no_finer": "the study sweeps geometry.mesh_size"}
+    told = "\nbox: mesh independence not measured, because the study sweeps geometry.mesh_size.\n"
+    assert document(found, tissues()).count(told) == len(found[STIFFENED])
