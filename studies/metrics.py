@@ -242,7 +242,7 @@ def reaction_force_error(surface: Surface, model: History, reference: History) -
     "force that the model needs for the reference's indentation depth (mean displacement along the contact force, "
     "weighted by it), over the reference's, less one",
     degree=0,
-    version=2,
+    version=3,
     needs_contact=True,
 )
 def indentation_force_error(surface: Surface, model: History, reference: History) -> Array:
@@ -367,11 +367,17 @@ def _regional(surface: Surface, model: History, reference: History, mask: Mask) 
 
 
 def _factor_at(depth: float, depths: Array, factors: Array) -> float:
-    """Load factor at which a model reaches `depth`, linear between its steps and beyond the outer ones."""
-    order = np.argsort(factors)
-    x, y = np.concatenate([[0.0], depths[order]]), np.concatenate([[0.0], factors[order]])
+    """Load factor at which a model reaches `depth`, linear between its steps and beyond the outer ones.
+
+    Of a factor that comes more than once the first step counts. No load is taken to be no depth, unless a step says.
+    """
+    rounded = np.round(factors / np.abs(factors).max(), 12)  # equal steps of a history differ by rounding
+    _, first = np.unique(rounded, return_index=True)
+    x, y = depths[first], factors[first]
+    if rounded.all():
+        place = np.searchsorted(y, 0.0)
+        x, y = np.insert(x, place, 0.0), np.insert(y, place, 0.0)
     if not np.isfinite(x).all() or not np.isfinite(depth) or np.any(np.diff(x) <= 0):
         return np.nan
-    if depth > x[-1]:
-        return float(y[-1] + (depth - x[-1]) * (y[-1] - y[-2]) / (x[-1] - x[-2]))
-    return float(np.interp(depth, x, y))
+    k = int(np.clip(np.searchsorted(x, depth), 1, len(x) - 1))
+    return float(y[k - 1] + (depth - x[k - 1]) * (y[k] - y[k - 1]) / (x[k] - x[k - 1]))

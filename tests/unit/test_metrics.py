@@ -217,6 +217,19 @@ def test_indentation_force_of_a_model_twice_as_soft(surface: Surface, sign: floa
     assert_allclose(evaluate(loaded, stiff, reference)["indentation_force_error"], 1.0, **ROUND)
 
 
+@pytest.mark.parametrize("factors", [[0.5, 0.0, 1.0], [0.3, 0.6, 1.0, 0.6, 0.1 + 0.2], [0.5, -0.5, 1.0], [-1.0]])
+def test_indentation_force_over_a_history_that_returns(surface: Surface, factors: list[float]) -> None:
+    """A pause, a way back and a pull change nothing of what a model needs at a load, by hand: half."""
+    push = np.zeros((6, 3))
+    push[4, 2] = -0.01
+    loaded = dataclasses.replace(surface, contact_force=20.0 * push)
+    reference, soft = (
+        history(*[size * factor * push for factor in factors], factors=factors) for size in (1.0, 2.0)
+    )
+    expected = [-0.5 if factor else np.nan for factor in factors]
+    assert_allclose(evaluate(loaded, soft, reference)["indentation_force_error"], expected, **ROUND)
+
+
 def test_a_failed_step_is_not_a_number_and_spoils_no_other(surface: Surface, field: np.ndarray) -> None:
     model = history(np.full((6, 3), np.nan), 1.1 * field, factors=[0.5, 1.0])
     values = evaluate(surface, model, history(field, field, factors=[0.5, 1.0]))
