@@ -21,6 +21,11 @@ def facet_area_vectors(points: Array, triangles: Index) -> Array:
     return 0.5 * np.cross(b - a, c - a)
 
 
+def facet_areas(points: Array, triangles: Index) -> Array:
+    """(F,) area of each facet [m^2]."""
+    return np.asarray(np.linalg.norm(facet_area_vectors(points, triangles), axis=1))
+
+
 def corner_sum(per_corner: Array, triangles: Index, n_nodes: int) -> Array:
     """Sum values given per facet corner at the nodes: (F, 3, ...) -> (N, ...)."""
     shape = per_corner.shape[2:]
@@ -36,7 +41,7 @@ def nodal_sum(per_facet: Array, triangles: Index, n_nodes: int) -> Array:
 
 
 def enclosed_volume(points: Array, triangles: Index) -> float:
-    """Exact volume of the closed polyhedron, by the divergence theorem [m^3]."""
+    """Exact volume of the closed polyhedron, by the divergence theorem [m^3]; positive with outward facets."""
     return float(enclosed_volumes(points[None], triangles)[0])
 
 
@@ -121,8 +126,7 @@ class Surface:
     @cached_property
     def areas(self) -> Array:
         """(N,) nodal areas A_i [m^2] (eq. 1)."""
-        facets = np.linalg.norm(facet_area_vectors(self.points, self.triangles), axis=1)
-        return nodal_sum(facets, self.triangles, len(self.points))
+        return nodal_sum(facet_areas(self.points, self.triangles), self.triangles, len(self.points))
 
     @cached_property
     def volume_gradient(self) -> Array:

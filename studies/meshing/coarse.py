@@ -21,7 +21,7 @@ from fem_reference.mesh import TetMesh, facet_quadrature, triangle_p2
 from fem_reference.solution import CONVERGED, Solution, SolverError, Status
 
 from ..scene import Scene
-from ..surface_measures import enclosed_volume, facet_area_vectors
+from ..surface_measures import enclosed_volume, facet_areas
 from .geometry import fill_surface
 from .mesh import Array, Index, Mask, Mesh
 
@@ -93,8 +93,7 @@ def coarse_support(scene: Scene, coarse: Mesh) -> tuple[Mask, Index]:
 
 
 def _areas(mesh: Mesh) -> Array:
-    areas: Array = np.linalg.norm(facet_area_vectors(mesh.surface_points, mesh.triangles), axis=1)
-    return areas
+    return facet_areas(mesh.surface_points, mesh.triangles)
 
 
 def _volume(mesh: Mesh) -> float:

@@ -7,8 +7,9 @@ from dataclasses import replace
 import numpy as np
 from scipy import sparse
 
+from ..surface_measures import enclosed_volume, facet_area_vectors, facet_areas
 from .mesh import Array, Index, Mask, Mesh, MeshError
-from .topology import area_vectors, surface_volume, tetrahedron_sicn, tetrahedron_volumes
+from .topology import tetrahedron_sicn, tetrahedron_volumes
 
 SLIVER_SHARE = 0.04  # of the facets that are squeezed, where so many can be
 _SOUND_ASPECT = 12.0  # longest edge over height that a facet beside a sliver may get
@@ -43,8 +44,8 @@ def distorted(mesh: Mesh, *, slivers: float | None, perturbation: float | None, 
         n_slivers = _squeeze(points, mesh, slivers, random)
     triangles = mesh.surface_nodes[mesh.triangles]
     figures = {
-        "volume": surface_volume(points, triangles),
-        "area": float(np.linalg.norm(area_vectors(points, triangles), axis=1).sum()),
+        "volume": enclosed_volume(points, triangles),
+        "area": float(facet_areas(points, triangles).sum()),
         "slivers": float(n_slivers),
         "worst_aspect_ratio": float(aspect_ratios(points, triangles).max()),
     }
@@ -57,7 +58,7 @@ def aspect_ratios(points: Array, triangles: Index) -> Array:
     """(F,) longest edge of each facet over its height on it; 1.15 for an equilateral one."""
     p = points[triangles]
     longest = np.linalg.norm(p - np.roll(p, 1, axis=1), axis=2).max(axis=1)
-    ratios: Array = longest**2 / (2.0 * np.linalg.norm(area_vectors(points, triangles), axis=1))
+    ratios: Array = longest**2 / (2.0 * facet_areas(points, triangles))
     return ratios
 
 
@@ -72,11 +73,11 @@ def _perturbed(mesh: Mesh, share: float, random: np.random.Generator) -> Array:
         direction, axis=1, keepdims=True
     )
     shift = share * _shortest_edges(points, cells)[:, None] * direction
-    normals = area_vectors(points, triangles)
+    normals = facet_area_vectors(points, triangles)
     for _ in range(_HALVINGS):
         moved = points + shift
-        along = np.einsum("fi,fi->f", area_vectors(moved, triangles), normals)
-        size = np.linalg.norm(area_vectors(moved, triangles), axis=1) * np.linalg.norm(normals, axis=1)
+        along = np.einsum("fi,fi->f", facet_area_vectors(moved, triangles), normals)
+        size = facet_areas(moved, triangles) * np.linalg.norm(normals, axis=1)
         turned = [triangles[along <= 0.2 * size]]
         if len(mesh.tetrahedra):
             turned.append(mesh.tetrahedra[tetrahedron_sicn(moved, mesh.tetrahedra) <= _SOUND_SICN])
@@ -115,7 +116,7 @@ def _squeeze(points: Array, mesh: Mesh, ratio: float, random: np.random.Generato
         if taken[triangles[around]].any():
             continue
         others = around[around != facet]
-        before = area_vectors(points, triangles[others])
+        before = facet_area_vectors(points, triangles[others])
         kept = points[node].copy()
         points[node] = place
         if not (
@@ -146,7 +147,7 @@ def _squeezed(corners: Array, ratio: float) -> tuple[int, Array]:
 
 
 def _facets_sound(points: Array, triangles: Index, before: Array) -> bool:
-    after = area_vectors(points, triangles)
+    after = facet_area_vectors(points, triangles)
     sizes = np.linalg.norm(after, axis=1) * np.linalg.norm(before, axis=1)
     turned = np.einsum("fi,fi->f", after, before) < _SOUND_TURN * sizes
     return not turned.any() and bool((aspect_ratios(points, triangles) <= _SOUND_ASPECT).all())

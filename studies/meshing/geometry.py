@@ -10,6 +10,7 @@ from dataclasses import replace
 import gmsh
 import numpy as np
 
+from ..surface_measures import enclosed_volume
 from .distort import distorted
 from .geometry_spec import (
     DISTORTIONS,
@@ -24,7 +25,7 @@ from .imported import centred, imported_surface, imported_tetrahedra, named
 from .intersections import without_intersections
 from .mesh import Array, Index, Mesh, MeshError
 from .organ import liver_points
-from .topology import mesh_from_tetrahedra, mesh_from_triangles, surface_only, surface_volume
+from .topology import mesh_from_tetrahedra, mesh_from_triangles, surface_only
 
 _TRIANGLE, _TETRAHEDRON = 2, 4  # gmsh's element types
 _ORGAN_SUBDIVISIONS = 6  # 40,962 points, far finer than any mesh of it
@@ -115,7 +116,7 @@ def fill_surface(points: Array, triangles: Index, mesh_size: float, volume: bool
     quality = {
         "surface_distance_mean": mean_distance,
         "surface_distance_max": max_distance,
-        "volume_change": surface_volume(nodes, facets) / surface_volume(points, triangles) - 1.0,
+        "volume_change": enclosed_volume(nodes, facets) / enclosed_volume(points, triangles) - 1.0,
         "self_intersections_fixed": float(fixed),
     }
     surface = mesh_from_triangles(nodes, facets, quality=quality)

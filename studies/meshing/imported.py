@@ -10,12 +10,13 @@ from pathlib import Path
 
 import numpy as np
 
+from ..surface_measures import enclosed_volume, facet_areas
 from .geometry_spec import Geometry, check_extent, check_mesh_size, check_node_budget, file_digest
 from .mesh import Array, Index, Mesh, MeshError
 from .mesh_file import check_readable, read_surface, read_tetrahedra
 from .msh_file import read_msh
 from .repair import CleanSurface, clean_surface, clean_tetrahedra
-from .topology import area_vectors, mesh_from_tetrahedra, surface_volume
+from .topology import mesh_from_tetrahedra
 
 
 @dataclass(frozen=True)
@@ -35,8 +36,8 @@ def imported_surface(geometry: Geometry, *, volume: bool, max_nodes: int) -> Imp
     clean = _clean_surface(geometry.path, file_digest(geometry.path))
     points, factor = _placed(clean.points, geometry)
     check_mesh_size(geometry.mesh_size, float(np.ptp(points, axis=0).min()))
-    area = float(np.linalg.norm(area_vectors(points, clean.triangles), axis=1).sum())
-    inside = surface_volume(points, clean.triangles)
+    area = float(facet_areas(points, clean.triangles).sum())
+    inside = enclosed_volume(points, clean.triangles)
     remedy = f"the body is {np.ptp(points, axis=0).max():.3g} m across: " + (
         "use a larger mesh_size"
         if {"size", "scale"} & geometry.parameters.keys()

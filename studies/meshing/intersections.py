@@ -6,8 +6,9 @@ import numpy as np
 from scipy.sparse import coo_array, csr_array
 from scipy.spatial import KDTree
 
+from ..surface_measures import facet_area_vectors
 from .mesh import Array, Index, Mask, MeshError
-from .topology import area_vectors, facet_pairs, half_edges
+from .topology import facet_pairs, half_edges
 
 _FOLD = -0.98  # cosine between the normals of facets on one edge: below it they lie on each other
 _ROUNDING = 1e-12  # of the longest edge cubed
@@ -31,7 +32,7 @@ def intersecting_facets(points: Array, triangles: Index) -> Index:
             ends = triangles[one][:, [k, k - 2]]
             apart = ~(ends[:, :, None] == triangles[other][:, None, :]).any(axis=(1, 2))
             cut |= apart & _segment_through_triangle(points[ends[:, 0]], points[ends[:, 1]], a, b, c)
-    normals = area_vectors(points, triangles)
+    normals = facet_area_vectors(points, triangles)
     normals = normals / np.linalg.norm(normals, axis=1, keepdims=True)
     left, right, _ = facet_pairs(triangles)
     folded = np.einsum("ij,ij->i", normals[left], normals[right]) < _FOLD

@@ -11,8 +11,9 @@ import pyvista as pv
 from vtkmodules.vtkCommonCore import vtkLogger
 from vtkmodules.vtkIOXML import vtkXMLPolyDataReader
 
+from ..surface_measures import facet_areas
 from .mesh import Array, Index, MeshError
-from .topology import area_vectors, check_vertex_fans, consistent_orientation
+from .topology import check_vertex_fans, consistent_orientation
 
 # Edges of the sampled surface are at most mesh_size / 2.5: about 17 points for each node of the new surface.
 # Fewer leave uneven triangles, more only take longer.
@@ -56,7 +57,7 @@ def uniform_surface(points: Array, triangles: Index, mesh_size: float) -> tuple[
     Raises MeshError where the clusters do not make one closed manifold surface.
     """
     imported = _polydata(points, triangles)
-    area = float(np.linalg.norm(area_vectors(points, triangles), axis=1).sum())
+    area = float(facet_areas(points, triangles).sum())
     n_nodes = max(round(2 / np.sqrt(3) * area / mesh_size**2), 12)
     complaint = ""
     for attempt in range(_ATTEMPTS):
@@ -101,7 +102,7 @@ def surface_distance(
         found = np.abs(np.asarray(signed, dtype=np.float64))
         largest = max(largest, float(found.max()))
         distances.append(found[: len(middles)])
-        weights.append(np.repeat(np.linalg.norm(area_vectors(p, t), axis=1), 3))
+        weights.append(np.repeat(facet_areas(p, t), 3))
     return float(np.average(np.concatenate(distances), weights=np.concatenate(weights))), largest
 
 

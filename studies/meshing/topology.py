@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import breadth_first_order, connected_components
 
+from ..surface_measures import enclosed_volume, facet_areas
 from .mesh import Array, Index, Mask, Mesh, MeshError
 
 _LARGEST = 1e100  # coordinate
@@ -43,19 +44,6 @@ def tetrahedron_sicn(points: Array, tetrahedra: Index) -> Array:
     determinant = np.einsum("ij,ij->i", jacobian[:, 0], cofactor[:, 0])
     norms = np.linalg.norm(jacobian, axis=(1, 2)) * np.linalg.norm(cofactor, axis=(1, 2))
     return np.divide(3.0 * determinant, norms, out=np.zeros_like(norms), where=norms > 0)
-
-
-def surface_volume(points: Array, triangles: Index) -> float:
-    """Exact signed volume of a closed polyhedron; positive where the facets point outward."""
-    p = points[triangles]
-    return float(np.einsum("ij,ij->", p[:, 0], np.cross(p[:, 1], p[:, 2])) / 6.0)
-
-
-def area_vectors(points: Array, triangles: Index) -> Array:
-    """Facet area vectors (F, 3): normal times area."""
-    p = points[triangles]
-    vectors: Array = 0.5 * np.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0])
-    return vectors
 
 
 def canonical_triangles(triangles: Index) -> Index:
@@ -129,8 +117,8 @@ def consistent_orientation(points: Array, triangles: Index) -> tuple[Index, int]
     if contradictions:
         raise MeshError("the surface is one-sided (it cannot be oriented); it bounds no solid")
     turned = np.where(side[:, None], triangles[:, ::-1], triangles)
-    scale = float(np.linalg.norm(area_vectors(points, turned), axis=1).sum()) ** 1.5
-    volume = surface_volume(points - points.mean(axis=0), turned)
+    scale = float(facet_areas(points, turned).sum()) ** 1.5
+    volume = enclosed_volume(points, turned)
     if abs(volume) <= 1e-9 * scale:
         raise MeshError("the surface encloses no volume; give the boundary of a solid")
     if volume < 0:
@@ -218,8 +206,8 @@ def mesh_from_tetrahedra(
         "tetrahedra": float(len(tetrahedra)),
         "surface_nodes": float(len(surface_nodes)),
         "triangles": float(len(triangles)),
-        "volume": surface_volume(points, triangles),
-        "area": float(np.linalg.norm(area_vectors(points, triangles), axis=1).sum()),
+        "volume": enclosed_volume(points, triangles),
+        "area": float(facet_areas(points, triangles).sum()),
         "worst_sicn": float(tetrahedron_sicn(points, tetrahedra).min()),
     }
     return Mesh(
@@ -248,8 +236,8 @@ def mesh_from_triangles(
         "tetrahedra": 0.0,
         "surface_nodes": float(len(points)),
         "triangles": float(len(outward)),
-        "volume": surface_volume(points, outward),
-        "area": float(np.linalg.norm(area_vectors(points, outward), axis=1).sum()),
+        "volume": enclosed_volume(points, outward),
+        "area": float(facet_areas(points, outward).sum()),
     }
     return Mesh(
         points=np.ascontiguousarray(points, dtype=np.float64),

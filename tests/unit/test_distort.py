@@ -10,7 +10,8 @@ from studies.meshing.distort import SLIVER_SHARE, aspect_ratios, distorted
 from studies.meshing.geometry import build_mesh
 from studies.meshing.geometry_spec import Geometry, check_geometry, geometry_key
 from studies.meshing.mesh import Mesh, MeshError
-from studies.meshing.topology import area_vectors, tetrahedron_sicn, tetrahedron_volumes
+from studies.meshing.topology import tetrahedron_sicn, tetrahedron_volumes
+from studies.surface_measures import facet_area_vectors
 
 
 def body(*, volume: bool, **distortions: float) -> Mesh:
@@ -24,7 +25,7 @@ def plain(request: pytest.FixtureRequest) -> Mesh:
 
 
 def normals(mesh: Mesh) -> np.ndarray:
-    vectors = area_vectors(mesh.surface_points, mesh.triangles)
+    vectors = facet_area_vectors(mesh.surface_points, mesh.triangles)
     return vectors / np.linalg.norm(vectors, axis=1, keepdims=True)
 
 

@@ -25,13 +25,8 @@ from studies.meshing.mesh_cache import mesh_from_cache, read_mesh, write_mesh
 from studies.meshing.mesh_file import read_surface
 from studies.meshing.organ import liver_points
 from studies.meshing.remesh import subdivided, surface_distance, uniform_surface, unit_sphere
-from studies.meshing.topology import (
-    area_vectors,
-    consistent_orientation,
-    surface_volume,
-    tetrahedron_sicn,
-    tetrahedron_volumes,
-)
+from studies.meshing.topology import consistent_orientation, tetrahedron_sicn, tetrahedron_volumes
+from studies.surface_measures import enclosed_volume, facet_area_vectors
 
 SPHERE = Geometry("sphere", 0.012, {"radius": 0.05})
 ELLIPSOID = Geometry("ellipsoid", 0.010, {"semi_axes": (0.06, 0.04, 0.03)})
@@ -61,8 +56,8 @@ def test_every_shape_is_a_sound_mesh(geometry: Geometry) -> None:
     assert_array_equal(np.unique(mesh.triangles), np.arange(len(mesh.surface_nodes)))
     # outward and closed: the surface holds the volume of the tetrahedra, its area vectors cancel, Euler's 2
     volume = tetrahedron_volumes(mesh.points, mesh.tetrahedra).sum()
-    assert_allclose(surface_volume(mesh.surface_points, mesh.triangles), volume, rtol=1e-12, atol=0)
-    area = area_vectors(mesh.surface_points, mesh.triangles)
+    assert_allclose(enclosed_volume(mesh.surface_points, mesh.triangles), volume, rtol=1e-12, atol=0)
+    area = facet_area_vectors(mesh.surface_points, mesh.triangles)
     assert_allclose(area.sum(axis=0), 0, rtol=0, atol=1e-12 * np.abs(area).sum())
     assert len(mesh.surface_nodes) - len(mesh.triangles) // 2 == 2
     edges = mesh.surface_points[mesh.triangles] - mesh.surface_points[np.roll(mesh.triangles, 1, axis=1)]
@@ -170,8 +165,8 @@ def test_the_organ_s_stated_measures_are_those_of_its_surface() -> None:
     width = np.ptp(points, axis=0)[0]
     geometry = Geometry("organ", 0.1, {"size": 1.0})
     assert_allclose(np.ptp(points, axis=0) / width, extents(geometry), rtol=0, atol=6e-4)
-    area = np.linalg.norm(area_vectors(points, triangles), axis=1).sum()
-    measured = area / width**2, surface_volume(points, triangles) / width**3
+    area = np.linalg.norm(facet_area_vectors(points, triangles), axis=1).sum()
+    measured = area / width**2, enclosed_volume(points, triangles) / width**3
     assert_allclose(measured, area_and_volume(geometry), rtol=1e-3, atol=0)
 
 
@@ -242,8 +237,8 @@ def test_subdivision_keeps_the_surface(longest: float) -> None:
     assert edges.max() <= longest
     assert_array_equal(consistent_orientation(fine, facets)[0], facets)  # closed, and facing as before
     assert_array_equal(fine[: len(points)], points)
-    before, after = area_vectors(points, triangles), area_vectors(fine, facets)
-    assert_allclose(surface_volume(fine, facets), surface_volume(points, triangles), rtol=1e-13, atol=0)
+    before, after = facet_area_vectors(points, triangles), facet_area_vectors(fine, facets)
+    assert_allclose(enclosed_volume(fine, facets), enclosed_volume(points, triangles), rtol=1e-13, atol=0)
     assert_allclose(
         np.linalg.norm(after, axis=1).sum(), np.linalg.norm(before, axis=1).sum(), rtol=1e-13, atol=0
     )

@@ -14,7 +14,6 @@ from studies.meshing.mesh import Array, Index, MeshError
 from studies.meshing.remesh import unit_sphere
 from studies.meshing.repair import clean_surface, clean_tetrahedra
 from studies.meshing.topology import (
-    area_vectors,
     boundary_triangles,
     canonical_triangles,
     check_vertex_fans,
@@ -22,10 +21,10 @@ from studies.meshing.topology import (
     mesh_from_tetrahedra,
     mesh_from_triangles,
     surface_only,
-    surface_volume,
     tetrahedron_sicn,
     tetrahedron_volumes,
 )
+from studies.surface_measures import enclosed_volume, facet_area_vectors
 
 CORNER = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]])
 ONE = np.array([[0, 1, 2, 3]])
@@ -56,8 +55,8 @@ def test_volumes_and_quality_of_known_tetrahedra() -> None:
 def test_boundary_of_one_tetrahedron_faces_outward() -> None:
     triangles = boundary_triangles(ONE)
     assert_array_equal(triangles, canonical_triangles(FACES))
-    assert_allclose(surface_volume(CORNER, triangles), 1 / 6, rtol=1e-15, atol=0)
-    assert_allclose(area_vectors(CORNER, triangles).sum(axis=0), 0, rtol=0, atol=1e-16)
+    assert_allclose(enclosed_volume(CORNER, triangles), 1 / 6, rtol=1e-15, atol=0)
+    assert_allclose(facet_area_vectors(CORNER, triangles).sum(axis=0), 0, rtol=0, atol=1e-16)
 
 
 def test_cube_of_five_tetrahedra() -> None:
@@ -84,7 +83,7 @@ def test_inner_points_are_not_surface_nodes() -> None:
     mesh = mesh_from_tetrahedra(points, tetrahedra)
     assert_array_equal(mesh.surface_nodes, [1, 2, 3, 4])
     assert_array_equal(mesh.surface_points, CORNER)
-    assert_allclose(surface_volume(mesh.surface_points, mesh.triangles), 1 / 6, rtol=1e-14, atol=0)
+    assert_allclose(enclosed_volume(mesh.surface_points, mesh.triangles), 1 / 6, rtol=1e-14, atol=0)
 
 
 def test_content_hash_sees_points_connectivity_and_groups_but_not_quality() -> None:
@@ -116,7 +115,7 @@ def test_inside_out_is_turned() -> None:
     points, triangles = unit_sphere(1)
     outward, flipped = consistent_orientation(points, triangles[:, ::-1])
     assert flipped == len(triangles)
-    assert surface_volume(points, outward) == pytest.approx(surface_volume(points, triangles), rel=1e-14)
+    assert enclosed_volume(points, outward) == pytest.approx(enclosed_volume(points, triangles), rel=1e-14)
 
 
 def projective_plane() -> Index:
@@ -224,7 +223,7 @@ def test_soup_becomes_a_clean_surface() -> None:
     assert clean.facets_dropped == 6
     assert clean.facets_flipped == len(triangles)
     assert_allclose(
-        surface_volume(clean.points, clean.triangles), surface_volume(points, triangles), rtol=1e-7, atol=0
+        enclosed_volume(clean.points, clean.triangles), enclosed_volume(points, triangles), rtol=1e-7, atol=0
     )
 
 
@@ -288,7 +287,7 @@ def test_intersections_are_those_that_sampling_finds() -> None:
     )
     assert (found[:, 0] < len(triangles)).all()
     assert (found[:, 1] >= len(triangles)).all()
-    normals = area_vectors(points, triangles)
+    normals = facet_area_vectors(points, triangles)
 
     def inside(x: Array) -> Array:  # of the convex polyhedron about the origin
         return (
@@ -320,7 +319,7 @@ def test_a_tangle_is_smoothed_out() -> None:
     assert len(intersecting_facets(mended, triangles)) == 0
     moved = np.linalg.norm(mended - broken, axis=1) > 0
     assert np.count_nonzero(moved) < 60
-    assert surface_volume(mended, triangles) == pytest.approx(surface_volume(points, triangles), rel=0.02)
+    assert enclosed_volume(mended, triangles) == pytest.approx(enclosed_volume(points, triangles), rel=0.02)
 
 
 def test_a_surface_pushed_through_itself_is_refused() -> None:
