@@ -149,7 +149,8 @@ def _had(_: Connection) -> Events:
 
 
 def _close_running() -> None:
-    _running[0].close()
+    for server in _running:  # none where the start was interrupted
+        server.close()
 
 
 def load() -> None:

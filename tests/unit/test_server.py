@@ -134,6 +134,31 @@ def test_a_program_with_threads_is_not_forked(before: str, process: str, tmp_pat
     assert result.stdout.split() == [process, "done"], result.stderr
 
 
+_INTERRUPTED = """
+from contextlib import suppress
+from studies import server
+
+def interrupted():
+    raise KeyboardInterrupt
+
+server.Server = interrupted
+with suppress(KeyboardInterrupt):
+    server.start_server()
+"""
+
+
+def test_a_start_that_is_interrupted_leaves_nothing_to_close() -> None:
+    result = subprocess.run(
+        [sys.executable, "-c", _INTERRUPTED],
+        env=os.environ | {"PYTHONPATH": str(ROOT)},
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=True,
+    )
+    assert result.stderr == ""
+
+
 def test_what_goes_wrong_in_it_is_raised_here(server: Server) -> None:
     said = server.ask(_fails)
     assert next(said) == 1
