@@ -125,6 +125,9 @@ def relative_l2_deformation_error(surface: Surface, model: History, reference: H
     return _each_step(surface, model, reference, compare)
 
 
+VECTOR, DEFORMATION = relative_l2_displacement_error.__name__, relative_l2_deformation_error.__name__
+
+
 @_metric("1", "as the displacement error, for the component along the undeformed normal", degree=0)
 def relative_l2_normal_error(surface: Surface, model: History, reference: History) -> Array:
     def compare(s: Surface, u: Array, r: Array) -> Array:
@@ -369,7 +372,8 @@ def _regional(surface: Surface, model: History, reference: History, mask: Mask) 
 def _factor_at(depth: float, depths: Array, factors: Array) -> float:
     """Load factor at which a model reaches `depth`, linear between its steps and beyond the outer ones.
 
-    Of a factor that comes more than once the first step counts. No load is taken to be no depth, unless a step says.
+    Of a factor that comes more than once the first step counts. No load is taken to be no depth, unless a step
+    says.
     """
     rounded = np.round(factors / np.abs(factors).max(), 12)  # equal steps of a history differ by rounding
     _, first = np.unique(rounded, return_index=True)

@@ -14,6 +14,17 @@ _READS: dict[str, tuple[str, ...]] = {
     "vdm-boundary": ("shear_modulus", "coarse_nodes", "penalty"),
     "mass-spring": ("shear_modulus", "penalty"),
 }
+# those of them that are numbers: what they are called, and their unit
+PARAMETERS = {
+    "bulk_modulus": ("B", "Pa"),
+    "connectivity_modulus": ("B_ij", "Pa"),
+    "shear_modulus": ("shear modulus", "Pa"),
+    "foundation": ("foundation k", "Pa/m"),
+    "surface_tension": ("tension T", "N/m"),
+    "stretch_stiffness": ("stretch stiffness E_s", "N/m"),
+    "coarse_nodes": ("nodes of the coarse body", "1"),
+    "penalty": ("penalty alpha", "1"),
+}
 
 
 def reads(name: str) -> tuple[str, ...]:

@@ -27,7 +27,7 @@ from ..execute import TaskError
 from ..growth import growths
 from ..meshing.mesh import Array, InputError
 from ..meshing.mesh_cache import mesh_from_cache
-from ..metrics import History, evaluate
+from ..metrics import DEFORMATION, VECTOR, History, evaluate
 from ..reference import own_error, refined_levels, require_converged
 from ..scene import Scene, build_scene
 from ..setups import sharing
@@ -333,8 +333,8 @@ def _entry(
         ratio_setup=setup / np.array(yard.setup) if yard else nothing,
         ratio_frame=local / np.array(yard.frame_local) if yard else nothing,
         peak_bytes=float(np.median(tally.peak)),
-        error=errors.get("relative_l2_displacement_error", np.nan),
-        deformation_error=errors.get("relative_l2_deformation_error", np.nan),
+        error=errors.get(VECTOR, np.nan),
+        deformation_error=errors.get(DEFORMATION, np.nan),
         bar=bar,
         iterations=float(result.iterations[-1]),
         counts=counts,

@@ -4,18 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
+from ..model_name import PARAMETERS
 from ..report.formatting import NOT_MEASURED, NOTHING, percent, quantity
 from .calibrate import Calibration
 from .fit import Errors
-
-UNITS = {
-    "bulk_modulus": "Pa",
-    "connectivity_modulus": "Pa",
-    "shear_modulus": "Pa",
-    "foundation": "Pa/m",
-    "surface_tension": "N/m",
-    "stretch_stiffness": "N/m",
-}
 
 
 def table(entries: Sequence[Calibration]) -> list[dict[str, str]]:
@@ -27,7 +19,7 @@ def table(entries: Sequence[Calibration]) -> list[dict[str, str]]:
         row = {
             "model": fit.model,
             "fitted": ", ".join(
-                f"{key} {quantity(value, UNITS[key])}" for key, value in fit.parameters.items()
+                f"{key} {quantity(value, PARAMETERS[key][1])}" for key, value in fit.parameters.items()
             ),
             "times its rule": _multiples(fit.multiples),
             "training loads": errors(fit.training),

@@ -21,7 +21,7 @@ from .. import models
 from ..case import ModelResult, Run
 from ..meshing.mesh import Array, InputError
 from ..meshing.mesh_cache import mesh_from_cache
-from ..metrics import full_load_step
+from ..metrics import DEFORMATION, VECTOR, full_load_step
 from ..model_name import is_linear, is_vdm, reads
 from ..plan import Plan, PlannedCase, needs_volume
 from ..scene import Scene, build_scene
@@ -41,7 +41,6 @@ MODULI = {  # parameters that can be fitted -> the one whose rule gives the scal
 WIDEST = math.log(1e5)  # of a ratio between two moduli, beside that of their rules
 _TOLERANCE = 1e-4  # of a logarithm
 _MOST_SCALINGS = 20
-VECTOR, DEFORMATION = "relative_l2_displacement_error", "relative_l2_deformation_error"
 
 
 class CalibrationError(InputError):

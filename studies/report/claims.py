@@ -13,10 +13,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..case import CaseResult, Limit
-from ..model_name import is_linear, split
+from ..metrics import VECTOR
+from ..model_name import is_linear, is_vdm, split
 from .blocks import Figure
 from .claim_figures import Line, bars, curves
-from .digest import VECTOR, Digest, at_full_load, failed_steps, is_vdm, reference_bar, series
+from .digest import Digest, at_full_load, failed_steps, reference_bar, series
 from .formatting import listed, percent, plain, plural, quantity, short_percent
 from .section_limits import strain_in_words, strain_range, strain_side
 
@@ -77,8 +78,7 @@ def _iterative(case: CaseResult, model: str) -> bool:
     1,
     "Volume is conserved by every solver.",
     f"Holds where no solver's exact volume drifts by more than {EXACT:g} of the volume; within limits "
-    f"where the "
-    f"nonlinear solvers keep to that and the others to {short_percent(SMALL_DRIFT)} of the displaced volume.",
+    f"where the nonlinear solvers keep to that and the others to {short_percent(SMALL_DRIFT)} of the displaced volume.",
 )
 def _volume(digests: Sequence[Digest]) -> Judgement | None:
     drift: dict[str, float] = {}

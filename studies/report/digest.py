@@ -12,12 +12,12 @@ from numpy.typing import NDArray
 
 from .. import uncertainty
 from ..case import CaseResult, ModelResult, Run
+from ..metrics import DEFORMATION, VECTOR
+from ..model_name import is_vdm
 from ..surface_measures import Surface
 
 Array = NDArray[np.float64]
 
-VECTOR = "relative_l2_displacement_error"
-DEFORMATION = "relative_l2_deformation_error"
 # number of the reference in the palette; the other models count from 0
 REFERENCE = -1
 
@@ -37,11 +37,6 @@ def at_full_load(case: CaseResult, model: str, metric: str) -> float:
 def reference_bar(case: CaseResult, metric: str = VECTOR) -> float:
     """The reference's own part in a metric (GCI) at full load, NaN where not measured."""
     return uncertainty.reference_bar(case.reference_error, metric)
-
-
-def is_vdm(model: str) -> bool:
-    """Whether a model is one of the surface models of VDM."""
-    return model.startswith("vdm-")
 
 
 def failed_steps(model: ModelResult) -> list[int]:

@@ -5,9 +5,10 @@ from __future__ import annotations
 import math
 
 from ..case import Run
+from ..metrics import DEFORMATION, VECTOR
 from ..uncertainty import is_resolved
 from .blocks import Cell, Column, Section, Table, Text
-from .digest import DEFORMATION, VECTOR, Digest, ModelSummary, Spread
+from .digest import Digest, ModelSummary, Spread
 from .formatting import NOT_MEASURED, NOTHING, percent, plain, plural, quantity
 from .section_cost import time_notes
 

@@ -5,8 +5,9 @@ from __future__ import annotations
 import math
 
 from ..case import CaseResult
+from ..metrics import DEFORMATION, VECTOR
 from .blocks import Block, Cell, Column, Section, Table, Text
-from .digest import DEFORMATION, VECTOR, Digest, at_full_load, failed_steps, reference_bar
+from .digest import Digest, at_full_load, failed_steps, reference_bar
 from .formatting import NOTHING, listed, percent, plural, swept_value
 from .section_errors import parameter_name
 

@@ -6,10 +6,10 @@ import math
 from collections.abc import Iterable, Sequence
 
 from ..case import CaseResult
-from ..model_name import reads
+from ..model_name import PARAMETERS, is_vdm, reads
 from ..uncertainty import is_resolved
 from .blocks import Answer
-from .digest import Digest, ModelSummary, Spread, is_vdm
+from .digest import Digest, ModelSummary, Spread
 from .formatting import listed, plain, plural, quantity, short_percent, swept_value
 from .section_errors import parameter_name
 from .verdict_load import (
@@ -23,17 +23,6 @@ from .verdict_load import (
     value_range,
 )
 
-# what a VDM model was given, by its name in the study file: what it is called, its unit
-PARAMETERS = {
-    "bulk_modulus": ("B", "Pa"),
-    "connectivity_modulus": ("B_ij", "Pa"),
-    "shear_modulus": ("shear modulus", "Pa"),
-    "foundation": ("foundation k", "Pa/m"),
-    "surface_tension": ("tension T", "N/m"),
-    "stretch_stiffness": ("stretch stiffness E_s", "N/m"),
-    "coarse_nodes": ("nodes of the coarse body", "1"),
-    "penalty": ("penalty alpha", "1"),
-}
 _MOST_VALUES = 4
 SURFACE_MODELS = ("vdm-", "mass-spring")
 

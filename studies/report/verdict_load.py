@@ -8,8 +8,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from ..case import CaseResult
+from ..metrics import DEFORMATION, VECTOR
 from ..model_name import FINITE_STRAIN, split
-from .digest import DEFORMATION, VECTOR, Digest, at_full_load, reference_bar, series
+from .digest import Digest, at_full_load, reference_bar, series
 from .formatting import listed, plain, quantity, short_percent, swept_value
 from .section_errors import parameter_name
 from .section_force import (

@@ -10,7 +10,8 @@ import numpy as np
 from numpy.testing import assert_allclose
 
 from studies.calibration.calibrate import Body, calibrate
-from studies.calibration.fit import DEFORMATION, VECTOR, Errors, Sample, samples_of
+from studies.calibration.fit import Errors, Sample, samples_of
+from studies.metrics import DEFORMATION, VECTOR
 
 from . import test_calibrate
 from .test_calibrate import STUDY, answered, finished

@@ -217,7 +217,9 @@ def test_indentation_force_of_a_model_twice_as_soft(surface: Surface, sign: floa
     assert_allclose(evaluate(loaded, stiff, reference)["indentation_force_error"], 1.0, **ROUND)
 
 
-@pytest.mark.parametrize("factors", [[0.5, 0.0, 1.0], [0.3, 0.6, 1.0, 0.6, 0.1 + 0.2], [0.5, -0.5, 1.0], [-1.0]])
+@pytest.mark.parametrize(
+    "factors", [[0.5, 0.0, 1.0], [0.3, 0.6, 1.0, 0.6, 0.1 + 0.2], [0.5, -0.5, 1.0], [-1.0]]
+)
 def test_indentation_force_over_a_history_that_returns(surface: Surface, factors: list[float]) -> None:
     """A pause, a way back and a pull change nothing of what a model needs at a load, by hand: half."""
     push = np.zeros((6, 3))

@@ -10,11 +10,12 @@ import numpy as np
 import pytest
 
 from studies.case import CaseResult, Limit, ModelLimits, Run, SmallStrainLimits
+from studies.fields import targets
+from studies.model_name import PARAMETERS
 from studies.report.digest import Digest
 from studies.report.headline import headline_rows
-from studies.report.verdict import PARAMETERS, answers
+from studies.report.verdict import answers
 from studies.report.verdict_load import BEYOND, LOST, OPEN, WITHIN, case_state
-from studies.study_file.schema import VdmTable
 
 from .report_runs import REFERENCE, make_case, make_run, sweep_run
 
@@ -270,8 +271,10 @@ def test_parameters_that_a_formulation_does_not_read_are_not_told() -> None:
     assert text == "vdm-boundary with shear modulus = 1.67 kPa; shear modulus by the study."
 
 
-def test_every_number_that_a_study_can_give_has_a_name_here() -> None:
-    assert set(PARAMETERS) == set(VdmTable.model_fields) - {"rotation"}
+def test_every_number_that_a_study_can_give_has_a_name_and_its_unit() -> None:
+    units = {key.removeprefix("vdm."): t.unit for key, t in targets({"vdm": {}}).items() if "vdm." in key}
+    del units["rotation"]
+    assert {key: unit for key, (_, unit) in PARAMETERS.items()} == units
 
 
 def test_no_ratio_to_a_reference_that_kept_no_factors() -> None:
