@@ -77,8 +77,8 @@ def _iterative(case: CaseResult, model: str) -> bool:
 @_claim(
     1,
     "Volume is conserved by every solver.",
-    f"Holds where no solver's exact volume drifts by more than {EXACT:g} of the volume; within limits "
-    f"where the nonlinear solvers keep to that and the others to {short_percent(SMALL_DRIFT)} of the displaced volume.",
+    f"Holds where no solver's exact volume drifts by more than {EXACT:g} of the volume; within limits where "
+    f"the nonlinear solvers keep to that and the others to {short_percent(SMALL_DRIFT)} of the displaced volume.",
 )
 def _volume(digests: Sequence[Digest]) -> Judgement | None:
     drift: dict[str, float] = {}
