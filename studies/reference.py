@@ -13,12 +13,12 @@ from .case import ModelResult
 from .execute import TaskError
 from .meshing.mesh import Array, Index, InputError, Mesh
 from .meshing.refine import inherit, refine
-from .metrics import METRICS, History, evaluate_all, full_load_step
+from .metrics import METRICS, History, evaluate, evaluate_all, full_load_step
 from .scene import Scene, build_scene
 from .setups import shared
 from .study_file.schema import Study
 from .surface_measures import Surface, enclosed_volumes, weighted_norm, without_motions
-from .uncertainty import estimate_error
+from .uncertainty import estimate_error, estimate_limit
 
 
 def own_error(
@@ -41,7 +41,8 @@ def own_error(
         signed as in `studies.uncertainty`, which makes its estimate from them; `relative_l2`, the estimated error
         of the displacement; `observed_order`; `levels`; and a GCI for every metric that compares, `gci:<metric>`:
         what the metric is between the two finest levels, times the GCI over the difference of the displacement.
-        The deformation has its own levels for that.
+        The deformation has its own levels for that. From three levels on, `own_gci:<metric>` of what the finest is
+        by itself, such as its volume drift, from the figures of all levels.
     """
     step = full_load_step(load_factors)
     fields = [level.displacement[step] for level in levels]
@@ -55,16 +56,17 @@ def own_error(
         "levels": float(len(levels)),
     }
     margin = vector.gci / differences[0] if differences[0] else 0.0
-    if found is None:
-        finest, second = (
-            History(
-                level.displacement[[step]],
-                level.reaction_force[[step]],
-                load_factors[[step]],
-                volume=level.volume[[step]],
-            )
-            for level in levels[:2]
+    histories = [
+        History(
+            level.displacement[[step]],
+            level.reaction_force[[step]],
+            load_factors[[step]],
+            volume=level.volume[[step]],
         )
+        for level in levels
+    ]
+    if found is None:
+        finest, second = histories[:2]
         found = evaluate_all(surface, {"second": second, "finest": finest}, "finest")["second"]
     error |= {
         f"gci:{metric}": margin * abs(float(value[0]))
@@ -72,7 +74,18 @@ def own_error(
         if METRICS[metric].needs_reference
     }
     error["gci:relative_l2_deformation_error"] = deformation.gci
-    return error
+    return error | (_own_figures(surface, histories) if len(levels) > 2 else {})
+
+
+def _own_figures(surface: Surface, histories: Sequence[History]) -> dict[str, float]:
+    """`own_gci:<metric>` of one step's metrics that need no comparison, the finest level first."""
+    figures = [evaluate(surface, history, None) for history in histories]
+    levels = {metric: [float(values[metric][0]) for values in figures] for metric in figures[0]}
+    return {
+        f"own_gci:{metric}": estimate_limit(values)[1].gci
+        for metric, values in levels.items()
+        if np.isfinite(values).all()
+    }
 
 
 def _differences(fields: Sequence[Array], areas: Array) -> list[float]:

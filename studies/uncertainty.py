@@ -86,12 +86,14 @@ def value_bar(case: CaseResult, model: str, metric: str) -> float:
     """The bar of a metric's value at full load; NaN where it has none.
 
     Of a model that is compared, the reference's own part in the metric. Of the reference's own figures, such as its
-    volume drift, the GCI from the finest level and the case's mesh, where both are there. What a model that is not
-    compared in a metric does on its own mesh is exact as it stands.
+    volume drift, the GCI from all its levels, of two those that are there. What a model that is not compared in a
+    metric does on its own mesh is exact as it stands.
     """
     levels = case.reference_error.get("levels", 1.0)
     if model != case.reference or levels < 2.0:
         return reference_bar(case.reference_error, metric)
+    if f"own_gci:{metric}" in case.reference_error:
+        return case.reference_error[f"own_gci:{metric}"]
     coarse = model.removesuffix(REFINED)
     found = [case.metrics.get(name, {}).get(metric) for name in (model, coarse)]
     values = [float(series.values[case.full_load]) for series in found if series is not None]

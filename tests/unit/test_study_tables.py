@@ -57,6 +57,15 @@ def test_study_tables_hold_load_factors_and_bars(tmp_path: Path, levels: float, 
     assert set(found) == bars.keys() | others, "what has no number is left out"
 
 
+def test_the_bar_of_three_levels_goes_before_one_of_the_outer_two() -> None:
+    case = refined_case(1.0)
+    three = {**case.reference_error, "levels": 3.0, f"own_gci:{DRIFT}": 0.5}
+    case = dataclasses.replace(case, reference_error=three)
+    assert store.value_bar(case, REFINED, DRIFT) == 0.5
+    others = [name for name in case.models if name != REFINED]
+    assert np.isnan([store.value_bar(case, name, DRIFT) for name in others]).all()
+
+
 def test_a_reference_on_one_mesh_has_the_bar_that_was_measured() -> None:
     case = dataclasses.replace(refined_case(1.0), reference_error={f"gci:{DRIFT}": 0.25})
     assert store.value_bar(case, REFINED, DRIFT) == 0.25

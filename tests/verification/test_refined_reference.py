@@ -110,6 +110,26 @@ def test_own_error_of_a_known_sequence(scene: Scene, order: float) -> None:
     assert behaviour == ("oscillating" if order % 2 else "converging")
 
 
+def test_the_references_own_figures_are_judged_by_all_levels(scene: Scene) -> None:
+    """By hand: a strain of 1 + 3 h, which is of order 1, and a volume that the levels do not settle."""
+    surface, coarse = surface_of(scene), models.run_model(scene, "fem-linear")
+    stretch = np.zeros_like(coarse.displacement[:1])
+    stretch[0, :, 0] = scene.mesh.surface_points[:, 0]
+
+    def level(h: float, drift: float) -> ModelResult:
+        volume = np.full(1, surface.volume * (1.0 + drift))
+        strained = (1.0 + 3.0 * h) * stretch
+        force = coarse.reaction_force[:1]
+        return dataclasses.replace(coarse, displacement=strained, reaction_force=force, volume=volume)
+
+    levels = [level(0.1, 0.04), level(0.2, 0.02), level(0.4, 0.01)]
+    error = own_error(surface, levels, np.ones(1))
+    assert_allclose(error["own_gci:mean_strain_x"], 1.25 * 0.3, rtol=1e-9, atol=0)
+    assert_allclose(error["own_gci:volume_drift"], 3.0 * 0.03, rtol=1e-9, atol=0)
+    assert not any(name.startswith("own_gci:") for name in own_error(surface, levels[:2], np.ones(1)))
+    assert np.isnan(reference_bar(error, "volume_drift")), "it is no bar of another model's drift"
+
+
 def test_a_restricted_level_keeps_its_forces_and_steps(scene: Scene) -> None:
     coarse, finest = levels_of(STUDY, scene, "fem-linear", 2)
     assert finest.displacement.shape == coarse.displacement.shape == (2, len(scene.fixed), 3)
