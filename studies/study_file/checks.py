@@ -157,8 +157,10 @@ def _check_geometry(geometry: Geometry) -> Iterator[Finding]:
     needed, allowed = SHAPE_KEYS[geometry.shape]
     given = _given(geometry) - {"shape"}
     missing = sorted(needed - given)
-    suffix = geometry.path.suffix.lower() if geometry.path is not None else ""
-    if geometry.shape == "file" and suffix not in VOLUME_SUFFIXES and "mesh_size" not in given:
+    suffix = (
+        geometry.path.suffix.lower() if geometry.path is not None else ""
+    )  # of a faulty path nothing is known
+    if geometry.shape == "file" and suffix and suffix not in VOLUME_SUFFIXES and "mesh_size" not in given:
         missing.append("mesh_size")
     for key in missing:
         yield ("geometry", key), f"is missing; a {geometry.shape} needs {_listed(needed | {key})}"

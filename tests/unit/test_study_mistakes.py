@@ -93,6 +93,13 @@ CASES = {
     "choice of a wrong type": ('"sphere"', "3", "shape", "geometry.shape", "must be one of sphere, "),
     "missing key": ('name = "small"', "", "[study]", "study.name", "is missing: names the run directory"),
     "missing for the shape": ("radius = 0.05", "", "[geometry]", "geometry.radius", "a sphere needs"),
+    "missing tetrahedra": (
+        '"sphere"\nradius = 0.05\nmesh_size = 0.006',
+        '"file"\npath = "none.vtu"',
+        "path",
+        "geometry.path",
+        "does not exist",
+    ),
     "unused by the shape": (
         "radius = 0.05",
         "radius = 0.05\nlength = 1",
