@@ -26,13 +26,17 @@ def metrics_csv(run: Run) -> str:
     out = io.StringIO()
     writer = csv.writer(out, lineterminator="\n")
     writer.writerow(["case", *keys, "model", "load_factor", "metric", "value", "unit", "reference_error"])
-    for case, model, metric, series in metric_rows(run):
-        swept = [_cell(case.swept.get(key, "")) for key in keys]
-        full_load, bar = case.full_load, value_bar(case, model, metric)
-        for step, (factor, value) in enumerate(zip(case.load_factors, series.values, strict=True)):
-            own = repr(bar) if step == full_load and math.isfinite(bar) else ""  # measured at full load only
-            row = [model, repr(float(factor)), metric, repr(float(value)), series.unit, own]
-            writer.writerow([case.hash[:12], *swept, *row])
+    for case in run.cases:
+        start = [case.hash[:12], *(_cell(case.swept.get(key, "")) for key in keys)]
+        factors = [repr(factor) for factor in case.load_factors.tolist()]
+        full_load = case.full_load
+        for model, metrics in case.metrics.items():
+            for metric, series in metrics.items():
+                bar, values = value_bar(case, model, metric), series.values.tolist()
+                error = repr(bar) if math.isfinite(bar) else ""
+                for step, (factor, value) in enumerate(zip(factors, values, strict=True)):
+                    own = error if step == full_load else ""  # measured at full load only
+                    writer.writerow([*start, model, factor, metric, repr(value), series.unit, own])
     return out.getvalue()
 
 
