@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import io
 import warnings
+import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from textwrap import shorten
@@ -35,7 +36,7 @@ _ELEVATION = np.radians(22.0)
 _AMBIENT, _DIFFUSE = 0.5, 0.55  # light from everywhere, and from above the viewer
 _LIGHT = np.array([0.15, 0.6, 0.786])  # unit vector: right, up, towards the viewer
 _NO_METADATA: Any = {"Software": None}
-_QUICK = {"compress_level": 4}  # half the time of the usual level for a fifteenth more bytes
+_QUICK = {"compress_type": zlib.Z_RLE}  # a third of the time of the usual for a fifteenth more bytes
 _Renderer: Any = RendererAgg  # which matplotlib has no types of
 
 
@@ -131,7 +132,8 @@ def _drawn(panel: Panel, axes: Array, scale: float, shift: Array, width: int, he
 def _averaged(drawn: np.ndarray) -> np.ndarray:
     """Blocks of pixels as one; what is transparent has no colour to give."""
     rows = drawn[::_FINER].astype(np.uint16) + drawn[1::_FINER]
-    total = rows[:, ::_FINER] + rows[:, 1::_FINER]
+    pixels = rows.view(np.uint64)  # the four sums of a pixel as one number: none of them carries
+    total = (pixels[:, ::_FINER] + pixels[:, 1::_FINER]).view(np.uint16)
     out = ((total + _FINER**2 // 2) // _FINER**2).astype(np.uint8)
     # at the outline, where pixels of a block differ in alpha, it weighs their colours
     alpha = total[:, :, 3]
