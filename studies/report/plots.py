@@ -11,6 +11,7 @@ import re
 import warnings
 from collections.abc import Sequence
 from typing import Any
+from xml.sax.saxutils import escape as escape_xml
 
 import numpy as np
 from markupsafe import Markup, escape
@@ -42,8 +43,10 @@ _WIDTH, _HEIGHT = 4.4, 3.0  # inches of 72 points: as wide as a phone, so that t
 _MARGINS = {"left": 0.19, "right": 0.97, "bottom": 0.155, "top": 0.98}
 _LABELS = 0.045, 0.066  # how far the axes' labels are from the left and from the bottom
 _BOTTOM_FOR_SLANTED_NAMES = 0.34
-_STYLE: dict[str, Any] = {
+_Y_LABEL = "\ue000"  # in a drawing, where the label of the y axis comes
+_STYLE: Any = {
     "svg.fonttype": "none",
+    "svg.hashsalt": "sheet",
     "font.family": "DejaVu Sans",
     "font.size": 8.3,
     "axes.edgecolor": _INK,
@@ -89,11 +92,15 @@ def shortened(text: str, most: int = 22) -> str:
 
 
 class Sheet:
-    """What panels with the same axes are drawn on, one after the other: their ticks are made once."""
+    """What panels with the same axes are drawn on, one after the other: ticks are made once.
+
+    So is the drawing of axes that look alike but for the label of the y axis, which is left open.
+    """
 
     def __init__(self) -> None:
         self.canvas = Canvas(figsize=(_WIDTH, _HEIGHT))
         self._axes: Axes | None = None
+        self._drawn_axes: dict[object, str] = {}  # what they look like -> their part of an SVG
 
     def cleared(self) -> Axes:
         """The axes without what was drawn on them; their scale follows what will be."""
@@ -113,6 +120,39 @@ class Sheet:
             self._axes.autoscale()
         return self._axes
 
+    def svg(self) -> str:
+        """What is on the sheet, with `_Y_LABEL` in the place of the y axis' label."""
+        axes = self.canvas.axes[0]
+        look = _look(axes)
+        known = self._drawn_axes.get(look)
+        for axis in (axes.xaxis, axes.yaxis):
+            axis.set_visible(known is None)
+        out = io.StringIO()
+        metadata = dict.fromkeys(("Date", "Creator", "Format", "Type"))
+        with warnings.catch_warnings():
+            # a glyph that matplotlib's own font lacks is drawn by the browser's
+            warnings.filterwarnings("ignore", "Glyph .* missing", UserWarning)
+            self.canvas.savefig(out, format="svg", metadata=metadata, transparent=True)
+        svg = out.getvalue()
+        if known is not None:
+            return svg.replace(_BEFORE_AXES, _BEFORE_AXES + known, 1)
+        start = svg.index(_BEFORE_AXES) + len(_BEFORE_AXES)
+        self._drawn_axes[look] = svg[start : svg.index(_AFTER_AXES, svg.index(_Y_LABEL)) + len(_AFTER_AXES)]
+        return svg
+
+
+_BEFORE_AXES, _AFTER_AXES = '<g id="axes_1">\n', "\n   </g>\n"
+
+
+def _look(axes: Axes) -> object:
+    """What decides how the axes are drawn, but for the label of the y axis."""
+    parts: list[object] = [axes.get_position().bounds, axes.get_xlabel()]
+    for axis in (axes.xaxis, axes.yaxis):
+        ticks = axis.get_majorticklocs()
+        names = axis.get_major_formatter().format_ticks(ticks.tolist())
+        parts += [axis.get_scale(), *axis.get_view_interval(), *ticks, *names]
+    return tuple(parts)
+
 
 class Plot:
     """One panel: draw on its axes in the `with` block, then take `drawn`. Panels of a sheet share their axes."""
@@ -121,32 +161,23 @@ class Plot:
         self.salt = salt
         self._sheet = sheet or Sheet()
         self._svg = ""
-        style: Any = {**_STYLE, "svg.hashsalt": salt}
-        self._style = rc_context(style)
+        self._style = rc_context(_STYLE)
         self._labels = (x_label, y_label)
 
     def __enter__(self) -> Axes:
         self._style.__enter__()
         self.axes = self._sheet.cleared()
         self.axes.set_xlabel(shortened(self._labels[0], 60))
-        self.axes.set_ylabel(shortened(self._labels[1], 40))
+        self.axes.set_ylabel(_Y_LABEL)
         return self.axes
 
     def __exit__(self, kind: type[BaseException] | None, *rest: object) -> None:
         try:
             if kind is None:
-                self._svg = self._draw()
+                label = escape_xml(shortened(self._labels[1], 40))
+                self._svg = self._sheet.svg().replace(_Y_LABEL, label)
         finally:
             self._style.__exit__(None, None, None)
-
-    def _draw(self) -> str:
-        out = io.StringIO()
-        metadata = dict.fromkeys(("Date", "Creator", "Format", "Type"))
-        with warnings.catch_warnings():
-            # a glyph that matplotlib's own font lacks is drawn by the browser's
-            warnings.filterwarnings("ignore", "Glyph .* missing", UserWarning)
-            self._sheet.canvas.savefig(out, format="svg", metadata=metadata, transparent=True)
-        return out.getvalue()
 
     def drawn(self, alt: str) -> Markup:
         """The finished <svg> element; `alt` says in words what it shows. Matplotlib has escaped its texts."""
