@@ -110,6 +110,29 @@ def test_the_references_own_drift_has_a_bar_from_its_levels_and_nobody_elses_has
     assert written["vdm-m"] == written["fem-linear"] == ""
 
 
+def test_metrics_csv_has_every_value_with_its_full_load_bar() -> None:
+    measured = {"levels": 1.0, f"gci:{VECTOR}": 0.0125}
+    cases = [
+        make_case({"m": 0.1, "n": 0.2}, label="a", steps=(0.5, 1.0, 0.5), swept={"k": 1e-3}, subdivisions=0),
+        make_case(
+            {"m": 0.3}, label="b", swept={"j": "=x", "k": 2.0}, reference_error=measured, subdivisions=0
+        ),
+    ]
+    head, *rows = csv.reader(io.StringIO(metrics_csv(make_run(cases))))
+    assert ",".join(head) == "case,k,j,model,load_factor,metric,value,unit,reference_error"
+    expected = []
+    for case, swept in zip(cases, (["0.001", ""], ["2.0", "'=x"]), strict=True):
+        for model, metrics in case.metrics.items():
+            for metric, entry in metrics.items():
+                for step, value in enumerate(entry.values):
+                    bar = value_bar(case, model, metric) if step == case.full_load else math.nan
+                    own = repr(bar) if math.isfinite(bar) else ""
+                    at = [model, repr(float(case.load_factors[step])), metric]
+                    expected.append([case.hash[:12], *swept, *at, repr(float(value)), entry.unit, own])
+    assert rows == expected
+    assert {row[-1] for row in rows} == {"", "0.0125"}
+
+
 def test_tables_over_the_cases_have_what_each_case_says() -> None:
     first = make_case({"m": 0.1, "n": 0.2}, label="a", steps=(0.5, 1.0, 0.5), subdivisions=0)
     last = make_case(

@@ -122,6 +122,22 @@ def test_facets_meet_without_seams() -> None:
     assert np.ptp(colours, axis=0).max() <= 2
 
 
+def test_pixels_are_averaged_by_their_alpha() -> None:
+    random = np.random.default_rng(3)
+    fine = random.integers(0, 256, (12, 16, 4), dtype=np.uint8)
+    fine[:6, :, 3], fine[6:8], fine[:2, :2] = 255, 0, 255
+    found = picture._averaged(fine).astype(float)
+    blocks = fine.reshape(6, 2, 8, 2, 4).swapaxes(1, 2).reshape(6, 8, 4, 4).astype(float)
+    alpha = blocks[..., 3:]
+    weighed = (blocks[..., :3] * alpha).sum(axis=2) / np.maximum(alpha.sum(axis=2), 1.0)
+    expected = np.concatenate([weighed, alpha.mean(axis=2)], axis=2)
+    np.testing.assert_allclose(
+        found, expected, rtol=0, atol=0.5 + 1e-4
+    )  # rounded, the weighed ones from float32
+    assert (found[0, 0] == 255).all()
+    assert not found[3].any()
+
+
 def test_a_body_of_no_size_and_values_beyond_the_scale_are_drawn() -> None:
     points, triangles = icosphere(1)
     point = Panel(np.zeros_like(points), triangles, np.zeros(len(points)), "inferno", 0.0)
