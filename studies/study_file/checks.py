@@ -157,9 +157,8 @@ def _check_geometry(geometry: Geometry) -> Iterator[Finding]:
     needed, allowed = SHAPE_KEYS[geometry.shape]
     given = _given(geometry) - {"shape"}
     missing = sorted(needed - given)
-    suffix = (
-        geometry.path.suffix.lower() if geometry.path is not None else ""
-    )  # of a faulty path nothing is known
+    # of a faulty path nothing is known
+    suffix = geometry.path.suffix.lower() if geometry.path is not None else ""
     if geometry.shape == "file" and suffix and suffix not in VOLUME_SUFFIXES and "mesh_size" not in given:
         missing.append("mesh_size")
     for key in missing:
