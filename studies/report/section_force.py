@@ -14,7 +14,7 @@ from ..surface_measures import facet_area_vectors
 from .blocks import Figure, Figures, Section, Text
 from .digest import Array, Digest
 from .formatting import listed, quantity, scale_of
-from .plots import Plot, colour, line, marker
+from .plots import Plot, Sheet, colour, line, marker
 
 _CONTACT_NOTE = (
     "Under a contact the force is given and the indentation is the answer: the largest displacement of the nodes "
@@ -45,9 +45,10 @@ def force_against_indentation(digest: Digest) -> Section | None:
     """How stiff the body feels where it is pushed: key cases, or without a load history all cases together."""
     figures: list[Figure] = []
     notes: dict[str, None] = {}
+    sheet = Sheet()
     for cases, title in _groups(digest):
         for push in _pushes(cases):
-            figure = _stiffness(digest, push, cases, title, f"f{len(figures)}")
+            figure = _stiffness(digest, push, cases, title, f"f{len(figures)}", sheet)
             if figure is not None:
                 figures.append(figure)
                 notes[push.note] = None
@@ -242,7 +243,7 @@ def _of_movement(_: Digest, case: CaseResult, name: str) -> Curves:
 
 
 def _stiffness(
-    digest: Digest, push: Push, cases: Sequence[CaseResult], title: str, salt: str
+    digest: Digest, push: Push, cases: Sequence[CaseResult], title: str, salt: str, sheet: Sheet
 ) -> Figure | None:
     history = len(cases) == 1 and len(cases[0].load_factors) > 1
     curves: dict[str, tuple[Array, Array]] = {}
@@ -265,7 +266,7 @@ def _stiffness(
     length, length_unit = scale_of("m", np.concatenate([x for x, _ in curves.values()]))
     force, force_unit = scale_of(push.unit, np.concatenate([y for _, y in curves.values()]))
     y_label = f"{push.y_label} [{force_unit}]" if force_unit else push.y_label
-    plot = Plot(f"{push.x_label} [{length_unit}]", y_label, salt)
+    plot = Plot(f"{push.x_label} [{length_unit}]", y_label, salt, sheet)
     with plot as axes:
         for model, (x, y) in curves.items():
             k = digest.colour(model)

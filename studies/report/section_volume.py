@@ -7,7 +7,7 @@ import math
 from .blocks import Block, Figure, Figures, Section, Text
 from .digest import Digest, series
 from .formatting import listed, short_percent
-from .plots import Plot, colour, line, log_axis, marker, percent_ticks
+from .plots import Plot, Sheet, colour, line, log_axis, marker, percent_ticks
 
 _DRIFT_FLOOR = 1e-16  # below what double precision can tell from zero
 
@@ -24,10 +24,11 @@ def volume_drift(digest: Digest) -> Section | None:
             "Drift as a share of the displaced volume",
         ),
     )
+    sheet = Sheet()
     figures = [
         figure
         for k, (metric, label, title) in enumerate(quantities)
-        if (figure := _drift(digest, metric, label, title, f"v{k}")) is not None
+        if (figure := _drift(digest, metric, label, title, f"v{k}", sheet)) is not None
     ]
     if not figures:
         return None
@@ -38,7 +39,7 @@ def volume_drift(digest: Digest) -> Section | None:
     return Section("volume", "Volume drift against load", blocks)
 
 
-def _drift(digest: Digest, metric: str, label: str, title: str, salt: str) -> Figure | None:
+def _drift(digest: Digest, metric: str, label: str, title: str, salt: str, sheet: Sheet) -> Figure | None:
     curves: dict[str, dict[float, float]] = {}
     for model in digest.models:
         for case in digest.cases:
@@ -52,7 +53,7 @@ def _drift(digest: Digest, metric: str, label: str, title: str, salt: str) -> Fi
     if not curves:
         return None
     described = []
-    plot = Plot("load factor", label, salt)
+    plot = Plot("load factor", label, salt, sheet)
     with plot as axes:
         for model, curve in curves.items():
             k = digest.colour(model)
