@@ -36,10 +36,9 @@ def test_figures_are_what_was_accepted_and_the_file_keeps_them(tmp_path: Path) -
     assert figures.keys() == accepted.keys(), "a model or figure has come or gone: make bench-baseline"
     for name, value in accepted.items():
         counted = name.endswith("/iterations")
-        # a Krylov method may need an iteration or two more where rounding differs; relative elsewhere
-        assert_allclose(
-            figures[name], value, rtol=0.0 if counted else 1e-3, atol=2.0 if counted else 1e-9, err_msg=name
-        )
+        # where rounding differs, BiCG needed 57 iterations on one kind of processor and 60 on another
+        bound = {"rtol": 0.05, "atol": 2.0} if counted else {"rtol": 1e-3, "atol": 1e-9}
+        assert_allclose(figures[name], value, **bound, err_msg=name)
     assert {e.model for e in found.entries} == set(bench.MODELS)
 
     write_bench(tmp_path / "bench.h5", found)
