@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -424,22 +425,21 @@ def _study_entries(run: Run) -> list[Entry]:
             entries.append(_data(f"swept/{key}", np.array(values, dtype=float), unit))
         else:
             entries.append(Text(f"swept/{key}", [str(value) for value in values]))
-    n_steps = max((len(case.load_factors) for case in run.cases), default=0)
-    factors = np.full((len(run.cases), n_steps), np.nan)
+    shape = (len(run.cases), max((len(case.load_factors) for case in run.cases), default=0))
+    factors = np.full(shape, np.nan)
     for row, case in enumerate(run.cases):
         factors[row, : len(case.load_factors)] = case.load_factors
     entries += [_data("load_factor", factors, "1"), Group("metrics")]
     index = {case.hash: row for row, case in enumerate(run.cases)}
-    tables: dict[tuple[str, str], NDArray[np.float64]] = {}
-    bars: dict[tuple[str, str], NDArray[np.float64]] = {}
+    tables: dict[tuple[str, str], NDArray[np.float64]] = defaultdict(lambda: np.full(shape, np.nan))
+    bars: dict[tuple[str, str], NDArray[np.float64]] = defaultdict(lambda: np.full(shape[0], np.nan))
     about: dict[tuple[str, str], MetricSeries] = {}
     for case, model, metric, series in metric_rows(run):
-        table = tables.setdefault((model, metric), np.full((len(run.cases), n_steps), np.nan))
-        table[index[case.hash], : len(series.values)] = series.values
+        tables[model, metric][index[case.hash], : len(series.values)] = series.values
         about[model, metric] = series
         bar = value_bar(case, model, metric)
         if np.isfinite(bar):
-            bars.setdefault((model, metric), np.full(len(run.cases), np.nan))[index[case.hash]] = bar
+            bars[model, metric][index[case.hash]] = bar
     entries += [Group(f"metrics/{model}") for model in dict.fromkeys(model for model, _ in tables)]
     for (model, metric), table in tables.items():
         attributes = {key: getattr(about[model, metric], key) for key in _ABOUT_METRIC}
