@@ -40,7 +40,8 @@ class CondensedProblem:
     Parameters
     ----------
     problem : the linear problem; make it with solver="direct" or many `expected_loads`
-    contact : (N,) surface nodes; a facet whose three vertices are all among them can be loaded
+    contact : (N,) surface nodes; a facet whose three vertices are all among them can be loaded. None of them where
+        there is no contact: without weight and motions the answer to what is left is zero
     motions : (M, N, 3) displacements that held nodes can be given, in any combination; without them they stay where
         they are [m]
     memory_limit : bytes the matrix may take; None for what the machine has left
@@ -59,8 +60,8 @@ class CondensedProblem:
     Raises
     ------
     SolverError
-        For a mask of a wrong shape or, without motions, without a facet; for motions of a wrong shape or that are
-        not finite; and for a matrix that does not fit into memory.
+        For a mask of a wrong shape or, without motions, of nodes that span no facet; for motions of a wrong shape
+        or that are not finite; and for a matrix that does not fit into memory.
     """
 
     def __init__(
@@ -79,7 +80,7 @@ class CondensedProblem:
             raise _bad_contact(f"contact has shape {mask.shape}", f"give shape ({count},)")
         self._facets = np.flatnonzero(mask[mesh.triangles].all(axis=1))
         self._motions = self._checked_motions(motions)
-        if not len(self._facets) and not len(self._motions):
+        if mask.any() and not len(self._facets) and not len(self._motions):
             raise _bad_contact("contact has no whole facet", "choose more nodes")
         self.nodes = np.unique(mesh.facet_nodes[self._facets])
         self._held = np.flatnonzero(problem.held[mesh.surface_nodes].any(axis=1))

@@ -8,6 +8,7 @@ from typing import Any
 
 from . import models
 from .estimate import estimate, known_of, size_of
+from .model_name import DISPLACEMENT_ELEMENTS, split
 from .plan import Expected, Plan, PlannedCase
 from .regions import body_extent, lies_outside
 from .study_file.config import holds_nothing
@@ -132,7 +133,8 @@ def _skipped(plan: Plan, todo: Sequence[PlannedCase]) -> list[str]:
 
 def refused(plan: Plan, cases: Sequence[PlannedCase]) -> list[str]:
     """What will be refused of these cases, so far as that is beyond doubt: a region that lies off the body, and
-    models, elements that nothing holds, fibres, and a mesh of more surface nodes than a model takes."""
+    models, elements that nothing holds, an incompressible body, fibres, and a mesh of more surface nodes than a
+    model takes."""
     names = plan.study.study.models
     limits = {name: most for name in names if (most := models.most_nodes(name)) is not None}
     free = any(holds_nothing(case.study) for case in cases)
@@ -144,6 +146,13 @@ def refused(plan: Plan, cases: Sequence[PlannedCase]) -> list[str]:
             if free and models.find(name)[0].volumetric
         ),
     ]
+    if any(case.study.tissue.poisson_ratio == 0.5 for case in cases):
+        lines += [
+            f"{name} at a Poisson ratio of 0.5: a displacement element cannot be incompressible; use fem-linear, "
+            "or a ratio below 0.5"
+            for name in names
+            if split(name)[0] in DISPLACEMENT_ELEMENTS
+        ]
     if any(case.study.anisotropy for case in cases):
         lines += [
             f"{name}: it is isotropic; use another model for fibres"

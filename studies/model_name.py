@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 FINITE_STRAIN = ("fem",)  # models that can serve as the reference of the small-strain limits
+DISPLACEMENT_ELEMENTS = ("fem-p1", "fem-p2")  # which have no answer for an incompressible body
 REFINED = " refined"  # what the reference's name gets where it is solved on refinements of the case's mesh
 _NOT_LINEAR = ("quasi-linear", "nonlinear")  # solvers of another problem than the linear one
 

@@ -22,7 +22,7 @@ from ..meshing.geometry_spec import (
 )
 from ..meshing.geometry_spec import Geometry as GeometrySpec
 from ..meshing.mesh import MeshError
-from ..model_name import is_vdm, reads, split
+from ..model_name import DISPLACEMENT_ELEMENTS, is_vdm, reads, split
 from .kinds import safe_name
 from .problems import Finding, Loc
 from .schema import Constraint, Geometry, HalfSpace, Region, Study, Table
@@ -48,6 +48,7 @@ _ONE_OF = "below, above, ball, box, cap, group, all, any, not"
 def check(study: Study) -> Iterator[Finding]:
     """Everything that is wrong with a study whose keys are right by themselves."""
     yield from _check_models(study)
+    yield from _check_incompressible(study)
     yield from _check_penalty(study)
     yield from _check_unread(study)
     yield from _check_calibration(study)
@@ -100,6 +101,17 @@ def _check_models(study: Study) -> Iterator[Finding]:
     for name in study.models or {}:
         if name not in info.models:
             yield ("models", name), unknown(name, info.models, "model of this study")
+
+
+def _check_incompressible(study: Study) -> Iterator[Finding]:
+    reference = study.study.reference if study.study is not None else None
+    ratio = study.tissue.poisson_ratio if study.tissue is not None else None
+    if ratio == 0.5 and reference is not None and split(reference)[0] in DISPLACEMENT_ELEMENTS:
+        yield (
+            ("tissue", "poisson_ratio"),
+            f"{reference}, the reference, is a displacement element, which cannot be incompressible; "
+            'use reference = "fem-linear", or a ratio below 0.5',
+        )
 
 
 def _check_penalty(study: Study) -> Iterator[Finding]:

@@ -167,6 +167,14 @@ TABLE: dict[str, tuple[Prepare, int, str]] = {
     "region that selects nothing": (study(('"30 deg"', '"0.1 deg"'), verb="run"), 2, "'finger' loads no facet"),
     "contact over fixed": (study(('"30 deg"', '"179 deg"'), verb="run"), 2, "nodes that are fixed or constrained"),
     "nothing held": (study((HELD_ONLY, "")), 2, "nothing is held"),
+    "reference that cannot be incompressible": (
+        study(("fem-linear", "fem-p1"), ("0.49", "0.5")), 2,
+        "small.toml:15: tissue.poisson_ratio: fem-p1, the reference, is a displacement element",
+    ),
+    "the same in a sweep": (
+        study(("fem-linear", "fem-p2"), ("[load]", '[sweep]\n"tissue.poisson_ratio" = [0.4, 0.5]\n[load]')), 2,
+        "(in the case poisson_ratio = 0.5)",
+    ),
     "radius in mm": (study(('"50 mm"', "50")), 2, "geometry.radius: "),
     "E in kPa": (study(('"5 kPa"', "5")), 2, "mixed-up unit"),
     "no convergence": (

@@ -557,6 +557,17 @@ def test_a_model_that_refuses_a_case_says_why(tmp_path: Path) -> None:
     assert "\n1 done, 0 failed" in result.stdout
 
 
+def test_displacement_elements_of_an_incompressible_body_are_told(tmp_path: Path) -> None:
+    sweep = '[sweep]\n"tissue.poisson_ratio" = [0.45, RATIO]\n[load]'
+    models = ('"vdm-paper", "fem-linear"', '"fem-p1", "fem-p2:linear", "fem-linear"')
+    for ratio, names in (("0.5", {"fem-p1", "fem-p2:linear"}), ("0.4999", set())):
+        write_study(tmp_path, a=models, b=("[load]", sweep.replace("RATIO", ratio)))
+        for verb in ("check", "plan"):
+            lines = vdmbench(verb, "small.toml", cwd=tmp_path).stdout.splitlines()
+            told = [line.removeprefix("will be refused: ") for line in lines if "will be refused" in line]
+            assert {line.partition(" at a Poisson ratio of 0.5: ")[0] for line in told} == names
+
+
 def test_the_only_case_fails_by_the_study_s_name(tmp_path: Path) -> None:
     write_study(tmp_path, a=('"30 deg"', '"0.1 deg"'))
     result = vdmbench("run", "small.toml", cwd=tmp_path)

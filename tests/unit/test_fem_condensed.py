@@ -122,7 +122,7 @@ def test_contacts_that_make_no_sense_are_refused(body: Body) -> None:
     linear = _linear(body)
     for contact, limit, words in (
         (np.ones(3, dtype=bool), None, r"contact has shape \(3,\); give shape"),
-        (np.zeros(len(body.surface), dtype=bool), None, "contact has no whole facet; choose more nodes"),
+        (np.arange(len(body.surface)) == 0, None, "contact has no whole facet; choose more nodes"),
         (_upper(body), 1e4, "the compliance matrix needs .* MB but 0 MB are available; choose fewer"),
     ):
         with pytest.raises(SolverError, match=words):
@@ -198,6 +198,20 @@ def test_a_body_that_is_only_moved_needs_no_contact(body: Body) -> None:
     for name in ("displacement", "reaction_force", "energy"):
         value = getattr(expected, name)
         assert_allclose(getattr(found, name), value, rtol=0, atol=1e-10 * np.abs(value).max(), err_msg=name)
+
+
+@pytest.mark.parametrize("density", [0.0, 1e3])
+def test_a_body_without_contact_has_its_weight_or_stays_at_rest(body: Body, density: float) -> None:
+    linear = _linear(body, density=density)
+    model = CondensedProblem(linear, np.zeros(len(body.surface), dtype=bool))
+    loads = [body.load(0.0), body.load(0.0, gravity=(1.0, 2.0, -9.81))]
+    expected, found = linear.solve(loads), model.solve(loads)
+    assert all(status.ok for status in found.status)
+    for name in ("displacement", "reaction_force", "fluid_pressure", "energy"):
+        value = getattr(expected, name)
+        assert_allclose(getattr(found, name), value, rtol=0, atol=1e-10 * np.abs(value).max(), err_msg=name)
+        assert not getattr(found, name)[0].any()
+        assert bool(density) == getattr(found, name)[1].any()
 
 
 def test_motions_that_make_no_sense_are_refused(body: Body) -> None:

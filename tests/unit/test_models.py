@@ -10,7 +10,7 @@ from numpy.testing import assert_allclose
 
 from studies import models
 from studies.meshing.geometry import build_mesh
-from studies.model_name import is_linear, reads, split
+from studies.model_name import DISPLACEMENT_ELEMENTS, is_linear, reads, split
 from studies.scene import Scene, build_scene
 from studies.study_file.config import geometry_of
 from studies.study_file.schema import Study, VdmTable
@@ -189,6 +189,24 @@ def test_the_condition_is_estimated_where_it_is_asked_for(name: str, scene: Scen
     assert (estimate > 1.0).all()
     assert (asked.scalars["relative_residual"] < 1e-8).all()
     assert np.array_equal(plain.displacement, asked.displacement)
+
+
+@pytest.mark.parametrize("name", list(models.MODELS))
+def test_a_contact_without_force_leaves_the_body_at_rest(name: str, scene: Scene) -> None:
+    result = models.run_model(
+        dataclasses.replace(scene, facet_pressure=np.zeros_like(scene.facet_pressure)), name
+    )
+    assert [status.code for status in result.status] == ["converged"] * len(scene.load_factors)
+    for field in ("displacement", "reaction_force", "energy"):
+        assert not getattr(result, field).any(), field
+
+
+def test_which_elements_have_no_answer_for_an_incompressible_body_is_known(scene: Scene) -> None:
+    tissue = scene.tissue.model_copy(update={"poisson_ratio": 0.5})
+    scene = dataclasses.replace(scene, tissue=tissue, load_factors=scene.load_factors[-1:])
+    names = [model.name for model in models.MODELS.values() if model.volumetric]
+    refused = {name for name in names if models.run_model(scene, name).status[0].code == models.REFUSED}
+    assert refused == set(DISPLACEMENT_ELEMENTS)
 
 
 def test_displacement_elements_lock_and_the_mixed_one_does_not(scene: Scene) -> None:
