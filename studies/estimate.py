@@ -2,7 +2,8 @@
 
 Seconds are those of one core with nothing else to do. On a machine of 2020 to 2026 most shipped studies take half
 to twice as many; the factor that is told leaves room for other machines and for solvers that struggle. Where cases
-of the study have run on this one, its speed is known and the factor smaller.
+of the study have run on this one, with solves at least half as dear as those to come, its speed is known and the
+factor smaller.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ from . import models
 from .hdf5 import StoreError
 from .meshing.mesh import MeshError
 from .meshing.mesh_cache import mesh_path, read_mesh
-from .model_name import split
+from .model_name import REFINED, split
 from .plan import Expected, Plan, PlannedCase, PlannedMesh
 from .store import read_case
 from .work import work_of
@@ -26,6 +27,7 @@ FACTOR_MEASURED, FACTOR_LAWS = 3.0, 5.0
 _START = 3.0  # s to load the libraries, and to write the tables and the report
 _PROCESS_BYTES = 1.3e8  # of a worker that has done nothing
 _DENSE_NODES = 1000.0  # `vdm.formulations.boundary.MAX_NODES`, which would load the library
+_KNOWN = 0.5  # weight of the cases that have run, from which on they tell the speed
 _MOST_READ = 3  # case files that are read to learn from
 _SEARCH_LOADS = 30  # that a search for small-strain limits tries, each of them once for all models
 # steps of the study that a load amid the limits costs: of a model that goes there from rest in halved steps,
@@ -90,19 +92,20 @@ def estimate(plan: Plan, cases: Sequence[PlannedCase], jobs: int = 1) -> Estimat
         if size is None:
             return None
         sizes[key] = size
-    speed = _speed(plan)
-    seconds = disk = 0.0
+    seconds = dearest = disk = 0.0
     held: defaultdict[int, float] = defaultdict(float)
     for part in work_of(plan, cases, jobs):
         cost = _law(part.name, sizes[part.mesh].refined(part.level), part.solves)
         seconds += part.setups * cost.setup + part.solves * cost.step
+        dearest = max(dearest, cost.setup + cost.step)
         # what the cases of a group share is held until the group is done
         held[part.worker] += cost.bytes
     searches = [_search(case, sizes[case.mesh]) for case in cases]
     seconds += sum(search.seconds for search in searches)
     # by then what the models' own solves took is free again
     memory = max([*held.values(), *(search.bytes for search in searches)], default=0.0)
-    seconds *= speed or 1.0
+    speed, weight = _speed(plan, dearest)
+    seconds *= speed
     seconds += _START + sum(_mesh_seconds(sizes[mesh.key]) for mesh in plan.missing_meshes(cases))
     for case in cases:
         results, steps = len(case.results) + 1, len(case.study.load.history)
@@ -117,7 +120,7 @@ def estimate(plan: Plan, cases: Sequence[PlannedCase], jobs: int = 1) -> Estimat
         40.0 * sizes[mesh.key].tetrahedra + 80.0 * sizes[mesh.key].nodes
         for mesh in plan.missing_meshes(cases)
     )
-    factor = FACTOR_MEASURED if speed else FACTOR_LAWS
+    factor = FACTOR_MEASURED if weight >= _KNOWN else FACTOR_LAWS
     return Estimate(seconds if cases else 0.0, _PROCESS_BYTES + memory, disk, factor)
 
 
@@ -211,9 +214,14 @@ def _volumetric(name: str, size: Size, loads: int) -> Cost:
     return Cost(setup, step, (1.8e4 if path == "direct" else 2.6e3) * unknowns)
 
 
-def _speed(plan: Plan) -> float | None:
-    """Measured over expected seconds of the solvers in a few of the cases that are done; None where none is."""
-    shares = []
+def _speed(plan: Plan, dearest: float) -> tuple[float, float]:
+    """What to multiply the laws' seconds by, from a few of the cases that are done; and the weight that these have.
+
+    Small solves take longer than the laws say, by what they all take whatever their size. So a measurement tells
+    of work of its own size: each case counts by its seconds, those on refined meshes included, and all of them as
+    far as the dearest set-up and step that they had goes towards the `dearest` one to come [s by the laws].
+    """
+    ratios, weights, known = [], [], 0.0
     done = [case for case in plan.in_order if plan.state[case.hash] in ("done", "stale")]
     for case in done[:: max(1, len(done) // _MOST_READ)][:_MOST_READ]:
         size = size_of(plan, plan.meshes[case.mesh])
@@ -223,11 +231,20 @@ def _speed(plan: Plan) -> float | None:
             continue
         if size is None:
             continue
+        finest = case.study.uncertainty.levels - 1 if case.study.uncertainty else 0
         measured = expected = 0.0
-        for name in solved.keys() & case.results.keys():
-            law, spent = _law(name, size, 1), [solved[name].seconds_setup, *solved[name].seconds_per_step]
-            if np.isfinite(spent).all():  # a model that stopped tells nothing
+        for name, result in solved.items():
+            model, spent = name.removesuffix(REFINED), [result.seconds_setup, *result.seconds_per_step]
+            if model in case.results and np.isfinite(spent).all():  # one that stopped tells nothing
+                law = _law(model, size.refined(finest if name != model else 0), 1)
                 measured += sum(spent)
                 expected += law.setup + law.step * (len(spent) - 1)
-        shares += [measured / expected] if expected else []
-    return float(np.median(shares)) if shares else None
+                known = max(known, law.setup + law.step)
+        if expected:
+            ratios.append(measured / expected)
+            weights.append(expected)
+    if not ratios:
+        return 1.0, 0.0
+    weight = min(1.0, known / dearest) if dearest else 1.0
+    ratio = float(np.quantile(ratios, 0.5, weights=weights, method="inverted_cdf"))
+    return 1.0 + weight * (ratio - 1.0), weight

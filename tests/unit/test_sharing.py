@@ -28,6 +28,7 @@ from studies.explain import summary
 from studies.meshing.geometry import build_mesh
 from studies.meshing.geometry_spec import Geometry
 from studies.meshing.mesh_cache import mesh_from_cache
+from studies.model_name import REFINED
 from studies.plan import Plan, make_plan, task_of
 from studies.proportional import Answer
 from studies.reference import own_error, refined_levels
@@ -580,6 +581,38 @@ def test_a_plan_knows_the_speed_of_the_machine_from_cases_that_are_done(tmp_path
     assert expected()["factor"] == 3
     assert seconds[1] > seconds[0]
     assert_allclose((seconds[2] - seconds[0]) / (seconds[1] - seconds[0]), 299 / 99, rtol=1e-6, atol=0)
+
+
+@pytest.mark.parametrize(
+    ("refined", "mesh_size", "least", "most", "factor"),
+    [
+        (1.0, 0.02, 1.0, 1.5, 3),  # what small solves take beyond the laws says little of larger ones
+        (1.0, 0.006, 1.0, 1.5, 5),
+        (30.0, 0.02, 3.0, 30.0, 3),  # a slow machine
+        (30.0, 0.006, 1.3, 3.0, 5),  # is one as far as it is known, and what is known is told
+    ],
+)
+def test_measured_seconds_tell_of_work_of_their_own_size(
+    tmp_path: Path, cache: Path, refined: float, mesh_size: float, least: float, most: float, factor: float
+) -> None:
+    """All on the case's mesh takes 30 times what the laws say, what is on the refined one so many times."""
+
+    def expected(directory: Path, *sizes: float) -> Mapping[str, float]:
+        return summary(plan_of(directory, tmp_path, sweep={"geometry.mesh_size": list(sizes)}))["estimate"]
+
+    plan = plan_of(tmp_path / "a", cache, sweep={"geometry.mesh_size": [0.022]})
+    (planned,), (case,) = plan.cases, run(plan)
+    size = Size(len(case.points), case.mesh_quality["tetrahedra"])
+    models = {}
+    for name, result in case.models.items():
+        model, times = name.removesuffix(REFINED), refined if name.endswith(REFINED) else 30.0
+        law = _law(model, size if name == model else size.refined(1), 1)
+        steps = np.full(len(result.seconds_per_step), times * law.step)
+        models[name] = dataclasses.replace(result, seconds_setup=times * law.setup, seconds_per_step=steps)
+    write_case(plan.case_file(planned), dataclasses.replace(case, models=models))
+    known, unknown = expected(tmp_path / "a", 0.022, mesh_size), expected(tmp_path / "b", mesh_size)
+    assert (known["factor"], unknown["factor"]) == (factor, 5)
+    assert least < known["seconds"] / unknown["seconds"] < most
 
 
 @pytest.mark.parametrize(
