@@ -1,235 +1,101 @@
-"""The command line: its arguments, and what an error means to the shell. The verbs are in `cli_*`."""
+"""The command `vdmbench`: what its end means to the shell. It heeds Ctrl-C before it loads the rest of itself."""
 
 from __future__ import annotations
 
-import argparse
 import gc
 import os
-import re
 import signal
 import sys
 from collections.abc import Sequence
-from pathlib import Path
-from typing import Any, NoReturn
 
-from . import cli_results, cli_study
-from .cli_output import BUG, DAMAGED, INTERRUPTED, MACHINE, OK, USAGE, complain
-
-_LEAST_MEMORY = 50_000_000
 # made between two looks for garbage, which take a quarter of the time of imports if frequent
 _OBJECTS = 200_000
+_SOON = 1e-3  # s
 
 
-def main(arguments: Sequence[str] | None = None) -> NoReturn:
-    """Entry point of `vdmbench`."""
+class _Interrupt:
+    """What Ctrl-C and SIGTERM do: stop the verb, and nothing once it has stopped.
+
+    What falls into an import can come out as another error, as that of a library or a file that cannot be loaded.
+    """
+
+    def __init__(self) -> None:
+        self.received = self.stopped = False
+
+    def __call__(self, *_: object) -> None:
+        if not self.stopped:
+            self.received = True
+            raise KeyboardInterrupt
+
+    def lost(self, error: sys.UnraisableHookArgs) -> None:
+        """Where Python has to drop it, as in a callback of its own while it imports, it comes once more."""
+        if error.exc_type is KeyboardInterrupt:
+            signal.setitimer(signal.ITIMER_REAL, _SOON)
+        else:
+            sys.__unraisablehook__(error)
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Entry point of `vdmbench`: ends the process with the exit code of the verb."""
+    interrupt = _Interrupt()
+    if signal.getsignal(signal.SIGINT) is not signal.SIG_IGN:  # as in the background of a script
+        signal.signal(signal.SIGINT, interrupt)
+    for number in (signal.SIGTERM, signal.SIGALRM):
+        signal.signal(number, interrupt)
+    sys.unraisablehook = interrupt.lost
     gc.set_threshold(_OBJECTS)
     # which would be looked for in every installed package
     os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")
-    signal.signal(signal.SIGTERM, _interrupt)
-    options = _parser().parse_args(arguments)
+    options = None
     try:
+        from .cli_arguments import parse
+
+        options = parse(arguments)
         code = options.verb(options)
         sys.stdout.flush()
-    except KeyboardInterrupt:
-        again = "begins again (--fresh)" if vars(options).get("fresh") else "goes on from here"
-        code = complain(f"interrupted; what is done is kept, the same command {again}", INTERRUPTED)
-    except BrokenPipeError:
-        # the reader has gone: nothing to tell it
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        code = OK
-    except ImportError as error:
-        code = complain(f"{error}; see what is missing with: vdmbench doctor", MACHINE)
-    except FileExistsError as error:  # where a directory was to be made
-        code = complain(f"{error.filename}: is not a directory; remove it, or choose another", MACHINE)
-    except OSError as error:
-        name = f"{error.filename}: " if error.filename else ""
-        code = complain(f"{name}{error.strerror or error}", MACHINE)
-    except ValueError as error:
-        code = _complain_of(error)
-    except Exception as error:  # noqa: BLE001 -- what nobody has thought of
-        import traceback
-
-        traceback.print_exc()
-        code = complain(f"this is a bug: {error!r}; please report it with the lines above", BUG)
+        interrupt.stopped = True
+    except (Exception, KeyboardInterrupt) as error:  # noqa: BLE001 -- told, whatever it is
+        interrupt.stopped = True
+        if interrupt.received or isinstance(error, KeyboardInterrupt):
+            code = _complain_of_interrupt(fresh=getattr(options, "fresh", False))
+        else:
+            code = _complain_of(error)
     gc.freeze()  # the end is no time to look for garbage
     sys.exit(code)
 
 
-def _complain_of(error: ValueError) -> int:
-    """One line per problem and the exit code of a mistake; a ValueError of ours always carries a sentence."""
-    from .hdf5 import StoreError
-    from .study_file.problems import StudyError
+def _complain_of_interrupt(*, fresh: bool) -> int:
+    from .cli_output import INTERRUPTED, complain
 
-    if isinstance(error, StudyError):
-        for problem in error.problems:
-            complain(str(problem), USAGE)
-        return USAGE
-    return complain(str(error), DAMAGED if isinstance(error, StoreError) else USAGE)
+    again = "begins again (--fresh)" if fresh else "goes on from here"
+    return complain(f"interrupted; what is done is kept, the same command {again}", INTERRUPTED)
 
 
-def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
-        prog="vdmbench",
-        description="Compare the Volume Distribution Method with finite elements on the same mesh.",
-        epilog="exit codes: 0 ok, 1 accuracy regressed, 2 usage or study file wrong, 3 some cases failed, "
-        "4 machine lacks something, 5 stored results damaged, "
-        "6 nothing was compared, 70 a bug of the program, 130 interrupted",
-    )
-    verbs = parser.add_subparsers(title="verbs", required=True, metavar="VERB")
+def _complain_of(error: BaseException) -> int:
+    """One line per problem and the exit code of an error; a ValueError of ours always carries a sentence."""
+    from .cli_output import BUG, DAMAGED, MACHINE, OK, USAGE, complain
 
-    def verb(name: str, function: Any, text: str) -> argparse.ArgumentParser:
-        sub = verbs.add_parser(name, help=text, description=text)
-        sub.add_argument("--json", action="store_true", help="print JSON")
-        sub.set_defaults(verb=function)
-        return sub
+    if isinstance(error, BrokenPipeError):
+        # the reader has gone: nothing to tell it
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return OK
+    if isinstance(error, ImportError):
+        return complain(f"{error}; see what is missing with: vdmbench doctor", MACHINE)
+    if isinstance(error, FileExistsError):  # where a directory was to be made
+        return complain(f"{error.filename}: is not a directory; remove it, or choose another", MACHINE)
+    if isinstance(error, OSError):
+        name = f"{error.filename}: " if error.filename else ""
+        return complain(f"{name}{error.strerror or error}", MACHINE)
+    if isinstance(error, ValueError):
+        from .hdf5 import StoreError
+        from .study_file.problems import StudyError
 
-    def study_verb(
-        name: str, function: Any, text: str, count: str | None = None, use: str = ""
-    ) -> argparse.ArgumentParser:
-        sub = verb(name, function, text)
-        told = f"path of a study file, or a shipped study's name{use}"
-        sub.add_argument("study", metavar="STUDY", nargs=count, help=told)
-        sub.add_argument(
-            "--surface",
-            type=Path,
-            metavar="FILE",
-            help="use this surface (STL, OBJ, PLY, VTP) as the geometry; names the study NAME-FILE",
-        )
-        sub.add_argument(
-            "--allow-outside", action="store_true", help="allow files outside the study file's directory"
-        )
-        return sub
+        if isinstance(error, StudyError):
+            for problem in error.problems:
+                complain(str(problem), USAGE)
+            return USAGE
+        return complain(str(error), DAMAGED if isinstance(error, StoreError) else USAGE)
+    import traceback
 
-    def directory(sub: argparse.ArgumentParser) -> None:
-        sub.add_argument(
-            "--out",
-            type=Path,
-            metavar="DIR",
-            help="run directory (default results/runs/NAME; another --surface of the same file name needs its own)",
-        )
-
-    def jobs(sub: argparse.ArgumentParser) -> None:
-        sub.add_argument("--jobs", type=_positive, metavar="N", help="cases at once (default: one per core)")
-
-    verb("list", cli_study.list_verb, "list the shipped studies")
-    study_verb("check", cli_study.check_verb, "validate a study without running it")
-    plan = study_verb("plan", cli_study.plan_verb, "say what a run would do")
-    run = study_verb("run", cli_study.run_verb, "run what is missing and write the report")
-    for sub in (plan, run):
-        directory(sub)
-        jobs(sub)
-    run.add_argument(
-        "--shard",
-        type=_shard,
-        default=(1, 1),
-        metavar="I/N",
-        help="run only the I-th of N parts of the cases",
-    )
-    run.add_argument(
-        "--scheduler",
-        metavar="ADDRESS",
-        help="run the cases on this Dask cluster, such as tls://HOST:8786; meshes are made here",
-    )
-    run.add_argument(
-        "--insecure-scheduler",
-        action="store_true",
-        help="allow a scheduler on another machine without TLS: whoever reaches its network can run programs",
-    )
-    run.add_argument("--fresh", action="store_true", help="run every case again")
-    run.add_argument("--fail-fast", action="store_true", help="stop at the first failure")
-    run.add_argument("--timeout", type=_positive_seconds, metavar="S", help="seconds that one case may take")
-    run.add_argument(
-        "--memory",
-        type=_bytes,
-        metavar="SIZE",
-        help="memory that one worker may take, such as 4GB (default: the machine's, divided by the jobs)",
-    )
-    calibrate = study_verb(
-        "calibrate",
-        cli_study.calibrate_verb,
-        "fit VDM parameters on half of a study's loads, try them on the rest",
-    )
-    directory(calibrate)
-    jobs(calibrate)
-    calibrate.add_argument(
-        "--transfer",
-        action="append",
-        default=[],
-        metavar="STUDY",
-        help="try the fit on the held-out loads of this study too (can be repeated)",
-    )
-    status = verb("status", cli_results.status_verb, "say what is done, failed and missing")
-    report = verb("report", cli_results.report_verb, "rebuild the report from the stored results")
-    status.add_argument("directory", type=_run_directory, metavar="DIR", help="run directory")
-    report.add_argument("directories", type=_run_directory, metavar="DIR", nargs="+", help="run directory")
-    report.add_argument(
-        "--claims", action="store_true", help="put the paper's claims on trial by the results of all DIRs"
-    )
-    report.add_argument("--out", type=Path, metavar="FILE", help="of --claims (default results/claims.html)")
-    report.add_argument(
-        "--picture", type=Path, metavar="FILE", help="write a PNG of reference, model and difference too"
-    )
-    gate = verb("gate", cli_results.gate_verb, "hold a run's accuracy against its baseline")
-    accept = verb("accept", cli_results.accept_verb, "make a run's accuracy the baseline")
-    for sub in (gate, accept):
-        sub.add_argument("directory", type=_run_directory, metavar="DIR", help="run directory")
-        sub.add_argument(
-            "--baseline", type=Path, metavar="FILE", help="baseline (default results/baselines/STUDY.json)"
-        )
-    gate.add_argument("--junit", type=Path, metavar="FILE", help="write JUnit XML too")
-    gate.add_argument("--markdown", type=Path, metavar="FILE", help="write a summary in Markdown too")
-    accept.add_argument("--reason", required=True, metavar="TEXT", help="why these numbers are right")
-    bench = study_verb(
-        "bench",
-        cli_study.bench_verb,
-        "measure run time against error for every model, in about five minutes a body",
-        "?",
-        ": its body and its models, in place of every model on a sphere, an organ and the --surface given",
-    )
-    bench.add_argument("--out", type=Path, metavar="DIR", help="directory (default results/bench)")
-    bench.add_argument("--large", action="store_true", help="growth on surfaces of up to 163,842 nodes")
-    verb("doctor", cli_results.doctor_verb, "say what the machine has and lacks")
-    return parser
-
-
-def _interrupt(*_: object) -> NoReturn:
-    raise KeyboardInterrupt
-
-
-def _run_directory(text: str) -> Path:
-    """A directory with a plan, or one that has lost it, which is not the command's fault."""
-    path = Path(text)
-    if not any(map(os.path.exists, (path / "plan.json", path / "cases"))):
-        raise argparse.ArgumentTypeError(f"{text}: not a run directory (it has no plan.json)")
-    return path
-
-
-def _positive(text: str) -> int:
-    if re.fullmatch(r"[0-9]{1,6}", text) is None or int(text) < 1:
-        raise argparse.ArgumentTypeError(f"must be a whole number of 1 or more, not {text!r}")
-    return int(text)
-
-
-def _positive_seconds(text: str) -> float:
-    if re.fullmatch(r"[0-9]{0,9}(\.[0-9]*)?", text) is None or not float(f"0{text}") > 0:
-        raise argparse.ArgumentTypeError(f"must be a number of seconds of more than 0, not {text!r}")
-    return float(text)
-
-
-def _bytes(text: str) -> int:
-    found = re.fullmatch(r"([0-9]+(?:\.[0-9]+)?) ?(kB|MB|GB|TB)", text)
-    if found is None or float(found[1]) == 0:
-        raise argparse.ArgumentTypeError("write a size such as 500MB or 4GB")
-    size = int(float(found[1]) * 1000 ** (1 + ["kB", "MB", "GB", "TB"].index(found[2])))
-    if size < _LEAST_MEMORY:
-        raise argparse.ArgumentTypeError(
-            f"must be {_LEAST_MEMORY // 1_000_000}MB or more: a worker takes as much before it solves anything"
-        )
-    return size
-
-
-def _shard(text: str) -> tuple[int, int]:
-    first, slash, second = text.partition("/")
-    if slash and first.isdecimal() and second.isdecimal() and 1 <= int(first) <= int(second):
-        return int(first), int(second)
-    raise argparse.ArgumentTypeError("write I/N with 1 <= I <= N, such as 2/8")
+    traceback.print_exception(error)
+    return complain(f"this is a bug: {error!r}; please report it with the lines above", BUG)

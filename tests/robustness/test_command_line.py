@@ -493,6 +493,68 @@ def test_ctrl_c_while_libraries_load(tmp_path: Path, moment: float) -> None:
     assert "interrupted" in output
 
 
+@pytest.mark.parametrize("error", ["KeyboardInterrupt", "SyntaxError", "ImportError"])
+@pytest.mark.parametrize("module", ["argparse", "studies.cli_output", "pydantic", "numpy"])
+def test_ctrl_c_in_an_import(tmp_path: Path, module: str, error: str) -> None:
+    """Whatever it comes out as: Python makes another error of it where it falls into the reading of a module."""
+    write_study(tmp_path)
+    program = (
+        "import signal, sys\n"
+        "class Importer:\n"
+        "    def find_spec(self, name, path=None, target=None):\n"
+        f"        if name == {module!r}:\n"
+        "            sys.meta_path.remove(self)\n"
+        "            try:\n"
+        "                signal.raise_signal(signal.SIGINT)\n"
+        "            except KeyboardInterrupt:\n"
+        f"                raise {error}('no') from None\n"
+        "from studies.cli import main\n"
+        "sys.meta_path.insert(0, Importer())\n"
+        "main(['check', 'small.toml'])"
+    )
+    result = subprocess.run(
+        [sys.executable, "-c", program],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        check=False,
+        preexec_fn=heed_ctrl_c,
+    )
+    assert result.returncode == 130, result.stderr
+    assert (
+        result.stderr == "vdmbench: interrupted; what is done is kept, the same command goes on from here\n"
+    )
+
+
+@pytest.mark.parametrize(
+    "interrupted",
+    [
+        # twice, the second time while the command ends
+        "atexit.register(signal.raise_signal, signal.SIGINT); signal.raise_signal(signal.SIGINT)",
+        # where Python drops any exception
+        "weakref.finalize(type('Some', (), {})(), signal.raise_signal, signal.SIGINT); time.sleep(10)",
+    ],
+)
+def test_ctrl_c_at_an_awkward_moment(tmp_path: Path, interrupted: str) -> None:
+    program = (
+        "import atexit, signal, time, weakref\n"
+        "from studies import cli, cli_study\n"
+        f"def verb(options): {interrupted}\n"
+        "cli_study.run_verb = verb\n"
+        "cli.main(['run', 'small.toml'])"
+    )
+    result = subprocess.run(
+        [sys.executable, "-c", program],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        check=False,
+        preexec_fn=heed_ctrl_c,
+    )
+    assert result.returncode == 130
+    assert len(result.stderr.splitlines()) == 1
+
+
 def test_output_into_a_closed_pipe(finished: Path) -> None:
     process = subprocess.run(
         f"'{SCRIPT}' plan small.toml | true", shell=True, cwd=finished, capture_output=True, text=True

@@ -15,7 +15,7 @@ ROOT = Path(__file__).parents[2]
 PACKAGES = ("vdm", "fem_reference", "studies")
 FILES = [path for package in PACKAGES for path in sorted((ROOT / package).rglob("*.py"))]
 
-COMMAND_LINE = {f"studies/cli{part}.py" for part in ("", "_study", "_results", "_output")}
+COMMAND_LINE = {f"studies/cli{part}.py" for part in ("", "_arguments", "_study", "_results", "_output")}
 
 # each of these is behind one module
 BEHIND = {
@@ -135,6 +135,14 @@ def test_nothing_that_runs_what_it_reads(path: Path) -> None:
     for node in ast.walk(ast.parse(path.read_text())):
         if isinstance(node, ast.Call) and isinstance(node.func, ast.Name):
             assert node.func.id not in {"eval", "exec", "__import__"}, f"line {node.lineno}"
+
+
+def test_the_command_heeds_ctrl_c_before_it_loads_anything() -> None:
+    code = "import sys; there = set(sys.modules); import studies.cli; print(sorted({*sys.modules} - there))"
+    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    loaded = set(ast.literal_eval(result.stdout))
+    assert {name for name in loaded if name.startswith("studies")} == {"studies", "studies.cli"}
+    assert not loaded & {"argparse", "pathlib", "typing", "traceback"}
 
 
 def test_help_imports_nothing_heavy() -> None:
