@@ -51,6 +51,7 @@ def check_verb(options: argparse.Namespace) -> int:
     """Print whether a study is right, or every mistake in it."""
     from .explain import refused
     from .study_file.problems import StudyError
+    from .work import work_of
 
     try:
         study, path = _load(options)
@@ -62,7 +63,7 @@ def check_verb(options: argparse.Namespace) -> int:
             print_json({"ok": False, "problems": problems})
             return USAGE
         raise
-    expected = refused(plan, plan.cases)
+    expected = refused(plan, plan.cases, work_of(plan, plan.cases))
     if options.json:
         return print_json({"ok": True, "problems": [], "cases": len(plan.cases), "refused": expected})
     print(f"{path}: ok, {count(len(plan.cases), 'case')}")

@@ -9,7 +9,7 @@ factor smaller.
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -21,7 +21,7 @@ from .meshing.mesh_cache import mesh_path, read_mesh
 from .model_name import REFINED, split
 from .plan import Expected, Plan, PlannedCase, PlannedMesh
 from .store import read_case
-from .work import work_of
+from .work import ModelWork, work_of
 
 FACTOR_MEASURED, FACTOR_LAWS = 3.0, 5.0
 _START = 3.0  # s to load the libraries, and to write the tables and the report
@@ -122,6 +122,14 @@ def estimate(plan: Plan, cases: Sequence[PlannedCase], jobs: int = 1) -> Estimat
     )
     factor = FACTOR_MEASURED if weight >= _KNOWN else FACTOR_LAWS
     return Estimate(seconds if cases else 0.0, _PROCESS_BYTES + memory, disk, factor)
+
+
+def largest_solve(size: Size, work: Iterable[ModelWork]) -> tuple[float, str]:
+    """Bytes of the largest set-up and solve of a single load on a mesh, by the laws, and which model's it is."""
+    return max(
+        (_law(part.name, size.refined(part.level), 1).bytes, part.name + (REFINED if part.level else ""))
+        for part in work
+    )
 
 
 def _mesh_seconds(size: Size) -> float:

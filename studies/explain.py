@@ -7,7 +7,9 @@ from collections.abc import Sequence
 from typing import Any
 
 from . import models
-from .estimate import estimate, known_of, size_of
+from .estimate import FACTOR_LAWS, Size, estimate, known_of, largest_solve, size_of
+from .memory import machine_memory
+from .meshing.geometry_spec import fewer_nodes
 from .model_name import DISPLACEMENT_ELEMENTS, split
 from .plan import Expected, Plan, PlannedCase
 from .regions import body_extent, lies_outside
@@ -54,7 +56,7 @@ def summary(plan: Plan, jobs: int = 1) -> dict[str, Any]:
         "needed": _needed(work),
         "shared": _shared(plan, todo, work, jobs),
         "skipped": _skipped(plan, todo),
-        "refused": refused(plan, todo),
+        "refused": refused(plan, todo, work),
         "estimate": dataclasses.asdict(expected) if expected else None,
     }
 
@@ -131,15 +133,16 @@ def _skipped(plan: Plan, todo: Sequence[PlannedCase]) -> list[str]:
     return lines
 
 
-def refused(plan: Plan, cases: Sequence[PlannedCase]) -> list[str]:
-    """What will be refused of these cases, so far as that is beyond doubt: a region that lies off the body, and
-    models, elements that nothing holds, an incompressible body, fibres, and a mesh of more surface nodes than a
-    model takes."""
+def refused(plan: Plan, cases: Sequence[PlannedCase], work: Sequence[ModelWork]) -> list[str]:
+    """What will be refused of these cases, with their work, so far as that is beyond doubt: a region that lies off
+    the body, a solve that this machine has no memory for, and models: elements that nothing holds, an
+    incompressible body, fibres, and a mesh of more surface nodes than a model takes."""
     names = plan.study.study.models
     limits = {name: most for name in names if (most := models.most_nodes(name)) is not None}
     free = any(holds_nothing(case.study) for case in cases)
     lines = [
         *dict.fromkeys(_off_the_body(plan, cases)),
+        *beyond_memory(plan, work).values(),
         *(
             f"{name}: nothing is held; hold a region, by kind fixed or constrained"
             for name in names
@@ -173,12 +176,37 @@ def refused(plan: Plan, cases: Sequence[PlannedCase]) -> list[str]:
     return lines
 
 
+def beyond_memory(plan: Plan, work: Sequence[ModelWork]) -> dict[str, str]:
+    """Mesh -> what cannot be solved on it, where this machine has no memory for the least that it may take."""
+    there = machine_memory()
+    on_mesh: dict[str, list[ModelWork]] = {}
+    for part in work:
+        if models.find(part.name)[0].volumetric:  # surface models take little, or refuse by themselves
+            on_mesh.setdefault(part.mesh, []).append(part)
+    lines = {}
+    for key, parts in on_mesh.items():
+        mesh, body = plan.meshes[key], _body(plan, key)
+        if body is None:
+            continue
+        needed, name = largest_solve(Size(body.nodes, body.tetrahedra), parts)
+        if needed > FACTOR_LAWS * there:
+            remedy = fewer_nodes(mesh.geometry, float((body.high - body.low).max()))
+            lines[key] = (
+                f"{name} on a {mesh.label} would take about {needed / 1e9:,.0f} GB, and this machine has "
+                f"{there / 1e9:,.0f}; {remedy}"
+            )
+    return lines
+
+
+def _body(plan: Plan, key: str) -> Expected | None:
+    """What a mesh is expected to be; None where its file cannot be meshed."""
+    mesh = plan.meshes[key]  # of a file read it, where it is there: that is quicker than the file
+    return known_of(plan, mesh) if mesh.geometry.shape == "file" else mesh.expected
+
+
 def _off_the_body(plan: Plan, cases: Sequence[PlannedCase]) -> list[str]:
     """The regions of constraints that lie off their body; a mesh may reach an edge further."""
-    known: dict[str, Expected | None] = {}
-    for key in dict.fromkeys(case.mesh for case in cases):
-        mesh = plan.meshes[key]  # of a file read it, where it is there: that is quicker than the file
-        known[key] = known_of(plan, mesh) if mesh.geometry.shape == "file" else mesh.expected
+    known = {key: _body(plan, key) for key in dict.fromkeys(case.mesh for case in cases)}
     return [
         f"region {name!r} lies off the body: {body_extent(body.low, body.high)}"
         for case in cases

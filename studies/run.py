@@ -19,13 +19,15 @@ import tomli_w
 from .case import Run
 from .cluster import Cluster, connected
 from .execute import LOG, Group, Outcome, Task, run_tasks, write_failure
-from .explain import summary
+from .explain import beyond_memory, summary
 from .files import clear_abandoned, write_atomically
 from .memory import machine_memory
-from .plan import Plan, PlannedMesh, task_of
+from .meshing.mesh import MeshError
+from .plan import Plan, PlannedCase, PlannedMesh, task_of
 from .server import processor_seconds, start_server
 from .store import case_path, failure_path, read_plan, read_run, write_study
-from .study_file.config import resolved
+from .study_file.config import geometry_error, resolved
+from .work import work_of
 from .worker import make_mesh, run_case, share
 
 
@@ -66,6 +68,8 @@ def run_plan(
     ------
     RunError
         another run is at work in the directory.
+    StudyError
+        a case needs more memory than this machine can have.
     OSError
         disk full or read-only; a cluster that is not there or does not fit.
     """
@@ -77,6 +81,8 @@ def run_plan(
     with _cluster(options) as cluster, _locked(plan.directory, options.shard):
         if here:
             import_module("studies.report.page")  # while the server loads, too
+        if cluster is None:
+            _check_memory(plan, cases)
         _tidy(plan)
         write_atomically(plan.directory / "study.toml", study_text.encode())
         write_atomically(plan.directory / "resolved.toml", tomli_w.dumps(resolved(plan.study)).encode())
@@ -108,6 +114,13 @@ def rebuild(directory: Path) -> tuple[Run, Path]:
         write_study(directory, run)
         write_report(run, report)
     return run, report
+
+
+def _check_memory(plan: Plan, cases: Sequence[PlannedCase]) -> None:
+    """Raises StudyError where this machine cannot have the memory that a case needs."""
+    for key, sentence in beyond_memory(plan, work_of(plan, cases)).items():
+        own = plan.meshes[key].geometry.has_own_tetrahedra
+        raise geometry_error(plan.study, MeshError(sentence, "path" if own else "mesh_size"))
 
 
 def _tidy(plan: Plan) -> None:

@@ -218,6 +218,16 @@ def check_node_budget(
         )
 
 
+def fewer_nodes(geometry: Geometry, extent: float) -> str:
+    """What to do about a mesh with too many nodes of a body this long [m], whose unit may be mixed up."""
+    given = [key for key in ("size", "scale") if key in geometry.parameters]
+    told = "if that is wrong correct " + (given[0] if given else "its lengths")
+    if geometry.shape == "file" and not given:
+        told = "if the file is not in metres give scale or size"
+    last = "coarsen it" if geometry.has_own_tetrahedra else "use a larger mesh_size"
+    return f"the body is {extent:.3g} m across: {told}, else {last}"
+
+
 def geometry_key(geometry: Geometry, *, volume: bool) -> str:
     """SHA-256 (hex) of all that decides the mesh: resolved inputs, the file's bytes and the mesher's versions.
 

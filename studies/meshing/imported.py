@@ -11,7 +11,14 @@ from pathlib import Path
 import numpy as np
 
 from ..surface_measures import enclosed_volume, facet_areas
-from .geometry_spec import Geometry, check_extent, check_mesh_size, check_node_budget, file_digest
+from .geometry_spec import (
+    Geometry,
+    check_extent,
+    check_mesh_size,
+    check_node_budget,
+    fewer_nodes,
+    file_digest,
+)
 from .mesh import Array, Index, Mesh, MeshError
 from .mesh_file import check_readable, read_surface, read_tetrahedra
 from .msh_file import read_msh
@@ -38,11 +45,7 @@ def imported_surface(geometry: Geometry, *, volume: bool, max_nodes: int) -> Imp
     check_mesh_size(geometry.mesh_size, float(np.ptp(points, axis=0).min()))
     area = float(facet_areas(points, clean.triangles).sum())
     inside = enclosed_volume(points, clean.triangles)
-    remedy = f"the body is {np.ptp(points, axis=0).max():.3g} m across: " + (
-        "use a larger mesh_size"
-        if {"size", "scale"} & geometry.parameters.keys()
-        else "if the file is not in metres give scale or size, else use a larger mesh_size"
-    )
+    remedy = fewer_nodes(geometry, float(np.ptp(points, axis=0).max()))
     check_node_budget(area, inside if volume else 0.0, geometry.mesh_size, max_nodes, remedy)
     repairs = {
         "scale": factor,

@@ -345,7 +345,9 @@ def test_mesh_size_beyond_the_body_and_over_the_budget(tmp_path: Path, ball: Mes
     budget = "would give about .* nodes, more than the 2000000 allowed; "
     with pytest.raises(MeshError, match=f"{budget}{asked}$") as small:
         build_mesh(Geometry("file", 1e-5, parameters))
-    with pytest.raises(MeshError, match=f"{budget}{unit}use a larger mesh_size$"):
+    with pytest.raises(
+        MeshError, match=f"{budget}{unit}if that is wrong correct scale, else use a larger mesh_size$"
+    ):
         build_mesh(Geometry("file", 1e-5, {**parameters, "scale": 1.0}))
     assert large.value.key == small.value.key == "mesh_size", "the file is sound"
 

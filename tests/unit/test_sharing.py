@@ -32,8 +32,10 @@ from studies.model_name import REFINED
 from studies.plan import Plan, make_plan, task_of
 from studies.proportional import Answer
 from studies.reference import own_error, refined_levels
+from studies.run import Options, run_plan
 from studies.store import read_case, write_case
 from studies.study_file.config import expand, load_study
+from studies.study_file.problems import StudyError
 from studies.study_file.schema import Study
 from studies.worker import run_case, share
 
@@ -695,6 +697,36 @@ def test_a_region_off_the_body_of_a_file_is_named_before_it_is_meshed(
         high = float(line.partition("z from ")[2].split()[2])
         assert line.startswith("region 'finger' lies off the body: the body has x from -0.0")
         assert_allclose(high, 0.05, rtol=0.05, atol=0)
+
+
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [
+        (None, "the body is 0.1 m across: if that is wrong correct its lengths, else use a larger mesh_size"),
+        ({"scale": 1.0}, "m across: if that is wrong correct scale, else use a larger mesh_size"),
+        ({}, "m across: if the file is not in metres give scale or size, else use a larger mesh_size"),
+    ],
+)
+def test_what_the_machine_has_no_memory_for_is_named_and_not_begun(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, given: dict[str, float] | None, words: str
+) -> None:
+    file, ball = tmp_path / "ball.stl", build_mesh(Geometry("sphere", 0.022, {"radius": 0.05}), volume=False)
+    meshio.write_points_cells(file, ball.surface_points, [("triangle", ball.triangles)])
+    geometry = {} if given is None else {"shape": "file", "path": str(file), "mesh_size": 0.022} | given
+    plan = plan_of(tmp_path / "run", tmp_path / "cache", geometry=geometry or TABLES["geometry"])
+    assert summary(plan)["refused"] == []
+    monkeypatch.setattr("studies.explain.machine_memory", lambda: 1_000_000)
+    monkeypatch.setattr("studies.run.start_server", lambda: None)
+    (line,) = summary(plan)["refused"]
+    assert line.startswith("fem-linear refined on a mesh of ")
+    assert line.endswith(words)
+    with pytest.raises(StudyError) as raised:
+        run_plan(plan, "", Options(jobs=1), lambda _: None)
+    (problem,) = raised.value.problems
+    assert (problem.key, problem.message) == ("geometry.mesh_size", line)
+    assert not (tmp_path / "run" / "plan.json").exists()
+    without = {"study": TABLES["study"] | {"models": ["vdm-vector"], "reference": None}, "uncertainty": None}
+    assert summary(plan_of(tmp_path / "other", tmp_path / "cache", **without))["refused"] == []
 
 
 @pytest.mark.parametrize("factors", [[0.5, 1.0], [1.0]])
