@@ -87,6 +87,10 @@ def _shared(plan: Plan, todo: Sequence[PlannedCase], work: Sequence[ModelWork], 
             "the cases of each differ in loads and VDM parameters only and share a worker"
         )
     for name in plan.study.study.models:
+        results = len({case.results[name] for case in todo})
+        if results < len(todo):
+            found = f"{name}: {_count(results, 'result')} for {len(todo)} cases"
+            lines.append(f"{found}; it does not read what else differs")
         parts = [part for part in work if part.name == name and not part.level]
         setups, steps, solves = (sum(getattr(p, k) for p in parts) for k in ("setups", "steps", "solves"))
         if setups < steps:

@@ -11,8 +11,9 @@ from collections.abc import Mapping
 from typing import Any
 
 from . import models
+from .model_name import reads
 from .study_file.config import case_inputs
-from .study_file.schema import Study
+from .study_file.schema import MOST_LEVELS, Study
 
 _FORMAT = 2  # of the cache's files of references: raised with what is in them
 _latest: list[tuple[Study, Mapping[str, Any]]] = []  # all keys of a case are asked for one after the other
@@ -50,8 +51,8 @@ def result_keys(study: Study, mesh_key: str) -> dict[str, str]:
         own = {"model": name, "version": model.version, "overrides": inputs["models"].get(name)}
         own |= _outputs(study)
         if not model.volumetric:  # whose fluid keeps the volume whatever Poisson's ratio is
-            tissue = {k: v for k, v in inputs["tissue"].items() if k != "poisson_ratio"}
-            own |= {"tissue": tissue, "vdm": inputs["vdm"], "environment": inputs.get("environment")}
+            own["tissue"] = {k: v for k, v in inputs["tissue"].items() if k != "poisson_ratio"}
+            own |= _surface_inputs(inputs, name)
         keys[name] = _digest(scene | own)
     return keys
 
@@ -61,21 +62,30 @@ def _outputs(study: Study) -> dict[str, bool]:
     return {"condition": True} if study.study.condition else {}
 
 
-def answer_key(study: Study, mesh_key: str, name: str, n_levels: int = 1) -> str:
-    """Key of what a model answers on `n_levels` mesh levels; of one that scales, up to a factor of its loads."""
-    if study.gravity is not None or not models.solves_together(name):
-        return _digest({"result": result_keys(study, mesh_key)[name], "levels": n_levels, "format": _FORMAT})
-    return _digest(
-        {
-            "model": name,
-            "version": models.find(name)[0].version,
-            "setup": setup_key(study, mesh_key),
-            "loads": load_key(study),
-            "levels": n_levels,
-            "format": _FORMAT,
-        }
-        | _outputs(study)
-    )
+def reference_keys(study: Study, mesh_key: str) -> list[str]:
+    """Keys of what the reference answers on the study's mesh levels, and on more, which hold these."""
+    if study.study.reference is None:
+        return []
+    answer = _answer(study, mesh_key, study.study.reference)
+    fewest = study.uncertainty.levels if study.uncertainty else 1
+    return [_digest(answer | {"levels": count}) for count in range(fewest, MOST_LEVELS + 1)]
+
+
+def answer_key(study: Study, mesh_key: str, name: str) -> str:
+    """Key of what a model answers on the case's mesh; of one that scales, up to a factor of its loads."""
+    return _digest(_answer(study, mesh_key, name) | {"levels": 1})
+
+
+def _answer(study: Study, mesh_key: str, name: str) -> dict[str, Any]:
+    if has_weight(study) or not models.solves_together(name):
+        return {"result": result_keys(study, mesh_key)[name], "format": _FORMAT}
+    return {
+        "model": name,
+        "version": models.find(name)[0].version,
+        "setup": setup_key(study, mesh_key),
+        "loads": load_key(study),
+        "format": _FORMAT,
+    } | _outputs(study)
 
 
 def setup_key(study: Study, mesh_key: str) -> str:
@@ -89,14 +99,50 @@ def setup_key(study: Study, mesh_key: str) -> str:
     return _digest(_body(inputs, mesh_key) | {"held": held})
 
 
-def surface_key(study: Study) -> str:
-    """Key of the parameters of the VDM models: cases of one set-up that share it share their set-ups too."""
-    inputs = _inputs(study)
-    return _digest({name: inputs.get(name) for name in ("vdm", "models", "environment")})
+def model_setups(study: Study) -> dict[str, str]:
+    """Model name -> key of what its set-up depends on beyond `setup_key`: cases with both in common share it."""
+    return {name: _model_setup(study, name) for name in study.study.models}
+
+
+def _model_setup(study: Study, name: str) -> str:
+    inputs, model = _inputs(study), models.find(name)[0]
+    if not model.volumetric:
+        return _digest({"overrides": inputs["models"].get(name)} | _surface_inputs(inputs, name))
+    return _digest({"condensed to": _condensed_to(study)}) if model.name == "fem-condensed" else ""
+
+
+def _condensed_to(study: Study) -> list[tuple[str, float]]:
+    """What a set-up of condensed elements is for: where there is contact, and one motion up to a factor."""
+    loads = loads_of(study)
+    moved = {unit: value for unit, value in loads.items() if not unit.startswith(("force ", "pressure "))}
+    largest = max(moved.values(), key=abs, default=0.0) or 1.0
+    return [(unit, value / largest if unit in moved else 1.0) for unit, value in loads.items() if value]
+
+
+def _surface_inputs(inputs: Mapping[str, Any], name: str) -> dict[str, Any]:
+    """What a surface model reads beside the body, its supports and loads and its own table."""
+    read = {key: value for key, value in inputs["vdm"].items() if key in reads(name)}
+    return {"vdm": read, "environment": inputs.get("environment")}
 
 
 def _body(inputs: Mapping[str, Any], mesh_key: str) -> dict[str, Any]:
-    return {"mesh": mesh_key, **{name: inputs.get(name) for name in ("tissue", "gravity", "anisotropy")}}
+    gravity = inputs.get("gravity")
+    return {
+        "mesh": mesh_key,
+        "tissue": inputs["tissue"],
+        "gravity": gravity if gravity and any(gravity["acceleration"]) else None,
+        "anisotropy": inputs.get("anisotropy"),
+    }
+
+
+def is_at_rest(study: Study) -> bool:
+    """Whether no load acts, the weight apart."""
+    return not any(part.force or part.pressure or any(part.displacement or ()) for part in study.constraints)
+
+
+def has_weight(study: Study) -> bool:
+    """Whether the body's weight acts, which does not scale with the loads."""
+    return study.gravity is not None and any(study.gravity.acceleration)
 
 
 def anonymous_constraints(study: Study) -> list[dict[str, Any]]:
@@ -131,7 +177,7 @@ def load_key(study: Study) -> str:
     parts = loads_of(study)
     largest = max((abs(value) for value in parts.values()), default=0.0)
     first = next((value for value in parts.values() if abs(value) == largest), 0.0)
-    if not first or study.gravity is not None:
+    if not first or has_weight(study):
         return _digest({"loads": parts, "history": study.load.history})
     # 0.0 is added because -0.0 is written otherwise
     return _digest({"loads": {unit: round(value / first, 12) + 0.0 for unit, value in parts.items()}})

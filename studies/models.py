@@ -202,9 +202,10 @@ def _condensed_problem(scene: Scene) -> CondensedProblem:
     body = _body(scene)
     if not scene.gravity.any():
         body["density"] = 0.0  # no columns for a weight that does not act
-    # one motion of held nodes, in units of its largest component: cases that move them further share it
-    largest = np.abs(scene.prescribed).max(initial=0.0)
-    motions = scene.prescribed[None] / largest if largest else np.zeros((0, *scene.prescribed.shape))
+    # one motion of held nodes, in units of its largest component: cases that move them further, or back, share it
+    largest = scene.prescribed.flat[np.abs(scene.prescribed).argmax()]
+    # 0.0 is added because -0.0 would be another content
+    motions = scene.prescribed[None] / largest + 0.0 if largest else np.zeros((0, *scene.prescribed.shape))
     return shared(_condensed_set_up, contact=scene.contact, motions=motions, **body)
 
 

@@ -5,14 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache, cached_property
-from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from . import models
-from .keys import answer_key, case_hash, load_key, result_keys, setup_key, surface_key
+from .keys import answer_key, case_hash, load_key, model_setups, reference_keys, result_keys, setup_key
 from .meshing.geometry_spec import (
     DISTORTIONS,
     MAX_NODES,
@@ -25,6 +24,7 @@ from .meshing.geometry_spec import (
 )
 from .meshing.mesh import Array, Mesh, MeshError
 from .meshing.mesh_cache import mesh_path
+from .model_name import split
 from .result_cache import reference_path
 from .sealed import is_sound
 from .store import CASE_SUFFIX, case_path, case_state
@@ -33,6 +33,11 @@ from .study_file.config import ResolvedCase, geometry_error, geometry_of, resolv
 from .study_file.schema import Study
 
 SPLIT_FROM = 4  # cases: a group of fewer is not worth a second set-up
+_DENSE = (
+    "fem-condensed",
+    "vdm-boundary",
+    "mass-spring",
+)  # whose set-ups are a large matrix each, dearest first
 
 
 @dataclass(frozen=True)
@@ -46,10 +51,11 @@ class PlannedCase:
     study: Study
     mesh: str  # key of its mesh
     setup: str  # key of what it shares with cases that differ in loads and VDM parameters only
-    surface: str  # key of its VDM parameters
+    setups: Mapping[str, str]  # model -> key of what its set-up depends on beyond that
     load: str  # key of its loads up to a factor
     results: Mapping[str, str]  # model -> key of its result
     reference: str | None  # key of its reference on all mesh levels, of linear elements up to a factor
+    finer: tuple[str, ...]  # keys of the same on more levels
     elements: Mapping[str, str]  # other linear elements -> key of their result up to a factor
 
 
@@ -139,19 +145,21 @@ class Plan:
 
     @cached_property
     def in_order(self) -> list[PlannedCase]:
-        """Each hash once; cases that share a set-up stand together, of these those that share VDM set-ups.
+        """Each hash once; cases that share a set-up stand together, of these those that share a model's own.
 
-        Of these again those whose loads are multiples of each other.
+        The models with the dearest set-ups come first in this. Of cases that share all those stand together whose
+        loads are multiples of each other.
         """
-        unique = {case.hash: case for case in self.cases}.values()
-        kinds: list[Callable[[PlannedCase], str]] = [attrgetter(key) for key in ("setup", "surface", "load")]
+        unique = list({case.hash: case for case in self.cases}.values())
+        dense = {name: place for place, name in enumerate(_DENSE)}
+        names = sorted(self.study.study.models, key=lambda name: dense.get(split(name)[0], len(dense)))
+        kinds = [[case.setup, *(case.setups[name] for name in names), case.load] for case in unique]
         ranks = [
-            {key: rank for rank, key in enumerate(dict.fromkeys(kind(case) for case in unique))}
-            for kind in kinds
+            {key: rank for rank, key in enumerate(dict.fromkeys(column))}
+            for column in zip(*kinds, strict=True)
         ]
-        return sorted(
-            unique, key=lambda case: [rank[kind(case)] for kind, rank in zip(kinds, ranks, strict=True)]
-        )
+        order = [[rank[key] for rank, key in zip(ranks, kind, strict=True)] for kind in kinds]
+        return [unique[place] for place in sorted(range(len(unique)), key=order.__getitem__)]
 
     def cases_to_run(self, shard: tuple[int, int] = (1, 1), *, fresh: bool = False) -> list[PlannedCase]:
         """The cases not done (`fresh`: all); of `shard` (i, n) those in the i-th of n parts of equal size."""
@@ -187,14 +195,35 @@ class Plan:
         found = {name: self.stored_results.get(key) for name, key in case.results.items()}
         return {name: path for name, path in found.items() if path is not None}
 
+    def twins(self, case: PlannedCase, *, fresh: bool = False) -> dict[str, PlannedCase]:
+        """Model -> a case that is done, or of another set-up and runs before, with the same result.
+
+        They differ in what the model does not read, such as Poisson's ratio.
+        """
+        if fresh:
+            return {}
+        found = {name: self._first[key] for name, key in case.results.items()}
+        return {
+            name: first
+            for name, first in found.items()
+            if first.hash != case.hash and (first.setup != case.setup or self.state[first.hash] == "done")
+        }
+
+    @cached_property
+    def _first(self) -> dict[str, PlannedCase]:
+        """Result key -> a case that is done and has it, or else the first that will have it."""
+        done_first = sorted(self.in_order, key=lambda case: self.state[case.hash] != "done")
+        return {key: case for case in reversed(done_first) for key in case.results.values()}
+
     @cached_property
     def _is_sound(self) -> Callable[[Path], bool]:
         """`is_sound`, which reads a file, of each file once: many cases share one, and a plan is of one moment."""
         return cache(is_sound)
 
     def reference_cached(self, case: PlannedCase) -> bool:
-        """Whether the cache holds the case's reference."""
-        return case.reference is not None and self._is_sound(reference_path(self.cache, case.reference))
+        """Whether the cache holds the case's reference, maybe on more levels than it asks for."""
+        keys = (case.reference, *case.finer) if case.reference is not None else ()
+        return any(self._is_sound(reference_path(self.cache, key)) for key in keys)
 
     def missing_meshes(self, cases: Sequence[PlannedCase]) -> list[PlannedMesh]:
         """The meshes that these cases need and the cache does not hold."""
@@ -250,7 +279,7 @@ def needs_volume(study: Study) -> bool:
 def _planned(case: ResolvedCase, mesh_key: str) -> PlannedCase:
     study = case.study
     results = result_keys(study, mesh_key)
-    name, n_levels = study.study.reference, study.uncertainty.levels if study.uncertainty else 1
+    references = reference_keys(study, mesh_key)
     return PlannedCase(
         hash=case_hash(study, mesh_key),
         label=case.label,
@@ -259,14 +288,15 @@ def _planned(case: ResolvedCase, mesh_key: str) -> PlannedCase:
         study=study,
         mesh=mesh_key,
         setup=setup_key(study, mesh_key),
-        surface=surface_key(study),
+        setups=model_setups(study),
         load=load_key(study),
         results=results,
-        reference=answer_key(study, mesh_key, name, n_levels) if name is not None else None,
+        reference=references[0] if references else None,
+        finer=tuple(references[1:]),
         elements={
             other: answer_key(study, mesh_key, other)
             for other in study.study.models
-            if other != name and models.solves_together(other)
+            if other != study.study.reference and models.solves_together(other)
         },
     )
 
@@ -284,8 +314,11 @@ def task_of(case: PlannedCase, plan: Plan, *, fresh: bool = False) -> dict[str, 
         "mesh": case.mesh,
         "setup": case.setup,
         "keys": dict(case.results),
+        "setups": dict(case.setups),
         "reference_key": case.reference,
+        "finer_keys": list(case.finer),
         "elements": dict(case.elements),
         "reuse": {name: str(path) for name, path in plan.reused(case, fresh=fresh).items()},
+        "twins": {name: str(plan.case_file(twin)) for name, twin in plan.twins(case, fresh=fresh).items()},
         "fresh": fresh,
     }

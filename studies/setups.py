@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 import hashlib
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any, TypeVar
@@ -17,11 +17,13 @@ import numpy as np
 from pydantic import BaseModel
 
 T = TypeVar("T")
+MOST_WAITING = 8  # set-ups of one model that are kept for their next use
 
 
 @dataclass
 class Setup:
-    """One thing that was made, how often it was asked for, in which turn last, and what memory a solve took."""
+    """One thing that was made, the turn up to which it is needed, how often it was asked for, and what memory a
+    solve took."""
 
     value: Any
     turn: int
@@ -49,11 +51,37 @@ def sharing() -> Iterator[None]:
 
 
 def next_turn() -> None:
-    """Begin the next piece of work: what neither it nor the one before it asks for is let go of."""
+    """Begin the next piece of work: what neither it nor the one before it asks for is let go of, unless needed."""
     global _turn
     _turn += 1
     for key in [key for key, setup in (_kept or {}).items() if setup.turn < _turn - 1]:
         del (_kept or {})[key]
+
+
+@contextmanager
+def needed_again(turns: int) -> Iterator[None]:
+    """The set-ups that are asked for inside are kept for so many turns more."""
+    with watched() as used:
+        yield
+    for setup in used:
+        setup.turn = max(setup.turn, _turn + turns)
+
+
+def next_uses(keys: Sequence[str]) -> list[int | None]:
+    """Of uses one after the other, by the set-up of each: the place of its next use, None where it is not kept.
+
+    Of set-ups that are used again those are kept that were used last, `MOST_WAITING` of them. So as many uses need
+    a new set-up as are nobody's next.
+    """
+    found: list[int | None] = [None] * len(keys)
+    waiting: dict[str, int] = {}  # set-up -> its last use, the latest at the end
+    for place, key in enumerate(keys):
+        if key in waiting:
+            found[waiting.pop(key)] = place
+        waiting[key] = place
+        if len(waiting) > MOST_WAITING:
+            del waiting[next(iter(waiting))]
+    return found
 
 
 @contextmanager
@@ -102,7 +130,7 @@ def _used(key: str) -> Setup | None:
 
 def _watch(setup: Setup) -> None:
     setup.uses += 1
-    setup.turn = _turn
+    setup.turn = max(setup.turn, _turn)
     for used in _watched:
         used.append(setup)
 

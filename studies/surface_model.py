@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from .meshing.mesh import Mesh
-from .model_name import split
+from .model_name import reads, split
 from .proportional import Solved
 from .scene import Scene
 from .setups import kept, shared
@@ -79,11 +79,12 @@ def _inputs(scene: Scene, name: str) -> dict[str, Any]:
     """What decides a set-up. Parameters by the study, by the model's own table, else by rule from the tissue."""
     base, solver = split(name)
     fibres = scene.anisotropy
+    given = {**scene.parameters, **scene.overrides.get(name, {})}
     return {
         "mesh": scene.mesh,
         "youngs_modulus": scene.tissue.youngs_modulus,
         "density": scene.tissue.density,
-        "given": {**scene.parameters, **scene.overrides.get(name, {})},
+        "given": {key: value for key, value in given.items() if key in reads(name)},
         "fibres": (fibres.fibre_direction, fibres.contrast) if fibres else None,
         "formulation": base.removeprefix("vdm-"),
         "solver": solver,

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Sequence, Set
 from dataclasses import dataclass
 
 import numpy as np
 
 from . import models
-from .keys import loads_of
+from .keys import has_weight, is_at_rest, loads_of
 from .plan import Plan, PlannedCase
+from .setups import next_uses
 from .study_file.schema import Study
 
 
@@ -37,14 +38,23 @@ class ModelWork:
 
 
 def work_of(plan: Plan, cases: Sequence[PlannedCase], jobs: int = 1) -> list[ModelWork]:
-    """The work of some cases in `jobs` workers, group by group: what is stored or cached counts nothing."""
+    """The work of some cases in `jobs` workers, group by group: what is stored or cached counts nothing.
+
+    Groups take equally long here, so that one begins when that `jobs` places before it has ended, whose results
+    are then there.
+    """
     out: list[ModelWork] = []
-    for worker, group in enumerate(plan.groups(cases, jobs)):
+    chosen = {case.hash for case in cases}
+    groups = plan.groups([case for case in plan.in_order if case.hash in chosen], jobs)
+    ended = {hash for hash, state in plan.state.items() if state == "done"} - chosen
+    for worker, group in enumerate(groups):
+        if worker >= jobs:
+            ended |= {case.hash for case in groups[worker - jobs]}
         for name in group[0].study.study.models:
             unique = {
                 (case.results[name], n_levels): case
                 for case in group
-                if (n_levels := _levels_to_solve(plan, case, name))
+                if (n_levels := _levels_to_solve(plan, case, name, ended))
             }
             for level in range(max((n_levels for _, n_levels in unique), default=0)):
                 there = [case for (_, n_levels), case in unique.items() if n_levels > level]
@@ -52,9 +62,10 @@ def work_of(plan: Plan, cases: Sequence[PlannedCase], jobs: int = 1) -> list[Mod
     return out
 
 
-def _levels_to_solve(plan: Plan, case: PlannedCase, name: str) -> int:
-    """On how many mesh levels a case has to ask a model; 0 where its result is there."""
-    is_there = name in plan.reused(case)
+def _levels_to_solve(plan: Plan, case: PlannedCase, name: str, ended: Set[str]) -> int:
+    """On how many mesh levels a case has to ask a model; 0 where its result is there, once `ended` cases are."""
+    twin = plan.twins(case).get(name)
+    is_there = name in plan.reused(case) or (twin is not None and twin.hash in ended)
     if name != case.study.study.reference:
         return 0 if is_there else 1
     levels = case.study.uncertainty.levels if case.study.uncertainty else 1
@@ -67,24 +78,32 @@ def _work(name: str, worker: int, level: int, cases: Sequence[PlannedCase]) -> M
     solves = steps
     if model.together:
         solves = independent_loads(case.study for case in cases)
-    elif models.scales(name) and not _has_penalty(name, cases[0].study):
-        # of the cases whose loads are multiples of each other the first, as the plan orders them
-        solved = {(case.surface, case.load): case for case in reversed(cases)}
-        solves = sum(len(case.study.load.history) for case in solved.values())
-    setups = 1 if model.volumetric else len({case.surface for case in cases})
-    if model.name == "fem-condensed":
-        setups = len({_condensed_to(case.study) for case in cases})
-    elif model.volumetric and model.together is None:
+    if model.together:
+        setups = 1
+    elif model.volumetric and model.name != "fem-condensed":
         setups = len(cases)
+    else:
+        setups = next_uses([case.setups[name] for case in cases]).count(None)
+    if models.scales(name):
+        solves = _solves_but_for_multiples(name, cases)
     return ModelWork(name, cases[0].mesh, worker, level, setups, steps, solves)
 
 
-def _condensed_to(study: Study) -> tuple[tuple[str, float], ...]:
-    """What a set-up of condensed elements is for: where there is contact, and one motion up to a factor."""
-    loads = loads_of(study)
-    moved = {unit: value for unit, value in loads.items() if not unit.startswith(("force ", "pressure "))}
-    largest = max(map(abs, moved.values()), default=0.0) or 1.0
-    return tuple((unit, value / largest if unit in moved else 1.0) for unit, value in loads.items() if value)
+def _solves_but_for_multiples(name: str, cases: Sequence[PlannedCase]) -> int:
+    """Load steps that a linear surface model solves; of a multiple of what its set-up solved last, none."""
+    there = set(next_uses([case.setups[name] for case in cases]))  # places that find their set-up
+    last: dict[str, str] = {}  # set-up -> the load that it solved last
+    solves = 0
+    for place, case in enumerate(cases):
+        setup, study = case.setups[name], case.study
+        if place not in there:
+            last.pop(setup, None)
+        if setup in last and (last[setup] == case.load or is_at_rest(study)):
+            continue
+        solves += len(study.load.history)
+        if not has_weight(study) and not _has_penalty(name, study):
+            last[setup] = case.load
+    return solves
 
 
 def _has_penalty(name: str, study: Study) -> bool:
@@ -100,7 +119,7 @@ def independent_loads(studies: Iterable[Study]) -> int:
     columns: list[dict[str, float]] = []
     for study in studies:
         parts = loads_of(study)
-        weight = {"gravity": 1.0} if study.gravity else {}
+        weight = {"gravity": 1.0} if has_weight(study) else {}
         columns += [{unit: f * value for unit, value in parts.items()} | weight for f in study.load.history]
     units = sorted({unit for column in columns for unit in column})
     table = np.array([[column.get(unit, 0.0) for unit in units] for column in columns])

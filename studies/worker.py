@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import platform
 import subprocess
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
@@ -29,7 +30,7 @@ from .reference import own_error, refined_levels, require_converged
 from .result_cache import read_reference, reference_path, write_reference
 from .scene import Scene, build_scene
 from .sealed import is_sound
-from .setups import next_turn, shared, sharing
+from .setups import needed_again, next_turn, next_uses, shared, sharing
 from .small_strain import small_strain_limits
 from .store import read_case, write_case
 from .study_file.config import geometry_of
@@ -37,6 +38,7 @@ from .study_file.schema import Study
 from .surface_measures import Surface
 
 Task = Mapping[str, Any]
+_MOST_BYTES = 1 << 28  # of results that wait in memory for cases to come
 PACKAGES = (
     "vdmbench",
     "numpy",
@@ -71,6 +73,7 @@ def run_case(task: Task) -> None:
     study, scene = group.scenes.pop(task["id"]) if task["id"] in group.scenes else _built(task)
     mesh, reference = scene.mesh, study.study.reference
     known = _known(task, group)
+    group.begin(task)
     levels: list[ModelResult] = []
     if reference is not None:
         levels = _reference_levels(study, scene, task, known, group)
@@ -79,7 +82,7 @@ def run_case(task: Task) -> None:
         name: known.get(name) or _result(study, scene, task, name, group) for name in study.study.models
     }
     results = {name: dataclasses.replace(result, key=task["keys"][name]) for name, result in results.items()}
-    group.last = {result.key: result for result in results.values()}
+    group.keep(task, results)
     if reference is not None and len(levels) > 1:
         reference += REFINED
         results[reference] = levels[-1]
@@ -124,13 +127,49 @@ class _Group:
     scenes : case -> its study and scene, of cases to come
     answers : key of linear elements or of a reference -> what was solved, or read from the cache
     stored : keys of those references that the cache holds
-    last : result key -> result, of the case before
+    to_come : result key -> how many cases to come have it
+    results : result key -> result, of cases done, as long as one to come has it
+    written : result key -> case file, of results that there was no room for
+    used_again : case and model -> in how many turns its set-up is asked for again, where it is kept for that
     """
 
     scenes: dict[str, tuple[Study, Scene]] = field(default_factory=dict)
     answers: dict[str, Answer] = field(default_factory=dict)
     stored: set[str] = field(default_factory=set)
-    last: dict[str, ModelResult] = field(default_factory=dict)
+    to_come: Counter[str] = field(default_factory=Counter)
+    results: dict[str, ModelResult] = field(default_factory=dict)
+    written: dict[str, str] = field(default_factory=dict)
+    used_again: dict[tuple[str, str], int] = field(default_factory=dict)
+
+    @classmethod
+    def of(cls, tasks: Sequence[Task]) -> _Group:
+        """Of tasks that will run in this order."""
+        group = cls(to_come=Counter(key for task in tasks for key in task["keys"].values()))
+        for name in tasks[0]["keys"]:
+            solved: dict[str, int] = {}  # result key -> the turn that solves it
+            for turn, task in enumerate(tasks):
+                if name not in task["reuse"]:
+                    solved.setdefault(task["keys"][name], turn)
+            turns = list(solved.values())
+            for turn, place in zip(turns, next_uses([tasks[k]["setups"][name] for k in turns]), strict=True):
+                if place is not None:
+                    group.used_again[tasks[turn]["id"], name] = turns[place] - turn
+        return group
+
+    def begin(self, task: Task) -> None:
+        """Let go of results that only this case had left to wait for."""
+        self.to_come.subtract(task["keys"].values())
+        self.results = {key: result for key, result in self.results.items() if self.to_come[key] > 0}
+
+    def keep(self, task: Task, results: Mapping[str, ModelResult]) -> None:
+        """Remember a case's results for cases to come; beyond `_MOST_BYTES` only where they will be found."""
+        for result in results.values():
+            if self.to_come[result.key] > 0 and result.key not in self.results:
+                size = result.displacement.nbytes + result.reaction_force.nbytes
+                if (len(self.results) + 1) * size <= _MOST_BYTES:
+                    self.results[result.key] = result
+                else:
+                    self.written[result.key] = task["path"]
 
 
 _group: _Group | None = None  # inside `share`
@@ -143,7 +182,7 @@ def share(tasks: Sequence[Task]) -> Iterator[None]:
     What cannot be done for all, because a scene or a solve fails, each case finds out for itself.
     """
     global _group
-    _group = _Group()
+    _group = _Group.of(tasks)
     try:
         with sharing():
             with suppress(ValueError):
@@ -162,7 +201,7 @@ def _solve_ahead(tasks: Sequence[Task], group: _Group) -> None:
         for task in tasks:
             if is_reference:
                 first.setdefault(task["reference_key"], task)
-            elif name not in task["reuse"]:
+            elif name not in {**task["reuse"], **task["twins"]}:
                 first.setdefault(task["elements"][name], task)
         missing = {k: task for k, task in first.items() if not (is_reference and _reference_is_there(task))}
         if len(missing) > 1:
@@ -198,7 +237,8 @@ def _result(study: Study, scene: Scene, task: Task, name: str, group: _Group) ->
     found = group.answers[key].under(loads, scene) if key in group.answers else None
     if found is not None:
         return found[0]
-    result = models.run_model(scene, name)
+    with needed_again(group.used_again.get((task["id"], name), 0)):
+        result = models.run_model(scene, name)
     if key and all(status.ok for status in result.status):
         group.answers[key] = Answer([result], loads, scene.load_factors)
     return result
@@ -209,11 +249,10 @@ def _reference_levels(
 ) -> list[ModelResult]:
     """The reference on each mesh level: solved before, here or in another run, a multiple of it, or solved now."""
     name, key, loads = study.study.reference or "", task["reference_key"], loads_of(study)
-    path = reference_path(Path(task["cache"]), key)
     if key not in group.answers and not task["fresh"]:
-        stored = read_reference(path)
+        stored = next(filter(None, map(read_reference, _reference_paths(task))), None)
         if stored is not None:
-            levels = [_marked(level) for level in stored.levels]
+            levels = [_marked(level) for level in stored.levels[: _n_levels(study)]]
             group.answers[key] = dataclasses.replace(stored, levels=levels)
             group.stored.add(key)
     found = group.answers[key].under(loads, scene) if key in group.answers else None
@@ -221,13 +260,14 @@ def _reference_levels(
         if name in known and _n_levels(study) == 1:
             require_converged(name, known[name])
             return [known[name]]
-        coarse = models.run_model(scene, name)
-        require_converged(name, coarse)
-        found = [coarse, *refined_levels([study], [scene], name, [_n_levels(study)])[0]]
+        with needed_again(group.used_again.get((task["id"], name), 0)):
+            coarse = models.run_model(scene, name)
+            require_converged(name, coarse)
+            found = [coarse, *refined_levels([study], [scene], name, [_n_levels(study)])[0]]
         group.answers[key] = Answer(found, loads, scene.load_factors)
         group.stored.discard(key)
     if key not in group.stored:
-        write_reference(path, group.answers[key])
+        write_reference(_reference_paths(task)[0], group.answers[key])
         group.stored.add(key)
     return found
 
@@ -244,19 +284,26 @@ def _reference_error(
 
 
 def _reference_is_there(task: Task) -> bool:
-    return not task["fresh"] and is_sound(reference_path(Path(task["cache"]), task["reference_key"]))
+    return not task["fresh"] and any(map(is_sound, _reference_paths(task)))
+
+
+def _reference_paths(task: Task) -> list[Path]:
+    """Where the cache keeps what the reference answers on the study's mesh levels, and on more."""
+    return [reference_path(Path(task["cache"]), key) for key in (task["reference_key"], *task["finer_keys"])]
 
 
 def _known(task: Task, group: _Group) -> dict[str, ModelResult]:
-    """Results that need not be solved again: of the case before, and of case files that the plan names."""
-    known = {name: group.last[key] for name, key in task["keys"].items() if key in group.last}
-    for path in sorted(set(task["reuse"].values())):
-        with suppress(StoreError):
-            stored = read_case(Path(path)).models
-            for name, result in stored.items():
-                refused = any(status.code == models.REFUSED for status in result.status)
-                if result.key and result.key == task["keys"].get(name) and not refused:
-                    known[name] = _marked(result)
+    """Results that need not be solved again: of cases of the group, and of case files of this run and others."""
+    keys: Mapping[str, str] = task["keys"]
+    known = {name: group.results[key] for name, key in keys.items() if key in group.results}
+    written = {name: group.written[key] for name, key in keys.items() if key in group.written}
+    for files, is_earlier in ((task["reuse"], True), ({**task["twins"], **written}, False)):
+        for path in sorted({path for name, path in files.items() if name not in known}):
+            with suppress(StoreError):
+                for name, result in read_case(Path(path)).models.items():
+                    refused = any(status.code == models.REFUSED for status in result.status)
+                    if result.key and result.key == keys.get(name) and not refused:
+                        known.setdefault(name, _marked(result) if is_earlier else result)
     return known
 
 

@@ -52,6 +52,7 @@ from .units import type_name
 Vdm = dict[str, float | str]
 
 CLAIMS = 9  # that the paper makes of its model
+MOST_LEVELS = 4  # of meshes that a reference's error bar is from
 
 
 # --- what all tables share ---
@@ -448,7 +449,7 @@ class Uncertainty(Table):
         2,
         description="mesh levels, the study's own included; each costs 10 to 20 times the one before",
         ge=2,
-        le=4,
+        le=MOST_LEVELS,
     )
 
 

@@ -8,7 +8,16 @@ import numpy as np
 import pytest
 
 from studies.meshing.mesh import Mesh
-from studies.setups import content_key, next_turn, shared, sharing, watched
+from studies.setups import (
+    MOST_WAITING,
+    content_key,
+    needed_again,
+    next_turn,
+    next_uses,
+    shared,
+    sharing,
+    watched,
+)
 from studies.study_file.schema import Ball, Region
 
 
@@ -60,6 +69,27 @@ def test_what_two_turns_do_not_ask_for_is_let_go() -> None:
         next_turn()
         next_turn()
         assert shared(make, a=1) is not first
+
+
+def test_what_is_needed_again_is_kept_until_then() -> None:
+    with sharing():
+        with needed_again(3):
+            first = shared(make, a=1)
+        for _ in range(3):
+            next_turn()
+            shared(make, a=2)
+        assert shared(make, a=1) is first
+        for _ in range(2):
+            next_turn()
+        assert shared(make, a=1) is not first
+
+
+def test_next_uses_are_of_the_set_ups_that_were_used_last() -> None:
+    assert next_uses("aabab") == [1, 3, 4, None, None]
+    ring = [f"{k}" for k in range(MOST_WAITING)]
+    assert next_uses(ring * 2) == [*range(MOST_WAITING, 2 * MOST_WAITING), *[None] * MOST_WAITING]
+    ring.append("one more")
+    assert next_uses(ring * 2) == [None] * 2 * len(ring)
 
 
 def test_uses_are_watched() -> None:
