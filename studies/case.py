@@ -72,7 +72,9 @@ class Limit:
     """Where along a load path a model's error has grown by a threshold; see `studies.limits`."""
 
     threshold: float
-    state: str  # "found", or why not: "beyond" the largest load tried, "model-stopped", "reference-stopped"
+    state: (
+        str  # "found", "unresolved", or why not: "beyond" what is tried, "model-stopped", "reference-stopped"
+    )
     load: float  # value of the key that is raised, in its unit; of a limit not found the largest that was reached
     bar: float  # relative uncertainty of `load` from the reference's own error; NaN where not measured
     indentation: float  # of the reference at `load` [m]; NaN where nothing is in contact

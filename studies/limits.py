@@ -4,6 +4,9 @@ Three different things, never mixed. The structural error e0 of a model is its e
 reference in the limit of a small load. Its growth limit is the load at which error - e0 reaches a threshold. For
 the linear finite elements e0 is zero and the growth limit is the linearisation limit: where small-strain theory
 departs from finite strain on the same mesh.
+
+A search ends at `LARGEST` times the study's load, or at `MOST_STRAIN`: a largest principal Green-Lagrange strain
+of 4 is a fibre three times as long as at rest, which no soft tissue bears. Solves beyond cost more than all others.
 """
 
 from __future__ import annotations
@@ -19,6 +22,9 @@ from .uncertainty import estimate_error
 
 SMALL = 1.0 / 512.0  # of the study's load: where the structural error is measured
 LARGEST = 64.0  # times the study's load: where a search gives up
+MOST_STRAIN = 4.0  # largest principal Green-Lagrange strain of the reference: likewise
+_AT_THE_END = 0.9  # of that strain: near enough to it for a search to end
+_AIM = 0.95  # of that strain: where a search goes that would pass it
 _CLOSE = 0.02  # of a threshold: when a crossing is met
 _MOST_STEPS = 12  # bisections of one crossing
 _POWER_LAW_STEPS = 5  # of these
@@ -48,6 +54,7 @@ class LoadPath:
         self._evaluate = evaluate
         self.start = start
         self._points: dict[float, LoadPoint | None] = {}
+        self._after: dict[float, float] = {}
 
     def at(self, factor: float) -> LoadPoint | None:
         """The point at `factor` times the study's load."""
@@ -55,15 +62,48 @@ class LoadPath:
             self._points[factor] = self._evaluate(factor * self.start)
         return self._points[factor]
 
+    def usable(self, factor: float) -> bool:
+        """Whether the reference has a solution at a factor, of a strain that counts. An unknown one does."""
+        point = self.at(factor)
+        return point is not None and not point.strain > MOST_STRAIN
+
+    def at_end(self, factor: float) -> bool:
+        """Whether a usable factor is the last that is looked at."""
+        point = self.at(factor)
+        return factor >= LARGEST or (point is not None and point.strain >= _AT_THE_END * MOST_STRAIN)
+
+    def reaches(self, factor: float) -> bool:
+        """Whether nothing that is known keeps a search from a factor."""
+        return factor <= LARGEST and all(self.usable(other) for other in self._points if other <= factor)
+
+    def after(self, factor: float) -> float:
+        """The factor to try after a usable one: twice it, or less where the strain would pass its bound.
+
+        The same for every model and threshold, whatever has been evaluated since.
+        """
+        if factor not in self._after:
+            further, point = 2.0, self.at(factor)
+            if point is not None and point.strain > 0:
+                growth = max(self.slope(lambda other: other.strain, factor), 0.5)
+                further = min(further, (_AIM * MOST_STRAIN / point.strain) ** (1.0 / growth))
+            self._after[factor] = further * factor
+        return self._after[factor]
+
     def structural_error(self, model: str) -> float:
         """e0 of a model; NaN where it or the reference has no solution even there."""
         point = self.at(SMALL)
         return point.error[model] if point is not None else math.nan
 
     def departure(self, model: str, factor: float) -> float:
-        """Error less e0; NaN where the model or the reference has no solution."""
+        """Error less e0; NaN where the model or the reference has no solution, or too large a strain."""
         point = self.at(factor)
-        return point.error[model] - self.structural_error(model) if point is not None else math.nan
+        if point is None or not self.usable(factor):
+            return math.nan
+        return point.error[model] - self.structural_error(model)
+
+    def factor_of(self, load: float) -> float:
+        """The evaluated factor that is nearest to a load: over the study's own it may be off by rounding."""
+        return min(self._points, key=lambda factor: abs(factor * self.start - load))
 
     def between(self, low: float, high: float) -> list[float]:
         """Factors between two, of every load evaluated so far, rising."""
@@ -76,8 +116,8 @@ class LoadPath:
         """
 
         def nearest(factors: Iterable[float], count: int) -> list[tuple[float, float]]:
-            points = ((at, point) for at in factors if (point := self._points[at]) is not None)
-            pairs = ((at, value(point)) for at, point in points)
+            points = ((at, self._points[at]) for at in factors if self.usable(at))
+            pairs = ((at, value(point)) for at, point in points if point is not None)
             return list(islice((pair for pair in pairs if pair[1] > 0), count))
 
         rising = sorted(self._points)
@@ -105,7 +145,9 @@ def on_finer_mesh(limits: ModelLimits, path: LoadPath, fine: LoadPath, model: st
     the departure grows like load^p, p being its slope on `path`, at least 1/2, and indentation and strain with
     slopes of their own: this leads from what the finer mesh has at that load to what it has at its own limit.
     Bars of indentation and strain count their own change at the same load, and that of the load times their slope.
-    A limit at which the finer mesh has no solution stays as it is, without bars.
+    A limit is unresolved where the finer mesh does not bear it out: it has no solution of a strain that counts at
+    that load, the error has not grown there, or what leads on from there ends beyond the loads that are looked at.
+    All stay as they are, without bars, where the finer mesh has no structural error.
     """
     e0 = fine.structural_error(model)
     if not math.isfinite(e0):
@@ -118,17 +160,20 @@ def on_finer_mesh(limits: ModelLimits, path: LoadPath, fine: LoadPath, model: st
 
 
 def _on_finer_mesh(limit: Limit, path: LoadPath, fine: LoadPath, model: str) -> Limit:
-    factor = limit.load / path.start
+    factor = path.factor_of(limit.load)
     own, other = path.at(factor), fine.at(factor)
     departure = fine.departure(model, factor)
+    unresolved = replace(limit, state="unresolved")
     if own is None or other is None or not departure > 0:
-        return limit
+        return unresolved
     e0 = path.structural_error(model)
     power = 1.0 / max(path.slope(lambda point: point.error[model] - e0, factor), 0.5)
     bar = _index(1.0 - (departure / path.departure(model, factor)) ** power)
     further = (limit.threshold / departure) ** power  # the load of the finer mesh's limit, over this one
     indentation = path.slope(lambda point: abs(point.indentation), factor)
     strain = path.slope(lambda point: point.strain, factor)
+    if not path.reaches(further * factor) or other.strain * further**strain > MOST_STRAIN:
+        return unresolved
     return replace(
         limit,
         load=limit.load * further,
@@ -147,14 +192,13 @@ def _index(difference: float) -> float:
 
 def _limit(path: LoadPath, model: str, threshold: float) -> Limit:
     if not math.isfinite(path.structural_error(model)):
-        state = "reference-stopped" if path.at(SMALL) is None else "model-stopped"
-        return Limit(threshold, state, math.nan, math.nan, math.nan, math.nan)
+        return Limit(threshold, _why_not(path, SMALL), math.nan, math.nan, math.nan, math.nan)
     low, high, state = _bracket(path, model, threshold)
     factor = low if high is None else _crossing(path, model, threshold, low, high)
     point = path.at(factor)
-    if point is None or not math.isfinite(point.error[model]):  # between two loads that have a solution
-        state = "reference-stopped" if point is None else "model-stopped"
-        return Limit(threshold, state, factor * path.start, math.nan, math.nan, math.nan)
+    if point is None or not math.isfinite(path.departure(model, factor)):  # between two loads that have one
+        state, load = _why_not(path, factor), factor * path.start
+        return Limit(threshold, state, load, math.nan, math.nan, math.nan)
     return Limit(threshold, state, point.load, math.nan, point.indentation, point.strain)
 
 
@@ -167,17 +211,24 @@ def _bracket(path: LoadPath, model: str, threshold: float) -> tuple[float, float
             return low, factor, "found"
         if math.isfinite(departure):
             low = factor
-            if factor >= LARGEST:
+            if path.at_end(factor):
                 return low, None, "beyond"
         else:
             stopped = factor
         if math.isinf(stopped):
-            factor *= 2.0
+            factor = path.after(factor)
         elif retreats < _RETREATS:
             retreats += 1
             factor = math.sqrt(low * stopped)
         else:
-            return low, None, "reference-stopped" if path.at(stopped) is None else "model-stopped"
+            return low, None, _why_not(path, stopped)
+
+
+def _why_not(path: LoadPath, factor: float) -> str:
+    """The state of a limit for which there is no departure at a factor."""
+    if path.at(factor) is None:
+        return "reference-stopped"
+    return "model-stopped" if path.usable(factor) else "beyond"
 
 
 def _crossing(path: LoadPath, model: str, threshold: float, low: float, high: float) -> float:

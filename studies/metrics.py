@@ -243,9 +243,9 @@ def reaction_force_error(surface: Surface, model: History, reference: History) -
 @_metric(
     "1",
     "force that the model needs for the reference's indentation depth (mean displacement along the contact force, "
-    "weighted by it), over the reference's, less one",
+    "weighted by it), over the reference's, less one; of a body with a weight only where a step has no load",
     degree=0,
-    version=3,
+    version=4,
     needs_contact=True,
 )
 def indentation_force_error(surface: Surface, model: History, reference: History) -> Array:
@@ -253,7 +253,7 @@ def indentation_force_error(surface: Surface, model: History, reference: History
     factors = model.load_factors
     return np.array(
         [
-            _factor_at(goal, depth, factors) / factor - 1 if factor else np.nan
+            _factor_at(goal, depth, factors, rests=not surface.weighs) / factor - 1 if factor else np.nan
             for goal, factor in zip(goals, factors, strict=True)
         ]
     )
@@ -369,16 +369,18 @@ def _regional(surface: Surface, model: History, reference: History, mask: Mask) 
     return _each_step(surface, model, reference, lambda _, u, r: relative_l2_steps(u, r, weights))
 
 
-def _factor_at(depth: float, depths: Array, factors: Array) -> float:
+def _factor_at(depth: float, depths: Array, factors: Array, *, rests: bool) -> float:
     """Load factor at which a model reaches `depth`, linear between its steps and beyond the outer ones.
 
-    Of a factor that comes more than once the first step counts. No load is taken to be no depth, unless a step
-    says.
+    Of a factor that comes more than once the first step counts. Without a step of no load, that is no depth of a
+    body that `rests` there, and of any other unknown: NaN.
     """
     rounded = np.round(factors / np.abs(factors).max(), 12)  # equal steps of a history differ by rounding
     _, first = np.unique(rounded, return_index=True)
     x, y = depths[first], factors[first]
     if rounded.all():
+        if not rests:
+            return np.nan
         place = np.searchsorted(y, 0.0)
         x, y = np.insert(x, place, 0.0), np.insert(y, place, 0.0)
     if not np.isfinite(x).all() or not np.isfinite(depth) or np.any(np.diff(x) <= 0):

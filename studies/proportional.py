@@ -186,6 +186,7 @@ class _Measured:
             self.reference == other.reference
             and list(self.models) == list(other.models)
             and np.array_equal(self.surface.contact, other.surface.contact)
+            and self.surface.weighs == other.surface.weighs
             and all(
                 np.array_equal(model.load_factors, other.models[name].load_factors)
                 for name, model in self.models.items()

@@ -56,12 +56,14 @@ def own_error(
         "levels": float(len(levels)),
     }
     margin = vector.gci / differences[0] if differences[0] else 0.0
+    # a body with a weight is not at rest without load: what it does then is part of its stiffness
+    steps = [*(np.flatnonzero(load_factors == 0.0)[:1] if surface.weighs else []), step]
     histories = [
         History(
-            level.displacement[[step]],
-            level.reaction_force[[step]],
-            load_factors[[step]],
-            volume=level.volume[[step]],
+            level.displacement[steps],
+            level.reaction_force[steps],
+            load_factors[steps],
+            volume=level.volume[steps],
         )
         for level in levels
     ]
@@ -69,7 +71,7 @@ def own_error(
         finest, second = histories[:2]
         found = evaluate_all(surface, {"second": second, "finest": finest}, "finest")["second"]
     error |= {
-        f"gci:{metric}": margin * abs(float(value[0]))
+        f"gci:{metric}": margin * abs(float(value[-1]))
         for metric, value in found.items()
         if METRICS[metric].needs_reference
     }
@@ -78,9 +80,9 @@ def own_error(
 
 
 def _own_figures(surface: Surface, histories: Sequence[History]) -> dict[str, float]:
-    """`own_gci:<metric>` of one step's metrics that need no comparison, the finest level first."""
+    """`own_gci:<metric>` of the last step's metrics that need no comparison, the finest level first."""
     figures = [evaluate(surface, history, None) for history in histories]
-    levels = {metric: [float(values[metric][0]) for values in figures] for metric in figures[0]}
+    levels = {metric: [float(values[metric][-1]) for values in figures] for metric in figures[0]}
     return {
         f"own_gci:{metric}": estimate_limit(values)[1].gci
         for metric, values in levels.items()

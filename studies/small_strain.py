@@ -40,7 +40,7 @@ def small_strain_limits(study: Study, scene: Scene) -> SmallStrainLimits:
     if study.uncertainty is not None:
         fine = LoadPath(_Evaluator(study, asked.along, scene, reference, _refined(scene)), start)
         limits = [limit for entry in found.values() for limit in entry.limits if limit.state == "found"]
-        for factor in sorted({SMALL, *(limit.load / start for limit in limits)}):
+        for factor in sorted({SMALL, *(path.factor_of(limit.load) for limit in limits)}):
             fine.at(factor)  # rising: from each the reference goes on to the next
         found = {name: on_finer_mesh(entry, path, fine, name) for name, entry in found.items()}
     return SmallStrainLimits(asked.along, unit, found)

@@ -122,6 +122,7 @@ class Surface:
     triangles: Index
     contact: Mask = field(default_factory=lambda: np.zeros(0, dtype=bool))  # (N,) nodes under contact
     contact_force: Array = field(default_factory=lambda: np.zeros((0, 3)))  # (N, 3) at load factor 1
+    weighs: bool = False  # whether the body has a weight, which displaces it at load factor 0 too
 
     @cached_property
     def areas(self) -> Array:
@@ -158,9 +159,9 @@ class Surface:
         """For distances between deformed surfaces."""
         return Neighbourhood(self.points, self.triangles)
 
-    def under(self, contact: Mask, contact_force: Array) -> Surface:
-        """The same surface in another contact; what is measured of it is measured once."""
-        other = replace(self, contact=contact, contact_force=contact_force)
+    def under(self, contact: Mask, contact_force: Array, *, weighs: bool = False) -> Surface:
+        """The same surface under other loads; what is measured of it is measured once."""
+        other = replace(self, contact=contact, contact_force=contact_force, weighs=weighs)
         for name in ("areas", "volume_gradient", "normals", "rigid_motions", "volume", "neighbourhood"):
             other.__dict__[name] = getattr(self, name)
         return other

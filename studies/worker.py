@@ -349,8 +349,9 @@ def compare(
 
 
 def _surface(scene: Scene) -> Surface:
-    """The scene's surface under its contact."""
-    return shared(Comparisons, mesh=scene.mesh).surface.under(scene.contact, scene.contact_force)
+    """The scene's surface under its loads."""
+    plain = shared(Comparisons, mesh=scene.mesh).surface
+    return plain.under(scene.contact, scene.contact_force, weighs=bool(scene.gravity.any()))
 
 
 def provenance(mesh: Mesh) -> dict[str, str]:

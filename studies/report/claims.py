@@ -19,7 +19,7 @@ from .blocks import Figure
 from .claim_figures import Line, bars, curves
 from .digest import Digest, at_full_load, failed_steps, reference_bar, series
 from .formatting import listed, percent, plain, plural, quantity, short_percent
-from .section_limits import strain_in_words, strain_range, strain_side
+from .section_limits import is_measured, strain_in_words, strain_range, strain_side
 
 HOLDS, WITHIN_LIMITS, FAILS, OPEN = "holds", "holds within limits", "fails", "not decided"
 
@@ -127,7 +127,7 @@ def _volume(digests: Sequence[Digest]) -> Judgement | None:
     "Holds where linear elements stay within 5 % of finite strain up to a largest principal strain of 10 % in "
     "every scene, the bar of that strain counted, and the linear VDM is itself within "
     f"{short_percent(CLOSE)} there; within limits where only the first is so: linearising is then harmless, but "
-    "the model is off for other reasons; not decided where the bar of a strain straddles 10 %.",
+    "the model is off for other reasons; not decided where a strain's bar straddles 10 % or a limit is unresolved.",
 )
 def _linear(digests: Sequence[Digest]) -> Judgement | None:
     limits: list[Limit] = []
@@ -137,19 +137,19 @@ def _linear(digests: Sequence[Digest]) -> Judgement | None:
             continue
         for model, entry in case.small_strain.models.items():
             if model == "fem-linear":
-                limits += [lim for lim in entry.limits if lim.state == "found" and lim.threshold <= KEPT]
+                limits += [lim for lim in entry.limits if is_measured(lim) and lim.threshold <= KEPT]
             elif is_vdm(model) and split(model)[1] == "linear":
                 structural[model] = max(structural.get(model, 0.0), entry.structural_error)
-    if not limits or not structural:
+    found = [lim for lim in limits if lim.state == "found"]
+    if not found or not structural:
         return None
-    first = min(limits, key=lambda lim: strain_range(lim)[0])
+    first = min(found, key=lambda lim: strain_range(lim)[0])
     sides = [strain_side(lim) for lim in limits]
     paper = structural.get("vdm-paper", max(structural.values()))
     verdict = FAILS if -1 in sides else OPEN if 0 in sides else HOLDS if paper <= CLOSE else WITHIN_LIMITS
     reason = (
         "Linear elements depart from finite strain by 5 % at a largest principal strain of "
-        f"{strain_in_words(first)}"
-        f"{' or more' if len(limits) > 1 else ''}. At small loads already, "
+        f"{strain_in_words(first)}{' or more' if len(found) > 1 else ''}. At small loads already, "
         f"{listed(f'{m} is {short_percent(e)} off' for m, e in structural.items())}."
     )
     figures: tuple[Figure, ...] = ()

@@ -24,6 +24,7 @@ _MOVED_NOTE = (
     "Where a region is moved by a given amount the force is the answer: the resultant of its nodes’ reactions, "
     "along the way that it is moved. A stiff model lies above the reference."
 )
+_WEIGHT_NOTE = "The body's weight acts without load too, so that no curve starts at the origin."
 
 
 Curves = Mapping[str, tuple[Array, Array]]  # model -> (S,) lengths [m], (S,) loads
@@ -52,6 +53,8 @@ def force_against_indentation(digest: Digest) -> Section | None:
             if figure is not None:
                 figures.append(figure)
                 notes[push.note] = None
+                if any(_weighs(case) for case in cases):
+                    notes[_WEIGHT_NOTE] = None
     if not figures:
         return None
     return Section(
@@ -108,6 +111,11 @@ def _pushes(cases: Sequence[CaseResult]) -> list[Push]:
 
 def _constraints(case: CaseResult) -> Sequence[Mapping[str, object]]:
     return case.resolved.get("constraints") or ()
+
+
+def _weighs(case: CaseResult) -> bool:
+    gravity = case.resolved.get("gravity")
+    return isinstance(gravity, Mapping) and bool(np.any(gravity.get("acceleration", 0.0)))
 
 
 def _name(constraint: Mapping[str, object]) -> str:

@@ -5,8 +5,10 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
+from itertools import starmap
 
 from ..case import CaseResult, Limit, ModelLimits
+from ..limits import LARGEST, MOST_STRAIN
 from ..uncertainty import is_resolved
 from .blocks import Block, Cell, Column, Section, Table, Text
 from .digest import Digest
@@ -15,6 +17,7 @@ from .formatting import NOT_MEASURED, NOTHING, listed, percent, quantity, short_
 LINEAR = "fem-linear"  # whose growth limit is the linearisation limit
 PAPER_STRAIN = 0.10  # "small deformations and small strains (< 10 %)"
 _WHY = {
+    "unresolved": "unresolved: a finer mesh does not bear it out",
     "beyond": "not reached",
     "model-stopped": "the model has no solution beyond",
     "reference-stopped": "the reference has no solution beyond",
@@ -48,7 +51,9 @@ def small_strain_limits(digest: Digest) -> Section | None:
         "one, at the rim of the contact or of the support. Figures with a bar are those of a mesh with every "
         "tetrahedron split into eight, and bars follow from what that changes: in a limit's load, and, at the same "
         "load, in indentation and strain, whose bars count the load's in. A load's bar is relative, all others are "
-        "in the unit of their figure."
+        "in the unit of their figure. A limit that the case's mesh has and the finer mesh has not is unresolved, "
+        f"with the figures of the case's mesh. A search ends at {LARGEST:g} times the study's load, and at a "
+        f"largest strain of {short_percent(MOST_STRAIN)}: no soft tissue bears to be three times as long."
     )
     return Section(
         "limits", "Small-strain limits", [*blocks, _table(digest, rows), Text(reading, kind="note")]
@@ -61,11 +66,18 @@ def limits_in_words(digest: Digest) -> list[str]:
     return [sentence for sentence in (_growth(digest, rows), _against_the_paper(rows)) if sentence]
 
 
-def strain_side(limit: Limit) -> int:
-    """Where a limit's strain lies of the paper's bound: -1 below, 1 above, 0 where its bar straddles the bound.
+def is_measured(limit: Limit) -> bool:
+    """Whether some mesh has the limit."""
+    return limit.state in ("found", "unresolved")
 
-    A bar that was not measured counts as none.
+
+def strain_side(limit: Limit) -> int:
+    """Where a limit's strain lies of the paper's bound: -1 below, 1 above, 0 where that is unresolved.
+
+    A bar that was not measured counts as none, one that straddles the bound as unresolved.
     """
+    if limit.state == "unresolved":
+        return 0
     low, high = strain_range(limit)
     return 1 if low >= PAPER_STRAIN else -1 if high < PAPER_STRAIN else 0
 
@@ -78,8 +90,7 @@ def strain_range(limit: Limit) -> tuple[float, float]:
 
 def strain_in_words(limit: Limit) -> str:
     """A limit's strain with its bar where that was measured."""
-    half = limit.strain * limit.strain_bar
-    return short_percent(limit.strain) + (f" ± {short_percent(half)}" if math.isfinite(half) else "")
+    return _with_bar(limit.strain, limit.strain * limit.strain_bar)
 
 
 def _rows(cases: Iterable[CaseResult]) -> Iterator[_Row]:
@@ -92,15 +103,20 @@ def _rows(cases: Iterable[CaseResult]) -> Iterator[_Row]:
 
 
 def _against_the_paper(rows: list[_Row]) -> str:
-    found = [row for row in rows if row.model == LINEAR and row.limit.state == "found"]
+    found, denied = (
+        [row for row in rows if row.model == LINEAR and row.limit.state == state]
+        for state in ("found", "unresolved")
+    )
+    theory = f"small-strain theory ({LINEAR}) departs from finite strain"
     if not found:
-        return ""
+        return f"Where {theory} is unresolved: a finer mesh does not bear it out." if denied else ""
     parts = []
     for threshold in sorted({row.limit.threshold for row in found}):
         mine = [row.limit for row in found if row.limit.threshold == threshold]
         ends = [min(mine, key=lambda limit: limit.strain), max(mine, key=lambda limit: limit.strain)]
-        span = " to ".join(dict.fromkeys(map(strain_in_words, ends)))
-        parts.append(f"{short_percent(threshold)} at a largest principal strain of {span}")
+        parts.append(
+            f"{short_percent(threshold)} at a largest principal strain of {_span(map(strain_in_words, ends))}"
+        )
     sides = [strain_side(row.limit) for row in found]
     below, open_ = sides.count(-1), sides.count(0)
     bound = f"the paper's bound of {short_percent(PAPER_STRAIN)} strain"
@@ -110,37 +126,68 @@ def _against_the_paper(rows: list[_Row]) -> str:
         if open_
         else []
     )
-    verdict = f"{listed(told)}." if told else f"All of these lie above {bound}."
-    verdict = verdict[0].upper() + verdict[1:]
-    return f"Small-strain theory ({LINEAR}) departs from finite strain by {listed(parts)}. {verdict}"
+    told = told or [f"all of these lie above {bound}"]
+    told += [f"a finer mesh does not bear out {len(denied)} more, unresolved"] if denied else []
+    verdict = listed(told)
+    return f"S{theory[1:]} by {listed(parts)}. {verdict[0].upper()}{verdict[1:]}."
 
 
 def _growth(digest: Digest, rows: list[_Row]) -> str:
-    """One sentence on the model that the page looks at closely."""
-    own = [row for row in rows if row.model == digest.focus]
+    """One sentence on the model that the page looks at closely, at the smallest threshold.
+
+    Every number is of the finest mesh there is, or says that it is not.
+    """
+    own = [row for row in rows if row.model == digest.focus and math.isfinite(row.entry.structural_error)]
     if not own or digest.focus == LINEAR:
         return ""
-    errors = [row.entry.structural_error for row in own]
-    low, high = min(errors), max(errors)
-    span = short_percent(low) if low == high else f"{short_percent(low)} to {short_percent(high)}"
-    text = f"{digest.focus} is {span} off already at small loads"
-    limits = [row.limit for row in own if row.limit.state == "found"]
-    if not limits:
-        return f"{text}; that does not grow by a threshold within the loads tried."
-    first = min(limits, key=lambda limit: limit.threshold)
-    loads = [limit.load for limit in limits if limit.threshold == first.threshold]
-    at = (
-        quantity(loads[0], own[0].unit)
-        if len(loads) == 1
-        else f"{quantity(min(loads, key=abs), own[0].unit)} to {quantity(max(loads, key=abs), own[0].unit)}"
+    errors = sorted((row.entry.structural_error, row.entry.structural_bar) for row in own)
+    text = (
+        f"{digest.focus} is {_span(starmap(_with_bar, (errors[0], errors[-1])))} off already at small loads"
     )
-    at += f" ± {short_percent(first.bar)}" if len(loads) == 1 and math.isfinite(first.bar) else ""
-    text += f"; {short_percent(first.threshold)} more come on top by {at}"
-    if len(loads) > 1:
+    threshold = min(row.limit.threshold for row in own)
+    asked = [row for row in own if row.limit.threshold == threshold]
+    finer = any(math.isfinite(row.entry.structural_bar) for row in own)
+    coarse = " on the case's own mesh" if finer else ""
+    more = f"{short_percent(threshold)} more come on top by"
+    no_more = f"that does not grow by {short_percent(threshold)} up to"
+    for state, before, after in (
+        ("found", more, ""),
+        ("unresolved", more, f"{coarse}, which a finer mesh does not bear out: unresolved"),
+        ("beyond", no_more, f"{coarse}, as far as was looked"),
+        ("model-stopped", no_more, f"{coarse}, where its solver stops"),
+        ("reference-stopped", no_more, f"{coarse}, where the reference stops"),
+    ):
+        if some := [row for row in asked if row.limit.state == state]:
+            text += f"; {before} {_loads_in_words(some, len(asked))}{after}"
+    (first, *others) = asked
+    if others or first.limit.state != "found":
         return f"{text}."
-    if math.isfinite(first.indentation):
-        text += f" ({quantity(first.indentation, 'm')} of mean indentation)"
-    return f"{text}, where it is {short_percent(own[0].entry.structural_error + first.threshold)} off."
+    if math.isfinite(first.limit.indentation):
+        depth, bar = first.limit.indentation, first.limit.indentation_bar
+        text += f" ({quantity(depth, 'm')}"
+        text += f" ± {quantity(abs(depth) * bar, 'm')}" if math.isfinite(bar) else ""
+        text += " of mean indentation)"
+    total = first.entry.structural_error + threshold
+    return f"{text}, where it is {_with_bar(total, first.entry.structural_bar)} off."
+
+
+def _loads_in_words(some: list[_Row], asked: int) -> str:
+    """The loads of some limits with their bars, from least to most, and of how many of the cases they are."""
+    ends = sorted(some, key=lambda row: abs(row.limit.load))
+    loads = []
+    for row in (ends[0], ends[-1]):
+        bar = f" ± {short_percent(row.limit.bar)}" if math.isfinite(row.limit.bar) else ""
+        loads.append(quantity(row.limit.load, row.unit) + bar)
+    return _span(loads) + (f" in {len(some)} of {asked} cases" if len(some) < asked else "")
+
+
+def _span(ends: Iterable[str]) -> str:
+    """`low to high`, one of them where they look alike."""
+    return " to ".join(dict.fromkeys(ends))
+
+
+def _with_bar(share: float, bar: float) -> str:
+    return short_percent(share) + (f" ± {short_percent(bar)}" if math.isfinite(bar) else "")
 
 
 def _table(digest: Digest, rows: list[_Row]) -> Table:
@@ -178,7 +225,7 @@ def _load(limit: Limit, unit: str) -> Cell:
     text = quantity(limit.load, unit)
     if limit.state == "found":
         return Cell(text, _bar(limit.bar), limit.load)
-    prefix = "≥ " if limit.state == "beyond" else "to "
+    prefix = {"beyond": "≥ ", "unresolved": ""}.get(limit.state, "to ")
     return Cell(f"{prefix}{text}", _WHY[limit.state], limit.load, tone="muted")
 
 

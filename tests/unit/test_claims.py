@@ -82,6 +82,12 @@ def test_linear_analysis(strain: float, bar: float, structural: float, verdict: 
     assert outcome.verdict == verdict
     shown = "" if math.isnan(bar) else f" ± {100 * strain * bar:.2g} %"
     assert outcome.number == f"{100 * strain:g} %{shown} strain at 5 % departure"
+    denied = ModelLimits(0.0, 0.0, (Limit(0.05, "unresolved", 50.0, math.nan, 0.001, 0.05),))
+    other = SmallStrainLimits(found.along, "Pa", {"fem-linear": denied})
+    judged_both = judged(
+        2, dataclasses.replace(case, small_strain=found), dataclasses.replace(case, small_strain=other)
+    )
+    assert judged_both.verdict == (FAILS if verdict == FAILS else OPEN)
 
 
 @pytest.mark.parametrize(

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from studies.limits import LARGEST, SMALL, LoadPath, LoadPoint, model_limits, on_finer_mesh
+from studies.limits import LARGEST, MOST_STRAIN, SMALL, LoadPath, LoadPoint, model_limits, on_finer_mesh
 
 E0 = 0.2
 
@@ -22,8 +23,9 @@ class Body:
         p: float = 1.0,
         reference_stops: float = math.inf,
         model_stops: float = math.inf,
+        strain: Callable[[float], float] = lambda load: 1e-4 * load,
     ) -> None:
-        self.c, self.p = c, p
+        self.c, self.p, self.strain = c, p, strain
         self.reference_stops, self.model_stops = reference_stops, model_stops
         self.loads: list[float] = []
 
@@ -32,7 +34,7 @@ class Body:
         if abs(load) > self.reference_stops:
             return None
         error = math.nan if abs(load) > self.model_stops else E0 + self.c * abs(load) ** self.p
-        return LoadPoint(load, {"m": error, "flat": E0}, 1e-3 * abs(load), 1e-4 * abs(load))
+        return LoadPoint(load, {"m": error, "flat": E0}, 1e-3 * abs(load), self.strain(abs(load)))
 
 
 @pytest.mark.parametrize("power", [0.7, 1.0, 2.0, 3.0])
@@ -124,15 +126,98 @@ def test_limits_of_a_finer_mesh_and_their_bars() -> None:
     assert np.isnan(unfound.bar)
 
 
-@pytest.mark.parametrize("stops", [0.0, 10.0])
-def test_where_the_finer_mesh_has_no_solution_a_limit_stays_without_bars(stops: float) -> None:
+def test_where_the_finer_mesh_has_no_structural_error_all_stays_without_bars() -> None:
     path = LoadPath(Body(c=1e-4, p=2.0), 10.0)
     coarse = model_limits(path, "m", (0.05,))
-    fine = LoadPath(Body(c=1e-4, p=2.0, reference_stops=stops), 10.0)
-    limits = on_finer_mesh(coarse, path, fine, "m")
-    assert limits.limits[0].load == coarse.limits[0].load
-    assert np.isnan([limits.limits[0].bar, limits.limits[0].strain_bar]).all()
-    assert np.isnan(limits.structural_bar) == (stops == 0.0)
+    limits = on_finer_mesh(coarse, path, LoadPath(Body(reference_stops=0.0), 10.0), "m")
+    assert limits.limits[0] is coarse.limits[0]
+    assert np.isnan([limits.structural_bar, limits.limits[0].bar, limits.limits[0].strain_bar]).all()
+
+
+@pytest.mark.parametrize(
+    "finer",
+    [
+        Body(c=-1e-5),  # the error falls
+        Body(c=0.0),
+        Body(c=1e-7, p=2.0),  # it grows, and would reach the threshold at 71 times the study's load
+        Body(c=0.5e-4, p=2.0),  # at 32, beyond where the reference of the case's mesh stops
+        Body(c=1e-16, p=2.0),
+        Body(c=1e-4, p=2.0, reference_stops=10.0),  # the limit is at 22
+        Body(c=1e-4, p=2.0, model_stops=10.0),
+        Body(c=1e-4, p=2.0, strain=lambda load: 0.2 * load),
+        Body(c=0.9e-4, p=2.0, strain=lambda load: 0.175 * load),  # 3.9 at 22, and 4.1 where it leads
+    ],
+)
+def test_a_limit_that_the_finer_mesh_does_not_have_is_unresolved(finer: Body) -> None:
+    """With the figures of the mesh that has it, and no bars."""
+    path = LoadPath(Body(c=1e-4, p=2.0, reference_stops=28.0), 10.0)
+    own = model_limits(path, "m", (0.05,))
+    limits = on_finer_mesh(own, path, LoadPath(finer, 10.0), "m")
+    (coarse,), (limit,) = own.limits, limits.limits
+    assert coarse.state == "found"
+    assert limit.state == "unresolved"
+    assert_allclose(limits.structural_error, E0, rtol=1e-3, atol=0)
+    assert (limit.load, limit.strain, limit.indentation) == (coarse.load, coarse.strain, coarse.indentation)
+    assert np.isnan([limit.bar, limit.strain_bar, limit.indentation_bar]).all()
+
+
+@pytest.mark.parametrize("start", [0.1, -7.7, *np.linspace(3.0, 40.0, 30)])
+def test_no_load_is_solved_again_for_being_off_by_rounding(start: float) -> None:
+    body, finer = Body(c=0.05 / 40.0**2, p=2.0), Body(c=0.04 / 40.0**2, p=2.0)
+    path, fine = LoadPath(body, start), LoadPath(finer, start)
+    coarse = model_limits(path, "m", (0.03, 0.05, 0.1))
+    found = sum(limit.state == "found" for limit in coarse.limits)
+    before = len(body.loads)
+    on_finer_mesh(coarse, path, fine, "m")
+    assert len(body.loads) == before
+    assert set(finer.loads) <= {*body.loads}
+    assert len(finer.loads) == 1 + found
+
+
+@pytest.mark.parametrize("power", [0.5, 1.0, 2.5, 6.0])
+@pytest.mark.parametrize("start", [0.01, 1.0, 30.0, -30.0])
+def test_a_search_ends_at_a_strain_that_says_nothing(power: float, start: float) -> None:
+    """Near the load of that strain, 20, from below, in few steps; no model is asked beyond it."""
+    body = Body(reference_stops=30.0, strain=lambda load: MOST_STRAIN * (load / 20.0) ** power)
+    path = LoadPath(body, start)
+    limits = [model_limits(path, name, (0.05, 0.1)).limits for name in ("flat", "m")]
+    (end,) = {limit.load for found in limits for limit in found}
+    assert {limit.state for found in limits for limit in found} == {"beyond"}
+    assert math.copysign(1.0, end) == math.copysign(1.0, start)
+    if LARGEST * abs(start) < 20.0:
+        assert end == LARGEST * start
+    else:
+        assert (0.85 if abs(start) < 20.0 else 0.6) * 20.0 <= abs(end) <= 20.0
+    assert len(body.loads) < 17
+    assert max(map(abs, body.loads)) <= max(abs(start), 25.0)
+
+
+def test_a_limit_below_that_strain_is_found_and_one_above_is_not() -> None:
+    def strain(load: float) -> float:
+        return MOST_STRAIN * (load / 20.0) ** 2
+
+    low, high = model_limits(LoadPath(Body(c=0.05 / 18.0, strain=strain), 1.0), "m", (0.05, 0.1)).limits
+    assert (low.state, high.state) == ("found", "beyond")
+    assert_allclose(low.load, 18.0, rtol=0.025, atol=0)
+    assert 18.0 < high.load <= 20.0
+    unknown = model_limits(LoadPath(Body(strain=lambda _: math.nan), 1.0), "flat", (0.05,)).limits[0]
+    assert unknown.load == LARGEST
+
+
+@pytest.mark.parametrize("start", [1.5, 10.0])
+def test_a_model_is_not_run_where_the_strain_says_nothing(start: float) -> None:
+    asked: list[float] = []
+
+    class Asked(dict[str, float]):
+        def __missing__(self, name: str) -> float:
+            asked.append(self["load"])
+            return E0
+
+    def evaluate(load: float) -> LoadPoint:
+        return LoadPoint(load, Asked(load=load), 0.0, load)
+
+    model_limits(LoadPath(evaluate, start), "m", (0.05,))
+    assert 3.0 < max(asked) <= MOST_STRAIN
 
 
 def test_a_crossing_of_one_model_helps_the_next() -> None:

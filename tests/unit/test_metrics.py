@@ -10,9 +10,15 @@ import pytest
 from numpy.testing import assert_allclose
 
 from studies import metrics, surface_measures
+from studies.meshing.geometry import build_mesh
 from studies.metrics import METRICS, History, evaluate, evaluate_all
+from studies.models import run_model
 from studies.nearest import nearest_on_surface
+from studies.scene import build_scene
+from studies.study_file.config import geometry_of
+from studies.study_file.schema import Study
 from studies.surface_measures import Surface
+from studies.worker import compare
 
 # round-off of sums over a few hundred terms of order one
 ROUND = {"rtol": 1e-12, "atol": 1e-14}
@@ -230,6 +236,59 @@ def test_indentation_force_over_a_history_that_returns(surface: Surface, factors
     )
     expected = [-0.5 if factor else np.nan for factor in factors]
     assert_allclose(evaluate(loaded, soft, reference)["indentation_force_error"], expected, **ROUND)
+
+
+@pytest.mark.parametrize("factors", [[0.5, 1.0], [0.5, 0.0, 1.0], [-1.0, 0.0, 2.0]])
+def test_indentation_force_of_a_body_with_a_weight(surface: Surface, factors: list[float]) -> None:
+    """By hand: it sags by 0.5 without load, and needs f for a depth of 0.5 + f where the model has 0.3 + 2 f."""
+    push = np.zeros((6, 3))
+    push[4, 2] = -0.01
+    loaded = surface.under(surface.contact, 20.0 * push, weighs=True)
+    reference, soft = (
+        history(*[(sag + size * factor) * push for factor in factors], factors=factors)
+        for sag, size in ((0.5, 1.0), (0.3, 2.0))
+    )
+    known = 0.0 in factors
+    expected = [(0.2 + factor) / 2 / factor - 1 if known and factor else np.nan for factor in factors]
+    assert_allclose(evaluate(loaded, soft, reference)["indentation_force_error"], expected, **ROUND)
+
+
+@pytest.mark.parametrize("factors", [[0.5, 1.0], [0.5, 0.0, 1.0]])
+@pytest.mark.parametrize(("gravity", "environment"), [(0.0, 0.0), (-9.81, 0.0), (0.0, 5000.0)])
+def test_of_the_constant_loads_only_a_weight_moves_a_body(
+    factors: list[float], gravity: float, environment: float
+) -> None:
+    """Indentation force of linear models: the line through any two steps, with a weight only if one is the rest."""
+    study = Study.model_validate(
+        {
+            "study": {"name": "test", "models": ["vdm-vector", "fem-linear"]},
+            "geometry": {"shape": "box", "size": (0.08, 0.08, 0.04), "mesh_size": 0.02},
+            "tissue": {"youngs_modulus": 5000.0, "poisson_ratio": 0.45},
+            "regions": {
+                "bottom": {"below": {"axis": "z", "fraction": 0.01}},
+                "tool": {"ball": {"center": (0.0, 0.0, 0.02), "radius": 0.025}},
+            },
+            "constraints": [
+                {"kind": "fixed", "region": "bottom"},
+                {"kind": "contact", "region": "tool", "force": 0.2},
+            ],
+            "load": {"factors": factors},
+            "gravity": {"acceleration": (0.0, 0.0, gravity)},
+            "environment": {"pressure": environment},
+        }
+    )
+    scene = build_scene(study, build_mesh(geometry_of(study)))
+    results = {name: run_model(scene, name) for name in study.study.models}
+    found = compare(scene, results, "fem-linear")["vdm-vector"]["indentation_force_error"].values
+    loaded = Surface(scene.mesh.surface_points, scene.mesh.triangles, scene.contact, scene.contact_force)
+    depth, goal = (
+        metrics.mean_indentation(loaded, results[n].displacement) for n in ("vdm-vector", "fem-linear")
+    )
+    stiffness = (factors[-1] - factors[0]) / (depth[-1] - depth[0])
+    expected = (factors[-1] + (goal[-1] - depth[-1]) * stiffness) / factors[-1] - 1
+    if gravity and 0.0 not in factors:
+        expected = np.nan
+    assert_allclose(found[-1], expected, rtol=1e-6, atol=0)
 
 
 def test_a_failed_step_is_not_a_number_and_spoils_no_other(surface: Surface, field: np.ndarray) -> None:

@@ -196,6 +196,7 @@ def test_what_is_no_multiple_is_measured(mesh: Mesh) -> None:
             "vdm-vector",
         ),
         (under(comparisons, scene), twice, "vdm-vector"),
+        (dataclasses.replace(under(comparisons, more), weighs=True), twice, "vdm-vector"),
         (under(comparisons, more), twice, "vdm-paper"),
         (under(comparisons, more), twice, None),
         (comparisons.surface.under(~scene.contact, 2 * scene.contact_force), twice, "vdm-vector"),

@@ -106,6 +106,20 @@ def figures_of(section: Section) -> list[tuple[str, str]]:
     ]
 
 
+def test_no_curve_of_a_body_with_a_weight_is_said_to_start_at_rest() -> None:
+    case = make_case({"m": 0.1})
+    said = "The body's weight acts without load too"
+    for gravity, there in (
+        (None, False),
+        ({"acceleration": [0.0, 0.0, 0.0]}, False),
+        ({"acceleration": [0.0, 0.0, -9.81]}, True),
+    ):
+        resolved = {**case.resolved, "gravity": gravity}
+        section = force_section(dataclasses.replace(case, resolved=resolved))
+        notes = [block.text for block in section.blocks if isinstance(block, Text)]
+        assert any(said in note for note in notes) == there
+
+
 def test_a_movement_is_drawn_for_model_and_reference() -> None:
     ((title, told),) = figures_of(force_section(moved_case()))
     assert title == "tool, the only case"

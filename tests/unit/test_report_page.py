@@ -105,6 +105,7 @@ def test_small_strain_limits_say_what_was_found_and_what_not() -> None:
                 (
                     Limit(0.05, "found", 200.0, 0.2, 0.002, 0.08, 0.15, 0.1),
                     Limit(0.1, "reference-stopped", 400.0, math.nan, 0.02, 2.0),
+                    Limit(0.2, "unresolved", 300.0, math.nan, 0.01, 0.5),
                 ),
             ),
         },
@@ -117,6 +118,7 @@ def test_small_strain_limits_say_what_was_found_and_what_not() -> None:
     assert "+ 10 % ≥ 12.8 kPa not reached" in text
     assert "+ 5 % 200 Pa ± 20.0 % unresolved 2.00 mm ± 300 µm unresolved 8.00 % ± 0.80 %" in text
     assert "+ 10 % to 400 Pa the reference has no solution beyond" in text
+    assert "+ 20 % 300 Pa unresolved: a finer mesh does not bear it out 10.0 mm 50.0 %" in text
     assert "5 % at a largest principal strain of 8 % ± 0.8 %. 1 of these 1 limits lie below" in text
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 import pytest
@@ -246,11 +246,103 @@ def test_limits_come_before_the_history() -> None:
     case = dataclasses.replace(make_case({"vdm-m": 0.2}, reference="fem"), small_strain=small)
     text = told(make_run([case]))[LOAD]
     assert text.startswith(
-        "vdm-m is 3 % off already at small loads; 5 % more come on top by 40.0 Pa ± 1 % "
-        "(3.00 mm of mean indentation), where it is 8 % off."
+        "vdm-m is 3 % ± 0.1 % off already at small loads; 5 % more come on top by 40.0 Pa ± 1 % "
+        "(3.00 mm of mean indentation), where it is 8 % ± 0.1 % off."
     )
     assert "At no load" not in text
     assert "small-strain reference" not in text, "this reference is of finite strain"
+
+
+@pytest.mark.parametrize(
+    ("limits", "bar", "told"),
+    [
+        (
+            (
+                Limit(0.05, "unresolved", 3.6e3, math.nan, 0.019, 0.8),
+                Limit(0.1, "found", 9e3, 0.2, 0.02, 1.0),
+            ),
+            0.014,
+            "vdm-m is 17 % ± 1.4 % off already at small loads; 5 % more come on top by 3.60 kPa on the case's own "
+            "mesh, which a finer mesh does not bear out: unresolved.",
+        ),
+        (
+            (
+                Limit(0.05, "beyond", 3.6e3, math.nan, 0.019, 3.8),
+                Limit(0.1, "beyond", 3.6e3, math.nan, 0.019, 3.8),
+            ),
+            math.nan,
+            "vdm-m is 17 % off already at small loads; that does not grow by 5 % up to 3.60 kPa, as far as was "
+            "looked.",
+        ),
+        (
+            (Limit(0.05, "model-stopped", 3.6e3, math.nan, 0.019, 3.8),),
+            0.014,
+            "vdm-m is 17 % ± 1.4 % off already at small loads; that does not grow by 5 % up to 3.60 kPa on the "
+            "case's own mesh, where its solver stops.",
+        ),
+        (
+            (Limit(0.05, "found", 3.6e3, 0.2, 0.019, 0.5, 0.1, 0.1),),
+            0.014,
+            "vdm-m is 17 % ± 1.4 % off already at small loads; 5 % more come on top by 3.60 kPa ± 20 % (19.0 mm ± "
+            "1.90 mm of mean indentation), where it is 22 % ± 1.4 % off.",
+        ),
+    ],
+)
+def test_a_sentence_on_limits_has_the_numbers_of_one_mesh(
+    limits: tuple[Limit, ...], bar: float, told: str
+) -> None:
+    assert limits_of([("vdm-m", ModelLimits(0.17, bar, limits))]).startswith(told)
+
+
+def test_limits_of_several_cases_are_a_range_with_bars() -> None:
+    def limit(state: str, load: float) -> ModelLimits:
+        bar = 0.1 if state == "found" else math.nan
+        return ModelLimits(load / 1e4, 0.01, (Limit(0.05, state, load, bar, 0.02, 0.5),))
+
+    entries = [("vdm-m", limit("found", load)) for load in (2e3, 1e3)] + [("vdm-m", limit("beyond", 4e3))]
+    assert limits_of(entries).startswith(
+        "vdm-m is 10 % ± 1 % to 40 % ± 1 % off already at small loads; 5 % more come on top by 1.00 kPa ± 10 % to "
+        "2.00 kPa ± 10 % in 2 of 3 cases; that does not grow by 5 % up to 4.00 kPa in 1 of 3 cases on the "
+        "case's own mesh, as far as was looked."
+    )
+
+
+@pytest.mark.parametrize(
+    ("states", "told"),
+    [
+        (("found", "found"), "All of these lie above the paper's bound of 10 % strain."),
+        (
+            ("found", "unresolved"),
+            "5 % at a largest principal strain of 12 %. All of these lie above the paper's bound of 10 % strain "
+            "and a finer mesh does not bear out 1 more, unresolved.",
+        ),
+        (
+            ("unresolved", "unresolved"),
+            "Where small-strain theory (fem-linear) departs from finite strain is unresolved: a finer mesh does "
+            "not bear it out.",
+        ),
+    ],
+)
+def test_a_limit_of_small_strain_that_is_denied_is_not_held_against_the_paper(
+    states: tuple[str, str], told: str
+) -> None:
+    own = ModelLimits(0.17, 0.01, (Limit(0.05, "beyond", 3e3, math.nan, 0.02, 3.8),))
+    entries = [
+        ("fem-linear", ModelLimits(0.0, 0.0, (Limit(0.05, state, 1e3, math.nan, 0.01, 0.12),)))
+        for state in states
+    ]
+    assert told in limits_of(entries, focus=own)
+
+
+def limits_of(entries: Sequence[tuple[str, ModelLimits]], focus: ModelLimits | None = None) -> str:
+    """What is told of a run of one case for each entry, in which vdm-m is looked at closely."""
+    cases = []
+    for k, (model, entry) in enumerate(entries):
+        found = {model: entry} if focus is None else {model: entry, "vdm-m": focus}
+        case = make_case({"vdm-m": 0.2, "fem-linear": 0.5}, label=f"k = {k}", swept={"k": k}, reference="fem")
+        small = SmallStrainLimits("constraints.finger.pressure", "Pa", found)
+        cases.append(dataclasses.replace(case, small_strain=small))
+    return told(make_run(cases))[LOAD]
 
 
 def test_parameters_that_a_formulation_does_not_read_are_not_told() -> None:

@@ -130,6 +130,27 @@ def test_the_references_own_figures_are_judged_by_all_levels(scene: Scene) -> No
     assert np.isnan(reference_bar(error, "volume_drift")), "it is no bar of another model's drift"
 
 
+def test_the_indentation_force_under_a_weight_has_a_bar_where_a_step_has_no_load(scene: Scene) -> None:
+    """By hand: it sags by s without load, which a step without load tells, and is level h softer by 1 + h^2."""
+    surface = surface_of(scene).under(scene.contact, scene.contact_force, weighs=True)
+    coarse = models.run_model(scene, "fem-linear")
+    push = coarse.displacement[-1:]
+
+    def level(h: float, factors: np.ndarray) -> ModelResult:
+        steps = (0.5 + (1.0 + h**2) * factors)[:, None, None] * push
+        force = np.repeat(coarse.reaction_force[-1:], len(factors), axis=0)
+        volume = np.full(len(factors), surface.volume)
+        return dataclasses.replace(coarse, displacement=steps, reaction_force=force, volume=volume)
+
+    for factors in (np.array([0.5, 0.0, 1.0]), np.array([0.5, 1.0])):
+        error = own_error(surface, [level(h, factors) for h in (0.1, 0.2)], factors)
+        sizes = 0.5 + (1.0 + np.array([0.1, 0.2]) ** 2)
+        needed = (sizes[0] - 0.5) / (sizes[1] - 0.5) - 1.0
+        assert_allclose(reference_bar(error, VECTOR), np.diff(sizes)[0] / sizes[0], rtol=1e-9, atol=0)
+        expected = abs(needed) if 0.0 in factors else np.nan  # of order 2: the bar is the difference
+        assert_allclose(reference_bar(error, "indentation_force_error"), expected, rtol=1e-9, atol=0)
+
+
 def test_a_restricted_level_keeps_its_forces_and_steps(scene: Scene) -> None:
     coarse, finest = levels_of(STUDY, scene, "fem-linear", 2)
     assert finest.displacement.shape == coarse.displacement.shape == (2, len(scene.fixed), 3)
