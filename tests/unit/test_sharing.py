@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 import dataclasses
 import math
+import re
 from collections import Counter
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -212,6 +213,52 @@ def test_elements_of_any_place_have_the_numbers_of_each_case_alone(
             for field in ("displacement", "reaction_force", "energy", "volume"):
                 a, b = getattr(result, field), getattr(alone.models[name], field)
                 assert_allclose(a, b, rtol=0, atol=tolerance * np.abs(b).max(), err_msg=f"{name} {field}")
+
+
+def _sums_documented() -> dict[str, tuple[float, float]]:
+    """Solver -> bounds of results and of metrics, from the table of results/FORMAT.md."""
+    text = (Path(__file__).parents[2] / "results" / "FORMAT.md").read_text()
+    rows = re.findall(
+        r"^\| (direct|iterative) \| (\S+) \(\S+\) \| (\S+) \(\S+\) \|$", text, flags=re.MULTILINE
+    )
+    return {solver: (float(results), float(metrics)) for solver, results, metrics in rows}
+
+
+@pytest.mark.parametrize(
+    ("solver", "nu"), [("direct", 0.49), ("direct", 0.4999), ("iterative", 0.3), ("iterative", 0.4999)]
+)
+def test_sums_of_loads_agree_with_each_case_alone_as_documented(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, solver: str, nu: float
+) -> None:
+    choose = fem_reference.linear.choose_solver
+    monkeypatch.setattr(
+        fem_reference.linear, "choose_solver", lambda system, _, *more: choose(system, solver, *more)
+    )
+    models = ["vdm-vector", "fem-linear", *(["fem-p2"] if solver == "direct" else [])]
+    study = {
+        "study": TABLES["study"] | {"models": models},
+        "tissue": TABLES["tissue"] | {"poisson_ratio": nu},
+    }
+    sweep = {"constraints.tool.displacement.0": [-0.001, 0.002], "constraints.finger.force": [0.1, -0.3]}
+    changes = MOVED | study | {"sweep": sweep}
+    plan = plan_of(tmp_path / "together", tmp_path, **changes)
+    of_results, of_metrics = _sums_documented()[solver]
+    refined = [part for part in counted.work_of(plan, plan.cases) if part.level]
+    assert sum(part.solves for part in refined) < sum(part.steps for part in refined) / 2, "sums"
+    for case, planned in zip(run(plan), plan.cases, strict=True):
+        task = task_of(planned, plan_of(tmp_path / "alone", tmp_path, **changes), fresh=True)
+        run_case(task)
+        alone = read_case(Path(task["path"]))
+        for name, result in alone.models.items():
+            assert name == "vdm-vector" or result.parameters["solver"] == solver
+            for field in ("displacement", "reaction_force", "energy", "fluid_pressure", "volume"):
+                a, b = getattr(case.models[name], field), getattr(result, field)
+                assert_allclose(a, b, rtol=0, atol=of_results * np.abs(b).max(), err_msg=f"{name} {field}")
+        for name, series in alone.metrics.items():
+            for metric, entry in series.items():
+                values = case.metrics[name][metric].values
+                apart = of_metrics * (1.0 if entry.unit == "1" else np.nanmax(np.abs(entry.values)))
+                assert_allclose(values, entry.values, rtol=0, atol=apart, err_msg=f"{name} {metric}")
 
 
 @pytest.mark.parametrize("displacements", [[-0.001, -0.002], [-0.001, 0.0]])
