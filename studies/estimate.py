@@ -99,7 +99,7 @@ def estimate(plan: Plan, cases: Sequence[PlannedCase], jobs: int = 1) -> Estimat
         seconds += part.setups * cost.setup + part.solves * cost.step
         dearest = max(dearest, cost.setup + cost.step)
         # what the cases of a group share is held until the group is done
-        held[part.worker] += cost.bytes
+        held[part.worker] += part.held * cost.bytes
     searches = [_search(case, sizes[case.mesh]) for case in cases]
     seconds += sum(search.seconds for search in searches)
     # by then what the models' own solves took is free again

@@ -84,6 +84,17 @@ def next_uses(keys: Sequence[str]) -> list[int | None]:
     return found
 
 
+def most_at_once(uses: Sequence[int | None]) -> int:
+    """How many set-ups are there at the same time, at most, where `next_uses` says which are kept."""
+    found = set(uses)
+    there = most = 0
+    for place, following in enumerate(uses):
+        there += place not in found
+        most = max(most, there)
+        there -= following is None
+    return most
+
+
 @contextmanager
 def watched() -> Iterator[list[Setup]]:
     """The set-ups that are asked for inside."""

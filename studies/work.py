@@ -10,7 +10,7 @@ import numpy as np
 from . import models
 from .keys import has_weight, is_at_rest, loads_of
 from .plan import Plan, PlannedCase
-from .setups import next_uses
+from .setups import most_at_once, next_uses
 from .study_file.schema import Study
 
 
@@ -24,6 +24,7 @@ class ModelWork:
     worker : which of the groups that run apart, each with set-ups of its own
     level : 0 on the cases' own mesh, 1 on its first refinement and so on
     setups : operators and factors made
+    held : of these the most that are kept at the same time
     steps : load steps asked for
     solves : load steps solved; the others are combinations of them, or repeat one
     """
@@ -33,6 +34,7 @@ class ModelWork:
     worker: int
     level: int
     setups: int
+    held: int
     steps: int
     solves: int
 
@@ -75,18 +77,15 @@ def _levels_to_solve(plan: Plan, case: PlannedCase, name: str, ended: Set[str]) 
 def _work(name: str, worker: int, level: int, cases: Sequence[PlannedCase]) -> ModelWork:
     model = models.find(name)[0]
     steps = sum(len(case.study.load.history) for case in cases)
-    solves = steps
+    setups, held, solves = len(cases), 1, steps
     if model.together:
-        solves = independent_loads(case.study for case in cases)
-    if model.together:
-        setups = 1
-    elif model.volumetric and model.name != "fem-condensed":
-        setups = len(cases)
-    else:
-        setups = next_uses([case.setups[name] for case in cases]).count(None)
+        setups, solves = 1, independent_loads(case.study for case in cases)
+    elif not model.volumetric or model.name == "fem-condensed":
+        uses = next_uses([case.setups[name] for case in cases])
+        setups, held = uses.count(None), most_at_once(uses)
     if models.scales(name):
         solves = _solves_but_for_multiples(name, cases)
-    return ModelWork(name, cases[0].mesh, worker, level, setups, steps, solves)
+    return ModelWork(name, cases[0].mesh, worker, level, setups, held, steps, solves)
 
 
 def _solves_but_for_multiples(name: str, cases: Sequence[PlannedCase]) -> int:

@@ -237,6 +237,14 @@ def test_workers_at_once_know_nothing_of_each_other(tmp_path: Path, cache: Path)
         assert setups(planned(plan, jobs)) == dict.fromkeys(VDM, count), jobs
 
 
+def test_memory_is_expected_for_what_waits(tmp_path: Path) -> None:
+    """The dense set-ups stand together, those of a datum wait for each other across them."""
+    tables = {"constraints": [BASE, FINGER, TOOL], "environment": {"pressure": 0.0}}
+    plan = plan_of(tmp_path, tmp_path, **(CONDENSED | tables), sweep=MOTIONS | FORCES | DATUMS)
+    held = {part.name: part.held for part in work_of(plan, plan.cases_to_run())}
+    assert held == {"vdm-paper": 2, "vdm-vector": 2, "fem-condensed": 1, "fem-linear": 1}
+
+
 def test_cases_that_are_done_serve_those_to_come(
     tmp_path: Path, cache: Path, made: Counter[tuple[str, str]]
 ) -> None:

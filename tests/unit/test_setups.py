@@ -11,6 +11,7 @@ from studies.meshing.mesh import Mesh
 from studies.setups import (
     MOST_WAITING,
     content_key,
+    most_at_once,
     needed_again,
     next_turn,
     next_uses,
@@ -86,7 +87,10 @@ def test_what_is_needed_again_is_kept_until_then() -> None:
 
 def test_next_uses_are_of_the_set_ups_that_were_used_last() -> None:
     assert next_uses("aabab") == [1, 3, 4, None, None]
+    assert most_at_once(next_uses("aabab")) == 2
+    assert most_at_once(next_uses("aabbc")) == 1
     ring = [f"{k}" for k in range(MOST_WAITING)]
+    assert most_at_once(next_uses(ring * 2)) == MOST_WAITING
     assert next_uses(ring * 2) == [*range(MOST_WAITING, 2 * MOST_WAITING), *[None] * MOST_WAITING]
     ring.append("one more")
     assert next_uses(ring * 2) == [None] * 2 * len(ring)
