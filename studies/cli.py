@@ -10,29 +10,43 @@ from collections.abc import Sequence
 
 # made between two looks for garbage, which take a quarter of the time of imports if frequent
 _OBJECTS = 200_000
-_SOON = 1e-3  # s
+_AGAIN = 0.2  # s between two looks whether an interrupt was dropped
 
 
 class _Interrupt:
     """What Ctrl-C and SIGTERM do: stop the verb, and nothing once it has stopped.
 
-    What falls into an import can come out as another error, as that of a library or a file that cannot be loaded.
+    What falls into an import can come out as another error, as that of a library or a file that cannot be loaded,
+    or be dropped, by Python's own callbacks or by a library: until the verb has stopped it comes again.
     """
 
     def __init__(self) -> None:
         self.received = self.stopped = False
 
-    def __call__(self, *_: object) -> None:
-        if not self.stopped:
-            self.received = True
-            raise KeyboardInterrupt
+    def __call__(self, number: int, _: object) -> None:
+        if self.stopped or (number == signal.SIGALRM and _is_on_its_way()):
+            return
+        self.received = True
+        signal.setitimer(signal.ITIMER_REAL, _AGAIN, _AGAIN)
+        raise KeyboardInterrupt
 
-    def lost(self, error: sys.UnraisableHookArgs) -> None:
-        """Where Python has to drop it, as in a callback of its own while it imports, it comes once more."""
-        if error.exc_type is KeyboardInterrupt:
-            signal.setitimer(signal.ITIMER_REAL, _SOON)
-        else:
-            sys.__unraisablehook__(error)
+    def stop(self) -> None:
+        """The verb has stopped."""
+        self.stopped = True
+        signal.setitimer(signal.ITIMER_REAL, 0.0)
+
+
+def _is_on_its_way() -> bool:
+    """Whether something is tidied up because of an interrupt."""
+    error = sys.exception()
+    while error is not None and not isinstance(error, KeyboardInterrupt):
+        error = error.__context__
+    return error is not None
+
+
+def _dropped(error: sys.UnraisableHookArgs) -> None:
+    if error.exc_type is not KeyboardInterrupt:
+        sys.__unraisablehook__(error)
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -42,7 +56,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         signal.signal(signal.SIGINT, interrupt)
     for number in (signal.SIGTERM, signal.SIGALRM):
         signal.signal(number, interrupt)
-    sys.unraisablehook = interrupt.lost
+    sys.unraisablehook = _dropped
     gc.set_threshold(_OBJECTS)
     # which would be looked for in every installed package
     os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")
@@ -53,9 +67,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
         options = parse(arguments)
         code = options.verb(options)
         sys.stdout.flush()
-        interrupt.stopped = True
+        interrupt.stop()
     except (Exception, KeyboardInterrupt) as error:  # noqa: BLE001 -- told, whatever it is
-        interrupt.stopped = True
+        interrupt.stop()
         if interrupt.received or isinstance(error, KeyboardInterrupt):
             code = _complain_of_interrupt(fresh=getattr(options, "fresh", False))
         else:

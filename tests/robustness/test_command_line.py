@@ -531,15 +531,21 @@ def test_ctrl_c_in_an_import(tmp_path: Path, module: str, error: str) -> None:
     [
         # twice, the second time while the command ends
         "atexit.register(signal.raise_signal, signal.SIGINT); signal.raise_signal(signal.SIGINT)",
-        # where Python drops any exception
+        # where Python drops any exception, and where a library does
         "weakref.finalize(type('Some', (), {})(), signal.raise_signal, signal.SIGINT); time.sleep(10)",
+        "with contextlib.suppress(BaseException): signal.raise_signal(signal.SIGINT)\n    time.sleep(10)",
+        # what tidies up is left to do so
+        "try: signal.raise_signal(signal.SIGINT)\n"
+        "    finally:\n"
+        "        time.sleep(0.7)\n"
+        "        print('tidy')",
     ],
 )
 def test_ctrl_c_at_an_awkward_moment(tmp_path: Path, interrupted: str) -> None:
     program = (
-        "import atexit, signal, time, weakref\n"
+        "import atexit, contextlib, signal, time, weakref\n"
         "from studies import cli, cli_study\n"
-        f"def verb(options): {interrupted}\n"
+        f"def verb(options):\n    {interrupted}\n"
         "cli_study.run_verb = verb\n"
         "cli.main(['run', 'small.toml'])"
     )
@@ -553,6 +559,7 @@ def test_ctrl_c_at_an_awkward_moment(tmp_path: Path, interrupted: str) -> None:
     )
     assert result.returncode == 130
     assert len(result.stderr.splitlines()) == 1
+    assert result.stdout == "tidy\n" * ("tidy" in interrupted)
 
 
 def test_output_into_a_closed_pipe(finished: Path) -> None:
