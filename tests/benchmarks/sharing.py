@@ -10,9 +10,10 @@ each of the 100 multiples by itself: its own set-ups and solves on every mesh le
 report.
 
 What is compared is processor time, that of the workers included: what else runs on the machine disturbs it least.
-All studies are run in turn, in several rounds: a ratio is that of the medians, and its range that of the rounds.
-The solve of one load differs from round to round by as much as all further cases take. So what they add is measured
-without it too: one other multiple and 100 others, in studies that find the reference in the cache.
+All studies are run in turn, in several rounds, every other one backwards: a ratio is that of the medians, and its
+range that of the rounds. The solve of one load differs from round to round by as much as all further cases take. So
+what they add is measured without it too: one other multiple and 100 others, in studies that find the reference in
+the cache.
 What cases cannot share is measured too, part by part: the scene, the results' scaling, the metrics, the file that
 each of them leaves and its reading for the report. It grows with the surface, one load grows with the body.
 
@@ -149,8 +150,9 @@ def measure(
     added = []
     for number in range(rounds):
         taken.append({})
-        for place, (study, own) in enumerate(studies.items()):
-            plans[study], taken[-1][study] = _timed(f"{number}-{place}", directory, changes | own)
+        for study in list(studies)[:: -1 if number % 2 else 1]:  # none is always the one after the other
+            name = f"{number}-{list(studies).index(study)}"
+            plans[study], taken[-1][study] = _timed(name, directory, changes | studies[study])
         cached = []
         for few in (others[:1], others):
             own = {"sweep": {"constraints.finger.pressure": few}}
