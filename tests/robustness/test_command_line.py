@@ -493,6 +493,18 @@ def test_ctrl_c_while_libraries_load(tmp_path: Path, moment: float) -> None:
     assert "interrupted" in output
 
 
+def interruptible(program: str, directory: Path) -> subprocess.CompletedProcess[str]:
+    """A Python program that heeds Ctrl-C, run to its end."""
+    return subprocess.run(
+        [sys.executable, "-c", program],
+        cwd=directory,
+        capture_output=True,
+        text=True,
+        check=False,
+        preexec_fn=heed_ctrl_c,
+    )
+
+
 @pytest.mark.parametrize("error", ["KeyboardInterrupt", "SyntaxError", "ImportError"])
 @pytest.mark.parametrize("module", ["argparse", "studies.cli_output", "pydantic", "numpy"])
 def test_ctrl_c_in_an_import(tmp_path: Path, module: str, error: str) -> None:
@@ -512,14 +524,7 @@ def test_ctrl_c_in_an_import(tmp_path: Path, module: str, error: str) -> None:
         "sys.meta_path.insert(0, Importer())\n"
         "main(['check', 'small.toml'])"
     )
-    result = subprocess.run(
-        [sys.executable, "-c", program],
-        cwd=tmp_path,
-        capture_output=True,
-        text=True,
-        check=False,
-        preexec_fn=heed_ctrl_c,
-    )
+    result = interruptible(program, tmp_path)
     assert result.returncode == 130, result.stderr
     assert (
         result.stderr == "vdmbench: interrupted; what is done is kept, the same command goes on from here\n"
@@ -549,14 +554,7 @@ def test_ctrl_c_at_an_awkward_moment(tmp_path: Path, interrupted: str) -> None:
         "cli_study.run_verb = verb\n"
         "cli.main(['run', 'small.toml'])"
     )
-    result = subprocess.run(
-        [sys.executable, "-c", program],
-        cwd=tmp_path,
-        capture_output=True,
-        text=True,
-        check=False,
-        preexec_fn=heed_ctrl_c,
-    )
+    result = interruptible(program, tmp_path)
     assert result.returncode == 130
     assert len(result.stderr.splitlines()) == 1
     assert result.stdout == "tidy\n" * ("tidy" in interrupted)
