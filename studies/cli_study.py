@@ -139,7 +139,7 @@ def run_verb(options: argparse.Namespace) -> int:
 
 def calibrate_verb(options: argparse.Namespace) -> int:
     """Fit the VDM parameters on half of a study's loads; print and write the table for its `[vdm]`."""
-    from .calibration.calibrate import as_json, as_toml, body, calibrate, check, finer_study
+    from .calibration.calibrate import as_json, as_toml, body, calibrate, check, check_fit, finer_study
     from .calibration.calibration_table import table
     from .files import json_text, write_atomically
     from .study_file.problems import StudyError
@@ -147,7 +147,7 @@ def calibrate_verb(options: argparse.Namespace) -> int:
     study, path = _load(options)
     plan = _make_plan(study, options)
     _keep_other_surface(plan, options)
-    check(plan)
+    check_fit(plan)
     elsewhere = []  # read, and found to be of use, before anything is run
     for name in options.transfer:
         there = argparse.Namespace(**vars(options) | {"study": name, "surface": None, "out": None})

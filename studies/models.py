@@ -113,6 +113,13 @@ def most_nodes(name: str) -> int | None:
     return MAX_NODES
 
 
+def moduli_by_rule(name: str) -> tuple[str, ...]:
+    """Which moduli a surface model takes from the tissue where a study does not set them."""
+    from vdm.material import RULED
+
+    return RULED[find(name)[0].name.removeprefix("vdm-")]
+
+
 def knows_fibres(name: str) -> bool:
     """Whether a model solves a body with fibres, or refuses it."""
     from vdm.material import ISOTROPIC

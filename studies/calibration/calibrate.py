@@ -28,6 +28,7 @@ from .fit import (
     samples_of,
     split,
     surface_models,
+    to_fit,
 )
 
 FINER = 0.75  # mesh size of the second mesh over that of the study
@@ -78,6 +79,14 @@ def check(plan: Plan) -> None:
     count_of_training(len(loads_of(plan)), _training(study))
 
 
+def check_fit(plan: Plan) -> None:
+    """Raise CalibrationError where `check` does, or where the study leaves a surface model nothing to fit."""
+    check(plan)
+    study = plan.cases[0].study  # which has what is swept, as all cases have
+    for name in surface_models(study.study.models):
+        to_fit(name, study.vdm_parameters(), study.model_parameters(), _asked(study))
+
+
 def finer_study(plan: Plan) -> tuple[Study | None, str]:
     """The study on a finer mesh; or none, and why."""
     own = [mesh.geometry.path.name for mesh in plan.meshes.values() if mesh.geometry.has_own_tetrahedra]
@@ -85,6 +94,10 @@ def finer_study(plan: Plan) -> tuple[Study | None, str]:
         return None, f"the tetrahedra of {shown(own[0])} are used as they are"
     finer = with_mesh_size(plan.study, FINER)
     return finer, "" if finer is not None else "the study sweeps geometry.mesh_size"
+
+
+def _asked(study: Study) -> tuple[str, ...] | None:
+    return study.calibration.parameters if study.calibration is not None else None
 
 
 def _training(study: Study) -> int | None:
@@ -102,7 +115,6 @@ def body(plan: Plan, run: Run, finer: tuple[Plan, Run] | None = None, no_finer: 
     check(plan)
     study, count, loads = plan.study, _training(plan.study), len(loads_of(plan))
     models = surface_models(study.study.models)
-    asked = study.calibration.parameters if study.calibration is not None else None
     training, held_out = split(samples_of(plan, run), loads, count)
     there: tuple[list[Sample], list[Sample]] = [], []
     if finer is not None:
@@ -116,7 +128,7 @@ def body(plan: Plan, run: Run, finer: tuple[Plan, Run] | None = None, no_finer: 
     return Body(
         name,
         tuple(models),
-        asked,
+        _asked(study),
         tuple(training),
         tuple(held_out),
         tuple(there[0]),

@@ -161,13 +161,42 @@ def surface_models(names: Sequence[str]) -> list[str]:
     return list(filter(is_vdm, names))
 
 
+def to_fit(
+    name: str,
+    parameters: Mapping[str, object],
+    overrides: Mapping[str, Mapping[str, object]],
+    asked: Sequence[str] | None,
+) -> tuple[str, ...]:
+    """Which parameters of a model are fitted.
+
+    Parameters
+    ----------
+    parameters, overrides : what the study sets, for all models and for single ones by their full name
+    asked : parameters to fit, of which the model takes those that it reads; by default those that its rule sets
+        and the study leaves to it
+
+    Raises
+    ------
+    CalibrationError
+        none.
+    """
+    if asked is not None:
+        names, why = [key for key in asked if key in reads(name)], f"it reads none of {', '.join(asked)}"
+    else:
+        given = {*parameters, *overrides.get(name, {})}
+        names = [key for key in models.moduli_by_rule(name) if key not in given]
+        why = "the study sets all of them"
+    if not names:
+        raise CalibrationError(f"{name} has no parameter left to fit: {why}")
+    return tuple(names)
+
+
 class Trial:
     """One model on one body: which of its parameters are fitted, and what their rule gives on each load's scene.
 
     Parameters
     ----------
-    asked : parameters to fit, of which the model takes those that it reads; by default those that its rule sets
-        and the study leaves to it
+    asked : parameters to fit, see `to_fit`
 
     Raises
     ------
@@ -179,20 +208,7 @@ class Trial:
         self.name = name
         self.samples = tuple(samples)
         first = samples[0].scene
-        given = {**first.parameters, **first.overrides.get(name, {})}
-        known = {
-            key: value
-            for key, value in self._run(samples[0], {}).parameters.items()
-            if key in MODULI and isinstance(value, float)
-        }
-        if asked is None:
-            names = [key for key in known if key not in given]
-        else:
-            names = [key for key in asked if key in reads(name)]
-        if not names:
-            why = "the study sets all of them" if asked is None else f"it reads none of {', '.join(asked)}"
-            raise CalibrationError(f"{name} has no parameter left to fit: {why}")
-        self.names = names
+        self.names = to_fit(name, first.parameters, first.overrides, asked)
         self._rules = [self._rule(sample) for sample in samples]
 
     def values(self, multiples: Array) -> dict[str, float]:
