@@ -200,7 +200,7 @@ def _fem_p2(scene: Scene, solver: str, name: str) -> FemSolution:  # noqa: ARG00
     return _fem_small_strain([scene], "fem-p2")[0]
 
 
-@_model("fem-condensed", version="2", volumetric=True)
+@_model("fem-condensed", version="3", volumetric=True)
 def _fem_condensed(scene: Scene, solver: str, name: str) -> FemSolution:  # noqa: ARG001
     return _condensed_problem(scene).solve(_fem_loads(scene), _asked(scene))
 

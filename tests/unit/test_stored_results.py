@@ -16,7 +16,7 @@ from studies.proportional import Answer
 from studies.result_cache import read_reference, reference_path, write_reference
 
 from .example_case import model_result
-from .test_sharing import ALONE, plan_of, run
+from .test_sharing import ALONE, TABLES, plan_of, run
 from .test_store import assert_same
 
 
@@ -75,3 +75,24 @@ def test_what_failed_is_no_answer_to_the_next_load(tmp_path: Path, monkeypatch: 
     assert {status.code for status in failed.status} == {"diverged"}
     assert {status.code for status in solved.status} == {"converged"}
     assert_allclose(solved.displacement, 3.0 / 7.0 * failed.displacement, rtol=1e-9, atol=1e-15)
+
+
+def test_a_body_at_rest_that_an_earlier_version_refused_is_solved(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Condensed elements did, up to version 2: a case file of theirs is no result of today's."""
+
+    def refusing(scene: Any, solver: str, name: str) -> Any:  # noqa: ARG001
+        raise ValueError("contact has no whole facet")
+
+    names = {"study": {"name": "test", "models": ["fem-condensed"]}, "uncertainty": None, "sweep": {}}
+    changes = names | {"constraints": TABLES["constraints"][:1]}
+    today = worker.models.MODELS["fem-condensed"]
+    earlier = dataclasses.replace(today, version="2", solve=refusing)
+    with monkeypatch.context() as patched:
+        patched.setitem(worker.models.MODELS, "fem-condensed", earlier)
+        (case,) = run(plan_of(tmp_path, tmp_path / "cache", **changes))
+    assert {status.code for status in case.models["fem-condensed"].status} == {worker.models.REFUSED}
+    (case,) = run(plan_of(tmp_path, tmp_path / "cache", **changes))
+    assert {status.code for status in case.models["fem-condensed"].status} == {"converged"}
+    assert not case.models["fem-condensed"].displacement.any()
