@@ -86,29 +86,23 @@ def _complain_of_interrupt(*, fresh: bool) -> int:
 
 
 def _complain_of(error: BaseException) -> int:
-    """One line per problem and the exit code of an error; a ValueError of ours always carries a sentence."""
+    """What is wrong, and the exit code of an error; a ValueError of ours always carries a sentence."""
     from .cli_output import BUG, DAMAGED, MACHINE, OK, USAGE, complain
 
-    if isinstance(error, BrokenPipeError):
-        # the reader has gone: nothing to tell it
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return OK
-    if isinstance(error, ImportError):
-        return complain(f"{error}; see what is missing with: vdmbench doctor", MACHINE)
-    if isinstance(error, FileExistsError):  # where a directory was to be made
-        return complain(f"{error.filename}: is not a directory; remove it, or choose another", MACHINE)
-    if isinstance(error, OSError):
-        name = f"{error.filename}: " if error.filename else ""
-        return complain(f"{name}{error.strerror or error}", MACHINE)
-    if isinstance(error, ValueError):
-        from .hdf5 import StoreError
-        from .study_file.problems import StudyError
+    match error:
+        case BrokenPipeError():  # the reader has gone: nothing to tell it
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+            return OK
+        case ImportError():
+            return complain(f"{error}; see what is missing with: vdmbench doctor", MACHINE)
+        case FileExistsError(filename=name):  # where a directory was to be made
+            return complain(f"{name}: is not a directory; remove it, or choose another", MACHINE)
+        case OSError(filename=name, strerror=words):
+            return complain(f"{name}: {words}" if name else str(words or error), MACHINE)
+        case ValueError():
+            from .hdf5 import StoreError
 
-        if isinstance(error, StudyError):
-            for problem in error.problems:
-                complain(str(problem), USAGE)
-            return USAGE
-        return complain(str(error), DAMAGED if isinstance(error, StoreError) else USAGE)
+            return complain(str(error), DAMAGED if isinstance(error, StoreError) else USAGE)
     import traceback
 
     traceback.print_exception(error)

@@ -163,7 +163,9 @@ def print_json(value: Any) -> int:
 
 
 def complain(text: str, code: int) -> int:
-    print(f"vdmbench: {text}", file=sys.stderr)
+    """Say what is wrong, a problem a line; the exit code is handed on."""
+    for line in text.split("\n"):
+        print(f"vdmbench: {line}", file=sys.stderr)
     return code
 
 

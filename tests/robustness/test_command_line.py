@@ -279,21 +279,6 @@ def test_usage_mistakes(tmp_path: Path, arguments: list[str], words: str) -> Non
     assert not (tmp_path / "results").exists(), "nothing was begun"
 
 
-def test_a_bug_is_told_from_a_regression(tmp_path: Path) -> None:
-    program = (
-        "from studies import cli, cli_results\n"
-        "cli_results.doctor_verb = lambda options: {}['on mine']\n"
-        "cli.main(['doctor'])"
-    )
-    result = subprocess.run(
-        [sys.executable, "-c", program], cwd=tmp_path, capture_output=True, text=True, check=False
-    )
-    assert result.returncode == 70
-    *trace, told = result.stderr.splitlines()
-    assert told == "vdmbench: this is a bug: KeyError('on mine'); please report it with the lines above"
-    assert trace[0].startswith("Traceback")
-
-
 @pytest.mark.parametrize(
     ("option", "words"), [([], "goes on from here"), (["--fresh"], "begins again (--fresh)")]
 )
