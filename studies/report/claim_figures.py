@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+
+import numpy as np
 
 from .blocks import Figure
-from .digest import Digest
+from .digest import Digest, series
 from .formatting import listed, plain, short_percent
 from .plots import Plot, colour, line, log_axis, marker, percent_ticks
 
@@ -47,6 +49,20 @@ def curves(
     told = listed(f"{model} from {show(y[0])} to {show(y[-1])}" for model, _, y in drawable)
     title = f"{y_label[:1].upper()}{y_label[1:]} against {x_label}"
     return (Figure(plot.drawn(f"{title}: {told}."), title),)
+
+
+def histories(digest: Digest, metric: str, models: Iterable[str]) -> list[Line]:
+    """(model, load factors, |values|) of the first case with a load history."""
+    case = next((c for c in digest.cases if len(c.load_factors) > 1), None)
+    if case is None:
+        return []
+    lines: list[Line] = []
+    for model in models:
+        values = series(case, model, metric)
+        if values is not None and np.isfinite(values).any():
+            keep = np.isfinite(values)
+            lines.append((model, case.load_factors[keep].tolist(), np.abs(values[keep]).tolist()))
+    return lines
 
 
 def _drawable(item: Line, *, log_y: bool) -> tuple[str, list[float], list[float]]:

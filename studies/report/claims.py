@@ -7,8 +7,8 @@ stand in the rule's own words, so that a reader can disagree with them.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -16,12 +16,11 @@ from ..case import CaseResult, Limit
 from ..metrics import VECTOR
 from ..model_name import is_linear, is_vdm, split
 from .blocks import Figure
-from .claim_figures import Line, bars, curves
+from .claim_figures import Line, bars, curves, histories
 from .digest import Digest, at_full_load, failed_steps, reference_bar, series
 from .formatting import listed, percent, plain, plural, quantity, short_percent
+from .judgement import FAILS, HOLDS, OPEN, WITHIN_LIMITS, Claim, Judge, Judgement
 from .section_limits import is_measured, strain_in_words, strain_range, strain_side
-
-HOLDS, WITHIN_LIMITS, FAILS, OPEN = "holds", "holds within limits", "fails", "not decided"
 
 EXACT = 1e-10  # relative volume drift that counts as none
 SMALL_DRIFT = 0.05  # of the displaced volume
@@ -33,28 +32,7 @@ FIT = 2.0  # factor within which a displacement is of the right size
 SAME = 1e-6  # difference of two solvers of one system that counts as none
 
 
-@dataclass(frozen=True)
-class Judgement:
-    """What came out of one claim's trial."""
-
-    verdict: str  # one of the four above
-    number: str  # the figure that decides, for a table
-    reason: str  # in a sentence or two
-    figures: tuple[Figure, ...] = ()
-
-
-@dataclass(frozen=True)
-class Claim:
-    """One claim: its number in the paper's order, its words, the rule that it is judged by."""
-
-    number: int
-    text: str
-    rule: str
-    judge: Callable[[Sequence[Digest]], Judgement | None]
-
-
 CLAIMS: dict[int, Claim] = {}
-Judge = Callable[[Sequence[Digest]], Judgement | None]
 
 
 def _claim(number: int, text: str, rule: str) -> Callable[[Judge], Judge]:
@@ -95,7 +73,7 @@ def _volume(digests: Sequence[Digest]) -> Judgement | None:
         return None
     exact = [m for m in drift if split(m)[1] == "nonlinear"]
     others = [m for m in drift if m not in exact]
-    worst = max(drift, key=lambda m: drift[m])
+    worst = _largest(drift)
     if drift[worst] <= EXACT:
         verdict = HOLDS
     elif all(drift[m] <= EXACT for m in exact) and all(displaced[m] <= SMALL_DRIFT for m in others):
@@ -108,13 +86,13 @@ def _volume(digests: Sequence[Digest]) -> Judgement | None:
             f"The nonlinear solver keeps the volume to {plain(max(drift[m] for m in exact), 1)} of itself. "
         )
     if others:
-        most = max(others, key=lambda m: displaced[m])
+        most = _largest({m: displaced[m] for m in others})
         reason += (
             f"The others conserve it to first order only: {most} gains or loses "
             f"{short_percent(displaced[most])} of "
             "the volume that it displaces at the largest load."
         )
-    lines = [line for digest in digests for line in _histories(digest, "volume_drift_of_displaced", drift)]
+    lines = [line for digest in digests for line in histories(digest, "volume_drift_of_displaced", drift)]
     figure = curves(digests[0], lines, "load factor", "|drift| / displaced volume", "claim1", log_y=True)
     return Judgement(
         verdict, f"{percent(displaced[worst])} of the displaced volume ({worst})", reason, figure
@@ -154,7 +132,7 @@ def _linear(digests: Sequence[Digest]) -> Judgement | None:
     )
     figures: tuple[Figure, ...] = ()
     for k, d in enumerate(digests):
-        lines = _histories(d, VECTOR, [m for m in d.compared if is_vdm(m) or m == "fem-linear"])
+        lines = histories(d, VECTOR, [m for m in d.compared if is_vdm(m) or m == "fem-linear"])
         drawn = curves(digests[0], lines, "load factor", "displacement error", f"claim2{k}")
         name = f", {d.run.study.get('name', 'study')}" if len(digests) > 1 else ""
         figures += tuple(replace(figure, title=f"{figure.title}{name}") for figure in drawn)
@@ -388,7 +366,7 @@ def _large_strain(digests: Sequence[Digest]) -> Judgement | None:
     lines: list[Line] = []
     for digest in digests:
         models = [m for m in digest.compared if is_vdm(m) and split(m)[1] == "nonlinear"]
-        lines += _histories(digest, VECTOR, [*models, *(m for m in digest.compared if m == "fem-linear")])
+        lines += histories(digest, VECTOR, [*models, *(m for m in digest.compared if m == "fem-linear")])
         for case in digest.cases:
             for model in models:
                 values = series(case, model, VECTOR)
@@ -453,6 +431,12 @@ def _stability(digests: Sequence[Digest]) -> Judgement | None:
 # --- what the rules share ---
 
 
+def _largest(values: Mapping[str, float]) -> str:
+    """The name of the largest value; of solvers of one system the first, whichever rounding puts on top."""
+    top = max(values.values())
+    return next(name for name, value in values.items() if value >= (1.0 - SAME) * top)
+
+
 def _growth(pair: tuple[float, float]) -> float:
     """From the first number to the second; infinite where one is not known."""
     return math.inf if math.isnan(pair[1] - pair[0]) else pair[1] - pair[0]
@@ -467,20 +451,6 @@ def _own_error(digests: Sequence[Digest]) -> str:
         if math.isfinite(largest)
         else " (bar not measured)"
     )
-
-
-def _histories(digest: Digest, metric: str, models: Iterable[str]) -> list[Line]:
-    """(model, load factors, |values|) of the first case with a load history."""
-    case = next((c for c in digest.cases if len(c.load_factors) > 1), None)
-    if case is None:
-        return []
-    lines: list[Line] = []
-    for model in models:
-        values = series(case, model, metric)
-        if values is not None and np.isfinite(values).any():
-            keep = np.isfinite(values)
-            lines.append((model, case.load_factors[keep].tolist(), np.abs(values[keep]).tolist()))
-    return lines
 
 
 def _contrast(case: CaseResult) -> float:

@@ -11,10 +11,11 @@ import numpy as np
 from ..case import Run
 from ..files import write_atomically
 from .blocks import Answer, Block, Cell, Code, Column, Figures, Section, Table, Text
-from .claims import CLAIMS, FAILS, HOLDS, OPEN, WITHIN_LIMITS, Claim, Judgement, on_trial
+from .claims import CLAIMS, on_trial
 from .digest import Digest
 from .document import encoded, html_document, written
 from .formatting import listed, plural
+from .judgement import FAILS, HOLDS, OPEN, WITHIN_LIMITS, Claim, Judgement
 
 PAPER = "Sundaraj and Laugier (2006)"
 

@@ -6,7 +6,8 @@ import html
 import re
 from xml.etree import ElementTree
 
-from studies.report.claims import CLAIMS, FAILS, HOLDS, WITHIN_LIMITS
+from studies.report.claims import CLAIMS
+from studies.report.judgement import FAILS, HOLDS, WITHIN_LIMITS
 from tests.docs import claims, gallery, marked
 
 

@@ -12,7 +12,7 @@ from subprocess import CompletedProcess
 import numpy as np
 import pytest
 
-from studies.benchmark.bench_data import Bench, Growth
+from studies.benchmark.bench_data import YARDSTICK, Bench, Growth
 from studies.cli_study import bench_verb
 from tests.docs import marked, performance
 from tests.unit.test_bench import CONDENSED, LINEAR, VECTOR
@@ -84,6 +84,37 @@ def test_readme_says_where_its_numbers_come_from() -> None:
     assert (performance.GALLERY / "performance.svg").exists()
     section = marked.shown(performance.README, performance.PART)
     assert re.search(r"\d cores, .*one thread; medians of \d rounds", section)
+
+
+def in_seconds(shown: str) -> float:
+    number, unit = shown.split()
+    return float(number) * {"s": 1.0, "ms": 1e-3, "µs": 1e-6}[unit]
+
+
+def test_readme_s_multiples_are_those_of_its_own_table() -> None:
+    """As `performance.relative` makes them, from rounded times: what is measured is not kept with the sources."""
+    blocks = marked.shown(performance.README, performance.PART).split("\n\n")
+    tables = {tuple(rows[0][:2]): rows for text in blocks if (rows := marked.cells(text))}
+    costs, multiples = tables["body", "model"], tables["model", "set-up"]
+    rows = [dict(zip(costs[0], row, strict=True)) for row in costs[1:]]
+    bodies = dict.fromkeys(row["body"] for row in rows)
+    known = {(row["body"], row["model"]): row for row in rows}
+    assert [row[0] for row in multiples[1:]] == list(performance.COMPARED)
+    for row in multiples[1:]:
+        told = dict(zip(multiples[0], row, strict=True))
+        mine = [known[body, told["model"]] for body in bodies]
+        for cost in ("set-up", "columns", "frame, contact", "frame, all nodes", "re-cut"):
+            if any(entry[cost] == "–" for entry in mine):
+                assert told[cost] == "–"
+                continue
+            found = [
+                in_seconds(entry[cost]) / in_seconds(known[entry["body"], YARDSTICK][cost]) for entry in mine
+            ]
+            shown = [float(number.replace(",", "")) for number in told[cost].split(" to ")]
+            # three digits of either time, two of their ratio
+            np.testing.assert_allclose(shown, [min(found), max(found)], rtol=0.06, atol=0, err_msg=cost)
+        errors = sorted((entry["error"] for entry in mine), key=lambda e: float(e.strip("~").split(" %")[0]))
+        assert told["error"] == f"{errors[0]} to {errors[-1]}"
 
 
 def test_what_was_measured_stays_where_the_section_is_made_from_it_again(

@@ -12,8 +12,9 @@ import numpy as np
 import pytest
 
 from studies.case import CaseResult, Limit, MetricSeries, ModelLimits, Run, SmallStrainLimits
-from studies.report.claims import CLAIMS, FAILS, HOLDS, OPEN, WITHIN_LIMITS, Judgement
+from studies.report.claims import CLAIMS
 from studies.report.claims_page import claims_html, verdict_rows, verdicts, write_claims
+from studies.report.judgement import FAILS, HOLDS, OPEN, WITHIN_LIMITS, Judgement
 from studies.study_file.schema import CLAIMS as HOW_MANY
 from tests.command import SMALL_STUDY, vdmbench
 
@@ -57,6 +58,17 @@ def test_volume(exact: float, linear: float, displaced: float, verdict: str) -> 
         case, "vdm-paper:nonlinear", {"volume_drift": exact, "volume_drift_of_displaced": exact}
     )
     assert judged(1, case).verdict == verdict
+
+
+@pytest.mark.parametrize("rounding", [-1e-13, 0.0, 1e-13])
+def test_of_solvers_of_one_system_the_first_is_named(rounding: float) -> None:
+    names = ("vdm-paper", "vdm-paper:lu", "vdm-consistent")
+    case = make_case(dict.fromkeys(names, 0.1), subdivisions=0)
+    for name, drift in zip(names, (0.1, 0.1 * (1.0 + rounding), 0.09), strict=True):
+        case = with_metric(case, name, {"volume_drift": drift, "volume_drift_of_displaced": 2.0 * drift})
+    outcome = judged(1, case)
+    assert outcome.number == "20.0 % of the displaced volume (vdm-paper)"
+    assert "to first order only: vdm-paper gains" in outcome.reason
 
 
 @pytest.mark.parametrize(
