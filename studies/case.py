@@ -96,7 +96,7 @@ class ModelLimits:
 class SmallStrainLimits:
     """The limits of every model of a case along one load path."""
 
-    along: str  # key of the study that is raised
+    along: str  # key of the load that is raised; "load" where all are, in proportion
     unit: str
     models: Mapping[str, ModelLimits]
 

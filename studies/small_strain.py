@@ -16,7 +16,7 @@ from .meshing.mesh import Array, Mask, Mesh
 from .meshing.refine import inherit, refine
 from .metrics import mean_indentation
 from .scene import Scene, build_scene
-from .study_file.config import raised, value_and_unit
+from .study_file.config import raised, start_of
 from .study_file.schema import Study
 from .surface_measures import Surface, relative_l2
 
@@ -34,7 +34,7 @@ def small_strain_limits(study: Study, scene: Scene) -> SmallStrainLimits:
     if asked is None or reference is None:
         raise ValueError("a search for small-strain limits needs [limits] and a reference")
     names = [name for name in study.study.models if name != reference]
-    start, unit = value_and_unit(study, asked.along)
+    start, unit = start_of(study, asked.along)
     path = LoadPath(_Evaluator(study, asked.along, scene, reference), start)
     found = {name: model_limits(path, name, asked.thresholds) for name in names}
     if study.uncertainty is not None:
@@ -55,7 +55,7 @@ def _refined(scene: Scene) -> Level:
 
 
 class _Evaluator:
-    """Runs the reference of one case at a value of the raised key, on `level` if given, and the other models."""
+    """Runs the reference of one case at a value of the raised load, on `level` if given, and the other models."""
 
     def __init__(
         self,

@@ -9,6 +9,7 @@ from itertools import starmap
 
 from ..case import CaseResult, Limit, ModelLimits
 from ..limits import LARGEST, MOST_STRAIN
+from ..study_file.config import ALL_LOADS
 from ..uncertainty import is_resolved
 from .blocks import Block, Cell, Column, Section, Table, Text
 from .digest import Digest
@@ -41,9 +42,10 @@ def small_strain_limits(digest: Digest) -> Section | None:
     if not rows:
         return None
     along = {case.small_strain.along for case in digest.cases if case.small_strain is not None}
+    raised = listed(map(_raised_in_words, sorted(along)))
     blocks: list[Block] = [Text(sentence) for sentence in limits_in_words(digest)]
     reading = (
-        f"Raised: {listed(sorted(along))}. Structural error: relative L2 displacement error against the "
+        f"Raised: {raised}. Structural error: relative L2 displacement error against the "
         "finite-strain reference in the limit of a small load. Limit: where the error has grown from there by the "
         f"threshold; of {LINEAR} this is the linearisation limit, where small-strain theory departs from finite "
         "strain on the same mesh. Indentation (mean displacement along the contact force, weighted by it) and "
@@ -171,13 +173,18 @@ def _growth(digest: Digest, rows: list[_Row]) -> str:
     return f"{text}, where it is {_with_bar(total, first.entry.structural_bar)} off."
 
 
+def _raised_in_words(along: str) -> str:
+    return "every load, in proportion" if along == ALL_LOADS else along
+
+
 def _loads_in_words(some: list[_Row], asked: int) -> str:
     """The loads of some limits with their bars, from least to most, and of how many of the cases they are."""
     ends = sorted(some, key=lambda row: abs(row.limit.load))
     loads = []
     for row in (ends[0], ends[-1]):
         bar = f" ± {short_percent(row.limit.bar)}" if math.isfinite(row.limit.bar) else ""
-        loads.append(quantity(row.limit.load, row.unit) + bar)
+        times = " times the study's loads" if row.unit == "1" else ""
+        loads.append(f"{quantity(row.limit.load, row.unit)}{times}{bar}")
     return _span(loads) + (f" in {len(some)} of {asked} cases" if len(some) < asked else "")
 
 
@@ -197,7 +204,7 @@ def _table(digest: Digest, rows: list[_Row]) -> Table:
         Column("Model", numeric=False),
         Column("Structural error", unit="1"),
         Column("Growth", unit="1"),
-        Column("Load", unit=rows[0].unit if rows[0].unit != "1" else ""),
+        Column("Load", unit=rows[0].unit) if rows[0].unit != "1" else Column("Times the study's loads"),
         Column("Indentation", unit="m"),
         Column("Largest strain", unit="1"),
     ]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import tomllib
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -15,10 +15,11 @@ from ..meshing.mesh import MeshError
 from ..model_name import FINITE_STRAIN, split
 from .checks import fits_kind, geometry_spec, unknown
 from .kinds import MAX_NAME, is_safe_name
-from .problems import Finding, Problem, Source, StudyError, file_fault
+from .problems import Finding, Loc, Problem, Source, StudyError, file_fault
 from .schema import Constraint, Region, Study, Tissue
-from .sweep import ResolvedCase, check_cases, first_case, read_axes, substituted
+from .sweep import Axis, ResolvedCase, check_cases, first_case, read_axes, substituted
 from .toml_lines import NotToml, TooDeep, key_lines
+from .units import shown
 from .validation import validate
 
 __all__ = [
@@ -38,6 +39,7 @@ __all__ = [
     "resolved",
 ]
 
+ALL_LOADS = "load"  # limits.along: every load of the study, in proportion
 MAX_BYTES = 1_000_000  # of a study file
 
 _NOT_HASHED = {"study", "sweep", "calibration"}
@@ -79,7 +81,7 @@ def load_study(
     findings = [(at_axis.get(loc, loc), text) for loc, text in faults]
     findings += axis_findings
     findings += _check_model_names(data)
-    findings += _check_limits(base, study)
+    findings += _check_limits(base, axes, study)
     findings += _check_held(study)
     swept_well = not axis_findings and not any(loc[:1] == ("sweep",) for loc, _ in findings)
     if axes and swept_well:
@@ -153,9 +155,7 @@ def value_and_unit(study: Study, key: str) -> tuple[float, str]:
     """
     data = _plain(study)
     target = targets(data)[key]
-    value: Any = data
-    for part in target.loc:
-        value = value[part]
+    value = _value_at(data, target.loc)
     if target.si is None or not isinstance(value, float):
         raise KeyError(key)
     return value, target.unit
@@ -172,16 +172,46 @@ def with_mesh_size(study: Study, factor: float) -> Study | None:
     return finer
 
 
-def raised(study: Study, key: str, value: float) -> Study:
-    """The study of one load step with a quantity at another value."""
+def start_of(study: Study, along: str) -> tuple[float, str]:
+    """The load that `limits.along` names, in SI, and its unit: all loads together are once those of the study."""
+    return (1.0, "1") if along == ALL_LOADS else value_and_unit(study, along)
+
+
+def raised(study: Study, along: str, load: float) -> Study:
+    """The study of one load step with the load that `limits.along` names at another value."""
     data = _plain(study)
-    data = substituted(data, targets(data)[key].loc, value)
+    if along == ALL_LOADS:
+        values = {loc: load * value for loc, value in _loads_at_work(data).values()}
+    else:
+        values = {targets(data)[along].loc: load}
+    for loc, value in values.items():
+        data = substituted(data, loc, value)
     return Study.model_validate({**data, "load": {**data["load"], "factors": (1.0,)}})
 
 
 def geometry_of(study: Study) -> GeometrySpec:
     """The study's geometry as the mesher takes it."""
     return geometry_spec(study.geometry)
+
+
+# --- loads ---
+
+
+def _loads(data: Mapping[str, Any]) -> dict[str, Loc]:
+    """Key -> place of every pressure, force, displacement and weight that `data` could have."""
+    return {
+        key: target.loc
+        for key, target in targets(data).items()
+        if target.si is not None
+        and target.loc[0] in ("constraints", "gravity")
+        and fits_kind(data, target.loc)
+    }
+
+
+def _loads_at_work(data: Mapping[str, Any]) -> dict[str, tuple[Loc, float]]:
+    """Key -> place and value of every load in `data`, in SI, that is not zero."""
+    values = {key: (loc, _value_at(data, loc)) for key, loc in _loads(data).items()}
+    return {key: (loc, value) for key, (loc, value) in values.items() if isinstance(value, float) and value}
 
 
 # --- plain data ---
@@ -192,6 +222,13 @@ def _plain(study: Study) -> dict[str, Any]:
     data = study.model_dump(by_alias=True, exclude_none=True)
     for key in ("regions", "models"):
         data[key] = dict(sorted(data[key].items()))
+    return data
+
+
+def _value_at(data: Any, loc: Loc) -> Any:
+    """The value at a place, None where there is none."""
+    for part in loc:
+        data = data[part] if isinstance(part, int) or part in (data or ()) else None
     return data
 
 
@@ -310,28 +347,23 @@ def _check_held(study: Study | None) -> Iterator[Finding]:
         yield ("study", "reference"), text
 
 
-def _check_limits(data: Mapping[str, Any], study: Study | None) -> Iterator[Finding]:
+def _check_limits(data: Mapping[str, Any], axes: Sequence[Axis], study: Study | None) -> Iterator[Finding]:
     """What is wrong with [limits]; `study` is the first case where that is sound."""
     limits = data.get("limits")
     along = limits.get("along") if isinstance(limits, dict) else None
     if not isinstance(along, str):
         return
-    loads = [
-        key
-        for key, target in targets(data).items()
-        if target.si is not None
-        and target.loc[0] in ("constraints", "gravity")
-        and fits_kind(data, target.loc)
-    ]
-    if along not in loads:
-        yield ("limits", "along"), unknown(along, loads, "load")
+    loads = _loads(data)
+    if along != ALL_LOADS and along not in loads:
+        yield ("limits", "along"), unknown(along, [ALL_LOADS, *loads], "load")
     elif study is not None:
-        try:
-            start, _ = value_and_unit(study, along)
-        except (KeyError, IndexError):
-            start = 0.0
-        if start == 0.0:
+        at_work = _loads_at_work(_plain(study))
+        others = [key for key in loads if key in {*at_work, *(axis.key for axis in axes)} - {along}]
+        if not at_work if along == ALL_LOADS else along not in at_work:
             yield ("limits", "along"), "has no value, or is zero; a search needs a load to start from"
+        elif others and along != ALL_LOADS:
+            text = f'{shown(others[0])} is a load too, which would not rise; along = "{ALL_LOADS}" raises all'
+            yield ("limits", "along"), text
         yield from _check_limits_reference(study.study.reference)
 
 

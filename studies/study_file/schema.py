@@ -408,8 +408,9 @@ class Limits(Table):
     """[limits]: search the small-strain limits"""
 
     along: str = Field(
-        description="dotted path of the load to raise, as in a sweep; the search starts at its value and ends at "
-        "64 times it, or at a largest principal strain of 4, a fibre three times as long as at rest"
+        description="dotted path of the load to raise, as in a sweep, where it is the only one; `load` raises all "
+        "in proportion; the search starts at the study's own and ends at 64 times it, or at a largest principal "
+        "strain of 4, a fibre three times as long as at rest"
     )
     thresholds: Annotated[
         tuple[float, ...], SI("1", (0,)), number_check(lambda v: 0 < v < 1, "must lie between 0 and 1")

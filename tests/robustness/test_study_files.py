@@ -44,7 +44,7 @@ BASE: dict[str, Any] = {
         "tissue.poisson_ratio": [0.3, 0.4],
         "constraints.tip.pressure": {"start": 100, "stop": "1 kPa", "num": 3, "scale": "log"},
     },
-    "limits": {"along": "constraints.tip.pressure", "thresholds": [0.05]},
+    "limits": {"along": "load", "thresholds": [0.05]},
     "uncertainty": {"levels": 2},
     "models": {"vdm-paper": {"bulk_modulus": "1 kPa"}},
 }

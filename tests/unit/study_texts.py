@@ -69,7 +69,7 @@ fibre_direction = [1, 0, 0]
 contrast = 3
 
 [limits]
-along = "constraints.tip.pressure"
+along = "load"
 
 [uncertainty]
 levels = 3

@@ -19,6 +19,7 @@ from studies.scene import Scene, build_scene
 from studies.setups import sharing
 from studies.small_strain import small_strain_limits
 from studies.study_file.config import geometry_of, load_study, raised, value_and_unit
+from studies.study_file.problems import StudyError
 from studies.study_file.schema import Study
 from studies.surface_measures import Surface, relative_l2
 
@@ -83,13 +84,21 @@ def found(tmp_path_factory: pytest.TempPathFactory, runs: Runs) -> Found:
         return study, scene, small_strain_limits(study, scene)
 
 
-def grown(study: Study, scene: Scene, name: str, load: float, *, refined: bool) -> tuple[float, float]:
+def grown(
+    study: Study,
+    scene: Scene,
+    name: str,
+    load: float,
+    *,
+    refined: bool,
+    along: str = "constraints.tool.pressure",
+) -> tuple[float, float]:
     """(error of a model against the reference, the reference's strain) at a load, both run anew."""
     mesh, masks = scene.mesh, scene.regions
     if refined:
         mesh, parents = refine(scene.mesh)
         masks = {region: inherit(mask, scene.mesh, parents) for region, mask in scene.regions.items()}
-    higher = raised(study, "constraints.tool.pressure", load)
+    higher = raised(study, along, load)
     own, inside = build_scene(higher, scene.mesh, scene.regions), build_scene(higher, mesh, masks)
     surface = Surface(scene.mesh.surface_points, scene.mesh.triangles)
     reference = models.run_model(inside, "fem")
@@ -184,6 +193,85 @@ def test_linear_elements_have_no_structural_error_and_a_surface_model_has(found:
     assert small.load < large.load
     assert small.indentation < large.indentation
     assert small.strain < large.strain
+
+
+SIDE = """
+[regions.side]
+all = [{ above = { axis = "x", value = "30 mm" } }, { above = { axis = "z", value = "0 mm" } }]
+[gravity]
+acceleration = [0, 0, -4]
+[[constraints]]
+kind = "constrained"
+region = "side"
+displacement = ["-1 mm", 0, "0.5 mm"]
+"""
+
+
+def limits_along(directory: Path, along: str, more: str = "") -> tuple[Study, Scene, SmallStrainLimits]:
+    head, limits = STUDY.split("[uncertainty]")[0].split("[limits]")
+    path = directory / "study.toml"
+    path.write_text(head.replace("[regions]", "density = 1000\n[regions]") + f"{more}[limits]{limits}")
+    path.write_text(path.read_text().replace("constraints.tool.pressure", along))
+    study = load_study(path)
+    scene = build_scene(study, mesh_from_cache(geometry_of(study), directory / "cache", volume=True))
+    with sharing():
+        return study, scene, small_strain_limits(study, scene)
+
+
+def test_loads_are_raised_together(tmp_path: Path) -> None:
+    """A contact, a movement and a weight: small loads are small, and the limit is a multiple of all of them."""
+    study, scene, limits = limits_along(tmp_path, "load", SIDE)
+    higher = raised(study, "load", 2.0)
+    assert limits.unit == "1"
+    assert higher.gravity is not None
+    assert higher.gravity.acceleration == (0.0, 0.0, -8.0)
+    assert [(part.pressure, part.displacement) for part in higher.constraints or ()] == [
+        (None, None),
+        (600.0, None),
+        (None, (-0.002, 0.0, 0.001)),
+    ]
+    assert limits.models["fem-linear"].structural_error < 1e-3
+    for name, entry in limits.models.items():
+        for limit in entry.limits:
+            assert limit.state == "found"
+            error, strain = grown(study, scene, name, limit.load, refined=False, along="load")
+            assert_allclose(error - entry.structural_error, limit.threshold, rtol=0.021, atol=0)
+            assert_allclose(limit.strain, strain, rtol=1e-6, atol=0)
+
+
+@pytest.mark.parametrize(
+    ("more", "other"),
+    [
+        (SIDE, "constraints.side.displacement.0"),
+        ("[gravity]\nacceleration = [0, 0, -4]\n", "gravity.acceleration.2"),
+        (
+            "[gravity]\nacceleration = [0, 0, 0]\n[sweep]\n'gravity.acceleration.2' = [0, -4]\n",
+            "gravity.acceleration.2",
+        ),
+    ],
+)
+def test_a_load_that_stays_as_it_is_is_refused(tmp_path: Path, more: str, other: str) -> None:
+    """It would be at full size where the structural error is that of small loads."""
+    with pytest.raises(StudyError) as refused:
+        limits_along(tmp_path, "constraints.tool.pressure", more)
+    (problem,) = refused.value.problems
+    assert problem.key == "limits.along"
+    assert problem.message == f'"{other}" is a load too, which would not rise; along = "load" raises all'
+
+
+def test_a_single_load_has_the_limits_of_all_loads_together(tmp_path: Path) -> None:
+    _, _, one = limits_along(tmp_path, "constraints.tool.pressure")
+    _, _, all_loads = limits_along(tmp_path, "load")
+    for name, entry in one.models.items():
+        assert_allclose(
+            all_loads.models[name].structural_error, entry.structural_error, rtol=1e-9, atol=1e-12
+        )
+        for got, wanted in zip(all_loads.models[name].limits, entry.limits, strict=True):
+            assert got.state == wanted.state == "found"
+            assert_allclose(got.load * 300.0, wanted.load, rtol=1e-9, atol=0)
+            assert_allclose(
+                [got.indentation, got.strain], [wanted.indentation, wanted.strain], rtol=1e-7, atol=0
+            )
 
 
 def test_the_reference_gives_the_limits_their_bars(found: Found) -> None:
