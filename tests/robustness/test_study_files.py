@@ -81,7 +81,7 @@ FURTHER: dict[str, dict[str, Any]] = {  # bases with the tables that exclude eac
             "anisotropy.fibre_direction.1": [0, 1],
         },
         "load": {"factors": [1], "steps": 2},
-        "limits": {"along": "constraints.tip.pressure", "thresholds": [0.05, 0.1]},
+        "limits": {"along": "load", "thresholds": [0.05, 0.1]},
     },
 }
 
