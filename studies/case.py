@@ -97,7 +97,7 @@ class SmallStrainLimits:
     """The limits of every model of a case along one load path."""
 
     along: str  # key of the load that is raised; "load" where all are, in proportion
-    unit: str
+    unit: str  # of its value; "1" where all are
     models: Mapping[str, ModelLimits]
 
 

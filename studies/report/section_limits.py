@@ -9,7 +9,6 @@ from itertools import starmap
 
 from ..case import CaseResult, Limit, ModelLimits
 from ..limits import LARGEST, MOST_STRAIN
-from ..study_file.config import ALL_LOADS
 from ..uncertainty import is_resolved
 from .blocks import Block, Cell, Column, Section, Table, Text
 from .digest import Digest
@@ -41,8 +40,8 @@ def small_strain_limits(digest: Digest) -> Section | None:
     rows = list(_rows(digest.cases))
     if not rows:
         return None
-    along = {case.small_strain.along for case in digest.cases if case.small_strain is not None}
-    raised = listed(map(_raised_in_words, sorted(along)))
+    found = [case.small_strain for case in digest.cases if case.small_strain is not None]
+    raised = listed(sorted({"every load, in proportion" if one.unit == "1" else one.along for one in found}))
     blocks: list[Block] = [Text(sentence) for sentence in limits_in_words(digest)]
     reading = (
         f"Raised: {raised}. Structural error: relative L2 displacement error against the "
@@ -171,10 +170,6 @@ def _growth(digest: Digest, rows: list[_Row]) -> str:
         text += " of mean indentation)"
     total = first.entry.structural_error + threshold
     return f"{text}, where it is {_with_bar(total, first.entry.structural_bar)} off."
-
-
-def _raised_in_words(along: str) -> str:
-    return "every load, in proportion" if along == ALL_LOADS else along
 
 
 def _loads_in_words(some: list[_Row], asked: int) -> str:
