@@ -70,6 +70,7 @@ def _parser() -> argparse.ArgumentParser:
     for sub in (plan, run):
         directory(sub)
         jobs(sub)
+        sub.add_argument("--fresh", action="store_true", help="run every case again")
     run.add_argument(
         "--shard",
         type=_shard,
@@ -87,7 +88,6 @@ def _parser() -> argparse.ArgumentParser:
         action="store_true",
         help="allow a scheduler on another machine without TLS: whoever reaches its network can run programs",
     )
-    run.add_argument("--fresh", action="store_true", help="run every case again")
     run.add_argument("--fail-fast", action="store_true", help="stop at the first failure")
     run.add_argument("--timeout", type=_positive_seconds, metavar="S", help="seconds that one case may take")
     run.add_argument(

@@ -126,11 +126,10 @@ def run_verb(options: argparse.Namespace) -> int:
         timeout=options.timeout,
         memory=options.memory,
         fail_fast=options.fail_fast,
-        fresh=options.fresh,
         scheduler=options.scheduler,
         insecure_scheduler=options.insecure_scheduler,
     )
-    cases = plan.cases_to_run(how.shard, fresh=how.fresh)
+    cases = plan.cases_to_run(how.shard)
     total = len(cases) + len(plan.missing_meshes(cases))
     with Progress(total, study.study.name, quiet=options.json) as progress:
         run, report = run_plan(plan, path.read_text(), how, progress.show)
@@ -254,7 +253,9 @@ def _make_plan(
     if directory is None:
         directory = results_directory() / "runs" / study.study.name
     cache = results_directory() / "cache"
-    return make_plan(study, expand(study), directory, cache, command or _command("run", options))
+    command = command or _command("run", options)
+    fresh = vars(options).get("fresh", False)
+    return make_plan(study, expand(study), directory, cache, command, fresh=fresh)
 
 
 def _keep_other_surface(plan: Plan, options: argparse.Namespace) -> None:

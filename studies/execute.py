@@ -4,14 +4,18 @@ A failure is an error, a crash, a timeout or a kill for want of memory. Workers 
 that has the slow imports done (`studies.server`); each gets its share of the cores for the sparse factors, and
 one thread for dense algebra, whose threads would spin between small products. A worker does the tasks of one
 group after the other and answers after each. Where it dies, the tasks that it had finished stay finished, the one
-that it was at is tried once more alone, and the rest goes to a new worker; where it dies of what they share, each
-half does.
+that it was at is tried once more alone, and the rest goes to a new worker; where it dies of what some share, each
+half of these does.
+
+Tasks are plain JSON with an "id"; those of a group that follow each other with the same "setup" share what is done
+before the first of them. Where a worker has died, they have `AGAIN`.
 """
 
 from __future__ import annotations
 
 import contextlib
 import fcntl
+import itertools
 import json
 import multiprocessing
 import os
@@ -36,6 +40,8 @@ from .server import CONTEXT, start_server
 
 Task = Mapping[str, Any]
 Group = Sequence[Task]
+Together = Callable[[Group], AbstractContextManager[Callable[[Task], None]]]
+AGAIN = "again"  # in a task that another worker was given before
 LOG = ".log"  # ends the hidden names of workers' logs
 _MORE_MEMORY = "use a coarser mesh, fewer --jobs, or allow more with --memory"
 # what C++, Rust, the system and its loader of libraries say where memory runs out
@@ -78,19 +84,22 @@ class _Running:
     log: Path
     since: float  # of the stretch of work that it is at
     shared: bool  # whether it was given more than one task
-    begun: bool = False  # False: still at what its tasks share
+    announced: Task  # the latest that was
+    begun: bool = False  # False: still at what the next tasks share
 
     @property
     def share(self) -> int:
         """How many tasks' time the present stretch may take."""
-        return 1 if self.begun else max(1, len(self.tasks))
+        setup = self.tasks[0].get("setup") if self.tasks else None
+        alike = itertools.takewhile(lambda task: task.get("setup") == setup, self.tasks)
+        return 1 if self.begun else max(1, len(list(alike)))
 
 
 def run_tasks(
     work: Callable[[Task], None],
     groups: Sequence[Group],
     *,
-    together: Callable[[Group], AbstractContextManager[None]] | None = None,
+    together: Together | None = None,
     jobs: int,
     log_directory: Path,
     timeout: float | None = None,
@@ -100,14 +109,15 @@ def run_tasks(
 ) -> Iterator[Outcome]:
     """Run `work(task)` for each task of each group, at most `jobs` groups at once, yielding outcomes as they come.
 
-    `work` must be a module-level function; tasks are plain JSON with an "id". Leaving the iterator early, Ctrl-C
+    `work` must be a module-level function. Leaving the iterator early, Ctrl-C
     included, stops the workers. Outcomes of failed tasks carry the worker's output.
 
     Parameters
     ----------
-    together : entered around the tasks of a group of more than one: does what they share, and lets go of it
+    together : entered around the tasks of a group of more than one; gives what to call before each of them, which
+        does what it and those after it share
     memory : bytes that one worker may take, so that no case can take another's or the machine's
-    timeout : seconds that one task may take; what a group shares may take as much as its tasks together
+    timeout : seconds that one task may take; what some share may take as much as they together
     """
     queue = [list(group) for group in groups if group]
     if not queue:
@@ -125,7 +135,7 @@ def run_tasks(
 def _in_workers(
     line: Connection,
     work: Callable[[Task], None],
-    together: Callable[[Group], AbstractContextManager[None]] | None,
+    together: Together | None,
     groups: list[list[Task]],
     jobs: int,
     log_directory: Path,
@@ -169,7 +179,7 @@ def _in_workers(
 
 def _start(
     work: Callable[[Task], None],
-    together: Callable[[Group], AbstractContextManager[None]] | None,
+    together: Together | None,
     tasks: list[Task],
     threads: int,
     memory: int | None,
@@ -181,7 +191,7 @@ def _start(
     process = CONTEXT.Process(target=_main, args=arguments, daemon=True)
     process.start()
     writer.close()
-    return _Running(tasks, process, reader, log, time.monotonic(), len(tasks) > 1)
+    return _Running(tasks, process, reader, log, time.monotonic(), len(tasks) > 1, tasks[0])
 
 
 def _answers(r: _Running) -> Iterator[Task | Outcome]:
@@ -193,12 +203,12 @@ def _answers(r: _Running) -> Iterator[Task | Outcome]:
             return  # it died: its exit code says why
         now = time.monotonic()
         if answer is None:
-            if r.begun:
+            if r.announced is not r.tasks[0]:
                 yield r.tasks[0]
-            r.since, r.begun = now, True
+            r.since, r.begun, r.announced = now, True, r.tasks[0]
         else:
             yield Outcome(r.tasks.pop(0), seconds=now - r.since, **answer)
-            r.since = now
+            r.since, r.begun = now, False
 
 
 def _finish(r: _Running, timeout: float | None) -> tuple[Outcome | None, list[list[Task]]]:
@@ -211,7 +221,8 @@ def _finish(r: _Running, timeout: float | None) -> tuple[Outcome | None, list[li
     r.log.unlink(missing_ok=True)
     if not r.tasks:
         return None, []
-    culprit, rest = r.tasks[0], r.tasks[1:]
+    again: list[Task] = [{**task, AGAIN: True} for task in r.tasks]
+    culprit, rest = r.tasks[0], again[1:]
     alone = not r.shared
     seconds = time.monotonic() - r.since
     if timeout is not None and (alone or r.begun):
@@ -219,9 +230,9 @@ def _finish(r: _Running, timeout: float | None) -> tuple[Outcome | None, list[li
         outcome = Outcome(culprit, "timeout", seconds, f"stopped after {timeout:g} s", remedy, log)
         return outcome, [rest] if rest else []
     if not alone:
-        # at what they share it may be any one's fault: half of them may do without; else the rest goes on together
-        half = 1 if r.begun else len(r.tasks) // 2
-        return None, [part for part in (r.tasks[:half], r.tasks[half:]) if part]
+        # at what some share it may be any one's fault: half of them may do without; else the rest goes on together
+        half = max(1, r.share // 2)
+        return None, [part for part in (again[:half], again[half : r.share], again[r.share :]) if part]
     return Outcome(culprit, "crashed", seconds, *_death(r.process.exitcode or 0, log), log), []
 
 
@@ -249,7 +260,7 @@ def _stop(process: ForkProcess) -> None:
 
 def _main(
     work: Callable[[Task], None],
-    together: Callable[[Group], AbstractContextManager[None]] | None,
+    together: Together | None,
     tasks: Group,
     threads: int,
     memory: int | None,
@@ -269,8 +280,9 @@ def _main(
     threadpool_limits(1)  # for good: more of them at the end might find no memory, and wait for it
     if memory is not None:
         limit_memory(memory)
-    with together(tasks) if together else contextlib.nullcontext():
+    with together(tasks) if together else contextlib.nullcontext(_nothing) as prepare:
         for task in tasks:
+            prepare(task)
             os.ftruncate(descriptor, 0)  # the log is that of the task at work
             answer.send_bytes(json.dumps(None).encode())
             code, message, remedy = _attempt(work, task, alone=len(tasks) == 1)
@@ -283,6 +295,10 @@ def _main(
             said = {"code": code, "message": message, "remedy": remedy, "log": text}
             answer.send_bytes(json.dumps(said).encode())
     answer.close()
+
+
+def _nothing(_: Task) -> None:
+    """What a task does first that shares nothing."""
 
 
 def _end_with_parent() -> None:

@@ -82,9 +82,12 @@ def _shared(plan: Plan, todo: Sequence[PlannedCase], work: Sequence[ModelWork], 
         lines.append(f"{_count(len(meshes), 'mesh', 'meshes')} for {len(todo)} cases")
     groups = plan.groups(todo, jobs)
     if len(groups) < len(todo):
+        differ = "loads and VDM parameters only"
+        if any(len({case.setup for case in group}) > 1 for group in groups):
+            differ = "loads, VDM parameters and what surface models do not read of the tissue only"
         lines.append(
-            f"{_count(len(groups), 'group')} of cases with one mesh, tissue and supports: "
-            "the cases of each differ in loads and VDM parameters only and share a worker"
+            f"{_count(len(groups), 'group')} of cases with one mesh and supports: "
+            f"the cases of each differ in {differ} and share a worker"
         )
     for name in plan.study.study.models:
         results = len({case.results[name] for case in todo})
@@ -116,9 +119,10 @@ def _skipped(plan: Plan, todo: Sequence[PlannedCase]) -> list[str]:
     if len(plan.cases) > len(plan.state):
         lines.append(f"{len(plan.cases) - len(plan.state)} cases that repeat another one of the sweep")
     states = list(plan.state.values())
-    if "done" in states:
-        lines.append(f"{_count(states.count('done'), 'case')}: already in {plan.directory}")
-    if "stale" in states:
+    done = len({case.hash for case in plan.cases if plan.is_done(case)})
+    if done:
+        lines.append(f"{_count(done, 'case')}: already in {plan.directory}")
+    if "stale" in states and not plan.fresh:
         lines.append(
             f"solving {_count(states.count('stale'), 'stale case')} again: only the metrics have changed"
         )

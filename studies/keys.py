@@ -90,25 +90,38 @@ def _answer(study: Study, mesh_key: str, name: str) -> dict[str, Any]:
 
 def setup_key(study: Study, mesh_key: str) -> str:
     """Key of what the volumetric models' set-ups depend on: cases that share it differ in loads and VDM only."""
+    return _digest(_body(_inputs(study), mesh_key) | {"held": _held(study)})
+
+
+def surface_setup_key(study: Study, mesh_key: str) -> str:
+    """Key of what the surface models' set-ups depend on beyond their own tables: of the tissue what they read."""
     inputs = _inputs(study)
-    held = [
+    read = ("youngs_modulus", "density") if has_weight(study) else ("youngs_modulus",)
+    tissue = {key: inputs["tissue"][key] for key in read}
+    return _digest(_body(inputs, mesh_key) | {"tissue": tissue, "held": _held(study)})
+
+
+def model_setups(study: Study, mesh_key: str) -> dict[str, str]:
+    """Model name -> key of its set-up."""
+    return {name: _model_setup(study, mesh_key, name) for name in study.study.models}
+
+
+def _model_setup(study: Study, mesh_key: str, name: str) -> str:
+    inputs, model = _inputs(study), models.find(name)[0]
+    if not model.volumetric:
+        own = {"overrides": inputs["models"].get(name)} | _surface_inputs(inputs, name)
+        return _digest({"body": surface_setup_key(study, mesh_key)} | own)
+    body = setup_key(study, mesh_key)
+    return _digest({"body": body, "to": _condensed_to(study)}) if model.name == "fem-condensed" else body
+
+
+def _held(study: Study) -> list[dict[str, Any]]:
+    inputs = _inputs(study)
+    return [
         _anonymous({"kind": "held", "region": constraint["region"]}, inputs)
         for constraint in inputs["constraints"]
         if constraint["kind"] != "contact"
     ]
-    return _digest(_body(inputs, mesh_key) | {"held": held})
-
-
-def model_setups(study: Study) -> dict[str, str]:
-    """Model name -> key of what its set-up depends on beyond `setup_key`: cases with both in common share it."""
-    return {name: _model_setup(study, name) for name in study.study.models}
-
-
-def _model_setup(study: Study, name: str) -> str:
-    inputs, model = _inputs(study), models.find(name)[0]
-    if not model.volumetric:
-        return _digest({"overrides": inputs["models"].get(name)} | _surface_inputs(inputs, name))
-    return _digest({"condensed to": _condensed_to(study)}) if model.name == "fem-condensed" else ""
 
 
 def _condensed_to(study: Study) -> list[tuple[str, float]]:

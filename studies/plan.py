@@ -5,13 +5,23 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache, cached_property
+from itertools import groupby
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from . import models
-from .keys import answer_key, case_hash, load_key, model_setups, reference_keys, result_keys, setup_key
+from .keys import (
+    answer_key,
+    case_hash,
+    load_key,
+    model_setups,
+    reference_keys,
+    result_keys,
+    setup_key,
+    surface_setup_key,
+)
 from .meshing.geometry_spec import (
     DISTORTIONS,
     MAX_NODES,
@@ -50,8 +60,9 @@ class PlannedCase:
     swept_units: Mapping[str, str]
     study: Study
     mesh: str  # key of its mesh
+    body: str  # key of what cases must have in common to share any set-up
     setup: str  # key of what it shares with cases that differ in loads and VDM parameters only
-    setups: Mapping[str, str]  # model -> key of what its set-up depends on beyond that
+    setups: Mapping[str, str]  # model -> key of its set-up
     load: str  # key of its loads up to a factor
     results: Mapping[str, str]  # model -> key of its result
     reference: str | None  # key of its reference on all mesh levels, of linear elements up to a factor
@@ -129,7 +140,7 @@ class PlannedMesh:
 
 @dataclass(frozen=True)
 class Plan:
-    """All the work of a study."""
+    """All the work of a study; `fresh`: every case runs, and nothing that is stored is used, the meshes apart."""
 
     study: Study
     cases: tuple[PlannedCase, ...]
@@ -137,6 +148,7 @@ class Plan:
     directory: Path
     cache: Path
     command: tuple[str, ...] = ()  # of vdmbench, that runs it again; () where none was given
+    fresh: bool = False
 
     @cached_property
     def state(self) -> dict[str, str]:
@@ -148,12 +160,25 @@ class Plan:
         """Each hash once; cases that share a set-up stand together, of these those that share a model's own.
 
         The models with the dearest set-ups come first in this. Of cases that share all those stand together whose
-        loads are multiples of each other.
+        loads are multiples of each other. Where the tissues of cases on one body differ in what surface models do
+        not read, the first cases of these tissues decide in the same way which come after each other.
         """
         unique = list({case.hash: case for case in self.cases}.values())
         dense = {name: place for place, name in enumerate(_DENSE)}
         names = sorted(self.study.study.models, key=lambda name: dense.get(split(name)[0], len(dense)))
-        kinds = [[case.setup, *(case.setups[name] for name in names), case.load] for case in unique]
+        surface = [name for name in names if not models.find(name)[0].volumetric]
+        first = {case.setup: case for case in reversed(unique)}
+        kinds = [
+            [
+                case.body,
+                *(first[case.setup].setups[name] for name in surface),
+                first[case.setup].load,
+                case.setup,
+                *(case.setups[name] for name in names),
+                case.load,
+            ]
+            for case in unique
+        ]
         ranks = [
             {key: rank for rank, key in enumerate(dict.fromkeys(column))}
             for column in zip(*kinds, strict=True)
@@ -161,18 +186,32 @@ class Plan:
         order = [[rank[key] for rank, key in zip(ranks, kind, strict=True)] for kind in kinds]
         return [unique[place] for place in sorted(range(len(unique)), key=order.__getitem__)]
 
-    def cases_to_run(self, shard: tuple[int, int] = (1, 1), *, fresh: bool = False) -> list[PlannedCase]:
-        """The cases not done (`fresh`: all); of `shard` (i, n) those in the i-th of n parts of equal size."""
+    def is_done(self, case: PlannedCase) -> bool:
+        """Whether a case's file is there, and its results may be used."""
+        return not self.fresh and self.state[case.hash] == "done"
+
+    def cases_to_run(self, shard: tuple[int, int] = (1, 1)) -> list[PlannedCase]:
+        """The cases not done; of `shard` (i, n) those in the i-th of n parts of equal size."""
         number, parts = shard
         first, end = (len(self.in_order) * k // parts for k in (number - 1, number))
-        return [case for case in self.in_order[first:end] if fresh or self.state[case.hash] != "done"]
+        return [case for case in self.in_order[first:end] if not self.is_done(case)]
 
     def groups(self, cases: Sequence[PlannedCase], jobs: int) -> list[list[PlannedCase]]:
-        """The cases in groups that share a set-up; the largest are halved until each of `jobs` workers has one."""
-        by_setup: dict[str, list[PlannedCase]] = {}
-        for case in cases:
-            by_setup.setdefault(case.setup, []).append(case)
-        groups = list(by_setup.values())
+        """The cases, in order, in groups that share set-ups, each for a worker that knows nothing of the others.
+
+        Cases on one body stay together up to the share that each of `jobs` workers has of all; where they are
+        more, they are divided between tissues. The largest are halved until each worker has a group.
+        """
+        share = -(-len(cases) // jobs)
+        groups: list[list[PlannedCase]] = []
+        for _, on_body in groupby(cases, key=lambda case: case.body):
+            shares: dict[int, list[PlannedCase]] = {}
+            before = 0
+            for _, cases_of_tissue in groupby(on_body, key=lambda case: case.setup):
+                part = list(cases_of_tissue)
+                shares.setdefault(before // share, []).extend(part)
+                before += len(part)
+            groups += shares.values()
         while len(groups) < min(jobs, len(cases)):
             largest = max(range(len(groups)), key=lambda place: len(groups[place]))
             if len(groups[largest]) < SPLIT_FROM:
@@ -184,36 +223,30 @@ class Plan:
     @cached_property
     def stored_results(self) -> dict[str, Path]:
         """Result key -> a case file of an earlier plan, or a stale one, that holds it."""
+        if self.fresh:
+            return {}
         kept = {case_path(self.directory, hash) for hash, state in self.state.items() if state == "done"}
         files = sorted((self.directory / "cases").glob(f"*{CASE_SUFFIX}"))
         return {key: path for path in files if path not in kept for key in stored_keys(path).values() if key}
 
-    def reused(self, case: PlannedCase, *, fresh: bool = False) -> dict[str, Path]:
+    def reused(self, case: PlannedCase) -> dict[str, Path]:
         """Model -> the case file that its result is taken from."""
-        if fresh:
-            return {}
         found = {name: self.stored_results.get(key) for name, key in case.results.items()}
         return {name: path for name, path in found.items() if path is not None}
 
-    def twins(self, case: PlannedCase, *, fresh: bool = False) -> dict[str, PlannedCase]:
-        """Model -> a case that is done, or of another set-up and runs before, with the same result.
+    def twins(self, case: PlannedCase) -> dict[str, PlannedCase]:
+        """Model -> another case that is done, with the same result.
 
         They differ in what the model does not read, such as Poisson's ratio.
         """
-        if fresh:
-            return {}
-        found = {name: self._first[key] for name, key in case.results.items()}
-        return {
-            name: first
-            for name, first in found.items()
-            if first.hash != case.hash and (first.setup != case.setup or self.state[first.hash] == "done")
-        }
+        found = {name: self._done.get(key) for name, key in case.results.items()}
+        return {name: twin for name, twin in found.items() if twin is not None and twin.hash != case.hash}
 
     @cached_property
-    def _first(self) -> dict[str, PlannedCase]:
-        """Result key -> a case that is done and has it, or else the first that will have it."""
-        done_first = sorted(self.in_order, key=lambda case: self.state[case.hash] != "done")
-        return {key: case for case in reversed(done_first) for key in case.results.values()}
+    def _done(self) -> dict[str, PlannedCase]:
+        """Result key -> the first case that is done and has it."""
+        done = [case for case in self.in_order if self.is_done(case)]
+        return {key: case for case in reversed(done) for key in case.results.values()}
 
     @cached_property
     def _is_sound(self) -> Callable[[Path], bool]:
@@ -223,7 +256,7 @@ class Plan:
     def reference_cached(self, case: PlannedCase) -> bool:
         """Whether the cache holds the case's reference, maybe on more levels than it asks for."""
         keys = (case.reference, *case.finer) if case.reference is not None else ()
-        return any(self._is_sound(reference_path(self.cache, key)) for key in keys)
+        return not self.fresh and any(self._is_sound(reference_path(self.cache, key)) for key in keys)
 
     def missing_meshes(self, cases: Sequence[PlannedCase]) -> list[PlannedMesh]:
         """The meshes that these cases need and the cache does not hold."""
@@ -241,6 +274,8 @@ def make_plan(
     directory: Path,
     cache: Path,
     command: tuple[str, ...] = (),
+    *,
+    fresh: bool = False,
 ) -> Plan:
     """Work out what a study needs. Meshes nothing.
 
@@ -261,7 +296,7 @@ def make_plan(
                 raise geometry_error(study, error) from error
         planned.append(_planned(case, found[asked].key))
     meshes = {mesh.key: mesh for mesh in found.values()}
-    return Plan(study, tuple(planned), meshes, directory, cache, command)
+    return Plan(study, tuple(planned), meshes, directory, cache, command, fresh)
 
 
 def _planned_mesh(geometry: Geometry, volume: bool) -> PlannedMesh:
@@ -280,6 +315,8 @@ def _planned(case: ResolvedCase, mesh_key: str) -> PlannedCase:
     study = case.study
     results = result_keys(study, mesh_key)
     references = reference_keys(study, mesh_key)
+    setup = setup_key(study, mesh_key)
+    volumetric_only = all(models.find(name)[0].volumetric for name in study.study.models)
     return PlannedCase(
         hash=case_hash(study, mesh_key),
         label=case.label,
@@ -287,8 +324,9 @@ def _planned(case: ResolvedCase, mesh_key: str) -> PlannedCase:
         swept_units=case.swept_units,
         study=study,
         mesh=mesh_key,
-        setup=setup_key(study, mesh_key),
-        setups=model_setups(study),
+        body=setup if volumetric_only else surface_setup_key(study, mesh_key),
+        setup=setup,
+        setups=model_setups(study, mesh_key),
         load=load_key(study),
         results=results,
         reference=references[0] if references else None,
@@ -301,8 +339,8 @@ def _planned(case: ResolvedCase, mesh_key: str) -> PlannedCase:
     )
 
 
-def task_of(case: PlannedCase, plan: Plan, *, fresh: bool = False) -> dict[str, Any]:
-    """What a worker is given, as plain JSON. `fresh`: nothing that is stored is used, the mesh apart."""
+def task_of(case: PlannedCase, plan: Plan) -> dict[str, Any]:
+    """What a worker is given, as plain JSON."""
     return {
         "id": case.hash,
         "label": case.label,
@@ -318,7 +356,14 @@ def task_of(case: PlannedCase, plan: Plan, *, fresh: bool = False) -> dict[str, 
         "reference_key": case.reference,
         "finer_keys": list(case.finer),
         "elements": dict(case.elements),
-        "reuse": {name: str(path) for name, path in plan.reused(case, fresh=fresh).items()},
-        "twins": {name: str(plan.case_file(twin)) for name, twin in plan.twins(case, fresh=fresh).items()},
-        "fresh": fresh,
+        "reference_stored": plan.reference_cached(case),
+        "reuse": {name: str(path) for name, path in plan.reused(case).items()},
+        "twins": {name: str(plan.case_file(twin)) for name, twin in plan.twins(case).items()},
+        "fresh": plan.fresh,
     }
+
+
+def task_groups(plan: Plan, cases: Sequence[PlannedCase], jobs: int) -> list[list[dict[str, Any]]]:
+    """What each group's worker is given; the tasks have the number of their group."""
+    groups = plan.groups(cases, jobs)
+    return [[{**task_of(c, plan), "group": number} for c in group] for number, group in enumerate(groups)]

@@ -16,7 +16,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NoReturn
 
-from .execute import Group, Outcome, Task, run_tasks
+from .execute import AGAIN, Group, Outcome, Task, run_tasks
 from .journal import Journal
 from .server import start_server
 from .worker import run_case, share
@@ -72,10 +72,12 @@ def record(outcome: Outcome) -> dict[str, Any]:
 
 
 def _groups(tasks: Sequence[Task], journal: Journal) -> list[Group]:
-    """Cases that a worker died at go alone; the others stay with those that they share a set-up with."""
+    """Cases that a worker died at go alone; the others stay in their groups."""
     groups: dict[str, list[Task]] = {}
+    died = bool(journal.begun)
     for task in tasks:
-        groups.setdefault(task["id"] if journal.begun[task["id"]] else task["setup"], []).append(task)
+        place = task["id"] if journal.begun[task["id"]] else f"{task['group']}"
+        groups.setdefault(place, []).append({**task, AGAIN: True} if died else task)
     return list(groups.values())
 
 

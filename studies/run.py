@@ -23,7 +23,7 @@ from .explain import beyond_memory, summary
 from .files import clear_abandoned, write_atomically
 from .memory import machine_memory
 from .meshing.mesh import MeshError
-from .plan import Plan, PlannedCase, PlannedMesh, task_of
+from .plan import Plan, PlannedCase, PlannedMesh, task_groups, task_of
 from .server import processor_seconds, start_server
 from .store import case_path, failure_path, read_plan, read_run, write_study
 from .study_file.config import geometry_error, resolved
@@ -54,7 +54,6 @@ class Options:
     timeout: float | None = None
     memory: int | None = None
     fail_fast: bool = False
-    fresh: bool = False
     scheduler: str | None = None  # address of a Dask scheduler, whose workers run the cases
     insecure_scheduler: bool = False  # also without TLS on another machine
 
@@ -74,7 +73,7 @@ def run_plan(
         disk full or read-only; a cluster that is not there or does not fit.
     """
     plan.directory.mkdir(parents=True, exist_ok=True)
-    cases = plan.cases_to_run(options.shard, fresh=options.fresh)
+    cases = plan.cases_to_run(options.shard)
     here = bool(cases) and options.scheduler is None
     if here or plan.missing_meshes(cases):
         start_server()  # before there are a cluster's threads, and a lock that it would hold on to
@@ -88,7 +87,7 @@ def run_plan(
         write_atomically(plan.directory / "resolved.toml", tomli_w.dumps(resolved(plan.study)).encode())
         planned = summary(plan, options.jobs if cluster is None else cluster.places())
         write_atomically(plan.directory / "plan.json", json.dumps(planned, indent=1).encode())
-        alone = here and options.shard == (1, 1) and not options.fresh
+        alone = here and options.shard == (1, 1)
         began, used = time.perf_counter(), processor_seconds(start_server()) if alone else 0.0
         _run_missing(plan, options, watch, cluster)
         _tidy(plan)  # a worker may have been killed
@@ -144,7 +143,7 @@ def _cluster(options: Options) -> Iterator[Cluster | None]:
 def _run_missing(
     plan: Plan, options: Options, watch: Callable[[Event], None], cluster: Cluster | None
 ) -> None:
-    cases = plan.cases_to_run(options.shard, fresh=options.fresh)
+    cases = plan.cases_to_run(options.shard)
     logs = plan.directory / "failed"
     meshes = [[_mesh_task(mesh, plan)] for mesh in plan.missing_meshes(cases)]
     broken: dict[str, Outcome] = {}
@@ -161,17 +160,14 @@ def _run_missing(
         return
     for case in cases:
         if case.mesh in broken:
-            failure = dataclasses.replace(broken[case.mesh], task=task_of(case, plan, fresh=options.fresh))
+            failure = dataclasses.replace(broken[case.mesh], task=task_of(case, plan))
             _keep_failure(plan, failure)
             watch(Event("failed", case.label, message=failure.message))
     places = options.jobs
     if cluster is not None:  # whose workers run elsewhere
         plan = dataclasses.replace(plan, directory=plan.directory.absolute(), cache=plan.cache.absolute())
         places = cluster.places()
-    groups = [
-        [task_of(case, plan, fresh=options.fresh) for case in group]
-        for group in plan.groups([case for case in cases if case.mesh not in broken], places)
-    ]
+    groups = task_groups(plan, [case for case in cases if case.mesh not in broken], places)
     how: dict[str, Any] = {"timeout": options.timeout, "fail_fast": options.fail_fast}
     how["started"] = _starts("case", watch)
     if cluster is not None:

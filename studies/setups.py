@@ -58,6 +58,12 @@ def next_turn() -> None:
         del (_kept or {})[key]
 
 
+def let_go() -> None:
+    """Let go now of everything that is not needed in a turn to come."""
+    for key in [key for key, setup in (_kept or {}).items() if setup.turn <= _turn]:
+        del (_kept or {})[key]
+
+
 @contextmanager
 def needed_again(turns: int) -> Iterator[None]:
     """The set-ups that are asked for inside are kept for so many turns more."""

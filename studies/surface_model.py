@@ -83,7 +83,7 @@ def _inputs(scene: Scene, name: str) -> dict[str, Any]:
     return {
         "mesh": scene.mesh,
         "youngs_modulus": scene.tissue.youngs_modulus,
-        "density": scene.tissue.density,
+        "density": scene.tissue.density if scene.gravity.any() else 0.0,
         "given": {key: value for key, value in given.items() if key in reads(name)},
         "fibres": (fibres.fibre_direction, fibres.contrast) if fibres else None,
         "formulation": base.removeprefix("vdm-"),

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence, Set
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from itertools import groupby
 
 import numpy as np
 
@@ -40,34 +41,25 @@ class ModelWork:
 
 
 def work_of(plan: Plan, cases: Sequence[PlannedCase], jobs: int = 1) -> list[ModelWork]:
-    """The work of some cases in `jobs` workers, group by group: what is stored or cached counts nothing.
-
-    Groups take equally long here, so that one begins when that `jobs` places before it has ended, whose results
-    are then there.
-    """
+    """The work of some cases in `jobs` workers, group by group: what is stored or cached counts nothing."""
     out: list[ModelWork] = []
     chosen = {case.hash for case in cases}
     groups = plan.groups([case for case in plan.in_order if case.hash in chosen], jobs)
-    ended = {hash for hash, state in plan.state.items() if state == "done"} - chosen
     for worker, group in enumerate(groups):
-        if worker >= jobs:
-            ended |= {case.hash for case in groups[worker - jobs]}
         for name in group[0].study.study.models:
-            unique = {
-                (case.results[name], n_levels): case
-                for case in group
-                if (n_levels := _levels_to_solve(plan, case, name, ended))
-            }
+            unique: dict[tuple[str, int], PlannedCase] = {}
+            for case in group:
+                if n_levels := _levels_to_solve(plan, case, name):
+                    unique.setdefault((case.results[name], n_levels), case)
             for level in range(max((n_levels for _, n_levels in unique), default=0)):
                 there = [case for (_, n_levels), case in unique.items() if n_levels > level]
                 out.append(_work(name, worker, level, there))
     return out
 
 
-def _levels_to_solve(plan: Plan, case: PlannedCase, name: str, ended: Set[str]) -> int:
-    """On how many mesh levels a case has to ask a model; 0 where its result is there, once `ended` cases are."""
-    twin = plan.twins(case).get(name)
-    is_there = name in plan.reused(case) or (twin is not None and twin.hash in ended)
+def _levels_to_solve(plan: Plan, case: PlannedCase, name: str) -> int:
+    """On how many mesh levels a case has to ask a model; 0 where its result is there."""
+    is_there = name in {**plan.reused(case), **plan.twins(case)}
     if name != case.study.study.reference:
         return 0 if is_there else 1
     levels = case.study.uncertainty.levels if case.study.uncertainty else 1
@@ -78,11 +70,12 @@ def _work(name: str, worker: int, level: int, cases: Sequence[PlannedCase]) -> M
     model = models.find(name)[0]
     steps = sum(len(case.study.load.history) for case in cases)
     setups, held, solves = len(cases), 1, steps
-    if model.together:
-        setups, solves = 1, independent_loads(case.study for case in cases)
-    elif not model.volumetric or model.name == "fem-condensed":
+    if model.together or not model.volumetric or model.name == "fem-condensed":
         uses = next_uses([case.setups[name] for case in cases])
         setups, held = uses.count(None), most_at_once(uses)
+    if model.together:
+        parts = groupby(cases, key=lambda case: case.setup)
+        solves = sum(independent_loads(case.study for case in part) for _, part in parts)
     if models.scales(name):
         solves = _solves_but_for_multiples(name, cases)
     return ModelWork(name, cases[0].mesh, worker, level, setups, held, steps, solves)

@@ -6,7 +6,7 @@ import dataclasses
 import platform
 import subprocess
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
@@ -17,6 +17,7 @@ from typing import Any
 
 from . import models
 from .case import CaseResult, MetricSeries, ModelResult
+from .execute import AGAIN
 from .hdf5 import StoreError
 from .keys import loads_of
 from .meshing.geometry_spec import Geometry
@@ -30,7 +31,7 @@ from .reference import own_error, refined_levels, require_converged
 from .result_cache import read_reference, reference_path, write_reference
 from .scene import Scene, build_scene
 from .sealed import is_sound
-from .setups import needed_again, next_turn, next_uses, shared, sharing
+from .setups import let_go, needed_again, next_turn, next_uses, shared, sharing
 from .small_strain import small_strain_limits
 from .store import read_case, write_case
 from .study_file.config import geometry_of
@@ -68,8 +69,9 @@ def run_case(task: Task) -> None:
     TaskError
         the reference failed, so that there is nothing to compare with.
     """
+    group = _group or _Group((task,), at=task["setup"])
+    group.reach(task)
     next_turn()
-    group = _group or _Group()
     study, scene = group.scenes.pop(task["id"]) if task["id"] in group.scenes else _built(task)
     mesh, reference = scene.mesh, study.study.reference
     known = _known(task, group)
@@ -124,8 +126,10 @@ class _Group:
 
     Attributes
     ----------
-    scenes : case -> its study and scene, of cases to come
-    answers : key of linear elements or of a reference -> what was solved, or read from the cache
+    tasks : the cases; those of one volumetric set-up stand together
+    at : that set-up's key, of the case that was reached last
+    scenes : case -> its study and scene, of cases to come on this set-up
+    answers : key of linear elements or of a reference -> what was solved on it, or read from the cache
     stored : keys of those references that the cache holds
     to_come : result key -> how many cases to come have it
     results : result key -> result, of cases done, as long as one to come has it
@@ -133,6 +137,8 @@ class _Group:
     used_again : case and model -> in how many turns its set-up is asked for again, where it is kept for that
     """
 
+    tasks: Sequence[Task]
+    at: str = ""
     scenes: dict[str, tuple[Study, Scene]] = field(default_factory=dict)
     answers: dict[str, Answer] = field(default_factory=dict)
     stored: set[str] = field(default_factory=set)
@@ -144,17 +150,31 @@ class _Group:
     @classmethod
     def of(cls, tasks: Sequence[Task]) -> _Group:
         """Of tasks that will run in this order."""
-        group = cls(to_come=Counter(key for task in tasks for key in task["keys"].values()))
+        group = cls(tasks, to_come=Counter(key for task in tasks for key in task["keys"].values()))
         for name in tasks[0]["keys"]:
             solved: dict[str, int] = {}  # result key -> the turn that solves it
             for turn, task in enumerate(tasks):
-                if name not in task["reuse"]:
+                if name not in {**task["reuse"], **task["twins"]}:
                     solved.setdefault(task["keys"][name], turn)
             turns = list(solved.values())
             for turn, place in zip(turns, next_uses([tasks[k]["setups"][name] for k in turns]), strict=True):
                 if place is not None:
                     group.used_again[tasks[turn]["id"], name] = turns[place] - turn
         return group
+
+    def reach(self, task: Task) -> None:
+        """Before a case: where it is the first on a volumetric set-up, what linear elements solve for all on it.
+
+        What cannot be done for all, because a scene or a solve fails, each case finds out for itself.
+        """
+        if task["setup"] == self.at:
+            return
+        self.at = task["setup"]
+        for known in (self.scenes, self.answers, self.stored):
+            known.clear()
+        let_go()
+        with suppress(ValueError):
+            _solve_ahead([each for each in self.tasks if each["setup"] == self.at], self)
 
     def begin(self, task: Task) -> None:
         """Let go of results that only this case had left to wait for."""
@@ -176,18 +196,16 @@ _group: _Group | None = None  # inside `share`
 
 
 @contextmanager
-def share(tasks: Sequence[Task]) -> Iterator[None]:
-    """Around cases that differ in their loads and VDM parameters: one set-up each, one solve of all their loads.
+def share(tasks: Sequence[Task]) -> Iterator[Callable[[Task], None]]:
+    """Around cases on one body: one set-up each, of those on one volumetric set-up one solve of all their loads.
 
-    What cannot be done for all, because a scene or a solve fails, each case finds out for itself.
+    Gives what to call before each of them, which does what it and those after it share.
     """
     global _group
     _group = _Group.of(tasks)
     try:
         with sharing():
-            with suppress(ValueError):
-                _solve_ahead(tasks, _group)
-            yield
+            yield _group.reach
     finally:
         _group = None
 
@@ -249,7 +267,7 @@ def _reference_levels(
 ) -> list[ModelResult]:
     """The reference on each mesh level: solved before, here or in another run, a multiple of it, or solved now."""
     name, key, loads = study.study.reference or "", task["reference_key"], loads_of(study)
-    if key not in group.answers and not task["fresh"]:
+    if key not in group.answers and _may_read_reference(task):
         stored = next(filter(None, map(read_reference, _reference_paths(task))), None)
         if stored is not None:
             levels = [_marked(level) for level in stored.levels[: _n_levels(study)]]
@@ -283,8 +301,16 @@ def _reference_error(
     return own_error(_surface(scene), levels[::-1], scene.load_factors, found)
 
 
+def _may_read_reference(task: Task) -> bool:
+    """Not what another worker of this run has written meanwhile: no number hangs on which of them is faster.
+
+    A worker that has died is no other: what it has written need not be solved again.
+    """
+    return bool(task["reference_stored"] or (task.get(AGAIN) and not task["fresh"]))
+
+
 def _reference_is_there(task: Task) -> bool:
-    return not task["fresh"] and any(map(is_sound, _reference_paths(task)))
+    return _may_read_reference(task) and any(map(is_sound, _reference_paths(task)))
 
 
 def _reference_paths(task: Task) -> list[Path]:

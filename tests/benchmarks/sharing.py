@@ -224,8 +224,8 @@ def _plan(directory: Path, cache: Path, changes: dict[str, Any]) -> Plan:
 
 def _naive(shared: Plan, directory: Path, hashes: Sequence[str]) -> tuple[dict[str, CaseResult], float]:
     """Each case in a worker of its own that uses nothing of another's but the mesh: results and seconds."""
-    plan = Plan(shared.study, shared.cases, shared.meshes, directory, shared.cache)
-    tasks = [task_of(case, plan, fresh=True) for case in plan.cases if case.hash in hashes]
+    plan = replace(shared, directory=directory, fresh=True)
+    tasks = [task_of(case, plan) for case in plan.cases if case.hash in hashes]
     began = _processor_seconds()
     for outcome in run_tasks(
         run_case,

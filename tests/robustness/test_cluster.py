@@ -21,7 +21,7 @@ import trustme
 from studies.cluster import AddressError, checked_address, packed, refusal
 from studies.journal import Journal
 from studies.meshing.mesh_cache import mesh_from_cache
-from studies.plan import make_plan, task_of
+from studies.plan import make_plan, task_groups
 from studies.remote import ATTEMPTS, serve
 from studies.store import read_case
 from studies.study_file.config import expand, load_study
@@ -292,7 +292,7 @@ def test_one_request_may_be_several_groups(tmp_path: Path, local_run: Path) -> N
     for mesh in plan.meshes.values():
         mesh_from_cache(mesh.geometry, plan.cache, volume=mesh.volume)
     (tmp_path / "run" / "cases").mkdir(parents=True)
-    tasks = [task_of(case, plan) for case in plan.in_order]
+    tasks = [task for group in task_groups(plan, plan.in_order, 2) for task in group]
     assert [task["setup"] == tasks[0]["setup"] for task in tasks] == [True, True, False, False]
     journal = Journal(tmp_path / "journal")
     serve({"tasks": tasks, "journal": str(journal.path), "timeout": None, "memory": None})

@@ -113,9 +113,15 @@ def test_one_more_value_costs_one_more_case(copy: Path) -> None:
     assert (plan["cases_to_run"], plan["meshes_to_make"]) == (1, 0)
 
 
-def test_fresh_runs_everything_again(copy: Path) -> None:
+def test_fresh_runs_everything_again_as_planned(copy: Path) -> None:
     before = {path: path.stat().st_mtime_ns for path in (copy / RUN / "cases").iterdir()}
+    first = json.loads((copy / RUN / "plan.json").read_text())
+    assert json.loads(vdmbench("plan", "small.toml", "--json", cwd=copy).stdout)["work"] == []
+    plan = json.loads(vdmbench("plan", "small.toml", "--fresh", "--json", cwd=copy).stdout)
+    assert (plan["cases_to_run"], plan["meshes_to_make"]) == (2, 0)
+    assert not any("already in" in line for line in plan["skipped"] if "mesh" not in line)
     assert vdmbench("run", "small.toml", "--fresh", cwd=copy).returncode == 0
+    assert json.loads((copy / RUN / "plan.json").read_text())["work"] == plan["work"] == first["work"]
     after = {path: path.stat().st_mtime_ns for path in (copy / RUN / "cases").iterdir()}
     assert after.keys() == before.keys()
     assert all(after[path] > before[path] for path in before)

@@ -7,7 +7,7 @@ import os
 import signal
 import sys
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -15,11 +15,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from studies.execute import Outcome, TaskError, run_tasks
+from studies.execute import AGAIN, Outcome, Task, TaskError, run_tasks
 from studies.server import processor_seconds, start_server
 
 
-def _work(task: Mapping[str, Any]) -> None:
+def _work(task: Task) -> None:
     faulthandler.disable()  # which pytest has enabled, and a worker inherits
     kind = task["kind"]
     if kind == "write":
@@ -66,18 +66,28 @@ def _work(task: Mapping[str, Any]) -> None:
 
 
 @contextmanager
-def _together(tasks: Sequence[Mapping[str, Any]]) -> Iterator[None]:
-    """What a group shares: it may fail as its tasks may, for the sake of any of them."""
-    for task in tasks:
-        if task["shared"]:
-            _work({"kind": task["shared"]})
-    for task in tasks:
-        Path(f"{task['path']}-in-company").write_text(",".join(task["id"] for task in tasks))
-    yield
+def _together(tasks: Sequence[Task]) -> Iterator[Callable[[Task], None]]:
+    """What tasks of one set-up share: it may fail as the tasks may, for the sake of any of them."""
+    company = {task["setup"]: [other for other in tasks if other["setup"] == task["setup"]] for task in tasks}
+
+    def prepare(task: Task) -> None:
+        there = company.pop(task["setup"], [])
+        for other in there:
+            if other["shared"]:
+                _work({"kind": other["shared"]})
+        for other in there:
+            Path(f"{other['path']}-in-company").write_text(",".join(each["id"] for each in there))
+
+    yield prepare
 
 
 def _run_group(
-    tmp_path: Path, *kinds: str, shared: str = "", culprit: int | None = None, **options: Any
+    tmp_path: Path,
+    *kinds: str,
+    shared: str = "",
+    culprit: int | None = None,
+    setups: str | None = None,
+    **options: Any,
 ) -> tuple[dict[str, Outcome], list[str]]:
     """One group of tasks, what they share failing for each or for one; also the ids of those begun, in order."""
     tasks = [
@@ -86,6 +96,7 @@ def _run_group(
             "kind": kind,
             "path": str(tmp_path / f"out-{n}"),
             "shared": shared if culprit in (None, n) else "",
+            "setup": setups[n] if setups else "",
         }
         for n, kind in enumerate(kinds)
     ]
@@ -237,6 +248,22 @@ def test_one_that_kills_what_a_group_shares_leaves_the_others_their_share(
     company = {path.name[4]: path.read_text() for path in tmp_path.glob("*-in-company")}
     assert company == dict.fromkeys("0123", "0,1,2,3") | dict.fromkeys("67", "6,7")
     assert len(begun) == 8 + 3, "three workers died before their first task"
+
+
+@pytest.mark.parametrize("shared", ["segfault", "sleep"])
+def test_what_some_of_a_group_share_fails_for_these_only(tmp_path: Path, shared: str) -> None:
+    """In the midst of the group: halves of those on the set-up, and of time what these may take together."""
+    began = time.monotonic()
+    kinds, options = ["write"] * 8, {"setups": "aabbbbcc", "timeout": 1.5}
+    outcomes, begun = _run_group(tmp_path, *kinds, shared=shared, culprit=3, **options)
+    assert time.monotonic() - began < 1.5 * (4 + 2) + 20.0, "not what all that are left may take"
+    assert [outcomes[f"{n}"].code for n in range(8)] == ["done"] * 8
+    company = {path.name[4]: path.read_text() for path in tmp_path.glob("*-in-company")}
+    assert company == dict.fromkeys("01", "0,1") | dict.fromkeys("45", "4,5") | dict.fromkeys("67", "6,7")
+    # who has lost a worker is told so
+    again = {n for n, outcome in outcomes.items() if outcome.task.get(AGAIN)}
+    assert again == set("234567")
+    assert begun[:2] == ["0", "1"]
 
 
 def test_fail_fast_stops_within_a_group(tmp_path: Path) -> None:

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-import copy
+import shutil
+import weakref
 from collections import Counter
 from collections.abc import Mapping
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -15,58 +17,35 @@ from numpy.testing import assert_allclose
 import fem_reference.condensed
 import fem_reference.finite_strain
 import vdm.model
+from fem_reference.linear import LinearProblem
 from studies import worker
 from studies.case import CaseResult
+from studies.execute import AGAIN
 from studies.explain import summary
-from studies.plan import Plan, make_plan, task_of
+from studies.plan import Plan, task_groups, task_of
 from studies.store import read_case
-from studies.study_file.config import expand
-from studies.study_file.schema import Study
 from studies.work import work_of
 from studies.worker import run_case, share
 
+from . import shared_work
+from .shared_work import BASE, FINGER, ONE_LOAD, assert_same_results, run, run_alone
+
 VDM = ("vdm-paper", "vdm-vector", "vdm-boundary")
-BASE = {"kind": "fixed", "region": "base"}
-FINGER = {"name": "finger", "kind": "contact", "region": "top", "force": 0.1, "profile": "hertz"}
 THUMB = {"name": "thumb", "kind": "contact", "region": "back", "pressure": 50.0}
 TOOL = {"name": "tool", "kind": "constrained", "region": "back", "displacement": [-0.001, 0.0, 0.0]}
-TABLES: dict[str, Any] = {
-    "study": {"name": "test", "models": ["vdm-vector", "fem-linear"], "reference": "fem-linear"},
-    "geometry": {"shape": "sphere", "radius": 0.05, "mesh_size": 0.022},
-    "tissue": {"youngs_modulus": 5000.0, "poisson_ratio": 0.49},
+TABLES: dict[str, Any] = ONE_LOAD | {
     "regions": {
-        "base": {"below": {"axis": "z", "fraction": 0.25}},
-        "top": {"cap": {"direction": [0.3, 0.0, 1.0], "angle": 0.6}},
+        **ONE_LOAD["regions"],
         "front": {"cap": {"direction": [1.0, 0.0, 0.2], "angle": 0.5}},
         "back": {"cap": {"direction": [-1.0, 0.0, 0.1], "angle": 0.5}},
     },
-    "constraints": [BASE, FINGER],
 }
+plan_of = partial(shared_work.plan_of, tables=TABLES)
+cache = shared_work.cache  # the fixture
 
 
 def models(*names: str) -> dict[str, Any]:
     return {"study": {"name": "test", "models": [*names, "fem-linear"], "reference": "fem-linear"}}
-
-
-def plan_of(directory: Path, cache: Path, **changes: Any) -> Plan:
-    study = Study.model_validate(copy.deepcopy(TABLES) | changes)
-    return make_plan(study, expand(study), directory, cache)
-
-
-def run(plan: Plan) -> list[CaseResult]:
-    """What one worker does, here."""
-    for group in plan.groups(plan.cases_to_run(), 1):
-        tasks = [task_of(case, plan) for case in group]
-        with share(tasks):
-            for task in tasks:
-                run_case(task)
-    return [read_case(plan.case_file(case)) for case in plan.cases]
-
-
-@pytest.fixture(scope="module")
-def cache(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Holds the mesh once it is made."""
-    return tmp_path_factory.mktemp("cache")
 
 
 @pytest.fixture
@@ -105,17 +84,8 @@ def planned(plan: Plan, jobs: int = 1) -> dict[tuple[str, str], int]:
 
 def assert_as_alone(cases: list[CaseResult], plan: Plan, directory: Path) -> None:
     for case, own in zip(cases, plan.cases, strict=True):
-        task = {**task_of(own, plan, fresh=True), "path": str(directory / f"{own.hash}.vtkhdf")}
-        run_case(task)
-        alone = read_case(Path(task["path"]))
-        for name, result in alone.models.items():
-            # iterations from a random start end at their own residual
-            tolerance = 1e-10 if result.parameters.get("solver") == "iterative" else 1e-12
-            for field in ("displacement", "reaction_force", "energy", "fluid_pressure", "volume"):
-                a, b = getattr(case.models[name], field), getattr(result, field)
-                scale = np.abs(b).max()
-                assert_allclose(a, b, rtol=0, atol=tolerance * scale, err_msg=f"{own.label} {name} {field}")
-            assert case.models[name].key == result.key
+        # iterations from a random start end at their own residual
+        assert_same_results(case, run_alone(own, plan, directory / "alone"), 1e-12, 1e-10)
 
 
 def setups(counts: Mapping[tuple[str, str], int]) -> dict[str, int]:
@@ -125,7 +95,7 @@ def setups(counts: Mapping[tuple[str, str], int]) -> dict[str, int]:
 TENSIONS = {"vdm.surface_tension": [20.0, 30.0, 40.0]}
 FORCES = {"constraints.finger.force": [0.1, 0.3]}
 PRESSURES = {"constraints.thumb.pressure": [50.0, -20.0, 70.0]}
-PLACES = {"constraints.finger.region": ["top", "front"]}
+PLACES = {"constraints.finger.region": ["finger", "front"]}
 RATIOS = {"tissue.poisson_ratio": [0.4, 0.45, 0.49]}
 MOTIONS = {"constraints.tool.displacement.0": [-0.001, 0.0005, 0.0]}
 DATUMS = {"environment.pressure": [0.0, 50.0]}
@@ -184,6 +154,51 @@ CONDENSED = models("vdm-paper", "vdm-vector", "fem-condensed")
             {"vdm-paper": 1, "vdm-vector": 1, "vdm-boundary": 1},
             id="Poisson's ratio, then a load",
         ),
+        pytest.param(
+            models(*VDM, "fem-condensed")
+            | {"sweep": {"mode": "zip"} | RATIOS | {"constraints.finger.force": [0.1, 0.3, -0.2]}},
+            {"vdm-paper": 1, "vdm-vector": 1, "vdm-boundary": 1, "fem-condensed": 3},
+            id="each load its own Poisson's ratio",
+        ),
+        pytest.param(
+            models(*VDM)
+            | {
+                "vdm": {"surface_tension": 20.0},
+                "constraints": [BASE, FINGER, THUMB],
+                "sweep": {
+                    "mode": "zip",
+                    "tissue.poisson_ratio": [0.4, 0.45, 0.4, 0.49, 0.45],
+                    "vdm.surface_tension": [20.0, 30.0, 20.0, 20.0, 30.0],
+                    "constraints.thumb.pressure": [50.0, -20.0, 70.0, 30.0, 10.0],
+                },
+            },
+            {"vdm-paper": 1, "vdm-vector": 2, "vdm-boundary": 1},
+            id="loads on few tissues",
+        ),
+        pytest.param(
+            models("vdm-paper", "vdm-vector")
+            | {
+                "sweep": {
+                    "mode": "latin-hypercube",
+                    "samples": 4,
+                    "seed": 3,
+                    "tissue.poisson_ratio": {"start": 0.4, "stop": 0.49},
+                    "tissue.density": {"start": 900.0, "stop": 1100.0},
+                    "constraints.finger.force": {"start": 0.1, "stop": 0.3},
+                },
+            },
+            {"vdm-paper": 1, "vdm-vector": 1},
+            id="a sample of tissues and loads",
+        ),
+        pytest.param(
+            models("vdm-vector")
+            | {
+                "gravity": {"acceleration": [0.0, 0.0, -9.81]},
+                "sweep": {"mode": "zip", "tissue.density": [900.0, 900.0, 950.0]} | RATIOS,
+            },
+            {"vdm-vector": 2},
+            id="a weight with each Poisson's ratio",
+        ),
     ],
 )
 def test_a_run_does_what_is_planned_and_no_more_than_needed(
@@ -195,6 +210,11 @@ def test_a_run_does_what_is_planned_and_no_more_than_needed(
     assert made == expected
     assert setups(made) == few
     assert_as_alone(cases, plan, tmp_path)
+    made.clear()
+    again = plan_of(tmp_path / "run", cache, fresh=True, **changes)
+    assert planned(again) == expected, "with nothing that is stored"
+    run(again)
+    assert made == expected
 
 
 def test_what_is_solved_once_has_one_time(tmp_path: Path, cache: Path) -> None:
@@ -218,8 +238,7 @@ def test_results_are_kept_until_their_last_use(
     monkeypatch.setattr(worker, "_MOST_BYTES", room)
     plan = plan_of(tmp_path, cache, **models("vdm-paper", "vdm-vector"), sweep=TENSIONS | FORCES)
     expected, kept = planned(plan), []
-    (group,) = plan.groups(plan.cases_to_run(), 1)
-    tasks = [task_of(case, plan) for case in group]
+    (tasks,) = task_groups(plan, plan.cases_to_run(), 1)
     with share(tasks):
         for task in tasks:
             run_case(task)
@@ -231,10 +250,105 @@ def test_results_are_kept_until_their_last_use(
 
 
 def test_workers_at_once_know_nothing_of_each_other(tmp_path: Path, cache: Path) -> None:
-    """Three Poisson ratios: two workers begin with one each, the third finds what the first has left."""
+    """Three Poisson ratios: of two workers one has two of them, which share what does not read it."""
     plan = plan_of(tmp_path, cache, **models(*VDM), sweep=RATIOS | FORCES)
     for jobs, count in ((1, 1), (2, 2), (3, 3)):
         assert setups(planned(plan, jobs)) == dict.fromkeys(VDM, count), jobs
+
+
+@pytest.mark.parametrize(
+    ("sizes", "ratios", "jobs", "expected"),
+    [
+        ([0.022], 6, 1, [6]),
+        ([0.022], 6, 2, [3, 3]),
+        ([0.022], 7, 2, [4, 3]),
+        ([0.022], 6, 4, [2, 2, 2]),
+        ([0.022, 0.03], 3, 2, [3, 3]),
+        ([0.022, 0.03], 3, 3, [2, 1, 2, 1]),
+    ],
+)
+def test_bodies_are_divided_where_a_worker_would_have_more_than_its_share(
+    tmp_path: Path, sizes: list[float], ratios: int, jobs: int, expected: list[int]
+) -> None:
+    sweep = {
+        "geometry.mesh_size": sizes,
+        "tissue.poisson_ratio": {"start": 0.3, "stop": 0.49, "num": ratios},
+    }
+    plan = plan_of(tmp_path, tmp_path, sweep=sweep)
+    assert [len(group) for group in plan.groups(plan.in_order, jobs)] == expected
+    without = {"study": {"name": "test", "models": ["fem-linear"]}}
+    plan = plan_of(tmp_path, tmp_path, sweep=sweep, **without)
+    assert [len(group) for group in plan.groups(plan.in_order, jobs)] == [1] * len(sizes) * ratios
+
+
+def test_one_tissue_is_let_go_before_the_next_is_factored(
+    tmp_path: Path, cache: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    there: weakref.WeakSet[LinearProblem] = weakref.WeakSet()
+    others = []
+    start = LinearProblem.__init__
+
+    def watched_start(self: LinearProblem, *arguments: Any, **options: Any) -> None:
+        others.append(len(there))
+        start(self, *arguments, **options)
+        there.add(self)
+
+    monkeypatch.setattr(LinearProblem, "__init__", watched_start)
+    plan = plan_of(tmp_path, cache, fresh=True, **models("vdm-vector"), sweep=RATIOS | FORCES)
+    run(plan)
+    assert others == [0, 0, 0]
+    (held,) = (part.held for part in work_of(plan, plan.cases) if part.name == "fem-linear")
+    assert held == 1
+
+
+def test_no_number_hangs_on_which_worker_is_faster(tmp_path: Path, made: Counter[tuple[str, str]]) -> None:
+    """Two workers that share a reference and a surface model's results, one after the other in either order."""
+    sweep = {"constraints.finger.force": [0.1, 0.3], "constraints.thumb.pressure": [50.0, 150.0]} | TENSIONS
+    found: list[list[CaseResult]] = []
+    for order in (1, -1):
+        shutil.rmtree(tmp_path / "cache" / "references", ignore_errors=True)
+        tables = {"constraints": [BASE, FINGER, THUMB], "sweep": sweep}
+        names = models("vdm-paper", "vdm-vector")
+        plan = plan_of(tmp_path / f"{order}", tmp_path / "cache", **names, **tables)
+        groups = task_groups(plan, plan.cases_to_run(), 2)
+        assert len(groups) == 2
+        references = [{task["reference_key"] for task in group} for group in groups]
+        assert references[0] & references[1], "which both solve"
+        expected = planned(plan, 2)
+        made.clear()
+        for group in groups[::order]:
+            with share(group):
+                for task in group:
+                    run_case(task)
+        assert made == expected
+        found.append([read_case(plan.case_file(case)) for case in plan.cases])
+    for one, other in zip(*found, strict=True):
+        for name, result in one.models.items():
+            for field in ("displacement", "reaction_force", "energy", "fluid_pressure", "volume"):
+                a, b = getattr(result, field), getattr(other.models[name], field)
+                np.testing.assert_array_equal(a, b, err_msg=f"{name} {field}")
+
+
+def test_a_worker_in_the_place_of_one_that_died_reads_what_that_had_written(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    plans = [plan_of(tmp_path, tmp_path / "cache", fresh=fresh) for fresh in (False, True)]
+    tasks = [task_of(plan.cases[0], plan) for plan in plans]
+    solve, solved = LinearProblem.solve, []
+
+    def counted_solve(self: LinearProblem, loads: Any, *arguments: Any) -> Any:
+        solved.append(len(loads))
+        return solve(self, loads, *arguments)
+
+    monkeypatch.setattr(LinearProblem, "solve", counted_solve)
+    for task, count in (
+        (tasks[0], 1),
+        ({**tasks[0], AGAIN: True}, 1),
+        (tasks[0], 2),
+        ({**tasks[1], AGAIN: True}, 3),
+    ):
+        run_case(task)
+        assert len(solved) == count
 
 
 def test_memory_is_expected_for_what_waits(tmp_path: Path) -> None:

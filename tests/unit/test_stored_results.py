@@ -16,7 +16,7 @@ from studies.proportional import Answer
 from studies.result_cache import read_reference, reference_path, write_reference
 
 from .example_case import model_result
-from .test_sharing import ALONE, TABLES, plan_of, run
+from .shared_work import ALONE, TABLES, plan_of, run
 from .test_store import assert_same
 
 

@@ -1,0 +1,135 @@
+"""What a plan says will be refused, before anything is meshed or solved."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any
+
+import meshio
+import pytest
+from numpy.testing import assert_allclose
+
+from studies.explain import summary
+from studies.meshing.geometry import build_mesh
+from studies.meshing.geometry_spec import Geometry
+from studies.meshing.mesh_cache import mesh_from_cache
+from studies.run import Options, run_plan
+from studies.study_file.problems import StudyError
+
+from . import shared_work
+from .shared_work import TABLES, plan_of
+
+cache = shared_work.cache  # the fixture
+
+
+@pytest.mark.parametrize(
+    ("share", "known", "told"),
+    [
+        (0.7, False, "about 75 surface nodes"),
+        (0.8, False, None),
+        (0.95, True, "{} surface nodes"),
+        (1.0, True, None),
+    ],
+)
+def test_a_model_that_will_refuse_a_mesh_is_named(
+    tmp_path: Path, cache: Path, monkeypatch: pytest.MonkeyPatch, share: float, known: bool, told: str | None
+) -> None:
+    """An expected number of nodes may be a quarter off, one of a mesh that is there is counted."""
+    study = TABLES["study"] | {"models": ["mass-spring", "fem-linear"]}
+    plan = plan_of(tmp_path, cache if known else tmp_path, study=study)
+    (mesh,) = plan.meshes.values()
+    nodes = mesh.expected.nodes
+    if known:
+        nodes = len(mesh_from_cache(mesh.geometry, cache).surface_nodes)
+    monkeypatch.setattr("vdm.formulations.mass_spring.MAX_NODES", math.ceil(share * nodes))
+    lines = summary(plan)["refused"]
+    assert len(lines) == (told is not None)
+    for line in lines:
+        assert line.startswith(f"mass-spring on a mesh of {told.format(nodes)}, more than its ")
+    assert summary(plan_of(tmp_path, cache))["refused"] == []
+
+
+@pytest.mark.parametrize(
+    ("finger", "told"),
+    [
+        ({"above": {"axis": "z", "value": 60.0}}, True),  # mm for m
+        ({"ball": {"center": [0.0, 0.0, 0.2], "radius": 0.05}}, True),
+        ({"box": {"min": [-1.0, -1.0, -0.2], "max": [1.0, 1.0, -0.1]}}, True),
+        ({"above": {"axis": "z", "value": 0.051}}, False),  # a distorted mesh may reach so far
+        ({"cap": {"direction": [0, 0, 1], "angle": 0.5}}, False),
+    ],
+)
+def test_a_region_off_the_body_is_named_before_it_is_meshed(
+    tmp_path: Path, finger: dict[str, Any], told: bool
+) -> None:
+    regions = TABLES["regions"] | {"finger": finger}
+    pressed = TABLES["constraints"][1] | {"profile": "uniform"}
+    constraints = [TABLES["constraints"][0], pressed]
+    plan = plan_of(tmp_path, tmp_path / "cache", regions=regions, constraints=constraints, sweep={})
+    line = (
+        "region 'finger' lies off the body: the body has x from -0.05 to 0.05, y from -0.05 to 0.05, "
+        "z from -0.05 to 0.05 m; a mixed-up unit? A bare number is in metres"
+    )
+    assert summary(plan)["refused"] == [line] * told
+
+
+@pytest.mark.parametrize("suffix", [".stl", ".vtu"])
+@pytest.mark.parametrize("known", [False, True])
+@pytest.mark.parametrize(("height", "told"), [(0.1, True), (0.055, False)])  # an edge beyond is no matter
+def test_a_region_off_the_body_of_a_file_is_named_before_it_is_meshed(
+    tmp_path: Path, suffix: str, known: bool, height: float, told: bool
+) -> None:
+    file, shape = tmp_path / f"ball{suffix}", Geometry("sphere", 0.022, {"radius": 0.05})
+    ball = build_mesh(shape)
+    cells = {
+        ".stl": (ball.surface_points, ("triangle", ball.triangles)),
+        ".vtu": (ball.points, ("tetra", ball.tetrahedra)),
+    }
+    meshio.write_points_cells(
+        file, cells[suffix][0] + 7.0, [cells[suffix][1]]
+    )  # its place is no matter either
+    geometry = {"shape": "file", "path": str(file), "mesh_size": 0.022}
+    regions = TABLES["regions"] | {"finger": {"above": {"axis": "z", "value": height}}}
+    pressed = TABLES["constraints"][1] | {"profile": "uniform"}
+    constraints = [TABLES["constraints"][0], pressed]
+    plan = plan_of(tmp_path, tmp_path, geometry=geometry, regions=regions, constraints=constraints, sweep={})
+    if known:
+        mesh_from_cache(next(iter(plan.meshes.values())).geometry, tmp_path)
+        file.unlink()  # which is slower to read
+    lines = summary(plan)["refused"]
+    assert len(lines) == told
+    for line in lines:
+        high = float(line.partition("z from ")[2].split()[2])
+        assert line.startswith("region 'finger' lies off the body: the body has x from -0.0")
+        assert_allclose(high, 0.05, rtol=0.05, atol=0)
+
+
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [
+        (None, "the body is 0.1 m across: if that is wrong correct its lengths, else use a larger mesh_size"),
+        ({"scale": 1.0}, "m across: if that is wrong correct scale, else use a larger mesh_size"),
+        ({}, "m across: if the file is not in metres give scale or size, else use a larger mesh_size"),
+    ],
+)
+def test_what_the_machine_has_no_memory_for_is_named_and_not_begun(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, given: dict[str, float] | None, words: str
+) -> None:
+    file, ball = tmp_path / "ball.stl", build_mesh(Geometry("sphere", 0.022, {"radius": 0.05}), volume=False)
+    meshio.write_points_cells(file, ball.surface_points, [("triangle", ball.triangles)])
+    geometry = {} if given is None else {"shape": "file", "path": str(file), "mesh_size": 0.022} | given
+    plan = plan_of(tmp_path / "run", tmp_path / "cache", geometry=geometry or TABLES["geometry"])
+    assert summary(plan)["refused"] == []
+    monkeypatch.setattr("studies.explain.machine_memory", lambda: 1_000_000)
+    monkeypatch.setattr("studies.run.start_server", lambda: None)
+    (line,) = summary(plan)["refused"]
+    assert line.startswith("fem-linear refined on a mesh of ")
+    assert line.endswith(words)
+    with pytest.raises(StudyError) as raised:
+        run_plan(plan, "", Options(jobs=1), lambda _: None)
+    (problem,) = raised.value.problems
+    assert (problem.key, problem.message) == ("geometry.mesh_size", line)
+    assert not (tmp_path / "run" / "plan.json").exists()
+    without = {"study": TABLES["study"] | {"models": ["vdm-vector"], "reference": None}, "uncertainty": None}
+    assert summary(plan_of(tmp_path / "other", tmp_path / "cache", **without))["refused"] == []
