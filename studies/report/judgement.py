@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import math
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
+from ..case import CaseResult
 from .blocks import Figure
-from .digest import Digest
+from .digest import Digest, reference_bar
+from .formatting import listed, short_percent
 
 HOLDS, WITHIN_LIMITS, FAILS, OPEN = "holds", "holds within limits", "fails", "not decided"
 
@@ -32,3 +35,37 @@ class Claim:
     text: str
     rule: str
     judge: Judge
+
+
+@dataclass(frozen=True)
+class Change:
+    """An error before and after, and what the reference's own error may add to either, or take from it."""
+
+    before: float
+    after: float
+    bar: float
+
+    @property
+    def growth(self) -> float:
+        """From the first to the second; infinite where one is not known."""
+        return math.inf if math.isnan(self.after - self.before) else self.after - self.before
+
+
+def in_words(changes: Mapping[str, Change]) -> str:
+    """How the error of each model changes."""
+    return listed(
+        f"{m} from {short_percent(change.before)} to {short_percent(change.after)}"
+        for m, change in changes.items()
+    )
+
+
+def either_way(verdict: Callable[[float], str]) -> str:
+    """The verdict with the reference's own error against the claim (-1) and for it (1), where both are the same."""
+    against, favoured = verdict(-1.0), verdict(1.0)
+    return against if against == favoured else OPEN
+
+
+def own_bar(case: CaseResult) -> float:
+    """The reference's own error; one that was not measured counts as none."""
+    bar = reference_bar(case)
+    return bar if math.isfinite(bar) else 0.0

@@ -120,6 +120,17 @@ def test_cost(frame: float, setup: float, condensed: float, verdict: str) -> Non
     assert f"{1 / frame:g} times per frame" == outcome.number
 
 
+def test_a_refined_reference_is_no_yardstick_of_cost() -> None:
+    models = {"vdm-paper": 0.5, "fem-linear": 0.02}
+    case = make_case(models, reference="fem-linear refined", subdivisions=0)
+    case = with_models(case, fem_linear={"seconds_per_step": 0.1 * np.ones(4)})
+    outcome = judged(3, with_models(case, vdm_paper={"seconds_per_step": 1e-3 * np.ones(4)}))
+    assert outcome.number == "100 times per frame"
+    (figure,) = outcome.figures
+    assert "fem-linear" in figure.svg
+    assert "refined" not in figure.svg
+
+
 def test_a_frame_without_kept_factors_is_no_yardstick_of_cost() -> None:
     def case(label: str, seconds: float, solver: str) -> CaseResult:
         steps = np.ones(4)
@@ -152,6 +163,39 @@ def test_small_steps(few: float, many: float, verdict: str) -> None:
     outcome = judged(4, *cases)
     assert outcome.verdict == verdict
     assert outcome.number == f"{100 * (few - many):.2g} % at most by small steps (bar not measured)"
+
+
+@pytest.mark.parametrize(
+    ("few", "many", "bar", "verdict"),
+    [
+        (0.4, 0.07, 0.02, HOLDS),
+        (0.4, 0.09, 0.02, OPEN),  # close, or only closer
+        (0.4, 0.11, 0.02, OPEN),
+        (0.4, 0.3, 0.02, WITHIN_LIMITS),
+        (0.4, -0.34, 0.02, OPEN),
+        (0.4, -0.38, 0.02, OPEN),
+        (0.4, -0.3995, 0.02, FAILS),
+        (0.4, 0.37, 0.02, FAILS),  # whose answers are too near each other for any reference
+        (0.4, 0.3, 0.2, OPEN),
+    ],
+)
+def test_small_steps_with_the_reference_s_own_error(
+    few: float, many: float, bar: float, verdict: str
+) -> None:
+    cases = [
+        make_case(
+            {"vdm-paper:quasi-linear": error},
+            label=str(n),
+            steps=np.linspace(0, 1, n + 1)[1:].tolist(),
+            subdivisions=0,
+            reference_error={"gci:relative_l2_displacement_error": bar},
+        )
+        for n, error in ((20, many), (1, few))
+    ]
+    outcome = judged(4, *cases)
+    assert outcome.verdict == verdict
+    assert outcome.number.endswith(f" at most by small steps (reference's own error {100 * bar:g} %)")
+    assert f"The answers themselves are {100 * (few - many):.2g} % apart at most." in outcome.reason
 
 
 @pytest.mark.parametrize(("gains", "verdict"), [((3, 4), HOLDS), ((1, 4), WITHIN_LIMITS), ((1, 1), FAILS)])
@@ -244,6 +288,27 @@ def test_large_strain(cases: list[CaseResult], verdict: str, growth: str) -> Non
     outcome = judged(8, *cases)
     assert outcome.verdict == verdict
     assert outcome.number == f"{growth} growth at most (bar not measured)"
+
+
+@pytest.mark.parametrize(
+    ("errors", "bar", "verdict"),
+    [
+        ({A: (0.2, 0.22)}, 0.01, HOLDS),
+        ({A: (0.2, 0.22)}, 0.02, OPEN),
+        ({A: (0.2, 0.28)}, 0.02, OPEN),
+        ({A: (0.2, 0.4)}, 0.05, FAILS),
+        ({A: (0.2, 0.22), B: (0.2, 0.4)}, 0.02, OPEN),
+        # a form that keeps its accuracy and one that loses it decide, whatever a third does
+        ({A: (0.2, 0.22), B: (0.2, 0.4), "vdm-paper:nonlinear": (0.7, 0.7)}, 0.02, WITHIN_LIMITS),
+    ],
+)
+def test_large_strain_with_the_reference_s_own_error(
+    errors: Mapping[str, tuple[float, float]], bar: float, verdict: str
+) -> None:
+    case = dataclasses.replace(growing(errors), reference_error={"gci:relative_l2_displacement_error": bar})
+    outcome = judged(8, case)
+    assert outcome.verdict == verdict
+    assert outcome.number.endswith(f" growth at most (reference's own error {100 * bar:g} %)")
 
 
 def test_no_growth_is_told_of_forms_that_all_stop() -> None:
