@@ -8,7 +8,7 @@ RUN := .venv/bin/
 PYTEST := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(RUN)python -m pytest
 
 .PHONY: demo test verify docs baselines accuracy candidates claims calibrations stability setup libraries clean
-.PHONY: bench-vdm bench-fem bench-sharing bench-baseline bench-stages performance
+.PHONY: bench-vdm bench-fem bench-sharing bench-baseline bench-stages performance error-bars
 
 demo: setup
 	$(RUN)vdmbench run quickstart
@@ -47,6 +47,10 @@ stability: setup
 # the fits of the surface models' parameters: results/calibrations.md
 calibrations: setup
 	$(RUN)python -m tests.docs.calibrations
+
+# what a third mesh level says of the error bars of two: results/error-bars.md
+error-bars: setup
+	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(RUN)python -m tests.docs.error_bars
 
 # the table of candidates of vdm/README.md, from the shipped calibration studies; SURFACE=liver.obj adds a column
 candidates: setup

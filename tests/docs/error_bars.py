@@ -1,0 +1,285 @@
+"""Tries the error bars of two mesh levels on a third: `make error-bars`.
+
+Cases of shipped studies, each on its own mesh, get their reference on three levels: the mesh, split once as with
+`uncertainty.levels = 2`, and split twice. Of every number with a bar its distance from the best estimate is held
+against the bar that two levels give. The best estimate is the number for Richardson's extrapolation of the
+reference's displacement from all three, by the order observed in it.
+
+Writes `results/error-bars.json`, which the tests read, and `results/error-bars.md`. About half an hour of an idle
+core, and 2 GB.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from statistics import median
+from typing import Any
+
+import numpy as np
+
+from studies import models
+from studies.case import ModelResult
+from studies.meshing.geometry import build_mesh
+from studies.metrics import DEFORMATION, METRICS, VECTOR, History, evaluate, evaluate_all, full_load_step
+from studies.model_name import REFINED
+from studies.plan import make_plan
+from studies.reference import own_error, refined_levels, require_converged
+from studies.report.formatting import percent
+from studies.scene import Scene, build_scene
+from studies.setups import sharing
+from studies.study_file.config import expand, geometry_of, load_study
+from studies.study_file.schema import Study
+from studies.surface_measures import Surface, weighted_norms, without_motions
+from studies.uncertainty import REASONABLE_ORDERS, estimate_error, reference_bar
+from tests.docs import marked
+
+ROOT = Path(__file__).parents[2]
+CASES = ROOT / "studies" / "cases"
+FOUND = ROOT / "results" / "error-bars.json"
+DOCUMENT = ROOT / "results" / "error-bars.md"
+# study -> which of its cases; others would take hours or too much memory
+TRIED = {
+    "accuracy-box": (1, 4),
+    "anisotropy": (4,),
+    "calibrate-box": (1, 5, 9),
+    "calibrate-ellipsoid": (1, 5, 9),
+    "calibrate-organ": (1, 5, 9),
+    "calibrate-sphere": (1, 5, 9),
+    "contact-size": (1, 2, 3, 4, 5),
+    "convergence": (1, 2),
+    "gravity": (1,),
+    "liver-palpation": (1,),
+    "locking": (1, 6),
+    "peers": (1,),
+    "poisson-sweep": (1, 6),
+    "quickstart": (1, 2, 3),
+}
+ROUNDING = 1e-9  # a distance up to this, of a number with a unit times the number, is the solver's tolerance
+HEADLINE = (VECTOR, DEFORMATION)
+# a norm of the difference of two fields is not small by chance; the difference of two such figures may be
+SIGNED = (
+    "indentation_force_error",
+    *(name for name, metric in METRICS.items() if not metric.needs_reference),
+)
+HEAD = """# What the error bars of two mesh levels are worth
+
+Made by `make error-bars`. A study with `uncertainty.levels = 2` has the reference on its mesh split once, and for
+a bar the difference to that on the mesh itself. Here, on shipped studies' own meshes, it is split once more. A bar
+holds where it is at least the distance of its number from the best estimate: the number for the reference that
+Richardson's extrapolation of the three levels gives, by the order observed. "Used" is that distance over the bar:
+at most 1 where it holds. Cases are numbered from 1, as `vdmbench plan` lists them.
+"""
+
+
+@dataclass(frozen=True)
+class Levels:
+    """A case, its models' results, and its reference on the mesh, split once and split twice."""
+
+    study: str
+    number: int  # of the case in the study, from 1
+    mesh_size: float  # [m]
+    surface: Surface
+    load_factors: np.ndarray
+    models: Mapping[str, ModelResult]  # the reference's on the mesh among them
+    reference: str
+    levels: Sequence[ModelResult]
+
+
+@dataclass(frozen=True)
+class Bar:
+    """A number of a case as two levels give it, with its bar, and its best estimate."""
+
+    model: str
+    metric: str
+    value: float
+    bar: float
+    best: float
+
+    @property
+    def used(self) -> float:
+        """Distance over bar, at most 1 where the bar holds."""
+        distance = abs(self.value - self.best)
+        if distance <= ROUNDING * (1.0 if METRICS[self.metric].unit == "1" else abs(self.value)):
+            return 0.0
+        return distance / self.bar if self.bar else math.inf
+
+
+def solved(study: Study, tried: Sequence[int]) -> Iterator[Levels]:
+    """Some cases of a study, by number; those that share mesh, tissue and support are solved together."""
+    plan = make_plan(study, expand(study), ROOT, ROOT)
+    numbers = {plan.cases[number - 1].hash: number for number in tried}
+    for group in plan.groups([plan.cases[number - 1] for number in tried], 1):
+        mesh = build_mesh(geometry_of(group[0].study))
+        scenes = {numbers[case.hash]: build_scene(case.study, mesh) for case in group}
+        with sharing():
+            yield from _solved_together([case.study for case in group], scenes)
+
+
+def _solved_together(studies: Sequence[Study], scenes: Mapping[int, Scene]) -> Iterator[Levels]:
+    info = studies[0].study
+    reference = info.reference or ""
+    coarse = models.run_together(list(scenes.values()), reference)
+    for result in coarse:
+        require_converged(reference, result)
+    finer = refined_levels(studies, list(scenes.values()), reference, [3] * len(scenes))
+    for study, (number, scene), own, others in zip(studies, scenes.items(), coarse, finer, strict=True):
+        results = {name: models.run_model(scene, name) for name in info.models if name != reference}
+        points, triangles, weighs = scene.mesh.surface_points, scene.mesh.triangles, bool(scene.gravity.any())
+        yield Levels(
+            info.name,
+            number,
+            study.geometry.mesh_size,
+            Surface(points, triangles, scene.contact, scene.contact_force, weighs),
+            scene.load_factors,
+            {**results, reference: own},
+            reference,
+            [own, *others],
+        )
+
+
+def bars(case: Levels) -> list[Bar]:
+    """Every number that two levels give a bar, at full load; the model of the reference's own is `REFINED`."""
+    coarse, fine, _ = case.levels
+    step = full_load_step(case.load_factors)
+    own = evaluate(case.surface, _history(case, coarse), None)
+    told = own_error(case.surface, [fine, coarse], case.load_factors)
+    best = _metrics(case, extrapolated(case))
+    found = []
+    for model, series in _metrics(case, _history(case, fine)).items():
+        for metric, values in series.items():
+            value = float(values[step])
+            bar = _bar(float(own[metric][step]), value) if model == REFINED else reference_bar(told, metric)
+            if math.isfinite(value) and math.isfinite(bar):
+                found.append(Bar(model, metric, value, bar, float(best[model][metric][step])))
+    return found
+
+
+def _bar(coarse: float, fine: float) -> float:
+    """Of a figure of the reference itself."""
+    difference = coarse - fine
+    return estimate_error([difference]).gci if math.isfinite(difference) else math.nan
+
+
+def orders(case: Levels) -> tuple[float, float]:
+    """The orders observed in displacement and deformation."""
+    step = full_load_step(case.load_factors)
+    surface = case.surface
+    fields = np.stack([level.displacement[step] for level in case.levels])
+    deformed = without_motions(surface.rigid_motions, fields, surface.areas)
+    (vector, deformation) = (
+        math.log2(float(np.divide(*weighted_norms(np.diff(of, axis=0), surface.areas))))
+        for of in (fields, deformed)
+    )
+    return vector, deformation
+
+
+def extrapolated(case: Levels) -> History:
+    """The best estimate of the reference."""
+    _, fine, finest = case.levels
+    order, _ = orders(case)
+    low, high = REASONABLE_ORDERS
+    share = 1.0 / (2.0 ** min(max(order, low), high) - 1.0)
+    displacement = finest.displacement + share * (finest.displacement - fine.displacement)
+    force = finest.reaction_force + share * (finest.reaction_force - fine.reaction_force)
+    return History(displacement, force, case.load_factors)
+
+
+def _history(case: Levels, result: ModelResult) -> History:
+    return History(result.displacement, result.reaction_force, case.load_factors)
+
+
+def _metrics(case: Levels, reference: History) -> dict[str, dict[str, np.ndarray]]:
+    """Model -> metric -> (S,) values against a reference, whose own are those of `REFINED`."""
+    histories = {name: _history(case, result) for name, result in case.models.items()}
+    return evaluate_all(case.surface, {**histories, REFINED: reference}, REFINED)
+
+
+def row(case: Levels) -> dict[str, Any]:
+    """What is kept of a case: of each metric what is used of each of its bars, to four digits."""
+    found = bars(case)
+    used: dict[str, list[float]] = {}
+    for bar in found:
+        used.setdefault(bar.metric, []).append(bar.used)
+    own = {bar.metric: bar.used for bar in found if bar.model == case.reference}
+    vector, deformation = orders(case)
+    return {
+        "study": case.study,
+        "case": case.number,
+        "mesh_size": case.mesh_size,
+        "bar": next(bar.bar for bar in found if bar.metric == VECTOR),
+        "order": round(vector, 2),
+        "order_deformation": round(deformation, 2),
+        "own": {metric: _rounded(own[metric]) for metric in HEADLINE},
+        "used": {metric: [*map(_rounded, shares)] for metric, shares in used.items()},
+    }
+
+
+def _rounded(share: float) -> float:
+    return float(f"{share:.4g}")
+
+
+def own_held(rows: Iterable[Mapping[str, Any]], metric: str) -> int:
+    """In how many cases the bar holds for the reference on its mesh, whose error is nothing but the reference's."""
+    return sum(row["own"][metric] <= 1.0 for row in rows)
+
+
+def held(rows: Iterable[Mapping[str, Any]], metrics: Iterable[str]) -> tuple[int, int]:
+    """How many bars of some metrics hold, of how many."""
+    shares = [share for row in rows for metric in metrics for share in row["used"].get(metric, [])]
+    return sum(share <= 1.0 for share in shares), len(shares)
+
+
+def document(rows: Sequence[Mapping[str, Any]]) -> str:
+    """The whole of `results/error-bars.md`."""
+    by_case = [
+        [
+            row["study"],
+            str(row["case"]),
+            f"{1e3 * row['mesh_size']:g} mm",
+            f"± {percent(row['bar'])}",
+            f"{row['order']:.2f} / {row['order_deformation']:.2f}",
+            " / ".join(f"{row['own'][metric]:.2f}" for metric in HEADLINE),
+            " / ".join(f"{max(row['used'][metric]):.2f}" for metric in HEADLINE),
+        ]
+        for row in rows
+    ]
+    by_metric = []
+    for metric in METRICS:
+        shares = [share for row in rows for share in row["used"].get(metric, [])]
+        if shares:
+            count, of = held(rows, [metric])
+            by_metric.append(
+                [f"`{metric}`", f"{count} of {of}", f"{median(shares):.2g}", f"{max(shares):.2g}"]
+            )
+    vector, deformation = (own_held(rows, metric) for metric in HEADLINE)
+    head = ["study", "case", "mesh", "bar", "order", "used by the reference's own mesh", "used at most"]
+    return (
+        HEAD
+        + "\nThe two errors, displacement / deformation, but for the bar, which is the displacement's:\n\n"
+        + marked.table(head, by_case)
+        + "\nOf the reference on the study's own mesh the error is its own alone: its bars hold in "
+        + f"{vector} / {deformation} of {len(rows)} cases.\nOf all models, and of the reference's own figures:\n\n"
+        + marked.table(["number", "bars that hold", "used, median", "used at most"], by_metric)
+    )
+
+
+def write(rows: Sequence[Mapping[str, Any]]) -> None:
+    """What was found, a case a line, and the document."""
+    FOUND.write_text("[\n" + ",\n".join(map(json.dumps, rows)) + "\n]\n")
+    DOCUMENT.write_text(document(rows))
+
+
+def main() -> None:
+    """Solve all cases and write what came out."""
+    rows = []
+    for study, numbers in TRIED.items():
+        rows += [row(case) for case in solved(load_study(CASES / f"{study}.toml"), numbers)]
+    write(rows)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,89 @@
+"""The bars of two mesh levels hold what a third level finds; see `make error-bars`."""
+
+from __future__ import annotations
+
+import json
+import math
+from typing import Any
+
+import pytest
+from numpy.testing import assert_allclose
+
+from studies.study_file.config import load_study
+from tests.docs import error_bars
+from tests.docs.error_bars import (
+    CASES,
+    DOCUMENT,
+    FOUND,
+    HEADLINE,
+    SIGNED,
+    TRIED,
+    VECTOR,
+    Bar,
+    bars,
+    document,
+    held,
+    own_held,
+    row,
+)
+from tests.docs.regenerate import README
+
+SHARE = 0.95
+SAME = 0.03  # of a bar: what is used of it, rounded to two digits, on another machine
+
+
+def stored() -> list[dict[str, Any]]:
+    """What `make error-bars` found."""
+    found: list[dict[str, Any]] = json.loads(FOUND.read_text())
+    return found
+
+
+def test_what_is_used_of_a_bar_by_hand() -> None:
+    assert_allclose(Bar("fem", VECTOR, value=0.3, bar=0.02, best=0.31).used, 0.5, rtol=1e-12, atol=0)
+    assert Bar("fem", VECTOR, value=0.3, bar=0.0, best=0.31).used == math.inf
+    assert Bar("fem", VECTOR, value=1e-15, bar=0.0, best=6e-11).used == 0.0, "rounding is no miss"
+    assert_allclose(
+        Bar("fem", "contact_work", value=5e-5, bar=1e-9, best=5.0002e-5).used, 2.0, rtol=1e-9, atol=0
+    )
+    rows = [{"used": {"a": [0.5, 1.2], "b": [1.0]}}, {"used": {"a": [0.7]}}]
+    assert held(rows, ["a"]) == (2, 3)
+    assert held(rows, ["a", "b", "c"]) == (3, 4)
+
+
+def test_the_bars_of_a_small_body_hold() -> None:
+    """The block under a finger on a mesh twice as coarse as the study's, where the order is about 2."""
+    study = load_study(CASES / "contact-size.toml")
+    study = study.model_copy(update={"geometry": study.geometry.model_copy(update={"mesh_size": 0.02})})
+    (case,) = error_bars.solved(study, [3])
+    found = bars(case)
+    headline = [bar.used for bar in found if bar.metric in HEADLINE]
+    assert len(headline) == 2 * len(study.study.models)
+    assert 0.1 < max(headline) < 0.5, "they hold, and are not far too wide"
+
+
+def test_the_bars_of_the_shipped_studies_hold() -> None:
+    rows = stored()
+    assert {name: sum(row["study"] == name for row in rows) for name in TRIED} == {
+        name: len(numbers) for name, numbers in TRIED.items()
+    }
+    count, of = held(rows, HEADLINE)
+    assert count >= SHARE * of
+    assert document(rows) == DOCUMENT.read_text(), "run `make error-bars`"
+    signed, of_signed = held(rows, SIGNED)
+    told = " ".join(README.read_text().split())
+    cases = f"of the reference's own displacement those of {own_held(rows, VECTOR)} cases of {len(rows)};"
+    assert f"{count} of {of} bars of the two errors hold, {cases}" in told
+    widest = max(share for row in rows for metric in HEADLINE for share in row["used"][metric])
+    assert widest < 4 / 3, "the others would have to be up to a third wider"
+    assert f"indentation force and work of the contact {signed} of {of_signed} hold" in told
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("study", ["convergence"])
+def test_a_measured_study_comes_out_again(study: str) -> None:
+    before = [row for row in stored() if row["study"] == study]
+    again = [row(case) for case in error_bars.solved(load_study(CASES / f"{study}.toml"), TRIED[study])]
+    assert [entry["case"] for entry in again] == [entry["case"] for entry in before]
+    for old, new in zip(before, again, strict=True):
+        for metric in HEADLINE:
+            assert_allclose(new["used"][metric], old["used"][metric], rtol=0, atol=SAME)
