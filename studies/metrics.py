@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, wraps
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +18,7 @@ from .surface_measures import (
     enclosed_volumes,
     ratio,
     relative_l2_steps,
+    weighted_norms,
     weighted_quantiles,
     without_motions,
 )
@@ -63,6 +64,8 @@ class Metric:
 
 
 METRICS: dict[str, Metric] = {}
+_NO_LOAD = 1e-12  # of the largest load factor: equal steps of a history differ by rounding
+_LOST = 1e-6  # of a whole: a part as small is lost in what solvers leave open
 
 
 def full_load_step(load_factors: Array) -> int:
@@ -79,17 +82,31 @@ def _metric(
     *,
     degree: int | None,
     version: int = 1,
+    relative: bool = False,
     needs_reference: bool = True,
     needs_contact: bool = False,
 ) -> Callable[[Function], Function]:
     def register(function: Function) -> Function:
         name = function.__name__
+        function = _not_at_rest(function) if relative or degree == 0 else function
         METRICS[name] = Metric(
             name, unit, definition, version, function, degree, needs_reference, needs_contact
         )
         return function
 
     return register
+
+
+def _not_at_rest(function: Function) -> Function:
+    """A measure in parts of a whole, NaN at steps without a load: what is left there is rounding over rounding."""
+
+    @wraps(function)
+    def measure(surface: Surface, model: History, *reference: History) -> Array:
+        factors = np.abs(model.load_factors)
+        rests = (factors <= _NO_LOAD * factors.max()) & (not surface.weighs)
+        return np.where(rests, np.nan, function(surface, model, *reference))
+
+    return measure
 
 
 Compare = Callable[[Surface, Array, Array], Array]  # of displacements (S, N, 3): (S,)
@@ -107,20 +124,21 @@ def _each_step(surface: Surface, model: History, reference: History, compare: Co
     return out
 
 
-@_metric("1", "area-weighted ||u - r|| / ||r|| of the displacement vector", degree=0)
+@_metric("1", "area-weighted ||u - r|| / ||r|| of the displacement vector", degree=0, version=2)
 def relative_l2_displacement_error(surface: Surface, model: History, reference: History) -> Array:
     return _each_step(surface, model, reference, lambda s, u, r: relative_l2_steps(u, r, s.areas))
 
 
 @_metric(
     "1",
-    "as the displacement error, the best-fit rigid motion removed from model and reference alike",
+    "as the displacement error, the best-fit rigid motion removed from model and reference alike; none where the "
+    "reference moves as a rigid body",
     degree=0,
+    version=2,
 )
 def relative_l2_deformation_error(surface: Surface, model: History, reference: History) -> Array:
     def compare(s: Surface, u: Array, r: Array) -> Array:
-        u, r = (without_motions(s.rigid_motions, v, s.areas) for v in (u, r))
-        return relative_l2_steps(u, r, s.areas)
+        return _of_parts(r, s.areas, *(without_motions(s.rigid_motions, v, s.areas) for v in (u, r)))
 
     return _each_step(surface, model, reference, compare)
 
@@ -128,20 +146,28 @@ def relative_l2_deformation_error(surface: Surface, model: History, reference: H
 VECTOR, DEFORMATION = relative_l2_displacement_error.__name__, relative_l2_deformation_error.__name__
 
 
-@_metric("1", "as the displacement error, for the component along the undeformed normal", degree=0)
+@_metric(
+    "1",
+    "as the displacement error, for the component along the undeformed normal",
+    degree=0,
+    version=2,
+)
 def relative_l2_normal_error(surface: Surface, model: History, reference: History) -> Array:
     def compare(s: Surface, u: Array, r: Array) -> Array:
-        u, r = (_along(v, s.normals) for v in (u, r))
-        return relative_l2_steps(u, r, s.areas)
+        return _of_parts(r, s.areas, *(_along(v, s.normals) for v in (u, r)))
 
     return _each_step(surface, model, reference, compare)
 
 
-@_metric("1", "as the displacement error, for the component in the undeformed surface", degree=0)
+@_metric(
+    "1",
+    "as the displacement error, for the component in the undeformed surface",
+    degree=0,
+    version=2,
+)
 def relative_l2_tangential_error(surface: Surface, model: History, reference: History) -> Array:
     def compare(s: Surface, u: Array, r: Array) -> Array:
-        u, r = (v - _along(v, s.normals) * s.normals for v in (u, r))
-        return relative_l2_steps(u, r, s.areas)
+        return _of_parts(r, s.areas, *(v - _along(v, s.normals) * s.normals for v in (u, r)))
 
     return _each_step(surface, model, reference, compare)
 
@@ -151,7 +177,7 @@ def max_nodal_error(surface: Surface, model: History, reference: History) -> Arr
     return _each_step(surface, model, reference, lambda _, u, r: _nodal_error(u, r).max(axis=1))
 
 
-@_metric("1", "largest |u - r| over largest |r|", degree=0)
+@_metric("1", "largest |u - r| over largest |r|", degree=0, version=2)
 def max_nodal_error_relative(surface: Surface, model: History, reference: History) -> Array:
     return max_nodal_error(surface, model, reference) / reference.largest
 
@@ -163,17 +189,34 @@ def p95_nodal_error(surface: Surface, model: History, reference: History) -> Arr
     )
 
 
-@_metric("1", "|u - r| that 95 % of the surface area stays below, over largest |r|", degree=0)
+@_metric(
+    "1",
+    "|u - r| that 95 % of the surface area stays below, over largest |r|",
+    degree=0,
+    version=2,
+)
 def p95_nodal_error_relative(surface: Surface, model: History, reference: History) -> Array:
     return p95_nodal_error(surface, model, reference) / reference.largest
 
 
-@_metric("1", "displacement error over the loaded nodes only", degree=0, needs_contact=True)
+@_metric(
+    "1",
+    "displacement error over the loaded nodes only",
+    degree=0,
+    version=2,
+    needs_contact=True,
+)
 def contact_region_error(surface: Surface, model: History, reference: History) -> Array:
     return _regional(surface, model, reference, surface.contact)
 
 
-@_metric("1", "displacement error over the nodes that carry no contact", degree=0, needs_contact=True)
+@_metric(
+    "1",
+    "displacement error over the nodes that carry no contact",
+    degree=0,
+    version=2,
+    needs_contact=True,
+)
 def far_field_error(surface: Surface, model: History, reference: History) -> Array:
     return _regional(surface, model, reference, ~surface.contact)
 
@@ -233,11 +276,17 @@ def _with_distances(surface: Surface, models: Sequence[History], reference: Hist
     return found
 
 
-@_metric("1", "|R - R_ref| / |R_ref| of the total force that the supports exert", degree=0)
+@_metric(
+    "1",
+    "|R - R_ref| / |R_ref| of the total force that the supports exert; none where their forces cancel",
+    degree=0,
+    version=2,
+)
 def reaction_force_error(surface: Surface, model: History, reference: History) -> Array:  # noqa: ARG001
     total, total_reference = (history.reaction_force.sum(axis=1) for history in (model, reference))
     norm = np.linalg.norm(total_reference, axis=1)
-    return ratio(np.linalg.norm(total - total_reference, axis=1), norm)
+    of_nodes = np.linalg.norm(reference.reaction_force, axis=2).sum(axis=1)
+    return ratio(np.linalg.norm(total - total_reference, axis=1), _unless_lost(norm, of_nodes))
 
 
 @_metric(
@@ -268,7 +317,12 @@ def volume_drift(surface: Surface, model: History) -> Array:
 
 
 @_metric(
-    "1", "(V - V0) over the displaced volume, half of sum |g_i . u_i|", degree=None, needs_reference=False
+    "1",
+    "(V - V0) over the displaced volume, half of sum |g_i . u_i|; none without a load",
+    degree=None,
+    version=2,
+    relative=True,
+    needs_reference=False,
 )
 def volume_drift_of_displaced(surface: Surface, model: History) -> Array:
     displaced = 0.5 * np.abs(np.einsum("sij,ij->si", model.displacement, surface.volume_gradient)).sum(axis=1)
@@ -359,6 +413,16 @@ def _along(displacements: Array, normals: Array) -> Array:
     return np.einsum("sni,ni->sn", displacements, normals)[:, :, None]
 
 
+def _of_parts(whole: Array, weights: Array, u: Array, r: Array) -> Array:
+    """(S,) `relative_l2` of parts of fields; NaN where the reference, `whole`, has next to none of the part."""
+    norm = _unless_lost(weighted_norms(r, weights), weighted_norms(whole, weights))
+    return ratio(weighted_norms(u - r, weights), norm)
+
+
+def _unless_lost(part: Array, whole: Array) -> Array:
+    return np.where(part > _LOST * whole, part, 0.0)
+
+
 def _nodal_error(u: Array, r: Array) -> Array:
     """(S, N) |u - r|."""
     return np.linalg.norm(u - r, axis=2)
@@ -375,7 +439,7 @@ def _factor_at(depth: float, depths: Array, factors: Array, *, rests: bool) -> f
     Of a factor that comes more than once the first step counts. Without a step of no load, that is no depth of a
     body that `rests` there, and of any other unknown: NaN.
     """
-    rounded = np.round(factors / np.abs(factors).max(), 12)  # equal steps of a history differ by rounding
+    rounded = np.round(factors / np.abs(factors).max() / _NO_LOAD)
     _, first = np.unique(rounded, return_index=True)
     x, y = depths[first], factors[first]
     if rounded.all():

@@ -7,12 +7,15 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import ConvexHull
 
 from .nearest import Neighbourhood
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 Index = NDArray[np.int64]
+
+_MOST_FACETS = 300  # of a convex hull that are looked at
 
 
 def facet_area_vectors(points: Array, triangles: Index) -> Array:
@@ -146,8 +149,16 @@ class Surface:
 
     @cached_property
     def smallest_extent(self) -> float:
-        """Smallest edge of the bounding box [m]."""
-        return float(np.ptp(self.points, axis=0).min())
+        """Least distance of two parallel planes, one along a facet of the convex hull, with the body between [m].
+
+        Of the hull's `_MOST_FACETS` largest facets. Unlike an edge of the bounding box it turns with the body.
+        """
+        hull = ConvexHull(self.points)
+        largest = np.argsort(-facet_areas(self.points, hull.simplices.astype(np.int64)), kind="stable")[
+            :_MOST_FACETS
+        ]
+        normals = hull.equations[largest, :3]
+        return float(np.ptp(normals @ self.points[hull.vertices].T, axis=1).min())
 
     @cached_property
     def volume(self) -> float:

@@ -42,7 +42,9 @@ def case_state(case: CaseResult, model: str, step: int) -> str:
         bar = reference_bar(case, metric)
         bar = bar if math.isfinite(bar) else 0.0
         if not math.isfinite(error):
-            states.add(LOST)
+            states |= (
+                {LOST} if metric == VECTOR else set()
+            )  # a reference that moves rigidly has no deformation
         elif error + bar <= CLOSE:
             states.add(WITHIN)
         else:

@@ -149,7 +149,7 @@ def test_what_cannot_be_compared_says_why(path: Path) -> None:
     case = run_of({"vdm-vector": 0.2, "vdm-paper": 0.8}).cases[0]
     versions = {
         "model version 1 -> 2": changed(case, "vdm-vector", version="2"),
-        "metric version 1 -> 7": with_series(case, "vdm-vector", VECTOR, version=7),
+        f"metric version {METRICS[VECTOR].version} -> 7": with_series(case, "vdm-vector", VECTOR, version=7),
         "unit 1 -> m": with_series(case, "vdm-vector", VECTOR, unit="m"),
         "the inputs of the case have changed": dataclasses.replace(
             case, resolved={**case.resolved, "tissue": {}}
@@ -376,7 +376,7 @@ def test_series_of_a_step_that_is_not_full_load_do_not_matter(path: Path) -> Non
     case = run_of({"vdm-vector": 0.2, "vdm-paper": 0.8}).cases[0]
     values = case.metrics["vdm-vector"][VECTOR].values.copy()
     values[0] = 5.0
-    series = MetricSeries(values, "1", "", 1)
+    series = MetricSeries(values, "1", "", METRICS[VECTOR].version)
     metrics = {**case.metrics, "vdm-vector": {**case.metrics["vdm-vector"], VECTOR: series}}
     assert (
         found(path, make_run([dataclasses.replace(case, metrics=metrics)]))["vdm-vector"].outcome == gate.SAME

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 from typing import Any
 
 import numpy as np
@@ -65,6 +66,16 @@ def test_surface_measures_of_the_octahedron(surface: Surface) -> None:
     assert_allclose(surface.normals, surface.points, **ROUND)
 
 
+def test_the_smallest_extent_turns_with_the_body(surface: Surface) -> None:
+    """Of a slab its thickness, of an octahedron the distance of opposite facets, whichever way they lie."""
+    corners = np.array(list(itertools.product([0.0, 0.1], [0.0, 0.08], [0.0, 0.02, 0.04])))
+    turn, _ = np.linalg.qr(np.random.default_rng(3).normal(size=(3, 3)))
+    for points, extent in ((corners, 0.04), (surface.points, 2 / np.sqrt(3))):
+        for posed in (points, points @ turn + 5.0):
+            body = Surface(posed, np.zeros((0, 3), dtype=np.int64))
+            assert_allclose(body.smallest_extent, extent, rtol=1e-12, atol=0)
+
+
 def test_contact_work_by_hand(surface: Surface, field: np.ndarray) -> None:
     force = np.zeros((6, 3))
     force[surface.contact] = [0.0, 1.0, -2.0]
@@ -122,6 +133,39 @@ def test_a_rigid_motion_is_no_deformation(surface: Surface, field: np.ndarray) -
     values = evaluate(surface, history(field + rigid), history(field))
     assert_allclose(values["relative_l2_deformation_error"], 0.0, atol=1e-13, rtol=0)
     assert values["relative_l2_displacement_error"][0] > 0.1
+
+
+def test_a_part_that_the_reference_has_not_is_no_measure(surface: Surface, field: np.ndarray) -> None:
+    """What is left of it is what its solver leaves open: no whole to measure an error by."""
+    rest, turn = 1e-9 * field, np.cross([0.0, 0.0, 1.0], surface.points)
+    along, normal = turn / np.linalg.norm(turn, axis=1).max(), surface.normals
+    forces = np.where(surface.contact[:, None], 1.0, -0.2) * [0.0, 0.0, 1.0]  # in balance but for rounding
+    reactions = [forces + 1e-12 * field, forces - 2e-12 * field]
+    for reference, part in ((turn, "deformation"), (along, "normal"), (normal, "tangential")):
+        values = evaluate(surface, history(reference - rest), history(reference + rest))
+        assert np.isnan(values[f"relative_l2_{part}_error"]).all(), part
+        assert 0 < values["relative_l2_displacement_error"][0] < 1e-7
+    model, reference = (history(field, reaction=reaction[None]) for reaction in reactions)
+    assert np.isnan(evaluate(surface, model, reference)["reaction_force_error"]).all()
+
+
+@pytest.mark.parametrize("weighs", [False, True])
+def test_a_body_without_load_has_nothing_to_measure_by(
+    surface: Surface, field: np.ndarray, *, weighs: bool
+) -> None:
+    body = dataclasses.replace(
+        surface, weighs=weighs, contact_force=np.where(surface.contact[:, None], field, 0)
+    )
+    factors, reaction = [1.0, 1e-17, 0.0, 1e-6], np.stack([field] * 4)
+    steps = [
+        history(field, a * field, a * field, field, reaction=reaction, factors=factors) for a in (1e-9, 2e-9)
+    ]
+    values = evaluate(body, *steps)
+    for name, metric in METRICS.items():
+        if metric.degree == 0 or name == "volume_drift_of_displaced":
+            rests = [False, not weighs, not weighs, False]
+            if name != "indentation_force_error":
+                assert np.isnan(values[name]).tolist() == rests, name
 
 
 def test_normal_and_tangential_parts(surface: Surface) -> None:
