@@ -8,7 +8,7 @@ import json
 import os
 import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
@@ -21,12 +21,14 @@ from .cluster import Cluster, connected
 from .execute import LOG, Group, Outcome, Task, run_tasks, write_failure
 from .explain import beyond_memory, summary
 from .files import clear_abandoned, write_atomically
+from .hdf5 import StoreError
 from .memory import machine_memory
 from .meshing.mesh import MeshError
 from .plan import Plan, PlannedCase, PlannedMesh, task_groups, task_of
 from .server import processor_seconds, start_server
 from .store import case_path, failure_path, read_plan, read_run, write_study
 from .study_file.config import geometry_error, resolved
+from .study_file.units import shown
 from .work import work_of
 from .worker import make_mesh, run_case, share
 
@@ -66,7 +68,7 @@ def run_plan(
     Raises
     ------
     RunError
-        another run is at work in the directory.
+        another run is at work in the directory, or it holds another study.
     StudyError
         a case needs more memory than this machine can have.
     OSError
@@ -78,6 +80,7 @@ def run_plan(
     if here or plan.missing_meshes(cases):
         start_server()  # before there are a cluster's threads, and a lock that it would hold on to
     with _cluster(options) as cluster, _locked(plan.directory, options.shard):
+        _check_study(plan)
         if here:
             import_module("studies.report.page")  # while the server loads, too
         if cluster is None:
@@ -113,6 +116,17 @@ def rebuild(directory: Path) -> tuple[Run, Path]:
         write_study(directory, run)
         write_report(run, report)
     return run, report
+
+
+def _check_study(plan: Plan) -> None:
+    """Raises RunError where the directory holds another study, whose tables and report would be lost."""
+    name = plan.study.study.name
+    with suppress(StoreError):  # nothing there, or nothing that can be read
+        other = read_plan(plan.directory)["study"]["name"]
+        if other != name:
+            raise RunError(
+                f"{plan.directory}: holds the study {shown(other)}, not {shown(name)}; choose another --out"
+            )
 
 
 def _check_memory(plan: Plan, cases: Sequence[PlannedCase]) -> None:

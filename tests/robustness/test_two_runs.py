@@ -64,3 +64,14 @@ def test_two_directories_of_one_cache(undisturbed: tuple[Path, float], tmp_path:
         for place in (tmp_path, undisturbed[0])
     )
     assert ours == theirs
+
+
+def test_a_directory_of_another_study_is_left_alone(undisturbed: tuple[Path, float], tmp_path: Path) -> None:
+    shutil.copytree(undisturbed[0] / RUN, tmp_path / "run")
+    study = (undisturbed[0] / "small.toml").read_text()
+    (tmp_path / "small.toml").write_text(study.replace('name = "small"', 'name = "other"'))
+    before = {path: path.read_bytes() for path in (tmp_path / "run").rglob("[!.]*") if path.is_file()}
+    ((code, output),) = _together(["--out", "run"], cwd=tmp_path)
+    assert code == 2
+    assert output == 'vdmbench: run: holds the study "small", not "other"; choose another --out\n'
+    assert {path: path.read_bytes() for path in before} == before

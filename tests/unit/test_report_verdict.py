@@ -55,9 +55,9 @@ def test_a_sweep_in_words() -> None:
         "displacement (worst case 10.6 % ± 0.68 %) and 7.8 % ± 0.74 % in deformation, rigid motion taken out of "
         "both (worst case 10.6 % ± 0.74 %).",
         LOAD: "vdm-vector stays surely within 10 % over the whole load history in 5 of 6 cases and at no load in 1."
-        " Full load is 500 mN to 1.00 N, up to 4.00 mm of indentation in the reference, 4.1 % of the body's smallest "
-        "extent. fem-linear is a small-strain reference, so the errors of linear models do not grow with the load "
-        'by construction: where small strain ends is only told by reference = "fem".',
+        " Full load is 500 mN to 1.00 N, up to 4.00 mm of indentation in the reference, 4.1 % of the body's "
+        "smallest extent. fem-linear is a small-strain reference, so the errors of linear models do not grow with "
+        'the load by construction: where small strain ends is only told by reference = "fem".',
         WITH: "vdm-vector with B = 700 Pa, not fitted: by rule from the tissue and the size of the body. "
         "The others: vdm-paper 66 % (medians).",
         COST: "A frame of vdm-vector costs 800 µs after 40 ms of set-up, one of fem-linear 800 ms after 2.5 s: "
