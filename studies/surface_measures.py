@@ -7,7 +7,6 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import ConvexHull
 
 from .nearest import Neighbourhood
 
@@ -15,7 +14,7 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 Index = NDArray[np.int64]
 
-_MOST_FACETS = 300  # of a convex hull that are looked at
+_MOST_NORMALS = 300  # of facets that an extent is measured along
 
 
 def facet_area_vectors(points: Array, triangles: Index) -> Array:
@@ -149,16 +148,17 @@ class Surface:
 
     @cached_property
     def smallest_extent(self) -> float:
-        """Least distance of two parallel planes, one along a facet of the convex hull, with the body between [m].
+        """Least extent along the normals of facets and the principal axes of inertia [m].
 
-        Of the hull's `_MOST_FACETS` largest facets. Unlike an edge of the bounding box it turns with the body.
+        Of some `_MOST_NORMALS` different normals. Unlike an edge of the bounding box it turns with the body.
         """
-        hull = ConvexHull(self.points)
-        largest = np.argsort(-facet_areas(self.points, hull.simplices.astype(np.int64)), kind="stable")[
-            :_MOST_FACETS
-        ]
-        normals = hull.equations[largest, :3]
-        return float(np.ptp(normals @ self.points[hull.vertices].T, axis=1).min())
+        vectors = facet_area_vectors(self.points, self.triangles)
+        normals = vectors / np.linalg.norm(vectors, axis=1, keepdims=True)
+        _, first = np.unique(normals.round(6), axis=0, return_index=True)
+        some = np.sort(first)[:: 1 + len(first) // _MOST_NORMALS]
+        x = self.points - np.average(self.points, axis=0, weights=self.areas)
+        _, axes = np.linalg.eigh(np.einsum("n,ni,nj->ij", self.areas, x, x))
+        return float(np.ptp(np.vstack([normals[some], axes.T]) @ x.T, axis=1).min())
 
     @cached_property
     def volume(self) -> float:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import itertools
 from typing import Any
 
 import numpy as np
@@ -12,6 +11,7 @@ from numpy.testing import assert_allclose
 
 from studies import metrics, surface_measures
 from studies.meshing.geometry import build_mesh
+from studies.meshing.geometry_spec import Geometry
 from studies.metrics import METRICS, History, evaluate, evaluate_all
 from studies.models import run_model
 from studies.nearest import nearest_on_surface
@@ -68,12 +68,18 @@ def test_surface_measures_of_the_octahedron(surface: Surface) -> None:
 
 def test_the_smallest_extent_turns_with_the_body(surface: Surface) -> None:
     """Of a slab its thickness, of an octahedron the distance of opposite facets, whichever way they lie."""
-    corners = np.array(list(itertools.product([0.0, 0.1], [0.0, 0.08], [0.0, 0.02, 0.04])))
     turn, _ = np.linalg.qr(np.random.default_rng(3).normal(size=(3, 3)))
-    for points, extent in ((corners, 0.04), (surface.points, 2 / np.sqrt(3))):
+    slab = build_mesh(Geometry("box", 0.015, {"size": (0.1, 0.08, 0.04)}))
+    flat = surface.points * [0.03, 0.02, 0.01]
+    ellipsoid = build_mesh(Geometry("ellipsoid", 0.008, {"semi_axes": (0.06, 0.04, 0.02)}))
+    for points, triangles, extent, near in (
+        (slab.surface_points, slab.triangles, 0.04, 1e-12),
+        (surface.points, surface.triangles, 2 / np.sqrt(3), 1e-12),
+        (flat, surface.triangles, 2 / np.linalg.norm([1 / 0.03, 1 / 0.02, 1 / 0.01]), 1e-12),
+        (ellipsoid.surface_points, ellipsoid.triangles, 0.04, 0.02),
+    ):
         for posed in (points, points @ turn + 5.0):
-            body = Surface(posed, np.zeros((0, 3), dtype=np.int64))
-            assert_allclose(body.smallest_extent, extent, rtol=1e-12, atol=0)
+            assert_allclose(Surface(posed, triangles).smallest_extent, extent, rtol=near, atol=0)
 
 
 def test_contact_work_by_hand(surface: Surface, field: np.ndarray) -> None:
