@@ -48,6 +48,14 @@ def test_shared_numbers_are_those_of_each_case_alone(tmp_path: Path, cache: Path
 
 HISTORY = {"load": {"factors": [0.25, 0.5, 1.0]}, "sweep": {}, "uncertainty": None}
 TISSUES = {"sweep": {"tissue.poisson_ratio": [0.45, 0.49], "constraints.finger.force": [0.1, 0.3]}}
+ZIPPED = {
+    "sweep": {
+        "mode": "zip",
+        "tissue.poisson_ratio": [0.45, 0.49, 0.45, 0.4],
+        "constraints.finger.force": [0.1, 0.3, -0.2, 0.4],
+        "regions.finger.cap.direction.0": [0.0, 0.4, 0.4, 0.4],
+    }
+}
 PARAMETERS = {"sweep": {"vdm.surface_tension": [20.0, 30.0, 40.0]}, "vdm": {"surface_tension": 20.0}}
 WEIGHT = {"gravity": {"acceleration": [0.0, 0.0, -9.81]}}
 SUPPORTS = {"sweep": {"regions.base.below.fraction": [0.2, 0.3], "constraints.finger.force": [0.1, 0.3]}}
@@ -77,6 +85,7 @@ FINITE = {
         {},
         HISTORY,
         TISSUES,
+        ZIPPED,
         PARAMETERS,
         WEIGHT,
         SUPPORTS,
@@ -103,7 +112,7 @@ def test_what_is_planned_is_what_is_done(tmp_path: Path, made: Counter[str], cha
     assert made == planned
 
 
-@pytest.mark.parametrize("changes", [ALONE, BESIDE, ALONE | WEIGHT, ALONE | MOVED, LEVELS])
+@pytest.mark.parametrize("changes", [ALONE, BESIDE, ZIPPED, ALONE | WEIGHT, ALONE | MOVED, LEVELS])
 def test_elements_of_any_place_have_the_numbers_of_each_case_alone(
     tmp_path: Path, cache: Path, changes: dict[str, Any]
 ) -> None:
