@@ -6,7 +6,7 @@ against the bar that two levels give. The best estimate is the number for Richar
 reference's displacement from all three, by the order observed in it.
 
 Writes `results/error-bars.json`, which the tests read, and `results/error-bars.md`. About half an hour of an idle
-core, and 2 GB.
+core, and 3 GB.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ ROOT = Path(__file__).parents[2]
 CASES = ROOT / "studies" / "cases"
 FOUND = ROOT / "results" / "error-bars.json"
 DOCUMENT = ROOT / "results" / "error-bars.md"
-# study -> which of its cases; others would take hours or too much memory
+# study -> which of its cases, numbered from 1: some of every body, as many as half an hour holds
 TRIED = {
     "accuracy-box": (1, 4),
     "anisotropy": (4,),
