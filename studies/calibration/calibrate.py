@@ -10,14 +10,12 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from ..case import Run
-from ..model_name import is_linear
 from ..plan import Plan
 from ..setups import sharing
 from ..study_file.config import with_mesh_size
 from ..study_file.schema import Study
 from ..study_file.units import shown
 from .fit import (
-    CalibrationError,
     Errors,
     Fit,
     Sample,
@@ -25,11 +23,13 @@ from .fit import (
     count_of_training,
     fit,
     loads_of,
+    repeats,
     samples_of,
     split,
     surface_models,
     to_fit,
 )
+from .search import CalibrationError
 
 FINER = 0.75  # mesh size of the second mesh over that of the study
 
@@ -55,9 +55,8 @@ class Calibration:
 
     `finer` are the multiples of the rule that a finer mesh gives; `on_finer` the errors there of those of the
     study's own mesh; `transfer` the errors of these on the held-out loads of other bodies, by study; `repeated` the
-    labels of held-out loads that are multiples of training loads, where model and reference are linear; `lost`
-    those of loads that failed and are in no figure here, by study; `no_finer` says why `finer` and `on_finer` are
-    not there.
+    labels of held-out loads that are training loads again but for a factor; `lost` those of loads that failed and
+    are in no figure here, by study; `no_finer` says why `finer` and `on_finer` are not there.
     """
 
     fit: Fit
@@ -154,8 +153,8 @@ def _calibration(body: Body, name: str, others: Sequence[Body]) -> Calibration:
         except CalibrationError as error:
             finer, no_finer = None, f"on the finer mesh {error}"
     transfer = {other.name: _errors(name, other.held_out, found) for other in others if name in other.models}
-    trained = {sample.key for sample in body.training} if is_linear(name) else set()
-    repeated = [sample.label for sample in body.held_out if sample.key in trained]
+    training, held_out = (Trial(name, samples, body.asked) for samples in (body.training, body.held_out))
+    repeated = repeats(training, held_out, np.array(list(found.multiples.values())))
     tried = [body, *(other for other in others if other.name in transfer)]
     lost = {where: labels for each in tried for where, labels in each.lost.items()}
     return Calibration(found, finer, on_finer, transfer, repeated, lost, no_finer)
@@ -166,25 +165,44 @@ def _errors(name: str, samples: Sequence[Sample], found: Fit) -> Errors:
 
 
 def worse_than_rule(by_rule: Errors, fitted: Errors) -> str:
-    """In which measures a fit does worse than the rule, by more than the reference's own error; "" in none."""
+    """In which measures a fit does worse than the rule, by more than the reference's own error; "" in none.
+
+    Nor is it worse by less than the figures show.
+    """
     pairs = {
         "displacement": (by_rule.vector, fitted.vector, fitted.bar),
         "deformation": (by_rule.deformation, fitted.deformation, fitted.bar_deformation),
     }
-    return ", ".join(
-        f"{what} {100 * after:.3g} against {100 * before:.3g} %"
+    told = {
+        what: (f"{100 * after:.3g}", f"{100 * before:.3g}")
         for what, (before, after, bar) in pairs.items()
         if after - before > (bar if math.isfinite(bar) else 0.0)
+    }
+    return ", ".join(
+        f"{what} {after} against {before} %" for what, (after, before) in told.items() if after != before
     )
 
 
 def no_test(entry: Calibration) -> str:
-    """That held-out loads are multiples of training loads, where any is, and what to do; else ""."""
+    """That held-out loads are training loads again, where any is, and what to do; else ""."""
     if not entry.repeated:
         return ""
     return (
-        f"of the loads held out {len(entry.repeated)} are multiples of training loads and test nothing: "
-        f"vary place, size or profile"
+        f"of the loads held out {len(entry.repeated)} are multiples of training loads, by load or by tissue, "
+        "and test nothing: vary place, size or profile"
+    )
+
+
+def one_place(fit: Fit) -> str:
+    """For which load alone the values are, where the rule differs between the loads; else ""."""
+    if not fit.spread:
+        return ""
+    rules = ", ".join(f"{name} {ratio:.3g} times" for name, ratio in fit.spread.items())
+    multiples = ", ".join(f"{fit.multiples[name]:.3g}" for name in fit.spread)
+    return (
+        f"the values hold for {shown(fit.where)} alone: between the loads the rule differs, {rules}; "
+        f"the errors are those of {multiples} times the rule of each load; "
+        "to paste values calibrate one tissue, body, support and mesh at a time"
     )
 
 
@@ -206,15 +224,17 @@ def as_json(entries: Sequence[Calibration]) -> dict[str, dict[str, object]]:
 def as_toml(entries: Sequence[Calibration]) -> str:
     """Tables to paste into a study file: [vdm] for one model, a [models."NAME"] table each for several.
 
-    Comments say which loads failed, why nothing is known of a finer mesh, where a fit does worse than the rule on
-    the loads held out, and where these test nothing.
+    Comments say which loads failed, why nothing is known of a finer mesh, what the loads do not tell, where the
+    values hold for one load alone, where a fit does worse than the rule on the loads held out, and where these test
+    nothing.
     """
     blocks = []
     for entry in entries:
         title = "vdm" if len(entries) == 1 else f'models."{entry.fit.model}"'
         lines = [f"{key} = {value:.6g}" for key, value in entry.fit.parameters.items()]
         warning = [f"# loads that failed are left out: {told}"] if (told := left_out(entry)) else []
-        warning += [f"# {told}" for told in (not_measured(entry), no_test(entry)) if told]
+        remarks = not_measured(entry), no_test(entry), entry.fit.kept, one_place(entry.fit)
+        warning += [f"# {told}" for told in remarks if told]
         worse = worse_than_rule(entry.fit.by_rule, entry.fit.held_out)
         if worse:
             warning += [f"# worse than the rule on the loads held out: {worse}; the rule may serve better"]

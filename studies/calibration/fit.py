@@ -1,9 +1,7 @@
 """Fits the parameters of the surface models to the reference on training loads, and tries them on others.
 
 A parameter is fitted as a multiple of what the model's rule gives for the body at hand, so that a fit can be
-carried to another mesh, tissue or body. The operators are linear in their moduli: c times all of them moves the
-body by 1/c. The common factor of a fit is therefore the solution of a linear least-squares problem, and only the
-ratios of the moduli are searched.
+carried to another mesh, tissue or body.
 """
 
 from __future__ import annotations
@@ -11,24 +9,24 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
-from scipy.optimize import minimize, minimize_scalar
 
 from .. import models
 from ..case import ModelResult, Run
-from ..meshing.mesh import Array, InputError
+from ..meshing.mesh import Array
 from ..meshing.mesh_cache import mesh_from_cache
 from ..metrics import DEFORMATION, VECTOR, full_load_step
-from ..model_name import is_linear, is_vdm, reads
+from ..model_name import is_vdm, reads
 from ..plan import Plan, PlannedCase, needs_volume
 from ..scene import Scene, build_scene
 from ..setups import next_turn
 from ..study_file.config import geometry_of
 from ..surface_measures import Surface, relative_l2, rigid_motion_removed, weighted_norm
 from ..uncertainty import reference_bar
+from .search import CalibrationError, Least, least
 
 MODULI = {  # parameters that can be fitted -> the one whose rule gives the scale where it has none of its own
     "bulk_modulus": "",
@@ -38,13 +36,8 @@ MODULI = {  # parameters that can be fitted -> the one whose rule gives the scal
     "stretch_stiffness": "surface_tension",
     "shear_modulus": "",
 }
-WIDEST = math.log(1e5)  # of a ratio between two moduli, beside that of their rules
-_TOLERANCE = 1e-4  # of a logarithm
-_MOST_SCALINGS = 20
-
-
-class CalibrationError(InputError):
-    """A study that nothing can be fitted on; the message says why."""
+_SAME = 1e-6  # of a displacement: less is rounding, and that of solvers that iterate
+_SAME_RULE = 1e-3  # of a parameter
 
 
 @dataclass(frozen=True)
@@ -55,7 +48,6 @@ class Sample:
     scene: Scene
     reference: Array  # (N, 3) m
     bars: Mapping[str, float]  # metric -> the reference's own error, NaN where not measured
-    key: str  # of body and load; one where the reference only answers a multiple to a multiple of the load
     place: int  # of the load among the study's, from 0
 
     @cached_property
@@ -82,10 +74,17 @@ class Fit:
 
     model: str
     multiples: Mapping[str, float]  # parameter -> multiple of the rule's value
-    parameters: Mapping[str, float]  # parameter -> value [SI] on this body and mesh
+    parameters: Mapping[
+        str, float
+    ]  # parameter -> value [SI] on the body, tissue and mesh of the load `where`
     by_rule: Errors  # on the loads held out, before
     training: Errors
     held_out: Errors
+    kept: str = ""  # which multiples are the rule's own because no load tells them; "" where none is
+    where: str = ""  # label of the first training load
+    spread: Mapping[str, float] = field(
+        default_factory=dict
+    )  # parameter whose rule differs -> most over least
 
 
 def samples_of(plan: Plan, run: Run) -> list[Sample]:
@@ -112,7 +111,6 @@ def samples_of(plan: Plan, run: Run) -> list[Sample]:
                 dataclasses.replace(build_scene(study, mesh), load_factors=case.load_factors[[step]]),
                 case.models[case.reference].displacement[step],
                 {metric: reference_bar(case.reference_error, metric) for metric in (VECTOR, DEFORMATION)},
-                f"{found.setup} {found.load}" if is_linear(case.reference) else case.hash,
                 places[case.hash],
             )
         )
@@ -209,17 +207,17 @@ class Trial:
         self.samples = tuple(samples)
         first = samples[0].scene
         self.names = to_fit(name, first.parameters, first.overrides, asked)
-        self._rules = [self._rule(sample) for sample in samples]
+        self.rules = [self._rule(sample) for sample in samples]
 
     def values(self, multiples: Array) -> dict[str, float]:
         """Parameters [SI] on the first load's scene."""
-        return dict(zip(self.names, (self._rules[0] * multiples).tolist(), strict=True))
+        return dict(zip(self.names, (self.rules[0] * multiples).tolist(), strict=True))
 
     def answers(self, multiples: Array) -> list[Array]:
         """The model's (N, 3) displacement for each load [m]; the loads share a set-up where set-ups are kept."""
         next_turn()
         out = []
-        for sample, rule in zip(self.samples, self._rules, strict=True):
+        for sample, rule in zip(self.samples, self.rules, strict=True):
             given = dict(zip(self.names, (rule * multiples).tolist(), strict=True))
             out.append(self._run(sample, given).displacement[-1])
         return out
@@ -266,7 +264,8 @@ def fit(
         see `Trial`.
     """
     trial, unseen = Trial(name, training, asked), Trial(name, held_out, asked)
-    multiples = least_error(trial)
+    found = least_error(trial)
+    multiples = found.multiples
     return Fit(
         model=name,
         multiples=dict(zip(trial.names, multiples.tolist(), strict=True)),
@@ -274,67 +273,66 @@ def fit(
         by_rule=unseen.errors(np.ones(len(trial.names))),
         training=trial.errors(multiples),
         held_out=unseen.errors(multiples),
+        kept=found.kept,
+        where=training[0].label,
+        spread=_spread(trial.names, np.array([*trial.rules, *unseen.rules])),
     )
 
 
-# --- the search ---
+def _spread(names: Sequence[str], rules: Array) -> dict[str, float]:
+    """Parameter whose rule differs between (L, K) loads -> its largest value over its least."""
+    low, high = rules.min(axis=0), rules.max(axis=0)
+    return {
+        name: float(most / least_of)
+        for name, least_of, most in zip(names, low, high, strict=True)
+        if least_of > 0.0 and most > (1.0 + _SAME_RULE) * least_of
+    }
 
 
-def least_error(trial: Trial) -> Array:
-    """The multiples of the rule's moduli with the least mean squared relative error.
+# --- the search, and what it found ---
 
-    The ratios of the moduli are searched; their common factor follows in closed form for each, and is verified
-    where the model is not linear.
+
+def least_error(trial: Trial) -> Least:
+    """The multiples of the rule's moduli with the least mean squared relative error."""
+    areas = [sample.surface.areas for sample in trial.samples]
+    norms = [
+        weighted_norm(sample.reference, of_node) for sample, of_node in zip(trial.samples, areas, strict=True)
+    ]
+
+    def in_one(fields: Sequence[Array]) -> Array:
+        """Displacements as one vector, whose squared distance from the references' is the error."""
+        parts = [
+            (np.sqrt(of_node)[:, None] * u / (norm or 1.0)).reshape(-1)
+            for u, of_node, norm in zip(fields, areas, norms, strict=True)
+        ]
+        return np.concatenate(parts) / math.sqrt(len(parts))
+
+    target = in_one([sample.reference for sample in trial.samples])
+    return least(trial.name, trial.names, lambda multiples: in_one(trial.answers(multiples)), target)
+
+
+def repeats(training: Trial, held_out: Trial, multiples: Array) -> list[str]:
+    """Labels of loads held out to which reference and model answer a multiple of what they do to a training load.
+
+    Their relative error is that of the training load: neither another size of a load tells a linear model from a
+    linear reference, nor another Young's modulus where all loads are forces or all are movements.
     """
-    count = len(trial.names)
-    if count == 1:
-        return _scaled(trial, np.ones(1))
-
-    def loss(log_ratios: Array) -> float:
-        answers = trial.answers(np.exp(np.concatenate([[0.0], log_ratios])))
-        return _loss(trial, answers, _factor(trial, answers))
-
-    if count == 2:
-        # the loss can have a flat end, where one modulus no longer matters: look first, then close in
-        grid = np.linspace(-WIDEST, WIDEST, 13)
-        best = int(np.argmin([loss(np.array([x])) for x in grid]))
-        low, high = float(grid[max(best - 1, 0)]), float(grid[min(best + 1, len(grid) - 1)])
-        found = minimize_scalar(
-            lambda x: loss(np.array([x])), bounds=(low, high), method="bounded", options={"xatol": _TOLERANCE}
-        )
-        log_ratios = np.array([found.x])
-    else:
-        result = minimize(
-            loss, np.zeros(count - 1), method="Nelder-Mead", options={"xatol": _TOLERANCE, "fatol": 1e-10}
-        )
-        log_ratios = np.asarray(result.x)
-    return _scaled(trial, np.exp(np.concatenate([[0.0], log_ratios])))
+    known = list(zip(training.samples, training.answers(multiples), strict=True))
+    pairs = zip(held_out.samples, held_out.answers(multiples), strict=True)
+    return [
+        sample.label
+        for sample, u in pairs
+        if any(_is_multiple((sample.reference, u), (other.reference, v)) for other, v in known)
+    ]
 
 
-def _scaled(trial: Trial, ratios: Array) -> Array:
-    """Ratios times their best common factor; a model that is not linear gets there in a few steps."""
-    multiples = ratios
-    for _ in range(_MOST_SCALINGS):
-        factor = _factor(trial, trial.answers(multiples))
-        multiples = multiples / factor
-        if abs(math.log(factor)) < _TOLERANCE:
-            break
-    return multiples
-
-
-def _factor(trial: Trial, answers: Sequence[Array]) -> float:
-    """The factor on all displacements with the least mean squared relative error: 1 over that on the moduli."""
-    top = bottom = 0.0
-    for sample, u in zip(trial.samples, answers, strict=True):
-        areas = sample.surface.areas
-        norm = weighted_norm(sample.reference, areas) ** 2
-        top += float(areas @ np.einsum("ij,ij->i", u, sample.reference)) / norm
-        bottom += weighted_norm(u, areas) ** 2 / norm
-    if not top > 0.0 or not bottom > 0.0:
-        raise CalibrationError(f"{trial.name} moves against the reference on the training loads: no fit")
-    return top / bottom
-
-
-def _loss(trial: Trial, answers: Sequence[Array], factor: float) -> float:
-    pairs = zip(trial.samples, answers, strict=True)
-    return float(np.mean([relative_l2(factor * u, s.reference, s.surface.areas) ** 2 for s, u in pairs]))
+def _is_multiple(pair: tuple[Array, Array], other: tuple[Array, Array]) -> bool:
+    """Whether both fields are the same multiple of the other two."""
+    (reference, _), (first, _) = pair, other
+    if reference.shape != first.shape or not first.any():
+        return False
+    factor = float(np.vdot(first, reference) / np.vdot(first, first))
+    return all(
+        float(np.linalg.norm(u - factor * v)) <= _SAME * float(np.linalg.norm(u))
+        for u, v in zip(pair, other, strict=True)
+    )

@@ -19,7 +19,8 @@ from typing import Any
 import numpy as np
 
 from studies.calibration.calibrate import body, worse_than_rule
-from studies.calibration.fit import WIDEST, Errors, Trial, least_error
+from studies.calibration.fit import Errors, Trial, least_error
+from studies.calibration.search import WIDEST
 from studies.plan import make_plan
 from studies.report.formatting import NOTHING, percent
 from studies.run import Options, run_plan
@@ -90,7 +91,7 @@ def in_tissue(study: str, directory: Path, **tissue: str) -> dict[str, dict[str,
     with sharing():
         for model in found.models:
             trial = Trial(model, found.training)
-            multiples[model] = dict(zip(trial.names, least_error(trial).tolist(), strict=True))
+            multiples[model] = dict(zip(trial.names, least_error(trial).multiples.tolist(), strict=True))
     return multiples
 
 

@@ -280,7 +280,7 @@ def errors_of(
     """Errors on the loads held out, fitted on the others."""
     fitted = np.ones(0)
     if candidate.fitted:
-        fitted = least_error(CandidateTrial(candidate, body, training))
+        fitted = least_error(CandidateTrial(candidate, body, training)).multiples
     return CandidateTrial(candidate, body, held_out).errors(fitted)
 
 

@@ -8,7 +8,7 @@ import pytest
 
 from studies import models
 from studies.calibration.calibrate import check, check_fit
-from studies.calibration.fit import CalibrationError
+from studies.calibration.search import CalibrationError
 from studies.plan import make_plan
 from studies.study_file.config import expand, load_study
 from tests.command import vdmbench

@@ -1,0 +1,138 @@
+"""Fits where regions are moved: what a common factor of the moduli changes is found, what it does not is told."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from studies.calibration.calibrate import Body, as_toml, calibrate
+from studies.calibration.fit import Sample, Trial, least_error
+from studies.calibration.search import least
+
+from . import test_calibrate
+from .test_calibrate import answered
+
+four_loads = test_calibrate.samples  # the fixture
+DEPTH = 0.002  # of the movement [m]
+
+
+def moved(samples: Sequence[Sample], *, force: float = 5.0) -> list[Sample]:
+    """The loads with a region beside them moved in, and so many times their force."""
+    out = []
+    for sample in samples:
+        scene = sample.scene
+        points = scene.mesh.surface_points
+        side = (np.linalg.norm(points - points[points[:, 1].argmax()], axis=1) < 0.012) & ~scene.fixed
+        side &= ~scene.contact
+        assert side.sum() >= 3, "a region of its own"
+        prescribed = np.where(side[:, None], [0.0, -DEPTH, 0.0], 0.0)
+        pressure = force * scene.facet_pressure
+        scene = dataclasses.replace(scene, constrained=side, prescribed=prescribed, facet_pressure=pressure)
+        out.append(dataclasses.replace(sample, scene=scene))
+    return out
+
+
+def loss(trial: Trial, multiples: np.ndarray) -> float:
+    """Mean squared relative error, by hand."""
+    return float(
+        np.mean(
+            [
+                (s.surface.areas @ ((u - s.reference) ** 2).sum(axis=1))
+                / (s.surface.areas @ (s.reference**2).sum(axis=1))
+                for s, u in zip(trial.samples, trial.answers(multiples), strict=True)
+            ]
+        )
+    )
+
+
+@pytest.mark.parametrize(
+    ("model", "asked", "multiples"),
+    [
+        ("vdm-vector", ["surface_tension"], [1.7]),
+        ("vdm-vector", ["surface_tension"], [20.0]),
+        ("vdm-boundary", ["shear_modulus"], [0.4]),
+        ("vdm-paper", ["bulk_modulus", "connectivity_modulus"], [0.3, 2.5]),
+        ("vdm-vector:nonlinear", ["surface_tension"], [1.7]),
+    ],
+)
+def test_the_parameters_behind_an_answer_to_a_movement_and_a_force_are_found(
+    four_loads: list[Sample], model: str, asked: list[str], multiples: list[float]
+) -> None:
+    known = answered(moved(four_loads[:2]), model, multiples, asked)
+    found = least_error(Trial(model, known, asked))
+    assert_allclose(found.multiples, multiples, rtol=1e-3, atol=0)
+    assert found.kept == ""
+
+
+@pytest.mark.parametrize("model", ["vdm-vector", "vdm-vector:nonlinear"])
+@pytest.mark.parametrize("foundation", [0.0, 5e4])
+@pytest.mark.parametrize("movement", [False, True])
+def test_no_multiple_beside_the_fit_has_a_smaller_error(
+    four_loads: list[Sample], model: str, foundation: float, movement: bool
+) -> None:
+    """Whatever the answer is of the modulus: also nonlinear, or beside one that the study sets."""
+    loads = moved(four_loads[:2]) if movement else four_loads[:2]
+    loads = [
+        dataclasses.replace(s, scene=dataclasses.replace(s.scene, parameters={"foundation": foundation}))
+        for s in loads
+    ]
+    known = answered(loads, "vdm-boundary", [1.0], ["shear_modulus"])  # which the vector form cannot match
+    trial = Trial(model, known, ["surface_tension"])
+    best = least_error(trial).multiples
+    assert loss(trial, best) < min(loss(trial, best * 1.003), loss(trial, best / 1.003))
+    assert loss(trial, best) <= loss(trial, np.ones(1))
+
+
+@pytest.mark.parametrize("model", ["vdm-vector", "vdm-boundary"])
+def test_a_modulus_stays_at_its_rule_where_all_loads_are_movements(
+    four_loads: list[Sample], model: str
+) -> None:
+    known = answered(moved(four_loads, force=0.0), "vdm-paper", [1.0], ["bulk_modulus"])
+    (entry,) = calibrate(Body("moved", (model,), None, tuple(known[:2]), tuple(known[2:])))
+    ((name, multiple),) = entry.fit.multiples.items()
+    assert multiple == 1.0
+    told = f"# {name} stays at its rule: the training loads do not depend on it, as movements do not; "
+    assert f"{told}add loads given by force or pressure" in as_toml([entry]).splitlines()
+    assert "worse than the rule" not in as_toml([entry])
+
+
+def test_of_two_moduli_movements_tell_the_ratio_alone(four_loads: list[Sample]) -> None:
+    asked = ["bulk_modulus", "connectivity_modulus"]
+    known = answered(moved(four_loads[:2], force=0.0), "vdm-paper", [0.3, 1.2], asked)
+    found = least_error(Trial("vdm-paper", known, asked))
+    assert_allclose(found.multiples, [1.0, 4.0], rtol=1e-3, atol=0)
+    assert found.kept.startswith(
+        "of bulk_modulus and connectivity_modulus only the ratio is fitted, and bulk_modulus stays at its rule: "
+    )
+
+
+def test_a_modulus_that_changes_nothing_stays_at_its_rule(four_loads: list[Sample]) -> None:
+    asked = ["foundation", "surface_tension"]  # of the vector form the rule gives no foundation
+    known = answered(four_loads[:2], "vdm-vector", [1.0, 1.7], asked)
+    found = least_error(Trial("vdm-vector", known, asked))
+    assert_allclose(found.multiples, [1.0, 1.7], rtol=1e-9, atol=0)
+    assert found.kept == "foundation stays at its rule: the training loads do not depend on it"
+
+
+def test_a_modulus_that_would_grow_without_end_stays_at_its_rule(four_loads: list[Sample]) -> None:
+    """The reference is what the movement alone does: no finite stiffness leaves nothing of the force."""
+    alone = answered(moved(four_loads[:2], force=0.0), "vdm-vector", [1.0], ["surface_tension"])
+    known = [
+        dataclasses.replace(s, reference=u.reference)
+        for s, u in zip(moved(four_loads[:2]), alone, strict=True)
+    ]
+    found = least_error(Trial("vdm-vector", known, ["surface_tension"]))
+    assert_allclose(found.multiples, 1.0, rtol=0, atol=0)
+    assert found.kept.startswith(
+        "surface_tension stays at its rule: the best would be 1e+10 times that, where"
+    )
+
+
+def test_the_best_factor_on_two_parts_is_that_of_least_squares() -> None:
+    """Movements (1, 0), forces (0, 3) / c, wanted (1.5, 1): c = 3, whatever the movements leave."""
+    found = least("hand", ["m"], lambda m: np.array([1.0, 3.0 / m[0]]), np.array([1.5, 1.0]))
+    assert_allclose(found.multiples, 3.0, rtol=1e-12, atol=0)
