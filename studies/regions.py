@@ -62,7 +62,7 @@ def lies_outside(region: Region, low: Array, high: Array) -> bool:
 def body_extent(low: Array, high: Array) -> str:
     """What to tell beside a region that lies outside."""
     extent = ", ".join(f"{a} from {p:.3g} to {q:.3g}" for a, p, q in zip("xyz", low, high, strict=True))
-    return f"the body has {extent} m; a mixed-up unit? A bare number is in metres"
+    return f"the body, centred on the origin, has {extent} m; a mixed-up unit? A bare number is in metres"
 
 
 def _beyond(plane: HalfSpace, mesh: Mesh, sign: float) -> Mask:

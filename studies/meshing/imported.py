@@ -41,14 +41,14 @@ def imported_surface(geometry: Geometry, *, volume: bool, max_nodes: int) -> Imp
     """The surface of a file, fit to be meshed as asked. Raises MeshError."""
     check_readable(geometry.path)
     clean = _clean_surface(geometry.path, file_digest(geometry.path))
-    points, factor = _placed(clean.points, geometry)
+    points, placing = _placed(clean.points, geometry)
     check_mesh_size(geometry.mesh_size, float(np.ptp(points, axis=0).min()))
     area = float(facet_areas(points, clean.triangles).sum())
     inside = enclosed_volume(points, clean.triangles)
     remedy = fewer_nodes(geometry, float(np.ptp(points, axis=0).max()))
     check_node_budget(area, inside if volume else 0.0, geometry.mesh_size, max_nodes, remedy)
     repairs = {
-        "scale": factor,
+        **placing,
         "imported_points": float(len(clean.points)),
         "points_merged": float(clean.points_merged),
         "points_dropped": float(clean.points_dropped),
@@ -75,9 +75,9 @@ def imported_tetrahedra(geometry: Geometry, *, max_nodes: int) -> Mesh:
     clean = clean_tetrahedra(points, tetrahedra, groups)
     if len(clean.points) > max_nodes:
         raise MeshError(f"has {len(clean.points)} nodes, more than the {max_nodes} allowed; coarsen it")
-    points, factor = _placed(clean.points, geometry)
+    points, placing = _placed(clean.points, geometry)
     repairs = {
-        "scale": factor,
+        **placing,
         "points_dropped": float(clean.points_dropped),
         "tetrahedra_turned": float(clean.tetrahedra_turned),
     }
@@ -99,12 +99,17 @@ def centred(points: Array, size: float) -> Array:
     return (points - 0.5 * (low + high)) * (size / float((high - low).max()))
 
 
-def _placed(points: Array, geometry: Geometry) -> tuple[Array, float]:
-    """Points of a file scaled to m, with the centre of their bounding box in the origin; and the factor."""
+def _placed(points: Array, geometry: Geometry) -> tuple[Array, dict[str, float]]:
+    """Points of a file scaled to m, with the centre of their bounding box in the origin.
+
+    And the factor, `scale`, and where that centre is in the file, `centre_x` and so on [m].
+    """
     extent = float(np.ptp(points, axis=0).max())
     size = geometry.number("size") if "size" in geometry.parameters else None
     factor = geometry.number("scale") if "scale" in geometry.parameters else 1.0
     if size is None:
         size = factor * extent
         check_extent(size, "give `size`, its largest extent in metres, or `scale`, the file's unit in metres")
-    return centred(points, size), size / extent
+    centre = 0.5 * (points.min(axis=0) + points.max(axis=0)) * (size / extent)
+    placing = {f"centre_{axis}": float(value) for axis, value in zip("xyz", centre, strict=True)}
+    return centred(points, size), {"scale": size / extent, **placing}

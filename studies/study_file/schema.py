@@ -160,7 +160,9 @@ class Geometry(Table):
     length: Length | None = Field(None, description="cylinder: length")
     axis: Axis | None = Field(None, description="cylinder: its axis, z where left out")
     path: Annotated[Path, BeforeValidator(_as_path)] | None = Field(
-        None, description="file: a surface (STL, OBJ, PLY, VTP) or tetrahedra (MSH, VTU, VTK)"
+        None,
+        description="file: a surface (STL, OBJ, PLY, VTP) or tetrahedra (MSH, VTU, VTK); it is moved, the "
+        "centre of its bounding box to the origin, from which regions are measured",
     )
     scale: Annotated[float, SI("1"), positive] | None = Field(
         None, description="file: metres per unit of the file, 1 where neither scale nor size is given"

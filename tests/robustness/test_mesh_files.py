@@ -493,6 +493,33 @@ def test_physical_groups_become_masks_of_surface_nodes(
     assert_array_equal(surface.groups["left side"], mesh.groups["left side"])
 
 
+def test_groups_keep_their_nodes_where_others_are_dropped(tmp_path: Path, ball: Mesh) -> None:
+    """A node of no tetrahedron stands before all others in the file."""
+    upper = np.flatnonzero(ball.points[:, 2] > 0.02)
+    points, tetrahedra = np.concatenate([[[0.0, 0.0, 1.0]], ball.points]), ball.tetrahedra + 1
+    path = tmp_path / "groups.msh"
+    gmsh.initialize([], readConfigFiles=False, run=False, interruptible=False)
+    try:
+        gmsh.option.setNumber("General.Terminal", 0)
+        gmsh.option.setNumber("Mesh.SaveAll", 1)
+        body, part = gmsh.model.addDiscreteEntity(3), gmsh.model.addDiscreteEntity(0)
+        gmsh.model.mesh.addNodes(3, body, np.arange(1, len(points) + 1), points.ravel())
+        gmsh.model.mesh.addElementsByType(body, 4, [], (tetrahedra + 1).ravel())
+        gmsh.model.mesh.addElementsByType(part, 15, [], upper + 2)
+        gmsh.model.setPhysicalName(0, gmsh.model.addPhysicalGroup(0, [part]), "upper")
+        gmsh.write(str(path))
+    finally:
+        gmsh.finalize()
+    mesh = from_file(path)
+    assert mesh.quality["points_dropped"] == 1
+    low, high = ball.points.min(axis=0), ball.points.max(axis=0)
+    in_file = mesh.surface_points + 0.5 * (low + high)
+    assert_array_equal(mesh.groups["upper"], in_file[:, 2] > 0.02)
+    assert_allclose(
+        [mesh.quality[f"centre_{axis}"] for axis in "xyz"], 0.5 * (low + high), rtol=0, atol=1e-15
+    )
+
+
 @pytest.mark.parametrize("suffix", [".msh", ".vtu", ".vtk"])
 def test_inverted_flat_and_orphan(tmp_path: Path, ball: Mesh, suffix: str) -> None:
     def written(name: str, points: Array, tetrahedra: Index) -> Path:
