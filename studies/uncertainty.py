@@ -42,6 +42,12 @@ STEADY = 1.0  # by how much two observed orders may differ
 RESOLUTION = 0.1  # a discrepancy is resolved where the bar is at most this share of it
 _HIGHEST_ORDER = 50.0
 
+DISPLACEMENT = "relative_l2_displacement_error"
+INDENTATION_FORCE = "indentation_force_error"
+STRAINS = ("mean_strain_x", "mean_strain_y", "mean_strain_z")
+# figures that two meshes may give alike by chance
+SIGNED = (INDENTATION_FORCE, "volume_drift", "volume_drift_of_displaced", *STRAINS, "contact_work")
+
 CONVERGING, TWO_LEVELS, UNSTEADY = "converging", "two levels", "unsteady"
 TOO_FAST, TOO_SLOW = "too fast", "too slow"
 OSCILLATING, DIVERGING = "oscillating", "diverging"
@@ -82,13 +88,48 @@ def reference_bar(reference_error: Mapping[str, float], metric: str) -> float:
     return reference_error.get(f"gci:{metric}", math.nan)
 
 
+def least_bar(metric: str, figures: Mapping[str, float], relative: float) -> float:
+    """What the bar of a signed figure may not be less than; NaN of a norm, and where that is not known.
+
+    Two meshes give a signed figure alike by chance where their errors at the contact and at the support have
+    opposite signs; a norm of differences has no signs. So no such figure counts as better known, in parts of what
+    it is made from, than the displacement.
+
+    Parameters
+    ----------
+    figures : metrics of the same model and load: strains, drift or work of the reference, or the indentation force
+    relative : the reference's own error in displacement, of the displacement
+    """
+    value = figures.get(metric, math.nan)
+    if metric == INDENTATION_FORCE:  # a ratio of forces, which goes with the reference's depth
+        return relative * abs(1.0 + value)
+    if metric == "contact_work":
+        return relative * abs(value)
+    if metric in STRAINS:
+        return relative * max(abs(figures.get(strain, math.nan)) for strain in STRAINS)
+    of_displaced = figures.get("volume_drift_of_displaced", math.nan)
+    if metric == "volume_drift":  # drift over drift of displaced is the displaced volume over the volume
+        return relative * abs(value / of_displaced) if of_displaced else math.nan
+    return relative if metric == "volume_drift_of_displaced" else math.nan
+
+
 def value_bar(case: CaseResult, model: str, metric: str) -> float:
-    """The bar of a metric's value at full load; NaN where it has none.
+    """The bar of a metric's value at full load, at least `least_bar`; NaN where it has none.
 
     Of a model that is compared, the reference's own part in the metric. Of the reference's own figures, such as its
     volume drift, the GCI from all its levels, of two those that are there. What a model that is not compared in a
     metric does on its own mesh is exact as it stands.
     """
+    bar = _measured_bar(case, model, metric)
+    if not math.isfinite(bar) or metric not in SIGNED:
+        return bar
+    series, step = case.metrics.get(model, {}), case.full_load
+    figures = {name: float(series[name].values[step]) for name in SIGNED if name in series}
+    least = least_bar(metric, figures, reference_bar(case.reference_error, DISPLACEMENT))
+    return max(bar, least) if math.isfinite(least) else bar
+
+
+def _measured_bar(case: CaseResult, model: str, metric: str) -> float:
     levels = case.reference_error.get("levels", 1.0)
     if model != case.reference or levels < 2.0:
         return reference_bar(case.reference_error, metric)

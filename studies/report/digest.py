@@ -221,6 +221,8 @@ class Digest:
 
     def spread(self, model: str, metric: str) -> Spread | None:
         """A metric at full load over all cases."""
+        if metric == uncertainty.INDENTATION_FORCE:  # whose bar goes with the value
+            return self.own_spread(metric, model)
         return spread_of(self.full_loads(model, metric), self.bars(metric))
 
     def own_spread(self, metric: str, model: str | None = None) -> Spread | None:

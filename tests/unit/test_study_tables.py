@@ -11,7 +11,9 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from studies import store
-from studies.case import CaseResult
+from studies.case import CaseResult, MetricSeries
+from studies.report.digest import Digest
+from studies.uncertainty import INDENTATION_FORCE
 
 from .report_runs import make_case, make_run
 
@@ -69,3 +71,17 @@ def test_the_bar_of_three_levels_goes_before_one_of_the_outer_two() -> None:
 def test_a_reference_on_one_mesh_has_the_bar_that_was_measured() -> None:
     case = dataclasses.replace(refined_case(1.0), reference_error={f"gci:{DRIFT}": 0.25})
     assert store.value_bar(case, REFINED, DRIFT) == 0.25
+
+
+def test_a_figure_that_two_levels_give_alike_has_the_bar_of_the_displacement() -> None:
+    alike = {"levels": 2.0, "gci:relative_l2_displacement_error": 0.02, f"gci:{INDENTATION_FORCE}": 0.0}
+    case = dataclasses.replace(refined_case(2.0), reference_error=alike)
+    finer, model = dict(case.metrics[REFINED]), dict(case.metrics["vdm-paper"])
+    model[INDENTATION_FORCE] = MetricSeries(np.full(len(case.load_factors), 0.5), "1", "", 1)
+    case = dataclasses.replace(case, metrics={REFINED: finer, "fem-linear": finer, "vdm-paper": model})
+    drift, of_displaced = (finer[name].values[-1] for name in (DRIFT, "volume_drift_of_displaced"))
+    bars = [store.value_bar(case, REFINED, DRIFT), store.value_bar(case, "vdm-paper", INDENTATION_FORCE)]
+    assert_allclose(bars, [0.02 * abs(drift / of_displaced), 0.02 * 1.5], rtol=1e-12, atol=0)
+    spread = Digest(make_run([case])).spread("vdm-paper", INDENTATION_FORCE)
+    assert spread is not None
+    assert_allclose(spread.median_bar, 0.02 * 1.5, rtol=1e-12, atol=0)

@@ -8,7 +8,16 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from studies.uncertainty import BEHAVIOURS, estimate_error, estimate_limit, is_resolved, reference_bar
+from studies.uncertainty import (
+    BEHAVIOURS,
+    INDENTATION_FORCE,
+    STRAINS,
+    estimate_error,
+    estimate_limit,
+    is_resolved,
+    least_bar,
+    reference_bar,
+)
 
 
 def power_law(order: float, ratios: list[float], size: float = 3.0, h: float = 0.1) -> list[float]:
@@ -121,3 +130,25 @@ def test_a_discrepancy_is_resolved_by_a_bar_a_tenth_of_it() -> None:
 def test_a_metric_has_the_bar_of_its_own_name() -> None:
     assert reference_bar({"gci:volume_drift": 0.2, "gci": 0.1}, "volume_drift") == 0.2
     assert math.isnan(reference_bar({"gci": 0.1}, "volume_drift"))
+
+
+def test_a_signed_figure_is_known_no_better_than_the_displacement() -> None:
+    """Displaced 2 % of a volume, which drifts by 0.1 % of that, known to 3 %."""
+    figures = {"volume_drift": -2e-5, "volume_drift_of_displaced": -1e-3, "contact_work": -0.5}
+    figures |= {"mean_strain_x": 1e-4, "mean_strain_y": -4e-4, "mean_strain_z": 0.0}
+    least = {name: least_bar(name, figures, 0.03) for name in figures}
+    assert_allclose(least["volume_drift"], 0.03 * 0.02, rtol=1e-12, atol=0)
+    assert_allclose(least["volume_drift_of_displaced"], 0.03, rtol=1e-12, atol=0)
+    assert_allclose(least["contact_work"], 0.03 * 0.5, rtol=1e-12, atol=0)
+    assert_allclose([least[name] for name in STRAINS], 0.03 * 4e-4, rtol=1e-12, atol=0)
+    for value, factor in ((-0.25, 0.75), (2.0, 3.0)):  # forces over the reference's
+        assert_allclose(
+            least_bar(INDENTATION_FORCE, {INDENTATION_FORCE: value}, 0.03), 0.03 * factor, rtol=1e-12
+        )
+    assert math.isnan(
+        least_bar("relative_l2_displacement_error", {"relative_l2_displacement_error": 0.2}, 0.03)
+    )
+    assert math.isnan(
+        least_bar("volume_drift", {"volume_drift": 0.0, "volume_drift_of_displaced": 0.0}, 0.03)
+    )
+    assert math.isnan(least_bar("contact_work", {}, 0.03))
