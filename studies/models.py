@@ -147,7 +147,7 @@ _model("vdm-paper", version="3", solvers=tuple(name for name in VDM_SOLVERS if n
 )
 _model("vdm-consistent", version="4", solvers=VDM_SOLVERS)(solve_surface)
 _model("vdm-vector", version="7", solvers=VDM_SOLVERS)(solve_surface)
-_model("vdm-boundary", version="9", solvers=("linear", "nonlinear"))(solve_surface)
+_model("vdm-boundary", version="10", solvers=("linear", "nonlinear"))(solve_surface)
 _model("mass-spring", version="5", solvers=VDM_SOLVERS)(solve_surface)
 
 

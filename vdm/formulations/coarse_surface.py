@@ -1,4 +1,4 @@
-"""A coarser surface on some of the nodes of a fine one, by edge collapses that keep it closed and its genus."""
+"""A coarser surface on a fine one, by edge collapses that keep it closed and its genus, and even spacing after."""
 
 from __future__ import annotations
 
@@ -9,6 +9,8 @@ from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse import csgraph
 
+from vdm.formulations.even_spacing import evenly_spaced
+from vdm.formulations.node_order import DECIMALS, node_order, renumbered
 from vdm.surface import SurfaceMesh
 
 Array = NDArray[np.float64]
@@ -20,34 +22,49 @@ LEAST_COSINE = 0.5
 LEAST_QUALITY = 0.2
 MOST_NEIGHBOURS = 9
 # a distance from the planes of the facets that vanish counts this many times more than length
-OFF_PLANE = 4.0
+OFF_PLANE = 6.0
 # the shares of the edges that a round looks at, the shortest, and of the nodes found that it may take, the cheapest
-SHARE = 0.5
+SHARE = 0.2
+# what rounding may do to a threshold
+ROUNDING = 1e-9
+# distances along the surface are whole multiples of this share of its size: their sums know no rounding
+STEP = 2.0**-40
 
 
 @dataclass(frozen=True)
 class CoarseSurface:
-    """The coarse surface and `kept` (n,), its nodes among the fine ones."""
+    """The coarse surface; its nodes are at the `shares` (n, 3) of fine nodes, the `corners` (n, 3) of a triangle.
+
+    `order` (N,) is that of the fine nodes.
+    """
 
     surface: SurfaceMesh
-    kept: Index
+    corners: Index
+    shares: Array
+    order: Index
 
 
 def coarsened(surface: SurfaceMesh, count: int) -> CoarseSurface:
-    """A surface on about `count` nodes of the given one, or on more where its shape allows no further collapse.
+    """A surface on about `count` points of the given one, or on more where its shape allows no further collapse.
 
     A node is moved onto a neighbour if the two share just two neighbours (which keeps the topology), no facet
     turns over or degenerates and the new edges are the shortest to be had. Each round takes nodes whose
-    neighbourhoods do not touch, all at once.
+    neighbourhoods do not touch, all at once. What is left slides over the surface until it is evenly spaced.
+
+    All is done in the order of `node_order` and in units of the body, and what is equal but for rounding is equal:
+    the shape decides, not the numbers of its nodes nor its pose.
     """
-    triangles = surface.triangles
-    n = surface.n_nodes
-    alive = n
+    order = node_order(surface)
+    points = surface.points[order]  # first: a sum in another order is another number
+    points = points - points.mean(axis=0)
+    points = points * np.sqrt(count / np.square(points).sum(axis=1).mean())
+    fine = triangles = renumbered(surface.triangles, order)
+    n = alive = surface.n_nodes
     random = np.random.default_rng(0)
     while alive > max(count, 4):
-        nodes, onto = _candidates(surface.points, triangles, n, SHARE)
+        nodes, onto = _candidates(points, triangles, n, SHARE)
         if not len(nodes):
-            nodes, onto = _candidates(surface.points, triangles, n, 1.0)
+            nodes, onto = _candidates(points, triangles, n, 1.0)
         if not len(nodes):
             break
         taken = _independent(triangles, n, nodes, random)[: alive - max(count, 4)]
@@ -57,21 +74,30 @@ def coarsened(surface: SurfaceMesh, count: int) -> CoarseSurface:
         a, b, c = moved.T
         triangles = moved[(a != b) & (b != c) & (c != a)]
         alive -= len(taken)
-    kept, renumbered = np.unique(triangles, return_inverse=True)
-    return CoarseSurface(SurfaceMesh(surface.points[kept], renumbered.reshape(-1, 3)), kept)
+    kept, facets = np.unique(triangles, return_inverse=True)
+    facets, corners, shares = evenly_spaced(points, fine, points[kept], facets.reshape(-1, 3))
+    corners = order[corners]
+    places = np.einsum("na,nac->nc", shares, surface.points[corners])
+    return CoarseSurface(SurfaceMesh(places, facets), corners, shares, order)
 
 
-def nearest(surface: SurfaceMesh, kept: Index) -> Index:
-    """(N,) the position in `kept` (n,) of the node that is nearest along the edges."""
-    edges, n = surface.edges, surface.n_nodes
-    length = np.linalg.norm(surface.points[edges[:, 0]] - surface.points[edges[:, 1]], axis=1)
-    graph = sparse.csr_array((length, (edges[:, 0], edges[:, 1])), shape=(n, n))
+def nearest(surface: SurfaceMesh, coarse: CoarseSurface) -> Index:
+    """(N,) the coarse node that is nearest along the edges, and straight over the triangle that it lies on."""
+    n, count = surface.n_nodes, coarse.surface.n_nodes
+    node, corner = np.nonzero(coarse.shares)
+    start = np.concatenate([surface.edges[:, 0], coarse.corners[node, corner]])
+    end = np.concatenate([surface.edges[:, 1], n + node])
+    place = np.arange(n + count)
+    place[coarse.order] = np.arange(n)
+    points = np.concatenate([surface.points, coarse.surface.points])
+    size = np.linalg.norm(np.ptp(coarse.surface.points, axis=0))
+    # none is nothing: an entry of zero is no edge
+    steps = 1.0 + np.round(np.linalg.norm(points[start] - points[end], axis=1) / (STEP * size))
+    graph = sparse.csr_array((steps, (place[start], place[end])), shape=(n + count, n + count))
     _, _, sources = csgraph.dijkstra(
-        graph, directed=False, indices=kept, min_only=True, return_predecessors=True
+        graph, directed=False, indices=n + np.arange(count), min_only=True, return_predecessors=True
     )
-    position = np.zeros(n, dtype=np.int64)
-    position[kept] = np.arange(len(kept))
-    return position[sources]
+    return np.asarray(sources[place[:n]] - n, np.int64)
 
 
 def _candidates(points: Array, triangles: Index, n: int, share: float) -> tuple[Index, Index]:
@@ -85,7 +111,7 @@ def _candidates(points: Array, triangles: Index, n: int, share: float) -> tuple[
     valence = np.diff(adjacent.indptr)
     usable = (shared == 2) & (valence[start] + valence[end] - 4 <= MOST_NEIGHBOURS)
     along = points[end] - points[start]
-    square = np.einsum("hc,hc->h", along, along)
+    square = np.round(np.einsum("hc,hc->h", along, along), DECIMALS)
     half = np.flatnonzero(usable)
     half = half[square[half] <= np.quantile(square[half], share)] if len(half) else half
     # every pair of such a half-edge start -> end and a facet of its start, whose other corners are b and c
@@ -102,8 +128,8 @@ def _candidates(points: Array, triangles: Index, n: int, share: float) -> tuple[
     before, after = _cross(y - x, z - x), _cross(y - moved, z - moved)
     size, new_size = (np.sqrt(np.einsum("pc,pc->p", v, v)) for v in (before, after))
     sides = [np.einsum("pc,pc->p", v, v) for v in (y - moved, z - moved, z - y)]
-    good = np.einsum("pc,pc->p", before, after) > LEAST_COSINE * size * new_size
-    good &= 2.0 * np.sqrt(3.0) * new_size > LEAST_QUALITY * (sides[0] + sides[1] + sides[2])
+    good = np.einsum("pc,pc->p", before, after) > (LEAST_COSINE + ROUNDING) * size * new_size
+    good &= 2.0 * np.sqrt(3.0) * new_size > (LEAST_QUALITY + ROUNDING) * (sides[0] + sides[1] + sides[2])
     good |= vanishes
     off_plane = np.abs(np.einsum("pc,pc->p", before, moved - x)) / size
     length = np.sqrt(np.where(vanishes, 0.0, np.maximum(sides[0], sides[1])))
@@ -111,8 +137,9 @@ def _candidates(points: Array, triangles: Index, n: int, share: float) -> tuple[
         return half, half
     allowed = np.logical_and.reduceat(good, starts)
     cost = np.maximum.reduceat(length, starts) + OFF_PLANE * np.maximum.reduceat(off_plane, starts)
+    cost = np.round(cost, DECIMALS)
     half, cost = half[allowed], cost[allowed]
-    order = np.lexsort((half, cost, start[half]))
+    order = np.lexsort((end[half], cost, start[half]))
     _, best = np.unique(start[half][order], return_index=True)
     chosen = order[best]
     cheapest = chosen[cost[chosen] <= np.quantile(cost[chosen], share)] if len(chosen) else chosen

@@ -37,8 +37,8 @@ def interpolation(surface: SurfaceMesh, coarse: CoarseSurface) -> Interpolation:
     coarse nodes are flatter than the fine ones between them, until linear fields, and with them rigid motions,
     are exact.
     """
-    n, count = surface.n_nodes, len(coarse.kept)
-    cells = nearest(surface, coarse.kept)
+    n, count = surface.n_nodes, coarse.surface.n_nodes
+    cells = nearest(surface, coarse)
     i, j = coarse.surface.edges.T
     ring = sparse.csr_array((np.ones(len(i)), (i, j)), shape=(count, count))
     ring = sparse.csr_array(ring + ring.T + sparse.eye_array(count))
@@ -50,12 +50,14 @@ def interpolation(surface: SurfaceMesh, coarse: CoarseSurface) -> Interpolation:
     columns: list[Index] = []
     values: list[Array] = []
     for cell, nodes in enumerate(members):
+        if not len(nodes):
+            continue
         stencil, weights = _cell(ring, two_rings[cell], coarse.surface.points, surface.points[nodes])
         rows.append(np.repeat(nodes, len(stencil)))
         columns.append(np.tile(stencil, len(nodes)))
         values.append(weights.ravel())
     data = np.concatenate(values)
-    # a kept node takes its own value: what rounding leaves of the others is no neighbour
+    # a node where a coarse one is takes its value: what rounding leaves of the others is no neighbour
     data[np.abs(data) < ROUNDING] = 0.0
     # 32 bits: a product reads a quarter less
     i, j = (np.concatenate(part).astype(np.int32) for part in (rows, columns))

@@ -22,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg, sparse
 from scipy.linalg import blas, lapack
+from scipy.sparse import linalg as sparse_linalg
 
 from vdm.formulations.coarse_surface import coarsened
 from vdm.formulations.interpolation import interpolation
@@ -34,7 +35,8 @@ Stiffness = Callable[[SurfaceMesh, Array], Array]
 
 # largest ratio of the coarse body's stiffness to the springs'; 0.5 to 0.9 give errors within a tenth of each other
 LARGEST_RATIO = 0.75
-POWER_ITERATIONS = 60
+# of that ratio: the springs, and with them the answer, may not depend on the pose of the body
+TOLERANCE = 1e-10
 # fine nodes that are multiplied with the dense matrix of the coarse body at once: bounds the temporary arrays
 ROWS = 4096
 # smallest over largest pivot of a factor that is told from a singular one
@@ -60,7 +62,7 @@ class Skin:
     def __init__(self, surface: SurfaceMesh, count: int, stiffness: Stiffness) -> None:
         coarse = coarsened(surface, count)
         spread = interpolation(surface, coarse)
-        self.n_nodes = n = len(coarse.kept)
+        self.n_nodes = n = coarse.surface.n_nodes
         # both by columns: scipy's product with three vectors is then half as long, as no sum waits for itself
         self.spread = sparse.csc_array(spread.weights)
         self.gather = sparse.csc_array(spread.weights.T)
@@ -162,10 +164,6 @@ def _symmetric(matrix: Array) -> Array:
 
 
 def _largest_eigenvalue(matrix: Array) -> float:
-    """By power iteration, from below."""
-    x = np.random.default_rng(0).standard_normal(len(matrix))
-    size = 0.0
-    for _ in range(POWER_ITERATIONS):
-        x = matrix @ (x / np.linalg.norm(x))
-        size = float(np.linalg.norm(x))
-    return size
+    start = np.random.default_rng(0).standard_normal(len(matrix))
+    found = sparse_linalg.eigs(matrix, k=1, v0=start, tol=TOLERANCE, return_eigenvectors=False)
+    return float(np.abs(found[0]))
