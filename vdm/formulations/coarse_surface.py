@@ -22,7 +22,7 @@ LEAST_COSINE = 0.5
 LEAST_QUALITY = 0.2
 MOST_NEIGHBOURS = 9
 # a distance from the planes of the facets that vanish counts this many times more than length
-OFF_PLANE = 6.0
+OFF_PLANE = 8.0
 # the shares of the edges that a round looks at, the shortest, and of the nodes found that it may take, the cheapest
 SHARE = 0.2
 # what rounding may do to a threshold
