@@ -136,9 +136,7 @@ def _flipped(nodes: Array, facets: Index) -> Index:
         good &= (np.minimum(valence[a], valence[b]) > 4) & (
             np.maximum(valence[c], valence[d]) < MOST_NEIGHBOURS
         )
-        pairs = np.stack(
-            [_cross(q - p, r - p), _cross(p - q, s - q), _cross(s - r, q - r), _cross(r - s, p - s)]
-        )
+        pairs = np.stack([cross(q - p, r - p), cross(p - q, s - q), cross(s - r, q - r), cross(r - s, p - s)])
         pairs /= np.maximum(np.linalg.norm(pairs, axis=2, keepdims=True), np.finfo(np.float64).tiny)
         good &= np.einsum("ec,ec->e", pairs[0], pairs[1]) > FLAT_COSINE
         good &= np.einsum("kec,ec->ke", pairs[2:], pairs[0] + pairs[1]).min(axis=0) > FLAT_COSINE
@@ -167,9 +165,9 @@ def _gathered(values: Array, facets: Index, n: int) -> Array:
 
 
 def _area_vectors(points: Array, triangles: Index) -> Array:
-    """(m, 3) normals of the triangles, as long as half their areas twice over."""
+    """(m, 3) normals of the triangles, as long as their areas."""
     a, b, c = points[triangles].transpose(1, 0, 2)
-    return 0.5 * _cross(b - a, c - a)
+    return 0.5 * cross(b - a, c - a)
 
 
 def _unit(vectors: Array) -> Array:
@@ -178,10 +176,10 @@ def _unit(vectors: Array) -> Array:
 
 def _cotangent(u: Array, v: Array) -> Array:
     """(k,) of the angles between vectors (k, 3)."""
-    return np.asarray(np.einsum("kc,kc->k", u, v) / np.linalg.norm(_cross(u, v), axis=1))
+    return np.asarray(np.einsum("kc,kc->k", u, v) / np.linalg.norm(cross(u, v), axis=1))
 
 
-def _cross(a: Array, b: Array) -> Array:
+def cross(a: Array, b: Array) -> Array:
     """(p, 3) cross products; plain products are several times faster than np.cross."""
     (ax, ay, az), (bx, by, bz) = a.T, b.T
     return np.stack([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx], axis=1)
