@@ -146,12 +146,7 @@ def relative_l2_deformation_error(surface: Surface, model: History, reference: H
 VECTOR, DEFORMATION = relative_l2_displacement_error.__name__, relative_l2_deformation_error.__name__
 
 
-@_metric(
-    "1",
-    "as the displacement error, for the component along the undeformed normal",
-    degree=0,
-    version=2,
-)
+@_metric("1", "as the displacement error, for the component along the undeformed normal", degree=0, version=2)
 def relative_l2_normal_error(surface: Surface, model: History, reference: History) -> Array:
     def compare(s: Surface, u: Array, r: Array) -> Array:
         return _of_parts(r, s.areas, *(_along(v, s.normals) for v in (u, r)))
@@ -159,12 +154,7 @@ def relative_l2_normal_error(surface: Surface, model: History, reference: Histor
     return _each_step(surface, model, reference, compare)
 
 
-@_metric(
-    "1",
-    "as the displacement error, for the component in the undeformed surface",
-    degree=0,
-    version=2,
-)
+@_metric("1", "as the displacement error, for the component in the undeformed surface", degree=0, version=2)
 def relative_l2_tangential_error(surface: Surface, model: History, reference: History) -> Array:
     def compare(s: Surface, u: Array, r: Array) -> Array:
         return _of_parts(r, s.areas, *(v - _along(v, s.normals) * s.normals for v in (u, r)))
@@ -189,33 +179,18 @@ def p95_nodal_error(surface: Surface, model: History, reference: History) -> Arr
     )
 
 
-@_metric(
-    "1",
-    "|u - r| that 95 % of the surface area stays below, over largest |r|",
-    degree=0,
-    version=2,
-)
+@_metric("1", "|u - r| that 95 % of the surface area stays below, over largest |r|", degree=0, version=2)
 def p95_nodal_error_relative(surface: Surface, model: History, reference: History) -> Array:
     return p95_nodal_error(surface, model, reference) / reference.largest
 
 
-@_metric(
-    "1",
-    "displacement error over the loaded nodes only",
-    degree=0,
-    version=2,
-    needs_contact=True,
-)
+@_metric("1", "displacement error over the loaded nodes only", degree=0, version=2, needs_contact=True)
 def contact_region_error(surface: Surface, model: History, reference: History) -> Array:
     return _regional(surface, model, reference, surface.contact)
 
 
 @_metric(
-    "1",
-    "displacement error over the nodes that carry no contact",
-    degree=0,
-    version=2,
-    needs_contact=True,
+    "1", "displacement error over the nodes that carry no contact", degree=0, version=2, needs_contact=True
 )
 def far_field_error(surface: Surface, model: History, reference: History) -> Array:
     return _regional(surface, model, reference, ~surface.contact)

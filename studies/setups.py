@@ -54,13 +54,17 @@ def next_turn() -> None:
     """Begin the next piece of work: what neither it nor the one before it asks for is let go of, unless needed."""
     global _turn
     _turn += 1
-    for key in [key for key, setup in (_kept or {}).items() if setup.turn < _turn - 1]:
-        del (_kept or {})[key]
+    _keep_from(_turn - 1)
 
 
 def let_go() -> None:
     """Let go now of everything that is not needed in a turn to come."""
-    for key in [key for key, setup in (_kept or {}).items() if setup.turn <= _turn]:
+    _keep_from(_turn + 1)
+
+
+def _keep_from(turn: int) -> None:
+    """Let go of what was asked for, or is needed, before a turn only."""
+    for key in [key for key, setup in (_kept or {}).items() if setup.turn < turn]:
         del (_kept or {})[key]
 
 

@@ -31,6 +31,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from .metrics import VECTOR
 from .model_name import REFINED
 
 if TYPE_CHECKING:
@@ -42,7 +43,6 @@ STEADY = 1.0  # by how much two observed orders may differ
 RESOLUTION = 0.1  # a discrepancy is resolved where the bar is at most this share of it
 _HIGHEST_ORDER = 50.0
 
-DISPLACEMENT = "relative_l2_displacement_error"
 INDENTATION_FORCE = "indentation_force_error"
 STRAINS = ("mean_strain_x", "mean_strain_y", "mean_strain_z")
 # figures that two meshes may give alike by chance
@@ -113,6 +113,12 @@ def least_bar(metric: str, figures: Mapping[str, float], relative: float) -> flo
     return relative if metric == "volume_drift_of_displaced" else math.nan
 
 
+def no_less(bar: float, metric: str, figures: Mapping[str, float], relative: float) -> float:
+    """A bar that was measured, or `least_bar` where that is known and wider."""
+    least = least_bar(metric, figures, relative)
+    return max(bar, least) if math.isfinite(least) else bar
+
+
 def value_bar(case: CaseResult, model: str, metric: str) -> float:
     """The bar of a metric's value at full load, at least `least_bar`; NaN where it has none.
 
@@ -125,8 +131,7 @@ def value_bar(case: CaseResult, model: str, metric: str) -> float:
         return bar
     series, step = case.metrics.get(model, {}), case.full_load
     figures = {name: float(series[name].values[step]) for name in SIGNED if name in series}
-    least = least_bar(metric, figures, reference_bar(case.reference_error, DISPLACEMENT))
-    return max(bar, least) if math.isfinite(least) else bar
+    return no_less(bar, metric, figures, reference_bar(case.reference_error, VECTOR))
 
 
 def _measured_bar(case: CaseResult, model: str, metric: str) -> float:

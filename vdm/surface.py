@@ -45,7 +45,7 @@ class SurfaceMesh:
         self.n_nodes = len(self.points)
 
         corners = self._corners()
-        vectors = _facet_vectors(*corners)
+        vectors = facet_vectors(*corners)
         self.facet_areas: Array = _length(vectors)
         _check_facets(corners, self.facet_areas)
         self.edges: NDArray[np.int32]
@@ -71,7 +71,7 @@ class SurfaceMesh:
     @property
     def facet_vectors(self) -> Array:
         """(F, 3) facet normal times facet area [m^2]; computed anew, it is needed at set-up only."""
-        return _facet_vectors(*self._corners())
+        return facet_vectors(*self._corners())
 
     @cached_property
     def nodal_areas(self) -> Array:
@@ -185,10 +185,15 @@ def _check_arrays(points: Array, triangles: Index) -> None:
         raise SurfaceError(f"{orphans.size} nodes belong to no facet (first: {orphans[0]}); remove them")
 
 
-def _facet_vectors(a: Array, b: Array, c: Array) -> Array:
-    """(F, 3) half of (b - a) x (c - a); component by component, which is faster than np.cross."""
-    (ux, uy, uz), (vx, vy, vz) = (b - a).T, (c - a).T
-    return np.stack([0.5 * (uy * vz - uz * vy), 0.5 * (uz * vx - ux * vz), 0.5 * (ux * vy - uy * vx)], axis=1)
+def cross(u: Array, v: Array) -> Array:
+    """(n, 3) u x v; component by component, which is several times faster than np.cross."""
+    (ux, uy, uz), (vx, vy, vz) = u.T, v.T
+    return np.stack([uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx], axis=1)
+
+
+def facet_vectors(a: Array, b: Array, c: Array) -> Array:
+    """(F, 3) normal times area of facets, by their corners (F, 3): half of (b - a) x (c - a)."""
+    return 0.5 * cross(b - a, c - a)
 
 
 def _length(vectors: Array) -> Array:

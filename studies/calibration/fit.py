@@ -74,17 +74,14 @@ class Fit:
 
     model: str
     multiples: Mapping[str, float]  # parameter -> multiple of the rule's value
-    parameters: Mapping[
-        str, float
-    ]  # parameter -> value [SI] on the body, tissue and mesh of the load `where`
+    parameters: Mapping[str, float]  # parameter -> value [SI] on body, tissue and mesh of the load `where`
     by_rule: Errors  # on the loads held out, before
     training: Errors
     held_out: Errors
     kept: str = ""  # which multiples are the rule's own because no load tells them; "" where none is
     where: str = ""  # label of the first training load
-    spread: Mapping[str, float] = field(
-        default_factory=dict
-    )  # parameter whose rule differs -> most over least
+    # parameter whose rule differs between the loads -> its largest value over its least
+    spread: Mapping[str, float] = field(default_factory=dict)
 
 
 def samples_of(plan: Plan, run: Run) -> list[Sample]:

@@ -34,7 +34,7 @@ from studies.setups import sharing
 from studies.study_file.config import expand, geometry_of, load_study
 from studies.study_file.schema import Study
 from studies.surface_measures import Surface, weighted_norms, without_motions
-from studies.uncertainty import REASONABLE_ORDERS, SIGNED, estimate_error, least_bar, reference_bar
+from studies.uncertainty import REASONABLE_ORDERS, SIGNED, estimate_error, no_less, reference_bar
 from tests.docs import marked
 
 ROOT = Path(__file__).parents[2]
@@ -149,8 +149,7 @@ def bars(case: Levels) -> list[Bar]:
             value = float(values[step])
             bar = _bar(float(own[metric][step]), value) if model == REFINED else reference_bar(told, metric)
             figures = {name: float(series[name][step]) for name in SIGNED if name in series}
-            least = least_bar(metric, figures, reference_bar(told, VECTOR))
-            bar = max(bar, least) if math.isfinite(least) else bar
+            bar = no_less(bar, metric, figures, reference_bar(told, VECTOR))
             if math.isfinite(value) and math.isfinite(bar):
                 found.append(Bar(model, metric, value, bar, float(best[model][metric][step])))
     return found

@@ -147,20 +147,25 @@ def test_a_frame_without_kept_factors_is_no_yardstick_of_cost() -> None:
     assert judged(3, iterative).number == "5000 times per frame", "there is nothing else"
 
 
-@pytest.mark.parametrize(
-    ("few", "many", "verdict"), [(0.4, 0.05, HOLDS), (0.4, 0.2, WITHIN_LIMITS), (0.4, 0.39, FAILS)]
-)
-def test_small_steps(few: float, many: float, verdict: str) -> None:
-    cases = [
+def in_steps(few: float, many: float, reference_error: dict[str, float] | None = None) -> list[CaseResult]:
+    """The same case in 20 steps and in one, with these errors at full load."""
+    return [
         make_case(
             {"vdm-paper:quasi-linear": error},
             label=str(n),
             steps=np.linspace(0, 1, n + 1)[1:].tolist(),
             subdivisions=0,
+            reference_error=reference_error,
         )
         for n, error in ((20, many), (1, few))
     ]
-    outcome = judged(4, *cases)
+
+
+@pytest.mark.parametrize(
+    ("few", "many", "verdict"), [(0.4, 0.05, HOLDS), (0.4, 0.2, WITHIN_LIMITS), (0.4, 0.39, FAILS)]
+)
+def test_small_steps(few: float, many: float, verdict: str) -> None:
+    outcome = judged(4, *in_steps(few, many))
     assert outcome.verdict == verdict
     assert outcome.number == f"{100 * (few - many):.2g} % at most by small steps (bar not measured)"
 
@@ -182,17 +187,8 @@ def test_small_steps(few: float, many: float, verdict: str) -> None:
 def test_small_steps_with_the_reference_s_own_error(
     few: float, many: float, bar: float, verdict: str
 ) -> None:
-    cases = [
-        make_case(
-            {"vdm-paper:quasi-linear": error},
-            label=str(n),
-            steps=np.linspace(0, 1, n + 1)[1:].tolist(),
-            subdivisions=0,
-            reference_error={"gci:relative_l2_displacement_error": bar},
-        )
-        for n, error in ((20, many), (1, few))
-    ]
-    outcome = judged(4, *cases)
+    reference_error = {"gci:relative_l2_displacement_error": bar}
+    outcome = judged(4, *in_steps(few, many, reference_error))
     assert outcome.verdict == verdict
     assert outcome.number.endswith(f" at most by small steps (reference's own error {100 * bar:g} %)")
     assert f"The answers themselves are {100 * (few - many):.2g} % apart at most." in outcome.reason

@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse import csgraph
 
-from vdm.formulations.even_spacing import cross, evenly_spaced
+from vdm.formulations.even_spacing import evenly_spaced
 from vdm.formulations.node_order import DECIMALS, node_order, renumbered
-from vdm.surface import SurfaceMesh
+from vdm.surface import SurfaceMesh, cross
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
