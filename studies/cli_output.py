@@ -12,7 +12,7 @@ from .files import json_text
 
 if TYPE_CHECKING:
     from .case import Run
-    from .run import Event
+    from .graph.run import Event
 
 OK, REGRESSED, USAGE, FAILED, MACHINE, DAMAGED, NOTHING_COMPARED = range(7)
 BUG, INTERRUPTED = 70, 130

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from .case import Run
-    from .plan import Plan, PlannedCase
+    from .graph.plan import Plan, PlannedCase
     from .study_file.schema import Study
 
 SHIPPED = Path(__file__).parent / "cases"
@@ -51,7 +51,7 @@ def check_verb(options: argparse.Namespace) -> int:
     """Print whether a study is right, or every mistake in it."""
     from .explain import refused
     from .study_file.problems import StudyError
-    from .work import work_of
+    from .graph.nodes import bodies
 
     try:
         study, path = _load(options)
@@ -63,7 +63,7 @@ def check_verb(options: argparse.Namespace) -> int:
             print_json({"ok": False, "problems": problems})
             return USAGE
         raise
-    expected = refused(plan, plan.cases, work_of(plan, plan.cases))
+    expected = refused(plan, plan.cases, bodies(plan, plan.cases))
     if options.json:
         return print_json({"ok": True, "problems": [], "cases": len(plan.cases), "refused": expected})
     print(f"{path}: ok, {count(len(plan.cases), 'case')}")
@@ -102,7 +102,7 @@ def plan_verb(options: argparse.Namespace) -> int:
         print(f"  {case['hash'][:12]}  {case['state']:<8} {case['label']}")
     meshes = count(planned["meshes_to_make"], "mesh", "meshes")
     print(f"to run: {count(planned['cases_to_run'], 'case')}, {meshes}")
-    for kind in ("needed", "shared", "skipped", "refused"):
+    for kind in ("needed", "skipped", "refused"):
         for line in planned[kind]:
             print(f"{'will be refused' if kind == 'refused' else kind}: {line}")
     expected = planned["estimate"]
@@ -115,7 +115,7 @@ def plan_verb(options: argparse.Namespace) -> int:
 
 def run_verb(options: argparse.Namespace) -> int:
     """Run what is missing, write the report, print the headline table."""
-    from .run import Options, run_plan
+    from .graph.run import Options, count_of_events, run_plan
 
     study, path = _load(options)
     plan = _make_plan(study, options)
@@ -129,9 +129,7 @@ def run_verb(options: argparse.Namespace) -> int:
         scheduler=options.scheduler,
         insecure_scheduler=options.insecure_scheduler,
     )
-    cases = plan.cases_to_run(how.shard)
-    total = len(cases) + len(plan.missing_meshes(cases))
-    with Progress(total, study.study.name, quiet=options.json) as progress:
+    with Progress(count_of_events(plan, how.shard), study.study.name, quiet=options.json) as progress:
         run, report = run_plan(plan, path.read_text(), how, progress.show)
     return print_run(run, plan.directory, report, options.json)
 
@@ -246,7 +244,7 @@ def _make_plan(
     command: tuple[str, ...] = (),
 ) -> Plan:
     """The plan of all cases; in --out or results/runs/NAME by default."""
-    from .plan import make_plan
+    from .graph.plan import make_plan
     from .study_file.config import expand
 
     directory = directory or vars(options).get("out")
@@ -294,7 +292,7 @@ def _command(verb: str, options: argparse.Namespace) -> tuple[str, ...]:
 
 def _run_for_fit(plan: Plan, path: Path, options: argparse.Namespace) -> tuple[Plan, Run]:
     """Run what is missing of a study that parameters are fitted on, and say what failed."""
-    from .run import Options, run_plan
+    from .graph.run import Options, count_of_events, run_plan
 
     cases = plan.cases_to_run()
     total = len(cases) + len(plan.missing_meshes(cases))

@@ -8,7 +8,6 @@ factor smaller.
 
 from __future__ import annotations
 
-from collections import defaultdict
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
@@ -19,9 +18,9 @@ from .hdf5 import StoreError
 from .meshing.mesh import MeshError
 from .meshing.mesh_cache import mesh_path, read_mesh
 from .model_name import REFINED, split
-from .plan import Expected, Plan, PlannedCase, PlannedMesh
+from .graph.nodes import Body, bodies
+from .graph.plan import Expected, Plan, PlannedCase, PlannedMesh
 from .store import read_case
-from .work import ModelWork, work_of
 
 FACTOR_MEASURED, FACTOR_LAWS = 3.0, 5.0
 _START = 3.0  # s to load the libraries, and to write the tables and the report
@@ -84,38 +83,35 @@ class Estimate:
     factor: float
 
 
-def estimate(plan: Plan, cases: Sequence[PlannedCase], jobs: int = 1) -> Estimate | None:
-    """What it takes to run these cases in `jobs` workers; None where a file cannot be meshed."""
+def estimate(plan: Plan, cases: Sequence[PlannedCase]) -> Estimate | None:
+    """What it takes to run these cases; None where a file cannot be meshed."""
     sizes: dict[str, Size] = {}
     for key in dict.fromkeys(case.mesh for case in cases):
         size = size_of(plan, plan.meshes[key])
         if size is None:
             return None
         sizes[key] = size
-    seconds = dearest = disk = 0.0
-    held: defaultdict[int, float] = defaultdict(float)
-    for part in work_of(plan, cases, jobs):
-        cost = _law(part.name, sizes[part.mesh].refined(part.level), part.solves)
-        seconds += part.setups * cost.setup + part.solves * cost.step
+    seconds = dearest = disk = memory = 0.0
+    for body in bodies(plan, cases):
+        solves = sum(len(asked.factors) for asked in body.asked)
+        cost = _law(body.name, sizes[body.mesh].refined(body.level), solves)
+        seconds += cost.setup + solves * cost.step
         dearest = max(dearest, cost.setup + cost.step)
-        # what the cases of a group share is held until the group is done
-        held[part.worker] += part.held * cost.bytes
+        memory = max(memory, cost.bytes)
+        disk += 48.0 * solves * sizes[body.mesh].nodes + 2e3
     searches = [_search(case, sizes[case.mesh]) for case in cases]
     seconds += sum(search.seconds for search in searches)
-    # by then what the models' own solves took is free again
-    memory = max([*held.values(), *(search.bytes for search in searches)], default=0.0)
+    memory = max([memory, *(search.bytes for search in searches)])
     speed, weight = _speed(plan, dearest)
     seconds *= speed
     seconds += _START + sum(_mesh_seconds(sizes[mesh.key]) for mesh in plan.missing_meshes(cases))
     for case in cases:
-        results, steps = len(case.results) + 1, len(case.study.load.history)
+        results, steps = len(case.wanted), len(case.study.load.history)
         per_result = 48.0 * steps * sizes[case.mesh].nodes
         nodes = sizes[case.mesh].nodes
         # files, report; metrics of one step, with the distances of surfaces; those of the other steps
         seconds += 0.05 + 1e-6 * results * nodes * (15.0 + steps)
         disk += results * (per_result + 2e4) + 5e4
-        if case.reference is not None and not plan.reference_cached(case):
-            disk += 2 * per_result
     disk += sum(
         40.0 * sizes[mesh.key].tetrahedra + 80.0 * sizes[mesh.key].nodes
         for mesh in plan.missing_meshes(cases)
@@ -124,7 +120,7 @@ def estimate(plan: Plan, cases: Sequence[PlannedCase], jobs: int = 1) -> Estimat
     return Estimate(seconds if cases else 0.0, _PROCESS_BYTES + memory, disk, factor)
 
 
-def largest_solve(size: Size, work: Iterable[ModelWork]) -> tuple[float, str]:
+def largest_solve(size: Size, work: Iterable[Body]) -> tuple[float, str]:
     """Bytes of the largest set-up and solve of a single load on a mesh, by the laws, and which model's it is."""
     return max(
         (_law(part.name, size.refined(part.level), 1).bytes, part.name + (REFINED if part.level else ""))
@@ -146,7 +142,7 @@ def _search(case: PlannedCase, size: Size) -> Spent:
     def tried(name: str, level: int, loads: int) -> Spent:
         cost = _law(name, size.refined(level), steps)
         each = float(steps)
-        if models.find(name)[0].onward:
+        if models.find(name)[0].continues:
             each = _ONWARD
         elif split(name)[1] == "nonlinear":
             each = max(each, _DEEP)
@@ -243,7 +239,7 @@ def _speed(plan: Plan, dearest: float) -> tuple[float, float]:
         measured = expected = 0.0
         for name, result in solved.items():
             model, spent = name.removesuffix(REFINED), [result.seconds_setup, *result.seconds_per_step]
-            if model in case.results and np.isfinite(spent).all():  # one that stopped tells nothing
+            if model in case.study.study.models and np.isfinite(spent).all():  # one that stopped tells nothing
                 law = _law(model, size.refined(finest if name != model else 0), 1)
                 measured += sum(spent)
                 expected += law.setup + law.step * (len(spent) - 1)

@@ -11,10 +11,11 @@ from .estimate import FACTOR_LAWS, Size, estimate, known_of, largest_solve, size
 from .memory import machine_memory
 from .meshing.geometry_spec import fewer_nodes
 from .model_name import DISPLACEMENT_ELEMENTS, split
-from .plan import Expected, Plan, PlannedCase
+from .graph.answers import answer_path
+from .graph.nodes import Body, bodies
+from .graph.plan import Expected, Plan, PlannedCase
 from .regions import body_extent, lies_outside
 from .study_file.config import holds_nothing
-from .work import ModelWork, work_of
 
 DOUBT = 1.3  # expected surface nodes of a mesh over those that it may have
 
@@ -22,8 +23,8 @@ DOUBT = 1.3  # expected surface nodes of a mesh over those that it may have
 def summary(plan: Plan, jobs: int = 1) -> dict[str, Any]:
     """The plan for `jobs` workers as plain data: `plan.json`, and what `vdmbench plan` prints."""
     todo = plan.cases_to_run()
-    work = work_of(plan, todo, jobs)
-    expected = estimate(plan, todo, jobs)
+    work = bodies(plan, todo)
+    expected = estimate(plan, todo)
     study = plan.study.study
     return {
         "study": {
@@ -44,66 +45,50 @@ def summary(plan: Plan, jobs: int = 1) -> dict[str, Any]:
                 "swept_units": dict(case.swept_units),
                 "state": plan.state[case.hash],
                 "mesh": case.mesh,
-                "group": case.setup,
             }
             for case in plan.cases
         ],
         "meshes": len(plan.meshes),
         "meshes_to_make": len(plan.missing_meshes(todo)),
         "cases_to_run": len(todo),
-        "groups": len(plan.groups(todo, jobs)),
-        "work": [dataclasses.asdict(part) for part in work],
-        "needed": _needed(work),
-        "shared": _shared(plan, todo, work, jobs),
+        "work": [
+            {
+                "model": body.name,
+                "level": body.level,
+                "mesh": body.mesh,
+                "answers": len(body.asked),
+                "solves": sum(len(asked.factors) for asked in body.asked),
+            }
+            for body in work
+        ],
+        "needed": _needed(plan, todo, work),
         "skipped": _skipped(plan, todo),
         "refused": refused(plan, todo, work),
         "estimate": dataclasses.asdict(expected) if expected else None,
     }
 
 
-def _needed(work: Sequence[ModelWork]) -> list[str]:
-    """The refinements that the reference's error bars are from."""
-    lines = []
-    for name, level in dict.fromkeys((part.name, part.level) for part in work if part.level):
-        parts = [part for part in work if (part.name, part.level) == (name, level)]
-        setups, steps, solves = (sum(getattr(p, k) for p in parts) for k in ("setups", "steps", "solves"))
-        lines.append(
-            f"{name}, refined {_count(level, 'time')} for its error bar: {_count(setups, 'set-up')}, "
-            f"{_count(solves, 'solve')} for {_count(steps, 'load step')}"
-        )
-    return lines
-
-
-def _shared(plan: Plan, todo: Sequence[PlannedCase], work: Sequence[ModelWork], jobs: int) -> list[str]:
-    """What the cases to run have in common."""
+def _needed(plan: Plan, todo: Sequence[PlannedCase], work: Sequence[Body]) -> list[str]:
+    """Set-ups and solves of each model on each level, beside the load steps that are made from them."""
     lines = []
     meshes = {case.mesh for case in todo}
-    if len(meshes) < len(todo):
-        lines.append(f"{_count(len(meshes), 'mesh', 'meshes')} for {len(todo)} cases")
-    groups = plan.groups(todo, jobs)
-    if len(groups) < len(todo):
-        differ = "loads and VDM parameters only"
-        if any(len({case.setup for case in group}) > 1 for group in groups):
-            differ = "loads, VDM parameters and what surface models do not read of the tissue only"
-        lines.append(
-            f"{_count(len(groups), 'group')} of cases with one mesh and supports: "
-            f"the cases of each differ in {differ} and share a worker"
+    if todo:
+        lines.append(f"{_count(len(meshes), 'mesh', 'meshes')} for {_count(len(todo), 'case')}")
+    for name, level in dict.fromkeys((body.name, body.level) for body in work):
+        own = [body for body in work if (body.name, body.level) == (name, level)]
+        solves = sum(len(asked.factors) for body in own for asked in body.asked)
+        keys = {asked.key for body in own for asked in body.asked}
+        steps = sum(
+            len(case.study.load.history)
+            for case in todo
+            if any((w.name, w.level) == (name, level) and keys.intersection(w.answers) for w in case.wanted)
         )
-    for name in plan.study.study.models:
-        results = len({case.results[name] for case in todo})
-        if results < len(todo):
-            found = f"{name}: {_count(results, 'result')} for {len(todo)} cases"
-            lines.append(f"{found}; it does not read what else differs")
-        parts = [part for part in work if part.name == name and not part.level]
-        setups, steps, solves = (sum(getattr(p, k) for p in parts) for k in ("setups", "steps", "solves"))
-        if setups < steps:
-            lines.append(f"{name}: {_count(setups, 'set-up')} for {_count(steps, 'load step')}")
-        if solves < steps:
-            sums = " or sums" if models.find(name)[0].together else ""
-            lines.append(
-                f"{name}: {_count(solves, 'solve')} for {steps} load steps; the others are multiples{sums} of them"
-            )
-    if any(case.study.limits for case in todo):
+        where = f", refined {_count(level, 'time')} for its error bar" if level else ""
+        lines.append(
+            f"{name}{where}: {_count(len(own), 'set-up')} and {_count(solves, 'solve')} "
+            f"for {_count(steps, 'load step')}"
+        )
+    if any(case.limits for case in todo):
         lines.append("small-strain limits: a load that is tried serves all models and thresholds")
     return lines
 
@@ -114,7 +99,7 @@ def _skipped(plan: Plan, todo: Sequence[PlannedCase]) -> list[str]:
     volumetric = [name for name in plan.study.study.models if models.find(name)[0].volumetric]
     if not volumetric:
         lines.append("tetrahedra: no model of this study needs the inside")
-    if any(models.solves_together(name) for name in volumetric):
+    if any(models.superposes(name) for name in volumetric):
         lines.append("strains inside the body of the linear models: no metric asks for them")
     if len(plan.cases) > len(plan.state):
         lines.append(f"{len(plan.cases) - len(plan.state)} cases that repeat another one of the sweep")
@@ -129,19 +114,17 @@ def _skipped(plan: Plan, todo: Sequence[PlannedCase]) -> list[str]:
     cached = len(plan.meshes) - len(plan.missing_meshes(plan.cases))
     if cached:
         lines.append(f"{_count(cached, 'mesh', 'meshes')}: already in the cache")
-    references = sum(plan.reference_cached(case) for case in todo)
-    if references:
-        lines.append(
-            f"the reference of {_count(references, 'case')}: already in the cache, or a multiple of it is"
-        )
     for name in plan.study.study.models:
-        known = sum(name in plan.reused(case) for case in todo)
-        if known and name != plan.study.study.reference:
-            lines.append(f"{name} of {_count(known, 'case')}: already in case files of an earlier run")
+        wants = [want for case in todo for want in case.wanted if want.name == name]
+        there = sum(
+            all(plan.has(answer_path(plan.cache, key)) for key in want.answers) for want in wants
+        )
+        if there:
+            lines.append(f"{name}: {there} of {_count(len(wants), 'result')} from answers in the cache")
     return lines
 
 
-def refused(plan: Plan, cases: Sequence[PlannedCase], work: Sequence[ModelWork]) -> list[str]:
+def refused(plan: Plan, cases: Sequence[PlannedCase], work: Sequence[Body]) -> list[str]:
     """What will be refused of these cases, with their work, so far as that is beyond doubt: a region that lies off
     the body, a solve that this machine has no memory for, and models: elements that nothing holds, an
     incompressible body, fibres, and a mesh of more surface nodes than a model takes."""
@@ -184,10 +167,10 @@ def refused(plan: Plan, cases: Sequence[PlannedCase], work: Sequence[ModelWork])
     return lines
 
 
-def beyond_memory(plan: Plan, work: Sequence[ModelWork]) -> dict[str, str]:
+def beyond_memory(plan: Plan, work: Sequence[Body]) -> dict[str, str]:
     """Mesh -> what cannot be solved on it, where this machine has no memory for the least that it may take."""
     there = machine_memory()
-    on_mesh: dict[str, list[ModelWork]] = {}
+    on_mesh: dict[str, list[Body]] = {}
     for part in work:
         if models.find(part.name)[0].volumetric:  # surface models take little, or refuse by themselves
             on_mesh.setdefault(part.mesh, []).append(part)

@@ -1,6 +1,8 @@
-"""The registry of models: name -> function of a Scene. The only place that knows both solver packages.
+"""The registry of models: name -> what answers load steps on a scene. The only place that knows both solver packages.
 
-A model is one registered function. Solver packages are imported inside, so that naming models costs nothing.
+A model declares all that a study, a plan and a report need to know of it: what it reads decides its content keys,
+what superposes is combined instead of solved. Solver packages are imported inside, so that naming models costs
+nothing.
 """
 
 from __future__ import annotations
@@ -9,17 +11,17 @@ import dataclasses
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
 from .case import ModelResult, StepStatus
 from .memory import peak_bytes_since, reset_peak
-from .meshing.mesh import Array, Mask
-from .scene import Scene
-from .setups import shared, watched
+from .meshing.mesh import Array
+from .model_name import reads
+from .scene import Scene, SurfaceLoad
 from .surface_measures import enclosed_volumes
-from .surface_model import linear_solver, scaled, solve_surface
+from .surface_model import prepare_surface
 
 if TYPE_CHECKING:
     from fem_reference.condensed import CondensedProblem
@@ -30,54 +32,78 @@ if TYPE_CHECKING:
     from vdm.solvers.linear import LinearSolver
 
     Solution = FemSolution | VdmSolution
-    Solve = Callable[[Scene, str, str], Solution]
-    Together = Callable[[Sequence[Scene]], Sequence[Solution]]
-    Onward = Callable[[Scene, dict[str, Any]], Solution]
+    PressureProblem = LinearSolver | LinearProblem | CondensedProblem
 
 
 @dataclass(frozen=True)
+class SetUp:
+    """A model made ready for a body: its operators and factors.
+
+    Attributes
+    ----------
+    solve : load steps -> Solution; the steps are independent where the model superposes, else one load path
+    problem : what answers contact pressures linearly; None where nothing does
+    """
+
+    solve: Callable[[Sequence[SurfaceLoad]], Solution]
+    problem: PressureProblem | None = None
+
+
+class Prepare(Protocol):
+    """Sets a model up on the body of a scene, for about so many load steps. Raises ValueError with a sentence."""
+
+    def __call__(self, scene: Scene, solver: str, name: str, n_loads: int) -> SetUp: ...
+
+
+@dataclass(frozen=True, kw_only=True)
 class Model:
     """A model of the registry.
 
     Attributes
     ----------
     name : what a study writes, without the solver
-    version : raised whenever its numbers change; part of every case's hash
+    version : raised whenever its numbers change; part of every key
+    prepare : sets it up
     volumetric : whether it needs tetrahedra
     solvers : the solvers it offers, the default first
-    solve : (scene, solver, the full name) -> Solution
-    together : the same for scenes that differ in their loads only, all in one; None where that saves nothing
-    onward : (scene, what it left of the last) -> Solution of full load alone, from loads below that it has
-        solved of scenes that differ in one rising load only; None where that saves nothing
+    superposes : of these the ones whose answers to loads superpose
+    tissue : keys of [tissue] that it reads, the density apart, which all read where a weight acts
+    parameters : keys of [vdm] and of its own table that it reads
+    fibres : whether it solves a body with fibres, or refuses it
+    contact_in_setup : whether its set-up depends on where the body is touched and how it is moved
+    continues : set up for loads of one rising path, each solved from the last: as `prepare`; None where it cannot
     """
 
     name: str
     version: str
+    prepare: Prepare
     volumetric: bool
     solvers: tuple[str, ...]
-    solve: Solve
-    together: Together | None = None
-    onward: Onward | None = None
+    superposes: tuple[str, ...]
+    tissue: tuple[str, ...]
+    parameters: tuple[str, ...]
+    fibres: bool
+    contact_in_setup: bool = False
+    continues: Prepare | None = None
 
 
 MODELS: dict[str, Model] = {}
 REFUSED = "refused"  # status of a model that could not be set up: before any solve, for a reason of the input
 
 
-def _model(
-    name: str,
-    *,
-    version: str,
-    solvers: tuple[str, ...] = ("linear",),
-    volumetric: bool = False,
-    together: Together | None = None,
-    onward: Onward | None = None,
-) -> Callable[[Solve], Solve]:
-    def register(solve: Solve) -> Solve:
-        MODELS[name] = Model(name, version, volumetric, solvers, solve, together, onward)
-        return solve
+def register(model: Model) -> None:
+    """Add a model.
 
-    return register
+    Raises
+    ------
+    ValueError
+        a name that is taken, or a declaration that does not fit together.
+    """
+    if model.name in MODELS:
+        raise ValueError(f"a model {model.name!r} is registered already")
+    if not model.version or not model.solvers or not set(model.superposes) <= set(model.solvers):
+        raise ValueError(f"{model.name}: a model needs a version, a solver, and superposes by its own solvers only")
+    MODELS[model.name] = model
 
 
 def model_names() -> list[str]:
@@ -122,11 +148,12 @@ def moduli_by_rule(name: str) -> tuple[str, ...]:
 
 def knows_fibres(name: str) -> bool:
     """Whether a model solves a body with fibres, or refuses it."""
-    from vdm.material import ISOTROPIC
-
-    return find(name)[0].name.removeprefix("vdm-") not in ISOTROPIC
+    return find(name)[0].fibres
 
 
+_surface = partial(
+    Model, prepare=prepare_surface, volumetric=False, superposes=("linear",), tissue=("youngs_modulus",)
+)
 VDM_SOLVERS = (
     "linear",
     "single",
@@ -139,122 +166,90 @@ VDM_SOLVERS = (
     "cg",
     "minres",
 )
-
-
-# MINRES needs a symmetric matrix, which the printed form has not
-_model("vdm-paper", version="3", solvers=tuple(name for name in VDM_SOLVERS if name != "minres"))(
-    solve_surface
-)
-_model("vdm-consistent", version="4", solvers=VDM_SOLVERS)(solve_surface)
-_model("vdm-vector", version="7", solvers=VDM_SOLVERS)(solve_surface)
-_model("vdm-boundary", version="10", solvers=("linear", "nonlinear"))(solve_surface)
-_model("mass-spring", version="5", solvers=VDM_SOLVERS)(solve_surface)
-
+for _model in (
+    _surface(
+        name="vdm-paper",
+        version="3",
+        # MINRES needs a symmetric matrix, which the printed form has not
+        solvers=tuple(name for name in VDM_SOLVERS if name != "minres"),
+        parameters=reads("vdm-paper"),
+        fibres=True,
+    ),
+    _surface(
+        name="vdm-consistent",
+        version="4",
+        solvers=VDM_SOLVERS,
+        parameters=reads("vdm-consistent"),
+        fibres=True,
+    ),
+    _surface(
+        name="vdm-vector", version="7", solvers=VDM_SOLVERS, parameters=reads("vdm-vector"), fibres=True
+    ),
+    _surface(
+        name="vdm-boundary",
+        version="10",
+        solvers=("linear", "nonlinear"),
+        parameters=reads("vdm-boundary"),
+        fibres=False,
+    ),
+    _surface(
+        name="mass-spring", version="5", solvers=VDM_SOLVERS, parameters=reads("mass-spring"), fibres=False
+    ),
+):
+    register(_model)
 
 _ELEMENTS = {"fem-linear": "P2-P1", "fem-p1": "P1", "fem-p2": "P2"}
-
-
-def _fem_small_strain(scenes: Sequence[Scene], name: str) -> list[FemSolution]:
-    """One factorisation and one batch of right-hand sides for the loads of all scenes."""
-    loads = [load for scene in scenes for load in _fem_loads(scene)]
-    whole = _linear_problem(scenes[0], name, loads).solve(loads, _asked(scenes[0]))
-    ends = np.cumsum([len(scene.load_factors) for scene in scenes]).tolist()
-    return [_part(whole, slice(*ends)) for ends in zip([0, *ends], ends, strict=False)]
-
-
-def _linear_problem(scene: Scene, name: str, loads: Sequence[FemLoad]) -> LinearProblem:
-    from fem_reference.linear import LinearProblem
-    from fem_reference.loads import independent_loads
-
-    n_solves = len(independent_loads(loads)[0])
-    return shared(LinearProblem, **_body(scene), element=_ELEMENTS[name], expected_loads=n_solves)
-
-
-def _asked(scene: Scene, *outputs: str) -> frozenset[str]:
-    """Further outputs of a volumetric model."""
-    return frozenset({*outputs, "condition_estimate"} if scene.condition else outputs)
-
-
-def _part(solution: FemSolution, steps: slice) -> FemSolution:
-    """Some steps of a solution."""
-    arrays = ("displacement", "fluid_pressure", "reaction_force", "energy", "iterations", "seconds_per_step")
-    return dataclasses.replace(
-        solution,
-        **{name: getattr(solution, name)[steps] for name in (*arrays, "status")},
-        scalars={name: values[steps] for name, values in solution.scalars.items()},
-    )
-
-
-@_model("fem-linear", version="2", volumetric=True, together=partial(_fem_small_strain, name="fem-linear"))
-def _fem_linear(scene: Scene, solver: str, name: str) -> FemSolution:  # noqa: ARG001
-    return _fem_small_strain([scene], "fem-linear")[0]
-
-
-@_model("fem-p1", version="1", volumetric=True, together=partial(_fem_small_strain, name="fem-p1"))
-def _fem_p1(scene: Scene, solver: str, name: str) -> FemSolution:  # noqa: ARG001
-    return _fem_small_strain([scene], "fem-p1")[0]
-
-
-@_model("fem-p2", version="1", volumetric=True, together=partial(_fem_small_strain, name="fem-p2"))
-def _fem_p2(scene: Scene, solver: str, name: str) -> FemSolution:  # noqa: ARG001
-    return _fem_small_strain([scene], "fem-p2")[0]
-
-
-@_model("fem-condensed", version="3", volumetric=True)
-def _fem_condensed(scene: Scene, solver: str, name: str) -> FemSolution:  # noqa: ARG001
-    return _condensed_problem(scene).solve(_fem_loads(scene), _asked(scene))
-
-
-def _condensed_problem(scene: Scene) -> CondensedProblem:
-    body = _body(scene)
-    if not scene.gravity.any():
-        body["density"] = 0.0  # no columns for a weight that does not act
-    # one motion of held nodes, in units of its largest component: cases that move them further, or back, share it
-    largest = scene.prescribed.flat[np.abs(scene.prescribed).argmax()]
-    # 0.0 is added because -0.0 would be another content
-    motions = scene.prescribed[None] / largest + 0.0 if largest else np.zeros((0, *scene.prescribed.shape))
-    return shared(_condensed_set_up, contact=scene.contact, motions=motions, **body)
-
-
-def _condensed_set_up(*, contact: Mask, motions: Array, **body: Any) -> CondensedProblem:
-    from fem_reference.condensed import CondensedProblem
-    from fem_reference.linear import LinearProblem
-
-    n_columns = 12 * int(contact.sum())  # three components at the vertices and three edge middles each
-    problem = shared(LinearProblem, **body, expected_loads=n_columns + len(motions))
-    return CondensedProblem(problem, contact, motions=motions)
-
-
-@_model("fem-coarse", version="3", volumetric=True)
-def _fem_coarse(scene: Scene, solver: str, name: str) -> FemSolution:  # noqa: ARG001
-    from .meshing.coarse import solve_coarse
-
-    return solve_coarse(scene)
-
-
-def _fem_onward(scene: Scene, known: dict[str, Any]) -> FemSolution:
-    from fem_reference.finite_strain import FiniteStrainProblem
-    from fem_reference.walk import Walk
-
-    if not known:
-        known.update(problem=FiniteStrainProblem(**_finite_strain(scene)), walk=Walk())
-    problem: FiniteStrainProblem = known["problem"]
-    return problem.solve(_fem_loads(scene)[-1:], _asked(scene, *_LARGEST), known["walk"])
-
-
-@_model("fem", version="1", volumetric=True, onward=_fem_onward)
-def _fem(scene: Scene, solver: str, name: str) -> FemSolution:  # noqa: ARG001
-    from fem_reference.finite_strain import FiniteStrainProblem
-
-    return FiniteStrainProblem(**_finite_strain(scene)).solve(_fem_loads(scene), _asked(scene, *_LARGEST))
-
-
 _LARGEST = ("max_det_f_deviation", "max_principal_strain")
 
 
-def _finite_strain(scene: Scene) -> dict[str, Any]:
+def _small_strain(scene: Scene, solver: str, name: str, n_loads: int) -> SetUp:  # noqa: ARG001
+    """One factorisation, and the loads that are independent in one batch of right-hand sides."""
+    from fem_reference.linear import LinearProblem
+
+    problem = LinearProblem(**_body(scene), element=_ELEMENTS[name], expected_loads=n_loads)
+    return SetUp(lambda loads: problem.solve(_fem_loads(loads), _asked(scene)), problem)
+
+
+def _condensed(scene: Scene, solver: str, name: str, n_loads: int) -> SetUp:  # noqa: ARG001
+    from fem_reference.condensed import CondensedProblem
+    from fem_reference.linear import LinearProblem
+
+    body = _body(scene)
+    if not scene.gravity.any():
+        body["density"] = 0.0  # no columns for a weight that does not act
+    # one motion of held nodes, in units of its largest component
+    largest = scene.prescribed.flat[np.abs(scene.prescribed).argmax()]
+    motions = scene.prescribed[None] / largest if largest else np.zeros((0, *scene.prescribed.shape))
+    n_columns = 12 * int(scene.contact.sum())  # three components at the vertices and three edge middles each
+    whole = LinearProblem(**body, expected_loads=n_columns + len(motions))
+    problem = CondensedProblem(whole, scene.contact, motions=motions)
+    return SetUp(lambda loads: problem.solve(_fem_loads(loads), _asked(scene)), problem)
+
+
+def _coarse(scene: Scene, solver: str, name: str, n_loads: int) -> SetUp:  # noqa: ARG001
+    from .meshing.coarse import CoarseProblem
+
+    return SetUp(CoarseProblem(scene, n_loads).solve)
+
+
+def _finite_strain(scene: Scene, solver: str, name: str, n_loads: int) -> SetUp:  # noqa: ARG001
+    from fem_reference.finite_strain import FiniteStrainProblem
+
+    problem = FiniteStrainProblem(**_neo_hookean(scene, n_loads))
+    return SetUp(lambda loads: problem.solve(_fem_loads(loads), _asked(scene, *_LARGEST)))
+
+
+def _finite_strain_onward(scene: Scene, solver: str, name: str, n_loads: int) -> SetUp:  # noqa: ARG001
+    from fem_reference.finite_strain import FiniteStrainProblem
+    from fem_reference.walk import Walk
+
+    problem, walk = FiniteStrainProblem(**_neo_hookean(scene, n_loads)), Walk()
+    return SetUp(lambda loads: problem.solve(_fem_loads(loads), _asked(scene, *_LARGEST), walk))
+
+
+def _neo_hookean(scene: Scene, n_loads: int) -> dict[str, Any]:
     material = "transversely-isotropic" if scene.anisotropy else "neo-hookean"
-    return {**_body(scene), "material": material, "expected_loads": len(scene.load_factors)}
+    return {**_body(scene), "material": material, "expected_loads": n_loads}
 
 
 def _body(scene: Scene) -> dict[str, Any]:
@@ -273,90 +268,88 @@ def _body(scene: Scene) -> dict[str, Any]:
     }
 
 
-def _fem_loads(scene: Scene) -> list[FemLoad]:
+def _fem_loads(loads: Sequence[SurfaceLoad]) -> list[FemLoad]:
     from fem_reference.loads import Load
 
-    return [Load(f * scene.facet_pressure, f * scene.prescribed, scene.gravity) for f in scene.load_factors]
+    return [Load(load.facet_pressure, load.prescribed, load.gravity) for load in loads]
 
 
-def scales(name: str) -> bool:
-    """Whether a surface model's result for a multiple of a load is the multiple of its result."""
+def _asked(scene: Scene, *outputs: str) -> frozenset[str]:
+    """Further outputs of a volumetric model."""
+    return frozenset({*outputs, "condition_estimate"} if scene.condition else outputs)
+
+
+_elements = partial(
+    Model,
+    volumetric=True,
+    solvers=("linear",),
+    superposes=("linear",),
+    tissue=("youngs_modulus", "poisson_ratio"),
+    parameters=(),
+    fibres=True,
+)
+for _model in (
+    _elements(name="fem-linear", version="2", prepare=_small_strain),
+    _elements(name="fem-p1", version="1", prepare=_small_strain),
+    _elements(name="fem-p2", version="1", prepare=_small_strain),
+    _elements(name="fem-condensed", version="3", prepare=_condensed, contact_in_setup=True),
+    _elements(name="fem-coarse", version="3", prepare=_coarse),
+    _elements(
+        name="fem", version="1", prepare=_finite_strain, superposes=(), continues=_finite_strain_onward
+    ),
+):
+    register(_model)
+
+
+def superposes(name: str, *, penalty: bool = False) -> bool:
+    """Whether a model's answers to loads superpose; a penalty leaves more rounding than that may have."""
     model, solver = find(name)
-    return not model.volumetric and solver == "linear"
+    return solver in model.superposes and not penalty
 
 
-def pressure_problem(scene: Scene, name: str) -> LinearSolver | LinearProblem | CondensedProblem | None:
-    """What answers contact pressures linearly, set up as a solve of the model does; None where nothing does."""
-    model, _ = find(name)
-    if model.name == "fem-condensed":
-        return _condensed_problem(scene)
-    if model.name in _ELEMENTS:
-        return _linear_problem(scene, model.name, _fem_loads(scene))
-    return linear_solver(scene, name) if scales(name) else None
+class Prepared:
+    """A model set up on the body of a scene, with what its set-up took; it answers load steps as results.
 
-
-def run_model(scene: Scene, name: str, known: dict[str, Any] | None = None) -> ModelResult:
-    """Solve one scene with one model and measure what it took.
-
-    A model that cannot be set up gives a result of NaN with the reason in its status: the other models of the
-    case are not affected. A set-up that an earlier solve left (`studies.setups`) is reported with the time and
-    memory that were measured then, and marked by the parameter `setup_shared`. Where the surface model just solved
-    a scene of which this one's loads are a multiple, so is its result (`studies.proportional`): the parameter
-    `steps_scaled` marks it.
-
-    Scenes that differ in one rising load only can be run with the same dictionary, empty at first: a model that
-    goes to a load step by step then goes to the full one alone, from the largest below that it has solved.
+    A model that cannot be set up answers with NaN and the reason in its status: other models are not affected.
     """
-    model, solver = find(name)
-    # what it may not depend on, as its results are shared between cases that differ there
-    if model.volumetric:
-        scene = dataclasses.replace(scene, parameters={}, environment_pressure=0.0)
-    follows = scaled(scene, name) if scales(name) else None
-    if follows is not None:
-        return _result(scene, *follows, model, {"setup_shared": "yes", "steps_scaled": "yes"})
-    onward = model.onward
-    if known is not None and onward is not None:
-        return _measured(model, [scene], lambda: [onward(scene, known)])[0]
-    return _measured(model, [scene], lambda: [model.solve(scene, solver, name)])[0]
+
+    def __init__(self, scene: Scene, name: str, n_loads: int = 1, *, onward: bool = False) -> None:
+        self.model, solver = find(name)
+        if self.model.volumetric:  # what it may not depend on, as its answers are shared between cases that differ there
+            scene = dataclasses.replace(scene, parameters={}, environment_pressure=0.0)
+        self._scene = scene
+        self._resident = reset_peak()
+        self.set_up: SetUp | None = None
+        prepare = (self.model.continues if onward else None) or self.model.prepare
+        try:
+            self.set_up = prepare(scene, solver, name, n_loads)
+        except ValueError as error:  # the sentence of a surface, parameter, support or solver that does not work
+            self._refusal = _refusal(error)
+
+    def answer(self, loads: Sequence[SurfaceLoad]) -> ModelResult:
+        """The result of some load steps: one load path, or independent of each other where the model superposes."""
+        if self.set_up is None:
+            return _failed(self._scene, self.model, self._refusal, len(loads))
+        try:
+            solution = self.set_up.solve(loads)
+        except ValueError as error:
+            return _failed(self._scene, self.model, _refusal(error), len(loads))
+        return _result(self._scene, solution, peak_bytes_since(self._resident), self.model)
 
 
-def solves_together(name: str) -> bool:
-    """Whether a model gains by solving many scenes at once."""
-    return find(name)[0].together is not None
+def run_model(scene: Scene, name: str) -> ModelResult:
+    """Solve one scene with one model and measure what it took."""
+    return Prepared(scene, name, len(scene.load_factors)).answer(scene.loads)
 
 
-def run_together(scenes: Sequence[Scene], name: str) -> list[ModelResult]:
-    """`run_model` for scenes that differ in their loads only: in one solve where the model can, else in turn."""
-    model, _ = find(name)
-    if len(scenes) == 1 or model.together is None:
-        return [run_model(scene, name) for scene in scenes]
-    together = model.together
-    return _measured(model, scenes, lambda: together(scenes))
-
-
-def _measured(
-    model: Model, scenes: Sequence[Scene], solve: Callable[[], Sequence[Solution]]
-) -> list[ModelResult]:
-    """What a solve gives, one result per scene, with its peak of memory."""
-    resident = reset_peak()
-    try:
-        with watched() as setups:
-            solutions = solve()
-    except ValueError as error:  # the sentence of a surface, parameter, support or solver that does not work
-        status = getattr(error, "status", None)
-        message, remedy = (status.message, status.remedy) if status else (f"{error}", "")
-        return [_failed(scene, model, StepStatus(REFUSED, message, remedy)) for scene in scenes]
-    peak = max([peak_bytes_since(resident), *(setup.peak_bytes for setup in setups)])
-    for setup in setups:
-        setup.peak_bytes = peak
-    mark: dict[str, float | str] = {}
-    if len(scenes) > 1 or any(setup.uses > 1 for setup in setups):
-        mark["setup_shared"] = "yes"
-    return [_result(*pair, peak, model, mark) for pair in zip(scenes, solutions, strict=True)]
+def _refusal(error: ValueError) -> StepStatus:
+    status = getattr(error, "status", None)
+    message, remedy = (status.message, status.remedy) if status else (f"{error}", "")
+    return StepStatus(REFUSED, message, remedy)
 
 
 def _result(
-    scene: Scene, solution: Solution, peak_bytes: int, model: Model, mark: dict[str, float | str]
+    scene: Scene, solution: Solution, peak_bytes: int, model: Model
 ) -> ModelResult:
     statuses = tuple(StepStatus(s.code, s.message, s.remedy) for s in solution.status)
     usable = np.array([s.ok for s in statuses])
@@ -374,13 +367,12 @@ def _result(
         seconds_per_step=solution.seconds_per_step,
         peak_bytes=peak_bytes,
         version=model.version,
-        parameters={**solution.parameters, **mark},
+        parameters=solution.parameters,
         scalars=solution.scalars,
     )
 
 
-def _failed(scene: Scene, model: Model, reason: StepStatus) -> ModelResult:
-    n_steps = len(scene.load_factors)
+def _failed(scene: Scene, model: Model, reason: StepStatus, n_steps: int) -> ModelResult:
     vectors = np.full((n_steps, len(scene.fixed), 3), np.nan)
     numbers = np.full(n_steps, np.nan)
     return ModelResult(

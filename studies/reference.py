@@ -10,15 +10,22 @@ import numpy as np
 
 from . import models
 from .case import ModelResult
-from .execute import TaskError
-from .meshing.mesh import Array, Index, InputError, Mesh
-from .meshing.refine import inherit, refine
+from .meshing.mesh import Array, InputError
+from .meshing.refine import Hierarchy
 from .metrics import METRICS, History, evaluate, evaluate_all, full_load_step
+from .regions import select
 from .scene import Scene, build_scene
-from .setups import shared
 from .study_file.schema import Study
 from .surface_measures import Surface, enclosed_volumes, weighted_norm, without_motions
 from .uncertainty import estimate_error, estimate_limit
+
+
+class FailedReferenceError(ValueError):
+    """A reference that did not converge, so that there is nothing to compare with: message and remedy."""
+
+    def __init__(self, message: str, remedy: str = "") -> None:
+        super().__init__(message)
+        self.remedy = remedy
 
 
 def own_error(
@@ -103,72 +110,38 @@ def _differences(fields: Sequence[Array], areas: Array) -> list[float]:
     ]
 
 
-def refined_levels(
-    studies: Sequence[Study], scenes: Sequence[Scene], name: str, n_levels: Sequence[int]
-) -> list[list[ModelResult]]:
-    """Each scene's results on its `n_levels` - 1 refinements of their common mesh, at its surface nodes.
+def level_scene(study: Study, hierarchy: Hierarchy) -> Scene:
+    """A study's scene on the finest of some meshes; the regions are those of the coarsest.
 
-    Each splits every tetrahedron into eight. The body, its supports and its loads stay what they are; a smooth
-    profile is evaluated anew on each level. The scenes differ in their loads only: all are solved with one
-    factorisation per level where the model can.
-
-    Raises
-    ------
-    TaskError
-        a level that did not converge.
+    The body, its supports and its loads stay what they are; a smooth profile is evaluated anew.
     """
-    found: list[list[ModelResult]] = [[] for _ in scenes]
-    lineage: list[Index] = []
-    left = list(range(len(scenes)))
-    finer = list(scenes)
-    for level in range(1, max(n_levels)):
-        left = [place for place in left if n_levels[place] > level]
-        coarse = finer[left[0]].mesh
-        mesh, parents = shared(refine, mesh=coarse)
-        # most scenes have the same regions
-        masks = {mask.tobytes(): mask for place in left for mask in finer[place].regions.values()}
-        inherited = {key: inherit(mask, coarse, parents) for key, mask in masks.items()}
-        for place in left:
-            regions = {r: inherited[mask.tobytes()] for r, mask in finer[place].regions.items()}
-            finer[place] = build_scene(studies[place], mesh, regions)
-        lineage.append(parents)
-        results = models.run_together([finer[place] for place in left], name)
-        for place, result in zip(left, results, strict=True):
-            require_converged(f"{name} on the refined mesh", result)
-            found[place].append(_restricted(result, lineage, scenes[place].mesh))
-    return found
+    coarsest = hierarchy.meshes[0]
+    regions = {name: select(region, coarsest, study.regions) for name, region in study.regions.items()}
+    return build_scene(
+        study, hierarchy.finest, {name: hierarchy.inherit(mask) for name, mask in regions.items()}
+    )
 
 
 def require_converged(name: str, result: ModelResult) -> None:
-    """Raise TaskError, or InputError where the scene is at fault, if a result cannot serve as a reference."""
+    """Raise FailedReferenceError, or InputError where the scene is at fault, if a result cannot serve as a reference."""
     for status in result.status:
         if status.code == models.REFUSED:
             raise InputError(f"{name}: {status.message}" + (f"; {status.remedy}" if status.remedy else ""))
         if not status.ok:
-            raise TaskError(f"{name}: {status.message}", status.remedy)
+            raise FailedReferenceError(f"{name}: {status.message}", status.remedy)
     if not np.isfinite(result.displacement).all():
-        raise TaskError(
+        raise FailedReferenceError(
             f"{name} gave a displacement that is not finite", "check the scene's supports and loads"
         )
 
 
-def _restricted(result: ModelResult, lineage: list[Index], mesh: Mesh) -> ModelResult:
-    """A refined level's result at the case's surface nodes; the force of a middle node is shared by its ends."""
-    force = result.reaction_force
-    for parents in reversed(lineage):
-        force = _to_parents(force, parents)
-    displacement = result.displacement[:, : force.shape[1]]
+def restricted(result: ModelResult, hierarchy: Hierarchy) -> ModelResult:
+    """A result on the finest mesh at the coarsest's surface nodes; a middle node's force is shared by its ends."""
+    mesh = hierarchy.meshes[0]
+    displacement = result.displacement[:, : len(mesh.surface_nodes)]
     return dataclasses.replace(
         result,
         displacement=displacement,
-        reaction_force=force,
+        reaction_force=hierarchy.restrict(result.reaction_force),
         volume=enclosed_volumes(mesh.surface_points + displacement, mesh.triangles),
     )
-
-
-def _to_parents(values: Array, parents: Index) -> Array:
-    """(S, N, 3) nodal forces -> (S, n, 3): half of each to either parent, which for an old node is itself."""
-    out = np.zeros((int(parents.max()) + 1, len(values), values.shape[2]))
-    for end in parents.T:
-        np.add.at(out, end, 0.5 * values.swapaxes(0, 1))
-    return out.swapaxes(0, 1)

@@ -10,13 +10,32 @@ import numpy as np
 
 from .meshing.mesh import Array, InputError, Mask, Mesh
 from .regions import body_extent, lies_outside, profile_coordinate, select
-from .setups import shared
 from .study_file.schema import Anisotropy, Constraint, Region, Study, Tissue
 from .surface_measures import corner_sum, facet_area_vectors, nodal_sum
 
 
 class SceneError(InputError):
     """A scene that cannot be put on its mesh; the message says which part and what to change."""
+
+
+@dataclass(frozen=True)
+class SurfaceLoad:
+    """What acts on a scene's body in one load step, as each kind of model reads it; outward positive.
+
+    Attributes
+    ----------
+    facet_pressure : (F, Q) contact pressure at the quadrature points, positive into the body [Pa]
+    contact_pressure : (N,) the same per node over A_i [Pa]
+    contact_force : (N, 3) the same as nodal forces [N]
+    prescribed : (N, 3) displacement of held nodes, zero elsewhere [m]
+    gravity : (3,) acceleration [m/s^2]
+    """
+
+    facet_pressure: Array
+    contact_pressure: Array
+    contact_force: Array
+    prescribed: Array
+    gravity: Array
 
 
 @dataclass(frozen=True)
@@ -70,7 +89,7 @@ class Scene:
 
     @cached_property
     def _facets(self) -> tuple[Array, Array, Array]:
-        return shared(_facet_measures, mesh=self.mesh)
+        return _facet_measures(self.mesh)
 
     @cached_property
     def contact_force(self) -> Array:
@@ -85,6 +104,21 @@ class Scene:
         """(N,) nodal pressure over A_i at load factor 1: sum A_i p_i is the integral of p [Pa]."""
         _, _, nodal_areas = self._facets
         return corner_sum(self._thrust, self.mesh.triangles, len(self.fixed)) / nodal_areas
+
+    def load(self, factor: float) -> SurfaceLoad:
+        """What acts at a load factor; the weight does not scale."""
+        return SurfaceLoad(
+            factor * self.facet_pressure,
+            factor * self.contact_pressure,
+            factor * self.contact_force,
+            factor * self.prescribed,
+            self.gravity,
+        )
+
+    @property
+    def loads(self) -> list[SurfaceLoad]:
+        """What acts in each step of the load history."""
+        return [self.load(float(factor)) for factor in self.load_factors]
 
     @property
     def contact(self) -> Mask:
@@ -103,7 +137,7 @@ def build_scene(study: Study, mesh: Mesh, masks: Mapping[str, Mask] | None = Non
         a region that selects nothing, or contact on a node that is held.
     """
     if masks is None:
-        masks = shared(_masks, mesh=mesh, regions=study.regions)
+        masks = {name: select(region, mesh, study.regions) for name, region in study.regions.items()}
     n_nodes = len(mesh.surface_nodes)
     fixed, constrained = np.zeros(n_nodes, dtype=bool), np.zeros(n_nodes, dtype=bool)
     prescribed = np.zeros((n_nodes, 3))
@@ -153,11 +187,7 @@ def build_scene(study: Study, mesh: Mesh, masks: Mapping[str, Mask] | None = Non
     )
 
 
-def _masks(*, mesh: Mesh, regions: Mapping[str, Region]) -> dict[str, Mask]:
-    return {name: select(region, mesh, regions) for name, region in regions.items()}
-
-
-def _facet_measures(*, mesh: Mesh) -> tuple[Array, Array, Array]:
+def _facet_measures(mesh: Mesh) -> tuple[Array, Array, Array]:
     """(F, 3) unit normals and (F,) areas of the facets, (N,) nodal areas A_i [m^2]."""
     vectors = facet_area_vectors(mesh.surface_points, mesh.triangles)
     areas = np.linalg.norm(vectors, axis=1)
@@ -189,12 +219,8 @@ def _contact_pressure(constraint: Constraint, study: Study, mesh: Mesh, mask: Ma
     every quadrature point, so that it does not change with the mesh: Hertz p0 sqrt(1 - rho^2), Gaussian
     p0 exp(-9/2 rho^2) with its third standard deviation at the rim rho = 1 and nothing beyond.
     """
-    shape, resultant, total = shared(
-        _contact_shape,
-        mesh=mesh,
-        mask=mask,
-        profile=constraint.profile,
-        region=study.regions[constraint.region],
+    shape, resultant, total = _contact_shape(
+        mesh, mask, constraint.profile, study.regions[constraint.region]
     )
     if total == 0.0:
         raise SceneError(
@@ -210,7 +236,7 @@ def _contact_pressure(constraint: Constraint, study: Study, mesh: Mesh, mask: Ma
     return shape * (constraint.pressure or 0.0)
 
 
-def _contact_shape(*, mesh: Mesh, mask: Mask, profile: str, region: Region) -> tuple[Array, float, float]:
+def _contact_shape(mesh: Mesh, mask: Mask, profile: str, region: Region) -> tuple[Array, float, float]:
     """(F, Q) pressure at the quadrature points over its peak; size of its resultant, sum of the facets' [m^2]."""
     barycentric, weights = _quadrature()
     if profile == "uniform":

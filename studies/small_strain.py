@@ -2,25 +2,29 @@
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Callable, Mapping
+from dataclasses import asdict
 from functools import partial
-from typing import Any
+from pathlib import Path
 
 import numpy as np
 
 from . import models
-from .case import ModelResult, SmallStrainLimits
+from .case import Limit, ModelLimits, ModelResult, SmallStrainLimits
 from .limits import SMALL, LoadPath, LoadPoint, model_limits, on_finer_mesh
 from .meshing.mesh import Array, Mask, Mesh
-from .meshing.refine import inherit, refine
+from .meshing.refine import refined
 from .metrics import mean_indentation
 from .scene import Scene, build_scene
+from .sealed import read_arrays, write_arrays
 from .study_file.config import raised, start_of
 from .study_file.schema import Study
 from .surface_measures import Surface, relative_l2
 
 STRAIN = "max_principal_strain"
+EXPECTED_LOADS = 30  # that a search tries
 
 
 def small_strain_limits(study: Study, scene: Scene) -> SmallStrainLimits:
@@ -50,8 +54,8 @@ Level = tuple[Mesh, Mapping[str, Mask]]  # a mesh and the regions' nodes on it
 
 
 def _refined(scene: Scene) -> Level:
-    mesh, parents = refine(scene.mesh)
-    return mesh, {name: inherit(mask, scene.mesh, parents) for name, mask in scene.regions.items()}
+    finer = refined(scene.mesh, 1)
+    return finer.finest, {name: finer.inherit(mask) for name, mask in scene.regions.items()}
 
 
 class _Evaluator:
@@ -69,7 +73,7 @@ class _Evaluator:
         self._own: Level = (scene.mesh, scene.regions)
         self._level = level or self._own
         self._reference = reference
-        self._known: dict[str, Any] = {}
+        self._set_up: dict[str, models.Prepared] = {}
         self._areas = Surface(scene.mesh.surface_points, scene.mesh.triangles).areas
 
     def __call__(self, load: float) -> LoadPoint | None:
@@ -77,7 +81,7 @@ class _Evaluator:
         raised_study = raised(self._study, self._along, load)
         own = build_scene(raised_study, *self._own)
         inside = own if self._level is self._own else build_scene(raised_study, *self._level)
-        reference = models.run_model(inside, self._reference, self._known)
+        reference = self._answer(inside, self._reference)
         if not _solved(reference):
             return None
         surface = Surface(
@@ -92,11 +96,21 @@ class _Evaluator:
 
     def _error(self, own: Scene, inside: Scene, reference: Array, name: str) -> float:
         """On the nodes of the case's own mesh, which come first on a refined one."""
-        result = models.run_model(inside if models.find(name)[0].volumetric else own, name)
+        result = self._answer(inside if models.find(name)[0].volumetric else own, name)
         if not _solved(result):
             return math.nan
         n_nodes = len(self._areas)
         return relative_l2(result.displacement[-1, :n_nodes], reference[:n_nodes], self._areas)
+
+
+    def _answer(self, scene: Scene, name: str) -> ModelResult:
+        """One set-up answers all loads that superpose or lie on one rising path; else each has its own."""
+        model, solver = models.find(name)
+        if solver not in model.superposes and model.continues is None:
+            return models.run_model(scene, name)
+        if name not in self._set_up:
+            self._set_up[name] = models.Prepared(scene, name, EXPECTED_LOADS, onward=True)
+        return self._set_up[name].answer([scene.load(1.0)])
 
 
 class _Errors(dict[str, float]):
@@ -112,3 +126,25 @@ class _Errors(dict[str, float]):
 
 def _solved(result: ModelResult) -> bool:
     return all(status.ok for status in result.status) and bool(np.isfinite(result.displacement[-1]).all())
+
+
+def write_limits(path: Path, found: SmallStrainLimits) -> None:
+    """Store limits under their key. Raises OSError."""
+    write_arrays(path, {"limits": np.array(json.dumps(asdict(found)))})
+
+
+def read_limits(path: Path) -> SmallStrainLimits | None:
+    """The limits stored at `path`; None where there are none, or they are damaged."""
+    stored = read_arrays(path)
+    if stored is None:
+        return None
+    data = json.loads(str(stored["limits"]))
+    entries = {
+        name: ModelLimits(
+            entry["structural_error"],
+            entry["structural_bar"],
+            tuple(Limit(**limit) for limit in entry["limits"]),
+        )
+        for name, entry in data["models"].items()
+    }
+    return SmallStrainLimits(data["along"], data["unit"], entries)

@@ -1,78 +1,46 @@
-"""From a scene to a surface model of the library `vdm`, and its answer: solved, or a multiple of the last one."""
+"""From a scene to a surface model of the library `vdm`."""
 
 from __future__ import annotations
 
 import dataclasses
-from dataclasses import dataclass
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from .meshing.mesh import Mesh
 from .model_name import reads, split
-from .proportional import Solved
-from .scene import Scene
-from .setups import kept, shared
+from .scene import Scene, SurfaceLoad
 
 if TYPE_CHECKING:
     from vdm.model import Model
     from vdm.solution import Solution
-    from vdm.solvers.linear import LinearSolver
     from vdm.surface import SurfaceMesh
 
+    from .models import SetUp
 
-def solve_surface(scene: Scene, solver: str, name: str) -> Solution:
-    """The model `name` over the scene's load history."""
+
+def prepare_surface(scene: Scene, solver: str, name: str, n_loads: int) -> SetUp:  # noqa: ARG001
+    """The model `name` set up on the scene's body; see `studies.models.Prepare`."""
     from vdm.constraints import Load
     from vdm.solvers.linear import LinearSolver
 
-    made = shared(_set_up, **_inputs(scene, name))
-    solution = made.model.solve(
-        [
+    from .models import SetUp
+
+    model = _model(**_inputs(scene, name))
+
+    def solve(loads: Sequence[SurfaceLoad]) -> Solution:
+        steps = [
             Load(
-                contact_pressure=factor * scene.contact_pressure,
-                contact_force=factor * scene.contact_force,
-                prescribed=factor * scene.prescribed,
+                contact_pressure=load.contact_pressure,
+                contact_force=load.contact_force,
+                prescribed=load.prescribed,
             )
-            for factor in scene.load_factors
-        ],
-        condition=scene.condition,
-    )
-    # a penalty leaves more rounding than a multiple may differ by
-    linear = isinstance(made.model.solver, LinearSolver) and solver == "linear" and not scene.gravity.any()
-    good = all(status.ok for status in solution.status)
-    made.solved = Solved.largest_step(scene, solution) if linear and good else None
-    return solution
+            for load in loads
+        ]
+        return model.solve(steps, condition=scene.condition)
 
-
-@dataclass
-class _SetUp:
-    model: Model
-    solved: Solved | None = None  # the latest
-
-
-def _set_up(**inputs: Any) -> _SetUp:
-    return _SetUp(_model(**inputs))
-
-
-def scaled(scene: Scene, name: str) -> tuple[Solution, int] | None:
-    """The scene's solution as a multiple of the one before on the same set-up, and that set-up's peak of memory.
-
-    None where it is no multiple of it. The model is one that is linear in the loads.
-    """
-    if scene.gravity.any():
-        return None
-    setup = kept(_set_up, **_inputs(scene, name))
-    solution = setup.value.solved.scaled_to(scene) if setup is not None and setup.value.solved else None
-    return None if setup is None or solution is None else (solution, setup.peak_bytes)
-
-
-def linear_solver(scene: Scene, name: str) -> LinearSolver | None:
-    """The solver of a linear surface model, set up; None under a penalty."""
-    from vdm.solvers.linear import LinearSolver
-
-    solver = shared(_set_up, **_inputs(scene, name)).model.solver
-    return solver if isinstance(solver, LinearSolver) else None
+    return SetUp(solve, model.solver if isinstance(model.solver, LinearSolver) else None)
 
 
 def _inputs(scene: Scene, name: str) -> dict[str, Any]:

@@ -10,8 +10,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from ..case import Run
-from ..plan import Plan
-from ..setups import sharing
+from ..graph.plan import Plan
 from ..study_file.config import with_mesh_size
 from ..study_file.schema import Study
 from ..study_file.units import shown
@@ -139,8 +138,7 @@ def body(plan: Plan, run: Run, finer: tuple[Plan, Run] | None = None, no_finer: 
 
 def calibrate(body: Body, others: Sequence[Body] = ()) -> list[Calibration]:
     """Fit every surface model of a body and try the fits elsewhere."""
-    with sharing():
-        return [_calibration(body, name, others) for name in body.models]
+    return [_calibration(body, name, others) for name in body.models]
 
 
 def _calibration(body: Body, name: str, others: Sequence[Body]) -> Calibration:

@@ -20,9 +20,9 @@ from ..meshing.mesh import Array
 from ..meshing.mesh_cache import mesh_from_cache
 from ..metrics import DEFORMATION, VECTOR, full_load_step
 from ..model_name import is_vdm, reads
-from ..plan import Plan, PlannedCase, needs_volume
+from ..graph.nodes import needs_volume
+from ..graph.plan import Plan, PlannedCase
 from ..scene import Scene, build_scene
-from ..setups import next_turn
 from ..study_file.config import geometry_of
 from ..surface_measures import Surface, relative_l2, rigid_motion_removed, weighted_norm
 from ..uncertainty import reference_bar
@@ -204,20 +204,17 @@ class Trial:
         self.samples = tuple(samples)
         first = samples[0].scene
         self.names = to_fit(name, first.parameters, first.overrides, asked)
-        self.rules = [self._rule(sample) for sample in samples]
+        self._bodies = _alike(self.samples)
+        self.rules = [self._rule(result) for result in self._run(None)]
 
     def values(self, multiples: Array) -> dict[str, float]:
         """Parameters [SI] on the first load's scene."""
         return dict(zip(self.names, (self.rules[0] * multiples).tolist(), strict=True))
 
     def answers(self, multiples: Array) -> list[Array]:
-        """The model's (N, 3) displacement for each load [m]; the loads share a set-up where set-ups are kept."""
-        next_turn()
-        out = []
-        for sample, rule in zip(self.samples, self.rules, strict=True):
-            given = dict(zip(self.names, (rule * multiples).tolist(), strict=True))
-            out.append(self._run(sample, given).displacement[-1])
-        return out
+        """The model's (N, 3) displacement for each load [m]; loads on one body share a set-up."""
+        results = self._run([rule * multiples for rule in self.rules])
+        return [result.displacement[-1] for result in results]
 
     def errors(self, multiples: Array) -> Errors:
         """How far the model is off with these multiples of its rule."""
@@ -236,18 +233,58 @@ class Trial:
             max(sample.bars[DEFORMATION] for sample in self.samples),
         )
 
-    def _rule(self, sample: Sample) -> Array:
-        by_rule = self._run(sample, {}).parameters
+    def _rule(self, result: ModelResult) -> Array:
+        by_rule = result.parameters
         return np.array([float(by_rule.get(key, by_rule.get(MODULI[key], 0.0))) for key in self.names])
 
-    def _run(self, sample: Sample, given: Mapping[str, float]) -> ModelResult:
-        own = {**sample.scene.overrides.get(self.name, {}), **given}
-        scene = dataclasses.replace(sample.scene, overrides={**sample.scene.overrides, self.name: own})
-        result = models.run_model(scene, self.name)
-        failed = next((status for status in result.status if not status.ok), None)
-        if failed is not None:
-            raise CalibrationError(f"{self.name} in case {sample.label!r}: {failed.message}; {failed.remedy}")
-        return result
+    def _run(self, values: Sequence[Array] | None) -> list[ModelResult]:
+        """The result of each load with these parameters [SI], or with those of the rule."""
+        found: dict[int, ModelResult] = {}
+        for places in self._bodies:
+            # on one body the rule is one
+            given = {} if values is None else dict(zip(self.names, values[places[0]].tolist(), strict=True))
+            scene = self.samples[places[0]].scene
+            own = {**scene.overrides.get(self.name, {}), **given}
+            scene = dataclasses.replace(scene, overrides={**scene.overrides, self.name: own})
+            set_up = models.Prepared(scene, self.name, len(places))
+            for place in places:  # each a load path of its own
+                sample = self.samples[place]
+                result = set_up.answer(sample.scene.loads)
+                failed = next((status for status in result.status if not status.ok), None)
+                if failed is not None:
+                    raise CalibrationError(
+                        f"{self.name} in case {sample.label!r}: {failed.message}; {failed.remedy}"
+                    )
+                found[place] = result
+        return [found[place] for place in range(len(self.samples))]
+
+
+def _alike(samples: Sequence[Sample]) -> list[list[int]]:
+    """Places of the samples, those together whose scenes differ in their loads only."""
+    bodies: list[list[int]] = []
+    for place, sample in enumerate(samples):
+        for body in bodies:
+            if _same_body(samples[body[0]].scene, sample.scene):
+                body.append(place)
+                break
+        else:
+            bodies.append([place])
+    return bodies
+
+
+def _same_body(one: Scene, other: Scene) -> bool:
+    return (
+        one.mesh.content_hash == other.mesh.content_hash
+        and one.tissue == other.tissue
+        and one.anisotropy == other.anisotropy
+        and one.parameters == other.parameters
+        and one.overrides == other.overrides
+        and one.environment_pressure == other.environment_pressure
+        and all(
+            np.array_equal(getattr(one, name), getattr(other, name))
+            for name in ("fixed", "constrained", "gravity")
+        )
+    )
 
 
 def fit(

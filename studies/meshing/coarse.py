@@ -8,6 +8,7 @@ the resultant and the work.
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -20,7 +21,7 @@ from fem_reference.loads import Load, nodal_forces, prescribed_nodes
 from fem_reference.mesh import TetMesh, facet_quadrature, triangle_p2
 from fem_reference.solution import CONVERGED, Solution, SolverError, Status
 
-from ..scene import Scene
+from ..scene import Scene, SurfaceLoad
 from ..surface_measures import enclosed_volume, facet_areas
 from .geometry import fill_surface
 from .mesh import Array, Index, Mask, Mesh
@@ -100,8 +101,8 @@ def _volume(mesh: Mesh) -> float:
     return enclosed_volume(mesh.surface_points, mesh.triangles)
 
 
-def solve_coarse(scene: Scene) -> Solution:
-    """Answer a scene with the mixed P2-P1 element on a coarser mesh; fields are at the scene's surface nodes.
+class CoarseProblem:
+    """Answers loads of a scene's body with the mixed P2-P1 element on a coarser mesh, at the scene's surface nodes.
 
     Contact is the scene's nodal forces, and the body weighs what the scene's does, whatever volume flatter facets
     leave it. Coarse nodes are held within the distance of the scene's held nodes that
@@ -114,50 +115,58 @@ def solve_coarse(scene: Scene) -> Solution:
         MeshError where the body cannot be remeshed as coarsely, SolverError of a support that is too small for it,
         or what `LinearProblem` refuses.
     """
-    start = time.perf_counter()
-    coarse, tissue, fibres = coarse_mesh(scene.mesh), scene.tissue, scene.anisotropy
-    held, nearest = coarse_support(scene, coarse)
-    options: dict[str, Any] = {}
-    if fibres:
-        options = {"fibre_direction": fibres.fibre_direction, "contrast": fibres.contrast}
-    problem = LinearProblem(
-        coarse.points,
-        coarse.tetrahedra,
-        coarse.surface_nodes,
-        coarse.triangles,
-        youngs_modulus=tissue.youngs_modulus,
-        poisson_ratio=tissue.poisson_ratio,
-        density=tissue.density * _volume(scene.mesh) / _volume(coarse),
-        held=held,
-        solver="direct",
-        expected_loads=len(scene.load_factors),
-        **options,
-    )
-    transfer = Transfer(surface_interpolation(problem.mesh, scene.mesh.surface_points), nearest)
-    seconds_setup = time.perf_counter() - start
-    frames = [_frame(scene, problem, transfer, float(factor)) for factor in scene.load_factors]
-    return Solution(
-        displacement=np.array([frame.displacement for frame in frames]),
-        fluid_pressure=np.array([frame.pressure for frame in frames]),
-        reaction_force=np.array([frame.reaction for frame in frames]),
-        energy=np.array([frame.energy for frame in frames]),
-        iterations=np.zeros(len(frames), dtype=np.int64),
-        status=tuple(frame.status for frame in frames),
-        seconds_setup=seconds_setup,
-        seconds_per_step=np.array([frame.seconds for frame in frames]),
-        parameters={
-            "youngs_modulus": tissue.youngs_modulus,
-            "poisson_ratio": tissue.poisson_ratio,
-            "coarse_density": problem.density,  # flatter facets hold less: the weight is the case's own
-            "coarse_tetrahedra": float(len(coarse.tetrahedra)),
-            "coarse_surface_nodes": float(len(coarse.surface_nodes)),
-            "dofs": float(problem.system.size),
-        },
-        scalars={
-            "relative_residual": np.array([frame.residual for frame in frames]),
-            **({"condition_estimate": np.full(len(frames), problem.condition)} if scene.condition else {}),
-        },
-    )
+
+    def __init__(self, scene: Scene, n_loads: int) -> None:
+        start = time.perf_counter()
+        self._scene = scene
+        coarse, tissue, fibres = coarse_mesh(scene.mesh), scene.tissue, scene.anisotropy
+        held, nearest = coarse_support(scene, coarse)
+        options: dict[str, Any] = {}
+        if fibres:
+            options = {"fibre_direction": fibres.fibre_direction, "contrast": fibres.contrast}
+        self.problem = LinearProblem(
+            coarse.points,
+            coarse.tetrahedra,
+            coarse.surface_nodes,
+            coarse.triangles,
+            youngs_modulus=tissue.youngs_modulus,
+            poisson_ratio=tissue.poisson_ratio,
+            density=tissue.density * _volume(scene.mesh) / _volume(coarse),
+            held=held,
+            solver="direct",
+            expected_loads=n_loads,
+            **options,
+        )
+        self._transfer = Transfer(surface_interpolation(self.problem.mesh, scene.mesh.surface_points), nearest)
+        self._coarse = coarse
+        self._seconds = time.perf_counter() - start
+
+    def solve(self, loads: Sequence[SurfaceLoad]) -> Solution:
+        """One step per load, independent of each other."""
+        scene, problem, tissue = self._scene, self.problem, self._scene.tissue
+        frames = [_frame(scene, problem, self._transfer, load) for load in loads]
+        return Solution(
+            displacement=np.array([frame.displacement for frame in frames]),
+            fluid_pressure=np.array([frame.pressure for frame in frames]),
+            reaction_force=np.array([frame.reaction for frame in frames]),
+            energy=np.array([frame.energy for frame in frames]),
+            iterations=np.zeros(len(frames), dtype=np.int64),
+            status=tuple(frame.status for frame in frames),
+            seconds_setup=self._seconds,
+            seconds_per_step=np.array([frame.seconds for frame in frames]),
+            parameters={
+                "youngs_modulus": tissue.youngs_modulus,
+                "poisson_ratio": tissue.poisson_ratio,
+                "coarse_density": problem.density,  # flatter facets hold less: the weight is the case's own
+                "coarse_tetrahedra": float(len(self._coarse.tetrahedra)),
+                "coarse_surface_nodes": float(len(self._coarse.surface_nodes)),
+                "dofs": float(problem.system.size),
+            },
+            scalars={
+                "relative_residual": np.array([frame.residual for frame in frames]),
+                **({"condition_estimate": np.full(len(frames), problem.condition)} if scene.condition else {}),
+            },
+        )
 
 
 @dataclass(frozen=True)
@@ -171,19 +180,19 @@ class _Frame:
     seconds: float
 
 
-def _frame(scene: Scene, problem: LinearProblem, transfer: Transfer, factor: float) -> _Frame:
+def _frame(scene: Scene, problem: LinearProblem, transfer: Transfer, load: SurfaceLoad) -> _Frame:
     start = time.perf_counter()
     mesh = problem.mesh
-    load = Load(
+    coarse = Load(
         np.zeros((len(mesh.triangles), len(facet_quadrature()[1]))),
-        factor * scene.prescribed[transfer.nearest],
-        scene.gravity,
+        load.prescribed[transfer.nearest],
+        load.gravity,
     )
-    forces = nodal_forces(mesh, [load], problem.density)
-    forces[0] += factor * (transfer.interpolation.T @ scene.contact_force)
-    fields = problem.solve_nodal(forces, prescribed_nodes(mesh, [load]))
+    forces = nodal_forces(mesh, [coarse], problem.density)
+    forces[0] += transfer.interpolation.T @ load.contact_force
+    fields = problem.solve_nodal(forces, prescribed_nodes(mesh, [coarse]))
     displacement = np.asarray(transfer.interpolation @ fields.displacement[0])
-    displacement[scene.held] = factor * scene.prescribed[scene.held]
+    displacement[scene.held] = load.prescribed[scene.held]
     seconds = time.perf_counter() - start
     work = np.vdot(forces, fields.displacement) + np.vdot(fields.reaction, fields.displacement)
     residual = float(fields.residual[0])

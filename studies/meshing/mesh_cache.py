@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..sealed import read_arrays, write_arrays
 from .geometry_spec import Geometry, geometry_key
-from .mesh import Mesh
+from .mesh import Index, Mesh
 
 
 def mesh_from_cache(geometry: Geometry, cache_dir: Path, *, volume: bool = True) -> Mesh:
@@ -35,8 +37,16 @@ def mesh_path(cache_dir: Path, key: str) -> Path:
 def read_mesh(path: Path) -> Mesh | None:
     """The mesh stored at `path`, or None where there is none or it is damaged."""
     stored = read_arrays(path)
-    if stored is None:
-        return None
+    return None if stored is None else _mesh(stored)
+
+
+def read_level(path: Path) -> tuple[Mesh, Index] | None:
+    """A refinement and its parents (see `refine`), as `read_mesh`."""
+    stored = read_arrays(path)
+    return None if stored is None else (_mesh(stored), stored["parents"])
+
+
+def _mesh(stored: dict[str, NDArray[Any]]) -> Mesh:
     groups = {name.removeprefix("group/"): stored[name] for name in stored if name.startswith("group/")}
     return Mesh(
         points=stored["points"],
@@ -50,11 +60,20 @@ def read_mesh(path: Path) -> Mesh | None:
 
 def write_mesh(path: Path, mesh: Mesh) -> None:
     """Store a mesh, whole or not at all. Raises OSError."""
-    arrays = {
+    write_arrays(path, _arrays(mesh))
+
+
+def write_level(path: Path, mesh: Mesh, parents: Index) -> None:
+    """Store a refinement and its parents, as `write_mesh`."""
+    write_arrays(path, _arrays(mesh) | {"parents": parents})
+
+
+def _arrays(mesh: Mesh) -> dict[str, NDArray[Any]]:
+    arrays: dict[str, NDArray[Any]] = {
         "points": mesh.points,
         "tetrahedra": mesh.tetrahedra,
         "surface_nodes": mesh.surface_nodes,
         "triangles": mesh.triangles,
         "quality": np.array(json.dumps(dict(mesh.quality), sort_keys=True)),
     }
-    write_arrays(path, arrays | {f"group/{name}": mask for name, mask in mesh.groups.items()})
+    return arrays | {f"group/{name}": mask for name, mask in mesh.groups.items()}

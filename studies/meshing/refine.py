@@ -6,9 +6,45 @@ not the shape, not the area of a support.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from .mesh import Array, Index, Mask, Mesh
+
+
+@dataclass(frozen=True)
+class Hierarchy:
+    """A mesh and its uniform refinements, the coarsest first, with the `parents` of `refine` of each refinement."""
+
+    meshes: tuple[Mesh, ...]
+    parents: tuple[Index, ...] = ()
+
+    @property
+    def finest(self) -> Mesh:
+        """The last of them."""
+        return self.meshes[-1]
+
+    def inherit(self, mask: Mask) -> Mask:
+        """A region's nodes on the finest mesh, of those on the coarsest."""
+        for mesh, parents in zip(self.meshes, self.parents, strict=False):
+            mask = inherit(mask, mesh, parents)
+        return mask
+
+    def restrict(self, force: Array) -> Array:
+        """(S, N, 3) nodal forces on the finest mesh -> (S, n, 3) on the coarsest: half of each to either parent."""
+        for parents in reversed(self.parents):
+            force = _to_parents(force, parents)
+        return force
+
+
+def refined(mesh: Mesh, times: int) -> Hierarchy:
+    """A mesh refined so many times."""
+    hierarchy = Hierarchy((mesh,))
+    for _ in range(times):
+        finer, parents = refine(hierarchy.finest)
+        hierarchy = Hierarchy((*hierarchy.meshes, finer), (*hierarchy.parents, parents))
+    return hierarchy
 
 
 def refine(mesh: Mesh) -> tuple[Mesh, Index]:
@@ -82,3 +118,11 @@ def inherit(mask: Mask, mesh: Mesh, parents: Index) -> Mask:
     first, second = parents.T  # the lower number first, as in a sorted facet
     middle = np.isin(first * n_nodes + second, edges[:, 0] * n_nodes + edges[:, 1])
     return np.where(first == second, mask[first], middle)
+
+
+def _to_parents(values: Array, parents: Index) -> Array:
+    """(S, N, 3) nodal forces -> (S, n, 3): half of each to either parent, which for an old node is itself."""
+    out = np.zeros((int(parents.max()) + 1, len(values), values.shape[2]))
+    for end in parents.T:
+        np.add.at(out, end, 0.5 * values.swapaxes(0, 1))
+    return out.swapaxes(0, 1)

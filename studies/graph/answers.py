@@ -1,0 +1,116 @@
+"""What a model answers to one load on one body, as a sealed file under its key; and cases as combinations of answers."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..case import ModelResult, StepStatus
+from ..meshing.mesh import Mesh
+from ..sealed import read_arrays, write_arrays
+from ..surface_measures import enclosed_volumes
+
+_ARRAYS = (
+    "displacement",
+    "fluid_pressure",
+    "reaction_force",
+    "energy",
+    "volume",
+    "iterations",
+    "seconds_per_step",
+)
+_NUMBERS = ("seconds_setup", "peak_bytes", "version")
+EARLIER = "measured_earlier"  # parameter of a result whose times were measured in an earlier run
+
+
+def answer_path(cache: Path, key: str) -> Path:
+    """Where the cache keeps the answer of a key."""
+    return cache / "answers" / f"{key}.npz"
+
+
+def write_answer(path: Path, result: ModelResult, run: str) -> None:
+    """Store an answer, with the name of the run that measured its times. Raises OSError."""
+    about = {
+        **{name: getattr(result, name) for name in _NUMBERS},
+        "parameters": dict(result.parameters),
+        "status": [dataclasses.astuple(status) for status in result.status],
+        "run": run,
+    }
+    arrays: dict[str, Any] = {"about": np.array(json.dumps(about))}
+    arrays |= {name: getattr(result, name) for name in _ARRAYS}
+    arrays |= {f"scalar/{name}": values for name, values in result.scalars.items()}
+    write_arrays(path, arrays)
+
+
+def read_answer(path: Path, run: str = "") -> ModelResult | None:
+    """The answer stored at `path`, None where there is nothing or it is damaged; marked if another run measured it."""
+    arrays = read_arrays(path)
+    if arrays is None:
+        return None
+    about = json.loads(str(arrays["about"]))
+    earlier = {EARLIER: "yes"} if run and about["run"] != run else {}
+    return ModelResult(
+        **{name: arrays[name] for name in _ARRAYS},
+        **{name: about[name] for name in _NUMBERS},
+        status=tuple(StepStatus(*status) for status in about["status"]),
+        parameters={**about["parameters"], **earlier},
+        scalars={
+            name.removeprefix("scalar/"): values
+            for name, values in arrays.items()
+            if name.startswith("scalar/")
+        },
+    )
+
+
+def one_step(result: ModelResult, step: int) -> ModelResult:
+    """One step of a result, S = 1."""
+    part = slice(step, step + 1)
+    return dataclasses.replace(
+        result,
+        **{name: getattr(result, name)[part] for name in _ARRAYS},
+        status=result.status[part],
+        scalars={name: values[part] for name, values in result.scalars.items()},
+    )
+
+
+def combined(
+    answers: Sequence[ModelResult], scales: Sequence[float], mesh: Mesh, datum: float = 0.0
+) -> ModelResult:
+    """The result of S steps that are each `scales` times an answer of one step.
+
+    Residuals and times are those of the answers.
+
+    Parameters
+    ----------
+    datum : the pressure that the fluid has without load [Pa]
+    """
+    factors = np.array(scales)
+    first = answers[0]
+    if all(answer is first for answer in answers):  # a load history of one load
+        answers = [first]
+    places = np.zeros(len(factors), dtype=int) if len(answers) == 1 else np.arange(len(factors))
+    stacked: Mapping[str, Any] = {
+        name: np.concatenate([getattr(answer, name) for answer in answers])[places] for name in _ARRAYS
+    }
+    displacement = factors[:, None, None] * stacked["displacement"]
+    return dataclasses.replace(
+        first,
+        **{name: stacked[name] for name in ("iterations", "seconds_per_step")},
+        displacement=displacement,
+        reaction_force=factors[:, None, None] * stacked["reaction_force"],
+        fluid_pressure=factors * (stacked["fluid_pressure"] - datum) + datum,
+        energy=factors**2 * stacked["energy"],
+        volume=enclosed_volumes(mesh.surface_points + displacement, mesh.triangles),
+        status=tuple(answers[place].status[0] for place in places),
+        peak_bytes=max(answer.peak_bytes for answer in answers),
+        scalars={
+            name: np.concatenate([answer.scalars[name] for answer in answers])[places]
+            for name in first.scalars
+            if all(name in answer.scalars for answer in answers)
+        },
+    )

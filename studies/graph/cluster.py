@@ -1,0 +1,267 @@
+"""Places on a Dask cluster: each worker does nodes in a process of its own, as a run here does.
+
+What travels is text: a node in JSON there, what became of it back. Results are files in the cache and the run
+directory, which the machines of the cluster share. Dask gives the node of a worker that died to another.
+"""
+
+from __future__ import annotations
+
+import ipaddress
+import json
+import logging
+import shutil
+import time
+from collections.abc import Iterator
+from concurrent.futures import CancelledError, Future
+from contextlib import contextmanager, suppress
+from dataclasses import asdict
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+from urllib.parse import urlsplit
+from uuid import uuid4
+
+from .local import LocalPlaces, told
+from .work import Said
+
+INSTALL = "pip install --constraint constraints.txt --editable '.[distributed]'"
+_POLL = 0.2  # s
+_WITHOUT_WORKERS = 60.0  # s that a scheduler may have no worker at all
+
+
+class AddressError(ValueError):
+    """A scheduler's address that is not one, or not safe."""
+
+
+class ClusterError(OSError):
+    """A cluster that is not there, or whose workers cannot do the work."""
+
+
+class Cluster:
+    """A connection to a scheduler; see `studies.graph.engine.Places`.
+
+    Parameters
+    ----------
+    scratch : a directory of this run alone, seen by all machines: where it is gone, what is at work stops
+    memory : bytes that one process may take
+    """
+
+    def __init__(self, client: Any, address: str, scratch: Path, memory: int | None) -> None:
+        self.client, self.address, self._scratch, self._memory = client, address, scratch, memory
+        self._executor = client.get_executor(pure=False)
+
+    @property
+    def count(self) -> int:
+        """Twice the threads of the workers, so that none waits for its next node. Raises ClusterError."""
+        self.wait_for_workers()
+        return 2 * self._threads()
+
+    def _threads(self) -> int:
+        try:
+            return sum(self.client.nthreads().values())
+        except (OSError, ValueError) as error:
+            raise self._lost() from error
+
+    def submit(self, node: str, log: Path, seconds: float | None) -> Future[str]:
+        """See `Places`."""
+        request = {
+            "node": node,
+            "log": str(log),
+            "scratch": str(self._scratch),
+            "versions": _versions(),
+            "timeout": seconds,
+            "memory": self._memory,
+        }
+        future: Future[str] = self._executor.submit(carry_out, json.dumps(request))
+        return future
+
+    def failure(self, error: BaseException, log: str) -> Said:
+        """See `Places`. Raises ClusterError where the scheduler is lost, or a worker refuses."""
+        if isinstance(error, CancelledError):
+            raise self._lost()
+        if isinstance(error, RefusalError):
+            raise ClusterError(f"a worker of {self.address} {error}")
+        if type(error).__name__ == "KilledWorker":
+            remedy = "use a coarser mesh, or workers with more memory; see the cluster's own logs"
+            return Said("", "error", 0.0, "its worker was lost several times while it was at work", remedy, log)
+        reason = f"no worker of the cluster could run it: {error!r:.200}"
+        return Said("", "error", 0.0, reason, "see the logs of the cluster's workers", log)
+
+    def require_fit(self) -> None:
+        """Refuse workers of other versions, and those that do not see the run directory."""
+        request = json.dumps({"scratch": str(self._scratch), "versions": _versions()})
+        found = self.client.run(refusal, request, on_error="return")
+        for worker, answer in sorted(found.items()):
+            if isinstance(answer, Exception):
+                answer = f"cannot run cases ({answer}): install vdmbench {version('vdmbench')} there"
+            if answer:
+                raise ClusterError(f"worker {worker} {answer}")
+
+    def wait_for_workers(self) -> None:
+        """Return once there is a worker. Raises ClusterError where none comes in a minute."""
+        end = time.monotonic() + _WITHOUT_WORKERS
+        while not self._threads():
+            if time.monotonic() > end:
+                raise ClusterError(
+                    f"{self.address} has no workers: start some with: dask worker {self.address}"
+                )
+            time.sleep(_POLL)
+
+    def close(self) -> None:
+        """Cancel what waits; what is at work stops when the scratch directory is gone."""
+        shutil.rmtree(self._scratch, ignore_errors=True)
+        with suppress(Exception):  # the scheduler may be what was lost
+            self._executor.shutdown(wait=False, cancel_futures=True)
+
+    def _lost(self) -> ClusterError:
+        return ClusterError(
+            f"the scheduler at {self.address} is gone; the same command goes on once it is back"
+        )
+
+
+@contextmanager
+def cluster_places(
+    address: str, directory: Path, memory: int | None, *, insecure: bool
+) -> Iterator[Cluster]:
+    """Places of the scheduler at `address`, such as "tcp://127.0.0.1:8786" or "tls://host:8786".
+
+    Raises
+    ------
+    AddressError
+        not an address, or one of another machine without TLS where that is not asked for by `insecure`.
+    ImportError
+        Dask is not installed.
+    ClusterError
+        nobody answers in the time that Dask's configuration allows (distributed.comm.timeouts.connect), no worker
+        is there, or one of them does not fit.
+    """
+    scratch = (directory / f".cluster-{uuid4().hex}").absolute()
+    with _connected(address, insecure=insecure) as (client, full):
+        cluster = Cluster(client, full, scratch, memory)
+        cluster.wait_for_workers()
+        scratch.mkdir(parents=True)
+        try:
+            cluster.require_fit()
+            yield cluster
+        finally:
+            cluster.close()
+
+
+@contextmanager
+def _connected(address: str, *, insecure: bool) -> Iterator[tuple[Any, str]]:
+    """A client of the scheduler at `address`, and its full address."""
+    address = checked_address(address, insecure=insecure)
+    try:
+        import distributed
+    except ImportError:
+        raise ImportError(f"--scheduler needs Dask, which is not installed: {INSTALL}") from None
+    logging.getLogger("distributed").setLevel(logging.CRITICAL)  # what matters of it is said by an error
+    if address.startswith("tls:"):
+        _require_certificates(distributed.Security(), address)  # type: ignore[no-untyped-call]
+    try:
+        client = distributed.Client(address, set_as_default=False)  # type: ignore[no-untyped-call]
+    except (OSError, TimeoutError):
+        trusting = " that trusts this certificate" if address.startswith("tls:") else ""
+        message = f"no scheduler{trusting} answers at {address}; start one with: dask scheduler"
+        raise ClusterError(message) from None
+    with client:
+        yield client, address
+
+
+def _require_certificates(security: Any, address: str) -> None:
+    """Dask itself would leave a client half-made behind."""
+    try:
+        context = security.get_connection_args("client")["ssl_context"]
+    except OSError as error:
+        raise AddressError(f"{address}: the certificates of Dask's configuration: {error}") from None
+    if context is None:
+        raise AddressError(
+            f"{address}: name certificates in Dask's configuration (distributed.comm.tls.ca-file, "
+            "and .client.cert and .client.key there)"
+        )
+
+
+def checked_address(address: str, *, insecure: bool) -> str:
+    """The address with its scheme. Raises AddressError."""
+    full = address if "://" in address else f"tcp://{address}"
+    try:
+        parts = urlsplit(full)
+        host, right = parts.hostname, bool(parts.port) and not parts.path
+    except ValueError:
+        host, right = None, False
+    if not host or not right or parts.scheme not in ("tcp", "tls"):
+        raise AddressError(
+            f"{address!r} is no scheduler's address: write tls://HOST:PORT or tcp://127.0.0.1:PORT"
+        )
+    if parts.scheme == "tcp" and not insecure and not _is_this_machine(host):
+        raise AddressError(
+            f"{full}: without TLS anyone on the network can run programs in your name; use tls://, "
+            "or --insecure-scheduler where you trust the whole network"
+        )
+    return full
+
+
+def _is_this_machine(host: str) -> bool:
+    if host == "localhost":
+        return True
+    try:
+        return ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return False
+
+
+class RefusalError(ValueError):
+    """A worker that must not do a node; the message says why."""
+
+
+def carry_out(text: str) -> str:
+    """On a worker: do a node in a process of its own; what became of it as JSON. Stops it when the run is over.
+
+    Raises
+    ------
+    RefusalError
+        see `refusal`.
+    """
+    refused = refusal(text)
+    if refused:
+        raise RefusalError(refused)
+    request = json.loads(text)
+    log = Path(request["log"])
+    places = LocalPlaces(1, request["memory"])
+    try:
+        future = places.submit(request["node"], log, request["timeout"])
+        while not future.done() and Path(request["scratch"]).is_dir():
+            time.sleep(_POLL)
+        if not future.done():
+            raise RefusalError("has no run directory any more: the run is over")
+        error = future.exception()
+        if error is None:
+            return future.result()
+        said = told(error, log.read_text(errors="replace") if log.exists() else "")
+        return json.dumps([asdict(said)])
+    finally:
+        places.close()
+
+
+def refusal(text: str) -> str:
+    """On a worker: why it must not do a request, or nothing."""
+    request = json.loads(text)
+    here = _versions()
+    for name, wanted in request["versions"].items():
+        if here.get(name) != wanted:
+            has = f"{name} {here[name]}" if name in here else f"no {name}"
+            return f"has {has}, not {wanted}: install the same vdmbench everywhere"
+    home = Path(request["scratch"])
+    if not home.is_dir():
+        return f"does not see {home}: the run directory must be on a file system that all machines share"
+    return ""
+
+
+def _versions() -> dict[str, str]:
+    """What must be the same everywhere: the package's version and the declared one of each model."""
+    from .. import models
+
+    return {
+        "vdmbench": version("vdmbench"),
+        **{f"model {name}": model.version for name, model in models.MODELS.items()},
+    }

@@ -1,0 +1,209 @@
+"""Content keys: what has the same key is the same work, done once within a case, a study, and between studies.
+
+    mesh      geometry, size, whether tetrahedra are needed              (`studies.meshing.geometry_spec`)
+    body      model, mesh level, tissue, supports, parameters: one set-up
+    answer    body and what acts on it: a load step up to a factor where answers superpose, else one load path
+    case      all inputs, mesh, the version of each model
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from .. import models
+from ..study_file.config import case_inputs
+from ..study_file.schema import Study
+
+_FORMAT = 3  # of the files of answers: raised with what is in them
+_DIGITS = 12  # of a load beside others: less is rounding
+
+
+@dataclass(frozen=True)
+class Wanted:
+    """What a case takes of one model on one mesh level.
+
+    Attributes
+    ----------
+    name, level : the model; 0 for the case's own mesh, 1 for its first refinement and so on
+    body : key of the set-up
+    answers : keys: one per load step where answers superpose, else one for the whole load path
+    scales : how much of its answer each step is; () for a path
+    """
+
+    name: str
+    level: int
+    body: str
+    answers: tuple[str, ...]
+    scales: tuple[float, ...]
+
+
+def case_hash(study: Study, mesh_key: str) -> str:
+    """SHA-256 (hex) over what decides a case's numbers: inputs, mesh, and each model's declared version."""
+    return _digest(
+        {
+            "inputs": {name: value for name, value in case_inputs(study).items() if name != "geometry"},
+            "mesh": mesh_key,
+            "models": {name: models.find(name)[0].version for name in study.study.models},
+            "reference": study.study.reference,
+        }
+        | _outputs(study)
+    )
+
+
+def wanted(study: Study, mesh_key: str) -> list[Wanted]:
+    """What a case takes: every model on its own mesh, and the reference on the finer levels."""
+    inputs = case_inputs(study)
+    levels = study.uncertainty.levels if study.uncertainty else 1
+    out = []
+    for name in study.study.models:
+        finest = levels if name == study.study.reference else 1
+        for level in range(finest):
+            body = _digest(_body(study, inputs, name) | {"mesh": level_key(mesh_key, level)})
+            out.append(_wanted(study, inputs, name, level, body))
+    return out
+
+
+def _wanted(study: Study, inputs: Mapping[str, Any], name: str, level: int, body: str) -> Wanted:
+    steps = load_steps(study, inputs)
+
+    def key(load: Any) -> str:
+        return _digest({"body": body, "load": load, "format": _FORMAT})
+
+    if not models.superposes(name, penalty=has_penalty(study, name)):
+        return Wanted(name, level, body, (key(steps),), ())
+    sized = [direction(step) for step in steps]
+    acting = next((load for load, scale in sized if scale), sized[0][0])  # no load is no times whichever there is
+    return Wanted(
+        name,
+        level,
+        body,
+        tuple(key(load if scale else acting) for load, scale in sized),
+        tuple(scale for _, scale in sized),
+    )
+
+
+def limits_key(study: Study, mesh_key: str) -> str | None:
+    """Key of the small-strain limits of a case; None where it asks for none."""
+    return _digest({"limits": case_hash(study, mesh_key)}) if study.limits is not None else None
+
+
+def level_key(mesh_key: str, level: int) -> str:
+    """Key of a mesh refined so many times."""
+    return f"{mesh_key}-{level}" if level else mesh_key
+
+
+def load_steps(study: Study, inputs: Mapping[str, Any] | None = None) -> list[dict[str, float]]:
+    """Of each load step what acts: load of size 1 -> how much of it; the weight, which does not scale, with it."""
+    parts = _unit_loads(inputs or case_inputs(study))
+    weight = {"weight": 1.0} if has_weight(study) else {}
+    return [{unit: factor * value for unit, value in parts.items()} | weight for factor in study.load.history]
+
+
+def direction(step: Mapping[str, float]) -> tuple[dict[str, float], float]:
+    """A load step up to a factor, and the factor; a step in which a weight acts as it is."""
+    acting = {unit: value for unit, value in step.items() if value}
+    if "weight" in acting:
+        return acting, 1.0
+    scale = max(acting.values(), key=abs, default=0.0)
+    # 0.0 is added because -0.0 is written otherwise
+    return {unit: float(f"{value / scale:.{_DIGITS}g}") + 0.0 for unit, value in acting.items()}, scale
+
+
+def is_at_rest(study: Study) -> bool:
+    """Whether no load acts, the weight apart."""
+    return not any(part.force or part.pressure or any(part.displacement or ()) for part in study.constraints)
+
+
+def has_weight(study: Study) -> bool:
+    """Whether the body's weight acts, which does not scale with the loads."""
+    return study.gravity is not None and any(study.gravity.acceleration)
+
+
+def has_penalty(study: Study, name: str) -> bool:
+    """Whether a model holds its supports by a penalty, as printed."""
+    return "penalty" in {**study.vdm_parameters(), **study.model_parameters().get(name, {})}
+
+
+def _outputs(study: Study) -> dict[str, bool]:
+    """What the models are asked for beyond the usual; nothing where they are not."""
+    return {"condition": True} if study.study.condition else {}
+
+
+def _body(study: Study, inputs: Mapping[str, Any], name: str) -> dict[str, Any]:
+    """What a model's set-up reads, the mesh apart."""
+    model, solver = models.find(name)
+    weighs, gravity = has_weight(study), inputs.get("gravity")
+    read = (*model.tissue, "density") if weighs else model.tissue
+    parameters = {**inputs["vdm"], **(inputs["models"].get(name) or {})}
+    return {
+        "model": model.name,
+        "solver": solver,
+        "version": model.version,
+        "tissue": {key: inputs["tissue"][key] for key in read},
+        "held": [_held(part, inputs) for part in inputs["constraints"] if part["kind"] != "contact"],
+        "gravity": gravity if weighs else None,
+        "anisotropy": inputs.get("anisotropy"),
+        "parameters": {key: value for key, value in parameters.items() if key in model.parameters},
+        "environment": None if model.volumetric else inputs.get("environment"),
+        "touched": _touched(inputs) if model.contact_in_setup else None,
+    } | _outputs(study)
+
+
+def _held(constraint: Mapping[str, Any], inputs: Mapping[str, Any]) -> dict[str, Any]:
+    return {"region": _spelt_out(constraint["region"], inputs["regions"])}
+
+
+def _touched(inputs: Mapping[str, Any]) -> list[tuple[str, float]]:
+    """Where there is contact, and one motion of held nodes up to a factor."""
+    loads = _unit_loads(inputs)
+    moved = {unit: value for unit, value in loads.items() if not unit.startswith(("force ", "pressure "))}
+    largest = max(moved.values(), key=abs, default=0.0) or 1.0
+    return [(unit, value / largest if unit in moved else 1.0) for unit, value in loads.items() if value]
+
+
+def _unit_loads(inputs: Mapping[str, Any]) -> dict[str, float]:
+    """Load of size 1 -> how much of it acts at load factor 1, the weight apart.
+
+    Raises
+    ------
+    ValueError
+        a kind of load whose unit loads nobody lists.
+    """
+    out: dict[str, float] = {}
+    for constraint in inputs["constraints"]:
+        region = _spelt_out(constraint["region"], inputs["regions"])
+        described = json.dumps({"region": region, "profile": constraint.get("profile")}, sort_keys=True)
+        match constraint["kind"]:
+            case "contact":
+                size = "force" if constraint.get("force") is not None else "pressure"
+                found = [(f"{size} {described}", constraint.get(size) or 0.0)]
+            case "constrained":
+                found = [(f"{axis} {described}", value) for axis, value in enumerate(constraint["displacement"])]
+            case "fixed":
+                found = []
+            case kind:
+                raise ValueError(f"a constraint of kind {kind!r} has no unit loads: list them beside the others")
+        for unit, value in found:
+            out[unit] = out.get(unit, 0.0) + float(value)
+    return out
+
+
+def _spelt_out(region: Any, named: Mapping[str, Any]) -> Any:
+    """A region with the regions that it names in their place."""
+    if isinstance(region, str):
+        return _spelt_out(named[region], named)
+    out = dict(region)
+    for key in ("all", "any"):
+        if key in out:
+            out[key] = [_spelt_out(part, named) for part in out[key]]
+    if "not" in out:
+        out["not"] = _spelt_out(out["not"], named)
+    return out
+
+
+def _digest(value: Any) -> str:
+    return hashlib.sha256(json.dumps(value, sort_keys=True, default=str).encode()).hexdigest()

@@ -1,0 +1,139 @@
+"""Places on this machine: worker processes of pebble's pool, with a limit of memory each and of time for each node.
+
+The workers are forked from a clean server process that has loaded the libraries. They end with the program that
+started them, however that ends.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import multiprocessing
+import os
+import signal
+import threading
+from collections.abc import Iterator
+from concurrent.futures import Future, TimeoutError
+from concurrent.futures.process import BrokenProcessPool
+from pathlib import Path
+
+from pebble import ProcessExpired, ProcessPool
+
+from ..memory import limit_memory, machine_memory
+from .work import MORE_MEMORY, OUT_OF_MEMORY, Said, run_node
+
+_PRELOADED = ("studies.graph.work", "numpy.ma", "scipy.sparse.linalg", "skfem", "vdm", "fem_reference.linear")
+
+
+class LocalPlaces:
+    """`jobs` worker processes, each with its share of the cores and of the memory."""
+
+    def __init__(self, jobs: int, memory: int | None = None) -> None:
+        self.count = jobs
+        self._memory = memory or machine_memory() // jobs
+        self._pool = self._started()
+
+    def _started(self) -> ProcessPool:
+        context = multiprocessing.get_context("forkserver")
+        context.set_forkserver_preload(list(_PRELOADED))
+        threads = max(1, processors() // self.count)
+        pool = ProcessPool(
+            max_workers=self.count,
+            context=context,
+            initializer=begin_worker,
+            initargs=(threads, self._memory),
+        )
+        with _environment(OMP_NUM_THREADS="1", OPENBLAS_NUM_THREADS="1", RAYON_NUM_THREADS=str(threads)):
+            _ = pool.active  # starts it
+        return pool
+
+    def submit(self, node: str, log: Path, seconds: float | None) -> Future[str]:  # noqa: ARG002
+        """See `Places`."""
+        if not self._pool.active:  # a worker died in a way that broke it
+            self.close()
+            self._pool = self._started()
+        future: Future[str] = self._pool.schedule(run_node, args=[node], timeout=seconds)
+        return future
+
+    def failure(self, error: BaseException, log: str) -> Said:
+        """See `Places`."""
+        return told(error, log)
+
+    def close(self) -> None:
+        """Stop the workers, at work or not."""
+        self._pool.stop()
+        self._pool.join()
+
+
+def told(error: BaseException, log: str) -> Said:
+    """What an error of a pool's future means."""
+    if isinstance(error, TimeoutError):
+        seconds = float(error.args[1]) if len(error.args) > 1 else 0.0
+        remedy = "allow more with --timeout, or use a coarser mesh"
+        return Said("", "timeout", seconds, f"stopped after {seconds:g} s", remedy, log)
+    if isinstance(error, ProcessExpired):
+        return Said("", "crashed", 0.0, *_death(error.exitcode or 0, log), log)
+    if isinstance(error, BrokenProcessPool):
+        return Said("", "crashed", 0.0, "the workers died", "see the log in the failed/ folder", log)
+    return Said("", "error", 0.0, f"{type(error).__name__}: {error}", "this is a bug: please report it", log)
+
+
+def _death(code: int, log: str) -> tuple[str, str]:
+    """What an exit code of a worker that died means, and what to do."""
+    if OUT_OF_MEMORY.search(log):
+        return "out of memory", MORE_MEMORY
+    if code == -signal.SIGKILL:
+        return "killed by the system, most likely out of memory", MORE_MEMORY
+    if code < 0:
+        return (
+            f"the worker crashed with signal {signal.Signals(-code).name}",
+            "see the log in the run directory's failed/ folder; other cases are not affected",
+        )
+    return f"the worker ended with exit code {code}", "see the log in the failed/ folder"
+
+
+@contextlib.contextmanager
+def local_places(jobs: int, memory: int | None = None) -> Iterator[LocalPlaces]:
+    """Places on this machine, gone when the block is left."""
+    places = LocalPlaces(jobs, memory)
+    try:
+        yield places
+    finally:
+        places.close()
+
+
+def processors() -> int:
+    """How many processors this process may use: a batch system may give it fewer than the machine has."""
+    return len(os.sched_getaffinity(0))
+
+
+def begin_worker(threads: int, memory: int) -> None:
+    """What a worker process does first."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the program that started it hears Ctrl-C, and stops it
+    os.environ["RAYON_NUM_THREADS"], os.environ["OMP_NUM_THREADS"] = str(threads), "1"
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+    from threadpoolctl import threadpool_limits
+
+    threadpool_limits(1)  # for good: more of them at the end might find no memory, and wait for it
+    limit_memory(memory)
+
+
+def _end_with_parent() -> None:
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        parent.join()
+        os._exit(1)
+
+
+@contextlib.contextmanager
+def _environment(**values: str) -> Iterator[None]:
+    """Environment variables for processes that are started inside."""
+    before = {name: os.environ.get(name) for name in values}
+    os.environ.update(values)
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            if value is None:
+                os.environ.pop(name)
+            else:
+                os.environ[name] = value

@@ -1,0 +1,221 @@
+"""From the cases of a plan to the graph of the work that is not done yet: what nobody asks for has no node."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from .. import models
+from ..meshing.mesh_cache import mesh_path
+from ..store import case_path
+from ..study_file.config import resolved
+from ..study_file.schema import Study
+from .answers import answer_path
+from .keys import Wanted, direction, level_key, load_steps
+
+if TYPE_CHECKING:
+    from .plan import Plan, PlannedCase
+
+
+@dataclass(frozen=True)
+class Node:
+    """One piece of work.
+
+    Attributes
+    ----------
+    id : its key
+    kind : which function of `studies.graph.work` does it: "mesh", "level", "answers", "limits" or "cases"
+    label : what to call it
+    payload : what that function is given, plain JSON
+    needs : ids of the nodes to be done before
+    items : of "cases" the id, the label and the needs of each case
+    """
+
+    id: str
+    kind: str
+    label: str
+    payload: Mapping[str, Any]
+    needs: frozenset[str]
+    items: tuple[PlannedCase, ...] = ()
+
+
+@dataclass(frozen=True)
+class Asked:
+    """One answer that is missing: its key, the case that stands for all that want it, and its load factors."""
+
+    key: str
+    case: PlannedCase
+    factors: tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class Body:
+    """One set-up and the answers that are asked of it."""
+
+    name: str
+    level: int
+    key: str
+    mesh: str
+    asked: tuple[Asked, ...]
+
+    @property
+    def id(self) -> str:
+        """Key of the node: a body is set up once in a run."""
+        return f"answers {self.key} {self.asked[0].key if not self.superposes else ''}".strip()
+
+    @property
+    def superposes(self) -> bool:
+        """Whether its answers are of one load each, and not load paths."""
+        return len(self.asked[0].factors) == 1 and bool(self.asked[0].case.want(self.name, self.level).scales)
+
+
+def needs_volume(study: Study) -> bool:
+    """Whether any model of a study needs tetrahedra."""
+    return any(models.find(name)[0].volumetric for name in study.study.models)
+
+
+def limits_path(cache: Path, key: str) -> Path:
+    """Where the cache keeps the small-strain limits of a case."""
+    return cache / "limits" / f"{key}.npz"
+
+
+def bodies(plan: Plan, cases: Sequence[PlannedCase]) -> list[Body]:
+    """The set-ups that these cases need, each with the answers that the cache has not; a load path has its own."""
+    found: dict[str, tuple[str, int, str, str, dict[str, Asked]]] = {}
+    for case in cases:
+        for want in case.wanted:
+            for key, factors in _factors(case, want):
+                if plan.has(answer_path(plan.cache, key)):
+                    continue
+                of = want.body if want.scales else f"{want.body} {key}"
+                entry = found.setdefault(of, (want.name, want.level, want.body, case.mesh, {}))
+                entry[-1].setdefault(key, Asked(key, case, factors))
+    return [Body(*about, tuple(asked.values())) for *about, asked in found.values()]
+
+
+def graph(plan: Plan, cases: Sequence[PlannedCase], jobs: int, run: str) -> list[Node]:
+    """The nodes that these cases need and whose files are not there, each after those that it needs."""
+    cache = str(plan.cache)
+    nodes: list[Node] = []
+    there: dict[str, str] = {}  # file's key -> node that makes it
+
+    def add(kind: str, identity: str, label: str, payload: Mapping[str, Any], needs: Iterator[str] | Sequence[str]) -> str:
+        made = frozenset(there[need] for need in needs if need in there)
+        nodes.append(Node(identity, kind, label, {"cache": cache, "run": run, **payload}, made))
+        return identity
+
+    for mesh in plan.missing_meshes(cases):
+        of = next(case for case in cases if case.mesh == mesh.key)
+        there[mesh.key] = add("mesh", f"mesh {mesh.key}", mesh.label, _on_mesh(of, plan), ())
+    found = bodies(plan, cases)
+    for mesh_key, level in dict.fromkeys((body.mesh, k) for body in found for k in range(1, body.level + 1)):
+        key = level_key(mesh_key, level)
+        if not plan.has(mesh_path(plan.cache, key)):
+            of = next(case for case in cases if case.mesh == mesh_key)
+            label = f"{plan.meshes[mesh_key].label}, refined" + (f" {level} times" if level > 1 else "")
+            payload = _on_mesh(of, plan) | {"level": level}
+            needs = [level_key(mesh_key, k) for k in range(level)]
+            there[key] = add("level", f"mesh {key}", label, payload, needs)
+    for body in found:
+        payload = _on_mesh(body.asked[0].case, plan) | {
+            "name": body.name,
+            "level": body.level,
+            "asked": [
+                {"key": asked.key, "study": resolved(asked.case.study), "factors": asked.factors}
+                for asked in body.asked
+            ],
+        }
+        needs = [level_key(body.mesh, k) for k in range(body.level + 1)]
+        identity = add("answers", body.id, _answers_label(body), payload, needs)
+        there |= {asked.key: identity for asked in body.asked}
+    for case in cases:
+        if case.limits is not None and not plan.has(limits_path(plan.cache, case.limits)):
+            payload = _on_mesh(case, plan) | {"study": resolved(case.study), "limits": case.limits}
+            label = f"limits of {case.label or plan.study.study.name}"
+            there[case.limits] = add("limits", f"limits {case.limits}", label, payload, [case.mesh])
+    return nodes + _case_nodes(plan, cases, jobs, there, run)
+
+
+def _case_nodes(
+    plan: Plan, cases: Sequence[PlannedCase], jobs: int, there: Mapping[str, str], run: str
+) -> list[Node]:
+    """Cases that wait for the same nodes, in as many parts as there are jobs: they read their mesh once."""
+    blocks: dict[tuple[str, frozenset[str]], list[PlannedCase]] = {}
+    for case in cases:
+        wants = [key for want in case.wanted for key in want.answers]
+        needs = frozenset(there[key] for key in (case.mesh, case.limits or "", *wants) if key in there)
+        blocks.setdefault((case.mesh, needs), []).append(case)
+    nodes = []
+    for (_, needs), block in blocks.items():
+        size = -(-len(block) // jobs)
+        for part in (block[first : first + size] for first in range(0, len(block), size)):
+            payload = {
+                "cache": str(plan.cache),
+                "run": run,
+                **_on_mesh(part[0], plan),
+                "items": [_item(case, plan) for case in part],
+            }
+            label = part[0].label or plan.study.study.name
+            nodes.append(Node(f"cases {part[0].hash}", "cases", label, payload, needs, tuple(part)))
+    return nodes
+
+
+def one_by_one(node: Node) -> list[Node]:
+    """The cases of a node as nodes of their own: one of them may have been the death of its worker."""
+    return [
+        Node(
+            f"cases {case.hash} alone",
+            node.kind,
+            case.label,
+            {**node.payload, "items": [item]},
+            frozenset(),
+            (case,),
+        )
+        for case, item in zip(node.items, node.payload["items"], strict=True)
+    ]
+
+
+def _on_mesh(case: PlannedCase, plan: Plan) -> dict[str, Any]:
+    return {
+        "mesh": case.mesh,
+        "volume": plan.meshes[case.mesh].volume,
+        "study": resolved(case.study),
+    }
+
+
+def _item(case: PlannedCase, plan: Plan) -> dict[str, Any]:
+    return {
+        "id": case.hash,
+        "label": case.label,
+        "swept": dict(case.swept),
+        "swept_units": dict(case.swept_units),
+        "study": resolved(case.study),
+        "path": str(case_path(plan.directory, case.hash)),
+        "wanted": [asdict(want) for want in case.wanted],
+        "limits": case.limits,
+    }
+
+
+def _factors(case: PlannedCase, want: Wanted) -> Iterator[tuple[str, tuple[float, ...]]]:
+    """Each answer that is wanted with the load factors of the case's scene that it is asked at."""
+    history = case.study.load.history
+    if not want.scales:
+        yield want.answers[0], tuple(history)
+        return
+    steps = [direction(step)[1] for step in load_steps(case.study)]
+    for key, factor, scale in zip(want.answers, history, steps, strict=True):
+        if scale or not any(steps):  # a step without load is no times another
+            yield key, (factor / scale if scale and not _weighs(case) else factor,)
+
+
+def _weighs(case: PlannedCase) -> bool:
+    return case.study.gravity is not None and any(case.study.gravity.acceleration)
+
+
+def _answers_label(body: Body) -> str:
+    count = f", {len(body.asked)} loads" if len(body.asked) > 1 else ""
+    label = body.asked[0].case.label if count == "" else ""
+    level = " refined" if body.level else ""
+    return f"{body.name}{level}{count}" + (f", {label}" if label else "")

@@ -1,0 +1,217 @@
+"""From a study to the work it needs: cases, the meshes they share, and what is already there."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cache, cached_property
+from pathlib import Path
+
+import numpy as np
+
+from ..meshing.geometry_spec import (
+    DISTORTIONS,
+    MAX_NODES,
+    Geometry,
+    area_and_volume,
+    check_node_budget,
+    expected_size,
+    extents,
+    geometry_key,
+)
+from ..meshing.mesh import Array, Mesh, MeshError
+from ..meshing.mesh_cache import mesh_path
+from ..sealed import is_sound
+from ..store import case_path, case_state
+from ..study_file.config import ResolvedCase, geometry_error, geometry_of
+from ..study_file.schema import Study
+from .keys import Wanted, case_hash, limits_key, wanted
+from .nodes import needs_volume
+
+@dataclass(frozen=True)
+class PlannedCase:
+    """One case and what it needs. Cases with the same hash are the same work, done once."""
+
+    hash: str
+    label: str
+    swept: Mapping[str, float | str]
+    swept_units: Mapping[str, str]
+    study: Study
+    mesh: str  # key of its mesh
+    wanted: tuple[Wanted, ...]  # of every model, and of the reference on every level
+    limits: str | None  # key of its small-strain limits
+
+    def want(self, name: str, level: int = 0) -> Wanted:
+        """What it takes of one model on one mesh level."""
+        return next(want for want in self.wanted if (want.name, want.level) == (name, level))
+
+
+@dataclass(frozen=True)
+class Expected:
+    """A mesh's surface nodes and tetrahedra, its body's box (3,) (3,) [m], and how far it may reach beyond [m]."""
+
+    nodes: float
+    tetrahedra: float
+    low: Array
+    high: Array
+    reach: float
+
+    @classmethod
+    def of_mesh(cls, mesh: Mesh, *, volume: bool = True) -> Expected:
+        """Of a mesh that is there; distortions move a node by an edge at most."""
+        points = mesh.surface_points
+        corners = points[mesh.triangles]
+        reach = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max()
+        size = float(len(points)), float(len(mesh.tetrahedra) if volume else 0)
+        return cls(*size, points.min(axis=0), points.max(axis=0), float(reach))
+
+
+@dataclass(frozen=True)
+class PlannedMesh:
+    """A mesh that one or more cases need."""
+
+    key: str
+    geometry: Geometry
+    volume: bool
+
+    @property
+    def label(self) -> str:
+        """What to call it: by its file or shape, and the size of its elements where it is made to one."""
+        geometry = self.geometry
+        name = geometry.path.name if geometry.shape == "file" else geometry.shape
+        if not geometry.has_own_tetrahedra:
+            return f"mesh of {name} at {geometry.mesh_size * 1e3:.3g} mm"
+        return f"mesh of {name}" + ("" if set(DISTORTIONS) & geometry.parameters.keys() else " as it is")
+
+    @cached_property
+    def expected(self) -> Expected:
+        """What it will be, about; a file is read for it, and checked on the way.
+
+        Raises
+        ------
+        MeshError
+            a file that cannot be used.
+        """
+        geometry = self.geometry
+        if geometry.shape != "file":
+            area, inside = area_and_volume(geometry)
+            high = np.array(extents(geometry)) / 2.0
+        else:
+            from ..meshing.imported import (  # readers are slow to load
+                imported_surface,
+                imported_tetrahedra,
+                named,
+            )
+
+            with named(geometry):
+                if geometry.has_own_tetrahedra:
+                    mesh = imported_tetrahedra(geometry, max_nodes=MAX_NODES)
+                    return Expected.of_mesh(mesh, volume=self.volume)
+                surface = imported_surface(geometry, volume=self.volume, max_nodes=MAX_NODES)
+            area, inside = surface.area, surface.volume
+            high = surface.points.max(axis=0)
+        size = expected_size(area, inside if self.volume else 0.0, geometry.mesh_size)
+        return Expected(*size, -high, high, geometry.mesh_size)
+
+
+@dataclass(frozen=True)
+class Plan:
+    """All the work of a study; `fresh`: every case runs, and nothing that is stored is used, the meshes apart."""
+
+    study: Study
+    cases: tuple[PlannedCase, ...]
+    meshes: Mapping[str, PlannedMesh]
+    directory: Path
+    cache: Path
+    command: tuple[str, ...] = ()  # of vdmbench, that runs it again; () where none was given
+    fresh: bool = False
+
+    @cached_property
+    def state(self) -> dict[str, str]:
+        """Case hash -> "done", "stale", "failed", "damaged" or "missing"."""
+        return {case.hash: case_state(self.directory, case.hash) for case in self.cases}
+
+    @cached_property
+    def in_order(self) -> list[PlannedCase]:
+        """Each hash once."""
+        return list({case.hash: case for case in self.cases}.values())
+
+    def is_done(self, case: PlannedCase) -> bool:
+        """Whether a case's file is there, and its results may be used."""
+        return not self.fresh and self.state[case.hash] == "done"
+
+    def cases_to_run(self, shard: tuple[int, int] = (1, 1)) -> list[PlannedCase]:
+        """The cases not done; of `shard` (i, n) those in the i-th of n parts of equal size."""
+        number, parts = shard
+        first, end = (len(self.in_order) * k // parts for k in (number - 1, number))
+        return [case for case in self.in_order[first:end] if not self.is_done(case)]
+
+    def has(self, path: Path) -> bool:
+        """Whether the cache has a file that may be used."""
+        return not self.fresh and self._is_sound(path)
+
+    @cached_property
+    def _is_sound(self) -> Callable[[Path], bool]:
+        """`is_sound`, which reads a file, of each file once: many cases share one, and a plan is of one moment."""
+        return cache(is_sound)
+
+    def missing_meshes(self, cases: Sequence[PlannedCase]) -> list[PlannedMesh]:
+        """The meshes that these cases need and the cache does not hold."""
+        keys = dict.fromkeys(case.mesh for case in cases)
+        return [self.meshes[key] for key in keys if not self._is_sound(mesh_path(self.cache, key))]
+
+    def case_file(self, case: PlannedCase) -> Path:
+        """Where the case is kept once it is done."""
+        return case_path(self.directory, case.hash)
+
+
+def make_plan(
+    study: Study,
+    cases: Sequence[ResolvedCase],
+    directory: Path,
+    cache: Path,
+    command: tuple[str, ...] = (),
+    *,
+    fresh: bool = False,
+) -> Plan:
+    """Work out what a study needs. Meshes nothing.
+
+    Raises
+    ------
+    StudyError
+        a geometry that cannot be meshed as asked, found without meshing.
+    """
+    found: dict[str, PlannedMesh] = {}  # by what is asked for: a file is read for its key, once for all cases
+    planned = []
+    for case in cases:
+        geometry, volume = geometry_of(case.study), needs_volume(case.study)
+        asked = f"{geometry!r} {volume}"
+        if asked not in found:
+            try:
+                found[asked] = _planned_mesh(geometry, volume)
+            except MeshError as error:
+                raise geometry_error(study, error) from error
+        planned.append(_planned(case, found[asked].key))
+    meshes = {mesh.key: mesh for mesh in found.values()}
+    return Plan(study, tuple(planned), meshes, directory, cache, command, fresh)
+
+
+def _planned_mesh(geometry: Geometry, volume: bool) -> PlannedMesh:
+    if geometry.shape != "file":  # whose size is known only once it is read
+        area, inside = area_and_volume(geometry)
+        check_node_budget(area, inside if volume else 0.0, geometry.mesh_size, MAX_NODES)
+    return PlannedMesh(geometry_key(geometry, volume=volume), geometry, volume)
+
+
+def _planned(case: ResolvedCase, mesh_key: str) -> PlannedCase:
+    study = case.study
+    return PlannedCase(
+        hash=case_hash(study, mesh_key),
+        label=case.label,
+        swept=case.swept,
+        swept_units=case.swept_units,
+        study=study,
+        mesh=mesh_key,
+        wanted=tuple(wanted(study, mesh_key)),
+        limits=limits_key(study, mesh_key),
+    )

@@ -1,0 +1,246 @@
+"""Runs a plan: the nodes of its graph that are missing, then the tables and the report."""
+
+from __future__ import annotations
+
+import dataclasses
+import fcntl
+import json
+import os
+import resource
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import AbstractContextManager, ExitStack, contextmanager, suppress
+from dataclasses import dataclass
+from pathlib import Path
+from uuid import uuid4
+
+import tomli_w
+
+from ..case import Run
+from ..explain import beyond_memory, summary
+from ..files import clear_abandoned, write_atomically
+from ..hdf5 import StoreError
+from ..meshing.mesh import MeshError
+from ..store import case_path, failure_path, read_plan, read_run, write_study
+from ..study_file.config import geometry_error, resolved
+from ..study_file.units import shown
+from .engine import Outcome, Places, run_nodes
+from .nodes import Node, bodies, graph
+from .plan import Plan, PlannedCase
+
+
+class RunError(ValueError):
+    """A run that cannot start."""
+
+
+@dataclass(frozen=True)
+class Event:
+    """Something that a watcher of a run may want to show."""
+
+    kind: str  # "started", "done", "failed"
+    label: str
+    seconds: float = 0.0
+    message: str = ""
+
+
+@dataclass(frozen=True)
+class Options:
+    """How to run. `timeout` is per case [s], `memory` per worker [bytes], by default its share of the machine's."""
+
+    jobs: int
+    shard: tuple[int, int] = (1, 1)
+    timeout: float | None = None
+    memory: int | None = None
+    fail_fast: bool = False
+    scheduler: str | None = None  # address of a Dask scheduler, whose workers do the nodes
+    insecure_scheduler: bool = False  # also without TLS on another machine
+
+
+def run_plan(
+    plan: Plan, study_text: str, options: Options, watch: Callable[[Event], None]
+) -> tuple[Run, Path]:
+    """Do what is missing of a plan, then write the tables and the report; returns the run and the report's path.
+
+    Raises
+    ------
+    RunError
+        another run is at work in the directory, or it holds another study.
+    StudyError
+        a case needs more memory than this machine can have.
+    OSError
+        disk full or read-only; a cluster that is not there or does not fit.
+    """
+    plan.directory.mkdir(parents=True, exist_ok=True)
+    cases = plan.cases_to_run(options.shard)
+    with _locked(plan.directory, options.shard):
+        _check_study(plan)
+        if options.scheduler is None:
+            _check_memory(plan, cases)
+        _tidy(plan)
+        write_atomically(plan.directory / "study.toml", study_text.encode())
+        write_atomically(plan.directory / "resolved.toml", tomli_w.dumps(resolved(plan.study)).encode())
+        planned = summary(plan, options.jobs)
+        write_atomically(plan.directory / "plan.json", json.dumps(planned, indent=1).encode())
+        began = time.perf_counter()
+        if cases:
+            with _places(plan, options) as places:
+                _run_missing(plan, cases, options, watch, places)
+        _tidy(plan)  # a worker may have been killed
+        run, report = rebuild(plan.directory)
+        if cases and options.scheduler is None and options.shard == (1, 1):
+            planned["taken"] = {
+                "seconds": time.perf_counter() - began,
+                "processor_seconds": _processor_seconds(),
+                "jobs": options.jobs,
+            }
+            write_atomically(plan.directory / "plan.json", json.dumps(planned, indent=1).encode())
+        return dataclasses.replace(run, plan=planned), report
+
+
+def _processor_seconds() -> float:
+    """Of this process and of those of its workers that have ended."""
+    used = (resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))
+    return sum(each.ru_utime + each.ru_stime for each in used)
+
+
+def rebuild(directory: Path) -> tuple[Run, Path]:
+    """Write the tables and the report from the stored results alone; returns the run and the report's path."""
+    from ..report.page import write_report  # plotting is slow to load, and who only plans draws nothing
+
+    read_plan(directory)  # nothing is left in a directory that is none of ours
+    report = directory / "report.html"
+    with _lock(directory, ".lock-report", fcntl.LOCK_EX, wait=True):  # the last of several shards sees all
+        run = read_run(directory, damaged=True)
+        write_study(directory, run)
+        write_report(run, report)
+    return run, report
+
+
+def _check_study(plan: Plan) -> None:
+    """Raises RunError where the directory holds another study, whose tables and report would be lost."""
+    name = plan.study.study.name
+    with suppress(StoreError):  # nothing there, or nothing that can be read
+        other = read_plan(plan.directory)["study"]["name"]
+        if other != name:
+            raise RunError(
+                f"{plan.directory}: holds the study {shown(other)}, not {shown(name)}; choose another --out"
+            )
+
+
+def _check_memory(plan: Plan, cases: Sequence[PlannedCase]) -> None:
+    """Raises StudyError where this machine cannot have the memory that a case needs."""
+    for key, sentence in beyond_memory(plan, bodies(plan, cases)).items():
+        own = plan.meshes[key].geometry.has_own_tetrahedra
+        raise geometry_error(plan.study, MeshError(sentence, "path" if own else "mesh_size"))
+
+
+def _tidy(plan: Plan) -> None:
+    """Clear away what runs that were killed left half-written, here and in the shared cache."""
+    directories = (plan.directory, plan.directory / "cases", plan.directory / "failed")
+    for directory in (*directories, *(plan.cache / kind for kind in ("meshes", "answers", "limits"))):
+        clear_abandoned(directory)
+
+
+def _places(plan: Plan, options: Options) -> AbstractContextManager[Places]:
+    """Where the nodes are done: on this machine, or on a cluster."""
+    if options.scheduler is None:
+        from .local import local_places
+
+        return local_places(options.jobs, options.memory)
+    from .cluster import cluster_places
+
+    return cluster_places(
+        options.scheduler, plan.directory, options.memory, insecure=options.insecure_scheduler
+    )
+
+
+def _run_missing(
+    plan: Plan,
+    cases: Sequence[PlannedCase],
+    options: Options,
+    watch: Callable[[Event], None],
+    places: Places,
+) -> None:
+    if options.scheduler is not None:  # whose workers run elsewhere
+        plan = dataclasses.replace(plan, directory=plan.directory.absolute(), cache=plan.cache.absolute())
+    logs = plan.directory / "failed"
+    nodes = graph(plan, cases, places.count, run=uuid4().hex)
+    outcomes = run_nodes(
+        nodes,
+        places,
+        logs,
+        timeout=options.timeout,
+        fail_fast=options.fail_fast,
+        started=lambda node: watch(Event("started", node.label)),
+    )
+    for outcome in outcomes:
+        watch(
+            Event(
+                "done" if outcome.ok else "failed",
+                outcome.label,
+                outcome.said.seconds,
+                outcome.said.message,
+            )
+        )
+        if outcome.kind != "cases":
+            continue
+        if outcome.ok:
+            failure_path(plan.directory, outcome.id).unlink(missing_ok=True)
+        else:
+            _keep_failure(plan, outcome)
+
+
+def count_of_events(plan: Plan, shard: tuple[int, int] = (1, 1)) -> int:
+    """How many things of a run are told as done or failed: nodes, and each case of a node."""
+    cases = plan.cases_to_run(shard)
+    nodes = graph(plan, cases, 1, run="")
+    return sum(max(1, len(node.items)) for node in nodes)
+
+
+def _keep_failure(plan: Plan, outcome: Outcome) -> None:
+    """A failure, with its log, takes the place of whatever result the case had before."""
+    path = case_path(plan.directory, outcome.id)
+    if not path.is_dir():  # which is no result, and may be why the case failed
+        path.unlink(missing_ok=True)
+    said = outcome.said
+    record = {
+        "hash": outcome.id,
+        "label": outcome.label,
+        "code": said.code,
+        "message": said.message,
+        "remedy": said.remedy,
+    }
+    kept = failure_path(plan.directory, outcome.id)
+    write_atomically(kept, json.dumps(record, indent=1).encode())
+    write_atomically(kept.with_suffix(".log"), said.log.encode())
+
+
+@contextmanager
+def _locked(directory: Path, shard: tuple[int, int]) -> Iterator[None]:
+    """Hold the directory, or one shard's place in it, against another run; the locks go with the process.
+
+    Shards share the directory with each other, not with a run of the whole study.
+    """
+    with ExitStack() as held:
+        whole = shard == (1, 1)
+        held.enter_context(_lock(directory, ".lock", fcntl.LOCK_EX if whole else fcntl.LOCK_SH))
+        if not whole:
+            held.enter_context(_lock(directory, f".lock-{shard[0]}-of-{shard[1]}", fcntl.LOCK_EX))
+        yield
+
+
+@contextmanager
+def _lock(directory: Path, name: str, kind: int, *, wait: bool = False) -> Iterator[None]:
+    with (directory / name).open("a+") as file:
+        try:
+            fcntl.flock(file, kind if wait else kind | fcntl.LOCK_NB)
+        except BlockingIOError:
+            file.seek(0)
+            raise RunError(
+                f"{directory}: another run is at work here (process {file.read().strip() or 'unknown'}); "
+                "wait for it or choose another --out"
+            ) from None
+        file.truncate(0)
+        file.write(str(os.getpid()))
+        file.flush()
+        yield

@@ -1,0 +1,323 @@
+"""What the nodes of a graph do, each a pure function of files under their keys, and how a process does one."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import re
+import sys
+import time
+import traceback
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import asdict, dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from ..case import CaseResult, MetricSeries, ModelResult, SmallStrainLimits
+from ..meshing.mesh import Array, InputError, Mesh
+from ..meshing.mesh_cache import mesh_from_cache, mesh_path, read_level, write_level
+from ..meshing.refine import Hierarchy, refine
+from ..metrics import METRICS, History, evaluate_all
+from ..model_name import REFINED
+from ..models import Prepared, find
+from ..provenance import provenance
+from ..reference import level_scene, own_error, require_converged, restricted
+from ..scene import Scene, build_scene
+from ..sealed import read_arrays
+from ..small_strain import read_limits, small_strain_limits, write_limits
+from ..store import write_case
+from ..study_file.config import geometry_of
+from ..study_file.schema import Study
+from ..surface_measures import Surface
+from .answers import answer_path, combined, one_step, read_answer, write_answer
+from .keys import Wanted, level_key
+from .nodes import limits_path
+
+Payload = Mapping[str, Any]
+# what C++, Rust, the system and its loader of libraries say where memory runs out
+OUT_OF_MEMORY = re.compile(
+    "bad_alloc|memory allocation of|cannot allocate memory|cannot map zero-fill|failed to map segment", re.I
+)
+MORE_MEMORY = "use a coarser mesh, fewer --jobs, or allow more with --memory"
+
+
+@dataclass(frozen=True)
+class Said:
+    """What became of one piece of work. `code` is "done", "input" (the user's), "error", "crashed" or "timeout"."""
+
+    id: str
+    code: str
+    seconds: float
+    message: str = ""
+    remedy: str = ""
+    log: str = ""
+
+
+def run_node(text: str) -> str:
+    """Do a node, given as JSON; what became of it, or of each of its items, as JSON."""
+    node = json.loads(text)
+    do = _KINDS[node["kind"]]
+    with _output_to(Path(node["log"])):
+        said = list(do(node["payload"], node["id"]))
+    return json.dumps([asdict(one) for one in said])
+
+
+# --- the kinds of nodes ---
+
+
+def _mesh(payload: Payload, node: str) -> Iterator[Said]:
+    """Put one mesh into the cache."""
+    yield _attempt(node, lambda: mesh_from_cache(*_geometry(payload), volume=payload["volume"]))
+
+
+def _level(payload: Payload, node: str) -> Iterator[Said]:
+    """Put the refinement of a mesh into the cache."""
+
+    def make() -> None:
+        cache = Path(payload["cache"])
+        coarse = _meshes(payload, payload["level"] - 1).finest
+        write_level(mesh_path(cache, level_key(payload["mesh"], payload["level"])), *refine(coarse))
+
+    yield _attempt(node, make)
+
+
+def _answers(payload: Payload, node: str) -> Iterator[Said]:
+    """One set-up and all loads that are asked of it, each answer a file."""
+
+    def solve() -> None:
+        cache, level, name = Path(payload["cache"]), payload["level"], payload["name"]
+        studies = [Study.model_validate(asked["study"]) for asked in payload["asked"]]
+        meshes = _meshes(payload, level)
+        scenes = [level_scene(study, meshes) for study in studies]
+        loads = [
+            [scene.load(factor) for factor in asked["factors"]]
+            for scene, asked in zip(scenes, payload["asked"], strict=True)
+        ]
+        steps = [load for path in loads for load in path]
+        result = Prepared(scenes[0], name, len(steps)).answer(steps)
+        if level:
+            result = restricted(result, meshes)
+        place = 0
+        for asked, path in zip(payload["asked"], loads, strict=True):
+            own = result if len(loads) == 1 else one_step(result, place)
+            place += len(path)
+            write_answer(answer_path(cache, asked["key"]), own, payload["run"])
+
+    yield _attempt(node, solve)
+
+
+def _limits(payload: Payload, node: str) -> Iterator[Said]:
+    """The small-strain limits of one case."""
+
+    def search() -> None:
+        study = Study.model_validate(payload["study"])
+        found = small_strain_limits(study, build_scene(study, _meshes(payload, 0).finest))
+        write_limits(limits_path(Path(payload["cache"]), payload["limits"]), found)
+
+    yield _attempt(node, search)
+
+
+def _cases(payload: Payload, _: str) -> Iterator[Said]:
+    """Some cases on one mesh: results from answers, metrics, one file each."""
+    block: list[_Block] = []  # made by the first case, whose failure it is if it fails
+
+    def work(item: Payload) -> None:
+        if not block:
+            block.append(_Block(_meshes(payload, 0).finest))
+        _case({**payload, **item}, block[0])
+
+    for item in payload["items"]:
+        yield _attempt(item["id"], partial(work, item))
+
+
+_KINDS: dict[str, Callable[[Payload, str], Iterator[Said]]] = {
+    "mesh": _mesh,
+    "level": _level,
+    "answers": _answers,
+    "limits": _limits,
+    "cases": _cases,
+}
+
+
+def _geometry(payload: Payload) -> tuple[Any, Path]:
+    return geometry_of(Study.model_validate(payload["study"])), Path(payload["cache"])
+
+
+def _meshes(payload: Payload, level: int) -> Hierarchy:
+    """The case's mesh and its refinements up to a level."""
+    meshes = Hierarchy((mesh_from_cache(*_geometry(payload), volume=payload["volume"]),))
+    for finer in range(1, level + 1):
+        path = mesh_path(Path(payload["cache"]), level_key(payload["mesh"], finer))
+        mesh, parents = read_level(path) or refine(meshes.finest)
+        meshes = Hierarchy((*meshes.meshes, mesh), (*meshes.parents, parents))
+    return meshes
+
+
+class _Block:
+    """What cases on one mesh read and measure once."""
+
+    def __init__(self, mesh: Mesh) -> None:
+        self.mesh = mesh
+        self.plain = Surface(points=mesh.surface_points, triangles=mesh.triangles)
+        self.answers: dict[str, ModelResult] = {}
+
+    def surface(self, scene: Scene) -> Surface:
+        """The surface under a scene's loads."""
+        return self.plain.under(scene.contact, scene.contact_force, weighs=bool(scene.gravity.any()))
+
+
+def _case(payload: Payload, block: _Block) -> None:
+    """One case from the answers of its models.
+
+    Raises
+    ------
+    FailedReferenceError
+        the reference failed, so that there is nothing to compare with.
+    """
+    study = Study.model_validate(payload["study"])
+    mesh = block.mesh
+    scene, reference = build_scene(study, mesh), study.study.reference
+    surface = block.surface(scene)
+    results: dict[str, ModelResult] = {}
+    levels: list[ModelResult] = []
+    for wanted in (Wanted(**entry) for entry in payload["wanted"]):
+        result = _result(wanted, scene, payload, block.answers)
+        if wanted.level == 0:
+            results[wanted.name] = result
+        if wanted.name == reference:
+            require_converged(wanted.name if wanted.level == 0 else f"{wanted.name} on the refined mesh", result)
+            levels.append(result)
+    if reference is not None and len(levels) > 1:
+        reference += REFINED
+        results[reference] = levels[-1]
+    metrics = compare(surface, results, scene.load_factors, reference)
+    write_case(
+        Path(payload["path"]),
+        CaseResult(
+            hash=payload["id"],
+            label=payload["label"],
+            swept=payload["swept"],
+            swept_units=payload["swept_units"],
+            resolved=payload["study"],
+            provenance=provenance(mesh),
+            points=mesh.surface_points,
+            triangles=mesh.triangles,
+            load_factors=scene.load_factors,
+            regions=scene.regions,
+            models=results,
+            metrics=metrics,
+            reference=reference,
+            reference_error=_reference_error(surface, scene, levels, metrics.get(study.study.reference or "", {})),
+            small_strain=_small_strain(payload),
+            mesh_quality={
+                **mesh.quality,
+                "tetrahedra": len(mesh.tetrahedra),
+                "surface_nodes": len(mesh.surface_nodes),
+            },
+        ),
+    )
+
+
+def _result(wanted: Wanted, scene: Scene, payload: Payload, known: dict[str, ModelResult]) -> ModelResult:
+    """A model's result in a case. Raises OSError where an answer is gone that was there."""
+    for key in wanted.answers:
+        if key not in known:
+            path = answer_path(Path(payload["cache"]), key)
+            answer = read_answer(path, payload["run"])
+            if answer is None:
+                raise FileNotFoundError(2, "an answer is gone, or damaged; run again", str(path))
+            known[key] = answer
+    answers = [known[key] for key in wanted.answers]
+    if not wanted.scales:
+        return answers[0]
+    volumetric = find(wanted.name)[0].volumetric
+    datum = 0.0 if volumetric else scene.environment_pressure
+    return combined(answers, wanted.scales, scene.mesh, datum)
+
+
+def _small_strain(payload: Payload) -> SmallStrainLimits | None:
+    if payload["limits"] is None:
+        return None
+    return read_limits(limits_path(Path(payload["cache"]), payload["limits"]))
+
+
+def compare(
+    surface: Surface, results: Mapping[str, ModelResult], load_factors: Array, reference: str | None
+) -> dict[str, dict[str, MetricSeries]]:
+    """Every metric of every model; the reference itself gets those that need no comparison."""
+    histories = {
+        name: History(result.displacement, result.reaction_force, load_factors, volume=result.volume)
+        for name, result in results.items()
+    }
+    return {
+        name: {
+            metric: MetricSeries(
+                values, METRICS[metric].unit, METRICS[metric].definition, METRICS[metric].version
+            )
+            for metric, values in series.items()
+        }
+        for name, series in evaluate_all(surface, histories, reference).items()
+    }
+
+
+def _reference_error(
+    surface: Surface, scene: Scene, levels: list[ModelResult], coarsest: Mapping[str, MetricSeries]
+) -> dict[str, float]:
+    """The reference's own error from its levels, coarse first; `coarsest` are the metrics of the first."""
+    if len(levels) < 2:
+        return {}
+    is_pair = len(levels) == 2 and len(scene.load_factors) == 1  # compared already
+    found = {name: series.values for name, series in coarsest.items()} if is_pair and coarsest else None
+    return own_error(surface, levels[::-1], scene.load_factors, found)
+
+
+# --- one piece of work ---
+
+
+def _attempt(name: str, work: Callable[[], object]) -> Said:
+    """What became of a piece of work; an error is told, never raised."""
+    start = time.perf_counter()
+    code, message, remedy = _outcome(work)
+    if OUT_OF_MEMORY.search(message):
+        message, remedy = "out of memory", MORE_MEMORY
+    return Said(name, code, time.perf_counter() - start, message, remedy)
+
+
+def _outcome(work: Callable[[], object]) -> tuple[str, str, str]:
+    try:
+        work()
+    except MemoryError:
+        return "error", "out of memory", MORE_MEMORY
+    except OSError as error:
+        return "error", f"{error}", "check free space and permissions"
+    except InputError as error:
+        return "input", f"{error}", ""
+    except ValueError as error:
+        traceback.print_exc()
+        return "error", f"{error}", getattr(error, "remedy", "")
+    except Exception as error:  # noqa: BLE001  a worker must answer, whatever happens in it
+        traceback.print_exc()
+        remedy = "this is a bug: please report it with the log in the failed/ folder"
+        return "error", f"{type(error).__name__}: {error}", remedy
+    return "done", "", ""
+
+
+@contextlib.contextmanager
+def _output_to(log: Path) -> Iterator[None]:
+    """What the work prints, C libraries included, goes to a file, for the run to read where the work fails."""
+    descriptor = os.open(log, os.O_WRONLY | os.O_CREAT | os.O_TRUNC | os.O_APPEND, 0o666)
+    kept = [os.dup(number) for number in (1, 2)]
+    try:
+        for number in (1, 2):
+            os.dup2(descriptor, number)
+        yield
+    finally:
+        with contextlib.suppress(OSError, ValueError):
+            sys.stdout.flush()
+            sys.stderr.flush()
+        for number, old in zip((1, 2), kept, strict=True):
+            os.dup2(old, number)
+            os.close(old)
+        os.close(descriptor)

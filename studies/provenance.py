@@ -1,0 +1,73 @@
+"""Where a case comes from: packages, platform, source, mesh, time."""
+
+from __future__ import annotations
+
+import platform
+import subprocess
+from datetime import UTC, datetime
+from functools import cache
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+
+from .meshing.mesh import Mesh
+
+PACKAGES = (
+    "vdmbench",
+    "numpy",
+    "scipy",
+    "scikit-fem",
+    "gmsh",
+    "meshio",
+    "pyvista",
+    "h5py",
+    "rslab",
+    "cholespy",
+    "pyamg",
+)
+
+
+def provenance(mesh: Mesh) -> dict[str, str]:
+    """Where a case comes from: packages, platform, mesh, time."""
+    return {
+        **_machine(),
+        "mesh_hash": mesh.content_hash,
+        "date": datetime.now(UTC).isoformat(timespec="seconds"),
+    }
+
+
+@cache
+def _machine() -> dict[str, str]:
+    return {
+        **{f"package.{name}": _version(name) for name in PACKAGES},
+        "commit": _commit(),
+        "python": platform.python_version(),
+        "platform": platform.platform(),
+        "processor": _processor(),
+    }
+
+
+def _version(package: str) -> str:
+    try:
+        return version(package)
+    except PackageNotFoundError:  # one that can be done without
+        return "not installed"
+
+
+def _commit() -> str:
+    """Of the source tree that the program runs from, "-dirty" where it was changed since."""
+    root = Path(__file__).parents[1]
+    if not (root / ".git").exists():
+        return "not a source tree"
+    try:
+        asked = ["git", "-C", str(root), "describe", "--always", "--abbrev=40", "--dirty", "--exclude=*"]
+        return subprocess.run(asked, capture_output=True, text=True, check=True, timeout=10).stdout.strip()
+    except (OSError, subprocess.SubprocessError):  # no git, or one that does not trust whose tree it is
+        return "unknown"
+
+
+def _processor() -> str:
+    try:
+        lines = Path("/proc/cpuinfo").read_text().splitlines()
+    except OSError:
+        return platform.processor()
+    return next((line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")), "unknown")
