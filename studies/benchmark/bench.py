@@ -23,18 +23,17 @@ from threadpoolctl import threadpool_info
 
 from .. import models
 from ..case import ModelResult
-from ..execute import TaskError
 from ..growth import growths
 from ..meshing.mesh import Array, InputError
 from ..meshing.mesh_cache import mesh_from_cache
 from ..metrics import DEFORMATION, VECTOR, History, evaluate
-from ..reference import own_error, refined_levels, require_converged
+from ..meshing.refine import refined
+from ..reference import FailedReferenceError, level_scene, own_error, require_converged, restricted
 from ..scene import Scene, build_scene
-from ..setups import sharing
 from ..study_file.config import expand, geometry_of, with_mesh_size
 from ..study_file.schema import Study
 from ..surface_measures import Surface
-from ..worker import provenance
+from ..provenance import provenance
 from .bench_data import LEAST_SIZES, YARDSTICK, Bench, Entry, Growth
 from .contact import Problem, contact_frame
 from .timing import LONG, SAMPLES, calls_of_a_sample, median_of_samples, median_seconds
@@ -115,7 +114,7 @@ def measure(
     Raises
     ------
     ValueError
-        InputError or TaskError of a study whose mesh or reference cannot be made.
+        InputError or FailedReferenceError of a study whose mesh or reference cannot be made.
     """
     entries: list[Entry] = []
     about: dict[str, str] = {}
@@ -138,7 +137,7 @@ def measure(
                 break
             try:
                 found += measured(body, study, f", mesh {k} of {len(bodies) * len(sizes)}")
-            except (InputError, TaskError) as error:  # of a size that the study's author never wrote
+            except (InputError, FailedReferenceError) as error:  # of a size that the study's author never wrote
                 left_out.append(f"{body} at {size:g} times its mesh_size: {error}")
                 watch(f"left out {left_out[-1]}")
         entries += found or measured(body, case)
@@ -181,19 +180,23 @@ def _finer_growths(
 
 def _costs(scene: Scene, name: str, rounds: int) -> tuple[float, float, float]:
     """Medians of set-up [s], frame [s] and memory [B] over rounds, as many of them as half of `BUDGET` allows."""
-    scenes = [scene]
-    if models.solves_together(name):  # for one load alone they may iterate; frames are answered by a factor
+    loads = [scene.load(1.0)]
+    if models.superposes(name) and models.find(name)[0].volumetric:
+        # for one load alone they may iterate; frames are answered by a factor
         amounts = np.random.default_rng(0).random((LOADS, *scene.facet_pressure.shape))
-        scenes += [dataclasses.replace(scene, facet_pressure=scene.facet_pressure * part) for part in amounts]
+        loads += [
+            dataclasses.replace(scene, facet_pressure=scene.facet_pressure * part).load(1.0)
+            for part in amounts
+        ]
     measured: list[tuple[float, float, float]] = []
     start = time.perf_counter()
     for _ in range(rounds):
         if measured and time.perf_counter() - start > 0.5 * BUDGET:
             break
         gc.collect()
-        with sharing():
-            result = models.run_together(scenes, name)[0]
-            frame = float(result.seconds_per_step[0]) if scenes[1:] else _frame(scene, name, result)
+        prepared = models.Prepared(scene, name, len(loads))
+        result = prepared.answer(loads)
+        frame = float(result.seconds_per_step[0]) if loads[1:] else _frame(scene, prepared, result)
         measured.append((result.seconds_setup, frame, float(result.peak_bytes)))
     setup, frame, peak = np.median(measured, axis=0).tolist()
     return setup, frame, peak
@@ -217,10 +220,11 @@ def _on_mesh(body: str, study: Study, scene: Scene, names: Sequence[str], rounds
     """Every model on one mesh, each against linear elements on its refinement."""
     contact = dataclasses.replace(scene, load_factors=FRAMES, condition=False)
     surface = Surface(scene.mesh.surface_points, scene.mesh.triangles, scene.contact)
-    with sharing():
-        own = models.run_model(contact, YARDSTICK)
-        require_converged(YARDSTICK, own)
-        finest = refined_levels([_with_history(study)], [contact], YARDSTICK, [2])[0][0]
+    own = models.run_model(contact, YARDSTICK)
+    require_converged(YARDSTICK, own)
+    finer = refined(scene.mesh, 1)
+    finest = restricted(models.run_model(level_scene(_with_history(study), finer), YARDSTICK), finer)
+    require_converged(f"{YARDSTICK} on the refined mesh", finest)
     bars = own_error(surface, [finest, own], FRAMES)
     reference = History(finest.displacement, finest.reaction_force, FRAMES)
     everywhere = dataclasses.replace(contact, facet_pressure=_pressure_everywhere(scene))
@@ -260,21 +264,24 @@ def _pressure_everywhere(scene: Scene) -> Array:
 def _once(contact: Scene, everywhere: Scene, name: str, tally: _Tally) -> None:
     """One round of one model: a new set-up, both loads, and the short way for a contact where there is one."""
     gc.collect()
-    with sharing():
-        result = models.run_model(contact, name)
-        tally.setup.append(result.seconds_setup)
-        tally.peak.append(float(result.peak_bytes))
-        direct, everything = _frame(contact, name, result), np.nan
-        if name != "fem-condensed" or len(contact.fixed) <= MOST_CONDENSED:
-            everything = _frame(everywhere, name, models.run_model(everywhere, name))
-        columns, product = np.nan, np.inf
-        problem = models.pressure_problem(contact, name) if result.status[0].ok else None
-        if problem is not None:
-            columns, product = _by_columns(problem, contact)
-        tally.frame_local.append(min(direct, product))
-        tally.frame_all.append(everything)
-        tally.columns.append(columns if product < direct else np.nan)
-        tally.recut.append(result.seconds_setup + direct)
+    prepared = models.Prepared(contact, name, len(contact.load_factors))
+    result = prepared.answer(contact.loads)
+    tally.setup.append(result.seconds_setup)
+    tally.peak.append(float(result.peak_bytes))
+    direct, everything = _frame(contact, prepared, result), np.nan
+    if name != "fem-condensed":
+        everything = _frame(everywhere, prepared, prepared.answer(everywhere.loads))
+    elif len(contact.fixed) <= MOST_CONDENSED:  # to another contact it is condensed anew
+        other = models.Prepared(everywhere, name, len(everywhere.load_factors))
+        everything = _frame(everywhere, other, other.answer(everywhere.loads))
+    columns, product = np.nan, np.inf
+    problem = prepared.set_up.problem if prepared.set_up is not None else None
+    if problem is not None and result.status[0].ok and models.superposes(name):
+        columns, product = _by_columns(problem, contact)
+    tally.frame_local.append(min(direct, product))
+    tally.frame_all.append(everything)
+    tally.columns.append(columns if product < direct else np.nan)
+    tally.recut.append(result.seconds_setup + direct)
     tally.result = result
 
 
@@ -288,14 +295,14 @@ def _by_columns(problem: Problem, contact: Scene) -> tuple[float, float]:
     return time.perf_counter() - start, median_seconds(frame)
 
 
-def _frame(scene: Scene, name: str, result: ModelResult) -> float:
+def _frame(scene: Scene, prepared: models.Prepared, result: ModelResult) -> float:
     """Median seconds of a load step, solved again and again where one is short."""
     once = float(result.seconds_per_step.min())  # the least: one that had to wait tells nothing of the others
     if not once < LONG:  # NaN of a model that could not be set up, too
         return float(np.median(result.seconds_per_step))
-    model, solver = models.find(name)
-    calls = math.ceil(SAMPLES * calls_of_a_sample(once) / len(scene.load_factors))
-    steps = [model.solve(scene, solver, name).seconds_per_step for _ in range(calls)]
+    loads = scene.loads
+    calls = math.ceil(SAMPLES * calls_of_a_sample(once) / len(loads))
+    steps = [prepared.answer(loads).seconds_per_step for _ in range(calls)]
     return median_of_samples(np.concatenate(steps))
 
 

@@ -6,7 +6,6 @@ import dataclasses
 import fcntl
 import json
 import os
-import resource
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, ExitStack, contextmanager, suppress
@@ -82,25 +81,20 @@ def run_plan(
         planned = summary(plan, options.jobs)
         write_atomically(plan.directory / "plan.json", json.dumps(planned, indent=1).encode())
         began = time.perf_counter()
+        used = 0.0
         if cases:
             with _places(plan, options) as places:
-                _run_missing(plan, cases, options, watch, places)
+                used = _run_missing(plan, cases, options, watch, places)
         _tidy(plan)  # a worker may have been killed
         run, report = rebuild(plan.directory)
         if cases and options.scheduler is None and options.shard == (1, 1):
             planned["taken"] = {
                 "seconds": time.perf_counter() - began,
-                "processor_seconds": _processor_seconds(),
+                "processor_seconds": used,
                 "jobs": options.jobs,
             }
             write_atomically(plan.directory / "plan.json", json.dumps(planned, indent=1).encode())
         return dataclasses.replace(run, plan=planned), report
-
-
-def _processor_seconds() -> float:
-    """Of this process and of those of its workers that have ended."""
-    used = (resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))
-    return sum(each.ru_utime + each.ru_stime for each in used)
 
 
 def rebuild(directory: Path) -> tuple[Run, Path]:
@@ -160,7 +154,8 @@ def _run_missing(
     options: Options,
     watch: Callable[[Event], None],
     places: Places,
-) -> None:
+) -> float:
+    """Do the nodes; returns the seconds of processor that they took."""
     if options.scheduler is not None:  # whose workers run elsewhere
         plan = dataclasses.replace(plan, directory=plan.directory.absolute(), cache=plan.cache.absolute())
     logs = plan.directory / "failed"
@@ -173,7 +168,9 @@ def _run_missing(
         fail_fast=options.fail_fast,
         started=lambda node: watch(Event("started", node.label)),
     )
+    used = 0.0
     for outcome in outcomes:
+        used += outcome.said.processor
         watch(
             Event(
                 "done" if outcome.ok else "failed",
@@ -188,6 +185,7 @@ def _run_missing(
             failure_path(plan.directory, outcome.id).unlink(missing_ok=True)
         else:
             _keep_failure(plan, outcome)
+    return used
 
 
 def count_of_events(plan: Plan, shard: tuple[int, int] = (1, 1)) -> int:

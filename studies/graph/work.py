@@ -53,6 +53,7 @@ class Said:
     message: str = ""
     remedy: str = ""
     log: str = ""
+    processor: float = 0.0  # seconds of all threads
 
 
 def run_node(text: str) -> str:
@@ -278,11 +279,12 @@ def _reference_error(
 
 def _attempt(name: str, work: Callable[[], object]) -> Said:
     """What became of a piece of work; an error is told, never raised."""
-    start = time.perf_counter()
+    start, used = time.perf_counter(), time.process_time()
     code, message, remedy = _outcome(work)
     if OUT_OF_MEMORY.search(message):
         message, remedy = "out of memory", MORE_MEMORY
-    return Said(name, code, time.perf_counter() - start, message, remedy)
+    seconds, processor = time.perf_counter() - start, time.process_time() - used
+    return Said(name, code, seconds, message, remedy, processor=processor)
 
 
 def _outcome(work: Callable[[], object]) -> tuple[str, str, str]:
