@@ -165,16 +165,32 @@ def anonymous_constraints(study: Study) -> list[dict[str, Any]]:
 
 
 def unit_loads(study: Study) -> list[tuple[str, float]]:
-    """What acts at load factor 1, the weight apart: how much of which load of size 1."""
-    out: list[tuple[str, float]] = []
-    for constraint in anonymous_constraints(study):
-        described: dict[str, Any] = {k: v for k, v in constraint.items() if k in ("region", "profile")}
-        if constraint["kind"] == "contact":
+    """What acts at load factor 1, the weight apart: how much of which load of size 1.
+
+    Raises
+    ------
+    ValueError
+        a kind of constraint whose loads nobody has described: results kept under its key would serve others.
+    """
+    return [load for constraint in anonymous_constraints(study) for load in _unit_loads(constraint)]
+
+
+def _unit_loads(constraint: Mapping[str, Any]) -> list[tuple[str, float]]:
+    sizes = ("force", "pressure", "displacement")
+    described = {k: v for k, v in constraint.items() if k != "kind" and k not in sizes}
+    match constraint["kind"]:
+        case "fixed":
+            return []
+        case "contact":
             size = "force" if constraint.get("force") is not None else "pressure"
-            out.append((f"{size} {described}", float(constraint.get(size) or 0.0)))
-        elif constraint["kind"] == "constrained":
-            out += [(f"{axis} {described}", float(v)) for axis, v in enumerate(constraint["displacement"])]
-    return out
+            return [(f"{size} {described}", float(constraint.get(size) or 0.0))]
+        case "constrained":
+            return [(f"{axis} {described}", float(v)) for axis, v in enumerate(constraint["displacement"])]
+        case kind:
+            raise ValueError(
+                f"a constraint of kind {kind!r} has no unit loads, so its results cannot be told from others'; "
+                "describe them in studies.keys.unit_loads"
+            )
 
 
 def loads_of(study: Study) -> dict[str, float]:
