@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,28 +12,34 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class InflatedThickSphere:
-    """Incompressible neo-Hookean hollow sphere under inner pressure (Ogden 1984, Non-Linear Elastic Deformations).
+    """Incompressible Mooney-Rivlin hollow sphere under inner pressure (Ogden 1984, section 5.3.2).
 
     A point at radius r0 moves to r with r^3 = r0^3 + a^3 (l_a^3 - 1); l = r / r0 is its hoop stretch. The pressure
-    on the deformed inner surface is P = (G/2) [4/l_b + l_b^-4 - 4/l_a - l_a^-4].
+    on the deformed inner surface is
+    P = c1 [4/l_b + l_b^-4 - 4/l_a - l_a^-4] + c2 [4 l_a - 2/l_a^2 - 4 l_b + 2/l_b^2].
 
     Attributes
     ----------
     inner_radius, outer_radius : a and b of the undeformed sphere [m]
-    shear_modulus : G [Pa]
+    shear_modulus : G = 2 (c1 + c2) [Pa]
     inner_stretch : l_a, the hoop stretch at the inner surface
+    second_share : c2 / (c1 + c2), zero for the neo-Hookean body
     """
 
     inner_radius: float
     outer_radius: float
     shear_modulus: float
     inner_stretch: float
+    second_share: float = 0.0
 
     @property
     def pressure(self) -> float:
         """P [Pa]."""
         l_a, l_b = self.inner_stretch, float(self.stretch(self.outer_radius))
-        return 0.5 * self.shear_modulus * (4.0 / l_b + l_b**-4 - 4.0 / l_a - l_a**-4)
+        first = 4.0 / l_b + l_b**-4 - 4.0 / l_a - l_a**-4
+        second = 4.0 * l_a - 2.0 * l_a**-2 - 4.0 * l_b + 2.0 * l_b**-2
+        share = self.second_share
+        return 0.5 * self.shear_modulus * ((1.0 - share) * first + share * second)
 
     @property
     def energy(self) -> float:
@@ -41,10 +47,7 @@ class InflatedThickSphere:
         # dW = P dV with V = 4/3 pi a^3 l_a^3; Gauss-Legendre is exact to rounding for so smooth an integrand.
         nodes, weights = np.polynomial.legendre.leggauss(40)
         stretches = 1.0 + 0.5 * (self.inner_stretch - 1.0) * (nodes + 1.0)
-        pressures = [
-            InflatedThickSphere(self.inner_radius, self.outer_radius, self.shear_modulus, s).pressure
-            for s in stretches.tolist()
-        ]
+        pressures = [replace(self, inner_stretch=s).pressure for s in stretches.tolist()]
         integral = 0.5 * (self.inner_stretch - 1.0) * np.sum(weights * pressures * stretches**2)
         return float(4.0 * np.pi * self.inner_radius**3 * integral)
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -53,9 +53,10 @@ class FiniteStrainProblem:
     poisson_ratio : of the isotropic part, in (-1, 0.5]
     density : of the undeformed body [kg/m^3]
     held : (N,) surface nodes whose displacement is given, or (N, 3) single components of them (rollers)
-    material : "neo-hookean" or "transversely-isotropic"
+    material : one of `fem_reference.materials.MATERIALS`
     fibre_direction : (3,) of any length, for the transversely isotropic law
     contrast : Young's modulus along the fibres over `youngs_modulus`, 1 or more
+    material_parameters : those of the law without a unit, see `fem_reference.materials.make_law`
     pressure : "follower" acts on the deformed surface along its normal; "dead" keeps its first forces
     solver : "auto" chooses by size, `expected_loads` and memory; "direct" or "iterative" insist
     expected_loads : number of load steps to come, for the choice
@@ -83,6 +84,7 @@ class FiniteStrainProblem:
         material: str = "neo-hookean",
         fibre_direction: ArrayLike | None = None,
         contrast: float = 1.0,
+        material_parameters: Mapping[str, ArrayLike] | None = None,
         pressure: str = "follower",
         solver: str = "auto",
         expected_loads: int = 1,
@@ -105,7 +107,9 @@ class FiniteStrainProblem:
         self.material = material
         self.pressure = pressure
         # In units of the shear modulus, as everything below.
-        self._law = make_law(material, 2.0 * (1.0 + self.poisson_ratio), 1.0, fibre_direction, contrast)
+        self._law = make_law(
+            material, 2.0 * (1.0 + self.poisson_ratio), 1.0, fibre_direction, contrast, material_parameters
+        )
         self._contrast = float(contrast)
         self.mesh = TetMesh(points, tetrahedra, surface_nodes, triangles, order=2)
         self.held = held_nodes(self.mesh, np.asarray(held))

@@ -1,7 +1,7 @@
 """Residual and tangent of the mixed finite-strain element, total Lagrangian, from numpy products.
 
 Everything is scaled as in `fem_reference.system`: lengths in mean edges, stresses in shear moduli, and the pressure
-p = a q. With the tangent's factors (`fem_reference.materials.Tangent`) an element matrix is a sum of products of
+p = a q. With the tangent's factors (`fem_reference.kinematics.Tangent`) an element matrix is a sum of products of
 short vectors over the quadrature points, done for many elements at a time.
 """
 
@@ -16,7 +16,7 @@ from skfem.quadrature import get_quadrature
 from skfem.refdom import RefTet
 
 from fem_reference.assembly import Pattern, reference_gradients
-from fem_reference.materials import Kinematics, Law
+from fem_reference.kinematics import PAIRS, Kinematics, Law
 from fem_reference.mesh import TetMesh
 
 Array = NDArray[np.float64]
@@ -167,6 +167,11 @@ class ElementAssembly:
             stretched = k.deformation_gradient @ fibre
             along = stretched[..., None] * (fibre @ gradients)[:, :, None]
             out += _gram(along.reshape(count, points, -1), weights * tangent.along).reshape(shape)
+        if tangent.elasticity is not None:
+            strains = _strains(k.deformation_gradient, gradients)
+            weighted = (weights[..., None, None] * tangent.elasticity) @ strains
+            flat = (count, -1, 3 * width)
+            out += (np.swapaxes(strains.reshape(flat), 1, 2) @ weighted.reshape(flat)).reshape(shape)
         weighted = (tangent.metric @ gradients) * weights[..., None, None]
         flat = (count, -1, width)
         scalar = np.swapaxes(weighted.reshape(flat), 1, 2) @ gradients.reshape(flat)
@@ -194,6 +199,17 @@ class ElementAssembly:
     def _parts(self) -> Iterator[slice]:
         count = len(self._weights)
         return (slice(start, min(start + _CHUNK, count)) for start in range(0, count, _CHUNK))
+
+
+def _strains(deformation: Array, gradients: Array) -> Array:
+    """(e, q, 6, 3 n) derivatives of the Green-Lagrange strain, shears doubled, from (e, q, 3, n) gradients."""
+    first, second = PAIRS
+    rows = np.swapaxes(deformation, 2, 3)
+    out = rows[:, :, first, :, None] * gradients[:, :, second, None, :]
+    shear = first != second
+    swapped = rows[:, :, second[shear], :, None] * gradients[:, :, first[shear], None, :]
+    out[:, :, shear] += swapped
+    return np.asarray(out.reshape(*out.shape[:3], -1))
 
 
 def _gram(vectors: Array, weights: Array) -> Array:

@@ -12,112 +12,36 @@ because F - I and J - 1 by subtraction would lose the digits of small strains.
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from functools import cached_property
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from fem_reference.hyperelastic import FungDemiray, MooneyRivlin, Ogden, Yeoh
+from fem_reference.kinematics import Kinematics, Law, Tangent, less_logarithm
 from fem_reference.solution import SolverError, Status
 
 Array = NDArray[np.float64]
 
-MATERIALS = ("neo-hookean", "transversely-isotropic")
-# Below this |x| the series of x - log(1 + x) is exact to rounding, above it the difference is.
-_SERIES = 1e-3
-
-
-@dataclass(frozen=True)
-class Kinematics:
-    """A deformation at many points, from its displacement gradient.
-
-    Attributes
-    ----------
-    gradient : (..., 3, 3) H = du_i/dX_J
-    """
-
-    gradient: Array
-
-    @cached_property
-    def deformation_gradient(self) -> Array:
-        """(..., 3, 3) F."""
-        return self.gradient + np.eye(3)
-
-    @cached_property
-    def doubled_strain(self) -> Array:
-        """(..., 3, 3) C - I, twice the Green-Lagrange strain, without cancellation."""
-        h = self.gradient
-        transposed = np.swapaxes(h, -1, -2)
-        return h + transposed + transposed @ h
-
-    @cached_property
-    def minors(self) -> Array:
-        """(...,) second invariant of H plus det H: J - 1 less tr H."""
-        h = self.gradient
-        second = (
-            h[..., 0, 0] * h[..., 1, 1]
-            - h[..., 0, 1] * h[..., 1, 0]
-            + h[..., 1, 1] * h[..., 2, 2]
-            - h[..., 1, 2] * h[..., 2, 1]
-            + h[..., 0, 0] * h[..., 2, 2]
-            - h[..., 0, 2] * h[..., 2, 0]
-        )
-        return second + _determinant(h)
-
-    @cached_property
-    def dilation(self) -> Array:
-        """(...,) J - 1 without cancellation."""
-        return self.gradient[..., 0, 0] + self.gradient[..., 1, 1] + self.gradient[..., 2, 2] + self.minors
-
-    @cached_property
-    def inverse(self) -> Array:
-        """(..., 3, 3) F^-1."""
-        return _adjugate(self.deformation_gradient) / (1.0 + self.dilation)[..., None, None]
-
-
-@dataclass(frozen=True)
-class Tangent:
-    """dP/dF in factors, from which element matrices are products of short vectors.
-
-    A_iJkL = d_ik metric_JL + crossed F^-1_Jk F^-1_Li + sum over (c, D) in dyads of c D_iJ D_kL
-
-    Attributes
-    ----------
-    metric : (3, 3) or (..., 3, 3), symmetric
-    crossed : (...,)
-    dilational : (...,) coefficient of the dyad with D = F^-T
-    along : (...,) coefficient of the dyad with D = (F a) x a, or None for a law without fibres
-    """
-
-    metric: Array
-    crossed: Array
-    dilational: Array
-    along: Array | None = None
-
-
-class Law(Protocol):
-    """What the element needs of a material; stresses are in the unit of the law's moduli.
-
-    `fibre` is the unit vector a of the fibres, None where there are none.
-    """
-
-    @property
-    def fibre(self) -> Array | None:
-        """(3,) fibre direction in the undeformed body."""
-        ...
-
-    def energy(self, k: Kinematics) -> Array:
-        """(...,) W."""
-        ...
-
-    def stress(self, k: Kinematics, pressure: Array) -> Array:
-        """(..., 3, 3) first Piola-Kirchhoff stress d(W - p (J - 1))/dF for (...,) pressures."""
-        ...
-
-    def tangent(self, k: Kinematics, pressure: Array) -> Tangent:
-        """Derivative of the stress with respect to F at fixed pressure; that with respect to p is -J F^-T."""
-        ...
+# Each material with its parameters: numbers without a unit, in sums that are one where the moduli add up to G.
+PARAMETERS: dict[str, tuple[str, ...]] = {
+    "neo-hookean": (),
+    "transversely-isotropic": (),
+    "mooney-rivlin": ("second_share",),
+    "yeoh": ("second_ratio", "third_ratio"),
+    "fung-demiray": ("exponent",),
+    "ogden": ("exponents", "shares"),
+}
+MATERIALS = tuple(PARAMETERS)
+_RANGES: dict[str, tuple[Callable[[Array], bool], str]] = {
+    "second_share": (lambda v: bool(0.0 <= v <= 1.0), "a number from 0 to 1"),
+    "second_ratio": (lambda v: bool(v >= 0.0), "a number that is not negative"),
+    "third_ratio": (lambda v: bool(v >= 0.0), "a number that is not negative"),
+    "exponent": (lambda v: bool(v > 0.0), "a positive number"),
+    "exponents": (lambda v: bool(v.all()), "numbers other than zero"),
+    "shares": (lambda v: bool((v > 0.0).all() and abs(v.sum() - 1.0) < 1e-9), "positive numbers, sum 1"),
+}
 
 
 @dataclass(frozen=True)
@@ -144,7 +68,7 @@ class NeoHookean:
         """(...,) W; see `Law`."""
         # (I1 - 3)/2 - ln J = |H|^2/2 - (J - 1 - tr H) + (J - 1 - ln J): each term of second order.
         squares = np.einsum("...ij,...ij->...", k.gradient, k.gradient)
-        return self.shear_modulus * (0.5 * squares - k.minors + _less_logarithm(k.dilation))
+        return self.shear_modulus * (0.5 * squares - k.minors + less_logarithm(k.dilation))
 
     def stress(self, k: Kinematics, pressure: Array) -> Array:
         """(..., 3, 3) P; see `Law`."""
@@ -216,8 +140,9 @@ def make_law(
     shear_modulus: float,
     fibre_direction: ArrayLike | None,
     contrast: float,
+    parameters: Mapping[str, ArrayLike] | None = None,
 ) -> Law:
-    """The law by name.
+    """The law by name, with the given moduli at small strain.
 
     Parameters
     ----------
@@ -225,19 +150,41 @@ def make_law(
     youngs_modulus, shear_modulus : of the isotropic part [Pa]
     fibre_direction : (3,), any length; for the transversely isotropic law only
     contrast : Young's modulus along the fibres over that of the isotropic part, 1 or more
+    parameters : those in `PARAMETERS`. Mooney-Rivlin: second_share = c2/(c1 + c2), in [0, 1]. Yeoh: second_ratio =
+        c2/c1 and third_ratio = c3/c1, not negative. Fung-Demiray: exponent b, positive. Ogden: exponents a_p, none
+        zero, and the shares m_p a_p / (2 G), positive, sum 1
 
     Raises
     ------
     SolverError
-        For an unknown name, a direction of no length, or a contrast below one.
+        For an unknown name, parameters that are not the law's or out of range, a direction of no length, or a
+        contrast below one.
     """
     if material not in MATERIALS:
         raise _bad_material(f"material {material!r} is unknown", f"use one of {', '.join(MATERIALS)}")
-    matrix = NeoHookean(shear_modulus)
-    if material == "neo-hookean":
-        if fibre_direction is not None or contrast != 1.0:
-            raise _bad_material("a neo-Hookean body has no fibres", 'use material="transversely-isotropic"')
-        return matrix
+    values = _checked_parameters(material, parameters or {})
+    if material == "transversely-isotropic":
+        return _with_fibres(NeoHookean(shear_modulus), youngs_modulus, fibre_direction, contrast)
+    if fibre_direction is not None or contrast != 1.0:
+        raise _bad_material(f"a {material} body has no fibres", 'use material="transversely-isotropic"')
+    if material == "mooney-rivlin":
+        share = values["second_share"].item()
+        return MooneyRivlin(0.5 * shear_modulus * (1.0 - share), 0.5 * shear_modulus * share)
+    if material == "yeoh":
+        c1, second, third = 0.5 * shear_modulus, values["second_ratio"].item(), values["third_ratio"].item()
+        return Yeoh(c1, c1 * second, c1 * third)
+    if material == "fung-demiray":
+        return FungDemiray(shear_modulus, values["exponent"].item())
+    if material == "ogden":
+        exponents = values["exponents"]
+        moduli = 2.0 * shear_modulus * values["shares"] / exponents
+        return Ogden(tuple(moduli.tolist()), tuple(exponents.tolist()))
+    return NeoHookean(shear_modulus)
+
+
+def _with_fibres(
+    matrix: NeoHookean, youngs_modulus: float, fibre_direction: ArrayLike | None, contrast: float
+) -> TransverselyIsotropic:
     if fibre_direction is None:
         raise _bad_material("there is no fibre_direction", "give the direction of the fibres")
     direction = np.asarray(fibre_direction, dtype=np.float64)
@@ -252,30 +199,30 @@ def make_law(
     return TransverselyIsotropic(matrix, (contrast - 1.0) * youngs_modulus, (x, y, z))
 
 
-def _less_logarithm(x: Array) -> Array:
-    """X - log(1 + x), by its series where the difference would lose digits."""
-    small = np.abs(x) < _SERIES
-    near = np.where(small, x, 0.0)
-    series = near**2 * (1 / 2 - near * (1 / 3 - near * (1 / 4 - near * (1 / 5 - near * (1 / 6 - near / 7)))))
-    return np.where(small, series, x - np.log1p(np.where(small, 0.0, x)))
-
-
-def _determinant(a: Array) -> Array:
-    return np.asarray(
-        a[..., 0, 0] * (a[..., 1, 1] * a[..., 2, 2] - a[..., 1, 2] * a[..., 2, 1])
-        + a[..., 0, 1] * (a[..., 1, 2] * a[..., 2, 0] - a[..., 1, 0] * a[..., 2, 2])
-        + a[..., 0, 2] * (a[..., 1, 0] * a[..., 2, 1] - a[..., 1, 1] * a[..., 2, 0])
-    )
-
-
-def _adjugate(a: Array) -> Array:
-    out = np.empty_like(a)
-    for i in range(3):
-        for j in range(3):
-            r, s = (j + 1) % 3, (j + 2) % 3
-            u, v = (i + 1) % 3, (i + 2) % 3
-            out[..., i, j] = a[..., r, u] * a[..., s, v] - a[..., r, v] * a[..., s, u]
-    return out
+def _checked_parameters(material: str, given: Mapping[str, ArrayLike]) -> dict[str, Array]:
+    """The parameters as arrays, all of them and no others, each in its range."""
+    wanted = PARAMETERS[material]
+    unknown = sorted(set(given) - set(wanted))
+    if unknown:
+        remedy = f"give {' and '.join(wanted)}" if wanted else "leave it out"
+        raise _bad_material(f"a {material} body has no parameter {unknown[0]!r}", remedy)
+    absent = [name for name in wanted if name not in given]
+    if absent:
+        raise _bad_material(f"there is no {absent[0]} of a {material} body", f"give {' and '.join(wanted)}")
+    values = {name: np.asarray(given[name], dtype=np.float64) for name in wanted}
+    for name, value in values.items():
+        listed = name in ("exponents", "shares")
+        if value.ndim != (1 if listed else 0) or not value.size or not np.isfinite(value).all():
+            raise _bad_material(
+                f"{name} is {value.tolist()}", "give a list of numbers" if listed else "give one number"
+            )
+    for name, value in values.items():
+        fits, range_ = _RANGES[name]
+        if not fits(value):
+            raise _bad_material(f"{name} is {value.tolist()}", f"give {range_}")
+    if material == "ogden" and len(values["exponents"]) != len(values["shares"]):
+        raise _bad_material("exponents and shares are not equally many", "give one share for each exponent")
+    return values
 
 
 def _bad_material(message: str, remedy: str) -> SolverError:

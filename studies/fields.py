@@ -5,13 +5,14 @@ from __future__ import annotations
 import types
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from itertools import islice
 from typing import Any, Literal, NamedTuple, Union, get_args, get_origin
 
 from pydantic.fields import FieldInfo
 
 from .study_file.kinds import SI
 from .study_file.problems import Loc
-from .study_file.schema import Region, Study, Sweep, Table
+from .study_file.schema import MOST_NAMES, Region, Study, Sweep, Table
 from .study_file.units import DIMENSIONS
 
 _NEVER_SWEPT = {"study", "sweep", "limits", "calibration"}
@@ -130,7 +131,7 @@ def _targets(annotation: Any, si: SI | None, key: str, loc: Loc, value: Any) -> 
         for name, field in keys_of(annotation).items():
             yield from _targets(*_field_type(field), f"{key}.{name}", (*loc, name), inside.get(name))
     elif origin is dict or (origin is tuple and _is_table(get_args(annotation)[0])):
-        for name, place, item in _named(value):
+        for name, place, item in islice(_named(value), MOST_NAMES):  # more are refused
             inner = get_args(annotation)[1 if origin is dict else 0]
             yield from _targets(inner, None, f"{key}.{name}", (*loc, place), item)
     elif si is not None and isinstance(value, list | tuple):

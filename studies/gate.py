@@ -2,7 +2,7 @@
 
 A baseline holds, for each case, model and metric, the value at full load with a tolerance, and says why it was
 accepted. Only sizes are gated: an error or a drift that shrinks is better, one that grows is worse. Times, memory
-and descriptive metrics are not in it.
+and descriptive metrics (`studies.metrics.Sense`) are not in it.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from .case import CaseResult, MetricSeries, Run
 from .files import write_atomically
-from .metrics import METRICS, Metric, full_load_step
+from .metrics import METRICS, Metric, Sense, full_load_step
 from .study_file.kinds import safe_name
 from .study_file.problems import file_fault
 
@@ -31,8 +31,7 @@ MAX_BYTES = 50_000_000
 RELATIVE = 0.02  # of a value: another BLAS, another core count and another order of sums move it by far less
 # what counts as no change whatever the value, by unit: 0.1 percentage points, a micrometre
 ABSOLUTE = {"1": 1e-3, "m": 1e-6}
-DRIFT = 1e-9  # of the volume: drifts are judged by their own size, down to where they are rounding
-DESCRIPTIVE = ("mean_strain_x", "mean_strain_y", "mean_strain_z", "contact_work")  # neither good nor bad
+CONSERVED = 1e-9  # of what is conserved: a deviation is judged by its own size, down to where it is rounding
 ONLY_CASE = "the only case"  # what the case of a study without a sweep is called
 OWN = "own error: "  # before the name of a metric in which the reference's own error was measured
 
@@ -111,7 +110,7 @@ def _entries(case: CaseResult, model: str) -> Iterator[tuple[str, Entry]]:
     """The gated metrics of one model in one case."""
     step = full_load_step(case.load_factors)
     for name, series in case.metrics.get(model, {}).items():
-        if name not in DESCRIPTIVE:
+        if sense_of(name) != "descriptive":
             value = float(series.values[step])
             yield name, _entry(name, value, series.unit, series.version)
     if model == case.reference:
@@ -125,8 +124,13 @@ def _entries(case: CaseResult, model: str) -> Iterator[tuple[str, Entry]]:
                 yield OWN + name, _entry(name, float(value), kinds[name].unit, kinds[name].version)
 
 
+def sense_of(name: str) -> Sense:
+    """What a metric declares that its size tells; of one that this program no longer has, an error."""
+    return METRICS[name].sense if name in METRICS else "error"
+
+
 def _entry(name: str, value: float, unit: str, version: int) -> Entry:
-    absolute = DRIFT if "drift" in name else ABSOLUTE.get(unit, 0.0)
+    absolute = CONSERVED if sense_of(name) == "conserved" else ABSOLUTE.get(unit, 0.0)
     if not math.isfinite(value):
         return Entry(value=None, tolerance=absolute, unit=unit, version=version)
     tolerance = max(RELATIVE * abs(value), absolute)

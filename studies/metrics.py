@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, wraps
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +26,8 @@ from .surface_measures import (
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
+# an error; the deviation, of either sign, from a quantity that is conserved; neither good nor bad
+Sense = Literal["error", "conserved", "descriptive"]
 
 
 @dataclass(frozen=True)
@@ -50,7 +53,7 @@ class Metric:
     """A named measure; `version` changes whenever its numbers do.
 
     With every displacement and force of model and reference c > 0 times as large, the metric is c^`degree` times
-    as large; None where it is not that simple.
+    as large; None where it is not that simple. `studies.gate` judges it by its `sense`.
     """
 
     name: str
@@ -61,6 +64,7 @@ class Metric:
     degree: int | None
     needs_reference: bool
     needs_contact: bool
+    sense: Sense = "error"
 
 
 METRICS: dict[str, Metric] = {}
@@ -85,12 +89,13 @@ def _metric(
     relative: bool = False,
     needs_reference: bool = True,
     needs_contact: bool = False,
+    sense: Sense = "error",
 ) -> Callable[[Function], Function]:
     def register(function: Function) -> Function:
         name = function.__name__
         function = _not_at_rest(function) if relative or degree == 0 else function
         METRICS[name] = Metric(
-            name, unit, definition, version, function, degree, needs_reference, needs_contact
+            name, unit, definition, version, function, degree, needs_reference, needs_contact, sense
         )
         return function
 
@@ -283,7 +288,13 @@ def indentation_force_error(surface: Surface, model: History, reference: History
     )
 
 
-@_metric("1", "(V - V0)/V0 of the exact polyhedral volume", degree=None, needs_reference=False)
+@_metric(
+    "1",
+    "(V - V0)/V0 of the exact polyhedral volume",
+    degree=None,
+    needs_reference=False,
+    sense="conserved",
+)
 def volume_drift(surface: Surface, model: History) -> Array:
     volume = model.volume
     if volume is None:
@@ -298,6 +309,7 @@ def volume_drift(surface: Surface, model: History) -> Array:
     version=2,
     relative=True,
     needs_reference=False,
+    sense="conserved",
 )
 def volume_drift_of_displaced(surface: Surface, model: History) -> Array:
     displaced = 0.5 * np.abs(np.einsum("sij,ij->si", model.displacement, surface.volume_gradient)).sum(axis=1)
@@ -309,23 +321,28 @@ def _mean_strain(surface: Surface, model: History, axis: int) -> Array:
     return np.asarray(model.displacement[:, :, axis] @ surface.volume_gradient[:, axis] / surface.volume)
 
 
-@_metric("1", "mean of du_x/dx over the body's volume", degree=1, needs_reference=False)
+@_metric("1", "mean of du_x/dx over the body's volume", degree=1, needs_reference=False, sense="descriptive")
 def mean_strain_x(surface: Surface, model: History) -> Array:
     return _mean_strain(surface, model, 0)
 
 
-@_metric("1", "mean of du_y/dy over the body's volume", degree=1, needs_reference=False)
+@_metric("1", "mean of du_y/dy over the body's volume", degree=1, needs_reference=False, sense="descriptive")
 def mean_strain_y(surface: Surface, model: History) -> Array:
     return _mean_strain(surface, model, 1)
 
 
-@_metric("1", "mean of du_z/dz over the body's volume", degree=1, needs_reference=False)
+@_metric("1", "mean of du_z/dz over the body's volume", degree=1, needs_reference=False, sense="descriptive")
 def mean_strain_z(surface: Surface, model: History) -> Array:
     return _mean_strain(surface, model, 2)
 
 
 @_metric(
-    "J", "work of the contact forces on the displacement", degree=2, needs_reference=False, needs_contact=True
+    "J",
+    "work of the contact forces on the displacement",
+    degree=2,
+    needs_reference=False,
+    needs_contact=True,
+    sense="descriptive",
 )
 def contact_work(surface: Surface, model: History) -> Array:
     if not len(surface.contact_force):

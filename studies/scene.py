@@ -156,8 +156,10 @@ def build_scene(study: Study, mesh: Mesh, masks: Mapping[str, Mask] | None = Non
                 )
             constrained |= mask
             prescribed[mask] = constraint.displacement
-        else:
+        elif constraint.kind == "contact":
             pressure += _contact_pressure(constraint, study, mesh, mask)
+        else:
+            raise SceneError(f"constraint {constraint.name!r} is of an unknown kind, {constraint.kind!r}")
     if (fixed & constrained).any():
         raise SceneError(
             f"{(fixed & constrained).sum()} nodes are fixed and constrained at once; keep the regions apart"

@@ -8,9 +8,10 @@ from collections.abc import Iterable, Mapping, Sequence
 import numpy as np
 
 from .blocks import Figure
-from .digest import Digest, series
+from .digest import Digest
 from .formatting import listed, plain, short_percent
 from .plots import Plot, colour, line, log_axis, marker, percent_ticks
+from .standing import series
 
 Line = tuple[str, Sequence[float], Sequence[float]]  # model, x, y
 

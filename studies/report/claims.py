@@ -18,7 +18,7 @@ from ..model_name import REFINED, is_linear, is_vdm, split
 from ..surface_measures import weighted_norm
 from .blocks import Figure
 from .claim_figures import Line, bars, curves, histories
-from .digest import Digest, at_full_load, failed_steps, reference_bar, series
+from .digest import Digest, failed_steps
 from .formatting import listed, percent, plain, plural, quantity, short_percent
 from .judgement import (
     FAILS,
@@ -34,6 +34,7 @@ from .judgement import (
     own_bar,
 )
 from .section_limits import is_measured, strain_in_words, strain_range, strain_side
+from .standing import at_full_load, reference_bar, series
 
 EXACT = 1e-10  # relative volume drift that counts as none
 SMALL_DRIFT = 0.05  # of the displaced volume

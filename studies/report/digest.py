@@ -15,28 +15,12 @@ from ..case import CaseResult, ModelResult, Run
 from ..metrics import DEFORMATION, VECTOR
 from ..model_name import is_vdm
 from ..surface_measures import Surface
+from .standing import at_full_load, reference_bar, series, standing
 
 Array = NDArray[np.float64]
 
 # number of the reference in the palette; the other models count from 0
 REFERENCE = -1
-
-
-def series(case: CaseResult, model: str, metric: str) -> Array | None:
-    """(S,) values of a metric, None where the case has none."""
-    entry = case.metrics.get(model, {}).get(metric)
-    return None if entry is None else entry.values
-
-
-def at_full_load(case: CaseResult, model: str, metric: str) -> float:
-    """A metric at the step of the largest load; NaN where there is none."""
-    values = series(case, model, metric)
-    return math.nan if values is None or not len(values) else float(values[case.full_load])
-
-
-def reference_bar(case: CaseResult, metric: str = VECTOR) -> float:
-    """The reference's own part in a metric (GCI) at full load, NaN where not measured."""
-    return uncertainty.reference_bar(case.reference_error, metric)
 
 
 def failed_steps(model: ModelResult) -> list[int]:
@@ -280,18 +264,10 @@ class Digest:
 
     @cached_property
     def focus(self) -> str | None:
-        """The model that the page looks at closely: the candidate with the smallest median error.
-
-        A case without an answer counts as further off than any other: who answers few is not the closest.
-        """
-        rated = []
-        for name, spread in ((s.name, s.vector) for s in self.summaries if s.name in self.candidates):
-            if spread is not None:
-                errors = self.full_loads(name, VECTOR)
-                median = float(np.median(np.where(np.isfinite(errors), errors, math.inf)))
-                rated.append((median, -spread.cases, spread.median, name))
+        """The model that the page looks at closely: the candidate that stands best, by the larger of its errors."""
+        rated = [s.name for s in self.summaries if s.name in self.candidates and s.vector is not None]
         if rated:
-            return min(rated, key=lambda entry: entry[:-1])[-1]
+            return min(rated, key=lambda name: standing(self.cases, name))
         others = [name for name in self.models if name != self.reference]
         return next(iter([*others, *self.models]), None)
 

@@ -8,8 +8,9 @@ from dataclasses import dataclass
 
 from ..case import CaseResult
 from .blocks import Figure
-from .digest import Digest, reference_bar
+from .digest import Digest
 from .formatting import listed, short_percent
+from .standing import reference_bar
 
 HOLDS, WITHIN_LIMITS, FAILS, OPEN = "holds", "holds within limits", "fails", "not decided"
 

@@ -7,9 +7,10 @@ import math
 from ..case import CaseResult
 from ..metrics import DEFORMATION, VECTOR
 from .blocks import Block, Cell, Column, Section, Table, Text
-from .digest import Digest, at_full_load, failed_steps, reference_bar
+from .digest import Digest, failed_steps
 from .formatting import NOTHING, listed, percent, plural, swept_value
 from .section_errors import parameter_name
+from .standing import at_full_load, reference_bar
 
 _OPEN_ROWS = 12
 _MOST_CELLS = 9000  # of the page; the rest is in metrics.csv

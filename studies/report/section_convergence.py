@@ -10,9 +10,10 @@ from dataclasses import dataclass
 from ..case import CaseResult
 from ..uncertainty import CONVERGING, DIVERGING, TOO_SLOW, ErrorEstimate, estimate_limit, is_resolved
 from .blocks import Cell, Column, Figure, Figures, Section, Table, Text
-from .digest import Digest, at_full_load
+from .digest import Digest
 from .formatting import NOTHING, listed, percent, plain, quantity, short_percent
 from .plots import Plot, colour, line, log_axis, marker, percent_axis
+from .standing import at_full_load
 
 MESH_SIZE = "geometry.mesh_size"
 WORK = "contact_work"

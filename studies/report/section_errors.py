@@ -12,9 +12,10 @@ from matplotlib.axes import Axes
 from ..case import CaseResult
 from ..metrics import DEFORMATION, VECTOR
 from .blocks import Block, Figure, Figures, Section, Text
-from .digest import REFERENCE, Digest, reference_bar, series
+from .digest import REFERENCE, Digest
 from .formatting import listed, scale_of, short_percent, swept_value
 from .plots import Plot, Sheet, colour, line, log_axis, marker, name_ticks, percent_axis, place
+from .standing import reference_bar, series
 
 QUANTITIES = ((VECTOR, "Displacement error"), (DEFORMATION, "Deformation error"))
 PARTS = (

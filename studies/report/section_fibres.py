@@ -6,8 +6,9 @@ import math
 
 from ..case import CaseResult
 from .blocks import Cell, Column, Section, Table, Text
-from .digest import Digest, at_full_load
+from .digest import Digest
 from .formatting import percent, plain
+from .standing import at_full_load
 
 AXES = ("x", "y", "z")
 

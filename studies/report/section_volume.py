@@ -5,9 +5,10 @@ from __future__ import annotations
 import math
 
 from .blocks import Block, Figure, Figures, Section, Text
-from .digest import Digest, series
+from .digest import Digest
 from .formatting import listed, short_percent
 from .plots import Plot, Sheet, colour, line, log_axis, marker, percent_ticks
+from .standing import series
 
 _DRIFT_FLOOR = 1e-16  # below what double precision can tell from zero
 

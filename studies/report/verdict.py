@@ -12,16 +12,8 @@ from .blocks import Answer
 from .digest import Digest, ModelSummary, Spread
 from .formatting import listed, plain, plural, quantity, short_percent, swept_value
 from .section_errors import parameter_name
-from .verdict_load import (
-    CLOSE,
-    LOST,
-    OPEN,
-    WITHIN,
-    beyond_small_strain,
-    case_state,
-    loads_in_words,
-    value_range,
-)
+from .standing import CLOSE, LOST, OPEN, WITHIN, case_state, word_of
+from .verdict_load import beyond_small_strain, loads_in_words, value_range
 
 _MOST_VALUES = 4
 SURFACE_MODELS = ("vdm-", "mass-spring")
@@ -84,22 +76,20 @@ def _good_enough(digest: Digest, best: ModelSummary, rated: dict[str, Spread], o
     beyond = count - within - left - lost
     every = " in every case" if count > 1 else ""
     bare = "" if rated[best.name].measured else " (no error bar)"
+    word = word_of(states)
     if within == count:
-        word, rest = "Yes", f"displacement and deformation error are within {limit}{every}"
+        rest = f"displacement and deformation error are within {limit}{every}"
     elif left == count:
-        word, rest = (
-            "Undecided",
-            f"the reference's own error leaves open whether the model is within {limit}",
-        )
+        rest = f"the reference's own error leaves open whether the model is within {limit}"
     elif beyond == count:
-        word, rest = "No", f"not within {limit}{every.replace('every', 'any')}"
+        rest = f"not within {limit}{every.replace('every', 'any')}"
     else:
         parts = [f"within {limit} in {within} of {count} cases"] if within else []
         parts += [f"beyond in {beyond}"] if beyond else []
         parts += [f"undecided in {left}, within the reference's own error"] if left else []
         parts += [f"no answer in {lost}"] if lost else []
         none = "" if within else f"within {limit} in none of {count} cases: "
-        word, rest = "In part" if within else "Not shown" if left else "No", f"{none}{listed(parts)}"
+        rest = f"{none}{listed(parts)}"
     return _answer(
         question,
         word,
@@ -130,7 +120,7 @@ def _with_bar(value: float, bar: float) -> str:
 
 def _accuracy(digest: Digest, best: ModelSummary, among: int) -> str:
     kind = "VDM models" if all(map(is_vdm, digest.candidates)) else "models"
-    subject = f"{best.name}, the closest of {among} {kind}," if among > 1 else best.name
+    subject = f"{best.name}, the best of {among} {kind}," if among > 1 else best.name
     parts: list[str] = []
     for spread, what in ((best.vector, "in surface displacement"), (best.deformation, "in deformation")):
         if spread is None:

@@ -8,9 +8,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from ..case import CaseResult
-from ..metrics import DEFORMATION, VECTOR
 from ..model_name import FINITE_STRAIN, split
-from .digest import Digest, at_full_load, reference_bar, series
+from .digest import Digest
 from .formatting import listed, plain, quantity, short_percent, swept_value
 from .section_errors import parameter_name
 from .section_force import (
@@ -22,34 +21,11 @@ from .section_force import (
     supports,
 )
 from .section_limits import limits_in_words
+from .standing import CLOSE, WITHIN, at_full_load, case_state
 
-CLOSE = 0.10  # "within 10 %", the threshold that the paper's claim speaks of
-WITHIN, OPEN, BEYOND, LOST = "within", "open", "beyond", "lost"
 _LOADS = ("force", "pressure", "displacement")  # parts of swept keys that are a load
 # shares of the body's smallest extent and of its volume: beyond them a small-strain reference judges nothing
 MOST_MOVED, MOST_DRIFT = 0.10, 0.05
-
-
-def case_state(case: CaseResult, model: str, step: int) -> str:
-    """Whether displacement and deformation error of a step are within `CLOSE`, the reference's own error counted.
-
-    "open" where that error leaves it undecided; where it was not measured the error is taken as it is.
-    """
-    states = set()
-    for metric in (VECTOR, DEFORMATION):
-        values = series(case, model, metric)
-        error = math.nan if values is None or not len(values) else float(values[step])
-        bar = reference_bar(case, metric)
-        bar = bar if math.isfinite(bar) else 0.0
-        if not math.isfinite(error):
-            states |= (
-                {LOST} if metric == VECTOR else set()
-            )  # a reference that moves rigidly has no deformation
-        elif error + bar <= CLOSE:
-            states.add(WITHIN)
-        else:
-            states.add(BEYOND if error - bar > CLOSE else OPEN)
-    return next(state for state in (LOST, BEYOND, OPEN, WITHIN) if state in states)
 
 
 def loads_in_words(digest: Digest, model: str, outside: str) -> list[str]:

@@ -25,7 +25,7 @@ from ..meshing.mesh import MeshError
 from ..model_name import DISPLACEMENT_ELEMENTS, is_vdm, reads, split
 from .kinds import safe_name
 from .problems import Finding, Loc
-from .schema import Constraint, Geometry, HalfSpace, Region, Study, Table
+from .schema import MOST_STEPS, Constraint, Geometry, HalfSpace, Load, Region, Study, Table
 from .units import shown
 
 SHAPE_KEYS: dict[str, tuple[set[str], set[str]]] = {  # shape -> keys that it needs, keys that it may have
@@ -56,6 +56,7 @@ def check(study: Study) -> Iterator[Finding]:
     yield from _check_regions(study.regions or {})
     yield from _check_groups(study)
     yield from _check_constraints(study)
+    yield from _check_history(study.load)
     yield from _check_loads(study)
 
 
@@ -376,6 +377,14 @@ def _check_kind(constraint: Constraint, loc: Loc, regions: dict[str, Region]) ->
             f"a {constraint.profile} profile needs a region that is a cap or a ball, "
             f"and {shown(constraint.region)} is neither",
         )
+
+
+def _check_history(load: Load) -> Iterator[Finding]:
+    steps = load.steps if load is not None else None
+    count = len(load.factors or ()) * steps if steps else 0
+    if count > MOST_STEPS:
+        text = f"makes a load history of {count:,} steps, more than the {MOST_STEPS:,} allowed; take fewer"
+        yield ("load", "steps"), text
 
 
 def _check_loads(study: Study) -> Iterator[Finding]:

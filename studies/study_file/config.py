@@ -6,6 +6,7 @@ import re
 import tomllib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -15,10 +16,10 @@ from ..meshing.mesh import MeshError
 from ..model_name import FINITE_STRAIN, split
 from .checks import fits_kind, geometry_spec, unknown
 from .kinds import MAX_NAME, is_safe_name
-from .problems import Finding, Loc, Problem, Source, StudyError, file_fault
+from .problems import MOST_TOLD, Finding, Loc, Problem, Source, StudyError, file_fault
 from .schema import Constraint, Region, Study, Tissue
 from .sweep import Axis, ResolvedCase, check_cases, first_case, read_axes, substituted
-from .toml_lines import NotToml, TooDeep, key_lines
+from .toml_lines import NotToml, TooLarge, key_lines
 from .units import shown
 from .validation import validate
 
@@ -80,7 +81,7 @@ def load_study(
     at_axis = {axis.target.loc: axis.loc for axis in axes if base is not data}
     findings = [(at_axis.get(loc, loc), text) for loc, text in faults]
     findings += axis_findings
-    findings += _check_model_names(data)
+    findings += islice(_check_model_names(data), MOST_TOLD + 1)
     findings += _check_limits(base, axes, study)
     findings += _check_held(study)
     swept_well = not axis_findings and not any(loc[:1] == ("sweep",) for loc, _ in findings)
@@ -268,13 +269,15 @@ def _parse(text: str, path: str) -> tuple[dict[str, Any], Source]:
     def wrong(message: str, line: int) -> StudyError:
         return StudyError([Problem(path, line, "", message)])
 
+    lines: dict[Loc, int] = {}
     try:
-        data = tomllib.loads(text)
-        return data, Source(path, key_lines(text))
-    except TooDeep as error:
+        lines = key_lines(text)
+    except TooLarge as error:
         raise wrong(str(error), error.line) from None
-    except RecursionError:
-        raise wrong(*_too_deep(text)) from None
+    except NotToml:
+        pass  # tomllib says it better
+    try:
+        return tomllib.loads(text), Source(path, lines)
     except tomllib.TOMLDecodeError as error:
         message = re.sub(r" \(at .*\)$", "", str(error))
         raise wrong(f"TOML syntax: {message[:1].lower()}{message[1:]}", _line_of(error, text)) from None
@@ -282,16 +285,6 @@ def _parse(text: str, path: str) -> tuple[dict[str, Any], Source]:
         match = _LONG_NUMBER.search(text)
         line = text.count("\n", 0, match.start()) + 1 if match else 1
         raise wrong("a number is too long", line) from None
-
-
-def _too_deep(text: str) -> tuple[str, int]:
-    try:
-        key_lines(text)
-    except TooDeep as error:
-        return str(error), error.line
-    except NotToml:
-        pass
-    return "nested too deeply", 1
 
 
 def _line_of(error: tomllib.TOMLDecodeError, text: str) -> int:
@@ -318,17 +311,15 @@ def _name_after(surface: Path, study: Any) -> None:
         )
 
 
-def _check_model_names(data: Mapping[str, Any]) -> list[Finding]:
+def _check_model_names(data: Mapping[str, Any]) -> Iterator[Finding]:
     from ..models import model_names  # the registry knows the solvers: only where it is needed
 
     known = model_names()
     study = data.get("study")
     names = study.get("models") if isinstance(study, dict) else None
-    return [
-        (("study", "models", place), unknown(name, known, "model"))
-        for place, name in enumerate(names if isinstance(names, list) else [])
-        if isinstance(name, str) and name not in known
-    ]
+    for place, name in enumerate(names if isinstance(names, list) else []):
+        if isinstance(name, str) and name not in known:
+            yield ("study", "models", place), unknown(name, known, "model")
 
 
 def holds_nothing(study: Study) -> bool:

@@ -14,6 +14,7 @@ from pydantic_core import CoreSchema, core_schema
 from .units import QuantityError, shown, to_si, type_name
 
 MAX_NAME = 64  # characters
+MOST_NUMBERS = 10_000  # of a list of quantities
 _NAME = re.compile(rf"[A-Za-z0-9][A-Za-z0-9_.-]{{0,{MAX_NAME - 1}}}")
 
 Vector3 = tuple[float, float, float]
@@ -21,7 +22,7 @@ Vector3 = tuple[float, float, float]
 
 @dataclass(frozen=True)
 class SI:
-    """Marks a field as a quantity in `unit`: one number, or a list of `counts` numbers (0: any positive count)."""
+    """A quantity in `unit`: one number, or a list of `counts` numbers (0: any from 1 to `MOST_NUMBERS`)."""
 
     unit: str
     counts: tuple[int, ...] = (1,)
@@ -37,6 +38,8 @@ class SI:
             return to_si(value, self.unit)
         if not value or not {0, len(value)} & (set(self.counts) - {1}):
             raise QuantityError(f"must have {self._wanted()}, not {len(value)}")
+        if len(value) > MOST_NUMBERS:
+            raise QuantityError(f"must have at most {MOST_NUMBERS:,} numbers, not {len(value):,}")
         numbers = []
         for place, item in enumerate(value, start=1):
             try:

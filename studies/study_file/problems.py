@@ -14,6 +14,9 @@ from .units import shown
 Loc = tuple[str | int, ...]  # indices that lead to a value of the parsed file
 Finding = tuple[Loc, str]
 
+MOST_TOLD = 20  # problems of a file; what finds them need not find more
+
+_LONGEST_KEY = 200  # characters that are told
 _BARE_KEY = re.compile(r"[A-Za-z0-9_-]+")
 
 
@@ -70,10 +73,14 @@ class Source:
         return found
 
     def error(self, findings: Sequence[Finding], data: Mapping[str, Any]) -> StudyError:
-        """The error for these findings about `data`, in the file's order, each once."""
-        unique = dict.fromkeys(findings)
-        problems = [Problem(self.path, self.line(loc), key_text(loc, data), text) for loc, text in unique]
-        return StudyError(sorted(problems, key=lambda problem: problem.line))
+        """The error for these findings about `data`, in the file's order, each once, the first `MOST_TOLD`."""
+        unique = sorted(dict.fromkeys(findings), key=lambda finding: self.line(finding[0]))
+        told, more = unique[:MOST_TOLD], unique[MOST_TOLD:]
+        problems = [Problem(self.path, self.line(loc), key_text(loc, data), text) for loc, text in told]
+        if more:
+            rest = f"there are more problems from here on; mend the first {MOST_TOLD} and check again"
+            problems.append(Problem(self.path, self.line(more[0][0]), "", rest))
+        return StudyError(problems)
 
 
 def file_fault(path: Path) -> str | None:
@@ -101,7 +108,7 @@ def key_text(loc: Loc, data: Mapping[str, Any]) -> str:
             text += f".{name}" if named else f"[{part}]"
         else:
             text += ("." if text else "") + (part if _BARE_KEY.fullmatch(part) else shown(part))
-    return text
+    return text if len(text) <= _LONGEST_KEY else f"{text[: _LONGEST_KEY - 3]}..."
 
 
 def _has(value: Any, part: str | int) -> bool:

@@ -52,6 +52,8 @@ from .units import type_name
 Vdm = dict[str, float | str]
 
 CLAIMS = 9  # that the paper makes of its model
+MOST_STEPS = 10_000  # of a load history: each keeps the displacement of every node
+MOST_NAMES = 200  # of models, regions, constraints
 MOST_LEVELS = 4  # of meshes that a reference's error bar is from
 
 
@@ -126,6 +128,7 @@ class StudyInfo(Table):
     models: tuple[str, ...] = Field(
         description='models to run: registered names, with a solver if wanted, as in "vdm-paper:quasi-linear"',
         strict=False,
+        max_length=MOST_NAMES,
     )
     reference: str | None = Field(
         None, description="the model that the others are compared with, one of `models`; none: no comparison"
@@ -464,9 +467,9 @@ class Study(Table):
     geometry: Geometry = Field(description="the body")
     tissue: Tissue = Field(description="its material")
     vdm: VdmTable = Field(VdmTable(), description="parameters of the VDM models")
-    regions: dict[str, Region] = Field({}, description="named sets of surface nodes", max_length=200)
+    regions: dict[str, Region] = Field({}, description="named sets of surface nodes", max_length=MOST_NAMES)
     constraints: tuple[Constraint, ...] = Field(
-        (), description="what holds and loads the body", strict=False, max_length=200
+        (), description="what holds and loads the body", strict=False, max_length=MOST_NAMES
     )
     load: Load = Field(Load(), description="the load history")
     gravity: Gravity | None = Field(None, description="weight")
@@ -476,7 +479,9 @@ class Study(Table):
     limits: Limits | None = Field(None, description="small-strain limits")
     calibration: Calibration | None = Field(None, description="how the [vdm] parameters are fitted")
     uncertainty: Uncertainty | None = Field(None, description="the reference's own error")
-    models: dict[str, VdmTable] = Field({}, description="[vdm] keys for one model only")
+    models: dict[str, VdmTable] = Field(
+        {}, description="[vdm] keys for one model only", max_length=MOST_NAMES
+    )
 
     _source: Source = PrivateAttr(default=Source())
 

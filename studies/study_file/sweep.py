@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 from ..fields import Target, targets
 from .checks import fits_kind, unknown
-from .problems import Finding, Loc, Source
+from .problems import MOST_TOLD, Finding, Loc, Source
 from .schema import Study
 from .units import shown, type_name
 from .validation import validate
@@ -101,12 +101,12 @@ def read_axes(data: Mapping[str, Any]) -> tuple[list[Axis], list[Finding]]:
         return [], []
     entries = {k: v for k, v in sweep.items() if k not in _OWN_KEYS}
     known = targets(data) if entries else {}  # slow, and every case of a sweep is asked
+    fitting = [name for name, target in known.items() if fits_kind(data, target.loc)]
     sampled = sweep.get("mode") == "latin-hypercube"
     axes: dict[str, Axis] = {}
     findings: list[Finding] = []
     for key, loc, value in _entries(entries, known):
         if key not in known:
-            fitting = [name for name, target in known.items() if fits_kind(data, target.loc)]
             findings.append((loc, _unknown_key(key, fitting)))
         elif key in axes:
             findings.append((loc, "is swept twice"))
@@ -115,6 +115,8 @@ def read_axes(data: Mapping[str, Any]) -> tuple[list[Axis], list[Finding]]:
                 axes[key] = _axis(key, loc, known[key], value, sampled=sampled)
             except _AxisError as error:
                 findings.append(((*loc, *error.inside), str(error)))
+        if len(findings) > MOST_TOLD:
+            break  # the search for the key that was meant is slow
     findings += _check_mode(sweep, list(axes.values()), complete=not findings)
     return list(axes.values()), findings
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
+from itertools import islice
 from typing import Any
 
 from pydantic import ValidationError
@@ -11,7 +12,7 @@ from pydantic_core import ErrorDetails
 
 from ..fields import field_at, keys_of, table_at
 from .checks import check, unknown
-from .problems import Finding, Loc, Source
+from .problems import MOST_TOLD, Finding, Loc, Source
 from .schema import Context, Study
 from .units import type_name
 
@@ -29,16 +30,21 @@ _WANTED = {  # kind of pydantic error -> what the value must be
 def validate(data: Mapping[str, Any], source: Source) -> tuple[Study | None, list[Finding]]:
     """The study in `data`, as parsed from TOML, or None and what is wrong with it.
 
-    Where keys are faulty, the checks between keys run on what is left.
+    Where keys are faulty, the checks between keys run on what is left. Of either kind of problem one more than
+    can be told is enough: some take a search for the name that was meant.
     """
     findings: list[Finding] = []
+    faulty: set[Loc] = set()
     try:
         study = Study.model_validate(data, context=Context(source))
     except ValidationError as error:
-        findings += [_finding(details) for details in error.errors(include_url=False)]
+        faults = sorted(error.errors(include_url=False), key=lambda details: source.line(_place(details)))
+        findings += map(_finding, faults[: MOST_TOLD + 1])
+        faulty = set(map(_place, faults))
         study = Study.model_validate(data, context=Context(source, lenient=True))
-    faulty = {loc for loc, _ in findings}
-    findings += [finding for finding in check(study) if not _inside(finding[0], faulty)]
+    findings += islice(
+        (finding for finding in check(study) if not _inside(finding[0], faulty)), MOST_TOLD + 1
+    )
     return (None if findings else study), findings
 
 
@@ -47,8 +53,12 @@ def _inside(loc: Loc, faulty: set[Loc]) -> bool:
     return any(loc[:end] in faulty for end in range(len(loc) + 1))
 
 
+def _place(details: ErrorDetails) -> Loc:
+    return tuple(part for part in details["loc"] if part not in ("<name>", "<table>"))
+
+
 def _finding(details: ErrorDetails) -> Finding:
-    loc = tuple(part for part in details["loc"] if part not in ("<name>", "<table>"))
+    loc = _place(details)
     kind, value = details["type"], details.get("input")
     if kind == "value_error":
         return loc, str(details["ctx"]["error"])
@@ -64,4 +74,4 @@ def _finding(details: ErrorDetails) -> Finding:
         return loc, f"must be one of {', '.join(options)}, not {type_name(value)}"
     if kind in _WANTED:
         return loc, f"must be {_WANTED[kind]}, not {type_name(value)}"
-    return loc, re.sub(r"^(Input|String|Tuple|Value) should", "must", details["msg"])
+    return loc, re.sub(r"^(Input|String|Tuple|Dictionary|Value) should", "must", details["msg"])

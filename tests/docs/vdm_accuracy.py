@@ -16,7 +16,7 @@ import numpy as np
 
 from studies.case import CaseResult, Run
 from studies.metrics import DEFORMATION, VECTOR
-from studies.report.digest import at_full_load, reference_bar
+from studies.report.standing import at_full_load, reference_bar
 from studies.store import read_run
 from studies.uncertainty import is_resolved
 from tests.command import vdmbench

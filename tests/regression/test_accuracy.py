@@ -79,7 +79,7 @@ def test_rounding_is_far_within_the_tolerance() -> None:
     for name in names:
         for metric, series in first[name].items():
             was, now = abs(series.values[-1]), abs(other[name][metric].values[-1])
-            floor = gate.DRIFT if "drift" in metric else 1e-6
+            floor = gate.CONSERVED if gate.sense_of(metric) == "conserved" else 1e-6
             assert abs(now - was) <= 1e-3 * max(gate.RELATIVE * was, floor), f"{name}: {metric}"
 
 

@@ -67,13 +67,14 @@ def _random_state(mesh: TetMesh) -> tuple[Array, Array]:
 
 
 @pytest.mark.anchor("assembled tangent at a random state", "central differences")
-@pytest.mark.parametrize("law", ["neo-hookean", "transversely-isotropic"])
+@pytest.mark.parametrize("law", ["neo-hookean", "transversely-isotropic", "yeoh"])
 def test_element_tangent_by_finite_differences(block: Body, law: str, verified: Verified) -> None:
     mesh = TetMesh(*block.arrays)
     pattern = scalar_pattern(mesh)
     fibres = law == "transversely-isotropic"
+    shape = {"second_ratio": 0.5, "third_ratio": 0.3} if law == "yeoh" else None
     assembly = ElementAssembly(
-        mesh, pattern, make_law(law, 2.6, 1.0, TILT if fibres else None, 5.0 if fibres else 1.0)
+        mesh, pattern, make_law(law, 2.6, 1.0, TILT if fibres else None, 5.0 if fibres else 1.0, shape)
     )
     u, p = _random_state(mesh)
     blocks, volumes = assembly.tangent(u, p)

@@ -20,6 +20,13 @@ LAWS = {
     "neo-hookean": make_law("neo-hookean", 5.2, 2.0, None, 1.0),
     "transversely-isotropic": make_law("transversely-isotropic", 5.2, 2.0, FIBRE, 6.0),
 }
+SHAPES = {
+    "mooney-rivlin": {"second_share": 0.3},
+    "yeoh": {"second_ratio": 0.7, "third_ratio": 0.4},
+    "fung-demiray": {"exponent": 1.8},
+    "ogden": {"exponents": (1.3, 5.0, -2.0), "shares": (0.5, 0.2, 0.3)},
+}
+LAWS |= {name: make_law(name, 5.2, 2.0, None, 1.0, shape) for name, shape in SHAPES.items()}
 laws = pytest.mark.parametrize("law", LAWS.values(), ids=LAWS.keys())
 
 
@@ -50,6 +57,11 @@ def _dense(law: Law, k: Kinematics, t: Tangent) -> Array:
     out = np.einsum("ik,nJL->niJkL", np.eye(3), metric)
     out += np.einsum("n,nJk,nLi->niJkL", t.crossed, inverse, inverse)
     out += np.einsum("n,nJi,nLk->niJkL", t.dilational, inverse, inverse)
+    if t.elasticity is not None:
+        voigt = np.array([[0, 5, 4], [5, 1, 3], [4, 3, 2]])
+        whole = t.elasticity[:, voigt[:, :, None, None], voigt]
+        f = k.gradient + np.eye(3)
+        out += np.einsum("niI,nIJKL,nkK->niJkL", f, whole, f)
     if t.along is not None:
         a = law.fibre
         f = (k.gradient + np.eye(3)) @ a
@@ -114,8 +126,9 @@ def test_turning_the_material_matters_only_with_fibres() -> None:
     turn *= np.sign(np.linalg.det(turn))
     turned = Kinematics((h + np.eye(3)) @ turn - np.eye(3))
     energies = {name: (law.energy(turned), law.energy(Kinematics(h))) for name, law in LAWS.items()}
-    assert_allclose(*energies["neo-hookean"], rtol=1e-11, atol=1e-13)
-    assert np.abs(np.subtract(*energies["transversely-isotropic"])).max() > 0.1
+    assert np.abs(np.subtract(*energies.pop("transversely-isotropic"))).max() > 0.1
+    for both in energies.values():
+        assert_allclose(*both, rtol=1e-11, atol=1e-13)
 
 
 @laws
@@ -166,11 +179,94 @@ def test_a_rigid_rotation_has_no_energy_and_no_stress() -> None:
         assert_allclose(law.stress(k, np.array(0.0)), 0.0, rtol=0, atol=1e-14)
 
 
+def _curves(name: str, stretch: Array) -> tuple[Array, Array]:
+    """Nominal stress of incompressible bodies in uniaxial and equibiaxial tension, as in textbooks; G = 2."""
+    if name == "ogden":
+        exponents, shares = (np.array(SHAPES[name][key])[:, None] for key in ("exponents", "shares"))
+        moduli = 4.0 * shares / exponents
+        one, two = stretch ** (exponents - 1.0), [stretch ** (b * exponents - 1.0) for b in (-0.5, -2.0)]
+        return (moduli * (one - two[0])).sum(axis=0), (moduli * (one - two[1])).sum(axis=0)
+    slopes = []
+    for invariant in (stretch**2 + 2.0 / stretch - 3.0, 2.0 * stretch**2 + stretch**-4 - 3.0):
+        first, second = np.ones_like(stretch), 0.0
+        if name == "mooney-rivlin":
+            first, second = 0.7 * first, 0.3
+        if name == "yeoh":
+            first = 1.0 + 1.4 * invariant + 1.2 * invariant**2
+        if name == "fung-demiray":
+            first = np.exp(1.8 * invariant)
+        slopes.append((first, second))
+    (w1, w2), (v1, v2) = slopes
+    uniaxial = 2.0 * (stretch - stretch**-2) * (w1 + w2 / stretch)
+    return uniaxial, 2.0 * (stretch - stretch**-5) * (v1 + v2 * stretch**2)
+
+
+@pytest.mark.anchor(
+    "incompressible tension curves", "Holzapfel 2000, Nonlinear Solid Mechanics, section 6.5; Ogden 1972"
+)
+@pytest.mark.parametrize("name", ["neo-hookean", *SHAPES])
+def test_tension_of_incompressible_bodies(name: str, verified: Verified) -> None:
+    """The pressure is what leaves the free faces without load."""
+    stretch = np.array([0.6, 0.8, 0.99, 1.0, 1.01, 1.2, 1.5, 2.0])
+    law = LAWS[name]
+    for title, other, expected in zip(
+        ("uniaxial", "equibiaxial"), (stretch**-0.5, stretch), _curves(name, stretch), strict=True
+    ):
+        free = stretch**-0.5 if title == "uniaxial" else stretch**-2
+        h = np.zeros((len(stretch), 3, 3))
+        for i, value in enumerate((stretch, other, free)):
+            h[:, i, i] = value - 1.0
+        k = Kinematics(h)
+        # P_33 = P_33(0) - p J / l_3
+        pressure = law.stress(k, np.zeros(len(stretch)))[:, 2, 2] * free / (1.0 + k.dilation)
+        found = law.stress(k, pressure)[:, 0, 0]
+        verified.at_most(
+            f"{name}, {title}: nominal stress over its largest",
+            (found - expected) / np.abs(expected).max(),
+            1e-12,
+        )
+
+
+def test_ogden_with_two_and_minus_two_is_mooney_rivlin() -> None:
+    """At random deformations, and where two or three stretches are equal."""
+    h, p = _gradients()
+    h[0], h[1] = 0.2 * np.eye(3), np.diag([0.1, 0.1, -0.15])
+    h[2] = 1e-9 * h[2]
+    k = Kinematics(h)
+    mooney = LAWS["mooney-rivlin"]
+    ogden = make_law("ogden", 5.2, 2.0, None, 1.0, {"exponents": (2.0, -2.0), "shares": (0.7, 0.3)})
+    assert_allclose(ogden.energy(k), mooney.energy(k), rtol=1e-11, atol=1e-15)
+    assert_allclose(ogden.stress(k, p), mooney.stress(k, p), rtol=0, atol=1e-12)
+    tangents = (_dense(law, k, law.tangent(k, p)) for law in (ogden, mooney))
+    assert_allclose(*tangents, rtol=0, atol=1e-11)
+
+
+def test_far_iterates_of_an_exponential_stay_finite() -> None:
+    k = Kinematics(np.diag([60.0, 0.0, 0.0])[None])
+    law = LAWS["fung-demiray"]
+    assert np.isfinite(law.stress(k, np.zeros(1))).all()
+    assert np.isfinite(law.tangent(k, np.zeros(1)).elasticity).all()
+
+
 def test_materials_that_make_no_sense_are_refused() -> None:
     for arguments, words in (
         (("rubber", 1.0, 1.0, None, 1.0), "material 'rubber' is unknown; use one of neo-hookean"),
-        (("neo-hookean", 1.0, 1.0, FIBRE, 1.0), "a neo-Hookean body has no fibres"),
-        (("neo-hookean", 1.0, 1.0, None, 2.0), "a neo-Hookean body has no fibres"),
+        (("neo-hookean", 1.0, 1.0, FIBRE, 1.0), "a neo-hookean body has no fibres"),
+        (("yeoh", 1.0, 1.0, None, 2.0, SHAPES["yeoh"]), "a yeoh body has no fibres"),
+        (("yeoh", 1.0, 1.0, None, 1.0, {"exponent": 1.0}), "a yeoh body has no parameter 'exponent'; give"),
+        (
+            ("neo-hookean", 1.0, 1.0, None, 1.0, {"exponent": 1.0}),
+            "has no parameter 'exponent'; leave it out",
+        ),
+        (("yeoh", 1.0, 1.0, None, 1.0, {"second_ratio": 1.0}), "there is no third_ratio of a yeoh body"),
+        (("mooney-rivlin", 1.0, 1.0, None, 1.0, {"second_share": 1.2}), "is 1.2; give a number from 0 to 1"),
+        (("mooney-rivlin", 1.0, 1.0, None, 1.0, {"second_share": (0.5, 0.5)}), "give one number"),
+        (("fung-demiray", 1.0, 1.0, None, 1.0, {"exponent": 0.0}), "exponent is 0.0; give a positive number"),
+        (("fung-demiray", 1.0, 1.0, None, 1.0, {"exponent": np.nan}), "exponent is nan; give one number"),
+        (("ogden", 1.0, 1.0, None, 1.0, {"exponents": 2.0, "shares": (1.0,)}), "give a list of numbers"),
+        (("ogden", 1.0, 1.0, None, 1.0, {"exponents": (2.0, 0.0), "shares": (0.5, 0.5)}), "other than zero"),
+        (("ogden", 1.0, 1.0, None, 1.0, {"exponents": (2.0, 1.0), "shares": (0.5, 0.6)}), "sum 1"),
+        (("ogden", 1.0, 1.0, None, 1.0, {"exponents": (2.0, 1.0), "shares": (1.0,)}), "not equally many"),
         (("transversely-isotropic", 1.0, 1.0, None, 2.0), "there is no fibre_direction"),
         (
             ("transversely-isotropic", 1.0, 1.0, (0.0, 0.0, 0.0), 2.0),

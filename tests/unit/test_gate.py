@@ -17,7 +17,7 @@ from studies import gate
 from studies.case import CaseResult, MetricSeries, Run
 from studies.gate import Baseline, BaselineError, Finding, accept, compare, counts, read_baseline
 from studies.gate_report import describe, junit, markdown, summary
-from studies.metrics import METRICS
+from studies.metrics import METRICS, Sense
 from tests.command import SMALL_STUDY, vdmbench
 
 from .report_runs import make_case, make_run
@@ -84,6 +84,35 @@ def test_small_errors_and_drifts_have_a_floor(tmp_path: Path) -> None:
     assert found(tmp_path / "b.json", later, "volume_drift")["m"].outcome == gate.SAME
     drifting = make_run([with_series(base, "m", "volume_drift", values=np.full(4, -1e-8))])
     assert found(tmp_path / "b.json", drifting, "volume_drift")["m"].outcome == gate.WORSE
+
+
+@pytest.mark.parametrize("name", ["volume_drift", "leak"])
+def test_a_metric_is_judged_by_the_sense_that_it_declares(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str
+) -> None:
+    """A number that grows from 1e-7 to 1e-5 of what is conserved is worse, as an error it is nothing."""
+
+    def outcomes(sense: Sense) -> set[str]:
+        metric = dataclasses.replace(METRICS["volume_drift"], name=name, sense=sense)
+        monkeypatch.setitem(METRICS, name, metric)
+        series = base.metrics["m"]["volume_drift"]
+        was, now = (
+            dataclasses.replace(
+                base, metrics={"m": {name: dataclasses.replace(series, values=np.full(4, v))}}
+            )
+            for v in (1e-7, -1e-5)
+        )
+        accept(make_run([was]), tmp_path / "b.json", "first numbers")
+        return {
+            f.outcome
+            for f in compare(make_run([now]), read_baseline(tmp_path / "b.json"))
+            if f.metric == name
+        }
+
+    base = make_case({"m": 0.1}, subdivisions=0)
+    assert outcomes("conserved") == {gate.WORSE}
+    assert outcomes("error") == {gate.SAME}
+    assert outcomes("descriptive") == set()
 
 
 def test_the_reference_s_own_error_is_gated_too(path: Path) -> None:

@@ -6,7 +6,8 @@ from typing import Any
 
 import pytest
 
-from studies.keys import answer_key, case_hash, reference_keys, result_keys
+from studies import keys
+from studies.keys import answer_key, case_hash, reference_keys, result_keys, unit_loads
 from studies.study_file.schema import Study
 from studies.study_file.sweep import substituted
 
@@ -89,3 +90,22 @@ def test_a_name_decides_nothing(what: str) -> None:
     one, other = study(), study(*NAMES_ONLY[what])
     assert result_keys(one, "mesh") == result_keys(other, "mesh")
     assert reference_keys(one, "mesh") == reference_keys(other, "mesh")
+
+
+def test_an_unknown_kind_of_constraint_has_no_loads_to_be_told_by(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Two studies that differ in its size alone would share a reference, also the one that the disk cache keeps."""
+    drag = {"kind": "drag", "region": {"cap": {"direction": [0.0, 0.0, 1.0], "angle": 0.5}}, "traction": 2.0}
+    monkeypatch.setattr(keys, "anonymous_constraints", lambda _: [drag])
+    plain = study(("gravity", "acceleration"), [0.0, 0.0, 0.0])
+    for ask in (unit_loads, keys.loads_of, keys.load_key, lambda s: answer_key(s, "mesh", "fem-linear")):
+        with pytest.raises(ValueError, match="kind 'drag' has no unit loads"):
+            ask(plain)
+
+
+def test_a_contact_is_told_by_every_key_that_it_has(monkeypatch: pytest.MonkeyPatch) -> None:
+    def units(**more: float) -> list[tuple[str, float]]:
+        press = {"kind": "contact", "region": {}, "profile": "uniform", "force": 2.0, **more}
+        monkeypatch.setattr(keys, "anonymous_constraints", lambda _: [press])
+        return unit_loads(study())
+
+    assert units(friction=0.1) != units(friction=0.2)

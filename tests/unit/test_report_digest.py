@@ -14,14 +14,8 @@ from numpy.testing import assert_allclose
 from studies.case import MetricSeries
 from studies.metrics_table import metrics_csv
 from studies.report import headline
-from studies.report.digest import (
-    DEFORMATION,
-    VECTOR,
-    Digest,
-    at_full_load,
-    reference_bar,
-    spread_of,
-)
+from studies.report.digest import DEFORMATION, VECTOR, Digest, spread_of
+from studies.report.standing import at_full_load, reference_bar
 from studies.report.verdict import answers
 from studies.uncertainty import value_bar
 
@@ -256,7 +250,7 @@ def test_the_reference_on_the_coarser_mesh_is_not_on_trial() -> None:
     assert digest.on_trial == ("vdm", "other")
     assert digest.focus == "vdm", "not the one that is nearly the reference itself"
     words = " ".join(sentence for answer in answers(digest) for sentence in answer.sentences)
-    assert "vdm, the closest of 2 models" in words
+    assert "vdm, the best of 2 models" in words
     assert f"one of {REFERENCE} 1.2 ms" in words, "cost is told beside the same mesh"
     assert [row["model"] for row in headline.headline_rows(run)][-2:] == [REFERENCE, f"{refined} (reference)"]
 

@@ -13,9 +13,10 @@ from numpy.testing import assert_allclose
 from studies.case import CaseResult, MetricSeries
 from studies.metrics import History, evaluate
 from studies.report.blocks import Figures, Section, Table, Text
-from studies.report.digest import Digest, series
+from studies.report.digest import Digest
 from studies.report.ladders import Ladder, ladders, reading, trusted
 from studies.report.section_stability import numerical_stability
+from studies.report.standing import series
 from studies.surface_measures import Surface
 from tests.unit.report_runs import make_case, make_run
 

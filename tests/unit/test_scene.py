@@ -318,3 +318,10 @@ def test_a_model_that_refuses_says_why_and_spoils_nothing(sphere: Mesh) -> None:
     assert "held" in floating.status[0].message
     assert np.isnan(floating.displacement).all()
     assert models.run_model(scene, "vdm-paper").status[0].ok, "VDM stands on its own foundation"
+
+
+def test_a_constraint_of_an_unknown_kind_is_not_taken_for_a_contact(sphere: Mesh) -> None:
+    whole = study()
+    pull = whole.constraints[1].model_copy(update={"kind": "pull"})
+    with pytest.raises(SceneError, match="unknown kind, 'pull'"):
+        build_scene(whole.model_copy(update={"constraints": (whole.constraints[0], pull)}), sphere)

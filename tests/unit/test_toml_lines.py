@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from studies.study_file.toml_lines import MAX_DEPTH, NotToml, TooDeep, key_lines
+from studies.study_file.toml_lines import MAX_DEPTH, NotToml, TooLarge, key_lines
 
 TEXT = '''# comment with "quotes" and [brackets]
 title = "a # b"  # not in the text
@@ -175,7 +175,7 @@ def test_each_key_is_on_the_line_that_holds_it(blocks: list[tuple[str, int]]) ->
 def test_on_any_text_it_stops_with_a_named_error(text: str) -> None:
     try:
         key_lines(text)
-    except (NotToml, TooDeep):
+    except (NotToml, TooLarge):
         return
 
 
@@ -189,7 +189,7 @@ def test_on_any_text_it_stops_with_a_named_error(text: str) -> None:
     ],
 )
 def test_deep_nesting_is_refused_with_its_line(text: str, line: int) -> None:
-    with pytest.raises(TooDeep) as caught:
+    with pytest.raises(TooLarge) as caught:
         key_lines(text)
     assert caught.value.line == line
 

@@ -17,6 +17,7 @@ from fem_reference import finite_strain_assembly
 from fem_reference.finite_strain import FiniteStrainProblem
 from fem_reference.loads import nodal_forces
 from tests.unit.fem_shapes import Body, cube
+from tests.unit.test_fem_materials import SHAPES
 
 ngs = pytest.importorskip("ngsolve", reason="needs NGSolve: pip install '.[benchmark]'")
 netgen_meshing = pytest.importorskip("netgen.meshing", reason="needs NGSolve: pip install '.[benchmark]'")
@@ -48,7 +49,25 @@ def ngsolve_mesh(b: Body) -> ngs.Mesh:
     return ngs.Mesh(out)
 
 
-def _solve_in_ngsolve(b: Body, nu: float, pressure: float, *, large: bool) -> tuple[Array, Array]:
+def _stored(material: str, mu: float, deformation: ngs.CF) -> ngs.CF:
+    """Strain energy; each law in the words of its paper, with the shapes of `SHAPES`."""
+    volume = ngs.Det(deformation)
+    c = deformation.trans * deformation
+    if material == "neo-hookean":
+        return 0.5 * mu * (ngs.Trace(c) - 3.0 - 2.0 * ngs.log(volume))
+    first = volume ** (-2.0 / 3.0) * ngs.Trace(c) - 3.0
+    second = volume ** (-4.0 / 3.0) * 0.5 * (ngs.Trace(c) ** 2 - ngs.InnerProduct(c, c)) - 3.0
+    distortion = {
+        "mooney-rivlin": 0.7 * first + 0.3 * second,
+        "yeoh": first + 0.7 * first**2 + 0.4 * first**3,
+        "fung-demiray": (ngs.exp(1.8 * first) - 1.0) / 1.8,
+    }
+    return 0.5 * mu * distortion[material] + mu / 3.0 * (volume - 1.0) ** 2
+
+
+def _solve_in_ngsolve(
+    b: Body, nu: float, pressure: float, *, large: bool, material: str = "neo-hookean"
+) -> tuple[Array, Array]:
     """(n, 3) vertex displacements and (n,) vertex pressures, from its own forms, assembly and solver."""
     mesh = ngsolve_mesh(b)
     space = ngs.VectorH1(mesh, order=2, dirichlet="base") * ngs.H1(mesh, order=1)
@@ -66,7 +85,7 @@ def _solve_in_ngsolve(b: Body, nu: float, pressure: float, *, large: bool) -> tu
         inside = ngs.dx(intrules={ngs.TET: rule})
         deformation = ngs.Id(3) + gradient
         volume = ngs.Det(deformation)
-        stored = 0.5 * mu * (ngs.InnerProduct(deformation, deformation) - 3.0 - 2.0 * ngs.log(volume))
+        stored = _stored(material, mu, deformation)
         form += ngs.Variation((stored - p * (volume - 1.0) - 0.5 * inverse_lame * p * p) * inside)
     else:
         strain = 0.5 * (gradient + gradient.trans)
@@ -107,12 +126,25 @@ def test_linear_solution_equals_ngsolve(nu: float) -> None:
     _assert_same((ours.displacement[0, :n], ours.pressure[0]), theirs, 1e-9)
 
 
-@pytest.mark.parametrize("nu", [0.45, 0.4999, 0.5])
-def test_finite_strain_solution_equals_ngsolve(nu: float) -> None:
+@pytest.mark.parametrize(
+    ("nu", "material"),
+    [
+        *((nu, "neo-hookean") for nu in (0.45, 0.4999, 0.5)),
+        *((nu, material) for nu in (0.3, 0.5) for material in ("mooney-rivlin", "yeoh", "fung-demiray")),
+    ],
+)
+def test_finite_strain_solution_equals_ngsolve(nu: float, material: str) -> None:
     b = cube(2, distort=0.25)
     held = np.abs(b.surface[:, 2]) < 1e-12
     problem = FiniteStrainProblem(
-        *b.arrays, youngs_modulus=YOUNG, poisson_ratio=nu, density=DENSITY, held=held, pressure="dead"
+        *b.arrays,
+        youngs_modulus=YOUNG,
+        poisson_ratio=nu,
+        density=DENSITY,
+        held=held,
+        pressure="dead",
+        material=material,
+        material_parameters=SHAPES.get(material),
     )
     pressure = 400.0
     load = b.load(np.where(_facet_parts(b) == 1, pressure, 0.0), gravity=GRAVITY)
@@ -123,4 +155,4 @@ def test_finite_strain_solution_equals_ngsolve(nu: float) -> None:
     p = last.state.pressure * problem.system.pressure_scale * problem.shear_modulus
     n = len(b.points)
     assert np.abs(u).max() > 0.1, "the deformation is large"
-    _assert_same((u[:n], p), _solve_in_ngsolve(b, nu, pressure, large=True), 1e-8)
+    _assert_same((u[:n], p), _solve_in_ngsolve(b, nu, pressure, large=True, material=material), 1e-8)

@@ -1,0 +1,112 @@
+"""The laws of the distortion in whole bodies: a thick sphere blown up, and the linear limit."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+from numpy.typing import NDArray
+from scipy.integrate import quad
+
+from fem_reference.exact_finite_strain import InflatedThickSphere
+from fem_reference.finite_strain import FiniteStrainProblem
+from fem_reference.materials import MATERIALS
+from tests.unit.fem_shapes import cube, octant_shell
+from tests.unit.test_fem_materials import SHAPES, _curves
+from tests.verification.fem_convergence import Convergence
+from tests.verification.records import Verified
+
+Array = NDArray[np.float64]
+
+a_sphere = pytest.mark.anchor(
+    "hyperelastic thick sphere", "Ogden 1984, Non-Linear Elastic Deformations, section 5.3.2"
+)
+_INNER_STRETCH = 1.3
+
+
+def _pressure(name: str) -> float:
+    """P = integral from l_b to l_a of W'(l)/(l^3 - 1), W' twice the equibiaxial stress at stretch l; G = 1/3."""
+    outer = float(InflatedThickSphere(1.0, 2.0, 1.0, _INNER_STRETCH).stretch(2.0))
+
+    def slope(stretch: float) -> float:
+        equibiaxial = float(_curves(name, np.array([stretch]))[1][0]) / 6.0
+        return 2.0 * equibiaxial / (stretch**3 - 1.0)
+
+    return float(quad(slope, outer, _INNER_STRETCH, epsabs=1e-13)[0])
+
+
+def test_the_shapes_are_those_of_every_law() -> None:
+    assert set(SHAPES) | {"neo-hookean", "transversely-isotropic"} == set(MATERIALS)
+
+
+@a_sphere
+@pytest.mark.parametrize(("name", "share"), [("neo-hookean", 0.0), ("mooney-rivlin", 0.3)])
+def test_pressure_by_quadrature_and_in_closed_form(name: str, share: float, verified: Verified) -> None:
+    exact = InflatedThickSphere(1.0, 2.0, 1.0 / 3.0, _INNER_STRETCH, share)
+    verified.equal(f"formula, {name}: P at l_a = 1.3", _pressure(name), exact.pressure, rtol=1e-12)
+
+
+@a_sphere
+@pytest.mark.parametrize("name", SHAPES)
+def test_inflated_sphere(name: str, verified: Verified) -> None:
+    """An octant on rollers under follower pressure, incompressible."""
+    exact = InflatedThickSphere(1.0, 2.0, 1.0 / 3.0, _INNER_STRETCH)
+    record = Convergence(f"{name}: u(a) on flat facets, l_a = 1.3", 2.0, 0.016, 0.3)
+    for n in (4, 6):
+        b = octant_shell(1.0, 2.0, n, 3 * n // 2)
+        inner = b.facets_where(lambda x: np.linalg.norm(x, axis=1) < 1.0 + 1e-9)
+        problem = FiniteStrainProblem(
+            *b.arrays,
+            held=b.surface == 0.0,
+            youngs_modulus=1.0,
+            poisson_ratio=0.5,
+            material=name,
+            material_parameters=SHAPES[name],
+        )
+        s = problem.solve([b.load(share * _pressure(name) * inner) for share in (0.5, 1.0)])
+        assert s.status[1].ok, s.status
+        at = np.linalg.norm(b.surface, axis=1) < 1.0 + 1e-9
+        u = np.einsum("ni,ni->n", s.displacement[1][at], b.surface[at])
+        record.add(1.0 / n, float(np.abs(u / exact.radial_displacement(1.0) - 1.0).max()))
+    record.check(verified)
+
+
+@pytest.mark.parametrize("poisson_ratio", [-0.3, 0.3, 0.5])
+@pytest.mark.parametrize("name", SHAPES)
+def test_small_loads_have_the_linear_answer(name: str, poisson_ratio: float) -> None:
+    b = cube(2, distort=0.25)
+    held, top = b.surface[:, 2] == 0.0, b.facets_where(lambda x: x[:, 2] == 1.0)
+    load = b.load(1e-7 * top)
+    linear = b.problem(held, poisson_ratio=poisson_ratio).solve([load])
+    finite = FiniteStrainProblem(
+        *b.arrays,
+        held=held,
+        youngs_modulus=1.0,
+        poisson_ratio=poisson_ratio,
+        material=name,
+        material_parameters=SHAPES[name],
+    ).solve([load])
+    assert finite.status[0].ok
+    size = np.abs(linear.displacement).max()
+    assert_allclose(finite.displacement, linear.displacement, rtol=0, atol=1e-5 * size)
+    assert_allclose(finite.energy, linear.energy, rtol=1e-5, atol=0)
+
+
+def test_newton_converges_quadratically_with_every_law() -> None:
+    b = cube(2, distort=0.25)
+    held, top = b.surface[:, 2] == 0.0, b.facets_where(lambda x: x[:, 2] == 1.0)
+    for name, shape in SHAPES.items():
+        problem = FiniteStrainProblem(
+            *b.arrays,
+            held=held,
+            youngs_modulus=1.0,
+            poisson_ratio=0.45,
+            material=name,
+            material_parameters=shape,
+            tolerance=1e-12,
+        )
+        (attempt,) = (a for _, a in problem.substeps([b.load(0.1 * top)]))
+        residuals = np.array(attempt.residuals)
+        assert attempt.converged
+        assert len(residuals) <= 8
+        assert np.all(residuals[3:] < 20.0 * residuals[2:-1] ** 2 + 1e-13), (name, residuals)
