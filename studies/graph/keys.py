@@ -19,6 +19,7 @@ from ..study_file.config import case_inputs
 from ..study_file.schema import Study
 
 _FORMAT = 3  # of the files of answers: raised with what is in them
+_NOT_DESCRIBED = ("kind", "name", "force", "pressure", "displacement")  # of a constraint: its kind, and how much
 _DIGITS = 12  # of a load beside others: less is rounding
 
 
@@ -125,7 +126,8 @@ def has_weight(study: Study) -> bool:
 
 def has_penalty(study: Study, name: str) -> bool:
     """Whether a model holds its supports by a penalty, as printed."""
-    return "penalty" in {**study.vdm_parameters(), **study.model_parameters().get(name, {})}
+    given = {**study.vdm_parameters(), **study.model_parameters().get(name, {})}
+    return "penalty" in given and "penalty" in models.find(name)[0].parameters
 
 
 def _outputs(study: Study) -> dict[str, bool]:
@@ -175,8 +177,9 @@ def _unit_loads(inputs: Mapping[str, Any]) -> dict[str, float]:
     """
     out: dict[str, float] = {}
     for constraint in inputs["constraints"]:
-        region = _spelt_out(constraint["region"], inputs["regions"])
-        described = json.dumps({"region": region, "profile": constraint.get("profile")}, sort_keys=True)
+        about = {key: value for key, value in constraint.items() if key not in _NOT_DESCRIBED}
+        about["region"] = _spelt_out(constraint["region"], inputs["regions"])
+        described = json.dumps(about, sort_keys=True)
         match constraint["kind"]:
             case "contact":
                 size = "force" if constraint.get("force") is not None else "pressure"
@@ -186,7 +189,8 @@ def _unit_loads(inputs: Mapping[str, Any]) -> dict[str, float]:
             case "fixed":
                 found = []
             case kind:
-                raise ValueError(f"a constraint of kind {kind!r} has no unit loads: list them beside the others")
+                raise ValueError(f"a constraint of kind {kind!r} has no unit loads, so that its answers could not be told from others': "
+                    "list them in studies.graph.keys")
         for unit, value in found:
             out[unit] = out.get(unit, 0.0) + float(value)
     return out

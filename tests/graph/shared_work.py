@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import dataclasses
+import shutil
 from collections import Counter
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -16,11 +17,15 @@ from numpy.testing import assert_allclose
 import fem_reference.linear
 import vdm.model
 from studies.case import CaseResult
-from studies.plan import Plan, PlannedCase, make_plan, task_groups, task_of
+from studies.graph.engine import Outcome, run_nodes
+from studies.graph.local import HerePlaces
+from studies.graph.nodes import bodies, graph
+from studies.graph.plan import Plan, PlannedCase, make_plan
+from studies.meshing.mesh_cache import mesh_from_cache
+from studies.scene import Scene, build_scene
 from studies.store import read_case
-from studies.study_file.config import expand
+from studies.study_file.config import expand, geometry_of
 from studies.study_file.schema import Study
-from studies.worker import run_case, share
 
 BASE = {"kind": "fixed", "region": "base"}
 FINGER = {"name": "finger", "kind": "contact", "region": "finger", "force": 0.1, "profile": "hertz"}
@@ -54,10 +59,19 @@ MOVED: dict[str, Any] = {
 }
 
 
-@pytest.fixture(scope="module")
-def cache(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Holds the mesh once it is made."""
-    return tmp_path_factory.mktemp("cache")
+@pytest.fixture(scope="session")
+def meshes(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A cache that holds the mesh of these studies once it is made."""
+    made = tmp_path_factory.mktemp("meshes")
+    study = Study.model_validate(copy.deepcopy(TABLES))
+    mesh_from_cache(geometry_of(study), made)
+    return made
+
+
+@pytest.fixture
+def cache(meshes: Path, tmp_path: Path) -> Path:
+    """A cache with the mesh, and no answer."""
+    return Path(shutil.copytree(meshes, tmp_path / "shared-cache"))
 
 
 def plan_of(
@@ -73,20 +87,36 @@ def plan_of(
     return make_plan(study, expand(study), directory, cache, fresh=fresh)
 
 
+def outcomes(plan: Plan, jobs: int = 1) -> list[Outcome]:
+    """What becomes of the nodes of a plan, all done here."""
+    nodes = graph(plan, plan.cases_to_run(), jobs, run=f"{id(plan)}")
+    return list(run_nodes(nodes, HerePlaces(), plan.directory / "failed", started=lambda _: None))
+
+
 def run(plan: Plan, *, jobs: int = 1) -> list[CaseResult]:
-    """What a worker does with each group, here."""
-    for tasks in task_groups(plan, plan.cases_to_run(), jobs):
-        with share(tasks):
-            for task in tasks:
-                run_case(task)
+    """The cases of a plan, all of whose nodes are done here."""
+    failed = [outcome.said for outcome in outcomes(plan, jobs) if not outcome.ok]
+    assert not failed, failed
     return [read_case(plan.case_file(case)) for case in plan.cases]
 
 
 def run_alone(planned: PlannedCase, plan: Plan, directory: Path) -> CaseResult:
     """One case, with nothing that another has made but the mesh."""
-    task = task_of(planned, dataclasses.replace(plan, directory=directory, fresh=True))
-    run_case(task)
-    return read_case(Path(task["path"]))
+    alone = dataclasses.replace(plan, cases=(planned,), directory=directory, fresh=True)
+    return run(alone)[0]
+
+
+def scene_of(plan: Plan, case: PlannedCase) -> Scene:
+    """A case's scene on its mesh."""
+    mesh = mesh_from_cache(geometry_of(case.study), plan.cache, volume=plan.meshes[case.mesh].volume)
+    return build_scene(case.study, mesh)
+
+
+def planned_work(plan: Plan, *names: str) -> dict[str, int]:
+    """Set-ups and solves of some models that a plan counts."""
+    found = [body for body in bodies(plan, plan.cases_to_run()) if not names or body.name in names]
+    solves = sum(len(asked.factors) for body in found for asked in body.asked)
+    return {"set-ups": len(found), "solves": solves}
 
 
 def assert_same_results(case: CaseResult, alone: CaseResult, direct: float, iterative: float) -> None:
@@ -97,7 +127,6 @@ def assert_same_results(case: CaseResult, alone: CaseResult, direct: float, iter
             a, b = getattr(case.models[name], field), getattr(result, field)
             label = f"{case.label} {name} {field}"
             assert_allclose(a, b, rtol=0, atol=tolerance * np.abs(b).max(), err_msg=label)
-        assert case.models[name].key == result.key
 
 
 @pytest.fixture

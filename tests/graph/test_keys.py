@@ -6,8 +6,8 @@ from typing import Any
 
 import pytest
 
-from studies import keys
-from studies.keys import answer_key, case_hash, reference_keys, result_keys, unit_loads
+from studies.graph import keys
+from studies.graph.keys import Wanted, case_hash, direction, load_steps, wanted
 from studies.study_file.schema import Study
 from studies.study_file.sweep import substituted
 
@@ -68,44 +68,86 @@ def study(*change: Any) -> Study:
     return Study.model_validate(substituted(STUDY, *change) if change else STUDY)
 
 
+def answers(of: Study, mesh: str = "mesh") -> dict[tuple[str, int], Wanted]:
+    return {(want.name, want.level): want for want in wanted(of, mesh)}
+
+
 @pytest.mark.parametrize("what", DECIDES)
-def test_what_decides_a_result_is_in_its_key(what: str) -> None:
+def test_what_decides_an_answer_is_in_its_key(what: str) -> None:
     place, value, read_by = DECIDES[what]
     one, other = study(), study(place, value)
     assert case_hash(one, "mesh") != case_hash(other, "mesh")
-    keys, others = result_keys(one, "mesh"), result_keys(other, "mesh")
-    assert {name for name in keys if keys[name] != others[name]} == read_by
-    same = "fem-linear" not in read_by
-    assert (reference_keys(one, "mesh") == reference_keys(other, "mesh")) is same
-    assert (answer_key(one, "mesh", "fem-linear") == answer_key(other, "mesh", "fem-linear")) is same
+    before, after = answers(one), answers(other)
+    assert {name for name, level in before if before[name, level] != after[name, level]} == read_by
 
 
-def test_another_mesh_is_another_result() -> None:
-    one, other = (result_keys(study(), mesh) for mesh in ("mesh", "finer"))
-    assert not set(one.values()) & set(other.values())
+def test_another_mesh_is_another_answer() -> None:
+    one, other = (answers(study(), mesh) for mesh in ("mesh", "finer"))
+    assert not {key for want in one.values() for key in want.answers} & {
+        key for want in other.values() for key in want.answers
+    }
+
+
+def test_each_level_of_the_reference_is_a_set_up_of_its_own() -> None:
+    found = answers(study())
+    assert set(found) == {(name, 0) for name in ALL} | {("fem-linear", 1)}
+    assert found["fem-linear", 0].body != found["fem-linear", 1].body
 
 
 @pytest.mark.parametrize("what", NAMES_ONLY)
 def test_a_name_decides_nothing(what: str) -> None:
-    one, other = study(), study(*NAMES_ONLY[what])
-    assert result_keys(one, "mesh") == result_keys(other, "mesh")
-    assert reference_keys(one, "mesh") == reference_keys(other, "mesh")
+    assert answers(study()) == answers(study(*NAMES_ONLY[what]))
+
+
+def test_loads_of_one_body_share_its_set_up() -> None:
+    one, other = answers(study()), answers(study(("constraints", 1, "force"), 0.03))
+    for place, want in one.items():
+        assert want.body == other[place].body
+        assert want.answers != other[place].answers
+
+
+def test_multiples_of_a_load_have_one_answer() -> None:
+    weightless = substituted(STUDY, ("gravity", "acceleration"), [0.0, 0.0, 0.0])
+    history = Study.model_validate(substituted(weightless, ("load", "factors"), [0.0, 0.5, -1.0]))
+    want = answers(history)["fem-linear", 0]
+    assert len(set(want.answers)) == 1
+    assert want.scales == pytest.approx((0.0, 0.01, -0.02))
+    twice = substituted(weightless, ("constraints", 1, "force"), 0.04)
+    both = Study.model_validate(substituted(twice, ("constraints", 2, "displacement"), [0.002, 0.0, 0.0]))
+    assert answers(both)["fem-linear", 0].answers == want.answers[:1]
+    assert answers(Study.model_validate(twice))["fem-linear", 0].answers != want.answers[:1], "not all doubled"
+    assert answers(both)["fem", 0].answers != answers(history)["fem", 0].answers, "a load path is not scaled"
+
+
+def test_a_weight_does_not_scale() -> None:
+    history = study(("load", "factors"), [0.5, 1.0])
+    want = answers(history)["fem-linear", 0]
+    assert len(set(want.answers)) == 2
+    assert want.scales == (1.0, 1.0)
+
+
+def test_a_penalty_is_a_load_path() -> None:
+    assert answers(study())["vdm-vector", 0].scales == ()
+
+
+def test_small_loads_beside_large_ones_keep_their_digits() -> None:
+    (one, _), (other, _) = (direction({"force": 1e5, "moved": moved}) for moved in (1e-7, 1.0001e-7))
+    assert one != other
 
 
 def test_an_unknown_kind_of_constraint_has_no_loads_to_be_told_by(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Two studies that differ in its size alone would share a reference, also the one that the disk cache keeps."""
+    """Two studies that differ in its size alone would share an answer, also the one that the disk cache keeps."""
+    inputs = keys.case_inputs(study())
     drag = {"kind": "drag", "region": {"cap": {"direction": [0.0, 0.0, 1.0], "angle": 0.5}}, "traction": 2.0}
-    monkeypatch.setattr(keys, "anonymous_constraints", lambda _: [drag])
-    plain = study(("gravity", "acceleration"), [0.0, 0.0, 0.0])
-    for ask in (unit_loads, keys.loads_of, keys.load_key, lambda s: answer_key(s, "mesh", "fem-linear")):
+    monkeypatch.setattr(keys, "case_inputs", lambda _: {**inputs, "constraints": [drag]})
+    for ask in (load_steps, lambda s: wanted(s, "mesh")):
         with pytest.raises(ValueError, match="kind 'drag' has no unit loads"):
-            ask(plain)
+            ask(study())
 
 
-def test_a_contact_is_told_by_every_key_that_it_has(monkeypatch: pytest.MonkeyPatch) -> None:
-    def units(**more: float) -> list[tuple[str, float]]:
+def test_a_contact_is_told_by_every_key_that_it_has() -> None:
+    def units(**more: float) -> list[dict[str, float]]:
         press = {"kind": "contact", "region": {}, "profile": "uniform", "force": 2.0, **more}
-        monkeypatch.setattr(keys, "anonymous_constraints", lambda _: [press])
-        return unit_loads(study())
+        return load_steps(study(), {"constraints": [press], "regions": {}})
 
     assert units(friction=0.1) != units(friction=0.2)

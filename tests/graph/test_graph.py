@@ -1,0 +1,297 @@
+"""A study as a graph: what has one key is done once, what is there is not done, and no number hangs on sharing."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections import Counter
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+import fem_reference.condensed
+from studies import metrics, models
+from studies.case import StepStatus
+from studies.graph.local import local_places
+from studies.graph.engine import run_nodes
+from studies.graph.nodes import bodies, graph
+from studies.store import read_case
+
+from . import shared_work
+from .shared_work import ALONE, BASE, FINGER, MOVED, TABLES, assert_same_results, plan_of, planned_work, run, run_alone
+
+cache, made, meshes = shared_work.cache, shared_work.made, shared_work.meshes  # the fixtures
+
+LINEAR = ("fem-linear", "fem-p1", "fem-p2")
+HISTORY = {"load": {"factors": [0.25, 0.5, 1.0]}, "sweep": {}, "uncertainty": None}
+TISSUES = {"sweep": {"tissue.poisson_ratio": [0.45, 0.49], "constraints.finger.force": [0.1, 0.3]}}
+ZIPPED = {
+    "sweep": {
+        "mode": "zip",
+        "tissue.poisson_ratio": [0.45, 0.49, 0.45, 0.4],
+        "constraints.finger.force": [0.1, 0.3, -0.2, 0.4],
+        "regions.finger.cap.direction.0": [0.0, 0.4, 0.4, 0.4],
+    }
+}
+PARAMETERS = {"sweep": {"vdm.surface_tension": [20.0, 30.0, 40.0]}, "vdm": {"surface_tension": 20.0}}
+WEIGHT = {"gravity": {"acceleration": [0.0, 0.0, -9.81]}, "tissue": TABLES["tissue"] | {"density": 1000.0}}
+PENALTY = {"vdm": {"penalty": 1e6}}
+LEVELS = {"sweep": {"uncertainty.levels": [2, 3], "constraints.finger.force": [0.1, 0.3]}}
+BESIDE = {
+    "study": {"name": "test", "models": ["vdm-vector", "fem-p1", "fem-p2", "fem-linear"], "reference": "fem-linear"}
+}
+FINITE = {
+    "study": {"name": "test", "models": ["vdm-vector", "fem-linear", "fem"], "reference": "fem"},
+    "uncertainty": None,
+    "geometry": TABLES["geometry"] | {"mesh_size": 0.03},
+}
+
+
+@pytest.mark.parametrize(
+    "changes", [{}, HISTORY, TISSUES, ZIPPED, PARAMETERS, WEIGHT, PENALTY, MOVED, ALONE, BESIDE, FINITE]
+)
+def test_what_is_planned_is_what_is_done(tmp_path: Path, made: Counter[str], changes: dict[str, Any]) -> None:
+    plan = plan_of(tmp_path, tmp_path / "cache", **changes)
+    of_fem, of_vdm = planned_work(plan, *LINEAR), planned_work(plan, "vdm-vector")
+    run(plan)
+    assert made["fem set-ups"] == of_fem["set-ups"]
+    assert made["fem solves"] <= of_fem["solves"], "sums of others are not solved"
+    assert (made["vdm set-ups"], made["vdm solves"]) == (of_vdm["set-ups"], of_vdm["solves"])
+    made.clear()
+    run(plan_of(tmp_path, tmp_path / "cache", **changes))
+    assert not made, "what is done is not done again"
+
+
+def test_two_places_and_two_forces_are_two_loads_on_one_body(tmp_path: Path, cache: Path, made: Counter[str]) -> None:
+    run(plan_of(tmp_path, cache))
+    assert made == {"fem set-ups": 2, "fem solves": 4, "vdm set-ups": 1, "vdm solves": 2}
+
+
+@pytest.mark.parametrize("changes", [{}, ALONE, BESIDE, ZIPPED, ALONE | WEIGHT, ALONE | MOVED, LEVELS, HISTORY])
+def test_shared_numbers_are_those_of_each_case_alone(
+    tmp_path: Path, cache: Path, changes: dict[str, Any]
+) -> None:
+    plan = plan_of(tmp_path / "together", tmp_path / "cache", **changes)
+    for case, planned in zip(run(plan), plan.cases, strict=True):
+        alone = run_alone(planned, plan, tmp_path / "alone")
+        # iterations end at their own residual
+        assert_same_results(case, alone, 1e-12, 1e-10)
+        assert case.reference_error.keys() == alone.reference_error.keys()
+        for name, series in alone.metrics.items():
+            for metric, entry in series.items():
+                values = case.metrics[name][metric].values
+                assert_allclose(values, entry.values, rtol=1e-8, atol=1e-12, err_msg=f"{name} {metric}")
+
+
+def test_a_combination_is_what_a_model_answers_to_the_load_itself(tmp_path: Path, cache: Path) -> None:
+    """The long way: every model set up and solved for the very scene of the case."""
+    plan = plan_of(tmp_path, cache, **(HISTORY | {"environment": {"pressure": 100.0}}))
+    (case,) = run(plan)
+    scene = shared_work.scene_of(plan, plan.cases[0])
+    for name in ("vdm-vector", "fem-linear"):
+        long = models.run_model(scene, name)
+        for field in ("displacement", "reaction_force", "energy", "fluid_pressure", "volume"):
+            a, b = getattr(case.models[name], field), getattr(long, field)
+            assert_allclose(a, b, rtol=0, atol=1e-12 * np.abs(b).max(), err_msg=f"{name} {field}")
+
+
+def test_a_further_model_costs_that_model(tmp_path: Path, cache: Path, made: Counter[str]) -> None:
+    before = run(plan_of(tmp_path, cache))
+    made.clear()
+    study = TABLES["study"] | {"models": ["vdm-vector", "vdm-paper", "fem-linear"]}
+    plan = plan_of(tmp_path, cache, study=study)
+    assert {body.name for body in bodies(plan, plan.cases)} == {"vdm-paper"}
+    after = run(plan)
+    assert made == {"vdm set-ups": 1, "vdm solves": 2}
+    for a, b in zip(after, before, strict=True):
+        for name, result in b.models.items():
+            np.testing.assert_array_equal(a.models[name].displacement, result.displacement)
+            assert a.models[name].parameters["measured_earlier"] == "yes"
+        assert "measured_earlier" not in a.models["vdm-paper"].parameters
+        assert a.reference_error == b.reference_error
+
+
+def test_a_further_force_costs_no_answer(tmp_path: Path, cache: Path, made: Counter[str]) -> None:
+    run(plan_of(tmp_path, cache))
+    made.clear()
+    forces = TABLES["sweep"] | {"constraints.finger.force": [0.1, 0.3, 0.7, -0.2]}
+    plan = plan_of(tmp_path, cache, sweep=forces)
+    assert {node.kind for node in graph(plan, plan.cases_to_run(), 1, "")} == {"cases"}
+    assert len(run(plan)) == 8
+    assert not made
+
+
+def test_a_word_in_the_title_costs_no_node(tmp_path: Path, cache: Path) -> None:
+    run(plan_of(tmp_path, cache))
+    plan = plan_of(tmp_path, cache, study=TABLES["study"] | {"title": "Another"})
+    assert graph(plan, plan.cases_to_run(), 1, "") == []
+
+
+def test_another_study_uses_the_same_answers(tmp_path: Path, cache: Path, made: Counter[str]) -> None:
+    run(plan_of(tmp_path / "a", cache))
+    made.clear()
+    regions = {"bed": TABLES["regions"]["base"], "tip": TABLES["regions"]["finger"]}
+    constraints = [BASE | {"region": "bed"}, FINGER | {"region": "tip", "force": 0.3}]
+    changes = {"regions": regions, "constraints": constraints, "vdm": {"surface_tension": 20.0}}
+    sweep = {"regions.tip.cap.direction.0": [0.0, 0.4], "vdm.surface_tension": [20.0, 30.0]}
+    run(plan_of(tmp_path / "b", cache, **changes, sweep=sweep))
+    assert made == {"vdm set-ups": 2, "vdm solves": 4}, "names do not matter, nor VDM's parameters to the reference"
+
+
+def test_more_levels_serve_fewer(tmp_path: Path, made: Counter[str]) -> None:
+    coarse = {"geometry": TABLES["geometry"] | {"mesh_size": 0.03}, "sweep": {}}
+    run(plan_of(tmp_path / "a", tmp_path / "cache", **coarse, uncertainty={"levels": 3}))
+    made.clear()
+    (case,) = run(plan_of(tmp_path / "b", tmp_path / "cache", **coarse, uncertainty={"levels": 2}))
+    assert not made
+    assert case.reference_error["levels"] == 2
+
+
+def test_what_nobody_asks_for_has_no_node(tmp_path: Path, cache: Path) -> None:
+    plan = plan_of(tmp_path, tmp_path / "none", study={"name": "test", "models": ["vdm-vector"]}, uncertainty=None)
+    nodes = graph(plan, plan.cases, 1, "")
+    assert Counter(node.kind for node in nodes) == {"mesh": 1, "answers": 1, "cases": 1}
+    assert [len(node.items) for node in nodes] == [0, 0, 4], "two places and two forces"
+    assert not any(node.payload["volume"] for node in nodes), "no tetrahedra"
+
+
+def test_fresh_uses_nothing_that_is_stored(tmp_path: Path, cache: Path, made: Counter[str]) -> None:
+    run(plan_of(tmp_path, cache))
+    first = dict(made)
+    made.clear()
+    again = run(plan_of(tmp_path, cache, fresh=True))
+    assert made == first
+    assert all("measured_earlier" not in r.parameters for case in again for r in case.models.values())
+
+
+def test_a_damaged_answer_is_made_again(tmp_path: Path, made: Counter[str]) -> None:
+    before = run(plan_of(tmp_path / "a", tmp_path / "cache"))
+    for path in (tmp_path / "cache" / "answers").iterdir():
+        path.write_bytes(path.read_bytes()[:-100])
+    made.clear()
+    after = run(plan_of(tmp_path / "b", tmp_path / "cache"))
+    assert made["fem solves"] == 4
+    for a, b in zip(after, before, strict=True):
+        assert_same_results(a, b, 1e-12, 1e-12)
+    made.clear()
+    run(plan_of(tmp_path / "c", tmp_path / "cache"))
+    assert not made, "what was damaged has been replaced"
+
+
+def test_an_answer_that_is_gone_meanwhile_is_told(tmp_path: Path) -> None:
+    plan = plan_of(tmp_path, tmp_path / "cache")
+    cases = [node for node in graph(plan, plan.cases, 1, "") if node.kind == "cases"]
+    with local_places(1) as places:
+        said = [o.said for o in run_nodes(cases, places, tmp_path / "failed", started=lambda _: None)]
+    assert all("is gone" in one.message and one.remedy for one in said)
+
+
+def test_another_metric_version_costs_no_solve(
+    tmp_path: Path, cache: Path, made: Counter[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    before = run(plan_of(tmp_path, cache))
+    made.clear()
+    name = "max_nodal_error"
+    old = metrics.METRICS[name]
+    changed = dataclasses.replace(old, version=99, function=lambda *a: 2 * old.function(*a))
+    monkeypatch.setitem(metrics.METRICS, name, changed)
+    plan = plan_of(tmp_path, cache)
+    assert set(plan.state.values()) == {"stale"}
+    for a, b in zip(run(plan), before, strict=True):
+        series = a.metrics["vdm-vector"][name]
+        assert series.version == 99
+        assert_allclose(series.values, 2 * b.metrics["vdm-vector"][name].values, rtol=1e-12, atol=0)
+    assert not made, "nothing is set up or solved"
+
+
+def test_a_reference_that_failed_is_no_reference(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    answer = models.Prepared.answer
+
+    def failing(self: models.Prepared, loads: Any) -> Any:
+        result = answer(self, loads)
+        if self.model.name != "fem-linear":
+            return result
+        stopped = StepStatus("diverged", "it did not converge", "do this")
+        return dataclasses.replace(result, status=(stopped,) * len(result.status))
+
+    monkeypatch.setattr(models.Prepared, "answer", failing)
+    plan = plan_of(tmp_path, tmp_path / "cache", uncertainty=None)
+    failed = [outcome for outcome in shared_work.outcomes(plan) if not outcome.ok]
+    assert [outcome.kind for outcome in failed] == ["cases"] * 4
+    assert {outcome.said.remedy for outcome in failed} == {"do this"}
+
+
+@pytest.mark.parametrize("displacements", [[-0.001, -0.002], [-0.001, 0.0]])
+def test_condensed_elements_are_set_up_as_often_as_planned(
+    tmp_path: Path, cache: Path, monkeypatch: pytest.MonkeyPatch, displacements: list[float]
+) -> None:
+    set_up: list[int] = []
+    start = fem_reference.condensed.CondensedProblem.__init__
+
+    def counted_start(self: Any, *arguments: Any, **options: Any) -> None:
+        set_up.append(1)
+        start(self, *arguments, **options)
+
+    monkeypatch.setattr(fem_reference.condensed.CondensedProblem, "__init__", counted_start)
+    sweep = {"constraints.tool.displacement.0": displacements, "constraints.finger.force": [0.1, 0.2]}
+    study = {"study": {"name": "test", "models": ["fem-condensed"]}, "uncertainty": None}
+    plan = plan_of(tmp_path, cache, **(MOVED | study | {"sweep": sweep}))
+    planned = planned_work(plan)
+    run(plan)
+    assert len(set_up) == planned["set-ups"]
+
+
+def test_one_two_and_three_places_give_the_same_numbers(tmp_path: Path, cache: Path) -> None:
+    """Bit for bit, whichever worker is faster."""
+    found = []
+    for jobs in (1, 2, 3):
+        plan = plan_of(tmp_path / f"{jobs}", tmp_path / f"cache-{jobs}")
+        with local_places(jobs) as places:
+            nodes = graph(plan, plan.cases, jobs, run="")
+            outcomes = list(run_nodes(nodes, places, tmp_path / "logs", started=lambda _: None))
+        assert all(outcome.ok for outcome in outcomes), outcomes
+        found.append([read_case(plan.case_file(case)) for case in plan.cases])
+    assert list((tmp_path / "logs").iterdir()) == []
+    for first, *others in zip(*found, strict=True):
+        for other in others:
+            for name, result in first.models.items():
+                for field in ("displacement", "reaction_force", "energy", "fluid_pressure", "volume"):
+                    a, b = getattr(result, field), getattr(other.models[name], field)
+                    np.testing.assert_array_equal(a, b, err_msg=f"{name} {field}")
+
+
+def test_a_model_is_given_what_it_reads(tmp_path: Path, cache: Path) -> None:
+    names = ("vdm-paper", "vdm-vector", "vdm-boundary")
+    study = {"name": "test", "models": list(names)}
+    given = {"surface_tension": 30.0, "shear_modulus": 1500.0}
+    plan = plan_of(tmp_path, cache, study=study, vdm=given, uncertainty=None)
+    case = run(plan)[0]
+    found = {name: given.keys() & case.models[name].parameters.keys() for name in names}
+    assert found == {"vdm-paper": set(), "vdm-vector": {"surface_tension"}, "vdm-boundary": {"shear_modulus"}}
+    without = plan_of(tmp_path, cache, study=study, uncertainty=None)
+    assert plan.cases[0].want("vdm-paper") == without.cases[0].want("vdm-paper")
+
+
+def test_no_gravity_is_no_weight(tmp_path: Path) -> None:
+    none, zero = (
+        plan_of(tmp_path, tmp_path, **gravity)
+        for gravity in ({}, {"gravity": {"acceleration": [0.0, 0.0, 0.0]}})
+    )
+    assert [case.wanted for case in none.cases] == [case.wanted for case in zero.cases]
+
+
+def test_loads_that_differ_beyond_measure(tmp_path: Path, cache: Path) -> None:
+    for force in (1e-155, 0.1):
+        (case,) = run(plan_of(tmp_path, cache, sweep={"constraints.finger.force": [force]}))
+        assert all(np.isfinite(result.energy).all() for result in case.models.values()), force
+    (alone,) = run(plan_of(tmp_path / "b", cache, fresh=True, sweep={"constraints.finger.force": [0.1]}))
+    for name, result in alone.models.items():
+        assert_allclose(case.models[name].energy, result.energy, rtol=1e-12, atol=0, err_msg=name)
+
+
+def test_shards_have_each_case_once(tmp_path: Path, cache: Path) -> None:
+    plan = plan_of(tmp_path, cache, sweep=TISSUES["sweep"] | {"constraints.finger.force": [0.1, 0.2, 0.3]})
+    shards = [plan.cases_to_run((k, 4)) for k in (1, 2, 3, 4)]
+    assert sorted(case.hash for shard in shards for case in shard) == sorted(case.hash for case in plan.cases)
