@@ -80,6 +80,8 @@ class Cluster:
         ClusterError
             no worker is there, one of them does not fit, or the scheduler is lost.
         """
+        if scratch.is_symlink():
+            scratch.unlink()  # the link, not what it leads to
         shutil.rmtree(scratch, ignore_errors=True)
         home = scratch.absolute() / uuid4().hex
         home.mkdir(parents=True)

@@ -36,6 +36,7 @@ from typing import Any
 from .files import write_atomically
 from .memory import limit_memory
 from .meshing.mesh import InputError
+from .safe_open import open_regular, read_regular
 from .server import CONTEXT, start_server
 
 Task = Mapping[str, Any]
@@ -217,7 +218,10 @@ def _finish(r: _Running, timeout: float | None) -> tuple[Outcome | None, list[li
         _stop(r.process)
     r.process.join()
     r.answer.close()
-    log = r.log.read_text(errors="replace") if r.log.exists() else ""
+    try:
+        log = read_regular(r.log).decode(errors="replace")
+    except OSError:  # it died before it had one
+        log = ""
     r.log.unlink(missing_ok=True)
     if not r.tasks:
         return None, []
@@ -269,8 +273,9 @@ def _main(
 ) -> None:
     """The worker process: output goes to the log, outcomes through the pipe."""
     os.environ["RAYON_NUM_THREADS"], os.environ["OMP_NUM_THREADS"] = str(threads), "1"
-    descriptor = os.open(log, os.O_RDWR | os.O_CREAT | os.O_TRUNC | os.O_APPEND, 0o644)
+    descriptor = open_regular(Path(log), os.O_RDWR | os.O_CREAT | os.O_APPEND)
     fcntl.flock(descriptor, fcntl.LOCK_EX)  # in use, as long as this process lives
+    os.ftruncate(descriptor, 0)
     os.dup2(descriptor, 1)
     os.dup2(descriptor, 2)
     sys.stdout, sys.stderr = (open(number, "w", buffering=1, closefd=False) for number in (1, 2))  # noqa: SIM115

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import json
+import os
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
+
+from .safe_open import open_regular, read_regular
 
 
 @dataclass
@@ -29,7 +32,8 @@ class Journal:
         Raises OSError where the directory is gone.
         """
         line = b"\n" + json.dumps(record).encode() + b"\n"
-        with self.path.open("ab", buffering=0) as file:
+        handle = open_regular(self.path, os.O_WRONLY | os.O_APPEND | os.O_CREAT)
+        with os.fdopen(handle, "ab", buffering=0) as file:
             file.write(line)
 
     def catch_up(self, told: str) -> None:
@@ -39,7 +43,7 @@ class Journal:
     def content(self) -> bytes:
         """The whole file; nothing where there is none yet."""
         try:
-            return self.path.read_bytes()
+            return read_regular(self.path)
         except FileNotFoundError:
             return b""
 

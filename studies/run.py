@@ -25,8 +25,9 @@ from .hdf5 import StoreError
 from .memory import machine_memory
 from .meshing.mesh import MeshError
 from .plan import Plan, PlannedCase, PlannedMesh, task_groups, task_of
+from .safe_open import open_regular
 from .server import processor_seconds, start_server
-from .store import case_path, failure_path, read_plan, read_run, write_study
+from .store import case_path, failure_path, read_plan, read_run, refuse_linked, write_study
 from .study_file.config import geometry_error, resolved
 from .study_file.units import shown
 from .work import work_of
@@ -79,6 +80,7 @@ def run_plan(
     here = bool(cases) and options.scheduler is None
     if here or plan.missing_meshes(cases):
         start_server()  # before there are a cluster's threads, and a lock that it would hold on to
+    refuse_linked(plan.directory)
     with _cluster(options) as cluster, _locked(plan.directory, options.shard):
         _check_study(plan)
         if here:
@@ -265,7 +267,7 @@ def _locked(directory: Path, shard: tuple[int, int]) -> Iterator[None]:
 
 @contextmanager
 def _lock(directory: Path, name: str, kind: int, *, wait: bool = False) -> Iterator[None]:
-    with (directory / name).open("a+") as file:
+    with os.fdopen(open_regular(directory / name, os.O_RDWR | os.O_CREAT), "r+") as file:
         try:
             fcntl.flock(file, kind if wait else kind | fcntl.LOCK_NB)
         except BlockingIOError:
