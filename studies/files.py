@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 import contextlib
-import errno
 import fcntl
 import json
 import math
 import os
-import tempfile
+import secrets
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from .safe_open import open_regular, require_replaceable
+
 _PART = ".part"  # ends the names of files being written, which nothing reads
+_LONGEST = 200  # characters of a name that its temporary file repeats: file systems take 255 bytes
 
 
 def json_text(value: Any, *, indent: int | None = None, sort_keys: bool = False) -> str:
@@ -39,10 +41,10 @@ def write_atomically(path: Path, data: bytes) -> None:
     Raises
     ------
     OSError
-        disk full or read-only, or a directory of that name; it names `path`, and nothing is left behind.
+        disk full or read-only, or a directory, FIFO or device of that name; it names `path`, and nothing is
+        left behind. A link of that name is replaced, not followed.
     """
-    if path.is_dir():
-        raise IsADirectoryError(errno.EISDIR, "a directory is in a file's place; remove it", str(path))
+    require_replaceable(path)
     path.parent.mkdir(parents=True, exist_ok=True)
     try:
         _replace(path, data)
@@ -57,7 +59,6 @@ def _replace(path: Path, data: bytes) -> None:
             file.write(data)
             file.flush()
             os.fsync(file.fileno())
-            name.chmod(0o644)
             name.replace(path)
     except BaseException:
         name.unlink(missing_ok=True)
@@ -72,10 +73,11 @@ def _replace(path: Path, data: bytes) -> None:
 def _temporary(path: Path) -> tuple[int, Path]:
     """A new file beside `path`, locked as long as this process has it open."""
     while True:
-        handle, name = tempfile.mkstemp(prefix=f".{path.name}.", suffix=_PART, dir=path.parent)
+        name = path.with_name(f".{path.name[:_LONGEST]}.{secrets.token_hex(8)}{_PART}")
+        handle = open_regular(name, os.O_WRONLY | os.O_CREAT | os.O_EXCL)
         fcntl.flock(handle, fcntl.LOCK_EX)
         if os.fstat(handle).st_nlink:
-            return handle, Path(name)
+            return handle, name
         os.close(handle)  # another process cleared it away between its making and its locking
 
 
@@ -86,7 +88,10 @@ def clear_abandoned(directory: Path, suffix: str = _PART) -> None:
     """
     for path in directory.glob(f".*{suffix}"):
         with contextlib.suppress(OSError):  # gone meanwhile, in use, or not ours
-            handle = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_NOFOLLOW)
+            if path.is_symlink():
+                path.unlink()  # the link, not what it leads to
+                continue
+            handle = open_regular(path)
             try:
                 fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
                 path.unlink()

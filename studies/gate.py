@@ -23,8 +23,8 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from .case import CaseResult, MetricSeries, Run
 from .files import write_atomically
 from .metrics import METRICS, Metric, Sense, full_load_step
+from .safe_open import UnfitFileError, read_regular
 from .study_file.kinds import safe_name
-from .study_file.problems import file_fault
 
 SCHEMA = 1
 MAX_BYTES = 50_000_000
@@ -192,12 +192,12 @@ def read_baseline(path: Path) -> Baseline:
     """
     if not path.exists():
         raise BaselineError(f"{no_baseline(path)} --baseline {shlex.quote(str(path))}")
-    if fault := file_fault(path):
-        raise BaselineError(f"{path}: {fault}")
-    if path.stat().st_size > MAX_BYTES:
-        raise BaselineError(f"{path}: larger than any baseline can be")
     try:
-        data = json.loads(path.read_bytes())
+        raw = read_regular(path, MAX_BYTES)
+    except (UnfitFileError, IsADirectoryError, NotADirectoryError) as error:
+        raise BaselineError(f"{path}: {error.strerror}") from None
+    try:
+        data = json.loads(raw)
     except (ValueError, RecursionError):
         raise BaselineError(f"{path}: not JSON; restore it or accept anew") from None
     schema = data.get("schema") if isinstance(data, dict) else None

@@ -23,6 +23,8 @@ import numpy as np
 from h5py import h5, h5a, h5d, h5ds, h5f, h5g, h5l, h5o, h5p, h5s, h5t, string_dtype
 from numpy.typing import NDArray
 
+from .safe_open import UnfitFileError, read_regular
+
 MAX_BYTES = 2 << 30
 TRAILER = b"\nvdmbench-sha256 "
 TRAILER_BYTES = len(TRAILER) + 64 + 1
@@ -337,13 +339,12 @@ def _decoded(values: Any) -> Any:
 
 
 def _open(path: Path) -> Any:
-    if not path.is_file():
-        what = "is not a file; remove it and run again" if path.exists() else "no such file"
-        raise StoreError(f"{path}: {what}")
-    size = path.stat().st_size
-    if size > MAX_BYTES:
-        raise StoreError(f"{path}: {size} bytes is more than a result file can have")
-    data = path.read_bytes()
+    try:
+        data = read_regular(path, MAX_BYTES)
+    except (FileNotFoundError, NotADirectoryError):
+        raise StoreError(f"{path}: no such file") from None
+    except (UnfitFileError, IsADirectoryError) as error:
+        raise StoreError(f"{path}: {error.strerror}; then run again") from None
     image, trailer = data[:-TRAILER_BYTES], data[-TRAILER_BYTES:]
     digest = hashlib.sha256(image).hexdigest().encode()
     if trailer != TRAILER + digest + b"\n":

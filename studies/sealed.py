@@ -15,7 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .files import write_atomically
+from .safe_open import UnfitFileError, read_regular
 
+_MAX_BYTES = 8 << 30
 _DIGEST_BYTES = 32  # a SHA-256 ends the file; readers of .npz do not mind it
 
 
@@ -48,9 +50,10 @@ def is_sound(path: Path) -> bool:
 
 
 def _content(path: Path) -> bytes | None:
-    if not path.is_file():  # where something else is in its place, writing it says so
-        return None
-    data = path.read_bytes()
+    try:
+        data = read_regular(path, _MAX_BYTES)
+    except (FileNotFoundError, NotADirectoryError, IsADirectoryError, UnfitFileError):
+        return None  # where something else is in its place, writing it replaces a link, and tells the rest
     content, seal = data[:-_DIGEST_BYTES], data[-_DIGEST_BYTES:]
     return content if _seal(path, content) == seal else None
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import os
 from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -31,11 +32,13 @@ from .files import json_text, write_atomically
 from .hdf5 import Data, Entry, Group, OlderSchemaError, Stored, StoreError, Text, sealed
 from .metrics import METRICS
 from .metrics_table import metric_rows, metrics_csv
+from .safe_open import UnfitFileError, read_regular
 from .uncertainty import value_bar
 
 SCHEMA = 3
 STUDY_FILE = "study.h5"
 CASE_SUFFIX = ".vtkhdf"
+FOLDERS = ("cases", "failed")  # of a run directory
 _VTK_TRIANGLE = 5
 
 # the columns of a model's table of steps that every model has, with their units
@@ -114,15 +117,15 @@ def read_run(directory: Path, *, damaged: bool = False) -> Run:
     """
     plan = read_plan(directory)
     try:
-        study_text = (directory / "study.toml").read_text("utf-8")
-    except (FileNotFoundError, IsADirectoryError, ValueError) as error:
+        study_text = read_regular(directory / "study.toml").decode("utf-8")
+    except (FileNotFoundError, IsADirectoryError, UnfitFileError, ValueError) as error:
         raise StoreError(f"{directory}/study.toml: not readable ({error}); run the study again") from error
     cases, failed, missing = [], [], []
     for planned in plan["cases"]:
         label = planned["label"] or plan["study"]["name"]
         path = case_path(directory, planned["hash"])
         # reading it says the rest
-        state = "done" if path.exists() else case_state(directory, planned["hash"])
+        state = "done" if os.path.lexists(path) else case_state(directory, planned["hash"])
         # the swept values and the label belong to the study, not to the case: another study may share it
         names = {key: planned[key] for key in ("label", "swept", "swept_units")}
         if state == "done":
@@ -156,7 +159,7 @@ def run_state(directory: Path) -> dict[str, list[Any]]:
         failed = kind == "failed"
         state[kind].append(_read_failure(directory, planned["hash"], label) if failed else label)
     tables = directory / STUDY_FILE
-    if tables.exists():
+    if os.path.lexists(tables):
         try:
             Stored(tables, SCHEMA).close()
         except OlderSchemaError:
@@ -172,7 +175,7 @@ def case_state(directory: Path, case_hash: str) -> str:
     A file of an older schema counts as missing: the next run writes it anew.
     """
     path = case_path(directory, case_hash)
-    if path.exists():
+    if os.path.lexists(path):
         try:
             with Stored(path, SCHEMA) as file:
                 if file.text("case", "hash") != case_hash:
@@ -183,7 +186,7 @@ def case_state(directory: Path, case_hash: str) -> str:
         except (StoreError, KeyError, TypeError, ValueError, OSError):
             return "damaged"
         return "done" if fresh else "stale"
-    return "failed" if failure_path(directory, case_hash).exists() else "missing"
+    return "failed" if os.path.lexists(failure_path(directory, case_hash)) else "missing"
 
 
 def result_keys(path: Path) -> dict[str, str]:
@@ -203,23 +206,33 @@ def _metric_versions() -> str:
 def read_plan(directory: Path) -> dict[str, Any]:
     """What was planned in a run directory. Raises StoreError where it is none."""
     try:
-        plan: dict[str, Any] = json.loads((directory / "plan.json").read_text())
+        plan: dict[str, Any] = json.loads(read_regular(directory / "plan.json"))
         _ = plan["study"]["name"]
         for planned in plan["cases"]:
             _ = planned["hash"], planned["label"], planned["swept"], planned["swept_units"]
     except (FileNotFoundError, NotADirectoryError, IsADirectoryError):
         raise StoreError(f"{directory}: not a run directory (it has no plan.json)") from None
+    except UnfitFileError as error:
+        raise StoreError(f"{error.filename}: {error.strerror}, and run the study again") from None
     except (KeyError, TypeError, ValueError) as error:
         raise StoreError(f"{directory}/plan.json: damaged ({error!r}); run the study again") from error
+    refuse_linked(directory)
     return plan
+
+
+def refuse_linked(directory: Path) -> None:
+    """Raises StoreError where a folder of a run directory is a link: what it leads to is another's."""
+    for name in FOLDERS:
+        if (directory / name).is_symlink():
+            raise StoreError(f"{directory / name}: is a link; put the folder itself in its place")
 
 
 def _read_failure(directory: Path, case_hash: str, label: str) -> dict[str, str]:
     path = failure_path(directory, case_hash)
     try:
-        record = json.loads(path.read_text())
+        record = json.loads(read_regular(path))
         known = {key: str(record[key]) for key in ("hash", "code", "message", "remedy")}
-    except (KeyError, TypeError, ValueError, IsADirectoryError) as error:
+    except (KeyError, TypeError, ValueError, IsADirectoryError, UnfitFileError) as error:
         raise StoreError(f"{path}: damaged ({error}); delete it and run again") from error
     return {**known, "label": label}
 

@@ -17,6 +17,7 @@ from graphlib import TopologicalSorter
 from pathlib import Path
 from typing import Protocol
 
+from ..safe_open import read_regular
 from .nodes import Node, one_by_one
 from .work import Said
 
@@ -154,7 +155,7 @@ def _outcomes(node: Node, said: Sequence[Said], cause: Said | None) -> Iterator[
 
 def _read(log: Path) -> str:
     try:
-        return log.read_text(errors="replace")
+        return read_regular(log).decode(errors="replace")
     except OSError:
         return ""
 

@@ -20,7 +20,8 @@ from ..explain import beyond_memory, summary
 from ..files import clear_abandoned, write_atomically
 from ..hdf5 import StoreError
 from ..meshing.mesh import MeshError
-from ..store import case_path, failure_path, read_plan, read_run, write_study
+from ..safe_open import open_regular
+from ..store import case_path, failure_path, read_plan, read_run, refuse_linked, write_study
 from ..study_file.config import geometry_error, resolved
 from ..study_file.units import shown
 from .engine import Outcome, Places, run_nodes
@@ -70,6 +71,7 @@ def run_plan(
         disk full or read-only; a cluster that is not there or does not fit.
     """
     plan.directory.mkdir(parents=True, exist_ok=True)
+    refuse_linked(plan.directory)
     cases = plan.cases_to_run(options.shard)
     with _locked(plan.directory, options.shard):
         _check_study(plan)
@@ -229,7 +231,7 @@ def _locked(directory: Path, shard: tuple[int, int]) -> Iterator[None]:
 
 @contextmanager
 def _lock(directory: Path, name: str, kind: int, *, wait: bool = False) -> Iterator[None]:
-    with (directory / name).open("a+") as file:
+    with os.fdopen(open_regular(directory / name, os.O_RDWR | os.O_CREAT), "r+") as file:
         try:
             fcntl.flock(file, kind if wait else kind | fcntl.LOCK_NB)
         except BlockingIOError:

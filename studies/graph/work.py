@@ -24,6 +24,7 @@ from ..model_name import REFINED
 from ..models import Prepared, find
 from ..provenance import provenance
 from ..reference import level_scene, own_error, require_converged, restricted
+from ..safe_open import open_regular
 from ..scene import Scene, build_scene
 from ..sealed import read_arrays
 from ..small_strain import read_limits, small_strain_limits, write_limits
@@ -309,7 +310,8 @@ def _outcome(work: Callable[[], object]) -> tuple[str, str, str]:
 @contextlib.contextmanager
 def _output_to(log: Path) -> Iterator[None]:
     """What the work prints, C libraries included, goes to a file, for the run to read where the work fails."""
-    descriptor = os.open(log, os.O_WRONLY | os.O_CREAT | os.O_TRUNC | os.O_APPEND, 0o666)
+    descriptor = open_regular(log, os.O_WRONLY | os.O_CREAT | os.O_APPEND)
+    os.ftruncate(descriptor, 0)
     kept = [os.dup(number) for number in (1, 2)]
     try:
         for number in (1, 2):

@@ -275,7 +275,7 @@ def test_damaged_baselines(tmp_path: Path, content: bytes, message: str) -> None
 def test_what_is_no_file_is_not_waited_for(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "pipe")
     for path in (tmp_path / "pipe", tmp_path):
-        with pytest.raises(BaselineError, match="is not a file"):
+        with pytest.raises(BaselineError, match="is in a file's place; remove it"):
             read_baseline(path)
 
 
