@@ -50,8 +50,8 @@ def list_verb(options: argparse.Namespace) -> int:
 def check_verb(options: argparse.Namespace) -> int:
     """Print whether a study is right, or every mistake in it."""
     from .explain import refused
-    from .study_file.problems import StudyError
     from .graph.nodes import bodies
+    from .study_file.problems import StudyError
 
     try:
         study, path = _load(options)
@@ -92,7 +92,7 @@ def plan_verb(options: argparse.Namespace) -> int:
     plan = _make_plan(study, options)
     _keep_other_surface(plan, options)
     _check_files(plan, plan.cases_to_run())
-    planned = summary(plan, options.jobs or os.cpu_count() or 1)
+    planned = summary(plan)
     if options.json:
         return print_json(planned)
     print(f"{study.study.title}: {count(len(planned['cases']), 'case')} of {', '.join(study.study.models)}")
@@ -292,7 +292,7 @@ def _command(verb: str, options: argparse.Namespace) -> tuple[str, ...]:
 
 def _run_for_fit(plan: Plan, path: Path, options: argparse.Namespace) -> tuple[Plan, Run]:
     """Run what is missing of a study that parameters are fitted on, and say what failed."""
-    from .graph.run import Options, count_of_events, run_plan
+    from .graph.run import Options, run_plan
 
     cases = plan.cases_to_run()
     total = len(cases) + len(plan.missing_meshes(cases))

@@ -41,6 +41,7 @@ PACKAGES = {
     "rich": "rich",
     "tomli-w": "tomli_w",
     "threadpoolctl": "threadpoolctl",
+    "pebble": "pebble",
 }
 # packages that are not needed, and what is done without them
 _FALLBACKS = {"rslab": "finite elements factorise with SciPy's SuperLU instead, slower and in more memory"}

@@ -14,12 +14,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from . import models
+from .graph.nodes import Body, bodies
+from .graph.plan import Expected, Plan, PlannedCase, PlannedMesh
 from .hdf5 import StoreError
 from .meshing.mesh import MeshError
 from .meshing.mesh_cache import mesh_path, read_mesh
 from .model_name import REFINED, split
-from .graph.nodes import Body, bodies
-from .graph.plan import Expected, Plan, PlannedCase, PlannedMesh
 from .store import read_case
 
 FACTOR_MEASURED, FACTOR_LAWS = 3.0, 5.0
@@ -239,7 +239,9 @@ def _speed(plan: Plan, dearest: float) -> tuple[float, float]:
         measured = expected = 0.0
         for name, result in solved.items():
             model, spent = name.removesuffix(REFINED), [result.seconds_setup, *result.seconds_per_step]
-            if model in case.study.study.models and np.isfinite(spent).all():  # one that stopped tells nothing
+            if (
+                model in case.study.study.models and np.isfinite(spent).all()
+            ):  # one that stopped tells nothing
                 law = _law(model, size.refined(finest if name != model else 0), 1)
                 measured += sum(spent)
                 expected += law.setup + law.step * (len(spent) - 1)

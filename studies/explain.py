@@ -8,20 +8,20 @@ from typing import Any
 
 from . import models
 from .estimate import FACTOR_LAWS, Size, estimate, known_of, largest_solve, size_of
-from .memory import machine_memory
-from .meshing.geometry_spec import fewer_nodes
-from .model_name import DISPLACEMENT_ELEMENTS, split
 from .graph.answers import answer_path
 from .graph.nodes import Body, bodies
 from .graph.plan import Expected, Plan, PlannedCase
+from .memory import machine_memory
+from .meshing.geometry_spec import fewer_nodes
+from .model_name import DISPLACEMENT_ELEMENTS, split
 from .regions import body_extent, lies_outside
 from .study_file.config import holds_nothing
 
 DOUBT = 1.3  # expected surface nodes of a mesh over those that it may have
 
 
-def summary(plan: Plan, jobs: int = 1) -> dict[str, Any]:
-    """The plan for `jobs` workers as plain data: `plan.json`, and what `vdmbench plan` prints."""
+def summary(plan: Plan) -> dict[str, Any]:
+    """The plan as plain data: `plan.json`, and what `vdmbench plan` prints."""
     todo = plan.cases_to_run()
     work = bodies(plan, todo)
     expected = estimate(plan, todo)
@@ -61,14 +61,14 @@ def summary(plan: Plan, jobs: int = 1) -> dict[str, Any]:
             }
             for body in work
         ],
-        "needed": _needed(plan, todo, work),
+        "needed": _needed(todo, work),
         "skipped": _skipped(plan, todo),
         "refused": refused(plan, todo, work),
         "estimate": dataclasses.asdict(expected) if expected else None,
     }
 
 
-def _needed(plan: Plan, todo: Sequence[PlannedCase], work: Sequence[Body]) -> list[str]:
+def _needed(todo: Sequence[PlannedCase], work: Sequence[Body]) -> list[str]:
     """Set-ups and solves of each model on each level, beside the load steps that are made from them."""
     lines = []
     meshes = {case.mesh for case in todo}
@@ -116,9 +116,7 @@ def _skipped(plan: Plan, todo: Sequence[PlannedCase]) -> list[str]:
         lines.append(f"{_count(cached, 'mesh', 'meshes')}: already in the cache")
     for name in plan.study.study.models:
         wants = [want for case in todo for want in case.wanted if want.name == name]
-        there = sum(
-            all(plan.has(answer_path(plan.cache, key)) for key in want.answers) for want in wants
-        )
+        there = sum(all(plan.has(answer_path(plan.cache, key)) for key in want.answers) for want in wants)
         if there:
             lines.append(f"{name}: {there} of {_count(len(wants), 'result')} from answers in the cache")
     return lines

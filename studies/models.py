@@ -1,4 +1,4 @@
-"""The registry of models: name -> what answers load steps on a scene. The only place that knows both solver packages.
+"""The registry of models: name -> what answers load steps. The only place that knows both solver packages.
 
 A model declares all that a study, a plan and a report need to know of it: what it reads decides its content keys,
 what superposes is combined instead of solved. Solver packages are imported inside, so that naming models costs
@@ -17,7 +17,6 @@ import numpy as np
 
 from .case import ModelResult, StepStatus
 from .memory import peak_bytes_since, reset_peak
-from .meshing.mesh import Array
 from .model_name import reads
 from .scene import Scene, SurfaceLoad
 from .surface_measures import enclosed_volumes
@@ -102,7 +101,9 @@ def register(model: Model) -> None:
     if model.name in MODELS:
         raise ValueError(f"a model {model.name!r} is registered already")
     if not model.version or not model.solvers or not set(model.superposes) <= set(model.solvers):
-        raise ValueError(f"{model.name}: a model needs a version, a solver, and superposes by its own solvers only")
+        raise ValueError(
+            f"{model.name}: a model needs a version, a solver, and superposes by its own solvers only"
+        )
     MODELS[model.name] = model
 
 
@@ -315,7 +316,9 @@ class Prepared:
 
     def __init__(self, scene: Scene, name: str, n_loads: int = 1, *, onward: bool = False) -> None:
         self.model, solver = find(name)
-        if self.model.volumetric:  # what it may not depend on, as its answers are shared between cases that differ there
+        if (
+            self.model.volumetric
+        ):  # what it may not depend on, as its answers are shared between cases that differ there
             scene = dataclasses.replace(scene, parameters={}, environment_pressure=0.0)
         self._scene = scene
         self._resident = reset_peak()
@@ -323,7 +326,9 @@ class Prepared:
         prepare = (self.model.continues if onward else None) or self.model.prepare
         try:
             self.set_up = prepare(scene, solver, name, n_loads)
-        except ValueError as error:  # the sentence of a surface, parameter, support or solver that does not work
+        except (
+            ValueError
+        ) as error:  # the sentence of a surface, parameter, support or solver that does not work
             self._refusal = _refusal(error)
 
     def answer(self, loads: Sequence[SurfaceLoad]) -> ModelResult:
@@ -348,9 +353,7 @@ def _refusal(error: ValueError) -> StepStatus:
     return StepStatus(REFUSED, message, remedy)
 
 
-def _result(
-    scene: Scene, solution: Solution, peak_bytes: int, model: Model
-) -> ModelResult:
+def _result(scene: Scene, solution: Solution, peak_bytes: int, model: Model) -> ModelResult:
     statuses = tuple(StepStatus(s.code, s.message, s.remedy) for s in solution.status)
     usable = np.array([s.ok for s in statuses])
     displacement = np.where(usable[:, None, None], solution.displacement, np.nan)

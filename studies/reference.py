@@ -123,7 +123,7 @@ def level_scene(study: Study, hierarchy: Hierarchy) -> Scene:
 
 
 def require_converged(name: str, result: ModelResult) -> None:
-    """Raise FailedReferenceError, or InputError where the scene is at fault, if a result cannot serve as a reference."""
+    """Raise FailedReferenceError, or InputError where the scene is at fault, of a result that is no reference."""
     for status in result.status:
         if status.code == models.REFUSED:
             raise InputError(f"{name}: {status.message}" + (f"; {status.remedy}" if status.remedy else ""))

@@ -221,9 +221,7 @@ def _contact_pressure(constraint: Constraint, study: Study, mesh: Mesh, mask: Ma
     every quadrature point, so that it does not change with the mesh: Hertz p0 sqrt(1 - rho^2), Gaussian
     p0 exp(-9/2 rho^2) with its third standard deviation at the rim rho = 1 and nothing beyond.
     """
-    shape, resultant, total = _contact_shape(
-        mesh, mask, constraint.profile, study.regions[constraint.region]
-    )
+    shape, resultant, total = _contact_shape(mesh, mask, constraint.profile, study.regions[constraint.region])
     if total == 0.0:
         raise SceneError(
             f"contact {constraint.name!r} loads no facet; enlarge its region or take a smaller mesh_size"
@@ -238,10 +236,10 @@ def _contact_pressure(constraint: Constraint, study: Study, mesh: Mesh, mask: Ma
     return shape * (constraint.pressure or 0.0)
 
 
-def _contact_shape(mesh: Mesh, mask: Mask, profile: str, region: Region) -> tuple[Array, float, float]:
+def _contact_shape(mesh: Mesh, mask: Mask, profile: str | None, region: Region) -> tuple[Array, float, float]:
     """(F, Q) pressure at the quadrature points over its peak; size of its resultant, sum of the facets' [m^2]."""
     barycentric, weights = _quadrature()
-    if profile == "uniform":
+    if profile in (None, "uniform"):
         shape = np.repeat(np.all(mask[mesh.triangles], axis=1)[:, None].astype(float), len(weights), axis=1)
     else:
         points = np.einsum("qk,fki->fqi", barycentric, mesh.surface_points[mesh.triangles])

@@ -102,7 +102,6 @@ class _Evaluator:
         n_nodes = len(self._areas)
         return relative_l2(result.displacement[-1, :n_nodes], reference[:n_nodes], self._areas)
 
-
     def _answer(self, scene: Scene, name: str) -> ModelResult:
         """One set-up answers all loads that superpose or lie on one rising path; else each has its own."""
         model, solver = models.find(name)

@@ -26,14 +26,14 @@ from ..case import ModelResult
 from ..growth import growths
 from ..meshing.mesh import Array, InputError
 from ..meshing.mesh_cache import mesh_from_cache
-from ..metrics import DEFORMATION, VECTOR, History, evaluate
 from ..meshing.refine import refined
+from ..metrics import DEFORMATION, VECTOR, History, evaluate
+from ..provenance import provenance
 from ..reference import FailedReferenceError, level_scene, own_error, require_converged, restricted
 from ..scene import Scene, build_scene
 from ..study_file.config import expand, geometry_of, with_mesh_size
 from ..study_file.schema import Study
 from ..surface_measures import Surface
-from ..provenance import provenance
 from .bench_data import LEAST_SIZES, YARDSTICK, Bench, Entry, Growth
 from .contact import Problem, contact_frame
 from .timing import LONG, SAMPLES, calls_of_a_sample, median_of_samples, median_seconds
@@ -137,7 +137,10 @@ def measure(
                 break
             try:
                 found += measured(body, study, f", mesh {k} of {len(bodies) * len(sizes)}")
-            except (InputError, FailedReferenceError) as error:  # of a size that the study's author never wrote
+            except (
+                InputError,
+                FailedReferenceError,
+            ) as error:  # of a size that the study's author never wrote
                 left_out.append(f"{body} at {size:g} times its mesh_size: {error}")
                 watch(f"left out {left_out[-1]}")
         entries += found or measured(body, case)

@@ -16,12 +16,12 @@ import numpy as np
 
 from .. import models
 from ..case import ModelResult, Run
+from ..graph.nodes import needs_volume
+from ..graph.plan import Plan, PlannedCase
 from ..meshing.mesh import Array
 from ..meshing.mesh_cache import mesh_from_cache
 from ..metrics import DEFORMATION, VECTOR, full_load_step
 from ..model_name import is_vdm, reads
-from ..graph.nodes import needs_volume
-from ..graph.plan import Plan, PlannedCase
 from ..scene import Scene, build_scene
 from ..study_file.config import geometry_of
 from ..surface_measures import Surface, relative_l2, rigid_motion_removed, weighted_norm

@@ -1,4 +1,4 @@
-"""What a model answers to one load on one body, as a sealed file under its key; and cases as combinations of answers."""
+"""What a model answers to one load on one body, as a sealed file under its key; and results made from answers."""
 
 from __future__ import annotations
 
@@ -48,14 +48,15 @@ def write_answer(path: Path, result: ModelResult, run: str) -> None:
 
 
 def read_answer(path: Path, run: str = "") -> ModelResult | None:
-    """The answer stored at `path`, None where there is nothing or it is damaged; marked if another run measured it."""
+    """The answer stored at `path`, marked if another run measured it; None where there is none or it is damaged."""
     arrays = read_arrays(path)
     if arrays is None:
         return None
     about = json.loads(str(arrays["about"]))
     earlier = {EARLIER: "yes"} if run and about["run"] != run else {}
+    stored: dict[str, Any] = {name: arrays[name] for name in _ARRAYS}
     return ModelResult(
-        **{name: arrays[name] for name in _ARRAYS},
+        **stored,
         **{name: about[name] for name in _NUMBERS},
         status=tuple(StepStatus(*status) for status in about["status"]),
         parameters={**about["parameters"], **earlier},
@@ -106,7 +107,7 @@ def combined(
         fluid_pressure=factors * (stacked["fluid_pressure"] - datum) + datum,
         energy=factors**2 * stacked["energy"],
         volume=enclosed_volumes(mesh.surface_points + displacement, mesh.triangles),
-        status=tuple(answers[place].status[0] for place in places),
+        status=tuple(answers[place].status[0] for place in places.tolist()),
         peak_bytes=max(answer.peak_bytes for answer in answers),
         scalars={
             name: np.concatenate([answer.scalars[name] for answer in answers])[places]

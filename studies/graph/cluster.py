@@ -83,7 +83,9 @@ class Cluster:
             raise ClusterError(f"a worker of {self.address} {error}")
         if type(error).__name__ == "KilledWorker":
             remedy = "use a coarser mesh, or workers with more memory; see the cluster's own logs"
-            return Said("", "error", 0.0, "its worker was lost several times while it was at work", remedy, log)
+            return Said(
+                "", "error", 0.0, "its worker was lost several times while it was at work", remedy, log
+            )
         reason = f"no worker of the cluster could run it: {error!r:.200}"
         return Said("", "error", 0.0, reason, "see the logs of the cluster's workers", log)
 
@@ -120,9 +122,7 @@ class Cluster:
 
 
 @contextmanager
-def cluster_places(
-    address: str, directory: Path, memory: int | None, *, insecure: bool
-) -> Iterator[Cluster]:
+def cluster_places(address: str, directory: Path, memory: int | None, *, insecure: bool) -> Iterator[Cluster]:
     """Places of the scheduler at `address`, such as "tcp://127.0.0.1:8786" or "tls://host:8786".
 
     Raises

@@ -27,7 +27,9 @@ ATTEMPTS = 3  # of a node whose process dies
 class Places(Protocol):
     """Where nodes are done."""
 
-    count: int  # how many at once
+    @property
+    def count(self) -> int:
+        """How many at once."""
 
     def submit(self, node: str, log: Path, seconds: float | None) -> Future[str]:
         """Do a node, given as JSON, in `seconds` at most; raises through the future, see `failure`."""

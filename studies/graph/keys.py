@@ -1,9 +1,9 @@
 """Content keys: what has the same key is the same work, done once within a case, a study, and between studies.
 
-    mesh      geometry, size, whether tetrahedra are needed              (`studies.meshing.geometry_spec`)
-    body      model, mesh level, tissue, supports, parameters: one set-up
-    answer    body and what acts on it: a load step up to a factor where answers superpose, else one load path
-    case      all inputs, mesh, the version of each model
+mesh      geometry, size, whether tetrahedra are needed              (`studies.meshing.geometry_spec`)
+body      model, mesh level, tissue, supports, parameters: one set-up
+answer    body and what acts on it: a load step up to a factor where answers superpose, else one load path
+case      all inputs, mesh, the version of each model
 """
 
 from __future__ import annotations
@@ -19,7 +19,13 @@ from ..study_file.config import case_inputs
 from ..study_file.schema import Study
 
 _FORMAT = 3  # of the files of answers: raised with what is in them
-_NOT_DESCRIBED = ("kind", "name", "force", "pressure", "displacement")  # of a constraint: its kind, and how much
+_NOT_DESCRIBED = (
+    "kind",
+    "name",
+    "force",
+    "pressure",
+    "displacement",
+)  # of a constraint: its kind, and how much
 _DIGITS = 12  # of a load beside others: less is rounding
 
 
@@ -77,7 +83,9 @@ def _wanted(study: Study, inputs: Mapping[str, Any], name: str, level: int, body
     if not models.superposes(name, penalty=has_penalty(study, name)):
         return Wanted(name, level, body, (key(steps),), ())
     sized = [direction(step) for step in steps]
-    acting = next((load for load, scale in sized if scale), sized[0][0])  # no load is no times whichever there is
+    acting = next(
+        (load for load, scale in sized if scale), sized[0][0]
+    )  # no load is no times whichever there is
     return Wanted(
         name,
         level,
@@ -185,12 +193,16 @@ def _unit_loads(inputs: Mapping[str, Any]) -> dict[str, float]:
                 size = "force" if constraint.get("force") is not None else "pressure"
                 found = [(f"{size} {described}", constraint.get(size) or 0.0)]
             case "constrained":
-                found = [(f"{axis} {described}", value) for axis, value in enumerate(constraint["displacement"])]
+                found = [
+                    (f"{axis} {described}", value) for axis, value in enumerate(constraint["displacement"])
+                ]
             case "fixed":
                 found = []
             case kind:
-                raise ValueError(f"a constraint of kind {kind!r} has no unit loads, so that its answers could not be told from others': "
-                    "list them in studies.graph.keys")
+                raise ValueError(
+                    f"a constraint of kind {kind!r} has no unit loads, so that its answers cannot be told from "
+                    "others': list them in studies.graph.keys"
+                )
         for unit, value in found:
             out[unit] = out.get(unit, 0.0) + float(value)
     return out

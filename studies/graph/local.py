@@ -60,7 +60,7 @@ class LocalPlaces:
 
     def close(self) -> None:
         """Stop the workers, at work or not."""
-        self._pool.stop()
+        self._pool.stop()  # type: ignore[no-untyped-call]
         self._pool.join()
 
 

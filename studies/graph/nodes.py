@@ -83,16 +83,17 @@ def limits_path(cache: Path, key: str) -> Path:
 
 def bodies(plan: Plan, cases: Sequence[PlannedCase]) -> list[Body]:
     """The set-ups that these cases need, each with the answers that the cache has not; a load path has its own."""
-    found: dict[str, tuple[str, int, str, str, dict[str, Asked]]] = {}
+    found: dict[str, tuple[str, int, str, str]] = {}
+    asked: dict[str, dict[str, Asked]] = {}
     for case in cases:
         for want in case.wanted:
             for key, factors in _factors(case, want):
                 if plan.has(answer_path(plan.cache, key)):
                     continue
                 of = want.body if want.scales else f"{want.body} {key}"
-                entry = found.setdefault(of, (want.name, want.level, want.body, case.mesh, {}))
-                entry[-1].setdefault(key, Asked(key, case, factors))
-    return [Body(*about, tuple(asked.values())) for *about, asked in found.values()]
+                found.setdefault(of, (want.name, want.level, want.body, case.mesh))
+                asked.setdefault(of, {}).setdefault(key, Asked(key, case, factors))
+    return [Body(*about, tuple(asked[of].values())) for of, about in found.items()]
 
 
 def graph(plan: Plan, cases: Sequence[PlannedCase], jobs: int, run: str) -> list[Node]:
@@ -101,7 +102,9 @@ def graph(plan: Plan, cases: Sequence[PlannedCase], jobs: int, run: str) -> list
     nodes: list[Node] = []
     there: dict[str, str] = {}  # file's key -> node that makes it
 
-    def add(kind: str, identity: str, label: str, payload: Mapping[str, Any], needs: Iterator[str] | Sequence[str]) -> str:
+    def add(
+        kind: str, identity: str, label: str, payload: Mapping[str, Any], needs: Iterator[str] | Sequence[str]
+    ) -> str:
         made = frozenset(there[need] for need in needs if need in there)
         nodes.append(Node(identity, kind, label, {"cache": cache, "run": run, **payload}, made))
         return identity

@@ -28,6 +28,7 @@ from ..study_file.schema import Study
 from .keys import Wanted, case_hash, limits_key, wanted
 from .nodes import needs_volume
 
+
 @dataclass(frozen=True)
 class PlannedCase:
     """One case and what it needs. Cases with the same hash are the same work, done once."""

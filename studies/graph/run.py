@@ -25,7 +25,7 @@ from ..store import case_path, failure_path, read_plan, read_run, refuse_linked,
 from ..study_file.config import geometry_error, resolved
 from ..study_file.units import shown
 from .engine import Outcome, Places, run_nodes
-from .nodes import Node, bodies, graph
+from .nodes import bodies, graph
 from .plan import Plan, PlannedCase
 
 
@@ -80,7 +80,7 @@ def run_plan(
         _tidy(plan)
         write_atomically(plan.directory / "study.toml", study_text.encode())
         write_atomically(plan.directory / "resolved.toml", tomli_w.dumps(resolved(plan.study)).encode())
-        planned = summary(plan, options.jobs)
+        planned = summary(plan)
         write_atomically(plan.directory / "plan.json", json.dumps(planned, indent=1).encode())
         began = time.perf_counter()
         used = 0.0

@@ -26,7 +26,6 @@ from ..provenance import provenance
 from ..reference import level_scene, own_error, require_converged, restricted
 from ..safe_open import open_regular
 from ..scene import Scene, build_scene
-from ..sealed import read_arrays
 from ..small_strain import read_limits, small_strain_limits, write_limits
 from ..store import write_case
 from ..study_file.config import geometry_of
@@ -189,7 +188,9 @@ def _case(payload: Payload, block: _Block) -> None:
         if wanted.level == 0:
             results[wanted.name] = result
         if wanted.name == reference:
-            require_converged(wanted.name if wanted.level == 0 else f"{wanted.name} on the refined mesh", result)
+            require_converged(
+                wanted.name if wanted.level == 0 else f"{wanted.name} on the refined mesh", result
+            )
             levels.append(result)
     if reference is not None and len(levels) > 1:
         reference += REFINED
@@ -211,7 +212,9 @@ def _case(payload: Payload, block: _Block) -> None:
             models=results,
             metrics=metrics,
             reference=reference,
-            reference_error=_reference_error(surface, scene, levels, metrics.get(study.study.reference or "", {})),
+            reference_error=_reference_error(
+                surface, scene, levels, metrics.get(study.study.reference or "", {})
+            ),
             small_strain=_small_strain(payload),
             mesh_quality={
                 **mesh.quality,

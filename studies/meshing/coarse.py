@@ -137,7 +137,9 @@ class CoarseProblem:
             expected_loads=n_loads,
             **options,
         )
-        self._transfer = Transfer(surface_interpolation(self.problem.mesh, scene.mesh.surface_points), nearest)
+        self._transfer = Transfer(
+            surface_interpolation(self.problem.mesh, scene.mesh.surface_points), nearest
+        )
         self._coarse = coarse
         self._seconds = time.perf_counter() - start
 
@@ -164,7 +166,9 @@ class CoarseProblem:
             },
             scalars={
                 "relative_residual": np.array([frame.residual for frame in frames]),
-                **({"condition_estimate": np.full(len(frames), problem.condition)} if scene.condition else {}),
+                **(
+                    {"condition_estimate": np.full(len(frames), problem.condition)} if scene.condition else {}
+                ),
             },
         )
 

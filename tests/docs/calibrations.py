@@ -21,10 +21,9 @@ import numpy as np
 from studies.calibration.calibrate import body, worse_than_rule
 from studies.calibration.fit import Errors, Trial, least_error
 from studies.calibration.search import WIDEST
-from studies.plan import make_plan
+from studies.graph.plan import make_plan
+from studies.graph.run import Options, run_plan
 from studies.report.formatting import NOTHING, percent
-from studies.run import Options, run_plan
-from studies.setups import sharing
 from studies.study_file.config import expand, load_study
 from tests.command import vdmbench
 from tests.docs import marked
@@ -88,10 +87,9 @@ def in_tissue(study: str, directory: Path, **tissue: str) -> dict[str, dict[str,
     run, _ = run_plan(plan, text, Options(jobs=2), lambda event: None)  # noqa: ARG005
     found = body(plan, run)
     multiples = {}
-    with sharing():
-        for model in found.models:
-            trial = Trial(model, found.training)
-            multiples[model] = dict(zip(trial.names, least_error(trial).multiples.tolist(), strict=True))
+    for model in found.models:
+        trial = Trial(model, found.training)
+        multiples[model] = dict(zip(trial.names, least_error(trial).multiples.tolist(), strict=True))
     return multiples
 
 

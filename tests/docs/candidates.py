@@ -20,8 +20,8 @@ from numpy.typing import NDArray
 from scipy import linalg
 
 from studies.calibration.fit import Errors, Sample, Trial, least_error, loads_of, samples_of, split
-from studies.plan import make_plan
-from studies.run import Options, run_plan
+from studies.graph.plan import make_plan
+from studies.graph.run import Options, run_plan
 from studies.study_file.config import expand, load_study
 from tests.docs import marked
 from tests.docs.vdm_accuracy import README, ROOT, STUDIES, as_per_cent

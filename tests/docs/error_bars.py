@@ -24,13 +24,12 @@ import numpy as np
 from studies import models
 from studies.case import ModelResult
 from studies.meshing.geometry import build_mesh
+from studies.meshing.refine import Hierarchy, refined
 from studies.metrics import DEFORMATION, METRICS, VECTOR, History, evaluate, evaluate_all, full_load_step
 from studies.model_name import REFINED
-from studies.plan import make_plan
-from studies.reference import own_error, refined_levels, require_converged
+from studies.reference import level_scene, own_error, require_converged, restricted
 from studies.report.formatting import percent
-from studies.scene import Scene, build_scene
-from studies.setups import sharing
+from studies.scene import build_scene
 from studies.study_file.config import expand, geometry_of, load_study
 from studies.study_file.schema import Study
 from studies.surface_measures import Surface, weighted_norms, without_motions
@@ -104,36 +103,36 @@ class Bar:
 
 
 def solved(study: Study, tried: Sequence[int]) -> Iterator[Levels]:
-    """Some cases of a study, by number; those that share mesh, tissue and support are solved together."""
-    plan = make_plan(study, expand(study), ROOT, ROOT)
-    numbers = {plan.cases[number - 1].hash: number for number in tried}
-    for group in plan.groups([plan.cases[number - 1] for number in tried], 1):
-        mesh = build_mesh(geometry_of(group[0].study))
-        scenes = {numbers[case.hash]: build_scene(case.study, mesh) for case in group}
-        with sharing():
-            yield from _solved_together([case.study for case in group], scenes)
+    """Some cases of a study, by number, the reference on three levels."""
+    hierarchies: dict[str, Hierarchy] = {}
+    for number in tried:
+        case = expand(study)[number - 1].study
+        geometry = geometry_of(case)
+        meshes = hierarchies.setdefault(repr(geometry), refined(build_mesh(geometry), 2))
+        yield _solved(case, number, meshes)
 
 
-def _solved_together(studies: Sequence[Study], scenes: Mapping[int, Scene]) -> Iterator[Levels]:
-    info = studies[0].study
+def _solved(study: Study, number: int, meshes: Hierarchy) -> Levels:
+    info, scene = study.study, build_scene(study, meshes.meshes[0])
     reference = info.reference or ""
-    coarse = models.run_together(list(scenes.values()), reference)
-    for result in coarse:
+    levels = []
+    for k in range(3):
+        part = Hierarchy(meshes.meshes[: k + 1], meshes.parents[:k])
+        result = restricted(models.run_model(level_scene(study, part), reference), part)
         require_converged(reference, result)
-    finer = refined_levels(studies, list(scenes.values()), reference, [3] * len(scenes))
-    for study, (number, scene), own, others in zip(studies, scenes.items(), coarse, finer, strict=True):
-        results = {name: models.run_model(scene, name) for name in info.models if name != reference}
-        points, triangles, weighs = scene.mesh.surface_points, scene.mesh.triangles, bool(scene.gravity.any())
-        yield Levels(
-            info.name,
-            number,
-            study.geometry.mesh_size,
-            Surface(points, triangles, scene.contact, scene.contact_force, weighs),
-            scene.load_factors,
-            {**results, reference: own},
-            reference,
-            [own, *others],
-        )
+        levels.append(result)
+    results = {name: models.run_model(scene, name) for name in info.models if name != reference}
+    points, triangles, weighs = scene.mesh.surface_points, scene.mesh.triangles, bool(scene.gravity.any())
+    return Levels(
+        info.name,
+        number,
+        study.geometry.mesh_size,
+        Surface(points, triangles, scene.contact, scene.contact_force, weighs),
+        scene.load_factors,
+        {**results, reference: levels[0]},
+        reference,
+        levels,
+    )
 
 
 def bars(case: Levels) -> list[Bar]:

@@ -13,8 +13,6 @@ from numpy.testing import assert_array_equal
 
 from studies import hdf5, store
 from studies.case import Run
-from tests.benchmarks import sharing
-from tests.docs import marked
 from tests.unit.example_case import example_case
 
 FORMAT = Path(__file__).parents[2] / "results" / "FORMAT.md"
@@ -94,29 +92,3 @@ def test_attributes_and_seal_are_as_documented(tmp_path: Path) -> None:
         told = {*about, *about["models"]["vdm-paper"], *about["metrics"]["max_nodal_error"], *columns}
         assert [name for name in sorted(told) if f"`{name}`" not in text] == []
     assert f"last {hdf5.TRAILER_BYTES} bytes" in text
-
-
-def test_the_table_of_sharing_is_as_its_benchmark_writes_it() -> None:
-    history, multiples = "one case, a history of 100 loads", "100 cases, multiples of one load"
-    rounds = [
-        {"one load": 10.0, multiples: 11.0, history: 15.0},
-        {"one load": 20.0, multiples: 24.0, history: 30.0},
-    ]
-    full = sharing.Costs(100, 390, rounds, [1.5, 3.0], 150.0, 1e-14, {"file": 0.03, "metrics": 0.013})
-    bare = dataclasses.replace(full, rounds=[{"one load": 2.0, multiples: 4.84}], added=[0.2])
-    rows = marked.cells(sharing.written([("5 mm, 1,531 nodes", full), ("4 mm, 2,384 nodes", bare)]))
-    assert rows == [
-        ["study", "5 mm, 1,531 nodes", "4 mm, 2,384 nodes"],
-        ["one load", "15 s", "2 s"],
-        ["100 cases, multiples of one load", "1.17 times (1.1 to 1.2)", "2.42 times (2.42 to 2.42)"],
-        ["one case, a history of 100 loads", "1.5 times (1.5 to 1.5)", "not run"],
-        ["the 100 multiples, each alone", "10 times", "75 times"],
-        [sharing.BY_PARTS, "1.15 times (1.1 to 1.2)", "1.1 times (1.1 to 1.1)"],
-        ["a further multiple", "43 ms", "43 ms"],
-        ["of it file", "30.0 ms", "30.0 ms"],
-        ["of it metrics", "13.0 ms", "13.0 ms"],
-        ["difference of a multiple's numbers", "1e-14", "1e-14"],
-    ]
-    shown = marked.cells(marked.shown(FORMAT, "sharing"))
-    assert {row[0] for row in rows} <= {row[0] for row in shown}
-    assert len(shown[0]) == 1 + len(sharing.SHOWN)

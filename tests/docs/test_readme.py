@@ -20,8 +20,8 @@ from studies.report.verdict_load import MOST_DRIFT, MOST_MOVED
 from studies.scene import build_scene
 from studies.study_file.config import expand, geometry_of, load_study
 from studies.surface_measures import Surface, enclosed_volume
-from studies.worker import compare
 from tests.command import vdmbench
+from tests.comparing import compare
 from tests.docs import marked, regenerate
 
 TEXT = regenerate.README.read_text()

@@ -17,15 +17,14 @@ from numpy.testing import assert_allclose
 import fem_reference.linear
 import vdm.model
 from studies.case import CaseResult
-from studies.graph.engine import Outcome, run_nodes
-from studies.graph.local import HerePlaces
-from studies.graph.nodes import bodies, graph
+from studies.graph.nodes import bodies
 from studies.graph.plan import Plan, PlannedCase, make_plan
 from studies.meshing.mesh_cache import mesh_from_cache
 from studies.scene import Scene, build_scene
 from studies.store import read_case
 from studies.study_file.config import expand, geometry_of
 from studies.study_file.schema import Study
+from tests.in_process import do_cases
 
 BASE = {"kind": "fixed", "region": "base"}
 FINGER = {"name": "finger", "kind": "contact", "region": "finger", "force": 0.1, "profile": "hertz"}
@@ -87,16 +86,9 @@ def plan_of(
     return make_plan(study, expand(study), directory, cache, fresh=fresh)
 
 
-def outcomes(plan: Plan, jobs: int = 1) -> list[Outcome]:
-    """What becomes of the nodes of a plan, all done here."""
-    nodes = graph(plan, plan.cases_to_run(), jobs, run=f"{id(plan)}")
-    return list(run_nodes(nodes, HerePlaces(), plan.directory / "failed", started=lambda _: None))
-
-
 def run(plan: Plan, *, jobs: int = 1) -> list[CaseResult]:
     """The cases of a plan, all of whose nodes are done here."""
-    failed = [outcome.said for outcome in outcomes(plan, jobs) if not outcome.ok]
-    assert not failed, failed
+    do_cases(plan, jobs=jobs)
     return [read_case(plan.case_file(case)) for case in plan.cases]
 
 

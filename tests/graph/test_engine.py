@@ -92,7 +92,15 @@ def run(tmp_path: Path, nodes: Sequence[Node], jobs: int = 2, **options: Any) ->
 
 
 def test_each_failure_costs_its_own_node_only(tmp_path: Path) -> None:
-    kinds = ["write", "raise ValueError", "bug", "exit", f"kill {signal.SIGSEGV:d}", f"kill {signal.SIGKILL:d}", "sys.exit"]
+    kinds = [
+        "write",
+        "raise ValueError",
+        "bug",
+        "exit",
+        f"kill {signal.SIGSEGV:d}",
+        f"kill {signal.SIGKILL:d}",
+        "sys.exit",
+    ]
     found = run(tmp_path, [node(tmp_path, kind, kind) for kind in kinds])
     codes = {name: outcome.said.code for name, outcome in found.items()}
     assert codes == {
@@ -131,7 +139,11 @@ def test_what_needs_a_failure_fails_with_its_reason(tmp_path: Path) -> None:
 
 def test_nodes_are_done_after_those_that_they_need(tmp_path: Path) -> None:
     begun: list[str] = []
-    nodes = [node(tmp_path, "c", "write", "b"), node(tmp_path, "b", "write", "a"), node(tmp_path, "a", "write")]
+    nodes = [
+        node(tmp_path, "c", "write", "b"),
+        node(tmp_path, "b", "write", "a"),
+        node(tmp_path, "a", "write"),
+    ]
     run(tmp_path, nodes, jobs=3, started=lambda n: begun.append(n.id))
     assert begun == ["a", "b", "c"]
 
@@ -180,7 +192,9 @@ def test_leaving_early_stops_the_workers(tmp_path: Path) -> None:
 def test_workers_share_the_cores(tmp_path: Path, jobs: int) -> None:
     run(tmp_path, [node(tmp_path, "x", "threads")], jobs=jobs)
     share = max(1, processors() // jobs)
-    assert (tmp_path / "out-x").read_text() == f"1 {share}", "one for dense algebra, a share for sparse factors"
+    assert (tmp_path / "out-x").read_text() == f"1 {share}", (
+        "one for dense algebra, a share for sparse factors"
+    )
 
 
 def test_a_node_tells_its_seconds_of_processor(tmp_path: Path) -> None:
@@ -193,7 +207,12 @@ def test_a_broken_pool_is_started_again(tmp_path: Path) -> None:
     try:
         places._pool.stop()
         text = json.dumps(
-            {"id": "x", "kind": "test", "payload": {"do": "write", "path": str(tmp_path / "out")}, "log": str(tmp_path / "log")}
+            {
+                "id": "x",
+                "kind": "test",
+                "payload": {"do": "write", "path": str(tmp_path / "out")},
+                "log": str(tmp_path / "log"),
+            }
         )
         future: Future[str] = places.submit(text, tmp_path / "log", None)
         assert json.loads(future.result())[0]["code"] == "done"

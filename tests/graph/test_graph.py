@@ -14,13 +14,25 @@ from numpy.testing import assert_allclose
 import fem_reference.condensed
 from studies import metrics, models
 from studies.case import StepStatus
-from studies.graph.local import local_places
 from studies.graph.engine import run_nodes
+from studies.graph.local import local_places
 from studies.graph.nodes import bodies, graph
 from studies.store import read_case
+from tests.in_process import outcomes_of
 
 from . import shared_work
-from .shared_work import ALONE, BASE, FINGER, MOVED, TABLES, assert_same_results, plan_of, planned_work, run, run_alone
+from .shared_work import (
+    ALONE,
+    BASE,
+    FINGER,
+    MOVED,
+    TABLES,
+    assert_same_results,
+    plan_of,
+    planned_work,
+    run,
+    run_alone,
+)
 
 cache, made, meshes = shared_work.cache, shared_work.made, shared_work.meshes  # the fixtures
 
@@ -40,7 +52,11 @@ WEIGHT = {"gravity": {"acceleration": [0.0, 0.0, -9.81]}, "tissue": TABLES["tiss
 PENALTY = {"vdm": {"penalty": 1e6}}
 LEVELS = {"sweep": {"uncertainty.levels": [2, 3], "constraints.finger.force": [0.1, 0.3]}}
 BESIDE = {
-    "study": {"name": "test", "models": ["vdm-vector", "fem-p1", "fem-p2", "fem-linear"], "reference": "fem-linear"}
+    "study": {
+        "name": "test",
+        "models": ["vdm-vector", "fem-p1", "fem-p2", "fem-linear"],
+        "reference": "fem-linear",
+    }
 }
 FINITE = {
     "study": {"name": "test", "models": ["vdm-vector", "fem-linear", "fem"], "reference": "fem"},
@@ -64,15 +80,17 @@ def test_what_is_planned_is_what_is_done(tmp_path: Path, made: Counter[str], cha
     assert not made, "what is done is not done again"
 
 
-def test_two_places_and_two_forces_are_two_loads_on_one_body(tmp_path: Path, cache: Path, made: Counter[str]) -> None:
+def test_two_places_and_two_forces_are_two_loads_on_one_body(
+    tmp_path: Path, cache: Path, made: Counter[str]
+) -> None:
     run(plan_of(tmp_path, cache))
     assert made == {"fem set-ups": 2, "fem solves": 4, "vdm set-ups": 1, "vdm solves": 2}
 
 
-@pytest.mark.parametrize("changes", [{}, ALONE, BESIDE, ZIPPED, ALONE | WEIGHT, ALONE | MOVED, LEVELS, HISTORY])
-def test_shared_numbers_are_those_of_each_case_alone(
-    tmp_path: Path, cache: Path, changes: dict[str, Any]
-) -> None:
+@pytest.mark.parametrize(
+    "changes", [{}, ALONE, BESIDE, ZIPPED, ALONE | WEIGHT, ALONE | MOVED, LEVELS, HISTORY]
+)
+def test_shared_numbers_are_those_of_each_case_alone(tmp_path: Path, changes: dict[str, Any]) -> None:
     plan = plan_of(tmp_path / "together", tmp_path / "cache", **changes)
     for case, planned in zip(run(plan), plan.cases, strict=True):
         alone = run_alone(planned, plan, tmp_path / "alone")
@@ -137,7 +155,9 @@ def test_another_study_uses_the_same_answers(tmp_path: Path, cache: Path, made: 
     changes = {"regions": regions, "constraints": constraints, "vdm": {"surface_tension": 20.0}}
     sweep = {"regions.tip.cap.direction.0": [0.0, 0.4], "vdm.surface_tension": [20.0, 30.0]}
     run(plan_of(tmp_path / "b", cache, **changes, sweep=sweep))
-    assert made == {"vdm set-ups": 2, "vdm solves": 4}, "names do not matter, nor VDM's parameters to the reference"
+    assert made == {"vdm set-ups": 2, "vdm solves": 4}, (
+        "names do not matter, nor VDM's parameters to the reference"
+    )
 
 
 def test_more_levels_serve_fewer(tmp_path: Path, made: Counter[str]) -> None:
@@ -149,8 +169,10 @@ def test_more_levels_serve_fewer(tmp_path: Path, made: Counter[str]) -> None:
     assert case.reference_error["levels"] == 2
 
 
-def test_what_nobody_asks_for_has_no_node(tmp_path: Path, cache: Path) -> None:
-    plan = plan_of(tmp_path, tmp_path / "none", study={"name": "test", "models": ["vdm-vector"]}, uncertainty=None)
+def test_what_nobody_asks_for_has_no_node(tmp_path: Path) -> None:
+    plan = plan_of(
+        tmp_path, tmp_path / "none", study={"name": "test", "models": ["vdm-vector"]}, uncertainty=None
+    )
     nodes = graph(plan, plan.cases, 1, "")
     assert Counter(node.kind for node in nodes) == {"mesh": 1, "answers": 1, "cases": 1}
     assert [len(node.items) for node in nodes] == [0, 0, 4], "two places and two forces"
@@ -218,7 +240,7 @@ def test_a_reference_that_failed_is_no_reference(tmp_path: Path, monkeypatch: py
 
     monkeypatch.setattr(models.Prepared, "answer", failing)
     plan = plan_of(tmp_path, tmp_path / "cache", uncertainty=None)
-    failed = [outcome for outcome in shared_work.outcomes(plan) if not outcome.ok]
+    failed = [outcome for outcome in outcomes_of(plan) if not outcome.ok]
     assert [outcome.kind for outcome in failed] == ["cases"] * 4
     assert {outcome.said.remedy for outcome in failed} == {"do this"}
 
@@ -243,7 +265,7 @@ def test_condensed_elements_are_set_up_as_often_as_planned(
     assert len(set_up) == planned["set-ups"]
 
 
-def test_one_two_and_three_places_give_the_same_numbers(tmp_path: Path, cache: Path) -> None:
+def test_one_two_and_three_places_give_the_same_numbers(tmp_path: Path) -> None:
     """Bit for bit, whichever worker is faster."""
     found = []
     for jobs in (1, 2, 3):

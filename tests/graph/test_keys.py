@@ -115,7 +115,9 @@ def test_multiples_of_a_load_have_one_answer() -> None:
     twice = substituted(weightless, ("constraints", 1, "force"), 0.04)
     both = Study.model_validate(substituted(twice, ("constraints", 2, "displacement"), [0.002, 0.0, 0.0]))
     assert answers(both)["fem-linear", 0].answers == want.answers[:1]
-    assert answers(Study.model_validate(twice))["fem-linear", 0].answers != want.answers[:1], "not all doubled"
+    assert answers(Study.model_validate(twice))["fem-linear", 0].answers != want.answers[:1], (
+        "not all doubled"
+    )
     assert answers(both)["fem", 0].answers != answers(history)["fem", 0].answers, "a load path is not scaled"
 
 

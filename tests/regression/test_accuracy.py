@@ -14,15 +14,16 @@ import pytest
 from studies import gate
 from studies.case import Run
 from studies.gate_report import describe
+from studies.graph.plan import make_plan
 from studies.meshing.geometry import build_mesh
 from studies.meshing.mesh import Mesh
 from studies.models import run_model
-from studies.plan import make_plan, task_of
 from studies.scene import build_scene
 from studies.store import read_case, read_run
 from studies.study_file.config import expand, geometry_of, load_study
-from studies.worker import compare, run_case
 from tests.command import vdmbench
+from tests.comparing import compare
+from tests.in_process import do_cases
 from vdm.material import Parameters
 
 ROOT = Path(__file__).parents[2]
@@ -56,10 +57,8 @@ def test_a_model_made_worse_on_purpose_turns_the_gate_red(
     study = load_study(ROOT / "studies" / "cases" / "regression.toml")
     plan = make_plan(study, expand(study), tmp_path / "run", tmp_path / "cache")
     (case,) = plan.cases
-    task = task_of(case, plan)
-    Path(task["path"]).parent.mkdir(parents=True)
-    run_case(task)
-    run = Run({"name": "regression"}, "", [read_case(Path(task["path"]))], [], [], {})
+    do_cases(plan)
+    run = Run({"name": "regression"}, "", [read_case(plan.case_file(case))], [], [], {})
     findings = gate.compare(run, gate.read_baseline(ROOT / "results" / "baselines" / "regression.json"))
     assert gate.regressed(findings)
     hit = {f.model for f in findings if f.outcome in gate.REGRESSED}

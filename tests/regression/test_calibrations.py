@@ -11,9 +11,9 @@ import pytest
 from numpy.testing import assert_allclose
 
 from studies.calibration.calibrate import as_json, body, calibrate
-from studies.keys import load_key
-from studies.plan import make_plan
-from studies.run import Options, run_plan
+from studies.graph.keys import load_key
+from studies.graph.plan import make_plan
+from studies.graph.run import Options, run_plan
 from studies.study_file.config import expand, load_study
 from tests.docs.calibrations import (
     DOCUMENT,

@@ -7,6 +7,7 @@ fraction of a second. A timeout, memory that runs out and a read-only directory 
 
 from __future__ import annotations
 
+import contextlib
 import errno
 import fcntl
 import json
@@ -21,9 +22,10 @@ import h5py
 import numpy as np
 import pytest
 
-from studies import doctor, execute, files, run, store, worker
+from studies import doctor, files, store
 from studies.cli import main
-from studies.execute import Group, Outcome
+from studies.graph import run, work
+from studies.graph.local import HerePlaces
 from studies.hdf5 import TRAILER_BYTES
 from tests.command import write_study
 from tests.unit.test_store import _reseal
@@ -272,13 +274,10 @@ DAMAGE: dict[str, tuple[Prepare, int, str]] = {
 }
 
 
-def in_this_process(work: Any, groups: Sequence[Group], *, started: Any, **_: Any) -> Iterator[Outcome]:
-    """`run_tasks` without processes."""
-    worker._meshes.clear()
-    for task in (task for group in groups for task in group):
-        started(task)
-        code, message, remedy = execute._attempt(work, task, alone=True)
-        yield Outcome(task, code, 0.0, message, remedy)
+@contextlib.contextmanager
+def in_this_process(*_: Any) -> Iterator[HerePlaces]:
+    """Places without processes."""
+    yield HerePlaces()
 
 
 @pytest.fixture(autouse=True)
@@ -287,7 +286,7 @@ def here(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     page = ModuleType("studies.report.page")
     monkeypatch.setattr(page, "write_report", lambda _, path: path.touch(), raising=False)
     monkeypatch.setitem(sys.modules, page.__name__, page)
-    monkeypatch.setattr(run, "run_tasks", in_this_process)
+    monkeypatch.setattr(run, "_places", in_this_process)
     monkeypatch.setattr("signal.signal", lambda *_: None)
     monkeypatch.chdir(tmp_path)
 
@@ -364,7 +363,7 @@ def test_a_full_disk_is_told(
     assert [path for path in (tmp_path / "results").rglob("*") if path.is_file()] == [
         tmp_path / RUN / ".lock"
     ]
-    monkeypatch.setattr(worker, "write_case", no_room)
+    monkeypatch.setattr(work, "write_case", no_room)
     told = said(arguments, 3, capsys)
     assert "No space left on device" in told
     assert "; check free space and permissions" in told

@@ -15,12 +15,13 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from studies import store, worker
+from studies import store
+from studies.graph.answers import read_answer
+from studies.graph.plan import Plan, make_plan
 from studies.hdf5 import Stored, StoreError
 from studies.meshing.mesh_cache import read_mesh
-from studies.plan import Plan, make_plan, task_of
-from studies.result_cache import read_reference
 from studies.study_file.config import expand, load_study
+from tests.in_process import outcomes_of
 
 from .processes import CACHE, RUN
 
@@ -28,9 +29,9 @@ KINDS = {
     "case": f"{RUN}/cases/*.vtkhdf",
     "study": f"{RUN}/study.h5",
     "mesh": f"{CACHE}/meshes/*.npz",
-    "reference": f"{CACHE}/references/*.npz",
+    "answer": f"{CACHE}/answers/*.npz",
 }
-SEAL = {"case": 82, "study": 82, "mesh": 32, "reference": 32}  # bytes at the end
+SEAL = {"case": 82, "study": 82, "mesh": 32, "answer": 32}  # bytes at the end
 
 
 @pytest.fixture
@@ -43,8 +44,8 @@ def _reads(kind: str, path: Path) -> bool:
     """Whether a file is read as good. A damaged result is told, what is missing from a cache is None."""
     if kind == "mesh":
         return read_mesh(path) is not None
-    if kind == "reference":
-        return read_reference(path) is not None
+    if kind == "answer":
+        return read_answer(path) is not None
     try:
         if kind == "case":
             store.read_case(path, path.stem)
@@ -102,7 +103,7 @@ def _with_other_numbers(path: Path, kind: str) -> None:
     else:
         with np.load(io.BytesIO(content)) as stored:
             arrays = {name: stored[name] for name in stored}
-        name = "points" if kind == "mesh" else "0/displacement"
+        name = "points" if kind == "mesh" else "displacement"
         buffer = io.BytesIO()
         np.savez(buffer, allow_pickle=False, **{**arrays, name: 2 * arrays[name]})
         changed = buffer.getvalue()
@@ -117,7 +118,7 @@ def test_changed_numbers_under_the_old_seal_are_found(copy: Path, kind: str) -> 
     assert not _reads(kind, path)
 
 
-@pytest.mark.parametrize("kind", ["case", "mesh", "reference"])
+@pytest.mark.parametrize("kind", ["case", "mesh", "answer"])
 @pytest.mark.parametrize("how", ["renamed", "linked"])
 def test_an_entry_under_another_s_name_is_none(copy: Path, kind: str, how: str) -> None:
     path = _one(kind, copy)
@@ -161,14 +162,11 @@ def _plan(directory: Path) -> Plan:
 
 def _run(directory: Path) -> int:
     """What the workers of a run do, here; how many cases they did."""
-    worker._meshes.clear()  # as in a new process
     plan = _plan(directory)
     cases = plan.cases_to_run()
-    for group in plan.groups(cases, 1):
-        tasks = [task_of(case, plan) for case in group]
-        with worker.share(tasks):
-            for task in tasks:
-                worker.run_case(task)
+    failed = [outcome.said for outcome in outcomes_of(plan) if not outcome.ok]
+    if failed:
+        raise OSError(errno.EISDIR, failed[0].message)
     return len(cases)
 
 
@@ -193,16 +191,16 @@ DAMAGE: dict[str, Callable[[Path, Path], object]] = {
 def test_what_is_damaged_is_made_again(
     copy: Path, undisturbed: tuple[Path, float], tmp_path: Path, damage: str
 ) -> None:
-    """Case, mesh and references at once; what a link leads to is left as it is."""
-    cases, references = (sorted(copy.glob(KINDS[kind])) for kind in ("case", "reference"))
-    foreign = [Path(shutil.copy(path, tmp_path)) for path in (cases[1], references[1])]
+    """Case, mesh and answers at once; what a link leads to is left as it is."""
+    cases, answers = (sorted(copy.glob(KINDS[kind])) for kind in ("case", "answer"))
+    foreign = [Path(shutil.copy(path, tmp_path)) for path in (cases[1], answers[1])]
     before = [path.read_bytes() for path in foreign]
     for path in cases[2:]:
         path.unlink()
     DAMAGE[damage](cases[0], foreign[0])
-    for path in [*references, *copy.glob(KINDS["mesh"])]:
+    for path in [*answers, *copy.glob(KINDS["mesh"])]:
         DAMAGE[damage](path, foreign[1])
-    assert sum(_reads("reference", path) for path in references) <= 1, "sound under its own name only"
+    assert sum(_reads("answer", path) for path in answers) <= 1, "sound under its own name only"
     assert _run(copy) == 5
     assert [path.read_bytes() for path in foreign] == before
     ours, theirs = _displacements(copy), _displacements(undisturbed[0])
@@ -211,10 +209,10 @@ def test_what_is_damaged_is_made_again(
         atol = 1e-12 * float(np.abs(displacement).max())
         assert_allclose(ours[key], displacement, rtol=0, atol=atol, err_msg=str(key))
     assert [path for path in copy.rglob("*") if path.is_symlink()] == []
-    assert all(_reads("reference", path) for path in references)
+    assert all(_reads("answer", path) for path in answers)
 
 
-@pytest.mark.parametrize("kind", ["case", "mesh", "reference"])
+@pytest.mark.parametrize("kind", ["case", "mesh", "answer"])
 def test_a_directory_in_a_file_s_place_is_told_and_kept(copy: Path, kind: str) -> None:
     path = _one(kind, copy)
     for other in copy.glob(KINDS[kind]):  # whichever is come to first

@@ -15,11 +15,11 @@ import pytest
 import pyvista as pv
 from numpy.testing import assert_allclose, assert_array_equal
 
+from studies.graph.plan import PlannedMesh
 from studies.meshing.geometry import build_mesh
 from studies.meshing.geometry_spec import Geometry
 from studies.meshing.mesh import Array, Index, Mesh, MeshError
 from studies.meshing.topology import tetrahedron_volumes
-from studies.plan import PlannedMesh
 
 SUFFIXES = ["a.stl", "b.stl", "a.obj", "a.ply", "b.ply", "a.vtp", "b.vtp"]
 VOLUMES = [

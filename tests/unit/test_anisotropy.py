@@ -12,15 +12,15 @@ from numpy.testing import assert_allclose
 from studies import models
 from studies.case import ModelResult
 from studies.explain import refused
+from studies.graph.nodes import bodies
+from studies.graph.plan import make_plan
 from studies.meshing.geometry import build_mesh
 from studies.meshing.mesh import Mesh
 from studies.metrics import METRICS, History
-from studies.plan import make_plan
 from studies.scene import build_scene
 from studies.study_file.config import expand, geometry_of
 from studies.study_file.schema import Study
 from studies.surface_measures import Surface
-from studies.work import work_of
 from tests.unit.study_texts import SMALL, swept
 from vdm.material import Parameters
 from vdm.surface import SurfaceMesh
@@ -109,7 +109,7 @@ def test_a_plan_names_the_models_that_refuse_fibres(
     wanted = STUDY | {"study": STUDY["study"] | {"models": names}}
     study = Study.model_validate(wanted | ({"anisotropy": anisotropy} if anisotropy else {}))
     plan = make_plan(study, expand(study), tmp_path / "run", tmp_path / "cache")
-    told = {line.partition(":")[0] for line in refused(plan, plan.cases, work_of(plan, plan.cases))}
+    told = {line.partition(":")[0] for line in refused(plan, plan.cases, bodies(plan, plan.cases))}
     assert told == {name for name in names if run(mesh, name, anisotropy).status[0].code == models.REFUSED}
     assert told == ({"vdm-boundary", "mass-spring"} if anisotropy else set())
 

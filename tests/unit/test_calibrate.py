@@ -39,14 +39,14 @@ from studies.calibration.fit import (
 )
 from studies.calibration.search import CalibrationError
 from studies.case import Run
+from studies.graph.plan import Plan, make_plan
 from studies.meshing.mesh_cache import mesh_from_cache
 from studies.models import run_model
-from studies.plan import Plan, make_plan, task_of
 from studies.scene import build_scene
 from studies.store import read_case
 from studies.study_file.config import expand, geometry_of, load_study, with_mesh_size
-from studies.worker import run_case
 from tests.command import strict_json, vdmbench
+from tests.in_process import do_cases
 from tests.unit.report_runs import icosphere
 
 STUDY = """
@@ -284,9 +284,7 @@ def finished(text: str, directory: Path) -> tuple[Run, Plan]:
     (directory / "study.toml").write_text(text)
     study = load_study(directory / "study.toml")
     plan = make_plan(study, expand(study), directory / "run", directory / "cache")
-    (plan.directory / "cases").mkdir(parents=True)
-    for case in plan.cases:
-        run_case(task_of(case, plan))
+    do_cases(plan)
     cases = [read_case(plan.case_file(case)) for case in plan.cases]
     return Run({"name": study.study.name}, "", cases, [], [], {}), plan
 

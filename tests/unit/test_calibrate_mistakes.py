@@ -9,7 +9,7 @@ import pytest
 from studies import models
 from studies.calibration.calibrate import check, check_fit
 from studies.calibration.search import CalibrationError
-from studies.plan import make_plan
+from studies.graph.plan import make_plan
 from studies.study_file.config import expand, load_study
 from tests.command import vdmbench
 from tests.unit.report_runs import icosphere

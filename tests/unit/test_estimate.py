@@ -14,8 +14,8 @@ from numpy.testing import assert_allclose
 from studies.cli_study import SHIPPED
 from studies.estimate import _PROCESS_BYTES, FACTOR_MEASURED, Size, _law
 from studies.explain import summary
+from studies.graph.plan import make_plan
 from studies.model_name import REFINED
-from studies.plan import make_plan
 from studies.store import write_case
 from studies.study_file.config import expand, load_study
 
@@ -122,8 +122,8 @@ def test_a_plan_expects_the_search_for_limits_to_cost_many_loads(tmp_path: Path)
     assert searched["estimate"]["seconds"] > 3 * own["estimate"]["seconds"]
     assert with_bars["estimate"]["seconds"] > 1.5 * searched["estimate"]["seconds"]
     line = "small-strain limits: a load that is tried serves all models and thresholds"
-    assert line in searched["shared"]
-    assert line not in own["shared"]
+    assert line in searched["needed"]
+    assert line not in own["needed"]
 
 
 @pytest.mark.parametrize(

@@ -181,12 +181,12 @@ def test_what_only_plans_and_reports_starts_without_the_libraries_of_those_who_c
     code = (
         "import sys\n"
         "from studies.study_file.config import expand, load_study\n"
-        "import studies.run, studies.plan, studies.report.page, pathlib, tempfile\n"
+        "import studies.graph.run, studies.graph.plan, studies.report.page, pathlib, tempfile\n"
         "study = load_study(pathlib.Path('studies/cases/quickstart.toml'))\n"
         "with tempfile.TemporaryDirectory() as name:\n"
         "    where = pathlib.Path(name)\n"
-        "    plan = studies.plan.make_plan(study, expand(study), where, where)\n"
-        "    assert studies.run.summary(plan)\n"
+        "    plan = studies.graph.plan.make_plan(study, expand(study), where, where)\n"
+        "    assert studies.graph.run.summary(plan)\n"
         "print(sorted({name.split('.')[0] for name in sys.modules}))"
     )
     result = subprocess.run(
@@ -204,9 +204,7 @@ def test_a_run_that_has_nothing_left_to_do_loads_no_solver_and_starts_no_process
         "import sys, contextlib\n"
         "from studies.cli import main\n"
         "with contextlib.suppress(SystemExit): main(sys.argv[1:])\n"
-        "from studies import server\n"
         "print(sorted({name.split('.')[0] for name in sys.modules}), file=sys.stderr)\n"
-        "print(len(server._running), file=sys.stderr)"
     )
     result = subprocess.run(
         [sys.executable, "-c", code, "run", str(study), "--out", "run"],
@@ -215,10 +213,9 @@ def test_a_run_that_has_nothing_left_to_do_loads_no_solver_and_starts_no_process
         check=True,
         cwd=tmp_path,
     )
-    modules, servers = (ast.literal_eval(line) for line in result.stderr.splitlines())
+    modules = ast.literal_eval(result.stderr)
     assert "1 done, 0 failed" in result.stdout
-    assert not {"scipy", "skfem", "pyamg", "vdm", "gmsh", "rich"} & set(modules)
-    assert servers == 0
+    assert not {"scipy", "skfem", "pyamg", "vdm", "gmsh", "rich", "pebble"} & set(modules)
 
 
 def test_making_a_solid_starts_no_renderer() -> None:
@@ -227,20 +224,3 @@ def test_making_a_solid_starts_no_renderer() -> None:
     assert not {"pyvista", "vtkmodules", "pyacvd", "matplotlib", "meshio", "rich"} & set(
         ast.literal_eval(result.stdout)
     )
-
-
-def test_workers_are_forked_with_the_solvers_loaded_and_nothing_that_few_of_them_need() -> None:
-    code = (
-        "import gc, sys, studies.server\n"
-        "studies.server.load()\n"
-        "frozen = gc.get_freeze_count()\n"
-        "print((gc.isenabled(), frozen, sorted({name.split('.')[0] for name in sys.modules})))"
-    )
-    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    collects, frozen, names = ast.literal_eval(result.stdout)
-    # pyamg for the references on refined meshes
-    assert {"numpy", "scipy", "skfem", "pyamg", "vdm", "fem_reference", "studies"} <= set(names)
-    few = {"gmsh", "meshio", "pyvista", "vtkmodules", "matplotlib", "jinja2", "pint", "rich"}
-    assert not few & set(names)
-    assert collects, "workers may run for hours"
-    assert frozen > 10_000, "what they share is not looked at"

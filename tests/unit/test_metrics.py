@@ -19,7 +19,7 @@ from studies.scene import build_scene
 from studies.study_file.config import geometry_of
 from studies.study_file.schema import Study
 from studies.surface_measures import Surface
-from studies.worker import compare
+from tests.comparing import compare
 
 # round-off of sums over a few hundred terms of order one
 ROUND = {"rtol": 1e-12, "atol": 1e-14}

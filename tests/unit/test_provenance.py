@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from studies import worker
+from studies import provenance
 
 
 def git(tree: Path, *words: str) -> str:
@@ -17,18 +17,18 @@ def git(tree: Path, *words: str) -> str:
 
 
 def test_the_commit_is_that_of_the_tree(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    source = tmp_path / "studies" / "worker.py"
+    source = tmp_path / "studies" / "provenance.py"
     source.parent.mkdir()
     source.write_text("first\n")
-    monkeypatch.setattr(worker, "__file__", str(source))
-    assert worker._commit() == "not a source tree"
+    monkeypatch.setattr(provenance, "__file__", str(source))
+    assert provenance._commit() == "not a source tree"
     git(tmp_path, "init", "-q")
-    assert worker._commit() == "unknown", "nothing is committed yet"
+    assert provenance._commit() == "unknown", "nothing is committed yet"
     git(tmp_path, "add", ".")
     git(tmp_path, "commit", "-qm", "first")
-    assert worker._commit() == git(tmp_path, "rev-parse", "HEAD")
+    assert provenance._commit() == git(tmp_path, "rev-parse", "HEAD")
     git(tmp_path, "tag", "v1")
     source.write_text("second\n")
-    assert worker._commit() == git(tmp_path, "rev-parse", "HEAD") + "-dirty"
+    assert provenance._commit() == git(tmp_path, "rev-parse", "HEAD") + "-dirty"
     monkeypatch.setenv("PATH", str(tmp_path))
-    assert worker._commit() == "unknown", "there is no git"
+    assert provenance._commit() == "unknown", "there is no git"

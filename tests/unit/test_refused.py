@@ -11,10 +11,10 @@ import pytest
 from numpy.testing import assert_allclose
 
 from studies.explain import summary
+from studies.graph.run import Options, run_plan
 from studies.meshing.geometry import build_mesh
 from studies.meshing.geometry_spec import Geometry
 from studies.meshing.mesh_cache import mesh_from_cache
-from studies.run import Options, run_plan
 from studies.study_file.problems import StudyError
 
 from . import shared_work
@@ -124,7 +124,6 @@ def test_what_the_machine_has_no_memory_for_is_named_and_not_begun(
     plan = plan_of(tmp_path / "run", tmp_path / "cache", geometry=geometry or TABLES["geometry"])
     assert summary(plan)["refused"] == []
     monkeypatch.setattr("studies.explain.machine_memory", lambda: 1_000_000)
-    monkeypatch.setattr("studies.run.start_server", lambda: None)
     (line,) = summary(plan)["refused"]
     assert line.startswith("fem-linear refined on a mesh of ")
     assert line.endswith(words)

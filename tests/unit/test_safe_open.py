@@ -10,8 +10,8 @@ from pathlib import Path
 import pytest
 
 from studies.files import clear_abandoned, write_atomically
+from studies.graph.run import _lock
 from studies.hdf5 import Stored, StoreError
-from studies.run import _lock
 from studies.safe_open import UnfitFileError, open_regular, read_regular
 from studies.sealed import read_arrays
 from studies.store import case_path, case_state, read_plan, read_run, refuse_linked, run_state

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from studies.explain import summary
-from studies.plan import make_plan
+from studies.graph.plan import make_plan
 from studies.study_file.config import Study, expand, load_study
 from studies.study_file.schema import CLAIMS
 from tests.command import vdmbench

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -15,8 +15,7 @@ from studies.case import SmallStrainLimits
 from studies.limits import LoadPath, LoadPoint
 from studies.meshing.mesh_cache import mesh_from_cache
 from studies.meshing.refine import inherit, refine
-from studies.scene import Scene, build_scene
-from studies.setups import sharing
+from studies.scene import Scene, SurfaceLoad, build_scene
 from studies.small_strain import small_strain_limits
 from studies.study_file.config import geometry_of, load_study, raised, value_and_unit
 from studies.study_file.problems import StudyError
@@ -73,14 +72,14 @@ def found(tmp_path_factory: pytest.TempPathFactory, runs: Runs) -> Found:
     path.write_text(STUDY)
     study = load_study(path)
     scene = build_scene(study, mesh_from_cache(geometry_of(study), directory / "cache", volume=True))
-    run = models.run_model
+    answer = models.Prepared.answer
 
-    def watched(scene: Scene, name: str, *known: dict[str, Any]) -> models.ModelResult:
-        runs.append((len(scene.mesh.tetrahedra), name, run(scene, name, *known)))
+    def watched(self: models.Prepared, loads: Sequence[SurfaceLoad]) -> models.ModelResult:
+        runs.append((len(self._scene.mesh.tetrahedra), self.model.name, answer(self, loads)))
         return runs[-1][-1]
 
-    with sharing(), pytest.MonkeyPatch.context() as patch:
-        patch.setattr(models, "run_model", watched)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(models.Prepared, "answer", watched)
         return study, scene, small_strain_limits(study, scene)
 
 
@@ -112,33 +111,31 @@ def grown(
 
 def test_the_error_has_grown_by_the_threshold_at_the_load_that_was_found(found: Found) -> None:
     study, scene, _ = found
-    with sharing():
-        own = small_strain_limits(study.model_copy(update={"uncertainty": None}), scene)
-        assert own.along == "constraints.tool.pressure"
-        assert own.unit == "Pa"
-        for name, entry in own.models.items():
-            assert [limit.state for limit in entry.limits] == ["found", "found"]
-            for limit in entry.limits:
-                error, strain = grown(study, scene, name, limit.load, refined=False)
-                assert_allclose(error - entry.structural_error, limit.threshold, rtol=0.021, atol=0)
-                assert_allclose(limit.strain, strain, rtol=1e-6, atol=0)
-                assert np.isnan(limit.bar)
+    own = small_strain_limits(study.model_copy(update={"uncertainty": None}), scene)
+    assert own.along == "constraints.tool.pressure"
+    assert own.unit == "Pa"
+    for name, entry in own.models.items():
+        assert [limit.state for limit in entry.limits] == ["found", "found"]
+        for limit in entry.limits:
+            error, strain = grown(study, scene, name, limit.load, refined=False)
+            assert_allclose(error - entry.structural_error, limit.threshold, rtol=0.021, atol=0)
+            assert_allclose(limit.strain, strain, rtol=1e-6, atol=0)
+            assert np.isnan(limit.bar)
 
 
 def test_the_limit_of_the_refined_mesh_lies_inside_the_bar(found: Found) -> None:
     """The error has not grown by the threshold at the bar's lower end, and has at its upper one."""
     study, scene, limits = found
-    with sharing():
-        for name, entry in limits.models.items():
-            for limit in entry.limits:
-                low, _ = grown(study, scene, name, limit.load * (1.0 - limit.bar), refined=True)
-                high, _ = grown(study, scene, name, limit.load * (1.0 + limit.bar), refined=True)
-                assert low - entry.structural_error < limit.threshold < high - entry.structural_error
-        linear = limits.models["fem-linear"]
-        for limit in linear.limits:  # whose departure is a power law: the limit itself
-            error, strain = grown(study, scene, "fem-linear", limit.load, refined=True)
-            assert_allclose(error - linear.structural_error, limit.threshold, rtol=0.005, atol=0)
-            assert_allclose(limit.strain, strain, rtol=0.02, atol=0)
+    for name, entry in limits.models.items():
+        for limit in entry.limits:
+            low, _ = grown(study, scene, name, limit.load * (1.0 - limit.bar), refined=True)
+            high, _ = grown(study, scene, name, limit.load * (1.0 + limit.bar), refined=True)
+            assert low - entry.structural_error < limit.threshold < high - entry.structural_error
+    linear = limits.models["fem-linear"]
+    for limit in linear.limits:  # whose departure is a power law: the limit itself
+        error, strain = grown(study, scene, "fem-linear", limit.load, refined=True)
+        assert_allclose(error - linear.structural_error, limit.threshold, rtol=0.005, atol=0)
+        assert_allclose(limit.strain, strain, rtol=0.02, atol=0)
 
 
 @pytest.mark.parametrize("bars", [False, pytest.param(True, marks=pytest.mark.slow)])
@@ -149,9 +146,8 @@ def test_the_short_way_to_each_load_gives_the_limits_of_the_long_one(
     study, scene, short = found
     if not bars:
         study = study.model_copy(update={"uncertainty": None})
-        with sharing():
-            short = small_strain_limits(study, scene)
-    monkeypatch.setitem(models.MODELS, "fem", replace(models.MODELS["fem"], onward=None))
+        short = small_strain_limits(study, scene)
+    monkeypatch.setitem(models.MODELS, "fem", replace(models.MODELS["fem"], continues=None))
 
     class Long(LoadPath):
         def at(self, factor: float) -> LoadPoint | None:
@@ -159,8 +155,7 @@ def test_the_short_way_to_each_load_gives_the_limits_of_the_long_one(
             return replace(point, error={name: point.error[name] for name in short.models}) if point else None
 
     monkeypatch.setattr(small_strain, "LoadPath", Long)
-    with sharing():
-        long = small_strain_limits(study, scene)
+    long = small_strain_limits(study, scene)
     for name, wanted in long.models.items():
         got = short.models[name]
         for one, other in zip((got, *got.limits), (wanted, *wanted.limits), strict=True):
@@ -214,8 +209,7 @@ def limits_along(directory: Path, along: str, more: str = "") -> tuple[Study, Sc
     path.write_text(path.read_text().replace("constraints.tool.pressure", along))
     study = load_study(path)
     scene = build_scene(study, mesh_from_cache(geometry_of(study), directory / "cache", volume=True))
-    with sharing():
-        return study, scene, small_strain_limits(study, scene)
+    return study, scene, small_strain_limits(study, scene)
 
 
 def test_loads_are_raised_together(tmp_path: Path) -> None:

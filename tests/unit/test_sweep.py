@@ -11,7 +11,7 @@ import pytest
 import tomli_w
 from numpy.testing import assert_allclose
 
-from studies.keys import case_hash, result_keys
+from studies.graph.keys import case_hash, result_keys
 from studies.study_file.config import Study, case_inputs, expand, resolved
 
 from .study_texts import SWEPT, load, sweep_problems, swept

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from studies.plan import make_plan
+from studies.graph.plan import make_plan
 from studies.study_file.config import StudyError, expand
 
 from .study_texts import SWEPT, load, sweep_problems, swept

@@ -18,7 +18,7 @@ from studies.report.digest import Digest
 from studies.report.ladders import Ladder, Reading, ladders
 from studies.scene import build_scene
 from studies.study_file.config import ResolvedCase, expand, geometry_of, load_study
-from studies.worker import compare
+from tests.comparing import compare
 from tests.unit.report_runs import make_run
 
 SHIPPED = Path(__file__).parents[2] / "studies" / "cases"
