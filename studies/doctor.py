@@ -32,6 +32,7 @@ PACKAGES = {
     "h5py": "h5py",
     "pyacvd": "pyacvd",
     "cholespy": "cholespy",
+    "numba": "numba",
     "pyamg": "pyamg",
     "rslab": "rslab",
     "pint": "pint",

@@ -51,6 +51,7 @@ PACKAGES = (
     "h5py",
     "rslab",
     "cholespy",
+    "numba",
     "pyamg",
 )
 
