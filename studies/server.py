@@ -33,7 +33,7 @@ Events = Generator[Any, None, None]
 _SHARED = ("fem_reference.costs", "numpy.ma", "unittest")
 # what every case needs, and no case should be timed with
 _MODULES = ("studies.worker", "vdm.model", "fem_reference.linear", "scipy.spatial")
-_SIGNALS = {signal.SIGINT, signal.SIGTERM}
+_SIGNALS = {signal.SIGINT, signal.SIGHUP, signal.SIGTERM}
 _COLLECT = (700, 10, 10)  # Python's own: a program may look for garbage less often, but workers run for hours
 
 CONTEXT = multiprocessing.get_context("fork")
@@ -172,7 +172,8 @@ def load() -> None:
 def _serve(line: Connection, other_end: Connection | None) -> None:
     if other_end is not None:  # of a fork
         other_end.close()  # so that the line ends with the program there
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the program's to handle, in workers too
+    for number in (signal.SIGINT, signal.SIGHUP):  # a terminal sends them to all: the program's to handle
+        signal.signal(number, signal.SIG_IGN)  # in workers too
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
     signal.pthread_sigmask(signal.SIG_UNBLOCK, _SIGNALS)
     load()
