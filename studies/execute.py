@@ -36,6 +36,7 @@ from typing import Any
 from .files import write_atomically
 from .memory import limit_memory
 from .meshing.mesh import InputError
+from .processors import usable_processors
 from .safe_open import open_regular, read_regular
 from .server import CONTEXT, start_server
 
@@ -145,7 +146,7 @@ def _in_workers(
     fail_fast: bool,
 ) -> Generator[Task | Outcome, None, None]:
     """The server's part of `run_tasks`: each task as it is started, each outcome as it comes."""
-    threads = max(1, (os.cpu_count() or 1) // jobs)
+    threads = max(1, usable_processors() // jobs)
     queue = groups[::-1]
     running: list[_Running] = []
     try:

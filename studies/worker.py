@@ -26,6 +26,7 @@ from .meshing.mesh_cache import mesh_from_cache
 from .metrics import METRICS, History
 from .model_name import REFINED
 from .plan import needs_volume
+from .processors import processor_name
 from .proportional import Answer, Comparisons
 from .reference import own_error, refined_levels, require_converged
 from .result_cache import read_reference, reference_path, write_reference
@@ -397,7 +398,7 @@ def _machine() -> dict[str, str]:
         "commit": _commit(),
         "python": platform.python_version(),
         "platform": platform.platform(),
-        "processor": _processor(),
+        "processor": processor_name(),
     }
 
 
@@ -418,11 +419,3 @@ def _commit() -> str:
         return subprocess.run(asked, capture_output=True, text=True, check=True, timeout=10).stdout.strip()
     except (OSError, subprocess.SubprocessError):  # no git, or one that does not trust whose tree it is
         return "unknown"
-
-
-def _processor() -> str:
-    try:
-        lines = Path("/proc/cpuinfo").read_text().splitlines()
-    except OSError:
-        return platform.processor()
-    return next((line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")), "unknown")

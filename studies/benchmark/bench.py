@@ -28,6 +28,7 @@ from ..growth import growths
 from ..meshing.mesh import Array, InputError
 from ..meshing.mesh_cache import mesh_from_cache
 from ..metrics import DEFORMATION, VECTOR, History, evaluate
+from ..processors import usable_processors
 from ..reference import own_error, refined_levels, require_converged
 from ..scene import Scene, build_scene
 from ..setups import sharing
@@ -205,7 +206,7 @@ def _machine(about: dict[str, str], rounds: int) -> dict[str, str]:
     kept = {name: text for name, text in about.items() if name not in ("mesh_hash", "platform")}
     return {
         "processor": kept.pop("processor"),
-        "cores": str(len(os.sched_getaffinity(0))),
+        "cores": str(usable_processors()),
         "memory": f"{memory / 1e9:.1f} GB",
         "threads": ", ".join(threads),
         "rounds": str(rounds),
