@@ -42,7 +42,7 @@ class RunError(ValueError):
 class Event:
     """Something that a watcher of a run may want to show."""
 
-    kind: str  # "mesh", "case": started; "done", "failed": finished
+    kind: str  # "mesh", "case": started; "done", "failed": finished; "told": a sentence, in `message`
     label: str
     seconds: float = 0.0
     message: str = ""
@@ -81,7 +81,7 @@ def run_plan(
     if here or plan.missing_meshes(cases):
         start_server()  # before there are a cluster's threads, and a lock that it would hold on to
     refuse_linked(plan.directory)
-    with _cluster(options) as cluster, _locked(plan.directory, options.shard):
+    with _cluster(options, watch) as cluster, _locked(plan.directory, options.shard):
         _check_study(plan)
         if here:
             import_module("studies.report.page")  # while the server loads, too
@@ -147,12 +147,14 @@ def _tidy(plan: Plan) -> None:
 
 
 @contextmanager
-def _cluster(options: Options) -> Iterator[Cluster | None]:
+def _cluster(options: Options, watch: Callable[[Event], None]) -> Iterator[Cluster | None]:
     """The cluster that the cases run on, or None for this machine."""
     if options.scheduler is None:
         yield None
         return
     with connected(options.scheduler, insecure=options.insecure_scheduler) as cluster:
+        if warning := cluster.warning():
+            watch(Event("told", options.scheduler, message=f"warning: {warning}"))
         yield cluster
 
 
