@@ -103,14 +103,57 @@ def scalar_pattern(mesh: TetMesh) -> Pattern:
     return Pattern(indptr, indices, place.reshape(m, width * width), mirror)
 
 
+@dataclass(frozen=True)
+class Coupling:
+    """The sparsity pattern of the products of P1 pressures (rows) and nodes; see `Pattern`."""
+
+    indptr: NDArray[np.int32]
+    indices: NDArray[np.int32]
+    place: Index
+    columns: int
+
+    @property
+    def size(self) -> int:
+        """Number of stored entries."""
+        return len(self.indices)
+
+    @cached_property
+    def numbered(self) -> csr_array:
+        """The pattern as a matrix whose entries are their own positions."""
+        shape = (len(self.indptr) - 1, self.columns)
+        return csr_array((np.arange(self.size), self.indices, self.indptr), shape=shape)
+
+
+def coupling_pattern(mesh: TetMesh, pattern: Pattern) -> Coupling:
+    """The pattern of all pairs of a pressure and a node that share an element."""
+    m, width = mesh.element_nodes.shape
+    if mesh.pressure_elements is mesh.tetrahedra:  # the vertices are the first nodes
+        indptr = pattern.indptr[: mesh.n_vertices + 1]
+        place = pattern.place[:, : 4 * width]
+        return Coupling(indptr, pattern.indices[: indptr[-1]], place, mesh.n_nodes)
+    keys = mesh.pressure_elements[:, :, None] * mesh.n_nodes + mesh.element_nodes[:, None, :]
+    entries, place = np.unique(keys, return_inverse=True)
+    counts = np.bincount(entries // mesh.n_nodes, minlength=mesh.n_pressures)
+    indptr = np.concatenate([[0], np.cumsum(counts)]).astype(np.int32)
+    return Coupling(
+        indptr, (entries % mesh.n_nodes).astype(np.int32), place.reshape(m, 4 * width), mesh.n_nodes
+    )
+
+
 def elasticity_blocks(
-    mesh: TetMesh, pattern: Pattern, divergence: float, fibres: Array | None = None
+    mesh: TetMesh,
+    pattern: Pattern,
+    divergence: float,
+    fibres: Array | None = None,
+    stiffness: Array | None = None,
 ) -> Array:
     """(pattern.size, 3, 3) blocks of `2 eps(u) : eps(v) + divergence * div u div v`, integrated [m].
 
     With `divergence` = -2/3 this is the deviatoric form of the mixed element, with lambda / mu Hooke's law, both
-    per unit shear modulus. `fibres` is a symmetric (3, 3) M that adds `(M : eps(u)) (M : eps(v))`.
+    per unit shear modulus. `fibres` is a symmetric (3, 3) M that adds `(M : eps(u)) (M : eps(v))`. All of it times
+    `stiffness`, an (m,) factor of each tetrahedron.
     """
+    sizes = mesh.volumes if stiffness is None else mesh.volumes * stiffness
     width = mesh.element_nodes.shape[1]
     barycentric, weights = tetrahedron_quadrature()
     grads = reference_gradients(mesh.order, barycentric)
@@ -119,7 +162,7 @@ def elasticity_blocks(
     products = {(i, j): np.zeros(size) for i in range(3) for j in range(i, 3)}
     for part in _chunks(len(mesh.volumes)):
         g = mesh.barycentric_gradients[part]
-        scaled = g * mesh.volumes[part, None, None]
+        scaled = g * sizes[part, None, None]
         place = pattern.place[part].ravel()
         for (i, j), total in products.items():
             metric = (scaled[:, :, None, i] * g[:, None, :, j]).reshape(-1, 9)
@@ -142,34 +185,32 @@ def elasticity_blocks(
     return blocks
 
 
-def divergence_blocks(mesh: TetMesh, pattern: Pattern) -> Array:
-    """(entries, 1, 3) blocks of the integral of `q div u` over P1 pressures q (rows) and displacements [m^2].
-
-    The vertices are the first nodes, so the entries are those of the pattern's first n_vertices rows.
-    """
+def divergence_blocks(mesh: TetMesh, coupling: Coupling) -> Array:
+    """(coupling.size, 1, 3) blocks of the integral of `q div u` over P1 pressures q and displacements [m^2]."""
     width = mesh.element_nodes.shape[1]
     barycentric, weights = tetrahedron_quadrature()
     grads = reference_gradients(mesh.order, barycentric)
     table = np.einsum("q,qa,qic->cai", weights, barycentric, grads).reshape(3, 4 * width)
-    size = int(pattern.indptr[mesh.n_vertices])
+    size = coupling.size
     blocks = np.zeros((size, 1, 3))
     for part in _chunks(len(mesh.volumes)):
         scaled = mesh.barycentric_gradients[part] * mesh.volumes[part, None, None]
-        place = pattern.place[part, : 4 * width].ravel()
+        place = coupling.place[part].ravel()
         for k in range(3):
             values = (scaled[:, :, k] @ table).ravel()
             blocks[:, 0, k] += np.bincount(place, weights=values, minlength=size)
     return blocks
 
 
-def mass_matrix(mesh: TetMesh) -> csr_array:
-    """(n, n) P1 mass matrix of the vertices [m^3]."""
-    t = mesh.tetrahedra
+def mass_matrix(mesh: TetMesh, weights: Array | None = None) -> csr_array:
+    """Mass matrix of the P1 pressures, each tetrahedron times its weight [m^3]."""
+    t = mesh.pressure_elements
     local = (np.ones((4, 4)) + np.eye(4)) / 20.0
-    values = mesh.volumes[:, None, None] * local
+    sizes = mesh.volumes if weights is None else mesh.volumes * weights
+    values = sizes[:, None, None] * local
     rows = np.repeat(t, 4, axis=1).ravel()
     columns = np.tile(t, (1, 4)).ravel()
-    return csr_array(coo_array((values.ravel(), (rows, columns)), shape=(mesh.n_vertices, mesh.n_vertices)))
+    return csr_array(coo_array((values.ravel(), (rows, columns)), shape=(mesh.n_pressures, mesh.n_pressures)))
 
 
 def gravity_weights(mesh: TetMesh) -> Array:

@@ -73,5 +73,7 @@ def _norm(system: LinearSystem, unit: Array) -> float:
         return float(columns.max())
     coupling = csr_array(abs(system.divergence))
     columns = columns + u * (coupling.T @ q)
-    pressures = q * (coupling @ u + abs(system.compressibility) * (abs(system.mass) @ q))
+    pressures = q * (coupling @ u)
+    if system.compliance is not None:
+        pressures = pressures + q * (abs(system.compliance) @ q)
     return float(max(columns.max(), pressures.max()))

@@ -48,6 +48,56 @@ class ThickSphere:
 
 
 @dataclass(frozen=True)
+class LayeredSphere:
+    """Hollow sphere of concentric layers under inner pressure: Lame's solution in each (see `ThickSphere`).
+
+    In a layer u = s (1 - 2 nu) r / E + B / r^2 and the radial stress is s - 4 G B / r^3; displacement and radial
+    stress are continuous, the outer surface is free.
+
+    Attributes
+    ----------
+    radii : of the surfaces, from the inside out, one more than layers [m]
+    youngs_moduli : [Pa]
+    poisson_ratios : in (-1, 0.5]
+    pressure : on the inner surface [Pa]
+    """
+
+    radii: tuple[float, ...]
+    youngs_moduli: tuple[float, ...]
+    poisson_ratios: tuple[float, ...]
+    pressure: float
+
+    def radial_displacement(self, radius: Array | float) -> Array:
+        """Radial displacement at the given radii [m]."""
+        r = np.asarray(radius, dtype=np.float64)
+        constants = self._constants
+        layer = np.clip(np.searchsorted(self.radii, r, side="right") - 1, 0, len(constants) - 1)
+        compliance = np.array(self._compliances)
+        return np.asarray(constants[layer, 0] * compliance[layer] * r + constants[layer, 1] / r**2)
+
+    @property
+    def _compliances(self) -> list[float]:
+        return [(1.0 - 2.0 * nu) / e for e, nu in zip(self.youngs_moduli, self.poisson_ratios, strict=True)]
+
+    @property
+    def _constants(self) -> Array:
+        """(layers, 2) s and B."""
+        count = len(self.youngs_moduli)
+        matrix, rhs = np.zeros((2 * count, 2 * count)), np.zeros(2 * count)
+        shear = [e / (2.0 + 2.0 * nu) for e, nu in zip(self.youngs_moduli, self.poisson_ratios, strict=True)]
+        for k, radius in enumerate(self.radii):
+            # the stress of the layer outside less that of the layer inside, and the displacement alike
+            for layer, sign in ((k, 1.0), (k - 1, -1.0)):
+                if 0 <= layer < count:
+                    columns = slice(2 * layer, 2 * layer + 2)
+                    matrix[2 * k - 1 if k else 0, columns] = sign, -4.0 * sign * shear[layer] / radius**3
+                    if 0 < k < count:
+                        matrix[2 * k, columns] = sign * self._compliances[layer] * radius, sign / radius**2
+        rhs[0] = -self.pressure
+        return np.asarray(np.linalg.solve(matrix, rhs).reshape(count, 2))
+
+
+@dataclass(frozen=True)
 class ThickCylinder:
     """Hollow cylinder under inner pressure in plane strain (Lame; MacNeal and Harder 1985).
 

@@ -9,12 +9,12 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from fem_reference.assembly import scalar_pattern
+from fem_reference.assembly import coupling_pattern, scalar_pattern
 from fem_reference.condition import condition_estimate
 from fem_reference.finite_strain_assembly import ElementAssembly
 from fem_reference.finite_strain_outputs import OUTPUTS, Record
 from fem_reference.follower import FollowerPressure
-from fem_reference.linear import Fields, check_material
+from fem_reference.linear import Fields
 from fem_reference.loads import (
     Load,
     check_loads,
@@ -25,6 +25,7 @@ from fem_reference.loads import (
 )
 from fem_reference.materials import make_law
 from fem_reference.mesh import TetMesh, facet_quadrature
+from fem_reference.moduli import check_density, check_fibres, make_moduli
 from fem_reference.newton import Newton, ScaledLoad, Substep
 from fem_reference.solution import Solution, SolverError, Status, check_outputs
 from fem_reference.system import LinearSystem, build_system
@@ -49,8 +50,9 @@ class FiniteStrainProblem:
     Parameters
     ----------
     points, tetrahedra, surface_nodes, triangles : see `fem_reference.mesh.TetMesh`
-    youngs_modulus : of the isotropic part [Pa], positive
-    poisson_ratio : of the isotropic part, in (-1, 0.5]
+    youngs_modulus : of the isotropic part, one number or one per tetrahedron [Pa], positive
+    poisson_ratio : of the isotropic part, in (-1, 0.5], or one per tetrahedron in (0, 0.5]
+    parts : (m,) number of the part of each tetrahedron: the pressure may jump between parts, as where moduli do
     density : of the undeformed body [kg/m^3]
     held : (N,) surface nodes whose displacement is given, or (N, 3) single components of them (rollers)
     material : one of `fem_reference.materials.MATERIALS`
@@ -77,10 +79,11 @@ class FiniteStrainProblem:
         surface_nodes: ArrayLike,
         triangles: ArrayLike,
         *,
-        youngs_modulus: float,
-        poisson_ratio: float,
+        youngs_modulus: ArrayLike,
+        poisson_ratio: ArrayLike,
         density: float = 0.0,
         held: ArrayLike,
+        parts: ArrayLike | None = None,
         material: str = "neo-hookean",
         fibre_direction: ArrayLike | None = None,
         contrast: float = 1.0,
@@ -93,35 +96,46 @@ class FiniteStrainProblem:
         memory_limit: float | None = None,
     ) -> None:
         start = time.perf_counter()
-        check_material(youngs_modulus, poisson_ratio, density, mixed=True)
+        check_density(density)
         if pressure not in PRESSURES:
             raise _bad_option(f"pressure {pressure!r} is unknown", f"use one of {', '.join(PRESSURES)}")
         if max_newton < 1:
             raise _bad_option(f"max_newton is {max_newton}", "give 1 or more")
         if not 0.0 < tolerance < 1.0:
             raise _bad_option(f"tolerance is {tolerance}", "give a number between 0 and 1")
-        self.youngs_modulus = float(youngs_modulus)
-        self.poisson_ratio = float(poisson_ratio)
+        self.mesh = TetMesh(points, tetrahedra, surface_nodes, triangles, order=2, parts=parts)
+        moduli = make_moduli(self.mesh, youngs_modulus, poisson_ratio, mixed=True)
+        self.youngs_modulus = moduli.youngs_modulus
+        self.poisson_ratio = moduli.poisson_ratio
         self.density = float(density)
-        self.shear_modulus = self.youngs_modulus / (2.0 * (1.0 + self.poisson_ratio))
+        self.shear_modulus = moduli.shear_modulus
         self.material = material
         self.pressure = pressure
         # In units of the shear modulus, as everything below.
         self._law = make_law(
             material, 2.0 * (1.0 + self.poisson_ratio), 1.0, fibre_direction, contrast, material_parameters
         )
+        if self._law.fibre is not None:
+            check_fibres(moduli)
         self._contrast = float(contrast)
-        self.mesh = TetMesh(points, tetrahedra, surface_nodes, triangles, order=2)
         self.held = held_nodes(self.mesh, np.asarray(held))
         pattern = scalar_pattern(self.mesh)
+        coupling = coupling_pattern(self.mesh, pattern)
         self.system: LinearSystem = build_system(
-            self.mesh, self.held, mixed=True, poisson_ratio=self.poisson_ratio, pattern=pattern
+            self.mesh,
+            self.held,
+            mixed=True,
+            poisson_ratio=self.poisson_ratio,
+            pattern=pattern,
+            relative_stiffness=moduli.stiffness,
+            poisson_ratios=moduli.poisson_ratios,
         )
         self.solver = TangentSolver(self.system, solver, expected_loads, memory_limit)
-        self._assembly = ElementAssembly(self.mesh, pattern, self._law)
+        self._assembly = ElementAssembly(self.mesh, pattern, coupling, self._law, moduli.stiffness)
         self._newton = Newton(
             self.system,
             pattern,
+            coupling,
             self._assembly,
             FollowerPressure(self.mesh, pattern),
             self.solver,
@@ -176,7 +190,7 @@ class FiniteStrainProblem:
         ]
         fields = Fields(
             displacement=np.full((steps, self.mesh.n_nodes, 3), np.nan),
-            pressure=np.full((steps, self.mesh.n_vertices), np.nan),
+            pressure=np.full((steps, self.mesh.n_pressures), np.nan),
             reaction=np.full((steps, self.mesh.n_nodes, 3), np.nan),
             residual=np.full(steps, np.nan),
             iterations=np.zeros(steps, dtype=np.int64),

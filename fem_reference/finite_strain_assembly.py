@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from skfem.quadrature import get_quadrature
 from skfem.refdom import RefTet
 
-from fem_reference.assembly import Pattern, reference_gradients
+from fem_reference.assembly import Coupling, Pattern, reference_gradients
 from fem_reference.kinematics import PAIRS, Kinematics, Law
 from fem_reference.mesh import TetMesh
 
@@ -44,11 +44,23 @@ class Forces:
 
 
 class ElementAssembly:
-    """Internal forces and their derivative on one mesh, for one law in units of the shear modulus."""
+    """Internal forces and their derivative on one mesh, for one law in units of the shear modulus.
 
-    def __init__(self, mesh: TetMesh, pattern: Pattern, law: Law) -> None:
+    `stiffness` is an (m,) factor of each tetrahedron: its energy is that much of the law's.
+    """
+
+    def __init__(
+        self,
+        mesh: TetMesh,
+        pattern: Pattern,
+        coupling: Coupling,
+        law: Law,
+        stiffness: Array | None = None,
+    ) -> None:
         self.mesh = mesh
         self._pattern = pattern
+        self._coupling = coupling
+        self._stiffness = np.ones(len(mesh.volumes)) if stiffness is None else stiffness
         self._law = law
         points, weights = get_quadrature(RefTet, _DEGREE)
         self._barycentric = np.vstack([1.0 - points.sum(axis=0), points]).T
@@ -65,7 +77,7 @@ class ElementAssembly:
         """Internal forces for (n_nodes, 3) displacements and (n,) pressures p."""
         mesh = self.mesh
         nodal = np.zeros((mesh.n_nodes, 3))
-        volume = np.zeros(mesh.n_vertices)
+        volume = np.zeros(mesh.n_pressures)
         least = np.inf
         for part in self._parts():
             k = self._kinematics(part, displacement)
@@ -73,7 +85,8 @@ class ElementAssembly:
             if not least > 0.0:
                 return Forces(nodal, volume, least)
             weights = self._weights[part]
-            stress = self._law.stress(k, self._at_points(part, pressure)) * weights[..., None, None]
+            factor = weights * self._stiffness[part, None]
+            stress = self._law.stress(k, self._at_points(part, pressure)) * factor[..., None, None]
             # P : grad N = (P G^T) : reference gradient, G the constant barycentric gradients
             pulled = stress @ np.swapaxes(self._barycentric_gradients[part], 1, 2)[:, None]
             count = len(weights)
@@ -83,7 +96,7 @@ class ElementAssembly:
                 nodal[:, i] += np.bincount(nodes, weights=local[..., i].ravel(), minlength=mesh.n_nodes)
             shares = (weights * k.dilation) @ self._barycentric
             volume += np.bincount(
-                mesh.tetrahedra[part].ravel(), weights=shares.ravel(), minlength=mesh.n_vertices
+                mesh.pressure_elements[part].ravel(), weights=shares.ravel(), minlength=mesh.n_pressures
             )
         return Forces(nodal, volume, least)
 
@@ -93,13 +106,12 @@ class ElementAssembly:
         Returns
         -------
         stiffness : (pattern.size, 3, 3) blocks
-        divergence : (entries, 1, 3) blocks of the pattern's first n_vertices rows: integral of N J F^-T : grad v.
+        divergence : (coupling.size, 1, 3) blocks: integral of N J F^-T : grad v.
             Its negative transpose is the derivative of the nodal forces with respect to p.
         """
-        pattern, width = self._pattern, self.mesh.element_nodes.shape[1]
+        pattern, coupling = self._pattern, self._coupling
         stiffness = np.zeros((pattern.size, 3, 3))
-        short = int(pattern.indptr[self.mesh.n_vertices])
-        divergence = np.zeros((short, 1, 3))
+        divergence = np.zeros((coupling.size, 1, 3))
         parts = list(self._parts())
         for first in range(0, len(parts), _GATHER):
             group = parts[first : first + _GATHER]
@@ -111,18 +123,20 @@ class ElementAssembly:
                 for k in range(i, 3):
                     values = matrices[:, i, :, k].ravel()
                     stiffness[:, i, k] += np.bincount(place, weights=values, minlength=pattern.size)
-            place = pattern.place[whole, : 4 * width].ravel()
+            place = coupling.place[whole].ravel()
             couplings = np.concatenate([coupling for _, coupling in results])
             for k in range(3):
                 values = couplings[:, :, k].ravel()
-                divergence[:, 0, k] += np.bincount(place, weights=values, minlength=short)
+                divergence[:, 0, k] += np.bincount(place, weights=values, minlength=coupling.size)
         for i, k in ((0, 1), (0, 2), (1, 2)):
             stiffness[:, k, i] = stiffness[pattern.mirror, i, k]
         return stiffness, divergence
 
     def strain_energy(self, displacement: Array) -> float:
         """Integral of W."""
-        return self._integral(lambda part: self._law.energy(self._kinematics(part, displacement)))
+        return self._integral(
+            lambda part: self._law.energy(self._kinematics(part, displacement)) * self._stiffness[part, None]
+        )
 
     def pressure_integral(self, displacement: Array, pressure: Array) -> float:
         """Integral of -tr(Cauchy stress)/3 over the deformed body."""
@@ -130,7 +144,8 @@ class ElementAssembly:
         def trace(part: slice) -> Array:
             k = self._kinematics(part, displacement)
             stress = self._law.stress(k, self._at_points(part, pressure))
-            return np.einsum("eqij,eqij->eq", stress, k.deformation_gradient) / -3.0
+            work = np.einsum("eqij,eqij->eq", stress, k.deformation_gradient)
+            return work * self._stiffness[part, None] / -3.0
 
         return self._integral(trace)
 
@@ -151,7 +166,7 @@ class ElementAssembly:
         """(e, 3, n, 3, n) stiffness and (e, 4, 3, n) divergence of the elements of one pass."""
         k = self._kinematics(part, displacement)
         tangent = self._law.tangent(k, self._at_points(part, pressure))
-        weights = self._weights[part]
+        weights = self._weights[part] * self._stiffness[part, None]
         count, points = weights.shape
         width = self._reference.shape[1]
         shape = (count, 3, width, 3, width)
@@ -177,7 +192,7 @@ class ElementAssembly:
         scalar = np.swapaxes(weighted.reshape(flat), 1, 2) @ gradients.reshape(flat)
         for i in range(3):
             out[:, i, :, i] += scalar
-        volumes = (weights * (1.0 + k.dilation))[..., None] * self._barycentric
+        volumes = (self._weights[part] * (1.0 + k.dilation))[..., None] * self._barycentric
         coupling = np.swapaxes(volumes, 1, 2) @ spatial
         return out, coupling.reshape(count, 4, 3, width)
 
@@ -189,7 +204,9 @@ class ElementAssembly:
         return Kinematics(np.ascontiguousarray(np.swapaxes(gradient, 1, 2)))
 
     def _at_points(self, part: slice, pressure: Array) -> Array:
-        return np.asarray(pressure[self.mesh.tetrahedra[part]] @ self._barycentric.T)
+        """(e, q) pressures in units of each tetrahedron's own shear modulus."""
+        local = pressure[self.mesh.pressure_elements[part]] / self._stiffness[part, None]
+        return np.asarray(local @ self._barycentric.T)
 
     def _integral(self, integrand: Callable[[slice], Array]) -> float:
         return sum(

@@ -146,8 +146,8 @@ class Record:
         self._fluid_pressure[number] = self._shear_modulus * self._assembly.pressure_integral(u, p) / volume
         # p^2 / (2 lambda) = c q^2 / 2, the energy of the volume change
         energy = self._assembly.strain_energy(u)
-        if self._system.mass is not None:
-            energy += 0.5 * self._system.compressibility * float(q @ (self._system.mass @ q))
+        if self._system.compliance is not None:
+            energy += 0.5 * float(q @ (self._system.compliance @ q))
         self._energy[number] = energy * self._shear_modulus * length**3
         local = self._outputs & {"max_det_f_deviation", "max_principal_strain"}
         deviation, strain = self._assembly.largest(u) if local else (np.nan, np.nan)

@@ -25,6 +25,7 @@ from fem_reference.loads import (
 )
 from fem_reference.materials import TransverselyIsotropic, make_law
 from fem_reference.mesh import TetMesh
+from fem_reference.moduli import check_density, check_fibres, make_moduli
 from fem_reference.outputs import OUTPUTS, mean_pressure, strain_outputs
 from fem_reference.solution import CONVERGED, Solution, SolverError, Status, check_outputs
 from fem_reference.system import LinearSystem, build_system
@@ -43,7 +44,8 @@ class Fields:
     Attributes
     ----------
     displacement : (S, n_nodes, 3) [m]
-    pressure : (S, n) p = -lambda div u at the vertices; (S, 0) for a displacement element [Pa]
+    pressure : (S, n_pressures) p = -lambda div u at the vertices, of each part its own where parts meet (see
+        `fem_reference.mesh.TetMesh`); (S, 0) for a displacement element [Pa]
     reaction : (S, n_nodes, 3) force of the support on the body [N]
     residual : (S,) true relative residual of the scaled system
     iterations : (S,) Krylov iterations, 0 for a direct solve
@@ -79,8 +81,9 @@ class LinearProblem:
     Parameters
     ----------
     points, tetrahedra, surface_nodes, triangles : see `fem_reference.mesh.TetMesh`
-    youngs_modulus : of the isotropic part [Pa], positive
-    poisson_ratio : of the isotropic part, in (-1, 0.5]; below 0.5 for "P2" and "P1"
+    youngs_modulus : of the isotropic part, one number or one per tetrahedron [Pa], positive
+    poisson_ratio : of the isotropic part, in (-1, 0.5], below 0.5 for "P2" and "P1"; or (m,) in (0, 0.5]
+    parts : (m,) number of the part of each tetrahedron: the pressure may jump between parts, as where moduli do
     density : [kg/m^3]
     held : (N,) surface nodes whose displacement is given, or (N, 3) single components of them (rollers)
     solver : "auto" chooses by size, `expected_loads` and memory; "direct" or "iterative" insist
@@ -103,10 +106,11 @@ class LinearProblem:
         surface_nodes: ArrayLike,
         triangles: ArrayLike,
         *,
-        youngs_modulus: float,
-        poisson_ratio: float,
+        youngs_modulus: ArrayLike,
+        poisson_ratio: ArrayLike,
         density: float = 0.0,
         held: ArrayLike,
+        parts: ArrayLike | None = None,
         solver: str = "auto",
         expected_loads: int = 1,
         element: str = "P2-P1",
@@ -120,22 +124,30 @@ class LinearProblem:
                 Status("bad-element", f"element {element!r} is unknown", f"use one of {', '.join(ELEMENTS)}")
             )
         order, mixed = ELEMENTS[element]
-        check_material(youngs_modulus, poisson_ratio, density, mixed=mixed)
-        self.mesh = TetMesh(points, tetrahedra, surface_nodes, triangles, order=order)
+        check_density(density)
+        self.mesh = TetMesh(points, tetrahedra, surface_nodes, triangles, order=order, parts=parts)
+        moduli = make_moduli(self.mesh, youngs_modulus, poisson_ratio, mixed=mixed)
         self.element = element
-        self.youngs_modulus = float(youngs_modulus)
-        self.poisson_ratio = float(poisson_ratio)
+        self.youngs_modulus = moduli.youngs_modulus
+        self.poisson_ratio = moduli.poisson_ratio
         self.density = float(density)
-        self.shear_modulus = self.youngs_modulus / (2.0 * (1.0 + self.poisson_ratio))
+        self.shear_modulus = moduli.shear_modulus
         self.contrast = float(contrast)
         material = "neo-hookean" if fibre_direction is None else "transversely-isotropic"
         law = make_law(material, 2.0 * (1.0 + self.poisson_ratio), 1.0, fibre_direction, self.contrast)
         fibres = None
         if isinstance(law, TransverselyIsotropic):
+            check_fibres(moduli)
             fibres = np.sqrt(law.fibre_modulus) * np.outer(law.fibre, law.fibre)
         self.held = held_nodes(self.mesh, np.asarray(held))
         self.system: LinearSystem = build_system(
-            self.mesh, self.held, mixed=mixed, poisson_ratio=self.poisson_ratio, fibres=fibres
+            self.mesh,
+            self.held,
+            mixed=mixed,
+            poisson_ratio=self.poisson_ratio,
+            fibres=fibres,
+            relative_stiffness=moduli.stiffness,
+            poisson_ratios=moduli.poisson_ratios,
         )
         self.solver: Solver = choose_solver(self.system, solver, expected_loads, memory_limit)
         self.seconds_setup = time.perf_counter() - start
@@ -288,21 +300,3 @@ class LinearProblem:
             "tetrahedra": float(len(self.mesh.tetrahedra)),
             "relative_residual": residual,
         }
-
-
-def check_material(youngs_modulus: float, poisson_ratio: float, density: float, *, mixed: bool) -> None:
-    """Raise a `SolverError` for moduli that no element, or not this one, can take; see `LinearProblem`."""
-    if not (np.isfinite(youngs_modulus) and youngs_modulus > 0.0):
-        raise _bad_material(f"youngs_modulus is {youngs_modulus}", "give a positive number of pascals")
-    if not -1.0 < poisson_ratio <= 0.5:
-        raise _bad_material(f"poisson_ratio is {poisson_ratio}", "give a number in (-1, 0.5]")
-    if poisson_ratio == 0.5 and not mixed:
-        raise _bad_material(
-            "a displacement element cannot be incompressible", "use the element P2-P1 or poisson_ratio < 0.5"
-        )
-    if not (np.isfinite(density) and density >= 0.0):
-        raise _bad_material(f"density is {density}", "give a number of kg/m^3 that is not negative")
-
-
-def _bad_material(message: str, remedy: str) -> SolverError:
-    return SolverError(Status("bad-material", message, remedy))

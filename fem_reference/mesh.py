@@ -63,10 +63,14 @@ class TetMesh:
     tetrahedra : (m, 4) indices into `points`, positive volume
     surface_nodes : (N,) indices into `points`
     triangles : (F, 3) indices into `surface_nodes`: the whole boundary, outward
+    parts : (m,) number of the part of the body that each tetrahedron belongs to, or None for one part
 
     Attributes
     ----------
     order : 1 or 2
+    pressure_elements : (m, 4) numbers of the P1 pressures of each tetrahedron: the vertices', but each part has
+        its own where parts meet
+    pressure_vertices : (n_pressures,) the vertex of each pressure
     element_nodes : (m, 4 or 10) node numbers
     volumes : (m,) [m^3]
     barycentric_gradients : (m, 3, 3), row a the gradient of the coordinate of vertex a + 1 [1/m]
@@ -91,6 +95,7 @@ class TetMesh:
         triangles: ArrayLike,
         *,
         order: int = 2,
+        parts: ArrayLike | None = None,
     ) -> None:
         self.points = np.ascontiguousarray(points, dtype=np.float64)
         self.tetrahedra = np.ascontiguousarray(tetrahedra, dtype=np.int64)
@@ -104,6 +109,12 @@ class TetMesh:
             np.ascontiguousarray(self.points.T), np.ascontiguousarray(self.tetrahedra.T.astype(np.int32))
         )
         self._number_nodes()
+        self.pressure_elements, self.pressure_vertices = self._number_pressures(parts)
+
+    @property
+    def n_pressures(self) -> int:
+        """Number of P1 pressures, n where there is one part."""
+        return len(self.pressure_vertices)
 
     @property
     def n_vertices(self) -> int:
@@ -218,6 +229,19 @@ class TetMesh:
                 "give the whole boundary of the tetrahedra with outward triangles",
             )
         return area
+
+    def _number_pressures(self, parts: ArrayLike | None) -> tuple[Index, Index]:
+        if parts is None:
+            return self.tetrahedra, np.arange(self.n_vertices)
+        given = np.asarray(parts)
+        if given.shape != self.volumes.shape or not np.issubdtype(given.dtype, np.integer):
+            raise _bad_mesh(
+                f"parts is an array of {given.dtype} of shape {given.shape}",
+                f"give a whole number for each of {len(self.volumes)} tetrahedra",
+            )
+        label = np.unique(given, return_inverse=True)[1]
+        keys, numbers = np.unique(label[:, None] * self.n_vertices + self.tetrahedra, return_inverse=True)
+        return numbers.reshape(-1, 4), keys % self.n_vertices
 
     def _number_nodes(self) -> None:
         dofs = Dofs(self.skfem_mesh, ElementTetP2() if self.order == 2 else ElementTetP1())

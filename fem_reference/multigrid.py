@@ -170,7 +170,10 @@ def _p1_stiffness(system: LinearSystem, vertices: Index, free: NDArray[np.bool_]
     """The Galerkin matrix: P1 is a subspace of P2, so it is the P1 stiffness on the same mesh."""
     mesh = system.mesh.with_order(1)
     pattern = scalar_pattern(mesh)
-    blocks = elasticity_blocks(mesh, pattern, system.divergence_coefficient, system.fibres) / mesh.mean_edge
+    blocks = elasticity_blocks(
+        mesh, pattern, system.divergence_coefficient, system.fibres, system.relative_stiffness
+    )
+    blocks /= mesh.mean_edge
     inner = pattern.numbered[vertices][:, vertices]
     size = 3 * len(vertices)
     matrix = bsr_matrix((blocks[inner.data], inner.indices, inner.indptr), shape=(size, size))

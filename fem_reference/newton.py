@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import bsr_array, csr_array
 
-from fem_reference.assembly import Pattern, mass_matrix
+from fem_reference.assembly import Coupling, Pattern
 from fem_reference.finite_strain_assembly import ElementAssembly
 from fem_reference.follower import FollowerPressure
 from fem_reference.mesh import facet_quadrature
@@ -129,7 +129,7 @@ class Newton:
     Parameters
     ----------
     system : the linear system of the undeformed body, whose numbering and pressure scale are used
-    pattern : the scalar pattern of its mesh
+    pattern, coupling : the scalar pattern of its mesh, and that of its pressures
     assembly : element forces and tangents
     follower : the pressure on the deformed surface
     solver : of the linear systems
@@ -141,6 +141,7 @@ class Newton:
         self,
         system: LinearSystem,
         pattern: Pattern,
+        coupling: Coupling,
         assembly: ElementAssembly,
         follower: FollowerPressure,
         solver: TangentSolver,
@@ -149,6 +150,7 @@ class Newton:
     ) -> None:
         self._system = system
         self._pattern = pattern
+        self._coupling = coupling
         self._assembly = assembly
         self._follower = follower
         self._solver = solver
@@ -156,9 +158,8 @@ class Newton:
         self._tolerance = tolerance
         mesh = system.mesh
         self._points = mesh.node_points / mesh.mean_edge
-        self._mass = csr_array(mass_matrix(mesh) / mesh.mean_edge**3)
         self._inner = pattern.numbered[system.kept][:, system.kept]
-        self._inner_divergence = pattern.numbered[: mesh.n_vertices][:, system.kept]
+        self._inner_divergence = coupling.numbered[:, system.kept]
 
     @property
     def rest(self) -> Substep:
@@ -166,7 +167,7 @@ class Newton:
         mesh = self._system.mesh
         nothing = np.zeros((mesh.n_nodes, 3))
         unloaded = ScaledLoad(np.zeros((len(mesh.triangles), len(facet_quadrature()[1]))), nothing, nothing)
-        state = State(nothing, np.zeros(mesh.n_vertices))
+        state = State(nothing, np.zeros(mesh.n_pressures))
         return Substep(0.0, unloaded, state, nothing, nothing, (0.0,), "converged")
 
     def follow(self, state: State, start: ScaledLoad, end: ScaledLoad) -> Iterator[Substep]:
@@ -255,7 +256,8 @@ class Newton:
         external = load.forces + self._follower.forces(self._points + u, load.pressure)
         unbalanced = internal.nodal - external
         vector = self._vector(unbalanced, internal.volume)
-        vector[system.n_displacements :] -= system.compressibility * np.asarray(self._mass @ q)
+        if system.compliance is not None:
+            vector[system.n_displacements :] -= system.compliance @ q
         # Forces below the rounding of the displacement gradient are none.
         noise = _ROUNDING * np.sqrt(u.size) * (1.0 + float(np.abs(u).max()))
         scale = max(float(np.linalg.norm(a)) for a in (internal.nodal, external))
@@ -279,7 +281,7 @@ class Newton:
         return self._tangent(state.displacement, state.pressure, load).matrices
 
     def _tangent(self, u: Array, q: Array, load: ScaledLoad) -> _Tangent:
-        system, pattern = self._system, self._pattern
+        system, pattern, coupling = self._system, self._pattern, self._coupling
         blocks, volumes = self._assembly.tangent(u, system.pressure_scale * q)
         divergence = self._divergence(volumes)
         symmetric = blocks
@@ -296,14 +298,10 @@ class Newton:
         def action(step: Array) -> Array:
             if not step.any():
                 return np.zeros(system.size)
-            size, rows = 3 * len(u), system.mesh.n_vertices
-            short = len(volumes)
+            size, rows = 3 * len(u), system.mesh.n_pressures
             flat = step.ravel()
             nodal = bsr_array((blocks, pattern.indices, pattern.indptr), shape=(size, size)) @ flat
-            volume = (
-                bsr_array((volumes, pattern.indices[:short], pattern.indptr[: rows + 1]), shape=(rows, size))
-                @ flat
-            )
+            volume = bsr_array((volumes, coupling.indices, coupling.indptr), shape=(rows, size)) @ flat
             return self._vector(nodal.reshape(-1, 3), volume)
 
         return _Tangent(TangentSystem(true, half), action)
@@ -319,5 +317,5 @@ class Newton:
         inner, held = self._inner_divergence, self._system.held[self._system.kept]
         data = self._system.pressure_scale * volumes[inner.data]
         data[held[inner.indices][:, None, :]] = 0.0
-        shape = (self._system.mesh.n_vertices, self._system.n_displacements)
+        shape = (self._system.mesh.n_pressures, self._system.n_displacements)
         return csr_array(bsr_array((data, inner.indices, inner.indptr), shape=shape))

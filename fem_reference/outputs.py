@@ -31,10 +31,15 @@ def mean_pressure(system: LinearSystem, shear_modulus: float, displacement: Arra
     share = np.repeat([0.0, 1.0 / 3.0], 3) if mesh.order == 2 else np.full(3, 1.0 / 3.0)
     trace = np.einsum("sfni,n->sfi", displacement[:, mesh.facet_nodes], share)
     gradient: Array = np.einsum("sfi,fj->sij", trace, mesh.area_vectors) / mesh.volume
+    if system.relative_stiffness is not None:  # then it is the stiffness times grad u that counts
+        weights = mesh.volumes * system.relative_stiffness / mesh.volume
+        centre = np.full((1, 4), 0.25)  # the gradient is linear in a tetrahedron
+        gradients = (displacement_gradient(mesh, u, centre)[:, 0] for u in displacement)
+        gradient = np.array([np.einsum("m,mij->ij", weights, g) for g in gradients])
     dilation: Array = np.einsum("sii->s", gradient)
     mean = -shear_modulus * (system.divergence_coefficient + 2.0 / 3.0) * dilation
     if system.mixed:
-        mean = mean + pressure[:, mesh.tetrahedra].mean(axis=2) @ mesh.volumes / mesh.volume
+        mean = mean + pressure[:, mesh.pressure_elements].mean(axis=2) @ mesh.volumes / mesh.volume
     if system.fibres is not None:
         tension = np.einsum("ij,sij->s", system.fibres, gradient) * np.trace(system.fibres)
         mean = mean - shear_modulus * tension / 3.0

@@ -10,6 +10,9 @@ scaled pressure q = p / a, a = sqrt(2 |nu|), lambda = 2 nu / (1 - 2 nu):
 The scaling keeps every block finite for any Poisson ratio in (-1, 0.5]: c is zero for an incompressible body and
 the pressure uncouples at nu = 0. A displacement element has Hooke's law in A and no pressure rows. Fibres add
 (M : eps(u)) (M : eps(v)) to A, with M = sqrt(k / mu) a x a of their modulus k and direction a.
+
+Where moduli vary, A has the factor g of each tetrahedron, its shear modulus in units of the reference, and c M is
+the sum of c M over the tetrahedra, c = |nu| (1 - 2 nu_e) / (nu_e g) with the nu of the reference.
 """
 
 from __future__ import annotations
@@ -22,6 +25,7 @@ from scipy.sparse import block_array, bsr_array, bsr_matrix, csc_array, csr_arra
 
 from fem_reference.assembly import (
     Pattern,
+    coupling_pattern,
     divergence_blocks,
     elasticity_blocks,
     mass_matrix,
@@ -47,11 +51,13 @@ class LinearSystem:
     stiffness : (3K, 3K) A
     divergence : (n, 3K) a B, or None for a displacement element
     gradient : (3K, n) its transpose, or None
-    mass : (n, n) M, or None
-    compressibility : c
+    mass : (n, n) M, weighted as the pressure's Schur complement is where moduli vary, or None
+    compliance : (n, n) c M, None where it is zero
+    compressibility : c, the least of all tetrahedra
     pressure_scale : a
     divergence_coefficient : lambda of the displacement element, 0 where the pressure carries it
     fibres : (3, 3) M, None for an isotropic body
+    relative_stiffness : (m,) g, None where it is one everywhere
     schur_factor : the pressure's Schur complement is about -schur_factor M
     support : nodes with a held component
     support_rows : (3 * supports, 3 n_nodes) their rows of A, no row or column taken out
@@ -65,10 +71,12 @@ class LinearSystem:
     divergence: csr_array | None
     gradient: csr_array | None
     mass: csr_array | None
+    compliance: csr_array | None
     compressibility: float
     pressure_scale: float
     divergence_coefficient: float
     fibres: Array | None
+    relative_stiffness: Array | None
     schur_factor: float
     support: Index
     support_rows: bsr_array
@@ -97,19 +105,23 @@ class LinearSystem:
         if self.divergence is not None and self.gradient is not None and self.mass is not None:
             out[: len(u)] -= self.gradient @ q
             out[len(u) :] = -(self.divergence @ u)
-            if self.compressibility:
-                out[len(u) :] -= self.compressibility * (self.mass @ q)
+            if self.compliance is not None:
+                out[len(u) :] -= self.compliance @ q
         return out
 
     def lower_triangle(self, compressibility: float) -> csc_array:
-        """Lower triangle of the matrix by columns, with `compressibility` in place of c."""
+        """Lower triangle of the matrix by columns, with `compressibility` in place of the least c."""
         stiffness = csr_array(self.stiffness)
         if self.divergence is None or self.gradient is None or self.mass is None:
             return _lower(stiffness)
+        if compressibility == self.compressibility and self.compliance is not None:
+            pressures = self.compliance
+        else:
+            pressures = (compressibility - self.compressibility) * self.mass
+            if self.compliance is not None:
+                pressures = self.compliance + pressures
         return _lower(
-            block_array(
-                [[stiffness, -self.gradient], [-self.divergence, -compressibility * self.mass]], format="csr"
-            )
+            block_array([[stiffness, -self.gradient], [-self.divergence, -pressures]], format="csr")
         )
 
     def right_hand_side(self, forces: Array, prescribed: Array) -> Array:
@@ -151,6 +163,8 @@ def build_system(
     poisson_ratio: float,
     fibres: Array | None = None,
     pattern: Pattern | None = None,
+    relative_stiffness: Array | None = None,
+    poisson_ratios: Array | None = None,
 ) -> LinearSystem:
     """Assemble the scaled system.
 
@@ -162,6 +176,8 @@ def build_system(
     poisson_ratio : in (-1, 0.5], below 0.5 for a displacement element
     fibres : (3, 3) M, None for an isotropic body
     pattern : that of the mesh where the caller keeps it; None makes one that is let go with this call
+    relative_stiffness : (m,) g, None where it is one everywhere
+    poisson_ratios : (m,) in (0, 0.5] where they vary; `poisson_ratio` is then that of the scaling
 
     Raises
     ------
@@ -171,7 +187,7 @@ def build_system(
     length = mesh.mean_edge
     pattern = pattern or scalar_pattern(mesh)
     lame = 0.0 if mixed else 2.0 * poisson_ratio / (1.0 - 2.0 * poisson_ratio)
-    blocks = elasticity_blocks(mesh, pattern, lame, fibres) / length
+    blocks = elasticity_blocks(mesh, pattern, lame, fibres, relative_stiffness) / length
     kept = np.flatnonzero(~held.all(axis=1))
     support = np.flatnonzero(held.any(axis=1))
     numbered = pattern.numbered
@@ -191,10 +207,12 @@ def build_system(
         divergence=None,
         gradient=None,
         mass=None,
+        compliance=None,
         compressibility=0.0,
         pressure_scale=0.0,
         divergence_coefficient=lame,
         fibres=fibres,
+        relative_stiffness=relative_stiffness,
         schur_factor=0.0,
         support=support,
         support_rows=support_rows,
@@ -204,38 +222,59 @@ def build_system(
         return displacement
 
     scale = float(np.sqrt(2.0 * abs(poisson_ratio)))
-    compressibility = (1.0 - 2.0 * poisson_ratio) * (-1.0 if poisson_ratio < 0.0 else 1.0)
     inner_divergence, support_divergence = _divergence(mesh, pattern, held, kept, support)
     inner_divergence.data *= scale / length**2
     support_divergence.data /= length**2
-    mass = mass_matrix(mesh)
-    mass.data /= length**3
+    # A pressure drives a gradient field, on which 2 g eps : eps is twice g (div u)^2: a^2 / 2 = |nu|.
+    gain: float | Array = abs(poisson_ratio)
+    compressibility: float | Array = (1.0 - 2.0 * poisson_ratio) * (-1.0 if poisson_ratio < 0.0 else 1.0)
+    if poisson_ratios is not None:
+        compressibility = poisson_ratio * (1.0 - 2.0 * poisson_ratios) / poisson_ratios
+    if relative_stiffness is not None:
+        compressibility, gain = compressibility / relative_stiffness, gain / relative_stiffness
+    compliance, mass, schur_factor = _pressure_matrices(mesh, compressibility, compressibility + gain)
     system = replace(
         displacement,
         divergence=inner_divergence,
         gradient=csr_array(inner_divergence.T),
         mass=mass,
-        compressibility=compressibility,
+        compliance=compliance,
+        compressibility=float(np.min(compressibility)),
         pressure_scale=scale,
-        # A pressure drives a gradient field, on which 2 eps : eps is twice (div u)^2: a^2 / 2 = |nu|.
-        schur_factor=compressibility + abs(poisson_ratio),
+        schur_factor=schur_factor,
         support_divergence=support_divergence,
     )
-    if compressibility == 0.0:
+    if not np.any(compressibility):
         _check_pressure_datum(mesh, inner_divergence)
     return system
+
+
+def _pressure_matrices(
+    mesh: TetMesh, compressibility: float | Array, schur: float | Array
+) -> tuple[csr_array | None, csr_array, float]:
+    """c M, the mass matrix and the factor that together are about the pressure's Schur complement."""
+    unit = mesh.mean_edge**3
+    if isinstance(schur, float):
+        mass = mass_matrix(mesh)
+        mass.data /= unit
+        return (csr_array(mass * compressibility) if compressibility else None), mass, schur
+    factor = float(schur @ mesh.volumes / mesh.volume)
+    mass = mass_matrix(mesh, schur / (factor * unit))
+    weights = np.asarray(compressibility / unit)
+    return (mass_matrix(mesh, weights) if weights.any() else None), mass, factor
 
 
 def _divergence(
     mesh: TetMesh, pattern: Pattern, held: Mask, kept: Index, support: Index
 ) -> tuple[csr_array, csr_array]:
-    blocks = divergence_blocks(mesh, pattern)
-    numbered = pattern.numbered[: mesh.n_vertices]
+    coupling = coupling_pattern(mesh, pattern)
+    blocks = divergence_blocks(mesh, coupling)
+    numbered = coupling.numbered
     inner = numbered[:, kept]
     data = blocks[inner.data]
     data[held[kept][inner.indices][:, None, :]] = 0.0
     outer = numbered[:, support]
-    n = mesh.n_vertices
+    n = mesh.n_pressures
     return (
         csr_array(_bsr(data, inner, (n, 3 * len(kept)))),
         csr_array(_bsr(blocks[outer.data], outer, (n, 3 * len(support)))),
@@ -263,7 +302,7 @@ def hold_components(stiffness: bsr_array | bsr_matrix, held: Mask) -> None:
 def _check_pressure_datum(mesh: TetMesh, divergence: csr_array) -> None:
     count, label = mesh.components
     for body in range(count):
-        flux = divergence.T @ (label == body).astype(np.float64)
+        flux = divergence.T @ (label[mesh.pressure_vertices] == body).astype(np.float64)
         if np.abs(flux).max(initial=0.0) < 1e-10:
             raise SolverError(
                 Status(

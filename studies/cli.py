@@ -14,7 +14,7 @@ _AGAIN = 0.2  # s between two looks whether an interrupt was dropped
 
 
 class _Interrupt:
-    """What Ctrl-C and SIGTERM do: stop the verb, and nothing once it has stopped.
+    """What Ctrl-C, SIGTERM and the end of a terminal (SIGHUP) do: stop the verb, and nothing once it has stopped.
 
     What falls into an import can come out as another error, as that of a library or a file that cannot be loaded,
     or be dropped, by Python's own callbacks or by a library: until the verb has stopped it comes again.
@@ -52,8 +52,9 @@ def _dropped(error: sys.UnraisableHookArgs) -> None:
 def main(arguments: Sequence[str] | None = None) -> None:
     """Entry point of `vdmbench`: ends the process with the exit code of the verb."""
     interrupt = _Interrupt()
-    if signal.getsignal(signal.SIGINT) is not signal.SIG_IGN:  # as in the background of a script
-        signal.signal(signal.SIGINT, interrupt)
+    for number in (signal.SIGINT, signal.SIGHUP):
+        if signal.getsignal(number) is not signal.SIG_IGN:  # as in the background of a script, or by nohup
+            signal.signal(number, interrupt)
     for number in (signal.SIGTERM, signal.SIGALRM):
         signal.signal(number, interrupt)
     sys.unraisablehook = _dropped
@@ -62,37 +63,50 @@ def main(arguments: Sequence[str] | None = None) -> None:
     os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")
     options = None
     try:
+        from .streams import make_patient
+
+        make_patient()
         from .cli_arguments import parse
 
         options = parse(arguments)
         code = options.verb(options)
-        sys.stdout.flush()
         interrupt.stop()
     except (Exception, KeyboardInterrupt) as error:  # noqa: BLE001 -- told, whatever it is
         interrupt.stop()
         if interrupt.received or isinstance(error, KeyboardInterrupt):
-            code = _complain_of_interrupt(fresh=getattr(options, "fresh", False))
+            code = _complain_of_interrupt(options)
         else:
             code = _complain_of(error)
+    _tell_of_lost_output()
     gc.freeze()  # the end is no time to look for garbage
     sys.exit(code)
 
 
-def _complain_of_interrupt(*, fresh: bool) -> int:
+def _complain_of_interrupt(options: object) -> int:
+    """Says what the same command does next; without `options` it was stopped before these were read."""
     from .cli_output import INTERRUPTED, complain
 
-    again = "begins again (--fresh)" if fresh else "goes on from here"
+    if options is None:
+        return complain("interrupted; nothing was begun", INTERRUPTED)
+    if not getattr(options, "goes_on", False):
+        return complain("interrupted; the same command starts anew", INTERRUPTED)
+    again = "begins again (--fresh)" if getattr(options, "fresh", False) else "goes on from here"
     return complain(f"interrupted; what is done is kept, the same command {again}", INTERRUPTED)
+
+
+def _tell_of_lost_output() -> None:
+    """It changes no exit code: what was to be done is done."""
+    from .streams import lost_output
+
+    for sentence in lost_output():
+        print(f"vdmbench: {sentence}", file=sys.stderr)
 
 
 def _complain_of(error: BaseException) -> int:
     """What is wrong, and the exit code of an error; a ValueError of ours always carries a sentence."""
-    from .cli_output import BUG, DAMAGED, MACHINE, OK, USAGE, complain
+    from .cli_output import BUG, DAMAGED, MACHINE, USAGE, complain
 
     match error:
-        case BrokenPipeError():  # the reader has gone: nothing to tell it
-            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-            return OK
         case ImportError():
             return complain(f"{error}; see what is missing with: vdmbench doctor", MACHINE)
         case FileExistsError(filename=name):  # where a directory was to be made

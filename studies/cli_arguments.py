@@ -32,7 +32,7 @@ def _parser() -> argparse.ArgumentParser:
     def verb(name: str, function: Any, text: str) -> argparse.ArgumentParser:
         sub = verbs.add_parser(name, help=text, description=text)
         sub.add_argument("--json", action="store_true", help="print JSON")
-        sub.set_defaults(verb=function)
+        sub.set_defaults(verb=function, goes_on=False)
         return sub
 
     def study_verb(
@@ -61,7 +61,12 @@ def _parser() -> argparse.ArgumentParser:
         )
 
     def jobs(sub: argparse.ArgumentParser) -> None:
-        sub.add_argument("--jobs", type=_positive, metavar="N", help="cases at once (default: one per core)")
+        sub.add_argument(
+            "--jobs",
+            type=_positive,
+            metavar="N",
+            help="cases at once (default: as many as processors that this process may use)",
+        )
 
     verb("list", cli_study.list_verb, "list the shipped studies")
     study_verb("check", cli_study.check_verb, "validate a study without running it")
@@ -81,13 +86,15 @@ def _parser() -> argparse.ArgumentParser:
     run.add_argument(
         "--scheduler",
         metavar="ADDRESS",
-        help="run the cases on this Dask cluster, such as tls://HOST:8786; meshes are made here",
+        help="run the cases on this Dask cluster, such as tls://HOST:8786; meshes are made here; without TLS it "
+        "trusts all who reach it, on loopback every user of the machine",
     )
     run.add_argument(
         "--insecure-scheduler",
         action="store_true",
         help="allow a scheduler on another machine without TLS: whoever reaches its network can run programs",
     )
+    run.set_defaults(goes_on=True)
     run.add_argument("--fail-fast", action="store_true", help="stop at the first failure")
     run.add_argument("--timeout", type=_positive_seconds, metavar="S", help="seconds that one case may take")
     run.add_argument(
@@ -101,6 +108,7 @@ def _parser() -> argparse.ArgumentParser:
         cli_study.calibrate_verb,
         "fit VDM parameters on half of a study's loads, try them on the rest",
     )
+    calibrate.set_defaults(goes_on=True)
     directory(calibrate)
     jobs(calibrate)
     calibrate.add_argument(

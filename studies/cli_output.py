@@ -140,7 +140,10 @@ class Progress:
             self.bar.stop()
 
     def show(self, event: Event) -> None:
-        """Show one event of the run."""
+        """Show one event of the run; a sentence also where progress is not wanted."""
+        if event.kind == "told":
+            complain(event.message, OK)
+            return
         label = event.label or self.name
         if self.bar is None and not self.quiet and sys.stderr.isatty():
             # not sooner: it is a thread, and workers are to be forked from a process that has no other

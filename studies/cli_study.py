@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import os
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -21,6 +20,7 @@ from .cli_output import (
     results_directory,
     tell,
 )
+from .processors import usable_processors
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -121,7 +121,7 @@ def run_verb(options: argparse.Namespace) -> int:
     plan = _make_plan(study, options)
     _keep_other_surface(plan, options)
     how = Options(
-        jobs=options.jobs or os.cpu_count() or 1,
+        jobs=options.jobs or usable_processors(),
         shard=options.shard,
         timeout=options.timeout,
         memory=options.memory,
@@ -297,8 +297,7 @@ def _run_for_fit(plan: Plan, path: Path, options: argparse.Namespace) -> tuple[P
     cases = plan.cases_to_run()
     total = len(cases) + len(plan.missing_meshes(cases))
     with Progress(total, plan.study.study.name, quiet=options.json) as progress:
-        run, _ = run_plan(
-            plan, path.read_text(), Options(jobs=options.jobs or os.cpu_count() or 1), progress.show
-        )
+        how = Options(jobs=options.jobs or usable_processors())
+        run, _ = run_plan(plan, path.read_text(), how, progress.show)
     complain_of_failures(run)
     return plan, run

@@ -11,6 +11,8 @@ import sys
 from pathlib import Path
 from typing import NamedTuple
 
+from .processors import usable_processors
+
 # shared libraries that the gmsh and VTK wheels load from the system, and Debian's packages of them
 LIBRARIES = {
     "libgomp.so.1": "libgomp1",
@@ -32,6 +34,7 @@ PACKAGES = {
     "h5py": "h5py",
     "pyacvd": "pyacvd",
     "cholespy": "cholespy",
+    "numba": "numba",
     "pyamg": "pyamg",
     "rslab": "rslab",
     "pint": "pint",
@@ -80,7 +83,7 @@ def examine(directory: Path = Path()) -> list[Finding]:
         )
     )
     findings += [_package(name, module) for name, module in PACKAGES.items()]
-    findings.append(Finding("cores", True, False, str(os.cpu_count()), ""))
+    findings.append(Finding("cores", True, False, _cores(), ""))
     findings.append(_memory())
     free = shutil.disk_usage(directory).free
     writable = os.access(directory, os.W_OK)
@@ -94,6 +97,11 @@ def examine(directory: Path = Path()) -> list[Finding]:
         )
     )
     return findings
+
+
+def _cores() -> str:
+    usable, there = usable_processors(), os.cpu_count() or 1
+    return str(there) if usable == there else f"{usable} of {there} may be used"
 
 
 def _package(name: str, module: str) -> Finding:

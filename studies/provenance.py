@@ -10,6 +10,7 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 from .meshing.mesh import Mesh
+from .processors import processor_name
 
 PACKAGES = (
     "vdmbench",
@@ -23,6 +24,7 @@ PACKAGES = (
     "rslab",
     "cholespy",
     "pyamg",
+    "numba",
 )
 
 
@@ -42,7 +44,7 @@ def _machine() -> dict[str, str]:
         "commit": _commit(),
         "python": platform.python_version(),
         "platform": platform.platform(),
-        "processor": _processor(),
+        "processor": processor_name(),
     }
 
 
@@ -63,11 +65,3 @@ def _commit() -> str:
         return subprocess.run(asked, capture_output=True, text=True, check=True, timeout=10).stdout.strip()
     except (OSError, subprocess.SubprocessError):  # no git, or one that does not trust whose tree it is
         return "unknown"
-
-
-def _processor() -> str:
-    try:
-        lines = Path("/proc/cpuinfo").read_text().splitlines()
-    except OSError:
-        return platform.processor()
-    return next((line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")), "unknown")

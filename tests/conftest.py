@@ -16,7 +16,8 @@ pytest_plugins = ["tests.verification.records"]
 @pytest.fixture(autouse=True)
 def _own_signals() -> Iterator[None]:
     """The command, where a test calls it in this process, leaves its own answers to signals."""
-    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM, signal.SIGALRM)}
+    numbers = (signal.SIGINT, signal.SIGHUP, signal.SIGTERM, signal.SIGALRM)
+    before = {number: signal.getsignal(number) for number in numbers}
     hook = sys.unraisablehook
     yield
     sys.unraisablehook = hook

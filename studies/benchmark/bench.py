@@ -28,6 +28,7 @@ from ..meshing.mesh import Array, InputError
 from ..meshing.mesh_cache import mesh_from_cache
 from ..meshing.refine import refined
 from ..metrics import DEFORMATION, VECTOR, History, evaluate
+from ..processors import usable_processors
 from ..provenance import provenance
 from ..reference import FailedReferenceError, level_scene, own_error, require_converged, restricted
 from ..scene import Scene, build_scene
@@ -211,7 +212,7 @@ def _machine(about: dict[str, str], rounds: int) -> dict[str, str]:
     kept = {name: text for name, text in about.items() if name not in ("mesh_hash", "platform")}
     return {
         "processor": kept.pop("processor"),
-        "cores": str(len(os.sched_getaffinity(0))),
+        "cores": str(usable_processors()),
         "memory": f"{memory / 1e9:.1f} GB",
         "threads": ", ".join(threads),
         "rounds": str(rounds),

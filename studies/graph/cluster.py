@@ -6,7 +6,6 @@ directory, which the machines of the cluster share. Dask gives the node of a wor
 
 from __future__ import annotations
 
-import ipaddress
 import json
 import logging
 import shutil
@@ -21,10 +20,13 @@ from typing import Any
 from urllib.parse import urlsplit
 from uuid import uuid4
 
+from ..listening import is_loopback, open_ports
 from .local import LocalPlaces, told
 from .work import Said
 
 INSTALL = "pip install --constraint constraints.txt --editable '.[distributed]'"
+LOOPBACK = "--host 127.0.0.1 --dashboard-address 127.0.0.1:0"  # for whoever starts a part of a cluster
+_NAMED = 4  # ports in the warning
 _POLL = 0.2  # s
 _WITHOUT_WORKERS = 60.0  # s that a scheduler may have no worker at all
 
@@ -104,10 +106,31 @@ class Cluster:
         end = time.monotonic() + _WITHOUT_WORKERS
         while not self._threads():
             if time.monotonic() > end:
+                where = f" {LOOPBACK}" if is_loopback(urlsplit(self.address).hostname or "") else ""
                 raise ClusterError(
-                    f"{self.address} has no workers: start some with: dask worker {self.address}"
+                    f"{self.address} has no workers: start some with: dask worker {self.address}{where}"
                 )
             time.sleep(_POLL)
+
+    def warning(self) -> str:
+        """Which parts of a cluster without TLS other machines reach; "" where none is known to be."""
+        if self.address.startswith("tls:"):
+            return ""
+        found: list[str] = []
+        with suppress(Exception):  # one that lacks vdmbench cannot be asked; of workers `require_fit` says so
+            found += [f"scheduler {port}" for port in self.client.run_on_scheduler(open_ports)]
+        for nanny in (False, True):
+            with suppress(Exception):  # workers may be without nannies
+                answers = self.client.run(open_ports, nanny=nanny, on_error="return")
+                lists = (ports for _, ports in sorted(answers.items()) if isinstance(ports, list))
+                found += [f"{'nanny' if nanny else 'worker'} {port}" for ports in lists for port in ports]
+        if not found:
+            return ""
+        more = f" and {len(found) - _NAMED} more" if len(found) > _NAMED else ""
+        return (
+            f"other machines reach {', '.join(found[:_NAMED])}{more}: without TLS whoever does can run programs "
+            f"in your name; start scheduler and workers with {LOOPBACK}, or use TLS"
+        )
 
     def close(self) -> None:
         """Cancel what waits; what is at work stops when the scratch directory is gone."""
@@ -162,7 +185,8 @@ def _connected(address: str, *, insecure: bool) -> Iterator[tuple[Any, str]]:
         client = distributed.Client(address, set_as_default=False)  # type: ignore[no-untyped-call]
     except (OSError, TimeoutError):
         trusting = " that trusts this certificate" if address.startswith("tls:") else ""
-        message = f"no scheduler{trusting} answers at {address}; start one with: dask scheduler"
+        where = f" {LOOPBACK}" if is_loopback(urlsplit(address).hostname or "") else ""
+        message = f"no scheduler{trusting} answers at {address}; start one with: dask scheduler{where}"
         raise ClusterError(message) from None
     with client:
         yield client, address
@@ -193,21 +217,12 @@ def checked_address(address: str, *, insecure: bool) -> str:
         raise AddressError(
             f"{address!r} is no scheduler's address: write tls://HOST:PORT or tcp://127.0.0.1:PORT"
         )
-    if parts.scheme == "tcp" and not insecure and not _is_this_machine(host):
+    if parts.scheme == "tcp" and not insecure and not is_loopback(host):
         raise AddressError(
             f"{full}: without TLS anyone on the network can run programs in your name; use tls://, "
             "or --insecure-scheduler where you trust the whole network"
         )
     return full
-
-
-def _is_this_machine(host: str) -> bool:
-    if host == "localhost":
-        return True
-    try:
-        return ipaddress.ip_address(host).is_loopback
-    except ValueError:
-        return False
 
 
 class RefusalError(ValueError):

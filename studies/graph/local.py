@@ -19,6 +19,7 @@ from pathlib import Path
 from pebble import ProcessExpired, ProcessPool
 
 from ..memory import limit_memory, machine_memory
+from ..processors import usable_processors
 from .work import MORE_MEMORY, OUT_OF_MEMORY, Said, run_node
 
 _PRELOADED = ("studies.graph.work", "numpy.ma", "scipy.sparse.linalg", "skfem", "vdm", "fem_reference.linear")
@@ -35,7 +36,7 @@ class LocalPlaces:
     def _started(self) -> ProcessPool:
         context = multiprocessing.get_context("forkserver")
         context.set_forkserver_preload(list(_PRELOADED))
-        threads = max(1, processors() // self.count)
+        threads = max(1, usable_processors() // self.count)
         pool = ProcessPool(
             max_workers=self.count,
             context=context,
@@ -101,14 +102,13 @@ def local_places(jobs: int, memory: int | None = None) -> Iterator[LocalPlaces]:
         places.close()
 
 
-def processors() -> int:
-    """How many processors this process may use: a batch system may give it fewer than the machine has."""
-    return len(os.sched_getaffinity(0))
-
-
 def begin_worker(threads: int, memory: int) -> None:
     """What a worker process does first."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the program that started it hears Ctrl-C, and stops it
+    for number in (
+        signal.SIGINT,
+        signal.SIGHUP,
+    ):  # which a terminal sends to all: its starter stops it
+        signal.signal(number, signal.SIG_IGN)
     os.environ["RAYON_NUM_THREADS"], os.environ["OMP_NUM_THREADS"] = str(threads), "1"
     threading.Thread(target=_end_with_parent, daemon=True).start()
     from threadpoolctl import threadpool_limits

@@ -8,7 +8,7 @@ import json
 import os
 import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import AbstractContextManager, ExitStack, contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from uuid import uuid4
@@ -37,7 +37,7 @@ class RunError(ValueError):
 class Event:
     """Something that a watcher of a run may want to show."""
 
-    kind: str  # "started", "done", "failed"
+    kind: str  # "started", "done", "failed"; "told": a sentence, in `message`
     label: str
     seconds: float = 0.0
     message: str = ""
@@ -85,7 +85,7 @@ def run_plan(
         began = time.perf_counter()
         used = 0.0
         if cases:
-            with _places(plan, options) as places:
+            with _places(plan, options, watch) as places:
                 used = _run_missing(plan, cases, options, watch, places)
         _tidy(plan)  # a worker may have been killed
         run, report = rebuild(plan.directory)
@@ -137,17 +137,22 @@ def _tidy(plan: Plan) -> None:
         clear_abandoned(directory)
 
 
-def _places(plan: Plan, options: Options) -> AbstractContextManager[Places]:
+@contextmanager
+def _places(plan: Plan, options: Options, watch: Callable[[Event], None]) -> Iterator[Places]:
     """Where the nodes are done: on this machine, or on a cluster."""
     if options.scheduler is None:
         from .local import local_places
 
-        return local_places(options.jobs, options.memory)
+        with local_places(options.jobs, options.memory) as here:
+            yield here
+        return
     from .cluster import cluster_places
 
-    return cluster_places(
-        options.scheduler, plan.directory, options.memory, insecure=options.insecure_scheduler
-    )
+    insecure = options.insecure_scheduler
+    with cluster_places(options.scheduler, plan.directory, options.memory, insecure=insecure) as cluster:
+        if warning := cluster.warning():
+            watch(Event("told", options.scheduler, message=f"warning: {warning}"))
+        yield cluster
 
 
 def _run_missing(

@@ -20,9 +20,9 @@ from .geometry_spec import (
     file_digest,
 )
 from .mesh import Array, Index, Mesh, MeshError
-from .mesh_file import check_readable, read_surface, read_tetrahedra
-from .msh_file import read_msh
-from .repair import CleanSurface, clean_surface, clean_tetrahedra
+from .mesh_file import check_readable
+from .read_apart import clean_surface_of, clean_tetrahedra_of
+from .repair import CleanSurface, CleanTetrahedra
 from .topology import mesh_from_tetrahedra
 
 
@@ -61,18 +61,18 @@ def imported_surface(geometry: Geometry, *, volume: bool, max_nodes: int) -> Imp
 @lru_cache(maxsize=1)
 def _clean_surface(path: Path, digest: str) -> CleanSurface:  # noqa: ARG001
     """The facets of the file with these bytes, which a study of several mesh sizes asks for again and again."""
-    return clean_surface(*read_surface(path))
+    return clean_surface_of(path)
+
+
+@lru_cache(maxsize=1)
+def _clean_tetrahedra(path: Path, digest: str) -> CleanTetrahedra:  # noqa: ARG001
+    return clean_tetrahedra_of(path)
 
 
 def imported_tetrahedra(geometry: Geometry, *, max_nodes: int) -> Mesh:
     """The tetrahedra of a file, used as they are. Raises MeshError."""
-    if geometry.path.suffix.lower() == ".msh":
-        check_readable(geometry.path)
-        points, tetrahedra, groups = read_msh(geometry.path)
-    else:
-        points, tetrahedra = read_tetrahedra(geometry.path)
-        groups = {}
-    clean = clean_tetrahedra(points, tetrahedra, groups)
+    check_readable(geometry.path)
+    clean = _clean_tetrahedra(geometry.path, file_digest(geometry.path))
     if len(clean.points) > max_nodes:
         raise MeshError(f"has {len(clean.points)} nodes, more than the {max_nodes} allowed; coarsen it")
     points, placing = _placed(clean.points, geometry)

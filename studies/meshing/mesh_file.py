@@ -8,6 +8,7 @@ import contextlib
 import io
 import re
 import warnings
+from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -20,6 +21,24 @@ from .ply_file import read_ply
 if TYPE_CHECKING:
     import meshio
 
+MOST_ARRAYS = 1000  # of a file, and properties of an element: readers take the square of their number in time
+_DEFLATED = 1032  # bytes at most that one byte of deflated data stands for
+_XML_COUNT = re.compile(rb"""\bNumberOf\w+\s*=\s*["']\s*(\d+)""")
+# lines of a legacy VTK file: the dataset; a keyword and its counts; an array, its components and its tuples
+_DATASET = re.compile(rb"^[ \t]*DATASET[ \t]+(\w{1,40})", re.MULTILINE | re.IGNORECASE)
+_COUNTS = re.compile(
+    rb"^[ \t]*(?:POINTS|CELLS|CELL_TYPES|POINT_DATA|CELL_DATA|FIELD|SCALARS|COLOR_SCALARS|VECTORS|NORMALS|TENSORS6?"
+    rb"|TEXTURE_COORDINATES|LOOKUP_TABLE|METADATA)\b([^\n]{0,300})",
+    re.MULTILINE | re.IGNORECASE,
+)
+_ARRAY = re.compile(rb"^[ \t]*\S{1,200}[ \t]+(\d+)[ \t]+(\d+)[ \t]+[a-zA-Z_]\w*[ \t\r]*$", re.MULTILINE)
+_ANNOUNCES = "is truncated or damaged: it announces more than a file of its size can hold"
+_MANY_ARRAYS = f"has more than {MOST_ARRAYS:,} arrays beside its mesh; write it without them"
+_ONLY = {
+    ".vtp": "only PolyData can be used as a surface",
+    ".vtu": "only an UnstructuredGrid can be used",
+    ".vtk": "only an UNSTRUCTURED_GRID of tetrahedra can be used; write a surface as STL, OBJ, PLY or VTP",
+}
 _STL_HEAD, _STL_FACET = 84, 50  # bytes of a binary STL: a title and the number of facets; each facet
 # cells that are passed over beside tetrahedra, and their number of nodes
 _FLAT_CELLS = {"vertex": 1, "line": 2, "triangle": 3, "quad": 4}
@@ -39,6 +58,7 @@ def read_surface(path: Path) -> tuple[Array, Index]:
     elif suffix == ".vtp":
         from .remesh import read_vtp  # meshio does not know this format
 
+        _check_xml(path, b"PolyData")
         points, triangles = read_vtp(path)
     else:
         _check_binary_stl(path)
@@ -56,8 +76,13 @@ def read_tetrahedra(path: Path) -> tuple[Array, Index]:
     tetrahedra (facets, lines and vertices beside them are passed over).
     """
     check_readable(path)
+    legacy = path.suffix.lower() == ".vtk"
+    if legacy:
+        _check_legacy_header(path)
+    else:
+        _check_xml(path, b"UnstructuredGrid")
     mesh = _read(path)
-    if path.suffix.lower() == ".vtk":
+    if legacy:
         _check_legacy_vtk(path, sum(len(block.data) for block in mesh.cells))
     nodes = {"tetra": 4, **_FLAT_CELLS}
     wrong = sorted({block.type for block in mesh.cells} - set(nodes))
@@ -124,6 +149,39 @@ def _check_binary_stl(path: Path) -> None:
         raise MeshError(
             f"is damaged or is not an STL: it announces {announced:,} facets and goes on after the last"
         )
+
+
+def _check_xml(path: Path, dataset: bytes) -> None:
+    """The kind of dataset and the counts of an XML file of VTK, before anything is made of them."""
+    data = path.read_bytes()
+    kind = re.search(rb"""<VTKFile\b[^>]*\btype\s*=\s*["'](\w*)""", data)
+    if kind is not None and kind[1] != dataset:
+        raise MeshError(f"holds a dataset {kind[1][:40].decode()!r} of VTK; {_ONLY[path.suffix.lower()]}")
+    room = len(data) * (_DEFLATED if re.search(rb"<VTKFile\b[^>]*\bcompressor", data) else 1)
+    if any(_number(count) > room for count in _XML_COUNT.findall(data)):
+        raise MeshError(_ANNOUNCES)
+    if data.count(b"<DataArray") > MOST_ARRAYS:
+        raise MeshError(_MANY_ARRAYS)
+
+
+def _check_legacy_header(path: Path) -> None:
+    """The kind of dataset and the counts of a legacy VTK file, before anything is made of them."""
+    data = path.read_bytes()
+    kinds = _DATASET.findall(data)
+    other = next((kind for kind in kinds if kind.upper() != b"UNSTRUCTURED_GRID"), None)
+    if other is not None:
+        raise MeshError(f"holds a dataset {other.decode()!r} of VTK; {_ONLY['.vtk']}")
+    lines = [[_number(word) for word in line.split() if word.isdigit()] for line in _COUNTS.findall(data)]
+    arrays = [_number(components) * _number(tuples) for components, tuples in _ARRAY.findall(data)]
+    if any(count > len(data) for count in [*chain(*lines), *arrays]):
+        raise MeshError(_ANNOUNCES)
+    if len(lines) + len(arrays) > MOST_ARRAYS:
+        raise MeshError(_MANY_ARRAYS)
+
+
+def _number(digits: bytes) -> int:
+    """A count; one of more than 18 digits, which Python may refuse to convert, is as large as one of 18."""
+    return int(digits[:18])
 
 
 def _check_legacy_vtk(path: Path, cells: int) -> None:

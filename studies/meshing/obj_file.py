@@ -1,6 +1,7 @@
 """Wavefront OBJ surfaces, polygons cut into triangles: numpy only.
 
-A reader of our own: meshio's refuses files whose texture coordinates or normals are not one for each vertex.
+A reader of our own: meshio's refuses files whose texture coordinates or normals are not one for each vertex, and
+VTK's has coordinates in single precision.
 Format: Wavefront, Advanced Visualizer manual, appendix B1 (`v` and `f` lines; all others are passed over).
 """
 

@@ -1,13 +1,16 @@
 """PLY surfaces, text and binary, polygons cut into triangles: numpy only.
 
-A reader of our own: VTK's was seen to crash on damaged files, meshio's knows only some of the names in use.
+A reader of our own: VTK's has coordinates in single precision and crashes where a file is cut; meshio's refuses
+lists of vertices and any element but vertices and faces.
 Format: G. Turk, "The PLY Polygon File Format" (1994).
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -33,6 +36,7 @@ _TYPES = {
     "float64": "f8",
 }
 _ORDERS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
+_MOST_PROPERTIES = 1000
 _CORNERS = ("vertex_indices", "vertex_index")
 
 
@@ -56,14 +60,15 @@ def read_ply(path: Path) -> tuple[Array, Index]:
     points: Array = np.empty((0, 3))
     triangles: Index = np.empty((0, 3), dtype=np.int64)
     for element in elements:
-        if any(length for _, _, length in element.properties):
-            triangles = np.concatenate([triangles, _faces(numbers, element)])
-            continue
-        columns = numbers.records([(name, kind, 1) for name, kind, _ in element.properties], element.count)
+        single = {name for name, _, length in element.properties if not length}
+        if element.name == "vertex" and not {"x", "y", "z"} <= single:
+            raise MeshError("has vertices without x, y and z")
+        columns = _columns(numbers, element)
         if element.name == "vertex":
-            if not {"x", "y", "z"} <= set(columns):
-                raise MeshError("has vertices without x, y and z")
-            points = np.concatenate([columns[name] for name in "xyz"], axis=1).astype(np.float64)
+            points = np.stack([np.asarray(columns[name], dtype=np.float64) for name in "xyz"], axis=1)
+        else:
+            lists = [columns[name] for name in _CORNERS if name in columns and name not in single]
+            triangles = np.concatenate([triangles, *map(_fans, lists[:1])])
     return points, triangles
 
 
@@ -82,8 +87,12 @@ def _header(data: bytes) -> tuple[str, list[_Element], bytes]:
                 pass
             case ["format", name, "1.0"] if name in _ORDERS:
                 order = _ORDERS[name]
-            case ["element", name, count] if count.isdecimal():
+            case ["element", *_] if len(elements) >= _MOST_PROPERTIES:
+                raise MeshError(f"has more than {_MOST_PROPERTIES:,} elements")
+            case ["element", name, count] if count.isdecimal() and len(count) <= 18:
                 elements.append(_Element(name, int(count)))
+            case ["property", *_] if elements and len(elements[-1].properties) >= _MOST_PROPERTIES:
+                raise MeshError(f"has more than {_MOST_PROPERTIES:,} properties in one element; write fewer")
             case ["property", *_, name] if elements and name in {p[0] for p in elements[-1].properties}:
                 raise MeshError(f"has the property {name[:40]!r} twice in one element")
             case ["property", "list", length, kind, name] if elements and {length, kind} <= set(_TYPES):
@@ -97,28 +106,41 @@ def _header(data: bytes) -> tuple[str, list[_Element], bytes]:
     return order, elements, body
 
 
-def _faces(numbers: Numbers, element: _Element) -> Index:
-    """Triangles of an element with lists; none where no list holds corners of faces."""
+def _columns(numbers: Numbers, element: _Element) -> dict[str, Any]:
+    """The values of each property; of a list, a row each: an (n, 3) array where all have three numbers."""
     start = numbers.position
-    fields: list[tuple[str, str, int]] = []
+    table: list[tuple[str, str, int]] = []
     for name, kind, length in element.properties:
-        fields += [(f"length of {name}", length, 1), (name, kind, 3)] if length else [(name, kind, 1)]
-    corners = next((name for name, _, length in element.properties if length and name in _CORNERS), None)
+        table += [(f"length of {name}", length, 1), (name, kind, 3)] if length else [(name, kind, 1)]
     try:
-        columns = numbers.records(fields, element.count)
-    except MeshError:  # not all triangles, or truncated: reading row by row tells
-        columns = {}
-    lengths = [values for name, values in columns.items() if name.startswith("length of ")]
-    if corners in columns and all((values == 3).all() for values in lengths):
-        return columns[corners].astype(np.int64)
+        found = numbers.records(table, element.count)
+    except MeshError:  # not all lists of three, or truncated: reading row by row tells
+        found = {}
+    if found and all((values == 3).all() for name, values in found.items() if name.startswith("length of ")):
+        return {
+            name: values if length else values[:, 0]
+            for name, _, length in element.properties
+            for values in (found[name],)
+        }
     numbers.rewind(start)
-    triangles = []
+    rows: dict[str, list[Any]] = {name: [] for name, _, _ in element.properties}
     for _ in range(element.count):
         for name, kind, length in element.properties:
-            count = numbers.integer(length) if length else 1
-            if name == corners:
-                polygon = numbers.integers(kind, count).tolist()
-                triangles += [[polygon[0], polygon[k], polygon[k + 1]] for k in range(1, count - 1)]
+            take = numbers.integers if name in _CORNERS else numbers.reals
+            if length:
+                rows[name].append(take(kind, numbers.integer(length)))
             else:
-                numbers.reals(kind, count)
-    return np.array(triangles, dtype=np.int64).reshape(-1, 3)
+                rows[name].append(float(numbers.reals(kind, 1)[0]))
+    return rows
+
+
+def _fans(polygons: Sequence[Any]) -> Index:
+    """Triangles (F, 3) of polygons, each a fan about its first corner."""
+    if isinstance(polygons, np.ndarray):
+        return polygons.astype(np.int64)
+    fans = [
+        np.stack([np.full(len(polygon) - 2, polygon[0]), polygon[1:-1], polygon[2:]], axis=1)
+        for polygon in polygons
+        if len(polygon) > 2
+    ]
+    return np.concatenate([np.empty((0, 3), dtype=np.int64), *fans])

@@ -19,6 +19,7 @@ from .topology import check_vertex_fans, consistent_orientation
 # Fewer leave uneven triangles, more only take longer.
 _SAMPLES_PER_EDGE = 2.5
 _MOST_SAMPLES = 100  # for each node; more only where facets are needles
+MOST_CORNERS = 1000  # of a face: VTK takes the square of their number in time
 _ATTEMPTS = 4  # with finer samples each: clusters of a coarse sample can touch themselves
 
 
@@ -38,7 +39,14 @@ def read_vtp(path: Path) -> tuple[Array, Index]:
         vtkLogger.SetStderrVerbosity(verbosity)
     if caught.events:
         raise MeshError("cannot be read as .vtp; it is damaged, truncated or of another kind")
-    return _arrays(pv.PolyData(reader.GetOutput()).triangulate())
+    found = pv.PolyData(reader.GetOutput())
+    corners = np.diff(np.asarray(found.GetPolys().GetOffsetsArray()))
+    named = np.asarray(found.GetPolys().GetConnectivityArray())
+    if named.size and (named.min() < 0 or named.max() >= found.n_points):
+        raise MeshError("facets name points that do not exist; the file is damaged")
+    if len(corners) and corners.max() > MOST_CORNERS:
+        raise MeshError(f"has a face of {corners.max():,} corners; cut it into triangles")
+    return _arrays(found.triangulate())
 
 
 def unit_sphere(subdivisions: int) -> tuple[Array, Index]:

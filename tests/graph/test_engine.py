@@ -17,9 +17,10 @@ import pytest
 
 from studies.graph import local, work
 from studies.graph.engine import Outcome, run_nodes
-from studies.graph.local import LocalPlaces, local_places, processors
+from studies.graph.local import LocalPlaces, local_places
 from studies.graph.nodes import Node
 from studies.graph.work import Said, run_node
+from studies.processors import usable_processors
 
 
 def do(payload: Any, node: str) -> list[Said]:
@@ -191,7 +192,7 @@ def test_leaving_early_stops_the_workers(tmp_path: Path) -> None:
 @pytest.mark.parametrize("jobs", [1, 2])
 def test_workers_share_the_cores(tmp_path: Path, jobs: int) -> None:
     run(tmp_path, [node(tmp_path, "x", "threads")], jobs=jobs)
-    share = max(1, processors() // jobs)
+    share = max(1, usable_processors() // jobs)
     assert (tmp_path / "out-x").read_text() == f"1 {share}", (
         "one for dense algebra, a share for sparse factors"
     )
@@ -218,8 +219,3 @@ def test_a_broken_pool_is_started_again(tmp_path: Path) -> None:
         assert json.loads(future.result())[0]["code"] == "done"
     finally:
         places.close()
-
-
-def test_jobs_are_the_processors_that_this_process_may_use(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(os, "sched_getaffinity", lambda _: {3})
-    assert processors() == 1

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import shlex
 import signal
 import socket
@@ -14,11 +15,13 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+import distributed
 import numpy as np
+import psutil
 import pytest
 import trustme
 
-from studies.graph.cluster import AddressError, checked_address, refusal
+from studies.graph.cluster import LOOPBACK, AddressError, checked_address, refusal
 from studies.store import read_case
 from tests.command import SCRIPT, heed_ctrl_c, vdmbench, write_study
 from tests.docs.regenerate import README
@@ -34,18 +37,25 @@ SWEEP = """
 
 
 @contextmanager
-def _cluster(place: Path, *options: str, **environment: str) -> Iterator[str]:
-    """The address of a scheduler with two workers of one thread each."""
+def _cluster(
+    place: Path, *options: str, open_to_all: bool = False, **environment: str
+) -> Iterator[tuple[str, list[int]]]:
+    """The address of a scheduler with two workers of one thread each, and the processes that were started.
+
+    Workers that are `open_to_all` are started without the words of the README that keep them on loopback.
+    """
     contact = place / "scheduler.json"
     quiet: dict[str, Any] = {"cwd": place, "stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
     quiet["env"] = os.environ | environment
-    start = [*_documented("dask scheduler", "8786", "0"), "--no-dashboard", "--scheduler-file", str(contact)]
+    start = [*_documented("dask scheduler", "878[67]", "0"), "--scheduler-file", str(contact)]
     with subprocess.Popen([*start, *options], **quiet) as head:
         _wait_for(lambda: contact.exists() and contact.read_text().endswith("}"))
         address = json.loads(contact.read_text())["address"]
-        work = [*_documented("dask worker", "tcp://127.0.0.1:8786", address), "--no-dashboard"]
+        work = _documented("dask worker", "tcp://127.0.0.1:8786", address)
+        if open_to_all:
+            work = [word for word in work if word not in ("--host", "127.0.0.1")]
         with subprocess.Popen(work, **quiet) as hands:
-            yield address
+            yield address, [head.pid, hands.pid]
             hands.terminate()
         head.terminate()
 
@@ -53,7 +63,7 @@ def _cluster(place: Path, *options: str, **environment: str) -> Iterator[str]:
 @pytest.fixture(scope="module")
 def scheduler(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
     """The address of a scheduler on this machine that anyone here may talk to."""
-    with _cluster(tmp_path_factory.mktemp("cluster")) as address:
+    with _cluster(tmp_path_factory.mktemp("cluster")) as (address, _):
         yield address
 
 
@@ -70,7 +80,7 @@ def _certificates(place: Path, authority: trustme.CA) -> dict[str, str]:
 def _documented(command: str, old: str, new: str) -> list[str]:
     """A command of the README as it is there, with one word exchanged; `dask` is that of this Python."""
     (line,) = (line for line in README.read_text().splitlines() if line.startswith(f".venv/bin/{command} "))
-    words = shlex.split(line.removesuffix("&").replace(old, new))
+    words = shlex.split(re.sub(old, new, line.removesuffix("&")))
     return [str(SCRIPT.parent / Path(words[0]).name), *words[1:]]
 
 
@@ -146,8 +156,52 @@ def test_a_cluster_gives_the_same_numbers(tmp_path: Path, scheduler: str, local_
     result = vdmbench("run", _study(tmp_path), "--out", "run", "--scheduler", scheduler, cwd=tmp_path)
     assert result.returncode == 0, result.stderr
     assert sum(line.startswith("done ") and "nu" not in line for line in result.stderr.splitlines()) >= 1 + 4
+    assert "warning" not in result.stderr
     _assert_same_cases(tmp_path / "run", local_run)
     assert not list((tmp_path / "run").glob(".cluster*"))
+
+
+def _listening(process: int) -> list[str]:
+    """The addresses on which a process and all that it has started listen."""
+    family = [psutil.Process(process), *psutil.Process(process).children(recursive=True)]
+    connections = [each for member in family for each in member.net_connections("tcp")]
+    return [each.laddr.ip for each in connections if each.status == psutil.CONN_LISTEN]
+
+
+def test_what_the_documents_start_is_reached_from_this_machine_only(tmp_path: Path) -> None:
+    with _cluster(tmp_path) as (address, (head, hands)):
+        with distributed.Client(address, set_as_default=False) as client:
+            client.wait_for_workers(2, timeout=120)
+        assert len(_listening(head)) >= 2, "the scheduler and its dashboard"
+        assert len(_listening(hands)) >= 6, "two workers, two nannies and their dashboards"
+        assert {*_listening(head), *_listening(hands)} == {"127.0.0.1"}
+
+
+def test_every_document_starts_it_so() -> None:
+    root = README.parent
+    found = [
+        line
+        for path in root.rglob("*.md")
+        if not any(part.startswith(".") for part in path.relative_to(root).parts)
+        for line in path.read_text().splitlines()
+        if re.search(r"\bdask[ -](scheduler|worker)\s+\S*(--|tcp:|tls:)", line)
+    ]
+    assert len(found) >= 2
+    for line in found:
+        assert "--host 127.0.0.1 " in line
+        assert "--dashboard-address 127.0.0.1:" in line
+        assert "--listen-address" not in line
+
+
+def test_a_cluster_that_other_machines_reach_is_told(tmp_path: Path) -> None:
+    with _cluster(tmp_path, open_to_all=True) as (address, _):
+        study = _study(tmp_path)
+        result = vdmbench("run", study, "--out", "run", "--scheduler", address, "--json", cwd=tmp_path)
+    assert result.returncode == 0, result.stderr
+    (warning,) = (line for line in result.stderr.splitlines() if "warning" in line)
+    assert warning.startswith("vdmbench: warning: other machines reach worker ")
+    assert "0.0.0.0:" in warning
+    assert f"start scheduler and workers with {LOOPBACK}" in warning
 
 
 def test_a_killed_worker_costs_a_retry_only(tmp_path: Path, scheduler: str, local_run: Path) -> None:
@@ -184,7 +238,7 @@ def test_tls_takes_those_with_a_certificate_only(tmp_path: Path, local_run: Path
     trusted = _certificates(tmp_path, authority)
     (tmp_path / "stranger").mkdir()
     stranger = _certificates(tmp_path / "stranger", trustme.CA()) | NEAR_ZERO_PATIENCE
-    with _cluster(tmp_path, "--protocol", "tls", **trusted) as address:
+    with _cluster(tmp_path, "--protocol", "tls", **trusted) as (address, _):
         assert address.startswith("tls://127.0.0.1:")
         refused = vdmbench("run", study, "--out", "run", "--scheduler", address, cwd=tmp_path, **stranger)
         assert refused.returncode == 4
@@ -203,7 +257,8 @@ def test_nobody_there_and_nobody_to_be_trusted(tmp_path: Path) -> None:
         address = f"tcp://127.0.0.1:{held.getsockname()[1]}"
         result = vdmbench("run", _study(tmp_path), "--scheduler", address, cwd=tmp_path, **NEAR_ZERO_PATIENCE)
     assert result.returncode == 4
-    assert result.stderr == f"vdmbench: no scheduler answers at {address}; start one with: dask scheduler\n"
+    start = f"dask scheduler {LOOPBACK}"
+    assert result.stderr == f"vdmbench: no scheduler answers at {address}; start one with: {start}\n"
     result = vdmbench("run", tmp_path / "small.toml", "--scheduler", "10.0.0.1:8786", cwd=tmp_path)
     assert result.returncode == 2
     assert result.stderr.startswith("vdmbench: tcp://10.0.0.1:8786: without TLS")

@@ -16,9 +16,11 @@ import pyvista as pv
 from numpy.testing import assert_allclose, assert_array_equal
 
 from studies.graph.plan import PlannedMesh
+from studies.meshing import imported
 from studies.meshing.geometry import build_mesh
 from studies.meshing.geometry_spec import Geometry
 from studies.meshing.mesh import Array, Index, Mesh, MeshError
+from studies.meshing.read_apart import read_clean
 from studies.meshing.topology import tetrahedron_volumes
 
 SUFFIXES = ["a.stl", "b.stl", "a.obj", "a.ply", "b.ply", "a.vtp", "b.vtp"]
@@ -33,6 +35,13 @@ VOLUMES = [
     "b.vtk",
     "c.vtk",
 ]
+
+
+@pytest.fixture
+def read_here(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Read files in this process: for those that do not crash it, by the hundred."""
+    for name in ("clean_surface_of", "clean_tetrahedra_of"):
+        monkeypatch.setattr(imported, name, read_clean)
 
 
 @pytest.fixture(scope="module")
@@ -188,6 +197,7 @@ def test_scripts_are_not_run_whatever_they_are_called(tmp_path: Path, ball: Mesh
 # --- damage: cut and flipped --------------------------------------------------------------------------
 
 
+@pytest.mark.usefixtures("read_here")
 @pytest.mark.parametrize("name", SUFFIXES + VOLUMES)
 def test_sound_files_are_read_and_cut_ones_refused(
     tmp_path: Path, ball: Mesh, name: str, capfd: pytest.CaptureFixture[str]
@@ -219,6 +229,7 @@ def test_sound_files_are_read_and_cut_ones_refused(
     assert capfd.readouterr() == ("", "")
 
 
+@pytest.mark.usefixtures("read_here")
 @pytest.mark.parametrize("name", SUFFIXES + VOLUMES)
 def test_flipped_bytes_never_give_a_traceback(tmp_path: Path, ball: Mesh, name: str) -> None:
     """Formats without checksums cannot tell a changed coordinate; what is read is still a sound closed mesh."""
@@ -383,6 +394,38 @@ def test_polygons_are_cut_into_triangles(tmp_path: Path) -> None:
         mesh = from_file(tmp_path / name)
         assert mesh.quality["imported_points"] == 8
         assert mesh.quality["volume"] / (1 + mesh.quality["volume_change"]) == pytest.approx(1e-3, rel=1e-6)
+
+
+@pytest.mark.parametrize("order", ["ascii", "binary_little_endian", "binary_big_endian"])
+@pytest.mark.parametrize("place", [0, 3])
+def test_a_ply_file_may_have_lists_on_its_vertices(
+    tmp_path: Path, ball: Mesh, order: str, place: int
+) -> None:
+    """They are passed over: here the first so many neighbours of each vertex, none of some."""
+    points, triangles = ball.surface_points, ball.triangles
+    properties = ["property double x", "property double y", "property double z"]
+    properties.insert(place, "property list uchar short neighbours")
+    header = ["ply", f"format {order} 1.0", f"element vertex {len(points)}", *properties]
+    header += [f"element face {len(triangles)}", "property list uchar int vertex_indices", "end_header", ""]
+
+    def written(kind: str, *numbers: float) -> bytes:
+        if order == "ascii":
+            return "".join(f"{number!r} " for number in numbers).encode()
+        return np.array(numbers, dtype=(">" if "big" in order else "<") + kind).tobytes()
+
+    body = b""
+    for number, point in enumerate(points.tolist()):
+        parts = [written("f8", value) for value in point]
+        neighbours = list(range(number % 5))
+        parts.insert(place, written("u1", len(neighbours)) + written("i2", *neighbours))
+        body += b"".join(parts)
+    for facet in triangles.tolist():
+        body += written("u1", 3) + written("i4", *facet)
+    (tmp_path / "a.ply").write_bytes("\n".join(header).encode() + body)
+    expected = from_file(write_surface(tmp_path / "b.vtp", points, triangles))
+    assert from_file(tmp_path / "a.ply").content_hash == expected.content_hash
+    (tmp_path / "a.ply").write_bytes("\n".join(header).encode() + body[: len(body) // 3])
+    refused(tmp_path / "a.ply", "truncated")
 
 
 def test_big_endian_ply(tmp_path: Path, ball: Mesh) -> None:

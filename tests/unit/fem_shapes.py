@@ -143,8 +143,7 @@ def elasticity_matrix(mesh: TetMesh, divergence: float, fibres: Array | None = N
 def divergence_matrix(mesh: TetMesh) -> sparse.bsr_array:
     """The whole (n, 3 n_nodes) matrix of `divergence_blocks`."""
     pattern = assembly.scalar_pattern(mesh)
-    blocks = assembly.divergence_blocks(mesh, pattern)
-    end = mesh.n_vertices
-    return sparse.bsr_array(
-        (blocks, pattern.indices[: len(blocks)], pattern.indptr[: end + 1]), shape=(end, 3 * mesh.n_nodes)
-    )
+    coupling = assembly.coupling_pattern(mesh, pattern)
+    blocks = assembly.divergence_blocks(mesh, coupling)
+    shape = (mesh.n_pressures, 3 * mesh.n_nodes)
+    return sparse.bsr_array((blocks, coupling.indices, coupling.indptr), shape=shape)

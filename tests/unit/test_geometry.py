@@ -20,11 +20,12 @@ from studies.meshing.geometry import build_mesh
 from studies.meshing.geometry_spec import Geometry, area_and_volume, check_geometry, extents, geometry_key
 from studies.meshing.imported import imported_surface
 from studies.meshing.intersections import intersecting_facets
-from studies.meshing.mesh import Array, Index, Mesh, MeshError
+from studies.meshing.mesh import Mesh, MeshError
 from studies.meshing.mesh_cache import mesh_from_cache, read_mesh, write_mesh
-from studies.meshing.mesh_file import read_surface
 from studies.meshing.organ import liver_points
+from studies.meshing.read_apart import clean_surface_of
 from studies.meshing.remesh import subdivided, surface_distance, uniform_surface, unit_sphere
+from studies.meshing.repair import CleanSurface
 from studies.meshing.topology import consistent_orientation, tetrahedron_sicn, tetrahedron_volumes
 from studies.surface_measures import enclosed_volume, facet_area_vectors
 
@@ -402,11 +403,11 @@ def test_a_file_is_read_once_for_several_mesh_sizes(tmp_path: Path, monkeypatch:
     """As long as its bytes are the same, whatever its path says."""
     reads: list[Path] = []
 
-    def reading(path: Path) -> tuple[Array, Index]:
+    def reading(path: Path) -> CleanSurface:
         reads.append(path)
-        return read_surface(path)
+        return clean_surface_of(path)
 
-    monkeypatch.setattr("studies.meshing.imported.read_surface", reading)
+    monkeypatch.setattr("studies.meshing.imported.clean_surface_of", reading)
     path = surface_file(tmp_path / "body.stl", build_mesh(SPHERE, volume=False))
 
     def areas() -> list[float]:

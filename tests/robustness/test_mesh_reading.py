@@ -1,0 +1,180 @@
+"""Mesh files that end their reader, or ask for more than there is: one line that names the file, and no harm."""
+
+from __future__ import annotations
+
+import os
+import resource
+from pathlib import Path
+
+import numpy as np
+import pytest
+import pyvista as pv
+
+from studies.cli import main
+from studies.meshing import read_apart
+from studies.meshing.mesh import MeshError
+from studies.meshing.read_apart import clean_surface_of, clean_tetrahedra_of, read_clean
+from tests.command import write_study
+
+VTP = (
+    '<?xml version="1.0"?><VTKFile type="{kind}" version="0.1" byte_order="LittleEndian"><PolyData>'
+    '<Piece NumberOfPoints="{points}" NumberOfVerts="0" NumberOfLines="0" NumberOfStrips="0" NumberOfPolys="1">'
+    '{arrays}<Points><DataArray type="Float64" NumberOfComponents="3" format="ascii">0 0 0 1 0 0 0 1 0</DataArray>'
+    '</Points><Polys><DataArray type="Int64" Name="connectivity" format="ascii">{corners}</DataArray>'
+    '<DataArray type="Int64" Name="offsets" format="ascii">{offsets}</DataArray></Polys></Piece></PolyData>'
+    "</VTKFile>"
+)
+LEGACY = (
+    "# vtk DataFile Version 4.2\nx\nASCII\nDATASET UNSTRUCTURED_GRID\n{body}"
+    "POINTS 4 double\n0 0 0 .1 0 0 0 .1 0 0 0 .1\nCELLS 1 5\n4 0 1 2 3\nCELL_TYPES 1\n10\n"
+)
+
+
+def vtp(
+    kind: str = "PolyData",
+    points: object = 3,
+    corners: str = "0 1 2",
+    offsets: object = 3,
+    arrays: str = "",
+) -> bytes:
+    return VTP.format(kind=kind, points=points, corners=corners, offsets=offsets, arrays=arrays).encode()
+
+
+def legacy(old: str = "", new: str = "") -> bytes:
+    text = LEGACY.format(body="")
+    assert old in text
+    return text.replace(old, new, 1).encode()
+
+
+CRASH = vtp(offsets=300_000_000)  # VTK asks for the memory and ends the process
+TOO_MUCH = "announces more than a file of its size can hold"
+OTHERS = (
+    "DATASET STRUCTURED_POINTS\nDIMENSIONS 9999 9999 9999\nORIGIN 0 0 0\nSPACING 1 1 1\n",
+    "DATASET RECTILINEAR_GRID\nDIMENSIONS 99999999 1 1\nX_COORDINATES 1 double\n0\n",
+    "DATASET POLYDATA\nPOINTS 3 double\n0 0 0 1 0 0 0 1 0\nPOLYGONS 1 4\n3 0 1 2\n",
+)
+
+
+def many_properties(count: int) -> bytes:
+    lines = [f"property float p{n}" for n in range(count)]
+    return "\n".join(
+        ["ply", "format ascii 1.0", "element vertex 1", *lines, "end_header", "0 " * count, ""]
+    ).encode()
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "words"),
+    [
+        ("crash.vtp", CRASH, "ends its reader with signal"),
+        ("corner.vtp", vtp(corners="0 1 999999999"), "name points that do not exist"),
+        ("other.vtp", vtp(kind="ImageData"), "holds a dataset 'ImageData' of VTK; only PolyData can be used"),
+        ("points.vtp", vtp(points=10**9), TOO_MUCH),
+        ("digits.vtp", vtp(points="9" * 5000), TOO_MUCH),
+        ("arrays.vtp", vtp(arrays="<DataArray/>" * 1001), "has more than 1,000 arrays"),
+        (
+            "polygon.vtp",
+            vtp(corners="0 1 2 " * 400, offsets=1200),
+            "a face of 1,200 corners; cut it into triangles",
+        ),
+        ("points.vtk", legacy("POINTS 4", f"POINTS {10**9}"), TOO_MUCH),
+        ("cells.vtk", legacy("CELLS 1 5", f"CELLS 1 {10**9}"), TOO_MUCH),
+        ("types.vtk", legacy("CELL_TYPES 1", f"cell_types {10**9}"), TOO_MUCH),
+        (
+            "field.vtk",
+            legacy() + f"POINT_DATA 4\nFIELD f 1\nx {10**5} {10**5} double\n1\n".encode(),
+            TOO_MUCH,
+        ),
+        (
+            "fields.vtk",
+            legacy() + b"POINT_DATA 4\n" + b"SCALARS x int 1\n" * 1001,
+            "has more than 1,000 arrays",
+        ),
+        *(
+            (
+                f"other{n}.vtk",
+                f"# vtk DataFile Version 3.0\nx\nASCII\n{text}".encode(),
+                "only an UNSTRUCTURED_GRID",
+            )
+            for n, text in enumerate(OTHERS)
+        ),
+        ("many.ply", many_properties(1001), "has more than 1,000 properties"),
+        (
+            "elements.ply",
+            b"ply\nformat ascii 1.0\n" + b"element x 0\n" * 1001 + b"end_header\n",
+            "1,000 elements",
+        ),
+    ],
+    ids=lambda value: value if isinstance(value, str) and "." in value else "",
+)
+def test_what_would_break_a_reader_is_refused(tmp_path: Path, name: str, content: bytes, words: str) -> None:
+    path = tmp_path / name
+    path.write_bytes(content)
+    read = clean_tetrahedra_of if path.suffix == ".vtk" else clean_surface_of
+    with pytest.raises(MeshError, match=words) as caught:
+        read(path)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("verb", ["check", "plan", "run"])
+def test_the_command_tells_a_file_that_ends_its_reader(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], verb: str
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "liver.vtp").write_bytes(CRASH)
+    shape = ('shape = "sphere"\nradius = "50 mm"', 'shape = "file"\npath = "liver.vtp"')
+    write_study(tmp_path, shape=shape)
+    with pytest.raises(SystemExit) as ended:
+        main([verb, "small.toml"])
+    told = capsys.readouterr().err
+    assert ended.value.code == 2, told
+    assert "liver.vtp: ends its reader with signal" in told
+    if verb != "run":
+        assert told.startswith("vdmbench: small.toml:10: geometry.path: liver.vtp: ")
+        assert told.count("\n") == 1
+
+
+@pytest.fixture
+def ball(tmp_path: Path) -> Path:
+    path = tmp_path / "ball.ply"
+    pv.Icosphere(radius=0.05, nsub=3).save(path)
+    return path
+
+
+def test_a_sound_file_is_read_apart_as_it_is_here(ball: Path) -> None:
+    apart, here = clean_surface_of(ball), read_clean(ball)
+    assert vars(apart).keys() == vars(here).keys()
+    for name, value in vars(here).items():
+        np.testing.assert_array_equal(getattr(apart, name), value, err_msg=name, strict=True)
+
+
+def test_reading_has_an_end(ball: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(read_apart, "SECONDS", 0.01)
+    with pytest.raises(MeshError, match="takes more than 0 s to read; it is damaged or of another kind"):
+        clean_surface_of(ball)
+
+
+def test_reading_has_a_limit_of_memory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A million points take 24 MB and more; what this process may take stays as it was."""
+    path = tmp_path / "large.ply"
+    header = (
+        "ply\nformat binary_little_endian 1.0\nelement vertex 1000000\nproperty double x\nproperty double y\n"
+    )
+    path.write_bytes(f"{header}property double z\nend_header\n".encode() + os.urandom(24_000_000))
+    before = resource.getrlimit(resource.RLIMIT_DATA)
+    monkeypatch.setattr(read_apart, "MEMORY", 20_000_000)
+    monkeypatch.setattr(read_apart, "MEMORY_PER_BYTE", 0)
+    with pytest.raises(MeshError, match=r"takes more than 0\.0 GB of memory to read"):
+        clean_surface_of(path)
+    assert resource.getrlimit(resource.RLIMIT_DATA) == before
+    monkeypatch.setattr(read_apart, "MEMORY", 1_000_000_000)
+    with pytest.raises(MeshError, match="holds no facets"):
+        clean_surface_of(path)
+
+
+def test_a_reader_that_ends_with_a_word_of_its_own_is_told(
+    ball: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """meshio raises SystemExit; whatever does not answer has not read the file."""
+    monkeypatch.setattr(read_apart.sys, "executable", "/bin/true")
+    with pytest.raises(MeshError, match="cannot be read; it is damaged"):
+        clean_surface_of(ball)

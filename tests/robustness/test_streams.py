@@ -1,0 +1,147 @@
+"""Standard streams that are closed, full or of another encoding change neither what is done nor the exit code."""
+
+from __future__ import annotations
+
+import json
+import os
+import pty
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from studies import store
+from tests.command import SCRIPT, write_study
+
+from .processes import RUN
+
+LABEL = "größe ± λ"
+NOTICE = "vdmbench: standard output: No space left on device; what was to be shown there is incomplete\n"
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A directory with a small study, run once; it has letters that ASCII lacks in what it prints."""
+    directory = tmp_path_factory.mktemp("finished")
+    write_study(directory, title=("A small sphere", f"{LABEL}: a small sphere"))
+    assert _shell("run small.toml", "", directory).returncode == 0
+    return directory
+
+
+def _shell(
+    command: str, redirections: str, directory: Path, **environment: str
+) -> subprocess.CompletedProcess[str]:
+    """A command as a shell runs it; the exit code is that of `vdmbench`, also in a pipe."""
+    return subprocess.run(
+        ["bash", "-c", f"'{SCRIPT}' {command} {redirections}; exit ${{PIPESTATUS[0]}}"],
+        cwd=directory,
+        env={**os.environ, "OMP_NUM_THREADS": "1", **environment},
+        capture_output=True,
+        text=True,
+        errors="replace",
+        check=False,
+        timeout=300,
+    )
+
+
+@pytest.mark.parametrize(
+    "redirections",
+    [
+        "2>&1 | head -n 1",
+        "2> >(head -n 1 >/dev/null)",
+        "2>&1 | true",
+        "2>/dev/full",
+        ">/dev/full 2>&1",
+        "2>&-",
+        ">&-",
+        "<&- >&- 2>&-",
+    ],
+)
+def test_a_run_is_done_whoever_reads(tmp_path: Path, redirections: str) -> None:
+    """Three cases, after the first of which the reader is gone."""
+    write_study(tmp_path, a=("[load]", '[sweep]\n"tissue.poisson_ratio" = [0.3, 0.4, 0.49]\n[load]'))
+    result = _shell("run small.toml --jobs 1", redirections, tmp_path)
+    assert result.returncode == 0, result.stderr
+    assert len(store.read_run(tmp_path / RUN).cases) == 3
+    assert (tmp_path / RUN / "report.html").stat().st_size > 0
+    assert "Traceback" not in result.stderr
+
+
+@pytest.mark.parametrize(
+    ("command", "code"),
+    [
+        ("status results/runs/small", 0),
+        ("--help", 0),
+        ("check none.toml", 2),
+    ],
+)
+@pytest.mark.parametrize(
+    "redirections", ["| true", ">/dev/full", "2>/dev/full", ">&-", "2>&-", "<&- >&- 2>&-"]
+)
+def test_an_exit_code_does_not_depend_on_the_streams(
+    finished: Path, command: str, code: int, redirections: str
+) -> None:
+    result = _shell(command, redirections, finished)
+    assert result.returncode == code
+    assert "Traceback" not in result.stderr
+
+
+def test_output_that_is_lost_is_told(finished: Path) -> None:
+    assert _shell("status results/runs/small --json", ">/dev/full", finished).stderr == NOTICE
+    assert _shell("plan small.toml", "| true", finished).stderr == "", "nobody wants it: that is no fault"
+
+
+@pytest.mark.parametrize("encoding", ["ascii", "latin-1", "utf-16"])
+def test_a_terminal_of_another_encoding_shows_what_it_can(finished: Path, encoding: str) -> None:
+    for command in ("plan small.toml", "report results/runs/small", "run small.toml"):
+        result = _shell(command, "", finished, PYTHONIOENCODING=encoding)
+        assert result.returncode == 0, result.stderr
+        assert "Traceback" not in result.stderr
+    text = _shell("plan small.toml --json", "", finished, PYTHONIOENCODING="ascii").stdout
+    assert json.loads(text)["study"]["title"].startswith(LABEL)
+    assert (
+        "gr\\xf6\\xdfe \\xb1 \\u03bb"
+        in _shell("plan small.toml", "", finished, PYTHONIOENCODING="ascii").stdout
+    )
+
+
+def test_a_file_s_name_that_is_no_text_is_told(finished: Path) -> None:
+    name = os.fsdecode(b"no\xff.toml")
+    result = subprocess.run([SCRIPT, "check", name], cwd=finished, capture_output=True, check=False)
+    assert result.returncode == 2
+    assert rb"no\udcff.toml" in result.stderr
+
+
+def test_a_terminal_that_is_closed_while_the_bar_runs(tmp_path: Path) -> None:
+    """Without its signal, as with nohup: what the bar draws has no place any more."""
+    write_study(tmp_path, a=("[load]", '[sweep]\n"tissue.poisson_ratio" = [0.3, 0.4, 0.49]\n[load]'))
+    ours, theirs = pty.openpty()
+    with subprocess.Popen(
+        [SCRIPT, "run", "small.toml", "--jobs", "1"],
+        cwd=tmp_path,
+        stdout=subprocess.DEVNULL,
+        stderr=theirs,
+        start_new_session=True,
+        preexec_fn=lambda: signal.signal(signal.SIGHUP, signal.SIG_IGN),
+    ) as process:
+        os.close(theirs)
+        assert os.read(ours, 1), "the bar is there"
+        os.close(ours)
+        assert process.wait(timeout=300) == 0
+    assert len(store.read_run(tmp_path / RUN).cases) == 3
+
+
+def test_a_pipe_that_does_not_block_gets_all(tmp_path: Path) -> None:
+    program = (
+        "import os, sys\n"
+        "from studies.streams import make_patient\n"
+        "os.set_blocking(1, False)\n"
+        "make_patient()\n"
+        "print('x' * 1_000_000)"
+    )
+    with subprocess.Popen([sys.executable, "-c", program], stdout=subprocess.PIPE, cwd=tmp_path) as process:
+        assert process.stdout is not None
+        assert len(process.stdout.read()) == 1_000_001
+    assert process.returncode == 0

@@ -1,0 +1,181 @@
+"""The Galerkin boundary operators against what the solid obeys: rigid motions, pressures, Kelvin's fields."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+from numpy.typing import NDArray
+
+from tests.unit.vdm_shapes import box, icosphere
+from vdm.boundary.kernels import rules
+from vdm.boundary.operators import Facets, assembled, block, layers, surface_stiffness
+from vdm.boundary.quadrature import dunavant, touching
+
+Array = NDArray[np.float64]
+RATIOS = (-0.5, 0.0, 0.3, 0.4999, 0.5)
+ROOT = Path(__file__).parents[2]
+
+
+def body(level: int = 1) -> Facets:
+    return Facets.of(*icosphere(level, (1.0, 0.7, 0.5)))
+
+
+def rigid(points: Array) -> Array:
+    """(3N, 6) orthonormal rigid motions."""
+    motions = np.empty((len(points), 3, 6))
+    motions[:, :, :3] = np.eye(3)
+    for k in range(3):
+        motions[:, :, 3 + k] = np.cross(np.eye(3)[k], points)
+    basis: Array = np.linalg.qr(motions.reshape(-1, 6))[0]
+    return basis
+
+
+def test_rules_integrate_polynomials_over_two_triangles() -> None:
+    # int x_a^i over a triangle of unit area is 2 i! / (i + 2)!
+    for x, y, weights in touching():
+        assert_allclose(weights.sum(), 1.0, rtol=1e-14, atol=0.0)
+        for a in range(3):
+            for b in range(3):
+                assert_allclose(weights @ (x[:, a] * y[:, b] ** 2), 1 / 3 * 1 / 6, rtol=1e-13, atol=0.0)
+    for degree in (4, 5, 8):
+        points, weights = dunavant(degree)
+        exact = 2.0 / ((degree + 1) * (degree + 2))
+        assert_allclose(weights @ points**degree, exact, rtol=1e-11, atol=0.0)
+
+
+@pytest.mark.parametrize("shape", [icosphere(1), box(3, (1.0, 0.8, 0.4))], ids=["ball", "box"])
+def test_every_rule_agrees_with_a_finer_one(shape: tuple[Array, NDArray[np.int64]]) -> None:
+    """Each facet cut into four, the cut ones summed: other rules at other distances, the same integrals."""
+    points, triangles = shape
+    facets = Facets.of(points, triangles)
+    corners = points[triangles]
+    middles = 0.5 * (corners + np.roll(corners, -1, axis=1))
+    ab, bc, ca = (middles[:, k] for k in range(3))
+    a, b, c = (corners[:, k] for k in range(3))
+    cut = np.stack([[a, ab, ca], [ab, b, bc], [ca, bc, c], [ab, bc, ca]]).transpose(2, 0, 1, 3)
+    nodes, numbers = np.unique(cut.reshape(-1, 3).round(12), axis=0, return_inverse=True)
+    finer = Facets.of(nodes, numbers.reshape(-1, 3))
+    whole, double = layers(facets, 0.3)
+    parts, double_parts = layers(finer, 0.3)
+    n = len(triangles)
+    summed = parts.reshape(n, 4, 3, n, 4, 3).sum(axis=(1, 4)).reshape(3 * n, 3 * n)
+    # what six Gauss points in each direction leave of a pair that touches
+    assert_allclose(summed, whole, rtol=0.0, atol=5e-5 * np.abs(whole).max())
+    # of a constant: the nodes of the finer mesh sum up
+    assert_allclose(
+        double_parts.reshape(n, 4, -1).sum(axis=(1, 2)),
+        double.sum(axis=1),
+        rtol=0.0,
+        atol=1e-4 * facets.areas.max(),
+    )
+
+
+@pytest.mark.parametrize("nu", RATIOS)
+def test_a_rigid_motion_needs_no_traction(nu: float) -> None:
+    facets = body()
+    operators, motions = assembled(facets, nu), rigid(facets.points)
+    for matrix in (operators.jump, operators.hypersingular):
+        # of the quadrature's size, no repair
+        assert np.abs(matrix @ motions).max() < 3e-5 * np.linalg.norm(matrix, 2)
+
+
+@pytest.mark.parametrize("nu", RATIOS)
+def test_a_uniform_pressure_is_answered_by_a_uniform_strain(nu: float) -> None:
+    """u = x under t = 3 kappa n; at nu = 1/2 the pressure moves nothing."""
+    facets = body()
+    operators = assembled(facets, nu)
+    pressed = operators.single @ facets.normals.reshape(-1)
+    over_bulk = (1.0 - 2.0 * nu) / (2.0 * (1.0 + nu))
+    swollen = over_bulk * (operators.jump @ facets.points.reshape(-1))
+    size = np.linalg.norm(operators.single, 2) * np.sqrt(len(facets.triangles))
+    assert np.linalg.norm(pressed - swollen) < 2e-5 * size
+
+
+@pytest.mark.parametrize("nu", RATIOS)
+def test_a_shear_strain_is_answered_by_its_tractions(nu: float) -> None:
+    """A uniform strain is linear and its tractions are constant on facets: only quadrature is left."""
+    facets = body()
+    strain = np.array([[1.0, 0.4, 0.0], [0.4, -0.3, 0.2], [0.0, 0.2, -0.7]])
+    u, t = (facets.points @ strain).reshape(-1), (2.0 * facets.normals @ strain).reshape(-1)
+    operators = assembled(facets, nu)
+    moved = operators.single @ t
+    assert_allclose(operators.jump @ u, moved, rtol=0.0, atol=2e-4 * np.abs(moved).max())
+    force = np.zeros((len(facets.points), 3))
+    np.add.at(force, facets.triangles, (facets.areas[:, None] * t.reshape(-1, 3) / 3.0)[:, None])
+    balanced = operators.hypersingular @ u + operators.jump.T @ t
+    assert_allclose(balanced, force.reshape(-1), rtol=0.0, atol=2e-4 * np.abs(force).max())
+    # a bulk modulus of 5,000 mu answers what quadrature leaves of a volume
+    atol = (5e-3 if nu == 0.4999 else 5e-4) * np.abs(force).max()
+    lacking = (surface_stiffness(facets, nu) @ u).reshape(-1, 3) - force
+    if nu == 0.5:  # the stiffness leaves the mean pressure to the fluid
+        pressed = np.zeros_like(force)
+        np.add.at(pressed, facets.triangles, (facets.areas[:, None] * facets.normals / 3.0)[:, None])
+        lacking -= pressed * np.vdot(pressed, lacking) / np.vdot(pressed, pressed)
+    assert_allclose(lacking, 0.0, rtol=0.0, atol=atol)
+
+
+def test_the_stiffness_is_symmetric_and_semi_definite_as_it_stands() -> None:
+    for nu in RATIOS:
+        facets = body()
+        operators = assembled(facets, nu)
+        asymmetry = operators.hypersingular - operators.hypersingular.T
+        assert np.abs(asymmetry).max() < 1e-14 * np.abs(operators.hypersingular).max()
+        stiffness = surface_stiffness(facets, nu)
+        assert_allclose(stiffness, stiffness.T, rtol=0.0, atol=0.0)
+        values = np.linalg.eigvalsh(stiffness)
+        assert np.abs(values[:6]).max() < 2e-5 * values[-1]
+        assert values[6] > 0.8 * values[7] > 1e-5 * values[-1]
+
+
+def test_a_block_is_that_part_of_the_whole() -> None:
+    facets = body()
+    rows, columns = np.array([3, 0, 7]), np.array([7, 41, 3, 12, 60])
+    single, _ = block(facets, 0.3, rows, columns)
+    whole, of_nodes = layers(facets, 0.3)
+    n = len(facets.triangles)
+    # a pair the other way round has another order of Gauss points: rounding
+    expected = whole.reshape(n, 3, n, 3)[np.ix_(rows, range(3), columns, range(3))]
+    assert_allclose(single, expected, rtol=1e-9, atol=1e-6 * np.abs(whole).max())
+    everywhere = block(facets, 0.3, rows, np.arange(n))[1]
+    gathered = np.zeros((3, len(facets.points)))
+    for row in range(3):
+        np.add.at(gathered[row], facets.triangles, everywhere[row])
+    assert_allclose(gathered, of_nodes[rows], rtol=0.0, atol=2e-5 * np.abs(of_nodes).max())
+
+
+def test_the_table_of_rules_is_that_of_the_rules() -> None:
+    table, starts = rules()
+    assert starts[-1] == table.shape[1]
+    sums = [table[4, a:b].sum() for a, b in pairwise(starts)]
+    assert_allclose(sums, 1.0, rtol=1e-13, atol=0.0)
+
+
+CHILD = """
+import numpy as np
+from vdm.boundary.operators import Facets, layers
+points = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]])
+print(layers(Facets.of(points, [[0, 2, 1], [0, 1, 3], [1, 2, 3], [2, 0, 3]]), 0.3)[0].sum())
+"""
+
+
+@pytest.mark.slow
+def test_several_processes_compile_and_keep_the_same_code_at_once(tmp_path: Path) -> None:
+    environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path), "PYTHONPATH": str(ROOT)}
+
+    def start() -> subprocess.Popen[str]:
+        return subprocess.Popen(
+            [sys.executable, "-c", CHILD], env=environment, stdout=subprocess.PIPE, text=True
+        )
+
+    first = [child.communicate()[0] for child in [start() for _ in range(3)]]
+    assert list(tmp_path.rglob("*.nbc")), "nothing was kept"
+    second = start().communicate()[0]  # from what was kept
+    assert {*first, second} == {first[0]}
+    assert float(second) > 0.0

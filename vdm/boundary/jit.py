@@ -1,0 +1,23 @@
+"""Compiled loops: numba's, kept on disk where a place for them can be found."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, TypeVar
+
+import numba
+
+Function = TypeVar("Function", bound=Callable[..., Any])
+
+
+def compiled(function: Function) -> Function:
+    """The function in machine code, compiled at its first call and kept for later processes.
+
+    numba keeps the code beside the module, or below the user's cache directory where that is not writable. Several
+    processes may write at once: each file is replaced as a whole. Without any place every process compiles anew.
+    """
+    options: dict[str, Any] = {"fastmath": True, "nogil": True, "error_model": "numpy"}
+    try:
+        return numba.njit(cache=True, **options)(function)
+    except RuntimeError:  # no directory to keep it in
+        return numba.njit(**options)(function)

@@ -1,0 +1,98 @@
+"""Rules for double integrals over two triangles, by what the triangles share.
+
+A point of a triangle is given by its barycentric coordinates. Where two triangles touch, the kernel 1/r has a pole
+or a line of poles. The maps of Sauter and Schwab (Boundary Element Methods, 2011, section 5.2) take it out: they
+write the domain as a few unit cubes whose Jacobian cancels it, so that Gauss points converge exponentially.
+"""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Rule = tuple[Array, Array, Array]
+
+# Gauss points in each of the four directions of a map
+SINGULAR_ORDER = 6
+
+
+def three_points() -> tuple[Array, Array]:
+    """(3, 3) points and (3,) weights of sum 1, exact to degree 2."""
+    points = np.full((3, 3), 1.0 / 6.0)
+    np.fill_diagonal(points, 2.0 / 3.0)
+    return points, np.full(3, 1.0 / 3.0)
+
+
+def dunavant(degree: int) -> tuple[Array, Array]:
+    """(n, 3) points and (n,) weights of sum 1, exact to degree 4, 5 or 8 with 6, 7 or 16 points.
+
+    Source: Dunavant 1985, Int. J. Numer. Methods Eng. 21.
+    """
+    orbits: dict[int, list[tuple[float, tuple[float, float, float]]]] = {
+        4: [
+            (0.223381589678011, (0.108103018168070, 0.445948490915965, 0.445948490915965)),
+            (0.109951743655322, (0.816847572980459, 0.091576213509771, 0.091576213509771)),
+        ],
+        5: [
+            (0.225, (1.0 / 3.0, 1.0 / 3.0, 1.0 / 3.0)),
+            (0.132394152788506, (0.059715871789770, 0.470142064105115, 0.470142064105115)),
+            (0.125939180544827, (0.797426985353087, 0.101286507323456, 0.101286507323456)),
+        ],
+        8: [
+            (0.144315607677787, (1.0 / 3.0, 1.0 / 3.0, 1.0 / 3.0)),
+            (0.095091634267285, (0.081414823414554, 0.459292588292723, 0.459292588292723)),
+            (0.103217370534718, (0.658861384496480, 0.170569307751760, 0.170569307751760)),
+            (0.032458497623198, (0.898905543365938, 0.050547228317031, 0.050547228317031)),
+            (0.027230314174435, (0.008394777409958, 0.263112829634638, 0.728492392955404)),
+        ],
+    }
+    points, weights = [], []
+    for weight, (a, b, c) in orbits[degree]:
+        orbit = sorted({(a, b, c), (b, c, a), (c, a, b), (a, c, b), (c, b, a), (b, a, c)})
+        points += orbit
+        weights += [weight] * len(orbit)
+    total = np.array(weights)
+    return np.array(points), total / total.sum()
+
+
+@cache
+def touching(order: int = SINGULAR_ORDER) -> tuple[Rule, Rule, Rule]:
+    """Rules (points of the first triangle (n, 3), of the second, weights (n,) of sum 1) for one vertex, one edge
+    or all three vertices in common; shared vertices come first, in the same order, in both triangles.
+    """
+    nodes, weights = np.polynomial.legendre.leggauss(order)
+    nodes, weights = 0.5 * (nodes + 1.0), 0.5 * weights
+    x, a, b, c = (part.ravel() for part in np.meshgrid(nodes, nodes, nodes, nodes, indexing="ij"))
+    cube = np.prod(np.meshgrid(weights, weights, weights, weights, indexing="ij"), axis=0).ravel()
+    one = np.ones_like(x)
+    vertex = [((one, a), (b, b * c), b)]
+    vertex += [(second, first, share) for first, second, share in vertex]
+    edge = [
+        ((one, a * c), (1 - a * b, a * (1 - b)), a**2),
+        ((one, a), (1 - a * b * c, a * b * (1 - c)), a**2 * b),
+        ((1 - a * b, a * (1 - b)), (one, a * b * c), a**2 * b),
+        ((1 - a * b * c, a * b * (1 - c)), (one, a), a**2 * b),
+        ((1 - a * b * c, a * (1 - b * c)), (one, a * b), a**2 * b),
+    ]
+    same = [
+        ((one, 1 - a + a * b), (1 - a * b * c, 1 - a), a**2 * b),
+        ((one, a * (1 - b + b * c)), (1 - a * b, a * (1 - b)), a**2 * b),
+        ((1 - a * b * c, a * (1 - b * c)), (one, a * (1 - b)), a**2 * b),
+    ]
+    same += [(second, first, share) for first, second, share in same]
+    return tuple(  # type: ignore[return-value]
+        (
+            np.concatenate([_barycentric(x * p, x * q) for (p, q), _, _ in cubes]),
+            np.concatenate([_barycentric(x * p, x * q) for _, (p, q), _ in cubes]),
+            np.concatenate([4.0 * cube * x**3 * share for _, _, share in cubes]),
+        )
+        for cubes in (vertex, edge, same)
+    )
+
+
+def _barycentric(first: Array, second: Array) -> Array:
+    """(n, 3) coordinates of points of the triangle 0 <= second <= first <= 1."""
+    return np.stack([1.0 - first, first - second, second], axis=1)
