@@ -17,7 +17,7 @@ import numpy as np
 
 from .case import ModelResult, StepStatus
 from .memory import peak_bytes_since, reset_peak
-from .model_name import reads
+from .model_name import reads, split
 from .scene import Scene, SurfaceLoad
 from .surface_measures import enclosed_volumes
 from .surface_model import prepare_surface
@@ -207,7 +207,7 @@ def _small_strain(scene: Scene, solver: str, name: str, n_loads: int) -> SetUp: 
     """One factorisation, and the loads that are independent in one batch of right-hand sides."""
     from fem_reference.linear import LinearProblem
 
-    problem = LinearProblem(**_body(scene), element=_ELEMENTS[name], expected_loads=n_loads)
+    problem = LinearProblem(**_body(scene), element=_ELEMENTS[split(name)[0]], expected_loads=n_loads)
     return SetUp(lambda loads: problem.solve(_fem_loads(loads), _asked(scene)), problem)
 
 

@@ -105,7 +105,8 @@ class _Evaluator:
     def _answer(self, scene: Scene, name: str) -> ModelResult:
         """One set-up answers all loads that superpose or lie on one rising path; else each has its own."""
         model, solver = models.find(name)
-        if solver not in model.superposes and model.continues is None:
+        weighs = scene.gravity.any() and not model.volumetric  # a surface's set-up has the weight in it
+        if weighs or (solver not in model.superposes and model.continues is None):
             return models.run_model(scene, name)
         if name not in self._set_up:
             self._set_up[name] = models.Prepared(scene, name, EXPECTED_LOADS, onward=True)

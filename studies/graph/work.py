@@ -9,7 +9,7 @@ import re
 import sys
 import time
 import traceback
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
@@ -89,24 +89,31 @@ def _answers(payload: Payload, node: str) -> Iterator[Said]:
 
     def solve() -> None:
         cache, level, name = Path(payload["cache"]), payload["level"], payload["name"]
-        studies = [Study.model_validate(asked["study"]) for asked in payload["asked"]]
         meshes = _meshes(payload, level)
-        scenes = [level_scene(study, meshes) for study in studies]
-        loads = [
-            [scene.load(factor) for factor in asked["factors"]]
-            for scene, asked in zip(scenes, payload["asked"], strict=True)
-        ]
-        steps = [load for path in loads for load in path]
-        result = Prepared(scenes[0], name, len(steps)).answer(steps)
+        scenes = _scenes(payload["asked"], meshes)
+        asked = [one for one in payload["asked"] if one["key"] in scenes]
+        paths = [[scenes[one["key"]].load(factor) for factor in one["factors"]] for one in asked]
+        steps = [load for path in paths for load in path]
+        result = Prepared(scenes[asked[0]["key"]], name, len(steps)).answer(steps)
         if level:
             result = restricted(result, meshes)
-        place = 0
-        for asked, path in zip(payload["asked"], loads, strict=True):
-            own = result if len(loads) == 1 else one_step(result, place)
-            place += len(path)
-            write_answer(answer_path(cache, asked["key"]), own, payload["run"])
+        for place, one in enumerate(asked):  # of several each is one step
+            own = result if len(asked) == 1 else one_step(result, place)
+            write_answer(answer_path(cache, one["key"]), own, payload["run"])
 
     yield _attempt(node, solve)
+
+
+def _scenes(asked: Sequence[Payload], meshes: Hierarchy) -> dict[str, Scene]:
+    """Key -> scene; one that cannot be built costs its own cases alone. Raises InputError where none can."""
+    scenes: dict[str, Scene] = {}
+    for one in asked:
+        try:
+            scenes[one["key"]] = level_scene(Study.model_validate(one["study"]), meshes)
+        except InputError:
+            if one is asked[-1] and not scenes:
+                raise
+    return scenes
 
 
 def _limits(payload: Payload, node: str) -> Iterator[Said]:
@@ -295,6 +302,7 @@ def _outcome(work: Callable[[], object]) -> tuple[str, str, str]:
     try:
         work()
     except MemoryError:
+        traceback.print_exc()
         return "error", "out of memory", MORE_MEMORY
     except OSError as error:
         return "error", f"{error}", "check free space and permissions"

@@ -12,9 +12,9 @@ from fem_reference.linear import LinearProblem
 from studies import models
 from studies.meshing.coarse import (
     COARSENING,
+    CoarseProblem,
     coarse_mesh,
     coarse_support,
-    solve_coarse,
     surface_interpolation,
 )
 from studies.meshing.geometry import build_mesh
@@ -119,7 +119,7 @@ def test_weight_and_a_moved_tool() -> None:
         constraints=[STUDY["constraints"][0], tool],  # type: ignore[index]
         gravity={"acceleration": [0.0, 0.0, -9.81]},
     )
-    result = solve_coarse(pulled)
+    result = CoarseProblem(pulled, 2).solve(pulled.loads)
     assert_allclose(result.displacement[1][pulled.held], pulled.prescribed[pulled.held], rtol=0, atol=0)
     weight = 1000.0 * 9.81 * enclosed_volume(pulled.mesh.surface_points, pulled.mesh.triangles)
     assert_allclose(result.reaction_force[:, :, 2].sum(axis=1), weight, rtol=1e-8, atol=0)

@@ -43,6 +43,13 @@ def scene() -> Scene:
     return build_scene(study, build_mesh(geometry_of(study)))
 
 
+def problem_of(scene: Scene, name: str) -> models.PressureProblem | None:
+    """What answers contact pressures linearly, set up."""
+    set_up = models.Prepared(scene, name).set_up
+    assert set_up is not None
+    return set_up.problem if models.superposes(name) else None
+
+
 @pytest.mark.parametrize(
     "name",
     [
@@ -57,7 +64,7 @@ def scene() -> Scene:
 )
 def test_a_frame_is_the_answer_of_the_model(scene: Scene, name: str) -> None:
     result = models.run_model(scene, name)
-    problem = models.pressure_problem(scene, name)
+    problem = problem_of(scene, name)
     assert problem is not None
     frame = contact_frame(problem, scene)
     pressure = scene.contact_pressure[scene.contact]
@@ -74,7 +81,7 @@ def test_a_frame_is_the_answer_of_the_model(scene: Scene, name: str) -> None:
 def test_a_node_has_its_share_of_the_contact(scene: Scene, name: str) -> None:
     """100 Pa at one node: the contact's pressure times the node's share of each point, 100 Pa A_i in all."""
     points, triangles = scene.mesh.surface_points, scene.mesh.triangles
-    problem = models.pressure_problem(scene, name)
+    problem = problem_of(scene, name)
     assert isinstance(problem, LinearProblem | CondensedProblem)
     node = int(np.argmax(scene.contact_pressure))
     pressure = np.where(np.flatnonzero(scene.contact) == node, 100.0, 0.0)
@@ -104,7 +111,7 @@ def test_columns_of_elements_are_shortened(name: str) -> None:
         }
     )
     scene = build_scene(study, build_mesh(geometry_of(study)))
-    problem = models.pressure_problem(scene, name)
+    problem = problem_of(scene, name)
     assert problem is not None
     frame = contact_frame(problem, scene)
     # from one side: what a long body does under it is not small beside the parts that it is summed from
@@ -122,9 +129,9 @@ def test_columns_of_elements_are_shortened(name: str) -> None:
 
 @pytest.mark.parametrize("name", ["fem", "fem-coarse", "vdm-vector:nonlinear", "vdm-paper:bicg"])
 def test_other_models_have_no_columns(scene: Scene, name: str) -> None:
-    assert models.pressure_problem(scene, name) is None
+    assert problem_of(scene, name) is None
 
 
 def test_a_penalty_has_no_columns(scene: Scene) -> None:
     penalised = dataclasses.replace(scene, parameters={"penalty": 1e8})
-    assert models.pressure_problem(penalised, "vdm-paper") is None
+    assert problem_of(penalised, "vdm-paper") is None

@@ -18,11 +18,10 @@ from studies.graph.plan import make_plan
 from studies.model_name import REFINED
 from studies.store import write_case
 from studies.study_file.config import expand, load_study
+from tests.graph import shared_work
+from tests.graph.shared_work import TABLES, plan_of, run
 
-from . import shared_work
-from .shared_work import TABLES, plan_of, run
-
-cache = shared_work.cache  # the fixture
+cache, meshes = shared_work.cache, shared_work.meshes  # the fixtures
 
 
 def test_what_a_plan_expects_grows_with_the_work(tmp_path: Path) -> None:

@@ -23,7 +23,7 @@ BEHIND = {
     "h5py": {"studies/hdf5.py"},
     "meshio": {"studies/meshing/mesh_file.py"},
     "pyvista": {"studies/meshing/remesh.py"},
-    "distributed": {"studies/cluster.py"},
+    "distributed": {"studies/graph/cluster.py"},
     "pyacvd": {"studies/meshing/remesh.py"},
 }
 
@@ -56,7 +56,7 @@ def _in(package: str) -> list[Path]:
 
 def test_there_is_something_to_check() -> None:
     assert len(FILES) > 20
-    assert "studies.store" in _imports(ROOT / "studies" / "run.py"), "relative imports are resolved"
+    assert "studies.store" in _imports(ROOT / "studies" / "graph" / "run.py"), "relative imports are resolved"
 
 
 @pytest.mark.parametrize("path", _in("vdm") + _in("fem_reference"), ids=_name)

@@ -16,11 +16,10 @@ from studies.meshing.geometry import build_mesh
 from studies.meshing.geometry_spec import Geometry
 from studies.meshing.mesh_cache import mesh_from_cache
 from studies.study_file.problems import StudyError
+from tests.graph import shared_work
+from tests.graph.shared_work import TABLES, plan_of
 
-from . import shared_work
-from .shared_work import TABLES, plan_of
-
-cache = shared_work.cache  # the fixture
+cache, meshes = shared_work.cache, shared_work.meshes  # the fixtures
 
 
 @pytest.mark.parametrize(
