@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any, Literal
 
 import numpy as np
@@ -64,6 +65,8 @@ class Parameters:
     rotation : which rotation is free of tension: none, one for the body, one per node (vector)
     tension_stiffening : gamma of the nonlinear volumic tension B_ij (1 + gamma s^2) s, s the difference of two
         neighbours' dV over their mean V_i (paper, nonlinear solver); zero is equation 8
+    youngs_modulus : E [Pa] of the tissue that the moduli stand for: what `vdm.bending` judges a form by. None: 3 mu
+        where mu is set, else no judgement
     """
 
     bulk_modulus: float | Array | None = None
@@ -75,6 +78,7 @@ class Parameters:
     coarse_nodes: int | None = None
     rotation: Rotation = "global"
     tension_stiffening: float = 0.0
+    youngs_modulus: float | None = None
 
     def __post_init__(self) -> None:
         if self.rotation not in ROTATIONS:
@@ -91,6 +95,17 @@ class Parameters:
             raise ParameterError(
                 f"tension_stiffening must be finite and not negative, not {self.tension_stiffening}"
             )
+        if self.youngs_modulus is not None and not (
+            np.isfinite(self.youngs_modulus) and self.youngs_modulus > 0.0
+        ):
+            raise ParameterError(f"youngs_modulus must be positive, not {self.youngs_modulus}")
+
+    @property
+    def tissue_modulus(self) -> float | None:
+        """E [Pa] of the tissue that the moduli stand for, None where nothing tells it."""
+        if self.youngs_modulus is None and self.shear_modulus is not None:
+            return 3.0 * self.shear_modulus
+        return self.youngs_modulus
 
     @classmethod
     def from_tissue(
@@ -133,20 +148,21 @@ class Parameters:
         if not (np.isfinite(youngs_modulus) and youngs_modulus > 0.0):
             raise ParameterError(f"youngs_modulus must be positive, not {youngs_modulus}")
         mu = youngs_modulus / 3.0
+        told = partial(cls, youngs_modulus=float(youngs_modulus))
         radius = surface.equivalent_radius
         foundation, tension = BALL_FOUNDATION * mu / radius, BALL_TENSION * mu * radius
         if formulation == "paper":
-            return cls(
+            return told(
                 bulk_modulus=bulk_modulus_from_foundation(foundation, surface),
                 connectivity_modulus=connectivity_modulus_from_tension(tension, surface),
             )
         if formulation == "consistent":
-            return cls(foundation=foundation, surface_tension=tension)
+            return told(foundation=foundation, surface_tension=tension)
         if formulation == "vector":
             if held is None or not held.any():
-                return cls(surface_tension=VECTOR_TENSION[rotation] * mu * radius, rotation=rotation)
+                return told(surface_tension=VECTOR_TENSION[rotation] * mu * radius, rotation=rotation)
             grown = mu * np.sqrt(radius * distance_from_support(surface, held))
-            return cls(surface_tension=SUPPORTED_TENSION[rotation] * grown, rotation=rotation)
+            return told(surface_tension=SUPPORTED_TENSION[rotation] * grown, rotation=rotation)
         if formulation in ISOTROPIC:
             return cls(shear_modulus=mu)
         raise ParameterError(
@@ -189,7 +205,8 @@ class Parameters:
             name: np.asarray(value) * (of_node if name in NODE_MODULI else of_edge)
             for name, value in self.moduli().items()
         }
-        return replace(self, **changed)
+        # the known bendings are those of an isotropic tissue
+        return replace(self, youngs_modulus=None, **changed)
 
     def moduli(self) -> dict[str, float | Array]:
         """The moduli that are set, by name."""
