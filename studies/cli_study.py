@@ -185,14 +185,9 @@ def bench_verb(options: argparse.Namespace) -> int:
     from .benchmark.bench_store import write_bench
     from .report.bench_page import ANSWERS_NOTE, ERROR_NOTE, write_bench_page
 
-    wanted = {"sphere": ("quickstart", None), "organ": ("accuracy-organ", None)}
-    if options.study:
-        wanted = {Path(options.study).stem: (options.study, options.surface)}
-    elif options.surface:
-        wanted[options.surface.stem] = ("accuracy-organ", options.surface)
     studies = {
         body: _load(argparse.Namespace(**vars(options) | {"study": name, "surface": surface}))[0]
-        for body, (name, surface) in wanted.items()
+        for body, (name, surface) in bodies_to_measure(options.study, options.surface).items()
     }
     if options.study:
         for study in studies.values():
@@ -221,6 +216,19 @@ def bench_verb(options: argparse.Namespace) -> int:
     print(ANSWERS_NOTE)
     print(f"report: {out / 'bench.html'}")
     return OK
+
+
+def bodies_to_measure(study: str | None, surface: Path | None) -> dict[str, tuple[str, Path | None]]:
+    """Name of each body of a benchmark -> its study, and the file that replaces the study's own body."""
+    if study:
+        return {Path(study).stem: (study, surface)}
+    bodies: dict[str, tuple[str, Path | None]] = {
+        "sphere": ("quickstart", None),
+        "organ": ("accuracy-organ", None),
+    }
+    if surface is not None:
+        bodies[surface.name if surface.stem in bodies else surface.stem] = ("accuracy-organ", surface)
+    return bodies
 
 
 def _load(options: argparse.Namespace) -> tuple[Study, Path]:
