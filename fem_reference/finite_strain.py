@@ -28,6 +28,7 @@ from fem_reference.mesh import TetMesh, facet_quadrature
 from fem_reference.moduli import check_density, check_fibres, make_moduli
 from fem_reference.newton import Newton, ScaledLoad, Substep
 from fem_reference.solution import Solution, SolverError, Status, check_outputs
+from fem_reference.springs import ElasticSupport, make_springs
 from fem_reference.system import LinearSystem, build_system
 from fem_reference.tangent_solver import TangentSolver, TangentSystem
 from fem_reference.walk import Walk
@@ -53,6 +54,7 @@ class FiniteStrainProblem:
     youngs_modulus : of the isotropic part, one number or one per tetrahedron [Pa], positive
     poisson_ratio : of the isotropic part, in (-1, 0.5], or one per tetrahedron in (0, 0.5]
     parts : (m,) number of the part of each tetrahedron: the pressure may jump between parts, as where moduli do
+    elastic_supports : springs under parts of the surface
     density : of the undeformed body [kg/m^3]
     held : (N,) surface nodes whose displacement is given, or (N, 3) single components of them (rollers)
     material : one of `fem_reference.materials.MATERIALS`
@@ -84,6 +86,7 @@ class FiniteStrainProblem:
         density: float = 0.0,
         held: ArrayLike,
         parts: ArrayLike | None = None,
+        elastic_supports: Sequence[ElasticSupport] = (),
         material: str = "neo-hookean",
         fibre_direction: ArrayLike | None = None,
         contrast: float = 1.0,
@@ -118,7 +121,8 @@ class FiniteStrainProblem:
         if self._law.fibre is not None:
             check_fibres(moduli)
         self._contrast = float(contrast)
-        self.held = held_nodes(self.mesh, np.asarray(held))
+        springs = make_springs(self.mesh, elastic_supports, self.shear_modulus)
+        self.held = held_nodes(self.mesh, np.asarray(held), springs)
         pattern = scalar_pattern(self.mesh)
         coupling = coupling_pattern(self.mesh, pattern)
         self.system: LinearSystem = build_system(
@@ -129,6 +133,7 @@ class FiniteStrainProblem:
             pattern=pattern,
             relative_stiffness=moduli.stiffness,
             poisson_ratios=moduli.poisson_ratios,
+            springs=springs,
         )
         self.solver = TangentSolver(self.system, solver, expected_loads, memory_limit)
         self._assembly = ElementAssembly(self.mesh, pattern, coupling, self._law, moduli.stiffness)

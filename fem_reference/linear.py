@@ -28,6 +28,7 @@ from fem_reference.mesh import TetMesh
 from fem_reference.moduli import check_density, check_fibres, make_moduli
 from fem_reference.outputs import OUTPUTS, mean_pressure, strain_outputs
 from fem_reference.solution import CONVERGED, Solution, SolverError, Status, check_outputs
+from fem_reference.springs import ElasticSupport, make_springs
 from fem_reference.system import LinearSystem, build_system
 
 __all__ = ["ELEMENTS", "Fields", "LinearProblem", "Load"]
@@ -46,7 +47,7 @@ class Fields:
     displacement : (S, n_nodes, 3) [m]
     pressure : (S, n_pressures) p = -lambda div u at the vertices, of each part its own where parts meet (see
         `fem_reference.mesh.TetMesh`); (S, 0) for a displacement element [Pa]
-    reaction : (S, n_nodes, 3) force of the support on the body [N]
+    reaction : (S, n_nodes, 3) force of supports and springs on the body [N]
     residual : (S,) true relative residual of the scaled system
     iterations : (S,) Krylov iterations, 0 for a direct solve
     """
@@ -84,6 +85,7 @@ class LinearProblem:
     youngs_modulus : of the isotropic part, one number or one per tetrahedron [Pa], positive
     poisson_ratio : of the isotropic part, in (-1, 0.5], below 0.5 for "P2" and "P1"; or (m,) in (0, 0.5]
     parts : (m,) number of the part of each tetrahedron: the pressure may jump between parts, as where moduli do
+    elastic_supports : springs under parts of the surface
     density : [kg/m^3]
     held : (N,) surface nodes whose displacement is given, or (N, 3) single components of them (rollers)
     solver : "auto" chooses by size, `expected_loads` and memory; "direct" or "iterative" insist
@@ -111,6 +113,7 @@ class LinearProblem:
         density: float = 0.0,
         held: ArrayLike,
         parts: ArrayLike | None = None,
+        elastic_supports: Sequence[ElasticSupport] = (),
         solver: str = "auto",
         expected_loads: int = 1,
         element: str = "P2-P1",
@@ -139,7 +142,11 @@ class LinearProblem:
         if isinstance(law, TransverselyIsotropic):
             check_fibres(moduli)
             fibres = np.sqrt(law.fibre_modulus) * np.outer(law.fibre, law.fibre)
-        self.held = held_nodes(self.mesh, np.asarray(held))
+        springs = make_springs(self.mesh, elastic_supports, self.shear_modulus)
+        self.held = held_nodes(self.mesh, np.asarray(held), springs)
+        self.supported: NDArray[np.bool_] = np.asarray(self.held.any(axis=1))
+        if springs is not None:
+            self.supported[springs.nodes] = True
         self.system: LinearSystem = build_system(
             self.mesh,
             self.held,
@@ -148,6 +155,7 @@ class LinearProblem:
             fibres=fibres,
             relative_stiffness=moduli.stiffness,
             poisson_ratios=moduli.poisson_ratios,
+            springs=springs,
         )
         self.solver: Solver = choose_solver(self.system, solver, expected_loads, memory_limit)
         self.seconds_setup = time.perf_counter() - start
