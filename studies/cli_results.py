@@ -25,7 +25,8 @@ from .cli_output import (
 
 def status_verb(options: argparse.Namespace) -> int:
     """Print what is done, failed, damaged and missing."""
-    from .store import read_plan, run_state
+    from .run_directory import read_plan
+    from .store import run_state
 
     state = run_state(options.directory)
     if options.json:

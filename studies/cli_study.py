@@ -90,7 +90,7 @@ def plan_verb(options: argparse.Namespace) -> int:
 
     study, _ = _load(options)
     plan = _make_plan(study, options)
-    _keep_other_surface(plan, options)
+    _require_own(plan, options)
     _check_files(plan, plan.cases_to_run())
     planned = summary(plan, options.jobs or usable_processors())
     if options.json:
@@ -119,7 +119,7 @@ def run_verb(options: argparse.Namespace) -> int:
 
     study, path = _load(options)
     plan = _make_plan(study, options)
-    _keep_other_surface(plan, options)
+    _require_own(plan, options)
     how = Options(
         jobs=options.jobs or usable_processors(),
         shard=options.shard,
@@ -145,7 +145,7 @@ def calibrate_verb(options: argparse.Namespace) -> int:
 
     study, path = _load(options)
     plan = _make_plan(study, options)
-    _keep_other_surface(plan, options)
+    _require_own(plan, options)
     check_fit(plan)
     elsewhere = []  # read, and found to be of use, before anything is run
     for name in options.transfer:
@@ -194,6 +194,8 @@ def bench_verb(options: argparse.Namespace) -> int:
             # a mesh that cannot be made is told with its line before anything is measured
             _make_plan(study, options)
     out = options.out or results_directory() / "bench"
+    if out.is_dir() and any(out.iterdir()) and not (out / "bench.h5").exists():
+        raise UsageError(f"{out}: is not empty and not a benchmark's directory; choose another --out")
     found = bench.measure(
         studies,
         results_directory() / "cache",
@@ -266,35 +268,39 @@ def _make_plan(
     return make_plan(study, expand(study), directory, cache, command, fresh=fresh)
 
 
-def _keep_other_surface(plan: Plan, options: argparse.Namespace) -> None:
-    """Raises UsageError where the default directory has the results of another surface file of the same name."""
+def _require_own(plan: Plan, options: argparse.Namespace) -> None:
+    """Raises UsageError where the directory holds no run, or that of another surface file of the same name."""
+    from .explain import surfaces
     from .hdf5 import StoreError
-    from .store import read_plan
+    from .run_directory import read_plan, refuse_foreign
 
+    refuse_foreign(plan.directory)
     if options.surface is None or options.out is not None:
         return
     try:
         there = read_plan(plan.directory)
     except StoreError:
         return
-    words = there.get("command", [])
-    other = words[words.index("--surface") + 1] if "--surface" in words else None
-    if other is None or Path(other).resolve() == options.surface.resolve():
-        return
-    if not plan.meshes.keys() & {case.get("mesh") for case in there["cases"]}:  # nor a copy of the same
+    if (
+        "--surface" in there.get("command", [])
+        and not surfaces(plan).keys() & there.get("surfaces", {}).keys()
+    ):
         raise UsageError(
-            f"{plan.directory} has the results of another surface, {other}; give those of {options.surface} a "
-            "directory of their own by --out"
+            f"{plan.directory} has the results of another surface of that name; give those of {options.surface} "
+            "a directory of their own by --out"
         )
 
 
 def _command(verb: str, options: argparse.Namespace) -> tuple[str, ...]:
     """What to type to get the same results again: the words of this command that decide them."""
+    from .study_file.folders import short_path
+
     given = vars(options)
     words = [verb, given["study"]]
-    for option in ("surface", "out"):
-        if given.get(option):
-            words += [f"--{option}", str(given[option])]
+    if given.get("surface"):
+        words += ["--surface", str(short_path(str(given["surface"])))]  # absolute, it may name a patient
+    if given.get("out"):
+        words += ["--out", str(given["out"])]
     if given["allow_outside"]:
         words.append("--allow-outside")
     return tuple(words)

@@ -33,7 +33,6 @@ from multiprocessing.context import ForkProcess
 from pathlib import Path
 from typing import Any
 
-from .files import write_atomically
 from .memory import limit_memory
 from .meshing.mesh import InputError
 from .processors import usable_processors
@@ -335,16 +334,3 @@ def _attempt(work: Callable[[Task], None], task: Task, *, alone: bool) -> tuple[
         remedy = "this is a bug: please report it with the log in the failed/ folder"
         return "error", f"{type(error).__name__}: {error}", remedy
     return "done", "", ""
-
-
-def write_failure(path: Path, outcome: Outcome, label: str) -> None:
-    """Keep the reason and the log of a failed task beside the results."""
-    record = {
-        "hash": outcome.task["id"],
-        "label": label,
-        "code": outcome.code,
-        "message": outcome.message,
-        "remedy": outcome.remedy,
-    }
-    write_atomically(path, json.dumps(record, indent=1).encode())
-    write_atomically(path.with_suffix(".log"), outcome.log.encode())

@@ -30,14 +30,16 @@ from .meshing.geometry_spec import (
     check_node_budget,
     expected_size,
     extents,
+    file_digest,
     geometry_key,
 )
 from .meshing.mesh import Array, Mesh, MeshError
 from .meshing.mesh_cache import mesh_path
 from .model_name import split
 from .result_cache import reference_path
+from .run_directory import CASE_SUFFIX, case_path
 from .sealed import is_sound
-from .store import CASE_SUFFIX, case_path, case_state
+from .store import case_state
 from .store import result_keys as stored_keys
 from .study_file.config import ResolvedCase, geometry_error, geometry_of, resolved
 from .study_file.schema import Study
@@ -97,6 +99,7 @@ class PlannedMesh:
     key: str
     geometry: Geometry
     volume: bool
+    file_hash: str = ""  # SHA-256 of the file that the body is from; "" of a built-in shape
 
     @property
     def label(self) -> str:
@@ -303,7 +306,8 @@ def _planned_mesh(geometry: Geometry, volume: bool) -> PlannedMesh:
     if geometry.shape != "file":  # whose size is known only once it is read
         area, inside = area_and_volume(geometry)
         check_node_budget(area, inside if volume else 0.0, geometry.mesh_size, MAX_NODES)
-    return PlannedMesh(geometry_key(geometry, volume=volume), geometry, volume)
+    file_hash = file_digest(geometry.path) if geometry.shape == "file" else ""
+    return PlannedMesh(geometry_key(geometry, volume=volume), geometry, volume, file_hash)
 
 
 def needs_volume(study: Study) -> bool:
@@ -359,6 +363,7 @@ def task_of(case: PlannedCase, plan: Plan) -> dict[str, Any]:
         "reference_stored": plan.reference_cached(case),
         "reuse": {name: str(path) for name, path in plan.reused(case).items()},
         "twins": {name: str(plan.case_file(twin)) for name, twin in plan.twins(case).items()},
+        "file_hash": plan.meshes[case.mesh].file_hash,
         "fresh": plan.fresh,
     }
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import fcntl
-import json
 import os
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -18,17 +17,30 @@ import tomli_w
 
 from .case import Run
 from .cluster import Cluster, connected
-from .execute import LOG, Group, Outcome, Task, run_tasks, write_failure
+from .execute import LOG, Group, Outcome, Task, run_tasks
 from .explain import beyond_memory, summary
-from .files import clear_abandoned, write_atomically
+from .files import clear_abandoned
 from .hdf5 import StoreError
 from .memory import machine_memory
 from .meshing.mesh import MeshError
 from .plan import Plan, PlannedCase, PlannedMesh, task_groups, task_of
+from .run_directory import (
+    RESOLVED,
+    STUDY,
+    case_path,
+    failure_path,
+    read_plan,
+    refuse_foreign,
+    refuse_linked,
+    rewrite_plan,
+    write_failure,
+    write_plan,
+)
 from .safe_open import open_regular
 from .server import processor_seconds, start_server
-from .store import case_path, failure_path, read_plan, read_run, refuse_linked, write_study
+from .store import read_run, write_study
 from .study_file.config import geometry_error, resolved
+from .study_file.folders import text_without_folders, without_folders
 from .study_file.units import shown
 from .work import work_of
 from .worker import make_mesh, run_case, share
@@ -70,17 +82,20 @@ def run_plan(
     ------
     RunError
         another run is at work in the directory, or it holds another study.
+    ForeignDirectoryError
+        the directory holds something else.
     StudyError
         a case needs more memory than this machine can have.
     OSError
         disk full or read-only; a cluster that is not there or does not fit.
     """
+    refuse_foreign(plan.directory)
+    refuse_linked(plan.directory)
     plan.directory.mkdir(parents=True, exist_ok=True)
     cases = plan.cases_to_run(options.shard)
     here = bool(cases) and options.scheduler is None
     if here or plan.missing_meshes(cases):
         start_server()  # before there are a cluster's threads, and a lock that it would hold on to
-    refuse_linked(plan.directory)
     with _cluster(options, watch) as cluster, _locked(plan.directory, options.shard):
         _check_study(plan)
         if here:
@@ -88,10 +103,12 @@ def run_plan(
         if cluster is None:
             _check_memory(plan, cases)
         _tidy(plan)
-        write_atomically(plan.directory / "study.toml", study_text.encode())
-        write_atomically(plan.directory / "resolved.toml", tomli_w.dumps(resolved(plan.study)).encode())
         planned = summary(plan, options.jobs if cluster is None else cluster.places())
-        write_atomically(plan.directory / "plan.json", json.dumps(planned, indent=1).encode())
+        texts = {
+            STUDY: text_without_folders(study_text).encode(),
+            RESOLVED: tomli_w.dumps(without_folders(resolved(plan.study))).encode(),
+        }
+        planned = write_plan(plan.directory, planned, texts)
         alone = here and options.shard == (1, 1)
         began, used = time.perf_counter(), processor_seconds(start_server()) if alone else 0.0
         _run_missing(plan, options, watch, cluster)
@@ -103,7 +120,7 @@ def run_plan(
                 "processor_seconds": processor_seconds(start_server()) - used,
                 "jobs": options.jobs,
             }
-            write_atomically(plan.directory / "plan.json", json.dumps(planned, indent=1).encode())
+            rewrite_plan(plan.directory, planned)
         return dataclasses.replace(run, plan=planned), report
 
 
@@ -206,7 +223,9 @@ def _keep_failure(plan: Plan, outcome: Outcome) -> None:
     path = case_path(plan.directory, outcome.task["id"])
     if not path.is_dir():  # which is no result, and may be why the case failed
         path.unlink(missing_ok=True)
-    write_failure(failure_path(plan.directory, outcome.task["id"]), outcome, outcome.task["label"])
+    reason = {"hash": outcome.task["id"], "label": outcome.task["label"]}
+    reason |= {name: getattr(outcome, name) for name in ("code", "message", "remedy")}
+    write_failure(failure_path(plan.directory, outcome.task["id"]), reason, outcome.log)
 
 
 def _make_meshes(

@@ -7,7 +7,7 @@ import os
 import stat
 from pathlib import Path
 
-MAX_TEXT_BYTES = 64 << 20  # of a stored text; a plan of 100,000 cases has 40 MB
+MAX_TEXT_BYTES = 256 << 20  # of a stored text; a plan of 100,000 cases has 40 MB
 _KINDS = {
     stat.S_IFLNK: "a link",
     stat.S_IFIFO: "a FIFO",

@@ -36,6 +36,7 @@ from .setups import let_go, needed_again, next_turn, next_uses, shared, sharing
 from .small_strain import small_strain_limits
 from .store import read_case, write_case
 from .study_file.config import geometry_of
+from .study_file.folders import swept_without_folders, without_folders
 from .study_file.schema import Study
 from .surface_measures import Surface
 
@@ -100,10 +101,11 @@ def run_case(task: Task) -> None:
         CaseResult(
             hash=task["id"],
             label=task["label"],
-            swept=task["swept"],
+            swept=swept_without_folders(task["swept"]),
             swept_units=task["swept_units"],
-            resolved=task["study"],
-            provenance=provenance(mesh),
+            resolved=without_folders(task["study"]),
+            provenance=provenance(mesh)
+            | ({"geometry_file_hash": found} if (found := task["file_hash"]) else {}),
             points=mesh.surface_points,
             triangles=mesh.triangles,
             load_factors=scene.load_factors,
