@@ -50,6 +50,7 @@ def list_verb(options: argparse.Namespace) -> int:
 def check_verb(options: argparse.Namespace) -> int:
     """Print whether a study is right, or every mistake in it."""
     from .explain import refused
+    from .scene_check import scene_problems
     from .study_file.problems import StudyError
     from .work import work_of
 
@@ -57,16 +58,22 @@ def check_verb(options: argparse.Namespace) -> int:
         study, path = _load(options)
         plan = _make_plan(study, options)
         _check_files(plan, plan.cases)
+        expected = refused(plan, plan.cases, work_of(plan, plan.cases))
+        doubts = [] if expected else scene_problems(plan)
     except StudyError as error:
         if options.json:
             problems = [problem._asdict() for problem in error.problems]
             print_json({"ok": False, "problems": problems})
             return USAGE
         raise
-    expected = refused(plan, plan.cases, work_of(plan, plan.cases))
     if options.json:
-        return print_json({"ok": True, "problems": [], "cases": len(plan.cases), "refused": expected})
+        told = [problem._asdict() for problem in doubts]
+        return print_json(
+            {"ok": True, "problems": [], "cases": len(plan.cases), "refused": expected, "warnings": told}
+        )
     print(f"{path}: ok, {count(len(plan.cases), 'case')}")
+    for problem in doubts:
+        print(f"warning: {problem}")
     for line in expected:
         print(f"will be refused: {line}")
     return OK
