@@ -243,7 +243,7 @@ def _check_rigid_motion(mesh: TetMesh, held: Mask, springs: Springs | None) -> N
                 Status(
                     "not-held",
                     f"too little is held: {name} can still move or turn freely",
-                    "hold three or more nodes that are not on one line",
+                    "hold an area of the surface, the nodes of some of its facets",
                 )
             )
 

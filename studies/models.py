@@ -142,13 +142,13 @@ VDM_SOLVERS = (
 
 
 # MINRES needs a symmetric matrix, which the printed form has not
-_model("vdm-paper", version="3", solvers=tuple(name for name in VDM_SOLVERS if name != "minres"))(
+_model("vdm-paper", version="4", solvers=tuple(name for name in VDM_SOLVERS if name != "minres"))(
     solve_surface
 )
-_model("vdm-consistent", version="4", solvers=VDM_SOLVERS)(solve_surface)
-_model("vdm-vector", version="7", solvers=VDM_SOLVERS)(solve_surface)
-_model("vdm-boundary", version="10", solvers=("linear", "nonlinear"))(solve_surface)
-_model("mass-spring", version="5", solvers=VDM_SOLVERS)(solve_surface)
+_model("vdm-consistent", version="5", solvers=VDM_SOLVERS)(solve_surface)
+_model("vdm-vector", version="8", solvers=VDM_SOLVERS)(solve_surface)
+_model("vdm-boundary", version="11", solvers=("linear", "nonlinear"))(solve_surface)
+_model("mass-spring", version="6", solvers=VDM_SOLVERS)(solve_surface)
 
 
 _ELEMENTS = {"fem-linear": "P2-P1", "fem-p1": "P1", "fem-p2": "P2"}
@@ -185,22 +185,22 @@ def _part(solution: FemSolution, steps: slice) -> FemSolution:
     )
 
 
-@_model("fem-linear", version="2", volumetric=True, together=partial(_fem_small_strain, name="fem-linear"))
+@_model("fem-linear", version="3", volumetric=True, together=partial(_fem_small_strain, name="fem-linear"))
 def _fem_linear(scene: Scene, solver: str, name: str) -> FemSolution:  # noqa: ARG001
     return _fem_small_strain([scene], "fem-linear")[0]
 
 
-@_model("fem-p1", version="1", volumetric=True, together=partial(_fem_small_strain, name="fem-p1"))
+@_model("fem-p1", version="2", volumetric=True, together=partial(_fem_small_strain, name="fem-p1"))
 def _fem_p1(scene: Scene, solver: str, name: str) -> FemSolution:  # noqa: ARG001
     return _fem_small_strain([scene], "fem-p1")[0]
 
 
-@_model("fem-p2", version="1", volumetric=True, together=partial(_fem_small_strain, name="fem-p2"))
+@_model("fem-p2", version="2", volumetric=True, together=partial(_fem_small_strain, name="fem-p2"))
 def _fem_p2(scene: Scene, solver: str, name: str) -> FemSolution:  # noqa: ARG001
     return _fem_small_strain([scene], "fem-p2")[0]
 
 
-@_model("fem-condensed", version="3", volumetric=True)
+@_model("fem-condensed", version="4", volumetric=True)
 def _fem_condensed(scene: Scene, solver: str, name: str) -> FemSolution:  # noqa: ARG001
     return _condensed_problem(scene).solve(_fem_loads(scene), _asked(scene))
 
@@ -225,7 +225,7 @@ def _condensed_set_up(*, contact: Mask, motions: Array, **body: Any) -> Condense
     return CondensedProblem(problem, contact, motions=motions)
 
 
-@_model("fem-coarse", version="3", volumetric=True)
+@_model("fem-coarse", version="4", volumetric=True)
 def _fem_coarse(scene: Scene, solver: str, name: str) -> FemSolution:  # noqa: ARG001
     from .meshing.coarse import solve_coarse
 
@@ -242,7 +242,7 @@ def _fem_onward(scene: Scene, known: dict[str, Any]) -> FemSolution:
     return problem.solve(_fem_loads(scene)[-1:], _asked(scene, *_LARGEST), known["walk"])
 
 
-@_model("fem", version="1", volumetric=True, onward=_fem_onward)
+@_model("fem", version="2", volumetric=True, onward=_fem_onward)
 def _fem(scene: Scene, solver: str, name: str) -> FemSolution:  # noqa: ARG001
     from fem_reference.finite_strain import FiniteStrainProblem
 

@@ -16,6 +16,7 @@ from vdm.constraints import (
     ContactSign,
     Load,
     Support,
+    check_apart,
     checked_load,
     hydrostatic_pressure,
     node_mask,
@@ -132,6 +133,7 @@ class Model:
             environment_pressure=float(environment_pressure),
             contact_sign=contact_sign,
         )
+        check_apart(support)
         check_held(FORMULATIONS[formulation], self.surface, parameters, support.held)
         self.formulation = FORMULATIONS[formulation](self.surface, parameters)
         self.problem = Problem(self.formulation, support)
@@ -218,8 +220,8 @@ class Model:
     def condition_estimate(self) -> Condition:
         """How well conditioned that is which the solver solves, see `vdm.solvers.condition`.
 
-        For "lu" and "bicg" the state matrix in the units it has in print, with its penalty; for all others the
-        symmetric operator at rest, scaled.
+        For "lu" and "bicg" the state matrix in the units it has in print, with its penalty and before "bicg" scales
+        it; for all others the symmetric operator at rest, scaled.
 
         Raises
         ------
@@ -230,7 +232,7 @@ class Model:
         if isinstance(solver, LuSolver):
             return condition_of_matrix(solver.solved_matrix(), n_border)
         if isinstance(solver, KrylovSolver) and solver.method == "bicg":
-            return condition_of_matrix(solver.matrix, n_border)
+            return condition_of_matrix(solver.printed, n_border)
         if isinstance(solver, FactorSolver):
             single = isinstance(solver, LinearSolver) and solver.precision == "single"
             return condition_of_operator(self.problem, None if single else solver.factor)

@@ -322,7 +322,7 @@ CASES = {
     ),
     "parameter that no model reads": (
         '["vdm-paper"]\n',
-        '["vdm-paper", "fem"]\n[vdm]\nrotation = "nodal"\n',
+        '["vdm-paper", "fem"]\n[vdm]\nrotation = "none"\n',
         "rotation",
         "vdm.rotation",
         "no model of this study reads it; leave it out. Read here: bulk_modulus, connectivity_modulus, penalty",
@@ -333,6 +333,13 @@ CASES = {
         '"shear_modulus"',
         "calibration.parameters[1]",
         "no VDM model of this study reads shear_modulus; leave it out",
+    ),
+    "a rotation that is gone": (
+        '["vdm-paper"]\n',
+        '["vdm-vector"]\n[vdm]\nrotation = "nodal"\n',
+        "rotation",
+        "vdm.rotation",
+        'is gone, as its answer grows without limit on finer meshes; write rotation = "global"',
     ),
     "fit of nothing in a model": (
         '["vdm-paper"]\n',
