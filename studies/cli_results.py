@@ -20,6 +20,7 @@ from .cli_output import (
     print_table,
     results_directory,
     taken,
+    tell,
 )
 
 
@@ -56,7 +57,7 @@ def report_verb(options: argparse.Namespace) -> int:
     if len(options.directories) > 1 or options.out:
         raise UsageError("several directories, and --out, go with --claims only")
     (directory,) = options.directories
-    run, report = rebuild(directory)
+    run, report = rebuild(directory, tell)
     if options.picture:
         from .report.page import write_picture
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import fcntl
-import os
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
@@ -21,6 +20,7 @@ from .execute import LOG, Group, Outcome, Task, run_tasks
 from .explain import beyond_memory, summary
 from .files import clear_abandoned
 from .hdf5 import StoreError
+from .locks import LockedError, lock
 from .memory import machine_memory
 from .meshing.mesh import MeshError
 from .plan import Plan, PlannedCase, PlannedMesh, task_groups, task_of
@@ -36,7 +36,6 @@ from .run_directory import (
     write_failure,
     write_plan,
 )
-from .safe_open import open_regular
 from .server import processor_seconds, start_server
 from .store import read_run, write_study
 from .study_file.config import geometry_error, resolved
@@ -44,6 +43,8 @@ from .study_file.folders import text_without_folders, without_folders
 from .study_file.units import shown
 from .work import work_of
 from .worker import make_mesh, run_case, share
+
+_PATIENCE = 300.0  # s that one other process may take to write the tables and the report
 
 
 class RunError(ValueError):
@@ -113,7 +114,9 @@ def run_plan(
         began, used = time.perf_counter(), processor_seconds(start_server()) if alone else 0.0
         _run_missing(plan, options, watch, cluster)
         _tidy(plan)  # a worker may have been killed
-        run, report = rebuild(plan.directory)
+        run, report = rebuild(
+            plan.directory, lambda text: watch(Event("told", plan.study.study.name, message=text))
+        )
         if alone:
             planned["taken"] = {
                 "seconds": time.perf_counter() - began,
@@ -124,13 +127,16 @@ def run_plan(
         return dataclasses.replace(run, plan=planned), report
 
 
-def rebuild(directory: Path) -> tuple[Run, Path]:
-    """Write the tables and the report from the stored results alone; returns the run and the report's path."""
+def rebuild(directory: Path, tell: Callable[[str], None]) -> tuple[Run, Path]:
+    """Write the tables and the report from the stored results alone; returns the run and the report's path.
+
+    `tell` is told who is waited for, where another process writes them. Raises RunError where that takes too long.
+    """
     from .report.page import write_report  # plotting is slow to load, and who only plans draws nothing
 
     read_plan(directory)  # nothing is left in a directory that is none of ours
     report = directory / "report.html"
-    with _lock(directory, ".lock-report", fcntl.LOCK_EX, wait=True):  # the last of several shards sees all
+    with _report_lock(directory, tell):  # the last of several shards sees all
         run = read_run(directory, damaged=True)
         write_study(directory, run)
         write_report(run, report)
@@ -287,17 +293,25 @@ def _locked(directory: Path, shard: tuple[int, int]) -> Iterator[None]:
 
 
 @contextmanager
-def _lock(directory: Path, name: str, kind: int, *, wait: bool = False) -> Iterator[None]:
-    with os.fdopen(open_regular(directory / name, os.O_RDWR | os.O_CREAT), "r+") as file:
+def _lock(directory: Path, name: str, kind: int) -> Iterator[None]:
+    with ExitStack() as held:
         try:
-            fcntl.flock(file, kind if wait else kind | fcntl.LOCK_NB)
-        except BlockingIOError:
-            file.seek(0)
+            held.enter_context(lock(directory / name, kind))
+        except LockedError as error:
             raise RunError(
-                f"{directory}: another run is at work here (process {file.read().strip() or 'unknown'}); "
-                "wait for it or choose another --out"
+                f"{directory}: another run is at work here ({error}); wait for it or choose another --out"
             ) from None
-        file.truncate(0)
-        file.write(str(os.getpid()))
-        file.flush()
+        yield
+
+
+@contextmanager
+def _report_lock(directory: Path, tell: Callable[[str], None]) -> Iterator[None]:
+    with ExitStack() as held:
+        try:
+            held.enter_context(lock(directory / ".lock-report", fcntl.LOCK_EX, patience=_PATIENCE, tell=tell))
+        except LockedError as error:
+            raise RunError(
+                f"{directory}: {error} has locked the report for more than {_PATIENCE:g} s; the results are kept, "
+                f"vdmbench report {directory} writes it later"
+            ) from None
         yield
