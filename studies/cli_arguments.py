@@ -33,7 +33,7 @@ def _parser() -> argparse.ArgumentParser:
     def verb(name: str, function: Any, text: str) -> argparse.ArgumentParser:
         sub = verbs.add_parser(name, help=text, description=text)
         sub.add_argument("--json", action="store_true", help="print JSON")
-        sub.set_defaults(verb=function, goes_on=False)
+        sub.set_defaults(verb=function, goes_on=False, solves=True)
         return sub
 
     def study_verb(
@@ -69,7 +69,7 @@ def _parser() -> argparse.ArgumentParser:
             help="cases at once (default: as many as processors that this process may use)",
         )
 
-    verb("list", cli_study.list_verb, "list the shipped studies")
+    verb("list", cli_study.list_verb, "list the shipped studies").set_defaults(solves=False)
     study_verb("check", cli_study.check_verb, "validate a study without running it")
     plan = study_verb("plan", cli_study.plan_verb, "say what a run would do")
     run = study_verb("run", cli_study.run_verb, "run what is missing and write the report")
@@ -151,7 +151,8 @@ def _parser() -> argparse.ArgumentParser:
     )
     bench.add_argument("--out", type=_directory, metavar="DIR", help="directory (default results/bench)")
     bench.add_argument("--large", action="store_true", help="growth on surfaces of up to 163,842 nodes")
-    verb("doctor", cli_results.doctor_verb, "say what the machine has and lacks")
+    doctor = verb("doctor", cli_results.doctor_verb, "say what the machine has and lacks")
+    doctor.set_defaults(solves=False)
     return parser
 
 

@@ -19,7 +19,6 @@ import itertools
 import json
 import multiprocessing
 import os
-import re
 import signal
 import sys
 import threading
@@ -33,7 +32,7 @@ from multiprocessing.context import ForkProcess
 from pathlib import Path
 from typing import Any
 
-from .memory import limit_memory
+from .memory import OUT_OF_MEMORY, limit_memory, memory_limits
 from .meshing.mesh import InputError
 from .processors import usable_processors
 from .safe_open import open_regular, read_regular
@@ -44,11 +43,6 @@ Group = Sequence[Task]
 Together = Callable[[Group], AbstractContextManager[Callable[[Task], None]]]
 AGAIN = "again"  # in a task that another worker was given before
 LOG = ".log"  # ends the hidden names of workers' logs
-_MORE_MEMORY = "use a coarser mesh, fewer --jobs, or allow more with --memory"
-# what C++, Rust, the system and its loader of libraries say where memory runs out
-_OUT_OF_MEMORY = re.compile(
-    "bad_alloc|memory allocation of|cannot allocate memory|cannot map zero-fill|failed to map segment", re.I
-)
 _GRACE = 5.0  # s between asking a worker to stop and killing it
 
 
@@ -240,12 +234,18 @@ def _finish(r: _Running, timeout: float | None) -> tuple[Outcome | None, list[li
     return Outcome(culprit, "crashed", seconds, *_death(r.process.exitcode or 0, log), log), []
 
 
+def _more_memory() -> str:
+    limits = memory_limits()
+    told = f"; this run may take no more than its shell allows: {limits}" if limits else ""
+    return f"use a coarser mesh, fewer --jobs, or allow more with --memory{told}"
+
+
 def _death(code: int, log: str) -> tuple[str, str]:
     """What an exit code of a worker that died means, and what to do."""
-    if _OUT_OF_MEMORY.search(log):
-        return "out of memory", _MORE_MEMORY
+    if OUT_OF_MEMORY.search(log):
+        return "out of memory", _more_memory()
     if code == -signal.SIGKILL:
-        return "killed by the system, most likely out of memory", _MORE_MEMORY
+        return "killed by the system, most likely out of memory", _more_memory()
     if code < 0:
         return (
             f"the worker crashed with signal {signal.Signals(-code).name}",
@@ -291,8 +291,8 @@ def _main(
             os.ftruncate(descriptor, 0)  # the log is that of the task at work
             answer.send_bytes(json.dumps(None).encode())
             code, message, remedy = _attempt(work, task, alone=len(tasks) == 1)
-            if _OUT_OF_MEMORY.search(message):
-                message, remedy = "out of memory", _MORE_MEMORY
+            if OUT_OF_MEMORY.search(message):
+                message, remedy = "out of memory", _more_memory()
             sys.stdout.flush()
             sys.stderr.flush()
             size = os.fstat(descriptor).st_size
@@ -321,7 +321,7 @@ def _attempt(work: Callable[[Task], None], task: Task, *, alone: bool) -> tuple[
     except MemoryError:
         if not alone:
             os._exit(1)
-        return "error", "out of memory", _MORE_MEMORY
+        return "error", "out of memory", _more_memory()
     except OSError as error:
         return "error", f"{error}", "check free space and permissions"
     except InputError as error:

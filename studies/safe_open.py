@@ -54,7 +54,7 @@ def read_regular(path: Path, most: int = MAX_TEXT_BYTES) -> bytes:
         if size > most:
             said = f"has {size} bytes, more than the {most} that such a file can have; delete it"
             raise UnfitFileError(errno.EFBIG, said, str(path))
-        return file.read(most + 1)
+        return file.read(size + 1)  # not `most`, which Python would set aside
 
 
 def require_replaceable(path: Path) -> None:

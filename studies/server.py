@@ -27,6 +27,8 @@ from multiprocessing.connection import Connection
 from multiprocessing.process import BaseProcess
 from typing import Any
 
+from .memory import MemoryLimitError, heed_limits, is_lack_of_memory, memory_limits, require_room
+
 Events = Generator[Any, None, None]
 
 # what the program needs later too, to estimate and to plot: loaded before the fork, it is loaded once
@@ -158,15 +160,21 @@ def load() -> None:
 
     The garbage collector looks at all that is loaded again and again, which takes a fifth of the time of the
     imports; and where it looks in a worker, the pages that the workers share are copied (see the documentation of
-    `gc.freeze`). What cannot be loaded is left out: workers say what is missing.
+    `gc.freeze`). What cannot be loaded is left out: workers say what is missing. Raises MemoryLimitError.
     """
     gc.disable()
+    heed_limits()
+    require_room()
     for name in _MODULES:
-        with suppress(ImportError):
+        try:
             import_module(name)
+        except (ImportError, MemoryError) as error:
+            if is_lack_of_memory(error):
+                raise MemoryLimitError(memory_limits() or str(error)) from error
     gc.freeze()
     gc.set_threshold(*_COLLECT)
     gc.enable()
+    require_room()  # still, for workers: some libraries set aside all that they get
 
 
 def _serve(line: Connection, other_end: Connection | None) -> None:
@@ -176,7 +184,12 @@ def _serve(line: Connection, other_end: Connection | None) -> None:
         signal.signal(number, signal.SIG_IGN)  # in workers too
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
     signal.pthread_sigmask(signal.SIG_UNBLOCK, _SIGNALS)
-    load()
+    try:
+        load()
+    except MemoryLimitError as error:
+        with suppress(BrokenPipeError, ConnectionResetError):
+            line.send(_Failure("", OSError(str(error))))
+        return
     # the program has ended, or does not listen
     with suppress(EOFError, BrokenPipeError, ConnectionResetError):
         while True:
