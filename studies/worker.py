@@ -274,7 +274,7 @@ def _reference_levels(
     if key not in group.answers and _may_read_reference(task):
         stored = next(filter(None, map(read_reference, _reference_paths(task))), None)
         if stored is not None:
-            levels = [_marked(level) for level in stored.levels[: _n_levels(study)]]
+            levels = [_marked(level, "") for level in stored.levels[: _n_levels(study)]]
             group.answers[key] = dataclasses.replace(stored, levels=levels)
             group.stored.add(key)
     found = group.answers[key].under(loads, scene) if key in group.answers else None
@@ -289,7 +289,10 @@ def _reference_levels(
         group.answers[key] = Answer(found, loads, scene.load_factors)
         group.stored.discard(key)
     if key not in group.stored:
-        write_reference(_reference_paths(task)[0], group.answers[key])
+        answer = group.answers[key]
+        # the cache may be copied to another machine
+        located = [_located(level, processor_name()) for level in answer.levels]
+        write_reference(_reference_paths(task)[0], dataclasses.replace(answer, levels=located))
         group.stored.add(key)
     return found
 
@@ -330,16 +333,27 @@ def _known(task: Task, group: _Group) -> dict[str, ModelResult]:
     for files, is_earlier in ((task["reuse"], True), ({**task["twins"], **written}, False)):
         for path in sorted({path for name, path in files.items() if name not in known}):
             with suppress(StoreError):
-                for name, result in read_case(Path(path)).models.items():
+                case = read_case(Path(path))
+                processor = str(case.provenance.get("processor", ""))
+                for name, result in case.models.items():
                     refused = any(status.code == models.REFUSED for status in result.status)
                     if result.key and result.key == keys.get(name) and not refused:
-                        known.setdefault(name, _marked(result) if is_earlier else result)
+                        known.setdefault(name, _marked(result, processor) if is_earlier else result)
     return known
 
 
-def _marked(result: ModelResult) -> ModelResult:
-    """A result whose times and memory were measured in an earlier run."""
-    return dataclasses.replace(result, parameters={**result.parameters, "measured_earlier": "yes"})
+def _marked(result: ModelResult, processor: str) -> ModelResult:
+    """A result whose times and memory were measured in an earlier run, on this processor unless it says itself."""
+    found = _located(result, processor)
+    parameters = {**found.parameters, "measured_earlier": "yes"}
+    if parameters["measured_on"] in ("", processor_name()):
+        del parameters["measured_on"]
+    return dataclasses.replace(found, parameters=parameters)
+
+
+def _located(result: ModelResult, processor: str) -> ModelResult:
+    """A result that says which processor its times were measured on."""
+    return dataclasses.replace(result, parameters={"measured_on": processor, **result.parameters})
 
 
 def _n_levels(study: Study) -> int:
