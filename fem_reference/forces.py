@@ -1,8 +1,8 @@
 """Given forces on the surface, as consistent forces at the nodes: resultant and moment are exact on any mesh.
 
-Each function returns (n_nodes, 3) forces for `Load.forces`; add them up for several. The shape functions of straight
-edges and flat facets reproduce linear functions, so the sum of the nodal forces and of their moments are those of
-the load to rounding. At finite strain they keep size and direction and move with their points.
+Each function returns (n_nodes, 3) forces for `Load.forces`; add them up for several. The shape functions of
+straight edges and flat facets reproduce linear functions, so the sums of the nodal forces and of their moments are
+those of the load to rounding. At finite strain they keep size and direction and move with their points.
 """
 
 from __future__ import annotations

@@ -191,10 +191,10 @@ class LinearProblem:
         if not len(chosen):  # no load at all: one solve of nothing
             chosen, coefficients = np.zeros(1, dtype=np.int64), np.zeros((1, len(loads)))
         basis = [loads[k] for k in chosen]
-        forces, fields = self._solve_some(basis[:1])
+        forces, fields = self.solve_fields(basis[:1])
         seconds = time.perf_counter() - start
         if len(basis) > 1:
-            more = self._solve_some(basis[1:])
+            more = self.solve_fields(basis[1:])
             forces = np.concatenate([forces, more[0]])
             names = [field.name for field in dataclasses.fields(Fields)]
             fields = Fields(
@@ -202,8 +202,8 @@ class LinearProblem:
             )
         return self._combined(forces, fields, coefficients, outputs, seconds)
 
-    def _solve_some(self, loads: Sequence[Load]) -> tuple[Array, Fields]:
-        """Nodal forces and fields of some loads."""
+    def solve_fields(self, loads: Sequence[Load]) -> tuple[Array, Fields]:
+        """(S, n_nodes, 3) forces and the fields of some loads, each solved by itself."""
         forces = nodal_forces(self.mesh, loads, self.density)
         return forces, self.solve_nodal(forces, prescribed_nodes(self.mesh, loads))
 
