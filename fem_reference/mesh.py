@@ -116,6 +116,12 @@ class TetMesh:
         """Number of P1 pressures, n where there is one part."""
         return len(self.pressure_vertices)
 
+    @cached_property
+    def pressure_mesh(self) -> MeshTet:
+        """scikit-fem's mesh of the same tetrahedra, cut open between parts: its vertices carry the pressures."""
+        points, elements = self.points[self.pressure_vertices], self.pressure_elements
+        return MeshTet(np.ascontiguousarray(points.T), np.ascontiguousarray(elements.T.astype(np.int32)))
+
     @property
     def n_vertices(self) -> int:
         """Number of points n."""
