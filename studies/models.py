@@ -31,8 +31,8 @@ if TYPE_CHECKING:
 
     Solution = FemSolution | VdmSolution
     Solve = Callable[[Scene, str, str], Solution]
-    Together = Callable[[Sequence[Scene]], Sequence[Solution]]
-    Onward = Callable[[Scene, dict[str, Any]], Solution]
+    Together = Callable[[Sequence[Scene], str], Sequence[Solution]]
+    Onward = Callable[[Scene, str, dict[str, Any]], Solution]
 
 
 @dataclass(frozen=True)
@@ -46,9 +46,9 @@ class Model:
     volumetric : whether it needs tetrahedra
     solvers : the solvers it offers, the default first
     solve : (scene, solver, the full name) -> Solution
-    together : the same for scenes that differ in their loads only, all in one; None where that saves nothing
-    onward : (scene, what it left of the last) -> Solution of full load alone, from loads below that it has
-        solved of scenes that differ in one rising load only; None where that saves nothing
+    together : (scenes that differ in their loads only, solver), all in one; None where that saves nothing
+    onward : (scene, solver, what it left of the last) -> Solution of full load alone, from loads below that it
+        has solved of scenes that differ in one rising load only; None where that saves nothing
     """
 
     name: str
@@ -152,10 +152,17 @@ _model("mass-spring", version="6", solvers=VDM_SOLVERS)(solve_surface)
 
 
 _ELEMENTS = {"fem-linear": "P2-P1", "fem-p1": "P1", "fem-p2": "P2"}
+# scikit-fem's own assembly and a general LU factor: what the fast path is held to
+PLAIN = "plain"
 
 
-def _fem_small_strain(scenes: Sequence[Scene], name: str) -> list[FemSolution]:
-    """One factorisation and one batch of right-hand sides for the loads of all scenes."""
+def _fem_small_strain(scenes: Sequence[Scene], solver: str, name: str) -> list[FemSolution]:
+    """One factorisation, and on the fast path one batch of right-hand sides, for the loads of all scenes."""
+    if solver == PLAIN:
+        from fem_reference.plain_linear import PlainLinearProblem
+
+        problem = shared(PlainLinearProblem, **_body(scenes[0]))
+        return [problem.solve(_fem_loads(scene)) for scene in scenes]
     loads = [load for scene in scenes for load in _fem_loads(scene)]
     whole = _linear_problem(scenes[0], name, loads).solve(loads, _asked(scenes[0]))
     ends = np.cumsum([len(scene.load_factors) for scene in scenes]).tolist()
@@ -185,19 +192,25 @@ def _part(solution: FemSolution, steps: slice) -> FemSolution:
     )
 
 
-@_model("fem-linear", version="3", volumetric=True, together=partial(_fem_small_strain, name="fem-linear"))
+@_model(
+    "fem-linear",
+    version="3",
+    volumetric=True,
+    solvers=("linear", PLAIN),
+    together=partial(_fem_small_strain, name="fem-linear"),
+)
 def _fem_linear(scene: Scene, solver: str, name: str) -> FemSolution:  # noqa: ARG001
-    return _fem_small_strain([scene], "fem-linear")[0]
+    return _fem_small_strain([scene], solver, "fem-linear")[0]
 
 
 @_model("fem-p1", version="2", volumetric=True, together=partial(_fem_small_strain, name="fem-p1"))
 def _fem_p1(scene: Scene, solver: str, name: str) -> FemSolution:  # noqa: ARG001
-    return _fem_small_strain([scene], "fem-p1")[0]
+    return _fem_small_strain([scene], solver, "fem-p1")[0]
 
 
 @_model("fem-p2", version="2", volumetric=True, together=partial(_fem_small_strain, name="fem-p2"))
 def _fem_p2(scene: Scene, solver: str, name: str) -> FemSolution:  # noqa: ARG001
-    return _fem_small_strain([scene], "fem-p2")[0]
+    return _fem_small_strain([scene], solver, "fem-p2")[0]
 
 
 @_model("fem-condensed", version="4", volumetric=True)
@@ -232,20 +245,24 @@ def _fem_coarse(scene: Scene, solver: str, name: str) -> FemSolution:  # noqa: A
     return solve_coarse(scene)
 
 
-def _fem_onward(scene: Scene, known: dict[str, Any]) -> FemSolution:
+def _fem_onward(scene: Scene, solver: str, known: dict[str, Any]) -> FemSolution:
     from fem_reference.finite_strain import FiniteStrainProblem
     from fem_reference.walk import Walk
 
+    if solver == PLAIN:
+        return _fem_plain(scene, _fem_loads(scene)[-1:])
     if not known:
         known.update(problem=FiniteStrainProblem(**_finite_strain(scene)), walk=Walk())
     problem: FiniteStrainProblem = known["problem"]
     return problem.solve(_fem_loads(scene)[-1:], _asked(scene, *_LARGEST), known["walk"])
 
 
-@_model("fem", version="2", volumetric=True, onward=_fem_onward)
+@_model("fem", version="2", volumetric=True, solvers=("linear", PLAIN), onward=_fem_onward)
 def _fem(scene: Scene, solver: str, name: str) -> FemSolution:  # noqa: ARG001
     from fem_reference.finite_strain import FiniteStrainProblem
 
+    if solver == PLAIN:
+        return _fem_plain(scene, _fem_loads(scene))
     return FiniteStrainProblem(**_finite_strain(scene)).solve(_fem_loads(scene), _asked(scene, *_LARGEST))
 
 
@@ -253,8 +270,18 @@ _LARGEST = ("max_det_f_deviation", "max_principal_strain")
 
 
 def _finite_strain(scene: Scene) -> dict[str, Any]:
-    material = "transversely-isotropic" if scene.anisotropy else "neo-hookean"
-    return {**_body(scene), "material": material, "expected_loads": len(scene.load_factors)}
+    return {**_body(scene), "material": _material(scene), "expected_loads": len(scene.load_factors)}
+
+
+def _fem_plain(scene: Scene, loads: Sequence[FemLoad]) -> FemSolution:
+    from fem_reference.plain_finite_strain import PlainFiniteStrainProblem
+
+    problem = PlainFiniteStrainProblem(**_body(scene), material=_material(scene))
+    return problem.solve(loads, frozenset(_LARGEST))
+
+
+def _material(scene: Scene) -> str:
+    return "transversely-isotropic" if scene.anisotropy else "neo-hookean"
 
 
 def _body(scene: Scene) -> dict[str, Any]:
@@ -287,10 +314,10 @@ def scales(name: str) -> bool:
 
 def pressure_problem(scene: Scene, name: str) -> LinearSolver | LinearProblem | CondensedProblem | None:
     """What answers contact pressures linearly, set up as a solve of the model does; None where nothing does."""
-    model, _ = find(name)
+    model, solver = find(name)
     if model.name == "fem-condensed":
         return _condensed_problem(scene)
-    if model.name in _ELEMENTS:
+    if model.name in _ELEMENTS and solver != PLAIN:
         return _linear_problem(scene, model.name, _fem_loads(scene))
     return linear_solver(scene, name) if scales(name) else None
 
@@ -316,7 +343,7 @@ def run_model(scene: Scene, name: str, known: dict[str, Any] | None = None) -> M
         return _result(scene, *follows, model, {"setup_shared": "yes", "steps_scaled": "yes"})
     onward = model.onward
     if known is not None and onward is not None:
-        return _measured(model, [scene], lambda: [onward(scene, known)])[0]
+        return _measured(model, [scene], lambda: [onward(scene, solver, known)])[0]
     return _measured(model, [scene], lambda: [model.solve(scene, solver, name)])[0]
 
 
@@ -327,11 +354,11 @@ def solves_together(name: str) -> bool:
 
 def run_together(scenes: Sequence[Scene], name: str) -> list[ModelResult]:
     """`run_model` for scenes that differ in their loads only: in one solve where the model can, else in turn."""
-    model, _ = find(name)
+    model, solver = find(name)
     if len(scenes) == 1 or model.together is None:
         return [run_model(scene, name) for scene in scenes]
     together = model.together
-    return _measured(model, scenes, lambda: together(scenes))
+    return _measured(model, scenes, lambda: together(scenes, solver))
 
 
 def _measured(
