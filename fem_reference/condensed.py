@@ -83,14 +83,16 @@ class CondensedProblem:
         if mask.any() and not len(self._facets) and not len(self._motions):
             raise _bad_contact("contact has no whole facet", "choose more nodes")
         self.nodes = np.unique(mesh.facet_nodes[self._facets])
-        self._held = np.flatnonzero(problem.held[mesh.surface_nodes].any(axis=1))
+        self._held = np.flatnonzero(problem.supported[mesh.surface_nodes])
         self._heavy = problem.density > 0.0
         self._unit_weight = problem.density * gravity_weights(mesh)
         self.pushed, self.directions = self._push_directions()
         columns = len(self.pushed) + 3 * self._heavy + len(self._motions)
         sizes = np.array([3 * count, len(self.pushed), 3 * len(self._held), 1, 3, len(self._motions)])
         self._rows = np.cumsum(sizes)[:-1]
-        needed = 8.0 * float(sizes.sum()) * columns
+        springs = problem.system.springs
+        sprung = 3 * len(springs.nodes) + columns if springs else 0  # rows for the energy of the springs
+        needed = 8.0 * float(sizes.sum() + sprung) * columns
         allowed = available_memory() if memory_limit is None else memory_limit
         if needed > allowed:
             raise SolverError(
@@ -103,11 +105,16 @@ class CondensedProblem:
         self._moved_nodes = prescribed_nodes(mesh, [_motion(problem, motion) for motion in self._motions])
         self.matrix = np.empty((int(sizes.sum()), columns))
         self.residual = 0.0
+        moved = np.empty((columns, len(springs.nodes) if springs else 0, 3))
         for first in range(0, columns, BATCH):
             chosen = np.arange(first, min(first + BATCH, columns))
             fields = self._respond(chosen)
             self.matrix[:, chosen] = self._observe(fields).T
             self.residual = max(self.residual, float(fields.residual.max()))
+            if springs:
+                moved[chosen] = fields.displacement[:, springs.nodes]
+        unit = problem.shear_modulus * mesh.mean_edge  # of force over length
+        self._spring_works = springs.works(moved) * unit if springs else None
         self._to_forces = self._facet_forces()
         self.seconds_precompute = time.perf_counter() - start
         self.seconds_setup = problem.seconds_setup + self.seconds_precompute
@@ -140,10 +147,13 @@ class CondensedProblem:
         for step, load in enumerate(loads):
             start = time.perf_counter()
             forces, weight, motion = self._amplitudes(step, load)
-            frames[step] = self.matrix @ np.concatenate([forces, weight, motion])
+            amplitudes = np.concatenate([forces, weight, motion])
+            frames[step] = self.matrix @ amplitudes
             observed = np.split(frames[step], self._rows)
             work[step] = forces @ observed[1] + weight @ observed[4][: len(weight)]
             energy[step] = 0.5 * (work[step] + motion @ observed[5])
+            if self._spring_works is not None:
+                energy[step] += 0.5 * amplitudes @ self._spring_works @ amplitudes
             seconds[step] = time.perf_counter() - start
         displacement, _, held, pressure, _, _ = np.split(frames, self._rows, axis=1)
         reaction = np.zeros((len(loads), len(mesh.surface_nodes), 3))
@@ -182,6 +192,10 @@ class CondensedProblem:
         inside = pressure[self._facets]
         if np.count_nonzero(pressure) > np.count_nonzero(inside):
             raise _bad_load(f"load step {step} has pressure outside the contact region", "enlarge contact")
+        if load.forces is not None and np.any(load.forces):
+            raise _bad_load(
+                f"load step {step} has given forces", "use LinearProblem: frames are pushed by pressure"
+            )
         forces = np.asarray(self._to_forces @ inside.ravel())
         gravity = np.asarray(load.gravity, dtype=np.float64) if self._heavy else np.zeros(0)
         return forces, gravity, self._motion_shares(step, load)
@@ -273,13 +287,16 @@ class CondensedProblem:
         mesh, steps = self.problem.mesh, len(fields.displacement)
         u = fields.displacement
         reaction = gather_to_vertices(mesh, fields.reaction)[:, self._held]
+        held_force, springs = fields.reaction, self.problem.system.springs
+        if springs:
+            held_force = held_force - springs.forces(u) * (self.problem.shear_modulus * mesh.mean_edge)
         parts = (
             u[:, mesh.surface_nodes],
             np.einsum("sck,ck->sc", u[:, self.nodes[self.pushed]], self.directions),
             reaction,
             self.problem.mean_pressure(fields),
             np.einsum("n,snk->sk", self._unit_weight, u),
-            np.einsum("snk,mnk->sm", fields.reaction, self._moved_nodes),
+            np.einsum("snk,mnk->sm", held_force, self._moved_nodes),
         )
         return np.concatenate([part.reshape(steps, -1) for part in parts], axis=1)
 

@@ -68,8 +68,13 @@ def direct_seconds(unknowns: float, loads: float) -> float:
     """Estimate for one core: a factorisation and the solves of the mixed system, by the library in use [s]."""
     size = unknowns / 1e5
     if rslab is None:
-        return 450.0 * size**2.35 + loads * 0.7 * size**_FILL_EXPONENT
+        return lu_seconds(unknowns) + loads * 0.7 * size**_FILL_EXPONENT
     return 10.0 * size**1.6 + loads * 0.1 * size**1.3
+
+
+def lu_seconds(unknowns: float) -> float:
+    """Estimate for one core: a factorisation of the mixed system by SuperLU [s]."""
+    return 450.0 * (unknowns / 1e5) ** 2.35
 
 
 def direct_bytes(unknowns: float) -> float:

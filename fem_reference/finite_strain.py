@@ -28,6 +28,7 @@ from fem_reference.mesh import TetMesh, facet_quadrature
 from fem_reference.moduli import check_density, check_fibres, make_moduli
 from fem_reference.newton import Newton, ScaledLoad, Substep
 from fem_reference.solution import Solution, SolverError, Status, check_outputs
+from fem_reference.springs import ElasticSupport, make_springs
 from fem_reference.system import LinearSystem, build_system
 from fem_reference.tangent_solver import TangentSolver, TangentSystem
 from fem_reference.walk import Walk
@@ -53,6 +54,7 @@ class FiniteStrainProblem:
     youngs_modulus : of the isotropic part, one number or one per tetrahedron [Pa], positive
     poisson_ratio : of the isotropic part, in (-1, 0.5], or one per tetrahedron in (0, 0.5]
     parts : (m,) number of the part of each tetrahedron: the pressure may jump between parts, as where moduli do
+    elastic_supports : springs under parts of the surface
     density : of the undeformed body [kg/m^3]
     held : (N,) surface nodes whose displacement is given, or (N, 3) single components of them (rollers)
     material : one of `fem_reference.materials.MATERIALS`
@@ -84,6 +86,7 @@ class FiniteStrainProblem:
         density: float = 0.0,
         held: ArrayLike,
         parts: ArrayLike | None = None,
+        elastic_supports: Sequence[ElasticSupport] = (),
         material: str = "neo-hookean",
         fibre_direction: ArrayLike | None = None,
         contrast: float = 1.0,
@@ -118,7 +121,8 @@ class FiniteStrainProblem:
         if self._law.fibre is not None:
             check_fibres(moduli)
         self._contrast = float(contrast)
-        self.held = held_nodes(self.mesh, np.asarray(held))
+        springs = make_springs(self.mesh, elastic_supports, self.shear_modulus)
+        self.held = held_nodes(self.mesh, np.asarray(held), springs)
         pattern = scalar_pattern(self.mesh)
         coupling = coupling_pattern(self.mesh, pattern)
         self.system: LinearSystem = build_system(
@@ -129,6 +133,7 @@ class FiniteStrainProblem:
             pattern=pattern,
             relative_stiffness=moduli.stiffness,
             poisson_ratios=moduli.poisson_ratios,
+            springs=springs,
         )
         self.solver = TangentSolver(self.system, solver, expected_loads, memory_limit)
         self._assembly = ElementAssembly(self.mesh, pattern, coupling, self._law, moduli.stiffness)
@@ -181,13 +186,30 @@ class FiniteStrainProblem:
             For arrays of the wrong shape or with values that are not finite.
         """
         check_nodal(self.mesh, forces, prescribed)
-        length, steps = self.mesh.mean_edge, len(forces)
+        length = self.mesh.mean_edge
         force_unit = self.shear_modulus * length**2
         nothing = np.zeros((len(self.mesh.triangles), len(facet_quadrature()[1])))
-        scaled = [
-            ScaledLoad(nothing, force / force_unit, given / length)
-            for force, given in zip(forces, prescribed, strict=True)
-        ]
+        return self._fields(
+            [
+                ScaledLoad(nothing, force / force_unit, given / length)
+                for force, given in zip(forces, prescribed, strict=True)
+            ]
+        )
+
+    def fields(self, loads: Sequence[Load]) -> Fields:
+        """The nodal fields of a load history; NaN from the first load step on that cannot be reached.
+
+        Raises
+        ------
+        SolverError
+            For a load of the wrong shape or with values that are not finite.
+        """
+        check_loads(self.mesh, loads)
+        return self._fields([self._scaled(load) for load in loads])
+
+    def _fields(self, loads: Sequence[ScaledLoad]) -> Fields:
+        steps, length = len(loads), self.mesh.mean_edge
+        force_unit = self.shear_modulus * length**2
         fields = Fields(
             displacement=np.full((steps, self.mesh.n_nodes, 3), np.nan),
             pressure=np.full((steps, self.mesh.n_pressures), np.nan),
@@ -195,7 +217,7 @@ class FiniteStrainProblem:
             residual=np.full(steps, np.nan),
             iterations=np.zeros(steps, dtype=np.int64),
         )
-        for number, attempt in self._follow(scaled):
+        for number, attempt in self._follow(loads):
             fields.iterations[number] += len(attempt.residuals) - 1
             if attempt.converged and attempt.load_factor == 1.0:
                 fields.displacement[number] = attempt.state.displacement * length

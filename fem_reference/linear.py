@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import dataclasses
 import time
 from collections.abc import Sequence
@@ -28,6 +29,7 @@ from fem_reference.mesh import TetMesh
 from fem_reference.moduli import check_density, check_fibres, make_moduli
 from fem_reference.outputs import OUTPUTS, mean_pressure, strain_outputs
 from fem_reference.solution import CONVERGED, Solution, SolverError, Status, check_outputs
+from fem_reference.springs import ElasticSupport, make_springs
 from fem_reference.system import LinearSystem, build_system
 
 __all__ = ["ELEMENTS", "Fields", "LinearProblem", "Load"]
@@ -39,14 +41,14 @@ ELEMENTS = {"P2-P1": (2, True), "P2": (2, False), "P1": (1, False)}
 
 @dataclass(frozen=True)
 class Fields:
-    """Nodal fields of S steps.
+    """Nodal fields of S steps; those of a step, flat, are dof vectors of `fem_reference.mesh.TetMesh.bases`.
 
     Attributes
     ----------
     displacement : (S, n_nodes, 3) [m]
     pressure : (S, n_pressures) p = -lambda div u at the vertices, of each part its own where parts meet (see
         `fem_reference.mesh.TetMesh`); (S, 0) for a displacement element [Pa]
-    reaction : (S, n_nodes, 3) force of the support on the body [N]
+    reaction : (S, n_nodes, 3) force of supports and springs on the body [N]
     residual : (S,) true relative residual of the scaled system
     iterations : (S,) Krylov iterations, 0 for a direct solve
     """
@@ -84,6 +86,7 @@ class LinearProblem:
     youngs_modulus : of the isotropic part, one number or one per tetrahedron [Pa], positive
     poisson_ratio : of the isotropic part, in (-1, 0.5], below 0.5 for "P2" and "P1"; or (m,) in (0, 0.5]
     parts : (m,) number of the part of each tetrahedron: the pressure may jump between parts, as where moduli do
+    elastic_supports : springs under parts of the surface
     density : [kg/m^3]
     held : (N,) surface nodes whose displacement is given, or (N, 3) single components of them (rollers)
     solver : "auto" chooses by size, `expected_loads` and memory; "direct" or "iterative" insist
@@ -111,6 +114,7 @@ class LinearProblem:
         density: float = 0.0,
         held: ArrayLike,
         parts: ArrayLike | None = None,
+        elastic_supports: Sequence[ElasticSupport] = (),
         solver: str = "auto",
         expected_loads: int = 1,
         element: str = "P2-P1",
@@ -139,7 +143,11 @@ class LinearProblem:
         if isinstance(law, TransverselyIsotropic):
             check_fibres(moduli)
             fibres = np.sqrt(law.fibre_modulus) * np.outer(law.fibre, law.fibre)
-        self.held = held_nodes(self.mesh, np.asarray(held))
+        springs = make_springs(self.mesh, elastic_supports, self.shear_modulus)
+        self.held = held_nodes(self.mesh, np.asarray(held), springs)
+        self.supported: NDArray[np.bool_] = np.asarray(self.held.any(axis=1))
+        if springs is not None:
+            self.supported[springs.nodes] = True
         self.system: LinearSystem = build_system(
             self.mesh,
             self.held,
@@ -148,9 +156,37 @@ class LinearProblem:
             fibres=fibres,
             relative_stiffness=moduli.stiffness,
             poisson_ratios=moduli.poisson_ratios,
+            springs=springs,
         )
         self.solver: Solver = choose_solver(self.system, solver, expected_loads, memory_limit)
         self.seconds_setup = time.perf_counter() - start
+
+    def with_youngs_modulus(self, youngs_modulus: float, density: float | None = None) -> LinearProblem:
+        """The same body of another stiffness, and density if given, on the same matrices and the same factor.
+
+        Everything inside is per shear modulus, so a sweep of Young's modulus costs one set-up. Where moduli vary,
+        `youngs_modulus` is their volume mean, and all keep their ratios.
+
+        Raises
+        ------
+        SolverError
+            For moduli that `LinearProblem` would refuse, and a body on springs, which do not scale with it.
+        """
+        if self.system.springs is not None:
+            message = "springs under a body do not follow its Young's modulus"
+            raise SolverError(Status("bad-material", message, "set up a problem for each"))
+        density = self.density if density is None else density
+        check_density(density)
+        moduli = make_moduli(self.mesh, youngs_modulus, self.poisson_ratio, mixed=self.system.mixed)
+        other = copy.copy(self)
+        other.youngs_modulus, other.density = moduli.youngs_modulus, float(density)
+        other.shear_modulus = moduli.shear_modulus
+        return other
+
+    def fields(self, load: Load) -> Fields:
+        """The nodal fields of one load, a single step. Raises SolverError as `solve` does."""
+        check_loads(self.mesh, [load])
+        return self._solve_some([load])[1]
 
     def mean_pressure(self, fields: Fields) -> Array:
         """(S,) volume mean of -tr(stress)/3 [Pa]."""
@@ -183,10 +219,10 @@ class LinearProblem:
         if not len(chosen):  # no load at all: one solve of nothing
             chosen, coefficients = np.zeros(1, dtype=np.int64), np.zeros((1, len(loads)))
         basis = [loads[k] for k in chosen]
-        forces, fields = self._solve_some(basis[:1])
+        forces, fields = self.solve_fields(basis[:1])
         seconds = time.perf_counter() - start
         if len(basis) > 1:
-            more = self._solve_some(basis[1:])
+            more = self.solve_fields(basis[1:])
             forces = np.concatenate([forces, more[0]])
             names = [field.name for field in dataclasses.fields(Fields)]
             fields = Fields(
@@ -194,8 +230,8 @@ class LinearProblem:
             )
         return self._combined(forces, fields, coefficients, outputs, seconds)
 
-    def _solve_some(self, loads: Sequence[Load]) -> tuple[Array, Fields]:
-        """Nodal forces and fields of some loads."""
+    def solve_fields(self, loads: Sequence[Load]) -> tuple[Array, Fields]:
+        """(S, n_nodes, 3) forces and the fields of some loads, each solved by itself."""
         forces = nodal_forces(self.mesh, loads, self.density)
         return forces, self.solve_nodal(forces, prescribed_nodes(self.mesh, loads))
 

@@ -12,6 +12,7 @@ from fem_reference.assembly import gravity_weights
 from fem_reference.krylov import independent_columns
 from fem_reference.mesh import TetMesh, facet_quadrature, triangle_p2
 from fem_reference.solution import SolverError, Status
+from fem_reference.springs import Springs
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -33,11 +34,13 @@ class Load:
     facet_pressure : (F, Q) pressure at the points of `mesh.facet_quadrature`, positive pushes into the body [Pa]
     prescribed : (N, 3) displacement of the held surface nodes; ignored elsewhere [m]
     gravity : (3,) acceleration [m/s^2]
+    forces : (n_nodes, 3) given forces at the nodes, see `fem_reference.forces`; None for none [N]
     """
 
     facet_pressure: Array
     prescribed: Array
     gravity: Array
+    forces: Array | None = None
 
 
 def check_loads(mesh: TetMesh, loads: Sequence[Load]) -> None:
@@ -48,9 +51,12 @@ def check_loads(mesh: TetMesh, loads: Sequence[Load]) -> None:
         "facet_pressure": (len(mesh.triangles), len(facet_quadrature()[1])),
         "prescribed": (len(mesh.surface_nodes), 3),
         "gravity": (3,),
+        "forces": (mesh.n_nodes, 3),
     }
     for step, load in enumerate(loads):
         for name, shape in shapes.items():
+            if name == "forces" and load.forces is None:
+                continue
             value = np.asarray(getattr(load, name))
             if value.shape != shape:
                 message = f"{name} of load step {step} has shape {value.shape}"
@@ -78,7 +84,7 @@ def check_nodal(mesh: TetMesh, forces: Array, prescribed: Array) -> None:
 
 
 def nodal_forces(mesh: TetMesh, loads: Sequence[Load], density: float) -> Array:
-    """Consistent forces of pressure and weight at all nodes: (S, n_nodes, 3) [N].
+    """Consistent forces of pressure and weight, and given forces, at all nodes: (S, n_nodes, 3) [N].
 
     `density` in kg/m^3. The sum over the nodes is the load's resultant to rounding.
     """
@@ -94,10 +100,12 @@ def nodal_forces(mesh: TetMesh, loads: Sequence[Load], density: float) -> Array:
         for k in range(3):
             values = -(share * mesh.area_vectors[:, k, None]).ravel()
             force[:, k] += np.bincount(nodes, weights=values, minlength=mesh.n_nodes)
+        if load.forces is not None:
+            force += load.forces
     return forces
 
 
-def held_nodes(mesh: TetMesh, held: Mask) -> Mask:
+def held_nodes(mesh: TetMesh, held: Mask, springs: Springs | None = None) -> Mask:
     """(n_nodes, 3) held components of all nodes from the (N,) or (N, 3) mask of the surface nodes.
 
     The middle of an edge is held where the edge belongs to a facet whose three vertices all are.
@@ -105,7 +113,7 @@ def held_nodes(mesh: TetMesh, held: Mask) -> Mask:
     Raises
     ------
     SolverError
-        If the mask has a wrong shape, or a body can still move rigidly.
+        If the mask has a wrong shape, or a body can still move rigidly, springs or not.
     """
     count = len(mesh.surface_nodes)
     given = np.asarray(held)
@@ -122,7 +130,7 @@ def held_nodes(mesh: TetMesh, held: Mask) -> Mask:
         )
     out = np.zeros((mesh.n_nodes, 3), dtype=bool)
     out[mesh.surface_nodes] = mask
-    _check_rigid_motion(mesh, out)
+    _check_rigid_motion(mesh, out, springs)
     if mesh.order == 2:
         for k in range(3):
             facets = np.all(mask[mesh.triangles, k], axis=1)
@@ -150,9 +158,10 @@ def independent_loads(loads: Sequence[Load]) -> tuple[NDArray[np.int64], Array]:
     coefficients : (r, S); load s is the sum over k of coefficients[k, s] times load chosen[k], to rounding
     """
     # histories and sweeps are mostly runs of multiples, which are cheaper to tell than combinations
-    first, share = _runs_of_multiples([_kinds(load) for load in loads])
+    size = max((np.size(load.forces) for load in loads if load.forces is not None), default=0)
+    first, share = _runs_of_multiples([_kinds(load, size) for load in loads])
     heads, run = np.unique(first, return_inverse=True)
-    parts = [np.array(part) for part in zip(*(_kinds(loads[k]) for k in heads), strict=True)]
+    parts = [np.array(part) for part in zip(*(_kinds(loads[k], size) for k in heads), strict=True)]
     # pressures, lengths and accelerations side by side: each kind in units of its largest value
     kinds = [part[:, part.any(axis=0)] / np.abs(part).max() for part in parts if part.any()]
     if not kinds:
@@ -163,9 +172,10 @@ def independent_loads(loads: Sequence[Load]) -> tuple[NDArray[np.int64], Array]:
     return heads[chosen[order]], coefficients[order][:, run] * share
 
 
-def _kinds(load: Load) -> tuple[Array, ...]:
-    """Pressure, prescribed displacement and weight, each flat."""
-    parts = (load.facet_pressure, load.prescribed, load.gravity)
+def _kinds(load: Load, size: int) -> tuple[Array, ...]:
+    """Pressure, prescribed displacement, weight and `size` given forces, each flat."""
+    forces = np.zeros(size) if load.forces is None else load.forces
+    parts = (load.facet_pressure, load.prescribed, load.gravity, forces)
     return tuple(np.ravel(np.asarray(part, dtype=np.float64)) for part in parts)
 
 
@@ -214,33 +224,37 @@ def gather_to_vertices(mesh: TetMesh, nodal: Array) -> Array:
     return out
 
 
-def _check_rigid_motion(mesh: TetMesh, held: Mask) -> None:
-    if not held.any():
+def _check_rigid_motion(mesh: TetMesh, held: Mask, springs: Springs | None) -> None:
+    vertices = np.flatnonzero(held[: mesh.n_vertices].any(axis=1))
+    rows = held[vertices][:, :, None] * np.eye(3)  # the directions in which each vertex is held
+    if springs is not None:
+        sprung, directions = springs.rigid_rows(mesh)
+        vertices, rows = np.concatenate([vertices, sprung]), np.concatenate([rows, directions])
+    if not len(vertices):
         raise SolverError(
             Status("not-held", "nothing is held, so the body can move freely", "hold a part of the surface")
         )
     count, label = mesh.components
-    vertices = np.flatnonzero(held[: mesh.n_vertices].any(axis=1))
     for body in range(count):
-        mine = vertices[label[vertices] == body]
-        if _rigid_rank(mesh.points[mine], held[mine]) < 6:
+        mine = label[vertices] == body
+        if _rigid_rank(mesh.points[vertices[mine]], rows[mine]) < 6:
             name = "the body" if count == 1 else f"body {body} of {count}"
             raise SolverError(
                 Status(
                     "not-held",
                     f"too little is held: {name} can still move or turn freely",
-                    "hold three or more nodes that are not on one line",
+                    "hold an area of the surface, the nodes of some of its facets",
                 )
             )
 
 
-def _rigid_rank(points: Array, held: Mask) -> int:
-    """Rank of the six rigid motions seen at held components, points measured in their own spread."""
+def _rigid_rank(points: Array, rows: Array) -> int:
+    """Rank of the six rigid motions seen in (k, 3, 3) directions at (k, 3) points, measured in their own spread."""
     if not len(points):
         return 0
     x = points - points.mean(axis=0)
     x = x / max(float(np.abs(x).max()), np.finfo(np.float64).tiny)
-    modes = (rigid_modes(x) * held[:, :, None]).reshape(-1, 6)
+    modes = (rows @ rigid_modes(x)).reshape(-1, 6)
     return int(np.linalg.matrix_rank(modes, tol=1e-9 * np.sqrt(len(points))))
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
-from skfem import ElementTetP1, ElementTetP2, MeshTet
+from skfem import Basis, ElementTetP1, ElementTetP2, ElementVector, MeshTet
 from skfem.assembly import Dofs
 
 from fem_reference.solution import SolverError, Status
@@ -116,6 +116,12 @@ class TetMesh:
         """Number of P1 pressures, n where there is one part."""
         return len(self.pressure_vertices)
 
+    @cached_property
+    def pressure_mesh(self) -> MeshTet:
+        """scikit-fem's mesh of the same tetrahedra, cut open between parts: its vertices carry the pressures."""
+        points, elements = self.points[self.pressure_vertices], self.pressure_elements
+        return MeshTet(np.ascontiguousarray(points.T), np.ascontiguousarray(elements.T.astype(np.int32)))
+
     @property
     def n_vertices(self) -> int:
         """Number of points n."""
@@ -156,6 +162,19 @@ class TetMesh:
             coo_array((np.ones(len(first), dtype=np.int8), (first, other)), shape=(n, n)), directed=False
         )
         return int(count), np.asarray(labels, dtype=np.int64)
+
+    def bases(self, intorder: int = 2) -> tuple[Basis, Basis]:
+        """scikit-fem's bases of displacement and pressure, for forms of one's own.
+
+        An (n_nodes, 3) nodal field, flat, is a dof vector of the first, (n_pressures,) pressures one of the second.
+
+        Parameters
+        ----------
+        intorder : degree to which integrals over a tetrahedron are exact
+        """
+        element = ElementTetP2() if self.order == 2 else ElementTetP1()
+        displacement = Basis(self.skfem_mesh, ElementVector(element), intorder=intorder)
+        return displacement, Basis(self.pressure_mesh, ElementTetP1(), intorder=intorder)
 
     def with_order(self, order: int) -> TetMesh:
         """The same mesh with the nodes of another element; the geometry is shared, not checked again."""

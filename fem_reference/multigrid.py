@@ -174,6 +174,8 @@ def _p1_stiffness(system: LinearSystem, vertices: Index, free: NDArray[np.bool_]
         mesh, pattern, system.divergence_coefficient, system.fibres, system.relative_stiffness
     )
     blocks /= mesh.mean_edge
+    if system.springs is not None:
+        system.springs.add_to(blocks, mesh, pattern)
     inner = pattern.numbered[vertices][:, vertices]
     size = 3 * len(vertices)
     matrix = bsr_matrix((blocks[inner.data], inner.indices, inner.indptr), shape=(size, size))

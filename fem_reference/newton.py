@@ -85,7 +85,7 @@ class Substep:
     load_factor : share of the load step that was tried
     load : at that share
     state : the converged state; that before the attempt where it failed
-    reaction : (n_nodes, 3) force of the support on the body, scaled
+    reaction : (n_nodes, 3) force of supports and springs on the body, scaled
     external : (n_nodes, 3) applied forces, scaled
     residuals : relative residual before each Newton iteration, and after the last
     code : "converged", or why not: "not-converged", "inverted", "linear-solver" or "too-small"
@@ -255,6 +255,8 @@ class Newton:
         internal = self._assembly.forces(u, system.pressure_scale * q)
         external = load.forces + self._follower.forces(self._points + u, load.pressure)
         unbalanced = internal.nodal - external
+        pulled = np.zeros_like(u) if system.springs is None else system.springs.forces(u)
+        unbalanced -= pulled
         vector = self._vector(unbalanced, internal.volume)
         if system.compliance is not None:
             vector[system.n_displacements :] -= system.compliance @ q
@@ -265,7 +267,7 @@ class Newton:
             vector,
             float(np.linalg.norm(vector)) / max(scale, noise / self._tolerance),
             scale,
-            np.where(system.held, unbalanced, 0.0),
+            np.where(system.held, unbalanced, 0.0) + pulled,
             external,
             internal.least_determinant,
         )
@@ -284,6 +286,8 @@ class Newton:
         system, pattern, coupling = self._system, self._pattern, self._coupling
         blocks, volumes = self._assembly.tangent(u, system.pressure_scale * q)
         divergence = self._divergence(volumes)
+        if system.springs is not None:
+            system.springs.add_to(blocks, system.mesh, pattern)
         symmetric = blocks
         if load.pressure.any():
             places, pressed = self._follower.stiffness(self._points + u, load.pressure)

@@ -52,7 +52,7 @@ class Solution:
     ----------
     displacement : (S, N, 3) displacement of the surface nodes [m]
     fluid_pressure : (S,) pressure of the fluid; for a solid the volume mean of -tr(stress)/3 [Pa]
-    reaction_force : (S, N, 3) force that the support exerts on the body, zero at free nodes [N]
+    reaction_force : (S, N, 3) force that supports and springs exert on the body, zero at free nodes [N]
     energy : (S,) elastic energy [J]
     iterations : (S,) solver iterations, 0 for a direct solve
     status : S outcomes, one per step

@@ -33,6 +33,7 @@ from fem_reference.assembly import (
 )
 from fem_reference.mesh import TetMesh
 from fem_reference.solution import SolverError, Status
+from fem_reference.springs import Springs
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -59,6 +60,7 @@ class LinearSystem:
     fibres : (3, 3) M, None for an isotropic body
     relative_stiffness : (m,) g, None where it is one everywhere
     schur_factor : the pressure's Schur complement is about -schur_factor M
+    springs : elastic supports, which are in A, or None
     support : nodes with a held component
     support_rows : (3 * supports, 3 n_nodes) their rows of A, no row or column taken out
     support_divergence : (n, 3 * supports) their columns of B, or None
@@ -78,6 +80,7 @@ class LinearSystem:
     fibres: Array | None
     relative_stiffness: Array | None
     schur_factor: float
+    springs: Springs | None
     support: Index
     support_rows: bsr_array
     support_divergence: csr_array | None
@@ -145,14 +148,15 @@ class LinearSystem:
         return u, self.pressure_scale * x[self.n_displacements :].T
 
     def reactions(self, displacement: Array, pressure: Array, forces: Array) -> Array:
-        """(S, n_nodes, 3) forces of the support on the body at held components, scaled."""
+        """(S, n_nodes, 3) forces of the support on the body at held components and of springs, scaled."""
         steps = len(displacement)
         internal = self.support_rows @ displacement.reshape(steps, -1).T
         if self.support_divergence is not None:
             internal = internal - self.support_divergence.T @ pressure.T
         reaction = np.zeros_like(displacement)
         reaction[:, self.support] = internal.T.reshape(steps, -1, 3) - forces[:, self.support]
-        return np.where(self.held, reaction, 0.0)
+        held = np.where(self.held, reaction, 0.0)
+        return held if self.springs is None else held + self.springs.forces(displacement)
 
 
 def build_system(
@@ -165,6 +169,7 @@ def build_system(
     pattern: Pattern | None = None,
     relative_stiffness: Array | None = None,
     poisson_ratios: Array | None = None,
+    springs: Springs | None = None,
 ) -> LinearSystem:
     """Assemble the scaled system.
 
@@ -178,6 +183,7 @@ def build_system(
     pattern : that of the mesh where the caller keeps it; None makes one that is let go with this call
     relative_stiffness : (m,) g, None where it is one everywhere
     poisson_ratios : (m,) in (0, 0.5] where they vary; `poisson_ratio` is then that of the scaling
+    springs : elastic supports, or None
 
     Raises
     ------
@@ -188,6 +194,8 @@ def build_system(
     pattern = pattern or scalar_pattern(mesh)
     lame = 0.0 if mixed else 2.0 * poisson_ratio / (1.0 - 2.0 * poisson_ratio)
     blocks = elasticity_blocks(mesh, pattern, lame, fibres, relative_stiffness) / length
+    if springs is not None:
+        springs.add_to(blocks, mesh, pattern)
     kept = np.flatnonzero(~held.all(axis=1))
     support = np.flatnonzero(held.any(axis=1))
     numbered = pattern.numbered
@@ -214,6 +222,7 @@ def build_system(
         fibres=fibres,
         relative_stiffness=relative_stiffness,
         schur_factor=0.0,
+        springs=springs,
         support=support,
         support_rows=support_rows,
         support_divergence=None,

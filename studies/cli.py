@@ -67,8 +67,12 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
         make_patient()
         from .cli_arguments import parse
+        from .memory import heed_limits, require_room
 
+        heed_limits()
         options = parse(arguments)
+        if options.solves:
+            require_room()
         code = options.verb(options)
         interrupt.stop()
     except (Exception, KeyboardInterrupt) as error:  # noqa: BLE001 -- told, whatever it is
@@ -105,7 +109,12 @@ def _tell_of_lost_output() -> None:
 def _complain_of(error: BaseException) -> int:
     """What is wrong, and the exit code of an error; a ValueError of ours always carries a sentence."""
     from .cli_output import BUG, DAMAGED, MACHINE, USAGE, complain
+    from .memory import MemoryLimitError, is_lack_of_memory, memory_limits
 
+    if is_lack_of_memory(error) and not isinstance(error, OSError):
+        limits = memory_limits()
+        said = str(MemoryLimitError(limits)) if limits else "out of memory"
+        return complain(said, MACHINE)
     match error:
         case ImportError():
             return complain(f"{error}; see what is missing with: vdmbench doctor", MACHINE)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import os
 import re
+import stat
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -32,7 +33,7 @@ def _parser() -> argparse.ArgumentParser:
     def verb(name: str, function: Any, text: str) -> argparse.ArgumentParser:
         sub = verbs.add_parser(name, help=text, description=text)
         sub.add_argument("--json", action="store_true", help="print JSON")
-        sub.set_defaults(verb=function, goes_on=False)
+        sub.set_defaults(verb=function, goes_on=False, solves=True)
         return sub
 
     def study_verb(
@@ -55,7 +56,7 @@ def _parser() -> argparse.ArgumentParser:
     def directory(sub: argparse.ArgumentParser) -> None:
         sub.add_argument(
             "--out",
-            type=Path,
+            type=_directory,
             metavar="DIR",
             help="run directory (default results/runs/NAME; another --surface of the same file name needs its own)",
         )
@@ -68,7 +69,7 @@ def _parser() -> argparse.ArgumentParser:
             help="cases at once (default: as many as processors that this process may use)",
         )
 
-    verb("list", cli_study.list_verb, "list the shipped studies")
+    verb("list", cli_study.list_verb, "list the shipped studies").set_defaults(solves=False)
     study_verb("check", cli_study.check_verb, "validate a study without running it")
     plan = study_verb("plan", cli_study.plan_verb, "say what a run would do")
     run = study_verb("run", cli_study.run_verb, "run what is missing and write the report")
@@ -125,19 +126,21 @@ def _parser() -> argparse.ArgumentParser:
     report.add_argument(
         "--claims", action="store_true", help="put the paper's claims on trial by the results of all DIRs"
     )
-    report.add_argument("--out", type=Path, metavar="FILE", help="of --claims (default results/claims.html)")
     report.add_argument(
-        "--picture", type=Path, metavar="FILE", help="write a PNG of reference, model and difference too"
+        "--out", type=_output, metavar="FILE", help="of --claims (default results/claims.html)"
+    )
+    report.add_argument(
+        "--picture", type=_output, metavar="FILE", help="write a PNG of reference, model and difference too"
     )
     gate = verb("gate", cli_results.gate_verb, "hold a run's accuracy against its baseline")
     accept = verb("accept", cli_results.accept_verb, "make a run's accuracy the baseline")
     for sub in (gate, accept):
         sub.add_argument("directory", type=_run_directory, metavar="DIR", help="run directory")
         sub.add_argument(
-            "--baseline", type=Path, metavar="FILE", help="baseline (default results/baselines/STUDY.json)"
+            "--baseline", type=_output, metavar="FILE", help="baseline (default results/baselines/STUDY.json)"
         )
-    gate.add_argument("--junit", type=Path, metavar="FILE", help="write JUnit XML too")
-    gate.add_argument("--markdown", type=Path, metavar="FILE", help="write a summary in Markdown too")
+    gate.add_argument("--junit", type=_output, metavar="FILE", help="write JUnit XML too")
+    gate.add_argument("--markdown", type=_output, metavar="FILE", help="write a summary in Markdown too")
     accept.add_argument("--reason", required=True, metavar="TEXT", help="why these numbers are right")
     bench = study_verb(
         "bench",
@@ -146,9 +149,10 @@ def _parser() -> argparse.ArgumentParser:
         "?",
         ": its body and its models, in place of every model on a sphere, an organ and the --surface given",
     )
-    bench.add_argument("--out", type=Path, metavar="DIR", help="directory (default results/bench)")
+    bench.add_argument("--out", type=_directory, metavar="DIR", help="directory (default results/bench)")
     bench.add_argument("--large", action="store_true", help="growth on surfaces of up to 163,842 nodes")
-    verb("doctor", cli_results.doctor_verb, "say what the machine has and lacks")
+    doctor = verb("doctor", cli_results.doctor_verb, "say what the machine has and lacks")
+    doctor.set_defaults(solves=False)
     return parser
 
 
@@ -157,6 +161,27 @@ def _run_directory(text: str) -> Path:
     path = Path(text)
     if not any(map(os.path.exists, (path / "plan.json", path / "cases"))):
         raise argparse.ArgumentTypeError(f"{text}: not a run directory (it has no plan.json)")
+    return path
+
+
+def _directory(text: str) -> Path:
+    """A directory to write into; "" would be the one that one stands in."""
+    if not text.strip():
+        raise argparse.ArgumentTypeError("name a directory, or leave the option out")
+    return Path(text)
+
+
+def _output(text: str) -> Path:
+    """A file to write: a new one, or one that is there under its own name."""
+    if not text.strip():
+        raise argparse.ArgumentTypeError("name a file, or leave the option out")
+    path = Path(text)
+    try:
+        found = os.lstat(path)
+    except (OSError, ValueError):  # which writing tells, or reading
+        return path
+    if not stat.S_ISREG(found.st_mode):
+        raise argparse.ArgumentTypeError(f"{text}: is no regular file; name one, not a link to it")
     return path
 
 

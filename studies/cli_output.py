@@ -24,7 +24,7 @@ class UsageError(ValueError):
 
 def results_directory() -> Path:
     """Where runs, the cache and baselines are kept unless the command line says otherwise."""
-    return Path(os.environ.get("VDMBENCH_RESULTS", "results"))
+    return Path(os.environ.get("VDMBENCH_RESULTS") or "results")
 
 
 def print_run(run: Run, directory: Path, report: Path, as_json: bool) -> int:

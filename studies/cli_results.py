@@ -20,12 +20,14 @@ from .cli_output import (
     print_table,
     results_directory,
     taken,
+    tell,
 )
 
 
 def status_verb(options: argparse.Namespace) -> int:
     """Print what is done, failed, damaged and missing."""
-    from .store import read_plan, run_state
+    from .run_directory import read_plan
+    from .store import run_state
 
     state = run_state(options.directory)
     if options.json:
@@ -55,7 +57,7 @@ def report_verb(options: argparse.Namespace) -> int:
     if len(options.directories) > 1 or options.out:
         raise UsageError("several directories, and --out, go with --claims only")
     (directory,) = options.directories
-    run, report = rebuild(directory)
+    run, report = rebuild(directory, tell)
     if options.picture:
         from .report.page import write_picture
 

@@ -51,22 +51,29 @@ def check_verb(options: argparse.Namespace) -> int:
     """Print whether a study is right, or every mistake in it."""
     from .explain import refused
     from .graph.nodes import bodies
+    from .scene_check import scene_problems
     from .study_file.problems import StudyError
 
     try:
         study, path = _load(options)
         plan = _make_plan(study, options)
         _check_files(plan, plan.cases)
+        expected = refused(plan, plan.cases, bodies(plan, plan.cases))
+        doubts = [] if expected else scene_problems(plan)
     except StudyError as error:
         if options.json:
             problems = [problem._asdict() for problem in error.problems]
             print_json({"ok": False, "problems": problems})
             return USAGE
         raise
-    expected = refused(plan, plan.cases, bodies(plan, plan.cases))
     if options.json:
-        return print_json({"ok": True, "problems": [], "cases": len(plan.cases), "refused": expected})
+        told = [problem._asdict() for problem in doubts]
+        return print_json(
+            {"ok": True, "problems": [], "cases": len(plan.cases), "refused": expected, "warnings": told}
+        )
     print(f"{path}: ok, {count(len(plan.cases), 'case')}")
+    for problem in doubts:
+        print(f"warning: {problem}")
     for line in expected:
         print(f"will be refused: {line}")
     return OK
@@ -90,7 +97,7 @@ def plan_verb(options: argparse.Namespace) -> int:
 
     study, _ = _load(options)
     plan = _make_plan(study, options)
-    _keep_other_surface(plan, options)
+    _require_own(plan, options)
     _check_files(plan, plan.cases_to_run())
     planned = summary(plan)
     if options.json:
@@ -119,7 +126,7 @@ def run_verb(options: argparse.Namespace) -> int:
 
     study, path = _load(options)
     plan = _make_plan(study, options)
-    _keep_other_surface(plan, options)
+    _require_own(plan, options)
     how = Options(
         jobs=options.jobs or usable_processors(),
         shard=options.shard,
@@ -143,7 +150,7 @@ def calibrate_verb(options: argparse.Namespace) -> int:
 
     study, path = _load(options)
     plan = _make_plan(study, options)
-    _keep_other_surface(plan, options)
+    _require_own(plan, options)
     check_fit(plan)
     elsewhere = []  # read, and found to be of use, before anything is run
     for name in options.transfer:
@@ -183,20 +190,17 @@ def bench_verb(options: argparse.Namespace) -> int:
     from .benchmark.bench_store import write_bench
     from .report.bench_page import ANSWERS_NOTE, ERROR_NOTE, write_bench_page
 
-    wanted = {"sphere": ("quickstart", None), "organ": ("accuracy-organ", None)}
-    if options.study:
-        wanted = {Path(options.study).stem: (options.study, options.surface)}
-    elif options.surface:
-        wanted[options.surface.stem] = ("accuracy-organ", options.surface)
     studies = {
         body: _load(argparse.Namespace(**vars(options) | {"study": name, "surface": surface}))[0]
-        for body, (name, surface) in wanted.items()
+        for body, (name, surface) in bodies_to_measure(options.study, options.surface).items()
     }
     if options.study:
         for study in studies.values():
             # a mesh that cannot be made is told with its line before anything is measured
             _make_plan(study, options)
     out = options.out or results_directory() / "bench"
+    if out.is_dir() and any(out.iterdir()) and not (out / "bench.h5").exists():
+        raise UsageError(f"{out}: is not empty and not a benchmark's directory; choose another --out")
     found = bench.measure(
         studies,
         results_directory() / "cache",
@@ -219,6 +223,19 @@ def bench_verb(options: argparse.Namespace) -> int:
     print(ANSWERS_NOTE)
     print(f"report: {out / 'bench.html'}")
     return OK
+
+
+def bodies_to_measure(study: str | None, surface: Path | None) -> dict[str, tuple[str, Path | None]]:
+    """Name of each body of a benchmark -> its study, and the file that replaces the study's own body."""
+    if study:
+        return {Path(study).stem: (study, surface)}
+    bodies: dict[str, tuple[str, Path | None]] = {
+        "sphere": ("quickstart", None),
+        "organ": ("accuracy-organ", None),
+    }
+    if surface is not None:
+        bodies[surface.name if surface.stem in bodies else surface.stem] = ("accuracy-organ", surface)
+    return bodies
 
 
 def _load(options: argparse.Namespace) -> tuple[Study, Path]:
@@ -256,35 +273,39 @@ def _make_plan(
     return make_plan(study, expand(study), directory, cache, command, fresh=fresh)
 
 
-def _keep_other_surface(plan: Plan, options: argparse.Namespace) -> None:
-    """Raises UsageError where the default directory has the results of another surface file of the same name."""
+def _require_own(plan: Plan, options: argparse.Namespace) -> None:
+    """Raises UsageError where the directory holds no run, or that of another surface file of the same name."""
+    from .explain import surfaces
     from .hdf5 import StoreError
-    from .store import read_plan
+    from .run_directory import read_plan, refuse_foreign
 
+    refuse_foreign(plan.directory)
     if options.surface is None or options.out is not None:
         return
     try:
         there = read_plan(plan.directory)
     except StoreError:
         return
-    words = there.get("command", [])
-    other = words[words.index("--surface") + 1] if "--surface" in words else None
-    if other is None or Path(other).resolve() == options.surface.resolve():
-        return
-    if not plan.meshes.keys() & {case.get("mesh") for case in there["cases"]}:  # nor a copy of the same
+    if (
+        "--surface" in there.get("command", [])
+        and not surfaces(plan).keys() & there.get("surfaces", {}).keys()
+    ):
         raise UsageError(
-            f"{plan.directory} has the results of another surface, {other}; give those of {options.surface} a "
-            "directory of their own by --out"
+            f"{plan.directory} has the results of another surface of that name; give those of {options.surface} "
+            "a directory of their own by --out"
         )
 
 
 def _command(verb: str, options: argparse.Namespace) -> tuple[str, ...]:
     """What to type to get the same results again: the words of this command that decide them."""
+    from .study_file.folders import short_path
+
     given = vars(options)
     words = [verb, given["study"]]
-    for option in ("surface", "out"):
-        if given.get(option):
-            words += [f"--{option}", str(given[option])]
+    if given.get("surface"):
+        words += ["--surface", str(short_path(str(given["surface"])))]  # absolute, it may name a patient
+    if given.get("out"):
+        words += ["--out", str(given["out"])]
     if given["allow_outside"]:
         words.append("--allow-outside")
     return tuple(words)

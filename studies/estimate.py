@@ -34,6 +34,8 @@ _SEARCH_LOADS = 30  # that a search for small-strain limits tries, each of them 
 _DEEP, _ONWARD = 8.0, 2.0
 # unknowns per tetrahedron, as these elements have them on meshes of some thousand
 _UNKNOWNS = {"P1": 0.7, "P2": 4.7}
+# seconds a tetrahedron that scikit-fem's own assembly of a finite-strain tangent takes
+_PLAIN_TANGENT = 1.5e-3
 # the paths' own estimates are for choosing one; of this one, a solve of 3,000 to 25,000 tetrahedra takes
 _ITERATIVE_SHARE = 0.6
 _NEWTON_SOLVES = (
@@ -180,7 +182,7 @@ def _law(name: str, size: Size, loads: int) -> Cost:
     model, solver = models.find(name)
     n = size.nodes
     if model.volumetric:
-        return _volumetric(model.name, size, loads)
+        return _plain(model.name, size) if solver == models.PLAIN else _volumetric(model.name, size, loads)
     if model.name == "vdm-boundary":
         dense = min(n, _DENSE_NODES)  # more nodes are a sparse skin over a dense body
         step = (3e-7 if solver == "nonlinear" else 3e-8) * dense**2
@@ -190,6 +192,17 @@ def _law(name: str, size: Size, loads: int) -> Cost:
         return Cost(1e-2 + 1.6e-9 * n**3, 7e-7 * n + step, 6e3 * n + 36.0 * n**2)
     step = 1e-6 * n if solver in ("linear", "lu", "quasi-linear") else 2e-3 + 1.2e-5 * n
     return Cost(1e-2 + (2e-4 if solver == "lu" else 2e-5) * n, step, (3e4 if solver == "lu" else 6e3) * n)
+
+
+def _plain(name: str, size: Size) -> Cost:
+    """Of the plain path: an LU factor, in finite strain one each iteration after scikit-fem's own assembly."""
+    from fem_reference.costs import NEWTON_STEPS, lu_seconds, superlu_bytes
+
+    unknowns = _UNKNOWNS["P2"] * size.tetrahedra
+    factor, held = lu_seconds(unknowns), superlu_bytes(unknowns, "float64") + 6e4 * size.tetrahedra
+    if name == "fem":
+        return Cost(1e-4 * size.tetrahedra, NEWTON_STEPS * (factor + _PLAIN_TANGENT * size.tetrahedra), held)
+    return Cost(2e-4 * size.tetrahedra + factor, 1e-6 * unknowns, held)
 
 
 def _volumetric(name: str, size: Size, loads: int) -> Cost:

@@ -16,6 +16,7 @@ from .meshing.geometry_spec import fewer_nodes
 from .model_name import DISPLACEMENT_ELEMENTS, split
 from .regions import body_extent, lies_outside
 from .study_file.config import holds_nothing
+from .study_file.folders import swept_without_folders
 
 DOUBT = 1.3  # expected surface nodes of a mesh over those that it may have
 
@@ -37,11 +38,12 @@ def summary(plan: Plan) -> dict[str, Any]:
         },
         "command": list(plan.command),
         "directory": str(plan.directory),
+        "surfaces": surfaces(plan),
         "cases": [
             {
                 "hash": case.hash,
                 "label": case.label,
-                "swept": dict(case.swept),
+                "swept": swept_without_folders(case.swept),
                 "swept_units": dict(case.swept_units),
                 "state": plan.state[case.hash],
                 "mesh": case.mesh,
@@ -66,6 +68,11 @@ def summary(plan: Plan) -> dict[str, Any]:
         "refused": refused(plan, todo, work),
         "estimate": dataclasses.asdict(expected) if expected else None,
     }
+
+
+def surfaces(plan: Plan) -> dict[str, str]:
+    """SHA-256 -> name of the files that the bodies are from; their folders are the user's own affair."""
+    return {mesh.file_hash: mesh.geometry.path.name for mesh in plan.meshes.values() if mesh.file_hash}
 
 
 def _needed(todo: Sequence[PlannedCase], work: Sequence[Body]) -> list[str]:

@@ -30,6 +30,8 @@ TRAILER = b"\nvdmbench-sha256 "
 TRAILER_BYTES = len(TRAILER) + 64 + 1
 _COMPRESS_FROM = 1 << 17  # bytes; of less, compressing takes longer than all else of a file
 _CHUNK = 16384  # rows
+_MOST_COMPRESSED = 1100  # deflate makes no more of a byte
+_CHUNK_BYTES = 1 << 20  # of small arrays nothing needs to be there
 _TEXT = h5t.py_create(string_dtype("utf-8"), logical=True)  # in a file
 _STRING = h5t.py_create(string_dtype("utf-8"))  # in memory
 _SCALAR = h5s.create(h5s.SCALAR)
@@ -40,6 +42,10 @@ _LARGEST_SKELETON = 8 << 20
 
 class StoreError(ValueError):
     """A stored result is damaged or of another schema; the message says which file and what to do."""
+
+
+# what comes of a file whose parts do not fit each other
+UNREADABLE = (LookupError, ValueError, TypeError, AttributeError, ArithmeticError, OSError, RuntimeError)
 
 
 class OlderSchemaError(StoreError):
@@ -243,8 +249,10 @@ class Stored:
                 raise OlderSchemaError(
                     f"{path}: schema {found} is older than this program's {schema}; run again"
                 )
-        except BaseException:
+        except BaseException as error:
             self._file.close()
+            if isinstance(error, UNREADABLE) and not isinstance(error, StoreError):
+                raise StoreError(f"{path}: not readable ({error}); delete it and run again") from error
             raise
 
     def _schema(self) -> int:
@@ -368,11 +376,26 @@ def _objects(file: Any, path: Path) -> dict[str, Any]:
         name = linked.decode(errors="replace")
         raise StoreError(f"{path}: holds a link (/{name}), which a result file never does")
     objects = {name.decode(errors="replace"): h5o.open(file, name) for name in names}
+    whole = sum(_declared(item, path) for item in objects.values() if isinstance(item, h5d.DatasetID))
+    if whole > MAX_BYTES:
+        raise StoreError(f"{path}: says that it holds {whole} bytes, more than a result file can have")
     for name, item in objects.items():
         # what has a place in the file is not outside it
         if isinstance(item, h5d.DatasetID) and item.get_offset() is None and _is_outside(item):
             raise StoreError(f"{path}: /{name} is stored outside the file, which a result file never does")
     return objects
+
+
+def _declared(dataset: Any, path: Path) -> int:
+    """Bytes that an array takes in memory. Raises StoreError where the file cannot hold as many."""
+    size = int(dataset.get_type().get_size())
+    for extent in dataset.shape:
+        size *= int(extent)
+    if size > _MOST_COMPRESSED * dataset.get_storage_size() + _CHUNK_BYTES:
+        raise StoreError(
+            f"{path}: says that it holds {size} bytes, which are not there; delete it and run again"
+        )
+    return size
 
 
 def _is_outside(dataset: Any) -> bool:

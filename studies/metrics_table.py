@@ -25,18 +25,21 @@ def metrics_csv(run: Run) -> str:
     keys = list(dict.fromkeys(key for case in run.cases for key in case.swept))
     out = io.StringIO()
     writer = csv.writer(out, lineterminator="\n")
-    writer.writerow(["case", *keys, "model", "load_factor", "metric", "value", "unit", "reference_error"])
+    writer.writerow(
+        ["case", *map(_cell, keys), "model", "load_factor", "metric", "value", "unit", "reference_error"]
+    )
     for case in run.cases:
         start = [case.hash[:12], *(_cell(case.swept.get(key, "")) for key in keys)]
         factors = [repr(factor) for factor in case.load_factors.tolist()]
         full_load = case.full_load
         for model, metrics in case.metrics.items():
             for metric, series in metrics.items():
+                metric_name, unit = _cell(metric), _cell(series.unit)
                 bar, values = value_bar(case, model, metric), series.values.tolist()
                 error = repr(bar) if math.isfinite(bar) else ""
                 for step, (factor, value) in enumerate(zip(factors, values, strict=True)):
                     own = error if step == full_load else ""  # measured at full load only
-                    writer.writerow([*start, model, factor, metric, repr(value), series.unit, own])
+                    writer.writerow([*start, _cell(model), factor, metric_name, repr(value), unit, own])
     return out.getvalue()
 
 

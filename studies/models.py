@@ -170,7 +170,7 @@ VDM_SOLVERS = (
 for _model in (
     _surface(
         name="vdm-paper",
-        version="3",
+        version="4",
         # MINRES needs a symmetric matrix, which the printed form has not
         solvers=tuple(name for name in VDM_SOLVERS if name != "minres"),
         parameters=reads("vdm-paper"),
@@ -178,33 +178,40 @@ for _model in (
     ),
     _surface(
         name="vdm-consistent",
-        version="4",
+        version="5",
         solvers=VDM_SOLVERS,
         parameters=reads("vdm-consistent"),
         fibres=True,
     ),
     _surface(
-        name="vdm-vector", version="7", solvers=VDM_SOLVERS, parameters=reads("vdm-vector"), fibres=True
+        name="vdm-vector", version="8", solvers=VDM_SOLVERS, parameters=reads("vdm-vector"), fibres=True
     ),
     _surface(
         name="vdm-boundary",
-        version="10",
+        version="11",
         solvers=("linear", "nonlinear"),
         parameters=reads("vdm-boundary"),
         fibres=False,
     ),
     _surface(
-        name="mass-spring", version="5", solvers=VDM_SOLVERS, parameters=reads("mass-spring"), fibres=False
+        name="mass-spring", version="6", solvers=VDM_SOLVERS, parameters=reads("mass-spring"), fibres=False
     ),
 ):
     register(_model)
 
+# scikit-fem's own assembly and a general LU factor: what the fast path is held to
+PLAIN = "plain"
 _ELEMENTS = {"fem-linear": "P2-P1", "fem-p1": "P1", "fem-p2": "P2"}
 _LARGEST = ("max_det_f_deviation", "max_principal_strain")
 
 
-def _small_strain(scene: Scene, solver: str, name: str, n_loads: int) -> SetUp:  # noqa: ARG001
-    """One factorisation, and the loads that are independent in one batch of right-hand sides."""
+def _small_strain(scene: Scene, solver: str, name: str, n_loads: int) -> SetUp:
+    """One factorisation, and on the fast path the loads that are independent in one batch of right-hand sides."""
+    if solver == PLAIN:
+        from fem_reference.plain_linear import PlainLinearProblem
+
+        plain = PlainLinearProblem(**_body(scene))
+        return SetUp(lambda loads: plain.solve(_fem_loads(loads)))
     from fem_reference.linear import LinearProblem
 
     problem = LinearProblem(**_body(scene), element=_ELEMENTS[split(name)[0]], expected_loads=n_loads)
@@ -234,13 +241,20 @@ def _coarse(scene: Scene, solver: str, name: str, n_loads: int) -> SetUp:  # noq
 
 
 def _finite_strain(scene: Scene, solver: str, name: str, n_loads: int) -> SetUp:  # noqa: ARG001
+    if solver == PLAIN:
+        from fem_reference.plain_finite_strain import PlainFiniteStrainProblem
+
+        plain = PlainFiniteStrainProblem(**_body(scene), material=_material(scene))
+        return SetUp(lambda loads: plain.solve(_fem_loads(loads), frozenset(_LARGEST)))
     from fem_reference.finite_strain import FiniteStrainProblem
 
     problem = FiniteStrainProblem(**_neo_hookean(scene, n_loads))
     return SetUp(lambda loads: problem.solve(_fem_loads(loads), _asked(scene, *_LARGEST)))
 
 
-def _finite_strain_onward(scene: Scene, solver: str, name: str, n_loads: int) -> SetUp:  # noqa: ARG001
+def _finite_strain_onward(scene: Scene, solver: str, name: str, n_loads: int) -> SetUp:
+    if solver == PLAIN:
+        return _finite_strain(scene, solver, name, n_loads)
     from fem_reference.finite_strain import FiniteStrainProblem
     from fem_reference.walk import Walk
 
@@ -249,8 +263,11 @@ def _finite_strain_onward(scene: Scene, solver: str, name: str, n_loads: int) ->
 
 
 def _neo_hookean(scene: Scene, n_loads: int) -> dict[str, Any]:
-    material = "transversely-isotropic" if scene.anisotropy else "neo-hookean"
-    return {**_body(scene), "material": material, "expected_loads": n_loads}
+    return {**_body(scene), "material": _material(scene), "expected_loads": n_loads}
+
+
+def _material(scene: Scene) -> str:
+    return "transversely-isotropic" if scene.anisotropy else "neo-hookean"
 
 
 def _body(scene: Scene) -> dict[str, Any]:
@@ -290,13 +307,24 @@ _elements = partial(
     fibres=True,
 )
 for _model in (
-    _elements(name="fem-linear", version="2", prepare=_small_strain),
-    _elements(name="fem-p1", version="1", prepare=_small_strain),
-    _elements(name="fem-p2", version="1", prepare=_small_strain),
-    _elements(name="fem-condensed", version="3", prepare=_condensed, contact_in_setup=True),
-    _elements(name="fem-coarse", version="3", prepare=_coarse),
     _elements(
-        name="fem", version="1", prepare=_finite_strain, superposes=(), continues=_finite_strain_onward
+        name="fem-linear",
+        version="3",
+        prepare=_small_strain,
+        solvers=("linear", PLAIN),
+        superposes=("linear", PLAIN),
+    ),
+    _elements(name="fem-p1", version="2", prepare=_small_strain),
+    _elements(name="fem-p2", version="2", prepare=_small_strain),
+    _elements(name="fem-condensed", version="4", prepare=_condensed, contact_in_setup=True),
+    _elements(name="fem-coarse", version="4", prepare=_coarse),
+    _elements(
+        name="fem",
+        version="2",
+        prepare=_finite_strain,
+        solvers=("linear", PLAIN),
+        superposes=(),
+        continues=_finite_strain_onward,
     ),
 ):
     register(_model)

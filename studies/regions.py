@@ -99,6 +99,16 @@ def profile_coordinate(region: Region, mesh: Mesh, points: Array) -> Array:
     return np.arctan2(across, along) / region.cap.angle
 
 
+def profile_slope(region: Region, mesh: Mesh, points: Array) -> Array:
+    """Largest change (...,) of `profile_coordinate` per length at points (..., 3) [1/m]."""
+    if region.ball is not None:
+        return np.full(points.shape[:-1], 1.0 / region.ball.radius)
+    if region.cap is None:
+        raise MeshError("only a cap or a ball has a middle; give the contact such a region")
+    distance = np.linalg.norm(points - _centroid(mesh), axis=-1)
+    return np.asarray(1.0 / (region.cap.angle * np.maximum(distance, _margin(mesh))))
+
+
 def _centroid(mesh: Mesh) -> Array:
     """Centre of the enclosed volume, by the divergence theorem: (3,) [m]."""
     points = mesh.surface_points

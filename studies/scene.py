@@ -8,8 +8,9 @@ from functools import cached_property
 
 import numpy as np
 
+from .contact_profile import on_facets
 from .meshing.mesh import Array, InputError, Mask, Mesh
-from .regions import body_extent, lies_outside, profile_coordinate, select
+from .regions import body_extent, lies_outside, select
 from .study_file.schema import Anisotropy, Constraint, Region, Study, Tissue
 from .surface_measures import corner_sum, facet_area_vectors, nodal_sum
 
@@ -160,10 +161,7 @@ def build_scene(study: Study, mesh: Mesh, masks: Mapping[str, Mask] | None = Non
             pressure += _contact_pressure(constraint, study, mesh, mask)
         else:
             raise SceneError(f"constraint {constraint.name!r} is of an unknown kind, {constraint.kind!r}")
-    if (fixed & constrained).any():
-        raise SceneError(
-            f"{(fixed & constrained).sum()} nodes are fixed and constrained at once; keep the regions apart"
-        )
+    _check_apart(study, masks)
     for constraint in study.constraints:
         overlap = masks[constraint.region] & (fixed | constrained)
         if constraint.kind == "contact" and overlap.any():
@@ -187,6 +185,17 @@ def build_scene(study: Study, mesh: Mesh, masks: Mapping[str, Mask] | None = Non
         anisotropy=study.anisotropy,
         condition=study.study.condition,
     )
+
+
+def _check_apart(study: Study, masks: Mapping[str, Mask]) -> None:
+    """Refuses nodes that a constraint holds at rest and another one moves."""
+    for held in (part for part in study.constraints if part.kind == "fixed"):
+        for moved in (part for part in study.constraints if part.kind == "constrained"):
+            if (count := (masks[held.region] & masks[moved.region]).sum()) > 0:
+                raise SceneError(
+                    f"{count} nodes are fixed by {held.name!r} and constrained by {moved.name!r}; "
+                    "keep the regions apart"
+                )
 
 
 def _facet_measures(mesh: Mesh) -> tuple[Array, Array, Array]:
@@ -217,9 +226,8 @@ def _quadrature() -> tuple[Array, Array]:
 def _contact_pressure(constraint: Constraint, study: Study, mesh: Mesh, mask: Mask) -> Array:
     """(F, Q) pressure of one contact at the quadrature points [Pa].
 
-    A uniform pressure acts on the facets whose three nodes are in the region. A smooth profile is evaluated at
-    every quadrature point, so that it does not change with the mesh: Hertz p0 sqrt(1 - rho^2), Gaussian
-    p0 exp(-9/2 rho^2) with its third standard deviation at the rim rho = 1 and nothing beyond.
+    A uniform pressure acts on the facets whose three nodes are in the region. A smooth profile is integrated over
+    the facets (`studies.contact_profile`), so that its resultant does not change with the mesh level or the model.
     """
     shape, resultant, total = _contact_shape(mesh, mask, constraint.profile, study.regions[constraint.region])
     if total == 0.0:
@@ -242,10 +250,7 @@ def _contact_shape(mesh: Mesh, mask: Mask, profile: str | None, region: Region) 
     if profile in (None, "uniform"):
         shape = np.repeat(np.all(mask[mesh.triangles], axis=1)[:, None].astype(float), len(weights), axis=1)
     else:
-        points = np.einsum("qk,fki->fqi", barycentric, mesh.surface_points[mesh.triangles])
-        rho = profile_coordinate(region, mesh, points)
-        hertz = np.sqrt(np.clip(1 - rho**2, 0.0, None))
-        shape = hertz if profile == "hertz" else np.where(rho < 1, np.exp(-4.5 * rho**2), 0.0)
+        shape = on_facets(profile, region, mesh, (barycentric, weights))
     vectors = facet_area_vectors(mesh.surface_points, mesh.triangles)
     areas = shape @ weights
     return shape, float(np.linalg.norm(areas @ vectors)), float(areas @ np.linalg.norm(vectors, axis=1))

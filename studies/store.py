@@ -7,7 +7,7 @@ A file gets its final name only after it is safely on disk. `results/FORMAT.md` 
 from __future__ import annotations
 
 import dataclasses
-import json
+import hashlib
 import os
 from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
@@ -28,17 +28,30 @@ from .case import (
     SmallStrainLimits,
     StepStatus,
 )
+from .case_checks import check_case
 from .files import json_text, write_atomically
-from .hdf5 import Data, Entry, Group, OlderSchemaError, Stored, StoreError, Text, sealed
+from .hdf5 import (
+    MAX_BYTES,
+    UNREADABLE,
+    Data,
+    Entry,
+    Group,
+    OlderSchemaError,
+    Stored,
+    StoreError,
+    Text,
+    sealed,
+)
 from .metrics import METRICS
 from .metrics_table import metric_rows, metrics_csv
-from .safe_open import UnfitFileError, read_regular
+from .run_directory import case_path, check_swept, has_failed, read_failure, read_plan, read_study_text
+from .safe_open import read_regular
+from .stored_json import CaseShape, parsed
 from .uncertainty import value_bar
 
 SCHEMA = 3
-STUDY_FILE = "study.h5"
-CASE_SUFFIX = ".vtkhdf"
-FOLDERS = ("cases", "failed")  # of a run directory
+STUDY_FILE, METRICS_FILE = "study.h5", "metrics.csv"
+_CSV_HASH = "case/metrics_csv"  # the SHA-256 of the one, in the other
 _VTK_TRIANGLE = 5
 
 # the columns of a model's table of steps that every model has, with their units
@@ -75,7 +88,8 @@ _LIMIT_UNITS = {
 
 
 def write_case(path: Path, case: CaseResult) -> None:
-    """Write one case file."""
+    """Write one case file. Raises ValueError for a case that `read_case` would refuse."""
+    check_case(case)
     write_atomically(path, sealed(_case_entries(case)))
 
 
@@ -92,7 +106,7 @@ def read_case(path: Path, expected: str | None = None) -> CaseResult:
             if expected not in (None, file.text("case", "hash")):
                 raise ValueError("it holds another case")
             return _read_case(file)
-        except (KeyError, ValueError, TypeError, AttributeError, OSError) as error:
+        except UNREADABLE as error:
             raise StoreError(
                 f"{path}: not readable as a case file ({error}); delete it and run again"
             ) from error
@@ -100,8 +114,9 @@ def read_case(path: Path, expected: str | None = None) -> CaseResult:
 
 def write_study(directory: Path, run: Run) -> None:
     """Write `study.h5` and `metrics.csv`: every metric of every case, model and step in two tables."""
-    write_atomically(directory / STUDY_FILE, sealed(_study_entries(run)))
-    write_atomically(directory / "metrics.csv", metrics_csv(run).encode())
+    table = metrics_csv(run).encode("utf-8", "replace")
+    write_atomically(directory / STUDY_FILE, sealed([*_study_entries(run), Text(_CSV_HASH, _digest(table))]))
+    write_atomically(directory / METRICS_FILE, table)
 
 
 def read_run(directory: Path, *, damaged: bool = False) -> Run:
@@ -116,10 +131,7 @@ def read_run(directory: Path, *, damaged: bool = False) -> Run:
         not a run directory, or a damaged file in it, of a case only without `damaged`.
     """
     plan = read_plan(directory)
-    try:
-        study_text = read_regular(directory / "study.toml").decode("utf-8")
-    except (FileNotFoundError, IsADirectoryError, UnfitFileError, ValueError) as error:
-        raise StoreError(f"{directory}/study.toml: not readable ({error}); run the study again") from error
+    study_text = read_study_text(directory, plan)
     cases, failed, missing = [], [], []
     for planned in plan["cases"]:
         label = planned["label"] or plan["study"]["name"]
@@ -130,14 +142,17 @@ def read_run(directory: Path, *, damaged: bool = False) -> Run:
         names = {key: planned[key] for key in ("label", "swept", "swept_units")}
         if state == "done":
             try:
-                cases.append(dataclasses.replace(read_case(path, planned["hash"]), **names))
+                case = read_case(path, planned["hash"])
             except StoreError as error:
                 if not damaged:
                     raise
                 about = {"code": DAMAGED, "message": str(error), "remedy": ""}
                 failed.append({"hash": planned["hash"], "label": label, **about})
+                continue
+            check_swept(directory, planned, case)
+            cases.append(dataclasses.replace(case, **names))
         elif state == "failed":
-            failed.append(_read_failure(directory, planned["hash"], label))
+            failed.append(read_failure(directory, planned["hash"], label))
         else:
             missing.append(planned["label"])
     return Run(plan["study"], study_text, cases, failed, missing, plan)
@@ -157,16 +172,27 @@ def run_state(directory: Path) -> dict[str, list[Any]]:
         kind = case_state(directory, planned["hash"])
         label = planned["label"] or plan["study"]["name"]
         failed = kind == "failed"
-        state[kind].append(_read_failure(directory, planned["hash"], label) if failed else label)
+        state[kind].append(read_failure(directory, planned["hash"], label) if failed else label)
+    try:
+        read_study_text(directory, plan)
+    except StoreError as error:
+        state["damaged"].append(str(error))
     tables = directory / STUDY_FILE
     if os.path.lexists(tables):
         try:
-            Stored(tables, SCHEMA).close()
+            with Stored(tables, SCHEMA) as file:
+                sound = _digest(read_regular(directory / METRICS_FILE, MAX_BYTES)) == file.texts(_CSV_HASH)
+            if not sound:
+                state["damaged"].append(f"{METRICS_FILE} (vdmbench report makes it anew)")
         except OlderSchemaError:
             pass  # the next run writes it
-        except StoreError:
-            state["damaged"].append(f"{STUDY_FILE} (vdmbench report makes it anew)")
+        except UNREADABLE:
+            state["damaged"].append(f"{STUDY_FILE} or {METRICS_FILE} (vdmbench report makes them anew)")
     return state
+
+
+def _digest(table: bytes) -> str:
+    return hashlib.sha256(table).hexdigest()
 
 
 def case_state(directory: Path, case_hash: str) -> str:
@@ -183,68 +209,24 @@ def case_state(directory: Path, case_hash: str) -> str:
                 fresh = "metrics" in file and file.text("metrics", "versions", "") == _metric_versions()
         except OlderSchemaError:
             return "missing"
-        except (StoreError, KeyError, TypeError, ValueError, OSError):
+        except UNREADABLE:
             return "damaged"
         return "done" if fresh else "stale"
-    return "failed" if os.path.lexists(failure_path(directory, case_hash)) else "missing"
+    return "failed" if has_failed(directory, case_hash) else "missing"
 
 
 def result_keys(path: Path) -> dict[str, str]:
     """Model name -> content key of the results in a case file; nothing where it cannot be read."""
     try:
         with Stored(path, SCHEMA) as file:
-            about = json.loads(file.texts("case/about"))["models"]
+            about = parsed(file.texts("case/about"), CaseShape)["models"]
             return {name: str(model["key"]) for name, model in about.items()}
-    except (StoreError, KeyError, TypeError, AttributeError, ValueError):
+    except UNREADABLE:
         return {}
 
 
 def _metric_versions() -> str:
     return json_text({name: metric.version for name, metric in METRICS.items()}, sort_keys=True)
-
-
-def read_plan(directory: Path) -> dict[str, Any]:
-    """What was planned in a run directory. Raises StoreError where it is none."""
-    try:
-        plan: dict[str, Any] = json.loads(read_regular(directory / "plan.json"))
-        _ = plan["study"]["name"]
-        for planned in plan["cases"]:
-            _ = planned["hash"], planned["label"], planned["swept"], planned["swept_units"]
-    except (FileNotFoundError, NotADirectoryError, IsADirectoryError):
-        raise StoreError(f"{directory}: not a run directory (it has no plan.json)") from None
-    except UnfitFileError as error:
-        raise StoreError(f"{error.filename}: {error.strerror}, and run the study again") from None
-    except (KeyError, TypeError, ValueError) as error:
-        raise StoreError(f"{directory}/plan.json: damaged ({error!r}); run the study again") from error
-    refuse_linked(directory)
-    return plan
-
-
-def refuse_linked(directory: Path) -> None:
-    """Raises StoreError where a folder of a run directory is a link: what it leads to is another's."""
-    for name in FOLDERS:
-        if (directory / name).is_symlink():
-            raise StoreError(f"{directory / name}: is a link; put the folder itself in its place")
-
-
-def _read_failure(directory: Path, case_hash: str, label: str) -> dict[str, str]:
-    path = failure_path(directory, case_hash)
-    try:
-        record = json.loads(read_regular(path))
-        known = {key: str(record[key]) for key in ("hash", "code", "message", "remedy")}
-    except (KeyError, TypeError, ValueError, IsADirectoryError, UnfitFileError) as error:
-        raise StoreError(f"{path}: damaged ({error}); delete it and run again") from error
-    return {**known, "label": label}
-
-
-def case_path(directory: Path, case_hash: str) -> Path:
-    """Where a run directory keeps a finished case."""
-    return directory / "cases" / f"{case_hash}{CASE_SUFFIX}"
-
-
-def failure_path(directory: Path, case_hash: str) -> Path:
-    """Where a run directory keeps the reason why a case failed."""
-    return directory / "failed" / f"{case_hash}.json"
 
 
 # --- one case ---
@@ -367,8 +349,8 @@ def _read_case(file: Stored) -> CaseResult:
         values = file.floats(f"VTKHDF/PointData/{name}")
         return values.reshape(*shape, *values.shape[1:])
 
-    about = json.loads(file.texts("case/about"))
-    return CaseResult(
+    about = parsed(file.texts("case/about"), CaseShape)
+    case = CaseResult(
         hash=file.text("case", "hash"),
         **_told(about, _ABOUT_CASE),
         points=points,
@@ -383,6 +365,8 @@ def _read_case(file: Stored) -> CaseResult:
         metrics={name: _read_metrics(file, f"metrics/{name}", about["metrics"]) for name in about["models"]},
         small_strain=_read_limits(file) if "limits" in file else None,
     )
+    check_case(case)
+    return case
 
 
 def _told(about: Mapping[str, Any], names: Sequence[str]) -> dict[str, Any]:

@@ -116,6 +116,22 @@ def node_mask(mask: ArrayLike | None, name: str, n_nodes: int) -> Mask:
     return array
 
 
+def check_apart(support: Support) -> None:
+    """Refuses a node that is fixed and constrained at once: it cannot rest and move.
+
+    Raises
+    ------
+    ConstraintError
+        with the first such node.
+    """
+    both = np.flatnonzero(support.fixed & support.constrained)
+    if len(both):
+        more = f", and {len(both) - 1} more" if len(both) > 1 else ""
+        raise ConstraintError(
+            f"node {both[0]} is both fixed and constrained{more}; take it out of one of the two masks"
+        )
+
+
 def checked_load(load: Load, support: Support) -> Load:
     """The load with its values as arrays of floats.
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any, Literal
 
 import numpy as np
@@ -12,24 +13,28 @@ from scipy.spatial import cKDTree
 from vdm.surface import SurfaceMesh
 
 Array = NDArray[np.float64]
-Rotation = Literal["none", "global", "nodal"]
-ROTATIONS: tuple[Rotation, ...] = ("none", "global", "nodal")
+Rotation = Literal["none", "global"]
+ROTATIONS: tuple[Rotation, ...] = ("none", "global")
 
 # The incompressible ball answers a normal traction P_n with u_r = c_n P_n; a normal-only membrane on a foundation
 # answers with 1 / (k + n (n + 1) T / R^2). Equal for n = 2 and n = 3 at these two numbers (see `ball_compliance`).
 BALL_FOUNDATION = 46.0 / 35.0  # k R / mu
 BALL_TENSION = 29.0 / 70.0  # T / (mu R)
-# Vector form: T / (mu R) by the rotation that is free, for a body whose support is not known. Without a nodal
-# rotation it fits an incompressible ball under a finger's patch; with it, it lies amid 1.5 to 6.1 of six bodies.
-VECTOR_TENSION: dict[Rotation, float] = {"none": 0.70, "global": 0.70, "nodal": 3.3}
+# Vector form: T / (mu R) for a body whose support is not known. It fits an incompressible ball under a finger's
+# patch.
+VECTOR_TENSION = 0.70
 # Vector form on a known support: T / (mu sqrt(R d)) at the distance d from it, one number for six bodies by least
-# squares over their training loads; body by body it is 0.58 to 1.43, and 1.9 to 5.5 with a rotation at every node.
-SUPPORTED_TENSION: dict[Rotation, float] = {"none": 1.1, "global": 1.1, "nodal": 4.2}
+# squares over their training loads; body by body it is 0.58 to 1.43.
+SUPPORTED_TENSION = 1.1
 
 
 # of the boundary form's body: the thin lobes of a liver were lost at 150 nodes, more than 1,000 are dear
 COARSE_NODES_RANGE = (200, 1000)
 COARSE_NODES = 800  # of the body under the skin of a surface that has more nodes than the range
+# of a rotation at every node, which older studies name
+NO_NODAL = (
+    "is gone, as its answer grows without limit on finer meshes; use 'global', one rotation for the body"
+)
 NODE_MODULI = ("bulk_modulus", "foundation")
 EDGE_MODULI = ("connectivity_modulus", "surface_tension", "stretch_stiffness")
 MODULI = (*NODE_MODULI, *EDGE_MODULI, "shear_modulus")
@@ -61,9 +66,11 @@ class Parameters:
     shear_modulus : mu [Pa], one number (boundary, mass-spring)
     coarse_nodes : 200 to 1,000, the most nodes of which every pair is integrated; a surface of more lies as a skin
         on a coarse body of so many. None: all up to 1,000 nodes, else 800 (boundary)
-    rotation : which rotation is free of tension: none, one for the body, one per node (vector)
+    rotation : which rotation is free of tension: none, or one for the body (vector)
     tension_stiffening : gamma of the nonlinear volumic tension B_ij (1 + gamma s^2) s, s the difference of two
         neighbours' dV over their mean V_i (paper, nonlinear solver); zero is equation 8
+    youngs_modulus : E [Pa] of the tissue that the moduli stand for: what `vdm.bending` judges a form by. None: 3 mu
+        where mu is set, else no judgement
     """
 
     bulk_modulus: float | Array | None = None
@@ -75,10 +82,10 @@ class Parameters:
     coarse_nodes: int | None = None
     rotation: Rotation = "global"
     tension_stiffening: float = 0.0
+    youngs_modulus: float | None = None
 
     def __post_init__(self) -> None:
-        if self.rotation not in ROTATIONS:
-            raise ParameterError(f"rotation must be one of {', '.join(ROTATIONS)}, not {self.rotation!r}")
+        _check_rotation(self.rotation)
         for name, value in self.moduli().items():
             if not _not_negative(value):
                 raise ParameterError(f"{name} must be finite and not negative")
@@ -91,6 +98,17 @@ class Parameters:
             raise ParameterError(
                 f"tension_stiffening must be finite and not negative, not {self.tension_stiffening}"
             )
+        if self.youngs_modulus is not None and not (
+            np.isfinite(self.youngs_modulus) and self.youngs_modulus > 0.0
+        ):
+            raise ParameterError(f"youngs_modulus must be positive, not {self.youngs_modulus}")
+
+    @property
+    def tissue_modulus(self) -> float | None:
+        """E [Pa] of the tissue that the moduli stand for, None where nothing tells it."""
+        if self.youngs_modulus is None and self.shear_modulus is not None:
+            return 3.0 * self.shear_modulus
+        return self.youngs_modulus
 
     @classmethod
     def from_tissue(
@@ -110,9 +128,8 @@ class Parameters:
         - paper: B = k V / A, and B_ij = T (V / A) / (sqrt(3) A / N), the constant that a mesh of N equal
           nodes of six neighbours needs for the same T: sum_j (L_i - L_j) = -(3/2) h^2 lap L and
           A_i = (sqrt(3)/2) h^2. A constant B_ij does not converge under refinement: it belongs to this mesh;
-        - vector: T = 1.1 mu sqrt(R d) on an edge at the distance d from the held nodes, 4.2 mu sqrt(R d) with a
-          free rotation at every node; without held nodes 0.70 mu R and 3.3 mu R everywhere (see
-          `distance_from_support`);
+        - vector: T = 1.1 mu sqrt(R d) on an edge at the distance d from the held nodes (see
+          `distance_from_support`); without held nodes 0.70 mu R everywhere;
         - boundary, mass-spring: mu itself.
 
         Parameters
@@ -128,25 +145,25 @@ class Parameters:
         ParameterError
             E not positive, or an unknown formulation or rotation.
         """
-        if rotation not in ROTATIONS:
-            raise ParameterError(f"rotation must be one of {', '.join(ROTATIONS)}, not {rotation!r}")
+        _check_rotation(rotation)
         if not (np.isfinite(youngs_modulus) and youngs_modulus > 0.0):
             raise ParameterError(f"youngs_modulus must be positive, not {youngs_modulus}")
         mu = youngs_modulus / 3.0
+        told = partial(cls, youngs_modulus=float(youngs_modulus))
         radius = surface.equivalent_radius
         foundation, tension = BALL_FOUNDATION * mu / radius, BALL_TENSION * mu * radius
         if formulation == "paper":
-            return cls(
+            return told(
                 bulk_modulus=bulk_modulus_from_foundation(foundation, surface),
                 connectivity_modulus=connectivity_modulus_from_tension(tension, surface),
             )
         if formulation == "consistent":
-            return cls(foundation=foundation, surface_tension=tension)
+            return told(foundation=foundation, surface_tension=tension)
         if formulation == "vector":
             if held is None or not held.any():
-                return cls(surface_tension=VECTOR_TENSION[rotation] * mu * radius, rotation=rotation)
+                return told(surface_tension=VECTOR_TENSION * mu * radius, rotation=rotation)
             grown = mu * np.sqrt(radius * distance_from_support(surface, held))
-            return cls(surface_tension=SUPPORTED_TENSION[rotation] * grown, rotation=rotation)
+            return told(surface_tension=SUPPORTED_TENSION * grown, rotation=rotation)
         if formulation in ISOTROPIC:
             return cls(shear_modulus=mu)
         raise ParameterError(
@@ -189,7 +206,8 @@ class Parameters:
             name: np.asarray(value) * (of_node if name in NODE_MODULI else of_edge)
             for name, value in self.moduli().items()
         }
-        return replace(self, **changed)
+        # the known bendings are those of an isotropic tissue
+        return replace(self, youngs_modulus=None, **changed)
 
     def moduli(self) -> dict[str, float | Array]:
         """The moduli that are set, by name."""
@@ -206,6 +224,13 @@ class Parameters:
         if self.tension_stiffening:
             record["tension_stiffening"] = self.tension_stiffening
         return record
+
+
+def _check_rotation(rotation: str) -> None:
+    if rotation == "nodal":
+        raise ParameterError(f"rotation = 'nodal' {NO_NODAL}")
+    if rotation not in ROTATIONS:
+        raise ParameterError(f"rotation must be one of {', '.join(ROTATIONS)}, not {rotation!r}")
 
 
 def _not_negative(value: object) -> bool:

@@ -16,13 +16,13 @@ from vdm.constraints import (
     ContactSign,
     Load,
     Support,
+    check_apart,
     checked_load,
     hydrostatic_pressure,
     node_mask,
 )
 from vdm.formulations import FORMULATIONS
 from vdm.formulations.base import Factor
-from vdm.formulations.boundary import BoundaryFormulation
 from vdm.formulations.paper import PaperFormulation
 from vdm.material import ParameterError, Parameters
 from vdm.problem import Problem, Step, check_held
@@ -30,7 +30,7 @@ from vdm.solution import Solution, SolverError, Status
 from vdm.solvers.audit import Audit, judged
 from vdm.solvers.condition import Condition, condition_of_matrix, condition_of_operator
 from vdm.solvers.krylov import KrylovSolver
-from vdm.solvers.linear import LinearSolver
+from vdm.solvers.linear import BorderedFactor, LinearSolver
 from vdm.solvers.lu import CONSTRAINT_METHODS, ConstraintMethod, LuSolver
 from vdm.solvers.nonlinear import NonlinearSolver
 from vdm.solvers.quasi_linear import VOLUME_ROWS, QuasiLinearSolver, VolumeRow
@@ -133,6 +133,7 @@ class Model:
             environment_pressure=float(environment_pressure),
             contact_sign=contact_sign,
         )
+        check_apart(support)
         check_held(FORMULATIONS[formulation], self.surface, parameters, support.held)
         self.formulation = FORMULATIONS[formulation](self.surface, parameters)
         self.problem = Problem(self.formulation, support)
@@ -140,11 +141,9 @@ class Model:
         self.solver_name = solver
         self.solver: Solver
         self.solver = _make_solver(solver, self.problem, constraint_method, penalty, volume_row)
-        # how wrong the boundary form is about a bending that is known, where there is a factor to tell
-        self.bending_error = np.nan
-        if isinstance(self.formulation, BoundaryFormulation) and isinstance(self.solver, FactorSolver):
-            self.bending_error = bending_error(self.problem, self.formulation, self.solver.factor)
         self.seconds_setup = time.perf_counter() - start
+        # how wrong the form is about a bending that is known: beyond the set-up, as an audit is beyond a step
+        self.bending_error = _bending_error(self.problem, self.solver)
         self._is_warm = False
 
     def solve(self, loads: Sequence[Load], condition: bool = False) -> Solution:
@@ -189,7 +188,7 @@ class Model:
             last = judged(step, found)
             pressure[k], iterations[k], residual[k] = step.pressure_change, step.iterations, found.residual
             path_error[k] = found.path
-            status.append(self._reserved(last.status))
+            status.append(reserved(last.status, self.bending_error, self.formulation))
             for name, values in fields.items():
                 values[k] = self._point_field(name, step)
         return Solution(
@@ -221,8 +220,8 @@ class Model:
     def condition_estimate(self) -> Condition:
         """How well conditioned that is which the solver solves, see `vdm.solvers.condition`.
 
-        For "lu" and "bicg" the state matrix in the units it has in print, with its penalty; for all others the
-        symmetric operator at rest, scaled.
+        For "lu" and "bicg" the state matrix in the units it has in print, with its penalty and before "bicg" scales
+        it; for all others the symmetric operator at rest, scaled.
 
         Raises
         ------
@@ -233,7 +232,7 @@ class Model:
         if isinstance(solver, LuSolver):
             return condition_of_matrix(solver.solved_matrix(), n_border)
         if isinstance(solver, KrylovSolver) and solver.method == "bicg":
-            return condition_of_matrix(solver.matrix, n_border)
+            return condition_of_matrix(solver.printed, n_border)
         if isinstance(solver, FactorSolver):
             single = isinstance(solver, LinearSolver) and solver.precision == "single"
             return condition_of_operator(self.problem, None if single else solver.factor)
@@ -245,10 +244,6 @@ class Model:
         except SolverError as error:  # singular in double precision: what the steps came from did not see it
             estimate = np.inf if error.status.code == "singular" else np.nan
         return {"condition_estimate": np.full(n_steps, estimate)}
-
-    def _reserved(self, status: Status) -> Status:
-        form = self.formulation
-        return reserved(status, self.bending_error, form) if isinstance(form, BoundaryFormulation) else status
 
     def _record(self) -> dict[str, float | str]:
         formulation = self.formulation
@@ -272,6 +267,16 @@ class Model:
 
 def _results(step: Step) -> tuple[Array, Array, float]:
     return step.displacement, step.reaction_force, step.energy
+
+
+def _bending_error(problem: Problem, solver: Solver) -> float:
+    """By the solver's factor, or by one for this where it has none; nan where no factor exists."""
+    if isinstance(solver, FactorSolver):
+        return bending_error(problem, solver.factor)
+    try:
+        return bending_error(problem, BorderedFactor(problem))
+    except SolverError:
+        return np.nan
 
 
 def _make_solver(

@@ -68,6 +68,21 @@ class Problem:
             values[self.support.constrained] = moved[self.support.constrained]
         return values
 
+    def own_motion(self, force: Array) -> Array:
+        """(N, d) how far each free node's part of a force (N, d) moves it with its neighbours held; zero elsewhere.
+
+        What rounding is measured by where forces cancel: a pressure from all sides moves nothing.
+        """
+        moved: Array = np.abs(force) / self._diagonal
+        moved[self.held_nodes] = 0.0
+        return moved
+
+    @cached_property
+    def _diagonal(self) -> Array:
+        """(N, d) diagonal of K."""
+        formulation = self.formulation
+        return formulation.diagonal().reshape(formulation.surface.n_nodes, formulation.components)
+
     @cached_property
     def body(self) -> DeformableSurface:
         """The surface, ready to be deformed."""

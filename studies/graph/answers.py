@@ -12,6 +12,7 @@ import numpy as np
 
 from ..case import ModelResult, StepStatus
 from ..meshing.mesh import Mesh
+from ..processors import processor_name
 from ..sealed import read_arrays, write_arrays
 from ..surface_measures import enclosed_volumes
 
@@ -40,6 +41,7 @@ def write_answer(path: Path, result: ModelResult, run: str) -> None:
         "parameters": dict(result.parameters),
         "status": [dataclasses.astuple(status) for status in result.status],
         "run": run,
+        "processor": processor_name(),  # the cache may be copied to another machine
     }
     arrays: dict[str, Any] = {"about": np.array(json.dumps(about))}
     arrays |= {name: getattr(result, name) for name in _ARRAYS}
@@ -54,6 +56,8 @@ def read_answer(path: Path, run: str = "") -> ModelResult | None:
         return None
     about = json.loads(str(arrays["about"]))
     earlier = {EARLIER: "yes"} if run and about["run"] != run else {}
+    if earlier and about["processor"] != processor_name():
+        earlier["measured_on"] = about["processor"]
     stored: dict[str, Any] = {name: arrays[name] for name in _ARRAYS}
     return ModelResult(
         **stored,

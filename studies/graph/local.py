@@ -18,9 +18,9 @@ from pathlib import Path
 
 from pebble import ProcessExpired, ProcessPool
 
-from ..memory import limit_memory, machine_memory
+from ..memory import OUT_OF_MEMORY, limit_memory, machine_memory
 from ..processors import usable_processors
-from .work import MORE_MEMORY, OUT_OF_MEMORY, Said, run_node
+from .work import Said, more_memory, run_node
 
 _PRELOADED = ("studies.graph.work", "numpy.ma", "scipy.sparse.linalg", "skfem", "vdm", "fem_reference.linear")
 
@@ -81,9 +81,9 @@ def told(error: BaseException, log: str) -> Said:
 def _death(code: int, log: str) -> tuple[str, str]:
     """What an exit code of a worker that died means, and what to do."""
     if OUT_OF_MEMORY.search(log):
-        return "out of memory", MORE_MEMORY
+        return "out of memory", more_memory()
     if code == -signal.SIGKILL:
-        return "killed by the system, most likely out of memory", MORE_MEMORY
+        return "killed by the system, most likely out of memory", more_memory()
     if code < 0:
         return (
             f"the worker crashed with signal {signal.Signals(-code).name}",

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from .. import models
 from ..meshing.mesh_cache import mesh_path
-from ..store import case_path
+from ..run_directory import case_path
 from ..study_file.config import resolved
 from ..study_file.schema import Study
 from .answers import answer_path
@@ -184,6 +184,7 @@ def _on_mesh(case: PlannedCase, plan: Plan) -> dict[str, Any]:
     return {
         "mesh": case.mesh,
         "volume": plan.meshes[case.mesh].volume,
+        "file_hash": plan.meshes[case.mesh].file_hash,
         "study": resolved(case.study),
     }
 

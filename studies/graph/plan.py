@@ -17,12 +17,14 @@ from ..meshing.geometry_spec import (
     check_node_budget,
     expected_size,
     extents,
+    file_digest,
     geometry_key,
 )
 from ..meshing.mesh import Array, Mesh, MeshError
 from ..meshing.mesh_cache import mesh_path
+from ..run_directory import case_path
 from ..sealed import is_sound
-from ..store import case_path, case_state
+from ..store import case_state
 from ..study_file.config import ResolvedCase, geometry_error, geometry_of
 from ..study_file.schema import Study
 from .keys import Wanted, case_hash, limits_key, wanted
@@ -74,6 +76,7 @@ class PlannedMesh:
     key: str
     geometry: Geometry
     volume: bool
+    file_hash: str = ""  # SHA-256 of the file that the body is from; "" of a built-in shape
 
     @property
     def label(self) -> str:
@@ -201,7 +204,8 @@ def _planned_mesh(geometry: Geometry, volume: bool) -> PlannedMesh:
     if geometry.shape != "file":  # whose size is known only once it is read
         area, inside = area_and_volume(geometry)
         check_node_budget(area, inside if volume else 0.0, geometry.mesh_size, MAX_NODES)
-    return PlannedMesh(geometry_key(geometry, volume=volume), geometry, volume)
+    file_hash = file_digest(geometry.path) if geometry.shape == "file" else ""
+    return PlannedMesh(geometry_key(geometry, volume=volume), geometry, volume, file_hash)
 
 
 def _planned(case: ResolvedCase, mesh_key: str) -> PlannedCase:

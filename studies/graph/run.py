@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import fcntl
-import json
-import os
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
@@ -17,16 +15,31 @@ import tomli_w
 
 from ..case import Run
 from ..explain import beyond_memory, summary
-from ..files import clear_abandoned, write_atomically
+from ..files import clear_abandoned
 from ..hdf5 import StoreError
+from ..locks import LockedError, lock
 from ..meshing.mesh import MeshError
-from ..safe_open import open_regular
-from ..store import case_path, failure_path, read_plan, read_run, refuse_linked, write_study
+from ..run_directory import (
+    RESOLVED,
+    STUDY,
+    case_path,
+    failure_path,
+    read_plan,
+    refuse_foreign,
+    refuse_linked,
+    rewrite_plan,
+    write_failure,
+    write_plan,
+)
+from ..store import read_run, write_study
 from ..study_file.config import geometry_error, resolved
+from ..study_file.folders import text_without_folders, without_folders
 from ..study_file.units import shown
 from .engine import Outcome, Places, run_nodes
 from .nodes import bodies, graph
 from .plan import Plan, PlannedCase
+
+_PATIENCE = 300.0  # s that one other process may take to write the tables and the report
 
 
 class RunError(ValueError):
@@ -65,47 +78,57 @@ def run_plan(
     ------
     RunError
         another run is at work in the directory, or it holds another study.
+    ForeignDirectoryError
+        the directory holds something else.
     StudyError
         a case needs more memory than this machine can have.
     OSError
         disk full or read-only; a cluster that is not there or does not fit.
     """
-    plan.directory.mkdir(parents=True, exist_ok=True)
+    refuse_foreign(plan.directory)
     refuse_linked(plan.directory)
+    plan.directory.mkdir(parents=True, exist_ok=True)
     cases = plan.cases_to_run(options.shard)
     with _locked(plan.directory, options.shard):
         _check_study(plan)
         if options.scheduler is None:
             _check_memory(plan, cases)
         _tidy(plan)
-        write_atomically(plan.directory / "study.toml", study_text.encode())
-        write_atomically(plan.directory / "resolved.toml", tomli_w.dumps(resolved(plan.study)).encode())
         planned = summary(plan)
-        write_atomically(plan.directory / "plan.json", json.dumps(planned, indent=1).encode())
+        texts = {
+            STUDY: text_without_folders(study_text).encode(),
+            RESOLVED: tomli_w.dumps(without_folders(resolved(plan.study))).encode(),
+        }
+        planned = write_plan(plan.directory, planned, texts)
         began = time.perf_counter()
         used = 0.0
         if cases:
             with _places(plan, options, watch) as places:
                 used = _run_missing(plan, cases, options, watch, places)
         _tidy(plan)  # a worker may have been killed
-        run, report = rebuild(plan.directory)
+        run, report = rebuild(
+            plan.directory, lambda text: watch(Event("told", plan.study.study.name, message=text))
+        )
         if cases and options.scheduler is None and options.shard == (1, 1):
             planned["taken"] = {
                 "seconds": time.perf_counter() - began,
                 "processor_seconds": used,
                 "jobs": options.jobs,
             }
-            write_atomically(plan.directory / "plan.json", json.dumps(planned, indent=1).encode())
+            rewrite_plan(plan.directory, planned)
         return dataclasses.replace(run, plan=planned), report
 
 
-def rebuild(directory: Path) -> tuple[Run, Path]:
-    """Write the tables and the report from the stored results alone; returns the run and the report's path."""
+def rebuild(directory: Path, tell: Callable[[str], None]) -> tuple[Run, Path]:
+    """Write the tables and the report from the stored results alone; returns the run and the report's path.
+
+    `tell` is told who is waited for, where another process writes them. Raises RunError where that takes too long.
+    """
     from ..report.page import write_report  # plotting is slow to load, and who only plans draws nothing
 
     read_plan(directory)  # nothing is left in a directory that is none of ours
     report = directory / "report.html"
-    with _lock(directory, ".lock-report", fcntl.LOCK_EX, wait=True):  # the last of several shards sees all
+    with _report_lock(directory, tell):  # the last of several shards sees all
         run = read_run(directory, damaged=True)
         write_study(directory, run)
         write_report(run, report)
@@ -207,17 +230,9 @@ def _keep_failure(plan: Plan, outcome: Outcome) -> None:
     path = case_path(plan.directory, outcome.id)
     if not path.is_dir():  # which is no result, and may be why the case failed
         path.unlink(missing_ok=True)
-    said = outcome.said
-    record = {
-        "hash": outcome.id,
-        "label": outcome.label,
-        "code": said.code,
-        "message": said.message,
-        "remedy": said.remedy,
-    }
-    kept = failure_path(plan.directory, outcome.id)
-    write_atomically(kept, json.dumps(record, indent=1).encode())
-    write_atomically(kept.with_suffix(".log"), said.log.encode())
+    reason = {"hash": outcome.id, "label": outcome.label}
+    reason |= {name: getattr(outcome.said, name) for name in ("code", "message", "remedy")}
+    write_failure(failure_path(plan.directory, outcome.id), reason, outcome.said.log)
 
 
 @contextmanager
@@ -235,17 +250,25 @@ def _locked(directory: Path, shard: tuple[int, int]) -> Iterator[None]:
 
 
 @contextmanager
-def _lock(directory: Path, name: str, kind: int, *, wait: bool = False) -> Iterator[None]:
-    with os.fdopen(open_regular(directory / name, os.O_RDWR | os.O_CREAT), "r+") as file:
+def _lock(directory: Path, name: str, kind: int) -> Iterator[None]:
+    with ExitStack() as held:
         try:
-            fcntl.flock(file, kind if wait else kind | fcntl.LOCK_NB)
-        except BlockingIOError:
-            file.seek(0)
+            held.enter_context(lock(directory / name, kind))
+        except LockedError as error:
             raise RunError(
-                f"{directory}: another run is at work here (process {file.read().strip() or 'unknown'}); "
-                "wait for it or choose another --out"
+                f"{directory}: another run is at work here ({error}); wait for it or choose another --out"
             ) from None
-        file.truncate(0)
-        file.write(str(os.getpid()))
-        file.flush()
+        yield
+
+
+@contextmanager
+def _report_lock(directory: Path, tell: Callable[[str], None]) -> Iterator[None]:
+    with ExitStack() as held:
+        try:
+            held.enter_context(lock(directory / ".lock-report", fcntl.LOCK_EX, patience=_PATIENCE, tell=tell))
+        except LockedError as error:
+            raise RunError(
+                f"{directory}: {error} has locked the report for more than {_PATIENCE:g} s; the results are kept, "
+                f"vdmbench report {directory} writes it later"
+            ) from None
         yield

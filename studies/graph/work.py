@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import json
 import os
-import re
 import sys
 import time
 import traceback
@@ -16,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from ..case import CaseResult, MetricSeries, ModelResult, SmallStrainLimits
+from ..memory import OUT_OF_MEMORY, memory_limits
 from ..meshing.mesh import Array, InputError, Mesh
 from ..meshing.mesh_cache import mesh_from_cache, mesh_path, read_level, write_level
 from ..meshing.refine import Hierarchy, refine
@@ -29,6 +29,7 @@ from ..scene import Scene, build_scene
 from ..small_strain import read_limits, small_strain_limits, write_limits
 from ..store import write_case
 from ..study_file.config import geometry_of
+from ..study_file.folders import swept_without_folders, without_folders
 from ..study_file.schema import Study
 from ..surface_measures import Surface
 from .answers import answer_path, combined, one_step, read_answer, write_answer
@@ -36,11 +37,6 @@ from .keys import Wanted, level_key
 from .nodes import limits_path
 
 Payload = Mapping[str, Any]
-# what C++, Rust, the system and its loader of libraries say where memory runs out
-OUT_OF_MEMORY = re.compile(
-    "bad_alloc|memory allocation of|cannot allocate memory|cannot map zero-fill|failed to map segment", re.I
-)
-MORE_MEMORY = "use a coarser mesh, fewer --jobs, or allow more with --memory"
 
 
 @dataclass(frozen=True)
@@ -54,6 +50,13 @@ class Said:
     remedy: str = ""
     log: str = ""
     processor: float = 0.0  # seconds of all threads
+
+
+def more_memory() -> str:
+    """What to do where memory ran out."""
+    limits = memory_limits()
+    told = f"; this run may take no more than its shell allows: {limits}" if limits else ""
+    return f"use a coarser mesh, fewer --jobs, or allow more with --memory{told}"
 
 
 def run_node(text: str) -> str:
@@ -203,15 +206,16 @@ def _case(payload: Payload, block: _Block) -> None:
         reference += REFINED
         results[reference] = levels[-1]
     metrics = compare(surface, results, scene.load_factors, reference)
+    found = payload["file_hash"]
     write_case(
         Path(payload["path"]),
         CaseResult(
             hash=payload["id"],
             label=payload["label"],
-            swept=payload["swept"],
+            swept=swept_without_folders(payload["swept"]),
             swept_units=payload["swept_units"],
-            resolved=payload["study"],
-            provenance=provenance(mesh),
+            resolved=without_folders(payload["study"]),
+            provenance=provenance(mesh) | ({"geometry_file_hash": found} if found else {}),
             points=mesh.surface_points,
             triangles=mesh.triangles,
             load_factors=scene.load_factors,
@@ -293,7 +297,7 @@ def _attempt(name: str, work: Callable[[], object]) -> Said:
     start, used = time.perf_counter(), time.process_time()
     code, message, remedy = _outcome(work)
     if OUT_OF_MEMORY.search(message):
-        message, remedy = "out of memory", MORE_MEMORY
+        message, remedy = "out of memory", more_memory()
     seconds, processor = time.perf_counter() - start, time.process_time() - used
     return Said(name, code, seconds, message, remedy, processor=processor)
 
@@ -303,7 +307,7 @@ def _outcome(work: Callable[[], object]) -> tuple[str, str, str]:
         work()
     except MemoryError:
         traceback.print_exc()
-        return "error", "out of memory", MORE_MEMORY
+        return "error", "out of memory", more_memory()
     except OSError as error:
         return "error", f"{error}", "check free space and permissions"
     except InputError as error:

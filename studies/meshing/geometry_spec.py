@@ -68,7 +68,7 @@ class Geometry:
         """A parameter as a tuple of numbers."""
         value = self.parameters[name]
         if isinstance(value, str):
-            raise MeshError(f"{self.shape}: {name} must be a number, not {value!r}")
+            raise MeshError(f"{self.shape}: {name} must be a number, not {value!r}", name)
         values = value if isinstance(value, tuple | list) else (value,)
         return tuple(float(v) for v in values)
 
@@ -94,27 +94,29 @@ def check_geometry(geometry: Geometry) -> None:
     if shape == "file" and "path" not in geometry.parameters:
         missing = ["path"]
     if missing:
-        raise MeshError(f"{shape}: {missing[0]} is missing")
+        raise MeshError(f"{shape}: {missing[0]} is missing", missing[0])
     unknown = sorted(set(geometry.parameters) - allowed)
     if unknown:
-        raise MeshError(f"{shape}: unknown parameter {unknown[0]!r}; it takes {', '.join(sorted(allowed))}")
+        told = f"{shape}: unknown parameter {unknown[0]!r}; it takes {', '.join(sorted(allowed))}"
+        raise MeshError(told, unknown[0])
     for name in sorted(set(geometry.parameters) - {"path", "axis"}):
         wanted = required.get(name, 1)
         values = geometry.numbers(name)
         if len(values) != wanted:
-            raise MeshError(f"{shape}: {name} must have {wanted} numbers, not {len(values)}")
+            raise MeshError(f"{shape}: {name} must have {wanted} numbers, not {len(values)}", name)
         if name != "seed" and not all(math.isfinite(v) and v > 0 for v in values):
-            raise MeshError(f"{shape}: {name} must be positive and finite")
+            raise MeshError(f"{shape}: {name} must be positive and finite", name)
     if geometry.parameters.get("axis", "z") not in ("x", "y", "z"):
-        raise MeshError(f"cylinder: axis must be x, y or z, not {geometry.parameters['axis']!r}")
+        raise MeshError(f"cylinder: axis must be x, y or z, not {geometry.parameters['axis']!r}", "axis")
     if shape == "file":
         _check_file_parameters(geometry)
     else:
         extent = max(extents(geometry))
-        check_extent(extent, f'lengths are in metres, so write "{extent:g} mm" if millimetres are meant')
+        remedy = f'lengths are in metres, so write "{extent:g} mm" if millimetres are meant'
+        check_extent(extent, remedy, extent_key(geometry))
     if not geometry.has_own_tetrahedra:
         if not (math.isfinite(geometry.mesh_size) and geometry.mesh_size > 0):
-            raise MeshError("mesh_size must be positive and finite")
+            raise MeshError("mesh_size must be positive and finite", "mesh_size")
         if shape != "file":
             check_mesh_size(geometry.mesh_size, min(extents(geometry)))
 
@@ -131,7 +133,7 @@ def _check_file_parameters(geometry: Geometry) -> None:
             f"or tetrahedra ({', '.join(VOLUME_SUFFIXES)})"
         )
     if "size" in geometry.parameters and "scale" in geometry.parameters:
-        raise MeshError("file: give size or scale, not both")
+        raise MeshError("file: give size or scale, not both", "scale")
 
 
 def extents(geometry: Geometry) -> tuple[float, float, float]:
@@ -151,10 +153,19 @@ def extents(geometry: Geometry) -> tuple[float, float, float]:
     return a, b, c
 
 
-def check_extent(extent: float, remedy: str) -> None:
-    """Raise MeshError, ending with `remedy`, for a largest extent [m] that no organ has."""
+def extent_key(geometry: Geometry) -> str:
+    """The key that decides the largest extent of a shape that is not a file."""
+    if geometry.shape == "cylinder" and geometry.number("length") > 2 * geometry.number("radius"):
+        return "length"
+    return next(iter(_REQUIRED[geometry.shape]))
+
+
+def check_extent(extent: float, remedy: str, key: str = "") -> None:
+    """Raise MeshError about `key`, ending with `remedy`, for a largest extent [m] that no organ has."""
     if not SMALLEST_EXTENT * (1 - 1e-9) <= extent <= LARGEST_EXTENT * (1 + 1e-9):
-        raise MeshError(f"the largest extent is {extent:.6g} m, which looks like a mixed-up unit; {remedy}")
+        raise MeshError(
+            f"the largest extent is {extent:.6g} m, which looks like a mixed-up unit; {remedy}", key
+        )
 
 
 def check_mesh_size(mesh_size: float, smallest_extent: float) -> None:

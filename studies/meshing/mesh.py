@@ -20,9 +20,9 @@ class InputError(ValueError):
 
 
 class MeshError(InputError):
-    """A geometry that cannot be used; `key` is what a study's [geometry] has to change, where it is known."""
+    """A geometry that cannot be used; `key` is what its [geometry] has to change, where that is known."""
 
-    def __init__(self, text: str, key: str = "path") -> None:
+    def __init__(self, text: str, key: str = "") -> None:
         super().__init__(text)
         self.key = key
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 from ..case import Run
 from ..metrics import DEFORMATION, VECTOR
@@ -10,6 +11,7 @@ from ..uncertainty import is_resolved
 from .blocks import Cell, Column, Section, Table, Text
 from .digest import Digest, ModelSummary, Spread
 from .formatting import NOT_MEASURED, NOTHING, percent, plain, plural, quantity
+from .measured import measured
 from .section_cost import time_notes
 
 
@@ -28,16 +30,21 @@ def headline_rows(run: Run) -> list[dict[str, str]]:
             row["reference's own"] = _bars_in_words(summary.vector, summary.deformation)
         drift = _drift(summary.drift)
         row["volume drift"] = " ".join(filter(None, (drift.text, drift.detail)))
-        row["set-up"] = quantity(summary.seconds_setup, "s")
-        row["per frame"] = quantity(summary.seconds_per_step, "s")
+        marks = measured(run, summary.name)
+        marked = f" ({', '.join(marks)})" if marks else ""
+        row["set-up"] = quantity(summary.seconds_setup, "s") + marked
+        row["per frame"] = quantity(summary.seconds_per_step, "s") + marked
         row["memory"] = quantity(summary.peak_bytes, "B")
         rows.append(row)
     return rows
 
 
-def headline_metrics(run: Run) -> dict[str, dict[str, dict[str, float | str | None]]]:
-    """The numbers of `headline_rows`: model -> measure -> value (median), worst, bars, unit; None for none."""
-    found = {}
+def headline_metrics(run: Run) -> dict[str, dict[str, dict[str, Any]]]:
+    """The numbers of `headline_rows`: model -> measure -> value (median), worst, bars, unit; None for none.
+
+    Times have "measured" too: what stands beside them there.
+    """
+    found: dict[str, dict[str, dict[str, Any]]] = {}
     for summary in Digest(run).summaries:
         spreads = {VECTOR: summary.vector, DEFORMATION: summary.deformation, "volume_drift": summary.drift}
         single = {
@@ -53,12 +60,14 @@ def headline_metrics(run: Run) -> dict[str, dict[str, dict[str, float | str | No
             },
             **{name: _numbers(value, unit=unit) for name, (value, unit) in single.items()},
         }
+        for name in ("seconds_setup", "seconds_per_step"):
+            found[summary.name][name]["measured"] = measured(run, summary.name)
     return found
 
 
 def _numbers(
     value: float, worst: float = math.nan, bar: float = math.nan, worst_bar: float = math.nan, *, unit: str
-) -> dict[str, float | str | None]:
+) -> dict[str, Any]:
     numbers = {"value": value, "worst": worst, "bar": bar, "worst_bar": worst_bar}
     return {key: float(n) if math.isfinite(n) else None for key, n in numbers.items()} | {"unit": unit}
 

@@ -18,6 +18,7 @@ from .section_appendix import how_to_reproduce, provenance
 from .section_cases import case_table, failures
 from .section_convergence import mesh_convergence
 from .section_cost import run_time_against_error
+from .section_doubts import doubts
 from .section_errors import error_against_load, error_against_parameters
 from .section_fibres import anisotropy_of_the_response
 from .section_force import force_against_indentation
@@ -51,6 +52,7 @@ SECTIONS_AFTER: tuple[Callable[[Digest], Section | None], ...] = (
     run_time_against_error,
     all_measures,
     case_table,
+    doubts,
     failures,
     provenance,
     how_to_reproduce,

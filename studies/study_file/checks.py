@@ -18,6 +18,7 @@ from ..meshing.geometry_spec import (
     SURFACE_SUFFIXES,
     VOLUME_SUFFIXES,
     check_mesh_size,
+    extent_key,
     extents,
 )
 from ..meshing.geometry_spec import Geometry as GeometrySpec
@@ -201,7 +202,7 @@ def _check_extent(geometry: Geometry) -> Iterator[Finding]:
         return  # its extent is known once it is read
     sizes = (geometry.size,) if isinstance(geometry.size, float) else extents(spec)
     largest = max(sizes)
-    key = next(k for k in ("radius", "semi_axes", "size") if k in _given(geometry))
+    key = "size" if geometry.shape == "file" else extent_key(spec)
     if not SMALLEST_EXTENT <= largest <= LARGEST_EXTENT:
         yield (
             ("geometry", key),

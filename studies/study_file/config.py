@@ -132,7 +132,8 @@ def geometry_error(study: Study, error: MeshError) -> StudyError:
     """The error of a study whose geometry turned out to be unusable, with the place in its file."""
     data = _plain(study)
     swept = {axis.key: axis.loc for axis in read_axes(data)[0]}
-    loc = swept.get(f"geometry.{error.key}", ("geometry", error.key))
+    key = error.key or ("path" if study.geometry.shape == "file" else "shape")
+    loc = swept.get(f"geometry.{key}", ("geometry", key))
     return study._source.error([(loc, str(error))], data)
 
 

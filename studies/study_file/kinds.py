@@ -8,7 +8,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Annotated, Any, Literal, TypeGuard
 
-from pydantic import AfterValidator, GetCoreSchemaHandler
+from pydantic import AfterValidator, BeforeValidator, GetCoreSchemaHandler
 from pydantic_core import CoreSchema, core_schema
 
 from .units import QuantityError, shown, to_si, type_name
@@ -96,6 +96,15 @@ def nonzero(value: Vector3) -> Vector3:
     return value
 
 
+def _no_nodal_rotation(value: Any) -> Any:
+    if value == "nodal":
+        raise ValueError(
+            "is gone, as its answer grows without limit on finer meshes; "
+            'write rotation = "global", one rotation for the body, or leave it out'
+        )
+    return value
+
+
 Length = Annotated[float, SI("m"), positive]
 Position = Annotated[Vector3, SI("m", (3,))]
 Direction = Annotated[Vector3, SI("1", (3,)), AfterValidator(nonzero)]
@@ -105,3 +114,4 @@ Pressure = Annotated[float, SI("Pa")]
 Name = Annotated[str, AfterValidator(safe_name)]
 Axis = Literal["x", "y", "z"]
 Shape = Literal["sphere", "ellipsoid", "box", "cylinder", "organ", "file"]
+Rotation = Annotated[Literal["none", "global"], BeforeValidator(_no_nodal_rotation)]

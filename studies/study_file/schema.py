@@ -38,6 +38,7 @@ from .kinds import (
     Name,
     Position,
     Pressure,
+    Rotation,
     Shape,
     Vector3,
     is_safe_name,
@@ -246,9 +247,7 @@ class VdmTable(Table):
         None, description="T, tension of the skin; in the vector form its mean"
     )
     stretch_stiffness: LineForce | None = Field(None, description="E_s, stiffness of edges against stretch")
-    rotation: Literal["none", "global", "nodal"] | None = Field(
-        None, description="rotation that costs the skin no energy"
-    )
+    rotation: Rotation | None = Field(None, description="rotation that costs the skin no energy")
     penalty: Annotated[float, SI("1"), positive] | None = Field(
         None,
         description="alpha of (25) and (26), which only lu solves; left out: held nodes are eliminated exactly",

@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 
 from ..fields import Target, targets
 from .checks import fits_kind, unknown
+from .folders import GEOMETRY_PATH, short_path
 from .problems import MOST_TOLD, Finding, Loc, Source
 from .schema import Study
 from .units import shown, type_name
@@ -359,7 +360,8 @@ def _names(axes: Sequence[Axis]) -> dict[str, str]:
 
 def _named_value(name: str, axis: Axis, value: Value) -> str:
     unit = "" if axis.target.unit == "1" else f" {axis.target.unit}"
-    return f"{name} = {_shown(value)}{unit}"
+    shown_value = short_path(value) if axis.key == GEOMETRY_PATH else value
+    return f"{name} = {_shown(shown_value)}{unit}"
 
 
 def _short(key: str) -> str:

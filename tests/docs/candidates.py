@@ -31,9 +31,6 @@ from vdm.formulations.vector import (
     block_diagonal,
     block_laplacian,
     edge_directions,
-    edge_inertia,
-    edge_vectors,
-    turning_of,
 )
 from vdm.material import SUPPORTED_TENSION, VECTOR_TENSION, distance_from_support
 from vdm.surface import SurfaceMesh
@@ -83,13 +80,8 @@ class Body:
         return np.asarray(block_laplacian(self.surface, blocks).toarray())
 
     @cached_property
-    def nodal(self) -> Array:
-        """Harmonic tension with a free rotation at every node."""
-        return self.with_nodal_rotations(1.0, 0.0)
-
-    @cached_property
     def bending(self) -> Array:
-        """The same with rotations that cost BETA."""
+        """Harmonic tension with a rotation at every node, whose differences cost BETA."""
         return self.with_nodal_rotations(1.0, BETA)
 
     @cached_property
@@ -126,16 +118,16 @@ class Body:
         """(3N, 3N) of a tension about a rotation of every node, whose differences along edges cost `bending`."""
         surface = self.surface
         weights = surface.cotangent_weights
-        inertia = edge_inertia(edge_vectors(surface), weights).reshape(-1, 9)
+        inertia = _edge_inertia(surface, weights).reshape(-1, 9)
         i, j = surface.edges.T
         touching = np.zeros((surface.n_nodes, 9))
         np.add.at(touching, i, inertia)
         np.add.at(touching, j, inertia)
         # an edge counts half at either end
-        coupling = 0.5 * tension * turning_of(surface, weights)
+        coupling = 0.5 * tension * _turning(surface, weights)
         rotations = block_diagonal(0.5 * tension * touching.reshape(-1, 3, 3)).toarray()
         rotations += bending * surface.volume ** (2.0 / 3.0) * np.kron(self.harmonic, np.eye(3))
-        relief = coupling.T @ linalg.solve(rotations, coupling.toarray(), assume_a="pos")
+        relief = coupling.T @ linalg.solve(rotations, coupling, assume_a="pos")
         return np.asarray(tension * np.kron(self.harmonic, np.eye(3)) - relief)
 
     def _pairs(self, exponent: int) -> Array:
@@ -155,6 +147,32 @@ class Body:
 
 def _laplacian(weights: Array) -> Array:
     return np.asarray(np.diag(weights.sum(axis=1)) - weights)
+
+
+def _edge_inertia(surface: SurfaceMesh, weights: Array) -> Array:
+    """(E, 3, 3) w (|d|^2 I - d d^T): the quadratic form of omega -> w |omega x d|^2."""
+    d = _edge_vectors(surface)
+    square = np.einsum("ec,ec->e", d, d)
+    form = square[:, None, None] * np.eye(3) - d[:, :, None] * d[:, None, :]
+    return np.asarray(weights[:, None, None] * form)
+
+
+def _turning(surface: SurfaceMesh, weights: Array) -> Array:
+    """(3N, 3N) u -> sum_j w_ij d_ij x (u_i - u_j), the moment of the tension about node i."""
+    n = surface.n_nodes
+    turning = np.zeros((n, 3, n, 3))
+    for (i, j), (x, y, z) in zip(surface.edges, weights[:, None] * _edge_vectors(surface), strict=True):
+        cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+        for node in (i, j):
+            turning[node, :, i] += cross
+            turning[node, :, j] -= cross
+    return turning.reshape(3 * n, 3 * n)
+
+
+def _edge_vectors(surface: SurfaceMesh) -> Array:
+    """(E, 3) x_i - x_j [m]."""
+    i, j = surface.edges.T
+    return np.asarray(surface.points[i] - surface.points[j])
 
 
 @dataclass(frozen=True)
@@ -184,14 +202,14 @@ CANDIDATES = (
         "constant T, by rule",
         0,
         "sparse, N",
-        lambda b, _: VECTOR_TENSION["global"] * _radius(b) * b.membrane,
+        lambda b, _: VECTOR_TENSION * _radius(b) * b.membrane,
     ),
     Candidate("constant T", 1, "sparse, N", lambda b, c: c[0] * _radius(b) * b.membrane),
     Candidate(
         "T growing from the support, by rule",
         0,
         "sparse, N",
-        lambda b, _: SUPPORTED_TENSION["global"] * _radius(b) * b.grown_membrane,
+        lambda b, _: SUPPORTED_TENSION * _radius(b) * b.grown_membrane,
     ),
     Candidate(
         "T growing from the support", 1, "sparse, N", lambda b, c: c[0] * _radius(b) * b.grown_membrane
@@ -207,13 +225,6 @@ CANDIDATES = (
         2,
         "sparse, 3N",
         lambda b, c: _radius(b) * (c[0] * b.membrane + c[1] * b.stretch),
-    ),
-    Candidate("nodal rotation", 1, "sparse, 3N", lambda b, c: c[0] * _radius(b) * b.nodal),
-    Candidate(
-        "nodal rotation + E_s",
-        2,
-        "sparse, 3N",
-        lambda b, c: _radius(b) * (c[0] * b.nodal + c[1] * b.stretch),
     ),
     Candidate(
         "rotations with stiffness",

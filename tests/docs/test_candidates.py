@@ -30,7 +30,6 @@ def condensed(form: Formulation) -> c.Array:
     ("matrix", "parameters"),
     [
         (BODY.membrane, Parameters(surface_tension=1.0)),
-        (BODY.nodal, Parameters(surface_tension=1.0, rotation="nodal")),
         (BODY.stretch, Parameters(surface_tension=0.0, stretch_stiffness=1.0, rotation="none")),
         (
             1.1 * SURFACE.equivalent_radius * BODY.grown_membrane,

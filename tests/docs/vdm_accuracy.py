@@ -31,7 +31,6 @@ COLUMNS = {
     "vdm-paper": "paper",
     "vdm-consistent": "consistent",
     "vdm-vector": "vector",
-    "vdm-vector:lu": "vector, nodal rotation",
     "vdm-boundary": "boundary",
     "fem-linear": "FEM, this mesh",
 }

@@ -22,7 +22,7 @@ import h5py
 import numpy as np
 import pytest
 
-from studies import doctor, files, store
+from studies import doctor, files, run_directory
 from studies.cli import main
 from studies.graph import run, work
 from studies.graph.local import HerePlaces
@@ -222,7 +222,7 @@ def _study_lost(directory: Path) -> Sequence[str | Path]:
 
 
 def _failure_cut(directory: Path) -> Sequence[str | Path]:
-    path = store.failure_path(directory / RUN, _case(directory).stem)
+    path = run_directory.failure_path(directory / RUN, _case(directory).stem)
     _case(directory).unlink()
     path.parent.mkdir(exist_ok=True)
     path.write_text("{}")
@@ -267,7 +267,7 @@ DAMAGE: dict[str, tuple[Prepare, int, str]] = {
     "no plan": (_plan_lost, 5, "not a run directory"),
     "damaged plan": (_plan_cut, 5, "plan.json: damaged"),
     "no study text": (_study_lost, 5, "study.toml: not readable"),
-    "damaged failure": (_failure_cut, 5, "damaged ('hash'); delete it and run again"),
+    "damaged failure": (_failure_cut, 5, "damaged ('hash': Field required); delete it and run again"),
     "no baseline": (_no_baseline, 6, "no such baseline; make one with: vdmbench accept"),
     "baseline of another study": (_foreign_baseline, 2, "another"),
     "newer baseline": (_newer_baseline, 2, "schema 99 is newer"),

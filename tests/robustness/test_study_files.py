@@ -61,7 +61,7 @@ FURTHER: dict[str, dict[str, Any]] = {  # bases with the tables that exclude eac
             "regions.finger.cap.direction.0": {"start": 0, "stop": 0.3, "num": 4},
         },
         "calibration": {"training": 2, "parameters": ["bulk_modulus", "surface_tension"]},
-        "models": {"vdm-vector": {"surface_tension": "60 N/m", "rotation": "nodal"}},
+        "models": {"vdm-vector": {"surface_tension": "60 N/m", "rotation": "none"}},
     },
     "sample": {
         **BASE,
@@ -79,7 +79,7 @@ FURTHER: dict[str, dict[str, Any]] = {  # bases with the tables that exclude eac
         "sweep": {
             "mode": "one-at-a-time",
             "load.steps": [1, 2, 4],
-            "vdm.rotation": ["none", "nodal"],
+            "vdm.rotation": ["none", "global"],
             "anisotropy.fibre_direction.1": [0, 1],
         },
         "load": {"factors": [1], "steps": 2},

@@ -28,6 +28,7 @@ from studies.benchmark.bench_data import (
     spread,
 )
 from studies.benchmark.timing import SAMPLE, SAMPLES, calls_of_a_sample, median_of_samples, median_seconds
+from studies.cli_study import bodies_to_measure
 from studies.growth import RADIUS, fill_and_flops, sphere
 from studies.meshing.mesh import InputError
 from studies.report.bench_page import bench_html
@@ -328,6 +329,15 @@ def test_a_size_that_the_author_never_wrote_and_nothing_stands_is_left_out(tmp_p
     # nothing else is to be had: the study as it is
     alone = bench.measure({"ball": load_study(path)}, tmp_path, sizes=(2.6,), rounds=1, watch=told.append)
     assert alone.meshes() == [mesh]
+
+
+def test_a_surface_called_like_a_built_in_body_is_measured_beside_it() -> None:
+    built_in = bodies_to_measure(None, None)
+    for name in ("sphere.stl", "organ.ply", "liver.stl"):
+        bodies = bodies_to_measure(None, Path(name))
+        assert bodies.items() > built_in.items()
+        assert [path for _, path in bodies.values() if path is not None] == [Path(name)]
+    assert set(bodies_to_measure(None, Path("liver.stl"))) == {"sphere", "organ", "liver"}
 
 
 def test_help_says_how_long_it_takes_and_what_a_study_does(tmp_path: Path) -> None:

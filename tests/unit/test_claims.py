@@ -52,12 +52,18 @@ def with_models(case: CaseResult, **changes: Mapping[str, object]) -> CaseResult
     ],
 )
 def test_volume(exact: float, linear: float, displaced: float, verdict: str) -> None:
-    case = make_case({"vdm-paper": 0.1, "vdm-paper:nonlinear": 0.1}, subdivisions=0)
+    case = make_case({"vdm-paper": 0.1, "vdm-vector:nonlinear": 0.1}, subdivisions=0)
     case = with_metric(case, "vdm-paper", {"volume_drift": linear, "volume_drift_of_displaced": displaced})
     case = with_metric(
-        case, "vdm-paper:nonlinear", {"volume_drift": exact, "volume_drift_of_displaced": exact}
+        case, "vdm-vector:nonlinear", {"volume_drift": exact, "volume_drift_of_displaced": exact}
     )
     assert judged(1, case).verdict == verdict
+
+
+def test_of_the_printed_form_no_solver_is_asked_for_the_exact_volume() -> None:
+    case = make_case({"vdm-paper:nonlinear": 0.1}, subdivisions=0)
+    found = {"volume_drift": 1e-4, "volume_drift_of_displaced": 0.02}
+    assert judged(1, with_metric(case, "vdm-paper:nonlinear", found)).verdict == WITHIN_LIMITS
 
 
 @pytest.mark.parametrize("rounding", [-1e-13, 0.0, 1e-13])

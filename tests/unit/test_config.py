@@ -323,7 +323,7 @@ def test_the_reference_lists_every_key_with_its_help() -> None:
     assert rows["geometry.semi_axes"].kind == "list of 3: length [m]"
     assert rows["regions.NAME.cap.angle"].default == "required"
     assert rows["regions.NAME.all"].kind == "list of regions"
-    assert rows["models.NAME.rotation"].kind == "none | global | nodal"
+    assert rows["models.NAME.rotation"].kind == "none | global"
     written = {
         ".".join(str(part) for part in path)
         .replace("constraints.0", "constraints[]")

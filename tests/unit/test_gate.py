@@ -18,6 +18,7 @@ from studies.case import CaseResult, MetricSeries, Run
 from studies.gate import Baseline, BaselineError, Finding, accept, compare, counts, read_baseline
 from studies.gate_report import describe, junit, markdown, summary
 from studies.metrics import METRICS, Sense
+from studies.run_directory import read_plan, rewrite_plan, write_failure
 from tests.command import SMALL_STUDY, vdmbench
 
 from .report_runs import make_case, make_run
@@ -383,21 +384,22 @@ def test_the_commands_and_their_exit_codes(tmp_path: Path) -> None:
     assert "the run has not got to it" in unfinished.stdout
     (tmp_path / directory / "failed").mkdir(exist_ok=True)
     failure = {"hash": result.stem, "label": "", "code": "crashed", "message": "it died", "remedy": ""}
-    (tmp_path / directory / "failed" / f"{result.stem}.json").write_text(json.dumps(failure))
+    write_failure(tmp_path / directory / "failed" / f"{result.stem}.json", failure, "")
     failed = vdmbench("gate", directory, cwd=tmp_path)
     assert failed.returncode == 1
     assert "newly failing: the only case: it died" in failed.stdout
     result.write_bytes(whole)
     assert vdmbench("gate", directory, cwd=tmp_path).returncode == 0
 
-    plan = tmp_path / directory / "plan.json"
-    text = plan.read_text()
-    plan.write_text(text.replace('"name": "small"', '"name": "../../escaped"'))
+    plan = read_plan(tmp_path / directory)
+    plan["study"]["name"] = "../../escaped"
+    rewrite_plan(tmp_path / directory, plan)
     escaping = vdmbench("accept", directory, "--reason", "x", cwd=tmp_path)
     assert escaping.returncode == 2
     assert "is not a usable name" in escaping.stderr
     assert not list(tmp_path.rglob("escaped*"))
-    plan.write_text(text.replace('"name": "small"', '"nom": "small"'))
+    del plan["study"]["name"]
+    rewrite_plan(tmp_path / directory, plan)
     assert vdmbench("gate", directory, cwd=tmp_path).returncode == 5
 
 

@@ -363,6 +363,26 @@ def test_the_node_budget_is_checked_before_meshing_and_estimates_well(
         monkeypatch.undo()
 
 
+@pytest.mark.parametrize(
+    ("geometry", "key"),
+    [
+        (Geometry("sphere", 0.01, {}), "radius"),
+        (Geometry("sphere", 0.01, {"radius": -1.0}), "radius"),
+        (Geometry("sphere", 0.01, {"radius": 50.0}), "radius"),
+        (Geometry("sphere", -1.0, {"radius": 0.05}), "mesh_size"),
+        (Geometry("cylinder", 0.01, {"radius": 0.05, "length": 50.0}), "length"),
+        (Geometry("cylinder", 0.01, {"radius": 50.0, "length": 0.05}), "radius"),
+        (Geometry("cylinder", 0.01, {"radius": 0.05, "length": 0.05, "axis": "w"}), "axis"),
+        (Geometry("box", 0.01, {"size": (50.0, 1.0, 1.0)}), "size"),
+        (Geometry("ellipsoid", 0.01, {"semi_axes": (0.1, 0.1)}), "semi_axes"),
+    ],
+)
+def test_a_fault_of_a_solid_is_told_at_its_own_key(geometry: Geometry, key: str) -> None:
+    with pytest.raises(MeshError) as caught:
+        check_geometry(geometry)
+    assert caught.value.key == key
+
+
 def test_the_key_covers_what_decides_the_mesh(monkeypatch: pytest.MonkeyPatch) -> None:
     key = geometry_key(CYLINDER, volume=True)
     assert len(key) == 64

@@ -62,6 +62,7 @@ def test_what_a_name_tells_is_what_the_registry_knows() -> None:
     ]
     assert {split(name)[1] for name in names if not is_linear(name)} == {
         "linear",
+        "plain",
         "quasi-linear",
         "nonlinear",
     }

@@ -12,9 +12,10 @@ import pytest
 from studies.files import clear_abandoned, write_atomically
 from studies.graph.run import _lock
 from studies.hdf5 import Stored, StoreError
+from studies.run_directory import case_path, read_plan, refuse_linked
 from studies.safe_open import UnfitFileError, open_regular, read_regular
 from studies.sealed import read_arrays
-from studies.store import case_path, case_state, read_plan, read_run, refuse_linked, run_state
+from studies.store import case_state, read_run, run_state
 
 OTHERS: dict[str, Callable[[Path], object]] = {
     "a link": lambda path: path.symlink_to(path.parent / "other"),

@@ -18,6 +18,7 @@ from numpy.testing import assert_array_equal
 from studies import hdf5, store, uncertainty
 from studies.case import Run
 from studies.hdf5 import StoreError
+from studies.run_directory import RESOLVED, STUDY, case_path, failure_path, write_failure, write_plan
 from tests.command import strict_json
 
 from .example_case import N_STEPS, example_case
@@ -195,7 +196,7 @@ def _edit_about(file: h5py.File, **changes: Any) -> None:
 
 def test_a_case_of_an_older_program_is_made_anew(tmp_path: Path) -> None:
     case = example_case()
-    path = store.case_path(tmp_path, case.hash)
+    path = case_path(tmp_path, case.hash)
     path.parent.mkdir()
     store.write_case(path, case)
     assert store.case_state(tmp_path, case.hash) == "done"
@@ -245,32 +246,34 @@ def test_other_files_are_refused(tmp_path: Path) -> None:
         store.read_case(path)
 
 
+KEY = "tissue.poisson_ratio"
+SWEPT = {KEY: 0.45}
+
+
 def _run_directory(directory: Path) -> None:
     """Three planned cases: one done, one failed, one missing."""
     done, failed = example_case("a1" * 32), "b2" * 32
-    store.write_case(store.case_path(directory, done.hash), done)
-    store.failure_path(directory, failed).parent.mkdir()
+    store.write_case(case_path(directory, done.hash), done)
     reason = {"hash": failed, "label": "x", "code": "error", "message": "too coarse", "remedy": "refine"}
-    store.failure_path(directory, failed).write_text(json.dumps(reason))
+    write_failure(failure_path(directory, failed), reason, "")
     planned = [
-        {"hash": h, "label": f"case {h[:2]}", "swept": {"load": 2.0}, "swept_units": {"load": "N"}}
+        {"hash": h, "label": f"case {h[:2]}", "swept": SWEPT, "swept_units": {KEY: "1"}}
         for h in (done.hash, failed, "c3" * 32)
     ]
     study = {"name": "s", "title": "t", "models": ["vdm-paper"], "reference": None}
-    (directory / "plan.json").write_text(json.dumps({"study": study, "cases": planned}))
-    (directory / "study.toml").write_text("[study]")
+    write_plan(directory, {"study": study, "cases": planned}, {STUDY: b"[study]", RESOLVED: b""})
 
 
 def test_run_directory(tmp_path: Path) -> None:
     _run_directory(tmp_path)
     run = store.read_run(tmp_path)
     assert [case.label for case in run.cases] == ["case a1"], "label and swept values are the plan's"
-    assert run.cases[0].swept == {"load": 2.0}
+    assert run.cases[0].swept == SWEPT
     assert [failure["message"] for failure in run.failed] == ["too coarse"]
     assert run.missing == ["case c3"]
     state = store.run_state(tmp_path)
     assert (state["done"], state["missing"], state["damaged"]) == (["case a1"], ["case c3"], [])
-    path = store.case_path(tmp_path, "a1" * 32)
+    path = case_path(tmp_path, "a1" * 32)
     path.write_bytes(path.read_bytes()[:-1])
     assert store.run_state(tmp_path)["damaged"] == ["case a1"]
     with pytest.raises(StoreError, match="damaged"):

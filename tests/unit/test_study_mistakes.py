@@ -6,8 +6,9 @@ from pathlib import Path
 
 import pytest
 
+from studies.meshing.mesh import MeshError
 from studies.models import model_names
-from studies.study_file.config import load_study
+from studies.study_file.config import StudyError, geometry_error, load_study
 
 from .study_texts import SMALL, problems
 
@@ -321,7 +322,7 @@ CASES = {
     ),
     "parameter that no model reads": (
         '["vdm-paper"]\n',
-        '["vdm-paper", "fem"]\n[vdm]\nrotation = "nodal"\n',
+        '["vdm-paper", "fem"]\n[vdm]\nrotation = "none"\n',
         "rotation",
         "vdm.rotation",
         "no model of this study reads it; leave it out. Read here: bulk_modulus, connectivity_modulus, penalty",
@@ -332,6 +333,13 @@ CASES = {
         '"shear_modulus"',
         "calibration.parameters[1]",
         "no VDM model of this study reads shear_modulus; leave it out",
+    ),
+    "a rotation that is gone": (
+        '["vdm-paper"]\n',
+        '["vdm-vector"]\n[vdm]\nrotation = "nodal"\n',
+        "rotation",
+        "vdm.rotation",
+        'is gone, as its answer grows without limit on finer meshes; write rotation = "global"',
     ),
     "fit of nothing in a model": (
         '["vdm-paper"]\n',
@@ -505,6 +513,29 @@ def test_regions_that_refer_to_themselves_or_grow_without_end_are_refused(tmp_pa
     # r20 takes 1 step, r(n) takes 2 + 2 r(n+1): 1 + 3 (2^k - 1) steps, past 1,000 from k = 9 on
     too_large = {key for key, message in by_key.items() if "is made of more than" in message}
     assert {f"regions.r{n}" for n in range(12)} | {"regions.into"} == too_large
+
+
+@pytest.mark.parametrize(
+    ("radius", "length", "key"), [("50 mm", "50 m", "length"), ("50 m", "50 mm", "radius")]
+)
+def test_a_cylinder_too_large_is_told_at_the_key_that_makes_it_so(
+    tmp_path: Path, radius: str, length: str, key: str
+) -> None:
+    cylinder = f'shape = "cylinder"\nlength = "{length}"\nradius = "{radius}"'
+    path = tmp_path / "study.toml"
+    path.write_text(SMALL.replace('shape = "sphere"\nradius = 0.05', cylinder))
+    with pytest.raises(StudyError, match="a mixed-up unit") as caught:
+        load_study(path)
+    assert [problem.key for problem in caught.value.problems] == [f"geometry.{key}"]
+
+
+def test_what_only_the_mesher_finds_is_told_of_a_solid_at_its_shape(tmp_path: Path) -> None:
+    """A solid has no path."""
+    path = tmp_path / "study.toml"
+    path.write_text(SMALL)
+    [problem] = geometry_error(load_study(path), MeshError("gmsh cannot mesh this geometry")).problems
+    assert problem.key == "geometry.shape"
+    assert 'shape = "sphere"' in SMALL.splitlines()[problem.line - 1]
 
 
 def test_models_are_those_of_the_registry(tmp_path: Path) -> None:

@@ -63,7 +63,7 @@ def test_a_grid_is_every_combination_last_axis_fastest(tmp_path: Path) -> None:
         ("regions.tip.cap.direction.0", "[0.5, 1]", "1", lambda s: s.regions["tip"].cap.direction[0]),
         ("geometry.semi_axes.1", '["45 mm", "44 mm"]', "m", lambda s: s.geometry.semi_axes[1]),
         ("vdm.bulk_modulus", '[0, "1 kPa"]', "Pa", lambda s: s.vdm.bulk_modulus),
-        ("vdm.rotation", '["none", "nodal"]', "1", lambda s: s.vdm.rotation),
+        ("vdm.rotation", '["none", "global"]', "1", lambda s: s.vdm.rotation),
         ("environment.pressure", "[1, 2]", "Pa", lambda s: s.environment.pressure),
         ("load.factors.0", "[0.5, 2]", "1", lambda s: s.load.factors[0]),
         ("uncertainty.levels", "[2, 3]", "1", lambda s: s.uncertainty.levels),

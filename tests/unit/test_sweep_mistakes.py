@@ -65,9 +65,14 @@ WRONG = {
     "bool for a choice": ('"vdm.rotation" = [true]', '0: sweep."vdm.rotation"[0]', "not true or false"),
     "list for a choice": ('"vdm.rotation" = [["none"]]', '0: sweep."vdm.rotation"[0]', "not a list"),
     "unknown choice": (
-        '"vdm.rotation" = ["global", "noddle"]',
+        '"vdm.rotation" = ["none", "globe"]',
         '0: sweep."vdm.rotation"',
-        'did you mean "nodal"?',
+        'did you mean "global"?',
+    ),
+    "a choice that is gone": (
+        '"vdm.rotation" = ["global", "nodal"]',
+        '0: sweep."vdm.rotation"',
+        'write rotation = "global", one rotation for the body',
     ),
     "out of range": ('"tissue.poisson_ratio" = [0.3, 0.6]', '0: sweep."tissue.poisson_ratio"', "at most 0.5"),
     "wrong in a combination": (

@@ -28,5 +28,5 @@ def test_a_factor_that_fails_says_one_line(matrix):
     )
     lines = done.stdout.splitlines()
     assert len(lines) == 1, done.stdout
-    assert lines[0].startswith("the operator is not positive definite; hold at least three nodes")
+    assert lines[0].startswith("the operator is not positive definite; hold an area of the surface")
     assert done.stderr == ""

@@ -30,15 +30,12 @@ FORMS = {
         "vector",
         Parameters(surface_tension=60.0, stretch_stiffness=10.0, foundation=1e3),
     ),
-    "vector, nodal and stretch": (
-        "vector",
-        Parameters(surface_tension=200.0, stretch_stiffness=10.0, rotation="nodal"),
-    ),
+    "vector, stretch": ("vector", Parameters(surface_tension=200.0, stretch_stiffness=10.0)),
     "boundary, skin": ("boundary", Parameters(shear_modulus=1667.0)),
 }
 WITH_ENERGY = [name for name in FORMS if not name.startswith("paper")]
 # turned as a whole, these neither store energy nor push
-FREE = ["vector", "vector, nodal and stretch", "boundary", "boundary, skin", "mass-spring"]
+FREE = ["vector", "vector, stretch", "boundary", "boundary, skin", "mass-spring"]
 
 
 @pytest.fixture

@@ -22,7 +22,7 @@ from vdm import (
     SurfaceMesh,
 )
 from vdm.deformed import DeformableSurface
-from vdm.material import ball_compliance
+from vdm.material import ROTATIONS, ball_compliance
 from vdm.model import SOLVERS
 from vdm.solvers.compliance import ContactCompliance
 
@@ -252,12 +252,21 @@ def test_rule_from_tissue_matches_the_ball():
 
 def test_rule_of_the_vector_form_knows_its_rotation():
     unit = 5000.0 / 3.0 * BODY.equivalent_radius
-    for rotation, factor in (("none", 0.7), ("global", 0.7), ("nodal", 3.3)):
+    for rotation in ROTATIONS:
         rule = Parameters.from_tissue(5000.0, BODY, "vector", rotation)
         assert rule.rotation == rotation
-        assert_allclose(rule.surface_tension, factor * unit, rtol=1e-13, atol=0.0)
-    with pytest.raises(ParameterError, match="rotation must be one of none, global, nodal"):
+        assert_allclose(rule.surface_tension, 0.7 * unit, rtol=1e-13, atol=0.0)
+    with pytest.raises(ParameterError, match="rotation must be one of none, global, not 'each'"):
         Parameters.from_tissue(5000.0, BODY, "vector", "each")
+
+
+def test_a_rotation_at_every_node_is_refused_with_what_to_use():
+    for make in (
+        lambda: Parameters(surface_tension=1.0, rotation="nodal"),
+        lambda: Parameters.from_tissue(5000.0, BODY, "vector", "nodal"),
+    ):
+        with pytest.raises(ParameterError, match=r"rotation = 'nodal' is gone, .* use 'global'"):
+            make()
 
 
 def test_tension_grows_as_the_root_of_the_distance_from_the_support():
@@ -268,9 +277,9 @@ def test_tension_grows_as_the_root_of_the_distance_from_the_support():
     distance = np.maximum(0.5 * (nearest[i] + nearest[j]), 0.5 * length)
     assert held.any()
     assert (distance > 0.5 * length).any()
-    for rotation, factor in (("none", 1.1), ("global", 1.1), ("nodal", 4.2)):
+    for rotation in ROTATIONS:
         rule = Parameters.from_tissue(5000.0, BODY, "vector", rotation, held)
-        expected = factor * 5000.0 / 3.0 * np.sqrt(BODY.equivalent_radius * distance)
+        expected = 1.1 * 5000.0 / 3.0 * np.sqrt(BODY.equivalent_radius * distance)
         assert rule.rotation == rotation
         assert_allclose(rule.surface_tension, expected, rtol=1e-12, atol=0.0)
     nothing = Parameters.from_tissue(5000.0, BODY, "vector", held=np.zeros_like(held))
@@ -359,6 +368,14 @@ BAD_SCENES = [
     ({"density": -1.0}, "density"),
     ({"gravity": (0.0, np.inf, 0.0)}, "gravity"),
     ({"solver": "lu", "penalty": 0.0}, "penalty"),
+    (
+        {"fixed": np.arange(162) < 3, "constrained": (np.arange(162) >= 2) & (np.arange(162) < 9)},
+        "^node 2 is both fixed and constrained; take it out",
+    ),
+    (
+        {"fixed": np.arange(162) < 9, "constrained": np.arange(162) < 3},
+        "^node 0 is both .*, and 2 more; take",
+    ),
 ]
 
 
@@ -385,17 +402,16 @@ def test_bad_loads(load, message):
 
 LINE = np.flatnonzero(np.abs(POINTS[:, 1:]).max(axis=1) < 1e-12)  # both ends of one axis
 LOOSE = "free to move without any resistance"
-THREE = "hold at least three nodes that are not on one line"
+AREA = "hold an area of the surface, the nodes of some of its facets"
 # formulation, parameters (None: by rule), nodes held, remedy
 SINGULAR = [
-    ("vector", Parameters(surface_tension=1.0, rotation="none"), [], THREE),
-    ("vector", Parameters(surface_tension=1.0, rotation="global"), [0], THREE),
-    ("vector", Parameters(surface_tension=1.0, rotation="nodal"), LINE, THREE),
-    ("vector", Parameters(surface_tension=0.0, stretch_stiffness=1.0, rotation="none"), LINE, THREE),
-    ("boundary", None, [], THREE),
-    ("boundary", None, LINE, THREE),
-    ("mass-spring", None, [], THREE),
-    ("mass-spring", None, LINE, THREE),
+    ("vector", Parameters(surface_tension=1.0, rotation="none"), [], AREA),
+    ("vector", Parameters(surface_tension=1.0, rotation="global"), [0], AREA),
+    ("vector", Parameters(surface_tension=0.0, stretch_stiffness=1.0, rotation="none"), LINE, AREA),
+    ("boundary", None, [], AREA),
+    ("boundary", None, LINE, AREA),
+    ("mass-spring", None, [], AREA),
+    ("mass-spring", None, LINE, AREA),
     ("paper", Parameters(bulk_modulus=0.0, connectivity_modulus=1.0), [], "hold a node"),
     ("consistent", Parameters(foundation=0.0, surface_tension=1.0), [], "hold a node"),
 ]
@@ -427,7 +443,7 @@ def test_just_enough_held(formulation, parameters):
 def test_nothing_held_on_a_body_of_many_nodes_is_said_before_the_set_up(monkeypatch):
     points, triangles = icosphere(4)
     monkeypatch.setattr("vdm.formulations.boundary.Skin", lambda *_: pytest.fail("assembled"))
-    with pytest.raises(SolverError, match=THREE):
+    with pytest.raises(SolverError, match=AREA):
         Model(points, triangles, Parameters(shear_modulus=1.0), formulation="boundary")
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from tests.unit.vdm_shapes import icosphere, torus
+from tests.unit.vdm_shapes import halved, icosphere, octahedron, torus
 from vdm import FORMULATIONS, Load, Model, Parameters, SolverError, SurfaceMesh
 from vdm.deformed import DeformableSurface
 from vdm.model import SOLVERS
@@ -24,7 +24,6 @@ NAMES = list(FORMULATIONS)
 VECTOR_FORMS = [
     Parameters(surface_tension=60.0, rotation="none"),
     Parameters(surface_tension=60.0, rotation="global", stretch_stiffness=10.0, foundation=1e3),
-    Parameters(surface_tension=200.0, rotation="nodal"),
 ]
 
 
@@ -35,6 +34,13 @@ def model(formulation: str, parameters: Parameters | None = None, **options) -> 
 
 def drift(displacement) -> float:
     return DEFORMABLE.at(displacement).volume / BODY.volume - 1.0
+
+
+def kept_drift(solver: Model, displacement) -> float:
+    """Of the volume that a model's formulation keeps."""
+    state = DeformableSurface(solver.surface).at(displacement)
+    kept = solver.formulation.kept_volume(solver.formulation.unknown(displacement), state)
+    return kept / solver.surface.volume - 1.0
 
 
 @pytest.mark.parametrize("solver", ["bicg", "bicg-cold", "cg", "minres"])
@@ -63,16 +69,71 @@ def test_iterative_solvers_equal_the_direct_one(formulation, solver):
 @pytest.mark.parametrize("solver", ["bicg", "bicg-cold"])
 @pytest.mark.parametrize("bulk_modulus", [1e4, 1e9])
 def test_printed_rows_in_two_units_never_give_a_wrong_answer(solver, bulk_modulus):
-    """With large moduli the volume row is lost in the residual: the step fails where the volume is not kept."""
+    """As printed, the volume row [m^3] of large moduli is lost beside rows in Pa: scaled, it counts as they do."""
     material = Parameters(bulk_modulus=bulk_modulus, connectivity_modulus=1e3)
     right, found = (model("paper", material, solver=name).solve([PUSH]) for name in ("linear", solver))
-    if bulk_modulus == 1e4:
-        size = np.abs(right.displacement).max()
-        assert_allclose(found.displacement, right.displacement, rtol=0.0, atol=1e-8 * size)
-    else:
-        assert found.status[0].code == "not-converged"
-        assert "use the linear solver" in found.status[0].remedy
-        assert right.status[0].ok
+    assert right.status[0].ok
+    assert found.status[0].ok
+    size = np.abs(right.displacement).max()
+    assert_allclose(found.displacement, right.displacement, rtol=0.0, atol=1e-8 * size)
+
+
+@pytest.mark.parametrize("formulation", NAMES)
+def test_bicg_does_not_depend_on_the_units(formulation):
+    """m and Pa, mm and MPa, inch and psi: the same iterations, and the same answer to the tolerance."""
+    found = []
+    for length, stress in ((1.0, 1.0), (1e-3, 1e6), (0.0254, 6894.757)):
+        surface = SurfaceMesh(POINTS / length, TRIANGLES)
+        material = Parameters.from_tissue(5000.0 / stress, surface, formulation)
+        body = Model(POINTS / length, TRIANGLES, material, formulation=formulation, fixed=BASE)
+        load = Load.from_facet_pressure(surface, np.where(TOP, 100.0, 0.0) / stress)
+        step = KrylovSolver(body.problem, "bicg", tolerance=1e-11).step(load)
+        assert step.status.ok, (length, stress)
+        found.append((step.iterations, step.displacement * length, step.pressure_change * stress))
+    first = found[0]
+    for iterations, displacement, pressure in found[1:]:
+        # rounding differs, and at the last of them decides
+        assert abs(iterations - first[0]) <= max(1, 0.03 * first[0])
+        assert_allclose(displacement, first[1], rtol=0.0, atol=1e-9 * np.abs(first[1]).max())
+        assert_allclose(pressure, first[2], rtol=1e-9, atol=0.0)
+
+
+@pytest.mark.parametrize("solver", SOLVERS)
+@pytest.mark.parametrize("formulation", NAMES)
+def test_a_pressure_from_all_sides_moves_nothing_and_is_no_failure(formulation, solver):
+    """The answer is the rounding of what cancels, and that is what it is measured by."""
+    if (formulation, solver) == ("paper", "minres") or (
+        formulation == "boundary" and solver in ("single", "refined")
+    ):
+        pytest.skip("refused, with a test of its own")
+    loads = [Load.from_facet_pressure(BODY, np.full(len(TRIANGLES), p)) for p in (100.0, 200.0)]
+    body = model(formulation, solver=solver)
+    solution = body.solve(loads)
+    moves = np.abs(body.solve([PUSH]).displacement).max()
+    for status in solution.status:
+        assert status.ok, status
+    # the tolerance of iterative solvers, of single precision, or rounding
+    assert np.abs(solution.displacement).max() < 1e-6 * moves
+    assert_allclose(solution.fluid_pressure, [100.0, 200.0], rtol=1e-6, atol=0.0)
+
+
+@pytest.mark.parametrize("solver", ["quasi-linear", "nonlinear"])
+@pytest.mark.parametrize("formulation", NAMES)
+def test_a_vanishing_load_has_the_answer_of_the_linear_model(formulation, solver):
+    """On an octahedron, where the printed volume row sum A_i L_i is furthest from the gradient of the volume."""
+    points, triangles = halved(*octahedron(0.05))  # 18 nodes
+    surface = SurfaceMesh(points, triangles)
+    push = Load.from_facet_pressure(
+        surface, np.where((points[triangles][:, :, 2] > -1e-9).all(axis=1), 1e-4, 0.0)
+    )
+    material = Parameters.from_tissue(5000.0, surface, formulation)
+    linear, other = (
+        Model(points, triangles, material, formulation=formulation, fixed=points[:, 2] < -0.02, solver=name)
+        .solve([push])
+        .displacement[0]
+        for name in ("linear", solver)
+    )
+    assert_allclose(other, linear, rtol=0.0, atol=1e-5 * np.abs(linear).max())
 
 
 @pytest.mark.parametrize("method", ["cg", "minres"])
@@ -140,7 +201,9 @@ def test_border_update_equals_dense_sherman_morrison(formulation):
     row = form.deformed_columns(state)[1].reshape(-1) * form.column_scale
     change = np.append(row[free], np.zeros(form.columns.count)) - matrix[-1]
     inverse = sherman_morrison(np.linalg.inv(matrix), change)
-    target = row @ (form.unknown(first).reshape(-1) / form.column_scale) - (state.volume - BODY.volume)
+    target = (
+        row @ (form.unknown(first).reshape(-1) / form.column_scale) - kept_drift(solver, first) * BODY.volume
+    )
     force = form.row_scale * problem.force(PUSH.scaled(4.0)).reshape(-1)
     right = np.concatenate([force[free], np.zeros(form.columns.count - 1), [target]])
     x = np.zeros(free.size)
@@ -171,7 +234,8 @@ def test_sherman_morrison_as_printed_is_no_inverse():
 def test_quasi_linear_drift_falls_with_the_square_of_the_step(formulation):
     def last_drift(row, steps):
         loads = [PUSH.scaled(4.0 * s) for s in np.arange(1, steps + 1) / steps]
-        return drift(model(formulation, solver="quasi-linear", volume_row=row).solve(loads).displacement[-1])
+        solver = model(formulation, solver="quasi-linear", volume_row=row)
+        return kept_drift(solver, solver.solve(loads).displacement[-1])
 
     exact = [last_drift("exact", n) for n in (4, 16)]
     assert 13.0 < exact[0] / exact[1] < 19.0
@@ -200,7 +264,9 @@ def test_quasi_linear_tells_what_the_path_has_left(formulation):
         assert_allclose(errors[-1], np.abs(solution.displacement[-1]).max() / largest, rtol=0.01, atol=0.0)
         for status, error in zip(solution.status, errors, strict=True):
             assert status.ok
-            assert bool(status.message) == bool(status.remedy) == (error > 1e-3)
+            assert (
+                ("load steps" in status.message) == ("smaller load steps" in status.remedy) == (error > 1e-3)
+            )
         told[count] = solution
     assert told[2].scalars["path_error"].max() > 1e-3 > told[80].scalars["path_error"].max()
     # of the second order in the step
@@ -214,7 +280,7 @@ def test_quasi_linear_tells_what_the_path_has_left(formulation):
     gap = np.abs(rest.displacement[1] - rest.displacement[-1]).max() / np.abs(rest.displacement[1]).max()
     assert_allclose(rest.scalars["path_error"][1], gap, rtol=0.01, atol=0.0)
     assert rest.scalars["path_error"][-1] < 1e-12
-    assert not rest.status[-1].message
+    assert "load steps" not in rest.status[-1].message
 
 
 def test_only_the_quasi_linear_solver_has_a_path():
@@ -231,23 +297,23 @@ def test_only_the_quasi_linear_solver_has_a_path():
 )
 def test_nonlinear_keeps_the_volume_and_meets_the_linear_model_at_small_loads(formulation, parameters):
     loads = [PUSH.scaled(s) for s in (1e-4, 1e-3, 1.0, 4.0)]
-    solution = model(formulation, parameters, solver="nonlinear").solve(loads)
+    solver = model(formulation, parameters, solver="nonlinear")
+    solution = solver.solve(loads)
     linear = model(formulation, parameters).solve(loads)
     assert all(status.ok for status in solution.status)
     for displacement in solution.displacement:
-        assert abs(drift(displacement)) < 1e-12
+        assert abs(kept_drift(solver, displacement)) < 1e-12
+        # what facets turn away is no part of the printed volume sum A_i L_i
+        assert abs(drift(displacement)) < (1e-2 if formulation == "paper" else 1e-12)
     assert abs(drift(linear.displacement[-1])) > 1e-6
     gaps = [
         np.abs(a - b).max() / np.abs(b).max()
         for a, b in zip(solution.displacement, linear.displacement, strict=True)
     ]
-    # the paper's volume row sum A_i L_i is not the exact one: its two models differ by a constant share
-    floor = gaps[0] if formulation == "paper" else 0.0
     # springs that turn with the surface depart from the linear model sooner
-    assert gaps[1] < (1e-4 if formulation == "mass-spring" else 2e-5) + 1.01 * floor
+    assert gaps[1] < (1e-4 if formulation == "mass-spring" else 2e-5)
     assert gaps[3] > 1e-3
-    if formulation != "paper":
-        assert_allclose(gaps[1] / gaps[0], 10.0, rtol=0.1, atol=0.0)
+    assert_allclose(gaps[1] / gaps[0], 10.0, rtol=0.1, atol=0.0)
     assert np.all(np.diff(solution.energy) > 0.0)
 
 
@@ -292,7 +358,7 @@ def test_nonlinear_prescribed_displacement_and_genus_one(formulation):
     base, top = points[:, 2] < -0.015, points[:, 2] > 0.018
     load = Load(np.zeros(len(points)), None, np.where(top[:, None], [0.0, 0.0, -0.004], 0.0))
     parameters = Parameters.from_tissue(5000.0, surface, formulation)
-    solution = Model(
+    body = Model(
         points,
         triangles,
         parameters,
@@ -300,12 +366,13 @@ def test_nonlinear_prescribed_displacement_and_genus_one(formulation):
         fixed=base,
         constrained=top,
         solver="nonlinear",
-    ).solve([load])
+    )
+    solution = body.solve([load])
     assert solution.status[0].ok
     moved = np.einsum("ic,ic->i", solution.displacement[0], surface.normals)[top]
     expected = np.einsum("ic,ic->i", load.prescribed, surface.normals)[top]
     assert_allclose(moved, expected, rtol=1e-12, atol=1e-16)
-    assert abs(DeformableSurface(surface).at(solution.displacement[0]).volume / surface.volume - 1.0) < 1e-12
+    assert abs(kept_drift(body, solution.displacement[0])) < 1e-12
     # the support below pushes up what the tool above pushes down
     assert solution.reaction_force[0, top, 2].sum() < 0.0 < solution.reaction_force[0, base, 2].sum()
 
@@ -326,7 +393,6 @@ def test_every_linear_solver_on_a_torus(formulation):
             formulation=formulation,
             fixed=points[:, 2] < -0.015,
             solver=solver,
-            volume_row="printed",  # at rest that of the linear solver, in the paper's form too
         )
         solution = body.solve([load])
         assert solution.status[0].ok
@@ -349,12 +415,13 @@ def test_every_linear_solver_on_a_torus(formulation):
 @pytest.mark.parametrize("formulation", NAMES)
 def test_load_to_failure_keeps_the_volume_or_says_what_to_do(formulation):
     loads = [PUSH.scaled(s) for s in (1.0, 10.0, 100.0, 1e3, 1e4)]
-    solution = model(formulation, solver="nonlinear").solve(loads)
+    solver = model(formulation, solver="nonlinear")
+    solution = solver.solve(loads)
     assert solution.status[0].ok
     assert not solution.status[-1].ok
     for status, displacement in zip(solution.status, solution.displacement, strict=True):
         if status.ok:
-            assert abs(drift(displacement)) < 1e-12
+            assert abs(kept_drift(solver, displacement)) < 1e-12
         else:
             assert status.remedy
             assert np.isnan(displacement).all()

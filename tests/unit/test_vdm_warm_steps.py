@@ -41,7 +41,9 @@ def test_warm_steps_equal_each_load_from_rest_in_fewer_iterations(formulation):
         assert_allclose(warm.displacement[k], alone.displacement[0], rtol=0.0, atol=1e-6 * size)
         assert_allclose(warm.fluid_pressure[k], alone.fluid_pressure[0], rtol=1e-6, atol=1e-4)
         assert_allclose(warm.energy[k], alone.energy[0], rtol=1e-5, atol=1e-6 * warm.energy.max())
-        assert abs(body.at(warm.displacement[k]).volume / BODY.volume - 1.0) < 1e-12
+        x = solver.formulation.unknown(warm.displacement[k])
+        kept = solver.formulation.kept_volume(x, body.at(warm.displacement[k]))
+        assert abs(kept / BODY.volume - 1.0) < 1e-12
     assert warm.iterations[0] == cold[0].iterations[0]
     # where the load goes on; 0.7 of them without the start ahead
     needed = [int(alone.iterations[0]) for alone in cold[1:5]]

@@ -33,17 +33,30 @@ def icosphere(levels: int, semi_axes: tuple[float, float, float] = (1.0, 1.0, 1.
     """An icosahedron split `levels` times on the unit sphere (10 * 4^levels + 2 nodes), then stretched."""
     points, triangles = icosahedron()
     for _ in range(levels):
-        n = len(points)
-        start, end = triangles.ravel(), np.roll(triangles, -1, axis=1).ravel()
-        keys = np.minimum(start, end) * n + np.maximum(start, end)
-        unique, inverse = np.unique(keys, return_inverse=True)
-        middle = points[unique // n] + points[unique % n]
-        points = np.concatenate([points, middle / np.linalg.norm(middle, axis=1)[:, None]])
-        ab, bc, ca = (n + inverse.reshape(-1, 3)).T
-        a, b, c = triangles.T
-        parts = [(a, ab, ca), (b, bc, ab), (c, ca, bc), (ab, bc, ca)]
-        triangles = np.concatenate([np.stack(t, axis=1) for t in parts])
+        points, triangles = halved(points, triangles)
+        points /= np.linalg.norm(points, axis=1)[:, None]
     return points * np.array(semi_axes), triangles
+
+
+def halved(points: Array, triangles: Index) -> tuple[Array, Index]:
+    """Every facet in four, by the middles of its edges."""
+    n = len(points)
+    start, end = triangles.ravel(), np.roll(triangles, -1, axis=1).ravel()
+    keys = np.minimum(start, end) * n + np.maximum(start, end)
+    unique, inverse = np.unique(keys, return_inverse=True)
+    points = np.concatenate([points, 0.5 * (points[unique // n] + points[unique % n])])
+    ab, bc, ca = (n + inverse.reshape(-1, 3)).T
+    a, b, c = triangles.T
+    parts = [(a, ab, ca), (b, bc, ab), (c, ca, bc), (ab, bc, ca)]
+    return points, np.concatenate([np.stack(t, axis=1) for t in parts])
+
+
+def octahedron(radius: float = 1.0) -> tuple[Array, Index]:
+    """6 nodes on the axes and 8 outward facets."""
+    points = radius * np.repeat(np.eye(3), 2, axis=0) * np.tile([[1.0], [-1.0]], (3, 1))
+    facets = [(a, b, c) for a in (0, 1) for b in (2, 3) for c in (4, 5)]
+    outward = [f if np.linalg.det(points[list(f)]) > 0.0 else f[::-1] for f in facets]
+    return points, np.array(outward)
 
 
 def torus(major: float = 0.05, minor: float = 0.02, n: int = 24, m: int = 12) -> tuple[Array, Index]:

@@ -63,7 +63,7 @@ class Formulation(ABC):
     components: ClassVar[int]
     has_matrix: bool = True  # whether `stiffness` gives one
     # what to do where a motion that costs no energy is left free
-    remedy: ClassVar[str] = "hold at least three nodes that are not on one line"
+    remedy: ClassVar[str] = "hold an area of the surface, the nodes of some of its facets"
     columns: Columns
     rows: Columns
     corner: Array
@@ -153,10 +153,14 @@ class Formulation(ABC):
 
     @abstractmethod
     def deformed_columns(self, state: DeformedSurface) -> tuple[Array, Array]:
-        """Generalised force of a unit fluid pressure, and the gradient of the exact volume in x; (N, d) each."""
+        """Generalised force of a unit fluid pressure, and the gradient of `kept_volume` in x; (N, d) each."""
+
+    def kept_volume(self, x: Array, state: DeformedSurface) -> float:  # noqa: ARG002 - of the positions alone
+        """The volume [m^3] that the fluid keeps, whose gradient at rest is `rows`: the polyhedron's."""
+        return state.volume
 
     def printed_volume_row(self, state: DeformedSurface) -> Array:
-        """Row of equation 33 (N, d) on a deformed surface; the exact gradient unless the paper differs."""
+        """Row of equation 33 (N, d) on a deformed surface; that of `kept_volume` unless the paper differs."""
         return self.deformed_columns(state)[1]
 
     @abstractmethod

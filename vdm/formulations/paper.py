@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import cached_property
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
@@ -116,7 +118,22 @@ class PaperFormulation(ScalarFormulation):
         return 0.5 * float((x[:, 0] / self.scale) @ self.deformed_internal_force(x, state)[:, 0])
 
     def deformed_columns(self, state: DeformedSurface) -> tuple[Array, Array]:
-        return state.nodal_areas[:, None], self.volume_gradient(state)
+        return state.nodal_areas[:, None], self.volume_gradient(state) + self._unseen[:, None]
+
+    def kept_volume(self, x: Array, state: DeformedSurface) -> float:
+        """The polyhedron's volume, of first order as printed: sum A_i L_i (19) in place of sum g_i . n_i L_i.
+
+        So a vanishing load has the answer of the linear model. What facets turn away, |g_i| < A_i, is not kept.
+        """
+        return state.volume + float(self._unseen @ x[:, 0])
+
+    @cached_property
+    def _unseen(self) -> Array:
+        """(N,) the part of A_i, over A_i, that the gradient of the volume at rest has not."""
+        surface = self.surface
+        along = np.einsum("ic,ic->i", surface.area_vectors, surface.normals)
+        unseen: Array = 1.0 - along / surface.nodal_areas
+        return unseen
 
     def deformed_contact_force(self, load: Load, state: DeformedSurface) -> Array:
         return (-state.nodal_areas * load.contact_pressure)[:, None]

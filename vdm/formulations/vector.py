@@ -34,11 +34,9 @@ class VectorFormulation(DisplacementFormulation):
     under `sum g_i.u_i = 0`, with cotangent weights w_ij (negative ones set to zero). `Parameters.rotation`:
 
     - "none": omega = 0, every rotation costs energy;
-    - "global": one omega for the body, three border unknowns beside dP;
-    - "nodal": one omega_i per node over the edges that meet there (each edge counted half at either end),
-      eliminated node by node: resists bending and leaves rigid motion free.
+    - "global": one omega for the body, three border unknowns beside dP.
 
-    With k = E_s = 0 and no nodal rotation, the three components share one scalar (N, N) factor.
+    With k = E_s = 0 the three components share one scalar (N, N) factor.
 
     Raises
     ------
@@ -76,7 +74,7 @@ class VectorFormulation(DisplacementFormulation):
         self.tension = surface.laplacian(weights)
         # (3N, 3N) part that couples the components, None where one scalar factor serves all three
         self.coupling: sparse.csr_array | None = None
-        if parameters.rotation == "nodal" or self.foundation is not None or self.stretch is not None:
+        if self.foundation is not None or self.stretch is not None:
             self.coupling = sparse.csr_array((3 * surface.n_nodes, 3 * surface.n_nodes))
             if self.foundation is not None:
                 diagonal = np.einsum("n,na,nb->nab", self.foundation, *2 * (surface.normals,))
@@ -84,8 +82,6 @@ class VectorFormulation(DisplacementFormulation):
             if self.stretch is not None:
                 blocks = np.einsum("e,ea,eb->eab", self.stretch, *2 * (edge_directions(surface),))
                 self.coupling = self.coupling + block_laplacian(surface, blocks)
-            if parameters.rotation == "nodal":
-                self.coupling = self.coupling - nodal_rotation_relief(surface, weights)
         self.columns: Columns
         self.columns, self.corner = DenseColumns(surface.area_vectors[:, :, None]), np.zeros((1, 1))
         if parameters.rotation == "global":
@@ -125,6 +121,10 @@ class VectorFormulation(DisplacementFormulation):
         matrix = sparse.csr_array(sparse.kron(self.tension, sparse.eye_array(3), format="csr"))
         return matrix if self.coupling is None else sparse.csr_array(matrix + self.coupling)
 
+    def diagonal(self) -> Array:
+        diagonal = np.repeat(self.tension.diagonal(), 3)
+        return diagonal if self.coupling is None else diagonal + self.coupling.diagonal()
+
     def deformed_internal_force(self, x: Array, state: DeformedSurface) -> Array:
         """Tension about the best-fit finite rotation, stretch by the change of edge lengths, foundation at rest."""
         return self._deformed(x, state)[0]
@@ -134,15 +134,12 @@ class VectorFormulation(DisplacementFormulation):
 
     def _deformed(self, x: Array, state: DeformedSurface) -> tuple[Array, float]:
         rest = state.body.rest
-        if self.parameters.rotation == "nodal":
-            force, energy = self._nodal_tension(state)
-        else:
-            turned = rest
-            if self.parameters.rotation == "global":
-                turned = rest @ best_rotation((self.tension @ rest).T @ state.positions)
-            change = state.positions - turned
-            force = np.asarray(self.tension @ change)
-            energy = 0.5 * float(np.vdot(change, force))
+        turned = rest
+        if self.parameters.rotation == "global":
+            turned = rest @ best_rotation((self.tension @ rest).T @ state.positions)
+        change = state.positions - turned
+        force = np.asarray(self.tension @ change)
+        energy = 0.5 * float(np.vdot(change, force))
         if self.foundation is not None:
             along = np.einsum("ic,ic->i", x, self.surface.normals)
             force = force + (self.foundation * along)[:, None] * self.surface.normals
@@ -157,24 +154,6 @@ class VectorFormulation(DisplacementFormulation):
             )
             energy += 0.5 * float(self.stretch @ (length - rest_length) ** 2)
         return force, energy
-
-    def _nodal_tension(self, state: DeformedSurface) -> tuple[Array, float]:
-        i, j = self.surface.edges.T
-        before = state.body.rest[i] - state.body.rest[j]
-        after = state.positions[i] - state.positions[j]
-        weights = self._weights
-        moments = np.einsum("e,ea,eb->eab", weights, before, after).reshape(-1, 9)
-        rotations = best_rotation((abs(self._incidence).T @ moments).reshape(-1, 3, 3))
-        first = after - np.einsum("ea,eab->eb", before, rotations[i])
-        second = after - np.einsum("ea,eab->eb", before, rotations[j])
-        force = self._incidence.T @ (0.5 * weights[:, None] * (first + second))
-        energy = 0.25 * float(weights @ (first**2 + second**2).sum(axis=1))
-        return np.asarray(force), energy
-
-    @cached_property
-    def _weights(self) -> Array:
-        tension: Array = np.asarray(self.parameters.surface_tension, dtype=np.float64)
-        return tension * self.surface.cotangent_weights
 
     @cached_property
     def _incidence(self) -> sparse.csr_array:
@@ -192,25 +171,12 @@ class SharedFactor:
         return self.factor.solve(right_hand_side.reshape(self.factor.size, -1)).reshape(right_hand_side.shape)
 
 
-def edge_vectors(surface: SurfaceMesh) -> Array:
-    """(E, 3) x_i - x_j [m] of `surface.edges`."""
-    i, j = surface.edges.T
-    return surface.points[i] - surface.points[j]
-
-
 def edge_directions(surface: SurfaceMesh) -> Array:
     """(E, 3) unit vectors along the edges."""
-    vectors = edge_vectors(surface)
+    i, j = surface.edges.T
+    vectors = surface.points[i] - surface.points[j]
     directions: Array = vectors / np.linalg.norm(vectors, axis=1)[:, None]
     return directions
-
-
-def edge_inertia(vectors: Array, weights: Array) -> Array:
-    """(E, 3, 3) w (|d|^2 I - d d^T): the quadratic form of omega -> w |omega x d|^2."""
-    square = np.einsum("ec,ec->e", vectors, vectors)
-    form = square[:, None, None] * np.eye(3) - vectors[:, :, None] * vectors[:, None, :]
-    inertia: Array = weights[:, None, None] * form
-    return inertia
 
 
 def block_diagonal(blocks: Array) -> sparse.csr_array:
@@ -224,34 +190,6 @@ def block_laplacian(surface: SurfaceMesh, blocks: Array) -> sparse.csr_array:
     """(3N, 3N) matrix of sum_e (u_i - u_j)^T B_e (u_i - u_j), blocks (E, 3, 3)."""
     incidence = sparse.kron(_incidence(surface), sparse.eye_array(3), format="csr")
     return sparse.csr_array(incidence.T @ block_diagonal(blocks) @ incidence)
-
-
-def nodal_rotation_relief(surface: SurfaceMesh, weights: Array) -> sparse.csr_array:
-    """(3N, 3N) energy that free rotations omega_i take off the tension: 1/2 sum_i b_i^T J_i^-1 b_i, twice.
-
-    b_i = sum_j w_ij d_ij x (u_i - u_j) and J_i = sum_j w_ij (|d|^2 I - d d^T) over the edges of node i; every
-    edge counts half at either end.
-    """
-    n = surface.n_nodes
-    vectors = edge_vectors(surface)
-    inertia = edge_inertia(vectors, weights).reshape(-1, 9)
-    touch = sparse.csr_array(abs(_incidence(surface)).T)
-    inverse = np.linalg.inv((touch @ inertia).reshape(n, 3, 3))
-    turning = turning_of(surface, weights)
-    return sparse.csr_array(0.5 * (turning.T @ block_diagonal(inverse) @ turning))
-
-
-def turning_of(surface: SurfaceMesh, weights: Array) -> sparse.csr_array:
-    """(3N, 3N) u -> b_i = sum_j w_ij d_ij x (u_i - u_j), the moment of the tension about node i."""
-    touch = sparse.csr_array(abs(_incidence(surface)).T)
-    vectors = edge_vectors(surface)
-    cross = np.zeros((len(vectors), 3, 3))
-    x, y, z = (weights[:, None] * vectors).T
-    cross[:, 0, 1], cross[:, 0, 2], cross[:, 1, 2] = -z, y, -x
-    cross -= cross.transpose(0, 2, 1)
-    turning = sparse.kron(touch, sparse.eye_array(3), format="csr") @ block_diagonal(cross)
-    turning = turning @ sparse.kron(_incidence(surface), sparse.eye_array(3), format="csr")
-    return sparse.csr_array(turning)
 
 
 def _incidence(surface: SurfaceMesh) -> sparse.csr_array:

@@ -41,8 +41,9 @@ class Audit:
     Attributes
     ----------
     residual : what the balance or the border lacks, over the largest term of it
-    error : largest change of displacement that a correction for it makes, over the largest displacement; nan where
-        the solver has no factor to correct by
+    error : largest change of displacement that a correction for it makes, over the largest displacement, of the
+        body or of a node that the forces in play move alone (`Problem.own_motion`); nan where the solver has no
+        factor to correct by
     limit : of the residual, beyond which the step is not one
     path : displacement that is owed to the steps on the way to the load and vanishes with their size, over the
         largest of the history so far; nan where the way does not matter
@@ -128,16 +129,19 @@ def _audited(
     if load.prescribed is not None:  # of a body that is moved as a whole, rounding is all that is left
         sizes.append(formulation.apply(problem.held_unknown(load)))
     residual = _share(np.abs(lacking).max(), max(np.abs(a).max() for a in sizes))
+    # where the forces cancel, under a pressure from all sides, x is their rounding and no measure of it
+    own = problem.own_motion(np.maximum(np.abs(force), np.abs(pushed)))
     open_rows = np.zeros_like(s)
     if border:
         open_rows = -(formulation.rows.dotted(x.reshape(-1)) + formulation.corner @ s)
-        size = formulation.rows.magnitude(x.reshape(-1)) + np.abs(formulation.corner) @ np.abs(s)
-        residual = max(residual, *(_share(a, b) for a, b in zip(np.abs(open_rows), size, strict=True)))
+        size: Array = formulation.rows.magnitude(np.maximum(np.abs(x), own).reshape(-1))
+        size += np.abs(formulation.corner) @ np.abs(s)
+        residual = max(residual, *map(_share, np.abs(open_rows).tolist(), size.tolist()))
     if correction is None:
         return Audit(residual), None
     change = correction(lacking, open_rows)
-    moved, largest = (np.abs(formulation.displacement(a)).max() for a in (change[0], x))
-    return Audit(residual, _share(moved, largest)), change
+    moved, largest, alone = (float(np.abs(formulation.displacement(a)).max()) for a in (change[0], x, own))
+    return Audit(residual, _share(moved, max(largest, alone))), change
 
 
 def _share(part: float, whole: float) -> float:

@@ -18,7 +18,7 @@ CONDITION_LIMIT = 1e14
 SINGULAR = Status(
     "singular",
     "the operator is not positive definite",
-    "hold at least three nodes, or give the model a positive foundation or bulk modulus",
+    "hold an area of the surface, or give the model a positive foundation or bulk modulus",
 )
 
 # SuiteSparse_config.h, versions 4 and 5: malloc, calloc, realloc, free, printf, hypot, divcomplex

@@ -38,12 +38,16 @@ NOT_CONVERGED = Status(
 
 @dataclass(frozen=True)
 class _Balance:
-    """A state and what its balance lacks; `turn` (3, 3) is how the supports are turned from rest."""
+    """A state and what its balance lacks; `turn` (3, 3) is how the supports are turned from rest.
+
+    `volume` is the one that the formulation keeps.
+    """
 
     turn: Array
     x: Array
     pressure: float
     state: DeformedSurface
+    volume: float
     column: Array
     row: Array
     lacking: Array
@@ -84,6 +88,8 @@ class DeformedStep(Step):
 
 class NonlinearSolver:
     """Finds x and dP with `internal(x) - dP column(x) - force(x) = 0` and V(x) = V0 exactly.
+
+    V is the volume that the formulation keeps: the polyhedron's, but of the printed form.
 
     The rest state's bordered factor, with the current pressure column and volume gradient as border, turns what
     the balance lacks into a correction; Anderson acceleration mixes the corrections. A last shift along the
@@ -173,18 +179,21 @@ class NonlinearSolver:
         turn = self._carried(np.zeros_like(step.unknown), step.unknown)[1]
         balance = self._balance(turn, load, step.unknown, step.pressure_change)
         residual = float(np.linalg.norm(balance.lacking[self._free_nodes]))
-        gap = abs(balance.state.volume - self.rest_volume) / self.rest_volume
+        gap = abs(balance.volume - self.rest_volume) / self.rest_volume
         displaced = self.problem.formulation.displacement
         moved = float(np.abs(displaced(step.unknown)).max())
         self._largest = max(self._largest, moved)
         found = Audit(max(residual / max(balance.scale, self.smallest_force), gap))
         if not self.problem.force(load).any() and not self.problem.held_unknown(load).any():
             return step, found
-        if self._rounding > ERROR_LIMIT * self._largest:
+        # forces that cancel, as a pressure from all sides, move no more than their rounding, however large they are
+        acting = np.abs(self.problem.force(load)) + abs(step.pressure_change) * np.abs(balance.column)
+        largest = max(self._largest, float(np.abs(displaced(self.problem.own_motion(acting))).max()))
+        if self._rounding > ERROR_LIMIT * largest:
             return replace(step, status=_hidden(self._rounding, moved)), found
         lacking = _turned(balance.lacking, balance.turn.T)
         change = self.factor.correction(lacking, np.zeros(self.factor.n_border))[0]
-        return step, replace(found, error=float(np.abs(displaced(change)).max()) / self._largest)
+        return step, replace(found, error=float(np.abs(displaced(change)).max()) / largest)
 
     def _moved_by_rounding(self, size: float) -> float:
         """How far the rounding of positions `size` large moves the body [m], by the forces that it makes."""
@@ -244,7 +253,8 @@ class NonlinearSolver:
         applied = problem.deformed_force(load, state, column) + pressure * column
         nodes = self._free_nodes
         scale = max(float(np.linalg.norm(internal[nodes])), float(np.linalg.norm(applied[nodes])))
-        return _Balance(turn, x, pressure, state, column, row, internal - applied, scale)
+        volume = problem.formulation.kept_volume(x, state)
+        return _Balance(turn, x, pressure, state, volume, column, row, internal - applied, scale)
 
     def _solve(self, load: Load, x: Array, pressure: float) -> tuple[_Balance | None, int]:
         nodes, factor = self._free_nodes, self.factor
@@ -262,7 +272,7 @@ class NonlinearSolver:
                 return None, iteration
             balance = self._balance(turn, load, x, pressure)
             residual = float(np.linalg.norm(balance.lacking[nodes]))
-            gap = (balance.state.volume - self.rest_volume) / self.rest_volume
+            gap = (balance.volume - self.rest_volume) / self.rest_volume
             if not np.isfinite(residual) or residual > GROWTH_LIMIT * max(smallest, balance.scale):
                 return None, iteration
             smallest = min(smallest, residual)
@@ -288,7 +298,7 @@ class NonlinearSolver:
     def _close_volume(self, load: Load, balance: _Balance) -> _Balance | None:
         shift = _turned(self.factor.response.first, balance.turn)
         for _ in range(5):
-            gap = balance.state.volume - self.rest_volume
+            gap = balance.volume - self.rest_volume
             if abs(gap) <= self.volume_tolerance * self.rest_volume:
                 return balance
             amount = -gap / float(np.vdot(balance.row[self._free_nodes], shift))

@@ -30,10 +30,10 @@ class QuasiLinearSolver:
     Parameters
     ----------
     problem : formulation and supports
-    volume_row : "exact": the gradient of the polyhedron's volume, and the step closes what the last one left:
-        `row . (x - x_last) = -(V_last - V0)`, a drift of second order in the increment. "printed" (equation 33 with
-        its total displacement): `sum A_i L_i = 0` with the updated A_i, a drift of second order in the
-        displacement itself, however small the steps.
+    volume_row : "exact": the gradient of the volume that the formulation keeps, and the step closes what the last
+        one left: `row . (x - x_last) = -(V_last - V0)`, a drift of second order in the increment. "printed"
+        (equation 33 with its total displacement): `sum A_i L_i = 0` with the updated A_i, a drift of second order
+        in the displacement itself, however small the steps.
     """
 
     def __init__(self, problem: Problem, volume_row: VolumeRow = "exact") -> None:
@@ -56,7 +56,7 @@ class QuasiLinearSolver:
         target = -formulation.rows.dotted(x.reshape(-1)) if x.any() else np.zeros(factor.n_border)
         if self.volume_row == "exact":
             row = formulation.deformed_columns(state)[1]
-            target[0] = float(np.vdot(row, last)) - (state.volume - self.rest_volume)
+            target[0] = float(np.vdot(row, last)) - (formulation.kept_volume(last, state) - self.rest_volume)
         else:
             row = formulation.printed_volume_row(state)
             target[0] = 0.0
@@ -76,9 +76,9 @@ class QuasiLinearSolver:
         found = audit(self.problem, load, step, self.factor.correction, border=False)
         if self.volume_row == "printed" or not np.isfinite(step.unknown).all():
             return step, found
-        return step, replace(found, path=self._path_error(step))
+        return step, replace(found, path=self._path_error(load, step))
 
-    def _path_error(self, step: Step) -> float:
+    def _path_error(self, load: Load, step: Step) -> float:
         """The shift that closes the volume, over the largest displacement: all that a path can change.
 
         Under one load the free unknowns are `K^-1 f + Y s` with the border s alone to be found, and its other rows
@@ -88,13 +88,17 @@ class QuasiLinearSolver:
         state = self.problem.deformed(step.unknown)
         row = formulation.deformed_columns(state)[1][factor.free].reshape(-1)
         target = np.zeros(factor.n_border)
-        target[0] = self.rest_volume - state.volume
+        target[0] = self.rest_volume - formulation.kept_volume(step.unknown, state)
         shift = np.zeros_like(step.unknown)
         change = factor.solve_updated(np.zeros_like(row), target, row)[0]
         shift[factor.free] = change.reshape(-1, shift.shape[1])
         self._largest = max(self._largest, float(np.abs(step.displacement).max()))
         moved = float(np.abs(formulation.displacement(shift)).max())
-        return moved / self._largest if self._largest > 0.0 else 0.0
+        # under a pressure from all sides, whose forces cancel, the displacement is rounding
+        acting = np.maximum(np.abs(self.problem.force(load)), np.abs(formulation.columns.times(step.border)))
+        own = formulation.displacement(self.problem.own_motion(acting))
+        largest = max(self._largest, float(np.abs(own).max()))
+        return moved / largest if largest > 0.0 else 0.0
 
 
 def sherman_morrison(inverse: Array, change_of_row: Array) -> Array:

@@ -1,0 +1,194 @@
+"""JSON in stored files: sealed against change, bounded in depth and size of numbers, of a known shape.
+
+The seal tells damage and edits. It is no signature: who makes a file can seal it, so what is read is checked too.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping
+from typing import Annotated, Any
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from .files import json_text
+
+DEEPEST = 100  # lists and tables inside each other
+LARGEST = 1e100  # of a stored number; its third power is still finite
+SEAL = "seal"
+
+Hash = Annotated[str, Field(pattern=r"^[0-9a-f]{1,64}$")]  # names a file
+Number = float | None  # null where a number is not finite
+
+
+class Shape(BaseModel):
+    """What a stored text must hold; what it holds besides is passed over."""
+
+    model_config = ConfigDict(strict=True)
+
+
+class PlannedShape(Shape):
+    """A case of plan.json."""
+
+    hash: Hash
+    label: str
+    swept: dict[str, float | str]
+    swept_units: dict[str, str]
+    mesh: str = ""
+
+
+class StudyShape(Shape):
+    """What plan.json says of the study."""
+
+    name: str
+    title: str = ""
+    models: list[str] = []
+    reference: str | None = None
+    claims: list[int] = []
+    sweep: str | None = None
+
+
+class FilesShape(Shape):
+    """The SHA-256 of the files beside plan.json."""
+
+    study: str = Field(alias="study.toml")
+    resolved: str = Field(alias="resolved.toml")
+
+
+class PlanShape(Shape):
+    """plan.json."""
+
+    study: StudyShape
+    cases: list[PlannedShape]
+    files: FilesShape
+    surfaces: dict[str, str] = {}
+    command: list[str] = []
+    directory: str = ""
+
+
+class FailureShape(Shape):
+    """failed/<hash>.json."""
+
+    hash: Hash
+    code: str
+    message: str
+    remedy: str
+
+
+class ConstraintShape(Shape):
+    """What the report reads of a constraint."""
+
+    kind: str
+    region: str
+    name: str | None = None
+
+
+class FibresShape(Shape):
+    """[anisotropy]."""
+
+    contrast: float
+    fibre_direction: Annotated[list[float], Field(min_length=3, max_length=3)]
+
+
+class ResolvedShape(Shape):
+    """What the report reads of the inputs of a case."""
+
+    constraints: list[ConstraintShape] | None = None
+    anisotropy: FibresShape | None = None
+    gravity: dict[str, Any] | None = None
+    vdm: dict[str, Any] | None = None
+    models: dict[str, dict[str, Any]] | None = None
+
+
+class ModelShape(Shape):
+    """A model of a case."""
+
+    status: list[Annotated[list[str], Field(min_length=1, max_length=3)]]
+    parameters: dict[str, float | str | None]
+    seconds_setup: Number
+    peak_bytes: int
+    version: str
+    key: str
+
+
+class MetricShape(Shape):
+    """A metric of a case."""
+
+    unit: str
+    definition: str
+    version: int
+
+
+class CaseShape(Shape):
+    """`case/about` of a case file."""
+
+    label: str
+    reference: str | None
+    swept: dict[str, float | str]
+    swept_units: dict[str, str]
+    resolved: ResolvedShape
+    provenance: dict[str, str]
+    reference_error: dict[str, Number]
+    mesh_quality: dict[str, Number]
+    models: dict[str, ModelShape]
+    metrics: dict[str, MetricShape]
+
+
+def parsed(text: str | bytes, shape: type[Shape]) -> dict[str, Any]:
+    """JSON of this shape.
+
+    Raises
+    ------
+    ValueError
+        no JSON, nested too deeply, a number that is too large, or of another shape; one line says where.
+    """
+    try:
+        value = json.loads(text)
+    except RecursionError:
+        raise ValueError("nested too deeply") from None
+    _check_bounds(value)
+    try:
+        shape.model_validate(value)
+    except ValidationError as error:
+        first = error.errors()[0]
+        place = ".".join(map(str, first["loc"]))[:200]
+        raise ValueError(f"{place!r}: {first['msg']}" if place else first["msg"]) from None
+    found: dict[str, Any] = value
+    return found
+
+
+def _check_bounds(value: Any) -> None:
+    """Raises ValueError for what is nested too deeply, and for a number beyond `LARGEST`."""
+    level, depth = [value], 0
+    while level:
+        if depth > DEEPEST:
+            raise ValueError("nested too deeply")
+        inside: list[Any] = []
+        for item in level:
+            if isinstance(item, dict):
+                inside += item.values()
+            elif isinstance(item, list):
+                inside += item
+            elif isinstance(item, int | float) and abs(item) > LARGEST:
+                raise ValueError(f"a number beyond {LARGEST:g}")
+        level, depth = inside, depth + 1
+
+
+def sealed(value: Mapping[str, Any], name: str) -> bytes:
+    """`value` as the text of the stored file `name`, with its seal."""
+    plain = json.loads(json_text({key: entry for key, entry in value.items() if key != SEAL}))
+    return json.dumps({**plain, SEAL: _seal(plain, name)}, indent=1).encode()
+
+
+def unsealed(text: bytes, name: str, shape: type[Shape]) -> dict[str, Any]:
+    """What `sealed` wrote as `name`. Raises ValueError as `parsed`, and where the seal is not that of the text."""
+    value = parsed(text, shape)
+    if value.pop(SEAL, None) != _seal(value, name):
+        raise ValueError("its seal does not match: it was changed, or an older version wrote it")
+    return value
+
+
+def _seal(value: Mapping[str, Any], name: str) -> str:
+    text = json.dumps(value, sort_keys=True)
+    return hashlib.sha256(f"{name}\0{text}".encode()).hexdigest()

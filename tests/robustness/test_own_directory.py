@@ -1,0 +1,71 @@
+"""What a run replaces is its own: directories of others, links and special files are refused before it begins."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import pytest
+
+from studies.run_directory import ForeignDirectoryError, case_path, refuse_foreign
+from tests.command import vdmbench, write_study
+
+
+def _content(directory: Path) -> dict[str, bytes]:
+    return {str(path): path.read_bytes() for path in directory.rglob("*") if path.is_file()}
+
+
+@pytest.mark.parametrize(
+    ("verb", "name"),
+    [
+        *(("run", name) for name in ("report.html", "plan.json", ".lock", ".mine.part", "cases/notes")),
+        *((verb, "study.toml") for verb in ("plan", "run", "calibrate", "bench")),
+    ],
+)
+def test_a_directory_of_others_is_left_as_it_is(tmp_path: Path, verb: str, name: str) -> None:
+    write_study(tmp_path)
+    (tmp_path / "mine" / name).parent.mkdir(parents=True)
+    (tmp_path / "mine" / name).write_text('{"resource": 1}')
+    (tmp_path / "mine" / "thesis.tex").write_text("x")
+    before = _content(tmp_path)
+    result = vdmbench(verb, "small.toml", "--out", "mine", cwd=tmp_path)
+    assert result.returncode == 2
+    assert "mine: is not empty and not a" in result.stderr
+    assert _content(tmp_path) == before
+
+
+@pytest.mark.parametrize("verb", ["plan", "run", "calibrate", "bench"])
+def test_no_directory_is_not_the_working_directory(tmp_path: Path, verb: str) -> None:
+    write_study(tmp_path)
+    result = vdmbench(verb, "small.toml", "--out", "", cwd=tmp_path)
+    assert result.returncode == 2
+    assert "--out: name a directory" in result.stderr
+    assert [path.name for path in tmp_path.iterdir()] == ["small.toml"]
+
+
+def test_what_a_run_leaves_is_a_run_directory(tmp_path: Path) -> None:
+    for name in (".lock", ".plan.json.ab.part", "study.toml", "resolved.toml", "cases/"):
+        path = tmp_path / name
+        path.mkdir() if name.endswith("/") else path.touch()
+        refuse_foreign(tmp_path)
+    (tmp_path / "thesis.tex").touch()
+    with pytest.raises(ForeignDirectoryError):
+        refuse_foreign(tmp_path)
+    (tmp_path / "plan.json").write_text("{")
+    with pytest.raises(ForeignDirectoryError):
+        refuse_foreign(tmp_path)
+    case_path(tmp_path, "ab").touch()
+    refuse_foreign(tmp_path)
+
+
+@pytest.mark.parametrize("what", ["link", "fifo"])
+def test_an_output_that_is_no_file_is_refused(
+    undisturbed: tuple[Path, float], tmp_path: Path, what: str
+) -> None:
+    (tmp_path / "theirs").write_text("theirs")
+    path = tmp_path / "out.xml"
+    path.symlink_to("theirs") if what == "link" else os.mkfifo(path)
+    result = vdmbench("gate", undisturbed[0] / "results/runs/small", "--junit", "out.xml", cwd=tmp_path)
+    assert result.returncode == 2
+    assert "out.xml: is no regular file" in result.stderr
+    assert (tmp_path / "theirs").read_text() == "theirs"

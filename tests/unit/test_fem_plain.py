@@ -1,0 +1,260 @@
+"""The plain path: scikit-fem's own forms, against the fast path and against what is known of any equilibrium."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+from numpy.typing import NDArray
+
+from fem_reference.finite_strain import FiniteStrainProblem
+from fem_reference.forces import traction_forces
+from fem_reference.linear import LinearProblem
+from fem_reference.plain_body import PlainBody
+from fem_reference.plain_finite_strain import PlainFiniteStrainProblem, between
+from fem_reference.plain_linear import PlainLinearProblem
+from fem_reference.solution import Solution, SolverError
+from fem_reference.springs import ElasticSupport
+from tests.unit.fem_shapes import Body, cube
+
+Array = NDArray[np.float64]
+
+FIBRES = {"fibre_direction": [1.0, 2.0, 0.5], "contrast": 5.0}
+FIELDS = ("displacement", "reaction_force", "fluid_pressure", "energy")
+
+
+def assert_same(plain: Solution, fast: Solution, tolerance: float) -> None:
+    assert [s.code for s in plain.status] == [s.code for s in fast.status]
+    for name in FIELDS:
+        theirs = getattr(fast, name)
+        largest = np.abs(theirs).max()
+        assert largest > 0.0
+        assert_allclose(getattr(plain, name), theirs, rtol=0, atol=tolerance * largest, err_msg=name)
+    assert plain.parameters["dofs"] > 0
+
+
+def base(b: Body) -> NDArray[np.bool_]:
+    return np.abs(b.surface[:, 2]) < 1e-12
+
+
+def rollers(b: Body) -> NDArray[np.bool_]:
+    """Single components held at parts of two faces of the cube, some of them at lone vertices."""
+    x, y, _ = b.surface.T
+    return np.stack([base(b) & (x < 0.5), base(b) & (y < 0.8), base(b) | (x < 1e-12)], axis=1)
+
+
+@pytest.mark.parametrize("fibres", [{}, FIBRES], ids=["isotropic", "fibres"])
+@pytest.mark.parametrize("nu", [-0.4, 0.0, 0.4999, 0.5])
+@pytest.mark.parametrize("support", [base, rollers])
+def test_linear_equals_the_fast_path(support, nu: float, fibres: dict[str, object]) -> None:
+    b = cube(2, distort=0.25)
+    rng = np.random.default_rng(0)
+    pressure = rng.uniform(0.0, 200.0, (len(b.triangles), 6))  # its own value at every point of every facet
+    moved = rng.uniform(-0.1, 0.1, (len(b.surface), 3))
+    loads = [b.load(pressure, gravity=(0.4, -0.7, 0.5)), b.load(0.1 * pressure, prescribed=moved)]
+    settings = {"youngs_modulus": 3000.0, "poisson_ratio": nu, "density": 300.0, "held": support(b), **fibres}
+    plain = PlainLinearProblem(*b.arrays, **settings).solve(loads)
+    fast = LinearProblem(*b.arrays, **settings, solver="direct").solve(loads)
+    assert_same(plain, fast, 1e-10)
+    unknowns = fast.parameters["dofs"]
+    if support is base:  # where nodes are held whole, the fast path takes them out as well
+        assert plain.parameters["dofs"] == unknowns
+
+
+def two_parts(b: Body) -> dict[str, NDArray[np.float64] | NDArray[np.int64]]:
+    """Moduli that vary from tetrahedron to tetrahedron, in two parts."""
+    rng = np.random.default_rng(3)
+    right = b.points[b.tetrahedra].mean(axis=1)[:, 0] > 0.5
+    young = rng.uniform(1000.0, 4000.0, len(right)) * np.where(right, 10.0, 1.0)
+    ratio = np.where(right, 0.5, rng.uniform(0.3, 0.49, len(right)))
+    return {"youngs_modulus": young, "poisson_ratio": ratio, "parts": right.astype(np.int64)}
+
+
+def test_moduli_of_each_tetrahedron_and_a_pressure_that_jumps_are_the_fast_paths() -> None:
+    b = cube(2, distort=0.25)
+    load = b.load(
+        np.where(b.facets_where(lambda x: x[:, 2] > 1.0 - 1e-12), 300.0, 0.0), gravity=(1.0, 2.0, 3.0)
+    )
+    settings = {**two_parts(b), "density": 300.0, "held": base(b)}
+    plain = PlainLinearProblem(*b.arrays, **settings)
+    fast = LinearProblem(*b.arrays, **settings, solver="direct")
+    assert_same(plain.solve([load]), fast.solve([load]), 1e-10)
+    found, fields = plain.dofs(load), fast.fields(load)
+    assert_allclose(found.pressure, fields.pressure[0], rtol=0, atol=1e-9 * np.abs(found.pressure).max())
+    assert len(found.pressure) > len(b.points), "the vertices between the parts have two pressures"
+    small = cube(1)
+    load = small.load(100.0, gravity=(1.0, 2.0, 3.0))
+    settings = {**two_parts(small), "density": 300.0, "held": base(small)}
+    plain_large = PlainFiniteStrainProblem(*small.arrays, **settings).solve([load])
+    fast_large = FiniteStrainProblem(*small.arrays, **settings, tolerance=1e-11).solve([load])
+    assert_same(plain_large, fast_large, 1e-9)
+
+
+def test_springs_and_given_forces_are_the_fast_paths() -> None:
+    b = cube(1)
+    side, top = (b.facets_where(lambda x, i=i: x[:, i] > 1.0 - 1e-12) for i in (0, 2))
+    rng = np.random.default_rng(0)
+    supports = [
+        ElasticSupport(side, rng.uniform(1e3, 1e4, len(side))),
+        ElasticSupport(side | top, 500.0, "full"),
+    ]
+    held = base(b) & (b.surface[:, 0] < 0.5)
+    settings = {"youngs_modulus": 3000.0, "poisson_ratio": 0.45, "held": held, "elastic_supports": supports}
+    fast = LinearProblem(*b.arrays, **settings, solver="direct")
+    forces = traction_forces(fast.mesh, np.where(top[:, None, None], (200.0, -100.0, 150.0), 0.0))
+    load = dataclasses.replace(b.load(np.where(side, 100.0, 0.0)), forces=forces)
+    assert_same(PlainLinearProblem(*b.arrays, **settings).solve([load]), fast.solve([load]), 1e-10)
+    large = FiniteStrainProblem(*b.arrays, **settings, tolerance=1e-11).solve([load])
+    assert_same(PlainFiniteStrainProblem(*b.arrays, **settings).solve([load]), large, 1e-9)
+    with pytest.raises(SolverError, match="springs under a body"):
+        fast.with_youngs_modulus(1.0)
+
+
+def test_a_stiffness_along_fibres_follows_youngs_modulus() -> None:
+    b = cube(1)
+    load = b.load(prescribed=np.where(b.surface[:, [2]] > 1.0 - 1e-12, (0.01, 0.0, 0.02), 0.0))
+    held = base(b) | (b.surface[:, 2] > 1.0 - 1e-12)
+    young = np.linspace(1.0, 3.0, len(b.tetrahedra))
+    settings = {"youngs_modulus": young, "poisson_ratio": 0.4, "held": held, **FIBRES}
+    plain = PlainLinearProblem(*b.arrays, **settings).solve([load])
+    assert_same(plain, LinearProblem(*b.arrays, **settings).solve([load]), 1e-10)
+
+
+@pytest.mark.parametrize(
+    ("nu", "pressure", "fibres"),
+    [
+        (-0.4, "dead", {}),
+        (0.0, "follower", {}),
+        (0.4999, "follower", {**FIBRES, "material": "transversely-isotropic"}),
+        (0.5, "follower", {}),
+    ],
+)
+def test_finite_strain_equals_the_fast_path(nu: float, pressure: str, fibres: dict[str, object]) -> None:
+    b = cube(1)
+    top = b.facets_where(lambda x: x[:, 2] > 1.0 - 1e-12)
+    press = np.where(top[:, None], np.random.default_rng(0).uniform(200.0, 400.0, (len(top), 6)), 0.0)
+    weight = (0.4, -0.7, 0.5)
+    loads = [b.load(0.3 * press, gravity=weight), b.load(press, prescribed=(0.1, 0.2, -0.1), gravity=weight)]
+    settings = {
+        "youngs_modulus": 3000.0,
+        "poisson_ratio": nu,
+        "density": 300.0,
+        "held": base(b),
+        "pressure": pressure,
+        **fibres,
+    }
+    outputs = frozenset({"max_det_f_deviation", "max_principal_strain", "volume"})
+    plain = PlainFiniteStrainProblem(*b.arrays, **settings).solve(loads, outputs)
+    fast = FiniteStrainProblem(*b.arrays, **settings, tolerance=1e-11).solve(loads, outputs)
+    assert np.abs(plain.displacement).max() > 0.1, "the deformation is large"
+    assert_same(plain, fast, 1e-9)
+    for name in (*outputs, "load_factor"):
+        assert_allclose(plain.scalars[name], fast.scalars[name], rtol=1e-8, atol=0, err_msg=name)
+
+
+def test_the_tangent_is_the_derivative_of_the_residual() -> None:
+    b = cube(1)
+    problem = PlainFiniteStrainProblem(
+        *b.arrays,
+        youngs_modulus=2.0,
+        poisson_ratio=0.4,
+        held=base(b),
+        material="transversely-isotropic",
+        **FIBRES,
+    )
+    rng = np.random.default_rng(1)
+    load = b.load(rng.uniform(0.0, 0.5, (len(b.triangles), 6)))
+    x = 0.05 * rng.standard_normal(problem.body.basis.N + problem.body.pressure_basis.N)
+    direction = rng.standard_normal(len(x))
+    step = 1e-6
+    ahead, behind = (problem.residual(x + s * direction, load)[0] for s in (step, -step))
+    difference = (ahead - behind) / (2.0 * step)
+    product = problem.tangent(x, load) @ direction
+    # central differences: truncation of the order of step^2, rounding of eps / step
+    assert_allclose(product, difference, rtol=0, atol=1e-8 * np.abs(difference).max())
+
+
+def test_a_load_beyond_the_first_attempt_is_reached_in_substeps_or_refused() -> None:
+    b = cube(1)
+    settings = {"youngs_modulus": 1.0, "poisson_ratio": 0.45, "held": base(b) | (b.surface[:, 2] > 1 - 1e-12)}
+    top = b.surface[:, 2] > 1.0 - 1e-12
+    problem = PlainFiniteStrainProblem(*b.arrays, **settings)
+
+    def pressed(depth: float):
+        return b.load(prescribed=np.where(top[:, None], (0.0, 0.0, -depth), 0.0))
+
+    deep = problem.solve([pressed(0.6)])
+    assert deep.status[0].ok
+    fast = FiniteStrainProblem(*b.arrays, **settings, tolerance=1e-11).solve([pressed(0.6)])
+    assert_allclose(deep.displacement, fast.displacement, rtol=0, atol=1e-9)
+    through = problem.solve([pressed(0.1), pressed(1.2), pressed(0.1)], frozenset({"volume"}))
+    assert [s.code for s in through.status] == ["converged", "not-converged", "not-reached"]
+    assert 0.0 < through.scalars["load_factor"][1] < 1.0
+    assert np.isnan(through.displacement[2]).all()
+    assert "of load step 1" in through.status[1].message
+
+
+def test_the_load_on_the_way_is_the_mean_of_its_ends() -> None:
+    b = cube(1)
+    start, end = b.load(2.0, gravity=(0, 0, 4.0)), b.load(6.0, prescribed=1.0)
+    half = between(start, end, 0.5)
+    assert_allclose(half.facet_pressure, 4.0)
+    assert_allclose(half.gravity, (0, 0, 2.0))
+    assert_allclose(half.prescribed, 0.5)
+    assert_allclose(between(None, end, 0.25).facet_pressure, 1.5)
+    assert half.forces is None
+    pulled = dataclasses.replace(end, forces=np.ones((8, 3)))
+    assert_allclose(between(start, pulled, 0.25).forces, 0.25)
+    assert_allclose(between(pulled, start, 0.25).forces, 0.75)
+
+
+def test_pressure_arrives_at_its_own_points() -> None:
+    """A pressure given as a function of place is the same function at scikit-fem's points."""
+    b = cube(2, distort=0.25)
+    body = PlainBody(*b.arrays, parts=None, elastic_supports=(), held=base(b), intorder=2)
+    place = b.quadrature_points @ [1.0, 10.0, 100.0]
+    x = np.asarray(body.surface_basis.global_coordinates())
+    theirs = np.einsum("i,ifq->fq", [1.0, 10.0, 100.0], x)
+    assert_allclose(body.pressure_at_points(b.load(place)), theirs, rtol=1e-13, atol=0)
+
+
+@pytest.mark.parametrize("kind", [PlainLinearProblem, PlainFiniteStrainProblem])
+def test_refusals_are_those_of_the_fast_path(kind: type) -> None:
+    b = cube(1)
+    settings = {"youngs_modulus": 1.0, "poisson_ratio": 0.3, "held": base(b)}
+    with pytest.raises(SolverError, match="move freely"):
+        kind(*b.arrays, **{**settings, "held": np.zeros(len(b.surface), dtype=bool)})
+    with pytest.raises(SolverError, match="poisson_ratio is"):
+        kind(*b.arrays, **{**settings, "poisson_ratio": 0.6})
+    with pytest.raises(SolverError, match="inverted"):
+        kind(b.points, b.tetrahedra[:, [1, 0, 2, 3]], *b.arrays[2:], **settings)
+    problem = kind(*b.arrays, **settings)
+    with pytest.raises(SolverError, match="not finite"):
+        problem.solve([b.load(np.nan)])
+    with pytest.raises(SolverError, match="output 'colour' is unknown"):
+        problem.solve([b.load(1.0)], frozenset({"colour"}))
+
+
+def test_only_the_two_laws_that_are_written_out_are_solved() -> None:
+    b = cube(1)
+    with pytest.raises(SolverError, match="mooney-rivlin"):
+        PlainFiniteStrainProblem(
+            *b.arrays,
+            youngs_modulus=1.0,
+            poisson_ratio=0.3,
+            held=base(b),
+            material="mooney-rivlin",
+            material_parameters={"second_share": 0.5},
+        )
+
+
+def test_an_enclosed_incompressible_body_is_no_answer() -> None:
+    """Its pressure has no datum: the LU factor meets a singular matrix, and no number is returned."""
+    b = cube(1)
+    held = np.ones(len(b.surface), dtype=bool)
+    with pytest.raises(SolverError, match="pressure"):
+        PlainLinearProblem(*b.arrays, youngs_modulus=1.0, poisson_ratio=0.5, held=held)
+    with pytest.raises(SolverError, match="pressure"):
+        PlainFiniteStrainProblem(*b.arrays, youngs_modulus=1.0, poisson_ratio=0.5, held=held)

@@ -1,0 +1,73 @@
+"""Times of an earlier run or of another machine are marked on the terminal and in JSON."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from studies import provenance
+from studies.case import CaseResult
+from studies.graph import answers
+from studies.processors import processor_name
+from studies.report import measured
+from studies.report.headline import headline_metrics, headline_rows
+from tests.graph.shared_work import ALONE, plan_of, run
+
+from .report_runs import REFERENCE, make_case, make_run
+
+TIMES = ("seconds_setup", "seconds_per_step")
+
+
+def _case(processor: str, **parameters: str) -> CaseResult:
+    """A case of two models, the parameters being those of `vdm-m`."""
+    case = make_case({"vdm-m": 0.1}, subdivisions=1)
+    model = case.models["vdm-m"]
+    marked = dataclasses.replace(model, parameters={**model.parameters, **parameters})
+    return dataclasses.replace(
+        case,
+        models={**case.models, "vdm-m": marked},
+        provenance={**case.provenance, "processor": processor},
+    )
+
+
+@pytest.mark.parametrize(
+    ("case", "marks", "of_reference"),
+    [
+        (_case(processor_name()), [], []),
+        (_case(processor_name(), measured_earlier="yes"), ["earlier run"], []),
+        (_case("Abacus 3"), ["another machine"], ["another machine"]),
+        (_case("Abacus 3", measured_on=processor_name()), [], ["another machine"]),
+        (
+            _case(processor_name(), measured_earlier="yes", measured_on="Abacus 3"),
+            ["earlier run", "another machine"],
+            [],
+        ),
+    ],
+)
+def test_times_say_when_and_where(case: CaseResult, marks: list[str], of_reference: list[str]) -> None:
+    shown = make_run([case])
+    for name, expected in (("vdm-m", marks), (REFERENCE, of_reference)):
+        (row,) = (row for row in headline_rows(shown) if row["model"].split()[0] == name)
+        for column in ("set-up", "per frame"):
+            assert row[column].endswith(f" ({', '.join(expected)})") if expected else "(" not in row[column]
+        for time in TIMES:
+            assert headline_metrics(shown)[name][time]["measured"] == expected
+
+
+def test_what_another_machine_has_measured_says_so_in_the_next_case(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of models from a case file, and of the reference from a cache that was copied."""
+    changes: dict[str, Any] = ALONE | {"sweep": {}}
+    monkeypatch.setattr(answers, "processor_name", lambda: "Abacus 3")
+    monkeypatch.setattr(provenance, "_machine", lambda: {"processor": "Abacus 3"})
+    run(plan_of(tmp_path, tmp_path / "cache", **changes))
+    monkeypatch.undo()
+    study = ALONE["study"] | {"models": ["vdm-vector", "vdm-paper", "fem-linear"]}
+    (case,) = run(plan_of(tmp_path, tmp_path / "cache", **changes | {"study": study}))
+    found = {name: result.parameters.get("measured_on") for name, result in case.models.items()}
+    assert found == {"vdm-vector": "Abacus 3", "vdm-paper": None, "fem-linear": "Abacus 3"}
+    assert measured.measured(make_run([case]), "vdm-vector") == ["earlier run", "another machine"]

@@ -1,0 +1,161 @@
+"""Doubts about scenes: supports without an area, contacts on both faces, forces beyond the body; none elsewhere."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from studies.cli import main
+from studies.report.digest import Digest
+from studies.report.page import write_report
+from studies.report.section_doubts import doubts
+from studies.scene_warnings import indentation, scene_warnings
+from tests.command import SMALL_STUDY, write_study
+
+from .report_runs import icosphere, make_case, make_run
+
+TISSUE = {"youngs_modulus": 5000.0, "poisson_ratio": 0.5}
+
+
+def plate(thickness: float = 0.01, cells: int = 20) -> tuple[np.ndarray, np.ndarray]:
+    """The two faces of a square plate, 0.1 m wide: points and outward facets; its rim is left out."""
+    x, y = np.meshgrid(*[np.linspace(-0.05, 0.05, cells + 1)] * 2, indexing="ij")
+    face = np.stack([x.ravel(), y.ravel(), np.full(x.size, thickness / 2)], axis=1)
+    corner = np.arange(x.size).reshape(x.shape)
+    a, b, c, d = (
+        part.ravel() for part in (corner[:-1, :-1], corner[1:, :-1], corner[1:, 1:], corner[:-1, 1:])
+    )
+    top = np.concatenate([np.stack([a, b, c], axis=1), np.stack([a, c, d], axis=1)])
+    return np.concatenate([face, face * [1, 1, -1]]), np.concatenate([top, top[:, ::-1] + x.size])
+
+
+POINTS, TRIANGLES = plate()
+TOP = POINTS[:, 2] > 0
+NEAR = np.hypot(*POINTS[:, :2].T)
+SUPPORT = POINTS[:, 0] < -0.042
+
+
+def found(kind: str, mask: np.ndarray, **keys: Any) -> list[str]:
+    """The sentences about one constraint on `mask` beside a sound support."""
+    entries = [{"kind": "fixed", "region": "base"}, {"kind": kind, "region": "here", **keys}]
+    masks = {"base": SUPPORT, "here": mask}
+    doubts = list(scene_warnings(entries, TISSUE, masks, POINTS, TRIANGLES))
+    assert all(loc[:2] == ("constraints", 1) for loc, _ in doubts)
+    return [text for _, text in doubts]
+
+
+@pytest.mark.parametrize("kind", ["fixed", "constrained"])
+def test_a_support_of_lone_nodes_has_no_limit(kind: str) -> None:
+    middle = np.argmin(NEAR)
+    assert "holds one lone node and no facet" in found(kind, np.arange(len(POINTS)) == middle)[0]
+    line = TOP & (np.abs(POINTS[:, 0]) < 1e-9)
+    assert "holds 21 lone nodes and no facet" in found(kind, line)[0]
+    assert not found(kind, TOP & (NEAR < 0.02))
+    # beside the area that another constraint holds it is no lone node
+    assert not found(kind, TOP & (np.abs(POINTS[:, 0] + 0.04) < 1e-9))
+
+
+def test_a_ball_through_a_thin_body_presses_both_its_faces() -> None:
+    assert not found("contact", TOP & (NEAR < 0.03), force=0.01)
+    upper, lower = TOP & (NEAR < 0.03), ~TOP & (NEAR < 0.02)
+    [told] = found("contact", upper | lower, force=0.01)
+    above, below = (mask[TRIANGLES].all(axis=1).sum() for mask in (upper, lower))
+    times = (above + below) / (above - below)
+    assert f"its facets carry {times:.3g} times its resultant" in told
+
+
+def test_a_cap_on_a_ball_presses_from_one_side_up_to_a_hemisphere() -> None:
+    points, triangles = icosphere(4)
+    for angle, doubtful in ((25, False), (85, False), (120, True)):
+        masks = {"finger": points[:, 2] > np.cos(np.radians(angle))}
+        entries = [{"kind": "contact", "region": "finger", "pressure": 1.0}]
+        assert bool(list(scene_warnings(entries, {}, masks, points, triangles))) == doubtful, angle
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_force_that_moves_the_body_by_its_own_size(sign: float) -> None:
+    pressed = TOP & (NEAR < 0.02)
+    area = 0.005**2 / 2 * pressed[TRIANGLES].all(axis=1).sum()
+    limit = 0.01 / indentation(1.0, area, **TISSUE)  # N: the plate is 0.01 m thick
+    assert not found("contact", pressed, force=sign * 0.99 * limit)
+    [told] = found("contact", pressed, force=sign * 1.01 * limit)
+    assert "more than the body's smallest extent (0.01 m); a mixed-up unit?" in told
+    assert not found("contact", pressed, pressure=sign * 0.99 * limit / area)
+    assert found("contact", pressed, pressure=sign * 1.01 * limit / area)
+
+
+def test_the_mean_indentation_of_a_disc_is_that_of_the_half_space() -> None:
+    """1 N on a disc of radius 1 m, E = 1 Pa, nu = 0: 16 / (3 pi^2) = 0.5404 m."""
+    assert_allclose(indentation(1.0, np.pi, 1.0, 0.0), 0.5403796, rtol=1e-6, atol=0.0)
+
+
+# --- where they are told ---
+
+LONE = ('below = { axis = "z", fraction = 0.2 }', 'ball = { center = [0, 0, "-50 mm"], radius = "4 mm" }')
+
+
+def test_the_small_study_is_without_doubt(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    write_study(tmp_path)
+    with pytest.raises(SystemExit) as ended:
+        main(["check", "small.toml"])
+    assert (ended.value.code, capsys.readouterr().out) == (0, "small.toml: ok, 1 case\n")
+
+
+def test_check_warns_with_file_and_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    write_study(tmp_path, a=('"16 mm"', '"5 mm"'), b=LONE, c=('"0.1 N"', '"12 N"'))
+    lines = (
+        write_study(tmp_path, a=('"16 mm"', '"5 mm"'), b=LONE, c=('"0.1 N"', '"12 N"'))
+        .read_text()
+        .splitlines()
+    )
+    with pytest.raises(SystemExit) as ended:
+        main(["check", "small.toml"])
+    assert ended.value.code == 0
+    told = capsys.readouterr().out.splitlines()
+    held = lines.index('region = "base"') + 1
+    assert any(f"warning: small.toml:{held}: constraints.base.region: holds " in line for line in told), told
+    with pytest.raises(SystemExit):
+        main(["check", "small.toml", "--json"])
+    warnings = json.loads(capsys.readouterr().out)["warnings"]
+    assert warnings[0]["line"] == held
+
+
+def test_check_tells_a_scene_that_cannot_be_put_on_its_mesh(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    finger = SMALL_STUDY.splitlines().index('name = "finger"') + 1
+    for old, new, words in (
+        ('"30 deg"', '"0.1 deg"', "constraints.finger: contact 'finger' loads no facet|selects no node"),
+        ('"30 deg"', '"179 deg"', "constraints.finger: contact 'finger' covers"),
+    ):
+        write_study(tmp_path, change=(old, new))
+        with pytest.raises(SystemExit) as ended:
+            main(["check", "small.toml"])
+        told = capsys.readouterr().err
+        assert ended.value.code == 2
+        assert any(word in told for word in words.split("|")), told
+        assert told.startswith(f"vdmbench: small.toml:{finger - 1}: "), told
+
+
+def test_the_report_tells_them_too(tmp_path: Path) -> None:
+    case = make_case({"vdm-paper": 0.05})
+    assert doubts(Digest(make_run([case]))) is None
+    lone = {**case.regions, "base": np.arange(len(case.points)) == 0}
+    page = tmp_path / "report.html"
+    write_report(make_run([dataclasses.replace(case, regions=lone)]), page)
+    told = page.read_text()
+    assert "What is doubtful about the scene" in told
+    assert "holds one lone node and no facet" in told

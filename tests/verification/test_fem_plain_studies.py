@@ -1,0 +1,84 @@
+"""The fast path against the plain one on every scene that is shipped, on coarse meshes: `fem-linear` and `fem`."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+
+from studies import models
+from studies.case import ModelResult
+from studies.meshing.geometry import build_mesh
+from studies.meshing.mesh import InputError, Mesh
+from studies.model_name import split
+from studies.scene import Scene, build_scene
+from studies.study_file.config import expand, geometry_of
+from studies.study_file.schema import Study
+from tests.unit.test_fem_plain import FIELDS
+from tests.unit.test_shipped_studies import NAMES, shipped
+
+TOLERANCE = 1e-8
+COARSENINGS = (2.0, 1.5, 1.0)  # of the largest mesh size of a study: the first on which its regions exist
+QUICK = ("quickstart", "locking")
+PARTS = ("geometry", "tissue", "regions", "constraints", "gravity", "anisotropy")
+
+
+def scenes(name: str) -> Iterator[tuple[str, Scene, tuple[str, ...]]]:
+    """Label, scene and volumetric models of all cases of a study that differ there, at full load."""
+    cases = expand(shipped(name))
+    size = max(case.study.geometry.mesh_size for case in cases)
+    meshes: dict[str, Mesh] = {}
+    seen: set[str] = set()
+    for case in cases:
+        asked = {split(model)[0] for model in case.study.study.models}
+        volumetric = tuple(model for model in ("fem-linear", "fem") if model in asked) or ("fem-linear",)
+        scene = coarse_scene(case.study, size, meshes)
+        told = repr([getattr(case.study, part) for part in PARTS])
+        if told not in seen:
+            seen.add(told)
+            yield case.label, scene, volumetric
+
+
+def coarse_scene(study: Study, size: float, meshes: dict[str, Mesh]) -> Scene:
+    """The study's scene on a coarse mesh, its history cut to its last load."""
+    for factor in COARSENINGS:
+        geometry = study.geometry.model_copy(update={"mesh_size": factor * size})
+        coarse = study.model_copy(update={"geometry": geometry})
+        try:
+            if repr(geometry) not in meshes:
+                meshes[repr(geometry)] = build_mesh(geometry_of(coarse))
+            scene = build_scene(coarse, meshes[repr(geometry)])
+        except InputError:  # too coarse for the body, or a region selects no node
+            continue
+        return dataclasses.replace(scene, load_factors=scene.load_factors[-1:])
+    raise AssertionError(f"{study.study.name} has no scene")
+
+
+def difference(plain: ModelResult, fast: ModelResult) -> float:
+    """The largest of displacement, reactions, mean pressure and energy, each of its largest value."""
+    found = []
+    for name in FIELDS:
+        ours, theirs = getattr(fast, name), getattr(plain, name)
+        largest = np.abs(theirs).max()
+        found.append(np.abs(ours - theirs).max() / largest if largest else np.abs(ours).max())
+    return float(max(found))
+
+
+@pytest.mark.parametrize(
+    "name", [pytest.param(n, marks=[] if n in QUICK else pytest.mark.slow) for n in NAMES]
+)
+def test_a_shipped_study_is_the_same_on_the_plain_path(name: str) -> None:
+    compared = 0
+    for label, scene, volumetric in scenes(name):
+        for model in volumetric:
+            fast, plain = (models.run_model(scene, full) for full in (model, f"{model}:{models.PLAIN}"))
+            assert plain.status[0].code == fast.status[0].code, (
+                f"{model}, {label}: {plain.status} {fast.status}"
+            )
+            if fast.status[0].ok:
+                print(f"{model}, {label}: {difference(plain, fast):.0e}")
+                assert difference(plain, fast) <= TOLERANCE, f"{model}, {label}"
+                compared += 1
+    assert compared
