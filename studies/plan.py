@@ -194,10 +194,14 @@ class Plan:
         return not self.fresh and self.state[case.hash] == "done"
 
     def cases_to_run(self, shard: tuple[int, int] = (1, 1)) -> list[PlannedCase]:
-        """The cases not done; of `shard` (i, n) those in the i-th of n parts of equal size."""
+        """The cases of a shard that are not done."""
+        return [case for case in self.in_shard(shard) if not self.is_done(case)]
+
+    def in_shard(self, shard: tuple[int, int]) -> list[PlannedCase]:
+        """The cases in the i-th of n parts of equal size, by `shard` (i, n)."""
         number, parts = shard
         first, end = (len(self.in_order) * k // parts for k in (number - 1, number))
-        return [case for case in self.in_order[first:end] if not self.is_done(case)]
+        return self.in_order[first:end]
 
     def groups(self, cases: Sequence[PlannedCase], jobs: int) -> list[list[PlannedCase]]:
         """The cases, in order, in groups that share set-ups, each for a worker that knows nothing of the others.

@@ -143,6 +143,12 @@ def rebuild(directory: Path, tell: Callable[[str], None]) -> tuple[Run, Path]:
     return run, report
 
 
+def lost_cases(plan: Plan, shard: tuple[int, int], run: Run) -> list[str]:
+    """Labels of the cases of a shard that a finished run should have, done or failed, and that are not there."""
+    there = {case.hash for case in run.cases} | {failure["hash"] for failure in run.failed}
+    return [case.label or plan.study.study.name for case in plan.in_shard(shard) if case.hash not in there]
+
+
 def _check_study(plan: Plan) -> None:
     """Raises RunError where the directory holds another study, whose tables and report would be lost."""
     name = plan.study.study.name
