@@ -13,6 +13,7 @@ from .meshing.geometry_spec import fewer_nodes
 from .model_name import DISPLACEMENT_ELEMENTS, split
 from .plan import Expected, Plan, PlannedCase
 from .regions import body_extent, lies_outside
+from .room import without_room
 from .study_file.config import holds_nothing
 from .study_file.folders import swept_without_folders
 from .work import ModelWork, work_of
@@ -158,6 +159,7 @@ def refused(plan: Plan, cases: Sequence[PlannedCase], work: Sequence[ModelWork])
     lines = [
         *dict.fromkeys(_off_the_body(plan, cases)),
         *beyond_memory(plan, work).values(),
+        *without_room(plan, cases),
         *(
             f"{name}: nothing is held; hold a region, by kind fixed or constrained"
             for name in names

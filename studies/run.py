@@ -24,6 +24,7 @@ from .locks import LockedError, lock
 from .memory import machine_memory
 from .meshing.mesh import MeshError
 from .plan import Plan, PlannedCase, PlannedMesh, task_groups, task_of
+from .room import without_room
 from .run_directory import (
     RESOLVED,
     STUDY,
@@ -103,6 +104,8 @@ def run_plan(
             import_module("studies.report.page")  # while the server loads, too
         if cluster is None:
             _check_memory(plan, cases)
+        if lines := without_room(plan, cases):
+            raise RunError("\n".join(lines))
         _tidy(plan)
         planned = summary(plan, options.jobs if cluster is None else cluster.places())
         texts = {
