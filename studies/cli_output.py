@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from .files import json_text
+from .streams import harmless
 
 if TYPE_CHECKING:
     from .case import Run
@@ -144,7 +145,7 @@ class Progress:
         if event.kind == "told":
             complain(event.message, OK)
             return
-        label = event.label or self.name
+        label = harmless(event.label or self.name)
         if self.bar is None and not self.quiet and sys.stderr.isatty():
             # not sooner: it is a thread, and workers are to be forked from a process that has no other
             self.bar = self._bar()
@@ -157,7 +158,7 @@ class Progress:
 
 def tell(text: str) -> None:
     """A line of progress, on standard error."""
-    print(text, file=sys.stderr, flush=True)
+    print(harmless(text), file=sys.stderr, flush=True)
 
 
 def print_json(value: Any) -> int:
@@ -168,7 +169,7 @@ def print_json(value: Any) -> int:
 def complain(text: str, code: int) -> int:
     """Say what is wrong, a problem a line; the exit code is handed on."""
     for line in text.split("\n"):
-        print(f"vdmbench: {line}", file=sys.stderr)
+        print(f"vdmbench: {harmless(line)}", file=sys.stderr)
     return code
 
 

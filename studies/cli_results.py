@@ -94,7 +94,7 @@ def gate_verb(options: argparse.Namespace) -> int:
     findings = gate.compare(run, baseline) if baseline else [gate.not_comparable(missing)]
     told = f"Baseline of {baseline.date}: {baseline.reason}" if baseline else "There is no baseline."
     if options.junit:
-        write_atomically(options.junit, junit(study, findings))
+        write_atomically(options.junit, junit(study, findings, allow_missing=options.allow_missing))
     if options.markdown:
         write_atomically(options.markdown, markdown(study, told, findings).encode("utf-8", "replace"))
     if options.json:
@@ -108,6 +108,11 @@ def gate_verb(options: argparse.Namespace) -> int:
         return complain(f"nothing was compared: {missing}", NOTHING_COMPARED)
     if gate.regressed(findings):
         return REGRESSED
+    if gate.is_incomplete(findings) and not options.allow_missing:
+        return complain(
+            "parts of the study are missing: finish the run, or let them be missing by --allow-missing",
+            NOTHING_COMPARED,
+        )
     return NOTHING_COMPARED if gate.nothing_compared(findings) else OK
 
 

@@ -12,6 +12,7 @@ from .cli_output import (
     USAGE,
     Progress,
     UsageError,
+    complain,
     complain_of_failures,
     count,
     print_json,
@@ -122,7 +123,7 @@ def plan_verb(options: argparse.Namespace) -> int:
 
 def run_verb(options: argparse.Namespace) -> int:
     """Run what is missing, write the report, print the headline table."""
-    from .graph.run import Options, count_of_events, run_plan
+    from .graph.run import Options, count_of_events, lost_cases, run_plan
 
     study, path = _load(options)
     plan = _make_plan(study, options)
@@ -138,7 +139,13 @@ def run_verb(options: argparse.Namespace) -> int:
     )
     with Progress(count_of_events(plan, how.shard), study.study.name, quiet=options.json) as progress:
         run, report = run_plan(plan, path.read_text(), how, progress.show)
-    return print_run(run, plan.directory, report, options.json)
+    code = print_run(run, plan.directory, report, options.json)
+    stopped = options.fail_fast and run.failed  # before it came to all
+    if lost := [] if stopped else lost_cases(plan, how.shard, run):
+        told = f"no longer in {plan.directory}: {count(len(lost), 'case')} of this run, first {lost[0]}"
+        complain(f"{told}; run the same again", FAILED)
+        return code or FAILED
+    return code
 
 
 def calibrate_verb(options: argparse.Namespace) -> int:

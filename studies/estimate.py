@@ -25,6 +25,8 @@ from .store import read_case
 FACTOR_MEASURED, FACTOR_LAWS = 3.0, 5.0
 _START = 3.0  # s to load the libraries, and to write the tables and the report
 _PROCESS_BYTES = 1.3e8  # of a worker that has done nothing
+_PER_NODE = 48.0  # bytes of a displacement and a reaction
+_COPIES = 5.0  # of a case's results in its worker at the most, while its metrics and its file are made
 _DENSE_NODES = 1000.0  # `vdm.formulations.boundary.MAX_NODES`, which would load the library
 _KNOWN = 0.5  # weight of the cases that have run, from which on they tell the speed
 _MOST_READ = 3  # case files that are read to learn from
@@ -104,6 +106,7 @@ def estimate(plan: Plan, cases: Sequence[PlannedCase]) -> Estimate | None:
     searches = [_search(case, sizes[case.mesh]) for case in cases]
     seconds += sum(search.seconds for search in searches)
     memory = max([memory, *(search.bytes for search in searches)])
+    memory += _COPIES * max((case_bytes(case, sizes[case.mesh]) for case in cases), default=0.0)
     speed, weight = _speed(plan, dearest)
     seconds *= speed
     seconds += _START + sum(_mesh_seconds(sizes[mesh.key]) for mesh in plan.missing_meshes(cases))
@@ -120,6 +123,12 @@ def estimate(plan: Plan, cases: Sequence[PlannedCase]) -> Estimate | None:
     )
     factor = FACTOR_MEASURED if weight >= _KNOWN else FACTOR_LAWS
     return Estimate(seconds if cases else 0.0, _PROCESS_BYTES + memory, disk, factor)
+
+
+def case_bytes(case: PlannedCase, size: Size) -> float:
+    """Of the numbers of a case's results: displacement and reaction of each node, step and model."""
+    results = len(case.study.study.models) + (case.study.uncertainty is not None)
+    return _PER_NODE * results * len(case.study.load.history) * size.nodes
 
 
 def largest_solve(size: Size, work: Iterable[Body]) -> tuple[float, str]:

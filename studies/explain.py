@@ -15,6 +15,7 @@ from .memory import machine_memory
 from .meshing.geometry_spec import fewer_nodes
 from .model_name import DISPLACEMENT_ELEMENTS, split
 from .regions import body_extent, lies_outside
+from .room import without_room
 from .study_file.config import holds_nothing
 from .study_file.folders import swept_without_folders
 
@@ -139,6 +140,7 @@ def refused(plan: Plan, cases: Sequence[PlannedCase], work: Sequence[Body]) -> l
     lines = [
         *dict.fromkeys(_off_the_body(plan, cases)),
         *beyond_memory(plan, work).values(),
+        *without_room(plan, cases),
         *(
             f"{name}: nothing is held; hold a region, by kind fixed or constrained"
             for name in names

@@ -284,7 +284,9 @@ def compare(run: Run, baseline: Baseline) -> list[Finding]:
         else:
             why = "the run has not got to it" if label in unfinished else "the run has no such case"
             findings.append(Finding(MISSING, label, "", "", why=why))
-    for label in (*now, *failed, *sorted(unfinished)):
+    for label in sorted(unfinished - baseline.cases.keys()):
+        findings.append(Finding(MISSING, label, "", "", why="the run has not got to it"))
+    for label in (*now, *failed):
         if label not in baseline.cases:
             state = f", and it failed: {failed[label]}" if label in failed else ""
             findings.append(Finding(NEW, label, "", "", why=f"the baseline has no such case{state}"))
@@ -357,6 +359,11 @@ def counts(findings: Sequence[Finding]) -> dict[str, int]:
 def regressed(findings: Sequence[Finding]) -> bool:
     """Whether anything got worse or newly fails."""
     return any(finding.outcome in REGRESSED for finding in findings)
+
+
+def is_incomplete(findings: Sequence[Finding]) -> bool:
+    """Whether the run lacks a case, a model or a metric that it should have."""
+    return any(finding.outcome == MISSING for finding in findings)
 
 
 def nothing_compared(findings: Sequence[Finding]) -> bool:

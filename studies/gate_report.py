@@ -28,14 +28,19 @@ def summary(findings: Sequence[Finding]) -> str:
     return ", ".join(f"{count} {outcome}" for outcome, count in counts(findings).items()) or "nothing"
 
 
-def junit(study: str, findings: Sequence[Finding]) -> bytes:
-    """JUnit XML: one test case per finding; what got worse is a failure, what was not compared is skipped."""
+def junit(study: str, findings: Sequence[Finding], *, allow_missing: bool = False) -> bytes:
+    """JUnit XML: one test case per finding.
+
+    What got worse is a failure, and what is missing unless that is allowed; what was not compared is skipped.
+    """
+    failures = REGRESSED if allow_missing else (*REGRESSED, MISSING)
+    skipped = tuple(outcome for outcome in _SKIPPED if outcome not in failures)
     suite = ElementTree.Element(
         "testsuite",
         name=_clean(f"accuracy of {study}"),
         tests=str(len(findings)),
-        failures=str(sum(f.outcome in REGRESSED for f in findings)),
-        skipped=str(sum(f.outcome in _SKIPPED for f in findings)),
+        failures=str(sum(f.outcome in failures for f in findings)),
+        skipped=str(sum(f.outcome in skipped for f in findings)),
         errors="0",
     )
     for finding in findings:
@@ -45,9 +50,9 @@ def junit(study: str, findings: Sequence[Finding]) -> bytes:
             classname=_clean(".".join(part for part in (study, finding.model) if part)),
             name=_clean(": ".join(part for part in (finding.case, finding.metric) if part)),
         )
-        if finding.outcome in REGRESSED:
+        if finding.outcome in failures:
             ElementTree.SubElement(case, "failure", message=_clean(describe(finding)))
-        elif finding.outcome in _SKIPPED:
+        elif finding.outcome in skipped:
             ElementTree.SubElement(case, "skipped", message=_clean(describe(finding)))
     root = ElementTree.Element("testsuites")
     root.append(suite)

@@ -53,6 +53,7 @@ SCHEMA = 3
 STUDY_FILE, METRICS_FILE = "study.h5", "metrics.csv"
 _CSV_HASH = "case/metrics_csv"  # the SHA-256 of the one, in the other
 _VTK_TRIANGLE = 5
+_TEXTS_BYTES = 64 << 20  # room for a file's texts and structure
 
 # the columns of a model's table of steps that every model has, with their units
 _SERIES = {
@@ -90,7 +91,11 @@ _LIMIT_UNITS = {
 def write_case(path: Path, case: CaseResult) -> None:
     """Write one case file. Raises ValueError for a case that `read_case` would refuse."""
     check_case(case)
-    write_atomically(path, sealed(_case_entries(case)))
+    entries = _case_entries(case)
+    size = sum(entry.values.nbytes for entry in entries if isinstance(entry, Data))
+    if size > MAX_BYTES - _TEXTS_BYTES:
+        raise ValueError(f"has {size} bytes of results, more than a case file holds; use fewer load steps")
+    write_atomically(path, sealed(entries))
 
 
 def read_case(path: Path, expected: str | None = None) -> CaseResult:

@@ -14,6 +14,26 @@ _NAMES = {1: "standard output", 2: "standard error"}
 _NOBODY_READS = (errno.EPIPE, errno.EIO, errno.EBADF)  # a pipe's reader, a terminal or the file is gone
 
 
+# what steers a terminal or turns the direction of text; a tab and a line's end stay
+_STEERING = {
+    code: f"\\x{code:02x}" if code < 256 else f"\\u{code:04x}"
+    for code in (*range(32), *range(127, 160), *range(0x202A, 0x202F), *range(0x2066, 0x206A))
+    if chr(code) not in "\t\n"
+}
+
+
+def harmless(text: str) -> str:
+    """The text with its control characters written as escapes: results from elsewhere steer no terminal."""
+    return text.translate(_STEERING)
+
+
+class _Harmless(io.TextIOWrapper):
+    """A stream that no text can steer."""
+
+    def write(self, text: str) -> int:
+        return super().write(harmless(text))
+
+
 class _Patient(io.FileIO):
     """A descriptor of which every write succeeds: after the first failure, which it keeps, all is dropped."""
 
@@ -53,7 +73,8 @@ def make_patient() -> None:
 
 def _patient(number: int, stream: TextIO | None) -> TextIO:
     raw = _Patient(number, "w", closefd=False)
-    return io.TextIOWrapper(
+    steered = number == 2 and raw.isatty()  # by the progress bar
+    return (io.TextIOWrapper if steered else _Harmless)(
         io.BufferedWriter(raw),
         getattr(stream, "encoding", None),
         errors="backslashreplace",

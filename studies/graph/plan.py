@@ -146,9 +146,13 @@ class Plan:
 
     def cases_to_run(self, shard: tuple[int, int] = (1, 1)) -> list[PlannedCase]:
         """The cases not done; of `shard` (i, n) those in the i-th of n parts of equal size."""
+        return [case for case in self.in_shard(shard) if not self.is_done(case)]
+
+    def in_shard(self, shard: tuple[int, int]) -> list[PlannedCase]:
+        """The cases in the i-th of n parts of equal size, by `shard` (i, n)."""
         number, parts = shard
         first, end = (len(self.in_order) * k // parts for k in (number - 1, number))
-        return [case for case in self.in_order[first:end] if not self.is_done(case)]
+        return self.in_order[first:end]
 
     def has(self, path: Path) -> bool:
         """Whether the cache has a file that may be used."""

@@ -19,6 +19,7 @@ from ..files import clear_abandoned
 from ..hdf5 import StoreError
 from ..locks import LockedError, lock
 from ..meshing.mesh import MeshError
+from ..room import without_room
 from ..run_directory import (
     RESOLVED,
     STUDY,
@@ -93,6 +94,8 @@ def run_plan(
         _check_study(plan)
         if options.scheduler is None:
             _check_memory(plan, cases)
+        if lines := without_room(plan, cases):
+            raise RunError("\n".join(lines))
         _tidy(plan)
         planned = summary(plan)
         texts = {
@@ -133,6 +136,12 @@ def rebuild(directory: Path, tell: Callable[[str], None]) -> tuple[Run, Path]:
         write_study(directory, run)
         write_report(run, report)
     return run, report
+
+
+def lost_cases(plan: Plan, shard: tuple[int, int], run: Run) -> list[str]:
+    """Labels of the cases of a shard that a finished run should have, done or failed, and that are not there."""
+    there = {case.hash for case in run.cases} | {failure["hash"] for failure in run.failed}
+    return [case.label or plan.study.study.name for case in plan.in_shard(shard) if case.hash not in there]
 
 
 def _check_study(plan: Plan) -> None:

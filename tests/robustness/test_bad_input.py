@@ -322,6 +322,44 @@ def test_what_is_wrong_with_results_is_told(
     assert words in said(prepare(tmp_path), code, capsys)
 
 
+def test_a_run_that_finds_fewer_cases_than_it_made_says_so(
+    undisturbed: tuple[Path, float],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    shutil.copytree(undisturbed[0], tmp_path, dirs_exist_ok=True)
+    assert "no longer in" not in said(["run", "small.toml"], 0, capsys)
+    whole = run.rebuild
+
+    def without_one(directory: Path) -> Any:
+        _case(tmp_path).unlink()
+        return whole(directory)
+
+    monkeypatch.setattr(run, "rebuild", without_one)
+    assert "no longer in results/runs/small: 1 case of this run, first " in said(
+        ["run", "small.toml"], 3, capsys
+    )
+
+
+@pytest.mark.parametrize(("extra", "code"), [([], 6), (["--allow-missing"], 0)])
+def test_half_a_study_does_not_pass_the_gate(
+    undisturbed: tuple[Path, float],
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    extra: list[str],
+    code: int,
+) -> None:
+    shutil.copytree(undisturbed[0], tmp_path, dirs_exist_ok=True)
+    said(["accept", RUN, "--reason", "a test"], 0, capsys)
+    said(["gate", RUN], 0, capsys)
+    _case(tmp_path).unlink()
+    told = said(["gate", RUN, "--junit", "out.xml", *extra], code, capsys)
+    assert "the run has not got to it" in told
+    assert ("finish the run, or let them be missing by --allow-missing" in told) == (code == 6)
+    assert ('failures="1"' in Path("out.xml").read_text()) == (code == 6)
+
+
 # --- the machine ---
 
 

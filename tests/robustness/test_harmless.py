@@ -1,0 +1,41 @@
+"""What comes from elsewhere steers no terminal."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import pytest
+
+from studies.run_directory import failure_path, read_plan, rewrite_plan, write_failure
+from studies.streams import harmless
+from tests.command import vdmbench
+
+from .processes import RUN
+
+
+def test_control_characters_become_escapes() -> None:
+    assert harmless("a\tb\n\x1b[2J\x07\r\x7f\x9b\u202e\u2069é\N{BULLET}") == (
+        "a\tb\n\\x1b[2J\\x07\\x0d\\x7f\\x9b\\u202e\\u2069é\N{BULLET}"
+    )
+
+
+@pytest.mark.parametrize("verb", ["status", "report", "gate"])
+def test_copied_results_do_not_steer_the_terminal(
+    undisturbed: tuple[Path, float], tmp_path: Path, verb: str
+) -> None:
+    shutil.copytree(undisturbed[0], tmp_path, dirs_exist_ok=True)
+    directory = tmp_path / RUN
+    plan = read_plan(directory)
+    attack = "\x1b]0;owned\x07\x9b2J"
+    for case in plan["cases"]:
+        case["label"] += attack
+    rewrite_plan(directory, plan)
+    reason = dict.fromkeys(("hash", "label", "code", "message", "remedy"), attack)
+    lost = plan["cases"][0]["hash"]
+    (directory / "cases" / f"{lost}.vtkhdf").unlink()
+    write_failure(failure_path(directory, lost), {**reason, "hash": lost}, attack)
+    said = vdmbench(verb, RUN, cwd=tmp_path)
+    text = said.stdout + said.stderr
+    assert verb == "gate" or "\\x1b]0;owned" in text, "it is told, harmlessly"
+    assert not {"\x1b", "\x07", "\x9b"} & set(text)
