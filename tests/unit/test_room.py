@@ -5,14 +5,13 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from studies.plan import Plan
-from studies.run import Options, RunError, run_plan
 
 from studies import room
 from studies.estimate import Size, case_bytes, estimate
 from studies.explain import summary
-
-from .shared_work import plan_of
+from studies.graph.plan import Plan
+from studies.graph.run import Options, RunError, run_plan
+from tests.graph.shared_work import plan_of
 
 LONG = {"factors": [k / 10_000 for k in range(1, 10_001)]}
 
