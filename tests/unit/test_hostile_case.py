@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import csv
+import dataclasses
 import json
 from collections.abc import Callable
 from contextlib import suppress
@@ -13,7 +15,9 @@ import numpy as np
 import pytest
 
 from studies import store
+from studies.case import Run
 from studies.hdf5 import StoreError
+from studies.metrics_table import metrics_csv
 from tests.unit.example_case import example_case
 from tests.unit.test_store import _replace, _reseal
 from tests.unit.test_stored_json import HOSTILE, _places, _with
@@ -76,3 +80,14 @@ def test_a_case_that_would_not_be_read_is_not_written(
     with pytest.raises(ValueError, match="more than a case file holds; use fewer load steps"):
         store.write_case(tmp_path / "case.vtkhdf", example_case())
     assert list(tmp_path.iterdir()) == []
+
+
+def test_no_cell_of_the_table_is_a_formula() -> None:
+    attack = '=HYPERLINK("http://example.org")'
+    case = example_case()
+    series = dataclasses.replace(case.metrics["vdm-paper"]["max_nodal_error"], unit=attack)
+    case = dataclasses.replace(case, swept={attack: attack}, metrics={attack: {attack: series}})
+    rows = list(csv.reader(metrics_csv(Run({}, "", [case], [], [], {})).splitlines()))
+    cells = [cell for row in rows for cell in row if "HYPERLINK" in cell]
+    assert len(cells) == 1 + 4 * 3, "the heading; value, model, metric and unit of three steps"
+    assert all(cell == f"'{attack}" for cell in cells)
