@@ -22,7 +22,7 @@ def _plan(directory: Path, **tables: object) -> Plan:
 
 def test_the_bytes_of_a_case_are_those_of_its_fields(tmp_path: Path) -> None:
     (case,) = _plan(tmp_path, load=LONG).cases
-    results = len(case.results) + (case.study.uncertainty is not None)
+    results = len(case.study.study.models) + (case.study.uncertainty is not None)
     assert case_bytes(case, Size(100.0, 0.0)) == 2 * 3 * 8 * 100 * 10_000 * results
 
 
