@@ -1,0 +1,63 @@
+"""Supports that change without a new set-up: the same answers as a model that is set up with them."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from tests.unit.vdm_shapes import icosphere
+from vdm import FORMULATIONS, ConstraintError, Load, Model, Parameters, SolverError, SurfaceMesh
+from vdm.solvers.changed import ChangedSupport
+from vdm.solvers.linear import LinearSolver
+
+POINTS, TRIANGLES = icosphere(2, (0.05, 0.06, 0.045))
+BASE = POINTS[:, 2] < -0.03
+FEWER = BASE & (POINTS[:, 0] > -0.01)
+SIDE = POINTS[:, 1] > 0.05
+NOBODY = np.zeros(len(POINTS), dtype=np.bool_)
+PUSH = Load(np.where(POINTS[:, 2] > 0.035, 20.0, 0.0))
+PULL = np.where(SIDE[:, None], [0.001, 0.002, -0.001], 0.0)
+GRAVITY = {"density": 1060.0, "gravity": (0.0, 0.0, -9.81)}
+
+
+def model(formulation: str, fixed, constrained=NOBODY, rule_of=BASE) -> Model:
+    """The parameters are those of one support, as they would be without a new set-up."""
+    rule = Parameters.from_tissue(5000.0, SurfaceMesh(POINTS, TRIANGLES), formulation, held=rule_of)
+    return Model(
+        POINTS, TRIANGLES, rule, formulation=formulation, fixed=fixed, constrained=constrained, **GRAVITY
+    )
+
+
+@pytest.mark.parametrize("formulation", list(FORMULATIONS))
+@pytest.mark.parametrize(
+    ("fixed", "moved"),
+    [(BASE | SIDE, NOBODY), (FEWER, NOBODY), (FEWER, SIDE), (BASE, SIDE), (BASE, NOBODY)],
+    ids=["more", "fewer", "other and moved", "tool", "same"],
+)
+def test_a_changed_support_answers_as_the_long_way(formulation, fixed, moved):
+    solver = model(formulation, BASE).solver
+    assert isinstance(solver, LinearSolver)
+    load = Load(PUSH.contact_pressure, None, PULL) if moved.any() else PUSH
+    step = ChangedSupport(solver, fixed, moved).step(load)
+    right = model(formulation, fixed, moved).solve([load])
+    for found, expected in (
+        (step.displacement, right.displacement[0]),
+        (step.reaction_force, right.reaction_force[0]),
+        (step.pressure_change, right.fluid_pressure[0]),
+        (step.energy, right.energy[0]),
+    ):
+        # two ways to the same numbers: rounding, and what the conditions of the two systems make of it
+        assert_allclose(found, expected, rtol=1e-9, atol=1e-9 * np.abs(expected).max())
+    # the supports matter here: the model's own answer is another
+    if formulation != "paper" and not np.array_equal(fixed | moved, BASE):
+        own = solver.step(PUSH).displacement
+        assert np.abs(own - step.displacement).max() > 0.03 * np.abs(own).max()
+
+
+def test_supports_that_let_the_body_go_are_refused():
+    solver = model("boundary", BASE).solver
+    with pytest.raises(SolverError, match="leave the body free to move"):
+        ChangedSupport(solver, NOBODY)
+    with pytest.raises(ConstraintError, match="mask of 162 booleans"):
+        ChangedSupport(solver, BASE[:5])
