@@ -81,6 +81,7 @@ class ContactProblem:
     def __init__(self, problem: LinearProblem, indenter: Indenter, region: ArrayLike) -> None:
         start = time.perf_counter()
         mesh = problem.mesh
+        mesh.check_straight("there is no contact")
         mask = np.asarray(region, dtype=bool)
         if mask.shape != (len(mesh.surface_nodes),):
             raise _bad_contact(f"region has shape {mask.shape}", f"give shape ({len(mesh.surface_nodes)},)")
@@ -145,7 +146,7 @@ class ContactProblem:
         )
         lifted = self._gap.copy()
         if load is not None:
-            lifted += self._spread.T @ (self._displacement(load) @ self.indenter.axis)
+            lifted += self._spread.T @ (self.problem.fields(load).displacement[0] @ self.indenter.axis)
         pressures = np.zeros((len(depths), len(self.vertices)))
         changes, settled = np.zeros(len(depths), dtype=np.int64), np.zeros(len(depths), dtype=bool)
         active = np.zeros(len(self.vertices), dtype=bool)
@@ -190,11 +191,6 @@ class ContactProblem:
         """(S, n_nodes, 3) forces of (S, C) pressures."""
         along = np.asarray(self._spread @ pressures.T).T
         return np.asarray(along[:, :, None] * self.indenter.axis)
-
-    def _displacement(self, load: Load) -> Array:
-        """(n_nodes, 3) displacement without contact."""
-        _, fields = self.problem.solve_fields([load])
-        return fields.displacement[0]
 
     @staticmethod
     def _loaded(base: Load, force: Array) -> Load:

@@ -10,6 +10,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from fem_reference.follower import curved_area_vectors
 from fem_reference.mesh import TetMesh, facet_quadrature, triangle_p2
 from fem_reference.solution import SolverError, Status
 
@@ -40,8 +41,7 @@ def traction_forces(mesh: TetMesh, traction: ArrayLike) -> Array:
         values = np.broadcast_to(given, wanted)
     except ValueError as error:
         raise _bad_load(f"traction has shape {given.shape}", f"give shape {wanted}") from error
-    area = np.linalg.norm(mesh.area_vectors, axis=1)
-    local = np.einsum("f,q,qa,fqi->fai", area, weights, shape, values, optimize=True)
+    local = np.einsum("fq,q,qa,fqi->fai", _areas(mesh), weights, shape, values, optimize=True)
     return _summed(mesh, mesh.facet_nodes, local)
 
 
@@ -74,10 +74,9 @@ def region_forces(
         raise _bad_load(
             "a region of given forces has no facet", f"give a mask of shape ({len(mesh.triangles)},)"
         )
-    points, weights = facet_quadrature()
-    corners = mesh.points[mesh.surface_nodes[mesh.triangles]]
-    x = np.einsum("qa,fai->fqi", points, corners)
-    share = np.linalg.norm(mesh.area_vectors, axis=1)[:, None] * weights * mask[:, None]
+    _, weights = facet_quadrature()
+    x = mesh.facet_points
+    share = _areas(mesh) * weights * mask[:, None]
     area = share.sum()
     centroid = np.einsum("fq,fqi->i", share, x) / area
     resultant = np.asarray(force, dtype=np.float64)
@@ -110,6 +109,7 @@ def line_forces(mesh: TetMesh, edges: ArrayLike, force: ArrayLike) -> Array:
     SolverError
         For no edge, or a pair of nodes that no triangle joins.
     """
+    mesh.check_straight("there are no line forces")
     ends = np.asarray(edges, dtype=np.int64)
     if ends.ndim != 2 or ends.shape[1:] != (2,) or not len(ends):
         raise _bad_load(
@@ -167,6 +167,12 @@ def point_forces(mesh: TetMesh, facet: int, barycentric: ArrayLike, force: Array
     return _summed(
         mesh, mesh.facet_nodes[[facet]], np.outer(shape, np.asarray(force, dtype=np.float64))[None]
     )
+
+
+def _areas(mesh: TetMesh) -> Array:
+    """(F, Q) or (F, 1) area by which a weighted sum over a facet is an integral."""
+    vectors = mesh.area_vectors[:, None] if mesh.curved is None else curved_area_vectors(mesh)
+    return np.asarray(np.linalg.norm(vectors, axis=2))
 
 
 def _summed(mesh: TetMesh, nodes: NDArray[np.int64], local: Array) -> Array:

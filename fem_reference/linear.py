@@ -5,7 +5,7 @@ from __future__ import annotations
 import copy
 import dataclasses
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -87,6 +87,8 @@ class LinearProblem:
     poisson_ratio : of the isotropic part, in (-1, 0.5], below 0.5 for "P2" and "P1"; or (m,) in (0, 0.5]
     parts : (m,) number of the part of each tetrahedron: the pressure may jump between parts, as where moduli do
     elastic_supports : springs under parts of the surface
+    onto : moves (k, 3) points near the surface onto it, for curved elements, see `fem_reference.curved`; without
+        parts, springs, fibres, and outputs of the strain
     density : [kg/m^3]
     held : (N,) surface nodes whose displacement is given, or (N, 3) single components of them (rollers)
     solver : "auto" chooses by size, `expected_loads` and memory; "direct" or "iterative" insist
@@ -115,6 +117,7 @@ class LinearProblem:
         held: ArrayLike,
         parts: ArrayLike | None = None,
         elastic_supports: Sequence[ElasticSupport] = (),
+        onto: Callable[[Array], Array] | None = None,
         solver: str = "auto",
         expected_loads: int = 1,
         element: str = "P2-P1",
@@ -129,7 +132,7 @@ class LinearProblem:
             )
         order, mixed = ELEMENTS[element]
         check_density(density)
-        self.mesh = TetMesh(points, tetrahedra, surface_nodes, triangles, order=order, parts=parts)
+        self.mesh = TetMesh(points, tetrahedra, surface_nodes, triangles, order=order, parts=parts, onto=onto)
         moduli = make_moduli(self.mesh, youngs_modulus, poisson_ratio, mixed=mixed)
         self.element = element
         self.youngs_modulus = moduli.youngs_modulus
@@ -219,10 +222,10 @@ class LinearProblem:
         if not len(chosen):  # no load at all: one solve of nothing
             chosen, coefficients = np.zeros(1, dtype=np.int64), np.zeros((1, len(loads)))
         basis = [loads[k] for k in chosen]
-        forces, fields = self.solve_fields(basis[:1])
+        forces, fields = self._solve_some(basis[:1])
         seconds = time.perf_counter() - start
         if len(basis) > 1:
-            more = self.solve_fields(basis[1:])
+            more = self._solve_some(basis[1:])
             forces = np.concatenate([forces, more[0]])
             names = [field.name for field in dataclasses.fields(Fields)]
             fields = Fields(
@@ -230,8 +233,8 @@ class LinearProblem:
             )
         return self._combined(forces, fields, coefficients, outputs, seconds)
 
-    def solve_fields(self, loads: Sequence[Load]) -> tuple[Array, Fields]:
-        """(S, n_nodes, 3) forces and the fields of some loads, each solved by itself."""
+    def _solve_some(self, loads: Sequence[Load]) -> tuple[Array, Fields]:
+        """Nodal forces and fields of some loads."""
         forces = nodal_forces(self.mesh, loads, self.density)
         return forces, self.solve_nodal(forces, prescribed_nodes(self.mesh, loads))
 
@@ -268,6 +271,7 @@ class LinearProblem:
     def _strain_outputs(self, fields: Fields, coefficients: Array, names: frozenset[str]) -> dict[str, Array]:
         if not names:
             return {}
+        self.mesh.check_straight(f"there is no {min(names)}")
         # all steps at once can be many times the memory of those that were solved
         parts = [coefficients[:, first : first + BATCH] for first in range(0, coefficients.shape[1], BATCH)]
         found = [strain_outputs(self.mesh, _combination(fields.displacement, part), names) for part in parts]

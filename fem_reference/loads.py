@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fem_reference.assembly import gravity_weights
+from fem_reference.follower import curved_area_vectors
 from fem_reference.krylov import independent_columns
 from fem_reference.mesh import TetMesh, facet_quadrature, triangle_p2
 from fem_reference.solution import SolverError, Status
@@ -96,9 +97,12 @@ def nodal_forces(mesh: TetMesh, loads: Sequence[Load], density: float) -> Array:
         forces += density * gravity_weights(mesh)[None, :, None] * gravities[:, None, :]
     nodes = mesh.facet_nodes.ravel()
     for force, load in zip(forces, loads, strict=True):
-        share = (np.asarray(load.facet_pressure) * weights) @ shape
+        pressure = np.asarray(load.facet_pressure) * weights
         for k in range(3):
-            values = -(share * mesh.area_vectors[:, k, None]).ravel()
+            if mesh.curved is None:
+                values = -((pressure @ shape) * mesh.area_vectors[:, k, None]).ravel()
+            else:
+                values = -((pressure * curved_area_vectors(mesh)[:, :, k]) @ shape).ravel()
             force[:, k] += np.bincount(nodes, weights=values, minlength=mesh.n_nodes)
         if load.forces is not None:
             force += load.forces

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+from collections.abc import Callable
 from functools import cached_property
 
 import numpy as np
@@ -12,6 +13,7 @@ from scipy.sparse.csgraph import connected_components
 from skfem import Basis, ElementTetP1, ElementTetP2, ElementVector, MeshTet
 from skfem.assembly import Dofs
 
+from fem_reference.curved import Curved
 from fem_reference.solution import SolverError, Status
 
 Array = NDArray[np.float64]
@@ -64,6 +66,7 @@ class TetMesh:
     surface_nodes : (N,) indices into `points`
     triangles : (F, 3) indices into `surface_nodes`: the whole boundary, outward
     parts : (m,) number of the part of the body that each tetrahedron belongs to, or None for one part
+    onto : moves (k, 3) middles of boundary edges onto the true surface, for curved elements; P2 and one part only
 
     Attributes
     ----------
@@ -79,6 +82,7 @@ class TetMesh:
     facet_edges : (F, 3 or 0) which boundary edge each edge of a facet is
     surface_edges : (E, 2) surface-node indices of the ends of each boundary edge
     surface_edge_nodes : (E,) node number of each boundary edge; empty for P1
+    curved : what curved elements are assembled from, None for straight ones
 
     Raises
     ------
@@ -96,6 +100,7 @@ class TetMesh:
         *,
         order: int = 2,
         parts: ArrayLike | None = None,
+        onto: Callable[[Array], Array] | None = None,
     ) -> None:
         self.points = np.ascontiguousarray(points, dtype=np.float64)
         self.tetrahedra = np.ascontiguousarray(tetrahedra, dtype=np.int64)
@@ -110,6 +115,12 @@ class TetMesh:
         )
         self._number_nodes()
         self.pressure_elements, self.pressure_vertices = self._number_pressures(parts)
+        self.curved: Curved | None = None
+        if onto is not None:
+            if order != 2 or parts is not None:
+                raise _bad_mesh("curved elements are P2 and of one part", "leave out onto, or parts")
+            self.curved = Curved(self, onto)
+            self.node_points = self.curved.node_points
 
     @property
     def n_pressures(self) -> int:
@@ -173,6 +184,8 @@ class TetMesh:
         intorder : degree to which integrals over a tetrahedron are exact
         """
         element = ElementTetP2() if self.order == 2 else ElementTetP1()
+        if self.curved is not None:
+            return self.curved.bases(intorder)
         displacement = Basis(self.skfem_mesh, ElementVector(element), intorder=intorder)
         return displacement, Basis(self.pressure_mesh, ElementTetP1(), intorder=intorder)
 
@@ -181,8 +194,21 @@ class TetMesh:
         other = copy.copy(self)
         other.order = order
         other.__dict__.pop("node_points", None)
+        other.curved = None
         other._number_nodes()
         return other
+
+    @property
+    def facet_points(self) -> Array:
+        """(F, Q, 3) points of `facet_quadrature` on the facets, straight or curved [m]."""
+        points, _ = facet_quadrature()
+        shape = triangle_p2(points) if self.order == 2 else points
+        return np.asarray(np.einsum("qa,fai->fqi", shape, self.node_points[self.facet_nodes]))
+
+    def check_straight(self, what: str) -> None:
+        """Refuse what curved elements do not have. Raises SolverError."""
+        if self.curved is not None:
+            raise _bad_mesh(f"{what} of a body with curved elements", "leave out onto")
 
     def _check_arrays(self) -> None:
         for name, array, width in (

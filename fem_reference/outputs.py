@@ -27,6 +27,10 @@ OUTPUTS = {
 def mean_pressure(system: LinearSystem, shear_modulus: float, displacement: Array, pressure: Array) -> Array:
     """(S,) volume mean of -tr(stress)/3 [Pa], of fields (S, n_nodes, 3) [m] and (S, n) [Pa]."""
     mesh = system.mesh
+    if mesh.curved is not None:
+        bulk = shear_modulus * (system.divergence_coefficient + 2.0 / 3.0)
+        fields = zip(displacement, pressure, strict=True)
+        return np.array([mesh.curved.mean_stress(u, p, bulk, system.relative_stiffness) for u, p in fields])
     # The volume integral of grad u is that of u x n over the surface, exact for the P1 and P2 traces.
     share = np.repeat([0.0, 1.0 / 3.0], 3) if mesh.order == 2 else np.full(3, 1.0 / 3.0)
     trace = np.einsum("sfni,n->sfi", displacement[:, mesh.facet_nodes], share)
