@@ -189,7 +189,7 @@ class LinearProblem:
     def fields(self, load: Load) -> Fields:
         """The nodal fields of one load, a single step. Raises SolverError as `solve` does."""
         check_loads(self.mesh, [load])
-        return self.solve_fields([load])[1]
+        return self._solve_some([load])[1]
 
     def mean_pressure(self, fields: Fields) -> Array:
         """(S,) volume mean of -tr(stress)/3 [Pa]."""
