@@ -16,48 +16,6 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class StepStatus:
-    """The outcome of one load step of one model."""
-
-    code: str
-    message: str = ""
-    remedy: str = ""
-
-    @property
-    def ok(self) -> bool:
-        """Whether the step can be used."""
-        return self.code == "converged"
-
-
-@dataclass(frozen=True)
-class ModelResult:
-    """One model's load history of S steps on N surface nodes: a solution as its library gives it, and its memory.
-
-    A step that failed holds NaN in its arrays; its status says why.
-    """
-
-    displacement: Array  # (S, N, 3) m
-    fluid_pressure: Array  # (S,) Pa
-    reaction_force: Array  # (S, N, 3) N
-    energy: Array  # (S,) J
-    volume: Array  # (S,) m^3, exact volume of the deformed surface polyhedron
-    iterations: NDArray[np.int64]  # (S,)
-    status: tuple[StepStatus, ...]
-    seconds_setup: float
-    seconds_per_step: Array  # (S,) s
-    peak_bytes: int  # peak resident memory that the model added
-    version: str  # declared version of the model
-    parameters: Mapping[str, float | str] = field(default_factory=dict)
-    scalars: Mapping[str, Array] = field(default_factory=dict)  # (S,) each
-    key: str = ""  # content key of all that decides the result; "" where it is not to be used again
-
-    def __post_init__(self) -> None:
-        taken = self.scalars.keys() & {own.name for own in fields(self)}
-        if taken:  # they are columns of one table
-            raise ValueError(f"a model's own output cannot be called {min(taken)!r}: every result has one")
-
-
-@dataclass(frozen=True)
 class MetricSeries:
     """One metric of one model over S steps."""
 

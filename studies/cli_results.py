@@ -50,7 +50,7 @@ def status_verb(options: argparse.Namespace) -> int:
 
 def report_verb(options: argparse.Namespace) -> int:
     """Rebuild the report of one directory, or the claims' page of several."""
-    from .graph.run import rebuild
+    from .report.rebuild import rebuild
 
     if options.claims:
         return _claims(options)

@@ -124,6 +124,7 @@ def plan_verb(options: argparse.Namespace) -> int:
 def run_verb(options: argparse.Namespace) -> int:
     """Run what is missing, write the report, print the headline table."""
     from .graph.run import Options, count_of_events, lost_cases, run_plan
+    from .report.rebuild import rebuild
 
     study, path = _load(options)
     plan = _make_plan(study, options)
@@ -138,7 +139,7 @@ def run_verb(options: argparse.Namespace) -> int:
         insecure_scheduler=options.insecure_scheduler,
     )
     with Progress(count_of_events(plan, how.shard), study.study.name, quiet=options.json) as progress:
-        run, report = run_plan(plan, path.read_text(), how, progress.show)
+        run, report = run_plan(plan, path.read_text(), how, progress.show, rebuild)
     code = print_run(run, plan.directory, report, options.json)
     stopped = options.fail_fast and run.failed  # before it came to all
     if lost := [] if stopped else lost_cases(plan, how.shard, run):
@@ -320,12 +321,11 @@ def _command(verb: str, options: argparse.Namespace) -> tuple[str, ...]:
 
 def _run_for_fit(plan: Plan, path: Path, options: argparse.Namespace) -> tuple[Plan, Run]:
     """Run what is missing of a study that parameters are fitted on, and say what failed."""
-    from .graph.run import Options, run_plan
+    from .graph.run import Options, count_of_events, run_plan
+    from .report.rebuild import rebuild
 
-    cases = plan.cases_to_run()
-    total = len(cases) + len(plan.missing_meshes(cases))
-    with Progress(total, plan.study.study.name, quiet=options.json) as progress:
+    with Progress(count_of_events(plan), plan.study.study.name, quiet=options.json) as progress:
         how = Options(jobs=options.jobs or usable_processors())
-        run, _ = run_plan(plan, path.read_text(), how, progress.show)
+        run, _ = run_plan(plan, path.read_text(), how, progress.show, rebuild)
     complain_of_failures(run)
     return plan, run

@@ -135,7 +135,7 @@ def refused(plan: Plan, cases: Sequence[PlannedCase], work: Sequence[Body]) -> l
     the body, a solve that this machine has no memory for, and models: elements that nothing holds, an
     incompressible body, fibres, and a mesh of more surface nodes than a model takes."""
     names = plan.study.study.models
-    limits = {name: most for name in names if (most := models.most_nodes(name)) is not None}
+    limits = {name: most for name in names if (most := models.find(name)[0].most_nodes) is not None}
     free = any(holds_nothing(case.study) for case in cases)
     lines = [
         *dict.fromkeys(_off_the_body(plan, cases)),
@@ -158,7 +158,7 @@ def refused(plan: Plan, cases: Sequence[PlannedCase], work: Sequence[Body]) -> l
         lines += [
             f"{name}: it is isotropic; use another model for fibres"
             for name in names
-            if not models.knows_fibres(name)
+            if not models.find(name)[0].fibres
         ]
     if not limits:
         return lines

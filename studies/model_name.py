@@ -7,15 +7,7 @@ DISPLACEMENT_ELEMENTS = ("fem-p1", "fem-p2")  # which have no answer for an inco
 REFINED = " refined"  # what the reference's name gets where it is solved on refinements of the case's mesh
 _NOT_LINEAR = ("quasi-linear", "nonlinear")  # solvers of another problem than the linear one
 
-# keys of [vdm] that a surface model reads, in the order in which they are told
-_READS: dict[str, tuple[str, ...]] = {
-    "vdm-paper": ("bulk_modulus", "connectivity_modulus", "penalty"),
-    "vdm-consistent": ("foundation", "surface_tension", "penalty"),
-    "vdm-vector": ("foundation", "surface_tension", "stretch_stiffness", "rotation", "penalty"),
-    "vdm-boundary": ("shear_modulus", "coarse_nodes", "penalty"),
-    "mass-spring": ("shear_modulus", "penalty"),
-}
-# those of them that are numbers: what they are called, and their unit
+# parameters that are numbers: what they are called, and their unit
 PARAMETERS = {
     "bulk_modulus": ("B", "Pa"),
     "connectivity_modulus": ("B_ij", "Pa"),
@@ -26,11 +18,6 @@ PARAMETERS = {
     "coarse_nodes": ("nodes of the coarse body", "1"),
     "penalty": ("penalty alpha", "1"),
 }
-
-
-def reads(name: str) -> tuple[str, ...]:
-    """Keys of [vdm] that a model reads, whatever its solver; none where it is volumetric or unknown."""
-    return _READS.get(split(name)[0], ())
 
 
 def is_vdm(name: str) -> bool:

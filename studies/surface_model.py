@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Sequence
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from .meshing.mesh import Mesh
-from .model_name import reads, split
+from .model_name import split
+from .registry import Model as Declared
+from .registry import SetUp, register
 from .scene import Scene, SurfaceLoad
 
 if TYPE_CHECKING:
@@ -17,15 +20,11 @@ if TYPE_CHECKING:
     from vdm.solution import Solution
     from vdm.surface import SurfaceMesh
 
-    from .models import SetUp
-
 
 def prepare_surface(scene: Scene, solver: str, name: str, n_loads: int) -> SetUp:  # noqa: ARG001
-    """The model `name` set up on the scene's body; see `studies.models.Prepare`."""
+    """The model `name` set up on the scene's body; see `studies.registry.Prepare`."""
     from vdm.constraints import Load
     from vdm.solvers.linear import LinearSolver
-
-    from .models import SetUp
 
     model = _model(**_inputs(scene, name))
 
@@ -44,15 +43,14 @@ def prepare_surface(scene: Scene, solver: str, name: str, n_loads: int) -> SetUp
 
 
 def _inputs(scene: Scene, name: str) -> dict[str, Any]:
-    """What decides a set-up. Parameters by the study, by the model's own table, else by rule from the tissue."""
+    """What decides a set-up. Parameters that the study does not set follow a rule from the tissue."""
     base, solver = split(name)
     fibres = scene.anisotropy
-    given = {**scene.parameters, **scene.overrides.get(name, {})}
     return {
         "mesh": scene.mesh,
         "youngs_modulus": scene.tissue.youngs_modulus,
         "density": scene.tissue.density if scene.gravity.any() else 0.0,
-        "given": {key: value for key, value in given.items() if key in reads(name)},
+        "given": dict(scene.parameters),
         "fibres": (fibres.fibre_direction, fibres.contrast) if fibres else None,
         "formulation": base.removeprefix("vdm-"),
         "solver": solver,
@@ -102,3 +100,65 @@ def _model(
         solver=solver,
         **options,
     )
+
+
+_surface = partial(
+    Declared, prepare=prepare_surface, volumetric=False, superposes=("linear",), tissue=("youngs_modulus",)
+)
+VDM_SOLVERS = (
+    "linear",
+    "single",
+    "refined",
+    "lu",
+    "quasi-linear",
+    "nonlinear",
+    "bicg",
+    "bicg-cold",
+    "cg",
+    "minres",
+)
+for _declared in (
+    _surface(
+        name="vdm-paper",
+        version="4",
+        # MINRES needs a symmetric matrix, which the printed form has not
+        solvers=tuple(name for name in VDM_SOLVERS if name != "minres"),
+        parameters=("bulk_modulus", "connectivity_modulus", "penalty"),
+        by_rule=("bulk_modulus", "connectivity_modulus"),
+        fibres=True,
+    ),
+    _surface(
+        name="vdm-consistent",
+        version="5",
+        solvers=VDM_SOLVERS,
+        parameters=("foundation", "surface_tension", "penalty"),
+        by_rule=("foundation", "surface_tension"),
+        fibres=True,
+    ),
+    _surface(
+        name="vdm-vector",
+        version="8",
+        solvers=VDM_SOLVERS,
+        parameters=("foundation", "surface_tension", "stretch_stiffness", "rotation", "penalty"),
+        by_rule=("surface_tension",),
+        fibres=True,
+    ),
+    _surface(
+        name="vdm-boundary",
+        version="11",
+        solvers=("linear", "nonlinear"),
+        parameters=("shear_modulus", "coarse_nodes", "penalty"),
+        by_rule=("shear_modulus",),
+        fibres=False,
+    ),
+    _surface(
+        name="mass-spring",
+        version="6",
+        solvers=VDM_SOLVERS,
+        parameters=("shear_modulus", "penalty"),
+        by_rule=("shear_modulus",),
+        most_nodes=5000,
+        fibres=False,
+    ),
+):
+    register(_declared)

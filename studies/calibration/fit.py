@@ -21,7 +21,7 @@ from ..graph.plan import Plan, PlannedCase
 from ..meshing.mesh import Array
 from ..meshing.mesh_cache import mesh_from_cache
 from ..metrics import DEFORMATION, VECTOR, full_load_step
-from ..model_name import is_vdm, reads
+from ..model_name import is_vdm
 from ..scene import Scene, build_scene
 from ..study_file.config import geometry_of
 from ..surface_measures import Surface, relative_l2, rigid_motion_removed, weighted_norm
@@ -176,10 +176,13 @@ def to_fit(
         none.
     """
     if asked is not None:
-        names, why = [key for key in asked if key in reads(name)], f"it reads none of {', '.join(asked)}"
+        names, why = (
+            [key for key in asked if key in models.reads(name)],
+            f"it reads none of {', '.join(asked)}",
+        )
     else:
         given = {*parameters, *overrides.get(name, {})}
-        names = [key for key in models.moduli_by_rule(name) if key not in given]
+        names = [key for key in models.find(name)[0].by_rule if key not in given]
         why = "the study sets all of them"
     if not names:
         raise CalibrationError(f"{name} has no parameter left to fit: {why}")

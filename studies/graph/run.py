@@ -40,11 +40,12 @@ from .engine import Outcome, Places, run_nodes
 from .nodes import bodies, graph
 from .plan import Plan, PlannedCase
 
-_PATIENCE = 300.0  # s that one other process may take to write the tables and the report
-
 
 class RunError(ValueError):
     """A run that cannot start."""
+
+
+Finish = Callable[[Path, Callable[[str], None]], tuple[Run, Path]]
 
 
 @dataclass(frozen=True)
@@ -71,9 +72,13 @@ class Options:
 
 
 def run_plan(
-    plan: Plan, study_text: str, options: Options, watch: Callable[[Event], None]
+    plan: Plan, study_text: str, options: Options, watch: Callable[[Event], None], finish: Finish
 ) -> tuple[Run, Path]:
     """Do what is missing of a plan, then write the tables and the report; returns the run and the report's path.
+
+    Parameters
+    ----------
+    finish : writes tables and report of a directory from what is stored there (`studies.report.rebuild`)
 
     Raises
     ------
@@ -109,7 +114,7 @@ def run_plan(
             with _places(plan, options, watch) as places:
                 used = _run_missing(plan, cases, options, watch, places)
         _tidy(plan)  # a worker may have been killed
-        run, report = rebuild(
+        run, report = finish(
             plan.directory, lambda text: watch(Event("told", plan.study.study.name, message=text))
         )
         if cases and options.scheduler is None and options.shard == (1, 1):
@@ -120,22 +125,6 @@ def run_plan(
             }
             rewrite_plan(plan.directory, planned)
         return dataclasses.replace(run, plan=planned), report
-
-
-def rebuild(directory: Path, tell: Callable[[str], None]) -> tuple[Run, Path]:
-    """Write the tables and the report from the stored results alone; returns the run and the report's path.
-
-    `tell` is told who is waited for, where another process writes them. Raises RunError where that takes too long.
-    """
-    from ..report.page import write_report  # plotting is slow to load, and who only plans draws nothing
-
-    read_plan(directory)  # nothing is left in a directory that is none of ours
-    report = directory / "report.html"
-    with _report_lock(directory, tell):  # the last of several shards sees all
-        run = read_run(directory, damaged=True)
-        write_study(directory, run)
-        write_report(run, report)
-    return run, report
 
 
 def lost_cases(plan: Plan, shard: tuple[int, int], run: Run) -> list[str]:
@@ -266,18 +255,5 @@ def _lock(directory: Path, name: str, kind: int) -> Iterator[None]:
         except LockedError as error:
             raise RunError(
                 f"{directory}: another run is at work here ({error}); wait for it or choose another --out"
-            ) from None
-        yield
-
-
-@contextmanager
-def _report_lock(directory: Path, tell: Callable[[str], None]) -> Iterator[None]:
-    with ExitStack() as held:
-        try:
-            held.enter_context(lock(directory / ".lock-report", fcntl.LOCK_EX, patience=_PATIENCE, tell=tell))
-        except LockedError as error:
-            raise RunError(
-                f"{directory}: {error} has locked the report for more than {_PATIENCE:g} s; the results are kept, "
-                f"vdmbench report {directory} writes it later"
             ) from None
         yield

@@ -15,18 +15,6 @@ Index = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 
 
-class InputError(ValueError):
-    """What the user gave cannot be used; the message says what is wrong and what to do."""
-
-
-class MeshError(InputError):
-    """A geometry that cannot be used; `key` is what its [geometry] has to change, where that is known."""
-
-    def __init__(self, text: str, key: str = "") -> None:
-        super().__init__(text)
-        self.key = key
-
-
 @dataclass(frozen=True)
 class Mesh:
     """n points, m tetrahedra and their boundary of N surface nodes and F triangles.

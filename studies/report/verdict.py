@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterable, Sequence
 
 from ..case import CaseResult
-from ..model_name import PARAMETERS, is_vdm, reads
+from ..model_name import PARAMETERS, is_vdm
 from ..uncertainty import is_resolved
 from .blocks import Answer
 from .digest import Digest, ModelSummary, Spread
@@ -146,14 +146,14 @@ def _answered(digest: Digest, error: Spread | None) -> str:
 def _parameters(digest: Digest, best: ModelSummary, rated: dict[str, Spread]) -> list[str]:
     results = [case.models[best.name] for case in digest.cases if best.name in case.models]
     parts = []
-    formulation = results[0].parameters.get("formulation") if results else None
-    read = [key for key in reads(f"vdm-{formulation}") or PARAMETERS if key in PARAMETERS]
-    for key in read:
+    told: list[str] = []
+    for key in PARAMETERS:  # of which a result records those that its model reads
         name, unit = PARAMETERS[key]
         values = [v for result in results if isinstance(v := result.parameters.get(key), int | float)]
         if values:
+            told.append(key)
             parts.append(f"{name} = {value_range([float(v) for v in values], unit)}")
-    chosen = sorted({key for case in digest.cases for key in _given(case, best.name)} & set(read))
+    chosen = sorted({key for case in digest.cases for key in _given(case, best.name)} & set(told))
     text = best.name + (f" with {listed(parts)}" if parts else "")
     if parts:
         text += (

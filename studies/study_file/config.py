@@ -313,7 +313,7 @@ def _name_after(surface: Path, study: Any) -> None:
 
 
 def _check_model_names(data: Mapping[str, Any]) -> Iterator[Finding]:
-    from ..models import model_names  # the registry knows the solvers: only where it is needed
+    from ..registry import model_names  # loads the families: only where it is needed
 
     known = model_names()
     study = data.get("study")
@@ -329,7 +329,7 @@ def holds_nothing(study: Study) -> bool:
 
 
 def _check_held(study: Study | None) -> Iterator[Finding]:
-    from ..models import find, model_names
+    from ..registry import find, model_names
 
     reference = study.study.reference if study is not None else None
     if study is None or reference not in model_names():

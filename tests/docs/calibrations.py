@@ -23,6 +23,7 @@ from studies.calibration.fit import Errors, Trial, least_error
 from studies.calibration.search import WIDEST
 from studies.graph.plan import make_plan
 from studies.graph.run import Options, run_plan
+from studies.report.rebuild import rebuild
 from studies.report.formatting import NOTHING, percent
 from studies.study_file.config import expand, load_study
 from tests.command import vdmbench
@@ -84,7 +85,7 @@ def in_tissue(study: str, directory: Path, **tissue: str) -> dict[str, dict[str,
     path.write_text(text)
     loaded = load_study(path)
     plan = make_plan(loaded, expand(loaded), directory / name, directory / "cache")
-    run, _ = run_plan(plan, text, Options(jobs=2), lambda event: None)  # noqa: ARG005
+    run, _ = run_plan(plan, text, Options(jobs=2), lambda _: None, rebuild)
     found = body(plan, run)
     multiples = {}
     for model in found.models:

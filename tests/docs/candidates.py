@@ -22,6 +22,7 @@ from scipy import linalg
 from studies.calibration.fit import Errors, Sample, Trial, least_error, loads_of, samples_of, split
 from studies.graph.plan import make_plan
 from studies.graph.run import Options, run_plan
+from studies.report.rebuild import rebuild
 from studies.study_file.config import expand, load_study
 from tests.docs import marked
 from tests.docs.vdm_accuracy import README, ROOT, STUDIES, as_per_cent
@@ -301,7 +302,7 @@ def column_of(study: str, surface: Path | None = None) -> dict[str, str]:
     loaded = load_study(path, surface=surface)
     results = Path(os.environ.get("VDMBENCH_RESULTS", "results"))
     plan = make_plan(loaded, expand(loaded), results / "runs" / loaded.study.name, results / "cache")
-    run, _ = run_plan(plan, path.read_text(encoding="utf-8"), Options(jobs=1), lambda _: None)
+    run, _ = run_plan(plan, path.read_text(encoding="utf-8"), Options(jobs=1), lambda _: None, rebuild)
     count = loaded.calibration.training if loaded.calibration else None
     training, held_out = split(samples_of(plan, run), len(loads_of(plan)), count)
     mesh = training[0].scene.mesh

@@ -14,6 +14,7 @@ from studies.calibration.calibrate import as_json, body, calibrate
 from studies.graph.keys import load_key
 from studies.graph.plan import make_plan
 from studies.graph.run import Options, run_plan
+from studies.report.rebuild import rebuild
 from studies.study_file.config import expand, load_study
 from tests.docs.calibrations import (
     DOCUMENT,
@@ -52,7 +53,7 @@ def test_a_shipped_calibration_comes_out_again(study: str, tmp_path: Path) -> No
     loaded = load_study(ROOT / "studies" / "cases" / f"{study}.toml")
     plan = make_plan(loaded, expand(loaded), tmp_path / "run", tmp_path / "cache")
     text = (ROOT / "studies" / "cases" / f"{study}.toml").read_text()
-    run, _ = run_plan(plan, text, Options(jobs=2), lambda event: None)  # noqa: ARG005
+    run, _ = run_plan(plan, text, Options(jobs=2), lambda _: None, rebuild)
     again = as_json(calibrate(body(plan, run, None)))
     assert again.keys() == stored(study).keys()
     for model, entry in stored(study).items():

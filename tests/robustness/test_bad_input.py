@@ -26,6 +26,7 @@ from studies import doctor, files, run_directory
 from studies.cli import main
 from studies.graph import run, work
 from studies.graph.local import HerePlaces
+from studies.report import rebuild
 from studies.hdf5 import TRAILER_BYTES
 from tests.command import write_study
 from tests.unit.test_store import _reseal
@@ -330,13 +331,13 @@ def test_a_run_that_finds_fewer_cases_than_it_made_says_so(
 ) -> None:
     shutil.copytree(undisturbed[0], tmp_path, dirs_exist_ok=True)
     assert "no longer in" not in said(["run", "small.toml"], 0, capsys)
-    whole = run.rebuild
+    whole = rebuild.rebuild
 
-    def without_one(directory: Path) -> Any:
+    def without_one(directory: Path, tell: Callable[[str], None]) -> Any:
         _case(tmp_path).unlink()
-        return whole(directory)
+        return whole(directory, tell)
 
-    monkeypatch.setattr(run, "rebuild", without_one)
+    monkeypatch.setattr(rebuild, "rebuild", without_one)
     assert "no longer in results/runs/small: 1 case of this run, first " in said(
         ["run", "small.toml"], 3, capsys
     )

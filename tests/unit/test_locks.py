@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from studies.graph import run
+from studies.report import rebuild
 from studies.locks import LockedError, lock
 
 EX = fcntl.LOCK_EX
@@ -59,13 +59,13 @@ def test_patience_begins_anew_with_another_holder(tmp_path: Path, held: int) -> 
 def test_a_report_does_not_wait_in_silence_nor_for_ever(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(run, "_PATIENCE", 0.3)
-    monkeypatch.setattr(run, "read_plan", lambda _: {})
+    monkeypatch.setattr(rebuild, "_PATIENCE", 0.3)
+    monkeypatch.setattr(rebuild, "read_plan", lambda _: {})
     told: list[str] = []
     with (tmp_path / ".lock-report").open("w") as file:
         fcntl.flock(file, fcntl.LOCK_EX)
         with pytest.raises(
-            run.RunError, match=r"an unknown process has locked the report .* the results are kept"
+            rebuild.ReportError, match=r"an unknown process has locked the report .* the results are kept"
         ):
-            run.rebuild(tmp_path, told.append)
+            rebuild.rebuild(tmp_path, told.append)
     assert len(told) == 1

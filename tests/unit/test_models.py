@@ -10,7 +10,7 @@ from numpy.testing import assert_allclose
 
 from studies import models
 from studies.meshing.geometry import build_mesh
-from studies.model_name import DISPLACEMENT_ELEMENTS, is_linear, reads, split
+from studies.model_name import DISPLACEMENT_ELEMENTS, is_linear, split
 from studies.scene import Scene, build_scene
 from studies.study_file.config import geometry_of
 from studies.study_file.schema import Study, VdmTable
@@ -143,11 +143,11 @@ def test_a_model_reads_the_keys_that_change_its_answer_and_no_others(name: str) 
         if not np.array_equal(other.displacement, plain.displacement, equal_nan=True):
             read.add(key)
     assert np.isfinite(plain.displacement).all()
-    assert read == set(reads(name))
+    assert read == set(models.reads(name))
 
 
 def test_elements_read_no_parameters_of_the_vdm() -> None:
-    assert {bool(reads(name)) for name, model in models.MODELS.items() if model.volumetric} == {False}
+    assert {bool(models.reads(name)) for name, model in models.MODELS.items() if model.volumetric} == {False}
     assert all(name.startswith("fem") == model.volumetric for name, model in models.MODELS.items())
 
 

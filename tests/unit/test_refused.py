@@ -12,6 +12,7 @@ from numpy.testing import assert_allclose
 
 from studies.explain import summary
 from studies.graph.run import Options, run_plan
+from studies.report.rebuild import rebuild
 from studies.meshing.geometry import build_mesh
 from studies.meshing.geometry_spec import Geometry
 from studies.meshing.mesh_cache import mesh_from_cache
@@ -127,7 +128,7 @@ def test_what_the_machine_has_no_memory_for_is_named_and_not_begun(
     assert line.startswith("fem-linear refined on a mesh of ")
     assert line.endswith(words)
     with pytest.raises(StudyError) as raised:
-        run_plan(plan, "", Options(jobs=1), lambda _: None)
+        run_plan(plan, "", Options(jobs=1), lambda _: None, rebuild)
     (problem,) = raised.value.problems
     assert (problem.key, problem.message) == ("geometry.mesh_size", line)
     assert not (tmp_path / "run" / "plan.json").exists()

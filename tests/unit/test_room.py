@@ -11,6 +11,7 @@ from studies.estimate import Size, case_bytes, estimate
 from studies.explain import summary
 from studies.graph.plan import Plan
 from studies.graph.run import Options, RunError, run_plan
+from studies.report.rebuild import rebuild
 from tests.graph.shared_work import plan_of
 
 LONG = {"factors": [k / 10_000 for k in range(1, 10_001)]}
@@ -39,7 +40,7 @@ def test_the_load_history_counts_in_the_memory_of_a_worker(tmp_path: Path) -> No
 def _refused(plan: Plan, words: str) -> None:
     assert any(words in line for line in summary(plan)["refused"]), summary(plan)["refused"]
     with pytest.raises(RunError, match=words):
-        run_plan(plan, "", Options(1), lambda _: None)
+        run_plan(plan, "", Options(1), lambda _: None, rebuild)
     assert not (plan.directory / "plan.json").exists()
 
 

@@ -1,0 +1,48 @@
+"""Tables and report of a run directory, from what is stored there alone."""
+
+from __future__ import annotations
+
+import fcntl
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+
+from ..case import Run
+from ..locks import LockedError, lock
+from ..run_directory import read_plan
+from ..store import read_run, write_study
+
+_PATIENCE = 300.0  # s that one other process may take to write the tables and the report
+
+
+class ReportError(ValueError):
+    """A report that cannot be written now."""
+
+
+def rebuild(directory: Path, tell: Callable[[str], None]) -> tuple[Run, Path]:
+    """Write the tables and the report from the stored results alone; returns the run and the report's path.
+
+    `tell` is told who is waited for, where another process writes them. Raises ReportError where that takes too long.
+    """
+    from .page import write_report  # plotting is slow to load, and who only plans draws nothing
+
+    read_plan(directory)  # nothing is left in a directory that is none of ours
+    report = directory / "report.html"
+    with _report_lock(directory, tell):  # the last of several shards sees all
+        run = read_run(directory, damaged=True)
+        write_study(directory, run)
+        write_report(run, report)
+    return run, report
+
+
+@contextmanager
+def _report_lock(directory: Path, tell: Callable[[str], None]) -> Iterator[None]:
+    with ExitStack() as held:
+        try:
+            held.enter_context(lock(directory / ".lock-report", fcntl.LOCK_EX, patience=_PATIENCE, tell=tell))
+        except LockedError as error:
+            raise ReportError(
+                f"{directory}: {error} has locked the report for more than {_PATIENCE:g} s; the results are kept, "
+                f"vdmbench report {directory} writes it later"
+            ) from None
+        yield
