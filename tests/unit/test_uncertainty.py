@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 
 import numpy as np
@@ -152,3 +153,15 @@ def test_a_signed_figure_is_known_no_better_than_the_displacement() -> None:
         least_bar("volume_drift", {"volume_drift": 0.0, "volume_drift_of_displaced": 0.0}, 0.03)
     )
     assert math.isnan(least_bar("contact_work", {}, 0.03))
+
+
+def test_a_worked_example_of_the_grid_convergence_index() -> None:
+    """Celik et al. (2008), table 1, and the figures that pyGCS 0.3 prints for it: 2.17 % and 4.11 %, order 1.53."""
+    values, cells = [6.063, 5.972, 5.863], [18000, 8000, 4500]
+    ratios = [math.sqrt(fine / coarse) for fine, coarse in itertools.pairwise(cells)]
+    limit, estimate = estimate_limit(values, ratios)
+    assert f"{estimate.observed_order:.2f}" == "1.53"
+    assert f"{100.0 * estimate.gci / values[0]:.2f}" == "2.17"
+    assert f"{limit:.4f}" == "6.1685"
+    # the middle level's, by the same order: what it lacks of the limit
+    assert f"{100.0 * 1.25 * abs(limit - values[1]) / values[1]:.2f}" == "4.11"
