@@ -16,6 +16,7 @@ demo: setup
 test: setup
 	$(RUN)ruff check .
 	$(RUN)ruff format --check .
+	@mkdir -p build/typed && ln -sfn ../../studies build/typed/vdmbench
 	$(RUN)mypy
 	$(PYTEST) -m "not slow"
 

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from studies.case import MetricSeries, ModelResult
-from studies.graph import work
-from studies.scene import Scene
+from vdmbench.graph import work
+from vdmbench.measures.case import MetricSeries
+from vdmbench.models.result import ModelResult
+from vdmbench.scene.scene import Scene
 
 
 def compare(

@@ -10,6 +10,14 @@ from pathlib import Path
 
 import pytest
 
+import vdmbench
+
+ROOT = Path(__file__).parents[1]
+if Path(vdmbench.__file__).resolve().parent != ROOT / "studies":
+    raise ImportError(
+        f"vdmbench is imported from {vdmbench.__file__}, not from this checkout: run `make setup` in it"
+    )
+
 pytest_plugins = ["tests.verification.records"]
 
 

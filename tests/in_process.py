@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from studies.graph.engine import Outcome, run_nodes
-from studies.graph.local import HerePlaces
-from studies.graph.nodes import graph
-from studies.graph.plan import Plan, PlannedCase
+from vdmbench.graph.engine import Outcome, run_nodes
+from vdmbench.graph.local import HerePlaces
+from vdmbench.graph.nodes import graph
+from vdmbench.graph.plan import Plan, PlannedCase
 
 
 def outcomes_of(plan: Plan, cases: Sequence[PlannedCase] | None = None, jobs: int = 1) -> list[Outcome]:

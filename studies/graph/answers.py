@@ -10,11 +10,11 @@ from typing import Any
 
 import numpy as np
 
-from ..case import ModelResult, StepStatus
-from ..meshing.mesh import Mesh
-from ..processors import processor_name
-from ..sealed import read_arrays, write_arrays
-from ..surface_measures import enclosed_volumes
+from ..body.mesh import Mesh
+from ..body.surface_measures import enclosed_volumes
+from ..machine.processors import processor_name
+from ..machine.sealed import read_arrays, write_arrays
+from ..models.result import ModelResult, StepStatus
 
 _ARRAYS = (
     "displacement",

@@ -20,7 +20,7 @@ from typing import Any
 from urllib.parse import urlsplit
 from uuid import uuid4
 
-from ..listening import is_loopback, open_ports
+from ..machine.listening import is_loopback, open_ports
 from .local import LocalPlaces, told
 from .work import Said
 
@@ -40,7 +40,7 @@ class ClusterError(OSError):
 
 
 class Cluster:
-    """A connection to a scheduler; see `studies.graph.engine.Places`.
+    """A connection to a scheduler; see `vdmbench.graph.engine.Places`.
 
     Parameters
     ----------

@@ -1,6 +1,6 @@
 """Content keys: what has the same key is the same work, done once within a case, a study, and between studies.
 
-mesh      geometry, size, whether tetrahedra are needed              (`studies.meshing.geometry_spec`)
+mesh      geometry, size, whether tetrahedra are needed              (`vdmbench.study.geometry_spec`)
 body      model, mesh level, tissue, supports, parameters: one set-up
 answer    body and what acts on it: a load step up to a factor where answers superpose, else one load path
 case      all inputs, mesh, the version of each model
@@ -15,8 +15,8 @@ from dataclasses import dataclass
 from typing import Any
 
 from .. import models
-from ..study_file.config import case_inputs
-from ..study_file.schema import Study
+from ..study.config import case_inputs
+from ..study.schema import Study
 
 _FORMAT = 3  # of the files of answers: raised with what is in them
 _NOT_DESCRIBED = (
@@ -201,7 +201,7 @@ def _unit_loads(inputs: Mapping[str, Any]) -> dict[str, float]:
             case kind:
                 raise ValueError(
                     f"a constraint of kind {kind!r} has no unit loads, so that its answers cannot be told from "
-                    "others': list them in studies.graph.keys"
+                    "others': list them in vdmbench.graph.keys"
                 )
         for unit, value in found:
             out[unit] = out.get(unit, 0.0) + float(value)

@@ -18,11 +18,18 @@ from pathlib import Path
 
 from pebble import ProcessExpired, ProcessPool
 
-from ..memory import OUT_OF_MEMORY, limit_memory, machine_memory
-from ..processors import usable_processors
+from ..machine.memory import OUT_OF_MEMORY, limit_memory, machine_memory
+from ..machine.processors import usable_processors
 from .work import Said, more_memory, run_node
 
-_PRELOADED = ("studies.graph.work", "numpy.ma", "scipy.sparse.linalg", "skfem", "vdm", "fem_reference.linear")
+_PRELOADED = (
+    "vdmbench.graph.work",
+    "numpy.ma",
+    "scipy.sparse.linalg",
+    "skfem",
+    "vdm",
+    "fem_reference.linear",
+)
 
 
 class LocalPlaces:

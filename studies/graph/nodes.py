@@ -8,10 +8,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from .. import models
-from ..meshing.mesh_cache import mesh_path
-from ..run_directory import case_path
-from ..study_file.config import resolved
-from ..study_file.schema import Study
+from ..body.mesh_cache import mesh_path
+from ..store.run_directory import case_path
+from ..study.config import resolved
+from ..study.schema import Study
 from .answers import answer_path
 from .keys import Wanted, direction, level_key, load_steps
 
@@ -26,7 +26,7 @@ class Node:
     Attributes
     ----------
     id : its key
-    kind : which function of `studies.graph.work` does it: "mesh", "level", "answers", "limits" or "cases"
+    kind : which function of `vdmbench.graph.work` does it: "mesh", "level", "answers", "limits" or "cases"
     label : what to call it
     payload : what that function is given, plain JSON
     needs : ids of the nodes to be done before

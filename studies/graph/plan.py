@@ -9,7 +9,14 @@ from pathlib import Path
 
 import numpy as np
 
-from ..meshing.geometry_spec import (
+from ..body.mesh import Array, Mesh
+from ..body.mesh_cache import mesh_path
+from ..machine.errors import MeshError
+from ..machine.sealed import is_sound
+from ..store.cases import case_state
+from ..store.run_directory import case_path
+from ..study.config import ResolvedCase, geometry_error, geometry_of
+from ..study.geometry_spec import (
     DISTORTIONS,
     MAX_NODES,
     Geometry,
@@ -20,13 +27,7 @@ from ..meshing.geometry_spec import (
     file_digest,
     geometry_key,
 )
-from ..meshing.mesh import Array, Mesh, MeshError
-from ..meshing.mesh_cache import mesh_path
-from ..run_directory import case_path
-from ..sealed import is_sound
-from ..store import case_state
-from ..study_file.config import ResolvedCase, geometry_error, geometry_of
-from ..study_file.schema import Study
+from ..study.schema import Study
 from .keys import Wanted, case_hash, limits_key, wanted
 from .nodes import needs_volume
 
@@ -101,11 +102,7 @@ class PlannedMesh:
             area, inside = area_and_volume(geometry)
             high = np.array(extents(geometry)) / 2.0
         else:
-            from ..meshing.imported import (  # readers are slow to load
-                imported_surface,
-                imported_tetrahedra,
-                named,
-            )
+            from ..body.imported import imported_surface, imported_tetrahedra, named
 
             with named(geometry):
                 if geometry.has_own_tetrahedra:

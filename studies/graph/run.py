@@ -13,14 +13,12 @@ from uuid import uuid4
 
 import tomli_w
 
-from ..case import Run
-from ..explain import beyond_memory, summary
-from ..files import clear_abandoned
-from ..hdf5 import StoreError
-from ..locks import LockedError, lock
-from ..meshing.mesh import MeshError
-from ..room import without_room
-from ..run_directory import (
+from ..machine.errors import MeshError
+from ..machine.files import clear_abandoned
+from ..machine.locks import LockedError, lock
+from ..measures.case import Run
+from ..store.hdf5 import StoreError
+from ..store.run_directory import (
     RESOLVED,
     STUDY,
     case_path,
@@ -32,13 +30,14 @@ from ..run_directory import (
     write_failure,
     write_plan,
 )
-from ..store import read_run, write_study
-from ..study_file.config import geometry_error, resolved
-from ..study_file.folders import text_without_folders, without_folders
-from ..study_file.units import shown
+from ..study.config import geometry_error, resolved
+from ..study.folders import text_without_folders, without_folders
+from ..study.units import shown
 from .engine import Outcome, Places, run_nodes
+from .explain import beyond_memory, summary
 from .nodes import bodies, graph
 from .plan import Plan, PlannedCase
+from .space import without_room
 
 
 class RunError(ValueError):
@@ -78,7 +77,7 @@ def run_plan(
 
     Parameters
     ----------
-    finish : writes tables and report of a directory from what is stored there (`studies.report.rebuild`)
+    finish : writes tables and report of a directory from what is stored there (`vdmbench.report.rebuild`)
 
     Raises
     ------

@@ -14,27 +14,29 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from ..case import CaseResult, MetricSeries, ModelResult, SmallStrainLimits
-from ..memory import OUT_OF_MEMORY, memory_limits
-from ..meshing.mesh import Array, InputError, Mesh
-from ..meshing.mesh_cache import mesh_from_cache, mesh_path, read_level, write_level
-from ..meshing.refine import Hierarchy, refine
-from ..metrics import METRICS, History, evaluate_all
-from ..model_name import REFINED
+from ..body.mesh import Array, Mesh
+from ..body.mesh_cache import mesh_from_cache, mesh_path, read_level, write_level
+from ..body.refine import Hierarchy, refine
+from ..body.surface_measures import Surface
+from ..machine.errors import InputError
+from ..machine.memory import OUT_OF_MEMORY, memory_limits
+from ..machine.safe_open import open_regular
+from ..measures.case import CaseResult, MetricSeries, SmallStrainLimits
+from ..measures.metrics import METRICS, History, evaluate_all
+from ..measures.reference import level_scene, own_error, require_converged, restricted
+from ..measures.small_strain import read_limits, small_strain_limits, write_limits
 from ..models import Prepared, find
-from ..provenance import provenance
-from ..reference import level_scene, own_error, require_converged, restricted
-from ..safe_open import open_regular
-from ..scene import Scene, build_scene
-from ..small_strain import read_limits, small_strain_limits, write_limits
-from ..store import write_case
-from ..study_file.config import geometry_of
-from ..study_file.folders import swept_without_folders, without_folders
-from ..study_file.schema import Study
-from ..surface_measures import Surface
+from ..models.result import ModelResult
+from ..scene.scene import Scene, build_scene
+from ..store.cases import write_case
+from ..study.config import geometry_of
+from ..study.folders import swept_without_folders, without_folders
+from ..study.model_name import REFINED
+from ..study.schema import Study
 from .answers import answer_path, combined, one_step, read_answer, write_answer
 from .keys import Wanted, level_key
 from .nodes import limits_path
+from .provenance import provenance
 
 Payload = Mapping[str, Any]
 

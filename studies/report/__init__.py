@@ -1,1 +1,1 @@
-"""The report: a run's stored results in, one offline HTML page out. Imports no solver."""
+"""How it is shown. In: a run as read back. Out: one HTML file. It reads store and verdict only."""

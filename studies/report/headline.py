@@ -5,13 +5,13 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from ..case import Run
-from ..metrics import DEFORMATION, VECTOR
-from ..uncertainty import is_resolved
+from ..measures.case import Run
+from ..measures.metrics import DEFORMATION, VECTOR
+from ..measures.uncertainty import is_resolved
+from ..verdict.digest import Digest, ModelSummary, Spread
+from ..verdict.formatting import NOT_MEASURED, NOTHING, percent, plain, plural, quantity
+from ..verdict.measured import measured
 from .blocks import Cell, Column, Section, Table, Text
-from .digest import Digest, ModelSummary, Spread
-from .formatting import NOT_MEASURED, NOTHING, percent, plain, plural, quantity
-from .measured import measured
 from .section_cost import time_notes
 
 

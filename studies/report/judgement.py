@@ -6,11 +6,11 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
-from ..case import CaseResult
+from ..measures.case import CaseResult
+from ..verdict.digest import Digest
+from ..verdict.formatting import listed, short_percent
+from ..verdict.standing import reference_bar
 from .blocks import Figure
-from .digest import Digest
-from .formatting import listed, short_percent
-from .standing import reference_bar
 
 HOLDS, WITHIN_LIMITS, FAILS, OPEN = "holds", "holds within limits", "fails", "not decided"
 

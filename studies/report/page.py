@@ -7,13 +7,13 @@ from pathlib import Path
 
 import numpy as np
 
-from ..case import Run
-from ..files import write_atomically
+from ..machine.files import write_atomically
+from ..measures.case import Run
+from ..verdict.digest import Digest
+from ..verdict.formatting import plural
 from . import headline, picture, verdict
 from .blocks import Section
-from .digest import Digest
 from .document import SCRIPT_BYTES, Written, encoded, html_document, written
-from .formatting import plural
 from .section_appendix import how_to_reproduce, provenance
 from .section_cases import case_table, failures
 from .section_convergence import mesh_convergence

@@ -23,8 +23,8 @@ from matplotlib.figure import Figure
 from matplotlib.image import imsave
 from matplotlib.transforms import IdentityTransform
 
-from .digest import Array
-from .formatting import scale_of
+from ..verdict.digest import Array
+from ..verdict.formatting import scale_of
 
 _PANEL = 420  # pixels
 # of a picture with labels: dots per inch, pixels of height for them, letters of a line above one panel

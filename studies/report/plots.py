@@ -29,8 +29,8 @@ from matplotlib.ticker import (
 from matplotlib.transforms import blended_transform_factory
 from numpy.typing import ArrayLike
 
-from .digest import REFERENCE, Array
-from .formatting import plain, quantity
+from ..verdict.digest import REFERENCE, Array
+from ..verdict.formatting import plain, quantity
 
 PALETTE_SIZE = 7
 _MOST_TICKS = 16

@@ -7,10 +7,10 @@ from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
-from ..case import Run
-from ..locks import LockedError, lock
-from ..run_directory import read_plan
-from ..store import read_run, write_study
+from ..machine.locks import LockedError, lock
+from ..measures.case import Run
+from ..store.cases import read_run, write_study
+from ..store.run_directory import read_plan
 
 _PATIENCE = 300.0  # s that one other process may take to write the tables and the report
 
@@ -22,7 +22,7 @@ class ReportError(ValueError):
 def rebuild(directory: Path, tell: Callable[[str], None]) -> tuple[Run, Path]:
     """Write the tables and the report from the stored results alone; returns the run and the report's path.
 
-    `tell` is told who is waited for, where another process writes them. Raises ReportError where that takes too long.
+    `tell` is told who is waited for, where another process writes them. Raises ReportError if that takes long.
     """
     from .page import write_report  # plotting is slow to load, and who only plans draws nothing
 

@@ -6,10 +6,10 @@ import shlex
 from collections.abc import Mapping
 from pathlib import Path
 
-from ..model_name import PARAMETERS
+from ..study.model_name import PARAMETERS
+from ..verdict.digest import Digest
+from ..verdict.formatting import listed, plain, plural
 from .blocks import Block, Code, Facts, Section, Text
-from .digest import Digest
-from .formatting import listed, plain, plural
 
 _MESH_UNITS = {
     "area": "m²",

@@ -7,13 +7,20 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from ..case import CaseResult
-from ..uncertainty import CONVERGING, DIVERGING, TOO_SLOW, ErrorEstimate, estimate_limit, is_resolved
+from ..measures.case import CaseResult
+from ..measures.uncertainty import (
+    CONVERGING,
+    DIVERGING,
+    TOO_SLOW,
+    ErrorEstimate,
+    estimate_limit,
+    is_resolved,
+)
+from ..verdict.digest import Digest
+from ..verdict.formatting import NOTHING, listed, percent, plain, quantity, short_percent
+from ..verdict.standing import at_full_load
 from .blocks import Cell, Column, Figure, Figures, Section, Table, Text
-from .digest import Digest
-from .formatting import NOTHING, listed, percent, plain, quantity, short_percent
 from .plots import Plot, colour, line, log_axis, marker, percent_axis
-from .standing import at_full_load
 
 MESH_SIZE = "geometry.mesh_size"
 WORK = "contact_work"

@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
+from ..verdict.digest import REFERENCE, Digest, ModelSummary, Spread
+from ..verdict.formatting import listed, quantity, short_percent
 from .blocks import Block, Figure, Figures, Section, Text
-from .digest import REFERENCE, Digest, ModelSummary, Spread
-from .formatting import listed, quantity, short_percent
 from .plots import Plot, Sheet, colour, marker, percent_axis, time_ticks
 
 

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from ..scene_warnings import scene_warnings
+from ..scene.warnings import scene_warnings
+from ..verdict.digest import Digest
 from .blocks import Cell, Column, Section, Table
-from .digest import Digest
 
 
 def doubts(digest: Digest) -> Section | None:

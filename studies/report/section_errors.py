@@ -9,13 +9,23 @@ from dataclasses import dataclass
 import numpy as np
 from matplotlib.axes import Axes
 
-from ..case import CaseResult
-from ..metrics import DEFORMATION, VECTOR
+from ..measures.case import CaseResult
+from ..measures.metrics import DEFORMATION, VECTOR
+from ..verdict.digest import REFERENCE, Digest
+from ..verdict.formatting import listed, scale_of, short_percent, swept_value
+from ..verdict.standing import reference_bar, series
 from .blocks import Block, Figure, Figures, Section, Text
-from .digest import REFERENCE, Digest
-from .formatting import listed, scale_of, short_percent, swept_value
-from .plots import Plot, Sheet, colour, line, log_axis, marker, name_ticks, percent_axis, place
-from .standing import reference_bar, series
+from .plots import (
+    Plot,
+    Sheet,
+    colour,
+    line,
+    log_axis,
+    marker,
+    name_ticks,
+    percent_axis,
+    place,
+)
 
 QUANTITIES = ((VECTOR, "Displacement error"), (DEFORMATION, "Deformation error"))
 PARTS = (

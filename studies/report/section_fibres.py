@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import math
 
-from ..case import CaseResult
+from ..measures.case import CaseResult
+from ..verdict.digest import Digest
+from ..verdict.formatting import percent, plain
+from ..verdict.standing import at_full_load
 from .blocks import Cell, Column, Section, Table, Text
-from .digest import Digest
-from .formatting import percent, plain
-from .standing import at_full_load
 
 AXES = ("x", "y", "z")
 

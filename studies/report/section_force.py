@@ -9,11 +9,11 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from ..case import CaseResult
-from ..surface_measures import facet_area_vectors
+from ..body.surface_measures import facet_area_vectors
+from ..measures.case import CaseResult
+from ..verdict.digest import Array, Digest
+from ..verdict.formatting import listed, quantity, scale_of
 from .blocks import Figure, Figures, Section, Text
-from .digest import Array, Digest
-from .formatting import listed, quantity, scale_of
 from .plots import Plot, Sheet, colour, line, marker
 
 _CONTACT_NOTE = (

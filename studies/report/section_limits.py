@@ -7,12 +7,12 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from itertools import starmap
 
-from ..case import CaseResult, Limit, ModelLimits
-from ..limits import LARGEST, MOST_STRAIN
-from ..uncertainty import is_resolved
+from ..measures.case import CaseResult, Limit, ModelLimits
+from ..measures.limits import LARGEST, MOST_STRAIN
+from ..measures.uncertainty import is_resolved
+from ..verdict.digest import Digest
+from ..verdict.formatting import NOT_MEASURED, NOTHING, listed, percent, quantity, short_percent
 from .blocks import Block, Cell, Column, Section, Table, Text
-from .digest import Digest
-from .formatting import NOT_MEASURED, NOTHING, listed, percent, quantity, short_percent
 
 LINEAR = "fem-linear"  # whose growth limit is the linearisation limit
 PAPER_STRAIN = 0.10  # "small deformations and small strains (< 10 %)"

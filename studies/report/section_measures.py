@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import math
 
-from ..uncertainty import is_resolved
+from ..measures.uncertainty import is_resolved
+from ..verdict.digest import Digest, Spread
+from ..verdict.formatting import NOTHING, of_unit
 from .blocks import Cell, Column, Section, Table, Text
-from .digest import Digest, Spread
-from .formatting import NOTHING, of_unit
 
 _IN_HEADLINE = frozenset({"volume_drift"})
 

@@ -5,10 +5,9 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from .blocks import Block, Cell, Column, Figure, Figures, Section, Table, Text
-from .digest import Digest
-from .formatting import NOTHING, listed, plural, scale_of, swept_value
-from .ladders import (
+from ..verdict.digest import Digest
+from ..verdict.formatting import NOTHING, listed, plural, scale_of, swept_value
+from ..verdict.ladders import (
     BEYOND_LINEAR,
     DIFFERENT,
     LEFT,
@@ -20,6 +19,7 @@ from .ladders import (
     alike,
     ladders,
 )
+from .blocks import Block, Cell, Column, Figure, Figures, Section, Table, Text
 from .plots import Plot, colour, line, log_axis, marker, name_ticks, place
 from .section_errors import parameter_name
 

@@ -8,10 +8,10 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from ..case import CaseResult
+from ..measures.case import CaseResult
+from ..verdict.digest import Array, Digest
+from ..verdict.formatting import plain, quantity
 from .blocks import Section, Text, Viewer
-from .digest import Array, Digest
-from .formatting import plain, quantity
 from .picture import Panel
 from .view import azimuth, candidates, displacement_scale, payload
 

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import math
 
+from ..verdict.digest import Digest
+from ..verdict.formatting import listed, short_percent
+from ..verdict.standing import series
 from .blocks import Block, Figure, Figures, Section, Text
-from .digest import Digest
-from .formatting import listed, short_percent
 from .plots import Plot, Sheet, colour, line, log_axis, marker, percent_ticks
-from .standing import series
 
 _DRIFT_FLOOR = 1e-16  # below what double precision can tell from zero
 

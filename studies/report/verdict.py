@@ -5,14 +5,14 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Sequence
 
-from ..case import CaseResult
-from ..model_name import PARAMETERS, is_vdm
-from ..uncertainty import is_resolved
+from ..measures.case import CaseResult
+from ..measures.uncertainty import is_resolved
+from ..study.model_name import PARAMETERS, is_vdm
+from ..verdict.digest import Digest, ModelSummary, Spread
+from ..verdict.formatting import listed, plain, plural, quantity, short_percent, swept_value
+from ..verdict.standing import CLOSE, LOST, OPEN, WITHIN, case_state, word_of
 from .blocks import Answer
-from .digest import Digest, ModelSummary, Spread
-from .formatting import listed, plain, plural, quantity, short_percent, swept_value
 from .section_errors import parameter_name
-from .standing import CLOSE, LOST, OPEN, WITHIN, case_state, word_of
 from .verdict_load import beyond_small_strain, loads_in_words, value_range
 
 _MOST_VALUES = 4

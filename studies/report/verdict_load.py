@@ -7,10 +7,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ..case import CaseResult
-from ..model_name import FINITE_STRAIN, split
-from .digest import Digest
-from .formatting import listed, plain, quantity, short_percent, swept_value
+from ..measures.case import CaseResult
+from ..study.model_name import FINITE_STRAIN, split
+from ..verdict.digest import Digest
+from ..verdict.formatting import listed, plain, quantity, short_percent, swept_value
+from ..verdict.standing import CLOSE, WITHIN, at_full_load, case_state
 from .section_errors import parameter_name
 from .section_force import (
     contact_pressure,
@@ -21,7 +22,6 @@ from .section_force import (
     supports,
 )
 from .section_limits import limits_in_words
-from .standing import CLOSE, WITHIN, at_full_load, case_state
 
 _LOADS = ("force", "pressure", "displacement")  # parts of swept keys that are a load
 # shares of the body's smallest extent and of its volume: beyond them a small-strain reference judges nothing

@@ -14,8 +14,8 @@ import numpy as np
 from matplotlib import colormaps
 from numpy.typing import NDArray
 
-from ..case import CaseResult
-from .digest import Array, Digest
+from ..measures.case import CaseResult
+from ..verdict.digest import Array, Digest
 
 _U16, _I16 = 65535, 32767
 

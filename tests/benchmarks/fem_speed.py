@@ -30,8 +30,8 @@ from fem_reference.linear import LinearProblem, Load
 from fem_reference.mesh import TetMesh
 from fem_reference.solution import Solution
 from fem_reference.system import build_system
-from studies.memory import peak_bytes_since, reset_peak
 from tests.unit.fem_shapes import Body, cube
+from vdmbench.machine.memory import peak_bytes_since, reset_peak
 
 T = TypeVar("T")
 

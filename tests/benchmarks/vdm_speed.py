@@ -33,7 +33,6 @@ from scipy import sparse
 from scipy.sparse import linalg
 from threadpoolctl import threadpool_info
 
-from studies.memory import peak_bytes_since, reset_peak
 from tests.docs import marked
 from tests.unit.vdm_shapes import icosphere, torus
 from vdm import FORMULATIONS, Load, Model, Parameters, SurfaceMesh
@@ -45,6 +44,7 @@ from vdm.solvers.cholesky import Cholesky
 from vdm.solvers.compliance import ContactCompliance
 from vdm.solvers.krylov import KrylovSolver, Method
 from vdm.solvers.linear import LinearSolver
+from vdmbench.machine.memory import peak_bytes_since, reset_peak
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]

@@ -18,16 +18,16 @@ from typing import Any
 
 import numpy as np
 
-from studies.calibration.calibrate import body, worse_than_rule
-from studies.calibration.fit import Errors, Trial, least_error
-from studies.calibration.search import WIDEST
-from studies.graph.plan import make_plan
-from studies.graph.run import Options, run_plan
-from studies.report.rebuild import rebuild
-from studies.report.formatting import NOTHING, percent
-from studies.study_file.config import expand, load_study
 from tests.command import vdmbench
 from tests.docs import marked
+from vdmbench.evidence.calibrate import body, worse_than_rule
+from vdmbench.evidence.fit import Errors, Trial, least_error
+from vdmbench.evidence.search import WIDEST
+from vdmbench.graph.plan import make_plan
+from vdmbench.graph.run import Options, run_plan
+from vdmbench.report.rebuild import rebuild
+from vdmbench.study.config import expand, load_study
+from vdmbench.verdict.formatting import NOTHING, percent
 
 ROOT = Path(__file__).parents[2]
 DOCUMENT = ROOT / "results" / "calibrations.md"

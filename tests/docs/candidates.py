@@ -19,11 +19,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
 
-from studies.calibration.fit import Errors, Sample, Trial, least_error, loads_of, samples_of, split
-from studies.graph.plan import make_plan
-from studies.graph.run import Options, run_plan
-from studies.report.rebuild import rebuild
-from studies.study_file.config import expand, load_study
 from tests.docs import marked
 from tests.docs.vdm_accuracy import README, ROOT, STUDIES, as_per_cent
 from vdm.formulations.boundary import surface_stiffness
@@ -35,6 +30,11 @@ from vdm.formulations.vector import (
 )
 from vdm.material import SUPPORTED_TENSION, VECTOR_TENSION, distance_from_support
 from vdm.surface import SurfaceMesh
+from vdmbench.evidence.fit import Errors, Sample, Trial, least_error, loads_of, samples_of, split
+from vdmbench.graph.plan import make_plan
+from vdmbench.graph.run import Options, run_plan
+from vdmbench.report.rebuild import rebuild
+from vdmbench.study.config import expand, load_study
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]

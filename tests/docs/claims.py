@@ -9,10 +9,10 @@ from __future__ import annotations
 import tomllib
 from pathlib import Path
 
-from studies.report.claims_page import verdict_rows, write_claims
-from studies.store import read_run
 from tests.command import vdmbench
 from tests.docs import gallery, marked
+from vdmbench.evidence.claims_page import verdict_rows, write_claims
+from vdmbench.store.cases import read_run
 
 ROOT = Path(__file__).parents[2]
 README = ROOT / "README.md"

@@ -21,20 +21,28 @@ from typing import Any
 
 import numpy as np
 
-from studies import models
-from studies.case import ModelResult
-from studies.meshing.geometry import build_mesh
-from studies.meshing.refine import Hierarchy, refined
-from studies.metrics import DEFORMATION, METRICS, VECTOR, History, evaluate, evaluate_all, full_load_step
-from studies.model_name import REFINED
-from studies.reference import level_scene, own_error, require_converged, restricted
-from studies.report.formatting import percent
-from studies.scene import build_scene
-from studies.study_file.config import expand, geometry_of, load_study
-from studies.study_file.schema import Study
-from studies.surface_measures import Surface, weighted_norms, without_motions
-from studies.uncertainty import REASONABLE_ORDERS, SIGNED, estimate_error, no_less, reference_bar
 from tests.docs import marked
+from vdmbench import models
+from vdmbench.body.geometry import build_mesh
+from vdmbench.body.refine import Hierarchy, refined
+from vdmbench.body.surface_measures import Surface, weighted_norms, without_motions
+from vdmbench.measures.metrics import (
+    DEFORMATION,
+    METRICS,
+    VECTOR,
+    History,
+    evaluate,
+    evaluate_all,
+    full_load_step,
+)
+from vdmbench.measures.reference import level_scene, own_error, require_converged, restricted
+from vdmbench.measures.uncertainty import REASONABLE_ORDERS, SIGNED, estimate_error, no_less, reference_bar
+from vdmbench.models.result import ModelResult
+from vdmbench.scene.scene import build_scene
+from vdmbench.study.config import expand, geometry_of, load_study
+from vdmbench.study.model_name import REFINED
+from vdmbench.study.schema import Study
+from vdmbench.verdict.formatting import percent
 
 ROOT = Path(__file__).parents[2]
 CASES = ROOT / "studies" / "cases"

@@ -12,9 +12,9 @@ from pathlib import Path
 from markupsafe import escape
 from PIL import Image
 
-from studies.report.blocks import Figure
-from studies.report.claims_page import Verdict
 from tests.unit.browser import Browser, chromium
+from vdmbench.evidence.claims_page import Verdict
+from vdmbench.report.blocks import Figure
 
 ROOT = Path(__file__).parents[2]
 GALLERY = ROOT / "results" / "gallery"

@@ -13,7 +13,10 @@ from pathlib import Path
 import numpy as np
 from markupsafe import escape
 
-from studies.benchmark.bench_data import (
+from tests.command import vdmbench
+from tests.docs import marked
+from tests.docs.gallery import figure_style, glyph
+from vdmbench.evidence.bench_data import (
     FAR_OFF,
     TWO_SCHEMES,
     YARDSTICK,
@@ -26,11 +29,8 @@ from studies.benchmark.bench_data import (
     median,
     seconds,
 )
-from studies.benchmark.bench_store import read_bench
-from studies.report.bench_page import pareto_plot, write_bench_page
-from tests.command import vdmbench
-from tests.docs import marked
-from tests.docs.gallery import figure_style, glyph
+from vdmbench.evidence.bench_page import pareto_plot, write_bench_page
+from vdmbench.evidence.bench_store import read_bench
 
 ROOT = Path(__file__).parents[2]
 README = ROOT / "README.md"

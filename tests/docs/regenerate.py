@@ -11,9 +11,9 @@ import sys
 import tempfile
 from pathlib import Path
 
-from studies.fields import field_table
 from tests.command import vdmbench
 from tests.docs import gallery, marked
+from vdmbench.study.fields import field_table
 
 ROOT = Path(__file__).parents[2]
 README = ROOT / "README.md"
@@ -39,7 +39,7 @@ def study_keys() -> str:
     """The reference of a study file's keys, from the models that validate it."""
     text = (
         "# Keys of a study file\n\n"
-        "Made from `studies/study_file/schema.py` by `make docs`. NAME is a name of yours, `[]` an entry of an "
+        "Made from `studies/study/schema.py` by `make docs`. NAME is a name of yours, `[]` an entry of an "
         "array of\ntables. "
         "Numbers are in the unit shown; a text with another unit of the same dimension is converted. A parameter\n"
         "in [vdm] that no model of the study reads, or in a model's own table that this model does not, is a "

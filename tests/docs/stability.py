@@ -10,12 +10,12 @@ from pathlib import Path
 
 import numpy as np
 
-from studies.report.digest import Digest
-from studies.report.ladders import Ladder, alike, ladders
-from studies.report.section_errors import parameter_name
-from studies.store import Run, read_run
 from tests.command import vdmbench
 from tests.docs import marked
+from vdmbench.report.section_errors import parameter_name
+from vdmbench.store.cases import Run, read_run
+from vdmbench.verdict.digest import Digest
+from vdmbench.verdict.ladders import Ladder, alike, ladders
 
 ROOT = Path(__file__).parents[2]
 README = ROOT / "README.md"

@@ -6,9 +6,9 @@ import html
 import re
 from xml.etree import ElementTree
 
-from studies.report.claims import CLAIMS
-from studies.report.judgement import FAILS, HOLDS, WITHIN_LIMITS
 from tests.docs import claims, gallery, marked
+from vdmbench.evidence.claims import CLAIMS
+from vdmbench.report.judgement import FAILS, HOLDS, WITHIN_LIMITS
 
 
 def test_every_claim_is_decided_in_readme_and_page_alike() -> None:

@@ -9,8 +9,6 @@ from typing import Any
 import pytest
 from numpy.testing import assert_allclose
 
-from studies.study_file.config import load_study
-from studies.uncertainty import SIGNED
 from tests.docs import error_bars
 from tests.docs.error_bars import (
     CASES,
@@ -27,6 +25,8 @@ from tests.docs.error_bars import (
     row,
 )
 from tests.docs.regenerate import README
+from vdmbench.measures.uncertainty import SIGNED
+from vdmbench.study.config import load_study
 
 SHARE = 0.95
 SAME = 0.03  # of a bar: what is used of it, rounded to two digits, on another machine

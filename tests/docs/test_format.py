@@ -11,9 +11,10 @@ import h5py
 import numpy as np
 from numpy.testing import assert_array_equal
 
-from studies import hdf5, store
-from studies.case import Run
 from tests.unit.example_case import example_case
+from vdmbench.measures.case import Run
+from vdmbench.store import cases as store
+from vdmbench.store import hdf5
 
 FORMAT = Path(__file__).parents[2] / "results" / "FORMAT.md"
 PLACEHOLDERS = {"<model>": r"[^/.]+?", "<region>": r"[^/]+", "<metric>": r"[^/]+"}

@@ -12,10 +12,10 @@ from subprocess import CompletedProcess
 import numpy as np
 import pytest
 
-from studies.benchmark.bench_data import YARDSTICK, Bench, Growth
-from studies.cli_study import bench_verb
 from tests.docs import marked, performance
 from tests.unit.test_bench import CONDENSED, LINEAR, VECTOR
+from vdmbench.cli.study_verbs import bench_verb
+from vdmbench.evidence.bench_data import YARDSTICK, Bench, Growth
 
 NODES = np.array([642.0, 2562.0, 10242.0, 40962.0, 163842.0])
 MACHINE = {"processor": "a processor", "cores": "2", "memory": "8.6 GB", "rounds": "3"}
@@ -128,7 +128,7 @@ def test_what_was_measured_stays_where_the_section_is_made_from_it_again(
         return CompletedProcess(words, bench_verb(given), "", "")
 
     kept = "results/bench/bench.h5"
-    monkeypatch.setattr("studies.benchmark.bench.measure", lambda *_, **__: bench())
+    monkeypatch.setattr("vdmbench.evidence.bench.measure", lambda *_, **__: bench())
     monkeypatch.setattr(performance, "vdmbench", command)
     monkeypatch.setattr(performance, "README", tmp_path / "README.md")
     monkeypatch.setattr(performance, "GALLERY", tmp_path)
@@ -150,7 +150,7 @@ def test_what_was_measured_stays_where_the_section_is_made_from_it_again(
 def test_the_terminal_explains_its_signs(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr("studies.benchmark.bench.measure", lambda *_, **__: bench())
+    monkeypatch.setattr("vdmbench.evidence.bench.measure", lambda *_, **__: bench())
     given = Namespace(study=None, surface=None, allow_outside=False, large=False, json=False, out=tmp_path)
     assert bench_verb(given) == 0
     told = capsys.readouterr().out

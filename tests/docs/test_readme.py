@@ -13,16 +13,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from studies import models
-from studies.cli_study import SHIPPED
-from studies.meshing.geometry import build_mesh
-from studies.report.verdict_load import MOST_DRIFT, MOST_MOVED
-from studies.scene import build_scene
-from studies.study_file.config import expand, geometry_of, load_study
-from studies.surface_measures import Surface, enclosed_volume
 from tests.command import vdmbench
 from tests.comparing import compare
 from tests.docs import marked, regenerate
+from vdmbench import models
+from vdmbench.body.geometry import build_mesh
+from vdmbench.body.surface_measures import Surface, enclosed_volume
+from vdmbench.cli.study_verbs import SHIPPED
+from vdmbench.report.verdict_load import MOST_DRIFT, MOST_MOVED
+from vdmbench.scene.scene import build_scene
+from vdmbench.study.config import expand, geometry_of, load_study
 
 TEXT = regenerate.README.read_text()
 ONE_LINE = " ".join(TEXT.split())
@@ -190,7 +190,7 @@ def test_the_key_reference_is_the_schema() -> None:
 
 
 def test_exit_codes_are_those_of_the_program() -> None:
-    from studies import cli_output as cli
+    from vdmbench.cli import output as cli
 
     documented = {int(code) for code in re.findall(r"^\| (\d+) \|", TEXT, flags=re.MULTILINE)}
     own = {cli.OK, cli.REGRESSED, cli.USAGE, cli.FAILED, cli.MACHINE, cli.DAMAGED, cli.NOTHING_COMPARED}
@@ -204,6 +204,6 @@ def test_every_shipped_study_is_listed_with_its_title(tmp_path: Path) -> None:
 
 
 def test_every_model_is_in_the_table() -> None:
-    from studies.models import MODELS
+    from vdmbench.models import MODELS
 
     assert set(re.findall(r"^\| `((?:vdm|fem|mass)[a-z0-9-]*)` \|", TEXT, flags=re.MULTILINE)) == set(MODELS)

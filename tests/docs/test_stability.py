@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import pytest
 
-from studies.report.section_errors import parameter_name
-from studies.study_file.config import expand, load_study
 from tests.docs import marked, stability
 from tests.unit.report_runs import make_case, make_run
+from vdmbench.report.section_errors import parameter_name
+from vdmbench.study.config import expand, load_study
 
 
 def test_the_table_is_about_the_shipped_studies() -> None:

@@ -14,13 +14,13 @@ from typing import Any
 
 import numpy as np
 
-from studies.case import CaseResult, Run
-from studies.metrics import DEFORMATION, VECTOR
-from studies.report.standing import at_full_load, reference_bar
-from studies.store import read_run
-from studies.uncertainty import is_resolved
 from tests.command import vdmbench
 from tests.docs import marked
+from vdmbench.measures.case import CaseResult, Run
+from vdmbench.measures.metrics import DEFORMATION, VECTOR
+from vdmbench.measures.uncertainty import is_resolved
+from vdmbench.store.cases import read_run
+from vdmbench.verdict.standing import at_full_load, reference_bar
 
 ROOT = Path(__file__).parents[2]
 README = ROOT / "vdm" / "README.md"

@@ -16,15 +16,15 @@ from numpy.testing import assert_allclose
 
 import fem_reference.linear
 import vdm.model
-from studies.case import CaseResult
-from studies.graph.nodes import bodies
-from studies.graph.plan import Plan, PlannedCase, make_plan
-from studies.meshing.mesh_cache import mesh_from_cache
-from studies.scene import Scene, build_scene
-from studies.store import read_case
-from studies.study_file.config import expand, geometry_of
-from studies.study_file.schema import Study
 from tests.in_process import do_cases
+from vdmbench.body.mesh_cache import mesh_from_cache
+from vdmbench.graph.nodes import bodies
+from vdmbench.graph.plan import Plan, PlannedCase, make_plan
+from vdmbench.measures.case import CaseResult
+from vdmbench.scene.scene import Scene, build_scene
+from vdmbench.store.cases import read_case
+from vdmbench.study.config import expand, geometry_of
+from vdmbench.study.schema import Study
 
 BASE = {"kind": "fixed", "region": "base"}
 FINGER = {"name": "finger", "kind": "contact", "region": "finger", "force": 0.1, "profile": "hertz"}

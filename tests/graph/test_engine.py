@@ -15,12 +15,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from studies.graph import local, work
-from studies.graph.engine import Outcome, run_nodes
-from studies.graph.local import LocalPlaces, local_places
-from studies.graph.nodes import Node
-from studies.graph.work import Said, run_node
-from studies.processors import usable_processors
+from vdmbench.graph import local, work
+from vdmbench.graph.engine import Outcome, run_nodes
+from vdmbench.graph.local import LocalPlaces, local_places
+from vdmbench.graph.nodes import Node
+from vdmbench.graph.work import Said, run_node
+from vdmbench.machine.processors import usable_processors
 
 
 def do(payload: Any, node: str) -> list[Said]:

@@ -12,13 +12,14 @@ import pytest
 from numpy.testing import assert_allclose
 
 import fem_reference.condensed
-from studies import metrics, models
-from studies.case import StepStatus
-from studies.graph.engine import run_nodes
-from studies.graph.local import local_places
-from studies.graph.nodes import bodies, graph
-from studies.store import read_case
 from tests.in_process import outcomes_of
+from vdmbench import models
+from vdmbench.graph.engine import run_nodes
+from vdmbench.graph.local import local_places
+from vdmbench.graph.nodes import bodies, graph
+from vdmbench.measures import metrics
+from vdmbench.models.result import StepStatus
+from vdmbench.store.cases import read_case
 
 from . import shared_work
 from .shared_work import (

@@ -6,10 +6,10 @@ from typing import Any
 
 import pytest
 
-from studies.graph import keys
-from studies.graph.keys import Wanted, case_hash, direction, load_steps, wanted
-from studies.study_file.schema import Study
-from studies.study_file.sweep import substituted
+from vdmbench.graph import keys
+from vdmbench.graph.keys import Wanted, case_hash, direction, load_steps, wanted
+from vdmbench.study.schema import Study
+from vdmbench.study.sweep import substituted
 
 SURFACE, VOLUME = {"vdm-paper", "vdm-vector"}, {"fem-linear", "fem"}
 ALL = SURFACE | VOLUME

@@ -11,20 +11,20 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from studies import gate
-from studies.case import Run
-from studies.gate_report import describe
-from studies.graph.plan import make_plan
-from studies.meshing.geometry import build_mesh
-from studies.meshing.mesh import Mesh
-from studies.models import run_model
-from studies.scene import build_scene
-from studies.store import read_case, read_run
-from studies.study_file.config import expand, geometry_of, load_study
 from tests.command import vdmbench
 from tests.comparing import compare
 from tests.in_process import do_cases
 from vdm.material import Parameters
+from vdmbench.body.geometry import build_mesh
+from vdmbench.body.mesh import Mesh
+from vdmbench.graph.plan import make_plan
+from vdmbench.guard import gate
+from vdmbench.guard.gate_report import describe
+from vdmbench.measures.case import Run
+from vdmbench.models import run_model
+from vdmbench.scene.scene import build_scene
+from vdmbench.store.cases import read_case, read_run
+from vdmbench.study.config import expand, geometry_of, load_study
 
 ROOT = Path(__file__).parents[2]
 STUDIES = ("quickstart", "regression")

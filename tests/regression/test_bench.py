@@ -12,11 +12,11 @@ from pathlib import Path
 
 from numpy.testing import assert_allclose
 
-from studies.benchmark import bench
-from studies.benchmark.bench_data import Bench, machine_independent
-from studies.benchmark.bench_store import read_bench, write_bench
-from studies.report.bench_page import bench_html
-from studies.study_file.config import load_study
+from vdmbench.evidence import bench
+from vdmbench.evidence.bench_data import Bench, machine_independent
+from vdmbench.evidence.bench_page import bench_html
+from vdmbench.evidence.bench_store import read_bench, write_bench
+from vdmbench.study.config import load_study
 
 ROOT = Path(__file__).parents[2]
 BASELINE = ROOT / "results" / "baselines" / "bench.json"

@@ -10,12 +10,6 @@ from typing import Any
 import pytest
 from numpy.testing import assert_allclose
 
-from studies.calibration.calibrate import as_json, body, calibrate
-from studies.graph.keys import load_key
-from studies.graph.plan import make_plan
-from studies.graph.run import Options, run_plan
-from studies.report.rebuild import rebuild
-from studies.study_file.config import expand, load_study
 from tests.docs.calibrations import (
     DOCUMENT,
     FLAT,
@@ -30,6 +24,12 @@ from tests.docs.calibrations import (
     in_tissue,
     rule,
 )
+from vdmbench.evidence.calibrate import as_json, body, calibrate
+from vdmbench.graph.keys import load_key
+from vdmbench.graph.plan import make_plan
+from vdmbench.graph.run import Options, run_plan
+from vdmbench.report.rebuild import rebuild
+from vdmbench.study.config import expand, load_study
 
 SAME = 0.02  # of a multiple: a modulus moves the body in proportion, so 2 % of it is 2 % of the displacement
 POINTS = 5e-3  # of a relative error

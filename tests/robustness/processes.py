@@ -11,8 +11,8 @@ from pathlib import Path
 import numpy as np
 from numpy.testing import assert_allclose
 
-from studies import store
-from studies.sealed import read_arrays
+from vdmbench.machine.sealed import read_arrays
+from vdmbench.store import cases as store
 
 RUN = Path("results/runs/small")
 CACHE = Path("results/cache")

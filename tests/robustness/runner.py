@@ -6,9 +6,9 @@ import sys
 from pathlib import Path
 from types import ModuleType
 
-from studies.case import Run
-from studies.cli import main
-from studies.files import write_atomically
+from vdmbench.cli.main import main
+from vdmbench.machine.files import write_atomically
+from vdmbench.measures.case import Run
 
 
 def write_report(run: Run, path: Path) -> None:
@@ -17,7 +17,7 @@ def write_report(run: Run, path: Path) -> None:
 
 
 if __name__ == "__main__":
-    page = ModuleType("studies.report.page")
+    page = ModuleType("vdmbench.report.page")
     page.write_report = write_report  # type: ignore[attr-defined]
     sys.modules[page.__name__] = page
     main()

@@ -22,14 +22,16 @@ import h5py
 import numpy as np
 import pytest
 
-from studies import doctor, files, run_directory
-from studies.cli import main
-from studies.graph import run, work
-from studies.graph.local import HerePlaces
-from studies.report import rebuild
-from studies.hdf5 import TRAILER_BYTES
 from tests.command import write_study
 from tests.unit.test_store import _reseal
+from vdmbench.cli import doctor
+from vdmbench.cli.main import main
+from vdmbench.graph import run, work
+from vdmbench.graph.local import HerePlaces
+from vdmbench.machine import files
+from vdmbench.report import rebuild
+from vdmbench.store import run_directory
+from vdmbench.store.hdf5 import TRAILER_BYTES
 
 from .processes import RUN
 
@@ -284,7 +286,7 @@ def in_this_process(*_: Any) -> Iterator[HerePlaces]:
 @pytest.fixture(autouse=True)
 def here(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     """Nothing leaves this process, and no report is drawn."""
-    page = ModuleType("studies.report.page")
+    page = ModuleType("vdmbench.report.page")
     monkeypatch.setattr(page, "write_report", lambda _, path: path.touch(), raising=False)
     monkeypatch.setitem(sys.modules, page.__name__, page)
     monkeypatch.setattr(run, "_places", in_this_process)

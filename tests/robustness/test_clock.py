@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from studies import store
+from vdmbench.store import cases as store
 
 from .processes import CACHE, RUN
 from .test_damage import _displacements, _plan, _run
@@ -67,6 +67,6 @@ def test_only_dates_that_are_shown_come_from_the_clock() -> None:
         if asks.search(path.read_text())
     }
     assert {name: len(hits) for name, hits in found.items()} == {
-        "studies/provenance.py": 1,
-        "studies/gate.py": 1,
+        "studies/graph/provenance.py": 1,
+        "studies/guard/gate.py": 1,
     }

@@ -34,7 +34,7 @@ import pytest
 def test_what_an_error_means_to_the_shell(error: str, code: int, said: list[str]) -> None:
     program = (
         "from studies import cli, cli_output, cli_results, hdf5\n"
-        "from studies.study_file import problems\n"
+        "from vdmbench.study import problems\n"
         f"def verb(options): raise {error}\n"
         "cli_results.doctor_verb = verb\n"
         "cli.main(['doctor'])"

@@ -16,11 +16,11 @@ import meshio
 import numpy as np
 import pytest
 
-from studies import store
-from studies.metrics import METRICS
-from studies.run_directory import rewrite_plan
 from tests.command import SCRIPT, heed_ctrl_c, vdmbench, write_study
 from tests.unit.report_runs import icosphere
+from vdmbench.measures.metrics import METRICS
+from vdmbench.store import cases as store
+from vdmbench.store.run_directory import rewrite_plan
 
 from . import processes
 
@@ -512,7 +512,7 @@ def interruptible(program: str, directory: Path) -> subprocess.CompletedProcess[
 
 
 @pytest.mark.parametrize("error", ["KeyboardInterrupt", "SyntaxError", "ImportError"])
-@pytest.mark.parametrize("module", ["argparse", "studies.cli_output", "pydantic", "numpy"])
+@pytest.mark.parametrize("module", ["argparse", "vdmbench.cli.output", "pydantic", "numpy"])
 def test_ctrl_c_in_an_import(tmp_path: Path, module: str, error: str) -> None:
     """Whatever it comes out as: Python makes another error of it where it falls into the reading of a module."""
     write_study(tmp_path)
@@ -526,13 +526,13 @@ def test_ctrl_c_in_an_import(tmp_path: Path, module: str, error: str) -> None:
         "                signal.raise_signal(signal.SIGINT)\n"
         "            except KeyboardInterrupt:\n"
         f"                raise {error}('no') from None\n"
-        "from studies.cli import main\n"
+        "from vdmbench.cli.main import main\n"
         "sys.meta_path.insert(0, Importer())\n"
         "main(['check', 'small.toml'])"
     )
     result = interruptible(program, tmp_path)
     assert result.returncode == 130, result.stderr
-    early = module in ("argparse", "studies.cli_output")
+    early = module in ("argparse", "vdmbench.cli.output")
     what = "nothing was begun" if early else "the same command starts anew"
     assert result.stderr == f"vdmbench: interrupted; {what}\n"
 

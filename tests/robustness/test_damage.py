@@ -15,13 +15,13 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from studies import store
-from studies.graph.answers import read_answer
-from studies.graph.plan import Plan, make_plan
-from studies.hdf5 import Stored, StoreError
-from studies.meshing.mesh_cache import read_mesh
-from studies.study_file.config import expand, load_study
 from tests.in_process import outcomes_of
+from vdmbench.body.mesh_cache import read_mesh
+from vdmbench.graph.answers import read_answer
+from vdmbench.graph.plan import Plan, make_plan
+from vdmbench.store import cases as store
+from vdmbench.store.hdf5 import Stored, StoreError
+from vdmbench.study.config import expand, load_study
 
 from .processes import CACHE, RUN
 

@@ -8,10 +8,10 @@ from pathlib import Path
 import meshio
 import pytest
 
-from studies import store
-from studies.study_file.folders import text_without_folders
 from tests.command import vdmbench, write_study
 from tests.unit.report_runs import icosphere
+from vdmbench.store import cases as store
+from vdmbench.study.folders import text_without_folders
 
 MODELS = ('["vdm-paper", "fem-linear"]', '["vdm-paper"]')
 REFERENCE = ('reference = "fem-linear"\n', "")

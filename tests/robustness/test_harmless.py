@@ -7,9 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from studies.run_directory import failure_path, read_plan, rewrite_plan, write_failure
-from studies.streams import harmless
 from tests.command import vdmbench
+from vdmbench.machine.streams import harmless
+from vdmbench.store.run_directory import failure_path, read_plan, rewrite_plan, write_failure
 
 from .processes import RUN
 

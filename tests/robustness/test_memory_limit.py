@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from studies import memory
 from tests.command import vdmbench, write_study
+from vdmbench.machine import memory
 
 from . import processes
 from .processes import RUN

@@ -15,13 +15,14 @@ import pytest
 import pyvista as pv
 from numpy.testing import assert_allclose, assert_array_equal
 
-from studies.graph.plan import PlannedMesh
-from studies.meshing import imported
-from studies.meshing.geometry import build_mesh
-from studies.meshing.geometry_spec import Geometry
-from studies.meshing.mesh import Array, Index, Mesh, MeshError
-from studies.meshing.read_apart import read_clean
-from studies.meshing.topology import tetrahedron_volumes
+from vdmbench.body import imported
+from vdmbench.body.geometry import build_mesh
+from vdmbench.body.mesh import Array, Index, Mesh
+from vdmbench.body.read_apart import read_clean
+from vdmbench.body.topology import tetrahedron_volumes
+from vdmbench.graph.plan import PlannedMesh
+from vdmbench.machine.errors import MeshError
+from vdmbench.study.geometry_spec import Geometry
 
 SUFFIXES = ["a.stl", "b.stl", "a.obj", "a.ply", "b.ply", "a.vtp", "b.vtp"]
 VOLUMES = [

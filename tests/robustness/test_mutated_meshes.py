@@ -10,11 +10,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from studies.meshing.geometry import build_mesh
-from studies.meshing.geometry_spec import VOLUME_SUFFIXES, Geometry
-from studies.meshing.mesh import Mesh, MeshError
-from studies.meshing.read_apart import clean_surface_of, clean_tetrahedra_of
-from studies.meshing.topology import mesh_from_tetrahedra, mesh_from_triangles
+from vdmbench.body.geometry import build_mesh
+from vdmbench.body.mesh import Mesh
+from vdmbench.body.read_apart import clean_surface_of, clean_tetrahedra_of
+from vdmbench.body.topology import mesh_from_tetrahedra, mesh_from_triangles
+from vdmbench.machine.errors import MeshError
+from vdmbench.study.geometry_spec import VOLUME_SUFFIXES, Geometry
 
 from .test_mesh_files import SUFFIXES, VOLUMES, write_named
 

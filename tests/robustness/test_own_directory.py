@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from studies.run_directory import ForeignDirectoryError, case_path, refuse_foreign
 from tests.command import vdmbench, write_study
+from vdmbench.store.run_directory import ForeignDirectoryError, case_path, refuse_foreign
 
 
 def _content(directory: Path) -> dict[str, bytes]:

@@ -11,12 +11,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from studies.case import CaseResult, Run, StepStatus
-from studies.report.headline import headline_rows
-from studies.report.page import page_html, write_report
-from studies.report.picture import Panel
 from tests.unit.browser import Browser, chromium
 from tests.unit.report_runs import make_case, make_run
+from vdmbench.measures.case import CaseResult, Run
+from vdmbench.models.result import StepStatus
+from vdmbench.report.headline import headline_rows
+from vdmbench.report.page import page_html, write_report
+from vdmbench.report.picture import Panel
 
 ATTACKS = (
     "<script>window.owned = 1</script>",
@@ -140,7 +141,7 @@ def test_no_script_of_theirs_runs(page: Path, tmp_path: Path) -> None:
 
 
 def test_a_lone_surrogate_does_not_stop_the_writing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("studies.report.picture.render", no_pictures)
+    monkeypatch.setattr("vdmbench.report.picture.render", no_pictures)
     run = make_run([make_case({"m": 0.1}, label="a\ud800b", subdivisions=0)])
     write_report(run, tmp_path / "report.html")
     assert "a?b" in (tmp_path / "report.html").read_text()

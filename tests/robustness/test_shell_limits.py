@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from studies import memory
 from tests.command import SCRIPT, write_study
+from vdmbench.machine import memory
 
 TOO_LITTLE = "vdmbench: too little memory to load the solvers: ulimit -{} {}; allow 3 GB or more, or no limit"
 

@@ -12,8 +12,8 @@ from pathlib import Path
 
 import pytest
 
-from studies import store
 from tests.command import SCRIPT, write_study
+from vdmbench.store import cases as store
 
 from .processes import RUN
 
@@ -136,7 +136,7 @@ def test_a_terminal_that_is_closed_while_the_bar_runs(tmp_path: Path) -> None:
 def test_a_pipe_that_does_not_block_gets_all(tmp_path: Path) -> None:
     program = (
         "import os, sys\n"
-        "from studies.streams import make_patient\n"
+        "from vdmbench.machine.streams import make_patient\n"
         "os.set_blocking(1, False)\n"
         "make_patient()\n"
         "print('x' * 1_000_000)"

@@ -14,7 +14,7 @@ import tomli_w
 from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
-from studies.study_file.config import Study, StudyError, expand, load_study, resolved
+from vdmbench.study.config import Study, StudyError, expand, load_study, resolved
 
 SHIPPED = sorted((Path(__file__).parents[2] / "studies" / "cases").glob("*.toml"))
 

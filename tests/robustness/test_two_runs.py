@@ -8,7 +8,7 @@ from pathlib import Path
 
 import h5py
 
-from studies import store
+from vdmbench.store import cases as store
 
 from . import processes
 from .processes import CACHE, RUN, assert_same_results, check_what_is_there, half_written

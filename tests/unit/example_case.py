@@ -4,15 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from studies.case import (
-    CaseResult,
-    Limit,
-    MetricSeries,
-    ModelLimits,
-    ModelResult,
-    SmallStrainLimits,
-    StepStatus,
-)
+from vdmbench.measures.case import CaseResult, Limit, MetricSeries, ModelLimits, SmallStrainLimits
+from vdmbench.models.result import ModelResult, StepStatus
 
 N_STEPS = 3
 

@@ -8,9 +8,10 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from studies.case import CaseResult, MetricSeries, ModelResult, Run, StepStatus
-from studies.metrics import METRICS, History, evaluate
-from studies.surface_measures import Surface
+from vdmbench.body.surface_measures import Surface
+from vdmbench.measures.case import CaseResult, MetricSeries, Run
+from vdmbench.measures.metrics import METRICS, History, evaluate
+from vdmbench.models.result import ModelResult, StepStatus
 
 RADIUS = 0.05  # m
 AMPLITUDE = 0.002  # m, radial displacement at the poles at full load

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from studies.study_file.config import ResolvedCase, Study, StudyError, expand, load_study
+from vdmbench.study.config import ResolvedCase, Study, StudyError, expand, load_study
 
 FULL = """\
 [study]

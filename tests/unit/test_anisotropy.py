@@ -9,21 +9,21 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from studies import models
-from studies.case import ModelResult
-from studies.explain import refused
-from studies.graph.nodes import bodies
-from studies.graph.plan import make_plan
-from studies.meshing.geometry import build_mesh
-from studies.meshing.mesh import Mesh
-from studies.metrics import METRICS, History
-from studies.scene import build_scene
-from studies.study_file.config import expand, geometry_of
-from studies.study_file.schema import Study
-from studies.surface_measures import Surface
 from tests.unit.study_texts import SMALL, swept
 from vdm.material import Parameters
 from vdm.surface import SurfaceMesh
+from vdmbench import models
+from vdmbench.body.geometry import build_mesh
+from vdmbench.body.mesh import Mesh
+from vdmbench.body.surface_measures import Surface
+from vdmbench.graph.explain import refused
+from vdmbench.graph.nodes import bodies
+from vdmbench.graph.plan import make_plan
+from vdmbench.measures.metrics import METRICS, History
+from vdmbench.models.result import ModelResult
+from vdmbench.scene.scene import build_scene
+from vdmbench.study.config import expand, geometry_of
+from vdmbench.study.schema import Study
 
 X, Y, Z = ([1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 2.0])
 STUDY: dict[str, Any] = {

@@ -12,8 +12,11 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from studies.benchmark import bench
-from studies.benchmark.bench_data import (
+from tests.command import vdmbench
+from vdm import Model, Parameters, SurfaceMesh
+from vdmbench.cli.study_verbs import bodies_to_measure
+from vdmbench.evidence import bench
+from vdmbench.evidence.bench_data import (
     Bench,
     Entry,
     Growth,
@@ -27,14 +30,11 @@ from studies.benchmark.bench_data import (
     seconds,
     spread,
 )
-from studies.benchmark.timing import SAMPLE, SAMPLES, calls_of_a_sample, median_of_samples, median_seconds
-from studies.cli_study import bodies_to_measure
-from studies.growth import RADIUS, fill_and_flops, sphere
-from studies.meshing.mesh import InputError
-from studies.report.bench_page import bench_html
-from studies.study_file.config import load_study
-from tests.command import vdmbench
-from vdm import Model, Parameters, SurfaceMesh
+from vdmbench.evidence.bench_page import bench_html
+from vdmbench.evidence.growth import RADIUS, fill_and_flops, sphere
+from vdmbench.evidence.timing import SAMPLE, SAMPLES, calls_of_a_sample, median_of_samples, median_seconds
+from vdmbench.machine.errors import InputError
+from vdmbench.study.config import load_study
 
 
 def entry(model: str, recut: float, frame: float, error: float, **changes: Any) -> Entry:

@@ -16,38 +16,21 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from studies import models
-from studies.calibration.calibrate import (
-    Body,
-    Calibration,
-    as_json,
-    as_toml,
-    body,
-    calibrate,
-    worse_than_rule,
-)
-from studies.calibration.calibration_table import table
-from studies.calibration.fit import (
-    Errors,
-    Fit,
-    Sample,
-    Trial,
-    fit,
-    least_error,
-    samples_of,
-    split,
-)
-from studies.calibration.search import CalibrationError
-from studies.case import Run
-from studies.graph.plan import Plan, make_plan
-from studies.meshing.mesh_cache import mesh_from_cache
-from studies.models import run_model
-from studies.scene import build_scene
-from studies.store import read_case
-from studies.study_file.config import expand, geometry_of, load_study, with_mesh_size
 from tests.command import strict_json, vdmbench
 from tests.in_process import do_cases
 from tests.unit.report_runs import icosphere
+from vdmbench import models
+from vdmbench.body.mesh_cache import mesh_from_cache
+from vdmbench.evidence.calibrate import Body, Calibration, as_json, as_toml, body, calibrate, worse_than_rule
+from vdmbench.evidence.calibration_table import table
+from vdmbench.evidence.fit import Errors, Fit, Sample, Trial, fit, least_error, samples_of, split
+from vdmbench.evidence.search import CalibrationError
+from vdmbench.graph.plan import Plan, make_plan
+from vdmbench.measures.case import Run
+from vdmbench.models import run_model
+from vdmbench.scene.scene import build_scene
+from vdmbench.store.cases import read_case
+from vdmbench.study.config import expand, geometry_of, load_study, with_mesh_size
 
 STUDY = """
 [study]

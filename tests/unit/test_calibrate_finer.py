@@ -9,16 +9,16 @@ from pathlib import Path
 import meshio
 import pytest
 
-from studies import cli
-from studies.calibration.calibrate import Body, Calibration, as_json, as_toml, body, calibrate
-from studies.calibration.calibration_table import table
-from studies.calibration.fit import Sample
-from studies.case import Run
-from studies.files import json_text
-from studies.meshing.geometry import build_mesh
-from studies.meshing.geometry_spec import Geometry
-from studies.study_file.config import load_study, with_mesh_size
 from tests.command import strict_json, vdmbench
+from vdmbench.body.geometry import build_mesh
+from vdmbench.cli import main as cli
+from vdmbench.evidence.calibrate import Body, Calibration, as_json, as_toml, body, calibrate
+from vdmbench.evidence.calibration_table import table
+from vdmbench.evidence.fit import Sample
+from vdmbench.machine.files import json_text
+from vdmbench.measures.case import Run
+from vdmbench.study.config import load_study, with_mesh_size
+from vdmbench.study.geometry_spec import Geometry
 
 from . import test_calibrate
 from .test_calibrate import STUDY, answered, finished
@@ -69,7 +69,7 @@ def test_a_finer_mesh_of_too_many_nodes_says_so(
     """The mesh_size that is refused is none that the study's author wrote."""
     (tmp_path / "fit.toml").write_text(TEXT)
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("studies.graph.plan.MAX_NODES", 100)
+    monkeypatch.setattr("vdmbench.graph.plan.MAX_NODES", 100)
     with pytest.raises(SystemExit) as ended:
         cli.main(["calibrate", "fit.toml"])
     assert ended.value.code == 0

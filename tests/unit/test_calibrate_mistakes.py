@@ -6,15 +6,15 @@ from pathlib import Path
 
 import pytest
 
-from studies import models
-from studies.calibration.calibrate import check, check_fit
-from studies.calibration.search import CalibrationError
-from studies.graph.plan import make_plan
-from studies.study_file.config import expand, load_study
 from tests.command import vdmbench
 from tests.unit.report_runs import icosphere
 from vdm.material import RULED, Parameters
 from vdm.surface import SurfaceMesh
+from vdmbench import models
+from vdmbench.evidence.calibrate import check, check_fit
+from vdmbench.evidence.search import CalibrationError
+from vdmbench.graph.plan import make_plan
+from vdmbench.study.config import expand, load_study
 
 from .test_calibrate import STUDY
 

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from studies.calibration.calibrate import Body, as_toml, calibrate
-from studies.calibration.fit import Sample, Trial, least_error
-from studies.calibration.search import least
+from vdmbench.evidence.calibrate import Body, as_toml, calibrate
+from vdmbench.evidence.fit import Sample, Trial, least_error
+from vdmbench.evidence.search import least
 
 from . import test_calibrate
 from .test_calibrate import answered

@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 from numpy.testing import assert_allclose
 
-from studies.calibration.calibrate import Body, calibrate
-from studies.calibration.fit import Errors, Sample, samples_of
-from studies.metrics import DEFORMATION, VECTOR
+from vdmbench.evidence.calibrate import Body, calibrate
+from vdmbench.evidence.fit import Errors, Sample, samples_of
+from vdmbench.measures.metrics import DEFORMATION, VECTOR
 
 from . import test_calibrate
 from .test_calibrate import STUDY, answered, finished

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from studies.calibration.calibrate import as_toml, body, calibrate
-from studies.calibration.calibration_table import table
-from studies.calibration.fit import Sample, Trial, repeats
+from vdmbench.evidence.calibrate import as_toml, body, calibrate
+from vdmbench.evidence.calibration_table import table
+from vdmbench.evidence.fit import Sample, Trial, repeats
 
 from . import test_calibrate
 from .test_calibrate import STUDY, answered, finished

@@ -11,12 +11,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from studies.case import CaseResult, Limit, MetricSeries, ModelLimits, Run, SmallStrainLimits
-from studies.report.claims import CLAIMS
-from studies.report.claims_page import claims_html, verdict_rows, verdicts, write_claims
-from studies.report.judgement import FAILS, HOLDS, OPEN, WITHIN_LIMITS, Judgement
-from studies.study_file.schema import CLAIMS as HOW_MANY
 from tests.command import SMALL_STUDY, vdmbench
+from vdmbench.evidence.claims import CLAIMS
+from vdmbench.evidence.claims_page import claims_html, verdict_rows, verdicts, write_claims
+from vdmbench.measures.case import CaseResult, Limit, MetricSeries, ModelLimits, Run, SmallStrainLimits
+from vdmbench.report.judgement import FAILS, HOLDS, OPEN, WITHIN_LIMITS, Judgement
+from vdmbench.study.schema import CLAIMS as HOW_MANY
 
 from .report_runs import make_case, make_run
 

@@ -9,20 +9,20 @@ import pytest
 from numpy.testing import assert_allclose
 
 from fem_reference.linear import LinearProblem
-from studies import models
-from studies.meshing.coarse import (
+from vdmbench import models
+from vdmbench.body.geometry import build_mesh
+from vdmbench.body.mesh import Mesh
+from vdmbench.body.surface_measures import Surface, enclosed_volume, relative_l2
+from vdmbench.models.coarse import (
     COARSENING,
     CoarseProblem,
     coarse_mesh,
     coarse_support,
     surface_interpolation,
 )
-from studies.meshing.geometry import build_mesh
-from studies.meshing.mesh import Mesh
-from studies.scene import Scene, build_scene
-from studies.study_file.config import geometry_of
-from studies.study_file.schema import Study
-from studies.surface_measures import Surface, enclosed_volume, relative_l2
+from vdmbench.scene.scene import Scene, build_scene
+from vdmbench.study.config import geometry_of
+from vdmbench.study.schema import Study
 
 STUDY = {
     "study": {"name": "test", "models": ["fem-coarse"]},

@@ -15,11 +15,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from studies.fields import keys_of, targets
-from studies.meshing.geometry_spec import check_geometry
-from studies.study_file import sweep, units
-from studies.study_file.checks import SHAPE_KEYS
-from studies.study_file.config import (
+from vdmbench.study import sweep, units
+from vdmbench.study.checks import SHAPE_KEYS
+from vdmbench.study.config import (
     Study,
     StudyError,
     case_inputs,
@@ -29,7 +27,9 @@ from studies.study_file.config import (
     load_study,
     resolved,
 )
-from studies.study_file.units import DIMENSIONS, QuantityError, to_si
+from vdmbench.study.fields import keys_of, targets
+from vdmbench.study.geometry_spec import check_geometry
+from vdmbench.study.units import DIMENSIONS, QuantityError, to_si
 
 from .study_texts import FULL, SMALL, load, problems
 
@@ -365,7 +365,7 @@ def _leaves(data: object, path: tuple[str | int, ...] = ()) -> list[tuple[str | 
 
 
 def test_importing_the_study_file_loads_nothing_heavy() -> None:
-    code = "import sys, studies.study_file.config; print(*sorted({m.partition('.')[0] for m in sys.modules}))"
+    code = "import sys, vdmbench.study.config; print(*sorted({m.partition('.')[0] for m in sys.modules}))"
     loaded = subprocess.run(
         [sys.executable, "-c", code], capture_output=True, text=True, check=True
     ).stdout.split()

@@ -13,14 +13,14 @@ from fem_reference.condensed import CondensedProblem
 from fem_reference.linear import LinearProblem
 from fem_reference.loads import Load
 from fem_reference.mesh import facet_quadrature
-from studies import models
-from studies.benchmark.contact import contact_frame
-from studies.meshing.geometry import build_mesh
-from studies.scene import Scene, build_scene
-from studies.study_file.config import geometry_of
-from studies.study_file.schema import Study
-from studies.surface_measures import facet_area_vectors
 from vdm.solvers.columns import ContactColumns
+from vdmbench import models
+from vdmbench.body.geometry import build_mesh
+from vdmbench.body.surface_measures import facet_area_vectors
+from vdmbench.evidence.contact import contact_frame
+from vdmbench.scene.scene import Scene, build_scene
+from vdmbench.study.config import geometry_of
+from vdmbench.study.schema import Study
 
 STUDY = {
     "study": {"name": "test", "models": ["vdm-paper"]},

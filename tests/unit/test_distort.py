@@ -6,12 +6,13 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from studies.meshing.distort import SLIVER_SHARE, aspect_ratios, distorted
-from studies.meshing.geometry import build_mesh
-from studies.meshing.geometry_spec import Geometry, check_geometry, geometry_key
-from studies.meshing.mesh import Mesh, MeshError
-from studies.meshing.topology import tetrahedron_sicn, tetrahedron_volumes
-from studies.surface_measures import facet_area_vectors
+from vdmbench.body.distort import SLIVER_SHARE, aspect_ratios, distorted
+from vdmbench.body.geometry import build_mesh
+from vdmbench.body.mesh import Mesh
+from vdmbench.body.surface_measures import facet_area_vectors
+from vdmbench.body.topology import tetrahedron_sicn, tetrahedron_volumes
+from vdmbench.machine.errors import MeshError
+from vdmbench.study.geometry_spec import Geometry, check_geometry, geometry_key
 
 
 def body(*, volume: bool, **distortions: float) -> Mesh:

@@ -11,15 +11,15 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from studies.cli_study import SHIPPED
-from studies.estimate import _PROCESS_BYTES, FACTOR_MEASURED, Size, _law
-from studies.explain import summary
-from studies.graph.plan import make_plan
-from studies.model_name import REFINED
-from studies.store import write_case
-from studies.study_file.config import expand, load_study
 from tests.graph import shared_work
 from tests.graph.shared_work import TABLES, plan_of, run
+from vdmbench.cli.study_verbs import SHIPPED
+from vdmbench.graph.estimate import _PROCESS_BYTES, FACTOR_MEASURED, Size, _law
+from vdmbench.graph.explain import summary
+from vdmbench.graph.plan import make_plan
+from vdmbench.store.cases import write_case
+from vdmbench.study.config import expand, load_study
+from vdmbench.study.model_name import REFINED
 
 cache, meshes = shared_work.cache, shared_work.meshes  # the fixtures
 

@@ -13,13 +13,21 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 
-from studies import gate
-from studies.case import CaseResult, MetricSeries, Run
-from studies.gate import Baseline, BaselineError, Finding, accept, compare, counts, read_baseline
-from studies.gate_report import describe, junit, markdown, summary
-from studies.metrics import METRICS, Sense
-from studies.run_directory import read_plan, rewrite_plan, write_failure
 from tests.command import SMALL_STUDY, vdmbench
+from vdmbench.guard import gate
+from vdmbench.guard.gate import (
+    Baseline,
+    BaselineError,
+    Finding,
+    accept,
+    compare,
+    counts,
+    read_baseline,
+)
+from vdmbench.guard.gate_report import describe, junit, markdown, summary
+from vdmbench.measures.case import CaseResult, MetricSeries, Run
+from vdmbench.measures.metrics import METRICS, Sense
+from vdmbench.store.run_directory import read_plan, rewrite_plan, write_failure
 
 from .report_runs import make_case, make_run
 

@@ -15,19 +15,20 @@ import pytest
 import pyvista as pv
 from numpy.testing import assert_allclose, assert_array_equal
 
-from studies.meshing import geometry_spec
-from studies.meshing.geometry import build_mesh
-from studies.meshing.geometry_spec import Geometry, area_and_volume, check_geometry, extents, geometry_key
-from studies.meshing.imported import imported_surface
-from studies.meshing.intersections import intersecting_facets
-from studies.meshing.mesh import Mesh, MeshError
-from studies.meshing.mesh_cache import mesh_from_cache, read_mesh, write_mesh
-from studies.meshing.organ import liver_points
-from studies.meshing.read_apart import clean_surface_of
-from studies.meshing.remesh import subdivided, surface_distance, uniform_surface, unit_sphere
-from studies.meshing.repair import CleanSurface
-from studies.meshing.topology import consistent_orientation, tetrahedron_sicn, tetrahedron_volumes
-from studies.surface_measures import enclosed_volume, facet_area_vectors
+from vdmbench.body.geometry import build_mesh
+from vdmbench.body.imported import imported_surface
+from vdmbench.body.intersections import intersecting_facets
+from vdmbench.body.mesh import Mesh
+from vdmbench.body.mesh_cache import mesh_from_cache, read_mesh, write_mesh
+from vdmbench.body.organ import liver_points
+from vdmbench.body.read_apart import clean_surface_of
+from vdmbench.body.remesh import subdivided, surface_distance, uniform_surface, unit_sphere
+from vdmbench.body.repair import CleanSurface
+from vdmbench.body.surface_measures import enclosed_volume, facet_area_vectors
+from vdmbench.body.topology import consistent_orientation, tetrahedron_sicn, tetrahedron_volumes
+from vdmbench.machine.errors import MeshError
+from vdmbench.study import geometry_spec
+from vdmbench.study.geometry_spec import Geometry, area_and_volume, check_geometry, extents, geometry_key
 
 SPHERE = Geometry("sphere", 0.012, {"radius": 0.05})
 ELLIPSOID = Geometry("ellipsoid", 0.010, {"semi_axes": (0.06, 0.04, 0.03)})
@@ -140,7 +141,7 @@ def test_worst_sicn_is_the_mesher_s_own_measure() -> None:
 @pytest.mark.parametrize("geometry", [CYLINDER, ORGAN], ids=["cylinder", "organ"])
 def test_another_process_makes_the_same_bytes(geometry: Geometry) -> None:
     script = (
-        "from studies.meshing.geometry import build_mesh; from studies.meshing.geometry_spec import Geometry;"
+        "from vdmbench.body.geometry import build_mesh; from vdmbench.study.geometry_spec import Geometry;"
         f"print(build_mesh({geometry!r}).content_hash)"
     )
     environment = {**os.environ, "PYTHONHASHSEED": "7", "OMP_NUM_THREADS": "2"}
@@ -357,7 +358,7 @@ def test_the_node_budget_is_checked_before_meshing_and_estimates_well(
         area, inside = area_and_volume(geometry)
         estimate = geometry_spec.estimated_nodes(area, inside if volume else 0.0, geometry.mesh_size)
         assert 0.8 < nodes / estimate < 1.25
-        monkeypatch.setattr("studies.meshing.geometry.gmsh.initialize", None)  # meshing would fail
+        monkeypatch.setattr("vdmbench.body.geometry.gmsh.initialize", None)  # meshing would fail
         with pytest.raises(MeshError, match="nodes, more than the 100 allowed; use a larger mesh_size"):
             build_mesh(geometry, volume=volume, max_nodes=100)
         monkeypatch.undo()
@@ -427,7 +428,7 @@ def test_a_file_is_read_once_for_several_mesh_sizes(tmp_path: Path, monkeypatch:
         reads.append(path)
         return clean_surface_of(path)
 
-    monkeypatch.setattr("studies.meshing.imported.clean_surface_of", reading)
+    monkeypatch.setattr("vdmbench.body.imported.clean_surface_of", reading)
     path = surface_file(tmp_path / "body.stl", build_mesh(SPHERE, volume=False))
 
     def areas() -> list[float]:
@@ -452,7 +453,7 @@ def test_mesh_size_does_not_count_where_the_file_brings_its_tetrahedra(tmp_path:
 
 def test_a_cached_mesh_comes_back_whole(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     built = mesh_from_cache(BOX, tmp_path)
-    monkeypatch.setattr("studies.meshing.geometry.build_mesh", None)  # a second build would fail
+    monkeypatch.setattr("vdmbench.body.geometry.build_mesh", None)  # a second build would fail
     again = mesh_from_cache(BOX, tmp_path)
     assert again.content_hash == built.content_hash
     assert again.quality == built.quality
@@ -486,7 +487,7 @@ def test_a_damaged_cached_mesh_is_built_anew(tmp_path: Path, damage: str) -> Non
 
 def test_specification_and_cache_import_no_mesher() -> None:
     script = (
-        "import sys, studies.meshing.mesh_cache;"
+        "import sys, vdmbench.body.mesh_cache;"
         "print({'gmsh', 'meshio', 'pyvista', 'pyacvd'} & set(sys.modules))"
     )
     run = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)

@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
 
-from studies import hdf5
-from studies.hdf5 import Data, Entry, Group, Stored, StoreError, Text, sealed
+from vdmbench.store import hdf5
+from vdmbench.store.hdf5 import Data, Entry, Group, Stored, StoreError, Text, sealed
 
 
 @pytest.fixture(autouse=True)

@@ -14,13 +14,13 @@ import h5py
 import numpy as np
 import pytest
 
-from studies import store
-from studies.case import Run
-from studies.hdf5 import StoreError
-from studies.metrics_table import metrics_csv
 from tests.unit.example_case import example_case
 from tests.unit.test_store import _replace, _reseal
 from tests.unit.test_stored_json import HOSTILE, _places, _with
+from vdmbench.measures.case import Run
+from vdmbench.store import cases as store
+from vdmbench.store.hdf5 import StoreError
+from vdmbench.store.metrics_table import metrics_csv
 
 
 @pytest.fixture

@@ -9,7 +9,15 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from studies.limits import LARGEST, MOST_STRAIN, SMALL, LoadPath, LoadPoint, model_limits, on_finer_mesh
+from vdmbench.measures.limits import (
+    LARGEST,
+    MOST_STRAIN,
+    SMALL,
+    LoadPath,
+    LoadPoint,
+    model_limits,
+    on_finer_mesh,
+)
 
 E0 = 0.2
 

@@ -10,8 +10,8 @@ from pathlib import Path
 
 import pytest
 
-from studies.report import rebuild
-from studies.locks import LockedError, lock
+from vdmbench.machine.locks import LockedError, lock
+from vdmbench.report import rebuild
 
 EX = fcntl.LOCK_EX
 

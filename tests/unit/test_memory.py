@@ -9,7 +9,7 @@ import sys
 import numpy as np
 import pytest
 
-from studies.memory import peak_bytes_since, reset_peak
+from vdmbench.machine.memory import peak_bytes_since, reset_peak
 
 
 @pytest.mark.parametrize("megabytes", [20, 80])
@@ -33,7 +33,7 @@ _RESERVES = """
 import mmap
 import numpy as np
 from fem_reference.memory import reserved_not_counted
-from studies.memory import limit_memory
+from vdmbench.machine.memory import limit_memory
 
 def taken(megabytes):
     try:
@@ -66,7 +66,7 @@ import resource
 from scipy.sparse import csc_array, diags_array, eye_array, kron, tril
 from fem_reference.factorisation import analyse
 from fem_reference.memory import _data_bytes
-from studies.memory import limit_memory
+from vdmbench.machine.memory import limit_memory
 
 line, one = diags_array([-1.0, 2.0, -1.0], offsets=[-1, 0, 1], shape=(20, 20)), eye_array(20)
 cube = kron(kron(line, one), one) + kron(kron(one, line), one) + kron(kron(one, one), line)
@@ -87,7 +87,7 @@ _MULTIPLIES = """
 import numpy as np
 from scipy.linalg import lu_factor, solve_triangular
 from threadpoolctl import threadpool_limits
-from studies.memory import limit_memory
+from vdmbench.machine.memory import limit_memory
 
 limit_memory(10_000_000)
 with threadpool_limits(1):

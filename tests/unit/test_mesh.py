@@ -9,11 +9,12 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from studies.meshing.intersections import intersecting_facets, without_intersections
-from studies.meshing.mesh import Array, Index, MeshError
-from studies.meshing.remesh import unit_sphere
-from studies.meshing.repair import clean_surface, clean_tetrahedra
-from studies.meshing.topology import (
+from vdmbench.body.intersections import intersecting_facets, without_intersections
+from vdmbench.body.mesh import Array, Index
+from vdmbench.body.remesh import unit_sphere
+from vdmbench.body.repair import clean_surface, clean_tetrahedra
+from vdmbench.body.surface_measures import enclosed_volume, facet_area_vectors
+from vdmbench.body.topology import (
     boundary_triangles,
     canonical_triangles,
     check_vertex_fans,
@@ -24,7 +25,7 @@ from studies.meshing.topology import (
     tetrahedron_sicn,
     tetrahedron_volumes,
 )
-from studies.surface_measures import enclosed_volume, facet_area_vectors
+from vdmbench.machine.errors import MeshError
 
 CORNER = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]])
 ONE = np.array([[0, 1, 2, 3]])

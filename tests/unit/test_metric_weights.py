@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from studies.metrics import History, evaluate
-from studies.nearest import nearest_on_surface
-from studies.surface_measures import Surface
+from vdmbench.body.nearest import nearest_on_surface
+from vdmbench.body.surface_measures import Surface
+from vdmbench.measures.metrics import History, evaluate
 
 from .test_metrics import ROUND, bumpy, history
 

@@ -9,17 +9,18 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from studies import metrics, surface_measures
-from studies.meshing.geometry import build_mesh
-from studies.meshing.geometry_spec import Geometry
-from studies.metrics import METRICS, History, evaluate, evaluate_all
-from studies.models import run_model
-from studies.nearest import nearest_on_surface
-from studies.scene import build_scene
-from studies.study_file.config import geometry_of
-from studies.study_file.schema import Study
-from studies.surface_measures import Surface
 from tests.comparing import compare
+from vdmbench.body import surface_measures
+from vdmbench.body.geometry import build_mesh
+from vdmbench.body.nearest import nearest_on_surface
+from vdmbench.body.surface_measures import Surface
+from vdmbench.measures import metrics
+from vdmbench.measures.metrics import METRICS, History, evaluate, evaluate_all
+from vdmbench.models import run_model
+from vdmbench.scene.scene import build_scene
+from vdmbench.study.config import geometry_of
+from vdmbench.study.geometry_spec import Geometry
+from vdmbench.study.schema import Study
 
 # round-off of sums over a few hundred terms of order one
 ROUND = {"rtol": 1e-12, "atol": 1e-14}
@@ -489,7 +490,7 @@ def test_distances_of_many_surfaces_are_those_of_each(monkeypatch: pytest.Monkey
     shifts[1, :, 0] += 0.3  # one surface beside the other
     other = surface.points + size * models[2].displacement[1]
     for at_once in (1, 10_000):
-        monkeypatch.setattr("studies.nearest._MOST_AT_ONCE", at_once * 64)
+        monkeypatch.setattr("vdmbench.body.nearest._MOST_AT_ONCE", at_once * 64)
         assert_distances(surface, surface.points + shifts, other)
     spike = surface.points.copy()
     spike[surface.points[:, 2].argmax()] *= 2.0  # only the way back from its tip sees how long it is
@@ -536,21 +537,21 @@ def test_distances_where_a_surface_comes_near_to_itself(monkeypatch: pytest.Monk
             assert_distances(body, moved[:2] + np.array([0.0, 0.0, 0.04]), moved[2])
             assert_distances(body, moved[:2] + 5.0, moved[2] + 5.0)  # far away together
     # few facets are measured at rest: what is known of all others, and that they may be the nearest, matters more
-    monkeypatch.setattr("studies.nearest._NEAR", 24)
+    monkeypatch.setattr("vdmbench.body.nearest._NEAR", 24)
     points, triangles = octahedron()
     for _ in range(4):
         points, triangles = _quartered(points, triangles)
     pressed = points * [1.0, 1.0, 0.001]  # the poles meet, each with all that is around it
     moved = np.stack([pressed + 0.001 * generator.standard_normal(points.shape) for _ in range(2)])
     assert_distances(Surface(points, triangles), moved[:1], moved[1])
-    monkeypatch.setattr("studies.nearest._NEAR", 64)
+    monkeypatch.setattr("vdmbench.body.nearest._NEAR", 64)
     searched: list[int] = []
 
     def counted(queries: np.ndarray, *others: Any) -> Any:
         searched.append(len(queries))
         return nearest_on_surface(queries, *others)
 
-    monkeypatch.setattr("studies.nearest.nearest_on_surface", counted)
+    monkeypatch.setattr("vdmbench.body.nearest.nearest_on_surface", counted)
     body = Surface(surface.points, surface.triangles)
     shift = 0.01 * generator.standard_normal(rest.shape)
     assert_distances(body, surface.points[None] + 5.0 + shift, surface.points + 5.0)

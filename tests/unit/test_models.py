@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from studies import models
-from studies.meshing.geometry import build_mesh
-from studies.model_name import DISPLACEMENT_ELEMENTS, is_linear, split
-from studies.scene import Scene, build_scene
-from studies.study_file.config import geometry_of
-from studies.study_file.schema import Study, VdmTable
-from studies.surface_measures import Surface, relative_l2
+from vdmbench import models
+from vdmbench.body.geometry import build_mesh
+from vdmbench.body.surface_measures import Surface, relative_l2
+from vdmbench.scene.scene import Scene, build_scene
+from vdmbench.study.config import geometry_of
+from vdmbench.study.model_name import DISPLACEMENT_ELEMENTS, is_linear, split
+from vdmbench.study.schema import Study, VdmTable
 
 STUDY = {
     "study": {"name": "test", "models": ["vdm-paper"]},

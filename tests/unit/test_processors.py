@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from studies import processors
 from tests.command import SCRIPT, write_study
+from vdmbench.machine import processors
 
 
 def test_what_a_batch_system_leaves_counts(monkeypatch: pytest.MonkeyPatch) -> None:

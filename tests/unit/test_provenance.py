@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from studies import provenance
+from vdmbench.graph import provenance
 
 
 def git(tree: Path, *words: str) -> str:
@@ -17,8 +17,8 @@ def git(tree: Path, *words: str) -> str:
 
 
 def test_the_commit_is_that_of_the_tree(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    source = tmp_path / "studies" / "provenance.py"
-    source.parent.mkdir()
+    source = tmp_path / "studies" / "graph" / "provenance.py"
+    source.parent.mkdir(parents=True)
     source.write_text("first\n")
     monkeypatch.setattr(provenance, "__file__", str(source))
     assert provenance._commit() == "not a source tree"

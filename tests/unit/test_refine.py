@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.testing import assert_allclose
 
-from studies.meshing.mesh import Mesh
-from studies.meshing.refine import inherit, refine
-from studies.meshing.topology import surface_only
-from studies.surface_measures import enclosed_volume, facet_area_vectors
+from vdmbench.body.mesh import Mesh
+from vdmbench.body.refine import inherit, refine
+from vdmbench.body.surface_measures import enclosed_volume, facet_area_vectors
+from vdmbench.body.topology import surface_only
 
 
 def wedge() -> Mesh:

@@ -14,8 +14,8 @@ import pytest
 from numpy.testing import assert_allclose
 from PIL import Image
 
-from studies.case import Run
-from studies.report.page import page_html
+from vdmbench.measures.case import Run
+from vdmbench.report.page import page_html
 
 from .browser import Browser, chromium
 from .report_runs import REFERENCE, cheap_run, make_case, make_run, sweep_run

@@ -7,11 +7,11 @@ import dataclasses
 import numpy as np
 import pytest
 
-from studies.case import CaseResult, MetricSeries
-from studies.report.blocks import Figures, Section, Table, Text
-from studies.report.digest import Digest
-from studies.report.section_convergence import mesh_convergence
 from tests.unit.report_runs import make_case, make_run
+from vdmbench.measures.case import CaseResult, MetricSeries
+from vdmbench.report.blocks import Figures, Section, Table, Text
+from vdmbench.report.section_convergence import mesh_convergence
+from vdmbench.verdict.digest import Digest
 
 SIZES = (0.016, 0.008, 0.004)
 

@@ -7,11 +7,11 @@ import re
 
 import pytest
 
-from studies.case import CaseResult
-from studies.report.blocks import Figures, Table, Text
-from studies.report.digest import Digest
-from studies.report.headline import headline
-from studies.report.section_cost import run_time_against_error
+from vdmbench.measures.case import CaseResult
+from vdmbench.report.blocks import Figures, Table, Text
+from vdmbench.report.headline import headline
+from vdmbench.report.section_cost import run_time_against_error
+from vdmbench.verdict.digest import Digest
 
 from .report_runs import make_case, make_run
 

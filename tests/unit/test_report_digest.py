@@ -11,13 +11,13 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from studies.case import MetricSeries
-from studies.metrics_table import metrics_csv
-from studies.report import headline
-from studies.report.digest import DEFORMATION, VECTOR, Digest, spread_of
-from studies.report.standing import at_full_load, reference_bar
-from studies.report.verdict import answers
-from studies.uncertainty import value_bar
+from vdmbench.measures.case import MetricSeries
+from vdmbench.measures.uncertainty import value_bar
+from vdmbench.report import headline
+from vdmbench.report.verdict import answers
+from vdmbench.store.metrics_table import metrics_csv
+from vdmbench.verdict.digest import DEFORMATION, VECTOR, Digest, spread_of
+from vdmbench.verdict.standing import at_full_load, reference_bar
 
 from .report_runs import REFERENCE, make_case, make_run, sweep_run
 
@@ -258,7 +258,7 @@ def test_the_reference_on_the_coarser_mesh_is_not_on_trial() -> None:
 def test_points_of_cases_that_share_a_value_are_not_joined() -> None:
     from matplotlib.figure import Figure
 
-    from studies.report.section_errors import _Axis, _draw_model
+    from vdmbench.report.section_errors import _Axis, _draw_model
 
     axes = Figure().add_subplot()
     axis = _Axis("nu", "nu", "linear", range(6), [0.1] * 3 + [0.4] * 3, [], alone=False)

@@ -6,9 +6,9 @@ import dataclasses
 
 import numpy as np
 
-from studies.case import CaseResult, MetricSeries
-from studies.report.digest import Digest
-from studies.report.section_fibres import anisotropy_of_the_response
+from vdmbench.measures.case import CaseResult, MetricSeries
+from vdmbench.report.section_fibres import anisotropy_of_the_response
+from vdmbench.verdict.digest import Digest
 
 from .report_runs import make_case, make_run
 

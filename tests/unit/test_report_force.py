@@ -10,16 +10,16 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from studies.case import CaseResult
-from studies.report.blocks import Figures, Section, Text
-from studies.report.digest import Digest
-from studies.report.section_force import (
+from vdmbench.measures.case import CaseResult
+from vdmbench.report.blocks import Figures, Section, Text
+from vdmbench.report.section_force import (
     contact_pressure,
     contact_resultant,
     force_against_indentation,
     indentation,
     movement_force,
 )
+from vdmbench.verdict.digest import Digest
 
 from .report_runs import AMPLITUDE, REFERENCE, make_case, make_run
 

@@ -6,7 +6,7 @@ import math
 
 import pytest
 
-from studies.report.formatting import (
+from vdmbench.verdict.formatting import (
     listed,
     number,
     of_unit,

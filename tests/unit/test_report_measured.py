@@ -8,13 +8,12 @@ from typing import Any
 
 import pytest
 
-from studies import provenance
-from studies.case import CaseResult
-from studies.graph import answers
-from studies.processors import processor_name
-from studies.report import measured
-from studies.report.headline import headline_metrics, headline_rows
 from tests.graph.shared_work import ALONE, plan_of, run
+from vdmbench.graph import answers, provenance
+from vdmbench.machine.processors import processor_name
+from vdmbench.measures.case import CaseResult
+from vdmbench.report.headline import headline_metrics, headline_rows
+from vdmbench.verdict import measured
 
 from .report_runs import REFERENCE, make_case, make_run
 

@@ -15,17 +15,18 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from studies.case import Limit, ModelLimits, SmallStrainLimits, StepStatus
-from studies.report import page as page_module
-from studies.report.blocks import Figures
-from studies.report.digest import Digest
-from studies.report.document import script_json
-from studies.report.formatting import percent
-from studies.report.page import MOST_BYTES, page_html, write_report
-from studies.report.picture import Panel
-from studies.report.plots import place
-from studies.report.section_errors import error_against_parameters, parameter_name
-from studies.report.view import View, candidates, displacement_scale, payload
+from vdmbench.measures.case import Limit, ModelLimits, SmallStrainLimits
+from vdmbench.models.result import StepStatus
+from vdmbench.report import page as page_module
+from vdmbench.report.blocks import Figures
+from vdmbench.report.document import script_json
+from vdmbench.report.page import MOST_BYTES, page_html, write_report
+from vdmbench.report.picture import Panel
+from vdmbench.report.plots import place
+from vdmbench.report.section_errors import error_against_parameters, parameter_name
+from vdmbench.report.view import View, candidates, displacement_scale, payload
+from vdmbench.verdict.digest import Digest
+from vdmbench.verdict.formatting import percent
 
 from .report_runs import REFERENCE, cheap_run, make_case, make_run, sweep_run
 

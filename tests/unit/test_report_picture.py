@@ -9,11 +9,11 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from studies.report import picture
-from studies.report.digest import Digest
-from studies.report.page import page_html, write_picture
-from studies.report.picture import Panel, labelled, render
-from studies.report.section_view import heading, still
+from vdmbench.report import picture
+from vdmbench.report.page import page_html, write_picture
+from vdmbench.report.picture import Panel, labelled, render
+from vdmbench.report.section_view import heading, still
+from vdmbench.verdict.digest import Digest
 
 from .report_runs import icosphere, make_case, make_run
 

@@ -7,7 +7,16 @@ from collections.abc import Callable
 import pytest
 from matplotlib.axis import Tick
 
-from studies.report.plots import Plot, Sheet, colour, log_axis, marker, name_ticks, percent_axis, time_ticks
+from vdmbench.report.plots import (
+    Plot,
+    Sheet,
+    colour,
+    log_axis,
+    marker,
+    name_ticks,
+    percent_axis,
+    time_ticks,
+)
 
 Draw = Callable[[Plot], None]
 

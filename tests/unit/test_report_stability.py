@@ -10,15 +10,15 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from studies.case import CaseResult, MetricSeries
-from studies.metrics import History, evaluate
-from studies.report.blocks import Figures, Section, Table, Text
-from studies.report.digest import Digest
-from studies.report.ladders import Ladder, ladders, reading, trusted
-from studies.report.section_stability import numerical_stability
-from studies.report.standing import series
-from studies.surface_measures import Surface
 from tests.unit.report_runs import make_case, make_run
+from vdmbench.body.surface_measures import Surface
+from vdmbench.measures.case import CaseResult, MetricSeries
+from vdmbench.measures.metrics import History, evaluate
+from vdmbench.report.blocks import Figures, Section, Table, Text
+from vdmbench.report.section_stability import numerical_stability
+from vdmbench.verdict.digest import Digest
+from vdmbench.verdict.ladders import Ladder, ladders, reading, trusted
+from vdmbench.verdict.standing import series
 
 DIRECT, LU, NONLINEAR = "vdm-paper", "vdm-paper:lu", "vdm-paper:nonlinear"
 SLIVERS, NU = "geometry.slivers", "tissue.poisson_ratio"

@@ -9,13 +9,13 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 import pytest
 
-from studies.case import CaseResult, Limit, ModelLimits, Run, SmallStrainLimits
-from studies.fields import targets
-from studies.model_name import PARAMETERS
-from studies.report.digest import Digest
-from studies.report.headline import headline_rows
-from studies.report.standing import BEYOND, LOST, OPEN, WITHIN, case_state
-from studies.report.verdict import answers
+from vdmbench.measures.case import CaseResult, Limit, ModelLimits, Run, SmallStrainLimits
+from vdmbench.report.headline import headline_rows
+from vdmbench.report.verdict import answers
+from vdmbench.study.fields import targets
+from vdmbench.study.model_name import PARAMETERS
+from vdmbench.verdict.digest import Digest
+from vdmbench.verdict.standing import BEYOND, LOST, OPEN, WITHIN, case_state
 
 from .report_runs import REFERENCE, make_case, make_run, sweep_run
 

@@ -6,13 +6,13 @@ from pathlib import Path
 
 import pytest
 
-from studies import room
-from studies.estimate import Size, case_bytes, estimate
-from studies.explain import summary
-from studies.graph.plan import Plan
-from studies.graph.run import Options, RunError, run_plan
-from studies.report.rebuild import rebuild
 from tests.graph.shared_work import plan_of
+from vdmbench.graph import space as room
+from vdmbench.graph.estimate import Size, case_bytes, estimate
+from vdmbench.graph.explain import summary
+from vdmbench.graph.plan import Plan
+from vdmbench.graph.run import Options, RunError, run_plan
+from vdmbench.report.rebuild import rebuild
 
 LONG = {"factors": [k / 10_000 for k in range(1, 10_001)]}
 

@@ -9,13 +9,13 @@ from pathlib import Path
 
 import pytest
 
-from studies.files import clear_abandoned, write_atomically
-from studies.graph.run import _lock
-from studies.hdf5 import Stored, StoreError
-from studies.run_directory import case_path, read_plan, refuse_linked
-from studies.safe_open import UnfitFileError, open_regular, read_regular
-from studies.sealed import read_arrays
-from studies.store import case_state, read_run, run_state
+from vdmbench.graph.run import _lock
+from vdmbench.machine.files import clear_abandoned, write_atomically
+from vdmbench.machine.safe_open import UnfitFileError, open_regular, read_regular
+from vdmbench.machine.sealed import read_arrays
+from vdmbench.store.cases import case_state, read_run, run_state
+from vdmbench.store.hdf5 import Stored, StoreError
+from vdmbench.store.run_directory import case_path, read_plan, refuse_linked
 
 OTHERS: dict[str, Callable[[Path], object]] = {
     "a link": lambda path: path.symlink_to(path.parent / "other"),

@@ -10,16 +10,17 @@ from numpy.testing import assert_allclose
 
 from fem_reference.linear import LinearProblem, Load
 from fem_reference.mesh import facet_quadrature
-from studies import models
-from studies.contact_profile import on_facets
-from studies.meshing.geometry import build_mesh
-from studies.meshing.mesh import Mesh, MeshError
-from studies.meshing.refine import inherit, refine
-from studies.regions import select
-from studies.scene import Scene, SceneError, build_scene
-from studies.study_file.config import geometry_of
-from studies.study_file.schema import Region, Study
-from studies.surface_measures import Surface, facet_area_vectors, nodal_sum
+from vdmbench import models
+from vdmbench.body.geometry import build_mesh
+from vdmbench.body.mesh import Mesh
+from vdmbench.body.refine import inherit, refine
+from vdmbench.body.surface_measures import Surface, facet_area_vectors, nodal_sum
+from vdmbench.machine.errors import MeshError
+from vdmbench.scene.contact_profile import on_facets
+from vdmbench.scene.regions import select
+from vdmbench.scene.scene import Scene, SceneError, build_scene
+from vdmbench.study.config import geometry_of
+from vdmbench.study.schema import Region, Study
 
 BASE: dict[str, Any] = {
     "study": {"name": "test", "models": ["vdm-paper", "fem-linear"], "reference": "fem-linear"},

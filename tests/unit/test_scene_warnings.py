@@ -11,12 +11,12 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from studies.cli import main
-from studies.report.digest import Digest
-from studies.report.page import write_report
-from studies.report.section_doubts import doubts
-from studies.scene_warnings import indentation, scene_warnings
 from tests.command import SMALL_STUDY, write_study
+from vdmbench.cli.main import main
+from vdmbench.report.page import write_report
+from vdmbench.report.section_doubts import doubts
+from vdmbench.scene.warnings import indentation, scene_warnings
+from vdmbench.verdict.digest import Digest
 
 from .report_runs import icosphere, make_case, make_run
 

@@ -7,11 +7,11 @@ from pathlib import Path
 
 import pytest
 
-from studies.explain import summary
-from studies.graph.plan import make_plan
-from studies.study_file.config import Study, expand, load_study
-from studies.study_file.schema import CLAIMS
 from tests.command import vdmbench
+from vdmbench.graph.explain import summary
+from vdmbench.graph.plan import make_plan
+from vdmbench.study.config import Study, expand, load_study
+from vdmbench.study.schema import CLAIMS
 
 SHIPPED = Path(__file__).parents[2] / "studies" / "cases"
 

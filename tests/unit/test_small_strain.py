@@ -10,17 +10,18 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from studies import models, small_strain
-from studies.case import SmallStrainLimits
-from studies.limits import LoadPath, LoadPoint
-from studies.meshing.mesh_cache import mesh_from_cache
-from studies.meshing.refine import inherit, refine
-from studies.scene import Scene, SurfaceLoad, build_scene
-from studies.small_strain import small_strain_limits
-from studies.study_file.config import geometry_of, load_study, raised, value_and_unit
-from studies.study_file.problems import StudyError
-from studies.study_file.schema import Study
-from studies.surface_measures import Surface, relative_l2
+from vdmbench import models
+from vdmbench.body.mesh_cache import mesh_from_cache
+from vdmbench.body.refine import inherit, refine
+from vdmbench.body.surface_measures import Surface, relative_l2
+from vdmbench.measures import small_strain
+from vdmbench.measures.case import SmallStrainLimits
+from vdmbench.measures.limits import LoadPath, LoadPoint
+from vdmbench.measures.small_strain import small_strain_limits
+from vdmbench.scene.scene import Scene, SurfaceLoad, build_scene
+from vdmbench.study.config import geometry_of, load_study, raised, value_and_unit
+from vdmbench.study.problems import StudyError
+from vdmbench.study.schema import Study
 
 STUDY = """
 [study]

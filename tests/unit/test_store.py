@@ -15,11 +15,13 @@ import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
 
-from studies import hdf5, store, uncertainty
-from studies.case import Run
-from studies.hdf5 import StoreError
-from studies.run_directory import RESOLVED, STUDY, case_path, failure_path, write_failure, write_plan
 from tests.command import strict_json
+from vdmbench.measures import uncertainty
+from vdmbench.measures.case import Run
+from vdmbench.store import cases as store
+from vdmbench.store import hdf5
+from vdmbench.store.hdf5 import StoreError
+from vdmbench.store.run_directory import RESOLVED, STUDY, case_path, failure_path, write_failure, write_plan
 
 from .example_case import N_STEPS, example_case
 

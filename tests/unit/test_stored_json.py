@@ -9,9 +9,11 @@ from typing import Any
 
 import pytest
 
-from studies import store
-from studies.hdf5 import StoreError
-from studies.run_directory import (
+from tests.unit.example_case import example_case
+from vdmbench.machine.stored_json import sealed
+from vdmbench.store import cases as store
+from vdmbench.store.hdf5 import StoreError
+from vdmbench.store.run_directory import (
     PLAN,
     RESOLVED,
     STUDY,
@@ -22,8 +24,6 @@ from studies.run_directory import (
     write_failure,
     write_plan,
 )
-from studies.stored_json import sealed
-from tests.unit.example_case import example_case
 
 HASH, FAILED = "a1" * 32, "b2" * 32
 KEY = "tissue.poisson_ratio"

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from studies import models
-from studies.graph.answers import answer_path, read_answer, write_answer
 from tests.graph.shared_work import TABLES, plan_of, run
+from vdmbench import models
+from vdmbench.graph.answers import answer_path, read_answer, write_answer
 
 from .example_case import model_result
 from .test_store import assert_same

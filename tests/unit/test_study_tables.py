@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from studies import store
-from studies.case import CaseResult, MetricSeries
-from studies.report.digest import Digest
-from studies.uncertainty import INDENTATION_FORCE
+from vdmbench.measures.case import CaseResult, MetricSeries
+from vdmbench.measures.uncertainty import INDENTATION_FORCE
+from vdmbench.store import cases as store
+from vdmbench.verdict.digest import Digest
 
 from .report_runs import make_case, make_run
 

@@ -11,8 +11,8 @@ import pytest
 import tomli_w
 from numpy.testing import assert_allclose
 
-from studies.graph.keys import case_hash, result_keys
-from studies.study_file.config import Study, case_inputs, expand, resolved
+from vdmbench.graph.keys import case_hash, result_keys
+from vdmbench.study.config import Study, case_inputs, expand, resolved
 
 from .study_texts import SWEPT, load, sweep_problems, swept
 

@@ -6,9 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from studies.run_directory import value_at
-from studies.study_file.config import expand, load_study, resolved
-from studies.study_file.folders import swept_without_folders, without_folders
+from vdmbench.store.run_directory import value_at
+from vdmbench.study.config import expand, load_study, resolved
+from vdmbench.study.folders import swept_without_folders, without_folders
 
 SHIPPED = sorted((Path(__file__).parents[2] / "studies" / "cases").glob("*.toml"))
 

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from studies.study_file.toml_lines import MAX_DEPTH, NotToml, TooLarge, key_lines
+from vdmbench.study.toml_lines import MAX_DEPTH, NotToml, TooLarge, key_lines
 
 TEXT = '''# comment with "quotes" and [brackets]
 title = "a # b"  # not in the text

@@ -10,9 +10,9 @@ from pathlib import Path
 import fem_reference.solution
 import vdm.formulations.boundary
 import vdm.solution
-from studies import estimate
-from studies.case import ModelResult
-from studies.doctor import LIBRARIES, PACKAGES
+from vdmbench.cli.doctor import LIBRARIES, PACKAGES
+from vdmbench.graph import estimate
+from vdmbench.models.result import ModelResult
 
 ROOT = Path(__file__).parents[2]
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from studies.uncertainty import (
+from vdmbench.measures.uncertainty import (
     BEHAVIOURS,
     INDENTATION_FORCE,
     STRAINS,

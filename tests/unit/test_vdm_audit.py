@@ -10,14 +10,14 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy import linalg
 
-from studies.meshing.distort import distorted
-from studies.meshing.geometry import build_mesh
-from studies.meshing.geometry_spec import Geometry
 from tests.unit.vdm_shapes import icosphere
 from vdm import FORMULATIONS, Load, Model, Parameters, SurfaceMesh
 from vdm.problem import Problem
 from vdm.solvers import audit
 from vdm.solvers.linear import BorderedFactor, LinearSolver
+from vdmbench.body.distort import distorted
+from vdmbench.body.geometry import build_mesh
+from vdmbench.study.geometry_spec import Geometry
 
 Array = np.ndarray
 POINTS, TRIANGLES = icosphere(1, (0.05, 0.06, 0.045))

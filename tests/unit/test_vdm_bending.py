@@ -9,8 +9,6 @@ import pytest
 from numpy.testing import assert_allclose
 from numpy.typing import NDArray
 
-from studies.meshing.geometry import build_mesh
-from studies.meshing.geometry_spec import Geometry
 from tests.unit.vdm_shapes import box, icosphere
 from vdm import Load, Model, Parameters, SurfaceMesh
 from vdm.bending import BENDING_LIMIT, bendings
@@ -18,6 +16,8 @@ from vdm.formulations.boundary import rigid_basis
 from vdm.formulations.coarse_surface import coarsened
 from vdm.material import COARSE_NODES_RANGE
 from vdm.solution import SolverError
+from vdmbench.body.geometry import build_mesh
+from vdmbench.study.geometry_spec import Geometry
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]

@@ -8,16 +8,17 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 
-from studies import models
-from studies.case import ModelResult
-from studies.meshing.geometry import build_mesh
-from studies.meshing.mesh import InputError, Mesh
-from studies.model_name import split
-from studies.scene import Scene, build_scene
-from studies.study_file.config import expand, geometry_of
-from studies.study_file.schema import Study
 from tests.unit.test_fem_plain import FIELDS
 from tests.unit.test_shipped_studies import NAMES, shipped
+from vdmbench import models
+from vdmbench.body.geometry import build_mesh
+from vdmbench.body.mesh import Mesh
+from vdmbench.machine.errors import InputError
+from vdmbench.models.result import ModelResult
+from vdmbench.scene.scene import Scene, build_scene
+from vdmbench.study.config import expand, geometry_of
+from vdmbench.study.model_name import split
+from vdmbench.study.schema import Study
 
 TOLERANCE = 1e-8
 COARSENINGS = (2.0, 1.5, 1.0)  # of the largest mesh size of a study: the first on which its regions exist

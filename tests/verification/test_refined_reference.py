@@ -8,16 +8,16 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from studies import models
-from studies.case import ModelResult
-from studies.meshing.geometry import build_mesh
-from studies.metrics import METRICS, History, evaluate
-from studies.reference import own_error, refined_levels
-from studies.scene import Scene, build_scene
-from studies.study_file.config import geometry_of
-from studies.study_file.schema import Study, VdmTable
-from studies.surface_measures import Surface, relative_l2, weighted_norm, without_motions
-from studies.uncertainty import reference_bar, stored_estimate
+from vdmbench import models
+from vdmbench.body.geometry import build_mesh
+from vdmbench.body.surface_measures import Surface, relative_l2, weighted_norm, without_motions
+from vdmbench.measures.metrics import METRICS, History, evaluate
+from vdmbench.measures.reference import own_error, refined_levels
+from vdmbench.measures.uncertainty import reference_bar, stored_estimate
+from vdmbench.models.result import ModelResult
+from vdmbench.scene.scene import Scene, build_scene
+from vdmbench.study.config import geometry_of
+from vdmbench.study.schema import Study, VdmTable
 
 VECTOR, DEFORMATION = "relative_l2_displacement_error", "relative_l2_deformation_error"
 

@@ -11,15 +11,15 @@ from numpy.testing import assert_allclose
 
 from fem_reference.linear import LinearProblem
 from fem_reference.loads import Load as FemLoad
-from studies import models
-from studies.case import CaseResult
-from studies.meshing.geometry import build_mesh
-from studies.report.digest import Digest
-from studies.report.ladders import Ladder, Reading, ladders
-from studies.scene import build_scene
-from studies.study_file.config import ResolvedCase, expand, geometry_of, load_study
 from tests.comparing import compare
 from tests.unit.report_runs import make_run
+from vdmbench import models
+from vdmbench.body.geometry import build_mesh
+from vdmbench.measures.case import CaseResult
+from vdmbench.scene.scene import build_scene
+from vdmbench.study.config import ResolvedCase, expand, geometry_of, load_study
+from vdmbench.verdict.digest import Digest
+from vdmbench.verdict.ladders import Ladder, Reading, ladders
 
 SHIPPED = Path(__file__).parents[2] / "studies" / "cases"
 LOCKING = ("fem-p1", "fem-p2")

@@ -10,15 +10,15 @@ from scipy.special import eval_legendre
 from fem_reference.linear import LinearProblem
 from fem_reference.loads import Load as VolumeLoad
 from fem_reference.mesh import facet_quadrature
-from studies.meshing.geometry import build_mesh
-from studies.meshing.geometry_spec import Geometry
-from studies.surface_measures import relative_l2, rigid_motion_removed
 from tests.unit.vdm_shapes import icosphere
 from tests.verification.records import Verified
 from vdm import Load, Model, ParameterError, Parameters, SolverError, SurfaceMesh
 from vdm.formulations.boundary import rigid_basis, surface_stiffness
 from vdm.formulations.boundary_integrals import layer_potentials, mass_matrix
 from vdm.material import ball_compliance
+from vdmbench.body.geometry import build_mesh
+from vdmbench.body.surface_measures import relative_l2, rigid_motion_removed
+from vdmbench.study.geometry_spec import Geometry
 
 
 def ball(level: int) -> SurfaceMesh:

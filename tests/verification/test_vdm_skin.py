@@ -8,7 +8,6 @@ from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 from scipy.special import eval_legendre
 
-from studies.surface_measures import rigid_motion_removed
 from tests.unit.vdm_shapes import box, icosphere, torus
 from vdm import Load, Model, Parameters, SolverError, SurfaceMesh
 from vdm.formulations.boundary import (
@@ -23,6 +22,7 @@ from vdm.formulations.coarse_surface import coarsened
 from vdm.formulations.interpolation import interpolation
 from vdm.formulations.skin import LARGEST_RATIO, Skin
 from vdm.material import ParameterError, ball_compliance
+from vdmbench.body.surface_measures import rigid_motion_removed
 
 ELLIPSOID = SurfaceMesh(*icosphere(3, (1.0, 0.8, 0.6)))
 FREE = ELLIPSOID.points[:, 2] > -0.5

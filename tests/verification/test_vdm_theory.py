@@ -9,11 +9,11 @@ import pytest
 from scipy.special import eval_legendre
 
 import vdm
-from studies.uncertainty import estimate_limit
 from tests.unit.vdm_shapes import icosphere
 from tests.verification.records import Verified
 from vdm import FORMULATIONS, Load, Model, Parameters, SurfaceMesh
 from vdm.material import connectivity_modulus_from_tension
+from vdmbench.measures.uncertainty import estimate_limit
 
 NAMES = list(FORMULATIONS)
 MU = 5000.0 / 3.0

@@ -1,0 +1,203 @@
+"""Geometry to mesh: the only module that imports gmsh."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+
+import gmsh
+import numpy as np
+
+from ..machine.errors import MeshError
+from ..study.geometry_spec import (
+    DISTORTIONS,
+    MAX_NODES,
+    Geometry,
+    area_and_volume,
+    check_geometry,
+    check_node_budget,
+    extents,
+)
+from .distort import distorted
+from .imported import centred, imported_surface, imported_tetrahedra, named
+from .intersections import without_intersections
+from .mesh import Array, Index, Mesh
+from .organ import liver_points
+from .surface_measures import enclosed_volume
+from .topology import mesh_from_tetrahedra, mesh_from_triangles, surface_only
+
+_TRIANGLE, _TETRAHEDRON = 2, 4  # gmsh's element types
+_ORGAN_SUBDIVISIONS = 6  # 40,962 points, far finer than any mesh of it
+
+_OPTIONS = {
+    "General.Terminal": 0,
+    # one thread and a fixed seed: the same mesh, bit by bit, every time
+    "General.NumThreads": 1,
+    "Mesh.MaxNumThreads1D": 1,
+    "Mesh.MaxNumThreads2D": 1,
+    "Mesh.MaxNumThreads3D": 1,
+    "Mesh.RandomSeed": 1,
+    "Mesh.Algorithm": 6,  # frontal Delaunay: the most regular triangles
+    "Mesh.Algorithm3D": 10,  # HXT: leaves the surface mesh as it is and optimises on the way
+    "Mesh.Optimize": 1,
+    "Mesh.ElementOrder": 1,
+    # the one size asked for, everywhere
+    "Mesh.MeshSizeFromPoints": 0,
+    "Mesh.MeshSizeFromCurvature": 0,
+    "Mesh.MeshSizeExtendFromBoundary": 0,
+}
+
+
+def build_mesh(geometry: Geometry, *, volume: bool = True, max_nodes: int = MAX_NODES) -> Mesh:
+    """Mesh a geometry: tetrahedra and their boundary, or with `volume=False` the same surface alone.
+
+    Slivers and perturbed nodes, where asked for, are those that the tetrahedra stand, where there are any.
+
+    Deterministic: equal inputs and package versions give equal bytes. `Mesh.quality` holds counts, volume
+    [m^3], area [m^2], `worst_sicn`, `seconds` and, for an imported mesh, what was repaired and how far the
+    new surface is from the imported one [m].
+
+    Raises MeshError, in one sentence, for a geometry, a file or a mesh size that cannot be used; the number
+    of nodes is estimated against `max_nodes` before anything is meshed.
+    """
+    check_geometry(geometry)
+    started = time.perf_counter()
+    if geometry.shape == "file":
+        with named(geometry):
+            build = _tetrahedra_of_file if geometry.has_own_tetrahedra else _fill_surface_of_file
+            mesh = build(geometry, volume, max_nodes)
+    else:
+        area, inside = area_and_volume(geometry)
+        check_node_budget(area, inside if volume else 0.0, geometry.mesh_size, max_nodes)
+        mesh = _organ(geometry, volume) if geometry.shape == "organ" else _solid(geometry, volume)
+    given = {name: geometry.number(name) for name in DISTORTIONS if name in geometry.parameters}
+    if given:
+        mesh = distorted(
+            mesh,
+            slivers=given.get("slivers"),
+            perturbation=given.get("perturbation"),
+            seed=int(given.get("seed", 0)),
+        )
+    return replace(mesh, quality={**mesh.quality, "seconds": time.perf_counter() - started})
+
+
+def _solid(geometry: Geometry, volume: bool) -> Mesh:
+    unit = _unit(max(extents(geometry)))
+    return _mesh_with_gmsh(lambda: _add_solid(geometry, unit), geometry.mesh_size, unit, volume=volume)
+
+
+def _organ(geometry: Geometry, volume: bool) -> Mesh:
+    from .remesh import unit_sphere  # VTK is slow to load: only where a surface is made anew
+
+    sphere, triangles = unit_sphere(_ORGAN_SUBDIVISIONS)
+    points = liver_points(sphere)
+    return fill_surface(centred(points, geometry.number("size")), triangles, geometry.mesh_size, volume)
+
+
+def _fill_surface_of_file(geometry: Geometry, volume: bool, max_nodes: int) -> Mesh:
+    given = imported_surface(geometry, volume=volume, max_nodes=max_nodes)
+    mesh = fill_surface(given.points, given.triangles, geometry.mesh_size, volume)
+    return replace(mesh, quality={**mesh.quality, **given.repairs})
+
+
+def _tetrahedra_of_file(geometry: Geometry, volume: bool, max_nodes: int) -> Mesh:
+    mesh = imported_tetrahedra(geometry, max_nodes=max_nodes)
+    return mesh if volume else surface_only(mesh)
+
+
+def fill_surface(points: Array, triangles: Index, mesh_size: float, volume: bool = True) -> Mesh:
+    """Remesh a closed surface [m] uniformly, free it of intersections and fill it with tetrahedra."""
+    from .remesh import surface_distance, uniform_surface
+
+    nodes, facets = uniform_surface(points, triangles, mesh_size)
+    nodes, fixed = without_intersections(nodes, facets)
+    mean_distance, max_distance = surface_distance(points, triangles, nodes, facets)
+    quality = {
+        "surface_distance_mean": mean_distance,
+        "surface_distance_max": max_distance,
+        "volume_change": enclosed_volume(nodes, facets) / enclosed_volume(points, triangles) - 1.0,
+        "self_intersections_fixed": float(fixed),
+    }
+    surface = mesh_from_triangles(nodes, facets, quality=quality)
+    if not volume:
+        return surface
+    unit = _unit(float(np.ptp(nodes, axis=0).max()))
+    mesh = _mesh_with_gmsh(lambda: _add_surface(nodes / unit, facets), mesh_size, unit, volume=True)
+    if surface_only(mesh).content_hash != surface.content_hash:
+        raise MeshError("gmsh changed the surface while it filled it; use another mesh_size")
+    return replace(mesh, quality={**mesh.quality, **quality})
+
+
+def _unit(extent: float) -> float:
+    """The power of two nearest to a body's extent: gmsh's lengths, where its fixed tolerances do no harm.
+
+    Scaling by a power of two is exact: nodes come back as they were given.
+    """
+    return 2.0 ** round(np.log2(extent))
+
+
+@contextmanager
+def _gmsh_session(mesh_size: float) -> Iterator[None]:
+    """A silent gmsh with fixed options that leaves signals alone; its errors become MeshError."""
+    gmsh.initialize([], readConfigFiles=False, run=False, interruptible=False)
+    try:
+        for name, value in _OPTIONS.items():
+            gmsh.option.setNumber(name, value)
+        gmsh.option.setNumber("Mesh.MeshSizeMin", mesh_size)
+        gmsh.option.setNumber("Mesh.MeshSizeMax", mesh_size)
+        yield
+    except Exception as error:
+        if type(error) is not Exception:  # gmsh raises nothing more specific than Exception itself
+            raise
+        raise MeshError(f"gmsh cannot mesh this geometry ({error}); try another mesh_size") from error
+    finally:
+        gmsh.finalize()
+
+
+def _mesh_with_gmsh(add_model: Callable[[], None], mesh_size: float, unit: float, *, volume: bool) -> Mesh:
+    """Mesh the model that `add_model` makes in lengths of `unit` [m], so that no tolerance depends on its size."""
+    with _gmsh_session(mesh_size / unit):
+        add_model()
+        gmsh.model.mesh.generate(3 if volume else 2)
+        tags, coordinates, _ = gmsh.model.mesh.getNodes()
+        triangles = _elements(_TRIANGLE, 3)
+        tetrahedra = _elements(_TETRAHEDRON, 4)
+    # Surface nodes have the lower tags: in tag order they come first, with or without the inside.
+    elements = tetrahedra if volume else triangles
+    used = np.unique(elements)
+    order = np.argsort(tags)
+    points = unit * coordinates.reshape(-1, 3)[order][np.searchsorted(tags[order], used)]
+    local = np.searchsorted(used, elements)
+    return mesh_from_tetrahedra(points, local) if volume else mesh_from_triangles(points, local)
+
+
+def _elements(kind: int, width: int) -> Index:
+    _, nodes = gmsh.model.mesh.getElementsByType(kind)
+    return np.asarray(nodes, dtype=np.int64).reshape(-1, width)
+
+
+def _add_solid(geometry: Geometry, unit: float) -> None:
+    """Add a shape with exact surfaces (OpenCASCADE), centred on the origin, in lengths of `unit` [m]."""
+    occ = gmsh.model.occ
+    size = np.array(extents(geometry)) / unit
+    if geometry.shape == "box":
+        occ.addBox(*(-0.5 * size), *size)
+    elif geometry.shape == "cylinder":
+        axis = np.eye(3)["xyz".index(str(geometry.parameters.get("axis", "z")))]
+        length = geometry.number("length") / unit * axis
+        occ.addCylinder(*(-0.5 * length), *length, geometry.number("radius") / unit)
+    else:
+        ball = occ.addSphere(0.0, 0.0, 0.0, 0.5)
+        occ.dilate([(3, ball)], 0.0, 0.0, 0.0, *size)
+    occ.synchronize()
+
+
+def _add_surface(points: Array, triangles: Index) -> None:
+    """Add the inside of a closed triangle surface, which stays as it is."""
+    surface = gmsh.model.addDiscreteEntity(2)
+    gmsh.model.mesh.addNodes(2, surface, np.arange(1, len(points) + 1), points.ravel())
+    gmsh.model.mesh.addElementsByType(surface, _TRIANGLE, [], (triangles + 1).ravel())
+    gmsh.model.geo.addVolume([gmsh.model.geo.addSurfaceLoop([surface])])
+    gmsh.model.geo.synchronize()

@@ -1,0 +1,116 @@
+"""Bodies from files: read, cleaned, scaled to metres and checked, before anything is meshed."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+
+from ..machine.errors import MeshError
+from ..study.geometry_spec import (
+    Geometry,
+    check_extent,
+    check_mesh_size,
+    check_node_budget,
+    fewer_nodes,
+    file_digest,
+)
+from .mesh import Array, Index, Mesh
+from .mesh_file import check_readable
+from .read_apart import clean_surface_of, clean_tetrahedra_of
+from .repair import CleanSurface, CleanTetrahedra
+from .surface_measures import enclosed_volume, facet_areas
+from .topology import mesh_from_tetrahedra
+
+
+@dataclass(frozen=True)
+class ImportedSurface:
+    """A closed surface (N, 3) [m], its area [m^2] and volume [m^3], and what was repaired."""
+
+    points: Array
+    triangles: Index
+    area: float
+    volume: float
+    repairs: dict[str, float]
+
+
+def imported_surface(geometry: Geometry, *, volume: bool, max_nodes: int) -> ImportedSurface:
+    """The surface of a file, fit to be meshed as asked. Raises MeshError."""
+    check_readable(geometry.path)
+    clean = _clean_surface(geometry.path, file_digest(geometry.path))
+    points, placing = _placed(clean.points, geometry)
+    check_mesh_size(geometry.mesh_size, float(np.ptp(points, axis=0).min()))
+    area = float(facet_areas(points, clean.triangles).sum())
+    inside = enclosed_volume(points, clean.triangles)
+    remedy = fewer_nodes(geometry, float(np.ptp(points, axis=0).max()))
+    check_node_budget(area, inside if volume else 0.0, geometry.mesh_size, max_nodes, remedy)
+    repairs = {
+        **placing,
+        "imported_points": float(len(clean.points)),
+        "points_merged": float(clean.points_merged),
+        "points_dropped": float(clean.points_dropped),
+        "facets_dropped": float(clean.facets_dropped),
+        "facets_flipped": float(clean.facets_flipped),
+    }
+    return ImportedSurface(points, clean.triangles, area, inside, repairs)
+
+
+@lru_cache(maxsize=1)
+def _clean_surface(path: Path, digest: str) -> CleanSurface:  # noqa: ARG001
+    """The facets of the file with these bytes, which a study of several mesh sizes asks for again and again."""
+    return clean_surface_of(path)
+
+
+@lru_cache(maxsize=1)
+def _clean_tetrahedra(path: Path, digest: str) -> CleanTetrahedra:  # noqa: ARG001
+    return clean_tetrahedra_of(path)
+
+
+def imported_tetrahedra(geometry: Geometry, *, max_nodes: int) -> Mesh:
+    """The tetrahedra of a file, used as they are. Raises MeshError."""
+    check_readable(geometry.path)
+    clean = _clean_tetrahedra(geometry.path, file_digest(geometry.path))
+    if len(clean.points) > max_nodes:
+        raise MeshError(f"has {len(clean.points)} nodes, more than the {max_nodes} allowed; coarsen it")
+    points, placing = _placed(clean.points, geometry)
+    repairs = {
+        **placing,
+        "points_dropped": float(clean.points_dropped),
+        "tetrahedra_turned": float(clean.tetrahedra_turned),
+    }
+    return mesh_from_tetrahedra(points, clean.tetrahedra, groups=clean.groups, quality=repairs)
+
+
+@contextmanager
+def named(geometry: Geometry) -> Iterator[None]:
+    """Errors begin with the name of the file."""
+    try:
+        yield
+    except MeshError as error:
+        raise MeshError(f"{geometry.path.name}: {error}", error.key) from error
+
+
+def centred(points: Array, size: float) -> Array:
+    """Points scaled to a largest extent `size`, with the centre of their bounding box in the origin."""
+    low, high = points.min(axis=0), points.max(axis=0)
+    return (points - 0.5 * (low + high)) * (size / float((high - low).max()))
+
+
+def _placed(points: Array, geometry: Geometry) -> tuple[Array, dict[str, float]]:
+    """Points of a file scaled to m, with the centre of their bounding box in the origin.
+
+    And the factor, `scale`, and where that centre is in the file, `centre_x` and so on [m].
+    """
+    extent = float(np.ptp(points, axis=0).max())
+    size = geometry.number("size") if "size" in geometry.parameters else None
+    factor = geometry.number("scale") if "scale" in geometry.parameters else 1.0
+    if size is None:
+        size = factor * extent
+        check_extent(size, "give `size`, its largest extent in metres, or `scale`, the file's unit in metres")
+    centre = 0.5 * (points.min(axis=0) + points.max(axis=0)) * (size / extent)
+    placing = {f"centre_{axis}": float(value) for axis, value in zip("xyz", centre, strict=True)}
+    return centred(points, size), {"scale": size / extent, **placing}

@@ -1,0 +1,79 @@
+"""Meshes kept on disk by content key: written whole or not at all, checked before they are read."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..machine.sealed import read_arrays, write_arrays
+from ..study.geometry_spec import Geometry, geometry_key
+from .mesh import Index, Mesh
+
+
+def mesh_from_cache(geometry: Geometry, cache_dir: Path, *, volume: bool = True) -> Mesh:
+    """The mesh of a geometry: from `cache_dir`/meshes/<key>.npz where that is sound, else built and kept.
+
+    Raises MeshError as `vdmbench.body.geometry.build_mesh` does, OSError where the directory cannot be written.
+    """
+    path = mesh_path(cache_dir, geometry_key(geometry, volume=volume))
+    mesh = read_mesh(path)
+    if mesh is None:
+        from .geometry import build_mesh  # gmsh is slow to load: only where it is needed
+
+        mesh = build_mesh(geometry, volume=volume)
+        write_mesh(path, mesh)
+    return mesh
+
+
+def mesh_path(cache_dir: Path, key: str) -> Path:
+    """Where the cache keeps the mesh of a geometry's key."""
+    return cache_dir / "meshes" / f"{key}.npz"
+
+
+def read_mesh(path: Path) -> Mesh | None:
+    """The mesh stored at `path`, or None where there is none or it is damaged."""
+    stored = read_arrays(path)
+    return None if stored is None else _mesh(stored)
+
+
+def read_level(path: Path) -> tuple[Mesh, Index] | None:
+    """A refinement and its parents (see `refine`), as `read_mesh`."""
+    stored = read_arrays(path)
+    return None if stored is None else (_mesh(stored), stored["parents"])
+
+
+def _mesh(stored: dict[str, NDArray[Any]]) -> Mesh:
+    groups = {name.removeprefix("group/"): stored[name] for name in stored if name.startswith("group/")}
+    return Mesh(
+        points=stored["points"],
+        tetrahedra=stored["tetrahedra"],
+        surface_nodes=stored["surface_nodes"],
+        triangles=stored["triangles"],
+        groups=groups,
+        quality=json.loads(str(stored["quality"])),
+    )
+
+
+def write_mesh(path: Path, mesh: Mesh) -> None:
+    """Store a mesh, whole or not at all. Raises OSError."""
+    write_arrays(path, _arrays(mesh))
+
+
+def write_level(path: Path, mesh: Mesh, parents: Index) -> None:
+    """Store a refinement and its parents, as `write_mesh`."""
+    write_arrays(path, _arrays(mesh) | {"parents": parents})
+
+
+def _arrays(mesh: Mesh) -> dict[str, NDArray[Any]]:
+    arrays: dict[str, NDArray[Any]] = {
+        "points": mesh.points,
+        "tetrahedra": mesh.tetrahedra,
+        "surface_nodes": mesh.surface_nodes,
+        "triangles": mesh.triangles,
+        "quality": np.array(json.dumps(dict(mesh.quality), sort_keys=True)),
+    }
+    return arrays | {f"group/{name}": mask for name, mask in mesh.groups.items()}

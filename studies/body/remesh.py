@@ -1,0 +1,199 @@
+"""Uniform remeshing of closed surfaces, and surface files of VTK: pyvista and pyacvd for geometry live here."""
+
+from __future__ import annotations
+
+import warnings
+from pathlib import Path
+
+import numpy as np
+import pyacvd
+import pyvista as pv
+from vtkmodules.vtkCommonCore import vtkLogger
+from vtkmodules.vtkIOXML import vtkXMLPolyDataReader
+
+from ..machine.errors import MeshError
+from .mesh import Array, Index
+from .surface_measures import facet_areas
+from .topology import check_vertex_fans, consistent_orientation
+
+# Edges of the sampled surface are at most mesh_size / 2.5: about 17 points for each node of the new surface.
+# Fewer leave uneven triangles, more only take longer.
+_SAMPLES_PER_EDGE = 2.5
+_MOST_SAMPLES = 100  # for each node; more only where facets are needles
+MOST_CORNERS = 1000  # of a face: VTK takes the square of their number in time
+_ATTEMPTS = 4  # with finer samples each: clusters of a coarse sample can touch themselves
+
+
+def read_vtp(path: Path) -> tuple[Array, Index]:
+    """Points (n, 3) and triangles (F, 3) of a VTP file; polygons are cut into triangles.
+
+    Raises MeshError where VTK has anything to complain about.
+    """
+    reader = vtkXMLPolyDataReader()
+    reader.SetFileName(str(path))
+    verbosity = vtkLogger.GetCurrentVerbosityCutoff()
+    vtkLogger.SetStderrVerbosity(vtkLogger.VERBOSITY_OFF)
+    try:
+        with pv.VtkErrorCatcher(raise_errors=False, send_to_logging=False) as caught:
+            reader.Update()
+    finally:
+        vtkLogger.SetStderrVerbosity(verbosity)
+    if caught.events:
+        raise MeshError("cannot be read as .vtp; it is damaged, truncated or of another kind")
+    found = pv.PolyData(reader.GetOutput())
+    corners = np.diff(np.asarray(found.GetPolys().GetOffsetsArray()))
+    named = np.asarray(found.GetPolys().GetConnectivityArray())
+    if named.size and (named.min() < 0 or named.max() >= found.n_points):
+        raise MeshError("facets name points that do not exist; the file is damaged")
+    if len(corners) and corners.max() > MOST_CORNERS:
+        raise MeshError(f"has a face of {corners.max():,} corners; cut it into triangles")
+    return _arrays(found.triangulate())
+
+
+def unit_sphere(subdivisions: int) -> tuple[Array, Index]:
+    """A nearly uniform triangulation of the unit sphere, 10 * 4^subdivisions + 2 points."""
+    return _arrays(pv.Icosphere(radius=1.0, nsub=subdivisions))
+
+
+def uniform_surface(points: Array, triangles: Index, mesh_size: float) -> tuple[Array, Index]:
+    """Cover a closed surface with nearly equilateral triangles of edge `mesh_size` [m].
+
+    Approximated centroidal Voronoi clustering (Valette and Chassery 2004, doi
+    10.1111/j.1467-8659.2004.00769.x): the surface is sampled, the samples are gathered in clusters of equal
+    area, each cluster becomes a node on the imported surface and clusters that meet become triangles. The
+    number of nodes is that of equilateral triangles, area / (mesh_size^2 sqrt(3) / 2).
+
+    Raises MeshError where the clusters do not make one closed manifold surface.
+    """
+    imported = _polydata(points, triangles)
+    area = float(facet_areas(points, triangles).sum())
+    n_nodes = max(round(2 / np.sqrt(3) * area / mesh_size**2), 12)
+    complaint = ""
+    for attempt in range(_ATTEMPTS):
+        longest_edge = mesh_size / (_SAMPLES_PER_EDGE * 1.2**attempt)
+        samples, sample_triangles = subdivided(
+            points, triangles, longest_edge, max_points=max(_MOST_SAMPLES * n_nodes, 4 * len(points))
+        )
+        clusters, weights = _clustered(_polydata(samples, sample_triangles), n_nodes)
+        facets = _cluster_facets(clusters[sample_triangles])
+        try:
+            if len(np.unique(facets)) != n_nodes:
+                raise MeshError("some nodes have no facet")
+            nodes = _cluster_nodes(samples, clusters, weights)
+            nodes = _closest(imported, nodes)
+            facets, _ = consistent_orientation(nodes, facets)
+            check_vertex_fans(facets)
+        except MeshError as error:
+            complaint = str(error)
+            continue
+        return nodes, facets
+    raise MeshError(
+        f"the surface cannot be remeshed uniformly at mesh_size {mesh_size:g} m ({complaint}); "
+        "use a smaller mesh_size, or mend parts thinner than it"
+    )
+
+
+def surface_distance(
+    points: Array, triangles: Index, other_points: Array, other_triangles: Index
+) -> tuple[float, float]:
+    """Mean and largest distance between two surfaces [unit of the points], each seen from the other.
+
+    The mean is weighted by area, over the middles of all edges; the largest includes nodes and centroids.
+    """
+    distances, weights, largest = [], [], 0.0
+    for (p, t), target in (
+        ((points, triangles), _polydata(other_points, other_triangles)),
+        ((other_points, other_triangles), _polydata(points, triangles)),
+    ):
+        middles = 0.5 * (p[t] + p[np.roll(t, 1, axis=1)]).reshape(-1, 3)
+        probes = np.concatenate([middles, p[t].mean(axis=1), p])
+        signed = pv.PolyData(probes).compute_implicit_distance(target)["implicit_distance"]
+        found = np.abs(np.asarray(signed, dtype=np.float64))
+        largest = max(largest, float(found.max()))
+        distances.append(found[: len(middles)])
+        weights.append(np.repeat(facet_areas(p, t), 3))
+    return float(np.average(np.concatenate(distances), weights=np.concatenate(weights))), largest
+
+
+def _polydata(points: Array, triangles: Index) -> pv.PolyData:
+    padded = np.concatenate([np.full((len(triangles), 1), 3), triangles], axis=1)
+    return pv.PolyData(points, faces=padded.ravel())
+
+
+def _arrays(surface: pv.PolyData) -> tuple[Array, Index]:
+    triangles = np.asarray(surface.faces).reshape(-1, 4)[:, 1:] if surface.n_cells else np.empty((0, 3))
+    return np.asarray(surface.points, dtype=np.float64), triangles.astype(np.int64)
+
+
+def _closest(surface: pv.PolyData, points: Array) -> Array:
+    """The point of the surface nearest to each of `points`."""
+    found: tuple[object, Array] = surface.find_closest_cell(points, return_closest_point=True)  # type: ignore[assignment]
+    return np.asarray(found[1], dtype=np.float64)
+
+
+def subdivided(
+    points: Array, triangles: Index, longest_edge: float, *, max_points: int
+) -> tuple[Array, Index]:
+    """The same surface with no edge longer than `longest_edge`: long edges are halved until none is left.
+
+    Raises MeshError where that takes more than `max_points`: the facets are needles.
+    """
+    while len(points) <= max_points:
+        n = len(points)
+        ends = np.stack(
+            [triangles, np.roll(triangles, -1, axis=1)], axis=2
+        )  # edge k runs from corner k to k + 1
+        low, high = ends.min(axis=2), ends.max(axis=2)
+        _, first, edge = np.unique((low * n + high).ravel(), return_index=True, return_inverse=True)
+        a, b = points[low.ravel()[first]], points[high.ravel()[first]]
+        long = np.linalg.norm(a - b, axis=1) > longest_edge
+        if not long.any():
+            return points, triangles
+        middle = np.where(long, n + np.cumsum(long) - 1, -1)[edge.reshape(-1, 3)]
+        points = np.concatenate([points, 0.5 * (a + b)[long]])
+        triangles = _split(triangles, middle)
+    raise MeshError("the surface has needles far longer than mesh_size; mend them, or use a larger mesh_size")
+
+
+def _split(triangles: Index, middle: Index) -> Index:
+    """Facets cut at the middles of their edges (-1 where an edge stays whole)."""
+    cuts = (middle >= 0).sum(axis=1)
+    # turn each facet so that with one cut edge 0 is cut, with two edge 2 is whole
+    turn = np.where(cuts == 2, (np.argmin(middle, axis=1) + 1) % 3, np.argmax(middle >= 0, axis=1))
+    order = (turn[:, None] + np.arange(3)) % 3
+    v = np.take_along_axis(triangles, order, axis=1)
+    m = np.take_along_axis(middle, order, axis=1)
+    corners = np.concatenate([v, m], axis=1)  # columns 0..2 the corners, 3..5 the middles of edges 0..2
+    templates = {
+        0: [[0, 1, 2]],
+        1: [[0, 3, 2], [3, 1, 2]],
+        2: [[0, 3, 4], [3, 1, 4], [0, 4, 2]],
+        3: [[0, 3, 5], [3, 1, 4], [5, 4, 2], [3, 4, 5]],
+    }
+    return np.concatenate(
+        [corners[cuts == n][:, template].reshape(-1, 3) for n, template in templates.items()]
+    )
+
+
+def _clustered(samples: pv.PolyData, n_clusters: int) -> tuple[Index, Array]:
+    """Cluster of each sample, and the area each sample stands for."""
+    with warnings.catch_warnings():
+        # pyacvd 0.3 uses an attribute that pyvista has renamed
+        warnings.filterwarnings("ignore", message=".*_connectivity_array")
+        clustering = pyacvd.Clustering(samples)
+        clusters = clustering.cluster(n_clusters)
+    return clusters.astype(np.int64), np.asarray(clustering.area)
+
+
+def _cluster_nodes(samples: Array, clusters: Index, weights: Array) -> Array:
+    """Centroid of each cluster."""
+    total = np.bincount(clusters, weights)
+    return np.stack([np.bincount(clusters, weights * samples[:, k]) / total for k in range(3)], axis=1)
+
+
+def _cluster_facets(corners: Index) -> Index:
+    """Triangles between clusters: one for each triple of clusters that meets in a sample triangle."""
+    a, b, c = corners.T
+    corners = corners[(a != b) & (b != c) & (c != a)]
+    start = np.argmin(corners, axis=1)
+    return np.unique(np.take_along_axis(corners, (start[:, None] + np.arange(3)) % 3, axis=1), axis=0)

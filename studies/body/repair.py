@@ -1,0 +1,138 @@
+"""Imported facets and tetrahedra made clean, or a clear error: numpy and scipy only."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import KDTree
+
+from ..machine.errors import MeshError
+from .mesh import Array, Index, Mask
+from .topology import (
+    check_finite,
+    check_vertex_fans,
+    consistent_orientation,
+    half_edges,
+    tetrahedron_volumes,
+)
+
+_SAME_POINT = 1e-6  # of the largest extent: single precision (STL) keeps about 1e-7
+
+
+@dataclass(frozen=True)
+class CleanTetrahedra:
+    """Positive tetrahedra that use every point, named sets of points, and what was done to get there."""
+
+    points: Array
+    tetrahedra: Index
+    groups: dict[str, Mask]
+    points_dropped: int
+    tetrahedra_turned: int
+
+
+@dataclass(frozen=True)
+class CleanSurface:
+    """A closed, manifold, outward surface in one piece, and what was done to get it."""
+
+    points: Array
+    triangles: Index
+    points_merged: int
+    points_dropped: int
+    facets_dropped: int
+    facets_flipped: int
+
+
+def clean_surface(points: Array, triangles: Index) -> CleanSurface:
+    """Merge equal points, drop facets without area, repeated facets and unused points, face all outward.
+
+    Raises MeshError for coordinates that are not finite, no facets, facets that name points that do not
+    exist, and what remains open, not manifold, one-sided, in several pieces, or without an inside.
+    """
+    check_finite(points)
+    if len(triangles) == 0:
+        raise MeshError("holds no facets; give the closed surface of a solid")
+    if triangles.min() < 0 or triangles.max() >= len(points):
+        raise MeshError("facets name points that do not exist; the file is damaged")
+    used = np.unique(triangles)
+    extent = float(np.ptp(points[used], axis=0).max())
+    if extent == 0.0:
+        raise MeshError("all points are the same; the file is damaged")
+    target = _merge_targets(points[used], _SAME_POINT * extent)
+    renumbered = np.full(len(points), -1)
+    renumbered[used] = target
+    faces = _without_repeats(renumbered[triangles])
+    if len(faces) == 0:
+        raise MeshError("no facet has an area; the file is damaged")
+    kept, local = np.unique(faces, return_inverse=True)
+    clean_points = points[used][kept]
+    outward, flipped = consistent_orientation(clean_points, local.reshape(-1, 3))
+    check_vertex_fans(outward)
+    return CleanSurface(
+        clean_points,
+        outward,
+        points_merged=int(np.count_nonzero(target != np.arange(len(used)))),
+        points_dropped=len(points) - len(used),
+        facets_dropped=len(triangles) - len(faces),
+        facets_flipped=flipped,
+    )
+
+
+def clean_tetrahedra(points: Array, tetrahedra: Index, groups: Mapping[str, Mask]) -> CleanTetrahedra:
+    """Drop unused points and repeated tetrahedra; where all are inverted (numbered the other way) turn all.
+
+    Raises MeshError for no tetrahedra, such as name points that do not exist, and some inverted ones.
+    """
+    if len(tetrahedra) == 0:
+        raise MeshError("holds no tetrahedra; give a volume mesh, or a surface as STL, OBJ, PLY or VTP")
+    if tetrahedra.min() < 0 or tetrahedra.max() >= len(points):
+        raise MeshError("tetrahedra name points that do not exist; the file is damaged")
+    _, first = np.unique(np.sort(tetrahedra, axis=1), axis=0, return_index=True)
+    used, local = np.unique(tetrahedra[np.sort(first)], return_inverse=True)
+    tetrahedra = local.reshape(-1, 4)
+    check_finite(points[used])
+    volumes = tetrahedron_volumes(points[used], tetrahedra)
+    inverted = int(np.count_nonzero(volumes < 0))
+    if inverted == len(tetrahedra):
+        tetrahedra = tetrahedra[:, [0, 2, 1, 3]]
+    elif inverted:
+        raise MeshError(
+            f"{inverted} of {len(tetrahedra)} tetrahedra are inverted (negative volume); remesh the volume"
+        )
+    return CleanTetrahedra(
+        points[used],
+        tetrahedra,
+        {name: mask[used] for name, mask in groups.items()},
+        points_dropped=len(points) - len(used),
+        tetrahedra_turned=inverted,
+    )
+
+
+def _merge_targets(points: Array, tolerance: float) -> Index:
+    """For each point the first of those that lie within `tolerance` of each other."""
+    pairs = KDTree(points).query_pairs(tolerance, output_type="ndarray")
+    graph = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(len(points),) * 2)
+    _, labels = connected_components(graph.tocsr(), directed=False)
+    _, first = np.unique(labels, return_index=True)
+    return np.asarray(first[labels], dtype=np.int64)
+
+
+def _without_repeats(faces: Index) -> Index:
+    """Facets with three different corners, each once; a fin, laid double on a closed surface, goes altogether.
+
+    Facets whose three corners lie on a line stay: they hold their neighbours together.
+    """
+    a, b, c = faces.T
+    faces = faces[(a != b) & (b != c) & (c != a)]
+    _, first, copies = np.unique(np.sort(faces, axis=1), axis=0, return_index=True, return_counts=True)
+    order = np.argsort(first)
+    faces, repeated = faces[first[order]], copies[order] > 1
+    _, edge, uses = np.unique(
+        np.sort(half_edges(faces), axis=1), axis=0, return_inverse=True, return_counts=True
+    )
+    fits = (uses[edge.ravel()] == 2).reshape(-1, 3).all(axis=1)
+    kept: Index = faces[fits | ~repeated]
+    return kept

@@ -1,0 +1,277 @@
+"""Checks and small constructions on triangles and tetrahedra as plain arrays: numpy and scipy only."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import breadth_first_order, connected_components
+
+from ..machine.errors import MeshError
+from .mesh import Array, Index, Mask, Mesh
+from .surface_measures import enclosed_volume, facet_areas
+
+_LARGEST = 1e100  # coordinate
+# Faces of a positive tetrahedron, turned so that their normals point out of it.
+_OUTWARD_FACES = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])
+
+# Inverse of the edge matrix of the regular tetrahedron with unit edges (rows: edges from vertex 0).
+_REGULAR_INVERSE = np.linalg.inv(
+    np.array(
+        [[1.0, 0.0, 0.0], [0.5, np.sqrt(3) / 2, 0.0], [0.5, np.sqrt(3) / 6, np.sqrt(2.0 / 3.0)]],
+    )
+)
+
+
+def tetrahedron_volumes(points: Array, tetrahedra: Index) -> Array:
+    """Signed volumes (m,) of (m, 4) tetrahedra [unit of `points` cubed]."""
+    p = points[tetrahedra]
+    edges = p[:, 1:] - p[:, :1]
+    volumes: Array = np.einsum("ij,ij->i", edges[:, 0], np.cross(edges[:, 1], edges[:, 2])) / 6.0
+    return volumes
+
+
+def tetrahedron_sicn(points: Array, tetrahedra: Index) -> Array:
+    """Signed inverse condition number (m,): 1 for a regular tetrahedron, 0 for a flat one, negative inverted.
+
+    3 det(S) / (|S|_F |cof S|_F) with S the map from the regular tetrahedron (the `minSICN` of gmsh).
+    """
+    p = points[tetrahedra]
+    jacobian = _REGULAR_INVERSE @ (p[:, 1:] - p[:, :1])
+    cofactor = np.stack([np.cross(jacobian[:, i - 2], jacobian[:, i - 1]) for i in range(3)], axis=1)
+    determinant = np.einsum("ij,ij->i", jacobian[:, 0], cofactor[:, 0])
+    norms = np.linalg.norm(jacobian, axis=(1, 2)) * np.linalg.norm(cofactor, axis=(1, 2))
+    return np.divide(3.0 * determinant, norms, out=np.zeros_like(norms), where=norms > 0)
+
+
+def canonical_triangles(triangles: Index) -> Index:
+    """The same facets and orientations, smallest node first, rows in lexicographic order."""
+    start = np.argmin(triangles, axis=1)
+    turned = np.take_along_axis(triangles, (start[:, None] + np.arange(3)) % 3, axis=1)
+    return np.ascontiguousarray(turned[np.lexsort(turned.T[::-1])], dtype=np.int64)
+
+
+def boundary_triangles(tetrahedra: Index) -> Index:
+    """Outward boundary facets (F, 3) of positive tetrahedra, in canonical order.
+
+    Raises MeshError where a face belongs to more than two tetrahedra.
+    """
+    faces = tetrahedra[:, _OUTWARD_FACES].reshape(-1, 3)
+    _, first, counts = np.unique(np.sort(faces, axis=1), axis=0, return_index=True, return_counts=True)
+    shared = int(np.count_nonzero(counts > 2))
+    if shared:
+        raise MeshError(
+            f"{shared} faces belong to more than two tetrahedra; repair or remesh the volume mesh"
+        )
+    return canonical_triangles(faces[first[counts == 1]])
+
+
+def half_edges(triangles: Index) -> Index:
+    """Directed edges (3F, 2), facet by facet."""
+    return triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
+
+
+def facet_pairs(triangles: Index) -> tuple[Index, Index, Mask]:
+    """Facets either side of each edge of a closed manifold surface.
+
+    Returns (E,) indices of both facets and an (E,) mask, true where the two run along the edge the same
+    way, so that one of them is turned over. Raises MeshError where an edge has not exactly two facets.
+    """
+    directed = half_edges(triangles)
+    _, inverse, counts = np.unique(np.sort(directed, axis=1), axis=0, return_inverse=True, return_counts=True)
+    open_edges = int(np.count_nonzero(counts == 1))
+    crowded = int(np.count_nonzero(counts > 2))
+    if open_edges:
+        raise MeshError(f"the surface is open: {open_edges} edges have one facet only; close its holes")
+    if crowded:
+        raise MeshError(
+            f"the surface is not manifold: {crowded} edges have more than two facets; "
+            "remove inner walls and fins so that it bounds one solid"
+        )
+    order = np.argsort(inverse.ravel(), kind="stable").reshape(-1, 2)
+    same_way = directed[order[:, 0], 0] == directed[order[:, 1], 0]
+    return order[:, 0] // 3, order[:, 1] // 3, same_way
+
+
+def consistent_orientation(points: Array, triangles: Index) -> tuple[Index, int]:
+    """Facets turned so that all point outward, and how many were turned.
+
+    Raises MeshError for an open, non-manifold or one-sided surface, several pieces, or no volume inside.
+    """
+    first, second, same_way = facet_pairs(triangles)
+    n_facets = len(triangles)
+    # Walk over the facets; each takes the side of the one it was reached from.
+    ones = np.ones(len(first))
+    graph = coo_array((ones, (first, second)), shape=(n_facets, n_facets)).tocsr()
+    pieces, labels = connected_components(graph, directed=False)
+    if pieces > 1:
+        sizes = ", ".join(str(size) for size in sorted(np.bincount(labels), reverse=True)[:5])
+        raise MeshError(
+            f"the surface has {pieces} separate pieces ({sizes} facets); keep one closed piece and drop the rest"
+        )
+    order, parents = breadth_first_order(graph, 0, directed=False)
+    side = _signs_along_tree(order, parents, first, second, same_way, n_facets)
+    contradictions = int(np.count_nonzero((side[first] != side[second]) != same_way))
+    if contradictions:
+        raise MeshError("the surface is one-sided (it cannot be oriented); it bounds no solid")
+    turned = np.where(side[:, None], triangles[:, ::-1], triangles)
+    scale = float(facet_areas(points, turned).sum()) ** 1.5
+    volume = enclosed_volume(points, turned)
+    if abs(volume) <= 1e-9 * scale:
+        raise MeshError("the surface encloses no volume; give the boundary of a solid")
+    if volume < 0:
+        turned, side = turned[:, ::-1], ~side
+    return np.ascontiguousarray(turned), int(np.count_nonzero(side))
+
+
+def _signs_along_tree(
+    order: NDArray[np.int32],
+    parents: NDArray[np.int32],
+    first: Index,
+    second: Index,
+    same_way: Mask,
+    n_facets: int,
+) -> Mask:
+    """Whether each facet is to be turned for the first one to agree with all along the tree."""
+    key = np.minimum(first, second) * n_facets + np.maximum(first, second)
+    by_key = np.argsort(key, kind="stable")
+    child = order[1:].astype(np.int64)
+    parent = parents[child].astype(np.int64)
+    wanted = np.minimum(child, parent) * n_facets + np.maximum(child, parent)
+    differs = same_way[by_key[np.searchsorted(key[by_key], wanted)]]
+    side = np.zeros(n_facets, dtype=bool)
+    for facet, origin, flip in zip(child.tolist(), parent.tolist(), differs.tolist(), strict=True):
+        side[facet] = side[origin] ^ flip
+    return side
+
+
+def check_vertex_fans(triangles: Index) -> None:
+    """Raise MeshError where two parts of a closed, consistently oriented surface touch at one vertex only."""
+    directed = half_edges(triangles)
+    n_points = int(triangles.max()) + 1
+    # Half-edge (a, b) of one facet meets (b, a) of its neighbour: their corners at a belong to one fan.
+    forward = directed[:, 0] * n_points + directed[:, 1]
+    backward = directed[:, 1] * n_points + directed[:, 0]
+    by_forward = np.argsort(forward, kind="stable")
+    opposite = by_forward[np.searchsorted(forward[by_forward], backward)]
+    here = np.arange(len(directed))  # half-edge 3 f + c starts at corner c of facet f
+    corner_in_neighbour = opposite - opposite % 3 + (opposite + 1) % 3
+    graph = coo_array((np.ones(len(here)), (here, corner_in_neighbour)), shape=(len(here), len(here)))
+    fans, _ = connected_components(graph.tocsr(), directed=False)
+    touching = fans - len(np.unique(triangles))
+    if touching:
+        raise MeshError(
+            f"the surface is not manifold: it touches itself at {touching} vertices; separate the parts there"
+        )
+
+
+def check_finite(points: Array) -> None:
+    """Raise MeshError for coordinates that are NaN, infinite or so large that their squares are."""
+    bad = int(np.count_nonzero(~(np.abs(points) < _LARGEST).all(axis=1)))
+    if bad:
+        raise MeshError(
+            f"{bad} points have coordinates that are not finite numbers below {_LARGEST:.0e}; "
+            "export the mesh again"
+        )
+
+
+def mesh_from_tetrahedra(
+    points: Array,
+    tetrahedra: Index,
+    *,
+    groups: Mapping[str, Mask] | None = None,
+    quality: Mapping[str, float] | None = None,
+) -> Mesh:
+    """The Mesh of positive tetrahedra, with its boundary extracted, checked and described.
+
+    `groups` are masks over `points`; a group without a surface node is dropped. Raises MeshError for
+    coordinates that are not finite, inverted or flat tetrahedra, points that no tetrahedron uses, and a
+    boundary that is not one closed manifold surface.
+    """
+    check_finite(points)
+    check_tetrahedra(points, tetrahedra)
+    triangles = boundary_triangles(tetrahedra)
+    outward, turned = consistent_orientation(points, triangles)
+    if turned:
+        raise MeshError(
+            "the tetrahedra overlap: their boundary does not face outward everywhere; remesh the volume"
+        )
+    check_vertex_fans(outward)
+    surface_nodes, local = np.unique(triangles, return_inverse=True)
+    on_surface = {name: mask[surface_nodes] for name, mask in (groups or {}).items()}
+    figures = {
+        "points": float(len(points)),
+        "tetrahedra": float(len(tetrahedra)),
+        "surface_nodes": float(len(surface_nodes)),
+        "triangles": float(len(triangles)),
+        "volume": enclosed_volume(points, triangles),
+        "area": float(facet_areas(points, triangles).sum()),
+        "worst_sicn": float(tetrahedron_sicn(points, tetrahedra).min()),
+    }
+    return Mesh(
+        points=np.ascontiguousarray(points, dtype=np.float64),
+        tetrahedra=np.ascontiguousarray(tetrahedra, dtype=np.int64),
+        surface_nodes=surface_nodes.astype(np.int64),
+        triangles=np.ascontiguousarray(local.reshape(-1, 3), dtype=np.int64),
+        groups={name: mask for name, mask in on_surface.items() if mask.any()},
+        quality={**figures, **(quality or {})},
+    )
+
+
+def mesh_from_triangles(
+    points: Array, triangles: Index, *, quality: Mapping[str, float] | None = None
+) -> Mesh:
+    """The Mesh of a closed surface without an inside; the checks are those of `mesh_from_tetrahedra`."""
+    check_finite(points)
+    outward, _ = consistent_orientation(points, triangles)
+    check_vertex_fans(outward)
+    outward = canonical_triangles(outward)
+    used, local = np.unique(outward, return_inverse=True)
+    if len(used) != len(points):
+        raise MeshError(f"{len(points) - len(used)} points belong to no facet; drop them")
+    figures = {
+        "points": float(len(points)),
+        "tetrahedra": 0.0,
+        "surface_nodes": float(len(points)),
+        "triangles": float(len(outward)),
+        "volume": enclosed_volume(points, outward),
+        "area": float(facet_areas(points, outward).sum()),
+    }
+    return Mesh(
+        points=np.ascontiguousarray(points, dtype=np.float64),
+        tetrahedra=np.empty((0, 4), dtype=np.int64),
+        surface_nodes=np.arange(len(points), dtype=np.int64),
+        triangles=np.ascontiguousarray(local.reshape(-1, 3), dtype=np.int64),
+        quality={**figures, **(quality or {})},
+    )
+
+
+def surface_only(mesh: Mesh) -> Mesh:
+    """The same surface nodes, facets and groups without the inside."""
+    surface = mesh_from_triangles(mesh.surface_points, mesh.triangles)
+    return replace(surface, groups=mesh.groups, quality={**mesh.quality, **surface.quality})
+
+
+def check_tetrahedra(points: Array, tetrahedra: Index) -> None:
+    """Raise MeshError for indices out of range, flat or inverted tetrahedra, and points without one."""
+    if len(tetrahedra) == 0:
+        raise MeshError("the mesh holds no tetrahedra; give a volume mesh of four-node tetrahedra")
+    if tetrahedra.min() < 0 or tetrahedra.max() >= len(points):
+        raise MeshError("tetrahedra name points that do not exist; the file is damaged")
+    sicn = tetrahedron_sicn(points, tetrahedra)
+    flat = int(np.count_nonzero(np.abs(sicn) < 1e-8))
+    inverted = int(np.count_nonzero(sicn <= -1e-8))
+    if flat:
+        raise MeshError(
+            f"{flat} of {len(tetrahedra)} tetrahedra have no volume; remesh or optimise the volume mesh"
+        )
+    if inverted:
+        raise MeshError(
+            f"{inverted} of {len(tetrahedra)} tetrahedra are inverted (negative volume); remesh the volume"
+        )
+    orphans = len(points) - len(np.unique(tetrahedra))
+    if orphans:
+        raise MeshError(f"{orphans} points belong to no tetrahedron; drop them")

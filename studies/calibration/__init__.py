@@ -1,1 +1,0 @@
-"""Fits of the surface models' parameters to the reference."""

@@ -1,0 +1,1 @@
+"""The command `vdmbench`. In: words of a command line. Out: text, JSON, exit codes."""

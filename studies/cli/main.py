@@ -1,0 +1,132 @@
+"""The command `vdmbench`: what its end means to the shell. It heeds Ctrl-C before it loads the rest of itself."""
+
+from __future__ import annotations
+
+import gc
+import os
+import signal
+import sys
+from collections.abc import Sequence
+
+# made between two looks for garbage, which take a quarter of the time of imports if frequent
+_OBJECTS = 200_000
+_AGAIN = 0.2  # s between two looks whether an interrupt was dropped
+
+
+class _Interrupt:
+    """What Ctrl-C, SIGTERM and the end of a terminal (SIGHUP) do: stop the verb, and nothing once it has stopped.
+
+    What falls into an import can come out as another error, as that of a library or a file that cannot be loaded,
+    or be dropped, by Python's own callbacks or by a library: until the verb has stopped it comes again.
+    """
+
+    def __init__(self) -> None:
+        self.received = self.stopped = False
+
+    def __call__(self, number: int, _: object) -> None:
+        if self.stopped or (number == signal.SIGALRM and _is_on_its_way()):
+            return
+        self.received = True
+        signal.setitimer(signal.ITIMER_REAL, _AGAIN, _AGAIN)
+        raise KeyboardInterrupt
+
+    def stop(self) -> None:
+        """The verb has stopped."""
+        self.stopped = True
+        signal.setitimer(signal.ITIMER_REAL, 0.0)
+
+
+def _is_on_its_way() -> bool:
+    """Whether something is tidied up because of an interrupt."""
+    error = sys.exception()
+    while error is not None and not isinstance(error, KeyboardInterrupt):
+        error = error.__context__
+    return error is not None
+
+
+def _dropped(error: sys.UnraisableHookArgs) -> None:
+    if error.exc_type is not KeyboardInterrupt:
+        sys.__unraisablehook__(error)
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Entry point of `vdmbench`: ends the process with the exit code of the verb."""
+    interrupt = _Interrupt()
+    for number in (signal.SIGINT, signal.SIGHUP):
+        if signal.getsignal(number) is not signal.SIG_IGN:  # as in the background of a script, or by nohup
+            signal.signal(number, interrupt)
+    for number in (signal.SIGTERM, signal.SIGALRM):
+        signal.signal(number, interrupt)
+    sys.unraisablehook = _dropped
+    gc.set_threshold(_OBJECTS)
+    # which would be looked for in every installed package
+    os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")
+    options = None
+    try:
+        from ..machine.streams import make_patient
+
+        make_patient()
+        from ..machine.memory import heed_limits, require_room
+        from .arguments import parse
+
+        heed_limits()
+        options = parse(arguments)
+        if options.solves:
+            require_room()
+        code = options.verb(options)
+        interrupt.stop()
+    except (Exception, KeyboardInterrupt) as error:  # noqa: BLE001 -- told, whatever it is
+        interrupt.stop()
+        if interrupt.received or isinstance(error, KeyboardInterrupt):
+            code = _complain_of_interrupt(options)
+        else:
+            code = _complain_of(error)
+    _tell_of_lost_output()
+    gc.freeze()  # the end is no time to look for garbage
+    sys.exit(code)
+
+
+def _complain_of_interrupt(options: object) -> int:
+    """Says what the same command does next; without `options` it was stopped before these were read."""
+    from .output import INTERRUPTED, complain
+
+    if options is None:
+        return complain("interrupted; nothing was begun", INTERRUPTED)
+    if not getattr(options, "goes_on", False):
+        return complain("interrupted; the same command starts anew", INTERRUPTED)
+    again = "begins again (--fresh)" if getattr(options, "fresh", False) else "goes on from here"
+    return complain(f"interrupted; what is done is kept, the same command {again}", INTERRUPTED)
+
+
+def _tell_of_lost_output() -> None:
+    """It changes no exit code: what was to be done is done."""
+    from ..machine.streams import lost_output
+
+    for sentence in lost_output():
+        print(f"vdmbench: {sentence}", file=sys.stderr)
+
+
+def _complain_of(error: BaseException) -> int:
+    """What is wrong, and the exit code of an error; a ValueError of ours always carries a sentence."""
+    from ..machine.memory import MemoryLimitError, is_lack_of_memory, memory_limits
+    from .output import BUG, DAMAGED, MACHINE, USAGE, complain
+
+    if is_lack_of_memory(error) and not isinstance(error, OSError):
+        limits = memory_limits()
+        said = str(MemoryLimitError(limits)) if limits else "out of memory"
+        return complain(said, MACHINE)
+    match error:
+        case ImportError():
+            return complain(f"{error}; see what is missing with: vdmbench doctor", MACHINE)
+        case FileExistsError(filename=name):  # where a directory was to be made
+            return complain(f"{name}: is not a directory; remove it, or choose another", MACHINE)
+        case OSError(filename=name, strerror=words):
+            return complain(f"{name}: {words}" if name else str(words or error), MACHINE)
+        case ValueError():
+            from ..store.hdf5 import StoreError
+
+            return complain(str(error), DAMAGED if isinstance(error, StoreError) else USAGE)
+    import traceback
+
+    traceback.print_exception(error)
+    return complain(f"this is a bug: {error!r}; please report it with the lines above", BUG)

@@ -1,0 +1,183 @@
+"""What the verbs of the command line share: tables, progress, complaints, exit codes, the results directory."""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from ..machine.files import json_text
+from ..machine.streams import harmless
+
+if TYPE_CHECKING:
+    from ..graph.run import Event
+    from ..measures.case import Run
+
+OK, REGRESSED, USAGE, FAILED, MACHINE, DAMAGED, NOTHING_COMPARED = range(7)
+BUG, INTERRUPTED = 70, 130
+
+
+class UsageError(ValueError):
+    """A mistake on the command line."""
+
+
+def results_directory() -> Path:
+    """Where runs, the cache and baselines are kept unless the command line says otherwise."""
+    return Path(os.environ.get("VDMBENCH_RESULTS") or "results")
+
+
+def print_run(run: Run, directory: Path, report: Path, as_json: bool) -> int:
+    """The headline table, the verdict, the failures and the report's path."""
+    from ..report.headline import headline_metrics, headline_rows
+    from ..report.section_cases import stopped_models
+    from ..report.verdict import answers
+    from ..verdict.digest import Digest
+
+    digest = Digest(run)
+    rows, stopped = headline_rows(run), stopped_models(digest)
+    verdict = answers(digest)[0]
+    if as_json:
+        print_json(
+            {
+                "directory": str(directory),
+                "report": str(report),
+                "done": len(run.cases),
+                "failed": list(run.failed),
+                "missing": list(run.missing),
+                "stopped": [
+                    dict(zip(("model", "where", "message", "remedy"), row, strict=True)) for row in stopped
+                ],
+                "headline": rows,
+                "metrics": headline_metrics(run),
+                "verdict": {"word": verdict.word, "reason": verdict.sentences[0]},
+            }
+        )
+    else:
+        print_table(rows)
+        if verdict.word:
+            print(f"{verdict.question} {verdict.word}: {verdict.sentences[0]}")
+        complain_of_failures(run)
+        for model, place, message, remedy in stopped:
+            print(f"stopped: {model} ({place}): {message}" + (f"; {remedy}" if remedy else ""))
+        lost = f", {run.damaged} damaged" if run.damaged else ""
+        print(
+            f"{len(run.cases)} done, {len(run.failed) - run.damaged} failed{lost}, {len(run.missing)} missing"
+        )
+        if told := taken(run.plan):
+            print(told)
+        print(f"report: {report}")
+    if run.failed and not run.cases and all(failure["code"] == "input" for failure in run.failed):
+        return USAGE  # nothing could be done with what the user gave
+    return DAMAGED if run.damaged else FAILED if run.failed else OK
+
+
+def taken(plan: Mapping[str, Any]) -> str:
+    """What the last run took beside what its plan had expected; "" where that is not known."""
+    spent, expected = plan.get("taken"), plan.get("estimate")
+    if not isinstance(spent, dict) or not isinstance(expected, dict):
+        return ""
+    numbers = (
+        spent.get("seconds"),
+        spent.get("processor_seconds"),
+        expected.get("seconds"),
+        expected.get("factor"),
+    )
+    jobs = spent.get("jobs")
+    if not (isinstance(jobs, int) and all(isinstance(number, float) for number in numbers)):
+        return ""
+    seconds, used, before, factor = numbers
+    return (
+        f"took {seconds:.0f} s with {count(jobs, 'job')}: {used:.0f} s of processor; expected {before:.0f} s, "
+        f"within a factor of {factor:g}"
+    )
+
+
+def print_table(rows: Sequence[dict[str, str]]) -> None:
+    if not rows:
+        return
+    columns = list(rows[0])
+    widths = [max(len(column), *(len(row[column]) for row in rows)) for column in columns]
+    print("  ".join(column.ljust(width) for column, width in zip(columns, widths, strict=True)).rstrip())
+    for row in rows:
+        print(
+            "  ".join(
+                row[column].ljust(width) for column, width in zip(columns, widths, strict=True)
+            ).rstrip()
+        )
+
+
+class Progress:
+    """A bar on a terminal, a line per event otherwise; on standard error, so that output can be piped."""
+
+    def __init__(self, total: int, name: str, *, quiet: bool) -> None:
+        self.name = name  # of the study, for the case of a study of one
+        self.quiet = quiet
+        self.bar: Any = None
+        self.total = total
+
+    def __enter__(self) -> Progress:
+        return self
+
+    def _bar(self) -> Any:
+        from rich.console import Console
+        from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+
+        bar = Progress(
+            TextColumn("{task.description}", markup=False),
+            BarColumn(),
+            MofNCompleteColumn(),
+            TimeElapsedColumn(),
+            console=Console(stderr=True),
+            transient=True,
+        )
+        bar.start()
+        self.task = bar.add_task("starting", total=self.total)
+        return bar
+
+    def __exit__(self, *_: object) -> None:
+        if self.bar is not None:
+            self.bar.stop()
+
+    def show(self, event: Event) -> None:
+        """Show one event of the run; a sentence also where progress is not wanted."""
+        if event.kind == "told":
+            complain(event.message, OK)
+            return
+        label = harmless(event.label or self.name)
+        if self.bar is None and not self.quiet and sys.stderr.isatty():
+            # not sooner: it is a thread, and workers are to be forked from a process that has no other
+            self.bar = self._bar()
+        if self.bar is not None:
+            advance = event.kind in ("done", "failed")
+            self.bar.update(self.task, description=label[:60], advance=1 if advance else 0)
+        elif not self.quiet and event.kind in ("done", "failed"):
+            print(f"{event.kind} {label} ({event.seconds:.1f} s)", file=sys.stderr, flush=True)
+
+
+def tell(text: str) -> None:
+    """A line of progress, on standard error."""
+    print(harmless(text), file=sys.stderr, flush=True)
+
+
+def print_json(value: Any) -> int:
+    print(json_text(value, indent=1))
+    return OK
+
+
+def complain(text: str, code: int) -> int:
+    """Say what is wrong, a problem a line; the exit code is handed on."""
+    for line in text.split("\n"):
+        print(f"vdmbench: {harmless(line)}", file=sys.stderr)
+    return code
+
+
+def complain_of_failures(run: Run) -> None:
+    for failure in run.failed:
+        remedy = f"; {failure['remedy']}" if failure["remedy"] else ""
+        complain(f"failed: {failure['label']}: {failure['message']}{remedy}", FAILED)
+
+
+def count(number: int, singular: str, plural: str | None = None) -> str:
+    return f"{number} {singular if number == 1 else plural or singular + 's'}"

@@ -1,0 +1,278 @@
+"""What a plan will take: seconds, memory and disk, by simple laws measured on small bodies, and by what has run.
+
+Seconds are those of one core with nothing else to do. On a machine of 2020 to 2026 most shipped studies take half
+to twice as many; the factor that is told leaves room for other machines and for solvers that struggle. Where cases
+of the study have run on this one, with solves at least half as dear as those to come, its speed is known and the
+factor smaller.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from .. import models
+from ..body.mesh_cache import mesh_path, read_mesh
+from ..machine.errors import MeshError
+from ..store.cases import read_case
+from ..store.hdf5 import StoreError
+from ..study.model_name import REFINED, split
+from .nodes import Body, bodies
+from .plan import Expected, Plan, PlannedCase, PlannedMesh
+
+FACTOR_MEASURED, FACTOR_LAWS = 3.0, 5.0
+_START = 3.0  # s to load the libraries, and to write the tables and the report
+_PROCESS_BYTES = 1.3e8  # of a worker that has done nothing
+_PER_NODE = 48.0  # bytes of a displacement and a reaction
+_COPIES = 5.0  # of a case's results in its worker at the most, while its metrics and its file are made
+_DENSE_NODES = 1000.0  # `vdm.formulations.boundary.MAX_NODES`, which would load the library
+_KNOWN = 0.5  # weight of the cases that have run, from which on they tell the speed
+_MOST_READ = 3  # case files that are read to learn from
+_SEARCH_LOADS = 30  # that a search for small-strain limits tries, each of them once for all models
+# steps of the study that a load amid the limits costs: of a model that goes there from rest in halved steps,
+# and of one that goes on from the last load, the end of its way counted in
+_DEEP, _ONWARD = 8.0, 2.0
+# unknowns per tetrahedron, as these elements have them on meshes of some thousand
+_UNKNOWNS = {"P1": 0.7, "P2": 4.7}
+# seconds a tetrahedron that scikit-fem's own assembly of a finite-strain tangent takes
+_PLAIN_TANGENT = 1.5e-3
+# the paths' own estimates are for choosing one; of this one, a solve of 3,000 to 25,000 tetrahedra takes
+_ITERATIVE_SHARE = 0.6
+_NEWTON_SOLVES = (
+    3.2  # iterative solves whose time a load step of finite strain takes, where no factors are made
+)
+
+
+@dataclass(frozen=True)
+class Size:
+    """Surface nodes and tetrahedra of a mesh, as counted or as expected."""
+
+    nodes: float
+    tetrahedra: float
+
+    def refined(self, times: int) -> Size:
+        """The size after so many refinements; the results stay on the nodes of the case's mesh."""
+        return Size(4.0**times * self.nodes, 8.0**times * self.tetrahedra)
+
+
+@dataclass(frozen=True)
+class Cost:
+    """Of one set-up and one step [s], and the memory of both [B]."""
+
+    setup: float
+    step: float
+    bytes: float
+
+
+@dataclass(frozen=True)
+class Spent:
+    """Seconds on one core, and bytes held at the end."""
+
+    seconds: float
+    bytes: float
+
+    def __add__(self, other: Spent) -> Spent:
+        return Spent(self.seconds + other.seconds, self.bytes + other.bytes)
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """Seconds on one core in all, bytes of the largest worker and bytes on disk; each true within `factor`."""
+
+    seconds: float
+    memory: float
+    disk: float
+    factor: float
+
+
+def estimate(plan: Plan, cases: Sequence[PlannedCase]) -> Estimate | None:
+    """What it takes to run these cases; None where a file cannot be meshed."""
+    sizes: dict[str, Size] = {}
+    for key in dict.fromkeys(case.mesh for case in cases):
+        size = size_of(plan, plan.meshes[key])
+        if size is None:
+            return None
+        sizes[key] = size
+    seconds = dearest = disk = memory = 0.0
+    for body in bodies(plan, cases):
+        solves = sum(len(asked.factors) for asked in body.asked)
+        cost = _law(body.name, sizes[body.mesh].refined(body.level), solves)
+        seconds += cost.setup + solves * cost.step
+        dearest = max(dearest, cost.setup + cost.step)
+        memory = max(memory, cost.bytes)
+        disk += 48.0 * solves * sizes[body.mesh].nodes + 2e3
+    searches = [_search(case, sizes[case.mesh]) for case in cases]
+    seconds += sum(search.seconds for search in searches)
+    memory = max([memory, *(search.bytes for search in searches)])
+    memory += _COPIES * max((case_bytes(case, sizes[case.mesh]) for case in cases), default=0.0)
+    speed, weight = _speed(plan, dearest)
+    seconds *= speed
+    seconds += _START + sum(_mesh_seconds(sizes[mesh.key]) for mesh in plan.missing_meshes(cases))
+    for case in cases:
+        results, steps = len(case.wanted), len(case.study.load.history)
+        per_result = 48.0 * steps * sizes[case.mesh].nodes
+        nodes = sizes[case.mesh].nodes
+        # files, report; metrics of one step, with the distances of surfaces; those of the other steps
+        seconds += 0.05 + 1e-6 * results * nodes * (15.0 + steps)
+        disk += results * (per_result + 2e4) + 5e4
+    disk += sum(
+        40.0 * sizes[mesh.key].tetrahedra + 80.0 * sizes[mesh.key].nodes
+        for mesh in plan.missing_meshes(cases)
+    )
+    factor = FACTOR_MEASURED if weight >= _KNOWN else FACTOR_LAWS
+    return Estimate(seconds if cases else 0.0, _PROCESS_BYTES + memory, disk, factor)
+
+
+def case_bytes(case: PlannedCase, size: Size) -> float:
+    """Of the numbers of a case's results: displacement and reaction of each node, step and model."""
+    results = len(case.study.study.models) + (case.study.uncertainty is not None)
+    return _PER_NODE * results * len(case.study.load.history) * size.nodes
+
+
+def largest_solve(size: Size, work: Iterable[Body]) -> tuple[float, str]:
+    """Bytes of the largest set-up and solve of a single load on a mesh, by the laws, and which model's it is."""
+    return max(
+        (_law(part.name, size.refined(part.level), 1).bytes, part.name + (REFINED if part.level else ""))
+        for part in work
+    )
+
+
+def _mesh_seconds(size: Size) -> float:
+    return 0.3 + 2e-4 * size.tetrahedra
+
+
+def _search(case: PlannedCase, size: Size) -> Spent:
+    """What the search for a case's small-strain limits takes; every set-up is held until it is done."""
+    study, spent = case.study, Spent(0.0, 0.0)
+    if study.limits is None:
+        return spent
+    steps = study.load.steps or 1
+
+    def tried(name: str, level: int, loads: int) -> Spent:
+        cost = _law(name, size.refined(level), steps)
+        each = float(steps)
+        if models.find(name)[0].continues:
+            each = _ONWARD
+        elif split(name)[1] == "nonlinear":
+            each = max(each, _DEEP)
+        return Spent(cost.setup + loads * each * cost.step, cost.bytes)
+
+    thresholds, others = len(study.limits.thresholds), len(study.study.models) - 1
+    for name in study.study.models:
+        spent += tried(name, 0, _SEARCH_LOADS)
+        if study.uncertainty is not None and models.find(name)[0].volumetric:
+            # a small load, and if all are found that of each limit: its own, or of the reference everybody's
+            limits = thresholds * (others if name == study.study.reference else 1)
+            spent += tried(name, 1, 1 + limits)
+    return spent
+
+
+def size_of(plan: Plan, mesh: PlannedMesh) -> Size | None:
+    """Of a mesh, counted where the cache or a file has it; None where its file cannot be meshed."""
+    known = known_of(plan, mesh)
+    return Size(known.nodes, known.tetrahedra) if known is not None else None
+
+
+def known_of(plan: Plan, mesh: PlannedMesh) -> Expected | None:
+    """What a mesh in the cache is, or one that is not there will be; None where its file cannot be meshed."""
+    cached = read_mesh(mesh_path(plan.cache, mesh.key))
+    if cached is not None:
+        return Expected.of_mesh(cached)
+    try:
+        return mesh.expected
+    except MeshError:
+        return None
+
+
+def _law(name: str, size: Size, loads: int) -> Cost:
+    """Fits to bodies of 100 to 900 surface nodes; a model without a law of its own gets that of its kind."""
+    model, solver = models.find(name)
+    n = size.nodes
+    if model.volumetric:
+        return _plain(model.name, size) if solver == models.PLAIN else _volumetric(model.name, size, loads)
+    if model.name == "vdm-boundary":
+        dense = min(n, _DENSE_NODES)  # more nodes are a sparse skin over a dense body
+        step = (3e-7 if solver == "nonlinear" else 3e-8) * dense**2
+        return Cost(3e-5 * dense**1.7 + 2e-5 * n + 1e-2, step, 620.0 * dense**2 + 6e3 * (n - dense))
+    if model.name == "mass-spring":  # struts from side to side: a dense factor
+        step = (1e-7 if solver == "nonlinear" else 3.5e-9) * n**2
+        return Cost(1e-2 + 1.6e-9 * n**3, 7e-7 * n + step, 6e3 * n + 36.0 * n**2)
+    step = 1e-6 * n if solver in ("linear", "lu", "quasi-linear") else 2e-3 + 1.2e-5 * n
+    return Cost(1e-2 + (2e-4 if solver == "lu" else 2e-5) * n, step, (3e4 if solver == "lu" else 6e3) * n)
+
+
+def _plain(name: str, size: Size) -> Cost:
+    """Of the plain path: an LU factor, in finite strain one each iteration after scikit-fem's own assembly."""
+    from fem_reference.costs import NEWTON_STEPS, lu_seconds, superlu_bytes
+
+    unknowns = _UNKNOWNS["P2"] * size.tetrahedra
+    factor, held = lu_seconds(unknowns), superlu_bytes(unknowns, "float64") + 6e4 * size.tetrahedra
+    if name == "fem":
+        return Cost(1e-4 * size.tetrahedra, NEWTON_STEPS * (factor + _PLAIN_TANGENT * size.tetrahedra), held)
+    return Cost(2e-4 * size.tetrahedra + factor, 1e-6 * unknowns, held)
+
+
+def _volumetric(name: str, size: Size, loads: int) -> Cost:
+    from fem_reference.costs import estimate_costs, estimate_newton_costs
+
+    if name == "fem-coarse":
+        cost = _volumetric("fem-linear", size.refined(-1), loads)
+        return replace(cost, setup=cost.setup + _mesh_seconds(size.refined(-1)))
+    unknowns = _UNKNOWNS["P1" if name == "fem-p1" else "P2"] * size.tetrahedra
+    vertices = 0.22 * size.tetrahedra
+    if name == "fem-condensed":
+        loads = max(loads, 600)
+    one, many = (estimate_costs(int(unknowns), int(vertices), k) for k in (0, loads))
+    path = min(many, key=lambda kind: many[kind].seconds)
+    share = _ITERATIVE_SHARE if path == "iterative" else 1.0
+    setup = share * one[path].seconds + 1e-5 * unknowns
+    step = share * (many[path].seconds - one[path].seconds) / loads
+    if name == "fem-condensed":
+        return Cost(setup + loads * step, 1e-7 * unknowns, 2e4 * unknowns)
+    if name == "fem":
+        solve = (many["iterative"].seconds - one["iterative"].seconds) / loads
+        step = min(5.0 * one["direct"].seconds, _NEWTON_SOLVES * solve)
+        newton = estimate_newton_costs(int(unknowns), int(vertices), loads)
+        held = min(newton.values(), key=lambda cost: cost.seconds).bytes
+        return Cost(1e-5 * unknowns + one["iterative"].seconds, step, 5e7 + 6.3e3 * unknowns + held)
+    return Cost(setup, step, (1.8e4 if path == "direct" else 2.6e3) * unknowns)
+
+
+def _speed(plan: Plan, dearest: float) -> tuple[float, float]:
+    """What to multiply the laws' seconds by, from a few of the cases that are done; and the weight that these have.
+
+    Small solves take longer than the laws say, by what they all take whatever their size. So a measurement tells
+    of work of its own size: each case counts by its seconds, those on refined meshes included, and all of them as
+    far as the dearest set-up and step that they had goes towards the `dearest` one to come [s by the laws].
+    """
+    ratios, weights, known = [], [], 0.0
+    done = [case for case in plan.in_order if plan.state[case.hash] in ("done", "stale")]
+    for case in done[:: max(1, len(done) // _MOST_READ)][:_MOST_READ]:
+        size = size_of(plan, plan.meshes[case.mesh])
+        try:
+            solved = read_case(plan.case_file(case)).models
+        except StoreError:
+            continue
+        if size is None:
+            continue
+        finest = case.study.uncertainty.levels - 1 if case.study.uncertainty else 0
+        measured = expected = 0.0
+        for name, result in solved.items():
+            model, spent = name.removesuffix(REFINED), [result.seconds_setup, *result.seconds_per_step]
+            if (
+                model in case.study.study.models and np.isfinite(spent).all()
+            ):  # one that stopped tells nothing
+                law = _law(model, size.refined(finest if name != model else 0), 1)
+                measured += sum(spent)
+                expected += law.setup + law.step * (len(spent) - 1)
+                known = max(known, law.setup + law.step)
+        if expected:
+            ratios.append(measured / expected)
+            weights.append(expected)
+    if not ratios:
+        return 1.0, 0.0
+    weight = min(1.0, known / dearest) if dearest else 1.0
+    ratio = float(np.quantile(ratios, 0.5, weights=weights, method="inverted_cdf"))
+    return 1.0 + weight * (ratio - 1.0), weight

@@ -1,0 +1,218 @@
+"""A plan in words: what is shared, what is known already, what nobody asked for, and what the rest will take."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from typing import Any
+
+from .. import models
+from ..machine.memory import machine_memory
+from ..scene.regions import body_extent, lies_outside
+from ..study.config import holds_nothing
+from ..study.folders import swept_without_folders
+from ..study.geometry_spec import fewer_nodes
+from ..study.model_name import DISPLACEMENT_ELEMENTS, split
+from .answers import answer_path
+from .estimate import FACTOR_LAWS, Size, estimate, known_of, largest_solve, size_of
+from .nodes import Body, bodies
+from .plan import Expected, Plan, PlannedCase
+from .space import without_room
+
+DOUBT = 1.3  # expected surface nodes of a mesh over those that it may have
+
+
+def summary(plan: Plan) -> dict[str, Any]:
+    """The plan as plain data: `plan.json`, and what `vdmbench plan` prints."""
+    todo = plan.cases_to_run()
+    work = bodies(plan, todo)
+    expected = estimate(plan, todo)
+    study = plan.study.study
+    return {
+        "study": {
+            "name": study.name,
+            "title": study.title,
+            "models": list(study.models),
+            "reference": study.reference,
+            "claims": list(study.claims),
+            "sweep": plan.study.sweep.mode,
+        },
+        "command": list(plan.command),
+        "directory": str(plan.directory),
+        "surfaces": surfaces(plan),
+        "cases": [
+            {
+                "hash": case.hash,
+                "label": case.label,
+                "swept": swept_without_folders(case.swept),
+                "swept_units": dict(case.swept_units),
+                "state": plan.state[case.hash],
+                "mesh": case.mesh,
+            }
+            for case in plan.cases
+        ],
+        "meshes": len(plan.meshes),
+        "meshes_to_make": len(plan.missing_meshes(todo)),
+        "cases_to_run": len(todo),
+        "work": [
+            {
+                "model": body.name,
+                "level": body.level,
+                "mesh": body.mesh,
+                "answers": len(body.asked),
+                "solves": sum(len(asked.factors) for asked in body.asked),
+            }
+            for body in work
+        ],
+        "needed": _needed(todo, work),
+        "skipped": _skipped(plan, todo),
+        "refused": refused(plan, todo, work),
+        "estimate": dataclasses.asdict(expected) if expected else None,
+    }
+
+
+def surfaces(plan: Plan) -> dict[str, str]:
+    """SHA-256 -> name of the files that the bodies are from; their folders are the user's own affair."""
+    return {mesh.file_hash: mesh.geometry.path.name for mesh in plan.meshes.values() if mesh.file_hash}
+
+
+def _needed(todo: Sequence[PlannedCase], work: Sequence[Body]) -> list[str]:
+    """Set-ups and solves of each model on each level, beside the load steps that are made from them."""
+    lines = []
+    meshes = {case.mesh for case in todo}
+    if todo:
+        lines.append(f"{_count(len(meshes), 'mesh', 'meshes')} for {_count(len(todo), 'case')}")
+    for name, level in dict.fromkeys((body.name, body.level) for body in work):
+        own = [body for body in work if (body.name, body.level) == (name, level)]
+        solves = sum(len(asked.factors) for body in own for asked in body.asked)
+        keys = {asked.key for body in own for asked in body.asked}
+        steps = sum(
+            len(case.study.load.history)
+            for case in todo
+            if any((w.name, w.level) == (name, level) and keys.intersection(w.answers) for w in case.wanted)
+        )
+        where = f", refined {_count(level, 'time')} for its error bar" if level else ""
+        lines.append(
+            f"{name}{where}: {_count(len(own), 'set-up')} and {_count(solves, 'solve')} "
+            f"for {_count(steps, 'load step')}"
+        )
+    if any(case.limits for case in todo):
+        lines.append("small-strain limits: a load that is tried serves all models and thresholds")
+    return lines
+
+
+def _skipped(plan: Plan, todo: Sequence[PlannedCase]) -> list[str]:
+    """What is not done, and why."""
+    lines = []
+    volumetric = [name for name in plan.study.study.models if models.find(name)[0].volumetric]
+    if not volumetric:
+        lines.append("tetrahedra: no model of this study needs the inside")
+    if any(models.superposes(name) for name in volumetric):
+        lines.append("strains inside the body of the linear models: no metric asks for them")
+    if len(plan.cases) > len(plan.state):
+        lines.append(f"{len(plan.cases) - len(plan.state)} cases that repeat another one of the sweep")
+    states = list(plan.state.values())
+    done = len({case.hash for case in plan.cases if plan.is_done(case)})
+    if done:
+        lines.append(f"{_count(done, 'case')}: already in {plan.directory}")
+    if "stale" in states and not plan.fresh:
+        lines.append(
+            f"solving {_count(states.count('stale'), 'stale case')} again: only the metrics have changed"
+        )
+    cached = len(plan.meshes) - len(plan.missing_meshes(plan.cases))
+    if cached:
+        lines.append(f"{_count(cached, 'mesh', 'meshes')}: already in the cache")
+    for name in plan.study.study.models:
+        wants = [want for case in todo for want in case.wanted if want.name == name]
+        there = sum(all(plan.has(answer_path(plan.cache, key)) for key in want.answers) for want in wants)
+        if there:
+            lines.append(f"{name}: {there} of {_count(len(wants), 'result')} from answers in the cache")
+    return lines
+
+
+def refused(plan: Plan, cases: Sequence[PlannedCase], work: Sequence[Body]) -> list[str]:
+    """What will be refused of these cases, with their work, so far as that is beyond doubt: a region that lies off
+    the body, a solve that this machine has no memory for, and models: elements that nothing holds, an
+    incompressible body, fibres, and a mesh of more surface nodes than a model takes."""
+    names = plan.study.study.models
+    limits = {name: most for name in names if (most := models.find(name)[0].most_nodes) is not None}
+    free = any(holds_nothing(case.study) for case in cases)
+    lines = [
+        *dict.fromkeys(_off_the_body(plan, cases)),
+        *beyond_memory(plan, work).values(),
+        *without_room(plan, cases),
+        *(
+            f"{name}: nothing is held; hold a region, by kind fixed or constrained"
+            for name in names
+            if free and models.find(name)[0].volumetric
+        ),
+    ]
+    if any(case.study.tissue.poisson_ratio == 0.5 for case in cases):
+        lines += [
+            f"{name} at a Poisson ratio of 0.5: a displacement element cannot be incompressible; use fem-linear, "
+            "or a ratio below 0.5"
+            for name in names
+            if split(name)[0] in DISPLACEMENT_ELEMENTS
+        ]
+    if any(case.study.anisotropy for case in cases):
+        lines += [
+            f"{name}: it is isotropic; use another model for fibres"
+            for name in names
+            if not models.find(name)[0].fibres
+        ]
+    if not limits:
+        return lines
+    missing = plan.missing_meshes(cases)
+    for mesh in {case.mesh: plan.meshes[case.mesh] for case in cases}.values():
+        size, counted = size_of(plan, mesh), mesh.geometry.has_own_tetrahedra or mesh not in missing
+        lines += [
+            f"{name} on a mesh of {'' if counted else 'about '}{size.nodes:,.0f} surface nodes, more than its "
+            f"{most:,}; use a larger mesh_size, or leave the model out"
+            for name, most in limits.items()
+            if size is not None and size.nodes > most * (1.0 if counted else DOUBT)
+        ]
+    return lines
+
+
+def beyond_memory(plan: Plan, work: Sequence[Body]) -> dict[str, str]:
+    """Mesh -> what cannot be solved on it, where this machine has no memory for the least that it may take."""
+    there = machine_memory()
+    on_mesh: dict[str, list[Body]] = {}
+    for part in work:
+        if models.find(part.name)[0].volumetric:  # surface models take little, or refuse by themselves
+            on_mesh.setdefault(part.mesh, []).append(part)
+    lines = {}
+    for key, parts in on_mesh.items():
+        mesh, body = plan.meshes[key], _body(plan, key)
+        if body is None:
+            continue
+        needed, name = largest_solve(Size(body.nodes, body.tetrahedra), parts)
+        if needed > FACTOR_LAWS * there:
+            remedy = fewer_nodes(mesh.geometry, float((body.high - body.low).max()))
+            lines[key] = (
+                f"{name} on a {mesh.label} would take about {needed / 1e9:,.0f} GB, and this machine has "
+                f"{there / 1e9:,.0f}; {remedy}"
+            )
+    return lines
+
+
+def _body(plan: Plan, key: str) -> Expected | None:
+    """What a mesh is expected to be; None where its file cannot be meshed."""
+    mesh = plan.meshes[key]  # of a file read it, where it is there: that is quicker than the file
+    return known_of(plan, mesh) if mesh.geometry.shape == "file" else mesh.expected
+
+
+def _off_the_body(plan: Plan, cases: Sequence[PlannedCase]) -> list[str]:
+    """The regions of constraints that lie off their body; a mesh may reach an edge further."""
+    known = {key: _body(plan, key) for key in dict.fromkeys(case.mesh for case in cases)}
+    return [
+        f"region {name!r} lies off the body: {body_extent(body.low, body.high)}"
+        for case in cases
+        for name in dict.fromkeys(constraint.region for constraint in case.study.constraints)
+        if (body := known[case.mesh]) is not None
+        and lies_outside(case.study.regions[name], body.low - body.reach, body.high + body.reach)
+    ]
+
+
+def _count(number: int, singular: str, plural: str | None = None) -> str:
+    return f"{number} {singular if number == 1 else plural or singular + 's'}"

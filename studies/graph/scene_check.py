@@ -1,0 +1,79 @@
+"""The scenes of a plan, put on the surfaces of their meshes before anything is solved."""
+
+from __future__ import annotations
+
+from ..body.mesh import Mesh
+from ..body.mesh_cache import mesh_path, read_mesh
+from ..machine.errors import MeshError
+from ..scene.scene import SceneError, build_scene
+from ..scene.warnings import scene_warnings
+from ..study.config import geometry_error, resolved
+from ..study.problems import Finding, Loc, Problem
+from ..study.schema import Study
+from .plan import Plan, PlannedCase
+
+MOST_SCENES = 20  # of a study, in the order of its cases
+MOST_NODES = 20_000  # of a surface that is meshed for it
+
+
+def scene_problems(plan: Plan) -> list[Problem]:
+    """What is doubtful about the scenes, with file and line.
+
+    Raises
+    ------
+    StudyError
+        a scene that cannot be put on its mesh, or a mesh that cannot be made.
+    """
+    scenes = {
+        (case.mesh, repr((case.study.regions, case.study.constraints))): case for case in plan.cases[::-1]
+    }
+    meshes: dict[str, Mesh | None] = {}
+    doubts: dict[Loc, str] = {}
+    for case in list(scenes.values())[::-1][:MOST_SCENES]:
+        if case.mesh not in meshes:
+            meshes[case.mesh] = _surface(plan, case)
+        mesh = meshes[case.mesh]
+        if mesh is not None:
+            doubts = dict(_doubts(plan, case, mesh)) | doubts  # of several cases the first
+    return plan.study._source.error(list(doubts.items()), resolved(plan.study)).problems
+
+
+def _surface(plan: Plan, case: PlannedCase) -> Mesh | None:
+    """The case's mesh, of one that is not there the surface alone; None where that would take long."""
+    planned = plan.meshes[case.mesh]
+    cached = read_mesh(mesh_path(plan.cache, planned.key))
+    if cached is not None or planned.expected.nodes > MOST_NODES:
+        return cached
+    from ..body.geometry import build_mesh  # gmsh is slow to load
+
+    try:
+        return build_mesh(planned.geometry, volume=False)
+    except MeshError as error:
+        raise geometry_error(plan.study, error) from error
+
+
+def _doubts(plan: Plan, case: PlannedCase, mesh: Mesh) -> list[Finding]:
+    study = case.study
+    try:
+        scene = build_scene(study, mesh)
+    except (SceneError, MeshError) as error:
+        finding = (_place(study, str(error)), _in_case(str(error), case))
+        raise plan.study._source.error([finding], resolved(plan.study)) from error
+    data = resolved(study)
+    factor = max(map(abs, study.load.history))
+    found = scene_warnings(
+        data["constraints"], data["tissue"], scene.regions, mesh.surface_points, mesh.triangles, factor
+    )
+    return [(loc, _in_case(text, case)) for loc, text in found]
+
+
+def _in_case(text: str, case: PlannedCase) -> str:
+    return f"{text} (in the case {case.label})" if case.label else text
+
+
+def _place(study: Study, text: str) -> Loc:
+    """The constraint that a sentence names, the last of several; all of them where it names none."""
+    for place, constraint in reversed(list(enumerate(study.constraints))):
+        if repr(constraint.name) in text or repr(constraint.region) in text:
+            return ("constraints", place)
+    return ("constraints",)

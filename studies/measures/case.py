@@ -1,0 +1,108 @@
+"""One finished case as plain data: what `store` writes and reads and what `report` shows."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..models.result import ModelResult
+from .metrics import full_load_step
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class MetricSeries:
+    """One metric of one model over S steps."""
+
+    values: Array  # (S,)
+    unit: str  # "1" where it has none
+    definition: str
+    version: int
+
+
+@dataclass(frozen=True)
+class Limit:
+    """Where along a load path a model's error has grown by a threshold; see `vdmbench.measures.limits`."""
+
+    threshold: float
+    state: (
+        str  # "found", "unresolved", or why not: "beyond" what is tried, "model-stopped", "reference-stopped"
+    )
+    load: float  # value of the key that is raised, in its unit; of a limit not found the largest that was reached
+    bar: float  # relative uncertainty of `load` from the reference's own error; NaN where not measured
+    indentation: float  # of the reference at `load` [m]; NaN where nothing is in contact
+    strain: float  # largest principal Green-Lagrange strain of the reference at `load`
+    indentation_bar: float = np.nan  # relative uncertainty of `indentation`, that of `load` counted in
+    strain_bar: float = np.nan  # likewise of `strain`
+
+
+@dataclass(frozen=True)
+class ModelLimits:
+    """The limits of one model: what it is off by at small loads, and where that has grown by each threshold."""
+
+    structural_error: float  # e0, relative L2 displacement error in the limit of a small load
+    structural_bar: float  # its uncertainty from the reference's own error, absolute; NaN where not measured
+    limits: tuple[Limit, ...]
+
+
+@dataclass(frozen=True)
+class SmallStrainLimits:
+    """The limits of every model of a case along one load path."""
+
+    along: str  # key of the load that is raised; "load" where all are, in proportion
+    unit: str  # of its value; "1" where all are
+    models: Mapping[str, ModelLimits]
+
+
+@dataclass(frozen=True)
+class CaseResult:
+    """A case: what went in, what each model answered, how far each is from the reference."""
+
+    hash: str  # hex, names the file
+    label: str  # what tells it from its neighbours, such as "poisson_ratio = 0.45"; "" in a study of one case
+    swept: Mapping[str, float | str]  # swept key -> value, SI
+    swept_units: Mapping[str, str]  # swept key -> SI unit, "1" where it has none
+    resolved: Mapping[str, Any]  # resolved inputs, SI, as JSON
+    provenance: Mapping[str, str]  # package versions, platform, commit, mesh hash, date
+    points: Array  # (N, 3) m
+    triangles: NDArray[np.int64]  # (F, 3), outward
+    load_factors: Array  # (S,)
+    regions: Mapping[str, NDArray[np.bool_]]  # (N,) masks
+    models: Mapping[str, ModelResult]
+    metrics: Mapping[str, Mapping[str, MetricSeries]]  # model -> metric; empty where there is no reference
+    reference: str | None  # a key of `models`
+    reference_error: Mapping[str, float] = field(default_factory=dict)
+    # error of the reference itself, see vdmbench.measures.reference.own_error; empty where not measured
+    mesh_quality: Mapping[str, float] = field(default_factory=dict)
+    small_strain: SmallStrainLimits | None = None  # where [limits] asks for them
+
+    @cached_property
+    def full_load(self) -> int:
+        """The step of the largest load, the last of several."""
+        return full_load_step(self.load_factors)
+
+
+DAMAGED = "damaged"  # code of a failure: the case was done, its file cannot be read
+
+
+@dataclass(frozen=True)
+class Run:
+    """A run directory as read back: what was asked for, what is done, what failed, what is missing."""
+
+    study: Mapping[str, Any]  # "name", "title", "models", "reference" (or None) and whatever else was stored
+    study_text: str  # the study file as the user wrote it
+    cases: Sequence[CaseResult]
+    failed: Sequence[Mapping[str, str]]  # each with "hash", "label", "code", "message", "remedy"
+    missing: Sequence[str]  # labels of planned cases without a result
+    plan: Mapping[str, Any]
+
+    @property
+    def damaged(self) -> int:
+        """How many of the failed are cases whose file is damaged."""
+        return sum(entry.get("code") == DAMAGED for entry in self.failed)

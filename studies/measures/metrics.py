@@ -1,0 +1,445 @@
+"""How far a model is from the reference: pure functions on arrays, and the registry of metrics.
+
+Displacements are (N, 3) at the same N surface nodes; norms are weighted by nodal area, so that they do not
+depend on how the mesh spreads its nodes. Adding a metric is one decorated function.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property, wraps
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..body.surface_measures import (
+    Surface,
+    enclosed_volumes,
+    ratio,
+    relative_l2_steps,
+    weighted_norms,
+    weighted_quantiles,
+    without_motions,
+)
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+# an error; the deviation, of either sign, from a quantity that is conserved; neither good nor bad
+Sense = Literal["error", "conserved", "descriptive"]
+
+
+@dataclass(frozen=True)
+class History:
+    """What a metric needs of one model: S steps."""
+
+    displacement: Array  # (S, N, 3)
+    reaction_force: Array  # (S, N, 3)
+    load_factors: Array  # (S,)
+    # at full load: (N,) from the nodes to the reference's surface, and the largest either way; see `evaluate_all`
+    distances: tuple[Array, float] | None = None
+    volume: Array | None = None  # (S,) enclosed volumes [m^3], where they are known
+
+    @cached_property
+    def largest(self) -> Array:
+        """(S,) largest displacement [m]; NaN where nothing moves."""
+        largest = np.linalg.norm(self.displacement, axis=2).max(axis=1)
+        return np.where(largest > 0, largest, np.nan)
+
+
+@dataclass(frozen=True)
+class Metric:
+    """A named measure; `version` changes whenever its numbers do.
+
+    With every displacement and force of model and reference c > 0 times as large, the metric is c^`degree` times
+    as large; None where it is not that simple. `vdmbench.guard.gate` judges it by its `sense`.
+    """
+
+    name: str
+    unit: str
+    definition: str
+    version: int
+    function: Callable[..., Array]
+    degree: int | None
+    needs_reference: bool
+    needs_contact: bool
+    sense: Sense = "error"
+
+
+METRICS: dict[str, Metric] = {}
+_NO_LOAD = 1e-12  # of the largest load factor: equal steps of a history differ by rounding
+_LOST = 1e-6  # of a whole: a part as small is lost in what solvers leave open
+
+
+def full_load_step(load_factors: Array) -> int:
+    """The step of the largest load, the last of several."""
+    return int(len(load_factors) - 1 - np.abs(load_factors)[::-1].argmax())
+
+
+Function = Callable[..., Array]
+
+
+def _metric(
+    unit: str,
+    definition: str,
+    *,
+    degree: int | None,
+    version: int = 1,
+    relative: bool = False,
+    needs_reference: bool = True,
+    needs_contact: bool = False,
+    sense: Sense = "error",
+) -> Callable[[Function], Function]:
+    def register(function: Function) -> Function:
+        name = function.__name__
+        function = _not_at_rest(function) if relative or degree == 0 else function
+        METRICS[name] = Metric(
+            name, unit, definition, version, function, degree, needs_reference, needs_contact, sense
+        )
+        return function
+
+    return register
+
+
+def _not_at_rest(function: Function) -> Function:
+    """A measure in parts of a whole, NaN at steps without a load: what is left there is rounding over rounding."""
+
+    @wraps(function)
+    def measure(surface: Surface, model: History, *reference: History) -> Array:
+        factors = np.abs(model.load_factors)
+        rests = (factors <= _NO_LOAD * factors.max()) & (not surface.weighs)
+        return np.where(rests, np.nan, function(surface, model, *reference))
+
+    return measure
+
+
+Compare = Callable[[Surface, Array, Array], Array]  # of displacements (S, N, 3): (S,)
+
+
+def _each_step(surface: Surface, model: History, reference: History, compare: Compare) -> Array:
+    """(S,) what `compare` finds; NaN where a step of either failed."""
+    u, r = model.displacement, reference.displacement
+    usable = np.isfinite(u).all(axis=(1, 2)) & np.isfinite(r).all(axis=(1, 2))
+    if usable.all():
+        return compare(surface, u, r)
+    out = np.full(len(u), np.nan)
+    if usable.any():
+        out[usable] = compare(surface, u[usable], r[usable])
+    return out
+
+
+@_metric("1", "area-weighted ||u - r|| / ||r|| of the displacement vector", degree=0, version=2)
+def relative_l2_displacement_error(surface: Surface, model: History, reference: History) -> Array:
+    return _each_step(surface, model, reference, lambda s, u, r: relative_l2_steps(u, r, s.areas))
+
+
+@_metric(
+    "1",
+    "as the displacement error, the best-fit rigid motion removed from model and reference alike; none where the "
+    "reference moves as a rigid body",
+    degree=0,
+    version=2,
+)
+def relative_l2_deformation_error(surface: Surface, model: History, reference: History) -> Array:
+    def compare(s: Surface, u: Array, r: Array) -> Array:
+        return _of_parts(r, s.areas, *(without_motions(s.rigid_motions, v, s.areas) for v in (u, r)))
+
+    return _each_step(surface, model, reference, compare)
+
+
+VECTOR, DEFORMATION = relative_l2_displacement_error.__name__, relative_l2_deformation_error.__name__
+
+
+@_metric("1", "as the displacement error, for the component along the undeformed normal", degree=0, version=2)
+def relative_l2_normal_error(surface: Surface, model: History, reference: History) -> Array:
+    def compare(s: Surface, u: Array, r: Array) -> Array:
+        return _of_parts(r, s.areas, *(_along(v, s.normals) for v in (u, r)))
+
+    return _each_step(surface, model, reference, compare)
+
+
+@_metric("1", "as the displacement error, for the component in the undeformed surface", degree=0, version=2)
+def relative_l2_tangential_error(surface: Surface, model: History, reference: History) -> Array:
+    def compare(s: Surface, u: Array, r: Array) -> Array:
+        return _of_parts(r, s.areas, *(v - _along(v, s.normals) * s.normals for v in (u, r)))
+
+    return _each_step(surface, model, reference, compare)
+
+
+@_metric("m", "largest |u - r| of any surface node", degree=1)
+def max_nodal_error(surface: Surface, model: History, reference: History) -> Array:
+    return _each_step(surface, model, reference, lambda _, u, r: _nodal_error(u, r).max(axis=1))
+
+
+@_metric("1", "largest |u - r| over largest |r|", degree=0, version=2)
+def max_nodal_error_relative(surface: Surface, model: History, reference: History) -> Array:
+    return max_nodal_error(surface, model, reference) / reference.largest
+
+
+@_metric("m", "|u - r| that 95 % of the surface area stays below", degree=1)
+def p95_nodal_error(surface: Surface, model: History, reference: History) -> Array:
+    return _each_step(
+        surface, model, reference, lambda s, u, r: weighted_quantiles(_nodal_error(u, r), s.areas, 0.95)
+    )
+
+
+@_metric("1", "|u - r| that 95 % of the surface area stays below, over largest |r|", degree=0, version=2)
+def p95_nodal_error_relative(surface: Surface, model: History, reference: History) -> Array:
+    return p95_nodal_error(surface, model, reference) / reference.largest
+
+
+@_metric("1", "displacement error over the loaded nodes only", degree=0, version=2, needs_contact=True)
+def contact_region_error(surface: Surface, model: History, reference: History) -> Array:
+    return _regional(surface, model, reference, surface.contact)
+
+
+@_metric(
+    "1", "displacement error over the nodes that carry no contact", degree=0, version=2, needs_contact=True
+)
+def far_field_error(surface: Surface, model: History, reference: History) -> Array:
+    return _regional(surface, model, reference, ~surface.contact)
+
+
+# distances of two surfaces cost more than all other metrics together and are read at full load only
+
+
+@_metric(
+    "m",
+    "area-weighted mean distance of the model's deformed nodes to the reference's deformed surface, at full load",
+    degree=None,
+    version=2,
+)
+def mean_surface_distance(surface: Surface, model: History, reference: History) -> Array:
+    return _of_distances(
+        surface, model, reference, lambda there, _: float(np.average(there, weights=surface.areas))
+    )
+
+
+@_metric(
+    "m",
+    "larger of the two one-sided maximal distances between the deformed surfaces at their nodes, at full load",
+    degree=None,
+    version=2,
+)
+def hausdorff_distance(surface: Surface, model: History, reference: History) -> Array:
+    return _of_distances(surface, model, reference, lambda _, farthest: farthest)
+
+
+def _of_distances(
+    surface: Surface, model: History, reference: History, measure: Callable[[Array, float], float]
+) -> Array:
+    """(S,) NaN but at the step of the largest load."""
+    out = np.full(len(model.load_factors), np.nan)
+    if model.distances is None:
+        (model,) = _with_distances(surface, [model], reference)
+    if model.distances is not None:
+        out[full_load_step(model.load_factors)] = measure(*model.distances)
+    return out
+
+
+def _with_distances(surface: Surface, models: Sequence[History], reference: History) -> list[History]:
+    """The models with their distances from the reference, found in one pass; None where either's step failed."""
+    step = full_load_step(reference.load_factors)
+    r = reference.displacement[step]
+    found = list(models)
+    usable = [
+        place
+        for place, model in enumerate(models)
+        if np.isfinite(model.displacement[step]).all() and np.isfinite(r).all()
+    ]
+    if usable:
+        deformed = surface.points + np.stack([models[place].displacement[step] for place in usable])
+        there, farthest = surface.neighbourhood.distances_and_farthest(deformed, surface.points + r)
+        for place, distance, most in zip(usable, there, farthest, strict=True):
+            found[place] = replace(models[place], distances=(distance, float(most)))
+    return found
+
+
+@_metric(
+    "1",
+    "|R - R_ref| / |R_ref| of the total force that the supports exert; none where their forces cancel",
+    degree=0,
+    version=2,
+)
+def reaction_force_error(surface: Surface, model: History, reference: History) -> Array:  # noqa: ARG001
+    total, total_reference = (history.reaction_force.sum(axis=1) for history in (model, reference))
+    norm = np.linalg.norm(total_reference, axis=1)
+    of_nodes = np.linalg.norm(reference.reaction_force, axis=2).sum(axis=1)
+    return ratio(np.linalg.norm(total - total_reference, axis=1), _unless_lost(norm, of_nodes))
+
+
+@_metric(
+    "1",
+    "force that the model needs for the reference's indentation depth (mean displacement along the contact force, "
+    "weighted by it), over the reference's, less one; of a body with a weight only where a step has no load",
+    degree=0,
+    version=4,
+    needs_contact=True,
+)
+def indentation_force_error(surface: Surface, model: History, reference: History) -> Array:
+    depth, goals = (mean_indentation(surface, h.displacement) for h in (model, reference))
+    factors = model.load_factors
+    return np.array(
+        [
+            _factor_at(goal, depth, factors, rests=not surface.weighs) / factor - 1 if factor else np.nan
+            for goal, factor in zip(goals, factors, strict=True)
+        ]
+    )
+
+
+@_metric(
+    "1",
+    "(V - V0)/V0 of the exact polyhedral volume",
+    degree=None,
+    needs_reference=False,
+    sense="conserved",
+)
+def volume_drift(surface: Surface, model: History) -> Array:
+    volume = model.volume
+    if volume is None:
+        volume = enclosed_volumes(surface.points + model.displacement, surface.triangles)
+    return volume / surface.volume - 1
+
+
+@_metric(
+    "1",
+    "(V - V0) over the displaced volume, half of sum |g_i . u_i|; none without a load",
+    degree=None,
+    version=2,
+    relative=True,
+    needs_reference=False,
+    sense="conserved",
+)
+def volume_drift_of_displaced(surface: Surface, model: History) -> Array:
+    displaced = 0.5 * np.abs(np.einsum("sij,ij->si", model.displacement, surface.volume_gradient)).sum(axis=1)
+    return ratio(volume_drift(surface, model) * surface.volume, displaced)
+
+
+def _mean_strain(surface: Surface, model: History, axis: int) -> Array:
+    """(S,) volume mean of du/dx along an axis: the integral of u n over the surface, u linear on each facet."""
+    return np.asarray(model.displacement[:, :, axis] @ surface.volume_gradient[:, axis] / surface.volume)
+
+
+@_metric("1", "mean of du_x/dx over the body's volume", degree=1, needs_reference=False, sense="descriptive")
+def mean_strain_x(surface: Surface, model: History) -> Array:
+    return _mean_strain(surface, model, 0)
+
+
+@_metric("1", "mean of du_y/dy over the body's volume", degree=1, needs_reference=False, sense="descriptive")
+def mean_strain_y(surface: Surface, model: History) -> Array:
+    return _mean_strain(surface, model, 1)
+
+
+@_metric("1", "mean of du_z/dz over the body's volume", degree=1, needs_reference=False, sense="descriptive")
+def mean_strain_z(surface: Surface, model: History) -> Array:
+    return _mean_strain(surface, model, 2)
+
+
+@_metric(
+    "J",
+    "work of the contact forces on the displacement",
+    degree=2,
+    needs_reference=False,
+    needs_contact=True,
+    sense="descriptive",
+)
+def contact_work(surface: Surface, model: History) -> Array:
+    if not len(surface.contact_force):
+        return np.full(len(model.load_factors), np.nan)
+    return model.load_factors * np.einsum("ij,sij->s", surface.contact_force, model.displacement)
+
+
+def mean_indentation(surface: Surface, displacement: Array) -> Array:
+    """(S,) mean displacement along the contact force, weighted by it [m]; NaN without any.
+
+    Work over force: with nodal areas for weights it would say as much of the mesh as of the body.
+    """
+    sizes = np.linalg.norm(surface.contact_force, axis=1)
+    if not sizes.any():
+        return np.full(len(displacement), np.nan)
+    return np.asarray(np.einsum("ij,sij->s", surface.contact_force, displacement) / sizes.sum())
+
+
+def evaluate(
+    surface: Surface, model: History, reference: History | None, known: Mapping[str, Array] | None = None
+) -> dict[str, Array]:
+    """Every metric that has what it needs: name -> (S,) values. What is `known` is taken as it is."""
+    known = known or {}
+    out = {}
+    for metric in METRICS.values():
+        if metric.name in known:
+            out[metric.name] = known[metric.name]
+        elif metric.needs_contact and not surface.contact.any():
+            continue
+        elif not metric.needs_reference:
+            out[metric.name] = metric.function(surface, model)
+        elif reference is not None:
+            out[metric.name] = metric.function(surface, model, reference)
+    return out
+
+
+def evaluate_all(
+    surface: Surface,
+    models: Mapping[str, History],
+    reference: str | None,
+    known: Mapping[str, Mapping[str, Array]] | None = None,
+) -> dict[str, dict[str, Array]]:
+    """`evaluate` of each model against one of them, which is itself compared with nothing."""
+    known = known or {}
+    if reference is None:
+        return {name: evaluate(surface, model, None, known.get(name)) for name, model in models.items()}
+    others = [name for name in models if name != reference]
+    measured = _with_distances(surface, [models[name] for name in others], models[reference])
+    ready = dict(zip(others, measured, strict=True))
+    return {
+        name: evaluate(
+            surface, ready.get(name, model), models[reference] if name in ready else None, known.get(name)
+        )
+        for name, model in models.items()
+    }
+
+
+def _along(displacements: Array, normals: Array) -> Array:
+    """(S, N, 1) components along the normals (N, 3)."""
+    return np.einsum("sni,ni->sn", displacements, normals)[:, :, None]
+
+
+def _of_parts(whole: Array, weights: Array, u: Array, r: Array) -> Array:
+    """(S,) `relative_l2` of parts of fields; NaN where the reference, `whole`, has next to none of the part."""
+    norm = _unless_lost(weighted_norms(r, weights), weighted_norms(whole, weights))
+    return ratio(weighted_norms(u - r, weights), norm)
+
+
+def _unless_lost(part: Array, whole: Array) -> Array:
+    return np.where(part > _LOST * whole, part, 0.0)
+
+
+def _nodal_error(u: Array, r: Array) -> Array:
+    """(S, N) |u - r|."""
+    return np.linalg.norm(u - r, axis=2)
+
+
+def _regional(surface: Surface, model: History, reference: History, mask: Mask) -> Array:
+    weights = np.where(mask, surface.areas, 0.0)
+    return _each_step(surface, model, reference, lambda _, u, r: relative_l2_steps(u, r, weights))
+
+
+def _factor_at(depth: float, depths: Array, factors: Array, *, rests: bool) -> float:
+    """Load factor at which a model reaches `depth`, linear between its steps and beyond the outer ones.
+
+    Of a factor that comes more than once the first step counts. Without a step of no load, that is no depth of a
+    body that `rests` there, and of any other unknown: NaN.
+    """
+    rounded = np.round(factors / np.abs(factors).max() / _NO_LOAD)
+    _, first = np.unique(rounded, return_index=True)
+    x, y = depths[first], factors[first]
+    if rounded.all():
+        if not rests:
+            return np.nan
+        place = np.searchsorted(y, 0.0)
+        x, y = np.insert(x, place, 0.0), np.insert(y, place, 0.0)
+    if not np.isfinite(x).all() or not np.isfinite(depth) or np.any(np.diff(x) <= 0):
+        return np.nan
+    k = int(np.clip(np.searchsorted(x, depth), 1, len(x) - 1))
+    return float(y[k - 1] + (depth - x[k - 1]) * (y[k] - y[k - 1]) / (x[k] - x[k - 1]))

@@ -1,0 +1,148 @@
+"""The reference solved again on refinements of the case's mesh: a better reference, and its own error."""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from .. import models
+from ..body.mesh import Array
+from ..body.refine import Hierarchy
+from ..body.surface_measures import Surface, enclosed_volumes, weighted_norm, without_motions
+from ..machine.errors import InputError
+from ..models.result import ModelResult
+from ..scene.regions import select
+from ..scene.scene import Scene, build_scene
+from ..study.schema import Study
+from .metrics import METRICS, History, evaluate, evaluate_all, full_load_step
+from .uncertainty import estimate_error, estimate_limit
+
+
+class FailedReferenceError(ValueError):
+    """A reference that did not converge, so that there is nothing to compare with: message and remedy."""
+
+    def __init__(self, message: str, remedy: str = "") -> None:
+        super().__init__(message)
+        self.remedy = remedy
+
+
+def own_error(
+    surface: Surface,
+    levels: Sequence[ModelResult],
+    load_factors: Array,
+    found: Mapping[str, Array] | None = None,
+) -> dict[str, float]:
+    """The error of the finest of S-step results on one surface, at the largest load.
+
+    Parameters
+    ----------
+    levels : the finest first, each refined once from the next
+    found : every metric of the second level against the finest; only where S is 1, else they are computed
+
+    Returns
+    -------
+    dict
+        `difference_01` and so on: area-weighted L2 differences of neighbouring levels over the norm of the finest,
+        signed as in `vdmbench.measures.uncertainty`, which makes its estimate from them; `relative_l2`, the
+        estimated error of the displacement; `observed_order`; `levels`; and a GCI for every metric that compares,
+        `gci:<metric>`: what the metric is between the two finest levels, times the GCI over the difference of the displacement.
+        The deformation has its own levels for that. From three levels on, `own_gci:<metric>` of what the finest is
+        by itself, such as its volume drift, from the figures of all levels.
+    """
+    step = full_load_step(load_factors)
+    fields = [level.displacement[step] for level in levels]
+    differences = _differences(fields, surface.areas)
+    deformed = list(without_motions(surface.rigid_motions, np.stack(fields), surface.areas))
+    vector, deformation = estimate_error(differences), estimate_error(_differences(deformed, surface.areas))
+    error = {f"difference_{k}{k + 1}": difference for k, difference in enumerate(differences)}
+    error |= {
+        "relative_l2": vector.error,
+        "observed_order": vector.observed_order,
+        "levels": float(len(levels)),
+    }
+    margin = vector.gci / differences[0] if differences[0] else 0.0
+    # a body with a weight is not at rest without load: what it does then is part of its stiffness
+    steps = [*(np.flatnonzero(load_factors == 0.0)[:1] if surface.weighs else []), step]
+    histories = [
+        History(
+            level.displacement[steps],
+            level.reaction_force[steps],
+            load_factors[steps],
+            volume=level.volume[steps],
+        )
+        for level in levels
+    ]
+    if found is None:
+        finest, second = histories[:2]
+        found = evaluate_all(surface, {"second": second, "finest": finest}, "finest")["second"]
+    error |= {
+        f"gci:{metric}": margin * abs(float(value[-1]))
+        for metric, value in found.items()
+        if METRICS[metric].needs_reference
+    }
+    error["gci:relative_l2_deformation_error"] = deformation.gci
+    return error | (_own_figures(surface, histories) if len(levels) > 2 else {})
+
+
+def _own_figures(surface: Surface, histories: Sequence[History]) -> dict[str, float]:
+    """`own_gci:<metric>` of the last step's metrics that need no comparison, the finest level first."""
+    figures = [evaluate(surface, history, None) for history in histories]
+    levels = {metric: [float(values[metric][-1]) for values in figures] for metric in figures[0]}
+    return {
+        f"own_gci:{metric}": estimate_limit(values)[1].gci
+        for metric, values in levels.items()
+        if np.isfinite(values).all()
+    }
+
+
+def _differences(fields: Sequence[Array], areas: Array) -> list[float]:
+    """Relative norms of u1 - u0, u2 - u1, ..., each with the sign of its product with the first."""
+    size = weighted_norm(fields[0], areas)
+    if size == 0.0:
+        return [0.0] * (len(fields) - 1)
+    gaps = [coarse - fine for fine, coarse in itertools.pairwise(fields)]
+    along = [np.einsum("i,ij,ij->", areas, gap, gaps[0]) for gap in gaps]
+    return [
+        float(np.copysign(weighted_norm(gap, areas) / size, product))
+        for gap, product in zip(gaps, along, strict=True)
+    ]
+
+
+def level_scene(study: Study, hierarchy: Hierarchy) -> Scene:
+    """A study's scene on the finest of some meshes; the regions are those of the coarsest.
+
+    The body, its supports and its loads stay what they are; a smooth profile is evaluated anew.
+    """
+    coarsest = hierarchy.meshes[0]
+    regions = {name: select(region, coarsest, study.regions) for name, region in study.regions.items()}
+    return build_scene(
+        study, hierarchy.finest, {name: hierarchy.inherit(mask) for name, mask in regions.items()}
+    )
+
+
+def require_converged(name: str, result: ModelResult) -> None:
+    """Raise FailedReferenceError, or InputError where the scene is at fault, of a result that is no reference."""
+    for status in result.status:
+        if status.code == models.REFUSED:
+            raise InputError(f"{name}: {status.message}" + (f"; {status.remedy}" if status.remedy else ""))
+        if not status.ok:
+            raise FailedReferenceError(f"{name}: {status.message}", status.remedy)
+    if not np.isfinite(result.displacement).all():
+        raise FailedReferenceError(
+            f"{name} gave a displacement that is not finite", "check the scene's supports and loads"
+        )
+
+
+def restricted(result: ModelResult, hierarchy: Hierarchy) -> ModelResult:
+    """A result on the finest mesh at the coarsest's surface nodes; a middle node's force is shared by its ends."""
+    mesh = hierarchy.meshes[0]
+    displacement = result.displacement[:, : len(mesh.surface_nodes)]
+    return dataclasses.replace(
+        result,
+        displacement=displacement,
+        reaction_force=hierarchy.restrict(result.reaction_force),
+        volume=enclosed_volumes(mesh.surface_points + displacement, mesh.triangles),
+    )

@@ -1,0 +1,151 @@
+"""The small-strain limits of one case: every model along a rising load, against finite strain."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import asdict
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+
+from .. import models
+from ..body.mesh import Array, Mask, Mesh
+from ..body.refine import refined
+from ..body.surface_measures import Surface, relative_l2
+from ..machine.sealed import read_arrays, write_arrays
+from ..models.result import ModelResult
+from ..scene.scene import Scene, build_scene
+from ..study.config import raised, start_of
+from ..study.schema import Study
+from .case import Limit, ModelLimits, SmallStrainLimits
+from .limits import SMALL, LoadPath, LoadPoint, model_limits, on_finer_mesh
+from .metrics import mean_indentation
+
+STRAIN = "max_principal_strain"
+EXPECTED_LOADS = 30  # that a search tries
+
+
+def small_strain_limits(study: Study, scene: Scene) -> SmallStrainLimits:
+    """Structural error and growth limits of every compared model of a study with [limits].
+
+    Where the study has [uncertainty], a small load and that of each limit are solved again with every tetrahedron
+    split into eight. The limits are then those of the refined mesh, and the change between the two meshes gives
+    their bars. Models without an inside stay on the case's mesh.
+    """
+    asked, reference = study.limits, study.study.reference
+    if asked is None or reference is None:
+        raise ValueError("a search for small-strain limits needs [limits] and a reference")
+    names = [name for name in study.study.models if name != reference]
+    start, unit = start_of(study, asked.along)
+    path = LoadPath(_Evaluator(study, asked.along, scene, reference), start)
+    found = {name: model_limits(path, name, asked.thresholds) for name in names}
+    if study.uncertainty is not None:
+        fine = LoadPath(_Evaluator(study, asked.along, scene, reference, _refined(scene)), start)
+        limits = [limit for entry in found.values() for limit in entry.limits if limit.state == "found"]
+        for factor in sorted({SMALL, *(path.factor_of(limit.load) for limit in limits)}):
+            fine.at(factor)  # rising: from each the reference goes on to the next
+        found = {name: on_finer_mesh(entry, path, fine, name) for name, entry in found.items()}
+    return SmallStrainLimits(asked.along, unit, found)
+
+
+Level = tuple[Mesh, Mapping[str, Mask]]  # a mesh and the regions' nodes on it
+
+
+def _refined(scene: Scene) -> Level:
+    finer = refined(scene.mesh, 1)
+    return finer.finest, {name: finer.inherit(mask) for name, mask in scene.regions.items()}
+
+
+class _Evaluator:
+    """Runs the reference of one case at a value of the raised load, on `level` if given, and the other models."""
+
+    def __init__(
+        self,
+        study: Study,
+        along: str,
+        scene: Scene,
+        reference: str,
+        level: Level | None = None,
+    ) -> None:
+        self._study, self._along = study, along
+        self._own: Level = (scene.mesh, scene.regions)
+        self._level = level or self._own
+        self._reference = reference
+        self._set_up: dict[str, models.Prepared] = {}
+        self._areas = Surface(scene.mesh.surface_points, scene.mesh.triangles).areas
+
+    def __call__(self, load: float) -> LoadPoint | None:
+        """Every model at one load, volumetric ones on the level; None where the reference has no solution there."""
+        raised_study = raised(self._study, self._along, load)
+        own = build_scene(raised_study, *self._own)
+        inside = own if self._level is self._own else build_scene(raised_study, *self._level)
+        reference = self._answer(inside, self._reference)
+        if not _solved(reference):
+            return None
+        surface = Surface(
+            inside.mesh.surface_points, inside.mesh.triangles, inside.contact, inside.contact_force
+        )
+        return LoadPoint(
+            load,
+            _Errors(partial(self._error, own, inside, reference.displacement[-1])),
+            float(mean_indentation(surface, reference.displacement[-1:])[0]),
+            float(reference.scalars[STRAIN][-1]) if STRAIN in reference.scalars else math.nan,
+        )
+
+    def _error(self, own: Scene, inside: Scene, reference: Array, name: str) -> float:
+        """On the nodes of the case's own mesh, which come first on a refined one."""
+        result = self._answer(inside if models.find(name)[0].volumetric else own, name)
+        if not _solved(result):
+            return math.nan
+        n_nodes = len(self._areas)
+        return relative_l2(result.displacement[-1, :n_nodes], reference[:n_nodes], self._areas)
+
+    def _answer(self, scene: Scene, name: str) -> ModelResult:
+        """One set-up answers all loads that superpose or lie on one rising path; else each has its own."""
+        model, solver = models.find(name)
+        weighs = scene.gravity.any() and not model.volumetric  # a surface's set-up has the weight in it
+        if weighs or (solver not in model.superposes and model.continues is None):
+            return models.run_model(scene, name)
+        if name not in self._set_up:
+            self._set_up[name] = models.Prepared(scene, name, EXPECTED_LOADS, onward=True)
+        return self._set_up[name].answer([scene.load(1.0)])
+
+
+class _Errors(dict[str, float]):
+    """Of models at one load, each run when it is first asked for: no search asks for all at every load."""
+
+    def __init__(self, run: Callable[[str], float]) -> None:
+        self._run = run
+
+    def __missing__(self, name: str) -> float:
+        self[name] = self._run(name)
+        return self[name]
+
+
+def _solved(result: ModelResult) -> bool:
+    return all(status.ok for status in result.status) and bool(np.isfinite(result.displacement[-1]).all())
+
+
+def write_limits(path: Path, found: SmallStrainLimits) -> None:
+    """Store limits under their key. Raises OSError."""
+    write_arrays(path, {"limits": np.array(json.dumps(asdict(found)))})
+
+
+def read_limits(path: Path) -> SmallStrainLimits | None:
+    """The limits stored at `path`; None where there are none, or they are damaged."""
+    stored = read_arrays(path)
+    if stored is None:
+        return None
+    data = json.loads(str(stored["limits"]))
+    entries = {
+        name: ModelLimits(
+            entry["structural_error"],
+            entry["structural_bar"],
+            tuple(Limit(**limit) for limit in entry["limits"]),
+        )
+        for name, entry in data["models"].items()
+    }
+    return SmallStrainLimits(data["along"], data["unit"], entries)

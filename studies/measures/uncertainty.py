@@ -1,0 +1,247 @@
+"""The error of a result from mesh levels: observed order, Richardson estimate and GCI. Pure functions.
+
+Levels are named from the finest, 0; the mesh size grows by a ratio from each to the next. The differences of
+neighbours, d01 = f1 - f0 and d12 = f2 - f1, give the observed order p by
+
+    d12 / d01 = r01^p (r12^p - 1) / (r01^p - 1),    r^p for one ratio,
+
+the estimated error of level 0, |d01| / (r01^p - 1), and its grid convergence index (GCI), a safety factor times
+that error (Roache 1994, doi 10.1115/1.2910291; Celik et al. 2008, doi 10.1115/1.2960953). What the levels do
+decides how far the estimate can be trusted:
+
+| behaviour | is | error | factor |
+| --- | --- | --- | --- |
+| converging | p from 0.5 to 4, on four levels twice the same within 1 | by p | 1.25 |
+| two levels | one difference | by order 2 | 3 |
+| unsteady | p from 0.5 to 4, on four levels not the same | by the smaller of p and 2 | 3 |
+| too fast | p above 4 | by order 2 | 3 |
+| too slow | p below 0.5 | the largest difference between levels | 3 |
+| oscillating | differences that shrink and change sign | the largest difference between levels | 3 |
+| diverging | differences that do not shrink | the largest difference between levels | 3 |
+
+The last three rows follow Eca and Hoekstra (2014, doi 10.1016/j.jcp.2014.01.006); a diverging result has no error
+bar in truth, and whoever prints the number prints the word beside it.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from ..study.model_name import REFINED
+from .metrics import VECTOR
+
+if TYPE_CHECKING:
+    from .case import CaseResult
+
+FORMAL_ORDER = 2.0
+REASONABLE_ORDERS = (0.5, 4.0)
+STEADY = 1.0  # by how much two observed orders may differ
+RESOLUTION = 0.1  # a discrepancy is resolved where the bar is at most this share of it
+_HIGHEST_ORDER = 50.0
+
+INDENTATION_FORCE = "indentation_force_error"
+STRAINS = ("mean_strain_x", "mean_strain_y", "mean_strain_z")
+# figures that two meshes may give alike by chance
+SIGNED = (INDENTATION_FORCE, "volume_drift", "volume_drift_of_displaced", *STRAINS, "contact_work")
+
+CONVERGING, TWO_LEVELS, UNSTEADY = "converging", "two levels", "unsteady"
+TOO_FAST, TOO_SLOW = "too fast", "too slow"
+OSCILLATING, DIVERGING = "oscillating", "diverging"
+BEHAVIOURS = (CONVERGING, TWO_LEVELS, UNSTEADY, TOO_FAST, TOO_SLOW, OSCILLATING, DIVERGING)
+
+
+@dataclass(frozen=True)
+class ErrorEstimate:
+    """An estimate of the finest level's error, in the unit of the differences that it was made from."""
+
+    error: float
+    gci: float
+    observed_order: float  # NaN where there are two levels only
+    behaviour: str  # one of BEHAVIOURS
+
+    @property
+    def reasonable(self) -> bool:
+        """Whether the observed order could be used."""
+        return self.behaviour == CONVERGING
+
+
+def is_resolved(discrepancy: float, bar: float) -> bool:
+    """Whether a discrepancy stands out from the error bar of what it is measured against.
+
+    The one definition that tables, verdicts, limits and gates use. False where either is not finite.
+    """
+    return math.isfinite(bar) and math.isfinite(discrepancy) and bar <= RESOLUTION * abs(discrepancy)
+
+
+def reference_bar(reference_error: Mapping[str, float], metric: str) -> float:
+    """The part of a metric's value that may be the reference's own error; NaN where it was not measured.
+
+    Parameters
+    ----------
+    reference_error : of a case, see `vdmbench.measures.reference.own_error`
+    metric : a name of `vdmbench.measures.metrics.METRICS`
+    """
+    return reference_error.get(f"gci:{metric}", math.nan)
+
+
+def least_bar(metric: str, figures: Mapping[str, float], relative: float) -> float:
+    """What the bar of a signed figure may not be less than; NaN of a norm, and where that is not known.
+
+    Two meshes give a signed figure alike by chance where their errors at the contact and at the support have
+    opposite signs; a norm of differences has no signs. So no such figure counts as better known, in parts of what
+    it is made from, than the displacement.
+
+    Parameters
+    ----------
+    figures : metrics of the same model and load: strains, drift or work of the reference, or the indentation force
+    relative : the reference's own error in displacement, of the displacement
+    """
+    value = figures.get(metric, math.nan)
+    if metric == INDENTATION_FORCE:  # a ratio of forces, which goes with the reference's depth
+        return relative * abs(1.0 + value)
+    if metric == "contact_work":
+        return relative * abs(value)
+    if metric in STRAINS:
+        return relative * max(abs(figures.get(strain, math.nan)) for strain in STRAINS)
+    of_displaced = figures.get("volume_drift_of_displaced", math.nan)
+    if metric == "volume_drift":  # drift over drift of displaced is the displaced volume over the volume
+        return relative * abs(value / of_displaced) if of_displaced else math.nan
+    return relative if metric == "volume_drift_of_displaced" else math.nan
+
+
+def no_less(bar: float, metric: str, figures: Mapping[str, float], relative: float) -> float:
+    """A bar that was measured, or `least_bar` where that is known and wider."""
+    least = least_bar(metric, figures, relative)
+    return max(bar, least) if math.isfinite(least) else bar
+
+
+def value_bar(case: CaseResult, model: str, metric: str) -> float:
+    """The bar of a metric's value at full load, at least `least_bar`; NaN where it has none.
+
+    Of a model that is compared, the reference's own part in the metric. Of the reference's own figures, such as its
+    volume drift, the GCI from all its levels, of two those that are there. What a model that is not compared in a
+    metric does on its own mesh is exact as it stands.
+    """
+    bar = _measured_bar(case, model, metric)
+    if not math.isfinite(bar) or metric not in SIGNED:
+        return bar
+    series, step = case.metrics.get(model, {}), case.full_load
+    figures = {name: float(series[name].values[step]) for name in SIGNED if name in series}
+    return no_less(bar, metric, figures, reference_bar(case.reference_error, VECTOR))
+
+
+def _measured_bar(case: CaseResult, model: str, metric: str) -> float:
+    levels = case.reference_error.get("levels", 1.0)
+    if model != case.reference or levels < 2.0:
+        return reference_bar(case.reference_error, metric)
+    if f"own_gci:{metric}" in case.reference_error:
+        return case.reference_error[f"own_gci:{metric}"]
+    coarse = model.removesuffix(REFINED)
+    found = [case.metrics.get(name, {}).get(metric) for name in (model, coarse)]
+    values = [float(series.values[case.full_load]) for series in found if series is not None]
+    if len(values) < 2 or not all(map(math.isfinite, values)):
+        return math.nan
+    return estimate_error([values[1] - values[0]], 2.0 ** (levels - 1.0)).gci
+
+
+def stored_estimate(reference_error: Mapping[str, float]) -> ErrorEstimate | None:
+    """The estimate behind a case's `reference_error`; None where it was not measured."""
+    differences = [
+        reference_error[key]
+        for key in ("difference_01", "difference_12", "difference_23")
+        if key in reference_error
+    ]
+    return estimate_error(differences) if differences else None
+
+
+def estimate_error(differences: Sequence[float], ratio: float | Sequence[float] = 2.0) -> ErrorEstimate:
+    """Error of the finest level from [d01], [d01, d12] or more.
+
+    Parameters
+    ----------
+    differences : signed, for a field their norms, each with the sign of its product with d01
+    ratio : of the mesh sizes of neighbours, one for all or one per difference
+
+    Raises
+    ------
+    ValueError
+        no difference, one that is not finite, a ratio that is not above 1 or not one per difference.
+    """
+    ratios = [float(ratio)] * len(differences) if isinstance(ratio, int | float) else list(ratio)
+    if not differences or len(ratios) != len(differences) or min(ratios) <= 1.0:
+        raise ValueError("an error estimate needs two mesh levels or more, each coarser than the one before")
+    if not all(math.isfinite(d) for d in differences):
+        raise ValueError("an error estimate needs finite differences; a mesh level has no result")
+    first = abs(differences[0])
+    if len(differences) == 1:
+        error = first / (ratios[0] ** FORMAL_ORDER - 1.0)
+        return ErrorEstimate(error, 3.0 * error, math.nan, TWO_LEVELS)
+    orders = [_order(*differences[k : k + 2], *ratios[k : k + 2]) for k in range(len(differences) - 1)]
+    order = orders[0]
+    behaviour = _behaviour(differences, orders)
+    if behaviour in (TOO_SLOW, OSCILLATING, DIVERGING):
+        error = _largest_difference(differences)
+    else:
+        used = {CONVERGING: order, UNSTEADY: min(order, FORMAL_ORDER), TOO_FAST: FORMAL_ORDER}[behaviour]
+        error = first / (ratios[0] ** used - 1.0)
+    return ErrorEstimate(error, (1.25 if behaviour == CONVERGING else 3.0) * error, order, behaviour)
+
+
+def estimate_limit(
+    values: Sequence[float], ratio: float | Sequence[float] = 2.0
+) -> tuple[float, ErrorEstimate]:
+    """Richardson's extrapolation of a number on ever coarser meshes, the finest first, and the finest's error.
+
+    The finest value itself where its levels do not converge.
+    """
+    differences = [coarse - fine for fine, coarse in itertools.pairwise(values)]
+    estimate = estimate_error(differences, ratio)
+    shift = math.copysign(estimate.error, differences[0]) if estimate.reasonable else 0.0
+    return values[0] - shift, estimate
+
+
+def _behaviour(differences: Sequence[float], orders: Sequence[float]) -> str:
+    order, (low, high) = orders[0], REASONABLE_ORDERS
+    if not any(differences):
+        return CONVERGING
+    if order <= 0.0:
+        return DIVERGING
+    if differences[0] * differences[1] < 0.0:
+        return OSCILLATING
+    if order < low:
+        return TOO_SLOW
+    if order > high:
+        return TOO_FAST
+    return CONVERGING if all(abs(other - order) <= STEADY for other in orders[1:]) else UNSTEADY
+
+
+def _order(d01: float, d12: float, r01: float, r12: float) -> float:
+    """Observed order, infinite where d01 alone is zero; 0 or less where the differences do not shrink."""
+    if d01 == 0.0:
+        return math.inf if d12 else FORMAL_ORDER
+    growth = abs(d12 / d01)
+    if math.isclose(r01, r12, rel_tol=1e-9):
+        return math.log(growth) / math.log(r01) if growth else -math.inf
+
+    def excess(p: float) -> float:
+        return r01**p * math.expm1(p * math.log(r12)) / math.expm1(p * math.log(r01)) - growth
+
+    if excess(1e-9) >= 0.0:
+        return 0.0
+    if excess(_HIGHEST_ORDER) <= 0.0:
+        return math.inf
+    from scipy.optimize import brentq  # slow to load, and the report needs only the rest
+
+    return float(brentq(excess, 1e-9, _HIGHEST_ORDER, xtol=1e-12))
+
+
+def _largest_difference(differences: Sequence[float]) -> float:
+    """Between any two levels, in the units of the differences."""
+    places = [0.0]
+    for difference in differences:
+        places.append(places[-1] + difference)
+    return max(places) - min(places)

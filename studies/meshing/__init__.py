@@ -1,1 +1,0 @@
-"""From shapes and files to meshes: gmsh behind one module, readers, repair, refinement."""

@@ -1,0 +1,254 @@
+"""Linear elasticity on a coarser mesh of the same body: what the elements give at the price of a surface model.
+
+The coarse body is made from the case's own surface, remeshed and filled. Displacement goes from its quadratic
+facets to the case's surface nodes by their shape functions, forces the other way by the transpose, which keeps
+the resultant and the work.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy.sparse import csr_array
+from scipy.spatial import cKDTree
+
+from fem_reference.linear import LinearProblem
+from fem_reference.loads import Load, nodal_forces, prescribed_nodes
+from fem_reference.mesh import TetMesh, facet_quadrature, triangle_p2
+from fem_reference.solution import CONVERGED, Solution, SolverError, Status
+
+from ..body.geometry import fill_surface
+from ..body.mesh import Array, Index, Mask, Mesh
+from ..body.surface_measures import enclosed_volume, facet_areas
+from ..scene.scene import Scene, SurfaceLoad
+
+COARSENING = 2.0  # edge of the coarse mesh over that of the case's own
+MOST_OFF = 0.5  # of the support's area on the coarse mesh, over that of the case's own
+SMALL_SUPPORT = Status(
+    "small-support",
+    f"the support is too small for the coarse mesh, whose edges are {COARSENING:g} times as long: "
+    f"the facets that could hold there have an area more than {MOST_OFF:.0%} off",
+    "hold a wider region, or take a smaller mesh_size",
+)
+_CHUNK = 256  # points per pass: bounds the temporary arrays
+
+
+@dataclass(frozen=True)
+class Transfer:
+    """Between N surface nodes of a case and its coarse mesh of n_nodes element nodes.
+
+    Attributes
+    ----------
+    interpolation : (N, n_nodes) displacement of the case's nodes from that of the coarse ones
+    nearest : (n_coarse,) the case's held surface node nearest to each coarse surface node
+    """
+
+    interpolation: csr_array
+    nearest: Index
+
+
+def coarse_mesh(mesh: Mesh) -> Mesh:
+    """The same body with edges `COARSENING` times as long, from its surface.
+
+    Raises
+    ------
+    MeshError
+        a surface that cannot be remeshed as coarsely.
+    """
+    corners = mesh.surface_points[mesh.triangles]
+    edge = float(np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).mean())
+    return fill_surface(mesh.surface_points, mesh.triangles, COARSENING * edge)
+
+
+def coarse_support(scene: Scene, coarse: Mesh) -> tuple[Mask, Index]:
+    """(n_coarse,) held nodes of the coarse surface, and the scene's held node nearest to each of its nodes.
+
+    A support is the facets whose three nodes are held. On nodes as far apart as these its area is what decides
+    how a body rocks: nodes are held up to the distance at which the area is closest to that of the scene.
+
+    Raises
+    ------
+    SolverError
+        a support so small that what coarse facets can hold has another area, by more than half.
+    """
+    nodes = np.flatnonzero(scene.held)
+    if not len(nodes):
+        return np.zeros(len(coarse.surface_nodes), dtype=bool), np.zeros(
+            len(coarse.surface_nodes), dtype=np.int64
+        )
+    found = cKDTree(scene.mesh.surface_points[nodes]).query(coarse.surface_points)
+    distance, place = np.asarray(found[0]), np.asarray(found[1])
+    of_facet = distance[coarse.triangles].max(axis=1)
+    order = np.argsort(of_facet)
+    covered = np.cumsum(_areas(coarse)[order])
+    wanted = _areas(scene.mesh)[scene.held[scene.mesh.triangles].all(axis=1)].sum()
+    closest = np.abs(covered - wanted).argmin()
+    if not abs(covered[closest] - wanted) <= MOST_OFF * wanted:
+        raise SolverError(SMALL_SUPPORT)
+    reach = of_facet[order][closest]
+    return distance <= reach, nodes[place]
+
+
+def _areas(mesh: Mesh) -> Array:
+    return facet_areas(mesh.surface_points, mesh.triangles)
+
+
+def _volume(mesh: Mesh) -> float:
+    return enclosed_volume(mesh.surface_points, mesh.triangles)
+
+
+class CoarseProblem:
+    """Answers loads of a scene's body with the mixed P2-P1 element on a coarser mesh, at the scene's surface nodes.
+
+    Contact is the scene's nodal forces, and the body weighs what the scene's does, whatever volume flatter facets
+    leave it. Coarse nodes are held within the distance of the scene's held nodes that
+    gives the support its area; reactions go to the nearest held node. Held nodes of the scene have the
+    displacement that is given.
+
+    Raises
+    ------
+    ValueError
+        MeshError where the body cannot be remeshed as coarsely, SolverError of a support that is too small for it,
+        or what `LinearProblem` refuses.
+    """
+
+    def __init__(self, scene: Scene, n_loads: int) -> None:
+        start = time.perf_counter()
+        self._scene = scene
+        coarse, tissue, fibres = coarse_mesh(scene.mesh), scene.tissue, scene.anisotropy
+        held, nearest = coarse_support(scene, coarse)
+        options: dict[str, Any] = {}
+        if fibres:
+            options = {"fibre_direction": fibres.fibre_direction, "contrast": fibres.contrast}
+        self.problem = LinearProblem(
+            coarse.points,
+            coarse.tetrahedra,
+            coarse.surface_nodes,
+            coarse.triangles,
+            youngs_modulus=tissue.youngs_modulus,
+            poisson_ratio=tissue.poisson_ratio,
+            density=tissue.density * _volume(scene.mesh) / _volume(coarse),
+            held=held,
+            solver="direct",
+            expected_loads=n_loads,
+            **options,
+        )
+        self._transfer = Transfer(
+            surface_interpolation(self.problem.mesh, scene.mesh.surface_points), nearest
+        )
+        self._coarse = coarse
+        self._seconds = time.perf_counter() - start
+
+    def solve(self, loads: Sequence[SurfaceLoad]) -> Solution:
+        """One step per load, independent of each other."""
+        scene, problem, tissue = self._scene, self.problem, self._scene.tissue
+        frames = [_frame(scene, problem, self._transfer, load) for load in loads]
+        return Solution(
+            displacement=np.array([frame.displacement for frame in frames]),
+            fluid_pressure=np.array([frame.pressure for frame in frames]),
+            reaction_force=np.array([frame.reaction for frame in frames]),
+            energy=np.array([frame.energy for frame in frames]),
+            iterations=np.zeros(len(frames), dtype=np.int64),
+            status=tuple(frame.status for frame in frames),
+            seconds_setup=self._seconds,
+            seconds_per_step=np.array([frame.seconds for frame in frames]),
+            parameters={
+                "youngs_modulus": tissue.youngs_modulus,
+                "poisson_ratio": tissue.poisson_ratio,
+                "coarse_density": problem.density,  # flatter facets hold less: the weight is the case's own
+                "coarse_tetrahedra": float(len(self._coarse.tetrahedra)),
+                "coarse_surface_nodes": float(len(self._coarse.surface_nodes)),
+                "dofs": float(problem.system.size),
+            },
+            scalars={
+                "relative_residual": np.array([frame.residual for frame in frames]),
+                **(
+                    {"condition_estimate": np.full(len(frames), problem.condition)} if scene.condition else {}
+                ),
+            },
+        )
+
+
+@dataclass(frozen=True)
+class _Frame:
+    displacement: Array
+    pressure: float
+    reaction: Array
+    energy: float
+    residual: float
+    status: Status
+    seconds: float
+
+
+def _frame(scene: Scene, problem: LinearProblem, transfer: Transfer, load: SurfaceLoad) -> _Frame:
+    start = time.perf_counter()
+    mesh = problem.mesh
+    coarse = Load(
+        np.zeros((len(mesh.triangles), len(facet_quadrature()[1]))),
+        load.prescribed[transfer.nearest],
+        load.gravity,
+    )
+    forces = nodal_forces(mesh, [coarse], problem.density)
+    forces[0] += transfer.interpolation.T @ load.contact_force
+    fields = problem.solve_nodal(forces, prescribed_nodes(mesh, [coarse]))
+    displacement = np.asarray(transfer.interpolation @ fields.displacement[0])
+    displacement[scene.held] = load.prescribed[scene.held]
+    seconds = time.perf_counter() - start
+    work = np.vdot(forces, fields.displacement) + np.vdot(fields.reaction, fields.displacement)
+    residual = float(fields.residual[0])
+    return _Frame(
+        displacement=displacement,
+        pressure=float(problem.mean_pressure(fields)[0]),
+        reaction=_reaction(scene, problem, fields.reaction[0]),
+        energy=0.5 * float(work),
+        residual=residual,
+        status=CONVERGED if residual <= problem.solver.tolerance else _not_converged(residual),
+        seconds=seconds,
+    )
+
+
+def _reaction(scene: Scene, problem: LinearProblem, nodal: Array) -> Array:
+    """(N, 3) coarse reactions (n_nodes, 3), each at the nearest held node of the scene."""
+    held = np.flatnonzero(scene.held)
+    pulling = np.flatnonzero(nodal.any(axis=1))
+    place = cKDTree(scene.mesh.surface_points[held]).query(problem.mesh.node_points[pulling])[1]
+    out = np.zeros((len(scene.held), 3))
+    np.add.at(out, held[place], nodal[pulling])
+    return out
+
+
+def surface_interpolation(mesh: TetMesh, points: Array) -> csr_array:
+    """(N, n_nodes) shape functions of the coarse facets near to (N, 3) points: each row sums to one."""
+    corners = mesh.points[mesh.surface_nodes[mesh.triangles]]
+    first, second = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    gram = np.stack(
+        [np.einsum("fi,fi->f", a, b) for a, b in ((first, first), (first, second), (second, second))]
+    )
+    scale = gram[0] * gram[2] - gram[1] ** 2
+    rows, values = [], []
+    for start in range(0, len(points), _CHUNK):
+        some = points[start : start + _CHUNK]
+        offset = some[:, None, :] - corners[None, :, 0]
+        p, q = (np.einsum("nfi,fi->nf", offset, edge) for edge in (first, second))
+        b = np.stack([(gram[2] * p - gram[1] * q) / scale, (gram[0] * q - gram[1] * p) / scale], axis=2)
+        inside = np.concatenate([1.0 - b.sum(axis=2, keepdims=True), b], axis=2).clip(0.0)
+        inside /= inside.sum(axis=2, keepdims=True)
+        gap = np.linalg.norm(np.einsum("nfa,fai->nfi", inside, corners) - some[:, None, :], axis=2)
+        facet = gap.argmin(axis=1)
+        rows.append(mesh.facet_nodes[facet])
+        values.append(triangle_p2(inside[np.arange(len(some)), facet]))
+    nodes, weights = np.concatenate(rows), np.concatenate(values)
+    indptr = np.arange(0, nodes.size + 1, nodes.shape[1])
+    return csr_array((weights.ravel(), nodes.ravel(), indptr), shape=(len(points), mesh.n_nodes))
+
+
+def _not_converged(residual: float) -> Status:
+    return Status(
+        "not-converged",
+        f"the coarse mesh's solver reached a relative residual of {residual:.1e}",
+        "use a smaller mesh_size",
+    )

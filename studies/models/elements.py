@@ -1,0 +1,146 @@
+"""The volumetric models: finite elements of `fem_reference`, registered."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import partial
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ..scene.scene import Scene, SurfaceLoad
+from ..study.model_name import split
+from ..study.registry import Model, SetUp, register
+
+if TYPE_CHECKING:
+    from fem_reference.loads import Load as FemLoad
+
+# scikit-fem's own assembly and a general LU factor: what the fast path is held to
+PLAIN = "plain"
+_ELEMENTS = {"fem-linear": "P2-P1", "fem-p1": "P1", "fem-p2": "P2"}
+_LARGEST = ("max_det_f_deviation", "max_principal_strain")
+
+
+def _small_strain(scene: Scene, solver: str, name: str, n_loads: int) -> SetUp:
+    """One factorisation, and on the fast path the loads that are independent in one batch of right-hand sides."""
+    if solver == PLAIN:
+        from fem_reference.plain_linear import PlainLinearProblem
+
+        plain = PlainLinearProblem(**_body(scene))
+        return SetUp(lambda loads: plain.solve(_fem_loads(loads)))
+    from fem_reference.linear import LinearProblem
+
+    problem = LinearProblem(**_body(scene), element=_ELEMENTS[split(name)[0]], expected_loads=n_loads)
+    return SetUp(lambda loads: problem.solve(_fem_loads(loads), _asked(scene)), problem)
+
+
+def _condensed(scene: Scene, solver: str, name: str, n_loads: int) -> SetUp:  # noqa: ARG001
+    from fem_reference.condensed import CondensedProblem
+    from fem_reference.linear import LinearProblem
+
+    body = _body(scene)
+    if not scene.gravity.any():
+        body["density"] = 0.0  # no columns for a weight that does not act
+    # one motion of held nodes, in units of its largest component
+    largest = scene.prescribed.flat[np.abs(scene.prescribed).argmax()]
+    motions = scene.prescribed[None] / largest if largest else np.zeros((0, *scene.prescribed.shape))
+    n_columns = 12 * int(scene.contact.sum())  # three components at the vertices and three edge middles each
+    whole = LinearProblem(**body, expected_loads=n_columns + len(motions))
+    problem = CondensedProblem(whole, scene.contact, motions=motions)
+    return SetUp(lambda loads: problem.solve(_fem_loads(loads), _asked(scene)), problem)
+
+
+def _coarse(scene: Scene, solver: str, name: str, n_loads: int) -> SetUp:  # noqa: ARG001
+    from .coarse import CoarseProblem
+
+    return SetUp(CoarseProblem(scene, n_loads).solve)
+
+
+def _finite_strain(scene: Scene, solver: str, name: str, n_loads: int) -> SetUp:  # noqa: ARG001
+    if solver == PLAIN:
+        from fem_reference.plain_finite_strain import PlainFiniteStrainProblem
+
+        plain = PlainFiniteStrainProblem(**_body(scene), material=_material(scene))
+        return SetUp(lambda loads: plain.solve(_fem_loads(loads), frozenset(_LARGEST)))
+    from fem_reference.finite_strain import FiniteStrainProblem
+
+    problem = FiniteStrainProblem(**_neo_hookean(scene, n_loads))
+    return SetUp(lambda loads: problem.solve(_fem_loads(loads), _asked(scene, *_LARGEST)))
+
+
+def _finite_strain_onward(scene: Scene, solver: str, name: str, n_loads: int) -> SetUp:
+    if solver == PLAIN:
+        return _finite_strain(scene, solver, name, n_loads)
+    from fem_reference.finite_strain import FiniteStrainProblem
+    from fem_reference.walk import Walk
+
+    problem, walk = FiniteStrainProblem(**_neo_hookean(scene, n_loads)), Walk()
+    return SetUp(lambda loads: problem.solve(_fem_loads(loads), _asked(scene, *_LARGEST), walk))
+
+
+def _neo_hookean(scene: Scene, n_loads: int) -> dict[str, Any]:
+    return {**_body(scene), "material": _material(scene), "expected_loads": n_loads}
+
+
+def _material(scene: Scene) -> str:
+    return "transversely-isotropic" if scene.anisotropy else "neo-hookean"
+
+
+def _body(scene: Scene) -> dict[str, Any]:
+    """What every volumetric model is built from."""
+    mesh, tissue, fibres = scene.mesh, scene.tissue, scene.anisotropy
+    return {
+        "points": mesh.points,
+        "tetrahedra": mesh.tetrahedra,
+        "surface_nodes": mesh.surface_nodes,
+        "triangles": mesh.triangles,
+        "youngs_modulus": tissue.youngs_modulus,
+        "poisson_ratio": tissue.poisson_ratio,
+        "density": tissue.density,
+        "held": scene.held,
+        **({"fibre_direction": fibres.fibre_direction, "contrast": fibres.contrast} if fibres else {}),
+    }
+
+
+def _fem_loads(loads: Sequence[SurfaceLoad]) -> list[FemLoad]:
+    from fem_reference.loads import Load
+
+    return [Load(load.facet_pressure, load.prescribed, load.gravity) for load in loads]
+
+
+def _asked(scene: Scene, *outputs: str) -> frozenset[str]:
+    """Further outputs of a volumetric model."""
+    return frozenset({*outputs, "condition_estimate"} if scene.condition else outputs)
+
+
+_elements = partial(
+    Model,
+    volumetric=True,
+    solvers=("linear",),
+    superposes=("linear",),
+    tissue=("youngs_modulus", "poisson_ratio"),
+    parameters=(),
+    fibres=True,
+)
+for _model in (
+    _elements(
+        name="fem-linear",
+        version="3",
+        prepare=_small_strain,
+        solvers=("linear", PLAIN),
+        superposes=("linear", PLAIN),
+    ),
+    _elements(name="fem-p1", version="2", prepare=_small_strain),
+    _elements(name="fem-p2", version="2", prepare=_small_strain),
+    _elements(name="fem-condensed", version="4", prepare=_condensed, contact_in_setup=True),
+    _elements(name="fem-coarse", version="4", prepare=_coarse),
+    _elements(
+        name="fem",
+        version="2",
+        prepare=_finite_strain,
+        solvers=("linear", PLAIN),
+        superposes=(),
+        continues=_finite_strain_onward,
+    ),
+):
+    register(_model)

@@ -1,0 +1,257 @@
+"""A study's scene on one mesh, as plain arrays: the one thing that every model is given."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from ..body.mesh import Array, Mask, Mesh
+from ..body.surface_measures import corner_sum, facet_area_vectors, nodal_sum
+from ..machine.errors import InputError
+from ..study.schema import Anisotropy, Constraint, Region, Study, Tissue
+from .contact_profile import on_facets
+from .regions import body_extent, lies_outside, select
+
+
+class SceneError(InputError):
+    """A scene that cannot be put on its mesh; the message says which part and what to change."""
+
+
+@dataclass(frozen=True)
+class SurfaceLoad:
+    """What acts on a scene's body in one load step, as each kind of model reads it; outward positive.
+
+    Attributes
+    ----------
+    facet_pressure : (F, Q) contact pressure at the quadrature points, positive into the body [Pa]
+    contact_pressure : (N,) the same per node over A_i [Pa]
+    contact_force : (N, 3) the same as nodal forces [N]
+    prescribed : (N, 3) displacement of held nodes, zero elsewhere [m]
+    gravity : (3,) acceleration [m/s^2]
+    """
+
+    facet_pressure: Array
+    contact_pressure: Array
+    contact_force: Array
+    prescribed: Array
+    gravity: Array
+
+
+@dataclass(frozen=True)
+class Scene:
+    """N surface nodes, F facets with Q quadrature points each, S load steps; SI units, outward positive.
+
+    Attributes
+    ----------
+    mesh : the mesh that all models share
+    tissue : E [Pa], nu, density [kg/m^3]
+    parameters : VDM parameters that the study sets, by name; what is left out follows a rule
+    overrides : the same for single models, by full model name
+    regions : (N,) masks by name
+    fixed : (N,) nodes held at rest
+    constrained : (N,) nodes whose displacement is given
+    prescribed : (N, 3) displacement of held nodes at load factor 1, zero elsewhere [m]
+    facet_pressure : (F, Q) contact pressure at load factor 1, positive into the body [Pa]
+    gravity : (3,) acceleration [m/s^2], constant over the load history
+    environment_pressure : P_ep, the datum of all pressures [Pa]
+    load_factors : (S,)
+    anisotropy : fibre direction and contrast, None for an isotropic body
+    condition : whether the condition of the VDM models' systems is estimated
+    """
+
+    mesh: Mesh
+    tissue: Tissue
+    parameters: Mapping[str, float | str]
+    overrides: Mapping[str, Mapping[str, float | str]]
+    regions: Mapping[str, Mask]
+    fixed: Mask
+    constrained: Mask
+    prescribed: Array
+    facet_pressure: Array
+    gravity: Array
+    environment_pressure: float
+    load_factors: Array
+    anisotropy: Anisotropy | None
+    condition: bool = False
+
+    @property
+    def held(self) -> Mask:
+        """(N,) nodes whose displacement is known."""
+        return self.fixed | self.constrained
+
+    @cached_property
+    def _thrust(self) -> Array:
+        """(F, 3) integral of pressure times shape function over each facet, per corner [N]."""
+        barycentric, weights = _quadrature()
+        _, areas, _ = self._facets
+        return areas[:, None] * ((self.facet_pressure * weights) @ barycentric)
+
+    @cached_property
+    def _facets(self) -> tuple[Array, Array, Array]:
+        return _facet_measures(self.mesh)
+
+    @cached_property
+    def contact_force(self) -> Array:
+        """(N, 3) nodal contact forces at load factor 1; their sum is minus the integral of p n [N]."""
+        normals, _, _ = self._facets
+        return corner_sum(
+            -self._thrust[:, :, None] * normals[:, None, :], self.mesh.triangles, len(self.fixed)
+        )
+
+    @cached_property
+    def contact_pressure(self) -> Array:
+        """(N,) nodal pressure over A_i at load factor 1: sum A_i p_i is the integral of p [Pa]."""
+        _, _, nodal_areas = self._facets
+        return corner_sum(self._thrust, self.mesh.triangles, len(self.fixed)) / nodal_areas
+
+    def load(self, factor: float) -> SurfaceLoad:
+        """What acts at a load factor; the weight does not scale."""
+        return SurfaceLoad(
+            factor * self.facet_pressure,
+            factor * self.contact_pressure,
+            factor * self.contact_force,
+            factor * self.prescribed,
+            self.gravity,
+        )
+
+    @property
+    def loads(self) -> list[SurfaceLoad]:
+        """What acts in each step of the load history."""
+        return [self.load(float(factor)) for factor in self.load_factors]
+
+    @property
+    def contact(self) -> Mask:
+        """(N,) nodes that carry contact pressure."""
+        return self.contact_pressure != 0.0
+
+
+def build_scene(study: Study, mesh: Mesh, masks: Mapping[str, Mask] | None = None) -> Scene:
+    """Put a study's regions, constraints and loads on a mesh.
+
+    `masks` gives the regions' nodes where the mesh is a refinement, whose regions are those of the coarse mesh.
+
+    Raises
+    ------
+    SceneError
+        a region that selects nothing, or contact on a node that is held.
+    """
+    if masks is None:
+        masks = {name: select(region, mesh, study.regions) for name, region in study.regions.items()}
+    n_nodes = len(mesh.surface_nodes)
+    fixed, constrained = np.zeros(n_nodes, dtype=bool), np.zeros(n_nodes, dtype=bool)
+    prescribed = np.zeros((n_nodes, 3))
+    pressure = np.zeros((len(mesh.triangles), len(_quadrature()[1])))
+    for constraint in study.constraints:
+        mask = masks[constraint.region]
+        if not mask.any():
+            raise SceneError(_selects_nothing(constraint.region, study, mesh))
+        if constraint.kind == "fixed":
+            fixed |= mask
+        elif constraint.kind == "constrained":
+            both = constrained & mask & (prescribed != constraint.displacement).any(axis=1)
+            if both.any():
+                raise SceneError(
+                    f"{constraint.name!r} moves {both.sum()} nodes that another constraint moves differently"
+                )
+            constrained |= mask
+            prescribed[mask] = constraint.displacement
+        elif constraint.kind == "contact":
+            pressure += _contact_pressure(constraint, study, mesh, mask)
+        else:
+            raise SceneError(f"constraint {constraint.name!r} is of an unknown kind, {constraint.kind!r}")
+    _check_apart(study, masks)
+    for constraint in study.constraints:
+        overlap = masks[constraint.region] & (fixed | constrained)
+        if constraint.kind == "contact" and overlap.any():
+            raise SceneError(
+                f"contact {constraint.name!r} covers {overlap.sum()} nodes that are fixed or constrained; "
+                "keep the regions apart"
+            )
+    return Scene(
+        mesh=mesh,
+        tissue=study.tissue,
+        parameters=study.vdm_parameters(),
+        overrides=study.model_parameters(),
+        regions=masks,
+        fixed=fixed,
+        constrained=constrained,
+        prescribed=prescribed,
+        facet_pressure=pressure,
+        gravity=np.array(study.gravity.acceleration if study.gravity else (0.0, 0.0, 0.0)),
+        environment_pressure=study.environment.pressure if study.environment else 0.0,
+        load_factors=np.array(study.load.history),
+        anisotropy=study.anisotropy,
+        condition=study.study.condition,
+    )
+
+
+def _check_apart(study: Study, masks: Mapping[str, Mask]) -> None:
+    """Refuses nodes that a constraint holds at rest and another one moves."""
+    for held in (part for part in study.constraints if part.kind == "fixed"):
+        for moved in (part for part in study.constraints if part.kind == "constrained"):
+            if (count := (masks[held.region] & masks[moved.region]).sum()) > 0:
+                raise SceneError(
+                    f"{count} nodes are fixed by {held.name!r} and constrained by {moved.name!r}; "
+                    "keep the regions apart"
+                )
+
+
+def _facet_measures(mesh: Mesh) -> tuple[Array, Array, Array]:
+    """(F, 3) unit normals and (F,) areas of the facets, (N,) nodal areas A_i [m^2]."""
+    vectors = facet_area_vectors(mesh.surface_points, mesh.triangles)
+    areas = np.linalg.norm(vectors, axis=1)
+    return vectors / areas[:, None], areas, nodal_sum(areas, mesh.triangles, len(mesh.surface_points))
+
+
+def _selects_nothing(name: str, study: Study, mesh: Mesh) -> str:
+    told = f"region {name!r} selects no node of the mesh"
+    low, high = mesh.surface_points.min(axis=0), mesh.surface_points.max(axis=0)
+    if not lies_outside(study.regions[name], low, high):
+        return f"{told}; enlarge it or take a smaller mesh_size"
+    return f"{told}: {body_extent(low, high)}"
+
+
+_LEAST_RESULTANT = 1e-6  # of a contact, over the sum of its facets' forces: below it is rounding or chance
+
+
+def _quadrature() -> tuple[Array, Array]:
+    """The reference's rule on a facet; its package is slow to load, and a plan needs no scene."""
+    from fem_reference.mesh import facet_quadrature
+
+    return facet_quadrature()
+
+
+def _contact_pressure(constraint: Constraint, study: Study, mesh: Mesh, mask: Mask) -> Array:
+    """(F, Q) pressure of one contact at the quadrature points [Pa].
+
+    A uniform pressure acts on the facets whose three nodes are in the region. A smooth profile is integrated over
+    the facets (`vdmbench.scene.contact_profile`), so that its resultant hangs neither on mesh level nor on model.
+    """
+    shape, resultant, total = _contact_shape(mesh, mask, constraint.profile, study.regions[constraint.region])
+    if total == 0.0:
+        raise SceneError(
+            f"contact {constraint.name!r} loads no facet; enlarge its region or take a smaller mesh_size"
+        )
+    if constraint.force is not None:
+        if resultant < _LEAST_RESULTANT * total:
+            raise SceneError(
+                f"contact {constraint.name!r} presses from all sides, so that its pressures have no resultant "
+                "to be given by force; give pressure, or a region on one side"
+            )
+        return shape * (constraint.force / resultant)
+    return shape * (constraint.pressure or 0.0)
+
+
+def _contact_shape(mesh: Mesh, mask: Mask, profile: str | None, region: Region) -> tuple[Array, float, float]:
+    """(F, Q) pressure at the quadrature points over its peak; size of its resultant, sum of the facets' [m^2]."""
+    barycentric, weights = _quadrature()
+    if profile in (None, "uniform"):
+        shape = np.repeat(np.all(mask[mesh.triangles], axis=1)[:, None].astype(float), len(weights), axis=1)
+    else:
+        shape = on_facets(profile, region, mesh, (barycentric, weights))
+    vectors = facet_area_vectors(mesh.surface_points, mesh.triangles)
+    areas = shape @ weights
+    return shape, float(np.linalg.norm(areas @ vectors)), float(areas @ np.linalg.norm(vectors, axis=1))

@@ -1,0 +1,83 @@
+"""What is doubtful about a scene, though it can be computed: each a judgement, none an error."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from ..body.mesh import Array, Index, Mask
+from ..body.surface_measures import facet_area_vectors
+from ..study.problems import Finding
+
+OPPOSED = 0.05  # share of a contact's area that may face against its resultant
+
+
+def scene_warnings(
+    constraints: Sequence[Mapping[str, Any]],
+    tissue: Mapping[str, Any],
+    masks: Mapping[str, Mask],
+    points: Array,
+    triangles: Index,
+    largest_factor: float = 1.0,
+) -> Iterator[Finding]:
+    """Places in the study file, each with a sentence.
+
+    Parameters
+    ----------
+    constraints, tissue : as a resolved study holds them, SI
+    masks : (N,) nodes of each region
+    points, triangles : the surface, (N, 3) [m] and (F, 3)
+    largest_factor : largest load factor
+    """
+    vectors = facet_area_vectors(points, triangles)
+    held = [masks[entry["region"]] for entry in constraints if entry["kind"] != "contact"]
+    on_support = np.logical_or.reduce([np.zeros(len(points), dtype=bool), *held])[triangles].all(axis=1)
+    extent = float(np.ptp(points, axis=0).min())
+    for place, entry in enumerate(constraints):
+        mask, loc = masks[entry["region"]], ("constraints", place, "region")
+        if entry["kind"] != "contact":
+            if mask.any() and not (on_support & mask[triangles].any(axis=1)).any():
+                yield loc, _lone(int(mask.sum()))
+            continue
+        pressed = vectors[mask[triangles].all(axis=1)]
+        areas, resultant = np.linalg.norm(pressed, axis=1), pressed.sum(axis=0)
+        total, size = float(areas.sum()), float(np.linalg.norm(resultant))
+        if not total or not size:
+            continue  # a smooth profile between nodes, or a scene that is refused
+        if areas[pressed @ resultant < 0].sum() > OPPOSED * total:
+            yield (
+                loc,
+                (
+                    f"presses opposite sides of the body: its facets carry {total / size:.3g} times its resultant; "
+                    "take a region on one side"
+                ),
+            )
+        force = largest_factor * abs(entry.get("force") or (entry.get("pressure") or 0.0) * size)
+        if "youngs_modulus" not in tissue:
+            continue
+        path = indentation(force, total, tissue["youngs_modulus"], tissue["poisson_ratio"])
+        if path > extent:
+            told = (
+                f"presses with {force:.3g} N, which by linear theory moves the surface by {path:.2g} m, more "
+            )
+            yield loc[:2], f"{told}than the body's smallest extent ({extent:.2g} m); a mixed-up unit?"
+
+
+def indentation(force: float, area: float, youngs_modulus: float, poisson_ratio: float) -> float:
+    """Mean displacement [m] of a disc under a uniform pressure on a half-space.
+
+    16 F (1 - nu^2) / (3 pi^2 a E); Timoshenko and Goodier, Theory of Elasticity, 3rd edition, section 139.
+    """
+    radius = math.sqrt(area / math.pi)
+    return 16 * force * (1 - poisson_ratio**2) / (3 * math.pi**2 * radius * youngs_modulus)
+
+
+def _lone(count: int) -> str:
+    nodes = "one lone node" if count == 1 else f"{count} lone nodes"
+    return (
+        f"holds {nodes} and no facet: on finer meshes what moves there grows without limit; "
+        "hold an area, by a larger region or a smaller mesh_size"
+    )

@@ -1,0 +1,86 @@
+"""Whether the arrays of a case fit each other, as the report takes for granted: checked on writing and reading."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..machine.stored_json import LARGEST
+from ..measures.case import CaseResult
+from ..models.result import ModelResult
+
+
+def check_case(case: CaseResult) -> None:
+    """Raises ValueError, with what is wrong, for a case whose arrays or names do not fit each other."""
+    wrong = next(_faults(case), None)
+    if wrong:
+        raise ValueError(wrong)
+
+
+def _faults(case: CaseResult) -> Iterator[str]:
+    n_nodes, n_steps = len(case.points), len(case.load_factors)
+    if not n_steps or case.load_factors.shape != (n_steps,) or not np.isfinite(case.load_factors).all():
+        yield "its load factors are not finite numbers"
+    if case.points.shape != (n_nodes, 3) or not n_nodes or not np.isfinite(case.points).all():
+        yield "its nodes are not finite points"
+    facets = case.triangles
+    if facets.size and (facets.min() < 0 or facets.max() >= n_nodes):
+        yield "a facet has a node that is not there"
+    if case.reference is not None and case.reference not in case.models:
+        yield "its reference is none of its models"
+    for name, mask in case.regions.items():
+        if mask.shape != (n_nodes,):
+            yield f"region {name} is not one of its nodes"
+    for name, model in case.models.items():
+        if not _fits(model, n_steps, n_nodes):
+            yield f"the arrays of {name} do not fit its steps and nodes"
+    for name, metrics in case.metrics.items():
+        if any(series.values.shape != (n_steps,) for series in metrics.values()):
+            yield f"the metrics of {name} do not fit its steps"
+    if any(map(_is_too_large, _numbers(case))):
+        yield f"a number beyond {LARGEST:g}"
+
+
+def _fits(model: ModelResult, n_steps: int, n_nodes: int) -> bool:
+    fields = (model.displacement, model.reaction_force)
+    series = (
+        model.fluid_pressure,
+        model.energy,
+        model.volume,
+        model.iterations,
+        model.seconds_per_step,
+        *model.scalars.values(),
+    )
+    return (
+        all(values.shape == (n_steps, n_nodes, 3) for values in fields)
+        and all(values.shape == (n_steps,) for values in series)
+        and len(model.status) == n_steps
+    )
+
+
+def _numbers(case: CaseResult) -> Iterator[NDArray[np.float64]]:
+    yield case.points
+    yield case.load_factors
+    for model in case.models.values():
+        yield from (
+            model.displacement,
+            model.reaction_force,
+            model.fluid_pressure,
+            model.energy,
+            model.volume,
+        )
+        yield from model.scalars.values()
+    for metrics in case.metrics.values():
+        yield from (series.values for series in metrics.values())
+
+
+def _is_too_large(values: NDArray[np.float64]) -> bool:
+    """Whether a finite number is; NaN and infinity stand for what there is not."""
+    if not values.size:
+        return False
+    if max(abs(np.nanmax(values, initial=0.0)), abs(np.nanmin(values, initial=0.0))) <= LARGEST:
+        return False
+    sizes = np.abs(values[np.isfinite(values)])
+    return bool(sizes.size and sizes.max() > LARGEST)

@@ -1,0 +1,186 @@
+"""A run directory: whose it is, what was planned in it and what failed, sealed and held against the case files."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any
+
+from ..machine.files import write_atomically
+from ..machine.safe_open import UnfitFileError, read_regular
+from ..machine.stored_json import FailureShape, PlanShape, sealed, unsealed
+from ..measures.case import CaseResult
+from ..study.folders import GEOMETRY_PATH
+from .hdf5 import StoreError
+
+PLAN, STUDY, RESOLVED = "plan.json", "study.toml", "resolved.toml"
+CASE_SUFFIX = ".vtkhdf"
+_FOLDERS = ("cases", "failed")
+_BEGUN = {STUDY, RESOLVED, *_FOLDERS}  # what a run that was killed leaves without a plan
+
+
+class ForeignDirectoryError(ValueError):
+    """A directory that holds something else than a run."""
+
+
+def case_path(directory: Path, case_hash: str) -> Path:
+    """Where a run directory keeps a finished case."""
+    return directory / "cases" / f"{case_hash}{CASE_SUFFIX}"
+
+
+def failure_path(directory: Path, case_hash: str) -> Path:
+    """Where a run directory keeps the reason why a case failed."""
+    return directory / "failed" / f"{case_hash}.json"
+
+
+# --- whose it is ---
+
+
+def refuse_foreign(directory: Path) -> None:
+    """Let a run begin in a directory that is not there, is empty or holds a run already.
+
+    Raises
+    ------
+    ForeignDirectoryError
+        it holds something else, which a run could replace.
+    """
+    if not directory.is_dir():
+        return  # making it says what is in its place
+    names = {path.name for path in directory.iterdir()}
+    rest = {name for name in names if not (name.startswith(".lock") or _is_half_written(name))}
+    begun = ".lock" in names and rest <= _BEGUN
+    if rest and not begun and not _holds_a_run(directory):
+        raise ForeignDirectoryError(
+            f"{directory}: is not empty and not a run directory; choose another --out, or a new one"
+        )
+
+
+def _is_half_written(name: str) -> bool:
+    return name.startswith(".") and name.endswith(".part")
+
+
+def _holds_a_run(directory: Path) -> bool:
+    try:
+        read_plan(directory)
+    except StoreError:  # a damaged plan is made anew beside the cases that it was of
+        return any((directory / "cases").glob(f"*{CASE_SUFFIX}")) or any(
+            (directory / "failed").glob("*.json")
+        )
+    return True
+
+
+def refuse_linked(directory: Path) -> None:
+    """Raises StoreError where a folder of a run directory is a link: what it leads to is another's."""
+    for name in _FOLDERS:
+        if (directory / name).is_symlink():
+            raise StoreError(f"{directory / name}: is a link; put the folder itself in its place")
+
+
+# --- what was planned ---
+
+
+def write_plan(directory: Path, planned: Mapping[str, Any], texts: Mapping[str, bytes]) -> dict[str, Any]:
+    """Write the texts that a plan is of, by the names of their files, and the plan, with their hashes."""
+    whole = {**planned, "files": {name: _digest(text) for name, text in texts.items()}}
+    for name, text in texts.items():
+        write_atomically(directory / name, text)
+    rewrite_plan(directory, whole)
+    return whole
+
+
+def rewrite_plan(directory: Path, planned: Mapping[str, Any]) -> None:
+    """Write a plan that `write_plan` has returned, with what is known of it since."""
+    write_atomically(directory / PLAN, sealed(planned, PLAN))
+
+
+def read_plan(directory: Path) -> dict[str, Any]:
+    """What was planned in a run directory. Raises StoreError where it is none, or where the plan is damaged."""
+    try:
+        plan = unsealed(read_regular(directory / PLAN), PLAN, PlanShape)
+    except (FileNotFoundError, NotADirectoryError, IsADirectoryError):
+        raise StoreError(f"{directory}: not a run directory (it has no {PLAN})") from None
+    except UnfitFileError as error:
+        raise StoreError(f"{error.filename}: {error.strerror}, and run the study again") from None
+    except ValueError as error:
+        raise StoreError(f"{directory}/{PLAN}: damaged ({error}); run the study again") from error
+    refuse_linked(directory)
+    return plan
+
+
+def read_study_text(directory: Path, plan: Mapping[str, Any]) -> str:
+    """The study file of a run. Raises StoreError where it, or its resolved form, is not what was planned."""
+    texts = {name: _text(directory / name) for name in (STUDY, RESOLVED)}
+    for name, text in texts.items():
+        if _digest(text) != plan["files"][name]:
+            raise StoreError(
+                f"{directory}/{name}: damaged (it is not what was run); run the study again to write it anew"
+            )
+    try:
+        return texts[STUDY].decode("utf-8")
+    except UnicodeDecodeError as error:
+        raise StoreError(f"{directory}/{STUDY}: not readable ({error}); run the study again") from error
+
+
+def _text(path: Path) -> bytes:
+    try:
+        return read_regular(path)
+    except (FileNotFoundError, IsADirectoryError, UnfitFileError) as error:
+        raise StoreError(f"{path}: not readable ({error.strerror}); run the study again") from error
+
+
+def check_swept(directory: Path, planned: Mapping[str, Any], case: CaseResult) -> None:
+    """Raises StoreError where a plan says that other values were swept than a case's own file holds."""
+    for key, value in planned["swept"].items():
+        own = value_at(case.resolved, key)
+        if own != (Path(str(value)).name if key == GEOMETRY_PATH else value):
+            raise StoreError(
+                f"{directory}/{PLAN}: damaged (it says {key} = {value!r} of case {case.hash[:12]}, whose file says "
+                f"{own!r}); run the study again"
+            )
+
+
+def value_at(inputs: Any, key: str) -> Any:
+    """The value of a swept key in resolved inputs, None where there is none; see `fields.targets` for keys."""
+    if not key:
+        return inputs
+    items: Iterable[tuple[Any, Any]] = inputs.items() if isinstance(inputs, Mapping) else ()
+    if isinstance(inputs, list):
+        names = [item.get("name", item.get("region")) if isinstance(item, dict) else None for item in inputs]
+        items = [(str(place) if name is None else name, inputs[place]) for place, name in enumerate(names)]
+    for name, item in items:
+        rest = f"{key}.".removeprefix(f"{name}.")
+        if len(rest) <= len(key) and (found := value_at(item, rest.removesuffix("."))) is not None:
+            return found
+    return None
+
+
+def _digest(text: bytes) -> str:
+    return hashlib.sha256(text).hexdigest()
+
+
+# --- what failed ---
+
+
+def write_failure(path: Path, reason: Mapping[str, str], log: str) -> None:
+    """Keep the reason and the log of a failed case beside the results."""
+    write_atomically(path, sealed(reason, path.name))
+    write_atomically(path.with_suffix(".log"), log.encode("utf-8", "replace"))
+
+
+def read_failure(directory: Path, case_hash: str, label: str) -> dict[str, str]:
+    """Why a case failed. Raises StoreError."""
+    path = failure_path(directory, case_hash)
+    try:
+        record = unsealed(read_regular(path), path.name, FailureShape)
+    except (UnfitFileError, IsADirectoryError) as error:
+        raise StoreError(f"{path}: {error.strerror}, and run again") from None
+    except ValueError as error:
+        raise StoreError(f"{path}: damaged ({error}); delete it and run again") from error
+    return {**{key: record[key] for key in ("hash", "code", "message", "remedy")}, "label": label}
+
+
+def has_failed(directory: Path, case_hash: str) -> bool:
+    """Whether a run directory says why a case failed."""
+    return os.path.lexists(failure_path(directory, case_hash))

@@ -1,0 +1,456 @@
+"""What must hold between the keys of a study, beyond each key by itself.
+
+Every check works on a lenient study too, where a faulty or missing value is None: a value is `given` where the
+file has it, usable where it is not None.
+"""
+
+from __future__ import annotations
+
+import difflib
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
+
+from ..machine.errors import MeshError
+from .geometry_spec import (
+    DISTORTIONS,
+    LARGEST_EXTENT,
+    SMALLEST_EXTENT,
+    SURFACE_SUFFIXES,
+    VOLUME_SUFFIXES,
+    check_mesh_size,
+    extent_key,
+    extents,
+)
+from .geometry_spec import Geometry as GeometrySpec
+from .kinds import safe_name
+from .model_name import DISPLACEMENT_ELEMENTS, is_vdm, split
+from .problems import Finding, Loc
+from .schema import (
+    MOST_STEPS,
+    Constraint,
+    Geometry,
+    HalfSpace,
+    Load,
+    Region,
+    Study,
+    Table,
+)
+from .units import shown
+
+SHAPE_KEYS: dict[str, tuple[set[str], set[str]]] = {  # shape -> keys that it needs, keys that it may have
+    "sphere": ({"mesh_size", "radius"}, set()),
+    "ellipsoid": ({"mesh_size", "semi_axes"}, set()),
+    "box": ({"mesh_size", "size"}, set()),
+    "cylinder": ({"mesh_size", "radius", "length"}, {"axis"}),
+    "organ": ({"mesh_size", "size"}, set()),
+    "file": ({"path"}, {"mesh_size", "size", "scale"}),
+}
+_KIND_KEYS = {
+    "fixed": set[str](),
+    "contact": {"pressure", "force", "profile"},
+    "constrained": {"displacement"},
+}
+_MOST_PARTS, _DEEPEST = 1000, 50  # regions that one region may be made of, and levels of them
+_ONE_OF = "below, above, ball, box, cap, group, all, any, not"
+
+
+def check(study: Study) -> Iterator[Finding]:
+    """Everything that is wrong with a study whose keys are right by themselves."""
+    yield from _check_models(study)
+    yield from _check_incompressible(study)
+    yield from _check_penalty(study)
+    yield from _check_unread(study)
+    yield from _check_calibration(study)
+    yield from _check_geometry(study.geometry)
+    yield from _check_regions(study.regions or {})
+    yield from _check_groups(study)
+    yield from _check_constraints(study)
+    yield from _check_history(study.load)
+    yield from _check_loads(study)
+
+
+def unknown(value: str, known: Sequence[str], what: str, *, list_all: bool = True) -> str:
+    """A sentence that says that a name is unknown, with the closest known one, or all where none is close."""
+    known = [name for name in known if name.isprintable()]
+    close = difflib.get_close_matches(value[:80], known, n=1)
+    if close:
+        return f'unknown {what} {shown(value)}; did you mean "{close[0]}"?'
+    return f"unknown {what} {shown(value)}" + (f"; known: {', '.join(known) or 'none'}" if list_all else "")
+
+
+def fits_kind(data: Mapping[str, Any], loc: Loc) -> bool:
+    """Whether a key's place in `data`, as parsed, is in no constraint, or in one of a kind that takes the key."""
+    if loc[0] != "constraints":
+        return True
+    entry = data["constraints"][loc[1]]
+    kind = entry.get("kind") if isinstance(entry, Mapping) else None
+    others = set[str]().union(*(keys for name, keys in _KIND_KEYS.items() if name != kind))
+    return loc[2] not in others - _KIND_KEYS.get(str(kind), others)
+
+
+def _given(table: Table) -> set[str]:
+    """The keys that the file has, or that follow from others, as written there."""
+    return {type(table).model_fields[name].alias or name for name in table.model_fields_set if name[0] != "_"}
+
+
+def _check_models(study: Study) -> Iterator[Finding]:
+    info = study.study
+    if info is None or info.models is None:
+        return
+    if not info.models:
+        yield ("study", "models"), "name at least one model"
+    for place, name in enumerate(info.models):
+        if name in info.models[:place]:
+            yield ("study", "models", place), f"{shown(name)} is listed twice"
+    if info.reference is not None and info.reference not in info.models:
+        yield (
+            ("study", "reference"),
+            f"{shown(info.reference)} is not among the models of this study; add it to models, or leave "
+            "reference out to run without comparison",
+        )
+    for name in study.models or {}:
+        if name not in info.models:
+            yield ("models", name), unknown(name, info.models, "model of this study")
+
+
+def _check_incompressible(study: Study) -> Iterator[Finding]:
+    reference = study.study.reference if study.study is not None else None
+    ratio = study.tissue.poisson_ratio if study.tissue is not None else None
+    if ratio == 0.5 and reference is not None and split(reference)[0] in DISPLACEMENT_ELEMENTS:
+        yield (
+            ("tissue", "poisson_ratio"),
+            f"{reference}, the reference, is a displacement element, which cannot be incompressible; "
+            'use reference = "fem-linear", or a ratio below 0.5',
+        )
+
+
+def _check_penalty(study: Study) -> Iterator[Finding]:
+    """Held nodes by penalty, equations (25) and (26), are solved by `lu`, whose answer no other may claim."""
+    names = [name for name in (study.study and study.study.models) or () if name and _reads(name)]
+    others = [name for name in names if split(name)[1] not in ("linear", "lu")]
+    tables: list[tuple[Loc, Table | None, list[str]]] = [(("vdm", "penalty"), study.vdm, others)]
+    tables += [(("models", name, "penalty"), (study.models or {}).get(name), [name]) for name in others]
+    for loc, table, answered in tables:
+        if answered and getattr(table, "penalty", None) is not None:
+            instead = f"[models.{split(answered[0])[0]}]"
+            yield (
+                loc,
+                f"is solved by lu alone, not by {_listed(set(answered))}; give it in {instead} or leave it out",
+            )
+
+
+def _check_unread(study: Study) -> Iterator[Finding]:
+    """Parameters that decide nothing: [vdm] may serve several models, but one of them has to read each."""
+    names = [name for name in (study.study and study.study.models) or () if name]
+    if any(not _reads(name) and not name.startswith("fem") for name in names):
+        return  # a name that is wrong: nobody knows what it was to read
+    tables: list[tuple[Loc, Table | None, set[str]]] = [
+        (("models", name), (study.models or {}).get(name), set(_reads(name))) for name in names
+    ]
+    tables.append((("vdm",), study.vdm, set().union(*map(_reads, names))))
+    for loc, table, known in tables:
+        for key in sorted(_given(table) - known) if table is not None else ():
+            who = f"{loc[1]} does not read it" if len(loc) > 1 else "no model of this study reads it"
+            yield (*loc, key), f"{who}; leave it out. Read here: {_listed(known) if known else 'none'}"
+
+
+def _check_calibration(study: Study) -> Iterator[Finding]:
+    """Parameters to fit, where the study names them: a model of VDM has to read each, each model one of them."""
+    names = [name for name in (study.study and study.study.models) or () if name and is_vdm(name)]
+    asked = (study.calibration and study.calibration.parameters) or ()
+    if not asked or not all(map(_reads, names)):
+        return  # left to the rules, or a name is wrong
+    known = set().union(*map(_reads, names)) & set(asked)
+    for place, key in enumerate(asked):
+        loc = ("calibration", "parameters", place)
+        if key not in known:
+            yield loc, f"no VDM model of this study reads {key}; leave it out"
+        elif key in asked[:place]:
+            yield loc, f"{key} is listed twice"
+    for name in names:
+        if known and known.isdisjoint(_reads(name)):
+            text = f"{name} reads none of them; add one that it reads, or leave parameters out to fit all"
+            yield ("calibration", "parameters"), text
+
+
+def _reads(name: str) -> tuple[str, ...]:
+    """Keys of [vdm] that a model declares to read."""
+    from .registry import reads  # which reads the schema: only where it is needed
+
+    return reads(name)
+
+
+def _check_geometry(geometry: Geometry) -> Iterator[Finding]:
+    if geometry is None or geometry.shape is None:
+        return
+    needed, allowed = SHAPE_KEYS[geometry.shape]
+    given = _given(geometry) - {"shape"}
+    missing = sorted(needed - given)
+    # of a faulty path nothing is known
+    suffix = geometry.path.suffix.lower() if geometry.path is not None else ""
+    if geometry.shape == "file" and suffix and suffix not in VOLUME_SUFFIXES and "mesh_size" not in given:
+        missing.append("mesh_size")
+    for key in missing:
+        yield ("geometry", key), f"is missing; a {geometry.shape} needs {_listed(needed | {key})}"
+    for key in sorted(given - needed - allowed - set(DISTORTIONS)):
+        yield ("geometry", key), f"a {geometry.shape} has no {key}; it takes {_listed(needed | allowed)}"
+    if "seed" in given and not given & {"slivers", "perturbation"}:
+        yield ("geometry", "seed"), "decides nothing without slivers or perturbation; give one of them"
+    if geometry.path is not None:
+        yield from _check_suffix(geometry.path.name, suffix)
+    if {"size", "scale"} <= given and geometry.shape == "file":
+        yield ("geometry", "scale"), "give size or scale, not both"
+    wants_list = geometry.shape == "box"
+    if geometry.size is not None and wants_list != isinstance(geometry.size, tuple):
+        wanted = "three lengths, along x, y and z" if wants_list else "one length, the largest extent"
+        yield ("geometry", "size"), f"a {geometry.shape} takes {wanted}"
+        return
+    if needed - given <= {"mesh_size"}:
+        yield from _check_extent(geometry)
+
+
+def _check_extent(geometry: Geometry) -> Iterator[Finding]:
+    spec = geometry_spec(geometry)
+    if None in spec.parameters.values():
+        return  # a faulty one, which has been told
+    if geometry.shape == "file" and geometry.size is None:
+        return  # its extent is known once it is read
+    sizes = (geometry.size,) if isinstance(geometry.size, float) else extents(spec)
+    largest = max(sizes)
+    key = "size" if geometry.shape == "file" else extent_key(spec)
+    if not SMALLEST_EXTENT <= largest <= LARGEST_EXTENT:
+        yield (
+            ("geometry", key),
+            f"the body would be {largest:g} m across, outside {SMALLEST_EXTENT:g} to {LARGEST_EXTENT:g} m: "
+            'a mixed-up unit? A bare number is in metres; write "50 mm"',
+        )
+    elif geometry.mesh_size is not None:
+        try:
+            check_mesh_size(geometry.mesh_size, min(sizes))
+        except MeshError as error:
+            yield ("geometry", "mesh_size"), str(error)
+
+
+def _check_suffix(name: str, suffix: str) -> Iterator[Finding]:
+    if suffix == ".geo":
+        yield (
+            ("geometry", "path"),
+            f"{shown(name)}: .geo files are scripts and are not run; give the mesh made from it",
+        )
+    elif suffix not in SURFACE_SUFFIXES + VOLUME_SUFFIXES:
+        yield (
+            ("geometry", "path"),
+            f"{shown(name)}: unknown kind of file; give a surface ({', '.join(SURFACE_SUFFIXES)}) or "
+            f"tetrahedra ({', '.join(VOLUME_SUFFIXES)})",
+        )
+
+
+def geometry_spec(geometry: Geometry) -> GeometrySpec:
+    """The geometry as the mesher takes it; `mesh_size` 0 where a file with tetrahedra has none."""
+    keys = set().union(*SHAPE_KEYS[geometry.shape], DISTORTIONS) - {"mesh_size"}
+    given = {key: getattr(geometry, key) for key in sorted(keys & geometry.model_fields_set)}
+    parameters = {key: value for key, value in given.items() if value is not None or key not in DISTORTIONS}
+    if geometry.path is not None:
+        parameters["path"] = str(geometry.path)
+    return GeometrySpec(geometry.shape, geometry.mesh_size or 0.0, parameters)
+
+
+def _check_regions(regions: dict[str, Region]) -> Iterator[Finding]:
+    for name, region in regions.items():
+        try:
+            safe_name(name)
+        except ValueError as error:
+            yield ("regions", name), str(error)
+        yield from _check_region(region, ("regions", name), regions)
+        if name in _reached(name, regions):
+            yield ("regions", name), "refers to itself, directly or through other regions"
+        elif _is_too_large(region, regions):
+            yield (
+                ("regions", name),
+                f"is made of more than {_MOST_PARTS} regions, or more than {_DEEPEST} levels",
+            )
+
+
+def _check_groups(study: Study) -> Iterator[Finding]:
+    """Named groups of nodes where the body has none."""
+    geometry = study.geometry
+    if geometry is None or geometry.shape is None:
+        return
+    if geometry.shape == "file" and (geometry.path is None or geometry.path.suffix.lower() == ".msh"):
+        return
+    for name, region in (study.regions or {}).items():
+        for loc in _groups_in(region, ("regions", name)):
+            yield loc, "only a MSH file has named groups of nodes; say where the region is instead"
+
+
+def _groups_in(region: Region, loc: Loc) -> Iterator[Loc]:
+    if region.group is not None:
+        yield (*loc, "group")
+    for part_loc, part in _parts(region):
+        if isinstance(part, Region):
+            yield from _groups_in(part, (*loc, *part_loc))
+
+
+def _check_region(region: Region, loc: Loc, regions: dict[str, Region]) -> Iterator[Finding]:
+    given = _given(region)
+    if len(given) != 1:
+        have = f", not {_listed(given)}" if given else ""
+        yield loc, f"give exactly one of {_ONE_OF}{have}"
+    for key in ("below", "above"):
+        half_space: HalfSpace | None = getattr(region, key)
+        if half_space is not None and len(_given(half_space) & {"fraction", "value"}) != 1:
+            yield (*loc, key), "give either fraction or value"
+    box = region.box
+    if box is not None and box.min is not None and box.max is not None:
+        for axis, low, high in zip("xyz", box.min, box.max, strict=True):
+            if low >= high:
+                yield (
+                    (*loc, "box", "max"),
+                    f"must be above min along {axis}: {high:g} m is not above {low:g} m",
+                )
+    for part_loc, part in _parts(region):
+        if isinstance(part, Region):
+            yield from _check_region(part, (*loc, *part_loc), regions)
+        elif part not in regions:
+            yield (*loc, *part_loc), unknown(part, list(regions), "region")
+
+
+def _parts(region: Region) -> Iterator[tuple[Loc, Region | str]]:
+    """The regions that a region is made of, each with its place inside."""
+    for key, parts in (("all", region.all_of), ("any", region.any_of)):
+        yield from (((key, place), part) for place, part in enumerate(parts or ()))
+    if region.not_of is not None:
+        yield ("not",), region.not_of
+
+
+def _reached(name: str, regions: dict[str, Region]) -> set[str]:
+    """The names that a region refers to, directly or through others."""
+    reached: set[str] = set()
+    todo: list[Region] = [regions[name]]
+    while todo:
+        for _, part in _parts(todo.pop()):
+            if isinstance(part, Region):
+                todo.append(part)
+            elif part in regions and part not in reached:
+                reached.add(part)
+                todo.append(regions[part])
+    return reached
+
+
+def _is_too_large(region: Region, regions: dict[str, Region]) -> bool:
+    """Whether working out a region takes too many steps: doubling thirty times over fits in a small file."""
+    count = 0
+    todo: list[tuple[Region, int]] = [(region, 1)]
+    while todo:
+        whole, depth = todo.pop()
+        count += 1
+        if count > _MOST_PARTS or depth > _DEEPEST:
+            return True
+        parts = (part if isinstance(part, Region) else regions.get(part) for _, part in _parts(whole))
+        todo += [(part, depth + 1) for part in parts if part is not None]
+    return False
+
+
+def _check_constraints(study: Study) -> Iterator[Finding]:
+    first: dict[str, int] = {}
+    for place, constraint in enumerate(study.constraints or ()):
+        loc = ("constraints", place)
+        if (
+            constraint.region is not None
+            and study.regions is not None
+            and constraint.region not in study.regions
+        ):
+            yield (*loc, "region"), unknown(constraint.region, list(study.regions), "region")
+        if constraint.name and first.setdefault(constraint.name, place) != place:
+            yield (
+                (*loc, "name"),
+                f"{shown(constraint.name)} is the name of another constraint; give each its own name",
+            )
+        if constraint.kind is not None:
+            yield from _check_kind(constraint, loc, study.regions or {})
+
+
+def _check_kind(constraint: Constraint, loc: Loc, regions: dict[str, Region]) -> Iterator[Finding]:
+    given = _given(constraint) - {"kind", "region", "name"}
+    allowed = _KIND_KEYS[constraint.kind]
+    for key in sorted(given - allowed):
+        takes = f"it takes {_listed(allowed)}" if allowed else "it takes a region only"
+        yield (*loc, key), f"a {constraint.kind} constraint has no {key}; {takes}"
+    if constraint.kind == "contact" and {"pressure", "force"} <= given:
+        yield loc, "has both pressure and force; keep one"
+    elif constraint.kind == "contact" and not given & {"pressure", "force"}:
+        yield loc, "a contact needs either pressure or force"
+    if constraint.kind == "constrained" and "displacement" not in given:
+        yield (*loc, "displacement"), 'is missing; give three lengths, such as ["0 mm", "0 mm", "-5 mm"]'
+    region = regions.get(constraint.region) if constraint.kind == "contact" else None
+    if (
+        constraint.profile in ("hertz", "gaussian")
+        and region is not None
+        and not _given(region) & {"cap", "ball"}
+    ):
+        yield (
+            (*loc, "profile"),
+            f"a {constraint.profile} profile needs a region that is a cap or a ball, "
+            f"and {shown(constraint.region)} is neither",
+        )
+
+
+def _check_history(load: Load) -> Iterator[Finding]:
+    steps = load.steps if load is not None else None
+    count = len(load.factors or ()) * steps if steps else 0
+    if count > MOST_STEPS:
+        text = f"makes a load history of {count:,} steps, more than the {MOST_STEPS:,} allowed; take fewer"
+        yield ("load", "steps"), text
+
+
+def _check_loads(study: Study) -> Iterator[Finding]:
+    """Loads that no body of this stiffness and size can mean: a unit has been mixed up."""
+    modulus = study.tissue.youngs_modulus if study.tissue is not None else None
+    extent = _largest_extent(study.geometry)
+    factor = max(map(abs, study.load.factors)) if study.load is not None and study.load.factors else 1.0
+    for place, constraint in enumerate(study.constraints or ()):
+        loc = ("constraints", place)
+        if modulus is not None:
+            pressure = factor * abs(constraint.pressure or 0.0)
+            if pressure > 10 * modulus:
+                yield (
+                    (*loc, "pressure"),
+                    f"{pressure:g} Pa is more than ten times Young's modulus ({modulus:g} Pa): a mixed-up unit?",
+                )
+            force = factor * abs(constraint.force or 0.0)
+            if extent is not None and force > 10 * modulus * extent**2:
+                yield (
+                    (*loc, "force"),
+                    f"{force:g} N on a body {extent:g} m across is a pressure of more than ten times Young's "
+                    f"modulus ({modulus:g} Pa): a mixed-up unit?",
+                )
+        distance = factor * math.hypot(*(constraint.displacement or (0.0,)))
+        if extent is not None and distance > extent:
+            yield (
+                (*loc, "displacement"),
+                f"{distance:g} m is more than the body's extent ({extent:g} m): a mixed-up unit? "
+                'A bare number is in metres; write "5 mm"',
+            )
+    if modulus is not None and extent is not None and study.gravity is not None:
+        weight = (study.tissue.density or 0.0) * math.hypot(*(study.gravity.acceleration or (0.0,))) * extent
+        if weight > 10 * modulus:
+            yield (
+                ("gravity", "acceleration"),
+                f"the weight of a body {extent:g} m across is a pressure of {weight:g} Pa, more than ten times "
+                f"Young's modulus ({modulus:g} Pa): a mixed-up unit?",
+            )
+
+
+def _largest_extent(geometry: Geometry) -> float | None:
+    """The body's largest extent where the keys tell it."""
+    if geometry is None or geometry.shape is None or any(_check_geometry(geometry)):
+        return None
+    if geometry.shape == "file":
+        return geometry.size if isinstance(geometry.size, float) else None
+    spec = geometry_spec(geometry)
+    return None if None in spec.parameters.values() else max(extents(spec))
+
+
+def _listed(keys: set[str]) -> str:
+    return " and ".join(sorted(keys)) if len(keys) < 3 else ", ".join(sorted(keys))

@@ -1,0 +1,365 @@
+"""Study file -> typed objects; every problem at once, each with its line."""
+
+from __future__ import annotations
+
+import re
+import tomllib
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+from itertools import islice
+from pathlib import Path
+from typing import Any
+
+from ..machine.errors import MeshError
+from .checks import fits_kind, geometry_spec, unknown
+from .fields import FieldRow, field_table, targets
+from .geometry_spec import Geometry as GeometrySpec
+from .kinds import MAX_NAME, is_safe_name
+from .model_name import FINITE_STRAIN, split
+from .problems import MOST_TOLD, Finding, Loc, Problem, Source, StudyError, file_fault
+from .schema import Constraint, Region, Study, Tissue
+from .sweep import Axis, ResolvedCase, check_cases, first_case, read_axes, substituted
+from .toml_lines import NotToml, TooLarge, key_lines
+from .units import shown
+from .validation import validate
+
+__all__ = [
+    "Constraint",
+    "FieldRow",
+    "Problem",
+    "Region",
+    "ResolvedCase",
+    "Study",
+    "StudyError",
+    "Tissue",
+    "case_inputs",
+    "expand",
+    "field_table",
+    "geometry_of",
+    "load_study",
+    "resolved",
+]
+
+ALL_LOADS = "load"  # limits.along: every load of the study, in proportion
+MAX_BYTES = 1_000_000  # of a study file
+
+_NOT_HASHED = {"study", "sweep", "calibration"}
+_LONG_NUMBER = re.compile(r"\d[\d_]{4000,}")
+
+
+def load_study(
+    path: Path,
+    *,
+    allow_outside: bool = False,
+    surface: Path | None = None,
+) -> Study:
+    """Read and validate a study file; all cases of its sweep are validated too.
+
+    Parameters
+    ----------
+    path : the study file, TOML in UTF-8 (a byte order mark is passed over)
+    allow_outside : whether the study may name files outside its own directory
+    surface : a mesh file to use as the geometry, wherever it lies; `mesh_size` and the largest extent `size` of
+        the study are kept, its name is followed by the file's
+
+    Raises
+    ------
+    StudyError
+        with every problem of the file.
+    """
+    text = _read_text(path)
+    data, source = _parse(text, str(path))
+    directory = path.parent.resolve()
+    source = replace(source, directory=directory, allow_outside=allow_outside)
+    if surface is not None:
+        data["geometry"] = _surface_geometry(data.get("geometry"), surface)
+        _name_after(surface, data.get("study"))
+        source = replace(source, trusted=surface.absolute())
+    axes, axis_findings = read_axes(data)
+    base = first_case(data, axes)
+    study, faults = validate(base, source)
+    at_axis = {axis.target.loc: axis.loc for axis in axes if base is not data}
+    findings = [(at_axis.get(loc, loc), text) for loc, text in faults]
+    findings += axis_findings
+    findings += islice(_check_model_names(data), MOST_TOLD + 1)
+    findings += _check_limits(base, axes, study)
+    findings += _check_held(study)
+    swept_well = not axis_findings and not any(loc[:1] == ("sweep",) for loc, _ in findings)
+    if axes and swept_well:
+        most = study.study.max_cases if study is not None else 1000
+        known = {loc for loc, _ in findings}
+        _, faults = check_cases(data, axes, most, source)
+        findings += [(loc, text) for loc, text in faults if loc not in known]
+    if findings or study is None:
+        raise source.error(findings, base)
+    study._source = source
+    return study
+
+
+def expand(study: Study) -> list[ResolvedCase]:
+    """The cases of a study's sweep, in order; one where nothing is swept.
+
+    Raises
+    ------
+    StudyError
+        more cases than `study.max_cases`, or a case that is wrong.
+    """
+    data = _plain(study)
+    axes, findings = read_axes(data)
+    if not findings:
+        resolved_cases, findings = check_cases(data, axes, study.study.max_cases, study._source)
+    if findings:
+        raise study._source.error(findings, data)
+    return resolved_cases
+
+
+def resolved(study: Study) -> dict[str, Any]:
+    """Everything that a study says, as plain JSON in SI units, in an order that does not depend on the file's.
+
+    `Study.model_validate` takes it back. Paths are absolute.
+    """
+    data: dict[str, Any] = _jsonable(_plain(study))
+    axes, _ = read_axes(data)
+    if axes:
+        own = {key: value for key, value in data["sweep"].items() if key in ("mode", "samples", "seed")}
+        for axis in sorted(axes, key=lambda axis: axis.key):
+            own[axis.key] = axis.as_written()
+        data["sweep"] = own
+    return data
+
+
+def geometry_error(study: Study, error: MeshError) -> StudyError:
+    """The error of a study whose geometry turned out to be unusable, with the place in its file."""
+    data = _plain(study)
+    swept = {axis.key: axis.loc for axis in read_axes(data)[0]}
+    key = error.key or ("path" if study.geometry.shape == "file" else "shape")
+    loc = swept.get(f"geometry.{key}", ("geometry", key))
+    return study._source.error([(loc, str(error))], data)
+
+
+def case_inputs(study: Study) -> dict[str, Any]:
+    """The part of `resolved` that a case's hash covers: all that decides its numbers.
+
+    That is geometry, tissue, vdm, models (the overrides), regions, constraints, load, gravity, environment,
+    anisotropy, limits and uncertainty; not the name, title, list of models, reference, sweep and
+    calibration. A geometry file is named by its path: hash its content beside this (`geometry_spec.geometry_key`).
+    """
+    return {key: value for key, value in resolved(study).items() if key not in _NOT_HASHED}
+
+
+def value_and_unit(study: Study, key: str) -> tuple[float, str]:
+    """The value of a key that is a quantity, in SI, and its unit ("1" where it has none); `key` as in a sweep.
+
+    Raises
+    ------
+    KeyError
+        no such quantity in this study, or none given.
+    """
+    data = _plain(study)
+    target = targets(data)[key]
+    value = _value_at(data, target.loc)
+    if target.si is None or not isinstance(value, float):
+        raise KeyError(key)
+    return value, target.unit
+
+
+def with_mesh_size(study: Study, factor: float) -> Study | None:
+    """The study on meshes of `factor` times its size; None where it sweeps that, or has tetrahedra of its own."""
+    data, size = _plain(study), study.geometry.mesh_size
+    swept = "geometry.mesh_size" in {axis.key for axis in read_axes(data)[0]}
+    if size is None or swept or geometry_of(study).has_own_tetrahedra:
+        return None
+    finer = Study.model_validate(substituted(data, ("geometry", "mesh_size"), size * factor))
+    finer._source = study._source
+    return finer
+
+
+def start_of(study: Study, along: str) -> tuple[float, str]:
+    """The load that `limits.along` names, in SI, and its unit: all loads together are once those of the study."""
+    return (1.0, "1") if along == ALL_LOADS else value_and_unit(study, along)
+
+
+def raised(study: Study, along: str, load: float) -> Study:
+    """The study of one load step with the load that `limits.along` names at another value."""
+    data = _plain(study)
+    if along == ALL_LOADS:
+        values = {loc: load * value for loc, value in _loads_at_work(data).values()}
+    else:
+        values = {targets(data)[along].loc: load}
+    for loc, value in values.items():
+        data = substituted(data, loc, value)
+    return Study.model_validate({**data, "load": {**data["load"], "factors": (1.0,)}})
+
+
+def geometry_of(study: Study) -> GeometrySpec:
+    """The study's geometry as the mesher takes it."""
+    return geometry_spec(study.geometry)
+
+
+# --- loads ---
+
+
+def _loads(data: Mapping[str, Any]) -> dict[str, Loc]:
+    """Key -> place of every pressure, force, displacement and weight that `data` could have."""
+    return {
+        key: target.loc
+        for key, target in targets(data).items()
+        if target.si is not None
+        and target.loc[0] in ("constraints", "gravity")
+        and fits_kind(data, target.loc)
+    }
+
+
+def _loads_at_work(data: Mapping[str, Any]) -> dict[str, tuple[Loc, float]]:
+    """Key -> place and value of every load in `data`, in SI, that is not zero."""
+    values = {key: (loc, _value_at(data, loc)) for key, loc in _loads(data).items()}
+    return {key: (loc, value) for key, (loc, value) in values.items() if isinstance(value, float) and value}
+
+
+# --- plain data ---
+
+
+def _plain(study: Study) -> dict[str, Any]:
+    """The study as it could have been parsed from a file in SI units; named tables sorted by name."""
+    data = study.model_dump(by_alias=True, exclude_none=True)
+    for key in ("regions", "models"):
+        data[key] = dict(sorted(data[key].items()))
+    return data
+
+
+def _value_at(data: Any, loc: Loc) -> Any:
+    """The value at a place, None where there is none."""
+    for part in loc:
+        data = data[part] if isinstance(part, int) or part in (data or ()) else None
+    return data
+
+
+def _jsonable(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {key: _jsonable(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_jsonable(item) for item in value]
+    return str(value) if isinstance(value, Path) else value
+
+
+# --- the file ---
+
+
+def _read_text(path: Path) -> str:
+    def wrong(message: str, line: int = 1) -> StudyError:
+        return StudyError([Problem(str(path), line, "", message)])
+
+    fault = file_fault(path)
+    if fault:
+        raise wrong(fault)
+    try:
+        with path.open("rb") as file:
+            raw = file.read(MAX_BYTES + 1)
+    except OSError as error:
+        raise wrong(f"cannot be read: {error.strerror}") from None
+    if len(raw) > MAX_BYTES:
+        raise wrong(f"is larger than {MAX_BYTES // 1_000_000} MB; a study file is text of some hundred lines")
+    try:
+        return raw.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        line = raw.count(b"\n", 0, error.start) + 1
+        raise wrong("is not UTF-8 text; save the file in UTF-8", line) from None
+
+
+def _parse(text: str, path: str) -> tuple[dict[str, Any], Source]:
+    def wrong(message: str, line: int) -> StudyError:
+        return StudyError([Problem(path, line, "", message)])
+
+    lines: dict[Loc, int] = {}
+    try:
+        lines = key_lines(text)
+    except TooLarge as error:
+        raise wrong(str(error), error.line) from None
+    except NotToml:
+        pass  # tomllib says it better
+    try:
+        return tomllib.loads(text), Source(path, lines)
+    except tomllib.TOMLDecodeError as error:
+        message = re.sub(r" \(at .*\)$", "", str(error))
+        raise wrong(f"TOML syntax: {message[:1].lower()}{message[1:]}", _line_of(error, text)) from None
+    except ValueError:  # Python converts no whole number of more than 4,300 digits
+        match = _LONG_NUMBER.search(text)
+        line = text.count("\n", 0, match.start()) + 1 if match else 1
+        raise wrong("a number is too long", line) from None
+
+
+def _line_of(error: tomllib.TOMLDecodeError, text: str) -> int:
+    match = re.search(r"\(at line (\d+),", str(error))
+    return int(match.group(1)) if match else text.rstrip("\n").count("\n") + 1
+
+
+def _surface_geometry(geometry: Any, surface: Path) -> dict[str, Any]:
+    kept = {"shape": "file", "path": str(surface.absolute())}
+    if isinstance(geometry, dict):
+        kept |= {key: geometry[key] for key in ("mesh_size", "size") if key in geometry}
+        if isinstance(kept.get("size"), list):
+            del kept["size"]
+    return kept
+
+
+def _name_after(surface: Path, study: Any) -> None:
+    """Another body is another study, with a run directory and a baseline of its own."""
+    if isinstance(study, dict) and is_safe_name(name := study.get("name")):
+        file = re.sub(r"[^A-Za-z0-9_.-]+", "-", surface.stem)
+        room = min(len(file), max(16, MAX_NAME - len(name) - 1))
+        study["name"] = (
+            f"{name[: MAX_NAME - room - 1]}-{file[-room:]}"  # how names of scans end tells them apart
+        )
+
+
+def _check_model_names(data: Mapping[str, Any]) -> Iterator[Finding]:
+    from .registry import model_names  # loads the families: only where it is needed
+
+    known = model_names()
+    study = data.get("study")
+    names = study.get("models") if isinstance(study, dict) else None
+    for place, name in enumerate(names if isinstance(names, list) else []):
+        if isinstance(name, str) and name not in known:
+            yield ("study", "models", place), unknown(name, known, "model")
+
+
+def holds_nothing(study: Study) -> bool:
+    """Whether no constraint holds a part of the body, so that elements have no answer."""
+    return all(constraint.kind == "contact" for constraint in study.constraints or ())
+
+
+def _check_held(study: Study | None) -> Iterator[Finding]:
+    from .registry import find, model_names
+
+    reference = study.study.reference if study is not None else None
+    if study is None or reference not in model_names():
+        return
+    if find(reference)[0].volumetric and holds_nothing(study):
+        text = f"nothing is held, so {reference} has no answer; hold a region, by kind fixed or constrained"
+        yield ("study", "reference"), text
+
+
+def _check_limits(data: Mapping[str, Any], axes: Sequence[Axis], study: Study | None) -> Iterator[Finding]:
+    """What is wrong with [limits]; `study` is the first case where that is sound."""
+    limits = data.get("limits")
+    along = limits.get("along") if isinstance(limits, dict) else None
+    if not isinstance(along, str):
+        return
+    loads = _loads(data)
+    if along != ALL_LOADS and along not in loads:
+        yield ("limits", "along"), unknown(along, [ALL_LOADS, *loads], "load")
+    elif study is not None:
+        at_work = _loads_at_work(_plain(study))
+        others = [key for key in loads if key in {*at_work, *(axis.key for axis in axes)} - {along}]
+        if not at_work if along == ALL_LOADS else along not in at_work:
+            yield ("limits", "along"), "has no value, or is zero; a search needs a load to start from"
+        elif others and along != ALL_LOADS:
+            text = f'{shown(others[0])} is a load too, which would not rise; along = "{ALL_LOADS}" raises all'
+            yield ("limits", "along"), text
+        yield from _check_limits_reference(study.study.reference)
+
+
+def _check_limits_reference(reference: str | None) -> Iterator[Finding]:
+    if reference is None or split(reference)[0] not in FINITE_STRAIN:
+        wanted = " or ".join(f'"{name}"' for name in FINITE_STRAIN)
+        yield ("limits",), f"the limits are those against finite strain: they need study.reference = {wanted}"

@@ -1,0 +1,234 @@
+"""Walks over the types of the study's tables: their reference, the table at a place, what can be swept."""
+
+from __future__ import annotations
+
+import types
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from itertools import islice
+from typing import Any, Literal, NamedTuple, Union, get_args, get_origin
+
+from pydantic.fields import FieldInfo
+
+from .kinds import SI
+from .problems import Loc
+from .schema import MOST_NAMES, Region, Study, Sweep, Table
+from .units import DIMENSIONS
+
+_NEVER_SWEPT = {"study", "sweep", "limits", "calibration"}
+
+
+def keys_of(table: type[Table]) -> dict[str, FieldInfo]:
+    """The fields of a table by the keys that a file uses."""
+    return {field.alias or name: field for name, field in table.model_fields.items()}
+
+
+def unwrapped(annotation: Any) -> tuple[Any, SI | None]:
+    """A type without `None` and metadata, and its unit; of a name or a table, the table."""
+    si = None
+    while True:
+        if hasattr(annotation, "__metadata__"):
+            si = next((item for item in annotation.__metadata__ if isinstance(item, SI)), si)
+            annotation = get_args(annotation)[0]
+            continue
+        if get_origin(annotation) not in (Union, types.UnionType):
+            return annotation, si
+        options = [option for option in get_args(annotation) if option is not types.NoneType]
+        tables = [option for option in options if _is_table(unwrapped(option)[0])]
+        if len(options) > 1 and not tables:
+            return annotation, si
+        annotation = (tables or options)[0]
+
+
+def _is_table(annotation: Any) -> bool:
+    return isinstance(annotation, type) and issubclass(annotation, Table)
+
+
+def _field_type(field: FieldInfo) -> tuple[Any, SI | None]:
+    annotation, si = unwrapped(field.annotation)
+    return annotation, next((item for item in field.metadata if isinstance(item, SI)), si)
+
+
+def field_at(loc: Loc) -> FieldInfo | None:
+    """The field that a place in a study belongs to, None for one that no table has."""
+    annotation: Any = Study
+    field = None
+    for part in loc:
+        annotation, _ = unwrapped(annotation)
+        if _is_table(annotation):
+            field = keys_of(annotation).get(str(part))
+            annotation = field.annotation if field else None
+        elif get_origin(annotation) in (dict, tuple):
+            field, annotation = None, get_args(annotation)[1 if get_origin(annotation) is dict else 0]
+        else:
+            return None
+    return field
+
+
+def table_at(loc: Loc) -> type[Table]:
+    """The type of the table that is at a place in a study. Raises LookupError where there is none."""
+    annotation: Any = Study
+    for part in loc:
+        annotation, _ = unwrapped(annotation)
+        if _is_table(annotation):
+            annotation = keys_of(annotation)[str(part)].annotation
+        elif get_origin(annotation) in (dict, tuple):
+            annotation = get_args(annotation)[1 if get_origin(annotation) is dict else 0]
+        else:
+            raise LookupError(loc)
+    annotation, _ = unwrapped(annotation)
+    if not _is_table(annotation):
+        raise LookupError(loc)
+    table: type[Table] = annotation
+    return table
+
+
+# --- what a sweep can vary ---
+
+
+@dataclass(frozen=True)
+class Target:
+    """A value of a study that a sweep can vary: where it is, and its unit where it is a quantity."""
+
+    loc: Loc
+    si: SI | None
+
+    @property
+    def unit(self) -> str:
+        """SI unit, "1" where it has none."""
+        return self.si.unit if self.si else "1"
+
+
+def targets(data: Mapping[str, Any]) -> dict[str, Target]:
+    """Every key path that `data`, as parsed from a study file, lets a sweep vary.
+
+    Constraints, regions and the tables of single models go by their names (`constraints.finger.pressure`), the
+    components of a vector by their index (`gravity.acceleration.2`). Each model of the study can have a table.
+    """
+    found: dict[str, Target] = {}
+    for name, field in keys_of(Study).items():
+        if name not in _NEVER_SWEPT:
+            value = _of_each_model(data) if name == "models" else data.get(name)
+            for key, target in _targets(*_field_type(field), name, (name,), value):
+                found.setdefault(key, target)
+    return found
+
+
+def _of_each_model(data: Mapping[str, Any]) -> dict[str, Any]:
+    """The tables of single models, empty where a model of the study has none."""
+    study, given = data.get("study"), data.get("models")
+    listed = study.get("models") if isinstance(study, dict) else None
+    names = [name for name in listed if isinstance(name, str)] if isinstance(listed, list | tuple) else []
+    return {name: {} for name in names} | (given if isinstance(given, dict) else {})
+
+
+def _targets(annotation: Any, si: SI | None, key: str, loc: Loc, value: Any) -> Iterator[tuple[str, Target]]:
+    origin = get_origin(annotation)
+    if _is_table(annotation):
+        if value is None and len(loc) > 1:
+            return  # an optional table inside another, which a value of a sweep cannot complete
+        inside = value if isinstance(value, dict) else {}
+        for name, field in keys_of(annotation).items():
+            yield from _targets(*_field_type(field), f"{key}.{name}", (*loc, name), inside.get(name))
+    elif origin is dict or (origin is tuple and _is_table(get_args(annotation)[0])):
+        for name, place, item in islice(_named(value), MOST_NAMES):  # more are refused
+            inner = get_args(annotation)[1 if origin is dict else 0]
+            yield from _targets(inner, None, f"{key}.{name}", (*loc, place), item)
+    elif si is not None and isinstance(value, list | tuple):
+        for place in range(len(value)):
+            yield f"{key}.{place}", Target((*loc, place), SI(si.unit))
+    elif si is not None and 1 in si.counts:
+        yield key, Target(loc, SI(si.unit))
+    elif si is None and origin in (None, Literal):
+        yield key, Target(loc, None)
+
+
+def _named(value: Any) -> Iterator[tuple[str, str | int, Any]]:
+    """The items of a table of tables, or of the constraints, by name: (name, place, item)."""
+    if isinstance(value, dict):
+        yield from ((name, name, item) for name, item in value.items())
+    elif isinstance(value, list | tuple):
+        for place, item in enumerate(value):
+            name = item.get("name", item.get("region")) if isinstance(item, dict) else None
+            if isinstance(name, str):
+                yield name, place, item
+
+
+# --- the reference of all keys ---
+
+
+class FieldRow(NamedTuple):
+    """One key of the study file, as a reference shows it."""
+
+    key: str
+    kind: str
+    default: str
+    help: str
+
+
+def field_table() -> list[FieldRow]:
+    """Every key of a study file with its type and unit, default and help, in the file's order."""
+    return list(_rows(Study, ""))
+
+
+def _rows(table: type[Table], prefix: str) -> Iterator[FieldRow]:
+    for name, field in keys_of(table).items():
+        annotation, si = _field_type(field)
+        origin, args = get_origin(annotation), get_args(annotation)
+        if _is_table(annotation) and not (table is Region and annotation is Region):
+            yield from _rows(annotation, f"{prefix}{name}.")
+        elif origin is dict:
+            yield from _rows(args[1], f"{prefix}{name}.NAME.")
+        elif origin is tuple and _is_table(args[0]):
+            yield from _rows(args[0], f"{prefix}{name}[].")
+        else:
+            yield FieldRow(prefix + name, _kind(annotation, si), _default(field), field.description or "")
+    if table is Sweep:
+        yield from _axis_rows()
+
+
+def _axis_rows() -> Iterator[FieldRow]:
+    """What `read_axes` takes beside the named keys of [sweep]."""
+    closed = ", ".join(f"`{name}`" for name in sorted(_NEVER_SWEPT))
+    axis = 'sweep."KEY"'
+    yield FieldRow(
+        axis,
+        "list of values, or a range",
+        "",
+        "an axis: KEY is the path of a key that takes one number or text, such as `regions.finger.cap.angle`, "
+        "`constraints.finger.force` (a constraint goes by its name or region) or `gravity.acceleration.2` (a "
+        f"component by its index); not of {closed}",
+    )
+    yield FieldRow(f"{axis}.start", "as of KEY", "required", "a range, of numbers: its first value")
+    yield FieldRow(f"{axis}.stop", "as of KEY", "required", "a range: its last value")
+    yield FieldRow(
+        f"{axis}.num", "whole number", "", "a range: how many values, 2 or more; latin-hypercube: none"
+    )
+    yield FieldRow(f"{axis}.scale", "linear | log", "linear", "a range: in equal steps or in equal ratios")
+
+
+def _kind(annotation: Any, si: SI | None) -> str:
+    if si is not None:
+        return " or ".join(_count(count, si.unit) for count in si.counts)
+    if get_origin(annotation) is Literal:
+        return " | ".join(get_args(annotation))
+    if get_origin(annotation) is tuple:
+        inner, _ = unwrapped(get_args(annotation)[0])
+        return {Region: "list of regions", int: "list of whole numbers"}.get(inner, "list of texts")
+    return {bool: "true or false", int: "whole number", Region: "region"}.get(annotation, "text")
+
+
+def _count(count: int, unit: str) -> str:
+    what = DIMENSIONS[unit][0].split(" ", 1)[1] if unit != "1" else "number"
+    text = what if count == 1 else f"{'list' if count == 0 else f'list of {count}'}: {what}"
+    return text if unit == "1" else f"{text} [{unit}]"
+
+
+def _default(field: FieldInfo) -> str:
+    if field.is_required():
+        return "required"
+    if field.default is None or field.default == "":
+        return ""
+    if isinstance(field.default, bool):
+        return str(field.default).lower()
+    return str(list(field.default)) if isinstance(field.default, tuple) else str(field.default)

@@ -1,0 +1,170 @@
+"""Which models there are: each declares all that a study, a plan and a report need to know of it.
+
+What a model reads decides its content keys; what superposes is combined instead of solved. The families of models
+are loaded when one is asked for: our own, and those of other packages by the entry point `vdmbench.models`, whose
+module registers its models when it is imported. A model is one `register(Model(...))`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cache
+from importlib import import_module
+from importlib.metadata import entry_points
+from typing import TYPE_CHECKING, Protocol
+
+if TYPE_CHECKING:
+    from fem_reference.condensed import CondensedProblem
+    from fem_reference.linear import LinearProblem
+    from fem_reference.solution import Solution as FemSolution
+    from vdm.solution import Solution as VdmSolution
+    from vdm.solvers.linear import LinearSolver
+
+    from ..scene.scene import Scene, SurfaceLoad
+
+    Solution = FemSolution | VdmSolution
+    PressureProblem = LinearSolver | LinearProblem | CondensedProblem
+
+ENTRY_POINT = "vdmbench.models"
+_FAMILIES = ("vdmbench.models.surface", "vdmbench.models.elements")
+
+
+@dataclass(frozen=True)
+class SetUp:
+    """A model made ready for a body: its operators and factors.
+
+    Attributes
+    ----------
+    solve : load steps -> Solution; the steps are independent where the model superposes, else one load path
+    problem : what answers contact pressures linearly; None where nothing does
+    """
+
+    solve: Callable[[Sequence[SurfaceLoad]], Solution]
+    problem: PressureProblem | None = None
+
+
+class Prepare(Protocol):
+    """Sets a model up on the body of a scene, for about so many load steps. Raises ValueError with a sentence."""
+
+    def __call__(self, scene: Scene, solver: str, name: str, n_loads: int) -> SetUp: ...
+
+
+@dataclass(frozen=True, kw_only=True)
+class Model:
+    """A model of the registry.
+
+    Attributes
+    ----------
+    name : what a study writes, without the solver
+    version : raised whenever its numbers change; part of every key
+    prepare : sets it up
+    volumetric : whether it needs tetrahedra
+    solvers : the solvers it offers, the default first
+    superposes : of these the ones whose answers to loads superpose
+    tissue : keys of [tissue] that it reads, the density apart, which all read where a weight acts
+    parameters : keys of [vdm] and of its own table that it reads
+    by_rule : of these the moduli that it takes from the tissue where a study does not set them
+    fibres : whether it solves a body with fibres; one that does not is refused them
+    most_nodes : surface nodes beyond which it refuses a mesh; None where it has no such limit
+    contact_in_setup : whether its set-up depends on where the body is touched and how it is moved
+    continues : set up for loads of one rising path, each solved from the last: as `prepare`; None where it cannot
+    """
+
+    name: str
+    version: str
+    prepare: Prepare
+    volumetric: bool
+    solvers: tuple[str, ...]
+    superposes: tuple[str, ...]
+    tissue: tuple[str, ...]
+    parameters: tuple[str, ...]
+    fibres: bool
+    by_rule: tuple[str, ...] = ()
+    most_nodes: int | None = None
+    contact_in_setup: bool = False
+    continues: Prepare | None = None
+
+
+class RegistrationError(ValueError):
+    """A model that cannot be registered; the message says what is missing."""
+
+
+MODELS: dict[str, Model] = {}  # filled by the families, see `all_models`
+
+
+def register(model: Model) -> None:
+    """Add a model.
+
+    Raises
+    ------
+    RegistrationError
+        a name that is taken, or a declaration that does not fit together or names keys that no study has.
+    """
+    from .schema import Tissue, VdmTable  # which reads the names of models
+
+    if model.name in MODELS:
+        raise RegistrationError(f"a model {model.name!r} is registered already")
+    if not model.version or not model.solvers:
+        raise RegistrationError(f"{model.name}: a model declares its version and its solvers")
+    for what, keys, known in (
+        ("superposes", model.superposes, model.solvers),
+        ("parameters", model.parameters, VdmTable.model_fields),
+        ("by_rule", model.by_rule, model.parameters),
+        ("tissue", model.tissue, Tissue.model_fields),
+    ):
+        if unknown := [key for key in keys if key not in known]:
+            raise RegistrationError(
+                f"{model.name} declares {what} that there are none of: {', '.join(unknown)}"
+            )
+    MODELS[model.name] = model
+
+
+@cache
+def _load_families() -> None:
+    for module in _FAMILIES:
+        import_module(module)
+    for entry in entry_points(group=ENTRY_POINT):
+        entry.load()
+
+
+def all_models() -> dict[str, Model]:
+    """Every model by its name, those of other packages too."""
+    _load_families()
+    return MODELS
+
+
+def model_names() -> list[str]:
+    """Every name that a study can write, with and without solver."""
+    return [
+        name
+        for model in all_models().values()
+        for name in (model.name, *(f"{model.name}:{solver}" for solver in model.solvers))
+    ]
+
+
+def find(name: str) -> tuple[Model, str]:
+    """The model and solver behind "name" or "name:solver".
+
+    Raises
+    ------
+    KeyError
+        no such model or solver.
+    """
+    base, _, solver = name.partition(":")
+    model = all_models()[base]
+    if solver and solver not in model.solvers:
+        raise KeyError(name)
+    return model, solver or model.solvers[0]
+
+
+def reads(name: str) -> tuple[str, ...]:
+    """Keys of [vdm] that a model reads, whatever its solver; none where it is unknown."""
+    model = all_models().get(name.partition(" ")[0].partition(":")[0])
+    return model.parameters if model is not None else ()
+
+
+def superposes(name: str, *, penalty: bool = False) -> bool:
+    """Whether a model's answers to loads superpose; a penalty leaves more rounding than that may have."""
+    model, solver = find(name)
+    return solver in model.superposes and not penalty

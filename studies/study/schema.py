@@ -1,0 +1,496 @@
+"""The study file as typed tables: every key with its type, its unit and its help text beside it.
+
+All lengths, pressures and so on are floats in SI after validation. What concerns more than one key at a time is
+in `checks`; reading a file is in `config`.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Discriminator,
+    Field,
+    PrivateAttr,
+    Tag,
+    ValidationError,
+    ValidationInfo,
+    ValidatorFunctionWrapHandler,
+    field_validator,
+    model_validator,
+)
+
+from .geometry_spec import LEAST_SLIVERS, MOST_PERTURBATION
+from .kinds import (
+    SI,
+    Axis,
+    Direction,
+    Length,
+    LineForce,
+    Modulus,
+    Name,
+    Position,
+    Pressure,
+    Rotation,
+    Shape,
+    Vector3,
+    is_safe_name,
+    not_negative,
+    number_check,
+    one_line,
+    positive,
+)
+from .problems import Source
+from .units import type_name
+
+Vdm = dict[str, float | str]
+
+CLAIMS = 9  # that the paper makes of its model
+MOST_STEPS = 10_000  # of a load history: each keeps the displacement of every node
+MOST_NAMES = 200  # of models, regions, constraints
+MOST_LEVELS = 4  # of meshes that a reference's error bar is from
+
+
+# --- what all tables share ---
+
+
+@dataclass(frozen=True)
+class Context:
+    """How to validate: the file that paths are relative to, and whether to go on past faults.
+
+    A lenient pass puts None in the place of every faulty or missing value, so that checks across keys can still
+    tell what else is wrong. Its result is never handed out.
+    """
+
+    source: Source
+    lenient: bool = False
+
+
+def _as_path(value: Any, info: ValidationInfo) -> Path:
+    if not isinstance(value, str | Path):
+        raise ValueError(f"must be a file's path, not {type_name(value)}")
+    context = info.context
+    return context.source.locate(value) if isinstance(context, Context) else Path(value)
+
+
+class Table(BaseModel):
+    """A table of a study file: unknown keys are errors, nothing is coerced, values do not change."""
+
+    model_config = ConfigDict(extra="forbid", strict=True, frozen=True, hide_input_in_errors=True)
+
+    @field_validator("*", mode="wrap")
+    @classmethod
+    def _pass_over_faults(
+        cls, value: Any, handler: ValidatorFunctionWrapHandler, info: ValidationInfo
+    ) -> Any:
+        try:
+            return handler(value)
+        except ValidationError:
+            if isinstance(info.context, Context) and info.context.lenient:
+                return None
+            raise
+
+    @model_validator(mode="before")
+    @classmethod
+    def _prepare(cls, data: Any, info: ValidationInfo) -> Any:
+        if not isinstance(data, dict):
+            return data
+        data = cls.with_defaults(data)
+        if isinstance(info.context, Context) and info.context.lenient:
+            names = {field.alias or name: field for name, field in cls.model_fields.items()}
+            missing = {name: None for name, field in names.items() if field.is_required()}
+            keep_all = cls.model_config.get("extra") == "allow"
+            data = missing | {key: value for key, value in data.items() if keep_all or key in names}
+        return data
+
+    @classmethod
+    def with_defaults(cls, data: dict[str, Any]) -> dict[str, Any]:
+        """`data` with those defaults that depend on other keys."""
+        return data
+
+
+# --- the tables ---
+
+
+class StudyInfo(Table):
+    """[study]"""
+
+    name: Name = Field(description="names the run directory: letters, digits, _ . -")
+    title: Annotated[str, AfterValidator(one_line)] = Field(
+        "", description="one line for the report; the name where left out", max_length=200
+    )
+    models: tuple[str, ...] = Field(
+        description='models to run: registered names, with a solver if wanted, as in "vdm-paper:quasi-linear"',
+        strict=False,
+        max_length=MOST_NAMES,
+    )
+    reference: str | None = Field(
+        None, description="the model that the others are compared with, one of `models`; none: no comparison"
+    )
+    claims: Annotated[tuple[int, ...], number_check(lambda v: 1 <= v <= CLAIMS, f"must be 1 to {CLAIMS}")] = (
+        Field((), description="numbers of the paper's claims that the study puts on trial", strict=False)
+    )
+    condition: bool = Field(
+        False, description="whether the models estimate the condition of the system that they solve"
+    )
+    max_cases: int = Field(1000, description="refuse a sweep of more cases than this", ge=1, le=100_000)
+
+    @classmethod
+    def with_defaults(cls, data: dict[str, Any]) -> dict[str, Any]:
+        return {"title": data["name"], **data} if is_safe_name(data.get("name")) else data
+
+
+class Geometry(Table):
+    """[geometry], centred on the origin"""
+
+    shape: Shape = Field(description="kind of body; `organ` is a procedural liver, `file` reads a mesh")
+    mesh_size: Length | None = Field(
+        None, description="edge length of the mesh; only a file with tetrahedra does without"
+    )
+    radius: Length | None = Field(None, description="sphere, cylinder: radius")
+    semi_axes: Annotated[Vector3, SI("m", (3,)), positive] | None = Field(
+        None, description="ellipsoid: half of its extents along x, y, z"
+    )
+    size: Annotated[float | Vector3, SI("m", (1, 3)), positive] | None = Field(
+        None, description="box: its extents along x, y, z; organ, file: its largest extent"
+    )
+    length: Length | None = Field(None, description="cylinder: length")
+    axis: Axis | None = Field(None, description="cylinder: its axis, z where left out")
+    path: Annotated[Path, BeforeValidator(_as_path)] | None = Field(
+        None,
+        description="file: a surface (STL, OBJ, PLY, VTP) or tetrahedra (MSH, VTU, VTK); it is moved, the "
+        "centre of its bounding box to the origin, from which regions are measured",
+    )
+    scale: Annotated[float, SI("1"), positive] | None = Field(
+        None, description="file: metres per unit of the file, 1 where neither scale nor size is given"
+    )
+    slivers: (
+        Annotated[
+            float, SI("1"), number_check(lambda v: v >= LEAST_SLIVERS, f"must be at least {LEAST_SLIVERS:g}")
+        ]
+        | None
+    ) = Field(
+        None,
+        description="any shape: squeeze one facet in twenty-five until its longest edge is so many heights",
+    )
+    perturbation: (
+        Annotated[
+            float,
+            SI("1"),
+            positive,
+            number_check(lambda v: v <= MOST_PERTURBATION, f"must be at most {MOST_PERTURBATION:g}"),
+        ]
+        | None
+    ) = Field(
+        None, description="any shape: move each node at random by up to this share of its shortest edge"
+    )
+    seed: int | None = Field(
+        None, description="of the slivers and the perturbation, 0 where left out", ge=0, lt=2**32
+    )
+
+    @classmethod
+    def with_defaults(cls, data: dict[str, Any]) -> dict[str, Any]:
+        return {"axis": "z", **data} if data.get("shape") == "cylinder" else data
+
+
+class Tissue(Table):
+    """[tissue]"""
+
+    youngs_modulus: Annotated[
+        float,
+        SI("Pa"),
+        positive,
+        number_check(
+            lambda v: 10 <= v <= 1e10,
+            'must lie between 10 Pa and 10 GPa (a mixed-up unit? a bare number is in Pa: write "5 kPa")',
+        ),
+    ] = Field(description="Young's modulus")
+    poisson_ratio: Annotated[
+        float,
+        SI("1"),
+        number_check(lambda v: -1 < v <= 0.5, "must be above -1 and at most 0.5 (incompressible)"),
+    ] = Field(description="Poisson's ratio, up to and including 0.5; surface models keep the volume")
+    density: Annotated[
+        float,
+        SI("kg/m^3"),
+        positive,
+        number_check(
+            lambda v: 10 <= v <= 1e5,
+            'must lie between 10 and 100,000 kg/m^3 (a mixed-up unit? write "1.06 g/cm^3")',
+        ),
+    ] = Field(1060.0, description="mass density; only gravity uses it")
+
+
+class VdmTable(Table):
+    """[vdm]: what is left out comes from a documented rule of the model"""
+
+    bulk_modulus: Modulus | None = Field(None, description="B of the paper")
+    connectivity_modulus: Modulus | None = Field(None, description="B_ij of the paper")
+    shear_modulus: Modulus | None = Field(None, description="mu of the boundary form")
+    coarse_nodes: int | None = Field(
+        None,
+        description="boundary form: a surface of more nodes lies as a skin on a coarse body of so many",
+        ge=200,
+        le=1000,
+    )
+    foundation: Annotated[float, SI("Pa/m"), not_negative] | None = Field(
+        None, description="k, stiffness against normal displacement per area"
+    )
+    surface_tension: LineForce | None = Field(
+        None, description="T, tension of the skin; in the vector form its mean"
+    )
+    stretch_stiffness: LineForce | None = Field(None, description="E_s, stiffness of edges against stretch")
+    rotation: Rotation | None = Field(None, description="rotation that costs the skin no energy")
+    penalty: Annotated[float, SI("1"), positive] | None = Field(
+        None,
+        description="alpha of (25) and (26), which only lu solves; left out: held nodes are eliminated exactly",
+    )
+
+    def given(self) -> Vdm:
+        """The parameters that are set."""
+        return self.model_dump(exclude_none=True)
+
+
+class HalfSpace(Table):
+    """Nodes on one side of a plane across an axis"""
+
+    axis: Axis = Field(description="axis that the plane is perpendicular to")
+    fraction: (
+        Annotated[float, SI("1"), number_check(lambda v: 0 <= v <= 1, "must lie between 0 and 1")] | None
+    ) = Field(None, description="place of the plane as a fraction of the body's extent")
+    value: Annotated[float, SI("m")] | None = Field(None, description="place of the plane as a coordinate")
+
+
+class Ball(Table):
+    """Nodes within a ball"""
+
+    center: Position = Field(description="centre")
+    radius: Length = Field(description="radius")
+
+
+class Box(Table):
+    """Nodes within a box"""
+
+    min: Position = Field(description="lowest coordinates")
+    max: Position = Field(description="highest coordinates")
+
+
+class Cap(Table):
+    """Nodes within a cone, seen from the centroid of the body"""
+
+    direction: Direction = Field(description="axis of the cone, of any length")
+    angle: Annotated[
+        float,
+        SI("rad"),
+        positive,
+        number_check(
+            lambda v: v <= math.pi,
+            'must be at most 180 deg (a bare number is in radians: write "25 deg")',
+        ),
+    ] = Field(description="half of the opening angle")
+
+
+class Region(Table):
+    """[regions.NAME]: exactly one of the keys"""
+
+    below: HalfSpace | None = Field(None, description="nodes below a plane")
+    above: HalfSpace | None = Field(None, description="nodes above a plane")
+    ball: Ball | None = Field(None, description="nodes in a ball")
+    box: Box | None = Field(None, description="nodes in a box")
+    cap: Cap | None = Field(None, description="nodes in a cone from the centroid")
+    group: str | None = Field(None, description="nodes of a named group of the mesh file", min_length=1)
+    all_of: tuple[RegionRef, ...] | None = Field(
+        None, alias="all", description="nodes that are in all of these regions", min_length=1, strict=False
+    )
+    any_of: tuple[RegionRef, ...] | None = Field(
+        None, alias="any", description="nodes that are in any of these regions", min_length=1, strict=False
+    )
+    not_of: RegionRef | None = Field(None, alias="not", description="nodes that are not in this region")
+
+
+RegionRef = Annotated[
+    Annotated[str, Tag("<name>")] | Annotated[Region, Tag("<table>")],
+    Discriminator(lambda value: "<name>" if isinstance(value, str) else "<table>"),
+]
+
+
+class Constraint(Table):
+    """[[constraints]]; nodes in none are free"""
+
+    kind: Literal["fixed", "contact", "constrained"] = Field(
+        description="held at rest, pressed, or moved by a given displacement"
+    )
+    region: str = Field(description="name of the region")
+    name: Name = Field("", description="names it in sweeps and reports; the region's name where left out")
+    pressure: Pressure | None = Field(None, description="contact: (peak) pressure, positive into the body")
+    force: Annotated[float, SI("N")] | None = Field(
+        None, description="contact: resultant, instead of the pressure"
+    )
+    profile: Literal["uniform", "hertz", "gaussian"] | None = Field(
+        None,
+        description="contact: shape of the pressure, uniform where left out; the others need a cap or ball",
+    )
+    displacement: Position | None = Field(None, description="constrained: displacement at load factor 1")
+
+    @classmethod
+    def with_defaults(cls, data: dict[str, Any]) -> dict[str, Any]:
+        defaults = {"name": data["region"]} if is_safe_name(data.get("region")) else {}
+        if data.get("kind") == "contact":
+            defaults["profile"] = "uniform"
+        return defaults | data
+
+
+class Load(Table):
+    """[load]"""
+
+    factors: Annotated[tuple[float, ...], SI("1", (0,))] = Field(
+        (1.0,), description="the load history: factors on pressures, forces and displacements"
+    )
+    steps: int | None = Field(
+        None,
+        description="equal steps from each factor to the next, the first from zero; one where left out",
+        ge=1,
+        le=1000,
+    )
+
+    @property
+    def history(self) -> tuple[float, ...]:
+        """All load factors in order."""
+        count = self.steps or 1
+        starts = (0.0, *self.factors)
+        return tuple(
+            end if step == count else start + (end - start) * step / count
+            for start, end in zip(starts, self.factors, strict=False)
+            for step in range(1, count + 1)
+        )
+
+
+class Gravity(Table):
+    """[gravity]"""
+
+    acceleration: Annotated[Vector3, SI("m/s^2", (3,))] = Field(description="acceleration along x, y, z")
+
+
+class Environment(Table):
+    """[environment]"""
+
+    pressure: Pressure = Field(description="P_ep, pressure of the surroundings")
+
+
+class Anisotropy(Table):
+    """[anisotropy]"""
+
+    fibre_direction: Direction = Field(description="direction of the fibres, of any length")
+    contrast: Annotated[float, SI("1"), positive] = Field(
+        description="Young's modulus along the fibres over `tissue.youngs_modulus` (FEM, 1 or more); "
+        "B_ij, T and E_s of an edge, B_i and k of a node along them over those across (VDM)"
+    )
+
+
+class Sweep(Table):
+    """[sweep]: further keys are axes, each the dotted path of a key of the study"""
+
+    model_config = ConfigDict(extra="allow")
+
+    mode: Literal["grid", "zip", "one-at-a-time", "latin-hypercube"] = Field(
+        "grid",
+        description="every combination; one after the other in step; the study as it is written, then each axis "
+        "alone; or random samples of ranges",
+    )
+    samples: int | None = Field(None, description="latin-hypercube: number of cases", ge=1)
+    seed: int | None = Field(None, description="latin-hypercube: seed, 0 where left out", ge=0, lt=2**32)
+
+
+class Limits(Table):
+    """[limits]: search the small-strain limits"""
+
+    along: str = Field(
+        description="dotted path of the load to raise, as in a sweep, where it is the only one; `load` raises all "
+        "in proportion; the search starts at the study's own and ends at 64 times it, or at a largest principal "
+        "strain of 4, a fibre three times as long as at rest"
+    )
+    thresholds: Annotated[
+        tuple[float, ...], SI("1", (0,)), number_check(lambda v: 0 < v < 1, "must lie between 0 and 1")
+    ] = Field((0.05, 0.10), description="growths of the relative L2 displacement error to find")
+
+
+class Calibration(Table):
+    """[calibration]: which loads a fit of the [vdm] parameters may see; the others are held out"""
+
+    training: int | None = Field(
+        None, description="the first so many cases train; half of them where left out", ge=1
+    )
+    parameters: (
+        tuple[
+            Literal[
+                "bulk_modulus",
+                "connectivity_modulus",
+                "foundation",
+                "surface_tension",
+                "stretch_stiffness",
+                "shear_modulus",
+            ],
+            ...,
+        ]
+        | None
+    ) = Field(
+        None,
+        description="what to fit, in each model what it reads; left out: what the study leaves to its rule",
+        min_length=1,
+        strict=False,
+    )
+
+
+class Uncertainty(Table):
+    """[uncertainty]: the reference's own error, from meshes whose tetrahedra are split into eight"""
+
+    levels: int = Field(
+        2,
+        description="mesh levels, the study's own included; each costs 10 to 20 times the one before",
+        ge=2,
+        le=MOST_LEVELS,
+    )
+
+
+class Study(Table):
+    """A whole study file, validated, in SI units."""
+
+    study: StudyInfo = Field(description="what is compared")
+    geometry: Geometry = Field(description="the body")
+    tissue: Tissue = Field(description="its material")
+    vdm: VdmTable = Field(VdmTable(), description="parameters of the VDM models")
+    regions: dict[str, Region] = Field({}, description="named sets of surface nodes", max_length=MOST_NAMES)
+    constraints: tuple[Constraint, ...] = Field(
+        (), description="what holds and loads the body", strict=False, max_length=MOST_NAMES
+    )
+    load: Load = Field(Load(), description="the load history")
+    gravity: Gravity | None = Field(None, description="weight")
+    environment: Environment | None = Field(None, description="surroundings")
+    anisotropy: Anisotropy | None = Field(None, description="one family of fibres")
+    sweep: Sweep = Field(Sweep(), description="what is varied")
+    limits: Limits | None = Field(None, description="small-strain limits")
+    calibration: Calibration | None = Field(None, description="how the [vdm] parameters are fitted")
+    uncertainty: Uncertainty | None = Field(None, description="the reference's own error")
+    models: dict[str, VdmTable] = Field(
+        {}, description="[vdm] keys for one model only", max_length=MOST_NAMES
+    )
+
+    _source: Source = PrivateAttr(default=Source())
+
+    def vdm_parameters(self) -> Vdm:
+        """The parameters of [vdm] that are set."""
+        return self.vdm.given()
+
+    def model_parameters(self) -> dict[str, Vdm]:
+        """What [models."NAME"] overrides, by full model name."""
+        return {name: table.given() for name, table in sorted(self.models.items())}
+
+
+Region.model_rebuild()

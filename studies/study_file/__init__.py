@@ -1,1 +1,0 @@
-"""From a study file to typed objects, with every problem at once."""

@@ -1,0 +1,317 @@
+"""What the page says, as numbers: computed from the stored results alone, before anything is drawn."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..body.surface_measures import Surface
+from ..measures import uncertainty
+from ..measures.case import CaseResult, Run
+from ..measures.metrics import DEFORMATION, VECTOR
+from ..models.result import ModelResult
+from ..study.model_name import is_vdm
+from .standing import at_full_load, reference_bar, series, standing
+
+Array = NDArray[np.float64]
+
+# number of the reference in the palette; the other models count from 0
+REFERENCE = -1
+
+
+def failed_steps(model: ModelResult) -> list[int]:
+    """Steps that cannot be used."""
+    return [step for step, status in enumerate(model.status) if not status.ok]
+
+
+def _has_answer(model: ModelResult) -> bool:
+    return any(status.ok for status in model.status)
+
+
+@dataclass(frozen=True)
+class Spread:
+    """A measure over the cases that have it, each value with the reference's own error in that case."""
+
+    median: float
+    median_bar: float
+    worst: float
+    worst_bar: float
+    best: float
+    cases: int
+    measured: int  # cases whose reference error is known
+    resolved: int  # of these, cases in which it is small enough
+
+    @property
+    def verdict(self) -> str:
+        """ "resolved", "unresolved", "partly resolved" or "not measured"."""
+        if not self.measured:
+            return "not measured"
+        if self.resolved == self.cases:
+            return "resolved"
+        return f"resolved in {self.resolved} of {self.cases}" if self.resolved else "unresolved"
+
+
+def spread_of(values: Array, bars: Array) -> Spread | None:
+    """Spread of (C,) values, each with the reference's error; without those not finite, None if none is left."""
+    kept = np.isfinite(values)
+    if not kept.any():
+        return None
+    values, bars = values[kept], bars[kept]
+    sizes = np.abs(values)
+    worst = int(np.argmax(sizes))
+    known = np.isfinite(bars)
+    return Spread(
+        median=float(np.median(values)),
+        median_bar=float(np.median(bars[known])) if known.any() else math.nan,
+        worst=float(values[worst]),
+        worst_bar=float(bars[worst]),
+        best=float(values[np.argmin(sizes)]),
+        cases=len(values),
+        measured=int(known.sum()),
+        resolved=sum(map(uncertainty.is_resolved, values.tolist(), bars.tolist())),
+    )
+
+
+@dataclass(frozen=True)
+class ModelSummary:
+    """One model over all cases, at full load."""
+
+    name: str
+    is_reference: bool
+    vector: Spread | None
+    deformation: Spread | None
+    drift: Spread | None
+    seconds_setup: float  # median over cases
+    seconds_per_step: float  # median over cases and steps
+    peak_bytes: float  # largest over cases
+    failed_cases: int  # cases with a step that failed
+    shared_cases: int  # cases whose set-up was made for several
+    earlier_cases: int  # cases whose result, and with it time and memory, is from an earlier run
+    iterative: bool  # whether an iterative solver was chosen in any case
+
+
+@dataclass(frozen=True)
+class Digest:
+    """A run with what follows from it."""
+
+    run: Run
+
+    @cached_property
+    def cases(self) -> Sequence[CaseResult]:
+        """The finished cases."""
+        return self.run.cases
+
+    @cached_property
+    def surfaces(self) -> dict[str, Surface]:
+        """Hash of each case -> its undeformed surface; cases on the same mesh share one, measured once."""
+        shared: dict[tuple[bytes, bytes], Surface] = {}
+        return {
+            case.hash: shared.setdefault(
+                (case.points.tobytes(), case.triangles.tobytes()), Surface(case.points, case.triangles)
+            )
+            for case in self.cases
+        }
+
+    @cached_property
+    def models(self) -> tuple[str, ...]:
+        """All models, in the study's order, then any that only the cases name."""
+        asked = [str(name) for name in self.run.study.get("models", ())]
+        present = [name for case in self.cases for name in case.models]
+        return tuple(dict.fromkeys([*asked, *present]))
+
+    @cached_property
+    def reference(self) -> str | None:
+        """The reference of the finished cases, else the study's."""
+        found = next((case.reference for case in self.cases if case.reference), None)
+        return found or self.run.study.get("reference") or None
+
+    @cached_property
+    def compared(self) -> tuple[str, ...]:
+        """The models that are measured against the reference."""
+        return tuple(
+            name
+            for name in self.models
+            if name != self.reference and any(series(case, name, VECTOR) is not None for case in self.cases)
+        )
+
+    @cached_property
+    def coarse_reference(self) -> str | None:
+        """The reference's own model on the case's mesh, where the cases were held against it on a refined one."""
+        asked = self.run.study.get("reference")
+        return asked if asked != self.reference and asked in self.compared else None
+
+    @cached_property
+    def on_trial(self) -> tuple[str, ...]:
+        """The compared models that are not the reference's own on a coarser mesh."""
+        return tuple(name for name in self.compared if name != self.coarse_reference)
+
+    @cached_property
+    def candidates(self) -> tuple[str, ...]:
+        """The models that the verdict is about: those of VDM, where none is compared whatever else is on trial."""
+        surface = tuple(name for name in self.on_trial if is_vdm(name))
+        return surface or self.on_trial or self.compared
+
+    def colour(self, model: str) -> int:
+        """The model's number in the palette."""
+        if model == self.reference:
+            return REFERENCE
+        return [name for name in self.models if name != self.reference].index(model)
+
+    @cached_property
+    def legend(self) -> list[tuple[int, str, bool]]:
+        """(number in the palette, name, is the reference) of every model; the reference comes last."""
+        others = [(self.colour(name), name, False) for name in self.models if name != self.reference]
+        return [*others, (REFERENCE, self.reference, True)] if self.reference in self.models else others
+
+    def case_name(self, case: CaseResult) -> str:
+        """What a case is called on the page."""
+        if case.label:
+            return case.label
+        return "the only case" if len(self.cases) == 1 else f"case {case.hash[:8]}"
+
+    @cached_property
+    def _full_loads(self) -> dict[tuple[str, str], Array]:
+        """(model, metric) -> (C,) what `at_full_load` says of each case, of all that any case has."""
+        found: dict[tuple[str, str], Array] = {}
+        for k, case in enumerate(self.cases):
+            step = case.full_load
+            for model, metrics in case.metrics.items():
+                for metric, entry in metrics.items():
+                    if (model, metric) not in found:
+                        found[model, metric] = np.full(len(self.cases), math.nan)
+                    if len(entry.values):
+                        found[model, metric][k] = entry.values[step]
+        return found
+
+    def full_loads(self, model: str, metric: str) -> Array:
+        """(C,) a metric of every case at the step of the largest load; NaN where there is none."""
+        found = self._full_loads.get((model, metric))
+        return np.full(len(self.cases), math.nan) if found is None else found
+
+    @cached_property
+    def _bars(self) -> dict[str, Array]:
+        """Metric -> (C,) what `reference_bar` says of each case, of all metrics that any case has."""
+        metrics = dict.fromkeys(metric for _, metric in self._full_loads)
+        return {metric: np.array([reference_bar(case, metric) for case in self.cases]) for metric in metrics}
+
+    def bars(self, metric: str) -> Array:
+        """(C,) the reference's own part in a metric of every case; NaN where there is none."""
+        found = self._bars.get(metric)
+        return np.full(len(self.cases), math.nan) if found is None else found
+
+    def spread(self, model: str, metric: str) -> Spread | None:
+        """A metric at full load over all cases."""
+        if metric == uncertainty.INDENTATION_FORCE:  # whose bar goes with the value
+            return self.own_spread(metric, model)
+        return spread_of(self.full_loads(model, metric), self.bars(metric))
+
+    def own_spread(self, metric: str, model: str | None = None) -> Spread | None:
+        """A metric of a model, else of each case's reference, at full load, with the bars of its own value."""
+        values, bars = np.full((2, len(self.cases)), math.nan)
+        for k, case in enumerate(self.cases):
+            name = model or str(case.reference)
+            values[k] = at_full_load(case, name, metric)
+            if math.isfinite(values[k]):
+                bars[k] = uncertainty.value_bar(case, name, metric)
+        return spread_of(values, bars)
+
+    @cached_property
+    def unusual_levels(self) -> dict[str, int]:
+        """Behaviour of the reference's mesh levels -> cases, where it gives no order to extrapolate with."""
+        names, usual = self._behaviours, (uncertainty.CONVERGING, uncertainty.TWO_LEVELS)
+        return {name: names.count(name) for name in dict.fromkeys(names) if name not in usual}
+
+    @property
+    def order_is_assumed(self) -> bool:
+        """Whether all that is known of the reference's error is from two mesh levels, which show no order."""
+        return set(self._behaviours) == {uncertainty.TWO_LEVELS}
+
+    @cached_property
+    def _behaviours(self) -> list[str]:
+        """What the reference's mesh levels do, of each case that has them."""
+        estimates = [uncertainty.stored_estimate(case.reference_error) for case in self.cases]
+        return [e.behaviour for e in estimates if e is not None]
+
+    @cached_property
+    def summaries(self) -> tuple[ModelSummary, ...]:
+        """One per model, in the study's order."""
+        return tuple(self._summary(name) for name in self.models)
+
+    def _summary(self, name: str) -> ModelSummary:
+        results = [case.models[name] for case in self.cases if name in case.models]
+        steps = [result.seconds_per_step for result in results]
+        times = np.concatenate(steps) if steps else np.zeros(0)
+        times = times[np.isfinite(times)]
+        setups = [result.seconds_setup for result in results if math.isfinite(result.seconds_setup)]
+        return ModelSummary(
+            name=name,
+            is_reference=name == self.reference,
+            vector=self.spread(name, VECTOR),
+            deformation=self.spread(name, DEFORMATION),
+            drift=self.own_spread("volume_drift", name),
+            seconds_setup=float(np.median(setups)) if setups else math.nan,
+            seconds_per_step=float(np.median(times)) if len(times) else math.nan,
+            peak_bytes=float(max((r.peak_bytes for r in results if _has_answer(r)), default=math.nan)),
+            failed_cases=sum(bool(failed_steps(result)) for result in results),
+            shared_cases=sum("setup_shared" in result.parameters for result in results),
+            earlier_cases=sum("measured_earlier" in result.parameters for result in results),
+            iterative=any(result.parameters.get("solver") == "iterative" for result in results),
+        )
+
+    @cached_property
+    def focus(self) -> str | None:
+        """The model that the page looks at closely: the candidate that stands best, by the larger of its errors."""
+        rated = [s.name for s in self.summaries if s.name in self.candidates and s.vector is not None]
+        if rated:
+            return min(rated, key=lambda name: standing(self.cases, name))
+        others = [name for name in self.models if name != self.reference]
+        return next(iter([*others, *self.models]), None)
+
+    @cached_property
+    def key_cases(self) -> list[tuple[str, CaseResult]]:
+        """(role, case): the worst, the median and the best case of the focus model, fewer where there are fewer.
+
+        Without a reference: those with the largest, median and smallest displacement.
+        """
+        if not self.cases:
+            return []
+        if len(self.cases) == 1:
+            return [("", self.cases[0])]
+        by_error = bool(self.compared)
+        sizes = [self._size(case, by_error=by_error) for case in self.cases]
+        order = sorted(range(len(sizes)), key=lambda k: (not math.isfinite(sizes[k]), -sizes[k], k))
+        finite = [k for k in order if math.isfinite(sizes[k])] or order
+        roles = ("worst", "median", "best") if by_error else ("largest", "median", "smallest")
+        picks = [(roles[0], finite[0]), (roles[1], finite[len(finite) // 2]), (roles[2], finite[-1])]
+        if len(finite) == 2:
+            picks = [picks[0], picks[2]]
+        seen: dict[int, str] = {}
+        for role, k in picks:
+            seen.setdefault(k, role)
+        return [(role, self.cases[k]) for k, role in seen.items()]
+
+    def _size(self, case: CaseResult, *, by_error: bool) -> float:
+        if self.focus is None:
+            return math.nan
+        if by_error:
+            return abs(at_full_load(case, self.focus, VECTOR))
+        result = case.models.get(self.focus)
+        if result is None:
+            return math.nan
+        return float(np.linalg.norm(result.displacement[case.full_load], axis=1).max())
+
+    @cached_property
+    def swept_keys(self) -> list[str]:
+        """Swept parameters that take more than one value."""
+        keys = dict.fromkeys(key for case in self.cases for key in case.swept)
+        return [key for key in keys if len({case.swept.get(key) for case in self.cases}) > 1]
+
+    @property
+    def has_steps(self) -> bool:
+        """Whether any case has a load history."""
+        return any(len(case.load_factors) > 1 for case in self.cases)

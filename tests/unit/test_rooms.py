@@ -1,0 +1,223 @@
+"""The house: arrows between rooms go one way, libraries stand alone, and what starts loads what it needs."""
+
+from __future__ import annotations
+
+import ast
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from tests.command import vdmbench, write_study
+
+ROOT = Path(__file__).parents[2]
+PACKAGES = ("vdm", "fem_reference", "studies")
+FILES = [path for package in PACKAGES for path in sorted((ROOT / package).rglob("*.py"))]
+
+# in the order in which data flows: each may import those before it
+ROOMS = (
+    "machine",
+    "study",
+    "body",
+    "scene",
+    "models",
+    "measures",
+    "store",
+    "graph",
+    "verdict",
+    "report",
+    "guard",
+    "evidence",
+    "cli",
+)
+NOT_ALLOWED = {
+    "report": {"graph", "models", "scene", "body"},
+    "guard": {"graph", "models", "scene", "report"},
+}
+# each of these is behind one module
+BEHIND = {
+    "gmsh": {"studies/body/geometry.py"},
+    "h5py": {"studies/store/hdf5.py"},
+    "meshio": {"studies/body/mesh_file.py"},
+    "pyvista": {"studies/body/remesh.py"},
+    "distributed": {"studies/graph/cluster.py"},
+    "pebble": {"studies/graph/local.py"},
+    "pyacvd": {"studies/body/remesh.py"},
+}
+
+
+def _imports(path: Path) -> set[str]:
+    """Absolute dotted names of all that a file imports when it runs, wherever in the file."""
+    package = ("vdmbench", *path.relative_to(ROOT).parent.parts[1:])
+    names = set()
+    tree = ast.parse(path.read_text())
+    for node in ast.walk(tree):
+        if isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING":
+            node.body = []
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import):
+            names |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            base = ".".join(package[: len(package) - node.level + 1]) if node.level else ""
+            module = ".".join(part for part in (base, node.module) if part)
+            names |= {f"{module}.{alias.name}" for alias in node.names} | {module}
+    return names
+
+
+def _tops(path: Path) -> set[str]:
+    return {name.split(".")[0] for name in _imports(path)}
+
+
+def _name(path: Path) -> str:
+    return path.relative_to(ROOT).as_posix()
+
+
+def _rooms(path: Path) -> set[str]:
+    """The rooms that a file imports from."""
+    parts = (name.split(".") for name in _imports(path))
+    return {part[1] for part in parts if part[0] == "vdmbench" and len(part) > 1}
+
+
+def test_every_room_says_what_goes_in_and_out() -> None:
+    there = {path.parent.name for path in (ROOT / "studies").glob("*/__init__.py")}
+    assert there == set(ROOMS)
+    for room in ROOMS:
+        assert ast.get_docstring(ast.parse((ROOT / "studies" / room / "__init__.py").read_text()))
+
+
+@pytest.mark.parametrize("room", ROOMS)
+def test_arrows_go_one_way(room: str) -> None:
+    before = set(ROOMS[: ROOMS.index(room) + 1]) - NOT_ALLOWED.get(room, set())
+    for path in (ROOT / "studies" / room).rglob("*.py"):
+        assert _rooms(path) <= before, _name(path)
+
+
+def test_an_arrow_is_seen() -> None:
+    assert {"store", "study", "machine"} <= _rooms(ROOT / "studies" / "graph" / "run.py")
+
+
+def test_the_solver_libraries_stand_alone() -> None:
+    for path in (path for path in FILES if not _name(path).startswith("studies/")):
+        own = _name(path).split("/")[0]
+        assert not _tops(path) & ({"vdm", "fem_reference", "vdmbench"} - {own}), _name(path)
+        files = {"gmsh", "h5py", "meshio", "pyvista", "json", "pathlib", "pickle", "tomllib"}
+        assert not _tops(path) & files - ({"pathlib"} if _name(path).endswith("memory.py") else set()), path
+
+
+def test_heavy_libraries_are_behind_one_module() -> None:
+    for library, homes in BEHIND.items():
+        assert {_name(path) for path in FILES if library in _tops(path)} == homes
+
+
+def test_only_the_command_line_exits() -> None:
+    """That it alone prints is a rule of ruff."""
+    for path in FILES:
+        if not _name(path).startswith("studies/cli/"):
+            assert "argparse" not in _tops(path), path
+            assert "sys.exit" not in path.read_text(), path
+
+
+def test_nothing_that_runs_what_it_reads() -> None:
+    for path in FILES:
+        assert not _tops(path) & {"pickle", "marshal", "shelve", "yaml", "dill"}, path
+        for node in ast.walk(ast.parse(path.read_text())):
+            if isinstance(node, ast.Call) and isinstance(node.func, ast.Name):
+                assert node.func.id not in {"eval", "exec", "__import__"}, f"{path}, line {node.lineno}"
+
+
+def test_no_file_grows_past_500_lines() -> None:
+    assert {_name(path) for path in FILES if len(path.read_text().splitlines()) > 500} == set()
+
+
+def test_the_command_heeds_ctrl_c_before_it_loads_anything() -> None:
+    code = "import sys; there = set(sys.modules); import vdmbench.cli.main; print(sorted({*sys.modules} - there))"
+    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    loaded = set(ast.literal_eval(result.stdout))
+    assert {name for name in loaded if name.startswith("vdmbench")} == {
+        "vdmbench",
+        "vdmbench.cli",
+        "vdmbench.cli.main",
+    }
+    assert not loaded & {"argparse", "pathlib", "typing", "traceback"}
+
+
+def test_help_imports_nothing_heavy() -> None:
+    code = (
+        "import sys, contextlib\n"
+        "from vdmbench.cli.main import main\n"
+        "with contextlib.suppress(SystemExit): main(['--help'])\n"
+        "print(sorted({name.split('.')[0] for name in sys.modules}), file=sys.stderr)\n"
+    )
+    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert "verbs" in result.stdout
+    heavy = {
+        "numpy",
+        "scipy",
+        "skfem",
+        "gmsh",
+        "meshio",
+        "pyvista",
+        "vtkmodules",
+        "h5py",
+        "matplotlib",
+        "pydantic",
+        "distributed",
+    }
+    assert not heavy & set(ast.literal_eval(result.stderr))
+
+
+def test_the_report_starts_without_solvers_and_scipy() -> None:
+    code = "import sys, vdmbench.report.page; print(sorted({name.split('.')[0] for name in sys.modules}))"
+    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert not {"scipy", "vdm", "fem_reference", "gmsh", "vtkmodules"} & set(ast.literal_eval(result.stdout))
+
+
+def test_what_only_plans_and_reports_starts_without_the_libraries_of_those_who_compute() -> None:
+    """The runner of a study leaves meshing and solving to its workers; each library costs it up to a second."""
+    code = (
+        "import sys\n"
+        "from vdmbench.study.config import expand, load_study\n"
+        "import vdmbench.graph.run, vdmbench.graph.plan, vdmbench.report.page, pathlib, tempfile\n"
+        "study = load_study(pathlib.Path('studies/cases/quickstart.toml'))\n"
+        "with tempfile.TemporaryDirectory() as name:\n"
+        "    where = pathlib.Path(name)\n"
+        "    plan = vdmbench.graph.plan.make_plan(study, expand(study), where, where)\n"
+        "    assert vdmbench.graph.run.summary(plan)\n"
+        "print(sorted({name.split('.')[0] for name in sys.modules}))"
+    )
+    result = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=ROOT
+    )
+    solving = {"scipy", "skfem", "pyamg", "vdm"}
+    heavy = solving | {"gmsh", "meshio", "pyvista", "vtkmodules", "pint"}
+    assert not heavy & set(ast.literal_eval(result.stdout))
+
+
+def test_a_run_that_has_nothing_left_to_do_loads_no_solver_and_starts_no_process(tmp_path: Path) -> None:
+    study = write_study(tmp_path)
+    assert vdmbench("run", study, "--out", "run", cwd=tmp_path).returncode == 0
+    code = (
+        "import sys, contextlib\n"
+        "from vdmbench.cli.main import main\n"
+        "with contextlib.suppress(SystemExit): main(sys.argv[1:])\n"
+        "print(sorted({name.split('.')[0] for name in sys.modules}), file=sys.stderr)\n"
+    )
+    result = subprocess.run(
+        [sys.executable, "-c", code, "run", str(study), "--out", "run"],
+        capture_output=True,
+        text=True,
+        check=True,
+        cwd=tmp_path,
+    )
+    modules = ast.literal_eval(result.stderr)
+    assert "1 done, 0 failed" in result.stdout
+    assert not {"scipy", "skfem", "pyamg", "vdm", "gmsh", "rich", "pebble"} & set(modules)
+
+
+def test_making_a_solid_starts_no_renderer() -> None:
+    code = "import sys, vdmbench.body.geometry; print(sorted({name.split('.')[0] for name in sys.modules}))"
+    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert not {"pyvista", "vtkmodules", "pyacvd", "matplotlib", "meshio", "rich"} & set(
+        ast.literal_eval(result.stdout)
+    )
