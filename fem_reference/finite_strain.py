@@ -1,4 +1,10 @@
-"""Finite-strain elasticity on tetrahedra: the reference for large deformation, up to Poisson ratio 0.5 included."""
+"""Finite-strain elasticity on tetrahedra, for every Poisson ratio in (-1, 0.5], 0.5 included: the fast path.
+
+Method: total Lagrangian, mixed displacement-pressure form, Taylor-Hood element; Newton's method along a load path.
+It is held to `fem_reference.plain_finite_strain`.
+Order: 3 in displacement, 2 in strain and pressure (L2).
+Source: Bonet and Wood, Nonlinear Continuum Mechanics, 2nd ed., chapters 6 to 9.
+"""
 
 from __future__ import annotations
 
@@ -17,6 +23,7 @@ from fem_reference.finite_strain_outputs import OUTPUTS, Record
 from fem_reference.follower import FollowerPressure
 from fem_reference.indenter import Indenter
 from fem_reference.linear import Fields
+from fem_reference.load_path import LoadPath
 from fem_reference.loads import (
     Load,
     check_loads,
@@ -33,7 +40,6 @@ from fem_reference.solution import CONVERGED, Solution, SolverError, Status, che
 from fem_reference.springs import ElasticSupport, make_springs
 from fem_reference.system import LinearSystem, build_system
 from fem_reference.tangent_solver import TangentSolver, TangentSystem
-from fem_reference.walk import Walk
 
 __all__ = ["OUTPUTS", "PRESSURES", "FiniteStrainProblem", "Load"]
 
@@ -151,8 +157,8 @@ class FiniteStrainProblem:
         )
         self.seconds_setup = time.perf_counter() - start
 
-    def substeps(self, loads: Sequence[Load], walk: Walk | None = None) -> Iterator[tuple[int, Substep]]:
-        """Follow a load history from the undeformed body, one attempt at a time; each load by `walk` if given.
+    def substeps(self, loads: Sequence[Load], path: LoadPath | None = None) -> Iterator[tuple[int, Substep]]:
+        """Follow a load history from the undeformed body, one attempt at a time; each load by `path` if given.
 
         Yields the number of the load step and each attempt, converged or not; ends early where a load step cannot
         be reached. See `fem_reference.newton.Substep`; its quantities are in mean edges and shear moduli.
@@ -163,7 +169,7 @@ class FiniteStrainProblem:
             For a load of the wrong shape or with values that are not finite.
         """
         check_loads(self.mesh, loads)
-        return self._follow([self._scaled(load) for load in loads], walk)
+        return self._follow([self._scaled(load) for load in loads], path)
 
     def tangent(self, reached: Substep) -> TangentSystem:
         """The tangent in the state of a substep, in its scaled units."""
@@ -289,17 +295,17 @@ class FiniteStrainProblem:
         volumetric = 0.0 if compliance is None else 0.5 * float(q @ (compliance @ q))
         return self._assembly.strain_energy(reached.state.displacement) + volumetric
 
-    def _follow(self, loads: Sequence[ScaledLoad], walk: Walk | None = None) -> Iterator[tuple[int, Substep]]:
+    def _follow(self, loads: Sequence[ScaledLoad], path: LoadPath | None = None) -> Iterator[tuple[int, Substep]]:
         last = self._newton.rest
         for number, end in enumerate(loads):
-            way = walk.follow(self._newton, end) if walk else self._newton.follow(last.state, last.load, end)
+            way = path.follow(self._newton, end) if path else self._newton.follow(last.state, last.load, end)
             for last in way:
                 yield number, last
             if not (last.converged and last.load_factor == 1.0):
                 return
 
     def solve(
-        self, loads: Sequence[Load], outputs: frozenset[str] = frozenset(), walk: Walk | None = None
+        self, loads: Sequence[Load], outputs: frozenset[str] = frozenset(), path: LoadPath | None = None
     ) -> Solution:
         """Follow a load history: each step starts from the one before it, the first from the undeformed body.
 
@@ -307,7 +313,7 @@ class FiniteStrainProblem:
         ----------
         loads : the load steps
         outputs : further scalars, see `OUTPUTS`
-        walk : on which each step starts instead, from what it knows of this problem's loads; remembers them
+        path : on which each step starts instead, from what it knows of this problem's loads; remembers them
 
         Returns
         -------
@@ -325,7 +331,7 @@ class FiniteStrainProblem:
             self.system, self._assembly, self.shear_modulus, len(loads), outputs, self._newton.rest
         )
         factorisations, steps = self.solver.factorisations, self.solver.steps
-        for number, attempt in self.substeps(loads, walk):
+        for number, attempt in self.substeps(loads, path):
             record.add(number, attempt)
         record.end()
         condition = {

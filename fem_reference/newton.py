@@ -1,4 +1,9 @@
-"""Newton's method with load stepping for the mixed finite-strain problem, in the scaled units of `system`."""
+"""Newton's method along a load path for the mixed finite-strain problem, in the scaled units of `system`.
+
+Method: consistent unsymmetric tangent, inexact linear solves, substeps that are halved where they fail and doubled
+where they are easy. Order: 2 in the iterations; a tangent that will do once more is kept, which makes that step
+linear. Source: Bonet and Wood, 2nd ed., chapter 9; forcing after Eisenstat and Walker 1996, doi 10.1137/0917003.
+"""
 
 from __future__ import annotations
 
