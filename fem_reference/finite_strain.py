@@ -1,4 +1,10 @@
-"""Finite-strain elasticity on tetrahedra: the reference for large deformation, up to Poisson ratio 0.5 included."""
+"""Finite-strain elasticity on tetrahedra, for every Poisson ratio in (-1, 0.5], 0.5 included: the fast path.
+
+Method: total Lagrangian, mixed displacement-pressure form, Taylor-Hood element; Newton's method along a load path.
+It is held to `fem_reference.plain_finite_strain`.
+Order: 3 in displacement, 2 in strain and pressure (L2).
+Source: Bonet and Wood, Nonlinear Continuum Mechanics, 2nd ed., chapters 6 to 9.
+"""
 
 from __future__ import annotations
 
@@ -11,10 +17,13 @@ from numpy.typing import ArrayLike, NDArray
 
 from fem_reference.assembly import coupling_pattern, scalar_pattern
 from fem_reference.condition import condition_estimate
+from fem_reference.finite_contact import Indentation, RigidContact
 from fem_reference.finite_strain_assembly import ElementAssembly
 from fem_reference.finite_strain_outputs import OUTPUTS, Record
 from fem_reference.follower import FollowerPressure
+from fem_reference.indenter import Indenter
 from fem_reference.linear import Fields
+from fem_reference.load_path import LoadPath
 from fem_reference.loads import (
     Load,
     check_loads,
@@ -27,11 +36,10 @@ from fem_reference.materials import make_law
 from fem_reference.mesh import TetMesh, facet_quadrature
 from fem_reference.moduli import check_density, check_fibres, make_moduli
 from fem_reference.newton import Newton, ScaledLoad, Substep
-from fem_reference.solution import Solution, SolverError, Status, check_outputs
+from fem_reference.solution import CONVERGED, Solution, SolverError, Status, check_outputs
 from fem_reference.springs import ElasticSupport, make_springs
 from fem_reference.system import LinearSystem, build_system
 from fem_reference.tangent_solver import TangentSolver, TangentSystem
-from fem_reference.walk import Walk
 
 __all__ = ["OUTPUTS", "PRESSURES", "FiniteStrainProblem", "Load"]
 
@@ -123,7 +131,7 @@ class FiniteStrainProblem:
         self._contrast = float(contrast)
         springs = make_springs(self.mesh, elastic_supports, self.shear_modulus)
         self.held = held_nodes(self.mesh, np.asarray(held), springs)
-        pattern = scalar_pattern(self.mesh)
+        pattern = self._pattern = scalar_pattern(self.mesh)
         coupling = coupling_pattern(self.mesh, pattern)
         self.system: LinearSystem = build_system(
             self.mesh,
@@ -149,8 +157,8 @@ class FiniteStrainProblem:
         )
         self.seconds_setup = time.perf_counter() - start
 
-    def substeps(self, loads: Sequence[Load], walk: Walk | None = None) -> Iterator[tuple[int, Substep]]:
-        """Follow a load history from the undeformed body, one attempt at a time; each load by `walk` if given.
+    def substeps(self, loads: Sequence[Load], path: LoadPath | None = None) -> Iterator[tuple[int, Substep]]:
+        """Follow a load history from the undeformed body, one attempt at a time; each load by `path` if given.
 
         Yields the number of the load step and each attempt, converged or not; ends early where a load step cannot
         be reached. See `fem_reference.newton.Substep`; its quantities are in mean edges and shear moduli.
@@ -161,7 +169,7 @@ class FiniteStrainProblem:
             For a load of the wrong shape or with values that are not finite.
         """
         check_loads(self.mesh, loads)
-        return self._follow([self._scaled(load) for load in loads], walk)
+        return self._follow([self._scaled(load) for load in loads], path)
 
     def tangent(self, reached: Substep) -> TangentSystem:
         """The tangent in the state of a substep, in its scaled units."""
@@ -227,17 +235,79 @@ class FiniteStrainProblem:
                 fields.residual[number] = attempt.residuals[-1]
         return fields
 
-    def _follow(self, loads: Sequence[ScaledLoad], walk: Walk | None = None) -> Iterator[tuple[int, Substep]]:
+    def indent(
+        self, indenter: Indenter, facets: NDArray[np.bool_], depths: Sequence[float], load: Load | None = None
+    ) -> Indentation:
+        """Push a rigid frictionless indenter in, from the undeformed body; see `fem_reference.finite_contact`.
+
+        Parameters
+        ----------
+        indenter : a sphere or a capsule
+        facets : (F,) those that it can touch
+        depths : of the steps, from where its tip is at rest [m]
+        load : what else acts, in full from the first step on
+
+        Raises
+        ------
+        SolverError
+            For an indenter that is none for this body, depths that are not finite, and a load that is refused.
+        """
+        if not len(depths) or not np.isfinite(depths).all():
+            raise _bad_option(f"the depths are {list(depths)}", "give one finite number of metres or more")
+        mesh, length = self.mesh, self.mesh.mean_edge
+        contact = RigidContact(mesh, self._pattern, indenter, facets)
+        base = self._newton.rest.load
+        if load is not None:
+            check_loads(mesh, [load])
+            base = self._scaled(load)
+        points = mesh.node_points / length
+        scaled = [replace(base, depth=float(depth) / length) for depth in depths]
+        displacement = np.full((len(depths), len(mesh.surface_nodes), 3), np.nan)
+        force = np.full((len(depths), 3), np.nan)
+        energy, penalty, area, inside = np.full((4, len(depths)), np.nan)
+        iterations = np.zeros(len(depths), dtype=np.int64)
+        status = [Status("not-reached", "an earlier step failed", "see that step")] * len(depths)
+        self._newton.contact = contact
+        try:
+            for step, last in self._follow(scaled):
+                iterations[step] += len(last.residuals) - 1
+                if not (last.converged and last.load_factor == 1.0):
+                    message = f"step {step} stopped at {last.load_factor:.3g} of its way"
+                    status[step] = Status(
+                        last.code, message, "go deeper in smaller steps, or use a finer mesh"
+                    )
+                    continue
+                status[step] = CONVERGED
+                x, depth = points + last.state.displacement, scaled[step].depth
+                displacement[step] = last.state.displacement[mesh.surface_nodes] * length
+                force[step] = contact.forces(x, depth).sum(axis=0) * self.shear_modulus * length**2
+                energy[step] = self._energy(last) * self.shear_modulus * length**3
+                penalty[step] = contact.energy(x, depth) * self.shear_modulus * length**3
+                area[step] = contact.area(x, depth) * length**2
+                inside[step] = contact.inside(x, depth) * length
+        finally:
+            self._newton.contact = None
+        return Indentation(displacement, force, energy, penalty, area, inside, iterations, tuple(status))
+
+    def _energy(self, reached: Substep) -> float:
+        """Elastic energy, scaled."""
+        q, compliance = reached.state.pressure, self.system.compliance
+        volumetric = 0.0 if compliance is None else 0.5 * float(q @ (compliance @ q))
+        return self._assembly.strain_energy(reached.state.displacement) + volumetric
+
+    def _follow(
+        self, loads: Sequence[ScaledLoad], path: LoadPath | None = None
+    ) -> Iterator[tuple[int, Substep]]:
         last = self._newton.rest
         for number, end in enumerate(loads):
-            way = walk.follow(self._newton, end) if walk else self._newton.follow(last.state, last.load, end)
+            way = path.follow(self._newton, end) if path else self._newton.follow(last.state, last.load, end)
             for last in way:
                 yield number, last
             if not (last.converged and last.load_factor == 1.0):
                 return
 
     def solve(
-        self, loads: Sequence[Load], outputs: frozenset[str] = frozenset(), walk: Walk | None = None
+        self, loads: Sequence[Load], outputs: frozenset[str] = frozenset(), path: LoadPath | None = None
     ) -> Solution:
         """Follow a load history: each step starts from the one before it, the first from the undeformed body.
 
@@ -245,7 +315,7 @@ class FiniteStrainProblem:
         ----------
         loads : the load steps
         outputs : further scalars, see `OUTPUTS`
-        walk : on which each step starts instead, from what it knows of this problem's loads; remembers them
+        path : on which each step starts instead, from what it knows of this problem's loads; remembers them
 
         Returns
         -------
@@ -263,7 +333,7 @@ class FiniteStrainProblem:
             self.system, self._assembly, self.shear_modulus, len(loads), outputs, self._newton.rest
         )
         factorisations, steps = self.solver.factorisations, self.solver.steps
-        for number, attempt in self.substeps(loads, walk):
+        for number, attempt in self.substeps(loads, path):
             record.add(number, attempt)
         record.end()
         condition = {

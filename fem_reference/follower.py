@@ -1,4 +1,8 @@
-"""Pressure on the deformed surface: consistent nodal forces and their exact, unsymmetric derivative."""
+"""Pressure on the deformed surface: consistent nodal forces and their exact, unsymmetric derivative.
+
+Method: the normal per area of the deformed quadratic facet is the cross product of its edges. Order: exact for a
+pressure that is uniform on a facet. Source: Bonet and Wood, 2nd ed., section 8.5.2.
+"""
 
 from __future__ import annotations
 

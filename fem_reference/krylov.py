@@ -1,4 +1,8 @@
-"""Restarted GMRES with a fixed right preconditioner, which minimises the true residual."""
+"""Restarted GMRES with a fixed right preconditioner, which minimises the true residual.
+
+Method: modified Gram-Schmidt and Givens rotations. Order: exact to the tolerance that is asked for.
+Source: Saad and Schultz 1986, doi 10.1137/0907058.
+"""
 
 from __future__ import annotations
 

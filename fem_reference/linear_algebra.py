@@ -1,4 +1,10 @@
-"""Sparse solvers for the scaled system, and the choice between them, in one place."""
+"""Sparse solvers for the scaled system, and the choice between them, in one place.
+
+Method: LDL^T in single precision with iterative refinement, or GMRES with a block-triangular preconditioner. Order:
+exact to the tolerance of each, 1e-9 and 1e-8 of the true residual, which is checked. Source: Higham, Accuracy and
+Stability of Numerical Algorithms, chapter 12; Elman, Silvester and Wathen, Finite Elements and Fast Iterative
+Solvers, chapter 4.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,9 @@
-"""Newton's method with load stepping for the mixed finite-strain problem, in the scaled units of `system`."""
+"""Newton's method along a load path for the mixed finite-strain problem, in the scaled units of `system`.
+
+Method: consistent unsymmetric tangent, inexact linear solves, substeps that are halved where they fail and doubled
+where they are easy. Order: 2 in the iterations; a tangent that will do once more is kept, which makes that step
+linear. Source: Bonet and Wood, 2nd ed., chapter 9; forcing after Eisenstat and Walker 1996, doi 10.1137/0917003.
+"""
 
 from __future__ import annotations
 
@@ -11,6 +16,7 @@ from numpy.typing import NDArray
 from scipy.sparse import bsr_array, csr_array
 
 from fem_reference.assembly import Coupling, Pattern
+from fem_reference.finite_contact import RigidContact
 from fem_reference.finite_strain_assembly import ElementAssembly
 from fem_reference.follower import FollowerPressure
 from fem_reference.mesh import facet_quadrature
@@ -40,11 +46,13 @@ class ScaledLoad:
     pressure : (F, Q) on the deformed surface
     forces : (n_nodes, 3) dead
     given : (n_nodes, 3) displacement of held components
+    depth : of the indenter, where there is one
     """
 
     pressure: Array
     forces: Array
     given: Array
+    depth: float = 0.0
 
     @property
     def size(self) -> float:
@@ -59,6 +67,7 @@ class ScaledLoad:
             (1.0 - share) * self.pressure + share * other.pressure,
             (1.0 - share) * self.forces + share * other.forces,
             (1.0 - share) * self.given + share * other.given,
+            (1.0 - share) * self.depth + share * other.depth,
         )
 
 
@@ -158,6 +167,7 @@ class Newton:
         self._tolerance = tolerance
         mesh = system.mesh
         self._points = mesh.node_points / mesh.mean_edge
+        self.contact: RigidContact | None = None  # of an indenter, while there is one
         self._inner = pattern.numbered[system.kept][:, system.kept]
         self._inner_divergence = coupling.numbered[:, system.kept]
 
@@ -254,6 +264,8 @@ class Newton:
         system = self._system
         internal = self._assembly.forces(u, system.pressure_scale * q)
         external = load.forces + self._follower.forces(self._points + u, load.pressure)
+        if self.contact is not None:
+            external = external + self.contact.forces(self._points + u, load.depth)
         unbalanced = internal.nodal - external
         pulled = np.zeros_like(u) if system.springs is None else system.springs.forces(u)
         unbalanced -= pulled
@@ -288,6 +300,8 @@ class Newton:
         divergence = self._divergence(volumes)
         if system.springs is not None:
             system.springs.add_to(blocks, system.mesh, pattern)
+        if self.contact is not None:
+            self.contact.add_stiffness(blocks, self._points + u, load.depth)
         symmetric = blocks
         if load.pressure.any():
             places, pressed = self._follower.stiffness(self._points + u, load.pressure)

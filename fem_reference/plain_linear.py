@@ -173,10 +173,11 @@ class PlainLinearProblem:
         return self.body.solution(steps, len(loads), self.seconds_setup, self._told)
 
     def _lu(self, A, b):
-        """One factor for all loads."""
+        """One factor for all loads, and one step of refinement."""
         if self._factor is None:
             self._factor = splu(A.tocsc())
-        return self._factor.solve(b)
+        x = self._factor.solve(b)
+        return x + self._factor.solve(b - A @ x)
 
 
 def _status(residual: float) -> Status:

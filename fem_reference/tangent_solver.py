@@ -1,5 +1,8 @@
 """Linear solves of Newton's method: GMRES on the true tangent, preconditioned by a factor that is kept.
 
+Method: right-preconditioned GMRES. Order: exact to the tolerance that is asked for; the true residual is checked.
+Source: Saad and Schultz 1986, doi 10.1137/0907058.
+
 A follower pressure makes the tangent unsymmetric, but only at loaded facets: a factor of the symmetric
 part, or of an earlier tangent, is a close approximation at half the cost of an LU factor. It is made anew only when
 GMRES begins to need more steps than a factor is worth.

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import logging
+import multiprocessing
 import shutil
 import time
 from collections.abc import Iterator
@@ -242,6 +243,8 @@ def carry_out(text: str) -> str:
         raise RefusalError(refused)
     request = json.loads(text)
     log = Path(request["log"])
+    # a nanny starts its worker as a daemon, which may have no processes of its own
+    multiprocessing.current_process().daemon = False
     places = LocalPlaces(1, request["memory"])
     try:
         future = places.submit(request["node"], log, request["timeout"])

@@ -48,7 +48,8 @@ def own_error(
         `difference_01` and so on: area-weighted L2 differences of neighbouring levels over the norm of the finest,
         signed as in `vdmbench.measures.uncertainty`, which makes its estimate from them; `relative_l2`, the
         estimated error of the displacement; `observed_order`; `levels`; and a GCI for every metric that compares,
-        `gci:<metric>`: what the metric is between the two finest levels, times the GCI over the difference of the displacement.
+        `gci:<metric>`: what the metric is between the two finest levels, times the GCI over the difference of the
+        displacement.
         The deformation has its own levels for that. From three levels on, `own_gci:<metric>` of what the finest is
         by itself, such as its volume drift, from the figures of all levels.
     """

@@ -1,10 +1,11 @@
 """What `fem_reference` costs on this machine, beside named alternatives in the same run: `make bench-fem`.
 
-Assembly of the linear mixed system is set against NGSolve's (extra `benchmark`; same mesh, one thread) and against
-scikit-fem's own loop. Then one load by size (`--large` adds 900,000 unknowns), the smallest beside UMFPACK and
-SuperLU; one load by Poisson ratio; many loads on one factor; a step of Newton's method beside one linear solve;
-and the condensed body. The body is a unit cube held below and pressed above. Seconds are those of the clock and of
-the processor: on a shared machine the second is the one to read. Nothing here is asserted.
+Assembly of the linear mixed system is set against NGSolve (extra `benchmark`; same mesh, one thread) and against
+scikit-fem; then one load and fifty by all three. Then one load by size (`--large` adds 900,000 unknowns) beside the
+aims of the design, the smallest beside UMFPACK and SuperLU; one load by Poisson ratio; many loads on one factor; a
+step of Newton's method beside one linear solve; and the condensed body. The body is a unit cube held below and
+pressed above. Seconds are those of the clock and of the processor: on a shared machine the second is the one to
+read. Nothing here is asserted.
 """
 
 from __future__ import annotations
@@ -28,6 +29,7 @@ from fem_reference.factorisation import SuperLUFactor, pivotable_triangle
 from fem_reference.finite_strain import FiniteStrainProblem
 from fem_reference.linear import LinearProblem, Load
 from fem_reference.mesh import TetMesh
+from fem_reference.plain_linear import PlainLinearProblem
 from fem_reference.solution import Solution
 from fem_reference.system import build_system
 from tests.unit.fem_shapes import Body, cube
@@ -127,9 +129,51 @@ def _ngsolve_direct(b: Body) -> None:
     result.data = form.mat.Inverse(form.space.FreeDofs(), inverse="umfpack") * vector
 
 
+# unknowns, processor seconds and megabytes that one load may take, from the design
+AIMS = ((91_000, 4.0, 400.0), (895_000, 60.0, 3000.0))
+
+
+def _aim(unknowns: int, cost: Cost) -> str:
+    """The aim for a body of about this size, and whether it holds; nothing where there is none."""
+    for size, seconds, megabytes in AIMS:
+        if 0.95 * size <= unknowns <= 1.1 * size:
+            holds = cost.processor <= seconds and cost.megabytes <= megabytes
+            return f"{seconds:g} s, {megabytes:g} MB: {'holds' if holds else 'missed'}"
+    return ""
+
+
+def one_and_fifty(b: Body) -> None:
+    """Assembly and solve of one load, and of fifty that are independent, by each code on the same mesh."""
+    rng = np.random.default_rng(0)
+    loads = [b.load(rng.uniform(0.0, 0.05, len(b.triangles))) for _ in range(50)]
+    settings = {"youngs_modulus": 1.0, "poisson_ratio": 0.4999, "held": _base(b)}
+    _table(f"{len(b.tetrahedra)} tetrahedra, by", "loads", COST)
+    for count in (1, len(loads)):
+
+        def fast(loads: list[Load] = loads[:count]) -> Solution:
+            return LinearProblem(*b.arrays, **settings, expected_loads=len(loads)).solve(loads)
+
+        def plain(loads: list[Load] = loads[:count]) -> Solution:
+            return PlainLinearProblem(*b.arrays, **settings).solve(loads)
+
+        def ngsolve(count: int = count) -> None:
+            form = _ngsolve(b)()
+            inverse = form.mat.Inverse(form.space.FreeDofs(), inverse="umfpack")
+            rhs, result = form.mat.CreateColVector(), form.mat.CreateColVector()
+            for _ in range(count):
+                rhs.SetRandom()
+                result.data = inverse * rhs
+
+        codes: dict[str, Callable[[], object]] = {"fem_reference": fast, "scikit-fem, the plain path": plain}
+        if find_spec("ngsolve"):
+            codes["NGSolve, UMFPACK"] = ngsolve
+        for name, action in codes.items():
+            print(f"| {name} | {count} | {_measured(action)[1]} |", flush=True)
+
+
 def by_size(cells: Sequence[int]) -> None:
     """One load, set-up to answer, with rivals at the smallest size."""
-    _table("one load, tetrahedra", "unknowns", "by", COST, "iterations", "residual")
+    _table("one load, tetrahedra", "unknowns", "by", COST, "iterations", "residual", "aim")
     for n in cells:
         b = cube(n, distort=0.2)
         for solver in ("iterative", "direct") if n == cells[0] else ("iterative",):
@@ -137,17 +181,18 @@ def by_size(cells: Sequence[int]) -> None:
             residual = float(solution.parameters["relative_residual"])
             by = f"{solver}, {solution.parameters['factorisation']}" if solver == "direct" else solver
             head = f"| {len(b.tetrahedra)} | {problem.system.size} | {by} | {cost}"
-            print(f"{head} | {solution.iterations[0]} | {residual:.0e} |", flush=True)
+            told = _aim(problem.system.size, cost) if solver == "iterative" else ""
+            print(f"{head} | {solution.iterations[0]} | {residual:.0e} | {told} |", flush=True)
         if n == cells[0]:
             lower = pivotable_triangle(problem.system)
             _, cost = _measured(lambda m=lower: SuperLUFactor(m, "float64").solve(np.ones(m.shape[0])))
             print(
-                f"| {len(b.tetrahedra)} | {problem.system.size} | SuperLU, solve only | {cost} | 0 | |",
+                f"| {len(b.tetrahedra)} | {problem.system.size} | SuperLU, solve only | {cost} | 0 | | |",
                 flush=True,
             )
             if find_spec("ngsolve"):
                 _, cost = _measured(lambda body=b: _ngsolve_direct(body))
-                print(f"| {len(b.tetrahedra)} | | NGSolve, UMFPACK | {cost} | 0 | |", flush=True)
+                print(f"| {len(b.tetrahedra)} | | NGSolve, UMFPACK | {cost} | 0 | | |", flush=True)
 
 
 def by_poisson_ratio(b: Body) -> None:
@@ -228,6 +273,7 @@ def main() -> None:
         seconds = _fastest(action, options.repeats)
         print(f"| {name} | {seconds:.2f} | {ours / seconds:.2f} |", flush=True)
     small = options.cells // 2 + 1
+    one_and_fifty(cube(small, distort=0.2))
     by_size([small, options.cells, *([24, 33] if options.large else [24])])
     by_poisson_ratio(b)
     many_loads(cube(small, distort=0.2))

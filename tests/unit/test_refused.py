@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from pathlib import Path
 from typing import Any
@@ -12,6 +13,7 @@ from numpy.testing import assert_allclose
 
 from tests.graph import shared_work
 from tests.graph.shared_work import TABLES, plan_of
+from vdmbench import models
 from vdmbench.body.geometry import build_mesh
 from vdmbench.body.mesh_cache import mesh_from_cache
 from vdmbench.graph.explain import summary
@@ -42,7 +44,9 @@ def test_a_model_that_will_refuse_a_mesh_is_named(
     nodes = mesh.expected.nodes
     if known:
         nodes = len(mesh_from_cache(mesh.geometry, cache).surface_nodes)
-    monkeypatch.setattr("vdm.formulations.mass_spring.MAX_NODES", math.ceil(share * nodes))
+    found = models.MODELS["mass-spring"]
+    most = dataclasses.replace(found, most_nodes=math.ceil(share * nodes))
+    monkeypatch.setitem(models.MODELS, "mass-spring", most)
     lines = summary(plan)["refused"]
     assert len(lines) == (told is not None)
     for line in lines:

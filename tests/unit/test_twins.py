@@ -9,7 +9,10 @@ from pathlib import Path
 
 import fem_reference.solution
 import vdm.formulations.boundary
+import vdm.formulations.mass_spring
+import vdm.material
 import vdm.solution
+from vdmbench import models
 from vdmbench.cli.doctor import LIBRARIES, PACKAGES
 from vdmbench.graph import estimate
 from vdmbench.models.result import ModelResult
@@ -37,6 +40,17 @@ def test_the_stored_result_keeps_all_that_a_solution_has() -> None:
 def test_an_estimate_knows_where_the_boundary_form_becomes_a_skin() -> None:
     """Without loading the library: a plan has to be quick."""
     assert vdm.formulations.boundary.MAX_NODES == estimate._DENSE_NODES
+
+
+def test_a_registered_model_declares_what_its_library_says() -> None:
+    """Without loading it: a plan has to be quick."""
+    surface = {name: model for name, model in models.all_models().items() if not model.volumetric}
+    rules = {name.removeprefix("vdm-"): model.by_rule for name, model in surface.items()}
+    assert rules == vdm.material.RULED
+    assert {name.removeprefix("vdm-") for name, m in surface.items() if not m.fibres} == set(
+        vdm.material.ISOTROPIC
+    )
+    assert models.find("mass-spring")[0].most_nodes == vdm.formulations.mass_spring.MAX_NODES
 
 
 def test_make_and_doctor_want_the_same_libraries() -> None:

@@ -96,8 +96,10 @@ def test_ball_harmonics_with_their_geometry(verified: Verified) -> None:
 @a_ball
 @pytest.mark.slow
 def test_ball_harmonics_on_a_fine_mesh(verified: Verified) -> None:
-    """32,768 tetrahedra: 0.04 % for n = 2; what is left is the element's own error, not the shape's."""
-    _check_ball(verified, (3, 4), (5e-4, 2e-3, 4e-3))
+    """32,768 tetrahedra. On this family of meshes the last orders are 2.7 for n = 2 and 2.3 for n = 3."""
+    errors = _ball_errors(4)
+    for degree, cap in zip(DEGREES, (5e-4, 2e-3, 6e-3), strict=True):
+        verified.at_most(f"n = {degree}: u at the surface, error at h = 0.0625", errors[degree], cap)
 
 
 @a_sphere

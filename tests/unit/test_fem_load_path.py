@@ -1,4 +1,4 @@
-"""A walk along one rising load: the short way to each load ends where the long way from rest does."""
+"""A path along one rising load: the short way to each load ends where the long way from rest does."""
 
 from __future__ import annotations
 
@@ -7,9 +7,9 @@ import pytest
 from numpy.testing import assert_allclose
 
 from fem_reference.finite_strain import FiniteStrainProblem
+from fem_reference.load_path import LoadPath
 from fem_reference.loads import Load
 from fem_reference.solution import Solution
-from fem_reference.walk import Walk
 from tests.unit.fem_shapes import Body, cube
 
 OUTPUTS = frozenset({"max_principal_strain", "volume"})
@@ -41,9 +41,9 @@ def _assert_same(one: Solution, other: Solution) -> None:
 
 
 def test_each_load_gives_what_it_gives_from_rest_and_is_nearer(block: Body) -> None:
-    problem, walk = _problem(block), Walk()
+    problem, path = _problem(block), LoadPath()
     loads = [_pulled(block, 0.4 * share) for share in SHARES]
-    short = [problem.solve([load], OUTPUTS, walk) for load in loads]
+    short = [problem.solve([load], OUTPUTS, path) for load in loads]
     long = [_problem(block).solve([load], OUTPUTS) for load in loads]
     for one, other in zip(short, long, strict=True):
         _assert_same(one, other)
@@ -56,15 +56,15 @@ def test_each_load_gives_what_it_gives_from_rest_and_is_nearer(block: Body) -> N
 
 def test_the_end_of_the_way_is_where_it_is_from_rest_and_is_looked_for_once(block: Body) -> None:
     """Too small a load is no end."""
-    problem, walk = _problem(block), Walk()
-    assert problem.solve([_pulled(block, 1e-17)], OUTPUTS, walk).status[0].code == "too-small"
-    stopped = problem.solve([_pulled(block, 20.0)], OUTPUTS, walk)
+    problem, path = _problem(block), LoadPath()
+    assert problem.solve([_pulled(block, 1e-17)], OUTPUTS, path).status[0].code == "too-small"
+    stopped = problem.solve([_pulled(block, 20.0)], OUTPUTS, path)
     assert stopped.status[0].code in {"not-converged", "inverted"}
     end = 20.0 * stopped.scalars["load_factor"][0]
-    again = problem.solve([_pulled(block, 1.2 * end)], OUTPUTS, walk)
+    again = problem.solve([_pulled(block, 1.2 * end)], OUTPUTS, path)
     assert again.status[0].code == stopped.status[0].code
     assert again.iterations[0] == 0
     assert_allclose(again.displacement, stopped.displacement, rtol=1e-14, atol=0)
     assert not _problem(block).solve([_pulled(block, 1.2 * end)]).status[0].ok
     below = _pulled(block, 0.4 * end)  # nearer to the end the path branches
-    _assert_same(problem.solve([below], OUTPUTS, walk), _problem(block).solve([below], OUTPUTS))
+    _assert_same(problem.solve([below], OUTPUTS, path), _problem(block).solve([below], OUTPUTS))

@@ -8,7 +8,7 @@ from dataclasses import replace
 from fem_reference.newton import Newton, ScaledLoad, Substep
 
 
-class Walk:
+class LoadPath:
     """The states that were reached on the way to some loads, and where the way ended.
 
     The loads are to lie on one path, of rising size: then a load beyond the end of the way has no solution, and

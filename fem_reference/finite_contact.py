@@ -1,0 +1,150 @@
+"""Unilateral contact at finite strain: a rigid frictionless indenter against the deformed surface.
+
+With c the distance of a deformed point from the indenter, negative inside, the pressure per undeformed area is
+p = max(0, -k c) at every quadrature point of the facets, along the indenter's normal n: a penalty k, with the
+consistent tangent k n x n - p H, H the second derivative of c (Wriggers 2006, Computational Contact Mechanics,
+section 6.3). A pressure of one shear modulus sinks in by a three-hundredth of a mean edge, which is told.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fem_reference.assembly import Pattern
+from fem_reference.indenter import Capsule, Indenter, Sphere
+from fem_reference.mesh import TetMesh, facet_quadrature, triangle_p2
+from fem_reference.solution import SolverError, Status
+
+Array = NDArray[np.float64]
+
+_PENALTY = 300.0  # of a shear modulus per mean edge
+
+
+@dataclass(frozen=True)
+class Indentation:
+    """Where the indenter is, in steps; S steps, N surface nodes.
+
+    Attributes
+    ----------
+    displacement : (S, N, 3) [m]; NaN from the first step on that was not reached
+    force : (S, 3) of the indenter on the body [N]
+    energy : (S,) elastic energy of the body [J]
+    penalty_energy : (S,) what is stored in the penalty, zero for an ideal contact [J]
+    contact_area : (S,) undeformed area under pressure [m^2]
+    inside : (S,) the deepest that a point is left inside the indenter [m]
+    iterations : (S,) of Newton's method
+    status : S outcomes
+    """
+
+    displacement: Array
+    force: Array
+    energy: Array
+    penalty_energy: Array
+    contact_area: Array
+    inside: Array
+    iterations: NDArray[np.int64]
+    status: tuple[Status, ...]
+
+
+class RigidContact:
+    """Contact forces on one mesh, in the scaled units of `fem_reference.system`.
+
+    Parameters
+    ----------
+    mesh, pattern : the body's
+    indenter : a sphere or a capsule
+    facets : (F,) those that it can touch
+
+    Raises
+    ------
+    SolverError
+        For a shape with an edge, or facets of a wrong shape.
+    """
+
+    def __init__(
+        self, mesh: TetMesh, pattern: Pattern, indenter: Indenter, facets: NDArray[np.bool_]
+    ) -> None:
+        shape = indenter.shape
+        if not isinstance(shape, Sphere | Capsule):
+            raise _bad_contact("an indenter with an edge needs the linear body", "use a sphere or a capsule")
+        chosen = np.asarray(facets)
+        if chosen.shape != (len(mesh.triangles),) or chosen.dtype != bool or not chosen.any():
+            raise _bad_contact(
+                "the indenter has no facet to touch", f"give a mask of ({len(mesh.triangles)},)"
+            )
+        unit = mesh.mean_edge
+        self._nodes = mesh.facet_nodes[chosen]
+        points, weights = facet_quadrature()
+        self._shape = triangle_p2(points)
+        self._measure = np.linalg.norm(mesh.area_vectors[chosen], axis=1)[:, None] * weights / unit**2
+        self._axis, self._radius = indenter.axis, shape.radius / unit
+        self._start = np.asarray(indenter.tip, dtype=np.float64) / unit - self._radius * self._axis
+        self._along, self._half = np.zeros(3), 0.0
+        if isinstance(shape, Capsule):
+            self._along = np.array(shape.along) / np.linalg.norm(shape.along)
+            self._half = 0.5 * shape.length / unit
+        self._pattern, self._size = pattern, mesh.n_nodes
+
+    def forces(self, positions: Array, depth: float) -> Array:
+        """(n_nodes, 3) forces on the body."""
+        distance, normal, _ = self._distance(positions, depth)
+        traction = (self._pressure(distance) * self._measure)[..., None] * normal
+        local = self._shape.T @ traction
+        out = np.empty((self._size, 3))
+        for i in range(3):
+            out[:, i] = np.bincount(self._nodes.ravel(), weights=local[..., i].ravel(), minlength=self._size)
+        return out
+
+    def add_stiffness(self, blocks: Array, positions: Array, depth: float) -> None:
+        """Add the negative derivative of the forces to the (pattern.size, 3, 3) blocks."""
+        distance, normal, curvature = self._distance(positions, depth)
+        pressure = self._pressure(distance)
+        on = (pressure > 0.0) * self._measure
+        tensors = (_PENALTY * on)[..., None, None] * normal[..., :, None] * normal[..., None, :]
+        tensors -= (pressure * self._measure)[..., None, None] * curvature
+        touched = on.any(axis=1)
+        nodes = self._nodes[touched]
+        width = nodes.shape[1]
+        values = np.einsum(
+            "qa,qb,fqij->fabij", self._shape, self._shape, tensors[touched], optimize=True
+        ).reshape(-1, 3, 3)
+        rows, columns = np.repeat(nodes, width, axis=1).ravel(), np.tile(nodes, width).ravel()
+        if len(rows):
+            np.add.at(blocks, np.asarray(self._pattern.numbered[rows, columns]).ravel(), values)
+
+    def inside(self, positions: Array, depth: float) -> float:
+        """The deepest that a point is inside the indenter."""
+        distance, _, _ = self._distance(positions, depth)
+        return float(np.clip(-distance, 0.0, None).max())
+
+    def energy(self, positions: Array, depth: float) -> float:
+        """Energy of the penalty."""
+        distance, _, _ = self._distance(positions, depth)
+        return float(0.5 / _PENALTY * (self._pressure(distance) ** 2 * self._measure).sum())
+
+    def area(self, positions: Array, depth: float) -> float:
+        """Undeformed area under pressure."""
+        distance, _, _ = self._distance(positions, depth)
+        return float(((self._pressure(distance) > 0.0) * self._measure).sum())
+
+    def _pressure(self, distance: Array) -> Array:
+        return _PENALTY * np.clip(-distance, 0.0, None)
+
+    def _distance(self, positions: Array, depth: float) -> tuple[Array, Array, Array]:
+        """(f, Q) distances from the indenter, their gradients and their second derivatives."""
+        y = self._shape @ positions[self._nodes] - (self._start + depth * self._axis)
+        place = y @ self._along
+        held = np.clip(place, -self._half, self._half)
+        y = y - held[..., None] * self._along
+        length = np.maximum(np.linalg.norm(y, axis=-1), 1e-12)
+        normal = y / length[..., None]
+        flat = np.eye(3) - normal[..., :, None] * normal[..., None, :]
+        flat -= (np.abs(place) < self._half)[..., None, None] * np.outer(self._along, self._along)
+        return length - self._radius, normal, flat / length[..., None, None]
+
+
+def _bad_contact(message: str, remedy: str) -> SolverError:
+    return SolverError(Status("bad-contact", message, remedy))

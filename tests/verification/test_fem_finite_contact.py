@@ -1,0 +1,110 @@
+"""A rigid indenter at finite strain: its tangent, the linear limit, the work it does, and what cannot be."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+from numpy.typing import NDArray
+from scipy.sparse import bsr_array
+
+from fem_reference.assembly import scalar_pattern
+from fem_reference.contact import ContactProblem
+from fem_reference.finite_contact import RigidContact
+from fem_reference.finite_strain import FiniteStrainProblem
+from fem_reference.indenter import Capsule, FlatPunch, Indenter, Shape, Sphere
+from fem_reference.mesh import TetMesh
+from fem_reference.solution import SolverError
+from tests.unit.fem_shapes import Body, cube
+from tests.verification.records import Verified
+
+Array = NDArray[np.float64]
+
+DOWN, TIP = (0.0, 0.0, -1.0), (0.5, 0.5, 1.0)
+
+
+def _top(b: Body) -> NDArray[np.bool_]:
+    return b.facets_where(lambda x: x[:, 2] == 1.0)
+
+
+def _problem(b: Body, **options: object) -> FiniteStrainProblem:
+    settings: dict[str, object] = {"youngs_modulus": 3.0, "poisson_ratio": 0.45, **options}
+    return FiniteStrainProblem(*b.arrays, held=b.surface[:, 2] == 0.0, **settings)  # type: ignore[arg-type]
+
+
+@pytest.mark.anchor("contact forces of an indenter", "central differences")
+@pytest.mark.parametrize(
+    "shape", [Sphere(0.8), Capsule(0.5, 0.4, (1.0, 1.0, 0.0))], ids=["sphere", "capsule"]
+)
+def test_contact_tangent_by_finite_differences(shape: Shape, verified: Verified) -> None:
+    b = cube(3, distort=0.2)
+    mesh = TetMesh(*b.arrays)
+    pattern = scalar_pattern(mesh)
+    contact = RigidContact(mesh, pattern, Indenter(shape, TIP, DOWN), _top(b))
+    rng = np.random.default_rng(3)
+    x = mesh.node_points / mesh.mean_edge + rng.uniform(-0.02, 0.02, (mesh.n_nodes, 3))
+    depth = 0.2 / mesh.mean_edge
+    blocks = np.zeros((pattern.size, 3, 3))
+    contact.add_stiffness(blocks, x, depth)
+    size = 3 * mesh.n_nodes
+    stiffness = bsr_array((blocks, pattern.indices, pattern.indptr), shape=(size, size))
+    assert abs(stiffness - stiffness.T).max() < 1e-12 * abs(stiffness).max()
+    dx, h = rng.standard_normal(x.shape), 1e-7
+    slope = (contact.forces(x + h * dx, depth) - contact.forces(x - h * dx, depth)) / (2.0 * h)
+    expected = -(stiffness @ dx.ravel()).reshape(-1, 3)
+    assert np.abs(expected).max() > 1.0
+    verified.at_most(type(shape).__name__, (slope - expected) / np.abs(expected).max(), 1e-6)
+
+
+@pytest.mark.anchor("indenter at finite strain", "the linear body's contact; the work of the indenter")
+def test_a_small_indentation_is_the_linear_one(verified: Verified) -> None:
+    """Two discretisations of the contact: the force is one to what the mesh resolves of the contact area."""
+    b = cube(6)
+    indenter = Indenter(Sphere(20.0), TIP, DOWN)
+    linear = ContactProblem(
+        b.problem(b.surface[:, 2] == 0.0, youngs_modulus=3.0, poisson_ratio=0.45),
+        indenter,
+        b.surface[:, 2] == 1.0,
+    ).solve([4e-3])
+    finite = _problem(b).indent(indenter, _top(b), [4e-3])
+    assert finite.status[0].ok, finite.status
+    assert finite.inside[0] <= 1e-4
+    verified.equal(
+        "force, over that of the linear contact", -finite.force[0, 2] / linear.force[0], 1.0, atol=0.04
+    )
+
+
+@pytest.mark.anchor("indenter at finite strain", "the linear body's contact; the work of the indenter")
+def test_force_is_the_slope_of_the_energy(verified: Verified) -> None:
+    """To a fifth of the height: the force along the push integrates to the energy that the body stores."""
+    b = cube(3)
+    problem = _problem(b)
+    indenter = Indenter(Sphere(0.7), TIP, DOWN)
+    depths = 0.1 * (np.polynomial.legendre.leggauss(6)[0] + 1.0)
+    s = problem.indent(indenter, _top(b), [*depths, 0.2])
+    assert all(status.ok for status in s.status), s.status
+    work = 0.1 * np.polynomial.legendre.leggauss(6)[1] @ -s.force[:-1, 2]
+    assert np.all(np.diff(-s.force[:, 2]) > 0.0)
+    assert np.all(s.inside <= 0.01 * problem.mesh.mean_edge)
+    assert s.penalty_energy[-1] <= 0.02 * s.energy[-1]
+    stored = s.energy[-1] + s.penalty_energy[-1]
+    verified.equal("work of a sphere over the stored energy, depth 0.2", work / stored, 1.0, atol=2e-3)
+    r = np.linalg.norm(b.surface + s.displacement[-1] - (0.5, 0.5, 1.0 + 0.7 - 0.2), axis=1)
+    assert r[b.surface[:, 2] == 1.0].min() > 0.7 - 0.01
+
+
+def test_indenters_that_make_no_sense_are_refused() -> None:
+    b = cube(1)
+    problem, sphere = _problem(b), Indenter(Sphere(0.5), TIP, DOWN)
+    for call, words in (
+        (
+            lambda: problem.indent(Indenter(FlatPunch(0.5), TIP, DOWN), _top(b), [0.1]),
+            "use a sphere or a capsule",
+        ),
+        (lambda: problem.indent(sphere, _top(b)[1:], [0.1]), r"give a mask of \(12,\)"),
+        (lambda: problem.indent(sphere, _top(b), []), "give one finite number"),
+        (lambda: problem.indent(sphere, _top(b), [np.inf]), "give one finite number"),
+    ):
+        with pytest.raises(SolverError, match=words):
+            call()
+    assert_allclose(problem.indent(sphere, _top(b), [-0.1]).force, 0.0, rtol=0, atol=1e-15)
