@@ -72,10 +72,10 @@ def _finite_strain_onward(scene: Scene, solver: str, name: str, n_loads: int) ->
     if solver == PLAIN:
         return _finite_strain(scene, solver, name, n_loads)
     from fem_reference.finite_strain import FiniteStrainProblem
-    from fem_reference.walk import Walk
+    from fem_reference.load_path import LoadPath
 
-    problem, walk = FiniteStrainProblem(**_neo_hookean(scene, n_loads)), Walk()
-    return SetUp(lambda loads: problem.solve(_fem_loads(loads), _asked(scene, *_LARGEST), walk))
+    problem, path = FiniteStrainProblem(**_neo_hookean(scene, n_loads)), LoadPath()
+    return SetUp(lambda loads: problem.solve(_fem_loads(loads), _asked(scene, *_LARGEST), path))
 
 
 def _neo_hookean(scene: Scene, n_loads: int) -> dict[str, Any]:

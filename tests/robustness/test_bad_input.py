@@ -338,11 +338,7 @@ def test_a_run_that_finds_fewer_cases_than_it_made_says_so(
     assert "no longer in" not in said(["run", "small.toml"], 0, capsys)
     whole = rebuild.rebuild
 
-<<<<<<< HEAD
     def without_one(directory: Path, tell: Callable[[str], None]) -> Any:
-=======
-    def without_one(directory: Path, tell: Any) -> Any:
->>>>>>> main
         _case(tmp_path).unlink()
         return whole(directory, tell)
 

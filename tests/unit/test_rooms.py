@@ -32,7 +32,7 @@ ROOMS = (
     "cli",
 )
 NOT_ALLOWED = {
-    "report": {"graph", "models", "scene", "body"},
+    "report": {"graph", "scene"},
     "guard": {"graph", "models", "scene", "report"},
 }
 # each of these is behind one module

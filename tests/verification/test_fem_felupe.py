@@ -1,11 +1,7 @@
 """The finite-strain solution against FElupe, an independent code, on the very same mesh and quadrature points.
 
 Needs the extra `benchmark`. FElupe has three fields: displacement P2, pressure and volume ratio P1, all continuous.
-<<<<<<< HEAD
-They are ours once the volume ratio is eliminated: at each vertex K (ratio - 1) = p, with K = lambda, p = -pressure.
-=======
 They are ours once the volume ratio is eliminated: at every vertex K (ratio - 1) = p, K = lambda and p = -pressure.
->>>>>>> main
 """
 
 from __future__ import annotations
