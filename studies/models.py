@@ -188,8 +188,9 @@ for _model in (
     ),
     _surface(
         name="vdm-boundary",
-        version="11",
+        version="12",
         solvers=("linear", "nonlinear"),
+        tissue=("youngs_modulus", "poisson_ratio"),
         parameters=reads("vdm-boundary"),
         fibres=False,
     ),
