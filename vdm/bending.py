@@ -1,11 +1,11 @@
 """How well a form knows its own body: pure bending, whose answer is known on every shape, solved with it.
 
-A solid of shear modulus mu and E = 3 mu bends in the plane of two axes a and b, c the third, by
+A solid of Young's modulus E and Poisson's ratio nu bends in the plane of two axes a and b, c the third, by
 
-`u_a = a b, u_b = -a^2/2 - b^2/4 + c^2/4, u_c = -b c/2`
+`u_a = a b, u_b = -(a^2 + nu b^2 - nu c^2) / 2, u_c = -nu b c`
 
-under the only stress 3 mu b along a (Timoshenko and Goodier 1970, article 102, nu = 1/2). On the surface that is a
-traction 3 mu b n_a, linear on every facet, and forces of the nodes without an error of their own. The body is held
+under the only stress E b along a (Timoshenko and Goodier 1970, article 102). On the surface that is a
+traction E b n_a, linear on every facet, and forces of the nodes without an error of their own. The body is held
 where its supports hold it, at the displacement of the bending, and loaded everywhere else. Of six such bendings,
 about the principal axes of the surface, what the nodes do is compared with what they should do.
 
@@ -23,9 +23,7 @@ from numpy.typing import NDArray
 
 from vdm.constraints import Load
 from vdm.formulations.base import Formulation, rigid_motions
-from vdm.formulations.boundary import BoundaryFormulation
-from vdm.formulations.skin import Skin
-from vdm.material import COARSE_NODES_RANGE
+from vdm.formulations.boundary import MAX_NODES, BoundaryFormulation
 from vdm.problem import Problem
 from vdm.solution import Status
 from vdm.solvers.linear import BorderedFactor
@@ -35,10 +33,6 @@ Array = NDArray[np.float64]
 
 # the form of boundary integrals was wrong by 1.1 to 2.2 times this on bodies that nobody tuned it for
 BENDING_LIMIT = 0.1
-WHOLE = (
-    f"mesh the surface with at most {COARSE_NODES_RANGE[1]:,} nodes, which are taken whole, or set coarse_nodes,"
-    f" up to {COARSE_NODES_RANGE[1]:,}, where the skin is what you want"
-)
 
 
 def bending_error(problem: Problem, factor: BorderedFactor) -> float:
@@ -50,11 +44,11 @@ def bending_error(problem: Problem, factor: BorderedFactor) -> float:
     modulus = form.parameters.tissue_modulus
     if modulus is None:
         return np.nan
-    exact, forces = bendings(surface)
+    exact, forces = bendings(surface, form.parameters.poisson_ratio)
     error = size = 0.0
     areas = surface.nodal_areas[:, None]
     rigid = np.linalg.qr(rigid_motions(surface, np.ones(surface.n_nodes, np.bool_)).reshape(-1, 6))[0]
-    for u, force in zip(exact, modulus / 3.0 * forces, strict=True):
+    for u, force in zip(exact, modulus * forces, strict=True):
         pressure = -np.einsum("ic,ic->i", force, surface.normals) / surface.nodal_areas
         x = np.where(problem.free[:, None], 0.0, form.unknown(u))
         left = (form.contact_force(Load(pressure, force)) - form.apply(x)).reshape(-1)[factor.unknowns]
@@ -68,20 +62,16 @@ def bending_error(problem: Problem, factor: BorderedFactor) -> float:
 def reserved(status: Status, error: float, form: Formulation) -> Status:
     """The status of a step, with a reservation where the form is known to be wrong about this body.
 
-    By `bending_error`; else where the surface became a skin on a coarse body unasked, which answers a narrow load
-    worse than the largest mesh that is taken whole.
+    By `bending_error`.
     """
-    if not status.ok:
+    if not status.ok or not error > BENDING_LIMIT:
         return status
-    if not error > BENDING_LIMIT:
-        if status.message or not isinstance(form, BoundaryFormulation) or not isinstance(form.body, Skin):
-            return status
-        if form.parameters.coarse_nodes is not None:
-            return status
-        return replace(status, message=_skin_in_words(form, form.body.n_nodes), remedy=WHOLE)
     wrong = f"a known bending comes out {error:.0%} wrong"
     if isinstance(form, BoundaryFormulation):
-        message, remedy = f"the mesh is too coarse for the body's thin parts: {wrong}", _finer(form)
+        message, remedy = (
+            f"the mesh is too coarse for the body's thin parts: {wrong}",
+            _finer(form.surface.n_nodes, error),
+        )
     else:
         message, remedy = f"the {form.name} form does not know what is inside this body: {wrong}", INSIDE
     return replace(
@@ -97,40 +87,26 @@ INSIDE = (
 )
 
 
-def _finer(form: BoundaryFormulation) -> str:
-    most = COARSE_NODES_RANGE[1]
-    nodes = min(2 * form.body.n_nodes, most)
-    if form.body.n_nodes >= most:
-        return (
-            f"solve so thin a body with finite elements: it takes more than the {most:,} nodes of this form"
-        )
-    if isinstance(form.body, Skin):
-        return f"set coarse_nodes to {nodes:,}"
-    remedy = f"refine the surface, above all where it is thin, to {nodes:,} nodes"
-    if form.parameters.coarse_nodes is not None:
-        remedy += f" and set coarse_nodes to {nodes:,}"
-    return remedy
+def _finer(n_nodes: int, error: float) -> str:
+    # the error falls with the square of the mesh size, and that with the root of the nodes
+    nodes = 100 * int(np.ceil(n_nodes * error / (100.0 * BENDING_LIMIT)))
+    if nodes > MAX_NODES:
+        return f"solve the body with finite elements: it takes some {nodes:,} nodes of this form"
+    return f"refine the surface, above all where it is thin, to about {nodes:,} nodes"
 
 
-def _skin_in_words(form: Formulation, nodes: int) -> str:
-    return (
-        f"{form.surface.n_nodes:,} nodes are a skin on a coarse body of {nodes:,}: under a narrow load"
-        " less accurate than a coarser mesh that is taken whole"
-    )
-
-
-def bendings(surface: SurfaceMesh) -> tuple[Array, Array]:
-    """(6, N, 3) displacements [m^2] and nodal forces [m^3], both over the curvature [1/m], the latter over mu."""
+def bendings(surface: SurfaceMesh, nu: float = 0.5) -> tuple[Array, Array]:
+    """(6, N, 3) displacements [m^2] and nodal forces [m^3], both over the curvature [1/m], the latter over E."""
     centred = surface.points - surface.points.mean(axis=0)
     axes = np.linalg.eigh(centred.T @ (surface.nodal_areas[:, None] * centred))[1]
     x, facets = (centred @ axes).T, (surface.facet_vectors @ axes).T
     moved, forces = np.zeros((2, 6, 3, surface.n_nodes))
     for k, (a, b, c) in enumerate(permutations(range(3))):
         moved[k, a] = x[a] * x[b]
-        moved[k, b] = -0.5 * x[a] ** 2 - 0.25 * x[b] ** 2 + 0.25 * x[c] ** 2
-        moved[k, c] = -0.5 * x[b] * x[c]
+        moved[k, b] = -0.5 * (x[a] ** 2 + nu * x[b] ** 2 - nu * x[c] ** 2)
+        moved[k, c] = -nu * x[b] * x[c]
         # a shape function times a linear one: a twelfth of its own corner's value and of all three
         at_corners = x[b][surface.triangles]
-        shares = 0.25 * facets[a][:, None] * (at_corners + at_corners.sum(axis=1, keepdims=True))
+        shares = 1.0 / 12.0 * facets[a][:, None] * (at_corners + at_corners.sum(axis=1, keepdims=True))
         forces[k, a] = np.bincount(surface.triangles.ravel(), shares.ravel(), surface.n_nodes)
     return moved.transpose(0, 2, 1) @ axes.T, forces.transpose(0, 2, 1) @ axes.T

@@ -28,9 +28,8 @@ VECTOR_TENSION = 0.70
 SUPPORTED_TENSION = 1.1
 
 
-# of the boundary form's body: the thin lobes of a liver were lost at 150 nodes, more than 1,000 are dear
-COARSE_NODES_RANGE = (200, 1000)
-COARSE_NODES = 800  # of the body under the skin of a surface that has more nodes than the range
+# Poisson's ratio beyond which a body is taken as incompressible: the volume that it gives is below a thousandth
+INCOMPRESSIBLE = 0.4998
 # of a rotation at every node, which older studies name
 NO_NODAL = (
     "is gone, as its answer grows without limit on finer meshes; use 'global', one rotation for the body"
@@ -64,13 +63,12 @@ class Parameters:
     surface_tension : T [N/m], scalar or (E,) (consistent, vector)
     stretch_stiffness : E_s [N/m], scalar or (E,) (vector)
     shear_modulus : mu [Pa], one number (boundary, mass-spring)
-    coarse_nodes : 200 to 1,000, the most nodes of which every pair is integrated; a surface of more lies as a skin
-        on a coarse body of so many. None: all up to 1,000 nodes, else 800 (boundary)
+    poisson_ratio : of what is inside, above -1 and at most 1/2: the fluid that keeps the volume (boundary)
     rotation : which rotation is free of tension: none, or one for the body (vector)
     tension_stiffening : gamma of the nonlinear volumic tension B_ij (1 + gamma s^2) s, s the difference of two
         neighbours' dV over their mean V_i (paper, nonlinear solver); zero is equation 8
-    youngs_modulus : E [Pa] of the tissue that the moduli stand for: what `vdm.bending` judges a form by. None: 3 mu
-        where mu is set, else no judgement
+    youngs_modulus : E [Pa] of the tissue that the moduli stand for: what `vdm.bending` judges a form by. None:
+        2 (1 + nu) mu where mu is set, else no judgement
     """
 
     bulk_modulus: float | Array | None = None
@@ -79,7 +77,7 @@ class Parameters:
     surface_tension: float | Array | None = None
     stretch_stiffness: float | Array | None = None
     shear_modulus: float | None = None
-    coarse_nodes: int | None = None
+    poisson_ratio: float = 0.5
     rotation: Rotation = "global"
     tension_stiffening: float = 0.0
     youngs_modulus: float | None = None
@@ -89,11 +87,8 @@ class Parameters:
         for name, value in self.moduli().items():
             if not _not_negative(value):
                 raise ParameterError(f"{name} must be finite and not negative")
-        (fewest, most), count = COARSE_NODES_RANGE, self.coarse_nodes
-        if count is not None and not (isinstance(count, int | np.integer) and fewest <= count <= most):
-            raise ParameterError(
-                f"coarse_nodes must be a whole number from {fewest} to {most:,}, not {count!r}"
-            )
+        if not -1.0 < self.poisson_ratio <= 0.5:
+            raise ParameterError(f"poisson_ratio must be above -1 and at most 1/2, not {self.poisson_ratio}")
         if not _not_negative(self.tension_stiffening):
             raise ParameterError(
                 f"tension_stiffening must be finite and not negative, not {self.tension_stiffening}"
@@ -104,10 +99,15 @@ class Parameters:
             raise ParameterError(f"youngs_modulus must be positive, not {self.youngs_modulus}")
 
     @property
+    def is_filled(self) -> bool:
+        """Whether Poisson's ratio is that of a fluid, which keeps the volume."""
+        return self.poisson_ratio > INCOMPRESSIBLE
+
+    @property
     def tissue_modulus(self) -> float | None:
         """E [Pa] of the tissue that the moduli stand for, None where nothing tells it."""
         if self.youngs_modulus is None and self.shear_modulus is not None:
-            return 3.0 * self.shear_modulus
+            return 2.0 * (1.0 + self.poisson_ratio) * self.shear_modulus
         return self.youngs_modulus
 
     @classmethod
@@ -118,11 +118,13 @@ class Parameters:
         formulation: str,
         rotation: Rotation = "global",
         held: NDArray[np.bool_] | None = None,
+        poisson_ratio: float = 0.5,
     ) -> Parameters:
         """Parameters by rule, without a fit: matched to an incompressible ball of the same R = 3 V / A.
 
         The fluid keeps the volume, so that Young's modulus is all there is of a tissue: mu = E / 3, Poisson's
         ratio of 1/2. (The shear modulus of a tissue of 0.45, kept in place of E, is 3 % stiffer and further off.)
+        The boundary form alone has a choice: with `poisson_ratio` it is the tissue itself, mu = E / (2 (1 + nu)).
 
         - consistent: k = (46/35) mu / R and T = (29/70) mu R, the exact answer of the ball to P_2 and P_3;
         - paper: B = k V / A, and B_ij = T (V / A) / (sqrt(3) A / N), the constant that a mesh of N equal
@@ -139,6 +141,7 @@ class Parameters:
         formulation : "paper", "consistent", "vector", "boundary" or "mass-spring"
         rotation : of the vector form
         held : (N,) mask of the nodes that are fixed or moved, for the vector form
+        poisson_ratio : nu of the body inside, for the boundary form; 1/2 is the fluid that keeps the volume
 
         Raises
         ------
@@ -164,6 +167,10 @@ class Parameters:
                 return told(surface_tension=VECTOR_TENSION * mu * radius, rotation=rotation)
             grown = mu * np.sqrt(radius * distance_from_support(surface, held))
             return told(surface_tension=SUPPORTED_TENSION * grown, rotation=rotation)
+        if formulation == "boundary":
+            return cls(
+                shear_modulus=youngs_modulus / (2.0 * (1.0 + poisson_ratio)), poisson_ratio=poisson_ratio
+            )
         if formulation in ISOTROPIC:
             return cls(shear_modulus=mu)
         raise ParameterError(
@@ -219,8 +226,6 @@ class Parameters:
         record: dict[str, float | str] = {
             name: float(np.mean(value)) for name, value in self.moduli().items()
         }
-        if self.coarse_nodes is not None:
-            record["coarse_nodes"] = float(self.coarse_nodes)
         if self.tension_stiffening:
             record["tension_stiffening"] = self.tension_stiffening
         return record

@@ -120,6 +120,11 @@ class Model:
         self.surface = SurfaceMesh(points, triangles)
         if not isinstance(parameters, Parameters):
             parameters = parameters(self.surface)
+        if formulation == "boundary" and solver in ("nonlinear", "quasi-linear") and not parameters.is_filled:
+            raise ParameterError(
+                f"the {solver} solver needs a fluid that keeps the volume, not a Poisson's ratio of"
+                f' {parameters.poisson_ratio:g}; take compressibility = "fluid" or the linear solver'
+            )
         if parameters.tension_stiffening and (formulation, solver) != ("paper", "nonlinear"):
             raise ParameterError("tension_stiffening needs the paper formulation and the nonlinear solver")
         n_nodes = self.surface.n_nodes
@@ -260,7 +265,8 @@ class Model:
             normal = np.einsum("ic,ic->i", step.displacement, surface.normals)
             return formulation.nodal_stress(normal)
         force = formulation.nodal_force(formulation.internal_force(step.unknown, step.border, step.product))
-        area = np.einsum("ic,ic->i", formulation.nodal_force(formulation.columns.first), surface.normals)
+        pressed = formulation.pressure_force(np.ones(surface.n_nodes))
+        area = np.einsum("ic,ic->i", formulation.nodal_force(pressed), surface.normals)
         traction: Array = np.einsum("ic,ic->i", force, surface.normals) / area
         return traction
 

@@ -64,12 +64,6 @@ class Entry:
     status: str = "converged"
 
 
-TWO_SCHEMES = (
-    "The exponents of vdm-boundary span two schemes: dense on up to 1,000 nodes, a skin on a coarse dense body "
-    "beyond."
-)
-
-
 @dataclass(frozen=True)
 class Growth:
     """A quantity over at least four sizes of one body."""

@@ -25,7 +25,6 @@ from ..report.document import encoded, html_document, written
 from ..report.plots import Plot, colour, marker, percent_axis, time_ticks
 from ..verdict.formatting import NOTHING, listed, short_percent
 from .bench_data import (
-    TWO_SCHEMES,
     Bench,
     Entry,
     Growth,
@@ -188,7 +187,5 @@ def _growth(growths: Sequence[Growth]) -> Section:
         "body for the others. Fill and flops: non-zeros of a factor in minimum degree order and the operations "
         "of making it, a stand-in for the factor in use, which does not tell its own."
     )
-    if any(g.what.startswith("vdm-boundary ") for g in growths):
-        note += f" {TWO_SCHEMES}"
     blocks: list[Block] = [Text(note, kind="note"), Table("growth", "", columns, cells)]
     return Section("growth", "Growth", blocks)

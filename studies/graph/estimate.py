@@ -27,7 +27,7 @@ _START = 3.0  # s to load the libraries, and to write the tables and the report
 _PROCESS_BYTES = 1.3e8  # of a worker that has done nothing
 _PER_NODE = 48.0  # bytes of a displacement and a reaction
 _COPIES = 5.0  # of a case's results in its worker at the most, while its metrics and its file are made
-_DENSE_NODES = 1000.0  # `vdm.formulations.boundary.MAX_NODES`, which would load the library
+_DENSE_NODES = 2000.0  # `vdm.formulations.boundary.MAX_NODES`, which would load the library; more are refused
 _KNOWN = 0.5  # weight of the cases that have run, from which on they tell the speed
 _MOST_READ = 3  # case files that are read to learn from
 _SEARCH_LOADS = 30  # that a search for small-strain limits tries, each of them once for all models
@@ -193,9 +193,10 @@ def _law(name: str, size: Size, loads: int) -> Cost:
     if model.volumetric:
         return _plain(model.name, size) if solver == models.PLAIN else _volumetric(model.name, size, loads)
     if model.name == "vdm-boundary":
-        dense = min(n, _DENSE_NODES)  # more nodes are a sparse skin over a dense body
-        step = (3e-7 if solver == "nonlinear" else 3e-8) * dense**2
-        return Cost(3e-5 * dense**1.7 + 2e-5 * n + 1e-2, step, 620.0 * dense**2 + 6e3 * (n - dense))
+        if n > _DENSE_NODES:
+            return Cost(1e-2, 0.0, 6e3 * n)
+        step = (3e-7 if solver == "nonlinear" else 3e-8) * n**2
+        return Cost(0.1 + 1e-6 * n**2 + 2.5e-9 * n**3, step, 700.0 * n**2)
     if model.name == "mass-spring":  # struts from side to side: a dense factor
         step = (1e-7 if solver == "nonlinear" else 3.5e-9) * n**2
         return Cost(1e-2 + 1.6e-9 * n**3, 7e-7 * n + step, 6e3 * n + 36.0 * n**2)

@@ -11,7 +11,7 @@ import numpy as np
 
 from ..body.mesh import Mesh
 from ..scene.scene import Scene, SurfaceLoad
-from ..study.model_name import split
+from ..study.model_name import split, takes_fluid
 from ..study.registry import Model as Declared
 from ..study.registry import SetUp, register
 
@@ -46,10 +46,13 @@ def _inputs(scene: Scene, name: str) -> dict[str, Any]:
     """What decides a set-up. Parameters that the study does not set follow a rule from the tissue."""
     base, solver = split(name)
     fibres = scene.anisotropy
+    fluid = takes_fluid(solver, scene.parameters.get("compressibility"))
+    own = base == "vdm-boundary" and not fluid
     return {
         "mesh": scene.mesh,
         "youngs_modulus": scene.tissue.youngs_modulus,
         "density": scene.tissue.density if scene.gravity.any() else 0.0,
+        "poisson_ratio": scene.tissue.poisson_ratio if own else 0.5,
         "given": dict(scene.parameters),
         "fibres": (fibres.fibre_direction, fibres.contrast) if fibres else None,
         "formulation": base.removeprefix("vdm-"),
@@ -65,23 +68,24 @@ def _model(
     *,
     mesh: Mesh,
     youngs_modulus: float,
+    poisson_ratio: float,
     given: dict[str, Any],
     fibres: tuple[tuple[float, ...], float] | None,
     formulation: str,
     solver: str,
     **options: Any,
 ) -> Model:
-    """The model of a tissue of E with the parameters `given`; `options` are the model's own."""
+    """The model of a tissue of E and nu with the parameters `given`; `options` are the model's own."""
     from vdm.material import Parameters
     from vdm.model import Model
 
     penalty = given.get("penalty")
-    chosen = {name: value for name, value in given.items() if name != "penalty"}
+    chosen = {name: value for name, value in given.items() if name not in ("penalty", "compressibility")}
     rotation: Any = chosen.get("rotation", "global")
     held = options["fixed"] | options["constrained"]
 
     def parameters(surface: SurfaceMesh) -> Parameters:
-        rule = Parameters.from_tissue(youngs_modulus, surface, formulation, rotation, held)
+        rule = Parameters.from_tissue(youngs_modulus, surface, formulation, rotation, held, poisson_ratio)
         whole = dataclasses.replace(rule, **chosen)
         if isinstance(rule.surface_tension, np.ndarray) and "surface_tension" in chosen:
             # a T of the study is the mean over the edges of one that grows from the support
@@ -145,9 +149,11 @@ for _declared in (
     ),
     _surface(
         name="vdm-boundary",
-        version="11",
+        version="12",
         solvers=("linear", "nonlinear"),
-        parameters=("shear_modulus", "coarse_nodes", "penalty"),
+        tissue=("youngs_modulus", "poisson_ratio"),
+        parameters=("shear_modulus", "compressibility", "penalty"),
+        most_nodes=2000,
         by_rule=("shear_modulus",),
         fibres=False,
     ),

@@ -15,9 +15,13 @@ PARAMETERS = {
     "foundation": ("foundation k", "Pa/m"),
     "surface_tension": ("tension T", "N/m"),
     "stretch_stiffness": ("stretch stiffness E_s", "N/m"),
-    "coarse_nodes": ("nodes of the coarse body", "1"),
     "penalty": ("penalty alpha", "1"),
 }
+
+
+def takes_fluid(solver: str, compressibility: object) -> bool:
+    """Whether the boundary form is filled with a fluid, not the tissue: left out, at large displacements alone."""
+    return (compressibility or ("fluid" if solver == "nonlinear" else "tissue")) == "fluid"
 
 
 def is_vdm(name: str) -> bool:

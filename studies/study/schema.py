@@ -234,11 +234,10 @@ class VdmTable(Table):
     bulk_modulus: Modulus | None = Field(None, description="B of the paper")
     connectivity_modulus: Modulus | None = Field(None, description="B_ij of the paper")
     shear_modulus: Modulus | None = Field(None, description="mu of the boundary form")
-    coarse_nodes: int | None = Field(
+    compressibility: Literal["tissue", "fluid"] | None = Field(
         None,
-        description="boundary form: a surface of more nodes lies as a skin on a coarse body of so many",
-        ge=200,
-        le=1000,
+        description="boundary form: the tissue's own Poisson's ratio, or a fluid that keeps the volume;"
+        " left out: tissue, of the nonlinear solver fluid",
     )
     foundation: Annotated[float, SI("Pa/m"), not_negative] | None = Field(
         None, description="k, stiffness against normal displacement per area"

@@ -37,7 +37,6 @@ from tests.docs import marked
 from tests.unit.vdm_shapes import icosphere, torus
 from vdm import FORMULATIONS, Load, Model, Parameters, SurfaceMesh
 from vdm.formulations.boundary import BoundaryFormulation
-from vdm.formulations.skin import Skin
 from vdm.formulations.vector import VectorFormulation
 from vdm.problem import Problem, Step
 from vdm.solvers.cholesky import Cholesky
@@ -316,29 +315,6 @@ def history_rows(sizes: Sizes) -> Iterator[Row]:
         yield Row(f"{what}{counted}, {formulation}", model.surface.n_nodes, taken, share)
 
 
-def skin_rows(sizes: Sizes) -> Iterator[Row]:
-    """The boundary form of many nodes, on a coarse body: set-up, every node loaded, a local contact."""
-    model = ball("boundary", sizes.levels)
-    n_nodes = model.surface.n_nodes
-    form = model.formulation
-    assert isinstance(form, BoundaryFormulation)
-    bound = reading_seconds(dense_bytes(form) // 2, sizes.repeats)
-    load = Load(100.0 * np.random.default_rng(0).random(n_nodes))
-    for what, seconds in (
-        ("set-up", set_up_seconds("boundary", sizes.levels, 1)),
-        ("linear step, every node loaded", timed(partial(model.solver.step, load), sizes.repeats)),
-        ("the same with reactions and energy", timed(partial(asked, model, load), sizes.repeats)),
-        ("audit of the step", timed_audit(model, load, sizes.repeats)),
-    ):
-        yield Row(f"{what}, boundary", n_nodes, seconds, float(np.median(seconds)) / bound)
-    yield from contact_rows(model, sizes)
-
-
-def dense_bytes(form: BoundaryFormulation) -> int:
-    """Of the matrix that a frame multiplies by: of the coarse body, or of all nodes."""
-    return form.body.body.nbytes if isinstance(form.body, Skin) else form.body.matrix.nbytes
-
-
 def boundary_rows(sizes: Sizes) -> Iterator[Row]:
     """Set-up and a frame of the dense form, on tori."""
     for n, m in sizes.tori:
@@ -351,9 +327,8 @@ def boundary_rows(sizes: Sizes) -> Iterator[Row]:
             seconds.append(time.thread_time() - start)
         form = model.formulation
         assert isinstance(form, BoundaryFormulation)
-        # a dense Cholesky factor is read twice, the inverse of a coarse body once
-        readings = 1 if isinstance(form.body, Skin) else 2
-        bound = readings * reading_seconds(dense_bytes(form) // 2, sizes.repeats)
+        # a dense Cholesky factor is read twice
+        bound = 2 * reading_seconds(form.matrix.nbytes // 2, sizes.repeats)
         load = Load(100.0 * np.random.default_rng(3).random(len(points)))
         frame = timed(partial(model.solver.step, load), sizes.repeats)
         for what, taken in (("set-up", np.array(seconds)), ("linear step, every node loaded", frame)):
@@ -367,7 +342,6 @@ def rows_of(sizes: Sizes) -> Iterator[Row]:
         yield from contact_rows(ball(formulation, sizes.levels), sizes)
     yield from krylov_rows(sizes)
     yield from history_rows(sizes)
-    yield from skin_rows(sizes)
     yield from boundary_rows(sizes)
     yield from linear_rows(sizes, sizes.fine_levels, 3 * sizes.slow_repeats)
 

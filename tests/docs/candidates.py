@@ -21,8 +21,7 @@ from scipy import linalg
 
 from tests.docs import marked
 from tests.docs.vdm_accuracy import README, ROOT, STUDIES, as_per_cent
-from vdm.formulations.boundary import surface_stiffness
-from vdm.formulations.skin import Skin
+from vdm.boundary.operators import Facets, surface_stiffness
 from vdm.formulations.vector import (
     block_diagonal,
     block_laplacian,
@@ -99,14 +98,6 @@ class Body:
     def fibres_4(self) -> Array:
         """Fibres between all pairs, A_i A_j / r^4, made of the same unit by the body's size."""
         return self.surface.volume ** (1.0 / 3.0) * self._fibres(4)
-
-    def on_coarse_body(self, count: int) -> Array:
-        """Boundary integrals of a coarse body of `count` nodes under a skin of springs."""
-        skin = Skin(self.surface, count, surface_stiffness)
-        n = self.surface.n_nodes
-        columns = [skin.apply(unit.reshape(n, 3)).reshape(-1) for unit in np.eye(3 * n)]
-        matrix = np.stack(columns, axis=1)
-        return np.asarray(0.5 * (matrix + matrix.T))
 
     def with_global_rotation(self, laplacian: Array) -> Array:
         """(3N, 3N) of a Laplacian in every direction, less what the best rotation of the body takes off."""
@@ -254,10 +245,8 @@ CANDIDATES = (
         "boundary integrals",
         0,
         "full",
-        lambda b, _: surface_stiffness(b.surface, b.surface.area_vectors),
+        lambda b, _: surface_stiffness(Facets.of(b.surface.points, b.surface.triangles), 0.5),
     ),
-    Candidate("the same on 300 nodes, a skin", 0, "full, 300", lambda b, _: b.on_coarse_body(300)),
-    Candidate("the same on 200 nodes, a skin", 0, "full, 200", lambda b, _: b.on_coarse_body(200)),
 )
 
 

@@ -18,7 +18,6 @@ from tests.docs import marked
 from tests.docs.gallery import figure_style, glyph
 from vdmbench.evidence.bench_data import (
     FAR_OFF,
-    TWO_SCHEMES,
     YARDSTICK,
     Bench,
     Entry,
@@ -162,7 +161,7 @@ def growth(bench: Bench) -> str:
     return (
         "Growth with the surface nodes n, by least squares over four sizes or more; and the cost at the largest. "
         "The non-zeros are those of a factor in minimum degree order, a stand-in for the factor in use, whose "
-        f"library does not tell its own. {TWO_SCHEMES}\n\n{marked.table(head, lines)}"
+        f"library does not tell its own.\n\n{marked.table(head, lines)}"
     )
 
 

@@ -50,7 +50,7 @@ def test_rules_integrate_polynomials_over_two_triangles() -> None:
         assert_allclose(weights @ points**degree, exact, rtol=1e-11, atol=0.0)
 
 
-@pytest.mark.parametrize("shape", [icosphere(1), box(3, (1.0, 0.8, 0.4))], ids=["ball", "box"])
+@pytest.mark.parametrize("shape", [icosphere(1), box(3, (1.0, 0.8, 0.05))], ids=["ball", "thin plate"])
 def test_every_rule_agrees_with_a_finer_one(shape: tuple[Array, NDArray[np.int64]]) -> None:
     """Each facet cut into four, the cut ones summed: other rules at other distances, the same integrals."""
     points, triangles = shape
@@ -66,8 +66,8 @@ def test_every_rule_agrees_with_a_finer_one(shape: tuple[Array, NDArray[np.int64
     parts, double_parts = layers(finer, 0.3)
     n = len(triangles)
     summed = parts.reshape(n, 4, 3, n, 4, 3).sum(axis=(1, 4)).reshape(3 * n, 3 * n)
-    # what six Gauss points in each direction leave of a pair that touches
-    assert_allclose(summed, whole, rtol=0.0, atol=5e-5 * np.abs(whole).max())
+    # 3e-4 where facets touch, 1e-3 where they face each other closer than they are wide
+    assert_allclose(summed, whole, rtol=0.0, atol=1e-3 * np.abs(whole).max())
     # of a constant: the nodes of the finer mesh sum up
     assert_allclose(
         double_parts.reshape(n, 4, -1).sum(axis=(1, 2)),
@@ -151,7 +151,7 @@ def test_a_block_is_that_part_of_the_whole() -> None:
 
 
 def test_the_table_of_rules_is_that_of_the_rules() -> None:
-    table, starts = rules()
+    table, starts, _, _ = rules()
     assert starts[-1] == table.shape[1]
     sums = [table[4, a:b].sum() for a, b in pairwise(starts)]
     assert_allclose(sums, 1.0, rtol=1e-13, atol=0.0)

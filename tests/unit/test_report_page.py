@@ -283,7 +283,6 @@ def test_parameters_come_with_their_units() -> None:
         "vdm-m": {
             "foundation": 44039.8117,
             "surface_tension": 34.25,
-            "coarse_nodes": 800.0,
             "solver": "linear",
         },
         "fem-linear": {"youngs_modulus": 5000.0, "poisson_ratio": 0.45, "density": 1060.0, "dofs": 15699.0},
@@ -291,7 +290,7 @@ def test_parameters_come_with_their_units() -> None:
     changed = {name: dataclasses.replace(case.models[name], parameters=used[name]) for name in used}
     run = make_run([dataclasses.replace(case, models=changed)])
     text = words(section(page_html(run, no_pictures), "provenance"))
-    assert "foundation 44039.8 Pa/m surface_tension 34.25 N/m coarse_nodes 800 solver linear" in text
+    assert "foundation 44039.8 Pa/m surface_tension 34.25 N/m solver linear" in text
     assert "youngs_modulus 5000 Pa poisson_ratio 0.45 density 1060 kg/m³ dofs 15699" in text
 
 

@@ -37,7 +37,7 @@ def test_the_stored_result_keeps_all_that_a_solution_has() -> None:
     assert fields(fem_reference.solution.Solution).keys() <= fields(ModelResult).keys()
 
 
-def test_an_estimate_knows_where_the_boundary_form_becomes_a_skin() -> None:
+def test_an_estimate_knows_how_many_nodes_the_boundary_form_takes() -> None:
     """Without loading the library: a plan has to be quick."""
     assert vdm.formulations.boundary.MAX_NODES == estimate._DENSE_NODES
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
@@ -12,24 +10,16 @@ from numpy.typing import NDArray
 from tests.unit.vdm_shapes import box, icosphere
 from vdm import Load, Model, Parameters, SurfaceMesh
 from vdm.bending import BENDING_LIMIT, bendings
-from vdm.formulations.boundary import rigid_basis
-from vdm.formulations.coarse_surface import coarsened
-from vdm.material import COARSE_NODES_RANGE
-from vdm.solution import SolverError
-from vdmbench.body.geometry import build_mesh
-from vdmbench.study.geometry_spec import Geometry
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 THICK, THIN = (0.1, 0.05, 0.05), (0.1, 0.015, 0.015)
 
 
-def held_at_one_end(
-    points: Array, triangles: Index, coarse_nodes: int | None = None, **options: str
-) -> Model:
+def held_at_one_end(points: Array, triangles: Index, **options: str) -> Model:
     """A body whose lowest tenth along x is held."""
     x = points[:, 0]
-    parameters = Parameters(shear_modulus=1667.0, coarse_nodes=coarse_nodes)
+    parameters = Parameters(shear_modulus=1667.0)
     fixed = x < x.min() + 0.15 * np.ptp(x)
     return Model(points, triangles, parameters, formulation="boundary", fixed=fixed, **options)
 
@@ -43,7 +33,7 @@ def told(model: Model) -> tuple[str, str]:
 
 
 def test_the_bendings_are_those_of_an_incompressible_solid() -> None:
-    """Their forces balance, the volume stays, and they do the work of the stress 3 b on the strain b.
+    """Their forces balance, the volume stays, and they do the work of the stress b on the strain b, E = 1.
 
     A box has flat sides, so that all this is exact on any mesh; what is left is rounding.
     """
@@ -58,7 +48,7 @@ def test_the_bendings_are_those_of_an_incompressible_solid() -> None:
         # the axis b of each of the six, the longest side the third of them
         along = np.array([1, 2, 0, 2, 0, 1])
         order = np.argsort([np.abs(surface.points[:, a] ** 2 * surface.nodal_areas).sum() for a in range(3)])
-        exact = 3.0 * sides.prod() * sides[order][along] ** 2 / 12.0
+        exact = sides.prod() * sides[order][along] ** 2 / 12.0
         change = np.einsum("kic,ic->k", moved, surface.area_vectors)
         assert_allclose(work, exact, rtol=2e-14)
         assert_allclose(change, 0.0, rtol=0.0, atol=1e-15)
@@ -87,51 +77,15 @@ def test_bodies_thick_enough_for_their_mesh_have_no_reservation() -> None:
         model = held_at_one_end(points, triangles)
         assert 0.0 < model.bending_error < 0.7 * BENDING_LIMIT
         assert told(model) == ("", "")
-        record = model.formulation.record()
-        assert record["scheme"] == "dense"
-        assert "coarse_nodes" not in record
 
 
 def test_a_rod_thinner_than_its_mesh_is_coarse_has_one() -> None:
     model = held_at_one_end(*icosphere(2, THIN))
     message, remedy = told(model)
-    assert 0.3 < model.bending_error < 0.5
+    assert 0.9 < model.bending_error < 1.1
     assert f"a known bending comes out {model.bending_error:.0%} wrong" in message
-    assert remedy == "refine the surface, above all where it is thin, to 324 nodes"
+    assert remedy == "refine the surface, above all where it is thin, to about 1,600 nodes"
     assert held_at_one_end(*icosphere(2, THIN), solver="nonlinear").bending_error == model.bending_error
-
-
-def test_so_has_a_coarse_body_too_coarse_for_its_skin() -> None:
-    points, triangles = icosphere(3, (0.08, 0.08, 0.016))
-    model = held_at_one_end(points, triangles, coarse_nodes=200)
-    assert model.bending_error > BENDING_LIMIT
-    assert told(model)[1] == "set coarse_nodes to 400"
-
-
-@pytest.mark.slow
-def test_a_surface_that_became_a_skin_unasked_says_so_and_what_to_do() -> None:
-    points, triangles = box(14, (0.05, 0.05, 0.05))
-    assert len(points) > COARSE_NODES_RANGE[1]
-    unasked, asked = (held_at_one_end(points, triangles, count) for count in (None, 200))
-    message, remedy = told(unasked)
-    assert message == (
-        f"{len(points):,} nodes are a skin on a coarse body of 800: under a narrow load less accurate than a "
-        "coarser mesh that is taken whole"
-    )
-    assert remedy == (
-        "mesh the surface with at most 1,000 nodes, which are taken whole, or set coarse_nodes, up to 1,000, where "
-        "the skin is what you want"
-    )
-    assert told(asked)[1] == "set coarse_nodes to 400"
-    for model, nodes in ((unasked, 800), (asked, 200)):
-        record = model.formulation.record()
-        assert record["scheme"] == f"skin on {nodes} nodes"
-        assert record["coarse_nodes"] == float(nodes)
-
-
-def test_a_lens_that_the_mesh_cannot_tell_from_nothing_is_refused() -> None:
-    with pytest.raises(SolverError, match="refine a surface or a coarse body that is thinner than its mesh"):
-        held_at_one_end(*icosphere(2, (0.08, 0.08, 0.01)))
 
 
 @pytest.mark.parametrize("formulation", ["paper", "consistent", "vector", "mass-spring"])
@@ -184,37 +138,3 @@ def test_nothing_is_judged_without_a_tissue() -> None:
         solution = model.solve([Load(np.zeros(len(points)))])
         assert "bending_error" not in solution.parameters
         assert solution.status[0].message == ""
-
-
-def deformation(surface: SurfaceMesh, displacement: Array) -> float:
-    """Size of a displacement without its best rigid motion."""
-    rigid = rigid_basis(surface)
-    left = displacement.reshape(-1) - rigid @ (rigid.T @ displacement.reshape(-1))
-    return float(np.linalg.norm(left))
-
-
-@pytest.mark.slow
-@pytest.mark.liver
-def test_a_liver_of_150_uneven_nodes_has_a_reservation_and_is_wrong(
-    liver: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("vdm.formulations.even_spacing.ROUNDS", 0)
-    mesh = build_mesh(Geometry("file", 0.015, {"path": str(liver), "size": 0.19}), volume=False)
-    fine = SurfaceMesh(mesh.surface_points, mesh.triangles)
-    coarse = coarsened(fine, 150)
-    under = coarse.corners[np.arange(150), coarse.shares.argmax(axis=1)]  # the fine node next to each
-    height = fine.points[:, 2] - fine.points[:, 2].min()
-    fixed = height < 0.1 * height.max()
-    models = [
-        Model(s.points, s.triangles, Parameters(shear_modulus=1667.0), formulation="boundary", fixed=held)
-        for s, held in ((fine, fixed), (coarse.surface, fixed[under]))
-    ]
-    assert models[0].bending_error < 0.15
-    assert models[1].bending_error > 1.0
-    push = Load(
-        100.0 * np.clip(1.0 - np.linalg.norm(fine.points - [0.05, 0.0, 0.05], axis=1) / 0.04, 0.0, None)
-    )
-    right = models[0].solve([push]).displacement[0, under]
-    found = models[1].solve([Load(push.contact_pressure[under])]).displacement[0]
-    assert deformation(coarse.surface, found - right) > BENDING_LIMIT * deformation(coarse.surface, right)
-    assert told(models[1])[1] == "refine the surface, above all where it is thin, to 300 nodes"

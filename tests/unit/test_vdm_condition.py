@@ -5,14 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
-from scipy import sparse
 
 from tests.unit.vdm_shapes import icosphere
-from vdm import FORMULATIONS, Load, Model, Parameters, SolverError, SurfaceMesh
+from vdm import FORMULATIONS, Load, Model, Parameters, SurfaceMesh
 from vdm.model import SOLVERS
-from vdm.solvers.cholesky import Cholesky
 from vdm.solvers.condition import inverse_norm
-from vdm.solvers.single import SingleFactor
 
 POINTS, TRIANGLES = icosphere(2, (0.05, 0.06, 0.045))
 BODY = SurfaceMesh(POINTS, TRIANGLES)
@@ -111,84 +108,3 @@ def test_a_history_tells_its_condition_when_asked():
     assert "condition_estimate" not in body.solve([PUSH]).scalars
     told = body.solve([PUSH, PUSH.scaled(2.0)], condition=True).scalars["condition_estimate"]
     assert_allclose(told, 2 * [body.condition_estimate().system], rtol=1e-15, atol=0.0)
-
-
-@pytest.mark.parametrize("solver", ["linear", "nonlinear"])
-def test_a_body_without_a_matrix_has_an_estimate_too(monkeypatch, solver):
-    monkeypatch.setattr("vdm.formulations.boundary.MAX_NODES", 100)
-    monkeypatch.setattr("vdm.formulations.boundary.COARSE_NODES", 60)
-    body = model("boundary", solver=solver)
-    with pytest.raises(SolverError, match="a mesh of at most 100 nodes"):
-        body.formulation.stiffness()
-    columns = [body.formulation.apply(unit.reshape(-1, 3)).ravel() for unit in np.eye(3 * len(POINTS))]
-    matrix = np.array(columns).T
-    assert_allclose(body.formulation.diagonal(), np.diag(matrix), rtol=1e-9, atol=0.0)
-    monkeypatch.setattr(body.formulation, "stiffness", lambda: sparse.csr_array(matrix))
-    block, whole = dense_operator(body)
-    estimate = body.condition_estimate()
-    check(estimate.block, block)
-    check(estimate.system, whole)
-    told = body.solve([PUSH], condition=True).scalars["condition_estimate"]
-    assert_allclose(told, estimate.system, rtol=1e-15, atol=0.0)
-
-
-@pytest.mark.parametrize("formulation", SPARSE)
-def test_half_the_digits_are_seen_in_the_answer(formulation):
-    double, single = (model(formulation, solver=name).solve([PUSH]) for name in ("linear", "single"))
-    size = np.abs(double.displacement).max()
-    assert_allclose(single.displacement, double.displacement, rtol=0.0, atol=1e-4 * size)
-    assert_allclose(single.fluid_pressure, double.fluid_pressure, rtol=1e-4, atol=0.0)
-    # truly 32 bits: not a double in disguise
-    assert np.abs(single.displacement - double.displacement).max() > 1e-9 * size
-    # and it says so, while what it says is no failure
-    assert single.status[0].ok
-    assert 1e-9 < single.scalars["relative_residual"][0] < 1e-3
-    assert double.scalars["relative_residual"][0] < 1e-12
-
-
-@pytest.mark.parametrize("formulation", SPARSE)
-def test_refinement_gives_the_other_half_back(formulation):
-    loads = [PUSH, PUSH.scaled(-3.0)]
-    double, refined = (model(formulation, solver=name).solve(loads) for name in ("linear", "refined"))
-    size = np.abs(double.displacement).max()
-    assert_allclose(refined.displacement, double.displacement, rtol=0.0, atol=1e-10 * size)
-    assert_allclose(refined.fluid_pressure, double.fluid_pressure, rtol=1e-9, atol=0.0)
-    force = np.abs(double.reaction_force).max()
-    assert_allclose(refined.reaction_force, double.reaction_force, rtol=0.0, atol=1e-9 * force)
-    assert refined.scalars["relative_residual"].max() < 1e-9
-
-
-def test_the_single_factor_has_single_precision():
-    matrix = sparse.csr_array(model("consistent").formulation.operator)
-    b = np.random.default_rng(2).standard_normal((matrix.shape[0], 2))
-    exact = Cholesky(matrix).solve(b)
-    for part, expected in ((b, exact), (b[:, 0], exact[:, 0])):
-        found = SingleFactor(matrix).solve(part)
-        error = np.abs(found - expected).max() / np.abs(expected).max()
-        assert found.shape == part.shape
-        assert 1e-9 < error < 1e-4
-    # what is out of the range of 32 bits goes in and comes out
-    huge = SingleFactor(sparse.csr_array(1e100 * matrix)).solve(1e-50 * b)
-    assert_allclose(1e150 * huge, exact, rtol=0.0, atol=1e-4 * np.abs(exact).max())
-
-
-@pytest.mark.parametrize(
-    "matrix", [[[1.0, -1.0], [-1.0, 1.0]], [[1.0, 2.0], [2.0, 1.0]], [[0.0, 0.0], [0.0, 1.0]]]
-)
-def test_a_single_factor_refuses_what_is_not_definite(matrix):
-    with pytest.raises(SolverError, match="not positive definite"):
-        SingleFactor(sparse.csr_array(np.array(matrix)))
-
-
-def test_singular_to_single_precision_is_said():
-    """1e-8 of stiffness between the ground and one: fine in double precision, gone in single."""
-    matrix = sparse.csr_array(np.array([[1.0, -1.0], [-1.0, 1.0 + 1e-9]]))
-    Cholesky(matrix)
-    with pytest.raises(SolverError, match="not positive definite"):
-        SingleFactor(matrix)
-
-
-def test_a_dense_formulation_has_no_single_factor():
-    for solver in ("single", "refined"):
-        with pytest.raises(SolverError, match="double precision only; use the linear solver"):
-            model("boundary", solver=solver)

@@ -10,7 +10,6 @@ from tests.unit.vdm_shapes import icosphere
 from vdm import FORMULATIONS, Load, Model, Parameters, SurfaceMesh
 from vdm.deformed import DeformableSurface
 from vdm.formulations.base import Formulation
-from vdm.formulations.skin import Skin
 
 POINTS, TRIANGLES = icosphere(2, (0.05, 0.06, 0.045))
 BODY = SurfaceMesh(POINTS, TRIANGLES)
@@ -31,23 +30,16 @@ FORMS = {
         Parameters(surface_tension=60.0, stretch_stiffness=10.0, foundation=1e3),
     ),
     "vector, stretch": ("vector", Parameters(surface_tension=200.0, stretch_stiffness=10.0)),
-    "boundary, skin": ("boundary", Parameters(shear_modulus=1667.0)),
 }
 WITH_ENERGY = [name for name in FORMS if not name.startswith("paper")]
 # turned as a whole, these neither store energy nor push
-FREE = ["vector", "vector, stretch", "boundary", "boundary, skin", "mass-spring"]
+FREE = ["vector", "vector, stretch", "boundary", "mass-spring"]
 
 
 @pytest.fixture
-def form(request, monkeypatch) -> Formulation:
-    if request.param == "boundary, skin":
-        monkeypatch.setattr("vdm.formulations.boundary.MAX_NODES", 100)
-        monkeypatch.setattr("vdm.formulations.boundary.COARSE_NODES", 80)
+def form(request) -> Formulation:
     name, parameters = FORMS[request.param]
-    made = FORMULATIONS[name](BODY, parameters)
-    if request.param.startswith("boundary"):
-        assert isinstance(made.body, Skin) == (request.param == "boundary, skin")
-    return made
+    return FORMULATIONS[name](BODY, parameters)
 
 
 def slope_and_force(form: Formulation) -> tuple[float, float]:

@@ -442,7 +442,7 @@ def test_just_enough_held(formulation, parameters):
 
 def test_nothing_held_on_a_body_of_many_nodes_is_said_before_the_set_up(monkeypatch):
     points, triangles = icosphere(4)
-    monkeypatch.setattr("vdm.formulations.boundary.Skin", lambda *_: pytest.fail("assembled"))
+    monkeypatch.setattr("vdm.boundary.operators.surface_stiffness", lambda *_: pytest.fail("assembled"))
     with pytest.raises(SolverError, match=AREA):
         Model(points, triangles, Parameters(shear_modulus=1.0), formulation="boundary")
 

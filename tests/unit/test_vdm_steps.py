@@ -11,22 +11,16 @@ from numpy.testing import assert_allclose
 
 from tests.unit.vdm_shapes import icosphere
 from vdm import FORMULATIONS, Load, Model, Parameters, SurfaceMesh
-from vdm.formulations import boundary
 from vdm.solvers.linear import LinearSolver
 
 POINTS, TRIANGLES = icosphere(2, (0.05, 0.06, 0.045))
 BASE, TOP = POINTS[:, 2] < -0.03, POINTS[:, 2] > 0.04
 RANDOM = np.random.default_rng(5)
-FORMS = [*FORMULATIONS, "skin"]
+FORMS = [*FORMULATIONS]
 PRODUCTS = ("apply", "internal_force", "nodal_force", "displacement")
 
 
-def model(form: str, monkeypatch, **options) -> Model:
-    """Of a formulation, or of the boundary form of many nodes on a coarse body."""
-    if form == "skin":
-        monkeypatch.setattr(boundary, "MAX_NODES", 100)
-        monkeypatch.setattr(boundary, "COARSE_NODES", 60)
-        form = "boundary"
+def model(form: str, **options) -> Model:
     rule = Parameters.from_tissue(5000.0, SurfaceMesh(POINTS, TRIANGLES), form)
     return Model(POINTS, TRIANGLES, rule, formulation=form, fixed=BASE, **options)
 
@@ -41,7 +35,7 @@ def a_load() -> Load:
 @pytest.mark.parametrize("solver", ["linear", "quasi-linear"])
 @pytest.mark.parametrize("form", FORMS)
 def test_a_frame_that_asks_for_nothing_computes_nothing(form, solver, monkeypatch):
-    body = model(form, monkeypatch, solver=solver)
+    body = model(form, solver=solver)
     seen: list[str] = []
     for name in PRODUCTS:
         original = getattr(type(body.formulation), name)
@@ -56,8 +50,7 @@ def test_a_frame_that_asks_for_nothing_computes_nothing(form, solver, monkeypatc
     assert seen == ([] if solver == "linear" else ["displacement"])
     seen.clear()
     first = step.reaction_force, step.energy, step.displacement
-    products = [] if form == "skin" and solver == "linear" else ["apply"]
-    assert [name for name in seen if name == "apply"] == products
+    assert [name for name in seen if name == "apply"] == ["apply"]
     seen.clear()
     assert all(
         a is b for a, b in zip(first, (step.reaction_force, step.energy, step.displacement), strict=True)
@@ -66,8 +59,8 @@ def test_a_frame_that_asks_for_nothing_computes_nothing(form, solver, monkeypatc
 
 
 @pytest.mark.parametrize("form", FORMS)
-def test_reactions_and_energy_are_those_of_the_whole_operator(form, monkeypatch):
-    body = model(form, monkeypatch, constrained=TOP, density=1060.0, gravity=(1.0, 0.0, -9.81))
+def test_reactions_and_energy_are_those_of_the_whole_operator(form):
+    body = model(form, constrained=TOP, density=1060.0, gravity=(1.0, 0.0, -9.81))
     load = a_load()
     step = body.solver.step(load)
     form_of, problem = body.formulation, body.problem
@@ -91,8 +84,8 @@ def test_reactions_and_energy_are_those_of_the_whole_operator(form, monkeypatch)
 
 
 @pytest.mark.parametrize("form", FORMS)
-def test_what_the_caller_does_to_a_load_afterwards_changes_no_step(form, monkeypatch):
-    body = model(form, monkeypatch, constrained=TOP)
+def test_what_the_caller_does_to_a_load_afterwards_changes_no_step(form):
+    body = model(form, constrained=TOP)
     load = a_load()
     first, second = body.solver.step(load), body.solver.step(load)
     before = first.reaction_force.copy(), first.energy
@@ -104,8 +97,8 @@ def test_what_the_caller_does_to_a_load_afterwards_changes_no_step(form, monkeyp
 
 @pytest.mark.parametrize("solver", ["linear", "nonlinear"])
 @pytest.mark.parametrize("form", ["consistent", "vector"])
-def test_the_arrays_of_a_step_cannot_be_written_to_but_a_solution_can(form, solver, monkeypatch):
-    body = model(form, monkeypatch, solver=solver)
+def test_the_arrays_of_a_step_cannot_be_written_to_but_a_solution_can(form, solver):
+    body = model(form, solver=solver)
     step = body.solver.step(Load(20.0 * TOP))
     for array in (step.unknown, step.border, step.displacement):
         with pytest.raises(ValueError, match="read-only"):
@@ -116,7 +109,7 @@ def test_the_arrays_of_a_step_cannot_be_written_to_but_a_solution_can(form, solv
 
 
 def test_a_history_keeps_no_step_but_the_last(monkeypatch):
-    body = model("vector", monkeypatch)
+    body = model("vector")
     made: list[weakref.ref] = []
     alive: list[int] = []
     original = LinearSolver.step

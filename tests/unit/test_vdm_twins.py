@@ -64,13 +64,3 @@ def test_the_answer_does_not_depend_on_how_the_body_lies(formulation: str, solve
     tolerance = 1e-9 if solver == "linear" else 2e-6
     for a, b in zip(other, plain, strict=True):
         assert_allclose(a, b, rtol=0, atol=tolerance * np.abs(b).max())
-
-
-@pytest.mark.parametrize("solver", ["linear", "nonlinear"])
-def test_nor_does_that_of_a_skin(solver: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Its coarse body is one of many, chosen by the numbers of the nodes, and turns with them."""
-    monkeypatch.setattr("vdm.formulations.boundary.MAX_NODES", 100)
-    monkeypatch.setattr("vdm.formulations.boundary.COARSE_NODES", 80)
-    plain, other = answer("boundary", solver), answer("boundary", solver, *TWINS["rotated"])
-    for a, b in zip(other, plain, strict=True):
-        assert_allclose(a, b, rtol=0, atol=2e-6 * np.abs(b).max())

@@ -35,16 +35,6 @@ SMALL: dict[str, tuple[tuple[tuple[str, str], ...], int]] = {
         1,
     ),
     "stability-size-volume": ((('"10 mm", "7 mm", "5 mm"]', '"12 mm"]'),), 1),
-    "stability-skin": (
-        (
-            ('mesh_size = "4.5 mm"', 'mesh_size = "8 mm"'),
-            ("[regions.base]", "[vdm]\ncoarse_nodes = 200\n\n[regions.base]"),
-            ("= [1e2, 1e4, 1e6, 1e8, 1e10]", "= [1e4, 1e10]"),
-            ("= [0.4, 0.1, 0.05]", "= [0.05]"),
-            ('"1 Pa", "2 kPa", "20 kPa", "50 kPa"', '"50 kPa"'),
-        ),
-        1,
-    ),
     "stability-surface": ((('mesh_size = "12 mm"', 'mesh_size = "16 mm"'),), 2),
     "stability-volume": ((('mesh_size = "12 mm"', 'mesh_size = "20 mm"'),), 3),
 }
@@ -194,14 +184,6 @@ def test_the_size_of_the_mesh_breaks_no_solver(name: str, tmp_path: Path) -> Non
         assert growth < 3.0 * squared, (model, growth)
         # where the bulk modulus is ten thousand times the shear modulus, it hides that of elements that lock
         assert model in LOCKING or 0.15 * squared < growth, (model, growth)
-
-
-@pytest.mark.slow
-def test_the_skin_of_many_nodes_breaks_down_by_a_status(tmp_path: Path) -> None:
-    study = small("stability-skin", tmp_path)
-    broken = check(study)
-    assert broken
-    assert not study["geometry.perturbation"].breakdowns("vdm-boundary")
 
 
 def test_the_direct_solver_stands_every_modulus_penalty_and_sliver(found: dict[str, Ladder]) -> None:

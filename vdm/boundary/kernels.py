@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vdm.boundary.jit import compiled
+from vdm.boundary.plane import add_near, graded
 from vdm.boundary.quadrature import Rule, dunavant, three_points, touching
 
 Array = NDArray[np.float64]
@@ -20,23 +21,23 @@ Index = NDArray[np.int64]
 
 # distance of two facets' centres over the sum of their radii, from which a product of two rules is enough
 FAR, MIDDLE, NEAR = 4.0, 2.0, 1.15
-# facets that are nearer, and slender ones that touch, are cut in two, as often as this at most
-CUTS = 18
-SLENDER = 1e30  # longest edge over its height: the maps' Gauss points would resolve no more
-SAME = 1e-6  # corners within this share of a facet's radius are one
+# longest edge over its height, up to which the maps of facets that touch have points enough
+SLENDER = 3.0
 # the twelve integrals of a pair: xx, yy, zz, xy, xz, yz of B, k of g by its corners, k of f by its corners
 COUNT = 12
 
 
-def rules() -> tuple[Array, Index]:
+def rules() -> tuple[Array, Index, Array, Array]:
     """All rules as one table (5, n) of two coordinates of x, two of y and the weight, and each rule's start (7,).
+
+    Last the points and weights of `vdm.boundary.plane.graded`.
 
     In the order: one vertex, one edge, the same facet, then far, middle and near facets that do not touch.
     """
     parts = [*touching(), *(_product(*rule) for rule in (three_points(), dunavant(4), dunavant(8)))]
     table = np.concatenate([np.stack([*x.T[1:], *y.T[1:], w]) for x, y, w in parts], axis=1)
     starts = np.cumsum([0, *(len(part[2]) for part in parts)])
-    return np.ascontiguousarray(table), starts.astype(np.int64)
+    return np.ascontiguousarray(table), starts.astype(np.int64), *graded()
 
 
 def _product(points: Array, weights: Array) -> Rule:
@@ -45,25 +46,17 @@ def _product(points: Array, weights: Array) -> Rule:
 
 
 @compiled
-def add_rule(table, lower, upper, p, q, m, n, first, second, scale, total):
-    """Add to `total` (12,) the integrals over parts of the triangles p and q (3, 3), whose normals are m and n.
+def add_rule(table, lower, upper, p, q, m, n, i, j, total):
+    """Add to `total` (12,) the integrals over the triangles p and q (3, 3), whose normals are m and n.
 
-    `first`, `second` (3, 3) are the coordinates of the parts' corners in p and q.
+    The rule's first to third corners are those of numbers i and j (3,).
     """
-    # x = o + x1 a + x2 b, y = x at the corner + s + y1 c + y2 d
-    ax = ay = az = bx = by = bz = cx = cy = cz = dx = dy = dz = sx = sy = sz = 0.0
-    for k in range(3):
-        i, j = first[1, k] - first[0, k], first[2, k] - first[0, k]
-        ax, ay, az = ax + i * p[k, 0], ay + i * p[k, 1], az + i * p[k, 2]
-        bx, by, bz = bx + j * p[k, 0], by + j * p[k, 1], bz + j * p[k, 2]
-        i, j = second[1, k] - second[0, k], second[2, k] - second[0, k]
-        cx, cy, cz = cx + i * q[k, 0], cy + i * q[k, 1], cz + i * q[k, 2]
-        dx, dy, dz = dx + j * q[k, 0], dy + j * q[k, 1], dz + j * q[k, 2]
-        # from one corner of p: two near points far from the origin lose no digits
-        i, j = first[0, k], second[0, k]
-        sx += j * (q[k, 0] - p[0, 0]) - i * (p[k, 0] - p[0, 0])
-        sy += j * (q[k, 1] - p[0, 1]) - i * (p[k, 1] - p[0, 1])
-        sz += j * (q[k, 2] - p[0, 2]) - i * (p[k, 2] - p[0, 2])
+    # r = s + y1 c + y2 d - x1 a - x2 b
+    ax, ay, az = p[i[1], 0] - p[i[0], 0], p[i[1], 1] - p[i[0], 1], p[i[1], 2] - p[i[0], 2]
+    bx, by, bz = p[i[2], 0] - p[i[0], 0], p[i[2], 1] - p[i[0], 1], p[i[2], 2] - p[i[0], 2]
+    cx, cy, cz = q[j[1], 0] - q[j[0], 0], q[j[1], 1] - q[j[0], 1], q[j[1], 2] - q[j[0], 2]
+    dx, dy, dz = q[j[2], 0] - q[j[0], 0], q[j[2], 1] - q[j[0], 1], q[j[2], 2] - q[j[0], 2]
+    sx, sy, sz = q[j[0], 0] - p[i[0], 0], q[j[0], 1] - p[i[0], 1], q[j[0], 2] - p[i[0], 2]
     xx = yy = zz = xy = xz = yz = g0 = g1 = g2 = f0 = f1 = f2 = 0.0
     for k in range(lower, upper):
         x1, x2, y1, y2 = table[0, k], table[1, k], table[2, k], table[3, k]
@@ -86,198 +79,107 @@ def add_rule(table, lower, upper, p, q, m, n, first, second, scale, total):
         f0 += f
         f1 += f * x1
         f2 += f * x2
-    total[0] += scale * xx
-    total[1] += scale * yy
-    total[2] += scale * zz
-    total[3] += scale * xy
-    total[4] += scale * xz
-    total[5] += scale * yz
-    g0, f0 = g0 - g1 - g2, f0 - f1 - f2
-    scale *= 0.25 / np.pi
-    for k in range(3):
-        total[6 + k] -= scale * (g0 * second[0, k] + g1 * second[1, k] + g2 * second[2, k])
-        total[9 + k] += scale * (f0 * first[0, k] + f1 * first[1, k] + f2 * first[2, k])
+    total[0] += xx
+    total[1] += yy
+    total[2] += zz
+    total[3] += xy
+    total[4] += xz
+    total[5] += yz
+    total[6 + j[0]] -= (g0 - g1 - g2) * 0.25 / np.pi
+    total[6 + j[1]] -= g1 * 0.25 / np.pi
+    total[6 + j[2]] -= g2 * 0.25 / np.pi
+    total[9 + i[0]] += (f0 - f1 - f2) * 0.25 / np.pi
+    total[9 + i[1]] += f1 * 0.25 / np.pi
+    total[9 + i[2]] += f2 * 0.25 / np.pi
 
 
 @compiled
-def _place(p, part, corners, centre):
-    """Write the corners (3, 3) and the centre (3,) of a part of the triangle p; returns its radius, longest edge's
-    start and how slender it is: that edge over the height on it.
+def _square(x, y):
+    """Square of the distance of two points (3,)."""
+    a, b, c = x[0] - y[0], x[1] - y[1], x[2] - y[2]
+    return a * a + b * b + c * c
+
+
+@compiled
+def _shared_first(t, v, p, q, i, j):
+    """Number of nodes that facets of nodes t and v (3,) share; i, j (3,) become their corners, shared ones first.
+
+    Their order is one of lengths, so that a mirror image of the body has the same one.
     """
-    for a in range(3):
-        for c in range(3):
-            corners[a, c] = part[a, 0] * p[0, c] + part[a, 1] * p[1, c] + part[a, 2] * p[2, c]
-    largest, longest, start = 0.0, 0.0, 0
-    for c in range(3):
-        centre[c] = (corners[0, c] + corners[1, c] + corners[2, c]) / 3.0
-    for a in range(3):
-        square, edge, b = 0.0, 0.0, (a + 1) % 3
-        for c in range(3):
-            square += (corners[a, c] - centre[c]) ** 2
-            edge += (corners[b, c] - corners[a, c]) ** 2
-        largest = max(largest, square)
-        if edge > longest:
-            longest, start = edge, a
-    twice = 0.0
-    for c in range(3):
-        d, e = (c + 1) % 3, (c + 2) % 3
-        twice += (
-            (corners[1, d] - corners[0, d]) * (corners[2, e] - corners[0, e])
-            - (corners[1, e] - corners[0, e]) * (corners[2, d] - corners[0, d])
-        ) ** 2
-    return np.sqrt(largest), start, longest / np.sqrt(twice)
-
-
-@compiled
-def _touching(p, q, near, i, j):
-    """Number of corners within `near` of one of the other triangle; i, j (3,) are the corners, those first."""
     shared = 0
     for a in range(3):
         for b in range(3):
-            x, y, z = p[a, 0] - q[b, 0], p[a, 1] - q[b, 1], p[a, 2] - q[b, 2]
-            if x * x + y * y + z * z < near * near and shared < 3:
+            if t[a] == v[b]:
                 i[shared], j[shared] = a, b
                 shared += 1
     k = n = shared
     for c in range(3):
-        if not (i[:shared] == c).any() and k < 3:
+        if k < 3 and not (i[:shared] == c).any():
             i[k] = c
             k += 1
-        if not (j[:shared] == c).any() and n < 3:
+        if n < 3 and not (j[:shared] == c).any():
             j[n] = c
             n += 1
+    # distance from the corners that are not shared, of one facet with itself from both others
+    far = np.zeros(3)
+    if shared == 2:
+        for a in range(2):
+            far[a] = _square(p[i[a]], p[i[2]]) + _square(q[j[a]], q[j[2]])
+    elif shared == 3:
+        for a in range(3):
+            far[a] = -_square(p[i[(a + 1) % 3]], p[i[(a + 2) % 3]])
+    for a in range(shared - 1 if shared > 1 else 0):
+        for b in range(shared - 1 - a):
+            if far[b] > far[b + 1]:
+                far[b], far[b + 1] = far[b + 1], far[b]
+                i[b], i[b + 1] = i[b + 1], i[b]
+                j[b], j[b + 1] = j[b + 1], j[b]
     return shared
 
 
 @compiled
-def _halve(part, start, half, other):
-    """Write the halves of a part (3, 3), cut across the edge that begins at a corner; `half` may be `part`."""
-    for k in range(3):
-        left, right, apex = part[start, k], part[(start + 1) % 3, k], part[(start + 2) % 3, k]
-        middle = 0.5 * (left + right)
-        half[0, k], half[1, k], half[2, k] = left, middle, apex
-        other[0, k], other[1, k], other[2, k] = middle, right, apex
-
-
-@compiled
-def _turned(part, order, turned):
-    """Write the corners of a part in an order (3,)."""
-    for a in range(3):
-        for k in range(3):
-            turned[a, k] = part[order[a], k]
-
-
-@compiled
-def _shared_edge(start, i, j, shared):
-    """Where the other part has the edge that begins at `start`: its first corner, or -1 if it is not shared."""
-    if shared < 2:
-        return -1
-    a = b = -1
-    for k in range(shared):
-        if i[k] == start:
-            a = j[k]
-        if i[k] == (start + 1) % 3:
-            b = j[k]
-    if a < 0 or b < 0:
-        return -1
-    return a if (a + 1) % 3 == b else b
-
-
-@compiled
-def integrate_pair(mesh, f, g, table, starts, space):
+def integrate_pair(mesh, f, g, rules, space):
     """The twelve integrals of facets f and g over the product of their areas, in the last part of `space`.
 
-    `mesh` is the corners (F, 3, 3), triangles, normals, areas, centres (F, 3) and radii (F,). Pairs that are near
-    but do not touch, and slender ones that do, are cut until a rule fits.
+    `mesh` is the corners (F, 3, 3), triangles, normals, areas, centres (F, 3), radii (F,) and how slender they are
+    (F,); `rules` what the function of that name gives.
     """
-    corners, _, normals, _, centres, radii = mesh
-    first, second, cuts, here, there, i, j, total = space
+    corners, triangles, normals, areas, centres, radii, slender = mesh
+    table, starts, points, weights = rules
+    i, j, both, total = space
     p, q, m, n = corners[f], corners[g], normals[f], normals[g]
     total[:] = 0.0
-    x, y, z = centres[f, 0] - centres[g, 0], centres[f, 1] - centres[g, 1], centres[f, 2] - centres[g, 2]
-    ratio = np.sqrt(x * x + y * y + z * z) / (radii[f] + radii[g])
-    if ratio > MIDDLE:
-        k, whole = 3 if ratio > FAR else 4, first[-1]
-        add_rule(table, starts[k], starts[k + 1], p, q, m, n, whole, whole, 1.0, total)
-        return
-    first[0] = first[-1]
-    second[0] = first[-1]
-    cuts[0] = 0
-    near = SAME * min(radii[f], radii[g])
-    top = 0
-    while top >= 0:
-        r, a, slender = _place(p, first[top], here[:3], here[3])
-        s, b, thin = _place(q, second[top], there[:3], there[3])
-        x, y, z = here[3, 0] - there[3, 0], here[3, 1] - there[3, 1], here[3, 2] - there[3, 2]
-        ratio = np.sqrt(x * x + y * y + z * z) / (r + s)
-        done = cuts[top]
-        shared = _touching(here[:3], there[:3], near * 0.5 ** (0.5 * done), i, j) if ratio < 1.0 + SAME else 0
-        fits = max(slender, thin) < SLENDER if shared else ratio > NEAR
-        if fits or done >= CUTS:
-            share = 0.5**done
-            if shared:
-                _turned(first[top], i, first[-2])
-                _turned(second[top], j, second[-2])
-                k = shared - 1
-            else:
-                first[-2] = first[top]
-                second[-2] = second[top]
-                k = 3 if ratio > FAR else (4 if ratio > MIDDLE else 5)
-            add_rule(table, starts[k], starts[k + 1], p, q, m, n, first[-2], second[-2], share, total)
-            top -= 1
-            continue
-        of_first = slender > thin if shared else r > s
-        # a shared edge is cut in both, so that the halves share whole edges too
-        edge = _shared_edge(a, i, j, shared) if of_first else _shared_edge(b, j, i, shared)
-        if edge >= 0:
-            if of_first:
-                b = edge
-            else:
-                a = edge
-            first[-2] = first[top]
-            second[-2] = second[top]
-            for k in range(4):
-                _halve(first[-2], a, first[top + k], first[-3])
-                if k % 2:
-                    first[top + k] = first[-3]
-                _halve(second[-2], b, second[top + k], second[-3])
-                if k // 2:
-                    second[top + k] = second[-3]
-                cuts[top + k] = done + 2
-            top += 3
-        else:
-            if of_first:
-                _halve(first[top], a, first[top], first[top + 1])
-                second[top + 1] = second[top]
-            else:
-                _halve(second[top], b, second[top], second[top + 1])
-                first[top + 1] = first[top]
-            cuts[top] = cuts[top + 1] = done + 1
-            top += 1
+    ratio = np.sqrt(_square(centres[f], centres[g])) / (radii[f] + radii[g])
+    shared = 0 if ratio > NEAR else _shared_first(triangles[f], triangles[g], p, q, i, j)
+    if ratio > NEAR:
+        for a in range(3):
+            i[a] = j[a] = a
+        k = 3 if ratio > FAR else (4 if ratio > MIDDLE else 5)
+        add_rule(table, starts[k], starts[k + 1], p, q, m, n, i, j, total)
+    elif shared and max(slender[f], slender[g]) < SLENDER:
+        add_rule(table, starts[shared - 1], starts[shared], p, q, m, n, i, j, total)
+    else:
+        both[0], both[1] = areas[f], areas[g]
+        add_near(p, q, m, n, both, points, weights, total)
     if f == g:  # a plane facet does not see its own normal
         total[6:] = 0.0
 
 
 @compiled
 def _space():
-    """Work space of `integrate_pair`: two stacks of parts and what is found of their top, the integrals last."""
-    size = 2 * CUTS + 8
-    first, second = np.empty((size, 3, 3)), np.empty((size, 3, 3))
-    first[-1] = np.eye(3)
-    order, other = np.empty(3, np.int64), np.empty(3, np.int64)
-    here, there = np.empty((4, 3)), np.empty((4, 3))
-    return first, second, np.empty(size, np.int64), here, there, order, other, np.empty(COUNT)
+    """Work space of `integrate_pair`: corners of either facet, their areas, the integrals."""
+    return np.empty(3, np.int64), np.empty(3, np.int64), np.empty(2), np.empty(COUNT)
 
 
 @compiled
-def all_pairs(mesh, table, starts, of_identity, of_kelvin, single, double):
+def all_pairs(mesh, rules, of_identity, of_kelvin, single, double):
     """Fill V (3F, 3F) = `of_identity` tr(B) I + `of_kelvin` B, and add Laplace's K to `double` (F, N)."""
     triangles, areas = mesh[1], mesh[3]
     space = _space()
     total = space[-1]
     for f in range(len(triangles)):
         for g in range(f + 1):
-            integrate_pair(mesh, f, g, table, starts, space)
+            integrate_pair(mesh, f, g, rules, space)
             both = areas[f] * areas[g]
             trace = both * of_identity * (total[0] + total[1] + total[2])
             for i in range(3):
@@ -294,13 +196,13 @@ def all_pairs(mesh, table, starts, of_identity, of_kelvin, single, double):
 
 
 @compiled
-def some_pairs(mesh, rows, columns, table, starts, values):
+def some_pairs(mesh, rows, columns, rules, values):
     """Write the first nine integrals of the facets `rows` (m,) with `columns` (n,) to `values` (m, n, 9)."""
     areas = mesh[3]
     space = _space()
     total = space[-1]
     for k in range(len(rows)):
         for n in range(len(columns)):
-            integrate_pair(mesh, rows[k], columns[n], table, starts, space)
+            integrate_pair(mesh, rows[k], columns[n], rules, space)
             for c in range(9):
                 values[k, n, c] = areas[rows[k]] * areas[columns[n]] * total[c]

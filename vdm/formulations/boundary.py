@@ -1,4 +1,4 @@
-"""The surface that knows its inside: elastic forces by boundary integrals of the incompressible body, no fit."""
+"""The surface that knows its inside: elastic forces of the homogeneous body by boundary elements, without a fit."""
 
 from __future__ import annotations
 
@@ -9,34 +9,38 @@ from scipy import linalg, sparse
 from vdm.deformed import DeformedSurface
 from vdm.formulations.base import DisplacementFormulation, Factor, Factorise, Mask, rigid_motions
 from vdm.formulations.border import DenseColumns
-from vdm.formulations.boundary_integrals import layer_potentials, mass_matrix
-from vdm.formulations.skin import INDEFINITE, PIVOT_TOLERANCE, Skin
-from vdm.material import COARSE_NODES, COARSE_NODES_RANGE, ParameterError, Parameters
+from vdm.material import ParameterError, Parameters
 from vdm.solution import SolverError, Status
 from vdm.solvers.cholesky import Cholesky
 from vdm.surface import SurfaceMesh
 
 Array = NDArray[np.float64]
 
-# surfaces of up to as many nodes are taken as they are: dense matrices of (3N)^2 numbers
-MAX_NODES = COARSE_NODES_RANGE[1]
+# of a dense matrix of (3N)^2 numbers
+MAX_NODES = 2000
+# smallest over largest pivot of a factor that is told from a singular one
+PIVOT_TOLERANCE = 1e-8
 DENSE = Status(
     "dense", "the boundary formulation has a dense factor, in double precision only", "use the linear solver"
+)
+INDEFINITE = Status(
+    "singular",
+    "the boundary formulation's stiffness is not positive definite",
+    "hold at least three nodes that are not on one line, and remesh slivers and folds",
 )
 
 
 class BoundaryFormulation(DisplacementFormulation):
     """Stationary point of `1/2 u.S u - sum (dP + rho g delta_i) g_i.u_i - sum F_i.u_i` under `sum g_i.u_i = 0`.
 
-    S is the body's surface stiffness: the work of the tractions that an incompressible solid of shear modulus mu
-    needs for u, from the layer potentials, `S = mass V^-1 (I/2 - D)`. Two things that hold for the solid and only
-    nearly for the discrete operator are imposed: S is made symmetric, and rigid motions cost nothing, so that
-    reactions balance the load. The traction of V^-1 is taken without its mean pressure: that pressure is dP.
+    S is the body's surface stiffness by symmetric Galerkin boundary elements: the work of the tractions that a
+    solid of shear modulus mu needs for u (see `vdm.boundary.operators`). Poisson's ratio 1/2 is VDM's fluid: it
+    keeps the volume, and dP is its pressure, the null vector of the single layer. A solid of a smaller ratio has
+    no such constraint; dP is then its mean pressure, `-kappa (sum g_i.u_i) / V`.
 
-    Dense, (3N)^2 numbers, set-up of order N^3, up to `MAX_NODES` nodes; more are the skin of a coarser body (see
-    `vdm.formulations.skin`), and so are fewer where `Parameters.coarse_nodes` says so.
+    Dense, (3N)^2 numbers and a set-up of order N^3, on up to `MAX_NODES` nodes.
 
-    At large displacements S turns with the rotation Q that best fits the surface:
+    At large displacements, of an incompressible body, S turns with the rotation Q that best fits the surface:
     `E = 1/2 w.S w`, w = (positions) Q^T - (rest), Q from `sum a_i |x_i - X_i Q|^2`, areas a_i and arms X_i at rest.
     As Q turns with the positions, the force is `Q^T S w` less `lambda x (a_i X_i Q)`: forces that take off the
     moment of the first term, so that the internal force has neither a resultant nor a moment.
@@ -45,54 +49,86 @@ class BoundaryFormulation(DisplacementFormulation):
     ------
     ParameterError
         shear_modulus missing, zero or not a scalar.
+    SolverError
+        more than `MAX_NODES` nodes.
     """
 
     name = "boundary"
 
     def __init__(self, surface: SurfaceMesh, parameters: Parameters) -> None:
+        # numba takes a third of a second to import
+        from vdm.boundary.operators import Facets, surface_stiffness
+
         super().__init__(surface, parameters)
         modulus = parameters.shear_modulus
         if modulus is None or np.ndim(modulus) != 0 or not modulus > 0.0:
             raise ParameterError("the boundary formulation needs shear_modulus, one positive number")
+        if surface.n_nodes > MAX_NODES:
+            raise SolverError(too_large(surface.n_nodes))
         self.shear_modulus = float(modulus)
-        self.body: Dense | Skin
-        if surface.n_nodes <= (parameters.coarse_nodes or MAX_NODES):
-            self.body = Dense(surface_stiffness(surface, surface.area_vectors))
+        self.poisson_ratio = 0.5 if parameters.is_filled else parameters.poisson_ratio
+        facets = Facets.of(surface.points, surface.triangles)
+        try:
+            self.matrix: Array = surface_stiffness(facets, self.poisson_ratio)
+        except linalg.LinAlgError as error:
+            raise SolverError(INDEFINITE) from error
+        _without_rigid_motions(self.matrix, rigid_basis(surface))
+        self.matrix *= self.shear_modulus
+        pressed = surface.area_vectors[:, :, None]
+        if self.is_incompressible:
+            self.columns = self.rows = DenseColumns(pressed)
+            self.corner = np.zeros((1, 1))
         else:
-            self.body = Skin(surface, parameters.coarse_nodes or COARSE_NODES, surface_stiffness)
-        self.has_matrix = isinstance(self.body, Dense)
-        self.columns = DenseColumns(surface.area_vectors[:, :, None])
-        self.rows = self.columns
-        self.corner = np.zeros((1, 1))
+            self.columns = DenseColumns(np.zeros_like(pressed))
+            self.rows = DenseColumns(pressed * (self.bulk_modulus / surface.volume))
+            self.corner = np.ones((1, 1))
+
+    @property
+    def is_incompressible(self) -> bool:
+        """Whether the volume is kept, by a pressure that is an unknown."""
+        return self.poisson_ratio == 0.5
+
+    @property
+    def bulk_modulus(self) -> float:
+        """kappa [Pa] of a compressible body."""
+        nu = self.poisson_ratio
+        return 2.0 * self.shear_modulus * (1.0 + nu) / (3.0 * (1.0 - 2.0 * nu))
 
     def record(self) -> dict[str, float | str]:
-        record = super().record()
-        if not isinstance(self.body, Skin):
-            return {**record, "scheme": "dense"}
-        nodes = self.body.n_nodes
-        return {**record, "scheme": f"skin on {nodes} nodes", "coarse_nodes": float(nodes)}
+        return {**super().record(), "poisson_ratio": self.poisson_ratio, "scheme": "dense"}
 
     def apply(self, x: Array) -> Array:
-        return self.shear_modulus * self.body.apply(x)
+        force: Array = (self.matrix @ x.reshape(-1)).reshape(-1, 3)
+        return force
 
     def factor(self, free: Mask, factorise: Factorise = Cholesky) -> Factor:
         if factorise is not Cholesky:
             raise SolverError(DENSE)
-        return self.body.factor(free, self.shear_modulus)
+        dofs = np.repeat(free, 3)
+        return DenseFactor(self.matrix[np.ix_(dofs, dofs)])
 
     def stiffness(self) -> sparse.csr_array:
-        if isinstance(self.body, Skin):
-            raise SolverError(
-                Status(
-                    "too-large",
-                    "the boundary formulation has no matrix where it is a skin on a coarse body",
-                    f"use the linear or the nonlinear solver, or a mesh of at most {MAX_NODES:,} nodes",
-                )
-            )
-        return sparse.csr_array(self.shear_modulus * self.body.matrix)
+        return sparse.csr_array(self.matrix)
 
     def diagonal(self) -> Array:
-        return self.shear_modulus * self.body.diagonal()
+        return np.diagonal(self.matrix)
+
+    def pressure_force(self, pressure: Array) -> Array:
+        """Force (N, 3) of weight, given as the hydrostatic pressure (N,) that would carry it.
+
+        The stress -p I of a linear p = b . x balances a force b per volume. In a compressible body it belongs to
+        the displacement `-((b . x) x - b |x|^2 / 2) / (3 kappa)`, a strain -p I / (3 kappa): what is left to find
+        is a field without a force inside, whose nodal forces are those of p and those of that displacement.
+        """
+        force: Array = self.surface.area_vectors * pressure[:, None]
+        if self.is_incompressible:
+            return force
+        arms = self.surface.points - self.surface.points.mean(axis=0)
+        fitted = np.linalg.lstsq(np.column_stack([arms, np.ones(len(arms))]), pressure, rcond=None)[0]
+        slope, mean = fitted[:3], fitted[3]
+        moved = (arms @ slope)[:, None] * arms - 0.5 * np.square(arms).sum(axis=1)[:, None] * slope
+        moved += mean * arms
+        return force - self.apply(moved) / (3.0 * self.bulk_modulus)
 
     def deformed_internal_force(self, x: Array, state: DeformedSurface) -> Array:  # noqa: ARG002 - x is in state
         turn, unturned = self._unturned(state)
@@ -128,26 +164,13 @@ def _turning(axis: Array) -> Array:
     return np.array([[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]])
 
 
-class Dense:
-    """A symmetric matrix (3N, 3N)."""
-
-    def __init__(self, matrix: Array) -> None:
-        self.matrix = matrix
-        self.n_nodes = len(matrix) // 3
-
-    def apply(self, x: Array) -> Array:
-        """(N, 3) elastic force of displacements (N, 3)."""
-        force: Array = (self.matrix @ x.reshape(-1)).reshape(-1, 3)
-        return force
-
-    def diagonal(self) -> Array:
-        """(3N,) of the matrix."""
-        return np.diagonal(self.matrix)
-
-    def factor(self, free: Mask, scale: float) -> DenseFactor:
-        """The factor of its multiple over the free nodes."""
-        dofs = np.repeat(free, 3)
-        return DenseFactor(scale * self.matrix[np.ix_(dofs, dofs)])
+def too_large(n_nodes: int) -> Status:
+    """What is said of a surface that a dense matrix is no way for."""
+    return Status(
+        "too-large",
+        f"{n_nodes:,} nodes are more than the {MAX_NODES:,} of the boundary formulation's dense matrix",
+        f"use a mesh of at most {MAX_NODES:,} nodes, the vector formulation, or finite elements",
+    )
 
 
 class DenseFactor:
@@ -161,7 +184,8 @@ class DenseFactor:
 
     def __init__(self, matrix: Array) -> None:
         try:
-            self._factor = linalg.cho_factor(matrix, lower=True, check_finite=False)
+            # a symmetric matrix is its own transpose, which is in the order that LAPACK works in place with
+            self._factor = linalg.cho_factor(matrix.T, lower=True, overwrite_a=True, check_finite=False)
         except linalg.LinAlgError as error:
             raise SolverError(INDEFINITE) from error
         diagonal = np.abs(np.diagonal(self._factor[0]))
@@ -173,38 +197,16 @@ class DenseFactor:
         return np.asarray(linalg.cho_solve(self._factor, right_hand_side, check_finite=False))
 
 
-def surface_stiffness(surface: SurfaceMesh, volume_gradient: Array) -> Array:
-    """(3N, 3N) symmetric stiffness [m] for mu = 1, rigid motions in its null space.
+def _without_rigid_motions(matrix: Array, rigid: Array) -> None:
+    """Take off in place what quadrature leaves of rigid motions, 1e-5 of the matrix.
 
-    A change of volume, of the gradient (N, 3), is left to the constraint: here it only must not be free.
+    A body that its supports carry far would be pushed by it, and its reactions would not balance its load.
     """
-    single, jump = layer_potentials(surface)
-    normals = surface.normals.reshape(-1)
-    size = len(normals)
-    # V t + n lambda = (I/2 - D) u with g.t = 0: V is singular along n, and the border takes that pressure out
-    bordered = np.zeros((size + 1, size + 1))
-    bordered[:size, :size] = single
-    scale = float(np.abs(single).sum(axis=1).max())
-    bordered[:size, size] = scale * normals
-    bordered[size, :size] = scale * surface.area_vectors.reshape(-1) / surface.area
-    right = np.concatenate([jump, np.zeros((1, size))])
-    tractions = linalg.solve(bordered, right, overwrite_a=True, overwrite_b=True, check_finite=False)[:size]
-    mass = mass_matrix(surface)
-    stiffness = np.asarray(mass @ tractions.reshape(surface.n_nodes, -1)).reshape(size, size)
-    stiffness = 0.5 * (stiffness + stiffness.T)
-    rigid = rigid_basis(surface)
-    stiffness -= rigid @ (rigid.T @ stiffness)
-    stiffness -= (stiffness @ rigid) @ rigid.T
-    # a change of volume, which the constraint rules out, must not be free: it would make the block indefinite
-    gradient = volume_gradient.reshape(-1)
-    gradient = gradient - rigid @ (rigid.T @ gradient)
-    gradient /= np.linalg.norm(gradient)
-    # the stiffest node decides how much: at large displacements the volume changes in second order and feels it, so
-    # it must not depend on the axes of space
-    nodes = np.arange(surface.n_nodes)
-    own = stiffness.reshape(surface.n_nodes, 3, surface.n_nodes, 3)[nodes, :, nodes]
-    stiffness += np.abs(np.linalg.eigvalsh(own)).max() * np.outer(gradient, gradient)
-    return 0.5 * (stiffness + stiffness.T)
+    force = matrix @ rigid
+    force -= 0.5 * rigid @ (rigid.T @ force)
+    for start in range(0, len(matrix), 256):
+        rows = slice(start, start + 256)
+        matrix[rows] -= rigid[rows] @ force.T + force[rows] @ rigid.T
 
 
 def rigid_basis(surface: SurfaceMesh) -> Array:

@@ -1,0 +1,119 @@
+"""Integrals over one flat facet in closed form, seen from a point: exact for every shape of the facet, slivers too.
+
+With r = y - x, d the height of the facet over x, and for each edge its direction s, the outward normal m in the
+plane, its distance t and its ends at l-, l+ along s and R-, R+ from x (Wilton et al. 1984, IEEE Trans. Antennas
+Propag. 32):
+
+`f = ln (R+ + l+) / (R- + l-)`, `omega = sign(d) sum (atan t l+ / (t^2 + d^2 + |d| R+) - the same of l-, R-)`
+`int 1/r = sum t f - d omega`, `int r/r^3 = omega n - sum f m` and by parts
+`int r r/r^3 = int 1/r (I - n n) - sum (t f m m + (R+ - R-) sym(m s)) - d sum f (m n + n m) + d omega n n`.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vdm.boundary.jit import compiled
+
+Array = NDArray[np.float64]
+
+# Gauss points from the centre outward and along the edges, of each of the three parts of a facet
+POINTS = 5
+ON_LINE = 1e-24  # square of a distance from an edge's line over its length: on it
+
+
+def graded() -> tuple[Array, Array]:
+    """(75, 3) points and weights of sum 1 that crowd at the edges, where the potential of a facet has its poles."""
+    at, weights = np.polynomial.legendre.leggauss(POINTS)
+    at, weights = 0.5 * (at + 1.0), 0.5 * weights
+    out = 1.0 - (1.0 - at) ** 3
+    along = at**2 * (3.0 - 2.0 * at)
+    share = np.outer(weights * 3.0 * (1.0 - at) ** 2 * out, weights * 6.0 * at * (1.0 - at)).ravel()
+    s, t = (part.ravel() for part in np.meshgrid(out, along, indexing="ij"))
+    start, end, apex = (1.0 - s) / 3.0 + s * (1.0 - t), (1.0 - s) / 3.0 + s * t, (1.0 - s) / 3.0
+    corners = np.stack([start, end, apex], axis=1)
+    points = np.concatenate([np.roll(corners, turn, axis=1) for turn in range(3)])
+    return np.ascontiguousarray(points), np.tile(share * 2.0 / 3.0, 3)
+
+
+@compiled
+def add_plane(x, y, z, q, n, weight, at, total):
+    """Add to `total` (12,) the integrals over the triangle q (3, 3) of normal n, seen from the point (x, y, z).
+
+    Those of B, times `weight`, to the first six; Laplace's double layer by corners from `at` on, times it twice.
+    """
+    d = (q[0, 0] - x) * n[0] + (q[0, 1] - y) * n[1] + (q[0, 2] - z) * n[2]
+    height = abs(d)
+    inverse = angle = fx = fy = fz = xx = yy = zz = xy = xz = yz = twice = 0.0
+    for a in range(3):
+        b = (a + 1) % 3
+        ux, uy, uz = q[a, 0] - x, q[a, 1] - y, q[a, 2] - z
+        vx, vy, vz = q[b, 0] - x, q[b, 1] - y, q[b, 2] - z
+        sx, sy, sz = q[b, 0] - q[a, 0], q[b, 1] - q[a, 1], q[b, 2] - q[a, 2]
+        length = np.sqrt(sx * sx + sy * sy + sz * sz)
+        sx, sy, sz = sx / length, sy / length, sz / length
+        mx, my, mz = sy * n[2] - sz * n[1], sz * n[0] - sx * n[2], sx * n[1] - sy * n[0]
+        t = mx * ux + my * uy + mz * uz
+        start = sx * ux + sy * uy + sz * uz
+        end = start + length
+        near, far = np.sqrt(ux * ux + uy * uy + uz * uz), np.sqrt(vx * vx + vy * vy + vz * vz)
+        square = t * t + d * d
+        if square < ON_LINE * length * length:
+            f = 0.0 if start < 0.0 < end else abs(np.log(far / near))
+        elif start > 0.0:
+            f = np.log((far + end) / (near + start))
+        elif end < 0.0:
+            f = np.log((near - start) / (far - end))
+        else:
+            f = np.log((far + end) * (near - start) / square)
+        angle += np.arctan2(t * end, square + height * far) - np.arctan2(t * start, square + height * near)
+        inverse += t * f
+        fx, fy, fz = fx + f * mx, fy + f * my, fz + f * mz
+        g, h = t * f, 0.5 * (far - near)
+        xx += g * mx * mx + 2.0 * h * mx * sx
+        yy += g * my * my + 2.0 * h * my * sy
+        zz += g * mz * mz + 2.0 * h * mz * sz
+        xy += g * mx * my + h * (mx * sy + my * sx)
+        xz += g * mx * mz + h * (mx * sz + mz * sx)
+        yz += g * my * mz + h * (my * sz + mz * sy)
+        twice += length * t  # twice the area, by the triangles that x makes with the edges
+    inverse -= height * angle
+    omega = np.copysign(angle, d)
+    # what n n has in B: its own part, and the identity's
+    own = d * omega - inverse
+    total[0] += weight * (inverse - xx - 2.0 * d * fx * n[0] + own * n[0] * n[0])
+    total[1] += weight * (inverse - yy - 2.0 * d * fy * n[1] + own * n[1] * n[1])
+    total[2] += weight * (inverse - zz - 2.0 * d * fz * n[2] + own * n[2] * n[2])
+    total[3] += weight * (-xy - d * (fx * n[1] + fy * n[0]) + own * n[0] * n[1])
+    total[4] += weight * (-xz - d * (fx * n[2] + fz * n[0]) + own * n[0] * n[2])
+    total[5] += weight * (-yz - d * (fy * n[2] + fz * n[1]) + own * n[1] * n[2])
+    share = 2.0 * weight * 0.25 / np.pi / twice
+    for a in range(3):
+        b, c = (a + 1) % 3, (a + 2) % 3
+        ex, ey, ez = q[c, 0] - q[b, 0], q[c, 1] - q[b, 1], q[c, 2] - q[b, 2]
+        gx, gy, gz = n[1] * ez - n[2] * ey, n[2] * ex - n[0] * ez, n[0] * ey - n[1] * ex
+        at_foot = gx * (x - q[b, 0]) + gy * (y - q[b, 1]) + gz * (z - q[b, 2])
+        total[at + a] -= share * (at_foot * omega - d * (gx * fx + gy * fy + gz * fz))
+
+
+@compiled
+def add_near(p, q, m, n, areas, points, weights, total):
+    """Add to `total` (12,) the integrals over facets p and q of normals m and n, over the product of their areas.
+
+    One facet in closed form, the other by points, and the other way round: B is the mean of both.
+    """
+    for k in range(len(weights)):
+        a, b, c, half = points[k, 0], points[k, 1], points[k, 2], 0.5 * weights[k]
+        x, y, z = (
+            a * p[0, 0] + b * p[1, 0] + c * p[2, 0],
+            a * p[0, 1] + b * p[1, 1] + c * p[2, 1],
+            a * p[0, 2] + b * p[1, 2] + c * p[2, 2],
+        )
+        add_plane(x, y, z, q, n, half / areas[1], 6, total)
+        x, y, z = (
+            a * q[0, 0] + b * q[1, 0] + c * q[2, 0],
+            a * q[0, 1] + b * q[1, 1] + c * q[2, 1],
+            a * q[0, 2] + b * q[1, 2] + c * q[2, 2],
+        )
+        add_plane(x, y, z, p, m, half / areas[0], 9, total)
