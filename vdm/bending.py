@@ -24,6 +24,8 @@ from numpy.typing import NDArray
 from vdm.constraints import Load
 from vdm.formulations.base import Formulation, rigid_motions
 from vdm.formulations.boundary import MAX_NODES, BoundaryFormulation
+from vdm.formulations.sparse import SparseFormulation
+from vdm.material import COARSE_NODES_RANGE
 from vdm.problem import Problem
 from vdm.solution import Status
 from vdm.solvers.linear import BorderedFactor
@@ -68,10 +70,7 @@ def reserved(status: Status, error: float, form: Formulation) -> Status:
         return status
     wrong = f"a known bending comes out {error:.0%} wrong"
     if isinstance(form, BoundaryFormulation):
-        message, remedy = (
-            f"the mesh is too coarse for the body's thin parts: {wrong}",
-            _finer(form.surface.n_nodes, error),
-        )
+        message, remedy = f"the mesh is too coarse for the body's thin parts: {wrong}", _finer(form, error)
     else:
         message, remedy = f"the {form.name} form does not know what is inside this body: {wrong}", INSIDE
     return replace(
@@ -87,12 +86,17 @@ INSIDE = (
 )
 
 
-def _finer(n_nodes: int, error: float) -> str:
+def _finer(form: BoundaryFormulation, error: float) -> str:
     # the error falls with the square of the mesh size, and that with the root of the nodes
-    nodes = 100 * int(np.ceil(n_nodes * error / (100.0 * BENDING_LIMIT)))
-    if nodes > MAX_NODES:
-        return f"solve the body with finite elements: it takes some {nodes:,} nodes of this form"
-    return f"refine the surface, above all where it is thin, to about {nodes:,} nodes"
+    nodes, most = form.surface.n_nodes, MAX_NODES
+    if isinstance(form, SparseFormulation):
+        nodes, most = form.n_coarse, COARSE_NODES_RANGE[1]
+    wanted = 100 * int(np.ceil(nodes * error / (100.0 * BENDING_LIMIT)))
+    if wanted > most:
+        return f"solve the body with finite elements: it takes some {wanted:,} nodes of this form"
+    if nodes < form.surface.n_nodes:
+        return f"set coarse_nodes to {wanted:,}"
+    return f"refine the surface, above all where it is thin, to about {wanted:,} nodes"
 
 
 def bendings(surface: SurfaceMesh, nu: float = 0.5) -> tuple[Array, Array]:

@@ -34,6 +34,9 @@ INCOMPRESSIBLE = 0.4998
 NO_NODAL = (
     "is gone, as its answer grows without limit on finer meshes; use 'global', one rotation for the body"
 )
+# nodes of the coarse body of the sparse form: fewer lose thin lobes, more make a frame and a set-up long
+COARSE_NODES_RANGE = (200, 2000)
+COARSE_NODES = 1000
 NODE_MODULI = ("bulk_modulus", "foundation")
 EDGE_MODULI = ("connectivity_modulus", "surface_tension", "stretch_stiffness")
 MODULI = (*NODE_MODULI, *EDGE_MODULI, "shear_modulus")
@@ -42,9 +45,10 @@ RULED = {  # formulation -> the moduli that `Parameters.from_tissue` gives it
     "consistent": ("foundation", "surface_tension"),
     "vector": ("surface_tension",),
     "boundary": ("shear_modulus",),
+    "sparse": ("shear_modulus",),
     "mass-spring": ("shear_modulus",),
 }
-ISOTROPIC = ("boundary", "mass-spring")  # formulations that know no fibres
+ISOTROPIC = ("boundary", "sparse", "mass-spring")  # formulations that know no fibres
 
 
 class ParameterError(ValueError):
@@ -62,8 +66,10 @@ class Parameters:
     foundation : k [Pa/m], scalar or (N,) (consistent; vector, where zero is the default)
     surface_tension : T [N/m], scalar or (E,) (consistent, vector)
     stretch_stiffness : E_s [N/m], scalar or (E,) (vector)
-    shear_modulus : mu [Pa], one number (boundary, mass-spring)
-    poisson_ratio : of what is inside, above -1 and at most 1/2: the fluid that keeps the volume (boundary)
+    shear_modulus : mu [Pa], one number (boundary, sparse, mass-spring)
+    coarse_nodes : most nodes of the coarse body, 200 to 2,000; a surface of no more is taken whole. None: 1,000
+        (sparse)
+    poisson_ratio : of what is inside, above -1 and at most 1/2: the fluid that keeps the volume (boundary, sparse)
     rotation : which rotation is free of tension: none, or one for the body (vector)
     tension_stiffening : gamma of the nonlinear volumic tension B_ij (1 + gamma s^2) s, s the difference of two
         neighbours' dV over their mean V_i (paper, nonlinear solver); zero is equation 8
@@ -77,6 +83,7 @@ class Parameters:
     surface_tension: float | Array | None = None
     stretch_stiffness: float | Array | None = None
     shear_modulus: float | None = None
+    coarse_nodes: int | None = None
     poisson_ratio: float = 0.5
     rotation: Rotation = "global"
     tension_stiffening: float = 0.0
@@ -87,6 +94,11 @@ class Parameters:
         for name, value in self.moduli().items():
             if not _not_negative(value):
                 raise ParameterError(f"{name} must be finite and not negative")
+        (fewest, most), count = COARSE_NODES_RANGE, self.coarse_nodes
+        if count is not None and not (isinstance(count, int | np.integer) and fewest <= count <= most):
+            raise ParameterError(
+                f"coarse_nodes must be a whole number from {fewest} to {most:,}, not {count!r}"
+            )
         if not -1.0 < self.poisson_ratio <= 0.5:
             raise ParameterError(f"poisson_ratio must be above -1 and at most 1/2, not {self.poisson_ratio}")
         if not _not_negative(self.tension_stiffening):
@@ -138,7 +150,7 @@ class Parameters:
         ----------
         youngs_modulus : E [Pa]
         surface : the body's surface
-        formulation : "paper", "consistent", "vector", "boundary" or "mass-spring"
+        formulation : "paper", "consistent", "vector", "boundary", "sparse" or "mass-spring"
         rotation : of the vector form
         held : (N,) mask of the nodes that are fixed or moved, for the vector form
         poisson_ratio : nu of the body inside, for the boundary form; 1/2 is the fluid that keeps the volume
@@ -167,14 +179,14 @@ class Parameters:
                 return told(surface_tension=VECTOR_TENSION * mu * radius, rotation=rotation)
             grown = mu * np.sqrt(radius * distance_from_support(surface, held))
             return told(surface_tension=SUPPORTED_TENSION * grown, rotation=rotation)
-        if formulation == "boundary":
+        if formulation in ("boundary", "sparse"):
             return cls(
                 shear_modulus=youngs_modulus / (2.0 * (1.0 + poisson_ratio)), poisson_ratio=poisson_ratio
             )
         if formulation in ISOTROPIC:
             return cls(shear_modulus=mu)
         raise ParameterError(
-            f"unknown formulation {formulation!r}; use paper, consistent, vector, boundary or mass-spring"
+            f"unknown formulation {formulation!r}; use paper, consistent, vector, boundary, sparse or mass-spring"
         )
 
     def anisotropic(self, surface: SurfaceMesh, fibre: ArrayLike, contrast: float) -> Parameters:
@@ -226,6 +238,8 @@ class Parameters:
         record: dict[str, float | str] = {
             name: float(np.mean(value)) for name, value in self.moduli().items()
         }
+        if self.coarse_nodes is not None:
+            record["coarse_nodes"] = float(self.coarse_nodes)
         if self.tension_stiffening:
             record["tension_stiffening"] = self.tension_stiffening
         return record

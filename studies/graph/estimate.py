@@ -28,6 +28,7 @@ _PROCESS_BYTES = 1.3e8  # of a worker that has done nothing
 _PER_NODE = 48.0  # bytes of a displacement and a reaction
 _COPIES = 5.0  # of a case's results in its worker at the most, while its metrics and its file are made
 _DENSE_NODES = 2000.0  # `vdm.formulations.boundary.MAX_NODES`, which would load the library; more are refused
+_COARSE_NODES = 1000.0  # `vdm.material.COARSE_NODES`
 _KNOWN = 0.5  # weight of the cases that have run, from which on they tell the speed
 _MOST_READ = 3  # case files that are read to learn from
 _SEARCH_LOADS = 30  # that a search for small-strain limits tries, each of them once for all models
@@ -197,6 +198,10 @@ def _law(name: str, size: Size, loads: int) -> Cost:
             return Cost(1e-2, 0.0, 6e3 * n)
         step = (3e-7 if solver == "nonlinear" else 3e-8) * n**2
         return Cost(0.1 + 1e-6 * n**2 + 2.5e-9 * n**3, step, 700.0 * n**2)
+    if model.name == "vdm-sparse":
+        coarse = min(n, _COARSE_NODES)
+        step = (1e-7 if solver == "nonlinear" else 2e-9) * (coarse**2 + 600.0 * n)
+        return Cost(0.1 + 1e-6 * coarse**2 + 1e-8 * coarse**3 + 2e-4 * n, step, 900.0 * coarse**2 + 1e4 * n)
     if model.name == "mass-spring":  # struts from side to side: a dense factor
         step = (1e-7 if solver == "nonlinear" else 3.5e-9) * n**2
         return Cost(1e-2 + 1.6e-9 * n**3, 7e-7 * n + step, 6e3 * n + 36.0 * n**2)

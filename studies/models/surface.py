@@ -47,7 +47,7 @@ def _inputs(scene: Scene, name: str) -> dict[str, Any]:
     base, solver = split(name)
     fibres = scene.anisotropy
     fluid = takes_fluid(solver, scene.parameters.get("compressibility"))
-    own = base == "vdm-boundary" and not fluid
+    own = base in ("vdm-boundary", "vdm-sparse") and not fluid
     return {
         "mesh": scene.mesh,
         "youngs_modulus": scene.tissue.youngs_modulus,
@@ -154,6 +154,15 @@ for _declared in (
         tissue=("youngs_modulus", "poisson_ratio"),
         parameters=("shear_modulus", "compressibility", "penalty"),
         most_nodes=2000,
+        by_rule=("shear_modulus",),
+        fibres=False,
+    ),
+    _surface(
+        name="vdm-sparse",
+        version="1",
+        solvers=("linear", "single", "nonlinear"),
+        tissue=("youngs_modulus", "poisson_ratio"),
+        parameters=("shear_modulus", "coarse_nodes", "compressibility"),
         by_rule=("shear_modulus",),
         fibres=False,
     ),

@@ -15,6 +15,7 @@ PARAMETERS = {
     "foundation": ("foundation k", "Pa/m"),
     "surface_tension": ("tension T", "N/m"),
     "stretch_stiffness": ("stretch stiffness E_s", "N/m"),
+    "coarse_nodes": ("nodes of the coarse body", "1"),
     "penalty": ("penalty alpha", "1"),
 }
 

@@ -234,6 +234,9 @@ class VdmTable(Table):
     bulk_modulus: Modulus | None = Field(None, description="B of the paper")
     connectivity_modulus: Modulus | None = Field(None, description="B_ij of the paper")
     shear_modulus: Modulus | None = Field(None, description="mu of the boundary form")
+    coarse_nodes: int | None = Field(
+        None, description="sparse form: most nodes of its coarse body, 200 to 2,000", ge=200, le=2000
+    )
     compressibility: Literal["tissue", "fluid"] | None = Field(
         None,
         description="boundary form: the tissue's own Poisson's ratio, or a fluid that keeps the volume;"

@@ -121,6 +121,7 @@ VALUES = {
     "surface_tension": 40.0,
     "stretch_stiffness": 30.0,
     "shear_modulus": 1000.0,
+    "coarse_nodes": 200,
     "compressibility": "fluid",
     "rotation": "none",
     "penalty": 1e3,

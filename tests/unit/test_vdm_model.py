@@ -490,6 +490,7 @@ MODULI = {
     "consistent": ("foundation", "surface_tension"),
     "vector": ("surface_tension",),
     "boundary": ("shear_modulus",),
+    "sparse": ("shear_modulus",),
     "mass-spring": ("shear_modulus",),
 }
 

@@ -5,6 +5,7 @@ from vdm.formulations.boundary import BoundaryFormulation
 from vdm.formulations.consistent import ConsistentFormulation
 from vdm.formulations.mass_spring import MassSpringFormulation
 from vdm.formulations.paper import PaperFormulation
+from vdm.formulations.sparse import SparseFormulation
 from vdm.formulations.vector import VectorFormulation
 
 FORMULATIONS: dict[str, type[Formulation]] = {
@@ -14,6 +15,7 @@ FORMULATIONS: dict[str, type[Formulation]] = {
         ConsistentFormulation,
         VectorFormulation,
         BoundaryFormulation,
+        SparseFormulation,
         MassSpringFormulation,
     )
 }

@@ -54,26 +54,16 @@ class BoundaryFormulation(DisplacementFormulation):
     """
 
     name = "boundary"
+    matrix: Array
 
     def __init__(self, surface: SurfaceMesh, parameters: Parameters) -> None:
-        # numba takes a third of a second to import
-        from vdm.boundary.operators import Facets, surface_stiffness
-
         super().__init__(surface, parameters)
         modulus = parameters.shear_modulus
         if modulus is None or np.ndim(modulus) != 0 or not modulus > 0.0:
-            raise ParameterError("the boundary formulation needs shear_modulus, one positive number")
-        if surface.n_nodes > MAX_NODES:
-            raise SolverError(too_large(surface.n_nodes))
+            raise ParameterError(f"the {self.name} formulation needs shear_modulus, one positive number")
         self.shear_modulus = float(modulus)
         self.poisson_ratio = 0.5 if parameters.is_filled else parameters.poisson_ratio
-        facets = Facets.of(surface.points, surface.triangles)
-        try:
-            self.matrix: Array = surface_stiffness(facets, self.poisson_ratio)
-        except linalg.LinAlgError as error:
-            raise SolverError(INDEFINITE) from error
-        _without_rigid_motions(self.matrix, rigid_basis(surface))
-        self.matrix *= self.shear_modulus
+        self._assemble()
         pressed = surface.area_vectors[:, :, None]
         if self.is_incompressible:
             self.columns = self.rows = DenseColumns(pressed)
@@ -82,6 +72,25 @@ class BoundaryFormulation(DisplacementFormulation):
             self.columns = DenseColumns(np.zeros_like(pressed))
             self.rows = DenseColumns(pressed * (self.bulk_modulus / surface.volume))
             self.corner = np.ones((1, 1))
+
+    def _assemble(self) -> None:
+        if self.surface.n_nodes > MAX_NODES:
+            raise SolverError(too_large(self.surface.n_nodes))
+        self.matrix = self._dense(self.surface)
+
+    def _dense(self, surface: SurfaceMesh) -> Array:
+        """(3n, 3n) S of a surface."""
+        # numba takes a third of a second to import
+        from vdm.boundary.operators import Facets, surface_stiffness
+
+        facets = Facets.of(surface.points, surface.triangles)
+        try:
+            matrix = surface_stiffness(facets, self.poisson_ratio)
+        except linalg.LinAlgError as error:
+            raise SolverError(INDEFINITE) from error
+        _without_rigid_motions(matrix, rigid_basis(surface))
+        matrix *= self.shear_modulus
+        return matrix
 
     @property
     def is_incompressible(self) -> bool:
@@ -169,7 +178,7 @@ def too_large(n_nodes: int) -> Status:
     return Status(
         "too-large",
         f"{n_nodes:,} nodes are more than the {MAX_NODES:,} of the boundary formulation's dense matrix",
-        f"use a mesh of at most {MAX_NODES:,} nodes, the vector formulation, or finite elements",
+        f"use a mesh of at most {MAX_NODES:,} nodes, the sparse formulation, or finite elements",
     )
 
 

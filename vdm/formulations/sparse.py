@@ -1,0 +1,168 @@
+"""The boundary form of many nodes: a coarse body by boundary elements, springs for what it does not resolve."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import linalg, sparse
+from scipy.linalg import blas
+
+from vdm.formulations.base import Factor, Factorise, Mask
+from vdm.formulations.boundary import INDEFINITE, BoundaryFormulation
+from vdm.material import COARSE_NODES
+from vdm.solution import SolverError, Status
+from vdm.solvers.cholesky import Cholesky
+from vdm.solvers.single import SingleFactor
+
+Array = NDArray[np.float64]
+
+# fine nodes that are multiplied with a dense matrix of the coarse body at once: bounds the temporary arrays
+ROWS = 4096
+# largest change of a random load by the factor and back, of itself
+LARGEST_LOSS = 1e-6
+NO_MATRIX = Status(
+    "too-large",
+    "the sparse formulation has no matrix: its coarse body is dense",
+    "use the linear, the single or the nonlinear solver",
+)
+
+
+class SparseFormulation(BoundaryFormulation):
+    """`E(u) = 1/2 (R u).S (R u) + 1/2 (u - P R u).D (u - P R u)` in place of the boundary form's `1/2 u.S u`.
+
+    S is the stiffness of a coarse body of at most `Parameters.coarse_nodes` nodes by boundary elements. P
+    interpolates from its nodes to the surface's, and `R = (P^T D P)^-1 P^T D` fits the coarse body to what moves.
+    Springs D answer for the rest, which varies within a coarse facet. A half-space answers a wave of wave number k
+    by mu |k| / (1 - nu) per area. Over all waves from the coarse mesh's shortest, pi / h, to the fine one's, under
+    loads of one size, the mean compliance is that of the mean of the two wave numbers: the springs take it. h is
+    the mesh size around, so that a graded mesh has graded springs. Nothing is fitted.
+
+    Both parts are positive on every mesh, and rigid motions cost nothing. With all nodes in the coarse body it is
+    the boundary form itself. Held nodes are held where they are, at the resolution of the fine surface.
+
+    With `G = P^T D P` and `Q = G^-1 (S - G) G^-1` the operator is `D + D P Q P^T D`. Over the free nodes its
+    inverse is `D^-1 + P W P^T`, `W = (I - G^-1 S) (S + G_held (I - G^-1 S))^-1`: a frame is one product with a
+    dense symmetric matrix of the coarse body between two sparse ones.
+    """
+
+    name = "sparse"
+    has_matrix = False
+
+    def _assemble(self) -> None:
+        from vdm.boundary.coarsening import coarsened
+        from vdm.boundary.interpolation import identity, interpolation
+
+        surface, count = self.surface, self.parameters.coarse_nodes or COARSE_NODES
+        body, spread = surface, identity(surface.n_nodes)
+        if surface.n_nodes > count:
+            coarse = coarsened(surface, count)
+            body, spread = coarse.surface, interpolation(surface, coarse)
+        self.n_coarse = n = body.n_nodes
+        # both by columns: scipy's product with three vectors is then half as long, as no sum waits for itself
+        self.spread = sparse.csc_array(spread.weights)
+        self.gather = sparse.csc_array(spread.weights.T)
+        coarse_size = np.sqrt(np.bincount(spread.cells, surface.nodal_areas, n))[spread.cells]
+        waves = 0.5 * np.pi * (1.0 / coarse_size + 1.0 / np.sqrt(surface.nodal_areas))
+        stiffness = self.shear_modulus / (1.0 - self.poisson_ratio)
+        self.springs: Array = stiffness * waves * surface.nodal_areas
+        self.body = self._dense(body)
+        gathered = linalg.cho_factor(self._gathered(self.springs), check_finite=False)
+        # T = I - G^-1 S and Q = -T G^-1
+        self.rest = np.eye(3 * n) - _solve_blocks(gathered, self.body)
+        inner = -_solve_blocks(gathered, self.rest.T)
+        self.inner = np.asfortranarray(0.5 * (inner + inner.T))
+
+    def record(self) -> dict[str, float | str]:
+        scheme = "whole" if self.n_coarse == self.surface.n_nodes else f"on a body of {self.n_coarse} nodes"
+        return {**super().record(), "scheme": scheme, "coarse_nodes": float(self.n_coarse)}
+
+    def apply(self, x: Array) -> Array:
+        gathered = (self.gather @ (self.springs[:, None] * x)).reshape(-1)
+        fitted = blas.dsymv(1.0, self.inner, gathered, lower=1).reshape(-1, 3)
+        force: Array = self.springs[:, None] * (x + self.spread @ fitted)
+        return force
+
+    def factor(self, free: Mask, factorise: Factorise = Cholesky) -> Factor:
+        if factorise not in (Cholesky, SingleFactor):
+            raise SolverError(NO_MATRIX)
+        return SparseInverse(self, free, np.float32 if factorise is SingleFactor else np.float64)
+
+    def stiffness(self) -> sparse.csr_array:
+        raise SolverError(NO_MATRIX)
+
+    def diagonal(self) -> Array:
+        rows, parts = sparse.csr_array(self.spread), []
+        for start in range(0, len(self.springs), ROWS):
+            some = rows[start : start + ROWS]
+            inner = [some.multiply(some @ self.inner[k::3, k::3]).sum(axis=1) for k in range(3)]
+            parts.append(np.stack(inner, axis=1))
+        springs = self.springs[:, None]
+        return np.asarray(springs + springs**2 * np.concatenate(parts)).reshape(-1)
+
+    def held_matrix(self, held: Mask) -> Array:
+        """(3n, 3n) P^T D P of the springs of held nodes alone."""
+        return np.asarray(np.kron(self._gathered(np.where(held, self.springs, 0.0)), np.eye(3)), np.float64)
+
+    def _gathered(self, springs: Array) -> Array:
+        return np.asarray((self.gather @ sparse.diags_array(springs) @ self.spread).toarray())
+
+
+class SparseInverse:
+    """Inverse over the free nodes, `D^-1 + P W P^T`, in 64 or 32 bits.
+
+    Raises
+    ------
+    SolverError
+        where the held nodes leave a motion free.
+    """
+
+    def __init__(self, form: SparseFormulation, free: Mask, dtype: type[np.floating]) -> None:
+        matrix = form.held_matrix(~free) @ form.rest
+        matrix += form.body
+        factor = linalg.lu_factor(matrix, overwrite_a=True, check_finite=False)
+        response = np.asarray(linalg.lu_solve(factor, form.rest.T, trans=1, check_finite=False)).T
+        self._dtype = dtype
+        self._response = np.asfortranarray(0.5 * (response + response.T), dtype=dtype)
+        self._product = blas.dsymv if dtype is np.float64 else blas.ssymv
+        rows = sparse.csr_array(form.spread)
+        held = ~free
+        self._spread = sparse.csc_array(rows[free], dtype=dtype)
+        self._gather = sparse.csc_array(rows[free].T, dtype=dtype)
+        self._give = (1.0 / form.springs[free])[:, None].astype(dtype)
+        self._held_springs, self._held_spread = form.springs[held], sparse.csc_array(rows[held])
+        self._check(form, free)
+
+    def solve(self, right_hand_side: Array) -> Array:
+        """Solution of (n_free 3,) or (n_free 3, m) right-hand sides."""
+        return self.solve_with_inside(right_hand_side)[0]
+
+    def solve_with_inside(self, right_hand_side: Array) -> tuple[Array, Array]:
+        """Solution, and what the coarse body does of it (3n,) or (3n, m)."""
+        n_free, m = len(self._give), right_hand_side.shape[1:]
+        force = np.asarray(right_hand_side.reshape(n_free, 3 * int(np.prod(m))), dtype=self._dtype)
+        gathered = (self._gather @ force).reshape(len(self._response), *m)
+        inside: Array = np.asarray(
+            self._response @ gathered if m else self._product(1.0, self._response, gathered, lower=1)
+        )
+        moved = self._spread @ inside.reshape(len(inside) // 3, force.shape[1])
+        moved += self._give * force
+        return moved.reshape(right_hand_side.shape).astype(np.float64, copy=False), inside
+
+    def held_force(self, inside: Array) -> Array:
+        """(n_held, 3) elastic force at the held nodes: their springs pulled by the coarse body."""
+        return -self._held_springs[:, None] * np.asarray(self._held_spread @ inside.reshape(-1, 3))
+
+    def _check(self, form: SparseFormulation, free: Mask) -> None:
+        x = np.zeros((len(free), 3))
+        x[free] = np.random.default_rng(0).standard_normal((int(free.sum()), 3))
+        back = self.solve(form.apply(x)[free].reshape(-1))
+        loss = np.abs(back - x[free].reshape(-1)).max()
+        if not loss < (LARGEST_LOSS if self._dtype is np.float64 else 1e3 * LARGEST_LOSS):
+            raise SolverError(INDEFINITE)
+
+
+def _solve_blocks(factor: tuple[Array, bool], matrix: Array) -> Array:
+    """(G^-1 x I_3) times a matrix (3n, k), by the factor of the scalar G (n, n)."""
+    n = len(factor[0])
+    solved = linalg.cho_solve(factor, matrix.reshape(n, -1), check_finite=False)
+    return np.asarray(solved).reshape(matrix.shape)
