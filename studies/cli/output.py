@@ -150,7 +150,7 @@ class Progress:
             # not sooner: it is a thread, and workers are to be forked from a process that has no other
             self.bar = self._bar()
         if self.bar is not None:
-            advance = event.kind in ("done", "failed")
+            advance = event.kind in ("done", "failed", "stopped")
             self.bar.update(self.task, description=label[:60], advance=1 if advance else 0)
         elif not self.quiet and event.kind in ("done", "failed"):
             print(f"{event.kind} {label} ({event.seconds:.1f} s)", file=sys.stderr, flush=True)

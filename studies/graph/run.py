@@ -51,7 +51,7 @@ Finish = Callable[[Path, Callable[[str], None]], tuple[Run, Path]]
 class Event:
     """Something that a watcher of a run may want to show."""
 
-    kind: str  # "started", "done", "failed"; "told": a sentence, in `message`
+    kind: str  # "started", "done", "failed" of a case, "stopped" of what it needs; "told": a sentence, in `message`
     label: str
     seconds: float = 0.0
     message: str = ""
@@ -198,9 +198,10 @@ def _run_missing(
     used = 0.0
     for outcome in outcomes:
         used += outcome.said.processor
+        what = "failed" if outcome.kind == "cases" else "stopped"  # its cases say why
         watch(
             Event(
-                "done" if outcome.ok else "failed",
+                "done" if outcome.ok else what,
                 outcome.label,
                 outcome.said.seconds,
                 outcome.said.message,

@@ -300,7 +300,7 @@ def test_usage_mistakes(tmp_path: Path, arguments: list[str], words: str) -> Non
 )
 def test_an_interruption_says_what_the_same_command_does(command: str, words: str) -> None:
     program = (
-        "import sys; from studies import cli, cli_study\n"
+        "import sys; from vdmbench.cli import main as cli, study_verbs as cli_study\n"
         "def interrupted(options): raise KeyboardInterrupt\n"
         "for verb in ('run', 'calibrate', 'bench', 'check'):\n"
         "    setattr(cli_study, f'{verb}_verb', interrupted)\n"
@@ -555,7 +555,7 @@ def test_ctrl_c_in_an_import(tmp_path: Path, module: str, error: str) -> None:
 def test_ctrl_c_at_an_awkward_moment(tmp_path: Path, interrupted: str) -> None:
     program = (
         "import atexit, contextlib, signal, time, weakref\n"
-        "from studies import cli, cli_study\n"
+        "from vdmbench.cli import main as cli, study_verbs as cli_study\n"
         f"def verb(options):\n    {interrupted}\n"
         "cli_study.run_verb = verb\n"
         "cli.main(['run', 'small.toml'])"
@@ -635,7 +635,7 @@ def test_displacement_elements_of_an_incompressible_body_are_told(tmp_path: Path
 
 
 def test_the_only_case_fails_by_the_study_s_name(tmp_path: Path) -> None:
-    write_study(tmp_path, a=('"30 deg"', '"0.1 deg"'))
+    write_study(tmp_path, a=('"30 deg"', '"0.1 deg"'), b=('"hertz"', '"uniform"'))
     result = vdmbench("run", "small.toml", cwd=tmp_path)
     assert result.returncode == 2
     assert "vdmbench: failed: small: " in result.stderr

@@ -141,7 +141,7 @@ def test_check_tells_a_scene_that_cannot_be_put_on_its_mesh(
         ('"30 deg"', '"0.1 deg"', "constraints.finger: contact 'finger' loads no facet|selects no node"),
         ('"30 deg"', '"179 deg"', "constraints.finger: contact 'finger' covers"),
     ):
-        write_study(tmp_path, change=(old, new))
+        write_study(tmp_path, change=(old, new), profile=('"hertz"', '"uniform"'))
         with pytest.raises(SystemExit) as ended:
             main(["check", "small.toml"])
         told = capsys.readouterr().err

@@ -18,6 +18,7 @@ from vdmbench.measures import small_strain
 from vdmbench.measures.case import SmallStrainLimits
 from vdmbench.measures.limits import LoadPath, LoadPoint
 from vdmbench.measures.small_strain import small_strain_limits
+from vdmbench.models.result import ModelResult
 from vdmbench.scene.scene import Scene, SurfaceLoad, build_scene
 from vdmbench.study.config import geometry_of, load_study, raised, value_and_unit
 from vdmbench.study.problems import StudyError
@@ -57,7 +58,7 @@ levels = 2
 Found = tuple[Study, Scene, SmallStrainLimits]
 
 
-Runs = list[tuple[int, str, models.ModelResult]]  # tetrahedra, model, what it gave
+Runs = list[tuple[int, str, ModelResult]]  # tetrahedra, model, what it gave
 
 
 @pytest.fixture(scope="module")
@@ -75,7 +76,7 @@ def found(tmp_path_factory: pytest.TempPathFactory, runs: Runs) -> Found:
     scene = build_scene(study, mesh_from_cache(geometry_of(study), directory / "cache", volume=True))
     answer = models.Prepared.answer
 
-    def watched(self: models.Prepared, loads: Sequence[SurfaceLoad]) -> models.ModelResult:
+    def watched(self: models.Prepared, loads: Sequence[SurfaceLoad]) -> ModelResult:
         runs.append((len(self._scene.mesh.tetrahedra), self.model.name, answer(self, loads)))
         return runs[-1][-1]
 

@@ -10,9 +10,10 @@ from numpy.testing import assert_allclose
 
 from vdmbench import models
 from vdmbench.body.geometry import build_mesh
+from vdmbench.body.refine import refined
 from vdmbench.body.surface_measures import Surface, relative_l2, weighted_norm, without_motions
 from vdmbench.measures.metrics import METRICS, History, evaluate
-from vdmbench.measures.reference import own_error, refined_levels
+from vdmbench.measures.reference import level_scene, own_error, restricted
 from vdmbench.measures.uncertainty import reference_bar, stored_estimate
 from vdmbench.models.result import ModelResult
 from vdmbench.scene.scene import Scene, build_scene
@@ -46,7 +47,11 @@ def scene() -> Scene:
 
 def levels_of(study: Study, scene: Scene, model: str, n_levels: int) -> list[ModelResult]:
     """The coarsest first."""
-    return [models.run_model(scene, model), *refined_levels([study], [scene], model, [n_levels])[0]]
+    found = []
+    for times in range(n_levels):
+        meshes = refined(scene.mesh, times)
+        found.append(restricted(models.run_model(level_scene(study, meshes), model), meshes))
+    return found
 
 
 def surface_of(scene: Scene) -> Surface:
@@ -74,7 +79,9 @@ def test_three_levels(scene: Scene) -> None:
     for metric, values in evaluate(surface, *histories).items():
         own = reference_bar(two, metric)
         if METRICS[metric].needs_reference:
-            assert abs(values[-1]) <= own, metric
+            # the loads of all levels have one resultant: reactions agree up to the solver's own residual;
+            # a bar of two levels may be up to 1.32 times too narrow (results/error-bars.md)
+            assert abs(values[-1]) <= max(1.32 * own, 1e-9), metric
         else:
             assert np.isnan(own)
 
