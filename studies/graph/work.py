@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import fcntl
 import json
 import os
 import sys
@@ -328,6 +329,7 @@ def _outcome(work: Callable[[], object]) -> tuple[str, str, str]:
 def _output_to(log: Path) -> Iterator[None]:
     """What the work prints, C libraries included, goes to a file, for the run to read where the work fails."""
     descriptor = open_regular(log, os.O_WRONLY | os.O_CREAT | os.O_APPEND)
+    fcntl.flock(descriptor, fcntl.LOCK_SH)  # as long as it is written, see `clear_abandoned`
     os.ftruncate(descriptor, 0)
     kept = [os.dup(number) for number in (1, 2)]
     try:
@@ -335,9 +337,10 @@ def _output_to(log: Path) -> Iterator[None]:
             os.dup2(descriptor, number)
         yield
     finally:
-        with contextlib.suppress(OSError, ValueError):
-            sys.stdout.flush()
-            sys.stderr.flush()
+        for stream in (sys.stdout, sys.stderr):
+            if stream is not None:  # the run was started without
+                with contextlib.suppress(OSError, ValueError):
+                    stream.flush()
         for number, old in zip((1, 2), kept, strict=True):
             os.dup2(old, number)
             os.close(old)
