@@ -54,11 +54,17 @@ class LocalPlaces:
             initializer=begin_worker,
             initargs=(threads, self._memory),
         )
-        with _environment(OMP_NUM_THREADS="1", OPENBLAS_NUM_THREADS="1", RAYON_NUM_THREADS=str(threads)):
-            resource_tracker.ensure_running()  # starting it would let Ctrl-C through
-            with _deaf():
-                ensure_running()
-            _ = pool.active  # starts it
+        environment = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "RAYON_NUM_THREADS": str(threads)}
+        try:
+            with _environment(**environment):
+                with _deaf():
+                    resource_tracker.ensure_running()  # which lets Ctrl-C through again
+                with _deaf():
+                    ensure_running()
+                    _ = pool.active  # starts it
+        except BaseException:  # Ctrl-C meanwhile: nobody else knows of the pool
+            _stop(pool)
+            raise
         return pool
 
     def submit(self, node: str, log: Path, seconds: float | None) -> Future[str]:  # noqa: ARG002
@@ -75,8 +81,12 @@ class LocalPlaces:
 
     def close(self) -> None:
         """Stop the workers, at work or not."""
-        self._pool.stop()  # type: ignore[no-untyped-call]
-        self._pool.join()
+        _stop(self._pool)
+
+
+def _stop(pool: ProcessPool) -> None:
+    pool.stop()  # type: ignore[no-untyped-call]
+    pool.join()
 
 
 def told(error: BaseException, log: str) -> Said:
