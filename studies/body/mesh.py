@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Mapping
+from collections.abc import Callable, Hashable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +14,8 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 Mask = NDArray[np.bool_]
+T = TypeVar("T")
+_MOST_KNOWN = 64  # things remembered on a mesh: contacts of a sweep, of some 100 kB each
 
 
 @dataclass(frozen=True)
@@ -40,6 +43,20 @@ class Mesh:
     def surface_points(self) -> Array:
         """(N, 3) coordinates of the surface nodes [m]."""
         return self.points[self.surface_nodes]
+
+    @cached_property
+    def known(self) -> dict[Hashable, Any]:
+        """What has been worked out on this mesh alone, by what was asked; see `remembered`."""
+        return {}
+
+    def remembered(self, asked: Hashable, work: Callable[[], T]) -> T:
+        """What `work` gives, done once for a mesh: a pure function of the mesh and of what is asked."""
+        if asked not in self.known:
+            if len(self.known) >= _MOST_KNOWN:
+                self.known.clear()
+            self.known[asked] = work()
+        found: T = self.known[asked]
+        return found
 
     @cached_property
     def content_hash(self) -> str:

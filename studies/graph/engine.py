@@ -116,6 +116,7 @@ def run_nodes(
             node = at_work.pop(future)
             log = logs / f".{_safe(node.id)}.log"
             said, cause = _answer(future, places, log)
+            log.unlink(missing_ok=True)
             if cause is not None and cause.code == "crashed" and attempts[node.id] < ATTEMPTS:
                 alone = one_by_one(node) if len(node.items) > 1 else [node]
                 known |= {each.id: each for each in alone}
@@ -123,7 +124,6 @@ def run_nodes(
                 if alone != [node]:
                     finish(node)
                 continue
-            log.unlink(missing_ok=True)
             for outcome in _outcomes(node, said, cause):
                 if not outcome.ok:
                     failed.setdefault(node.id, outcome.said)

@@ -48,11 +48,18 @@ class Wanted:
     scales: tuple[float, ...]
 
 
-def case_hash(study: Study, mesh_key: str) -> str:
-    """SHA-256 (hex) over what decides a case's numbers: inputs, mesh, and each model's declared version."""
+def case_hash(study: Study, mesh_key: str, inputs: Mapping[str, Any] | None = None) -> str:
+    """SHA-256 (hex) over what decides a case's numbers: inputs, mesh, and each model's declared version.
+
+    Parameters
+    ----------
+    inputs : those of `case_inputs`, where they are known
+    """
     return _digest(
         {
-            "inputs": {name: value for name, value in case_inputs(study).items() if name != "geometry"},
+            "inputs": {
+                name: value for name, value in (inputs or case_inputs(study)).items() if name != "geometry"
+            },
             "mesh": mesh_key,
             "models": {name: models.find(name)[0].version for name in study.study.models},
             "reference": study.study.reference,
@@ -61,9 +68,9 @@ def case_hash(study: Study, mesh_key: str) -> str:
     )
 
 
-def wanted(study: Study, mesh_key: str) -> list[Wanted]:
+def wanted(study: Study, mesh_key: str, inputs: Mapping[str, Any] | None = None) -> list[Wanted]:
     """What a case takes: every model on its own mesh, and the reference on the finer levels."""
-    inputs = case_inputs(study)
+    inputs = inputs or case_inputs(study)
     levels = study.uncertainty.levels if study.uncertainty else 1
     out = []
     for name in study.study.models:
@@ -95,9 +102,9 @@ def _wanted(study: Study, inputs: Mapping[str, Any], name: str, level: int, body
     )
 
 
-def limits_key(study: Study, mesh_key: str) -> str | None:
-    """Key of the small-strain limits of a case; None where it asks for none."""
-    return _digest({"limits": case_hash(study, mesh_key)}) if study.limits is not None else None
+def limits_key(study: Study, case: str) -> str | None:
+    """Key of the small-strain limits of a case, by its hash; None where it asks for none."""
+    return _digest({"limits": case}) if study.limits is not None else None
 
 
 def level_key(mesh_key: str, level: int) -> str:

@@ -7,13 +7,16 @@ started them, however that ends.
 from __future__ import annotations
 
 import contextlib
+import fcntl
 import multiprocessing
 import os
+import select
 import signal
-import threading
 from collections.abc import Iterator
 from concurrent.futures import Future, TimeoutError
 from concurrent.futures.process import BrokenProcessPool
+from multiprocessing import resource_tracker
+from multiprocessing.forkserver import ensure_running
 from pathlib import Path
 
 from pebble import ProcessExpired, ProcessPool
@@ -22,6 +25,7 @@ from ..machine.memory import OUT_OF_MEMORY, limit_memory, machine_memory
 from ..machine.processors import usable_processors
 from .work import Said, more_memory, run_node
 
+_OF_A_TERMINAL = (signal.SIGINT, signal.SIGHUP)
 _PRELOADED = (
     "vdmbench.graph.work",
     "numpy.ma",
@@ -50,8 +54,17 @@ class LocalPlaces:
             initializer=begin_worker,
             initargs=(threads, self._memory),
         )
-        with _environment(OMP_NUM_THREADS="1", OPENBLAS_NUM_THREADS="1", RAYON_NUM_THREADS=str(threads)):
-            _ = pool.active  # starts it
+        environment = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "RAYON_NUM_THREADS": str(threads)}
+        try:
+            with _environment(**environment):
+                with _deaf():
+                    resource_tracker.ensure_running()  # which lets Ctrl-C through again
+                with _deaf():
+                    ensure_running()
+                    _ = pool.active  # starts it
+        except BaseException:  # Ctrl-C meanwhile: nobody else knows of the pool
+            _stop(pool)
+            raise
         return pool
 
     def submit(self, node: str, log: Path, seconds: float | None) -> Future[str]:  # noqa: ARG002
@@ -68,8 +81,12 @@ class LocalPlaces:
 
     def close(self) -> None:
         """Stop the workers, at work or not."""
-        self._pool.stop()  # type: ignore[no-untyped-call]
-        self._pool.join()
+        _stop(self._pool)
+
+
+def _stop(pool: ProcessPool) -> None:
+    pool.stop()  # type: ignore[no-untyped-call]
+    pool.join()
 
 
 def told(error: BaseException, log: str) -> Said:
@@ -111,24 +128,37 @@ def local_places(jobs: int, memory: int | None = None) -> Iterator[LocalPlaces]:
 
 def begin_worker(threads: int, memory: int) -> None:
     """What a worker process does first."""
-    for number in (
-        signal.SIGINT,
-        signal.SIGHUP,
-    ):  # which a terminal sends to all: its starter stops it
-        signal.signal(number, signal.SIG_IGN)
     os.environ["RAYON_NUM_THREADS"], os.environ["OMP_NUM_THREADS"] = str(threads), "1"
-    threading.Thread(target=_end_with_parent, daemon=True).start()
+    _end_with_starter()
     from threadpoolctl import threadpool_limits
 
     threadpool_limits(1)  # for good: more of them at the end might find no memory, and wait for it
     limit_memory(memory)
 
 
-def _end_with_parent() -> None:
-    parent = multiprocessing.parent_process()
-    if parent is not None:
-        parent.join()
-        os._exit(1)
+def _end_with_starter() -> None:
+    """Have the system end this process with its starter: by SIGIO, once nobody holds the other end of their pipe.
+
+    A thread that waits for it would wait for the interpreter too, which a library may hold for long.
+    """
+    starter = multiprocessing.parent_process()
+    if starter is not None:
+        signal.signal(signal.SIGIO, signal.SIG_DFL)
+        fcntl.fcntl(starter.sentinel, fcntl.F_SETOWN, os.getpid())
+        flags = fcntl.fcntl(starter.sentinel, fcntl.F_GETFL)
+        fcntl.fcntl(starter.sentinel, fcntl.F_SETFL, flags | os.O_ASYNC)
+        if select.select([starter.sentinel], [], [], 0)[0]:  # it has ended already
+            os._exit(1)
+
+
+@contextlib.contextmanager
+def _deaf() -> Iterator[None]:
+    """What is started inside never hears what a terminal sends to all: its starter stops it."""
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, _OF_A_TERMINAL)
+    try:
+        yield
+    finally:  # what came meanwhile comes now
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 @contextlib.contextmanager

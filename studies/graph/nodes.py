@@ -13,7 +13,7 @@ from ..store.run_directory import case_path
 from ..study.config import resolved
 from ..study.schema import Study
 from .answers import answer_path
-from .keys import Wanted, direction, level_key, load_steps
+from .keys import Wanted, level_key
 
 if TYPE_CHECKING:
     from .plan import Plan, PlannedCase
@@ -208,9 +208,8 @@ def _factors(case: PlannedCase, want: Wanted) -> Iterator[tuple[str, tuple[float
     if not want.scales:
         yield want.answers[0], tuple(history)
         return
-    steps = [direction(step)[1] for step in load_steps(case.study)]
-    for key, factor, scale in zip(want.answers, history, steps, strict=True):
-        if scale or not any(steps):  # a step without load is no times another
+    for key, factor, scale in zip(want.answers, history, want.scales, strict=True):
+        if scale or not any(want.scales):  # a step without load is no times another
             yield key, (factor / scale if scale and not _weighs(case) else factor,)
 
 

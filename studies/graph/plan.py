@@ -15,7 +15,7 @@ from ..machine.errors import MeshError
 from ..machine.sealed import is_sound
 from ..store.cases import case_state
 from ..store.run_directory import case_path
-from ..study.config import ResolvedCase, geometry_error, geometry_of
+from ..study.config import ResolvedCase, case_inputs, geometry_error, geometry_of
 from ..study.geometry_spec import (
     DISTORTIONS,
     MAX_NODES,
@@ -211,13 +211,15 @@ def _planned_mesh(geometry: Geometry, volume: bool) -> PlannedMesh:
 
 def _planned(case: ResolvedCase, mesh_key: str) -> PlannedCase:
     study = case.study
+    inputs = case_inputs(study)
+    hashed = case_hash(study, mesh_key, inputs)
     return PlannedCase(
-        hash=case_hash(study, mesh_key),
+        hash=hashed,
         label=case.label,
         swept=case.swept,
         swept_units=case.swept_units,
         study=study,
         mesh=mesh_key,
-        wanted=tuple(wanted(study, mesh_key)),
-        limits=limits_key(study, mesh_key),
+        wanted=tuple(wanted(study, mesh_key, inputs)),
+        limits=limits_key(study, hashed),
     )

@@ -155,6 +155,7 @@ def _tidy(plan: Plan) -> None:
     directories = (plan.directory, plan.directory / "cases", plan.directory / "failed")
     for directory in (*directories, *(plan.cache / kind for kind in ("meshes", "answers", "limits"))):
         clear_abandoned(directory)
+    clear_abandoned(plan.directory / "failed", ".log")
 
 
 @contextmanager

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import fcntl
 import json
 import os
 import sys
@@ -10,13 +11,13 @@ import time
 import traceback
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
-from functools import partial
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any
 
 from ..body.mesh import Array, Mesh
-from ..body.mesh_cache import mesh_from_cache, mesh_path, read_level, write_level
-from ..body.refine import Hierarchy, refine
+from ..body.mesh_cache import mesh_from_cache, mesh_path, read_level, read_mesh, write_level
+from ..body.refine import Hierarchy, refine, refined
 from ..body.surface_measures import Surface
 from ..machine.errors import InputError
 from ..machine.memory import OUT_OF_MEMORY, memory_limits
@@ -159,13 +160,24 @@ def _geometry(payload: Payload) -> tuple[Any, Path]:
 
 
 def _meshes(payload: Payload, level: int) -> Hierarchy:
-    """The case's mesh and its refinements up to a level."""
-    meshes = Hierarchy((mesh_from_cache(*_geometry(payload), volume=payload["volume"]),))
-    for finer in range(1, level + 1):
-        path = mesh_path(Path(payload["cache"]), level_key(payload["mesh"], finer))
-        mesh, parents = read_level(path) or refine(meshes.finest)
-        meshes = Hierarchy((*meshes.meshes, mesh), (*meshes.parents, parents))
-    return meshes
+    """The case's mesh and its refinements up to a level; made again where the cache has lost them."""
+    found = _stored_meshes(payload["cache"], payload["mesh"], level)
+    if found is None:
+        _stored_meshes.cache_clear()
+        found = refined(mesh_from_cache(*_geometry(payload), volume=payload["volume"]), level)
+    return found
+
+
+@lru_cache(maxsize=4)  # by content keys: a process reads a mesh once, with what is remembered on it
+def _stored_meshes(cache: str, key: str, level: int) -> Hierarchy | None:
+    if level == 0:
+        mesh = read_mesh(mesh_path(Path(cache), key))
+        return Hierarchy((mesh,)) if mesh is not None else None
+    coarser = _stored_meshes(cache, key, level - 1)
+    found = read_level(mesh_path(Path(cache), level_key(key, level)))
+    if coarser is None or found is None:
+        return None
+    return Hierarchy((*coarser.meshes, found[0]), (*coarser.parents, found[1]))
 
 
 class _Block:
@@ -328,6 +340,7 @@ def _outcome(work: Callable[[], object]) -> tuple[str, str, str]:
 def _output_to(log: Path) -> Iterator[None]:
     """What the work prints, C libraries included, goes to a file, for the run to read where the work fails."""
     descriptor = open_regular(log, os.O_WRONLY | os.O_CREAT | os.O_APPEND)
+    fcntl.flock(descriptor, fcntl.LOCK_SH)  # as long as it is written, see `clear_abandoned`
     os.ftruncate(descriptor, 0)
     kept = [os.dup(number) for number in (1, 2)]
     try:
@@ -335,9 +348,10 @@ def _output_to(log: Path) -> Iterator[None]:
             os.dup2(descriptor, number)
         yield
     finally:
-        with contextlib.suppress(OSError, ValueError):
-            sys.stdout.flush()
-            sys.stderr.flush()
+        for stream in (sys.stdout, sys.stderr):
+            if stream is not None:  # the run was started without
+                with contextlib.suppress(OSError, ValueError):
+                    stream.flush()
         for number, old in zip((1, 2), kept, strict=True):
             os.dup2(old, number)
             os.close(old)

@@ -18,15 +18,18 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Annotated
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import ConfigDict, Field
 
 from ..machine.files import write_atomically
 from ..machine.safe_open import UnfitFileError, read_regular
+from ..machine.stored_json import Shape, parsed, sealed, unsealed
 from ..measures.case import CaseResult, MetricSeries, Run
 from ..measures.metrics import METRICS, Metric, Sense, full_load_step
+from ..store.hdf5 import StoreError
 from ..study.kinds import safe_name
 
 SCHEMA = 1
+SEALED_AS = "baseline"  # and not by its file's name: a baseline may be copied to another
 MAX_BYTES = 50_000_000
 RELATIVE = 0.02  # of a value: another BLAS, another core count and another order of sums move it by far less
 # what counts as no change whatever the value, by unit: 0.1 percentage points, a micrometre
@@ -47,8 +50,8 @@ class BaselineError(ValueError):
     """A baseline that cannot be read, written or used; the message says which and what to do."""
 
 
-class _Stored(BaseModel):
-    model_config = ConfigDict(extra="forbid", strict=True, frozen=True)
+class _Stored(Shape):
+    model_config = ConfigDict(extra="forbid", frozen=True)
 
 
 _Number = Annotated[float, Field(allow_inf_nan=False)]
@@ -78,14 +81,18 @@ class CaseEntry(_Stored):
     models: dict[str, ModelEntry]
 
 
-class Baseline(_Stored):
+class _Version(Shape):
+    schema_version: int = Field(alias="schema", ge=1)
+
+
+class Baseline(_Version, _Stored):
     """What was accepted of a study, when and why; cases by their label."""
 
-    schema_version: int = Field(alias="schema", ge=1)
     study: str
     reason: str
     date: str
     cases: dict[str, CaseEntry]
+    seal: str = ""  # that of the file, which `vdmbench.machine.stored_json` makes and holds against it
 
 
 @dataclass(frozen=True)
@@ -188,8 +195,11 @@ def read_baseline(path: Path) -> Baseline:
     Raises
     ------
     BaselineError
-        no such file, not a baseline, or of a newer schema.
+        no such file, or of a newer schema.
+    StoreError
+        not a baseline, or changed since it was accepted.
     """
+    again = f"vdmbench accept DIR --reason TEXT --baseline {shlex.quote(str(path))}"
     if not path.exists():
         raise BaselineError(f"{no_baseline(path)} --baseline {shlex.quote(str(path))}")
     try:
@@ -197,18 +207,13 @@ def read_baseline(path: Path) -> Baseline:
     except (UnfitFileError, IsADirectoryError, NotADirectoryError) as error:
         raise BaselineError(f"{path}: {error.strerror}") from None
     try:
-        data = json.loads(raw)
-    except (ValueError, RecursionError):
-        raise BaselineError(f"{path}: not JSON; restore it or accept anew") from None
-    schema = data.get("schema") if isinstance(data, dict) else None
-    if isinstance(schema, int) and schema > SCHEMA:
+        schema = parsed(raw, _Version)["schema"]
+        found = Baseline.model_validate(unsealed(raw, SEALED_AS, Baseline)) if schema <= SCHEMA else None
+    except ValueError as error:
+        raise StoreError(f"{path}: not a baseline ({error}); restore it, or accept again: {again}") from None
+    if found is None:
         raise BaselineError(f"{path}: schema {schema} is newer than this program's {SCHEMA}; update vdmbench")
-    try:
-        return Baseline.model_validate_json(json.dumps(data))
-    except ValidationError as error:
-        first = error.errors()[0]
-        fault = ": ".join(filter(None, (".".join(map(str, first["loc"])), first["msg"])))
-        raise BaselineError(f"{path}: not a baseline ({fault}); restore it or accept anew") from None
+    return found
 
 
 def accept(run: Run, path: Path, reason: str) -> Baseline:
@@ -239,8 +244,7 @@ def accept(run: Run, path: Path, reason: str) -> Baseline:
         date=datetime.now(UTC).date().isoformat(),
         cases=_cases(run),
     )
-    text = baseline.model_dump_json(by_alias=True, indent=1)
-    write_atomically(path, f"{text}\n".encode())
+    write_atomically(path, sealed(baseline.model_dump(by_alias=True), SEALED_AS) + b"\n")
     return baseline
 
 

@@ -78,6 +78,7 @@ def limit_memory(size: int) -> None:
     From here on dense algebra has one thread.
     """
     if _STATUS.exists():
+        memory_limits()  # which it was started with, kept: those of here are not its shell's
         _take_working_buffers()
         _, hard = resource.getrlimit(resource.RLIMIT_DATA)
         wanted = _read("VmData") + size

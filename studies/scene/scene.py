@@ -230,7 +230,11 @@ def _contact_pressure(constraint: Constraint, study: Study, mesh: Mesh, mask: Ma
     A uniform pressure acts on the facets whose three nodes are in the region. A smooth profile is integrated over
     the facets (`vdmbench.scene.contact_profile`), so that its resultant hangs neither on mesh level nor on model.
     """
-    shape, resultant, total = _contact_shape(mesh, mask, constraint.profile, study.regions[constraint.region])
+    region = study.regions[constraint.region]
+    shape, resultant, total = mesh.remembered(
+        ("contact", constraint.profile, region.model_dump_json(), mask.tobytes()),
+        lambda: _contact_shape(mesh, mask, constraint.profile, region),
+    )
     if total == 0.0:
         raise SceneError(
             f"contact {constraint.name!r} loads no facet; enlarge its region or take a smaller mesh_size"

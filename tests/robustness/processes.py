@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import json
 import os
+import re
 import subprocess
 import sys
 import time
@@ -14,21 +16,31 @@ from numpy.testing import assert_allclose
 from vdmbench.machine.sealed import read_arrays
 from vdmbench.store import cases as store
 
+from ..command import heed_ctrl_c
+
 RUN = Path("results/runs/small")
 CACHE = Path("results/cache")
 
 
-def start(*arguments: str, cwd: Path) -> subprocess.Popen[str]:
-    """The command, at work in the background, without its report."""
+def start(*arguments: str, cwd: Path, program: str = "runner") -> subprocess.Popen[str]:
+    """The command, at work in the background, by a program of these tests, by default without its report."""
     return subprocess.Popen(
-        [sys.executable, "-m", "tests.robustness.runner", *arguments],
+        [sys.executable, "-m", f"tests.robustness.{program}", *arguments],
         cwd=cwd,
         env={**os.environ, "OMP_NUM_THREADS": "1", "PYTHONPATH": str(Path(__file__).parents[2])},
         stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT,
         stdin=subprocess.DEVNULL,
+        preexec_fn=heed_ctrl_c,
         text=True,
     )
+
+
+def endless(node: str) -> str:
+    """A node that never ends, and never lets go of its interpreter, as a library may."""
+    log = Path(json.loads(node)["log"])
+    log.with_name(f"begun-{os.getpid()}").touch()
+    return f"{re.match('(a+)+$', 'a' * 99 + 'b')}"
 
 
 def children(process: int) -> list[int]:

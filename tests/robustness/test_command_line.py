@@ -355,7 +355,7 @@ def test_a_bad_case_costs_itself_only(tmp_path: Path) -> None:
     # the failure is tried again, the success is not
     again = vdmbench("run", "small.toml", cwd=tmp_path)
     assert again.returncode == 3
-    assert again.stderr.count("failed ") == 1
+    assert again.stderr.count("failed angle") == 1
     assert "done angle" not in again.stderr
 
 
@@ -635,7 +635,7 @@ def test_displacement_elements_of_an_incompressible_body_are_told(tmp_path: Path
 
 
 def test_the_only_case_fails_by_the_study_s_name(tmp_path: Path) -> None:
-    write_study(tmp_path, a=('"30 deg"', '"0.1 deg"'), b=('"hertz"', '"uniform"'))
+    write_study(tmp_path, a=('[0, 0, 1], angle = "30 deg"', '[3, 1, 9], angle = "0.1 deg"'))
     result = vdmbench("run", "small.toml", cwd=tmp_path)
     assert result.returncode == 2
     assert "vdmbench: failed: small: " in result.stderr

@@ -15,6 +15,8 @@ from pathlib import Path
 
 import pytest
 
+from tests.command import write_study
+
 from . import processes
 from .processes import CACHE, RUN, assert_same_results, check_what_is_there, half_written
 
@@ -97,6 +99,22 @@ def _survive(kills: int, undisturbed: tuple[Path, float], directory: Path) -> Co
 def test_kills_at_random_moments(undisturbed: tuple[Path, float], tmp_path: Path) -> None:
     seen = _survive(8, undisturbed, tmp_path)
     assert min(seen["runner"], seen["worker"]) > 0
+
+
+@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGKILL, -signal.SIGKILL)])
+def test_nothing_outlives_its_runner(tmp_path: Path, number: signal.Signals, code: int) -> None:
+    write_study(tmp_path)
+    with processes.start("run", "small.toml", cwd=tmp_path, program="endless") as process:
+        assert _until(lambda: list((tmp_path / RUN / "failed").glob("begun-*")) != [], process)
+        family = processes.children(process.pid)
+        family += [worker for server in family for worker in processes.children(server)]
+        assert len(family) >= 2, "a server of workers and a worker"
+        began = time.monotonic()
+        process.send_signal(number)
+        process.communicate(timeout=60)
+        processes.wait_until_gone(family, 2)
+        print(f"{time.monotonic() - began:.2f} s")
+    assert process.returncode == code
 
 
 @pytest.mark.slow

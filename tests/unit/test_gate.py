@@ -25,8 +25,10 @@ from vdmbench.guard.gate import (
     read_baseline,
 )
 from vdmbench.guard.gate_report import describe, junit, markdown, summary
+from vdmbench.machine.stored_json import sealed
 from vdmbench.measures.case import CaseResult, MetricSeries, Run
 from vdmbench.measures.metrics import METRICS, Sense
+from vdmbench.store.hdf5 import StoreError
 from vdmbench.store.run_directory import read_plan, rewrite_plan, write_failure
 
 from .report_runs import make_case, make_run
@@ -263,10 +265,9 @@ def test_a_baseline_of_another_study_is_refused(path: Path) -> None:
 @pytest.mark.parametrize(
     ("content", "message"),
     [
-        (b"\xff\xfe", "not JSON"),
-        (b"[" * 100_000, "not JSON"),
-        (b"[]", r"not a baseline \(Input should be an object\)"),
-        (b'{"schema": 99}', "newer than this program"),
+        (b"\xff\xfe", "not a baseline"),
+        (b"[" * 100_000, "nested too deeply"),
+        (b"[]", "not a baseline"),
         (b'{"schema": 0, "study": "a", "reason": "r", "date": "d", "cases": {}}', "greater than or equal"),
         (b'{"schema": 1, "study": 3}', "not a baseline"),
         (
@@ -277,8 +278,31 @@ def test_a_baseline_of_another_study_is_refused(path: Path) -> None:
 )
 def test_damaged_baselines(tmp_path: Path, content: bytes, message: str) -> None:
     (tmp_path / "b.json").write_bytes(content)
-    with pytest.raises(BaselineError, match=message):
+    with pytest.raises(StoreError, match=f"{message}.*vdmbench accept DIR"):
         read_baseline(tmp_path / "b.json")
+
+
+def test_a_baseline_of_a_newer_program_is_not_called_damaged(tmp_path: Path) -> None:
+    (tmp_path / "b.json").write_text('{"schema": 99}')
+    with pytest.raises(BaselineError, match="newer than this program"):
+        read_baseline(tmp_path / "b.json")
+
+
+@pytest.mark.parametrize(
+    ("old", "new"), [('"value": 0.8', '"value": 0.9'), ("first", "other"), ('"seal"', '"soul"')]
+)
+def test_an_edit_of_a_baseline_is_found(path: Path, old: str, new: str) -> None:
+    text = path.read_text()
+    assert old in text
+    path.write_text(text.replace(old, new, 1))
+    with pytest.raises(StoreError, match="vdmbench accept DIR --reason TEXT --baseline"):
+        read_baseline(path)
+
+
+def test_the_shipped_baselines_are_sealed() -> None:
+    shipped = FORMAT.parent / "baselines"
+    for study in ("quickstart", "regression"):
+        assert read_baseline(shipped / f"{study}.json").cases
 
 
 def test_what_is_no_file_is_not_waited_for(tmp_path: Path) -> None:
@@ -307,7 +331,7 @@ def test_a_tolerance_is_a_finite_number_from_zero(path: Path, value: str) -> Non
     path.write_text(
         path.read_text().replace(f'"tolerance": {entry["tolerance"]}', f'"tolerance": {value}', 1)
     )
-    with pytest.raises(BaselineError, match="tolerance"):
+    with pytest.raises(StoreError, match=r"tolerance|beyond"):
         read_baseline(path)
 
 
@@ -371,14 +395,18 @@ def test_the_commands_and_their_exit_codes(tmp_path: Path) -> None:
     (case,) = data["cases"].values()
     case["models"]["vdm-paper"]["metrics"][VECTOR]["value"] *= 0.9
     (tmp_path / "better.json").write_text(json.dumps(data))
+    edited = vdmbench("gate", directory, "--baseline", "better.json", cwd=tmp_path)
+    assert edited.returncode == 5
+    assert "accept again: vdmbench accept DIR --reason TEXT --baseline better.json" in edited.stderr
+    (tmp_path / "better.json").write_bytes(sealed(data, gate.SEALED_AS))
     worse = vdmbench("gate", directory, "--baseline", "better.json", "--json", cwd=tmp_path)
     assert worse.returncode == 1
     assert json.loads(worse.stdout)["counts"]["worse"] == 1
     case["inputs"] = "other"
-    (tmp_path / "other.json").write_text(json.dumps(data))
+    (tmp_path / "other.json").write_bytes(sealed(data, gate.SEALED_AS))
     assert vdmbench("gate", directory, "--baseline", "other.json", cwd=tmp_path).returncode == 6
     data["study"] = "elsewhere"
-    (tmp_path / "elsewhere.json").write_text(json.dumps(data))
+    (tmp_path / "elsewhere.json").write_bytes(sealed(data, gate.SEALED_AS))
     assert vdmbench("gate", directory, "--baseline", "elsewhere.json", cwd=tmp_path).returncode == 2
     (result,) = (tmp_path / directory / "cases").iterdir()
     whole = result.read_bytes()
