@@ -70,7 +70,9 @@ def _parser() -> argparse.ArgumentParser:
             help="cases at once (default: as many as processors that this process may use)",
         )
 
-    verb("list", cli_study.list_verb, "list the shipped studies").set_defaults(solves=False)
+    shipped = verb("list", cli_study.list_verb, "list the shipped studies, or the models")
+    shipped.set_defaults(solves=False)
+    shipped.add_argument("--models", action="store_true", help="list the models with what a study may set")
     study_verb("check", cli_study.check_verb, "validate a study without running it")
     plan = study_verb("plan", cli_study.plan_verb, "say what a run would do")
     run = study_verb("run", cli_study.run_verb, "run what is missing and write the report")

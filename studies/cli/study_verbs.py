@@ -34,11 +34,18 @@ SHIPPED = Path(__file__).parents[1] / "cases"
 
 
 def list_verb(options: argparse.Namespace) -> int:
-    """Print the shipped studies."""
+    """Print the shipped studies, or the models."""
     import tomllib
 
     titles = {}
-    for path in sorted(SHIPPED.glob("*.toml")):
+    if options.models:
+        from ..study.registry import all_models
+
+        for name, model in all_models().items():
+            titles[name] = (
+                f"solvers {', '.join(model.solvers)}; reads {', '.join(model.parameters) or 'none'}"
+            )
+    for path in sorted(SHIPPED.glob("*.toml")) if not options.models else ():
         titles[path.stem] = tomllib.loads(path.read_text())["study"]["title"]
     if options.json:
         return print_json(titles)

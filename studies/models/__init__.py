@@ -3,6 +3,7 @@
 from ..study.registry import (
     MODELS,
     Model,
+    Parameter,
     RegistrationError,
     SetUp,
     all_models,
@@ -22,6 +23,7 @@ __all__ = [
     "REFUSED",
     "VDM_SOLVERS",
     "Model",
+    "Parameter",
     "Prepared",
     "RegistrationError",
     "SetUp",

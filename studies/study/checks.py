@@ -34,8 +34,8 @@ from .schema import (
     Load,
     Region,
     Study,
-    Table,
 )
+from .table import Table
 from .units import shown
 
 SHAPE_KEYS: dict[str, tuple[set[str], set[str]]] = {  # shape -> keys that it needs, keys that it may have
@@ -127,7 +127,9 @@ def _check_incompressible(study: Study) -> Iterator[Finding]:
 
 def _check_penalty(study: Study) -> Iterator[Finding]:
     """Held nodes by penalty, equations (25) and (26), are solved by `lu`, whose answer no other may claim."""
-    names = [name for name in (study.study and study.study.models) or () if name and _reads(name)]
+    names = [
+        name for name in (study.study and study.study.models) or () if name and "penalty" in _reads(name)
+    ]
     others = [name for name in names if split(name)[1] not in ("linear", "lu")]
     tables: list[tuple[Loc, Table | None, list[str]]] = [(("vdm", "penalty"), study.vdm, others)]
     tables += [(("models", name, "penalty"), (study.models or {}).get(name), [name]) for name in others]
@@ -142,8 +144,10 @@ def _check_penalty(study: Study) -> Iterator[Finding]:
 
 def _check_unread(study: Study) -> Iterator[Finding]:
     """Parameters that decide nothing: [vdm] may serve several models, but one of them has to read each."""
+    from .registry import all_models  # which reads the schema: only where it is needed
+
     names = [name for name in (study.study and study.study.models) or () if name]
-    if any(not _reads(name) and not name.startswith("fem") for name in names):
+    if any(split(name)[0] not in all_models() for name in names):
         return  # a name that is wrong: nobody knows what it was to read
     tables: list[tuple[Loc, Table | None, set[str]]] = [
         (("models", name), (study.models or {}).get(name), set(_reads(name))) for name in names

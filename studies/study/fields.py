@@ -12,7 +12,8 @@ from pydantic.fields import FieldInfo
 
 from .kinds import SI
 from .problems import Loc
-from .schema import MOST_NAMES, Region, Study, Sweep, Table
+from .schema import MOST_NAMES, Region, Study, Sweep, model_table
+from .table import Table
 from .units import DIMENSIONS
 
 _NEVER_SWEPT = {"study", "sweep", "limits", "calibration"}
@@ -44,6 +45,13 @@ def _is_table(annotation: Any) -> bool:
     return isinstance(annotation, type) and issubclass(annotation, Table)
 
 
+def _item_type(annotation: Any, loc: Loc) -> Any:
+    """What a table of tables or a list holds; of the tables of single models, what these declare too."""
+    if loc[:1] == ("models",):
+        return model_table()
+    return get_args(annotation)[1 if get_origin(annotation) is dict else 0]
+
+
 def _field_type(field: FieldInfo) -> tuple[Any, SI | None]:
     annotation, si = unwrapped(field.annotation)
     return annotation, next((item for item in field.metadata if isinstance(item, SI)), si)
@@ -59,7 +67,7 @@ def field_at(loc: Loc) -> FieldInfo | None:
             field = keys_of(annotation).get(str(part))
             annotation = field.annotation if field else None
         elif get_origin(annotation) in (dict, tuple):
-            field, annotation = None, get_args(annotation)[1 if get_origin(annotation) is dict else 0]
+            field, annotation = None, _item_type(annotation, loc)
         else:
             return None
     return field
@@ -73,7 +81,7 @@ def table_at(loc: Loc) -> type[Table]:
         if _is_table(annotation):
             annotation = keys_of(annotation)[str(part)].annotation
         elif get_origin(annotation) in (dict, tuple):
-            annotation = get_args(annotation)[1 if get_origin(annotation) is dict else 0]
+            annotation = _item_type(annotation, loc)
         else:
             raise LookupError(loc)
     annotation, _ = unwrapped(annotation)
@@ -132,7 +140,7 @@ def _targets(annotation: Any, si: SI | None, key: str, loc: Loc, value: Any) -> 
             yield from _targets(*_field_type(field), f"{key}.{name}", (*loc, name), inside.get(name))
     elif origin is dict or (origin is tuple and _is_table(get_args(annotation)[0])):
         for name, place, item in islice(_named(value), MOST_NAMES):  # more are refused
-            inner = get_args(annotation)[1 if origin is dict else 0]
+            inner, _ = unwrapped(_item_type(annotation, loc))
             yield from _targets(inner, None, f"{key}.{name}", (*loc, place), item)
     elif si is not None and isinstance(value, list | tuple):
         for place in range(len(value)):
@@ -178,7 +186,7 @@ def _rows(table: type[Table], prefix: str) -> Iterator[FieldRow]:
         if _is_table(annotation) and not (table is Region and annotation is Region):
             yield from _rows(annotation, f"{prefix}{name}.")
         elif origin is dict:
-            yield from _rows(args[1], f"{prefix}{name}.NAME.")
+            yield from _rows(unwrapped(args[1])[0], f"{prefix}{name}.NAME.")
         elif origin is tuple and _is_table(args[0]):
             yield from _rows(args[0], f"{prefix}{name}[].")
         else:

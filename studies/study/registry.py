@@ -7,12 +7,14 @@ module registers its models when it is imported. A model is one `register(Model(
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from functools import cache
 from importlib import import_module
 from importlib.metadata import entry_points
 from typing import TYPE_CHECKING, Protocol
+
+from .units import DIMENSIONS
 
 if TYPE_CHECKING:
     from fem_reference.condensed import CondensedProblem
@@ -50,6 +52,14 @@ class Prepare(Protocol):
     def __call__(self, scene: Scene, solver: str, name: str, n_loads: int) -> SetUp: ...
 
 
+@dataclass(frozen=True)
+class Parameter:
+    """A number that one model's own table may have, in `unit` (SI, "1" for a plain number), and what it is."""
+
+    unit: str
+    help: str
+
+
 @dataclass(frozen=True, kw_only=True)
 class Model:
     """A model of the registry.
@@ -68,6 +78,7 @@ class Model:
     fibres : whether it solves a body with fibres; one that does not is refused them
     most_nodes : surface nodes beyond which it refuses a mesh; None where it has no such limit
     contact_in_setup : whether its set-up depends on where the body is touched and how it is moved
+    own : of its parameters those that [vdm] has no key for: a study gives them in [models.NAME]
     continues : set up for loads of one rising path, each solved from the last: as `prepare`; None where it cannot
     """
 
@@ -83,6 +94,7 @@ class Model:
     by_rule: tuple[str, ...] = ()
     most_nodes: int | None = None
     contact_in_setup: bool = False
+    own: Mapping[str, Parameter] = field(default_factory=dict)
     continues: Prepare | None = None
 
 
@@ -109,7 +121,8 @@ def register(model: Model) -> None:
         raise RegistrationError(f"{model.name}: a model declares its version and its solvers")
     for what, keys, known in (
         ("superposes", model.superposes, model.solvers),
-        ("parameters", model.parameters, VdmTable.model_fields),
+        ("parameters", model.parameters, {**VdmTable.model_fields, **model.own}),
+        ("own", model.own, model.parameters),
         ("by_rule", model.by_rule, model.parameters),
         ("tissue", model.tissue, Tissue.model_fields),
     ):
@@ -117,7 +130,17 @@ def register(model: Model) -> None:
             raise RegistrationError(
                 f"{model.name} declares {what} that there are none of: {', '.join(unknown)}"
             )
+    for key, parameter in model.own.items():
+        if key in VdmTable.model_fields or own_parameters().get(key, parameter) != parameter:
+            raise RegistrationError(f"{model.name}: {key} is declared already, as something else")
+        if parameter.unit not in DIMENSIONS:
+            raise RegistrationError(f"{model.name}: {key} has none of the units {', '.join(DIMENSIONS)}")
     MODELS[model.name] = model
+
+
+def own_parameters() -> dict[str, Parameter]:
+    """The parameters that models have declared beside those of [vdm], of the families loaded so far."""
+    return {key: parameter for model in MODELS.values() for key, parameter in model.own.items()}
 
 
 @cache

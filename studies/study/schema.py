@@ -7,24 +7,23 @@ in `checks`; reading a file is in `config`.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from pydantic import (
     AfterValidator,
-    BaseModel,
     BeforeValidator,
     ConfigDict,
     Discriminator,
     Field,
     PrivateAttr,
+    SerializeAsAny,
     Tag,
-    ValidationError,
     ValidationInfo,
     ValidatorFunctionWrapHandler,
-    field_validator,
-    model_validator,
+    WrapValidator,
+    create_model,
 )
 
 from .geometry_spec import LEAST_SLIVERS, MOST_PERTURBATION
@@ -48,7 +47,10 @@ from .kinds import (
     positive,
 )
 from .problems import Source
-from .units import type_name
+from .table import Table, as_path
+
+if TYPE_CHECKING:
+    from .registry import Parameter
 
 Vdm = dict[str, float | str]
 
@@ -56,64 +58,6 @@ CLAIMS = 9  # that the paper makes of its model
 MOST_STEPS = 10_000  # of a load history: each keeps the displacement of every node
 MOST_NAMES = 200  # of models, regions, constraints
 MOST_LEVELS = 4  # of meshes that a reference's error bar is from
-
-
-# --- what all tables share ---
-
-
-@dataclass(frozen=True)
-class Context:
-    """How to validate: the file that paths are relative to, and whether to go on past faults.
-
-    A lenient pass puts None in the place of every faulty or missing value, so that checks across keys can still
-    tell what else is wrong. Its result is never handed out.
-    """
-
-    source: Source
-    lenient: bool = False
-
-
-def _as_path(value: Any, info: ValidationInfo) -> Path:
-    if not isinstance(value, str | Path):
-        raise ValueError(f"must be a file's path, not {type_name(value)}")
-    context = info.context
-    return context.source.locate(value) if isinstance(context, Context) else Path(value)
-
-
-class Table(BaseModel):
-    """A table of a study file: unknown keys are errors, nothing is coerced, values do not change."""
-
-    model_config = ConfigDict(extra="forbid", strict=True, frozen=True, hide_input_in_errors=True)
-
-    @field_validator("*", mode="wrap")
-    @classmethod
-    def _pass_over_faults(
-        cls, value: Any, handler: ValidatorFunctionWrapHandler, info: ValidationInfo
-    ) -> Any:
-        try:
-            return handler(value)
-        except ValidationError:
-            if isinstance(info.context, Context) and info.context.lenient:
-                return None
-            raise
-
-    @model_validator(mode="before")
-    @classmethod
-    def _prepare(cls, data: Any, info: ValidationInfo) -> Any:
-        if not isinstance(data, dict):
-            return data
-        data = cls.with_defaults(data)
-        if isinstance(info.context, Context) and info.context.lenient:
-            names = {field.alias or name: field for name, field in cls.model_fields.items()}
-            missing = {name: None for name, field in names.items() if field.is_required()}
-            keep_all = cls.model_config.get("extra") == "allow"
-            data = missing | {key: value for key, value in data.items() if keep_all or key in names}
-        return data
-
-    @classmethod
-    def with_defaults(cls, data: dict[str, Any]) -> dict[str, Any]:
-        """`data` with those defaults that depend on other keys."""
-        return data
 
 
 # --- the tables ---
@@ -163,7 +107,7 @@ class Geometry(Table):
     )
     length: Length | None = Field(None, description="cylinder: length")
     axis: Axis | None = Field(None, description="cylinder: its axis, z where left out")
-    path: Annotated[Path, BeforeValidator(_as_path)] | None = Field(
+    path: Annotated[Path, BeforeValidator(as_path)] | None = Field(
         None,
         description="file: a surface (STL, OBJ, PLY, VTP) or tetrahedra (MSH, VTU, VTK); it is moved, the "
         "centre of its bounding box to the origin, from which regions are measured",
@@ -258,6 +202,30 @@ class VdmTable(Table):
     def given(self) -> Vdm:
         """The parameters that are set."""
         return self.model_dump(exclude_none=True)
+
+
+def model_table() -> type[VdmTable]:
+    """The table of a single model: the keys of [vdm], and those that models declare as their own."""
+    from .registry import all_models, own_parameters  # loads the families: only where it is needed
+
+    all_models()
+    return _table_with(tuple(own_parameters().items()))
+
+
+@cache
+def _table_with(own: tuple[tuple[str, Parameter], ...]) -> type[VdmTable]:
+    fields: dict[str, Any] = {
+        key: (Annotated[float, SI(parameter.unit)] | None, Field(None, description=parameter.help))
+        for key, parameter in own
+    }
+    return create_model("ModelTable", __base__=VdmTable, **fields) if own else VdmTable
+
+
+def _of_model(value: Any, handler: ValidatorFunctionWrapHandler, info: ValidationInfo) -> VdmTable:
+    if not isinstance(value, dict) or value.keys() <= VdmTable.model_fields.keys():
+        table: VdmTable = handler(value)
+        return table
+    return model_table().model_validate(value, context=info.context)
 
 
 class HalfSpace(Table):
@@ -480,8 +448,8 @@ class Study(Table):
     limits: Limits | None = Field(None, description="small-strain limits")
     calibration: Calibration | None = Field(None, description="how the [vdm] parameters are fitted")
     uncertainty: Uncertainty | None = Field(None, description="the reference's own error")
-    models: dict[str, VdmTable] = Field(
-        {}, description="[vdm] keys for one model only", max_length=MOST_NAMES
+    models: dict[str, Annotated[SerializeAsAny[VdmTable], WrapValidator(_of_model)]] = Field(
+        {}, description="[vdm] keys for one model only, and its own", max_length=MOST_NAMES
     )
 
     _source: Source = PrivateAttr(default=Source())

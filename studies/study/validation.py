@@ -13,7 +13,8 @@ from pydantic_core import ErrorDetails
 from .checks import check, unknown
 from .fields import field_at, keys_of, table_at
 from .problems import MOST_TOLD, Finding, Loc, Source
-from .schema import Context, Study
+from .schema import Study
+from .table import Context
 from .units import type_name
 
 _WANTED = {  # kind of pydantic error -> what the value must be

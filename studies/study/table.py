@@ -1,0 +1,76 @@
+"""What all tables of a study file share: unknown keys are errors, and a lenient pass goes on past faults."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from pydantic import (
+    BaseModel,
+    ConfigDict,
+    ValidationError,
+    ValidationInfo,
+    ValidatorFunctionWrapHandler,
+    field_validator,
+    model_validator,
+)
+
+from .problems import Source
+from .units import type_name
+
+
+@dataclass(frozen=True)
+class Context:
+    """How to validate: the file that paths are relative to, and whether to go on past faults.
+
+    A lenient pass puts None in the place of every faulty or missing value, so that checks across keys can still
+    tell what else is wrong. Its result is never handed out.
+    """
+
+    source: Source
+    lenient: bool = False
+
+
+def as_path(value: Any, info: ValidationInfo) -> Path:
+    """The file that a study names, located. Raises ValueError."""
+    if not isinstance(value, str | Path):
+        raise ValueError(f"must be a file's path, not {type_name(value)}")
+    context = info.context
+    return context.source.locate(value) if isinstance(context, Context) else Path(value)
+
+
+class Table(BaseModel):
+    """A table of a study file: unknown keys are errors, nothing is coerced, values do not change."""
+
+    model_config = ConfigDict(extra="forbid", strict=True, frozen=True, hide_input_in_errors=True)
+
+    @field_validator("*", mode="wrap")
+    @classmethod
+    def _pass_over_faults(
+        cls, value: Any, handler: ValidatorFunctionWrapHandler, info: ValidationInfo
+    ) -> Any:
+        try:
+            return handler(value)
+        except ValidationError:
+            if isinstance(info.context, Context) and info.context.lenient:
+                return None
+            raise
+
+    @model_validator(mode="before")
+    @classmethod
+    def _prepare(cls, data: Any, info: ValidationInfo) -> Any:
+        if not isinstance(data, dict):
+            return data
+        data = cls.with_defaults(data)
+        if isinstance(info.context, Context) and info.context.lenient:
+            names = {field.alias or name: field for name, field in cls.model_fields.items()}
+            missing = {name: None for name, field in names.items() if field.is_required()}
+            keep_all = cls.model_config.get("extra") == "allow"
+            data = missing | {key: value for key, value in data.items() if keep_all or key in names}
+        return data
+
+    @classmethod
+    def with_defaults(cls, data: dict[str, Any]) -> dict[str, Any]:
+        """`data` with those defaults that depend on other keys."""
+        return data

@@ -1,0 +1,158 @@
+"""What an addition costs: one file each, on a copy of the package, and no edit of another."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.command import SMALL_STUDY
+
+ROOT = Path(__file__).parents[2]
+SPRINGS = '''
+"""A model of a package of its own: each node on a spring, stiffer by `gain`."""
+import numpy as np
+from vdm.solution import CONVERGED, Solution
+from vdmbench.models import Model, Parameter, SetUp, register
+
+
+def prepare(scene, solver, name, n_loads):
+    stiffness = scene.parameters.get("gain", 1.0) * scene.tissue.youngs_modulus * 0.05
+
+    def solve(loads):
+        held = scene.held[:, None]
+        u = np.array([np.where(held, load.prescribed, load.contact_force / stiffness) for load in loads])
+        force = np.array([load.contact_force for load in loads])
+        n = len(loads)
+        return Solution(u, np.zeros(n), np.where(scene.held[:, None], -force, 0.0), 0.5 * (u * force).sum((1, 2)),
+                        np.zeros(n, dtype=np.int64), (CONVERGED,) * n, 1e-4, np.full(n, 1e-4),
+                        {"gain": scene.parameters.get("gain", 1.0)})
+
+    return SetUp(solve)
+
+
+register(Model(name="springs", version="1", prepare=prepare, volumetric=False, solvers=("linear",),
+               superposes=("linear",), tissue=("youngs_modulus",), parameters=("gain",), fibres=False,
+               own={"gain": Parameter("1", "stiffness of the springs over that of the tissue")}))
+'''
+COMMAND = "from vdmbench.cli.main import main; main()"
+STUDY = SMALL_STUDY.replace('"vdm-paper"', '"springs"')
+GAINS = STUDY + '[sweep]\n"models.springs.gain" = [1.0, 2.0, 4.0]\n'
+
+
+@pytest.fixture
+def place(tmp_path: Path) -> Path:
+    """A folder with a copy of the package, named vdmbench, and nothing else of this repository."""
+    caches = shutil.ignore_patterns("__pycache__")
+    shutil.copytree(ROOT / "studies", tmp_path / "vdmbench", ignore=caches)
+    for library in ("vdm", "fem_reference"):
+        (tmp_path / library).symlink_to(ROOT / library)
+    return tmp_path
+
+
+@pytest.fixture
+def springs(place: Path) -> Path:
+    """The copy, and beside it a package that brings a model by the entry point."""
+    (place / "springs_model.py").write_text(SPRINGS)
+    about = place / "springs_model-1.0.dist-info"
+    about.mkdir()
+    (about / "METADATA").write_text("Metadata-Version: 2.1\nName: springs-model\nVersion: 1.0\n")
+    (about / "entry_points.txt").write_text("[vdmbench.models]\nsprings = springs_model\n")
+    return place
+
+
+def python(place: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
+    """Python in the folder, which finds the copy there."""
+    return subprocess.run(
+        [sys.executable, *arguments],
+        cwd=place,
+        env={**os.environ, "PYTHONPATH": str(place), "OMP_NUM_THREADS": "1"},
+        capture_output=True,
+        text=True,
+        timeout=300,
+    )
+
+
+def command(place: Path, *arguments: str) -> str:
+    """What a verb of the copy prints; it succeeds."""
+    result = python(place, "-c", COMMAND, *arguments)
+    assert result.returncode == 0, result.stdout + result.stderr
+    return result.stdout
+
+
+def study(place: Path, text: str) -> str:
+    (place / "study.toml").write_text(text)
+    return "study.toml"
+
+
+def run(place: Path, text: str) -> dict[str, Any]:
+    """The JSON of a run of the study in one process; its page is `page`."""
+    return json.loads(command(place, "run", study(place, text), "--jobs", "1", "--out", "out", "--json"))
+
+
+def page(place: Path) -> str:
+    return (place / "out" / "report.html").read_text()
+
+
+def test_a_model_of_another_package(springs: Path) -> None:
+    assert "gain" in json.loads(command(springs, "list", "--models", "--json"))["springs"]
+    command(springs, "check", study(springs, GAINS))
+    planned = json.loads(command(springs, "plan", "study.toml", "--json"))
+    assert len(planned["cases"]) == 3
+    run(springs, GAINS)
+    assert_gains_differ(springs)
+    assert "springs" in page(springs)
+    assert "springs.gain" in page(springs)
+
+
+def assert_gains_differ(place: Path) -> None:
+    """Three answers under three keys, each as stiff as its gain."""
+    told = python(
+        place,
+        "-c",
+        "from pathlib import Path\n"
+        "from vdmbench.graph.keys import wanted\n"
+        "from vdmbench.store.cases import read_run\n"
+        "from vdmbench.study.config import expand, load_study\n"
+        "keys = [wanted(case.study, 'mesh')[0].body for case in expand(load_study(Path('study.toml')))]\n"
+        "for key, case in zip(keys, read_run(Path('out')).cases, strict=True):\n"
+        "    print(key, abs(case.models['springs'].displacement).max())",
+    )
+    rows = [line.split() for line in told.stdout.splitlines()]
+    assert len({key for key, _ in rows}) == len(rows) == 3, told
+    values = sorted(float(value) for _, value in rows)
+    assert values == pytest.approx([values[2] / 4, values[2] / 2, values[2]])
+
+
+def test_a_model_of_another_package_is_refused_fibres(springs: Path) -> None:
+    fibres = "[anisotropy]\nfibre_direction = [1, 0, 0]\ncontrast = 2.0\n"
+    told = command(springs, "plan", study(springs, STUDY + fibres))
+    assert "springs: it is isotropic; use another model for fibres" in told
+
+
+@pytest.mark.parametrize(
+    ("table", "said"),
+    [
+        ('[models.springs]\ngain = "3 mm"\n', "models.springs.gain: "),
+        ("[models.springs]\ngian = 3.0\n", 'did you mean "gain"'),
+        ("[models.fem-linear]\ngain = 3.0\n", "fem-linear does not read it"),
+        ("[vdm]\ngain = 3.0\n", "vdm.gain"),
+    ],
+    ids=["unit", "misspelt", "another's", "everyone's"],
+)
+def test_mistakes_in_a_table_of_its_own(springs: Path, table: str, said: str) -> None:
+    result = python(springs, "-c", COMMAND, "check", study(springs, STUDY + table))
+    assert result.returncode == 2
+    assert said in result.stderr
+
+
+@pytest.mark.slow
+def test_a_model_of_another_package_is_benchmarked(springs: Path) -> None:
+    told = json.loads(command(springs, "bench", study(springs, STUDY), "--out", "bench", "--json"))
+    assert "springs" in {row["model"] for row in told["rows"]}
