@@ -109,7 +109,7 @@ def _tell_of_lost_output() -> None:
 def _complain_of(error: BaseException) -> int:
     """What is wrong, and the exit code of an error; a ValueError of ours always carries a sentence."""
     from ..machine.memory import MemoryLimitError, is_lack_of_memory, memory_limits
-    from .output import BUG, DAMAGED, MACHINE, USAGE, complain
+    from .output import BUG, DAMAGED, MACHINE, USAGE, complain, tell
 
     if is_lack_of_memory(error) and not isinstance(error, OSError):
         limits = memory_limits()
@@ -128,5 +128,6 @@ def _complain_of(error: BaseException) -> int:
             return complain(str(error), DAMAGED if isinstance(error, StoreError) else USAGE)
     import traceback
 
-    traceback.print_exception(error)
+    for line in "".join(traceback.format_exception(error)).splitlines():
+        tell(line)
     return complain(f"this is a bug: {error!r}; please report it with the lines above", BUG)

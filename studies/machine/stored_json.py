@@ -76,27 +76,48 @@ class FailureShape(Shape):
     remedy: str
 
 
+_Vector = Annotated[list[float], Field(min_length=3, max_length=3)]
+
+
 class ConstraintShape(Shape):
     """What the report reads of a constraint."""
 
     kind: str
     region: str
     name: str | None = None
+    force: float | None = None
+    pressure: float | None = None
+    displacement: _Vector | None = None
+
+
+class TissueShape(Shape):
+    """What the report reads of [tissue]."""
+
+    youngs_modulus: Annotated[float, Field(gt=0)] = 1.0
+    poisson_ratio: float = 0.0
+
+
+class GravityShape(Shape):
+    """[gravity]"""
+
+    acceleration: _Vector = [0.0, 0.0, 0.0]
 
 
 class FibresShape(Shape):
     """[anisotropy]."""
 
     contrast: float
-    fibre_direction: Annotated[list[float], Field(min_length=3, max_length=3)]
+    fibre_direction: _Vector
 
 
 class ResolvedShape(Shape):
     """What the report reads of the inputs of a case."""
 
-    constraints: list[ConstraintShape] | None = None
+    constraints: list[ConstraintShape] = []
+    tissue: TissueShape = TissueShape()
+    geometry: dict[str, Any] | None = None
     anisotropy: FibresShape | None = None
-    gravity: dict[str, Any] | None = None
+    gravity: GravityShape | None = None
     vdm: dict[str, Any] | None = None
     models: dict[str, dict[str, Any]] | None = None
 

@@ -110,7 +110,7 @@ def _pushes(cases: Sequence[CaseResult]) -> list[Push]:
 
 
 def _constraints(case: CaseResult) -> Sequence[Mapping[str, object]]:
-    return case.resolved.get("constraints") or ()
+    return case.resolved.get("constraints", ())
 
 
 def _weighs(case: CaseResult) -> bool:

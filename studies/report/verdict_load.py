@@ -153,7 +153,7 @@ def _depth(digest: Digest, case: CaseResult, step: int) -> float:
     """How far the reference is pushed in (pulled out: negative) or moved at a step [m]; NaN where it is not."""
     if case.reference is None or case.reference not in case.models:
         return math.nan
-    if any(c.get("kind") == "contact" for c in case.resolved.get("constraints") or ()):
+    if any(c.get("kind") == "contact" for c in case.resolved.get("constraints", ())):
         depths = indentation(case, [case.reference], digest.surfaces[case.hash].normals)
         return float(depths[case.reference][step])
     lengths = [float(movement_force(case, case.reference, name)[0][step]) for name in moved(case)]

@@ -110,7 +110,7 @@ def colour_maps() -> dict[str, str]:
 def azimuth(case: CaseResult) -> float:
     """Angle about z from which the loaded side is seen [rad]."""
     centre = case.points.mean(axis=0)
-    for constraint in case.resolved.get("constraints") or ():
+    for constraint in case.resolved.get("constraints", ()):
         mask = case.regions.get(str(constraint.get("region")))
         if constraint.get("kind") == "contact" and mask is not None and mask.any():
             x, y, _ = case.points[mask].mean(axis=0) - centre

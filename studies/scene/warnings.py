@@ -56,7 +56,7 @@ def scene_warnings(
                 ),
             )
         force = largest_factor * abs(entry.get("force") or (entry.get("pressure") or 0.0) * size)
-        if "youngs_modulus" not in tissue:
+        if not {"youngs_modulus", "poisson_ratio"} <= tissue.keys():
             continue
         path = indentation(force, total, tissue["youngs_modulus"], tissue["poisson_ratio"])
         if path > extent:

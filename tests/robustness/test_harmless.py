@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import os
+import pty
 import shutil
+import subprocess
 from pathlib import Path
 
 import pytest
 
-from tests.command import vdmbench
+from tests.command import SCRIPT, vdmbench
+from vdmbench.cli.main import _complain_of
 from vdmbench.machine.streams import harmless
 from vdmbench.store.run_directory import failure_path, read_plan, rewrite_plan, write_failure
 
@@ -39,3 +43,31 @@ def test_copied_results_do_not_steer_the_terminal(
     text = said.stdout + said.stderr
     assert verb == "gate" or "\\x1b]0;owned" in text, "it is told, harmlessly"
     assert not {"\x1b", "\x07", "\x9b"} & set(text)
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ("check", "x\x1b[2J.toml"),
+        ("status", "x\x1b[2J"),
+        ("list", "--x\x1b[2J"),
+    ],
+)
+def test_no_argument_steers_the_terminal_that_errors_go_to(
+    tmp_path: Path, arguments: tuple[str, ...]
+) -> None:
+    ours, theirs = pty.openpty()
+    found = subprocess.run(
+        [SCRIPT, *arguments], cwd=tmp_path, stdin=subprocess.DEVNULL, stderr=theirs, check=False
+    )
+    os.close(theirs)
+    said = os.read(ours, 1 << 16)
+    os.close(ours)
+    assert found.returncode != 0
+    assert b"\\x1b[2J" in said
+    assert b"\x1b" not in said
+
+
+def test_a_traceback_does_not_steer_the_terminal(capsys: pytest.CaptureFixture[str]) -> None:
+    assert _complain_of(RuntimeError("\x1b[2J")) == 70
+    assert "\x1b" not in capsys.readouterr().err
