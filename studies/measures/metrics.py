@@ -1,7 +1,8 @@
 """How far a model is from the reference: pure functions on arrays, and the registry of metrics.
 
 Displacements are (N, 3) at the same N surface nodes; norms are weighted by nodal area, so that they do not
-depend on how the mesh spreads its nodes. Adding a metric is one decorated function.
+depend on how the mesh spreads its nodes. Adding a metric is one decorated function, here or in a file
+`metric_NAME.py` beside this one.
 """
 
 from __future__ import annotations
@@ -23,6 +24,7 @@ from ..body.surface_measures import (
     weighted_quantiles,
     without_motions,
 )
+from ..machine.modules import load_all
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -80,7 +82,7 @@ def full_load_step(load_factors: Array) -> int:
 Function = Callable[..., Array]
 
 
-def _metric(
+def metric(
     unit: str,
     definition: str,
     *,
@@ -91,8 +93,12 @@ def _metric(
     needs_contact: bool = False,
     sense: Sense = "error",
 ) -> Callable[[Function], Function]:
+    """Register a function as a metric of its name; see `Metric`. Raises ValueError for a name that is taken."""
+
     def register(function: Function) -> Function:
         name = function.__name__
+        if name in METRICS:
+            raise ValueError(f"a metric {name!r} is registered already")
         function = _not_at_rest(function) if relative or degree == 0 else function
         METRICS[name] = Metric(
             name, unit, definition, version, function, degree, needs_reference, needs_contact, sense
@@ -129,12 +135,12 @@ def _each_step(surface: Surface, model: History, reference: History, compare: Co
     return out
 
 
-@_metric("1", "area-weighted ||u - r|| / ||r|| of the displacement vector", degree=0, version=2)
+@metric("1", "area-weighted ||u - r|| / ||r|| of the displacement vector", degree=0, version=2)
 def relative_l2_displacement_error(surface: Surface, model: History, reference: History) -> Array:
     return _each_step(surface, model, reference, lambda s, u, r: relative_l2_steps(u, r, s.areas))
 
 
-@_metric(
+@metric(
     "1",
     "as the displacement error, the best-fit rigid motion removed from model and reference alike; none where the "
     "reference moves as a rigid body",
@@ -151,7 +157,7 @@ def relative_l2_deformation_error(surface: Surface, model: History, reference: H
 VECTOR, DEFORMATION = relative_l2_displacement_error.__name__, relative_l2_deformation_error.__name__
 
 
-@_metric("1", "as the displacement error, for the component along the undeformed normal", degree=0, version=2)
+@metric("1", "as the displacement error, for the component along the undeformed normal", degree=0, version=2)
 def relative_l2_normal_error(surface: Surface, model: History, reference: History) -> Array:
     def compare(s: Surface, u: Array, r: Array) -> Array:
         return _of_parts(r, s.areas, *(_along(v, s.normals) for v in (u, r)))
@@ -159,7 +165,7 @@ def relative_l2_normal_error(surface: Surface, model: History, reference: Histor
     return _each_step(surface, model, reference, compare)
 
 
-@_metric("1", "as the displacement error, for the component in the undeformed surface", degree=0, version=2)
+@metric("1", "as the displacement error, for the component in the undeformed surface", degree=0, version=2)
 def relative_l2_tangential_error(surface: Surface, model: History, reference: History) -> Array:
     def compare(s: Surface, u: Array, r: Array) -> Array:
         return _of_parts(r, s.areas, *(v - _along(v, s.normals) * s.normals for v in (u, r)))
@@ -167,34 +173,34 @@ def relative_l2_tangential_error(surface: Surface, model: History, reference: Hi
     return _each_step(surface, model, reference, compare)
 
 
-@_metric("m", "largest |u - r| of any surface node", degree=1)
+@metric("m", "largest |u - r| of any surface node", degree=1)
 def max_nodal_error(surface: Surface, model: History, reference: History) -> Array:
     return _each_step(surface, model, reference, lambda _, u, r: _nodal_error(u, r).max(axis=1))
 
 
-@_metric("1", "largest |u - r| over largest |r|", degree=0, version=2)
+@metric("1", "largest |u - r| over largest |r|", degree=0, version=2)
 def max_nodal_error_relative(surface: Surface, model: History, reference: History) -> Array:
     return max_nodal_error(surface, model, reference) / reference.largest
 
 
-@_metric("m", "|u - r| that 95 % of the surface area stays below", degree=1)
+@metric("m", "|u - r| that 95 % of the surface area stays below", degree=1)
 def p95_nodal_error(surface: Surface, model: History, reference: History) -> Array:
     return _each_step(
         surface, model, reference, lambda s, u, r: weighted_quantiles(_nodal_error(u, r), s.areas, 0.95)
     )
 
 
-@_metric("1", "|u - r| that 95 % of the surface area stays below, over largest |r|", degree=0, version=2)
+@metric("1", "|u - r| that 95 % of the surface area stays below, over largest |r|", degree=0, version=2)
 def p95_nodal_error_relative(surface: Surface, model: History, reference: History) -> Array:
     return p95_nodal_error(surface, model, reference) / reference.largest
 
 
-@_metric("1", "displacement error over the loaded nodes only", degree=0, version=2, needs_contact=True)
+@metric("1", "displacement error over the loaded nodes only", degree=0, version=2, needs_contact=True)
 def contact_region_error(surface: Surface, model: History, reference: History) -> Array:
     return _regional(surface, model, reference, surface.contact)
 
 
-@_metric(
+@metric(
     "1", "displacement error over the nodes that carry no contact", degree=0, version=2, needs_contact=True
 )
 def far_field_error(surface: Surface, model: History, reference: History) -> Array:
@@ -204,7 +210,7 @@ def far_field_error(surface: Surface, model: History, reference: History) -> Arr
 # distances of two surfaces cost more than all other metrics together and are read at full load only
 
 
-@_metric(
+@metric(
     "m",
     "area-weighted mean distance of the model's deformed nodes to the reference's deformed surface, at full load",
     degree=None,
@@ -216,7 +222,7 @@ def mean_surface_distance(surface: Surface, model: History, reference: History) 
     )
 
 
-@_metric(
+@metric(
     "m",
     "larger of the two one-sided maximal distances between the deformed surfaces at their nodes, at full load",
     degree=None,
@@ -256,7 +262,7 @@ def _with_distances(surface: Surface, models: Sequence[History], reference: Hist
     return found
 
 
-@_metric(
+@metric(
     "1",
     "|R - R_ref| / |R_ref| of the total force that the supports exert; none where their forces cancel",
     degree=0,
@@ -269,7 +275,7 @@ def reaction_force_error(surface: Surface, model: History, reference: History) -
     return ratio(np.linalg.norm(total - total_reference, axis=1), _unless_lost(norm, of_nodes))
 
 
-@_metric(
+@metric(
     "1",
     "force that the model needs for the reference's indentation depth (mean displacement along the contact force, "
     "weighted by it), over the reference's, less one; of a body with a weight only where a step has no load",
@@ -288,7 +294,7 @@ def indentation_force_error(surface: Surface, model: History, reference: History
     )
 
 
-@_metric(
+@metric(
     "1",
     "(V - V0)/V0 of the exact polyhedral volume",
     degree=None,
@@ -302,7 +308,7 @@ def volume_drift(surface: Surface, model: History) -> Array:
     return volume / surface.volume - 1
 
 
-@_metric(
+@metric(
     "1",
     "(V - V0) over the displaced volume, half of sum |g_i . u_i|; none without a load",
     degree=None,
@@ -321,22 +327,22 @@ def _mean_strain(surface: Surface, model: History, axis: int) -> Array:
     return np.asarray(model.displacement[:, :, axis] @ surface.volume_gradient[:, axis] / surface.volume)
 
 
-@_metric("1", "mean of du_x/dx over the body's volume", degree=1, needs_reference=False, sense="descriptive")
+@metric("1", "mean of du_x/dx over the body's volume", degree=1, needs_reference=False, sense="descriptive")
 def mean_strain_x(surface: Surface, model: History) -> Array:
     return _mean_strain(surface, model, 0)
 
 
-@_metric("1", "mean of du_y/dy over the body's volume", degree=1, needs_reference=False, sense="descriptive")
+@metric("1", "mean of du_y/dy over the body's volume", degree=1, needs_reference=False, sense="descriptive")
 def mean_strain_y(surface: Surface, model: History) -> Array:
     return _mean_strain(surface, model, 1)
 
 
-@_metric("1", "mean of du_z/dz over the body's volume", degree=1, needs_reference=False, sense="descriptive")
+@metric("1", "mean of du_z/dz over the body's volume", degree=1, needs_reference=False, sense="descriptive")
 def mean_strain_z(surface: Surface, model: History) -> Array:
     return _mean_strain(surface, model, 2)
 
 
-@_metric(
+@metric(
     "J",
     "work of the contact forces on the displacement",
     degree=2,
@@ -367,15 +373,15 @@ def evaluate(
     """Every metric that has what it needs: name -> (S,) values. What is `known` is taken as it is."""
     known = known or {}
     out = {}
-    for metric in METRICS.values():
-        if metric.name in known:
-            out[metric.name] = known[metric.name]
-        elif metric.needs_contact and not surface.contact.any():
+    for one in METRICS.values():
+        if one.name in known:
+            out[one.name] = known[one.name]
+        elif one.needs_contact and not surface.contact.any():
             continue
-        elif not metric.needs_reference:
-            out[metric.name] = metric.function(surface, model)
+        elif not one.needs_reference:
+            out[one.name] = one.function(surface, model)
         elif reference is not None:
-            out[metric.name] = metric.function(surface, model, reference)
+            out[one.name] = one.function(surface, model, reference)
     return out
 
 
@@ -443,3 +449,6 @@ def _factor_at(depth: float, depths: Array, factors: Array, *, rests: bool) -> f
         return np.nan
     k = int(np.clip(np.searchsorted(x, depth), 1, len(x) - 1))
     return float(y[k - 1] + (depth - x[k - 1]) * (y[k] - y[k - 1]) / (x[k] - x[k - 1]))
+
+
+load_all("vdmbench.measures", "metric_")  # last: they use what is above

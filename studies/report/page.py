@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 
 import numpy as np
 
 from ..machine.files import write_atomically
+from ..machine.modules import load_all
 from ..measures.case import Run
 from ..verdict.digest import Digest
 from ..verdict.formatting import plural
@@ -36,14 +38,17 @@ class PictureError(ValueError):
 MOST_BYTES = 5_000_000
 _MARGIN = 50_000  # markup around the viewer's data
 
-# the order of the page; a section that has nothing to say returns None. The viewer comes after SECTIONS_BEFORE
-SECTIONS_BEFORE: tuple[Callable[[Digest], Section | None], ...] = (
+Make = Callable[[Digest], Section | None]
+
+# the order of the page; a section that has nothing to say returns None. The viewer comes after SECTIONS_BEFORE,
+# what other files `section_NAME.py` have in their SECTIONS after SECTIONS_AFTER, and the APPENDIX last
+SECTIONS_BEFORE: tuple[Make, ...] = (
     headline.headline,
     mesh_convergence,
     error_against_parameters,
     error_against_load,
 )
-SECTIONS_AFTER: tuple[Callable[[Digest], Section | None], ...] = (
+SECTIONS_AFTER: tuple[Make, ...] = (
     force_against_indentation,
     volume_drift,
     numerical_stability,
@@ -51,12 +56,14 @@ SECTIONS_AFTER: tuple[Callable[[Digest], Section | None], ...] = (
     anisotropy_of_the_response,
     run_time_against_error,
     all_measures,
-    case_table,
-    doubts,
-    failures,
-    provenance,
-    how_to_reproduce,
 )
+APPENDIX: tuple[Make, ...] = (case_table, doubts, failures, provenance, how_to_reproduce)
+
+
+@cache
+def _further_sections() -> tuple[Make, ...]:
+    found = load_all("vdmbench.report", "section_")
+    return tuple(make for module in found for make in getattr(module, "SECTIONS", ()))
 
 
 def write_picture(run: Run, path: Path) -> None:
@@ -97,9 +104,8 @@ def page_html(run: Run, render: Renderer) -> str:
 
 def _page_html(digest: Digest, render: Renderer) -> str:
     run, answers = digest.run, verdict.answers(digest)
-    before, after = (
-        [written(s) for make in part if (s := make(digest))] for part in (SECTIONS_BEFORE, SECTIONS_AFTER)
-    )
+    last = (*SECTIONS_AFTER, *_further_sections(), *APPENDIX)
+    before, after = ([written(s) for make in part if (s := make(digest))] for part in (SECTIONS_BEFORE, last))
 
     def page(sections: list[Written]) -> str:
         return html_document(

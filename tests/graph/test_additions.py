@@ -156,3 +156,45 @@ def test_mistakes_in_a_table_of_its_own(springs: Path, table: str, said: str) ->
 def test_a_model_of_another_package_is_benchmarked(springs: Path) -> None:
     told = json.loads(command(springs, "bench", study(springs, STUDY), "--out", "bench", "--json"))
     assert "springs" in {row["model"] for row in told["rows"]}
+
+
+METRIC = """
+import numpy as np
+from .metrics import metric
+
+
+@metric("m", "largest displacement of the model, twice", degree=1, needs_reference=False, sense="descriptive")
+def twice_the_largest(surface, model):
+    return 2.0 * np.linalg.norm(model.displacement, axis=2).max(axis=1)
+"""
+VDM = SMALL_STUDY.replace('["vdm-paper", "fem-linear"]', '["vdm-paper"]').replace(
+    'reference = "fem-linear"\n', ""
+)
+
+
+def test_a_metric(place: Path) -> None:
+    (place / "vdmbench" / "measures" / "metric_twice.py").write_text(METRIC)
+    run(place, SMALL_STUDY)
+    assert "twice_the_largest" in (place / "out" / "metrics.csv").read_text()
+    assert "Twice the largest" in page(place)
+
+
+SECTION = """
+from .blocks import Section, Text
+
+
+def colophon(digest):
+    return Section("colophon", "A new section", [Text(f"cases: {len(digest.cases)}")])
+
+
+SECTIONS = (colophon,)
+"""
+
+
+def test_a_report_section(place: Path) -> None:
+    (place / "vdmbench" / "report" / "section_colophon.py").write_text(SECTION)
+    run(place, VDM)
+    text = page(place)
+    assert "A new section" in text
+    assert "cases: 1" in text
+    assert text.index("A new section") < text.index("How to reproduce")
