@@ -102,12 +102,14 @@ def _check_files(plan: Plan, cases: Sequence[PlannedCase]) -> None:
 def plan_verb(options: argparse.Namespace) -> int:
     """Print what a run would do, and what it would cost."""
     from ..graph.explain import summary
+    from ..graph.space import free_bytes
 
     study, _ = _load(options)
     plan = _make_plan(study, options)
     _require_own(plan, options)
     _check_files(plan, plan.cases_to_run())
-    planned = summary(plan)
+    free = free_bytes(plan.directory)
+    planned = summary(plan) | {"disk_free": free}
     if options.json:
         return print_json(planned)
     print(f"{study.study.title}: {count(len(planned['cases']), 'case')} of {', '.join(study.study.models)}")
@@ -123,7 +125,8 @@ def plan_verb(options: argparse.Namespace) -> int:
     expected = planned["estimate"]
     print(
         f"estimate: {expected['seconds']:.0f} s on one core, {expected['memory'] / 1e6:.0f} MB a worker, "
-        f"{expected['disk'] / 1e6:.1f} MB on disk; each within a factor of {expected['factor']:g}"
+        f"{expected['disk'] / 1e6:.1f} MB on disk ({free / 1e9:.3g} GB free); "
+        f"each within a factor of {expected['factor']:g}"
     )
     return OK
 

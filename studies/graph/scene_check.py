@@ -9,7 +9,6 @@ from ..scene.scene import SceneError, build_scene
 from ..scene.warnings import scene_warnings
 from ..study.config import geometry_error, resolved
 from ..study.problems import Finding, Loc, Problem
-from ..study.schema import Study
 from .plan import Plan, PlannedCase
 
 MOST_SCENES = 20  # of a study, in the order of its cases
@@ -57,7 +56,8 @@ def _doubts(plan: Plan, case: PlannedCase, mesh: Mesh) -> list[Finding]:
     try:
         scene = build_scene(study, mesh)
     except (SceneError, MeshError) as error:
-        finding = (_place(study, str(error)), _in_case(str(error), case))
+        place: Loc = error.place if isinstance(error, SceneError) else ("constraints",)
+        finding = (place, _in_case(str(error), case))
         raise plan.study._source.error([finding], resolved(plan.study)) from error
     data = resolved(study)
     factor = max(map(abs, study.load.history))
@@ -69,11 +69,3 @@ def _doubts(plan: Plan, case: PlannedCase, mesh: Mesh) -> list[Finding]:
 
 def _in_case(text: str, case: PlannedCase) -> str:
     return f"{text} (in the case {case.label})" if case.label else text
-
-
-def _place(study: Study, text: str) -> Loc:
-    """The constraint that a sentence names, the last of several; all of them where it names none."""
-    for place, constraint in reversed(list(enumerate(study.constraints))):
-        if repr(constraint.name) in text or repr(constraint.region) in text:
-            return ("constraints", place)
-    return ("constraints",)

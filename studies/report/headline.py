@@ -136,13 +136,16 @@ def _about_model(summary: ModelSummary) -> str:
 
 
 def _about_setup(summary: ModelSummary) -> str:
-    marks = ["shared"] if summary.shared_cases else []
-    return "\n".join([*marks, *(["earlier"] if summary.earlier_cases else [])])
+    return "\n".join([*(["shared"] if summary.shared_cases else []), *_when_and_where(summary)])
 
 
 def _about_frame(summary: ModelSummary) -> str:
-    marks = ["iterative"] if summary.iterative else []
-    return "\n".join([*marks, *(["earlier"] if summary.earlier_cases else [])])
+    return "\n".join([*(["iterative"] if summary.iterative else []), *_when_and_where(summary)])
+
+
+def _when_and_where(summary: ModelSummary) -> list[str]:
+    marks = {"earlier": summary.earlier_cases, "another machine": summary.elsewhere_cases}
+    return [mark for mark, cases in marks.items() if cases]
 
 
 def _median(spread: Spread | None) -> Cell:
@@ -195,7 +198,9 @@ def _reading(digest: Digest) -> str:
         "Times are medians, memory is the largest amount that the model added."
     )
     if digest.compared:
-        marked = any(s.shared_cases or s.earlier_cases or s.iterative for s in digest.summaries)
+        marked = any(
+            s.shared_cases or s.earlier_cases or s.elsewhere_cases or s.iterative for s in digest.summaries
+        )
         parts += ["What is marked below a time is explained under Run time against error."] if marked else []
     else:
         parts += time_notes(digest.summaries, several=len(digest.cases) > 1)

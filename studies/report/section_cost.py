@@ -57,6 +57,11 @@ def time_notes(summaries: Sequence[ModelSummary], *, several: bool) -> list[str]
             f"Measured earlier ({listed(earlier)}): result and times were taken from an earlier run, not measured "
             "beside the others; ratios to them hold only if the machine was as busy then."
         )
+    if elsewhere := [s.name for s in summaries if s.elsewhere_cases]:
+        notes.append(
+            f"Measured on another machine ({listed(elsewhere)}) than this page was made on: hold these times only "
+            "against times of the same machine."
+        )
     if iterative := [s.name for s in summaries if s.iterative]:
         notes.append(
             f"Solved iteratively ({listed(iterative)}), which suits the few loads of a study: with factors kept, "

@@ -7,6 +7,7 @@ from collections.abc import Callable
 import numpy as np
 
 from ..body.mesh import Array, Index, Mask, Mesh
+from ..study.profiles import PROFILES
 from ..study.schema import Region
 from .regions import profile_coordinate, profile_slope
 
@@ -15,19 +16,6 @@ _SMOOTH = 0.25  # the same far from the rim, where the rule on a facet leaves le
 _FROM_RIM = 3.0  # such changes between a cell and the rim, where the Hertz profile has an infinite slope
 # the products of two barycentric coordinates span the polynomials of second degree, with which loads are integrated
 _PRODUCTS = ((0, 0), (1, 1), (2, 2), (0, 1), (1, 2), (2, 0))
-
-
-def hertz(rho: Array) -> Array:
-    """Pressure over its peak: sqrt(1 - rho^2), nothing beyond the rim rho = 1."""
-    return np.asarray(np.sqrt(np.clip(1.0 - rho**2, 0.0, None)))
-
-
-def gaussian(rho: Array) -> Array:
-    """Pressure over its peak: exp(-9/2 rho^2), the third standard deviation at the rim rho = 1, nothing beyond."""
-    return np.where(rho < 1.0, np.exp(-4.5 * rho**2), 0.0)
-
-
-PROFILES: dict[str, Callable[[Array], Array]] = {"hertz": hertz, "gaussian": gaussian}
 
 
 def on_facets(profile: str, region: Region, mesh: Mesh, rule: tuple[Array, Array]) -> Array:

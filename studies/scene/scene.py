@@ -11,13 +11,21 @@ import numpy as np
 from ..body.mesh import Array, Mask, Mesh
 from ..body.surface_measures import corner_sum, facet_area_vectors, nodal_sum
 from ..machine.errors import InputError
+from ..study.problems import Loc
 from ..study.schema import Anisotropy, Constraint, Region, Study, Tissue
 from .contact_profile import on_facets
 from .regions import body_extent, lies_outside, select
 
 
 class SceneError(InputError):
-    """A scene that cannot be put on its mesh; the message says which part and what to change."""
+    """A scene that cannot be put on its mesh; the message says which part and what to change.
+
+    `place` is that part in the study, as ("constraints", 1) or ("regions", "base").
+    """
+
+    def __init__(self, text: str, place: Loc = ("constraints",)) -> None:
+        super().__init__(text)
+        self.place = place
 
 
 @dataclass(frozen=True)
@@ -147,28 +155,33 @@ def build_scene(study: Study, mesh: Mesh, masks: Mapping[str, Mask] | None = Non
     for constraint in study.constraints:
         mask = masks[constraint.region]
         if not mask.any():
-            raise SceneError(_selects_nothing(constraint.region, study, mesh))
+            raise SceneError(_selects_nothing(constraint.region, study, mesh), ("regions", constraint.region))
         if constraint.kind == "fixed":
             fixed |= mask
         elif constraint.kind == "constrained":
             both = constrained & mask & (prescribed != constraint.displacement).any(axis=1)
             if both.any():
                 raise SceneError(
-                    f"{constraint.name!r} moves {both.sum()} nodes that another constraint moves differently"
+                    f"{constraint.name!r} moves {both.sum()} nodes that another constraint moves differently",
+                    _place(study, constraint),
                 )
             constrained |= mask
             prescribed[mask] = constraint.displacement
         elif constraint.kind == "contact":
             pressure += _contact_pressure(constraint, study, mesh, mask)
         else:
-            raise SceneError(f"constraint {constraint.name!r} is of an unknown kind, {constraint.kind!r}")
+            raise SceneError(
+                f"constraint {constraint.name!r} is of an unknown kind, {constraint.kind!r}",
+                _place(study, constraint),
+            )
     _check_apart(study, masks)
     for constraint in study.constraints:
         overlap = masks[constraint.region] & (fixed | constrained)
         if constraint.kind == "contact" and overlap.any():
             raise SceneError(
                 f"contact {constraint.name!r} covers {overlap.sum()} nodes that are fixed or constrained; "
-                "keep the regions apart"
+                "keep the regions apart",
+                _place(study, constraint),
             )
     return Scene(
         mesh=mesh,
@@ -188,6 +201,11 @@ def build_scene(study: Study, mesh: Mesh, masks: Mapping[str, Mask] | None = Non
     )
 
 
+def _place(study: Study, constraint: Constraint) -> Loc:
+    """The place of this very constraint: another one may be equal to it."""
+    return ("constraints", next(k for k, other in enumerate(study.constraints) if other is constraint))
+
+
 def _check_apart(study: Study, masks: Mapping[str, Mask]) -> None:
     """Refuses nodes that a constraint holds at rest and another one moves."""
     for held in (part for part in study.constraints if part.kind == "fixed"):
@@ -195,7 +213,8 @@ def _check_apart(study: Study, masks: Mapping[str, Mask]) -> None:
             if (count := (masks[held.region] & masks[moved.region]).sum()) > 0:
                 raise SceneError(
                     f"{count} nodes are fixed by {held.name!r} and constrained by {moved.name!r}; "
-                    "keep the regions apart"
+                    "keep the regions apart",
+                    _place(study, moved),
                 )
 
 
@@ -237,13 +256,15 @@ def _contact_pressure(constraint: Constraint, study: Study, mesh: Mesh, mask: Ma
     )
     if total == 0.0:
         raise SceneError(
-            f"contact {constraint.name!r} loads no facet; enlarge its region or take a smaller mesh_size"
+            f"contact {constraint.name!r} loads no facet; enlarge its region or take a smaller mesh_size",
+            _place(study, constraint),
         )
     if constraint.force is not None:
         if resultant < _LEAST_RESULTANT * total:
             raise SceneError(
                 f"contact {constraint.name!r} presses from all sides, so that its pressures have no resultant "
-                "to be given by force; give pressure, or a region on one side"
+                "to be given by force; give pressure, or a region on one side",
+                _place(study, constraint),
             )
         return shape * (constraint.force / resultant)
     return shape * (constraint.pressure or 0.0)

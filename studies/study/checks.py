@@ -26,6 +26,7 @@ from .geometry_spec import Geometry as GeometrySpec
 from .kinds import safe_name
 from .model_name import DISPLACEMENT_ELEMENTS, is_vdm, split
 from .problems import Finding, Loc
+from .profiles import PROFILES
 from .schema import (
     MOST_STEPS,
     Constraint,
@@ -388,11 +389,7 @@ def _check_kind(constraint: Constraint, loc: Loc, regions: dict[str, Region]) ->
     if constraint.kind == "constrained" and "displacement" not in given:
         yield (*loc, "displacement"), 'is missing; give three lengths, such as ["0 mm", "0 mm", "-5 mm"]'
     region = regions.get(constraint.region) if constraint.kind == "contact" else None
-    if (
-        constraint.profile in ("hertz", "gaussian")
-        and region is not None
-        and not _given(region) & {"cap", "ball"}
-    ):
+    if constraint.profile in PROFILES and region is not None and not _given(region) & {"cap", "ball"}:
         yield (
             (*loc, "profile"),
             f"a {constraint.profile} profile needs a region that is a cap or a ball, "

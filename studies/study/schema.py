@@ -47,6 +47,7 @@ from .kinds import (
     positive,
 )
 from .problems import Source
+from .profiles import Profile
 from .table import Table, as_path
 
 if TYPE_CHECKING:
@@ -303,7 +304,7 @@ class Constraint(Table):
     force: Annotated[float, SI("N")] | None = Field(
         None, description="contact: resultant, instead of the pressure"
     )
-    profile: Literal["uniform", "hertz", "gaussian"] | None = Field(
+    profile: Profile | None = Field(
         None,
         description="contact: shape of the pressure, uniform where left out; the others need a cap or ball",
     )

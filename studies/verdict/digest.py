@@ -16,6 +16,7 @@ from ..measures.case import CaseResult, Run
 from ..measures.metrics import DEFORMATION, VECTOR
 from ..models.result import ModelResult
 from ..study.model_name import is_vdm
+from .measured import is_earlier, is_elsewhere, resumed
 from .standing import at_full_load, reference_bar, series, standing
 
 Array = NDArray[np.float64]
@@ -92,6 +93,7 @@ class ModelSummary:
     failed_cases: int  # cases with a step that failed
     shared_cases: int  # cases whose set-up was made for several
     earlier_cases: int  # cases whose result, and with it time and memory, is from an earlier run
+    elsewhere_cases: int  # cases in which it was measured on another machine than the page is made on
     iterative: bool  # whether an iterative solver was chosen in any case
 
 
@@ -243,7 +245,8 @@ class Digest:
         return tuple(self._summary(name) for name in self.models)
 
     def _summary(self, name: str) -> ModelSummary:
-        results = [case.models[name] for case in self.cases if name in case.models]
+        cases = [case for case in self.cases if name in case.models]
+        results, kept = [case.models[name] for case in cases], resumed(self.run)
         steps = [result.seconds_per_step for result in results]
         times = np.concatenate(steps) if steps else np.zeros(0)
         times = times[np.isfinite(times)]
@@ -259,7 +262,8 @@ class Digest:
             peak_bytes=float(max((r.peak_bytes for r in results if _has_answer(r)), default=math.nan)),
             failed_cases=sum(bool(failed_steps(result)) for result in results),
             shared_cases=sum("setup_shared" in result.parameters for result in results),
-            earlier_cases=sum("measured_earlier" in result.parameters for result in results),
+            earlier_cases=sum(is_earlier(case, name, kept) for case in cases),
+            elsewhere_cases=sum(is_elsewhere(case, name) for case in cases),
             iterative=any(result.parameters.get("solver") == "iterative" for result in results),
         )
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
+
 from ..machine.processors import processor_name
 from ..measures.case import CaseResult, Run
 
@@ -9,16 +11,29 @@ EARLIER, ELSEWHERE = "earlier run", "another machine"
 
 
 def measured(run: Run, name: str) -> list[str]:
-    """What is said of a model's times: nothing where all are of their case's own run, on this machine."""
+    """What is said of a model's times: nothing where all are of the run that did the others, on this machine."""
     cases = [case for case in run.cases if name in case.models]
-    here = processor_name()
+    kept = resumed(run)
     marks = {
-        EARLIER: any("measured_earlier" in case.models[name].parameters for case in cases),
-        ELSEWHERE: any(_processor(case, name) not in ("", here) for case in cases),
+        EARLIER: any(is_earlier(case, name, kept) for case in cases),
+        ELSEWHERE: any(is_elsewhere(case, name) for case in cases),
     }
     return [mark for mark, found in marks.items() if found]
 
 
-def _processor(case: CaseResult, name: str) -> str:
-    """What a result was measured on; "" where it is not known."""
-    return str(case.models[name].parameters.get("measured_on", case.provenance.get("processor", "")))
+def resumed(run: Run) -> set[str]:
+    """Hashes of the cases that were done before the last run did others; none where it had nothing to do."""
+    planned = run.plan.get("cases", ())
+    kept = {case["hash"] for case in planned if case.get("state") == "done"}
+    return kept if len(kept) < len(planned) else set()
+
+
+def is_earlier(case: CaseResult, name: str, kept: Collection[str]) -> bool:
+    """Whether a result was not measured beside the others; `kept` are the cases that are resumed."""
+    return case.hash in kept or "measured_earlier" in case.models[name].parameters
+
+
+def is_elsewhere(case: CaseResult, name: str) -> bool:
+    """Whether a result is known to be measured on another machine than this one."""
+    measured_on = case.models[name].parameters.get("measured_on", case.provenance.get("processor", ""))
+    return measured_on not in ("", processor_name())

@@ -198,3 +198,37 @@ def test_a_report_section(place: Path) -> None:
     assert "A new section" in text
     assert "cases: 1" in text
     assert text.index("A new section") < text.index("How to reproduce")
+
+
+PROFILE = """
+from .profiles import profile
+
+
+@profile
+def parabola(rho):
+    return (1.0 - rho**2) * (rho < 1.0)
+"""
+
+
+def test_a_load_profile(place: Path) -> None:
+    (place / "vdmbench" / "study" / "profile_parabola.py").write_text(PROFILE)
+    swept = VDM.replace("force = ", "pressure = ").replace("0.1 N", "100 Pa")
+    swept += '[sweep]\n"constraints.finger.profile" = ["parabola", "gaussian", "hertz"]\n'
+    command(place, "check", study(place, swept))
+    assert len(json.loads(command(place, "plan", "study.toml", "--json"))["cases"]) == 3
+    run(place, swept)
+    told = python(
+        place,
+        "-c",
+        "from pathlib import Path\n"
+        "from vdmbench.store.cases import read_run\n"
+        "for case in read_run(Path('out')).cases:\n"
+        "    print(-case.models['vdm-paper'].reaction_force[-1].sum(axis=0)[2])",
+    )
+    parabola, gaussian, hertz = map(float, told.stdout.split())
+    # resultants of a peak of 1 on a flat disc of area 1: 1/2, 2/9 (1 - exp(-9/2)), 2/3
+    assert abs(parabola) == pytest.approx(0.75 * abs(hertz), rel=0.03)
+    assert abs(gaussian) < abs(parabola) < abs(hertz)
+    assert "parabola" in page(place)
+    unknown = python(place, "-c", COMMAND, "check", study(place, swept.replace('"parabola"', '"parabole"')))
+    assert "parabola" in unknown.stderr

@@ -28,7 +28,9 @@ from vdmbench.cli import doctor
 from vdmbench.cli.main import main
 from vdmbench.graph import run, work
 from vdmbench.graph.local import HerePlaces
+from vdmbench.guard.gate import SEALED_AS
 from vdmbench.machine import files
+from vdmbench.machine.stored_json import sealed
 from vdmbench.report import rebuild
 from vdmbench.store import run_directory
 from vdmbench.store.hdf5 import TRAILER_BYTES
@@ -256,7 +258,7 @@ def _foreign_baseline(directory: Path) -> Sequence[str | Path]:
         main(["accept", str(RUN), "--reason", "a test", "--baseline", "b.json"])
     data = json.loads((directory / "b.json").read_text())
     data["study"] = "another"
-    (directory / "b.json").write_text(json.dumps(data))
+    (directory / "b.json").write_bytes(sealed(data, SEALED_AS))
     return ["gate", RUN, "--baseline", "b.json"]
 
 

@@ -3,17 +3,22 @@
 from __future__ import annotations
 
 import dataclasses
+import json
+import shutil
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+from tests.command import vdmbench, write_study
 from tests.graph.shared_work import ALONE, plan_of, run
 from vdmbench.graph import answers, provenance
 from vdmbench.machine.processors import processor_name
 from vdmbench.measures.case import CaseResult
-from vdmbench.report.headline import headline_metrics, headline_rows
+from vdmbench.report.headline import _table, headline_metrics, headline_rows
+from vdmbench.report.section_cost import time_notes
 from vdmbench.verdict import measured
+from vdmbench.verdict.digest import Digest
 
 from .report_runs import REFERENCE, make_case, make_run
 
@@ -54,6 +59,37 @@ def test_times_say_when_and_where(case: CaseResult, marks: list[str], of_referen
             assert row[column].endswith(f" ({', '.join(expected)})") if expected else "(" not in row[column]
         for time in TIMES:
             assert headline_metrics(shown)[name][time]["measured"] == expected
+        (row_of_page,) = (line for line in _table(Digest(shown)).rows if line[0].text.split()[0] == name)
+        details = "\n".join(cell.detail for cell in row_of_page[1:])
+        for word, mark in (("earlier", "earlier run"), ("another machine", "another machine")):
+            assert (word in details) == (mark in expected)
+    told = " ".join(time_notes(Digest(shown).summaries, several=False))
+    assert ("Measured on another machine" in told) == ("another machine" in [*marks, *of_reference])
+
+
+def test_a_case_that_was_done_before_the_others_is_of_an_earlier_run() -> None:
+    cases = [make_case({"vdm-m": 0.1}, label=label, subdivisions=1) for label in ("a", "b")]
+    cases = [dataclasses.replace(case, hash=2 * str(k)) for k, case in enumerate(cases)]
+    whole = make_run(cases)
+
+    def marks(*states: str) -> list[str]:
+        planned = [{"hash": case.hash, "state": state} for case, state in zip(cases, states, strict=True)]
+        return measured.measured(dataclasses.replace(whole, plan={"cases": planned}), "vdm-m")
+
+    assert marks("done", "missing") == marks("failed", "done") == ["earlier run"]
+    assert marks("missing", "missing") == marks("done", "done") == []
+
+
+def test_an_entire_case_that_is_resumed_says_so(tmp_path: Path) -> None:
+    sweep = '[sweep]\n"tissue.poisson_ratio" = [0.49, 0.4]\n[load]'
+    write_study(tmp_path, a=("[load]", sweep))
+    assert vdmbench("run", "small.toml", cwd=tmp_path).returncode == 0
+    shutil.rmtree(tmp_path / "results/cache")  # so that no answer of its own marks the other case
+    next((tmp_path / "results/runs/small/cases").iterdir()).unlink()
+    said = vdmbench("run", "small.toml", "--json", cwd=tmp_path)
+    assert said.returncode == 0, said.stderr
+    times = json.loads(said.stdout)["metrics"]["vdm-paper"]["seconds_setup"]
+    assert times["measured"] == ["earlier run"]
 
 
 def test_what_another_machine_has_measured_says_so_in_the_next_case(

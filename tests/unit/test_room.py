@@ -6,7 +6,9 @@ from pathlib import Path
 
 import pytest
 
+from tests.command import write_study
 from tests.graph.shared_work import plan_of
+from vdmbench.cli.main import main
 from vdmbench.graph import space as room
 from vdmbench.graph.estimate import Size, case_bytes, estimate
 from vdmbench.graph.explain import summary
@@ -63,3 +65,17 @@ def test_results_beyond_the_disk_are_refused_before_they_run(
 
 def test_the_disk_of_a_directory_that_is_not_there_is_its_parent_s(tmp_path: Path) -> None:
     assert room.free_bytes(tmp_path / "a" / "b") > 0
+
+
+def test_plan_tells_what_is_free_beside_what_it_needs(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(room, "free_bytes", lambda _: 1_230_000_000)
+    write_study(tmp_path)
+    for options in ((), ("--json",)):
+        with pytest.raises(SystemExit) as ended:
+            main(["plan", "small.toml", *options])
+        assert ended.value.code == 0
+        told = capsys.readouterr().out
+        assert ('"disk_free": 1230000000' if options else "MB on disk (1.23 GB free); each") in told

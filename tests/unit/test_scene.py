@@ -20,6 +20,7 @@ from vdmbench.scene.contact_profile import on_facets
 from vdmbench.scene.regions import select
 from vdmbench.scene.scene import Scene, SceneError, build_scene
 from vdmbench.study.config import geometry_of
+from vdmbench.study.problems import Loc
 from vdmbench.study.schema import Region, Study
 
 BASE: dict[str, Any] = {
@@ -349,6 +350,44 @@ def test_environment_pressure_moves_the_datum_only(sphere: Mesh) -> None:
 def test_scenes_that_make_no_sense(sphere: Mesh, tables: dict[str, Any], message: str) -> None:
     with pytest.raises(SceneError, match=message):
         build_scene(study(**tables), sphere)
+
+
+HELD, TOOL = BASE["constraints"][0], {"kind": "constrained", "region": "base", "displacement": [0, 0, 0.001]}
+NOWHERE = {"above": {"axis": "z", "value": 0.06}}
+
+
+@pytest.mark.parametrize(
+    ("tables", "place"),
+    [
+        ({"regions": BASE["regions"] | {"finger": NOWHERE}}, ("regions", "finger")),
+        ({"constraints": [TOOL | {"name": "tool"}, HELD]}, ("constraints", 0)),
+        (
+            {
+                "constraints": [
+                    TOOL,
+                    TOOL | {"name": "b", "displacement": [0, 0, 0.002]},
+                    TOOL | {"name": "c"},
+                ]
+            },
+            ("constraints", 1),
+        ),
+        (
+            {
+                "constraints": [
+                    HELD,
+                    {"kind": "contact", "region": "base", "name": "on", "pressure": 1.0},
+                    HELD | {"name": "on"},
+                ]
+            },
+            ("constraints", 1),
+        ),
+    ],
+)
+def test_a_scene_that_makes_no_sense_says_where(sphere: Mesh, tables: dict[str, Any], place: Loc) -> None:
+    """Words alone would lead elsewhere: other constraints have the same region or name."""
+    with pytest.raises(SceneError) as caught:
+        build_scene(study(**tables), sphere)
+    assert caught.value.place == place
 
 
 def test_a_model_that_refuses_says_why_and_spoils_nothing(sphere: Mesh) -> None:
