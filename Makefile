@@ -8,7 +8,7 @@ RUN := .venv/bin/
 PYTEST := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(RUN)python -m pytest
 
 .PHONY: demo test verify docs baselines accuracy candidates claims calibrations stability setup libraries clean
-.PHONY: bench-vdm bench-fem bench-sharing bench-baseline bench-stages performance error-bars
+.PHONY: bench-vdm bench-fem bench-baseline performance error-bars
 
 demo: setup
 	$(RUN)vdmbench run quickstart
@@ -66,10 +66,6 @@ bench-fem: setup
 	.venv/bin/pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable '.[benchmark]'
 	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(RUN)python -m tests.benchmarks.fem_speed
 
-# 100 linear loads beside one: shared, and each alone; the table in results/FORMAT.md
-bench-sharing: setup
-	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(RUN)python -m tests.benchmarks.sharing
-
 # README's performance section and figure; SURFACE=liver.obj measures a third body. What is measured stays in
 # results/bench/bench.h5: BENCH=results/bench/bench.h5 makes them from it again, without measuring
 performance: setup
@@ -79,10 +75,6 @@ performance: setup
 # the benchmark's machine-independent figures that the tests hold: look at the difference before committing it
 bench-baseline: setup
 	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(RUN)python -m tests.regression.test_bench
-
-# where the time of `make demo` and of sweeps of twenty cases goes; README's table of it
-bench-stages: setup
-	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(RUN)python -m tests.benchmarks.stages
 
 setup: libraries .venv/ready
 

@@ -7,12 +7,14 @@ import pytest
 from numpy.testing import assert_allclose
 
 from tests.unit.vdm_shapes import halved, icosphere, octahedron, torus
-from vdm import FORMULATIONS, Load, Model, Parameters, SolverError, SurfaceMesh
+from vdm import Load, Model, Parameters, SolverError, SurfaceMesh
 from vdm.deformed import DeformableSurface
 from vdm.model import SOLVERS
 from vdm.solvers.anderson import Anderson
 from vdm.solvers.krylov import KrylovSolver
 from vdm.solvers.quasi_linear import sherman_morrison
+
+from .vdm_shapes import WITH_MATRIX
 
 POINTS, TRIANGLES = icosphere(2, (0.05, 0.06, 0.045))
 BODY = SurfaceMesh(POINTS, TRIANGLES)
@@ -20,7 +22,7 @@ DEFORMABLE = DeformableSurface(BODY)
 BASE = POINTS[:, 2] < -0.03
 TOP = (POINTS[TRIANGLES][:, :, 2] > 0.03).all(axis=1)
 PUSH = Load.from_facet_pressure(BODY, np.where(TOP, 100.0, 0.0))
-NAMES = list(FORMULATIONS)
+NAMES = WITH_MATRIX
 VECTOR_FORMS = [
     Parameters(surface_tension=60.0, rotation="none"),
     Parameters(surface_tension=60.0, rotation="global", stretch_stiffness=10.0, foundation=1e3),

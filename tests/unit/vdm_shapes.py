@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from vdm import FORMULATIONS
+
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
@@ -92,3 +94,7 @@ def box(n: int = 4, size: tuple[float, float, float] = (1.0, 1.0, 1.0)) -> tuple
                     triangles += [(a, b, c), (a, c, d)]
     points = np.array(list(corners), dtype=np.float64) / n * np.array(size)
     return points, np.array(triangles)
+
+
+# forms whose operator is a matrix, which every solver takes; the sparse form refuses others by name
+WITH_MATRIX = [name for name in FORMULATIONS if name != "sparse"]
