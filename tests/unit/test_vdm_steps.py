@@ -50,7 +50,9 @@ def test_a_frame_that_asks_for_nothing_computes_nothing(form, solver, monkeypatc
     assert seen == ([] if solver == "linear" else ["displacement"])
     seen.clear()
     first = step.reaction_force, step.energy, step.displacement
-    assert [name for name in seen if name == "apply"] == ["apply"]
+    # the sparse form's factor gives the force at the supports with the answer: no product with the whole operator
+    products = [] if (form, solver) == ("sparse", "linear") else ["apply"]
+    assert [name for name in seen if name == "apply"] == products
     seen.clear()
     assert all(
         a is b for a, b in zip(first, (step.reaction_force, step.energy, step.displacement), strict=True)
