@@ -29,6 +29,16 @@ class _Parser(argparse.ArgumentParser):
         super().error(harmless(message))
 
 
+class _Version(argparse.Action):
+    """Prints the version of the installed package, which is looked up only then."""
+
+    def __call__(self, parser: argparse.ArgumentParser, *_: object) -> None:
+        from importlib.metadata import version
+
+        print(f"{parser.prog} {version('vdmbench')}")
+        parser.exit()
+
+
 def _parser() -> argparse.ArgumentParser:
     parser = _Parser(
         prog="vdmbench",
@@ -37,6 +47,7 @@ def _parser() -> argparse.ArgumentParser:
         "4 machine lacks something, 5 stored results damaged, "
         "6 not all was compared, 70 a bug of the program, 130 interrupted",
     )
+    parser.add_argument("--version", action=_Version, nargs=0, help="print the version")
     verbs = parser.add_subparsers(title="verbs", required=True, metavar="VERB")
 
     def verb(name: str, function: Any, text: str) -> argparse.ArgumentParser:

@@ -1,0 +1,104 @@
+"""The wheel holds all that the command needs: installed alone, away from this checkout, it runs a study."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+import sysconfig
+import venv
+import zipfile
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+
+import pytest
+
+from tests.command import write_study
+
+ROOT = Path(__file__).parents[2]
+SOURCES = ("pyproject.toml", "README.md", "LICENSE", "vdm", "fem_reference", "studies")
+
+
+def _has_backend() -> bool:
+    """Whether the build backend is installed, so that building needs no network."""
+    try:
+        return int(version("setuptools").split(".")[0]) >= 77
+    except PackageNotFoundError:
+        return False
+
+
+@pytest.fixture(scope="module")
+def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Built from a copy: what an earlier build left in a checkout would be packed too."""
+    source, out = tmp_path_factory.mktemp("source"), tmp_path_factory.mktemp("wheel")
+    for name in SOURCES:
+        path = ROOT / name
+        shutil.copytree(path, source / name) if path.is_dir() else shutil.copy(path, source)
+    alone = ["--no-build-isolation"] if _has_backend() else []
+    command = [
+        sys.executable,
+        "-m",
+        "pip",
+        "wheel",
+        "--quiet",
+        "--no-deps",
+        *alone,
+        "--wheel-dir",
+        out,
+        source,
+    ]
+    subprocess.run(command, check=True, capture_output=True)
+    (built,) = out.glob("*.whl")
+    return built
+
+
+@pytest.mark.slow
+def test_the_wheel_holds_every_file_of_the_three_packages_and_nothing_else(wheel: Path) -> None:
+    with zipfile.ZipFile(wheel) as archive:
+        names = archive.namelist()
+    about = {name.partition(".dist-info/")[2] for name in names if ".dist-info/" in name}
+    packed = {name for name in names if ".dist-info/" not in name}
+    homes = {"vdm": "vdm", "fem_reference": "fem_reference", "studies": "vdmbench"}
+    wanted = {
+        f"{package}/{path.relative_to(ROOT / folder).as_posix()}"
+        for folder, package in homes.items()
+        for path in (ROOT / folder).rglob("*")
+        if path.is_file() and path.suffix != ".pyc" and path.name != "README.md"
+    }
+    assert {"vdmbench/cases/quickstart.toml", "vdmbench/report/templates/page.html", "vdm/py.typed"} <= wanted
+    assert packed == wanted
+    assert {name.split("/")[0] for name in packed} == set(homes.values()), "nothing called `studies`"
+    assert "licenses/LICENSE" in about
+
+
+@pytest.mark.slow
+def test_the_installed_wheel_runs_a_study_away_from_the_checkout(wheel: Path, tmp_path: Path) -> None:
+    home, work = tmp_path / "venv", tmp_path / "work"
+    work.mkdir()
+    venv.create(home, symlinks=True)
+    binaries = home / "bin"
+    packages = next((home / "lib").glob("python*/site-packages"))
+    install = ["install", "--quiet", "--no-deps", "--no-index", wheel]
+    environment = {key: value for key, value in os.environ.items() if key != "PYTHONPATH"}
+
+    def run(*command: str | Path) -> str:
+        result = subprocess.run(
+            list(map(str, command)), cwd=work, env=environment, capture_output=True, text=True, check=False
+        )
+        assert result.returncode == 0, f"{command}\n{result.stdout}{result.stderr}"
+        return result.stdout
+
+    run(sys.executable, "-m", "pip", "--python", binaries / "python", *install)
+    # the other packages; the .pth of an editable vdmbench in there is not followed
+    (packages / "others.pth").write_text(sysconfig.get_path("purelib") + "\n")
+    own = Path(run(binaries / "python", "-c", "import vdmbench; print(vdmbench.__file__)").strip())
+    assert own.is_relative_to(packages)
+    number = wheel.name.split("-")[1]
+    told = run(binaries / "python", "-c", "import vdmbench; print(vdmbench.__version__)")
+    assert told == f"{number}\n"
+    assert run(binaries / "vdmbench", "--version") == f"vdmbench {number}\n"
+    assert "quickstart" in run(binaries / "vdmbench", "list")
+    run(binaries / "vdmbench", "check", "quickstart")
+    assert "1 done, 0 failed" in run(binaries / "vdmbench", "run", write_study(work))
+    assert (work / "results/runs/small/report.html").stat().st_size > 10_000
