@@ -1,4 +1,4 @@
-"""Places on this machine: worker processes of pebble's pool, with a limit of memory each and of time for each node.
+"""Places on this machine: worker processes of pebble, with a limit of memory each and of time for each node.
 
 The workers are forked from a clean server process that has loaded the libraries. They end with the program that
 started them, however that ends.
@@ -23,7 +23,7 @@ from pebble import ProcessExpired, ProcessPool
 
 from ..machine.memory import OUT_OF_MEMORY, limit_memory, machine_memory
 from ..machine.processors import usable_processors
-from .work import Said, more_memory, run_node
+from .work import ATTEMPTS, Said, more_memory, run_node
 
 _OF_A_TERMINAL = (signal.SIGINT, signal.SIGHUP)
 _PRELOADED = (
@@ -41,39 +41,23 @@ class LocalPlaces:
 
     def __init__(self, jobs: int, memory: int | None = None) -> None:
         self.count = jobs
-        self._memory = memory or machine_memory() // jobs
-        self._pool = self._started()
-
-    def _started(self) -> ProcessPool:
-        context = multiprocessing.get_context("forkserver")
-        context.set_forkserver_preload(list(_PRELOADED))
-        threads = max(1, usable_processors() // self.count)
-        pool = ProcessPool(
-            max_workers=self.count,
-            context=context,
-            initializer=begin_worker,
-            initargs=(threads, self._memory),
-        )
-        environment = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "RAYON_NUM_THREADS": str(threads)}
+        threads = max(1, usable_processors() // jobs)
+        self._places = [_Place(threads, memory or machine_memory() // jobs) for _ in range(jobs)]
         try:
-            with _environment(**environment):
-                with _deaf():
-                    resource_tracker.ensure_running()  # which lets Ctrl-C through again
-                with _deaf():
-                    ensure_running()
-                    _ = pool.active  # starts it
-        except BaseException:  # Ctrl-C meanwhile: nobody else knows of the pool
-            _stop(pool)
+            for place in self._places:
+                place.start()
+        except BaseException:  # Ctrl-C meanwhile: nobody else knows of them
+            self.close()
             raise
-        return pool
 
     def submit(self, node: str, log: Path, seconds: float | None) -> Future[str]:  # noqa: ARG002
         """See `Places`."""
-        if not self._pool.active:  # a worker died in a way that broke it
-            self.close()
-            self._pool = self._started()
-        future: Future[str] = self._pool.schedule(run_node, args=[node], timeout=seconds)
-        return future
+        return next(place for place in self._places if place.is_free).submit(node, seconds)
+
+    def look(self) -> None:
+        """See `Places`."""
+        for place in self._places:
+            place.look()
 
     def failure(self, error: BaseException, log: str) -> Said:
         """See `Places`."""
@@ -81,12 +65,78 @@ class LocalPlaces:
 
     def close(self) -> None:
         """Stop the workers, at work or not."""
-        _stop(self._pool)
+        for place in self._places:
+            place.stop()
+        for place in self._places:
+            place.join()
 
 
-def _stop(pool: ProcessPool) -> None:
-    pool.stop()  # type: ignore[no-untyped-call]
-    pool.join()
+class _Place:
+    """One worker process, a pool of its own: in one of several, a death may lose the task of another."""
+
+    def __init__(self, threads: int, memory: int) -> None:
+        self._threads, self._memory = threads, memory
+        self._pool: ProcessPool | None = None
+        self._future: Future[str] | None = None
+
+    @property
+    def is_free(self) -> bool:
+        """Whether it has nothing to do."""
+        return self._future is None or self._future.done()
+
+    def start(self) -> ProcessPool:
+        """The pool with its worker, a new one where the last broke."""
+        if self._pool is not None and self._pool.active:
+            return self._pool
+        self.stop()
+        self.join()
+        context = multiprocessing.get_context("forkserver")
+        context.set_forkserver_preload(list(_PRELOADED))
+        self._pool = ProcessPool(
+            max_workers=1, context=context, initializer=begin_worker, initargs=(self._threads, self._memory)
+        )
+        threads = str(self._threads)
+        with _environment(OMP_NUM_THREADS="1", OPENBLAS_NUM_THREADS="1", RAYON_NUM_THREADS=threads):
+            with _deaf():
+                resource_tracker.ensure_running()  # which lets Ctrl-C through again
+            with _deaf():
+                ensure_running()
+                _ = self._pool.active  # starts it
+        return self._pool
+
+    def submit(self, node: str, seconds: float | None) -> Future[str]:
+        """Do a node."""
+        error = None if self._future is None else self._future.exception()
+        if error is not None and not isinstance(error, TimeoutError):
+            self.stop()  # its worker died: perhaps with a lock in its hand
+        for _ in range(ATTEMPTS):
+            with contextlib.suppress(RuntimeError):  # it broke since it was started
+                future: Future[str] = self.start().schedule(run_node, args=[node], timeout=seconds)
+                self._future = future
+                return future
+        broken: Future[str] = Future()
+        broken.set_exception(BrokenProcessPool("the workers die before they begin"))
+        return broken
+
+    def look(self) -> None:
+        """End the wait for a node that a broken pool has lost: its worker died before it said that it began."""
+        if self._future is None or self._future.done() or self._pool is None or self._pool.active:
+            return
+        self.stop()
+        self.join()
+        if not self._future.done():
+            self._future.set_exception(BrokenProcessPool("the worker died before it began"))
+
+    def stop(self) -> None:
+        """Stop the worker, without waiting for it."""
+        if self._pool is not None:
+            self._pool.stop()  # type: ignore[no-untyped-call]
+
+    def join(self) -> None:
+        """Wait until the worker is gone."""
+        if self._pool is not None:
+            self._pool.join()
+            self._pool = None
 
 
 def told(error: BaseException, log: str) -> Said:
@@ -186,6 +236,9 @@ class HerePlaces:
         future: Future[str] = Future()
         future.set_result(run_node(node))
         return future
+
+    def look(self) -> None:
+        """See `Places`."""
 
     def failure(self, error: BaseException, log: str) -> Said:
         """See `Places`."""

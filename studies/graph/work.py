@@ -39,6 +39,8 @@ from .keys import Wanted, level_key
 from .nodes import limits_path
 from .provenance import provenance
 
+ATTEMPTS = 3  # of a node whose process dies
+
 Payload = Mapping[str, Any]
 
 

@@ -9,6 +9,7 @@ import sys
 import time
 from collections.abc import Sequence
 from concurrent.futures import Future
+from concurrent.futures.process import BrokenProcessPool
 from pathlib import Path
 from typing import Any
 
@@ -206,7 +207,7 @@ def test_a_node_tells_its_seconds_of_processor(tmp_path: Path) -> None:
 def test_a_broken_pool_is_started_again(tmp_path: Path) -> None:
     places = LocalPlaces(1)
     try:
-        places._pool.stop()
+        places._places[0].stop()
         text = json.dumps(
             {
                 "id": "x",
@@ -217,5 +218,20 @@ def test_a_broken_pool_is_started_again(tmp_path: Path) -> None:
         )
         future: Future[str] = places.submit(text, tmp_path / "log", None)
         assert json.loads(future.result())[0]["code"] == "done"
+    finally:
+        places.close()
+
+
+def test_a_node_that_a_broken_pool_has_lost_is_told_of(tmp_path: Path) -> None:
+    payload = {"do": "sleep", "path": str(tmp_path / "out")}
+    text = json.dumps({"id": "x", "kind": "test", "payload": payload, "log": str(tmp_path / "log")})
+    places = LocalPlaces(1)
+    try:
+        lost = places.submit(text, tmp_path / "log", None)
+        places.look()
+        assert not lost.done(), "a node at work is left alone"
+        places._places[0].stop()
+        places.look()
+        assert isinstance(lost.exception(timeout=0), BrokenProcessPool)
     finally:
         places.close()
