@@ -18,7 +18,7 @@ test: setup
 	$(RUN)ruff format --check .
 	@mkdir -p build/typed && ln -sfn ../../studies build/typed/vdmbench
 	$(RUN)mypy
-	$(PYTEST) -n $$(nproc) --dist loadfile -m "not slow"
+	$(PYTEST) -n $$(nproc) --dist loadfile -m "not slow" --timeout 600 --timeout-method thread
 
 verify: setup
 	$(PYTEST) --verification

@@ -22,6 +22,6 @@ def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, float]:
     write_study(directory, a=('"16 mm"', '"20 mm"'), b=("[load]", sweep))
     began = time.monotonic()
     process = processes.start("run", "small.toml", "--jobs", "2", cwd=directory)
-    output, _ = process.communicate(timeout=300)
+    output = processes.output_of(process)
     assert process.returncode == 0, output
     return directory, time.monotonic() - began

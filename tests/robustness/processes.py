@@ -36,6 +36,15 @@ def start(*arguments: str, cwd: Path, program: str = "runner") -> subprocess.Pop
     )
 
 
+def output_of(process: subprocess.Popen[str], seconds: float = 300) -> str:
+    """What a command prints, once it has ended; one that does not is killed, that it may not hold up its test."""
+    try:
+        return process.communicate(timeout=seconds)[0]
+    except subprocess.TimeoutExpired:
+        process.kill()
+        raise
+
+
 def endless(node: str) -> str:
     """A node that never ends, and never lets go of its interpreter, as a library may."""
     log = Path(json.loads(node)["log"])

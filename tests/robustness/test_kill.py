@@ -55,7 +55,7 @@ def _kill_worker(process: subprocess.Popen[str], delay: float) -> bool:
         os.kill(victims[-1], signal.SIGKILL)
     except ProcessLookupError:
         return False
-    output, _ = process.communicate(timeout=300)
+    output = processes.output_of(process)
     assert process.returncode in (0, 3), output
     assert "Traceback" not in output
     return True
@@ -89,7 +89,7 @@ def _survive(kills: int, undisturbed: tuple[Path, float], directory: Path) -> Co
             if chance.random() < 0.5:
                 shutil.rmtree(directory / CACHE)
     process = processes.start("run", "small.toml", "--jobs", "2", cwd=directory)
-    output, _ = process.communicate(timeout=300)
+    output = processes.output_of(process)
     assert process.returncode == 0, output
     assert half_written(directory) == []
     assert_same_results(directory, peace)
@@ -111,7 +111,7 @@ def test_nothing_outlives_its_runner(tmp_path: Path, number: signal.Signals, cod
         assert len(family) >= 2, "a server of workers and a worker"
         began = time.monotonic()
         process.send_signal(number)
-        process.communicate(timeout=60)
+        processes.output_of(process, 60)
         processes.wait_until_gone(family, 2)
         print(f"{time.monotonic() - began:.2f} s")
     assert process.returncode == code

@@ -19,7 +19,7 @@ def test_a_case_that_takes_too_much_costs_itself_only(tmp_path: Path) -> None:
     write_study(tmp_path, a=("[load]", '[sweep]\n"geometry.mesh_size" = ["20 mm", "4 mm"]\n[load]'))
     arguments = ("run", "small.toml", "--jobs", "1", "--memory", "200MB")
     with processes.start(*arguments, cwd=tmp_path) as process:
-        output, _ = process.communicate(timeout=300)
+        output = processes.output_of(process)
     assert process.returncode == 3, output
     assert "1 done, 1 failed, 0 missing" in output
     remedy = "out of memory; use a coarser mesh, fewer --jobs, or allow more with --memory"

@@ -20,7 +20,7 @@ def _together(*runs: list[str], cwd: Path) -> list[tuple[int, str]]:
     found = []
     for process in started:
         try:
-            output, _ = process.communicate(timeout=300)
+            output = processes.output_of(process)
         except subprocess.TimeoutExpired:
             process.kill()
             raise
