@@ -1,20 +1,13 @@
-"""Drawing with matplotlib, as inline SVG that takes its colours and fonts from the page.
-
-Text, axes and curves are drawn in marker colours and turned into CSS variables afterwards, so that one drawing
-serves light, dark and print. Ids come from a salt that the caller gives: the same data gives the same bytes.
-"""
+"""The charts: panels drawn with matplotlib, as inline SVG that takes its colours and fonts from the page."""
 
 from __future__ import annotations
 
-import io
-import re
-import warnings
 from collections.abc import Sequence
 from typing import Any
 from xml.sax.saxutils import escape as escape_xml
 
 import numpy as np
-from markupsafe import Markup, escape
+from markupsafe import Markup
 from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure as Canvas
@@ -31,13 +24,12 @@ from numpy.typing import ArrayLike
 
 from ..verdict.digest import REFERENCE, Array
 from ..verdict.formatting import plain, quantity
+from .svg import GRID, INK, MODELS, PALETTE_SIZE, STYLE, for_the_page, svg_of
+from .svg import REFERENCE as REFERENCE_COLOUR
 
-PALETTE_SIZE = 7
 _MOST_TICKS = 16
 MARKERS = ("o", "s", "^", "D", "v", "P", "X")
 LINES = ("-", "--", "-.", ":")
-_INK, _GRID, _REFERENCE = "#010203", "#020304", "#030405"
-_MODELS = tuple(f"#0405{k:02x}" for k in range(PALETTE_SIZE))
 _WIDTH, _HEIGHT = 4.4, 3.0  # inches of 72 points: as wide as a phone, so that text stays readable there
 # the same for all plots, so that their axes line up on the page; room for a label and ticks of eight characters
 _MARGINS = {"left": 0.19, "right": 0.97, "bottom": 0.155, "top": 0.98}
@@ -45,34 +37,28 @@ _LABELS = 0.045, 0.066  # how far the axes' labels are from the left and from th
 _BOTTOM_FOR_SLANTED_NAMES = 0.34
 _Y_LABEL = "\ue000"  # in a drawing, where the label of the y axis comes
 _STYLE: Any = {
-    "svg.fonttype": "none",
-    "svg.hashsalt": "sheet",
-    "font.family": "DejaVu Sans",
-    "font.size": 8.3,
-    "axes.edgecolor": _INK,
-    "axes.labelcolor": _INK,
-    "xtick.color": _INK,
-    "ytick.color": _INK,
-    "text.color": _INK,
+    **STYLE,
+    "axes.edgecolor": INK,
+    "axes.labelcolor": INK,
+    "xtick.color": INK,
+    "ytick.color": INK,
     "axes.spines.top": False,
     "axes.spines.right": False,
     "axes.linewidth": 0.7,
     "xtick.major.width": 0.7,
     "ytick.major.width": 0.7,
     "axes.grid": True,
-    "grid.color": _GRID,
+    "grid.color": GRID,
     "grid.linewidth": 0.6,
     "axes.axisbelow": True,
     "lines.linewidth": 1.6,
     "lines.markersize": 4.5,
-    "text.parse_math": False,
-    "axes.unicode_minus": True,
 }
 
 
 def colour(model: int) -> str:
     """Colour of a model by its number; the reference is `REFERENCE`."""
-    return _REFERENCE if model == REFERENCE else _MODELS[model % PALETTE_SIZE]
+    return REFERENCE_COLOUR if model == REFERENCE else MODELS[model % PALETTE_SIZE]
 
 
 def marker(model: int) -> str:
@@ -127,13 +113,7 @@ class Sheet:
         known = self._drawn_axes.get(look)
         for axis in (axes.xaxis, axes.yaxis):
             axis.set_visible(known is None)
-        out = io.StringIO()
-        metadata = dict.fromkeys(("Date", "Creator", "Format", "Type"))
-        with warnings.catch_warnings():
-            # a glyph that matplotlib's own font lacks is drawn by the browser's
-            warnings.filterwarnings("ignore", "Glyph .* missing", UserWarning)
-            self.canvas.savefig(out, format="svg", metadata=metadata, transparent=True)
-        svg = out.getvalue()
+        svg = svg_of(self.canvas)
         if known is not None:
             return svg.replace(_BEFORE_AXES, _BEFORE_AXES + known, 1)
         start = svg.index(_BEFORE_AXES) + len(_BEFORE_AXES)
@@ -181,49 +161,7 @@ class Plot:
 
     def drawn(self, alt: str) -> Markup:
         """The finished <svg> element; `alt` says in words what it shows. Matplotlib has escaped its texts."""
-        return Markup(_for_the_page(self._svg, alt, self.salt))
-
-
-def _for_the_page(svg: str, alt: str, salt: str) -> str:
-    """The <svg> element with the page's colours, sized by CSS, ids unique on the page."""
-    # bare lines first: of patterns that begin with white space each takes as long as all of these together
-    svg = "\n".join(filter(None, map(str.strip, svg[svg.index("<svg") :].split("\n"))))
-    view_box = re.search(r'viewBox="([^"]+)"', svg)
-    box = view_box.group(1) if view_box else ""
-    svg = svg[svg.index(">") + 1 :]
-    svg = svg.replace("xlink:href=", "href=")
-    names = dict.fromkeys(re.findall(r' id="([^"]+)"', svg))
-    used = {*re.findall(r"url\(#([^)]+)\)", svg), *re.findall(r'href="#([^"]+)"', svg)}
-    short = {name: f"{salt}-{k}" for k, name in enumerate(n for n in names if n in used)}
-    svg = re.sub(r' id="([^"]+)"', lambda m: f' id="{short[m[1]]}"' if m[1] in short else "", svg)
-    svg = re.sub(r"url\(#([^)]+)\)", lambda m: f"url(#{short[m[1]]})", svg)
-    svg = re.sub(r'href="#([^"]+)"', lambda m: f'href="#{short[m[1]]}"', svg)
-    colours = {_INK: "var(--ink)", _GRID: "var(--grid)", _REFERENCE: "var(--reference)"}
-    colours |= {code: f"var(--model-{k})" for k, code in enumerate(_MODELS)}
-    for code, variable in colours.items():
-        svg = svg.replace(code, variable)
-    svg = re.sub(r"\n<style.*?</style>", "", svg, flags=re.S)
-    svg = re.sub(r" font-family: [^;\"]+;?", "", svg)
-    svg = _TAG.sub(lambda tag: _BEYOND_HUNDREDTHS.sub("", tag[0]), svg)  # not in its texts
-    svg = re.sub(r' transform="rotate\(-0 [^"]*"', "", svg)
-    svg = _MARKERS_OF_ONE_STYLE.sub(_style_once, svg)
-    return f'<svg viewBox="{box}" role="img" aria-label="{escape(alt)}" class="plot">{svg}\n'
-
-
-_TAG = re.compile(r"<[^>]*>")
-_BEYOND_HUNDREDTHS = re.compile(r"(?<=\d\.\d\d)\d+")
-_MARKERS_OF_ONE_STYLE = re.compile(
-    r'<g( clip-path="[^"]*")?>\n((?:<use href="[^"]*" x="[^"]*" y="[^"]*" style="[^"]*"/>\n)+)</g>'
-)
-
-
-def _style_once(group: re.Match[str]) -> str:
-    """Markers that share a style have it on their group: half the bytes of a cloud of points."""
-    styles = set(re.findall(r' style="([^"]*)"', group[2]))
-    if len(styles) > 1:
-        return group[0]
-    bare = re.sub(r' style="[^"]*"', "", group[2])
-    return f'<g{group[1] or ""} style="{styles.pop()}">{bare}</g>'
+        return for_the_page(self._svg, alt, self.salt)
 
 
 def percent_axis(axes: Axes, values: ArrayLike) -> None:

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from vdmbench.report import picture
+from vdmbench.report import picture, raster
 from vdmbench.report.page import page_html, write_picture
 from vdmbench.report.picture import Panel, labelled, render
 from vdmbench.report.section_view import heading, still
@@ -94,7 +94,7 @@ def test_page_has_a_picture_of_each_key_case_in_words_too() -> None:
 def test_what_is_in_front_hides_what_is_behind() -> None:
     """A ball right behind another, whatever order their facets are listed in."""
     points, triangles = icosphere(2)
-    near = points + 3 * picture._directions(0.3)[2]
+    near = points + 3 * raster.directions(0.3)[2]
     alone = drawn(Panel(near, triangles, near[:, 2], "viridis", 0.3))
     far = 0.9 * points  # inside the outline of the near one
     for order in (1, -1):
@@ -126,7 +126,7 @@ def test_pixels_are_averaged_by_their_alpha() -> None:
     random = np.random.default_rng(3)
     fine = random.integers(0, 256, (12, 16, 4), dtype=np.uint8)
     fine[:6, :, 3], fine[6:8], fine[:2, :2] = 255, 0, 255
-    found = picture._averaged(fine).astype(float)
+    found = raster.averaged(fine).astype(float)
     blocks = fine.reshape(6, 2, 8, 2, 4).swapaxes(1, 2).reshape(6, 8, 4, 4).astype(float)
     alpha = blocks[..., 3:]
     weighed = (blocks[..., :3] * alpha).sum(axis=2) / np.maximum(alpha.sum(axis=2), 1.0)

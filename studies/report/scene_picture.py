@@ -1,0 +1,296 @@
+"""A scene before it is solved, as one drawing: the body, what holds, presses and moves it, with arrows and a scale.
+
+Arrays in, a picture out: for the page of a run and for a scene that nobody has solved yet.
+"""
+
+from __future__ import annotations
+
+import io
+import warnings
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from textwrap import wrap
+
+import numpy as np
+from markupsafe import Markup
+from matplotlib import rc_context
+from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection
+from matplotlib.colors import to_rgba
+from matplotlib.figure import Figure
+from matplotlib.patches import Patch
+
+from ..body.surface_measures import facet_area_vectors
+from ..verdict.digest import Array
+from ..verdict.formatting import plain, scale_of
+from . import raster
+from .svg import INK, STYLE, for_the_page, svg_of
+
+# kind of a constraint -> (what it is called, colour); told apart by colour-blind readers, on light and dark ground
+KINDS = {
+    "fixed": ("support", "#4477aa"),
+    "contact": ("contact", "#ee6677"),
+    "constrained": ("moved", "#c0a82e"),
+}
+_BODY, _AMBIENT = "#cfd3d6", 0.72  # bright all round: the colours have a meaning
+_PIXELS = 560  # width of the body's drawing
+_WIDTH, _MOST_HEIGHT = 4.4, 4.2  # inches: as wide as a chart
+_LINE = 0.17  # inches, height of a line of text
+_ARROW = 0.24  # length over the body's size
+_FOOT = 0.62  # inches, height of the strip with the scale bar and the axes
+_LETTERS = 70  # of a line of words
+_ELEVATIONS = tuple(np.radians([22.0, 10.0]))
+_AZIMUTHS = tuple(np.radians(np.arange(-57.0, 303.0, 15.0)))
+_CLEARLY = 1.03  # times as much
+
+
+@dataclass(frozen=True)
+class Part:
+    """A region of N nodes with what acts on it.
+
+    `kind` is that of a constraint: "fixed", "contact" or "constrained". `vector` (3,) is the resultant force on the
+    body [N] or the displacement [m]; the arrow has its direction, not its size. `label` stands at the arrow.
+    """
+
+    name: str
+    kind: str
+    nodes: np.ndarray  # (N,) mask
+    vector: np.ndarray | None = None
+    label: str = ""
+
+
+def scene_figure(
+    points: Array, triangles: np.ndarray, parts: Sequence[Part], lines: Sequence[str] = (), *, title: str = ""
+) -> Figure:
+    """The scene as a matplotlib figure, from where its parts are seen best.
+
+    (N, 3) `points` [m], (F, 3) `triangles` that face outwards, `lines` of words below. Nodes of a part that are in
+    none of its whole facets show as dots; what lies on the far side has a dotted outline. The same arrays give the
+    same drawing.
+    """
+    with rc_context(STYLE):
+        return _figure(_Stage(points, triangles, parts), lines, title)
+
+
+def scene_png(
+    points: Array,
+    triangles: np.ndarray,
+    parts: Sequence[Part],
+    lines: Sequence[str] = (),
+    *,
+    title: str = "",
+    dpi: int = 200,
+) -> bytes:
+    """`scene_figure` as a PNG file on white ground."""
+    out = io.BytesIO()
+    with rc_context(STYLE), warnings.catch_warnings():
+        warnings.filterwarnings("ignore", "Glyph .* missing")  # such a letter is drawn as a box
+        figure = _figure(_Stage(points, triangles, parts), lines, title)
+        figure.savefig(out, format="png", dpi=dpi, metadata={"Software": None})
+    return out.getvalue()
+
+
+def scene_svg(points: Array, triangles: np.ndarray, parts: Sequence[Part], *, alt: str, salt: str) -> Markup:
+    """`scene_figure` as an <svg> element in the colours of the page; `alt` tells it in words."""
+    with rc_context(STYLE):
+        return for_the_page(svg_of(_figure(_Stage(points, triangles, parts), (), "")), alt, salt)
+
+
+class _Stage:
+    """A scene with the camera that shows it best."""
+
+    def __init__(self, points: Array, triangles: np.ndarray, parts: Sequence[Part]) -> None:
+        self.points, self.triangles, self.parts = points, triangles, parts
+        self.size = max(float(np.linalg.norm(np.ptp(points, axis=0))), 1e-12)
+        self.arrows = [arrow for part in parts for arrow in self._arrows(part)]
+        self.axes = self._camera()
+        self.seen = points @ self.axes.T
+
+    @cached_property
+    def area_vectors(self) -> Array:
+        """(F, 3) outward, as long as the facet is large [m^2]."""
+        return facet_area_vectors(self.points, self.triangles)
+
+    def facets(self, part: Part) -> np.ndarray:
+        """(F,) mask of the facets that lie in a part with all three nodes."""
+        return np.asarray(part.nodes)[self.triangles].all(axis=1)
+
+    def _arrows(self, part: Part) -> list[tuple[Array, Array, str]]:
+        """(tail, tip, label) of an arrow outside the body, which ends on the surface or starts there."""
+        nodes = np.asarray(part.nodes)
+        if part.vector is None or not nodes.any() or not np.any(part.vector):
+            return []
+        along = _ARROW * self.size * np.asarray(part.vector) / np.linalg.norm(part.vector)
+        centre = self.points[nodes].mean(axis=0)
+        inward = -self.area_vectors[self.facets(part)].sum(axis=0)
+        # of the part's nodes the one where its middle meets the surface
+        node = self.points[nodes][np.argmin(np.linalg.norm(self.points[nodes] - centre, axis=1))]
+        tail, tip = (node - along, node) if inward @ along > 0 else (node, node + along)
+        return [(tail, tip, part.label)]
+
+    def _camera(self) -> Array:
+        """(3, 3) right, up, towards the viewer: a later camera is taken where it shows clearly more."""
+        cameras = [raster.directions(a, e) for e in _ELEVATIONS for a in _AZIMUTHS]
+        best, most = cameras[0], -1.0
+        for camera in cameras:
+            shown = self._shown(camera)
+            if shown > _CLEARLY * most:
+                best, most = camera, shown
+        return best
+
+    def _shown(self, camera: Array) -> float:
+        """How much a camera shows: root of the share of each part that faces it, and the arrows' lengths."""
+        faces = np.clip(self.area_vectors @ camera[2], 0.0, None)
+        areas = np.linalg.norm(self.area_vectors, axis=1)
+        shown = 0.0
+        for part in self.parts:
+            inside = self.facets(part)
+            if inside.any():
+                shown += float(np.sqrt(faces[inside].sum() / max(areas[inside].sum(), 1e-300)))
+        lengths = [np.linalg.norm(camera[:2] @ (tip - tail)) / self.size for tail, tip, _ in self.arrows]
+        return shown + float(sum(lengths)) / _ARROW
+
+    def outline(self, part: Part) -> tuple[Array, np.ndarray]:
+        """(E, 2, 2) edges around a part's facets, as drawn, and (E,) whether they face the viewer."""
+        inside = self.facets(part)
+        edges = np.concatenate([self.triangles[inside][:, [k, (k + 1) % 3]] for k in range(3)])
+        count = Counter(map(tuple, np.sort(edges, axis=1).tolist()))
+        rim = np.array([pair for pair, times in count.items() if times == 1], dtype=int).reshape(-1, 2)
+        normals = np.zeros((len(self.points), 3))
+        for k in range(3):
+            np.add.at(normals, self.triangles[:, k], self.area_vectors)
+        facing = (normals[rim] @ self.axes[2]).sum(axis=1) > 0
+        return self.seen[rim][:, :, :2], facing
+
+    def lone(self, part: Part) -> np.ndarray:
+        """(N,) mask of a part's nodes that no whole facet of it shows."""
+        lone = np.array(part.nodes, dtype=bool)
+        lone[self.triangles[self.facets(part)].ravel()] = False
+        return lone
+
+    @cached_property
+    def frame(self) -> tuple[Array, Array]:
+        """Lower left and upper right corner of the drawing, (2,) and (2,): body, arrows and a margin [m]."""
+        ends = [end @ self.axes.T for tail, tip, _ in self.arrows for end in (tail, tip)]
+        everything = np.concatenate([self.seen, *(end[None] for end in ends)])[:, :2]
+        margin = 0.04 * self.size
+        return everything.min(axis=0) - margin, everything.max(axis=0) + margin
+
+
+def _figure(stage: _Stage, lines: Sequence[str], title: str) -> Figure:
+    words = [row for line in lines for row in wrap(line, _LETTERS)]
+    rows = -(-len(stage.parts) // 2)
+    low, high = stage.frame
+    width, height = np.maximum(high - low, 1e-12)
+    below, above = _LINE * (len(words) + rows + 0.8), _LINE * (2 if title else 0)
+    drawing = min(_WIDTH * height / width, _MOST_HEIGHT)
+    total = below + _FOOT + drawing + above
+    figure = Figure((_WIDTH, total))
+    axes = figure.add_axes((0.0, (below + _FOOT) / total, 1.0, drawing / total))
+    axes.set_xlim(low[0], high[0])
+    axes.set_ylim(low[1], high[1])
+    axes.set_aspect("equal", anchor="C")
+    axes.set_axis_off()
+    _draw_body(axes, stage)
+    for arrow in stage.arrows:
+        _draw_arrow(axes, stage, *arrow)
+    metres = max(width, height * _WIDTH / drawing) / _WIDTH  # per inch
+    foot = figure.add_axes((0.0, below / total, 1.0, _FOOT / total))
+    foot.set_xlim(0.0, _WIDTH)
+    foot.set_ylim(0.0, _FOOT)
+    foot.set_axis_off()
+    _draw_scale(foot, metres)
+    _draw_triad(foot, stage.axes)
+    if stage.parts:
+        handles = [Patch(color=KINDS[part.kind][1], label=_legend(part)) for part in stage.parts]
+        figure.legend(
+            handles=handles,
+            ncols=2,
+            frameon=False,
+            handlelength=1.0,
+            handleheight=1.0,
+            loc="upper left",
+            bbox_to_anchor=(0.01, below / total),
+            borderaxespad=0.0,
+        )
+    for k, row in enumerate(reversed(words)):
+        figure.text(0.03, _LINE * (k + 0.4) / total, row)
+    if title:
+        figure.text(0.03, 1 - _LINE * 1.2 / total, title, fontsize="large")
+    return figure
+
+
+def _legend(part: Part) -> str:
+    called = KINDS[part.kind][0]
+    name = part.name if len(part.name) <= 24 else f"{part.name[:23]}…"
+    return f"{called}: {name}" if name and name != called else called
+
+
+def _draw_body(axes: Axes, stage: _Stage) -> None:
+    low, high = stage.frame
+    width, height = high - low
+    n_rows = max(1, round(_PIXELS * height / width))
+    colours = np.tile(to_rgba(_BODY), (len(stage.triangles), 3, 1))
+    for part in stage.parts:
+        colours[stage.facets(part)] = to_rgba(KINDS[part.kind][1])
+    scale = raster.FINER * _PIXELS / width
+    pixels = raster.drawn(
+        stage.seen, stage.triangles, colours, scale, -scale * low, _PIXELS, n_rows, _AMBIENT
+    )
+    axes.imshow(pixels, extent=(low[0], high[0], low[1], high[1]), interpolation="nearest", aspect="equal")
+    for part in stage.parts:
+        colour = KINDS[part.kind][1]
+        edges, facing = stage.outline(part)
+        axes.add_collection(
+            LineCollection(list(edges[~facing]), colors=colour, linewidths=1.0, linestyles=":")
+        )
+        axes.add_collection(LineCollection(list(edges[facing]), colors=colour, linewidths=1.2))
+        dots = stage.seen[stage.lone(part)]
+        axes.plot(dots[:, 0], dots[:, 1], "o", color=colour, markersize=3.0, markeredgewidth=0)
+    axes.set_xlim(low[0], high[0])
+    axes.set_ylim(low[1], high[1])
+
+
+def _draw_arrow(axes: Axes, stage: _Stage, tail: Array, tip: Array, label: str) -> None:
+    start, end = ((stage.axes @ place)[:2] for place in (tail, tip))
+    _arrow(axes, start, end, "-|>", 1.8)
+    low, high = stage.frame
+    middle = (low + high) / 2
+    x, y = max(start, end, key=lambda place: float(np.linalg.norm(place - middle)))
+    upright = abs(end - start)[1] > abs(end - start)[0]
+    right, low_end = x > middle[0], y < (start + end)[1] / 2
+    axes.annotate(
+        label,
+        (x, y),
+        xytext=(5, -3) if upright else (0, -14 if low_end else 7),  # beside the arrow's outer end
+        textcoords="offset points",
+        ha="right" if right and not upright else "left",
+        fontweight="bold",
+    )
+
+
+def _arrow(axes: Axes, start: Array, end: Array, style: str, width: float) -> None:
+    look = {"arrowstyle": style, "color": INK, "linewidth": width, "shrinkA": 0, "shrinkB": 0}
+    axes.annotate("", (end[0], end[1]), (start[0], start[1]), arrowprops=look)
+
+
+def _draw_scale(foot: Axes, metres: float) -> None:
+    """A bar of a round length near an inch; `metres` are in an inch of the drawing."""
+    decade = 10.0 ** np.floor(np.log10(metres))
+    length = float(decade * max(step for step in (1.0, 2.0, 5.0) if step * decade <= metres * 1.001))
+    factor, unit = scale_of("m", [length])
+    left, base = 0.15, 0.14
+    foot.plot([left, left + length / metres], [base, base], color=INK, linewidth=2.4, solid_capstyle="butt")
+    foot.text(left, base + 0.07, f"{plain(length / factor)} {unit}")
+
+
+def _draw_triad(foot: Axes, camera: Array) -> None:
+    """The directions of x, y and z at the right; the one that points away from the viewer most is drawn first."""
+    origin, size = np.array([_WIDTH - 0.55, 0.2]), 0.3
+    for k in np.argsort(camera[2], kind="stable"):
+        ahead = size * camera[:2, k]
+        _arrow(foot, origin, origin + ahead, "->", 1.0)
+        x, y = origin + 1.3 * ahead
+        foot.text(x, y, "xyz"[k], ha="center", va="center")

@@ -1,0 +1,85 @@
+"""SVG of matplotlib as a part of the page: it takes its colours and fonts from there.
+
+Text, axes and curves are drawn in marker colours and turned into CSS variables afterwards, so that one drawing
+serves light, dark and print. Ids come from a salt that the caller gives: the same data gives the same bytes.
+"""
+
+from __future__ import annotations
+
+import io
+import re
+import warnings
+from typing import Any
+
+from markupsafe import Markup, escape
+from matplotlib.figure import Figure
+
+PALETTE_SIZE = 7
+# drawn in these, shown in the page's
+INK, GRID, REFERENCE = "#010203", "#020304", "#030405"
+MODELS = tuple(f"#0405{k:02x}" for k in range(PALETTE_SIZE))
+STYLE: Any = {
+    "svg.fonttype": "none",
+    "svg.hashsalt": "sheet",
+    "font.family": "DejaVu Sans",
+    "font.size": 8.3,
+    "text.color": INK,
+    "text.parse_math": False,
+    "axes.unicode_minus": True,
+}
+
+
+def svg_of(figure: Figure) -> str:
+    """The SVG file of a figure, to be drawn inside `rc_context(STYLE)`."""
+    out = io.StringIO()
+    metadata = dict.fromkeys(("Date", "Creator", "Format", "Type"))
+    with warnings.catch_warnings():
+        # a glyph that matplotlib's own font lacks is drawn by the browser's
+        warnings.filterwarnings("ignore", "Glyph .* missing", UserWarning)
+        figure.savefig(out, format="svg", metadata=metadata, transparent=True)
+    return out.getvalue()
+
+
+def for_the_page(svg: str, alt: str, salt: str) -> Markup:
+    """The <svg> element of a drawing with the page's colours, sized by CSS, ids unique on the page.
+
+    `alt` says in words what it shows. Matplotlib has escaped the texts of the drawing.
+    """
+    # bare lines first: of patterns that begin with white space each takes as long as all of these together
+    svg = "\n".join(filter(None, map(str.strip, svg[svg.index("<svg") :].split("\n"))))
+    view_box = re.search(r'viewBox="([^"]+)"', svg)
+    box = view_box.group(1) if view_box else ""
+    svg = svg[svg.index(">") + 1 :]
+    svg = svg.replace("xlink:href=", "href=")
+    names = dict.fromkeys(re.findall(r' id="([^"]+)"', svg))
+    used = {*re.findall(r"url\(#([^)]+)\)", svg), *re.findall(r'href="#([^"]+)"', svg)}
+    short = {name: f"{salt}-{k}" for k, name in enumerate(n for n in names if n in used)}
+    svg = re.sub(r' id="([^"]+)"', lambda m: f' id="{short[m[1]]}"' if m[1] in short else "", svg)
+    svg = re.sub(r"url\(#([^)]+)\)", lambda m: f"url(#{short[m[1]]})", svg)
+    svg = re.sub(r'href="#([^"]+)"', lambda m: f'href="#{short[m[1]]}"', svg)
+    colours = {INK: "var(--ink)", GRID: "var(--grid)", REFERENCE: "var(--reference)"}
+    colours |= {code: f"var(--model-{k})" for k, code in enumerate(MODELS)}
+    for code, variable in colours.items():
+        svg = svg.replace(code, variable)
+    svg = re.sub(r"\n<style.*?</style>", "", svg, flags=re.S)
+    svg = re.sub(r" font-family: [^;\"]+;?", "", svg)
+    svg = _TAG.sub(lambda tag: _BEYOND_HUNDREDTHS.sub("", tag[0]), svg)  # not in its texts
+    svg = re.sub(r' transform="rotate\(-0 [^"]*"', "", svg)
+    svg = _MARKERS_OF_ONE_STYLE.sub(_style_once, svg)
+    return Markup(f'<svg viewBox="{box}" role="img" aria-label="{escape(alt)}" class="plot">{svg}\n')
+
+
+_TAG = re.compile(r"<[^>]*>")
+_BEYOND_HUNDREDTHS = re.compile(r"(?<=\d\.\d\d)\d+")
+_MARKERS_OF_ONE_STYLE = re.compile(
+    r'<g( clip-path="[^"]*")?>\n((?:<use href="[^"]*" x="[^"]*" y="[^"]*" style="[^"]*"/>\n)+)</g>'
+)
+
+
+def _style_once(group: re.Match[str]) -> str:
+    """Markers that share a style have it on their group: half the bytes of a cloud of points."""
+    styles = set(re.findall(r' style="([^"]*)"', group[2]))
+    if len(styles) > 1:
+        return group[0]
+    bare = re.sub(r' style="[^"]*"', "", group[2])
+    return f'<g{group[1] or ""} style="{styles.pop()}">{bare}</g>'
