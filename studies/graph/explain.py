@@ -36,6 +36,7 @@ def summary(plan: Plan) -> dict[str, Any]:
             "reference": study.reference,
             "claims": list(study.claims),
             "sweep": plan.study.sweep.mode,
+            "acceptance": plan.study.acceptance.model_dump(exclude_none=True),
         },
         "command": list(plan.command),
         "directory": str(plan.directory),

@@ -151,7 +151,11 @@ def _rounded(value: float) -> float:
 
 def _inputs(case: CaseResult) -> str:
     """SHA-256 of what the case was asked, without the study's names and lists."""
-    own = {key: value for key, value in case.resolved.items() if key not in ("study", "sweep", "calibration")}
+    own = {
+        key: value
+        for key, value in case.resolved.items()
+        if key not in ("study", "sweep", "calibration", "acceptance")
+    }
     if isinstance(geometry := own.get("geometry"), Mapping) and "path" in geometry:
         own["geometry"] = {**geometry, "path": Path(str(geometry["path"])).name}
     return hashlib.sha256(json.dumps(own, sort_keys=True).encode()).hexdigest()

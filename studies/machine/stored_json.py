@@ -38,6 +38,19 @@ class PlannedShape(Shape):
     mesh: str = ""
 
 
+_Limit = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
+
+
+class AcceptanceShape(Shape):
+    """The limits of [acceptance], in SI; a plan of an older program has none."""
+
+    displacement_error: _Limit = 0.10
+    deformation_error: _Limit = 0.10
+    largest_difference: _Limit | None = None
+    region: str | None = None
+    frame_time: _Limit | None = None
+
+
 class StudyShape(Shape):
     """What plan.json says of the study."""
 
@@ -47,6 +60,7 @@ class StudyShape(Shape):
     reference: str | None = None
     claims: list[int] = []
     sweep: str | None = None
+    acceptance: AcceptanceShape = AcceptanceShape()
 
 
 class FilesShape(Shape):

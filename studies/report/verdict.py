@@ -8,9 +8,10 @@ from collections.abc import Iterable, Sequence
 from ..measures.case import CaseResult
 from ..measures.uncertainty import is_resolved
 from ..study.model_name import PARAMETERS, is_vdm
+from ..verdict.acceptance import LOST, OPEN, WITHIN
 from ..verdict.digest import Digest, ModelSummary, Spread
 from ..verdict.formatting import listed, plain, plural, quantity, short_percent, swept_value
-from ..verdict.standing import CLOSE, LOST, OPEN, WITHIN, case_state, word_of
+from ..verdict.standing import word_of
 from .blocks import Answer
 from .section_errors import parameter_name
 from .verdict_load import beyond_small_strain, loads_in_words, value_range
@@ -70,8 +71,8 @@ def _good_enough(digest: Digest, best: ModelSummary, rated: dict[str, Spread], o
         return _answer(question, "Not judged", [rest, _accuracy(digest, best, among=len(rated))])
     if outside:
         return _answer(question, "Not judged", [outside, _accuracy(digest, best, among=len(rated))])
-    states = [case_state(case, best.name, case.full_load) for case in digest.cases]
-    limit = short_percent(CLOSE)
+    states = [digest.limits.state(case, best.name, case.full_load) for case in digest.cases]
+    limit = digest.limits.in_words
     count, within, left, lost = len(states), *map(states.count, (WITHIN, OPEN, LOST))
     beyond = count - within - left - lost
     every = " in every case" if count > 1 else ""
@@ -108,7 +109,8 @@ def _what_decides(digest: Digest, states: Sequence[str]) -> str:
         values = [v for v in dict.fromkeys(case.swept.get(key) for case in digest.cases) if v in inside]
         shown = [swept_value(v, unit) for v in values if v is not None]
         if len(shown) <= _MOST_VALUES:
-            return f"Within {short_percent(CLOSE)} are the cases with {parameter_name(key)} = {' or '.join(shown)}."
+            within = f"Within {digest.limits.in_words} are the cases with"
+            return f"{within} {parameter_name(key)} = {' or '.join(shown)}."
     return ""
 
 

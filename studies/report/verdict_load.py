@@ -9,9 +9,10 @@ import numpy as np
 
 from ..measures.case import CaseResult
 from ..study.model_name import FINITE_STRAIN, split
+from ..verdict.acceptance import WITHIN, Acceptance
 from ..verdict.digest import Digest
 from ..verdict.formatting import listed, plain, quantity, short_percent, swept_value
-from ..verdict.standing import CLOSE, WITHIN, at_full_load, case_state
+from ..verdict.standing import at_full_load
 from .section_errors import parameter_name
 from .section_force import (
     contact_pressure,
@@ -97,10 +98,10 @@ def _is_load(key: str) -> bool:
 
 def _over_history(digest: Digest, model: str) -> str:
     """Up to which step of their histories the cases are within the tolerance."""
-    reached = [_reached(case, model) for case in digest.cases]
+    reached = [_reached(case, model, digest.limits.of_load) for case in digest.cases]
     whole = sum(step == case.full_load for step, case in zip(reached, digest.cases, strict=True))
     none = sum(step is None for step in reached)
-    limit = short_percent(CLOSE)
+    limit = digest.limits.of_load.in_words
     if len(reached) == 1:
         case, (step,) = digest.cases[0], reached
         if step is None:
@@ -117,13 +118,13 @@ def _over_history(digest: Digest, model: str) -> str:
     return f"{model} stays surely within {limit} {listed(parts)}."
 
 
-def _reached(case: CaseResult, model: str) -> int | None:
+def _reached(case: CaseResult, model: str, limits: Acceptance) -> int | None:
     """The step of the largest load up to which every step is within the tolerance, None where none is."""
     found = None
     for step in np.argsort(np.abs(case.load_factors), kind="stable"):
         if case.load_factors[step] == 0.0:
             continue
-        if case_state(case, model, int(step)) != WITHIN:
+        if limits.state(case, model, int(step)) != WITHIN:
             return found
         found = int(step)
     return found
@@ -172,13 +173,13 @@ def _over_sweep(digest: Digest, model: str, key: str) -> str:
     unit = next((case.swept_units.get(key, "1") for case in cases), "1")
     held: float | None = None
     for value in values:
-        if any(case_state(case, model, case.full_load) != WITHIN for case in at[value]):
+        if any(digest.limits.of_load.state(case, model, case.full_load) != WITHIN for case in at[value]):
             break
         held = value
-    limit, name = short_percent(CLOSE), parameter_name(key)
+    limit, name = digest.limits.of_load.in_words, parameter_name(key)
     tried = f"{swept_value(values[0], unit)} to {swept_value(values[-1], unit)}"
     if held is None:
-        some = any(case_state(case, model, case.full_load) == WITHIN for case in cases)
+        some = any(digest.limits.of_load.state(case, model, case.full_load) == WITHIN for case in cases)
         text = f"No {name} tried ({tried}) surely keeps every case within {limit}"
         return f"{text}: what else varies decides." if some and len(digest.swept_keys) > 1 else f"{text}."
     if held == values[-1]:

@@ -175,6 +175,9 @@ def build_scene(study: Study, mesh: Mesh, masks: Mapping[str, Mask] | None = Non
                 _place(study, constraint),
             )
     _check_apart(study, masks)
+    judged = study.acceptance.region
+    if judged is not None and not masks[judged].any():
+        raise SceneError(_selects_nothing(judged, study, mesh), ("acceptance", "region"))
     for constraint in study.constraints:
         overlap = masks[constraint.region] & (fixed | constrained)
         if constraint.kind == "contact" and overlap.any():

@@ -69,6 +69,7 @@ def check(study: Study) -> Iterator[Finding]:
     yield from _check_constraints(study)
     yield from _check_history(study.load)
     yield from _check_loads(study)
+    yield from _check_acceptance(study)
 
 
 def unknown(value: str, known: Sequence[str], what: str, *, list_all: bool = True) -> str:
@@ -441,6 +442,19 @@ def _check_loads(study: Study) -> Iterator[Finding]:
                 f"the weight of a body {extent:g} m across is a pressure of {weight:g} Pa, more than ten times "
                 f"Young's modulus ({modulus:g} Pa): a mixed-up unit?",
             )
+
+
+def _check_acceptance(study: Study) -> Iterator[Finding]:
+    """A region that is there, and has a limit to go with."""
+    limits = study.acceptance
+    region = limits.region if limits is not None else None
+    if region is None:
+        return
+    if study.regions is not None and region not in study.regions:
+        yield ("acceptance", "region"), unknown(region, list(study.regions), "region")
+    if "largest_difference" not in _given(limits):
+        text = 'decides nothing without largest_difference; give that, such as "1 mm", or leave region out'
+        yield ("acceptance", "region"), text
 
 
 def _largest_extent(geometry: Geometry) -> float | None:

@@ -43,7 +43,7 @@ __all__ = [
 ALL_LOADS = "load"  # limits.along: every load of the study, in proportion
 MAX_BYTES = 1_000_000  # of a study file
 
-_NOT_HASHED = {"study", "sweep", "calibration"}
+_NOT_HASHED = {"study", "sweep", "calibration", "acceptance"}
 _LONG_NUMBER = re.compile(r"\d[\d_]{4000,}")
 
 
@@ -141,8 +141,9 @@ def case_inputs(study: Study) -> dict[str, Any]:
     """The part of `resolved` that a case's hash covers: all that decides its numbers.
 
     That is geometry, tissue, vdm, models (the overrides), regions, constraints, load, gravity, environment,
-    anisotropy, limits and uncertainty; not the name, title, list of models, reference, sweep and
-    calibration. A geometry file is named by its path: hash its content beside this (`geometry_spec.geometry_key`).
+    anisotropy, limits and uncertainty; not the name, title, list of models, reference, sweep,
+    calibration and acceptance. A geometry file is named by its path: hash its content beside this
+    (`geometry_spec.geometry_key`).
     """
     return {key: value for key, value in resolved(study).items() if key not in _NOT_HASHED}
 

@@ -16,7 +16,7 @@ from .schema import MOST_NAMES, Region, Study, Sweep, model_table
 from .table import Table
 from .units import DIMENSIONS
 
-_NEVER_SWEPT = {"study", "sweep", "limits", "calibration"}
+_NEVER_SWEPT = {"study", "sweep", "limits", "calibration", "acceptance"}
 
 
 def keys_of(table: type[Table]) -> dict[str, FieldInfo]:

@@ -6,15 +6,17 @@ import math
 import re
 from collections.abc import Callable
 from dataclasses import dataclass
+from decimal import Decimal
 from typing import Annotated, Any, Literal, TypeGuard
 
 from pydantic import AfterValidator, BeforeValidator, GetCoreSchemaHandler
 from pydantic_core import CoreSchema, core_schema
 
-from .units import QuantityError, shown, to_si, type_name
+from .units import NUMBER, QuantityError, shown, to_si, type_name
 
 MAX_NAME = 64  # characters
 MOST_NUMBERS = 10_000  # of a list of quantities
+_PERCENT = re.compile(rf"\s*({NUMBER})\s*%\s*")
 _NAME = re.compile(rf"[A-Za-z0-9][A-Za-z0-9_.-]{{0,{MAX_NAME - 1}}}")
 
 Vector3 = tuple[float, float, float]
@@ -105,7 +107,26 @@ def _no_nodal_rotation(value: Any) -> Any:
     return value
 
 
+def _as_share(value: Any) -> Any:
+    """A text such as "5 %" as the number that it is; a plain number stays."""
+    if not isinstance(value, str):
+        return value
+    match = _PERCENT.fullmatch(value)
+    if match is None:
+        raise ValueError(
+            f'{shown(value)} is not a share; write it as "5 %" or as a plain number, such as 0.05'
+        )
+    return float(Decimal(match.group(1)) / 100)
+
+
 Length = Annotated[float, SI("m"), positive]
+Time = Annotated[float, SI("s"), positive]
+Share = Annotated[
+    float,
+    SI("1"),
+    number_check(lambda v: 0 < v <= 1, 'must be above 0 and at most 1, which is 100 % (write "5 %" or 0.05)'),
+    BeforeValidator(_as_share),
+]
 Position = Annotated[Vector3, SI("m", (3,))]
 Direction = Annotated[Vector3, SI("1", (3,)), AfterValidator(nonzero)]
 Modulus = Annotated[float, SI("Pa"), not_negative]

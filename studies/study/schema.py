@@ -39,6 +39,8 @@ from .kinds import (
     Pressure,
     Rotation,
     Shape,
+    Share,
+    Time,
     Vector3,
     is_safe_name,
     not_negative,
@@ -430,6 +432,24 @@ class Uncertainty(Table):
     )
 
 
+class Acceptance(Table):
+    """[acceptance]: how far off a model may be; the verdict answers each, and no result depends on them"""
+
+    displacement_error: Share = Field(
+        0.10, description='most displacement error at full load, such as "5 %" or 0.05'
+    )
+    deformation_error: Share = Field(
+        0.10, description="most deformation error, the error in the change of shape"
+    )
+    largest_difference: Length | None = Field(
+        None, description="most difference in displacement at any node; none where left out"
+    )
+    region: str | None = Field(
+        None, description="the region whose nodes largest_difference is for; the whole surface where left out"
+    )
+    frame_time: Time | None = Field(None, description="most time that a frame may take; none where left out")
+
+
 class Study(Table):
     """A whole study file, validated, in SI units."""
 
@@ -449,6 +469,7 @@ class Study(Table):
     limits: Limits | None = Field(None, description="small-strain limits")
     calibration: Calibration | None = Field(None, description="how the [vdm] parameters are fitted")
     uncertainty: Uncertainty | None = Field(None, description="the reference's own error")
+    acceptance: Acceptance = Field(Acceptance(), description="how far off a model may be")
     models: dict[str, Annotated[SerializeAsAny[VdmTable], WrapValidator(_of_model)]] = Field(
         {}, description="[vdm] keys for one model only, and its own", max_length=MOST_NAMES
     )

@@ -26,6 +26,7 @@ DIMENSIONS = {
     "Pa/m": ("a pressure per length", "1 kPa/mm"),
     "kg/m^3": ("a density", "1060 kg/m^3"),
     "m/s^2": ("an acceleration", "9.81 m/s^2"),
+    "s": ("a time", "1 ms"),
     "1": ("a plain number", "0.45"),
 }
 # what nearly every study writes, in the unit of its dimension; pint, 0.4 s to start, knows all others
@@ -38,6 +39,7 @@ _COMMON = {
     "Pa/m": {"Pa/m": "1"},
     "kg/m^3": {"kg/m^3": "1"},
     "m/s^2": {"m/s^2": "1"},
+    "s": {"s": "1", "ms": "0.001", "us": "1e-6"},
 }
 _ANGLES = {"radian", "degree", "turn", "arcminute", "arcsecond", "milliradian", "grade"}
 

@@ -16,6 +16,7 @@ from ..measures.case import CaseResult, Run
 from ..measures.metrics import DEFORMATION, VECTOR
 from ..models.result import ModelResult
 from ..study.model_name import is_vdm
+from .acceptance import Acceptance, acceptance
 from .measured import is_earlier, is_elsewhere, resumed
 from .standing import at_full_load, reference_bar, series, standing
 
@@ -107,6 +108,11 @@ class Digest:
     def cases(self) -> Sequence[CaseResult]:
         """The finished cases."""
         return self.run.cases
+
+    @cached_property
+    def limits(self) -> Acceptance:
+        """How far off a model may be."""
+        return acceptance(self.run.study)
 
     @cached_property
     def surfaces(self) -> dict[str, Surface]:
@@ -269,10 +275,10 @@ class Digest:
 
     @cached_property
     def focus(self) -> str | None:
-        """The model that the page looks at closely: the candidate that stands best, by the larger of its errors."""
+        """The model that the page looks at closely: the candidate that stands best against the limits."""
         rated = [s.name for s in self.summaries if s.name in self.candidates and s.vector is not None]
         if rated:
-            return min(rated, key=lambda name: standing(self.cases, name))
+            return min(rated, key=lambda name: standing(self.cases, name, self.limits))
         others = [name for name in self.models if name != self.reference]
         return next(iter([*others, *self.models]), None)
 

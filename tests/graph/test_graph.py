@@ -142,9 +142,10 @@ def test_a_further_force_costs_no_answer(tmp_path: Path, cache: Path, made: Coun
     assert not made
 
 
-def test_a_word_in_the_title_costs_no_node(tmp_path: Path, cache: Path) -> None:
+def test_a_word_in_the_title_and_a_limit_of_acceptance_cost_no_node(tmp_path: Path, cache: Path) -> None:
     run(plan_of(tmp_path, cache))
-    plan = plan_of(tmp_path, cache, study=TABLES["study"] | {"title": "Another"})
+    title, tighter = TABLES["study"] | {"title": "Another"}, {"displacement_error": 0.01}
+    plan = plan_of(tmp_path, cache, study=title, acceptance=tighter)
     assert graph(plan, plan.cases_to_run(), 1, "") == []
 
 

@@ -1,0 +1,167 @@
+"""How far off a model may be: the limits of [acceptance], and where a model stands against each in a case."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..measures import uncertainty
+from ..measures.case import CaseResult
+from ..measures.metrics import DEFORMATION, VECTOR, max_nodal_error
+from .formatting import short_percent
+
+Array = NDArray[np.float64]
+
+CLOSE = 0.10  # of both errors where a study says nothing: the "within 10 %" that the paper's claim speaks of
+NODAL = max_nodal_error.__name__
+WITHIN, OPEN, BEYOND, LOST = "within", "open", "beyond", "lost"
+NOT_ASKED = ""  # of a limit that a case has nothing to hold against
+
+
+@dataclass(frozen=True)
+class Criterion:
+    """One limit of [acceptance].
+
+    Attributes
+    ----------
+    key, name : in the study file, and in words
+    allowed : the most that is accepted, in `unit`
+    of_load : whether what it limits grows with the load
+    values : case, model -> (S,) what is limited at each step, NaN where there is none
+    bar : case -> the reference's own part in it, NaN where not measured
+    """
+
+    key: str
+    name: str
+    allowed: float
+    unit: str
+    of_load: bool
+    values: Callable[[CaseResult, str], Array]
+    bar: Callable[[CaseResult], float]
+    region: str = ""
+
+    def at(self, case: CaseResult, model: str, step: int) -> float:
+        """What is limited, at one step."""
+        return float(self.values(case, model)[step])
+
+    def state(self, case: CaseResult, model: str, step: int) -> str:
+        """WITHIN or BEYOND, whatever the reference's own error is; else OPEN. LOST without an answer.
+
+        An error of the reference that was not measured counts as none. A reference that moves as a rigid body has
+        no change of shape, and a model's error in that is NOT_ASKED.
+        """
+        value, bar = self.at(case, model, step), self.bar(case)
+        bar = bar if math.isfinite(bar) else 0.0
+        if not math.isfinite(value):
+            return NOT_ASKED if self.key == "deformation_error" else LOST
+        if value + bar <= self.allowed:
+            return WITHIN
+        return BEYOND if value - bar > self.allowed else OPEN
+
+
+@dataclass(frozen=True)
+class Acceptance:
+    """The limits of a study, those of its errors first."""
+
+    criteria: tuple[Criterion, ...]
+
+    @property
+    def of_load(self) -> Acceptance:
+        """Those that a larger load can break."""
+        return Acceptance(tuple(one for one in self.criteria if one.of_load))
+
+    def state(self, case: CaseResult, model: str, step: int) -> str:
+        """The worst of the limits' states."""
+        states = {one.state(case, model, step) for one in self.criteria}
+        return next(state for state in (LOST, BEYOND, OPEN, WITHIN) if state in states)
+
+    @property
+    def in_words(self) -> str:
+        """What to be within: the one figure where both errors have the same and nothing else is limited."""
+        allowed = {(one.allowed, one.unit) for one in self.criteria}
+        return (
+            short_percent(self.criteria[0].allowed)
+            if allowed == {(self.criteria[0].allowed, "1")}
+            else "the limits"
+        )
+
+    def share(self, case: CaseResult, model: str) -> float:
+        """The largest of what is limited over its limit at full load; infinite without an answer."""
+        shares = np.array([one.at(case, model, case.full_load) / one.allowed for one in self.criteria])
+        return float(np.nanmax(shares)) if math.isfinite(shares[0]) else math.inf
+
+
+def acceptance(study: Mapping[str, Any]) -> Acceptance:
+    """The limits of a study as its plan has it; `CLOSE` in both errors where it says nothing."""
+    given: Mapping[str, Any] = study.get("acceptance") or {}
+    found = [
+        _error("displacement_error", "displacement error", VECTOR, given),
+        _error("deformation_error", "change of shape", DEFORMATION, given),
+    ]
+    if (most := given.get("largest_difference")) is not None:
+        found.append(_largest_difference(float(most), str(given.get("region") or "")))
+    if (most := given.get("frame_time")) is not None:
+        found.append(
+            Criterion(
+                "frame_time", "time per frame", float(most), "s", False, _frame_times, lambda _: math.nan
+            )
+        )
+    return Acceptance(tuple(found))
+
+
+def _error(key: str, name: str, metric: str, given: Mapping[str, Any]) -> Criterion:
+    return Criterion(
+        key,
+        name,
+        float(given.get(key, CLOSE)),
+        "1",
+        True,
+        lambda case, model: _series(case, model, metric),
+        lambda case: uncertainty.reference_bar(case.reference_error, metric),
+    )
+
+
+def _largest_difference(most: float, region: str) -> Criterion:
+    """At any node, or at those of a region: the reference's own part in that is no more than at any node."""
+    return Criterion(
+        "largest_difference",
+        f"largest difference in {region}" if region else "largest difference",
+        most,
+        "m",
+        True,
+        lambda case, model: _differences(case, model, region) if region else _series(case, model, NODAL),
+        lambda case: uncertainty.reference_bar(case.reference_error, NODAL),
+        region,
+    )
+
+
+def _series(case: CaseResult, model: str, metric: str) -> Array:
+    entry = case.metrics.get(model, {}).get(metric)
+    return _nothing(case) if entry is None or not len(entry.values) else entry.values
+
+
+def _differences(case: CaseResult, model: str, region: str) -> Array:
+    """(S,) largest |u - r| of a region's nodes [m]."""
+    mask = case.regions.get(region)
+    reference = case.models.get(str(case.reference))
+    if mask is None or not mask.any() or reference is None or model not in case.models:
+        return _nothing(case)
+    gaps = case.models[model].displacement[:, mask] - reference.displacement[:, mask]
+    return np.linalg.norm(gaps, axis=2).max(axis=1)
+
+
+def _frame_times(case: CaseResult, model: str) -> Array:
+    """(S,) the median time of a step of the case, of which each has its share of chance."""
+    result = case.models.get(model)
+    times = result.seconds_per_step if result is not None else np.zeros(0)
+    known = times[np.isfinite(times)]
+    return np.full(len(case.load_factors), np.median(known) if len(known) else math.nan)
+
+
+def _nothing(case: CaseResult) -> Array:
+    return np.full(len(case.load_factors), math.nan)

@@ -1,0 +1,172 @@
+"""The limits of [acceptance]: read from a study, held against each case, and no part of any result."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from tests.graph import shared_work
+from tests.graph.shared_work import TABLES, plan_of
+from tests.in_process import outcomes_of
+from vdmbench.graph.explain import summary
+from vdmbench.machine.stored_json import StudyShape
+from vdmbench.measures.case import CaseResult
+from vdmbench.study.config import load_study
+from vdmbench.verdict.acceptance import BEYOND, LOST, OPEN, WITHIN, acceptance
+from vdmbench.verdict.digest import Digest
+
+from .report_runs import REFERENCE, make_case, make_run
+from .study_texts import SMALL, problems
+
+cache, meshes = shared_work.cache, shared_work.meshes  # the fixtures
+LINES = SMALL.count("\n")
+
+
+def limits_of(tmp_path: Path, table: str) -> dict[str, Any]:
+    path = tmp_path / "study.toml"
+    path.write_text(SMALL + table)
+    return load_study(path).acceptance.model_dump(exclude_none=True)
+
+
+def test_what_a_study_may_limit(tmp_path: Path) -> None:
+    usual = {"displacement_error": 0.1, "deformation_error": 0.1}
+    assert limits_of(tmp_path, "") == usual
+    assert limits_of(tmp_path, "[acceptance]\n") == usual
+    assert limits_of(tmp_path, '[acceptance]\ndisplacement_error = "5 %"\n') == usual | {
+        "displacement_error": 0.05
+    }
+    every = (
+        "[acceptance]\ndisplacement_error = 0.02\n"
+        'deformation_error = "12.5%"\nlargest_difference = "1 mm"\nregion = "tip"\nframe_time = "0.5 ms"\n'
+    )
+    assert limits_of(tmp_path, every) == {
+        "displacement_error": 0.02,
+        "deformation_error": 0.125,
+        "largest_difference": 0.001,
+        "region": "tip",
+        "frame_time": 0.0005,
+    }
+
+
+@pytest.mark.parametrize(
+    ("line", "key", "told"),
+    [
+        ('displacement_error = "5 mm"', "displacement_error", 'is not a share; write it as "5 %"'),
+        ("displacement_error = 5", "displacement_error", "at most 1, which is 100 %"),
+        ('deformation_error = "0 %"', "deformation_error", "must be above 0"),
+        ('largest_difference = "1 N"', "largest_difference", "is not a unit of a length"),
+        ('frame_time = "-1 ms"', "frame_time", "must be positive"),
+        ('frame_time = "1 mm"', "frame_time", "is not a unit of a time"),
+        ('largest_difference = 0.001\nregion = "tipp"', "region", 'did you mean "tip"?'),
+        ('\nregion = "tip"', "region", "decides nothing without largest_difference"),
+        ("displacement = 0.1", "displacement", 'did you mean "displacement_error"?'),
+    ],
+)
+def test_a_mistake_is_told_with_its_line(tmp_path: Path, line: str, key: str, told: str) -> None:
+    ((number, where, text),) = problems(tmp_path, f"{SMALL}[acceptance]\n{line}\n")
+    assert (number, where) == (LINES + 2 + line.count("\n"), f"acceptance.{key}")
+    assert told in text
+
+
+def test_a_limit_is_no_axis(tmp_path: Path) -> None:
+    text = f'{SMALL}[sweep]\n"acceptance.displacement_error" = [0.05, 0.1]\n'
+    ((_, where, _),) = problems(tmp_path, text)
+    assert where == 'sweep."acceptance.displacement_error"'
+
+
+def test_the_plan_holds_the_limits(tmp_path: Path, cache: Path) -> None:
+    tighter = {"displacement_error": 0.01, "largest_difference": 0.001, "region": "finger"}
+    plan = plan_of(tmp_path, cache, acceptance=tighter)
+    stored = summary(plan)["study"]
+    assert stored["acceptance"] == tighter | {"deformation_error": 0.1}
+    StudyShape.model_validate(stored)
+
+
+def test_a_region_without_a_node_is_refused(tmp_path: Path, cache: Path) -> None:
+    away = {"ball": {"center": [1.0, 0.0, 0.0], "radius": 0.01}}
+    plan = plan_of(
+        tmp_path,
+        cache,
+        regions=TABLES["regions"] | {"away": away},
+        acceptance={"largest_difference": 0.001, "region": "away"},
+    )
+    ((_, failed),) = {(o.ok, o.said.message) for o in outcomes_of(plan) if not o.ok}
+    assert "region 'away' selects no node of the mesh" in failed
+
+
+# --- against a case ---
+
+
+def states(case: CaseResult, model: str = "vdm-m", **table: Any) -> dict[str, str]:
+    """Limit -> where a model stands at full load."""
+    return {
+        one.key: one.state(case, model, case.full_load) for one in acceptance({"acceptance": table}).criteria
+    }
+
+
+def test_each_limit_has_its_own_answer() -> None:
+    case = make_case({"vdm-m": 0.08}, subdivisions=2)
+    largest = np.linalg.norm(case.models[REFERENCE].displacement[-1], axis=1).max()
+    table = {
+        "displacement_error": 0.05,
+        "largest_difference": 1.01 * 0.08 * largest,
+        "frame_time": 1e-4,  # it takes 4e-4 s
+    }
+    assert states(case, **table) == {
+        "displacement_error": BEYOND,
+        "deformation_error": WITHIN,
+        "largest_difference": WITHIN,
+        "frame_time": BEYOND,
+    }
+    assert states(case, largest_difference=0.99 * 0.08 * largest)["largest_difference"] == BEYOND
+    assert states(case, frame_time=1e-3)["frame_time"] == WITHIN
+
+
+def test_a_region_restricts_the_largest_difference() -> None:
+    case = make_case({"vdm-m": 0.0}, subdivisions=2)
+    off = case.models["vdm-m"].displacement.copy()
+    off[:, ~case.regions["finger"]] += [0.0, 0.003, 0.0]
+    off[:, case.regions["finger"]] += [0.001, 0.0, 0.0]
+    moved = dataclasses.replace(case.models["vdm-m"], displacement=off)
+    case = dataclasses.replace(case, models={**case.models, "vdm-m": moved})
+    for most, state in ((0.00101, WITHIN), (0.00099, BEYOND)):
+        assert states(case, largest_difference=most, region="finger")["largest_difference"] == state
+    criterion = acceptance({"acceptance": {"largest_difference": 1.0, "region": "base"}}).criteria[-1]
+    assert_allclose(criterion.values(case, "vdm-m"), 0.003, rtol=1e-12, atol=0)
+    # what the reference itself may be off anywhere counts
+    bar = dataclasses.replace(case, reference_error={"gci:max_nodal_error": 2e-5})
+    assert states(bar, largest_difference=0.00101, region="finger")["largest_difference"] == OPEN
+
+
+def test_without_an_answer_every_limit_is_lost() -> None:
+    case = make_case({"vdm-m": 0.01}, stopped={"vdm-m": 3}, subdivisions=0)
+    found = acceptance({"acceptance": {"largest_difference": 1.0, "region": "finger"}})
+    assert states(case, largest_difference=1.0, region="finger")["largest_difference"] == LOST
+    assert found.state(case, "vdm-m", 3) == LOST
+    assert found.share(case, "vdm-m") == np.inf
+
+
+def test_the_best_form_is_the_one_nearest_to_its_limits() -> None:
+    """vdm-a is 8 / 8 % off, vdm-b 4 / 12 %: with 5 % in displacement b is nearer, with 10 % in both a."""
+    case = make_case({"vdm-a": 0.08, "vdm-b": 0.04}, subdivisions=0)
+    name = "relative_l2_deformation_error"
+    own = case.metrics["vdm-b"]
+    metrics = {
+        **case.metrics,
+        "vdm-b": own | {name: dataclasses.replace(own[name], values=np.full(4, 0.12))},
+    }
+    case = dataclasses.replace(case, metrics=metrics)
+
+    def focus(**table: float) -> str | None:
+        return Digest(make_run([case], acceptance=table)).focus
+
+    assert focus() == "vdm-a"
+    assert focus(displacement_error=0.05, deformation_error=0.1) == "vdm-b"
+    assert focus(displacement_error=0.06, deformation_error=0.2) == "vdm-b"
+    assert focus(frame_time=1e-3) == "vdm-a"
+    assert focus(frame_time=5e-4) == "vdm-a", "the first takes 0.4 ms, the second 0.8 ms"
