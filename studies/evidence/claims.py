@@ -29,10 +29,10 @@ from ..report.judgement import (
     in_words,
     own_bar,
 )
-from ..report.section_limits import is_measured, strain_in_words, strain_range, strain_side
 from ..study.model_name import REFINED, is_linear, is_vdm, split
 from ..verdict.digest import Digest, failed_steps
 from ..verdict.formatting import listed, percent, plain, plural, quantity, short_percent
+from ..verdict.growth import is_measured, strain_in_words, strain_range, strain_side
 from ..verdict.standing import at_full_load, reference_bar, series
 from .claim_figures import Line, bars, curves, histories
 

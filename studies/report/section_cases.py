@@ -7,10 +7,9 @@ import math
 from ..measures.case import CaseResult
 from ..measures.metrics import DEFORMATION, VECTOR
 from ..verdict.digest import Digest, failed_steps
-from ..verdict.formatting import NOTHING, listed, percent, plural, swept_value
+from ..verdict.formatting import NOTHING, listed, parameter_name, percent, plural, swept_value
 from ..verdict.standing import at_full_load, reference_bar
 from .blocks import Block, Cell, Column, Section, Table, Text
-from .section_errors import parameter_name
 
 _OPEN_ROWS = 12
 _MOST_CELLS = 9000  # of the page; the rest is in metrics.csv

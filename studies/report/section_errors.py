@@ -12,7 +12,7 @@ from matplotlib.axes import Axes
 from ..measures.case import CaseResult
 from ..measures.metrics import DEFORMATION, VECTOR
 from ..verdict.digest import REFERENCE, Digest
-from ..verdict.formatting import listed, scale_of, short_percent, swept_value
+from ..verdict.formatting import listed, parameter_name, scale_of, short_percent, swept_value
 from ..verdict.standing import reference_bar, series
 from .blocks import Block, Figure, Figures, Section, Text
 from .plots import (
@@ -39,16 +39,6 @@ _ASIDE = 0.05  # between the clouds of two models at a named value, where neighb
 _PARTS_OF = "Normal and tangential component, contact region and far field against"
 _MOST_MARKED = 25  # points of a line that get a marker; of more, every k-th
 _MOST_JOINED = 12  # values of a parameter that a line through medians joins
-
-
-def parameter_name(key: str) -> str:
-    """A swept key as words: `tissue.poisson_ratio` is "Poisson ratio"."""
-    parts = key.split(".")
-    if parts[-1].isdecimal() and len(parts) > 1:  # a component of a vector
-        parts = [*parts[:-2], f"{parts[-2]} {'xyz'[int(parts[-1])] if int(parts[-1]) < 3 else parts[-1]}"]
-    words = parts[-1].replace("_", " ")
-    words = words.replace("poisson", "Poisson").replace("youngs", "Young's")
-    return f"{words} of {parts[-2]}" if len(parts) > 2 else words
 
 
 def error_against_parameters(digest: Digest) -> Section | None:

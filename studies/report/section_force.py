@@ -2,17 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
-from ..body.surface_measures import facet_area_vectors
 from ..measures.case import CaseResult
 from ..verdict.digest import Array, Digest
 from ..verdict.formatting import listed, quantity, scale_of
+from ..verdict.loading import (
+    constraints,
+    contact_pressure,
+    contact_resultant,
+    indentation,
+    moved,
+    movement_force,
+    name_of,
+    weighs,
+)
 from .blocks import Figure, Figures, Section, Text
 from .plots import Plot, Sheet, colour, line, marker
 
@@ -53,7 +61,7 @@ def force_against_indentation(digest: Digest) -> Section | None:
             if figure is not None:
                 figures.append(figure)
                 notes[push.note] = None
-                if any(_weighs(case) for case in cases):
+                if any(weighs(case) for case in cases):
                     notes[_WEIGHT_NOTE] = None
     if not figures:
         return None
@@ -79,7 +87,7 @@ def _groups(digest: Digest) -> list[tuple[Sequence[CaseResult], str]]:
 
 
 def _pushes(cases: Sequence[CaseResult]) -> list[Push]:
-    contacts = [c for c in _constraints(cases[0]) if c.get("kind") == "contact"]
+    contacts = [c for c in constraints(cases[0]) if c.get("kind") == "contact"]
     names = list(moved(cases[0]))
     found: list[Push] = []
     how: tuple[str, str, Callable[[Digest, CaseResult], Curves]] | None
@@ -93,7 +101,7 @@ def _pushes(cases: Sequence[CaseResult]) -> list[Push]:
         how = None
     if how is not None:
         y_label, unit, curves = how
-        place = listed(_name(c) for c in contacts)
+        place = listed(name_of(c) for c in contacts)
         found.append(Push(place, "indentation", y_label, unit, _CONTACT_NOTE, curves))
     for name in names:
         found.append(
@@ -107,121 +115,6 @@ def _pushes(cases: Sequence[CaseResult]) -> list[Push]:
             )
         )
     return found
-
-
-def _constraints(case: CaseResult) -> Sequence[Mapping[str, object]]:
-    return case.resolved.get("constraints", ())
-
-
-def _weighs(case: CaseResult) -> bool:
-    gravity = case.resolved.get("gravity")
-    return isinstance(gravity, Mapping) and bool(np.any(gravity.get("acceleration", 0.0)))
-
-
-def _name(constraint: Mapping[str, object]) -> str:
-    return str(constraint.get("name") or constraint.get("region") or "")
-
-
-def moved(case: CaseResult) -> dict[str, Mapping[str, object]]:
-    """Constraints that move their region: name -> constraint."""
-    return {
-        _name(constraint): constraint
-        for constraint in _constraints(case)
-        if constraint.get("kind") == "constrained"
-        and np.any(_prescribed(constraint))
-        and str(constraint.get("region")) in case.regions
-    }
-
-
-def _prescribed(constraint: Mapping[str, object]) -> Array:
-    """(3,) displacement at load factor 1 [m], zero where none is given."""
-    given = constraint.get("displacement")
-    if not isinstance(given, Sequence) or len(given) != 3:
-        return np.zeros(3)
-    return np.array(given, dtype=np.float64)
-
-
-def supports(case: CaseResult) -> NDArray[np.bool_]:
-    """(N,) nodes that a support holds or moves."""
-    mask = np.zeros(len(case.points), dtype=bool)
-    for constraint in _constraints(case):
-        if (
-            constraint.get("kind") in ("fixed", "constrained")
-            and str(constraint.get("region")) in case.regions
-        ):
-            mask |= case.regions[str(constraint.get("region"))]
-    return mask
-
-
-def contact_resultant(case: CaseResult) -> float | None:
-    """Force of a case's only contact at load factor 1 [N]; None where the stored inputs do not tell.
-
-    Given as `force`, or the integral of a uniform pressure over the facets whose three nodes are in its region.
-    """
-    contacts = [c for c in _constraints(case) if c.get("kind") == "contact"]
-    if len(contacts) != 1:
-        return None
-    contact = contacts[0]
-    if isinstance(force := contact.get("force"), int | float):
-        return float(force)
-    mask = case.regions.get(str(contact.get("region")))
-    pressure = contact.get("pressure")
-    if (
-        mask is None
-        or not isinstance(pressure, int | float)
-        or contact.get("profile", "uniform") != "uniform"
-    ):
-        return None
-    first, second, third = mask[case.triangles].T
-    vectors = facet_area_vectors(case.points, case.triangles[first & second & third])
-    return float(pressure * np.linalg.norm(vectors.sum(axis=0)))
-
-
-def contact_pressure(case: CaseResult) -> float | None:
-    """Pressure of a case's only contact at load factor 1 [Pa], whatever its profile; None where none is given."""
-    contacts = [c for c in _constraints(case) if c.get("kind") == "contact"]
-    pressure = contacts[0].get("pressure") if len(contacts) == 1 else None
-    return float(pressure) if isinstance(pressure, int | float) else None
-
-
-def indentation(case: CaseResult, models: Iterable[str], normals: Array) -> dict[str, Array]:
-    """Model -> (S,) displacement along the normal, inwards, of the node in contact that it moves farthest [m].
-
-    Negative where the contact pulls. Of all nodes where no contact is stored.
-
-    Parameters
-    ----------
-    normals : (N, 3) outward unit normals of the undeformed surface
-    """
-    mask = np.zeros(len(case.points), dtype=bool)
-    for constraint in _constraints(case):
-        if constraint.get("kind") == "contact" and str(constraint.get("region")) in case.regions:
-            mask |= case.regions[str(constraint.get("region"))]
-    nodes = np.flatnonzero(mask if mask.any() else ~mask)
-    steps, along = np.arange(len(case.load_factors)), normals[nodes]
-    found = {}
-    for model in models:
-        inward = -np.einsum("sij,ij->si", case.models[model].displacement[:, nodes], along)
-        found[model] = inward[steps, np.abs(inward).argmax(axis=1)]
-    return found
-
-
-def movement_force(case: CaseResult, model: str, name: str) -> tuple[Array, Array]:
-    """(S,) prescribed displacement [m] of a region and (S,) force along it [N] that holds the region there.
-
-    The force is the sum of the reactions of the region's nodes, projected on the direction of the displacement.
-
-    Raises
-    ------
-    KeyError
-        no constraint of this name moves its region.
-    """
-    constraint = moved(case)[name]
-    prescribed = _prescribed(constraint)
-    length = float(np.linalg.norm(prescribed))
-    mask = case.regions[str(constraint.get("region"))]
-    resultant = case.models[model].reaction_force[:, mask].sum(axis=1)
-    return case.load_factors * length, resultant @ (prescribed / length)
 
 
 def _under_contact(digest: Digest, case: CaseResult) -> Curves:

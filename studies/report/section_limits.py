@@ -3,19 +3,15 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
-from itertools import starmap
 
-from ..measures.case import CaseResult, Limit, ModelLimits
+from ..measures.case import Limit, ModelLimits
 from ..measures.limits import LARGEST, MOST_STRAIN
 from ..measures.uncertainty import is_resolved
 from ..verdict.digest import Digest
 from ..verdict.formatting import NOT_MEASURED, NOTHING, listed, percent, quantity, short_percent
+from ..verdict.growth import LINEAR, LimitRow, limit_rows, limits_in_words
 from .blocks import Block, Cell, Column, Section, Table, Text
 
-LINEAR = "fem-linear"  # whose growth limit is the linearisation limit
-PAPER_STRAIN = 0.10  # "small deformations and small strains (< 10 %)"
 _WHY = {
     "unresolved": "unresolved: a finer mesh does not bear it out",
     "beyond": "not reached",
@@ -24,20 +20,9 @@ _WHY = {
 }
 
 
-@dataclass(frozen=True)
-class _Row:
-    """One model's limit at one threshold in one case."""
-
-    case: CaseResult
-    model: str
-    entry: ModelLimits
-    unit: str
-    limit: Limit
-
-
 def small_strain_limits(digest: Digest) -> Section | None:
     """Structural error and growth limits per model and case, and how they compare with the paper's 10 % strain."""
-    rows = list(_rows(digest.cases))
+    rows = list(limit_rows(digest.cases))
     if not rows:
         return None
     found = [case.small_strain for case in digest.cases if case.small_strain is not None]
@@ -61,138 +46,7 @@ def small_strain_limits(digest: Digest) -> Section | None:
     )
 
 
-def limits_in_words(digest: Digest) -> list[str]:
-    """What the limits say of the focus model and of small-strain theory, for the top of the page."""
-    rows = list(_rows(digest.cases))
-    return [sentence for sentence in (_growth(digest, rows), _against_the_paper(rows)) if sentence]
-
-
-def is_measured(limit: Limit) -> bool:
-    """Whether some mesh has the limit."""
-    return limit.state in ("found", "unresolved")
-
-
-def strain_side(limit: Limit) -> int:
-    """Where a limit's strain lies of the paper's bound: -1 below, 1 above, 0 where that is unresolved.
-
-    A bar that was not measured counts as none, one that straddles the bound as unresolved.
-    """
-    if limit.state == "unresolved":
-        return 0
-    low, high = strain_range(limit)
-    return 1 if low >= PAPER_STRAIN else -1 if high < PAPER_STRAIN else 0
-
-
-def strain_range(limit: Limit) -> tuple[float, float]:
-    """The ends of a limit's bar of strain."""
-    half = limit.strain * limit.strain_bar if math.isfinite(limit.strain_bar) else 0.0
-    return limit.strain - half, limit.strain + half
-
-
-def strain_in_words(limit: Limit) -> str:
-    """A limit's strain with its bar where that was measured."""
-    return _with_bar(limit.strain, limit.strain * limit.strain_bar)
-
-
-def _rows(cases: Iterable[CaseResult]) -> Iterator[_Row]:
-    for case in cases:
-        if case.small_strain is None:
-            continue
-        for model, entry in case.small_strain.models.items():
-            for limit in entry.limits:
-                yield _Row(case, model, entry, case.small_strain.unit, limit)
-
-
-def _against_the_paper(rows: list[_Row]) -> str:
-    found, denied = (
-        [row for row in rows if row.model == LINEAR and row.limit.state == state]
-        for state in ("found", "unresolved")
-    )
-    theory = f"small-strain theory ({LINEAR}) departs from finite strain"
-    if not found:
-        return f"Where {theory} is unresolved: a finer mesh does not bear it out." if denied else ""
-    parts = []
-    for threshold in sorted({row.limit.threshold for row in found}):
-        mine = [row.limit for row in found if row.limit.threshold == threshold]
-        ends = [min(mine, key=lambda limit: limit.strain), max(mine, key=lambda limit: limit.strain)]
-        parts.append(
-            f"{short_percent(threshold)} at a largest principal strain of {_span(map(strain_in_words, ends))}"
-        )
-    sides = [strain_side(row.limit) for row in found]
-    below, open_ = sides.count(-1), sides.count(0)
-    bound = f"the paper's bound of {short_percent(PAPER_STRAIN)} strain"
-    told = [f"{below} of these {len(found)} limits lie below {bound}"] if below else []
-    told += (
-        [f"of {open_} of these {len(found)} it is unresolved on which side of {bound} they lie"]
-        if open_
-        else []
-    )
-    told = told or [f"all of these lie above {bound}"]
-    told += [f"a finer mesh does not bear out {len(denied)} more, unresolved"] if denied else []
-    verdict = listed(told)
-    return f"S{theory[1:]} by {listed(parts)}. {verdict[0].upper()}{verdict[1:]}."
-
-
-def _growth(digest: Digest, rows: list[_Row]) -> str:
-    """One sentence on the model that the page looks at closely, at the smallest threshold.
-
-    Every number is of the finest mesh there is, or says that it is not.
-    """
-    own = [row for row in rows if row.model == digest.focus and math.isfinite(row.entry.structural_error)]
-    if not own or digest.focus == LINEAR:
-        return ""
-    errors = sorted((row.entry.structural_error, row.entry.structural_bar) for row in own)
-    text = (
-        f"{digest.focus} is {_span(starmap(_with_bar, (errors[0], errors[-1])))} off already at small loads"
-    )
-    threshold = min(row.limit.threshold for row in own)
-    asked = [row for row in own if row.limit.threshold == threshold]
-    finer = any(math.isfinite(row.entry.structural_bar) for row in own)
-    coarse = " on the case's own mesh" if finer else ""
-    more = f"{short_percent(threshold)} more come on top by"
-    no_more = f"that does not grow by {short_percent(threshold)} up to"
-    for state, before, after in (
-        ("found", more, ""),
-        ("unresolved", more, f"{coarse}, which a finer mesh does not bear out: unresolved"),
-        ("beyond", no_more, f"{coarse}, as far as was looked"),
-        ("model-stopped", no_more, f"{coarse}, where its solver stops"),
-        ("reference-stopped", no_more, f"{coarse}, where the reference stops"),
-    ):
-        if some := [row for row in asked if row.limit.state == state]:
-            text += f"; {before} {_loads_in_words(some, len(asked))}{after}"
-    (first, *others) = asked
-    if others or first.limit.state != "found":
-        return f"{text}."
-    if math.isfinite(first.limit.indentation):
-        depth, bar = first.limit.indentation, first.limit.indentation_bar
-        text += f" ({quantity(depth, 'm')}"
-        text += f" ± {quantity(abs(depth) * bar, 'm')}" if math.isfinite(bar) else ""
-        text += " of mean indentation)"
-    total = first.entry.structural_error + threshold
-    return f"{text}, where it is {_with_bar(total, first.entry.structural_bar)} off."
-
-
-def _loads_in_words(some: list[_Row], asked: int) -> str:
-    """The loads of some limits with their bars, from least to most, and of how many of the cases they are."""
-    ends = sorted(some, key=lambda row: abs(row.limit.load))
-    loads = []
-    for row in (ends[0], ends[-1]):
-        bar = f" ± {short_percent(row.limit.bar)}" if math.isfinite(row.limit.bar) else ""
-        times = " times the study's loads" if row.unit == "1" else ""
-        loads.append(f"{quantity(row.limit.load, row.unit)}{times}{bar}")
-    return _span(loads) + (f" in {len(some)} of {asked} cases" if len(some) < asked else "")
-
-
-def _span(ends: Iterable[str]) -> str:
-    """`low to high`, one of them where they look alike."""
-    return " to ".join(dict.fromkeys(ends))
-
-
-def _with_bar(share: float, bar: float) -> str:
-    return short_percent(share) + (f" ± {short_percent(bar)}" if math.isfinite(bar) else "")
-
-
-def _table(digest: Digest, rows: list[_Row]) -> Table:
+def _table(digest: Digest, rows: list[LimitRow]) -> Table:
     many = len({row.case.hash for row in rows}) > 1
     columns = [
         *([Column("Case", numeric=False)] if many else []),

@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 
 from ..verdict.digest import Digest
-from ..verdict.formatting import NOTHING, listed, plural, scale_of, swept_value
+from ..verdict.formatting import NOTHING, listed, parameter_name, plural, scale_of, swept_value
 from ..verdict.ladders import (
     BEYOND_LINEAR,
     DIFFERENT,
@@ -21,7 +21,6 @@ from ..verdict.ladders import (
 )
 from .blocks import Block, Cell, Column, Figure, Figures, Section, Table, Text
 from .plots import Plot, colour, line, log_axis, marker, name_ticks, place
-from .section_errors import parameter_name
 
 ONE_AT_A_TIME, CLAIM = "one-at-a-time", 9
 _FLOOR = 1e-17  # what is smaller, or zero, is drawn here

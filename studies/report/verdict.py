@@ -10,10 +10,9 @@ from ..measures.uncertainty import is_resolved
 from ..study.model_name import PARAMETERS, is_vdm
 from ..verdict.acceptance import LOST, OPEN, WITHIN
 from ..verdict.digest import Digest, ModelSummary, Spread
-from ..verdict.formatting import listed, plain, plural, quantity, short_percent, swept_value
+from ..verdict.formatting import listed, parameter_name, plain, plural, quantity, short_percent, swept_value
 from ..verdict.standing import word_of
 from .blocks import Answer
-from .section_errors import parameter_name
 from .verdict_load import beyond_small_strain, loads_in_words, value_range
 
 _MOST_VALUES = 4

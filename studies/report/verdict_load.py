@@ -11,10 +11,9 @@ from ..measures.case import CaseResult
 from ..study.model_name import FINITE_STRAIN, split
 from ..verdict.acceptance import WITHIN, Acceptance
 from ..verdict.digest import Digest
-from ..verdict.formatting import listed, plain, quantity, short_percent, swept_value
-from ..verdict.standing import at_full_load
-from .section_errors import parameter_name
-from .section_force import (
+from ..verdict.formatting import listed, parameter_name, plain, quantity, short_percent, swept_value
+from ..verdict.growth import limits_in_words
+from ..verdict.loading import (
     contact_pressure,
     contact_resultant,
     indentation,
@@ -22,7 +21,7 @@ from .section_force import (
     movement_force,
     supports,
 )
-from .section_limits import limits_in_words
+from ..verdict.standing import at_full_load
 
 _LOADS = ("force", "pressure", "displacement")  # parts of swept keys that are a load
 # shares of the body's smallest extent and of its volume: beyond them a small-strain reference judges nothing

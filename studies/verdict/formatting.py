@@ -104,3 +104,13 @@ def listed(items: Iterable[str]) -> str:
     """`a, b and c`."""
     *head, last = list(items) or [""]
     return f"{', '.join(head)} and {last}" if head else last
+
+
+def parameter_name(key: str) -> str:
+    """A swept key as words: `tissue.poisson_ratio` is "Poisson ratio"."""
+    parts = key.split(".")
+    if parts[-1].isdecimal() and len(parts) > 1:  # a component of a vector
+        parts = [*parts[:-2], f"{parts[-2]} {'xyz'[int(parts[-1])] if int(parts[-1]) < 3 else parts[-1]}"]
+    words = parts[-1].replace("_", " ")
+    words = words.replace("poisson", "Poisson").replace("youngs", "Young's")
+    return f"{words} of {parts[-2]}" if len(parts) > 2 else words

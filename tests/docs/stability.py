@@ -12,9 +12,9 @@ import numpy as np
 
 from tests.command import vdmbench
 from tests.docs import marked
-from vdmbench.report.section_errors import parameter_name
 from vdmbench.store.cases import Run, read_run
 from vdmbench.verdict.digest import Digest
+from vdmbench.verdict.formatting import parameter_name
 from vdmbench.verdict.ladders import Ladder, alike, ladders
 
 ROOT = Path(__file__).parents[2]

@@ -6,8 +6,8 @@ import pytest
 
 from tests.docs import marked, stability
 from tests.unit.report_runs import make_case, make_run
-from vdmbench.report.section_errors import parameter_name
 from vdmbench.study.config import expand, load_study
+from vdmbench.verdict.formatting import parameter_name
 
 
 def test_the_table_is_about_the_shipped_studies() -> None:

@@ -12,14 +12,9 @@ from numpy.testing import assert_allclose
 
 from vdmbench.measures.case import CaseResult
 from vdmbench.report.blocks import Figures, Section, Text
-from vdmbench.report.section_force import (
-    contact_pressure,
-    contact_resultant,
-    force_against_indentation,
-    indentation,
-    movement_force,
-)
+from vdmbench.report.section_force import force_against_indentation
 from vdmbench.verdict.digest import Digest
+from vdmbench.verdict.loading import contact_pressure, contact_resultant, indentation, movement_force
 
 from .report_runs import AMPLITUDE, REFERENCE, make_case, make_run
 

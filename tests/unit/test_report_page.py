@@ -23,10 +23,10 @@ from vdmbench.report.document import script_json
 from vdmbench.report.page import MOST_BYTES, page_html, write_report
 from vdmbench.report.picture import Panel
 from vdmbench.report.plots import place
-from vdmbench.report.section_errors import error_against_parameters, parameter_name
+from vdmbench.report.section_errors import error_against_parameters
 from vdmbench.report.view import View, candidates, displacement_scale, payload
 from vdmbench.verdict.digest import Digest
-from vdmbench.verdict.formatting import percent
+from vdmbench.verdict.formatting import parameter_name, percent
 
 from .report_runs import REFERENCE, cheap_run, make_case, make_run, sweep_run
 

@@ -1,0 +1,127 @@
+"""What pushes the body of a case, how hard, and how far it gives way: from its stored inputs and answers."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..body.surface_measures import facet_area_vectors
+from ..measures.case import CaseResult
+from .digest import Array
+
+
+def constraints(case: CaseResult) -> Sequence[Mapping[str, object]]:
+    return case.resolved.get("constraints", ())
+
+
+def weighs(case: CaseResult) -> bool:
+    gravity = case.resolved.get("gravity")
+    return isinstance(gravity, Mapping) and bool(np.any(gravity.get("acceleration", 0.0)))
+
+
+def name_of(constraint: Mapping[str, object]) -> str:
+    return str(constraint.get("name") or constraint.get("region") or "")
+
+
+def moved(case: CaseResult) -> dict[str, Mapping[str, object]]:
+    """Constraints that move their region: name -> constraint."""
+    return {
+        name_of(constraint): constraint
+        for constraint in constraints(case)
+        if constraint.get("kind") == "constrained"
+        and np.any(_prescribed(constraint))
+        and str(constraint.get("region")) in case.regions
+    }
+
+
+def _prescribed(constraint: Mapping[str, object]) -> Array:
+    """(3,) displacement at load factor 1 [m], zero where none is given."""
+    given = constraint.get("displacement")
+    if not isinstance(given, Sequence) or len(given) != 3:
+        return np.zeros(3)
+    return np.array(given, dtype=np.float64)
+
+
+def supports(case: CaseResult) -> NDArray[np.bool_]:
+    """(N,) nodes that a support holds or moves."""
+    mask = np.zeros(len(case.points), dtype=bool)
+    for constraint in constraints(case):
+        if (
+            constraint.get("kind") in ("fixed", "constrained")
+            and str(constraint.get("region")) in case.regions
+        ):
+            mask |= case.regions[str(constraint.get("region"))]
+    return mask
+
+
+def contact_resultant(case: CaseResult) -> float | None:
+    """Force of a case's only contact at load factor 1 [N]; None where the stored inputs do not tell.
+
+    Given as `force`, or the integral of a uniform pressure over the facets whose three nodes are in its region.
+    """
+    contacts = [c for c in constraints(case) if c.get("kind") == "contact"]
+    if len(contacts) != 1:
+        return None
+    contact = contacts[0]
+    if isinstance(force := contact.get("force"), int | float):
+        return float(force)
+    mask = case.regions.get(str(contact.get("region")))
+    pressure = contact.get("pressure")
+    if (
+        mask is None
+        or not isinstance(pressure, int | float)
+        or contact.get("profile", "uniform") != "uniform"
+    ):
+        return None
+    first, second, third = mask[case.triangles].T
+    vectors = facet_area_vectors(case.points, case.triangles[first & second & third])
+    return float(pressure * np.linalg.norm(vectors.sum(axis=0)))
+
+
+def contact_pressure(case: CaseResult) -> float | None:
+    """Pressure of a case's only contact at load factor 1 [Pa], whatever its profile; None where none is given."""
+    contacts = [c for c in constraints(case) if c.get("kind") == "contact"]
+    pressure = contacts[0].get("pressure") if len(contacts) == 1 else None
+    return float(pressure) if isinstance(pressure, int | float) else None
+
+
+def indentation(case: CaseResult, models: Iterable[str], normals: Array) -> dict[str, Array]:
+    """Model -> (S,) displacement along the normal, inwards, of the node in contact that it moves farthest [m].
+
+    Negative where the contact pulls. Of all nodes where no contact is stored.
+
+    Parameters
+    ----------
+    normals : (N, 3) outward unit normals of the undeformed surface
+    """
+    mask = np.zeros(len(case.points), dtype=bool)
+    for constraint in constraints(case):
+        if constraint.get("kind") == "contact" and str(constraint.get("region")) in case.regions:
+            mask |= case.regions[str(constraint.get("region"))]
+    nodes = np.flatnonzero(mask if mask.any() else ~mask)
+    steps, along = np.arange(len(case.load_factors)), normals[nodes]
+    found = {}
+    for model in models:
+        inward = -np.einsum("sij,ij->si", case.models[model].displacement[:, nodes], along)
+        found[model] = inward[steps, np.abs(inward).argmax(axis=1)]
+    return found
+
+
+def movement_force(case: CaseResult, model: str, name: str) -> tuple[Array, Array]:
+    """(S,) prescribed displacement [m] of a region and (S,) force along it [N] that holds the region there.
+
+    The force is the sum of the reactions of the region's nodes, projected on the direction of the displacement.
+
+    Raises
+    ------
+    KeyError
+        no constraint of this name moves its region.
+    """
+    constraint = moved(case)[name]
+    prescribed = _prescribed(constraint)
+    length = float(np.linalg.norm(prescribed))
+    mask = case.regions[str(constraint.get("region"))]
+    resultant = case.models[model].reaction_force[:, mask].sum(axis=1)
+    return case.load_factors * length, resultant @ (prescribed / length)
