@@ -12,12 +12,15 @@ import multiprocessing
 import os
 import select
 import signal
+import threading
 from collections.abc import Iterator
 from concurrent.futures import Future, TimeoutError
 from concurrent.futures.process import BrokenProcessPool
 from multiprocessing import resource_tracker
+from multiprocessing.context import ForkServerContext, ForkServerProcess
 from multiprocessing.forkserver import ensure_running
 from pathlib import Path
+from typing import Any
 
 from pebble import ProcessExpired, ProcessPool
 
@@ -26,6 +29,7 @@ from ..machine.processors import usable_processors
 from .work import ATTEMPTS, Said, more_memory, run_node
 
 _OF_A_TERMINAL = (signal.SIGINT, signal.SIGHUP)
+_HANDLED = (*_OF_A_TERMINAL, signal.SIGTERM, signal.SIGALRM)
 _PRELOADED = (
     "vdmbench.graph.work",
     "numpy.ma",
@@ -77,6 +81,7 @@ class _Place:
     def __init__(self, threads: int, memory: int) -> None:
         self._threads, self._memory = threads, memory
         self._pool: ProcessPool | None = None
+        self._context = _Context()
         self._future: Future[str] | None = None
 
     @property
@@ -90,7 +95,7 @@ class _Place:
             return self._pool
         self.stop()
         self.join()
-        context = multiprocessing.get_context("forkserver")
+        self._context = context = _Context()
         context.set_forkserver_preload(list(_PRELOADED))
         self._pool = ProcessPool(
             max_workers=1, context=context, initializer=begin_worker, initargs=(self._threads, self._memory)
@@ -131,12 +136,36 @@ class _Place:
         """Stop the worker, without waiting for it."""
         if self._pool is not None:
             self._pool.stop()  # type: ignore[no-untyped-call]
+            self._context.stop()  # before the pool takes its locks away, which the worker may be about to open
 
     def join(self) -> None:
         """Wait until the worker is gone."""
         if self._pool is not None:
             self._pool.join()
             self._pool = None
+
+
+class _Context(ForkServerContext):
+    """Starts a worker, and knows what it has started."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._started: list[ForkServerProcess] = []
+        self._stopped = False
+
+    def Process(self, *arguments: Any, **named: Any) -> ForkServerProcess:  # type: ignore[override]
+        """A worker to be started. Raises OSError once all are stopped."""
+        if self._stopped:
+            raise OSError("the workers are stopped")
+        self._started.append(ForkServerProcess(*arguments, **named))
+        return self._started[-1]
+
+    def stop(self) -> None:
+        """Stop them all, and start no more."""
+        self._stopped = True
+        for worker in self._started:
+            if worker.is_alive():
+                worker.kill()
 
 
 def told(error: BaseException, log: str) -> Said:
@@ -203,12 +232,25 @@ def _end_with_starter() -> None:
 
 @contextlib.contextmanager
 def _deaf() -> Iterator[None]:
-    """What is started inside never hears what a terminal sends to all: its starter stops it."""
+    """What is started inside never hears what a terminal sends to all: its starter stops it.
+
+    No signal ends the block in its middle either: a worker that is started by halves is nobody's to stop.
+    """
+    came: list[int] = []
+    is_main = threading.current_thread() is threading.main_thread()  # the only one that handles signals
+    handlers = {number: signal.getsignal(number) for number in _HANDLED if is_main}
+    handlers = {number: handler for number, handler in handlers.items() if callable(handler)}
+    for number in handlers:  # which another thread lets through, whatever the mask of this one
+        signal.signal(number, lambda number, _: came.append(number))
     before = signal.pthread_sigmask(signal.SIG_BLOCK, _OF_A_TERMINAL)
     try:
         yield
     finally:  # what came meanwhile comes now
+        for number, handler in handlers.items():
+            signal.signal(number, handler)
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
+        if came:
+            signal.raise_signal(came[0])
 
 
 @contextlib.contextmanager

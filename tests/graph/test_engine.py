@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import json
+import multiprocessing
 import os
 import signal
 import sys
+import threading
 import time
 from collections.abc import Sequence
 from concurrent.futures import Future
@@ -18,7 +20,7 @@ import pytest
 
 from vdmbench.graph import local, work
 from vdmbench.graph.engine import Outcome, run_nodes
-from vdmbench.graph.local import LocalPlaces, local_places
+from vdmbench.graph.local import LocalPlaces, _deaf, local_places
 from vdmbench.graph.nodes import Node
 from vdmbench.graph.work import Said, run_node
 from vdmbench.machine.processors import usable_processors
@@ -235,3 +237,36 @@ def test_a_node_that_a_broken_pool_has_lost_is_told_of(tmp_path: Path) -> None:
         assert isinstance(lost.exception(timeout=0), BrokenProcessPool)
     finally:
         places.close()
+
+
+def test_a_worker_is_stopped_before_its_pool_takes_its_locks_away(monkeypatch: pytest.MonkeyPatch) -> None:
+    places = LocalPlaces(1)
+    worker = multiprocessing.active_children()[-1]
+    pool, alive = places._places[0].start(), []
+    join = pool.join
+
+    def watched() -> None:
+        worker.join(2.0)
+        alive.append(worker.is_alive())
+        join()
+
+    monkeypatch.setattr(pool, "join", watched)
+    places.close()
+    assert alive == [False], "one that is about to open a lock prints a traceback"
+
+
+def test_a_signal_that_another_thread_lets_through_comes_after_the_start() -> None:
+    told = []
+
+    def start() -> None:
+        with _deaf():
+            told.append("begun")
+            os.kill(os.getpid(), signal.SIGINT)
+            time.sleep(0.1)
+            told.append("ended")
+
+    threading.Thread(target=time.sleep, args=(1.0,)).start()
+    with pytest.raises(KeyboardInterrupt):
+        start()
+    assert told == ["begun", "ended"]
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
