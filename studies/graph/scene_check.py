@@ -5,6 +5,7 @@ from __future__ import annotations
 from ..body.mesh import Mesh
 from ..body.mesh_cache import mesh_path, read_mesh
 from ..machine.errors import MeshError
+from ..scene.measured_points import place_measured
 from ..scene.scene import SceneError, build_scene
 from ..scene.warnings import scene_warnings
 from ..study.config import geometry_error, resolved
@@ -55,6 +56,7 @@ def _doubts(plan: Plan, case: PlannedCase, mesh: Mesh) -> list[Finding]:
     study = case.study
     try:
         scene = build_scene(study, mesh)
+        place_measured(study, mesh)
     except (SceneError, MeshError) as error:
         place: Loc = error.place if isinstance(error, SceneError) else ("constraints",)
         finding = (place, _in_case(str(error), case))

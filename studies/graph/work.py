@@ -23,6 +23,7 @@ from ..machine.errors import InputError
 from ..machine.memory import OUT_OF_MEMORY, memory_limits
 from ..machine.safe_open import open_regular
 from ..measures.case import CaseResult, MetricSeries, SmallStrainLimits
+from ..measures.measurement import Measurement, hold_against, step_rms
 from ..measures.metrics import METRICS, History, evaluate_all
 from ..measures.reference import level_scene, own_error, require_converged, restricted
 from ..measures.small_strain import read_limits, small_strain_limits, write_limits
@@ -221,7 +222,8 @@ def _case(payload: Payload, block: _Block) -> None:
     if reference is not None and len(levels) > 1:
         reference += REFINED
         results[reference] = levels[-1]
-    metrics = compare(surface, results, scene.load_factors, reference)
+    measurement = _measurement(payload, study, mesh, results, levels)
+    metrics = compare(surface, results, scene.load_factors, reference, measurement)
     found = payload["file_hash"]
     write_case(
         Path(payload["path"]),
@@ -243,6 +245,7 @@ def _case(payload: Payload, block: _Block) -> None:
                 surface, scene, levels, metrics.get(study.study.reference or "", {})
             ),
             small_strain=_small_strain(payload),
+            measurement=measurement,
             mesh_quality={
                 **mesh.quality,
                 "tetrahedra": len(mesh.tetrahedra),
@@ -269,6 +272,21 @@ def _result(wanted: Wanted, scene: Scene, payload: Payload, known: dict[str, Mod
     return combined(answers, wanted.scales, scene.mesh, datum)
 
 
+def _measurement(
+    payload: Payload, study: Study, mesh: Mesh, results: Mapping[str, ModelResult], levels: list[ModelResult]
+) -> Measurement | None:
+    """The case's models, and its reference level by level, against what was measured on it."""
+    names = {id(result): name for name, result in results.items()}
+    return hold_against(
+        study,
+        mesh,
+        payload["swept"],
+        payload["swept_units"],
+        {name: result.displacement for name, result in results.items()},
+        [(names.get(id(level), ""), level.displacement) for level in levels],
+    )
+
+
 def _small_strain(payload: Payload) -> SmallStrainLimits | None:
     if payload["limits"] is None:
         return None
@@ -276,11 +294,21 @@ def _small_strain(payload: Payload) -> SmallStrainLimits | None:
 
 
 def compare(
-    surface: Surface, results: Mapping[str, ModelResult], load_factors: Array, reference: str | None
+    surface: Surface,
+    results: Mapping[str, ModelResult],
+    load_factors: Array,
+    reference: str | None,
+    measurement: Measurement | None = None,
 ) -> dict[str, dict[str, MetricSeries]]:
     """Every metric of every model; the reference itself gets those that need no comparison."""
     histories = {
-        name: History(result.displacement, result.reaction_force, load_factors, volume=result.volume)
+        name: History(
+            result.displacement,
+            result.reaction_force,
+            load_factors,
+            volume=result.volume,
+            measurement=step_rms(measurement, name, len(load_factors)) if measurement else None,
+        )
         for name, result in results.items()
     }
     return {

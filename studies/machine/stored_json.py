@@ -155,6 +155,13 @@ class MetricShape(Shape):
     version: int
 
 
+class MeasurementShape(Shape):
+    """`measurement/about` of a case file."""
+
+    sources: dict[str, str]
+    others: list[str]
+
+
 class CaseShape(Shape):
     """`case/about` of a case file."""
 

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..models.result import ModelResult
+from .measurement import Measurement
 from .metrics import full_load_step
 
 Array = NDArray[np.float64]
@@ -81,6 +82,7 @@ class CaseResult:
     # error of the reference itself, see vdmbench.measures.reference.own_error; empty where not measured
     mesh_quality: Mapping[str, float] = field(default_factory=dict)
     small_strain: SmallStrainLimits | None = None  # where [limits] asks for them
+    measurement: Measurement | None = None  # where [[measured]] tells what was measured on it
 
     @cached_property
     def full_load(self) -> int:

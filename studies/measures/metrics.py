@@ -42,6 +42,7 @@ class History:
     # at full load: (N,) from the nodes to the reference's surface, and the largest either way; see `evaluate_all`
     distances: tuple[Array, float] | None = None
     volume: Array | None = None  # (S,) enclosed volumes [m^3], where they are known
+    measurement: tuple[Array, Array] | None = None  # (S,) rms of E and of D, see `measurement.step_rms`
 
     @cached_property
     def largest(self) -> Array:
@@ -67,6 +68,7 @@ class Metric:
     needs_reference: bool
     needs_contact: bool
     sense: Sense = "error"
+    needs_measurement: bool = False
 
 
 METRICS: dict[str, Metric] = {}
@@ -91,6 +93,7 @@ def metric(
     relative: bool = False,
     needs_reference: bool = True,
     needs_contact: bool = False,
+    needs_measurement: bool = False,
     sense: Sense = "error",
 ) -> Callable[[Function], Function]:
     """Register a function as a metric of its name; see `Metric`. Raises ValueError for a name that is taken."""
@@ -101,7 +104,16 @@ def metric(
             raise ValueError(f"a metric {name!r} is registered already")
         function = _not_at_rest(function) if relative or degree == 0 else function
         METRICS[name] = Metric(
-            name, unit, definition, version, function, degree, needs_reference, needs_contact, sense
+            name,
+            unit,
+            definition,
+            version,
+            function,
+            degree,
+            needs_reference,
+            needs_contact,
+            sense,
+            needs_measurement,
         )
         return function
 
@@ -376,7 +388,9 @@ def evaluate(
     for one in METRICS.values():
         if one.name in known:
             out[one.name] = known[one.name]
-        elif one.needs_contact and not surface.contact.any():
+        elif (one.needs_contact and not surface.contact.any()) or (
+            one.needs_measurement and model.measurement is None
+        ):
             continue
         elif not one.needs_reference:
             out[one.name] = one.function(surface, model)

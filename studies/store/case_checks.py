@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from ..machine.stored_json import LARGEST
 from ..measures.case import CaseResult
+from ..measures.measurement import Measurement
 from ..models.result import ModelResult
 
 
@@ -42,8 +43,21 @@ def _faults(case: CaseResult) -> Iterator[str]:
     for name, metrics in case.metrics.items():
         if any(series.values.shape != (n_steps,) for series in metrics.values()):
             yield f"the metrics of {name} do not fit its steps"
+    if case.measurement is not None:
+        yield from _measurement_faults(case.measurement, n_steps)
     if any(map(_is_too_large, _numbers(case))):
         yield f"a number beyond {LARGEST:g}"
+
+
+def _measurement_faults(found: Measurement, n_steps: int) -> Iterator[str]:
+    count = len(found.quantities)
+    series = [*found.simulated.values(), *found.numerical.values()]
+    if found.simulated.keys() != found.numerical.keys() or any(v.shape != (count,) for v in series):
+        yield "its models do not fit what was measured"
+    if any(not 0 <= quantity.step < n_steps for quantity in found.quantities):
+        yield "a value was measured at a step that is not there"
+    if not np.isfinite([(q.value, q.uncertainty, q.distance) for q in found.quantities]).all():
+        yield "a measured value is not a finite number"
 
 
 def _fits(model: ModelResult, n_steps: int, n_nodes: int) -> bool:
@@ -75,6 +89,10 @@ def _numbers(case: CaseResult) -> Iterator[NDArray[np.float64]]:
             model.volume,
         )
         yield from model.scalars.values()
+    if case.measurement is not None:
+        yield case.measurement.values
+        yield from case.measurement.simulated.values()
+        yield from case.measurement.numerical.values()
     for metrics in case.metrics.values():
         yield from (series.values for series in metrics.values())
 

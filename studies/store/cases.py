@@ -45,6 +45,7 @@ from .hdf5 import (
     Text,
     sealed,
 )
+from .measurement_entries import measurement_entries, read_measurement
 from .metrics_table import metric_rows, metrics_csv
 from .run_directory import (
     case_path,
@@ -260,6 +261,7 @@ def _case_entries(case: CaseResult) -> list[Entry]:
         Group("metrics", {"versions": _metric_versions()}),
         *(_metrics_table(f"metrics/{name}", series) for name, series in case.metrics.items() if series),
         *(_limits_entries(case.small_strain) if case.small_strain is not None else ()),
+        *(measurement_entries(case.measurement) if case.measurement is not None else ()),
     ]
 
 
@@ -375,6 +377,7 @@ def _read_case(file: Stored) -> CaseResult:
         models={name: _read_model(file, name, model, per_step) for name, model in about["models"].items()},
         metrics={name: _read_metrics(file, f"metrics/{name}", about["metrics"]) for name in about["models"]},
         small_strain=_read_limits(file) if "limits" in file else None,
+        measurement=read_measurement(file) if "measurement" in file else None,
     )
     check_case(case)
     return case

@@ -24,6 +24,7 @@ from .geometry_spec import (
 )
 from .geometry_spec import Geometry as GeometrySpec
 from .kinds import safe_name
+from .measured_table import check_measured
 from .model_name import DISPLACEMENT_ELEMENTS, is_vdm, split
 from .problems import Finding, Loc
 from .profiles import PROFILES
@@ -70,6 +71,7 @@ def check(study: Study) -> Iterator[Finding]:
     yield from _check_history(study.load)
     yield from _check_loads(study)
     yield from _check_acceptance(study)
+    yield from check_measured(study)
 
 
 def unknown(value: str, known: Sequence[str], what: str, *, list_all: bool = True) -> str:

@@ -15,6 +15,7 @@ from .checks import fits_kind, geometry_spec, unknown
 from .fields import FieldRow, field_table, targets
 from .geometry_spec import Geometry as GeometrySpec
 from .kinds import MAX_NAME, is_safe_name
+from .measured_table import check_measured_cases
 from .model_name import FINITE_STRAIN, split
 from .problems import MOST_TOLD, Finding, Loc, Problem, Source, StudyError, file_fault
 from .schema import Constraint, Region, Study, Tissue
@@ -84,6 +85,8 @@ def load_study(
     findings += islice(_check_model_names(data), MOST_TOLD + 1)
     findings += _check_limits(base, axes, study)
     findings += _check_held(study)
+    if study is not None and study.measured:
+        findings += check_measured_cases(study, {a.key: (a.values, a.target.unit) for a in axes})
     swept_well = not axis_findings and not any(loc[:1] == ("sweep",) for loc, _ in findings)
     if axes and swept_well:
         most = study.study.max_cases if study is not None else 1000

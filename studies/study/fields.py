@@ -16,7 +16,7 @@ from .schema import MOST_NAMES, Region, Study, Sweep, model_table
 from .table import Table
 from .units import DIMENSIONS
 
-_NEVER_SWEPT = {"study", "sweep", "limits", "calibration", "acceptance"}
+_NEVER_SWEPT = {"study", "sweep", "limits", "calibration", "acceptance", "measured"}
 
 
 def keys_of(table: type[Table]) -> dict[str, FieldInfo]:
@@ -221,7 +221,9 @@ def _kind(annotation: Any, si: SI | None) -> str:
     if get_origin(annotation) is Literal:
         return " | ".join(get_args(annotation))
     if get_origin(annotation) is tuple:
-        inner, _ = unwrapped(get_args(annotation)[0])
+        inner, of_items = unwrapped(get_args(annotation)[0])
+        if of_items is not None:
+            return f"list of {_kind(inner, of_items).replace('list of', 'lists of')}"
         return {Region: "list of regions", int: "list of whole numbers"}.get(inner, "list of texts")
     return {bool: "true or false", int: "whole number", Region: "region"}.get(annotation, "text")
 

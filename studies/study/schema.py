@@ -48,6 +48,7 @@ from .kinds import (
     one_line,
     positive,
 )
+from .measured_table import MOST_TABLES, Measured
 from .problems import Source
 from .profiles import Profile
 from .table import Table, as_path
@@ -470,6 +471,9 @@ class Study(Table):
     calibration: Calibration | None = Field(None, description="how the [vdm] parameters are fitted")
     uncertainty: Uncertainty | None = Field(None, description="the reference's own error")
     acceptance: Acceptance = Field(Acceptance(), description="how far off a model may be")
+    measured: tuple[Measured, ...] | None = Field(
+        None, description="what was measured on such a body", strict=False, max_length=MOST_TABLES
+    )
     models: dict[str, Annotated[SerializeAsAny[VdmTable], WrapValidator(_of_model)]] = Field(
         {}, description="[vdm] keys for one model only, and its own", max_length=MOST_NAMES
     )

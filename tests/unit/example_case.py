@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from vdmbench.measures.case import CaseResult, Limit, MetricSeries, ModelLimits, SmallStrainLimits
+from vdmbench.measures.measurement import Measurement, Quantity
 from vdmbench.models.result import ModelResult, StepStatus
 
 N_STEPS = 3
@@ -53,6 +54,24 @@ def model_result(rng: np.random.Generator, n_nodes: int) -> ModelResult:
     )
 
 
+def example_measurement() -> Measurement:
+    """Two quantities, of which the second was measured as a whole surface, and a program that came with them."""
+    return Measurement(
+        [
+            Quantity("tips", "tip <1>", "z", 2, -6.5e-3, 1e-4, 2e-5),
+            Quantity("bent", "", "rms distance", 2, 0.0, 1e-3, 0.0),
+        ],
+        {
+            "vdm-paper": np.array([-6.45e-3, 2e-3]),
+            "fem:direct": np.array([np.nan, np.nan]),
+            "COMSOL": np.array([-6.7e-3, np.nan]),
+        },
+        {"vdm-paper": np.full(2, np.nan), "fem:direct": np.array([1e-4, 2e-4]), "COMSOL": np.full(2, np.nan)},
+        {"tips": "motion capture", "bent": ""},
+        ("COMSOL",),
+    )
+
+
 def example_case(case_hash: str = "ab" * 32, label: str = "poisson_ratio = 0.45") -> CaseResult:
     rng = np.random.default_rng(11)
     points, triangles = tetrahedron()
@@ -78,6 +97,7 @@ def example_case(case_hash: str = "ab" * 32, label: str = "poisson_ratio = 0.45"
         reference="fem:direct",
         reference_error={"relative_l2": 0.01, "observed_order": float("nan"), "gci:max_nodal_error": 0.25},
         mesh_quality={"worst_sicn": 0.3},
+        measurement=example_measurement(),
         small_strain=SmallStrainLimits(
             "constraints.finger.pressure",
             "Pa",

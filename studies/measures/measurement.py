@@ -1,0 +1,204 @@
+"""A model held against a measurement, by ASME V&V 20-2009: comparison error and validation uncertainty.
+
+E = S - D of what a model simulates and what was measured; u_val = sqrt(u_num^2 + u_input^2 + u_D^2), all standard
+uncertainties. |E| <= u_val: the model's error is lost in the uncertainty. Else |E| - u_val at least remains.
+u_num of the reference is the grid convergence index of its mesh levels as it is, which is wider than a standard
+uncertainty; a coarser level has its distance from the finest beside. No other model is solved on two meshes: it has
+no u_num. u_input is zero: a study does not tell how well its inputs are known.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from ..body.mesh import Array, Index, Mask, Mesh
+from ..body.nearest import nearest_on_surface
+from ..scene.measured_points import Placed, place_measured
+from ..study.measured_file import AXES
+from ..study.measured_table import Measured, same_load
+from ..study.schema import Study
+from .metrics import full_load_step
+from .uncertainty import estimate_limit
+
+RMS, MOST = "rms distance", "largest distance"  # of a measured surface's points to the deformed body
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """One measured number: a component of a point's displacement, or of a whole surface a distance, with D = 0."""
+
+    table: str
+    point: str
+    component: str  # "x", "y", "z", RMS or MOST
+    step: int  # of the load history
+    value: float  # D [m]
+    uncertainty: float  # u_D [m]
+    distance: float  # of the measured place from the mesh's surface [m]
+
+
+@dataclass(frozen=True)
+class Measurement:
+    """What was measured on a case, Q quantities, and what models and other programs say of them.
+
+    Attributes
+    ----------
+    quantities : in the order of the study's tables
+    simulated : name -> (Q,) S [m]; NaN where there is no answer
+    numerical : name -> (Q,) u_num [m]; NaN where it is not known
+    sources : table -> who measured
+    others : names in `simulated` that are no model of the study: results that came with the measurement
+    """
+
+    quantities: Sequence[Quantity]
+    simulated: Mapping[str, Array]
+    numerical: Mapping[str, Array]
+    sources: Mapping[str, str] = field(default_factory=dict)
+    others: Sequence[str] = ()
+
+    @property
+    def values(self) -> Array:
+        """(Q,) D [m]."""
+        return np.array([quantity.value for quantity in self.quantities])
+
+    def error(self, name: str) -> Array:
+        """(Q,) E = S - D [m]."""
+        return np.asarray(self.simulated[name] - self.values)
+
+    def uncertainty(self, name: str) -> Array:
+        """(Q,) u_val [m]; what is not known counts as none."""
+        data = np.array([quantity.uncertainty for quantity in self.quantities])
+        return np.hypot(data, np.nan_to_num(self.numerical[name], nan=0.0))
+
+    def within(self, name: str) -> Mask:
+        """(Q,) whether |E| <= u_val."""
+        return np.asarray(np.abs(self.error(name)) <= self.uncertainty(name))
+
+
+def hold_against(
+    study: Study,
+    mesh: Mesh,
+    swept: Mapping[str, float | str],
+    units: Mapping[str, str],
+    results: Mapping[str, Array],
+    levels: Sequence[tuple[str, Array]] = (),
+) -> Measurement | None:
+    """The results of a case against what was measured on it; None where nothing was.
+
+    Parameters
+    ----------
+    results : model -> (S, N, 3) displacement at the surface nodes of `mesh` [m]
+    levels : the reference on its mesh levels at the same nodes, coarse first; the name of each in `results`, or ""
+
+    Raises
+    ------
+    SceneError
+        measured points that are not on the mesh.
+    """
+    tables = [
+        (table, placed)
+        for table, placed in zip(study.measured or (), place_measured(study, mesh), strict=True)
+        if table.belongs_to(swept, units)
+    ]
+    if not tables:
+        return None
+    factors = np.array(study.load.history)
+    quantities = [quantity for table, placed in tables for quantity in _quantities(table, placed, factors)]
+    simulated = {name: _simulated(tables, field, mesh, factors) for name, field in results.items()}
+    numerical = {name: np.full(len(quantities), np.nan) for name in results}
+    solved = [_simulated(tables, field, mesh, factors) for _, field in levels]
+    for (name, _), values in zip(levels, solved, strict=True):
+        if name and len(levels) > 1:
+            numerical[name] = _numerical(values, solved[::-1])
+    others = _others(tables)
+    return Measurement(
+        quantities,
+        {**simulated, **others},
+        {**numerical, **{name: np.full(len(quantities), np.nan) for name in others}},
+        {table.name: table.source for table, _ in tables},
+        tuple(others),
+    )
+
+
+def _numerical(values: Array, levels: Sequence[Array]) -> Array:
+    """(Q,) u_num of a level; `levels` the finest first."""
+    found = np.full(len(values), np.nan)
+    for k, figures in enumerate(zip(*levels, strict=True)):
+        if np.isfinite(figures).all():
+            gci = estimate_limit([float(figure) for figure in figures])[1].gci
+            found[k] = gci + abs(values[k] - figures[0])
+    return found
+
+
+Tables = Sequence[tuple[Measured, Placed]]
+
+
+def _quantities(table: Measured, placed: Placed, factors: Array) -> list[Quantity]:
+    found = []
+    for k, point in enumerate(table.points):
+        name, step = point.name or str(k + 1), _step(table.factor(point), factors)
+        for axis, value in point.components().items():
+            deviation, distance = table.deviation(point), float(placed.distance[k])
+            found.append(Quantity(table.name, name, AXES[axis], step, value, deviation, distance))
+    if table.surface:
+        step = _step(table.factor(), factors)
+        found += [Quantity(table.name, "", what, step, 0.0, table.deviation(), 0.0) for what in (RMS, MOST)]
+    return found
+
+
+def _simulated(tables: Tables, displacement: Array, mesh: Mesh, factors: Array) -> Array:
+    """(Q,) S of a field (S, N, 3), in the order of `_quantities`."""
+    found: list[float] = []
+    for table, placed in tables:
+        at_points = (
+            [placed.displacement(step, mesh.triangles) for step in displacement] if table.points else []
+        )
+        for k, point in enumerate(table.points):
+            step = _step(table.factor(point), factors)
+            found += [float(at_points[step][k, axis]) for axis in point.components()]
+        if table.surface:
+            found += _distances(table, displacement[_step(table.factor(), factors)], mesh)
+    return np.array(found)
+
+
+def _distances(table: Measured, displacement: Array, mesh: Mesh) -> list[float]:
+    if not np.isfinite(displacement).all():
+        return [np.nan, np.nan]
+    deformed = mesh.surface_points + displacement
+    distance, _, _ = nearest_on_surface(np.array(table.surface), deformed, mesh.triangles)
+    return [float(np.sqrt((distance**2).mean())), float(distance.max())]
+
+
+def _others(tables: Tables) -> dict[str, Array]:
+    """What other programs computed at the points: name -> (Q,), NaN where one did not."""
+    names = dict.fromkeys(name for table, _ in tables for point in table.points for name in point.others)
+    found: dict[str, list[float]] = {name: [] for name in names}
+    for table, _ in tables:
+        for point in table.points:
+            for name, values in found.items():
+                known = point.others[name].components() if name in point.others else {}
+                values += [known.get(axis, np.nan) for axis in point.components()]
+        for values in found.values():
+            values += [np.nan] * (2 if table.surface else 0)
+    return {name: np.array(values) for name, values in found.items()}
+
+
+def _step(factor: float | None, factors: Array) -> int:
+    if factor is None:
+        return full_load_step(factors)
+    largest = float(np.abs(factors).max())
+    return next(k for k, step in enumerate(factors) if same_load(factor, float(step), largest))
+
+
+def step_rms(found: Measurement, name: str, n_steps: int) -> tuple[Array, Array]:
+    """(S,) root mean square of E over the points' components of each step, and of D; NaN of a step without [m]."""
+    errors, sizes = np.full(n_steps, np.nan), np.full(n_steps, np.nan)
+    steps: Index = np.array([q.step if q.component in AXES else -1 for q in found.quantities])
+    for step in range(n_steps):
+        mine = steps == step
+        if mine.any():
+            errors[step] = np.sqrt((found.error(name)[mine] ** 2).mean())
+            sizes[step] = np.sqrt((found.values[mine] ** 2).mean())
+    return errors, sizes

@@ -1,0 +1,149 @@
+"""Models against a measurement: what was measured, what each says of it, and whether the error can be told."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from ..measures.case import CaseResult
+from ..measures.measurement import Measurement, Quantity
+from ..verdict.digest import REFERENCE, Array, Digest
+from ..verdict.formatting import NOTHING, listed, plain, quantity, short_percent
+from .blocks import Block, Cell, Column, Figure, Figures, Section, Table, Text
+from .plots import Plot, colour, marker, name_ticks
+
+_MOST_DRAWN = 40  # quantities of a figure
+_READING = (
+    "E is what a model says less what was measured; ± is the validation uncertainty u_val (ASME V&V 20-2009), "
+    "√(u_num² + u_input² + u_D²). Where |E| is at most u_val the two agree as far as anybody can tell; else at "
+    "least |E| − u_val is the model's, or its inputs'. u_num is known of the reference alone, from its mesh "
+    "levels. u_input is not counted: this study does not tell how well its inputs are known."
+)
+
+
+def against_measurement(digest: Digest) -> Section | None:
+    """Every case that was measured: a table of its quantities by model, and a figure; None where none was."""
+    cases = [case for case in digest.cases if case.measurement is not None]
+    if not cases:
+        return None
+    blocks: list[Block] = []
+    for number, case in enumerate(cases):
+        found = case.measurement
+        if found is None:
+            continue
+        name = digest.case_name(case) if len(digest.cases) > 1 else ""
+        blocks += [Text(_sentence(found, name)), _summary(digest, case, found, number)]
+        if (figure := _figure(digest, case, found, number)) is not None:
+            blocks.append(Figures([figure], digest.legend))
+        blocks.append(_details(case, found, number))
+    blocks.append(Text(_READING, kind="note"))
+    return Section("measurement", "Against measurement", blocks)
+
+
+def _sentence(found: Measurement, name: str) -> str:
+    sources = listed(f"{table} ({source})" if source else table for table, source in found.sources.items())
+    farthest = max(one.distance for one in found.quantities)
+    mapped = f" Measured points are at most {quantity(farthest, 'm', 2)} off the mesh." if farthest else ""
+    return f"{name + ': ' if name else ''}Measured by {sources}.{mapped}"
+
+
+def _marks(digest: Digest, names: list[str]) -> list[int | None]:
+    return [digest.colour(name) if name in digest.models else None for name in names]
+
+
+def _summary(digest: Digest, case: CaseResult, found: Measurement, number: int) -> Table:
+    columns = [
+        Column("Model", numeric=False),
+        Column("Within u_val"),
+        Column("rms of E", unit="m"),
+        Column("of rms of D", unit="1"),
+        Column("Remains", "largest |E| − u_val", unit="m"),
+        Column("Per frame", unit="s"),
+    ]
+    names = list(found.simulated)
+    rows = [_summary_row(case, found, name) for name in names]
+    return Table(f"measured-{number}", "", columns, rows, marks=_marks(digest, names))
+
+
+def _summary_row(case: CaseResult, found: Measurement, name: str) -> list[Cell]:
+    errors, data = found.error(name), found.values
+    known = np.isfinite(errors)
+    told = Cell(name, "came with the measurement" if name in found.others else "")
+    if not known.any():
+        return [told, Cell("no answer", tone="bad"), *(Cell(NOTHING) for _ in range(4))]
+    count, within = int(known.sum()), int(found.within(name)[known].sum())
+    rms, size = _rms(errors[known]), _rms(data[known])
+    rest = max(0.0, float((np.abs(errors) - found.uncertainty(name))[known].max()))
+    frame = float(np.median(case.models[name].seconds_per_step)) if name in case.models else math.nan
+    return [
+        told,
+        Cell(f"{within} of {count}", value=within, tone="" if within == count else "bad"),
+        Cell(quantity(rms, "m"), value=rms),
+        Cell(short_percent(rms / size) if size else NOTHING, value=rms / size if size else None),
+        Cell(quantity(rest, "m") if rest else "nothing", value=rest),
+        Cell(quantity(frame, "s"), value=frame),
+    ]
+
+
+def _rms(values: Array) -> float:
+    return float(np.sqrt((values**2).mean()))
+
+
+def _details(case: CaseResult, found: Measurement, number: int) -> Table:
+    names = list(found.simulated)
+    errors = {name: found.error(name) for name in names}
+    bars = {name: found.uncertainty(name) for name in names}
+    within = {name: found.within(name) for name in names}
+    rows = []
+    for k, one in enumerate(found.quantities):
+        measured = Cell(quantity(one.value, "m"), f"± {quantity(one.uncertainty, 'm', 2)}", one.value)
+        cells = []
+        for name in names:
+            error, bar = float(errors[name][k]), float(bars[name][k])
+            tone = "" if within[name][k] or math.isnan(error) else "bad"
+            detail = "" if math.isnan(error) else f"± {quantity(bar, 'm', 2)}"
+            cells.append(Cell(quantity(error, "m"), detail, error, tone=tone))
+        rows.append([Cell(_named(one, case), one.table), measured, *cells])
+    columns = [
+        Column("Quantity", numeric=False),
+        Column("Measured", "± u_D", unit="m"),
+        *(Column(name, "E ± u_val", unit="m") for name in names),
+    ]
+    return Table(f"measured-points-{number}", "", columns, rows)
+
+
+def _named(one: Quantity, case: CaseResult) -> str:
+    name = " ".join(filter(None, (one.point, one.component)))
+    return f"{name} at {plain(float(case.load_factors[one.step]))}" if len(case.load_factors) > 1 else name
+
+
+def _figure(digest: Digest, case: CaseResult, found: Measurement, number: int) -> Figure | None:
+    drawn = [k for k, one in enumerate(found.quantities) if one.component in "xyz"][:_MOST_DRAWN]
+    if not drawn:
+        return None
+    places = np.arange(len(drawn), dtype=float)
+    data = 1e3 * found.values[drawn]
+    bars = [1e3 * found.quantities[k].uncertainty for k in drawn]
+    plot = Plot("measured quantity", "displacement [mm]", f"measured{number}")
+    described = []
+    with plot as axes:
+        ink = colour(REFERENCE)
+        axes.vlines(places, data - bars, data + bars, colors=ink, linewidth=2.2)
+        axes.plot(places, data, "_", color=ink, markersize=11)
+        for name in found.simulated:
+            if name not in digest.models:
+                continue
+            k = digest.colour(name)
+            shift = 0.12 * (1 + digest.models.index(name))
+            axes.plot(
+                places + shift, 1e3 * found.simulated[name][drawn], marker(k), color=colour(k), markersize=4
+            )
+            described.append(name)
+        ticks = [(float(x), _named(found.quantities[k], case)) for x, k in zip(places, drawn, strict=True)]
+        name_ticks(axes, ticks)
+    heading = "Measured (bars: ± u_D) and simulated"
+    return Figure(plot.drawn(f"{heading}: {listed(described)}."), heading)
+
+
+SECTIONS = (against_measurement,)

@@ -1,0 +1,90 @@
+"""Where measured points lie on a mesh: the nearest point of its surface, in barycentric coordinates."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..body.mesh import Array, Index, Mesh
+from ..body.nearest import nearest_on_surface
+from ..study.measured_table import Measured, MeasuredPoint
+from ..study.schema import Study
+from .scene import SceneError
+
+# of the mean edge: how far from the surface a point may be measured; flat facets leave a round body by less
+MOST_OFF = 0.5
+_UNITS = 10.0  # a surface so many times larger or smaller than the body is in another unit
+
+
+@dataclass(frozen=True)
+class Placed:
+    """The P points of one table on a surface of F facets.
+
+    Attributes
+    ----------
+    facet : (P,) the facet that each is on
+    weights : (P, 3) barycentric coordinates in it
+    distance : (P,) from the measured place to that point [m]
+    """
+
+    facet: Index
+    weights: Array
+    distance: Array
+
+    def displacement(self, field: Array, triangles: Index) -> Array:
+        """(P, 3) of a field (N, 3) at the nodes, linear on each facet."""
+        return np.asarray(np.einsum("pc,pci->pi", self.weights, field[triangles[self.facet]]))
+
+
+def place_measured(study: Study, mesh: Mesh) -> list[Placed]:
+    """Each measured table of a study on a mesh; one without points, a deformed surface, has none.
+
+    Raises
+    ------
+    SceneError
+        a point off the body, a measured surface in another unit, more points than the mesh has nodes.
+    """
+    return [_placed(table, k, mesh) for k, table in enumerate(study.measured or ())]
+
+
+def _placed(table: Measured, number: int, mesh: Mesh) -> Placed:
+    points = np.array([(p.x, p.y, p.z) for p in table.points], dtype=float).reshape(-1, 3)
+    place = ("measured", number)
+    if len(points) > len(mesh.surface_points):
+        raise SceneError(
+            f"{table.name!r} has {len(points):,} points, the mesh {len(mesh.surface_points):,} surface nodes; "
+            "take a smaller mesh_size or fewer points",
+            place,
+        )
+    if table.surface:
+        _check_size(table, mesh, number)
+    if not len(points):
+        return Placed(np.zeros(0, dtype=np.int64), np.zeros((0, 3)), np.zeros(0))
+    distance, facet, weights = nearest_on_surface(points, mesh.surface_points, mesh.triangles)
+    corners = mesh.surface_points[mesh.triangles]
+    edge = float(np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).mean())
+    worst = int(distance.argmax())
+    if distance[worst] > MOST_OFF * edge:
+        low, high = mesh.surface_points.min(axis=0), mesh.surface_points.max(axis=0)
+        extent = " to ".join("(" + ", ".join(f"{v:.4g}" for v in corner) + ")" for corner in (low, high))
+        raise SceneError(
+            f"{_named(table.points[worst], worst)} of {table.name!r} is {distance[worst]:.3g} m off the body, more "
+            f"than {MOST_OFF:g} of the mesh's edges ({edge:.3g} m): another origin, or a mixed-up unit? "
+            f"The body is {extent} m",
+            place,
+        )
+    return Placed(facet, weights, distance)
+
+
+def _named(point: MeasuredPoint, number: int) -> str:
+    name = f"point {point.name!r}" if point.name else f"point {number + 1}"
+    return f"{name} (line {point.line} of its file)" if point.line else name
+
+
+def _check_size(table: Measured, mesh: Mesh, number: int) -> None:
+    own = float(np.ptp(np.array(table.surface), axis=0).max())
+    body = float(np.ptp(mesh.surface_points, axis=0).max())
+    if not body / _UNITS <= own <= body * _UNITS:
+        text = f"surface {table.name!r} is {own:.3g} m across, the body {body:.3g} m: a mixed-up unit?"
+        raise SceneError(text, ("measured", number))

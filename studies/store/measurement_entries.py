@@ -1,0 +1,54 @@
+"""What was measured on a case, and how far its models are from it, as entries of its file."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..machine.files import json_text
+from ..machine.stored_json import MeasurementShape, parsed
+from ..measures.measurement import Measurement, Quantity
+from .hdf5 import Data, Entry, Group, Stored, Text
+
+_LENGTHS = ("value", "uncertainty", "distance")
+_TEXTS = ("table", "point", "component")
+_SERIES = ("simulated", "numerical")
+
+
+def measurement_entries(found: Measurement) -> list[Entry]:
+    """The group `measurement` of a case file; see results/FORMAT.md."""
+    rows = found.quantities
+    entries: list[Entry] = [Group("measurement")]
+    entries += [Text(f"measurement/{key}", [getattr(row, key) for row in rows]) for key in _TEXTS]
+    entries += [_lengths(key, np.array([getattr(row, key) for row in rows])) for key in _LENGTHS]
+    entries.append(Data("measurement/step", np.array([row.step for row in rows], dtype=np.int64)))
+    about = {"sources": dict(found.sources), "others": list(found.others)}
+    entries.append(Text("measurement/about", json_text(about)))
+    for key in _SERIES:
+        entries.append(Group(f"measurement/{key}"))
+        entries += [_lengths(f"{key}/{name}", values) for name, values in getattr(found, key).items()]
+    return entries
+
+
+def read_measurement(file: Stored) -> Measurement:
+    """What `measurement_entries` wrote. Raises ValueError for another shape."""
+    texts = [file.texts(f"measurement/{key}") for key in _TEXTS]
+    numbers = [file.floats(f"measurement/{key}").tolist() for key in _LENGTHS]
+    steps = file.integers("measurement/step").tolist()
+    quantities = [
+        Quantity(table, point, component, step, value, deviation, distance)
+        for table, point, component, step, value, deviation, distance in zip(
+            *texts, steps, *numbers, strict=True
+        )
+    ]
+    about = parsed(file.texts("measurement/about"), MeasurementShape)
+    series = {
+        key: {name: file.floats(f"measurement/{key}/{name}") for name in file.members(f"measurement/{key}")}
+        for key in _SERIES
+    }
+    return Measurement(
+        quantities, series["simulated"], series["numerical"], about["sources"], tuple(about["others"])
+    )
+
+
+def _lengths(path: str, values: np.ndarray) -> Data:
+    return Data(f"measurement/{path}", np.asarray(values, dtype=float), {"unit": "m"})

@@ -1,0 +1,172 @@
+"""Measured values from a CSV file beside the study: one row a point, a header with units."""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+import re
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+from .units import QuantityError, shown, to_si
+
+MOST_BYTES = 2_000_000
+MOST_ROWS = 10_000
+AXES = ("x", "y", "z")
+DISPLACEMENT = tuple(f"displacement_{axis}" for axis in AXES)
+DEFORMED = tuple(f"deformed_{axis}" for axis in AXES)
+_LENGTHS = {*AXES, *DISPLACEMENT, *DEFORMED, "uncertainty"}
+_HEADER = re.compile(r"(?:(?P<other>[A-Za-z0-9][\w-]*)\.)?(?P<key>\w+)(?:\s*\[(?P<unit>[^\]]*)\])?")
+
+Row = dict[str, Any]
+
+
+class MeasuredFileError(ValueError):
+    """A file of measured values that cannot be used; the message has its name and line."""
+
+
+def read_measured(path: Path) -> dict[str, Any]:
+    """What a CSV file measured: {"points": rows}, or {"surface": positions} where it has columns `deformed_x` ...
+
+    A row has `point` (its name), the rest position `x`, `y`, `z`, some of `displacement_x`, `displacement_y`,
+    `displacement_z`, and where wanted `uncertainty` and `load_factor`. A column `NAME.displacement_x` is what
+    another program, NAME, computed there. A header tells its unit in brackets, as in `x [mm]`; without one it is in
+    metres. Lines that begin with # are passed over.
+
+    Raises
+    ------
+    MeasuredFileError
+        no such table: an unknown or missing column, a wrong unit, a cell that is no finite number.
+    """
+    try:
+        about = path.stat()
+        return _read(path, about.st_mtime_ns, about.st_size)
+    except OSError as error:
+        raise MeasuredFileError(f"{path.name} cannot be read: {error.strerror}") from None
+
+
+@lru_cache(maxsize=16)  # each case of a sweep validates the study anew
+def _read(path: Path, _modified: int, size: int) -> dict[str, Any]:
+    if size > MOST_BYTES:
+        raise MeasuredFileError(f"{path.name} is larger than {MOST_BYTES // 1_000_000} MB; keep fewer points")
+    try:
+        text = path.read_bytes().decode("utf-8-sig")
+    except UnicodeDecodeError:
+        raise MeasuredFileError(f"{path.name}:1: is not UTF-8 text; save the file in UTF-8") from None
+    table = _Table(path.name, text)
+    return {"surface": table.positions()} if table.is_surface else {"points": table.points()}
+
+
+class _Table:
+    """A header and its rows, each with its line in the file."""
+
+    def __init__(self, name: str, text: str) -> None:
+        self._name = name
+        rows = _rows(text)
+        if not rows:
+            raise self.error(1, "holds no table")
+        self._header_line, header = rows[0]
+        self._rows = rows[1:]
+        self._columns = [self._column(title) for title in header]
+        keys = [key for key, _ in self._columns]
+        for key in keys:
+            if keys.count(key) > 1:
+                raise self.error(self._header_line, f"has two columns {shown(key)}")
+        self.is_surface = not {*DEFORMED}.isdisjoint(keys)
+        for key in DEFORMED if self.is_surface else AXES:
+            if key not in keys:
+                raise self.error(self._header_line, f"has no column {shown(key)}")
+        if not self.is_surface and {*DISPLACEMENT}.isdisjoint(keys):
+            raise self.error(self._header_line, f"has none of the columns {', '.join(DISPLACEMENT)}")
+        if self.is_surface and len(keys) > len(DEFORMED):
+            raise self.error(
+                self._header_line, f"a measured surface has the columns {', '.join(DEFORMED)} only"
+            )
+        if not self._rows:
+            raise self.error(self._header_line, "has a header and no row below it")
+        if len(self._rows) > MOST_ROWS:
+            raise self.error(self._rows[MOST_ROWS][0], f"has more than {MOST_ROWS:,} rows; keep fewer points")
+
+    def error(self, line: int, text: str) -> MeasuredFileError:
+        return MeasuredFileError(f"{self._name}:{line}: {text}")
+
+    def points(self) -> list[Row]:
+        """The rows as a study's `points`; of a cell without a number there is no key."""
+        found = []
+        for line, cells in self._cells():
+            point: Row = {"line": line}
+            for key, value in cells.items():
+                other, _, inner = key.rpartition(".")
+                if other:
+                    point.setdefault("others", {}).setdefault(other, {})[inner] = value
+                else:
+                    point["name" if key == "point" else key] = value
+            for key in AXES:
+                if key not in point:
+                    raise self.error(line, f"has no {key}")
+            if {*DISPLACEMENT}.isdisjoint(point):
+                raise self.error(line, "has no displacement")
+            found.append(point)
+        return found
+
+    def positions(self) -> list[list[float]]:
+        """The rows as positions on a deformed surface."""
+        found = []
+        for line, cells in self._cells():
+            if len(cells) < len(DEFORMED):
+                raise self.error(line, "has an empty cell")
+            found.append([cells[key] for key in DEFORMED])
+        return found
+
+    def _cells(self) -> list[tuple[int, Row]]:
+        found = []
+        for line, row in self._rows:
+            if len(row) != len(self._columns):
+                raise self.error(line, f"has {len(row)} cells, the header {len(self._columns)}")
+            cells: Row = {}
+            for (key, unit), cell in zip(self._columns, row, strict=True):
+                if not cell.strip():
+                    continue
+                cells[key] = cell.strip() if key == "point" else self._number(line, key, unit, cell.strip())
+            found.append((line, cells))
+        return found
+
+    def _number(self, line: int, key: str, unit: str, cell: str) -> float:
+        try:
+            plain = float(cell)
+        except ValueError:
+            raise self.error(line, f"{key}: {shown(cell)} is no number") from None
+        if not math.isfinite(plain):
+            raise self.error(line, f"{key}: must be a finite number")
+        if key == "uncertainty" and plain < 0:
+            raise self.error(line, f"{key}: must be positive or zero, not {plain:g}")
+        try:
+            return to_si(f"{cell} {unit}" if unit else plain, "1" if key == "load_factor" else "m")
+        except QuantityError as error:
+            raise self.error(line, f"{key}: {error}") from None
+
+    def _column(self, title: str) -> tuple[str, str]:
+        """(key, unit) of a column."""
+        match = _HEADER.fullmatch(title.strip())
+        other, key, unit = match.group("other", "key", "unit") if match else (None, "", None)
+        known = {*DISPLACEMENT} if other else _LENGTHS | {"point", "load_factor"}
+        if key not in known:
+            told = ", ".join(("point", *AXES, *DISPLACEMENT, "uncertainty", "load_factor", *DEFORMED))
+            raise self.error(self._header_line, f"unknown column {shown(title.strip())}; known: {told}")
+        if unit is not None:
+            try:
+                if key not in _LENGTHS:
+                    raise QuantityError("has no unit")
+                to_si(f"1 {unit}", "m")
+            except QuantityError as error:
+                raise self.error(self._header_line, f"column {key}: {error}") from None
+        return f"{other}.{key}" if other else key, unit or ""
+
+
+def _rows(text: str) -> list[tuple[int, list[str]]]:
+    """(line, cells) of each row, the header first."""
+    lines = io.StringIO(text, newline=None).read().split("\n")
+    kept = [(k, line) for k, line in enumerate(lines, start=1) if line.strip() and not line.startswith("#")]
+    return [(k, next(csv.reader([line]))) for k, line in kept]

@@ -1,0 +1,245 @@
+"""What was measured: read from a file, put on a mesh, and models held against it."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from tests.command import vdmbench
+from tests.unit.example_case import example_measurement
+from vdmbench.body.mesh import Mesh
+from vdmbench.measures.measurement import MOST, RMS, hold_against, step_rms
+from vdmbench.report.section_measurement import against_measurement
+from vdmbench.scene.measured_points import place_measured
+from vdmbench.scene.scene import SceneError
+from vdmbench.study.config import Study, StudyError, expand, load_study, resolved
+from vdmbench.verdict.digest import Digest
+
+from .report_runs import icosphere, make_case, make_run
+
+STUDY = """\
+[study]
+name = "tips"
+models = ["vdm-boundary"]
+[geometry]
+shape = "sphere"
+radius = 1
+mesh_size = 0.2
+[tissue]
+youngs_modulus = 5000
+poisson_ratio = 0.45
+[regions.base]
+below = { axis = "z", fraction = 0.1 }
+[[constraints]]
+kind = "fixed"
+region = "base"
+[load]
+factors = [0.5, 1.0]
+[[measured]]
+path = "tips.csv"
+source = "a ruler"
+"""
+GOOD = """\
+# who, when
+point, x [mm], y, z [m], displacement_z [mm], displacement_x, uncertainty [um], load_factor, COMSOL.displacement_z
+top, 0, 0, 1, -2, , 100, 1, -0.0021
+side, 1000, 0, 0, 0.5, 0.001, 200, 0.5,
+"""
+
+
+def load(tmp_path: Path, table: str, study: str = STUDY) -> Study:
+    (tmp_path / "tips.toml").write_text(study)
+    (tmp_path / "tips.csv").write_text(table)
+    return load_study(tmp_path / "tips.toml")
+
+
+def ball() -> Mesh:
+    points, triangles = icosphere(2)
+    return Mesh(points, np.zeros((0, 4), dtype=np.int64), np.arange(len(points)), triangles)
+
+
+def test_a_table_is_read_in_its_units(tmp_path: Path) -> None:
+    (table,) = load(tmp_path, GOOD).measured or ()
+    top, side = table.points
+    assert (table.name, table.source, table.path) == ("tips", "a ruler", None)
+    assert (top.name, top.line, top.x, top.z, top.load_factor) == ("top", 3, 0.0, 1.0, 1.0)
+    assert top.components() == {2: -0.002}
+    assert side.components() == {0: 0.001, 2: 0.0005}
+    assert (top.uncertainty, side.uncertainty) == (1e-4, 2e-4)
+    assert top.others["COMSOL"].components() == {2: -0.0021}
+    assert side.others == {}
+
+
+def test_the_resolved_study_carries_the_values_and_no_file(tmp_path: Path) -> None:
+    study = load(tmp_path, GOOD)
+    (tmp_path / "tips.csv").unlink()
+    assert Study.model_validate(resolved(study)).measured == study.measured
+    assert expand(study)[0].study.measured == study.measured
+
+
+@pytest.mark.parametrize(
+    ("wrong", "right", "told"),
+    [
+        ("x [mm]", "x [kg]", "tips.csv:2: column x: "),
+        ("load_factor", "load_factor [mm]", "tips.csv:2: column load_factor: has no unit"),
+        ("displacement_z [mm]", "displacment_z", "tips.csv:2: unknown column"),
+        ("z [m]", "z [m], z [m]", "tips.csv:2: has two columns 'z'"),
+        (" y,", "", "tips.csv:2: has no column 'y'"),
+        ("displacement_z [mm], displacement_x,", "", "tips.csv:2: has none of the columns displacement_x"),
+        ("-2,", "nan,", "tips.csv:3: displacement_z: must be a finite number"),
+        ("-2,", "two,", "tips.csv:3: displacement_z: 'two' is no number"),
+        ("-2,", ",", "tips.csv:3: has no displacement"),
+        ("top, 0,", "top, ,", "tips.csv:3: has no x"),
+        ("top, 0,", "top, 0, 0,", "tips.csv:3: has 10 cells, the header 9"),
+        ("100, 1,", "-1, 1,", "tips.csv:3: uncertainty: must be positive or zero, not -1"),
+        ("100, 1,", ", 1,", "uncertainty: is missing (line 3)"),
+        ("100, 1,", "100, 0.75,", "0.75 (line 3 of its file) is no step of the load history"),
+        (GOOD, "# nothing\n", "tips.csv:1: holds no table"),
+        (GOOD, "x,y,z,displacement_x\n", "tips.csv:1: has a header and no row below it"),
+        (GOOD, "deformed_x,deformed_y,deformed_z,x\n1,2,3,4\n", "tips.csv:1: a measured surface has"),
+        (GOOD, "deformed_x,deformed_y,deformed_z\n1,,3\n", "tips.csv:2: has an empty cell"),
+    ],
+)
+def test_a_bad_table_is_told_by_file_and_line(tmp_path: Path, wrong: str, right: str, told: str) -> None:
+    assert wrong in GOOD
+    text = GOOD.replace(wrong, right, 1)
+    if right.startswith("z [m], z"):
+        text = text.replace("0, 0, 1,", "0, 0, 1, 1,").replace("1000, 0, 0,", "1000, 0, 0, 0,")
+    with pytest.raises(StudyError) as caught:
+        load(tmp_path, text)
+    assert told in str(caught.value).replace('"', "'")
+    assert len(caught.value.problems) == 1
+    assert caught.value.problems[0].line >= 17, "the place in the study file"
+
+
+@pytest.mark.parametrize(
+    ("added", "told"),
+    [
+        ('swept = "tissue.poisson_ratio"', "swept and at belong together"),
+        ('swept = "tissue.poisson_ratio"\nat = 0.3', "'tissue.poisson_ratio' is not swept"),
+        ("points = []", "give path, points or surface"),
+        ('[[measured]]\npath = "tips.csv"', "'tips' is the name of another table"),
+        ('[[measured]]\nname = "none"', "has no values"),
+        ('[[measured]]\npath = "lost.csv"', "does not exist"),
+    ],
+)
+def test_a_bad_measured_table_is_told(tmp_path: Path, added: str, told: str) -> None:
+    with pytest.raises(StudyError) as caught:
+        load(tmp_path, GOOD, STUDY + added + "\n")
+    assert told in str(caught.value).replace('"', "'")
+
+
+def test_a_table_names_the_swept_case_that_it_belongs_to(tmp_path: Path) -> None:
+    sweep = '\n[sweep]\n"tissue.youngs_modulus" = ["5 kPa", "6 kPa"]\n'
+    study = STUDY + 'swept = "tissue.youngs_modulus"\nat = "6 kPa"\n' + sweep
+    found = [
+        hold_against(case.study, ball(), case.swept, case.swept_units, {"m": np.zeros((2, 162, 3))})
+        for case in expand(load(tmp_path, GOOD, study))
+    ]
+    assert [measurement is not None for measurement in found] == [False, True]
+    with pytest.raises(StudyError, match="none of the values of"):
+        load(tmp_path, GOOD, study.replace('at = "6 kPa"', 'at = "7 kPa"'))
+
+
+def test_check_ends_with_2_for_a_point_off_the_body(tmp_path: Path) -> None:
+    load(tmp_path, GOOD.replace("top, 0, 0, 1,", "top, 0, 0, 1.2,"))
+    result = vdmbench("check", "tips.toml", cwd=tmp_path)
+    assert result.returncode == 2
+    (line,) = result.stderr.strip().splitlines()
+    assert "tips.toml:18: " in line
+    assert "point 'top' (line 3 of its file) of 'tips' is 0.2 m off the body" in line
+
+
+def test_more_points_than_nodes_and_a_surface_in_another_unit_are_refused(tmp_path: Path) -> None:
+    rows = "".join("0,0,1,0\n" for _ in range(163))
+    study = STUDY + "uncertainty = 0.001\n"
+    with pytest.raises(SceneError, match="has 163 points, the mesh 162 surface nodes"):
+        place_measured(load(tmp_path, "x,y,z,displacement_x\n" + rows, study), ball())
+    cloud = "deformed_x,deformed_y,deformed_z\n0,0,1000\n0,0,-1000\n"
+    with pytest.raises(SceneError, match="a mixed-up unit"):
+        place_measured(load(tmp_path, cloud, study), ball())
+
+
+def test_a_linear_field_is_read_exactly_where_it_was_measured(tmp_path: Path) -> None:
+    """Barycentric interpolation reproduces linear functions; a point at the middle of a facet is on no node."""
+    mesh = ball()
+    place = mesh.points[mesh.triangles[7]].mean(axis=0)
+    table = "x,y,z,displacement_x\n" + ",".join(repr(float(x)) for x in place) + ",0\n"
+    study = load(tmp_path, table, STUDY + "uncertainty = 0.001\n")
+    matrix = np.arange(9.0).reshape(3, 3)
+    (placed,) = place_measured(study, mesh)
+    assert_allclose(
+        placed.displacement(mesh.points @ matrix.T, mesh.triangles), [matrix @ place], rtol=0, atol=1e-12
+    )
+    assert_allclose(placed.distance, 0.0, atol=1e-12)
+
+
+def test_error_and_uncertainty_by_hand(tmp_path: Path) -> None:
+    """Top at -2 mm +- 0.1, side at (1, 0.5) mm +- 0.2 at half the load; the model moves by (0, 0, -2.05) mm."""
+    study, mesh = load(tmp_path, GOOD), ball()
+    field = np.zeros((2, 162, 3))
+    field[:, :, 2] = -2.05e-3
+    levels = [field * factor for factor in (1.05, 1.01, 1.0)]
+    results = {"a": field * 1.05, "b": field, "none": field * np.nan}
+    found = hold_against(study, mesh, {}, {}, results, list(zip(("a", "", "b"), levels, strict=True)))
+    assert found is not None
+    assert [(q.point, q.component, q.step) for q in found.quantities] == [
+        ("top", "z", 1),
+        ("side", "x", 0),
+        ("side", "z", 0),
+    ]
+    assert_allclose(found.values, [-2e-3, 1e-3, 0.5e-3], rtol=1e-12)
+    assert_allclose(found.error("b"), [-0.05e-3, -1e-3, -2.55e-3], rtol=1e-9)
+    assert np.isnan(found.error("none")).all()
+    assert not found.within("none").any()
+    # differences 0.01 and 0.04 of 2.05 mm: order 2, error a third of the first, GCI 1.25 of that
+    gci = 1.25 * 0.01 * 2.05e-3 / 3
+    assert_allclose(found.numerical["b"], [gci, 0.0, gci], rtol=1e-6, atol=1e-15)
+    assert_allclose(
+        found.numerical["a"], [gci + 0.05 * 2.05e-3, 0.0, gci + 0.05 * 2.05e-3], rtol=1e-6, atol=1e-15
+    )
+    assert_allclose(found.uncertainty("b"), np.hypot([1e-4, 2e-4, 2e-4], [gci, 0, gci]), rtol=1e-6)
+    assert found.within("b").tolist() == [True, False, False]
+    assert found.others == ("COMSOL",)
+    assert_allclose(found.error("COMSOL"), [-1e-4, np.nan, np.nan], rtol=1e-9)
+    errors, sizes = step_rms(found, "b", 2)
+    assert_allclose(errors, [np.sqrt((1.0**2 + 2.55**2) / 2) * 1e-3, 0.05e-3], rtol=1e-9)
+    assert_allclose(sizes, [np.sqrt((1.0**2 + 0.5**2) / 2) * 1e-3, 2e-3], rtol=1e-9)
+
+
+def test_a_measured_surface_is_as_far_as_it_is(tmp_path: Path) -> None:
+    """The nodes of the moved ball themselves are on it; outward by 1 mm they are 1 mm off, but for its facets."""
+    mesh = ball()
+    moved = mesh.points + np.array([0.0, 0.0, -0.1])
+    field = np.zeros((2, 162, 3))
+    field[1, :, 2] = -0.1
+    for outward in (0.0, 1e-3):
+        rows = "\n".join(",".join(map(repr, p)) for p in (moved + outward * mesh.points).tolist())
+        study = load(
+            tmp_path, f"deformed_x,deformed_y,deformed_z\n{rows}\n", STUDY + "uncertainty = 0.0001\n"
+        )
+        found = hold_against(study, mesh, {}, {}, {"m": field, "lost": field * np.nan})
+        assert found is not None
+        assert [q.component for q in found.quantities] == [RMS, MOST]
+        assert_allclose(found.simulated["m"], outward, rtol=1e-6, atol=1e-15)
+        assert found.within("m").all() == (outward == 0.0)
+        assert np.isnan(found.simulated["lost"]).all()
+
+
+def test_the_section_shows_every_quantity_and_what_remains() -> None:
+    case = make_case({"vdm-paper": 0.5}, steps=(0.25, 0.5, 1.0), reference="fem:direct")
+    case = dataclasses.replace(case, measurement=example_measurement())
+    section = against_measurement(Digest(make_run([case])))
+    assert section is not None
+    summary, figures, details = (block for block in section.blocks if type(block).__name__ != "Text")
+    rows = {row[0].text: [cell.text for cell in row[1:5]] for row in summary.rows}
+    assert rows["vdm-paper"][0] == "1 of 2"
+    assert rows["vdm-paper"][3] == "1.00 mm", "2 mm off a surface known to 1 mm"
+    assert rows["fem:direct"][0] == "no answer"
+    assert [row[0].text for row in details.rows] == ["tip <1> z at 1", "rms distance at 1"]
+    assert "<svg" in figures.figures[0].svg
+    assert against_measurement(Digest(make_run([make_case({"vdm-paper": 0.5})]))) is None
