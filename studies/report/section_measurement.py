@@ -8,12 +8,14 @@ import numpy as np
 
 from ..measures.case import CaseResult
 from ..measures.measurement import Measurement, Quantity
+from ..study.measured_file import AXES
 from ..verdict.digest import REFERENCE, Array, Digest
 from ..verdict.formatting import NOTHING, listed, plain, quantity, short_percent
 from .blocks import Block, Cell, Column, Figure, Figures, Section, Table, Text
 from .plots import Plot, colour, marker, name_ticks
 
 _MOST_DRAWN = 40  # quantities of a figure
+_ON = 1e-9  # m: closer is rounding
 _READING = (
     "E is what a model says less what was measured; ± is the validation uncertainty u_val (ASME V&V 20-2009), "
     "√(u_num² + u_input² + u_D²). Where |E| is at most u_val the two agree as far as anybody can tell; else at "
@@ -44,7 +46,10 @@ def against_measurement(digest: Digest) -> Section | None:
 def _sentence(found: Measurement, name: str) -> str:
     sources = listed(f"{table} ({source})" if source else table for table, source in found.sources.items())
     farthest = max(one.distance for one in found.quantities)
-    mapped = f" Measured points are at most {quantity(farthest, 'm', 2)} off the mesh." if farthest else ""
+    off = f"at most {quantity(farthest, 'm', 2)} off" if farthest > _ON else "on"
+    mapped = (
+        f" All points are {off} the mesh." if any(one.component in AXES for one in found.quantities) else ""
+    )
     return f"{name + ': ' if name else ''}Measured by {sources}.{mapped}"
 
 
@@ -119,7 +124,7 @@ def _named(one: Quantity, case: CaseResult) -> str:
 
 
 def _figure(digest: Digest, case: CaseResult, found: Measurement, number: int) -> Figure | None:
-    drawn = [k for k, one in enumerate(found.quantities) if one.component in "xyz"][:_MOST_DRAWN]
+    drawn = [k for k, one in enumerate(found.quantities) if one.component in AXES][:_MOST_DRAWN]
     if not drawn:
         return None
     places = np.arange(len(drawn), dtype=float)
