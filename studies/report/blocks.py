@@ -105,6 +105,15 @@ class Viewer:
 
 
 @dataclass(frozen=True)
+class Scene:
+    """A drawing of what was computed, the same in words as (what, value), and a sentence."""
+
+    svg: Markup
+    words: Sequence[tuple[str, str]]
+    note: str = ""
+
+
+@dataclass(frozen=True)
 class Answer:
     """A question of the reader, a word that answers it where one does, and the sentences that bear it out."""
 

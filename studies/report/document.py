@@ -14,7 +14,7 @@ from pathlib import Path
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
 
-from .blocks import Answer, Section, Viewer
+from .blocks import Answer, Scene, Section, Viewer
 
 _TEMPLATES = Path(__file__).parent / "templates"
 _JSON_ESCAPES = str.maketrans(
@@ -47,6 +47,7 @@ def html_document(
     counts: Sequence[tuple[str, str]],
     models: Sequence[tuple[int, str, bool]],
     sections: Sequence[Written],
+    scene: Scene | None = None,
 ) -> str:
     """The document as text. `counts` are (what, tone) badges, `models` the legend of the whole page."""
     scripts = _scripts() if any(section.has_viewer for section in sections) else _scripts()[:1]
@@ -57,6 +58,7 @@ def html_document(
             title=title,
             name=name,
             verdict=verdict,
+            scene=scene,
             counts=counts,
             models=models,
             sections=sections,

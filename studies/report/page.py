@@ -26,6 +26,7 @@ from .section_fibres import anisotropy_of_the_response
 from .section_force import force_against_indentation
 from .section_limits import small_strain_limits
 from .section_measures import all_measures
+from .section_scene import scene
 from .section_stability import numerical_stability
 from .section_view import Renderer, heading, still, surfaces
 from .section_volume import volume_drift
@@ -103,7 +104,7 @@ def page_html(run: Run, render: Renderer) -> str:
 
 
 def _page_html(digest: Digest, render: Renderer) -> str:
-    run, answers = digest.run, verdict.answers(digest)
+    run, answers, drawn = digest.run, verdict.answers(digest), scene(digest)
     last = (*SECTIONS_AFTER, *_further_sections(), *APPENDIX)
     before, after = ([written(s) for make in part if (s := make(digest))] for part in (SECTIONS_BEFORE, last))
 
@@ -112,6 +113,7 @@ def _page_html(digest: Digest, render: Renderer) -> str:
             title=str(run.study.get("title") or run.study.get("name", "study")),
             name=str(run.study.get("name", "")),
             verdict=answers,
+            scene=drawn,
             counts=_counts(run),
             models=digest.legend,
             sections=sections,

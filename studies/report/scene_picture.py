@@ -34,11 +34,12 @@ KINDS = {
     "contact": ("contact", "#ee6677"),
     "constrained": ("moved", "#c0a82e"),
 }
+_ARROWS = {"contact": "#c42842", "constrained": "#8a7410"}  # their arrows, seen on body and ground
 _BODY, _AMBIENT = "#cfd3d6", 0.72  # bright all round: the colours have a meaning
 _PIXELS = 560  # width of the body's drawing
-_WIDTH, _MOST_HEIGHT = 4.4, 4.2  # inches: as wide as a chart
+_WIDTH, _MOST_HEIGHT = 4.4, 3.6  # inches: as wide as a chart
 _LINE = 0.17  # inches, height of a line of text
-_ARROW = 0.24  # length over the body's size
+_ARROW = 0.2  # length over the body's size
 _FOOT = 0.62  # inches, height of the strip with the scale bar and the axes
 _LETTERS = 70  # of a line of words
 _ELEVATIONS = tuple(np.radians([22.0, 10.0]))
@@ -117,8 +118,8 @@ class _Stage:
         """(F,) mask of the facets that lie in a part with all three nodes."""
         return np.asarray(part.nodes)[self.triangles].all(axis=1)
 
-    def _arrows(self, part: Part) -> list[tuple[Array, Array, str]]:
-        """(tail, tip, label) of an arrow outside the body, which ends on the surface or starts there."""
+    def _arrows(self, part: Part) -> list[tuple[Array, Array, Part]]:
+        """(tail, tip, part) of an arrow outside the body, which ends on the surface or starts there."""
         nodes = np.asarray(part.nodes)
         if part.vector is None or not nodes.any() or not np.any(part.vector):
             return []
@@ -128,7 +129,7 @@ class _Stage:
         # of the part's nodes the one where its middle meets the surface
         node = self.points[nodes][np.argmin(np.linalg.norm(self.points[nodes] - centre, axis=1))]
         tail, tip = (node - along, node) if inward @ along > 0 else (node, node + along)
-        return [(tail, tip, part.label)]
+        return [(tail, tip, part)]
 
     def _camera(self) -> Array:
         """(3, 3) right, up, towards the viewer: a later camera is taken where it shows clearly more."""
@@ -253,16 +254,16 @@ def _draw_body(axes: Axes, stage: _Stage) -> None:
     axes.set_ylim(low[1], high[1])
 
 
-def _draw_arrow(axes: Axes, stage: _Stage, tail: Array, tip: Array, label: str) -> None:
+def _draw_arrow(axes: Axes, stage: _Stage, tail: Array, tip: Array, part: Part) -> None:
     start, end = ((stage.axes @ place)[:2] for place in (tail, tip))
-    _arrow(axes, start, end, "-|>", 1.8)
+    _arrow(axes, start, end, "-|>", 1.8, _ARROWS.get(part.kind, INK))
     low, high = stage.frame
     middle = (low + high) / 2
     x, y = max(start, end, key=lambda place: float(np.linalg.norm(place - middle)))
     upright = abs(end - start)[1] > abs(end - start)[0]
     right, low_end = x > middle[0], y < (start + end)[1] / 2
     axes.annotate(
-        label,
+        part.label,
         (x, y),
         xytext=(5, -3) if upright else (0, -14 if low_end else 7),  # beside the arrow's outer end
         textcoords="offset points",
@@ -271,8 +272,8 @@ def _draw_arrow(axes: Axes, stage: _Stage, tail: Array, tip: Array, label: str) 
     )
 
 
-def _arrow(axes: Axes, start: Array, end: Array, style: str, width: float) -> None:
-    look = {"arrowstyle": style, "color": INK, "linewidth": width, "shrinkA": 0, "shrinkB": 0}
+def _arrow(axes: Axes, start: Array, end: Array, style: str, width: float, colour: str = INK) -> None:
+    look = {"arrowstyle": style, "color": colour, "linewidth": width, "shrinkA": 0, "shrinkB": 0}
     axes.annotate("", (end[0], end[1]), (start[0], start[1]), arrowprops=look)
 
 

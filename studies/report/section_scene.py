@@ -1,0 +1,154 @@
+"""What was computed, in one picture and a few lines: the scene of the case that the page looks at first."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from ..body.surface_measures import facet_area_vectors
+from ..measures.case import CaseResult
+from ..verdict.digest import Array, Digest
+from ..verdict.formatting import listed, plain, plural, scale_of
+from .blocks import Scene
+from .scene_picture import KINDS, Part, scene_svg
+
+_ALL_ROUND = (
+    0.05  # of the sum of its facets' forces: a contact whose resultant is smaller presses from all sides
+)
+
+
+def scene(digest: Digest) -> Scene | None:
+    """The picture and the words of a run's scene; None where no case is finished."""
+    if not digest.cases:
+        return None
+    case = digest.key_cases[0][1]
+    parts, words = parts_of(case, digest.cases), scene_words(case, digest.cases)
+    alt = "The body at rest. " + "; ".join(f"{what}: {value}" for what, value in words)
+    svg = scene_svg(case.points, case.triangles, parts, alt=alt, salt="scene")
+    same = all(np.array_equal(case.points, other.points) for other in digest.cases)
+    return Scene(svg, words, "" if same else f"The picture shows {digest.case_name(case)}.")
+
+
+def parts_of(case: CaseResult, cases: Sequence[CaseResult]) -> list[Part]:
+    """The regions of a case that something acts on; the labels tell the loads of all `cases`."""
+    constraints = [c for c in _constraints(case) if str(c.get("region")) in case.regions]
+    contacts = [c for c in constraints if c.get("kind") == "contact"]
+    parts = []
+    for constraint in constraints:
+        name, kind = _name(constraint), str(constraint.get("kind"))
+        nodes = case.regions[str(constraint.get("region"))]
+        label = _load(name, cases)
+        if kind == "contact" and len(contacts) > 1:
+            label = f"{name} {label}"
+        vector = None
+        if kind == "constrained":
+            vector = np.array(constraint["displacement"], dtype=float)
+        elif kind == "contact":
+            vector = _thrust(case, nodes, constraint)
+        if kind in KINDS:
+            parts.append(Part(name, kind, nodes, vector, label))
+    return parts
+
+
+def scene_words(case: CaseResult, cases: Sequence[CaseResult]) -> list[tuple[str, str]]:
+    """(what, value) of tissue, body, mesh and constraints, with the ranges over all `cases`."""
+    tissue = [f"Young's modulus {_over(cases, 'tissue', 'youngs_modulus', 'Pa')}"]
+    tissue.append(f"Poisson ratio {_over(cases, 'tissue', 'poisson_ratio', '1')}")
+    if any(other.resolved.get("anisotropy") for other in cases):
+        tissue.append(f"{_over(cases, 'anisotropy', 'contrast', '1')} times as stiff along its fibres")
+    if any(other.resolved.get("gravity") for other in cases):
+        tissue.append(f"with weight, density {_over(cases, 'tissue', 'density', '1')} kg/m³")
+    rows = [("Tissue", ", ".join(part for part in tissue if not part.endswith(" ")))]
+    shapes = dict.fromkeys(str(other.resolved.get("geometry", {}).get("shape", "")) for other in cases)
+    extents = [_lengths(np.ptp(case.points, axis=0))] if len(shapes) == 1 else []
+    rows.append(("Body", ", ".join(filter(None, [listed(filter(None, shapes)), *extents]))))
+    size = _over(cases, "geometry", "mesh_size", "m")
+    nodes = _span([len(other.points) for other in cases], "1", 9)
+    rows.append(("Mesh", f"{nodes} surface nodes" + (f", {size} apart" if size else "")))
+    for constraint in _constraints(case):
+        name, kind = _name(constraint), str(constraint.get("kind"))
+        mask = case.regions.get(str(constraint.get("region")))
+        if mask is not None and kind in KINDS:
+            rows.append((KINDS[kind][0].capitalize(), _in_words(case, cases, name, constraint, mask)))
+    return [(what, value) for what, value in rows if value]
+
+
+def _in_words(
+    case: CaseResult, cases: Sequence[CaseResult], name: str, constraint: Mapping[str, Any], mask: np.ndarray
+) -> str:
+    across = f"{plain(2e3 * _reach(case.points[mask]), 2)} mm across" if mask.any() else ""
+    nodes = plural(int(mask.sum()), "node")
+    profile = constraint.get("profile")
+    load = _load(name, cases)
+    shape = f"{profile} pressure" if constraint.get("kind") == "contact" and profile else ""
+    return ", ".join(filter(None, [name, load, shape, nodes, across]))
+
+
+def _reach(points: Array) -> float:
+    """Distance of the farthest of some points from their middle [m]."""
+    return float(np.linalg.norm(points - (points.min(axis=0) + points.max(axis=0)) / 2, axis=1).max())
+
+
+def _thrust(case: CaseResult, nodes: np.ndarray, constraint: Mapping[str, Any]) -> Array | None:
+    """(3,) direction in which a contact pushes the body; None where it pushes from all sides."""
+    vectors = facet_area_vectors(case.points, case.triangles[nodes[case.triangles].all(axis=1)])
+    total, sizes = vectors.sum(axis=0), np.linalg.norm(vectors, axis=1).sum()
+    if np.linalg.norm(total) <= _ALL_ROUND * sizes:
+        return None
+    size = constraint.get("force") or constraint.get("pressure") or 0.0
+    return np.asarray(-total * math.copysign(1.0, size * case.load_factors[case.full_load]))
+
+
+def _constraints(case: CaseResult) -> list[Mapping[str, Any]]:
+    return list(case.resolved.get("constraints", ()))
+
+
+def _name(constraint: Mapping[str, Any]) -> str:
+    return str(constraint.get("name") or constraint.get("region"))
+
+
+def _load(name: str, cases: Iterable[CaseResult]) -> str:
+    """The load of a constraint at full load over all cases: "0.1 to 0.4 N", "peak 800 Pa", "2 mm"."""
+    found: dict[str, list[float]] = {}
+    for case in cases:
+        factor = float(case.load_factors[case.full_load])
+        for constraint in _constraints(case):
+            if _name(constraint) != name:
+                continue
+            if constraint.get("force") is not None:
+                found.setdefault("N", []).append(factor * constraint["force"])
+            elif constraint.get("pressure") is not None:
+                kind = "Pa" if constraint.get("profile") in (None, "uniform") else "peak"
+                found.setdefault(kind, []).append(factor * constraint["pressure"])
+            elif constraint.get("displacement") is not None:
+                found.setdefault("m", []).append(factor * float(np.linalg.norm(constraint["displacement"])))
+    told = [
+        f"peak {_span(values, 'Pa')}" if unit == "peak" else _span(values, unit)
+        for unit, values in found.items()
+    ]
+    return " or ".join(told)
+
+
+def _over(cases: Iterable[CaseResult], table: str, key: str, unit: str) -> str:
+    """The values of a key of the study over all cases; empty where none has it."""
+    values = [case.resolved[table].get(key) for case in cases if case.resolved.get(table)]
+    return _span([float(value) for value in values if isinstance(value, int | float)], unit)
+
+
+def _span(values: Sequence[float], unit: str, digits: int = 4) -> str:
+    """ "0.1 to 0.4 N", one number where all are the same, empty without any."""
+    if not values:
+        return ""
+    # a force on tissue is told in newtons from a hundredth on
+    in_newtons = unit == "N" and 0.01 <= max(map(abs, values)) < 1e3
+    factor, shown = (1.0, "N") if in_newtons else scale_of(unit, values)
+    ends = dict.fromkeys(plain(end / factor, digits) for end in (min(values), max(values)))
+    return f"{' to '.join(ends)} {shown}".strip()
+
+
+def _lengths(extents: Array) -> str:
+    factor, unit = scale_of("m", extents)
+    return f"{' × '.join(plain(float(length) / factor, 2) for length in extents)} {unit}"

@@ -1,0 +1,94 @@
+"""The scene on the page: what was computed, in words with their ranges, and in a picture below the verdict."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any
+
+import numpy as np
+import pytest
+
+from vdmbench.measures.case import CaseResult
+from vdmbench.report.page import page_html
+from vdmbench.report.section_scene import parts_of, scene, scene_words
+from vdmbench.verdict.digest import Digest
+
+from .report_runs import make_case, make_run
+from .test_report_page import no_pictures
+
+
+def told(label: str, nu: float, force: float, **more: Any) -> CaseResult:
+    case = make_case({"m": 0.1}, label=label, contact={"force": force, "profile": "hertz"}, steps=(0.5, 2.0))
+    inputs = {
+        "tissue": {"youngs_modulus": 5000.0, "poisson_ratio": nu, "density": 1060.0},
+        "geometry": {"shape": "sphere", "mesh_size": 0.009},
+        **more,
+    }
+    return dataclasses.replace(case, resolved={**case.resolved, **inputs})
+
+
+def test_words_have_the_ranges_of_all_cases_at_full_load() -> None:
+    """The base ends at z = -0.7 R, where the ball is 71 mm across."""
+    cases = [told("a", 0.45, 0.05), told("b", 0.4999, 0.2)]
+    assert dict(scene_words(cases[0], cases)) == {
+        "Tissue": "Young's modulus 5 kPa, Poisson ratio 0.45 to 0.4999",
+        "Body": "sphere, 100 × 100 × 100 mm",
+        "Mesh": "162 surface nodes, 9 mm apart",
+        "Support": "base, 23 nodes, 71 mm across",
+        "Contact": "finger, 0.1 to 0.4 N, hertz pressure, 7 nodes, 31 mm across",
+    }
+    heavy = told("c", 0.45, 0.05, gravity={"acceleration": [0, 0, -9.81]}, anisotropy={"contrast": 3.0})
+    assert dict(scene_words(heavy, [heavy]))["Tissue"].endswith(
+        "3 times as stiff along its fibres, with weight, density 1060 kg/m³"
+    )
+
+
+@pytest.mark.parametrize(
+    ("contact", "label", "down"),
+    [
+        ({"force": 0.05}, "0.05 N", True),
+        ({"force": -0.05}, "0.05 N", False),
+        ({"force": None, "pressure": 800.0}, "800 Pa", True),
+        ({"force": None, "pressure": 800.0, "profile": "hertz"}, "peak 800 Pa", True),
+    ],
+)
+def test_the_arrow_of_a_contact(contact: dict[str, object], label: str, down: bool) -> None:
+    case = make_case({"m": 0.1}, contact=contact)
+    support, finger = parts_of(case, [case])
+    assert (support.kind, support.name, support.vector) == ("fixed", "base", None)
+    assert finger.label.replace("−", "") == label
+    direction = finger.vector / np.linalg.norm(finger.vector)
+    np.testing.assert_allclose(direction, [0, 0, -1 if down else 1], atol=1e-6)  # the mesh is symmetric
+
+
+def test_a_moved_region_and_a_contact_all_round() -> None:
+    case = make_case({"m": 0.1})
+    everywhere = np.ones(len(case.points), dtype=bool)
+    moved = {"kind": "constrained", "region": "finger", "name": "jaw", "displacement": [0.002, 0.0, 0.0]}
+    squeezed = {"kind": "contact", "region": "all", "name": "air", "pressure": 100.0}
+    case = dataclasses.replace(
+        case, resolved={"constraints": [moved, squeezed]}, regions={**case.regions, "all": everywhere}
+    )
+    jaw, air = parts_of(case, [case])
+    assert (jaw.label, list(jaw.vector)) == ("2 mm", [0.002, 0.0, 0.0])
+    assert air.vector is None, "it presses from all sides"
+
+
+def test_the_page_shows_the_scene_right_below_the_verdict() -> None:
+    html = page_html(make_run([told("a", 0.45, 0.05)]), no_pictures)
+    at = html.index('<figure class="scene">')
+    assert html.index('class="verdict"') < at < html.index("<nav")
+    assert 'aria-label="The body at rest. Tissue: Young' in html
+    assert "Contact: finger, 0.1 N, hertz pressure" in html
+    drawn = scene(Digest(make_run([told("a", 0.45, 0.05)])))
+    assert drawn is not None
+    assert drawn.note == ""
+    assert scene(Digest(make_run([]))) is None
+
+
+def test_where_bodies_differ_the_picture_names_its_case() -> None:
+    cases = [told("a", 0.45, 0.05), dataclasses.replace(make_case({"m": 0.3}, subdivisions=1), label="b")]
+    drawn = scene(Digest(make_run(cases)))
+    assert drawn is not None
+    assert drawn.note == "The picture shows b.", "the worst case"
+    assert dict(drawn.words)["Mesh"].startswith("42 to 162 surface nodes")
