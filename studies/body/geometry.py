@@ -21,7 +21,7 @@ from ..study.geometry_spec import (
     extents,
 )
 from .distort import distorted
-from .imported import centred, imported_surface, imported_tetrahedra, named
+from .imported import centred, imported_surface, imported_tetrahedra, named, placed
 from .intersections import without_intersections
 from .mesh import Array, Index, Mesh
 from .organ import liver_points
@@ -99,7 +99,7 @@ def _organ(geometry: Geometry, volume: bool) -> Mesh:
 def _fill_surface_of_file(geometry: Geometry, volume: bool, max_nodes: int) -> Mesh:
     given = imported_surface(geometry, volume=volume, max_nodes=max_nodes)
     mesh = fill_surface(given.points, given.triangles, geometry.mesh_size, volume)
-    return replace(mesh, quality={**mesh.quality, **given.repairs})
+    return placed(replace(mesh, quality={**mesh.quality, **given.repairs}), given.centre)
 
 
 def _tetrahedra_of_file(geometry: Geometry, volume: bool, max_nodes: int) -> Mesh:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 
@@ -29,9 +29,13 @@ from .topology import mesh_from_tetrahedra
 
 @dataclass(frozen=True)
 class ImportedSurface:
-    """A closed surface (N, 3) [m], its area [m^2] and volume [m^3], and what was repaired."""
+    """A closed surface (N, 3) about its centre (3,) [m], its area [m^2] and volume [m^3], and what was repaired.
+
+    It is meshed about its centre, so that far from the origin no digit is lost.
+    """
 
     points: Array
+    centre: Array
     triangles: Index
     area: float
     volume: float
@@ -42,21 +46,21 @@ def imported_surface(geometry: Geometry, *, volume: bool, max_nodes: int) -> Imp
     """The surface of a file, fit to be meshed as asked. Raises MeshError."""
     check_readable(geometry.path)
     clean = _clean_surface(geometry.path, file_digest(geometry.path))
-    points, placing = _placed(clean.points, geometry)
+    points, centre, scale = _in_metres(clean.points, geometry)
     check_mesh_size(geometry.mesh_size, float(np.ptp(points, axis=0).min()))
     area = float(facet_areas(points, clean.triangles).sum())
     inside = enclosed_volume(points, clean.triangles)
     remedy = fewer_nodes(geometry, float(np.ptp(points, axis=0).max()))
     check_node_budget(area, inside if volume else 0.0, geometry.mesh_size, max_nodes, remedy)
     repairs = {
-        **placing,
+        "scale": scale,
         "imported_points": float(len(clean.points)),
         "points_merged": float(clean.points_merged),
         "points_dropped": float(clean.points_dropped),
         "facets_dropped": float(clean.facets_dropped),
         "facets_flipped": float(clean.facets_flipped),
     }
-    return ImportedSurface(points, clean.triangles, area, inside, repairs)
+    return ImportedSurface(points, centre, clean.triangles, area, inside, repairs)
 
 
 @lru_cache(maxsize=1)
@@ -76,13 +80,21 @@ def imported_tetrahedra(geometry: Geometry, *, max_nodes: int) -> Mesh:
     clean = _clean_tetrahedra(geometry.path, file_digest(geometry.path))
     if len(clean.points) > max_nodes:
         raise MeshError(f"has {len(clean.points)} nodes, more than the {max_nodes} allowed; coarsen it")
-    points, placing = _placed(clean.points, geometry)
+    points, centre, scale = _in_metres(clean.points, geometry)
     repairs = {
-        **placing,
+        "scale": scale,
         "points_dropped": float(clean.points_dropped),
         "tetrahedra_turned": float(clean.tetrahedra_turned),
     }
-    return mesh_from_tetrahedra(points, clean.tetrahedra, groups=clean.groups, quality=repairs)
+    return placed(
+        mesh_from_tetrahedra(points, clean.tetrahedra, groups=clean.groups, quality=repairs), centre
+    )
+
+
+def placed(mesh: Mesh, centre: Array) -> Mesh:
+    """A mesh about the origin, moved to the place that its body has in the file."""
+    x, y, z = centre.tolist()
+    return replace(mesh, points=mesh.points + centre, centre=(x, y, z))
 
 
 @contextmanager
@@ -100,11 +112,8 @@ def centred(points: Array, size: float) -> Array:
     return (points - 0.5 * (low + high)) * (size / float((high - low).max()))
 
 
-def _placed(points: Array, geometry: Geometry) -> tuple[Array, dict[str, float]]:
-    """Points of a file scaled to m, with the centre of their bounding box in the origin.
-
-    And the factor, `scale`, and where that centre is in the file, `centre_x` and so on [m].
-    """
+def _in_metres(points: Array, geometry: Geometry) -> tuple[Array, Array, float]:
+    """Points of a file about the centre of their bounding box [m], that centre (3,) [m], and metres per unit."""
     extent = float(np.ptp(points, axis=0).max())
     size = geometry.number("size") if "size" in geometry.parameters else None
     factor = geometry.number("scale") if "scale" in geometry.parameters else 1.0
@@ -112,5 +121,4 @@ def _placed(points: Array, geometry: Geometry) -> tuple[Array, dict[str, float]]
         size = factor * extent
         check_extent(size, "give `size`, its largest extent in metres, or `scale`, the file's unit in metres")
     centre = 0.5 * (points.min(axis=0) + points.max(axis=0)) * (size / extent)
-    placing = {f"centre_{axis}": float(value) for axis, value in zip("xyz", centre, strict=True)}
-    return centred(points, size), {"scale": size / extent, **placing}
+    return centred(points, size), centre, size / extent

@@ -30,6 +30,7 @@ class Mesh:
     triangles : (F, 3) indices into 0..N-1, outward
     groups : named sets of surface nodes, (N,) masks
     quality : figures for the record, such as `worst_sicn` and `surface_distance`
+    centre : (3,) middle of the bounding box of the file that the body is from [m], zero of other shapes
     """
 
     points: Array
@@ -38,6 +39,7 @@ class Mesh:
     triangles: Index
     groups: Mapping[str, Mask] = field(default_factory=dict)
     quality: Mapping[str, float] = field(default_factory=dict)
+    centre: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
     @cached_property
     def surface_points(self) -> Array:

@@ -55,6 +55,7 @@ def _mesh(stored: dict[str, NDArray[Any]]) -> Mesh:
         triangles=stored["triangles"],
         groups=groups,
         quality=json.loads(str(stored["quality"])),
+        centre=tuple(stored["centre"].tolist()) if "centre" in stored else Mesh.centre,
     )
 
 
@@ -75,5 +76,6 @@ def _arrays(mesh: Mesh) -> dict[str, NDArray[Any]]:
         "surface_nodes": mesh.surface_nodes,
         "triangles": mesh.triangles,
         "quality": np.array(json.dumps(dict(mesh.quality), sort_keys=True)),
+        "centre": np.array(mesh.centre),
     }
     return arrays | {f"group/{name}": mask for name, mask in mesh.groups.items()}

@@ -76,6 +76,7 @@ def refine(mesh: Mesh) -> tuple[Mesh, Index]:
         tetrahedra=tetrahedra,
         surface_nodes=np.concatenate([mesh.surface_nodes, middles]),
         triangles=np.array(triangles),
+        centre=mesh.centre,
     )
     return refined, np.concatenate([np.column_stack([old, old]), pairs])
 

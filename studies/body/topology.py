@@ -252,7 +252,9 @@ def mesh_from_triangles(
 def surface_only(mesh: Mesh) -> Mesh:
     """The same surface nodes, facets and groups without the inside."""
     surface = mesh_from_triangles(mesh.surface_points, mesh.triangles)
-    return replace(surface, groups=mesh.groups, quality={**mesh.quality, **surface.quality})
+    return replace(
+        surface, groups=mesh.groups, quality={**mesh.quality, **surface.quality}, centre=mesh.centre
+    )
 
 
 def check_tetrahedra(points: Array, tetrahedra: Index) -> None:

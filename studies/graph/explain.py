@@ -8,6 +8,7 @@ from typing import Any
 
 from .. import models
 from ..machine.memory import machine_memory
+from ..scene.coordinates import origin
 from ..scene.regions import body_extent, lies_outside
 from ..study.config import holds_nothing
 from ..study.folders import swept_without_folders
@@ -207,11 +208,13 @@ def _off_the_body(plan: Plan, cases: Sequence[PlannedCase]) -> list[str]:
     """The regions of constraints that lie off their body; a mesh may reach an edge further."""
     known = {key: _body(plan, key) for key in dict.fromkeys(case.mesh for case in cases)}
     return [
-        f"region {name!r} lies off the body: {body_extent(body.low, body.high)}"
+        f"region {name!r} lies off the body: {body_extent(low, high)}"
         for case in cases
         for name in dict.fromkeys(constraint.region for constraint in case.study.constraints)
         if (body := known[case.mesh]) is not None
-        and lies_outside(case.study.regions[name], body.low - body.reach, body.high + body.reach)
+        for start in [origin(case.study, body.centre.tolist())]
+        for low, high in [(body.low - start, body.high - start)]
+        if lies_outside(case.study.regions[name], low - body.reach, high + body.reach)
     ]
 
 

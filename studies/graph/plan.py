@@ -52,13 +52,15 @@ class PlannedCase:
 
 @dataclass(frozen=True)
 class Expected:
-    """A mesh's surface nodes and tetrahedra, its body's box (3,) (3,) [m], and how far it may reach beyond [m]."""
+    """A mesh's surface nodes and tetrahedra, its body's box (3,) (3,) [m], how far it may reach beyond [m], and
+    the mesh's centre (3,) [m]."""
 
     nodes: float
     tetrahedra: float
     low: Array
     high: Array
     reach: float
+    centre: Array
 
     @classmethod
     def of_mesh(cls, mesh: Mesh, *, volume: bool = True) -> Expected:
@@ -67,7 +69,7 @@ class Expected:
         corners = points[mesh.triangles]
         reach = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max()
         size = float(len(points)), float(len(mesh.tetrahedra) if volume else 0)
-        return cls(*size, points.min(axis=0), points.max(axis=0), float(reach))
+        return cls(*size, points.min(axis=0), points.max(axis=0), float(reach), np.array(mesh.centre))
 
 
 @dataclass(frozen=True)
@@ -101,6 +103,7 @@ class PlannedMesh:
         if geometry.shape != "file":
             area, inside = area_and_volume(geometry)
             high = np.array(extents(geometry)) / 2.0
+            centre = np.zeros(3)
         else:
             from ..body.imported import imported_surface, imported_tetrahedra, named
 
@@ -110,9 +113,9 @@ class PlannedMesh:
                     return Expected.of_mesh(mesh, volume=self.volume)
                 surface = imported_surface(geometry, volume=self.volume, max_nodes=MAX_NODES)
             area, inside = surface.area, surface.volume
-            high = surface.points.max(axis=0)
+            high, centre = surface.points.max(axis=0), surface.centre
         size = expected_size(area, inside if self.volume else 0.0, geometry.mesh_size)
-        return Expected(*size, -high, high, geometry.mesh_size)
+        return Expected(*size, centre - high, centre + high, geometry.mesh_size, centre)
 
 
 @dataclass(frozen=True)

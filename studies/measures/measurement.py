@@ -16,6 +16,7 @@ import numpy as np
 
 from ..body.mesh import Array, Index, Mask, Mesh
 from ..body.nearest import nearest_on_surface
+from ..scene.coordinates import measured_on
 from ..scene.measured_points import Placed, place_measured
 from ..study.measured_file import AXES
 from ..study.measured_table import Measured, same_load
@@ -99,7 +100,7 @@ def hold_against(
     """
     tables = [
         (table, placed)
-        for table, placed in zip(study.measured or (), place_measured(study, mesh), strict=True)
+        for table, placed in zip(measured_on(study, mesh), place_measured(study, mesh), strict=True)
         if table.belongs_to(swept, units)
     ]
     if not tables:

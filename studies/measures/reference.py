@@ -14,6 +14,7 @@ from ..body.refine import Hierarchy
 from ..body.surface_measures import Surface, enclosed_volumes, weighted_norm, without_motions
 from ..machine.errors import InputError
 from ..models.result import ModelResult
+from ..scene.coordinates import in_mesh_coordinates
 from ..scene.regions import select
 from ..scene.scene import Scene, build_scene
 from ..study.schema import Study
@@ -118,7 +119,8 @@ def level_scene(study: Study, hierarchy: Hierarchy) -> Scene:
     The body, its supports and its loads stay what they are; a smooth profile is evaluated anew.
     """
     coarsest = hierarchy.meshes[0]
-    regions = {name: select(region, coarsest, study.regions) for name, region in study.regions.items()}
+    named = in_mesh_coordinates(study, coarsest)
+    regions = {name: select(region, coarsest, named) for name, region in named.items()}
     return build_scene(
         study, hierarchy.finest, {name: hierarchy.inherit(mask) for name, mask in regions.items()}
     )

@@ -10,6 +10,7 @@ from ..body.mesh import Array, Index, Mesh
 from ..body.nearest import nearest_on_surface
 from ..study.measured_table import Measured, MeasuredPoint
 from ..study.schema import Study
+from .coordinates import measured_on
 from .scene import SceneError
 
 # of the mean edge: how far from the surface a point may be measured; flat facets leave a round body by less
@@ -45,7 +46,7 @@ def place_measured(study: Study, mesh: Mesh) -> list[Placed]:
     SceneError
         a point off the body, a measured surface in another unit, more points than the mesh has nodes.
     """
-    return [_placed(table, k, mesh) for k, table in enumerate(study.measured or ())]
+    return [_placed(table, k, mesh) for k, table in enumerate(measured_on(study, mesh))]
 
 
 def _placed(table: Measured, number: int, mesh: Mesh) -> Placed:

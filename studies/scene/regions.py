@@ -9,8 +9,8 @@ import numpy as np
 from ..body.mesh import Array, Mask, Mesh
 from ..machine.errors import MeshError
 from ..study.schema import HalfSpace, Region
+from .coordinates import AXES
 
-_AXES = {"x": 0, "y": 1, "z": 2}
 _TOLERANCE = 1e-9  # of the body's size: nodes on the border of a region belong to it
 
 
@@ -49,9 +49,9 @@ def select(region: Region | str, mesh: Mesh, named: Mapping[str, Region]) -> Mas
 def lies_outside(region: Region, low: Array, high: Array) -> bool:
     """Whether a half-space, box or ball does not meet the body's bounding box, (3,) and (3,); of others False."""
     if region.below is not None and region.below.value is not None:
-        return bool(region.below.value < low[_AXES[region.below.axis]])
+        return bool(region.below.value < low[AXES[region.below.axis]])
     if region.above is not None and region.above.value is not None:
-        return bool(region.above.value > high[_AXES[region.above.axis]])
+        return bool(region.above.value > high[AXES[region.above.axis]])
     if region.box is not None:
         return bool(np.any(np.array(region.box.min) > high) or np.any(np.array(region.box.max) < low))
     if region.ball is not None:
@@ -63,12 +63,12 @@ def lies_outside(region: Region, low: Array, high: Array) -> bool:
 def body_extent(low: Array, high: Array) -> str:
     """What to tell beside a region that lies outside."""
     extent = ", ".join(f"{a} from {p:.3g} to {q:.3g}" for a, p, q in zip("xyz", low, high, strict=True))
-    return f"the body, centred on the origin, has {extent} m; a mixed-up unit? A bare number is in metres"
+    return f"the body has {extent} m; a mixed-up unit? A bare number is in metres"
 
 
 def _beyond(plane: HalfSpace, mesh: Mesh, sign: float) -> Mask:
     """Nodes above (sign 1) or below (-1) a plane, those on it included."""
-    coordinate = mesh.surface_points[:, _AXES[plane.axis]]
+    coordinate = mesh.surface_points[:, AXES[plane.axis]]
     level = plane.value
     if level is None:
         level = float(coordinate.min() + (plane.fraction or 0.0) * np.ptp(coordinate))

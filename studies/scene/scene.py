@@ -14,6 +14,7 @@ from ..machine.errors import InputError
 from ..study.problems import Loc
 from ..study.schema import Anisotropy, Constraint, Region, Study, Tissue
 from .contact_profile import on_facets
+from .coordinates import in_mesh_coordinates, origin
 from .regions import body_extent, lies_outside, select
 
 
@@ -146,8 +147,9 @@ def build_scene(study: Study, mesh: Mesh, masks: Mapping[str, Mask] | None = Non
     SceneError
         a region that selects nothing, or contact on a node that is held.
     """
+    regions = in_mesh_coordinates(study, mesh)
     if masks is None:
-        masks = {name: select(region, mesh, study.regions) for name, region in study.regions.items()}
+        masks = {name: select(region, mesh, regions) for name, region in regions.items()}
     n_nodes = len(mesh.surface_nodes)
     fixed, constrained = np.zeros(n_nodes, dtype=bool), np.zeros(n_nodes, dtype=bool)
     prescribed = np.zeros((n_nodes, 3))
@@ -168,7 +170,8 @@ def build_scene(study: Study, mesh: Mesh, masks: Mapping[str, Mask] | None = Non
             constrained |= mask
             prescribed[mask] = constraint.displacement
         elif constraint.kind == "contact":
-            pressure += _contact_pressure(constraint, study, mesh, mask)
+            place = _place(study, constraint)
+            pressure += _contact_pressure(constraint, place, regions[constraint.region], mesh, mask)
         else:
             raise SceneError(
                 f"constraint {constraint.name!r} is of an unknown kind, {constraint.kind!r}",
@@ -230,7 +233,8 @@ def _facet_measures(mesh: Mesh) -> tuple[Array, Array, Array]:
 
 def _selects_nothing(name: str, study: Study, mesh: Mesh) -> str:
     told = f"region {name!r} selects no node of the mesh"
-    low, high = mesh.surface_points.min(axis=0), mesh.surface_points.max(axis=0)
+    points = mesh.surface_points - origin(study, mesh.centre)
+    low, high = points.min(axis=0), points.max(axis=0)
     if not lies_outside(study.regions[name], low, high):
         return f"{told}; enlarge it or take a smaller mesh_size"
     return f"{told}: {body_extent(low, high)}"
@@ -246,13 +250,12 @@ def _quadrature() -> tuple[Array, Array]:
     return facet_quadrature()
 
 
-def _contact_pressure(constraint: Constraint, study: Study, mesh: Mesh, mask: Mask) -> Array:
+def _contact_pressure(constraint: Constraint, place: Loc, region: Region, mesh: Mesh, mask: Mask) -> Array:
     """(F, Q) pressure of one contact at the quadrature points [Pa].
 
     A uniform pressure acts on the facets whose three nodes are in the region. A smooth profile is integrated over
     the facets (`vdmbench.scene.contact_profile`), so that its resultant hangs neither on mesh level nor on model.
     """
-    region = study.regions[constraint.region]
     shape, resultant, total = mesh.remembered(
         ("contact", constraint.profile, region.model_dump_json(), mask.tobytes()),
         lambda: _contact_shape(mesh, mask, constraint.profile, region),
@@ -260,14 +263,14 @@ def _contact_pressure(constraint: Constraint, study: Study, mesh: Mesh, mask: Ma
     if total == 0.0:
         raise SceneError(
             f"contact {constraint.name!r} loads no facet; enlarge its region or take a smaller mesh_size",
-            _place(study, constraint),
+            place,
         )
     if constraint.force is not None:
         if resultant < _LEAST_RESULTANT * total:
             raise SceneError(
                 f"contact {constraint.name!r} presses from all sides, so that its pressures have no resultant "
                 "to be given by force; give pressure, or a region on one side",
-                _place(study, constraint),
+                place,
             )
         return shape * (constraint.force / resultant)
     return shape * (constraint.pressure or 0.0)

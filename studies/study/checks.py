@@ -46,7 +46,7 @@ SHAPE_KEYS: dict[str, tuple[set[str], set[str]]] = {  # shape -> keys that it ne
     "box": ({"mesh_size", "size"}, set()),
     "cylinder": ({"mesh_size", "radius", "length"}, {"axis"}),
     "organ": ({"mesh_size", "size"}, set()),
-    "file": ({"path"}, {"mesh_size", "size", "scale"}),
+    "file": ({"path"}, {"mesh_size", "size", "scale", "coordinates"}),
 }
 _KIND_KEYS = {
     "fixed": set[str](),
@@ -67,6 +67,7 @@ def check(study: Study) -> Iterator[Finding]:
     yield from _check_geometry(study.geometry)
     yield from _check_regions(study.regions or {})
     yield from _check_groups(study)
+    yield from _check_coordinates(study)
     yield from _check_constraints(study)
     yield from _check_history(study.load)
     yield from _check_loads(study)
@@ -256,7 +257,7 @@ def _check_suffix(name: str, suffix: str) -> Iterator[Finding]:
 
 def geometry_spec(geometry: Geometry) -> GeometrySpec:
     """The geometry as the mesher takes it; `mesh_size` 0 where a file with tetrahedra has none."""
-    keys = set().union(*SHAPE_KEYS[geometry.shape], DISTORTIONS) - {"mesh_size"}
+    keys = set().union(*SHAPE_KEYS[geometry.shape], DISTORTIONS) - {"mesh_size", "coordinates"}
     given = {key: getattr(geometry, key) for key in sorted(keys & geometry.model_fields_set)}
     parameters = {key: value for key, value in given.items() if value is not None or key not in DISTORTIONS}
     if geometry.path is not None:
@@ -290,6 +291,33 @@ def _check_groups(study: Study) -> Iterator[Finding]:
     for name, region in (study.regions or {}).items():
         for loc in _groups_in(region, ("regions", name)):
             yield loc, "only a MSH file has named groups of nodes; say where the region is instead"
+
+
+def _check_coordinates(study: Study) -> Iterator[Finding]:
+    """Coordinates in a body from a file, of which nothing says where they are measured from.
+
+    Until version 0.2 that was the middle of the body: studies of that time must not change in silence.
+    """
+    geometry = study.geometry
+    if geometry is None or geometry.shape != "file" or "coordinates" in _given(geometry):
+        return
+    names = [
+        f"region {shown(name)}" for name, part in (study.regions or {}).items() if _has_coordinates(part)
+    ]
+    names += [f"measured table {shown(table.name)}" for table in study.measured or () if table.name]
+    if names:
+        yield (
+            ("geometry", "coordinates"),
+            f'is missing, and {names[0]} has coordinates: give "file" where they are those of the '
+            'file, in metres, or "centred" where they are from the middle of its bounding box, as they were '
+            "before version 0.2",
+        )
+
+
+def _has_coordinates(region: Region) -> bool:
+    planes = (region.below, region.above)
+    own = region.ball or region.box or any("value" in _given(plane) for plane in planes if plane is not None)
+    return bool(own) or any(_has_coordinates(part) for _, part in _parts(region) if isinstance(part, Region))
 
 
 def _groups_in(region: Region, loc: Loc) -> Iterator[Loc]:

@@ -300,7 +300,9 @@ def _line_of(error: tomllib.TOMLDecodeError, text: str) -> int:
 def _surface_geometry(geometry: Any, surface: Path) -> dict[str, Any]:
     kept = {"shape": "file", "path": str(surface.absolute())}
     if isinstance(geometry, dict):
-        kept |= {key: geometry[key] for key in ("mesh_size", "size") if key in geometry}
+        kept |= {key: geometry[key] for key in ("mesh_size", "size", "coordinates") if key in geometry}
+        if geometry.get("shape") != "file":
+            kept["coordinates"] = "centred"  # as the study's own body is, which its regions were written for
         if isinstance(kept.get("size"), list):
             del kept["size"]
     return kept

@@ -42,7 +42,7 @@ _OPTIONAL: dict[str, tuple[str, ...]] = {"cylinder": ("axis",), "file": ("path",
 
 @dataclass(frozen=True)
 class Geometry:
-    """A shape with resolved parameters, in SI units, centred on the origin.
+    """A shape with resolved parameters, in SI units; all but files are centred on the origin.
 
     Attributes
     ----------
@@ -51,8 +51,7 @@ class Geometry:
     parameters : by shape, lengths in m.
         sphere: radius. ellipsoid: semi_axes (3). box: size (3). cylinder: radius, length,
         axis "x", "y" or "z" (the default). organ: size, the largest extent. file: path, and at most one
-        of size (largest extent after scaling) and scale (factor from the file's unit to m, 1 by default);
-        the centre of the file's bounding box is moved to the origin.
+        of size (largest extent after scaling) and scale (factor from the file's unit to m, 1 by default).
         any: slivers, perturbation and seed of `vdmbench.body.distort`.
     """
 
@@ -255,6 +254,7 @@ def geometry_key(geometry: Geometry, *, volume: bool) -> str:
     if geometry.shape == "file":
         inputs["file"] = file_digest(geometry.path)
         inputs["kind"] = geometry.path.suffix.lower()
+        inputs["origin"] = "file"  # until version 0.2 a body was moved to the origin
         if "size" not in inputs:
             inputs.setdefault("scale", [(1.0).hex()])
     if not geometry.has_own_tetrahedra:

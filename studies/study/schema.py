@@ -96,7 +96,7 @@ class StudyInfo(Table):
 
 
 class Geometry(Table):
-    """[geometry], centred on the origin"""
+    """[geometry]; all shapes but a file are centred on the origin"""
 
     shape: Shape = Field(description="kind of body; `organ` is a procedural liver, `file` reads a mesh")
     mesh_size: Length | None = Field(
@@ -113,8 +113,13 @@ class Geometry(Table):
     axis: Axis | None = Field(None, description="cylinder: its axis, z where left out")
     path: Annotated[Path, BeforeValidator(as_path)] | None = Field(
         None,
-        description="file: a surface (STL, OBJ, PLY, VTP) or tetrahedra (MSH, VTU, VTK); it is moved, the "
-        "centre of its bounding box to the origin, from which regions are measured",
+        description="file: a surface (STL, OBJ, PLY, VTP) or tetrahedra (MSH, VTU, VTK); it is scaled to metres "
+        "and not moved",
+    )
+    coordinates: Literal["file", "centred"] | None = Field(
+        None,
+        description="file: what the coordinates of planes, balls, boxes and measured points start from: the origin "
+        "of the file, or the middle of its bounding box; needed where a study has coordinates",
     )
     scale: Annotated[float, SI("1"), positive] | None = Field(
         None, description="file: metres per unit of the file, 1 where neither scale nor size is given"

@@ -281,6 +281,7 @@ def test_a_surface_given_beside_the_study_replaces_the_geometry(tmp_path: Path) 
     path.write_text(SMALL.replace('"sphere"\nradius = 0.05', '"organ"\nsize = "190 mm"'))
     study = load_study(path, surface=surface)
     expected = {"shape": "file", "mesh_size": 0.006, "size": 0.19, "path": str(surface)}
+    expected["coordinates"] = "centred"  # those of the study's own body
     assert resolved(study)["geometry"] == expected
     assert resolved(expand(study)[0].study)["geometry"] == expected
     assert study.study.name == expand(study)[0].study.study.name == "small-liver"

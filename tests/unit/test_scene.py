@@ -304,7 +304,7 @@ def test_environment_pressure_moves_the_datum_only(sphere: Mesh) -> None:
     [
         (
             {"regions": BASE["regions"] | {"finger": {"above": {"axis": "z", "value": 0.06}}}},
-            r"selects no node of the mesh: the body, centred on the origin, has x from -0.05 to 0.0495, "
+            r"selects no node of the mesh: the body has x from -0.05 to 0.0495, "
             r"y from -0.0497 to 0.05, z from -0.05 to 0.05 m; a mixed-up unit\? A bare number is in metres",
         ),
         *(
