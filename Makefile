@@ -1,14 +1,18 @@
-# make demo   the quickstart study and its report
-# make test   what continuous integration runs
-# make verify the long verification runs; their table goes to results/verification.md
+# make demo      the quickstart study and its report
+# make test      what continuous integration runs
+# make verify    the long verification runs; their table goes to results/verification.md
+# make docs      the generated parts of the documents, and the site in build/site
+# make baselines REASON="why": accepts the accuracy of the gated studies as it is now
+# make evidence  WHAT=claims|stability|calibrations|performance|accuracy|candidates|error_bars|vdm_speed|fem_speed:
+#                measures anew what a documented table shows, in one thread, for minutes to hours
 # Each sets up what it needs: .venv, pinned packages, and the shared libraries of gmsh and VTK.
 
 PYTHON ?= python3
 RUN := .venv/bin/
-PYTEST := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(RUN)python -m pytest
+ONE_THREAD := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1
+PYTEST := $(ONE_THREAD) $(RUN)python -m pytest
 
-.PHONY: demo test verify docs baselines accuracy candidates claims calibrations stability setup libraries clean
-.PHONY: bench-vdm bench-fem bench-baseline performance error-bars
+.PHONY: demo test verify docs baselines evidence setup clean
 
 demo: setup
 	$(RUN)vdmbench run quickstart
@@ -23,58 +27,22 @@ test: setup
 verify: setup
 	$(PYTEST) --verification
 
-# the generated parts of the documents; SURFACE=liver.obj draws the README's picture with a real liver
+# SURFACE=liver.obj draws the front page's picture with a real liver
 docs: setup
-	$(RUN)python -m tests.docs.regenerate $(SURFACE)
+	$(RUN)python -m tools.regenerate $(SURFACE)
+	$(RUN)mkdocs build --quiet
 
-# the accuracy table of vdm/README.md, from the shipped accuracy studies; SURFACE=liver.obj adds a row
-accuracy: setup
-	$(RUN)python -m tests.docs.vdm_accuracy $(SURFACE)
-
-# accepts the accuracy of the fast shipped studies as it is now: make baselines REASON="why it changed"
 baselines: setup
 	@test -n "$(REASON)" || { echo 'say why: make baselines REASON="..."'; exit 2; }
 	for study in quickstart regression; do \
 	  $(RUN)vdmbench run $$study && $(RUN)vdmbench accept results/runs/$$study --reason "$(REASON)" || exit 1; done
+	$(ONE_THREAD) $(RUN)python -m tests.regression.test_bench
 
-# the paper's claims on trial: results/gallery/claims.html, a picture of each, and the table in README.md
-claims: setup
-	$(RUN)python -m tests.docs.claims
-
-# the studies of numerical stability, some minutes each, and the table of what breaks where in README.md
-stability: setup
-	$(RUN)python -m tests.docs.stability
-
-# the fits of the surface models' parameters: results/calibrations.md
-calibrations: setup
-	$(RUN)python -m tests.docs.calibrations
-
-# what a third mesh level says of the error bars of two: results/error-bars.md
-error-bars: setup
-	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(RUN)python -m tests.docs.error_bars
-
-# the table of candidates of vdm/README.md, from the shipped calibration studies; SURFACE=liver.obj adds a column
-candidates: setup
-	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(RUN)python -m tests.docs.candidates $(SURFACE)
-
-# what the surface model costs on this machine, in one thread; README=1 writes it into vdm/README.md too
-bench-vdm: setup
-	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(RUN)python -m tests.benchmarks.vdm_speed $(if $(README),--readme)
-
-# what the linear finite elements cost, beside NGSolve and scikit-fem, in one thread
-bench-fem: setup
-	.venv/bin/pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable '.[benchmark]'
-	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(RUN)python -m tests.benchmarks.fem_speed
-
-# README's performance section and figure; SURFACE=liver.obj measures a third body. What is measured stays in
-# results/bench/bench.h5: BENCH=results/bench/bench.h5 makes them from it again, without measuring
-performance: setup
-	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(RUN)python -m tests.docs.performance \
-	  $(if $(SURFACE),--surface $(SURFACE)) $(if $(BENCH),--bench $(BENCH))
-
-# the benchmark's machine-independent figures that the tests hold: look at the difference before committing it
-bench-baseline: setup
-	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(RUN)python -m tests.regression.test_bench
+# ARGS are the program's own: a liver.obj for accuracy and candidates; --surface liver.obj or --bench FILE for performance
+evidence: setup
+	@test -n "$(WHAT)" || { echo 'say what: make evidence WHAT=claims'; exit 2; }
+	$(if $(filter fem_speed,$(WHAT)),$(RUN)pip install --quiet --constraint constraints.txt --editable '.[benchmark]')
+	$(ONE_THREAD) $(RUN)python -m tools.$(WHAT) $(ARGS)
 
 setup: libraries .venv/ready
 

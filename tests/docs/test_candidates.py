@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from tests.docs import candidates as c
-from tests.docs.vdm_accuracy import README, STUDIES
 from tests.unit.vdm_shapes import icosphere
+from tools import candidates as c
+from tools.accuracy import README, STUDIES
 from vdm.formulations.base import Formulation
 from vdm.formulations.vector import VectorFormulation
 from vdm.material import Parameters

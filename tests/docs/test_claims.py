@@ -1,4 +1,4 @@
-"""The claims in README.md are those of the code and of the page beside it."""
+"""The claims in the documents are those of the code and of the page beside it."""
 
 from __future__ import annotations
 
@@ -6,13 +6,13 @@ import html
 import re
 from xml.etree import ElementTree
 
-from tests.docs import claims, gallery, marked
+from tools import claims, gallery, marked
 from vdmbench.evidence.claims import CLAIMS
 from vdmbench.report.judgement import FAILS, HOLDS, WITHIN_LIMITS
 
 
-def test_every_claim_is_decided_in_readme_and_page_alike() -> None:
-    rows = marked.cells(marked.shown(claims.README, claims.PART))[1:]
+def test_every_claim_is_decided_in_document_and_page_alike() -> None:
+    rows = marked.cells(marked.shown(claims.DOCUMENT, claims.PART))[1:]
     assert [row[0] for row in rows] == [f"{c.number}. {c.text}" for c in CLAIMS.values()]
     assert {row[1] for row in rows} <= {HOLDS, WITHIN_LIMITS, FAILS}
     page = claims.PAGE.read_text()
@@ -30,7 +30,7 @@ def test_every_claim_has_its_picture_from_the_page() -> None:
     for number in CLAIMS:
         path = gallery.GALLERY / f"claim-{number}.svg"
         root = ElementTree.fromstring(path.read_text())
-        assert f"(results/gallery/{path.name})" in claims.README.read_text()
+        assert f"(../gallery/{path.name})" in claims.DOCUMENT.read_text()
         told = root.get("aria-label")
         assert told
         assert html.escape(told, quote=False).replace("'", "&#39;") in page, "a picture of an older page"

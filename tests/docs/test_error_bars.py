@@ -1,4 +1,4 @@
-"""The bars of two mesh levels hold what a third level finds; see `make error-bars`."""
+"""The bars of two mesh levels hold what a third level finds; see `make evidence WHAT=error_bars`."""
 
 from __future__ import annotations
 
@@ -9,12 +9,13 @@ from typing import Any
 import pytest
 from numpy.testing import assert_allclose
 
-from tests.docs import error_bars
-from tests.docs.error_bars import (
+from tools import error_bars
+from tools.error_bars import (
     CASES,
     DOCUMENT,
     FOUND,
     HEADLINE,
+    ROOT,
     TRIED,
     VECTOR,
     Bar,
@@ -24,7 +25,6 @@ from tests.docs.error_bars import (
     own_held,
     row,
 )
-from tests.docs.regenerate import README
 from vdmbench.measures.uncertainty import SIGNED
 from vdmbench.study.config import load_study
 
@@ -33,7 +33,7 @@ SAME = 0.03  # of a bar: what is used of it, rounded to two digits, on another m
 
 
 def stored() -> list[dict[str, Any]]:
-    """What `make error-bars` found."""
+    """What `make evidence WHAT=error_bars` found."""
     found: list[dict[str, Any]] = json.loads(FOUND.read_text())
     return found
 
@@ -68,9 +68,9 @@ def test_the_bars_of_the_shipped_studies_hold() -> None:
     }
     count, of = held(rows, HEADLINE)
     assert count >= SHARE * of
-    assert document(rows) == DOCUMENT.read_text(), "run `make error-bars`"
+    assert document(rows) == DOCUMENT.read_text(), "run `make evidence WHAT=error_bars`"
     signed, of_signed = held(rows, SIGNED)
-    told = " ".join(README.read_text().split())
+    told = " ".join((ROOT / "docs" / "methods" / "measures.md").read_text().split())
     cases = f"of the reference's own displacement those of {own_held(rows, VECTOR)} cases of {len(rows)};"
     assert f"{count} of {of} bars of the two errors hold, {cases}" in told
     widest = max(share for row in rows for metric in HEADLINE for share in row["used"][metric])

@@ -12,8 +12,8 @@ from subprocess import CompletedProcess
 import numpy as np
 import pytest
 
-from tests.docs import marked, performance
 from tests.unit.test_bench import CONDENSED, LINEAR, VECTOR
+from tools import marked, performance
 from vdmbench.cli.study_verbs import bench_verb
 from vdmbench.evidence.bench_data import YARDSTICK, Bench, Growth
 
@@ -78,11 +78,11 @@ def test_the_figure_has_a_panel_for_each_body_and_names_its_models() -> None:
     assert {"ball, 800 nodes", "vdm-vector", "fem-condensed"} <= set(re.split(r"\n|[●■▲◆▼✚✖\u2003] ?", words))
 
 
-def test_readme_says_where_its_numbers_come_from() -> None:
-    readme = performance.README.read_text()
-    assert "make performance" in readme
+def test_the_page_says_where_its_numbers_come_from() -> None:
+    readme = performance.DOCUMENT.read_text()
+    assert "make evidence WHAT=performance" in readme
     assert (performance.GALLERY / "performance.svg").exists()
-    section = marked.shown(performance.README, performance.PART)
+    section = marked.shown(performance.DOCUMENT, performance.PART)
     assert re.search(r"\d cores, .*one thread; medians of \d rounds", section)
 
 
@@ -91,9 +91,9 @@ def in_seconds(shown: str) -> float:
     return float(number) * {"s": 1.0, "ms": 1e-3, "µs": 1e-6}[unit]
 
 
-def test_readme_s_multiples_are_those_of_its_own_table() -> None:
+def test_the_multiples_are_those_of_its_own_table() -> None:
     """As `performance.relative` makes them, from rounded times: what is measured is not kept with the sources."""
-    blocks = marked.shown(performance.README, performance.PART).split("\n\n")
+    blocks = marked.shown(performance.DOCUMENT, performance.PART).split("\n\n")
     tables = {tuple(rows[0][:2]): rows for text in blocks if (rows := marked.cells(text))}
     costs, multiples = tables["body", "model"], tables["model", "set-up"]
     rows = [dict(zip(costs[0], row, strict=True)) for row in costs[1:]]
@@ -128,13 +128,12 @@ def test_what_was_measured_stays_where_the_section_is_made_from_it_again(
         return CompletedProcess(words, bench_verb(given), "", "")
 
     kept = "results/bench/bench.h5"
+    assert f"--bench {kept}" in performance.DOCUMENT.read_text()
     monkeypatch.setattr("vdmbench.evidence.bench.measure", lambda *_, **__: bench())
     monkeypatch.setattr(performance, "vdmbench", command)
-    monkeypatch.setattr(performance, "README", tmp_path / "README.md")
+    monkeypatch.setattr(performance, "DOCUMENT", tmp_path / "README.md")
     monkeypatch.setattr(performance, "GALLERY", tmp_path)
     monkeypatch.setattr(performance, "MEASURED", tmp_path / kept)
-    assert f"BENCH={kept}" in (performance.ROOT / "Makefile").read_text()
-    assert f"BENCH={kept}" in (performance.ROOT / "README.md").read_text()
     assert "results/bench/" in (performance.ROOT / ".gitignore").read_text().splitlines()
     made = []
     for options in ([], ["--bench", str(tmp_path / kept)]):

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import pytest
 
-from tests.docs import marked, stability
 from tests.unit.report_runs import make_case, make_run
+from tools import marked, stability
 from vdmbench.study.config import expand, load_study
 from vdmbench.verdict.formatting import parameter_name
 
 
 def test_the_table_is_about_the_shipped_studies() -> None:
-    shown = marked.cells(marked.shown(stability.README, stability.PART))[1:]
+    shown = marked.cells(marked.shown(stability.DOCUMENT, stability.PART))[1:]
     assert shown
     for name in stability.stability_studies():
         study = load_study(stability.CASES / f"{name}.toml")
@@ -20,13 +20,15 @@ def test_the_table_is_about_the_shipped_studies() -> None:
         keys = {key for case in cases for key, value in case.swept.items() if base.get(key) != value}
         mine = [row for row in shown if row[0] == name]
         assert {row[1] for row in mine} == {parameter_name(key) for key in keys}, (
-            f"{name}: run `make stability`"
+            f"{name}: run `make evidence WHAT=stability`"
         )
         for _, parameter, _, stand, breaks in mine:
             right, count = (int(number) for number in stand.split(" of "))
             named = set(breaks.split("`")[1::2])
             own = parameter.startswith(("penalty of",))
-            assert count == (1 if own else len(study.study.models)), f"{name}: run `make stability`"
+            assert count == (1 if own else len(study.study.models)), (
+                f"{name}: run `make evidence WHAT=stability`"
+            )
             assert named <= set(study.study.models)
             assert len(named) == count - right
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from numpy.testing import assert_allclose
 
-from tests.docs import vdm_accuracy as table
+from tools import accuracy as table
 
 
 @pytest.mark.slow

@@ -1,7 +1,7 @@
 """The benchmark's machine-independent figures, held against those accepted; wall times are never gated.
 
 Accuracy, iterations, unknowns, sizes of dense matrices, growth of the factor's fill. Where a change is meant to
-move them: `make bench-baseline`, and look at the difference.
+move them: `make baselines`, and look at the difference.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ def test_figures_are_what_was_accepted_and_the_file_keeps_them(tmp_path: Path) -
     found = trial(tmp_path)
     figures = machine_independent(found)
     accepted = json.loads(BASELINE.read_text())
-    assert figures.keys() == accepted.keys(), "a model or figure has come or gone: make bench-baseline"
+    assert figures.keys() == accepted.keys(), "a model or figure has come or gone: make baselines"
     for name, value in accepted.items():
         counted = name.endswith("/iterations")
         # where rounding differs, BiCG needed 57 iterations on one kind of processor and 60 on another

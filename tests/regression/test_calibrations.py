@@ -1,4 +1,4 @@
-"""The shipped calibrations come out again, and their documents say what they hold; see `make calibrations`."""
+"""The shipped calibrations come out again, and their documents say what they hold."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 from numpy.testing import assert_allclose
 
-from tests.docs.calibrations import (
+from tools.calibrations import (
     DOCUMENT,
     FLAT,
     POISSON_RATIOS,

@@ -22,7 +22,7 @@ import pytest
 import trustme
 
 from tests.command import SCRIPT, heed_ctrl_c, vdmbench, write_study
-from tests.docs.regenerate import README
+from tools.site import ROOT
 from vdmbench.graph.cluster import LOOPBACK, AddressError, checked_address, refusal
 from vdmbench.store.cases import read_case
 
@@ -35,6 +35,8 @@ SWEEP = """
 "constraints.finger.force" = ["0.1 N", "0.2 N"]
 """
 
+CLUSTER = ROOT / "docs" / "howto" / "cluster.md"
+
 
 @contextmanager
 def _cluster(
@@ -42,7 +44,7 @@ def _cluster(
 ) -> Iterator[tuple[str, list[int]]]:
     """The address of a scheduler with two workers of one thread each, and the processes that were started.
 
-    Workers that are `open_to_all` are started without the words of the README that keep them on loopback.
+    Workers that are `open_to_all` are started without the words of the documents that keep them on loopback.
     """
     contact = place / "scheduler.json"
     quiet: dict[str, Any] = {"cwd": place, "stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
@@ -78,8 +80,8 @@ def _certificates(place: Path, authority: trustme.CA) -> dict[str, str]:
 
 
 def _documented(command: str, old: str, new: str) -> list[str]:
-    """A command of the README as it is there, with one word exchanged; `dask` is that of this Python."""
-    (line,) = (line for line in README.read_text().splitlines() if line.startswith(f".venv/bin/{command} "))
+    """A command of the documents as it is there, with one word exchanged; `dask` is that of this Python."""
+    (line,) = (line for line in CLUSTER.read_text().splitlines() if line.startswith(f".venv/bin/{command} "))
     words = shlex.split(re.sub(old, new, line.removesuffix("&")))
     return [str(SCRIPT.parent / Path(words[0]).name), *words[1:]]
 
@@ -178,7 +180,7 @@ def test_what_the_documents_start_is_reached_from_this_machine_only(tmp_path: Pa
 
 
 def test_every_document_starts_it_so() -> None:
-    root = README.parent
+    root = ROOT
     found = [
         line
         for path in root.rglob("*.md")

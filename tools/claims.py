@@ -1,7 +1,7 @@
-"""Puts the paper's claims on trial by the shipped studies and writes page, pictures and table: `make claims`.
+"""Puts the paper's claims on trial by the shipped studies and writes page, pictures and table.
 
 The studies run in `results/runs`, where what is there already is kept; the page and a picture per claim go to
-`results/gallery`, table and pictures to README.md.
+`docs/gallery`, table and pictures to its page in docs/evidence.
 """
 
 from __future__ import annotations
@@ -10,13 +10,13 @@ import tomllib
 from pathlib import Path
 
 from tests.command import vdmbench
-from tests.docs import gallery, marked
+from tools import gallery, marked
 from vdmbench.evidence.claims_page import verdict_rows, write_claims
 from vdmbench.store.cases import read_run
 
-ROOT = Path(__file__).parents[2]
-README = ROOT / "README.md"
-PAGE = ROOT / "results" / "gallery" / "claims.html"
+ROOT = Path(__file__).parents[1]
+DOCUMENT = ROOT / "docs" / "evidence" / "claims.md"
+PAGE = ROOT / "docs" / "gallery" / "claims.html"
 CASES = ROOT / "studies" / "cases"
 PART = "claims"
 _PICTURES = "claim pictures"
@@ -37,8 +37,8 @@ def main() -> None:
             raise RuntimeError(f"{name}: {result.stderr}")
     found = write_claims([read_run(ROOT / "results" / "runs" / name) for name in names], PAGE)
     rows = verdict_rows(found)
-    marked.show(README, PART, marked.table(list(rows[0]), [list(row.values()) for row in rows]))
-    marked.show(README, _PICTURES, gallery.as_markdown(gallery.write_claim_pictures(found)))
+    marked.show(DOCUMENT, PART, marked.table(list(rows[0]), [list(row.values()) for row in rows]))
+    marked.show(DOCUMENT, _PICTURES, gallery.as_markdown(gallery.write_claim_pictures(found)))
 
 
 if __name__ == "__main__":

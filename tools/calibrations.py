@@ -1,4 +1,4 @@
-"""Calibrates every shipped body and tries each fit on all others: `make calibrations`.
+"""Calibrates every shipped body and tries each fit on all others.
 
 Writes `results/calibrations.md`; to paste into a study, `results/calibrations/<study>.toml`; and for the tests,
 `results/calibrations/<study>.json` and, of the fits in other tissues, `results/calibrations/tissue.json`. The
@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from tests.command import vdmbench
-from tests.docs import marked
+from tools import marked
 from vdmbench.evidence.calibrate import body, worse_than_rule
 from vdmbench.evidence.fit import Errors, Trial, least_error
 from vdmbench.evidence.search import WIDEST
@@ -29,7 +29,7 @@ from vdmbench.report.rebuild import rebuild
 from vdmbench.study.config import expand, load_study
 from vdmbench.verdict.formatting import NOTHING, percent
 
-ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).parents[1]
 DOCUMENT = ROOT / "results" / "calibrations.md"
 TABLES = ROOT / "results" / "calibrations"
 TISSUE = TABLES / "tissue.json"
@@ -40,7 +40,8 @@ FLAT = 1e-3  # a modulus at a thousandth of its rule no longer matters, and the 
 STUDIES = tuple(f"calibrate-{body}" for body in ("sphere", "ellipsoid", "box", "cylinder", "organ"))
 HEAD = """# Calibrations of the surface models
 
-Made by `make calibrations`. Each shipped study `calibrate-<body>` has twelve loads, fingertips of different
+Made by `make evidence WHAT=calibrations`.
+Each shipped study `calibrate-<body>` has twelve loads, fingertips of different
 width all over the upper surface: six train, six are held out. A parameter is given as a multiple of its rule
 (see `vdm/README.md`); errors are the means over the held-out loads, displacement / deformation, against mixed
 finite elements whose own error stands beside. "Finer mesh": what a fit on a mesh of 0.75 times the size gives,

@@ -1,4 +1,4 @@
-"""Runs the shipped studies of numerical stability and writes what breaks where to README.md: `make stability`.
+"""Runs the shipped studies of numerical stability and writes what breaks where to its page in docs/evidence.
 
 The studies run in `results/runs`, where what is there already is kept.
 """
@@ -11,14 +11,14 @@ from pathlib import Path
 import numpy as np
 
 from tests.command import vdmbench
-from tests.docs import marked
+from tools import marked
 from vdmbench.store.cases import Run, read_run
 from vdmbench.verdict.digest import Digest
 from vdmbench.verdict.formatting import parameter_name
 from vdmbench.verdict.ladders import Ladder, alike, ladders
 
-ROOT = Path(__file__).parents[2]
-README = ROOT / "README.md"
+ROOT = Path(__file__).parents[1]
+DOCUMENT = ROOT / "docs" / "evidence" / "stability.md"
 CASES = ROOT / "studies" / "cases"
 HEADING = ["study", "parameter", "range", "stand it all", "break down at"]
 PART = "stability"
@@ -69,9 +69,9 @@ def _breaks(ladder: Ladder) -> str:
 
 
 def write(directories: Sequence[Path]) -> None:
-    """Write the table of finished runs to README.md."""
+    """Write the table of finished runs to its page in docs/evidence."""
     found = [row for directory in directories for row in rows(read_run(directory))]
-    marked.show(README, PART, marked.table(HEADING, found))
+    marked.show(DOCUMENT, PART, marked.table(HEADING, found))
 
 
 def main() -> None:

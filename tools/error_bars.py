@@ -1,4 +1,4 @@
-"""Tries the error bars of two mesh levels on a third: `make error-bars`.
+"""Tries the error bars of two mesh levels on a third.
 
 Cases of shipped studies, each on its own mesh, get their reference on three levels: the mesh, split once as with
 `uncertainty.levels = 2`, and split twice. Of every number with a bar its distance from the best estimate is held
@@ -21,7 +21,7 @@ from typing import Any
 
 import numpy as np
 
-from tests.docs import marked
+from tools import marked
 from vdmbench import models
 from vdmbench.body.geometry import build_mesh
 from vdmbench.body.refine import Hierarchy, refined
@@ -44,7 +44,7 @@ from vdmbench.study.model_name import REFINED
 from vdmbench.study.schema import Study
 from vdmbench.verdict.formatting import percent
 
-ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).parents[1]
 CASES = ROOT / "studies" / "cases"
 FOUND = ROOT / "results" / "error-bars.json"
 DOCUMENT = ROOT / "results" / "error-bars.md"
@@ -69,7 +69,8 @@ ROUNDING = 1e-9  # a distance up to this, of a number with a unit times the numb
 HEADLINE = (VECTOR, DEFORMATION)
 HEAD = """# What the error bars of two mesh levels are worth
 
-Made by `make error-bars`. A study with `uncertainty.levels = 2` has the reference on its mesh split once, and for
+Made by `make evidence WHAT=error_bars`.
+A study with `uncertainty.levels = 2` has the reference on its mesh split once, and for
 a bar the difference to that on the mesh itself. Here, on shipped studies' own meshes, it is split once more. A bar
 holds where it is at least the distance of its number from the best estimate: the number for the reference that
 Richardson's extrapolation of the three levels gives, by the order observed. "Used" is that distance over the bar:

@@ -1,4 +1,4 @@
-"""What `vdm` costs on this machine, as one Markdown table: `make bench-vdm`. Nothing here is asserted.
+"""What `vdm` costs on this machine, as one Markdown table. Nothing here is asserted.
 
 All times are processor time of the one thread that works, which other work on the machine makes longer by what it
 takes of caches and memory only.
@@ -33,8 +33,8 @@ from scipy import sparse
 from scipy.sparse import linalg
 from threadpoolctl import threadpool_info
 
-from tests.docs import marked
 from tests.unit.vdm_shapes import icosphere, torus
+from tools import marked
 from vdm import FORMULATIONS, Load, Model, Parameters, SurfaceMesh
 from vdm.formulations.boundary import BoundaryFormulation
 from vdm.formulations.vector import VectorFormulation
@@ -66,7 +66,7 @@ HEAD = (
 
 
 README_HEAD = ("what", "nodes", "median", "over the bound")
-README = Path(__file__).parents[2] / "vdm" / "README.md"
+README = Path(__file__).parents[1] / "vdm" / "README.md"
 PART = "speed"
 
 

@@ -1,4 +1,4 @@
-"""What `fem_reference` costs on this machine, beside named alternatives in the same run: `make bench-fem`.
+"""What `fem_reference` costs on this machine, beside named alternatives in the same run.
 
 Assembly of the linear mixed system is set against NGSolve (extra `benchmark`; same mesh, one thread) and against
 scikit-fem; then one load and fifty by all three. Then one load by size (`--large` adds 900,000 unknowns) beside the

@@ -1,4 +1,4 @@
-"""Measures forms of the skin's elasticity and writes their table in `vdm/README.md`: `make candidates`.
+"""Measures forms of the skin's elasticity and writes their table in `vdm/README.md`.
 
 Every candidate is a quadratic energy of the surface nodes alone, here as a dense matrix on the coarse meshes of the
 calibration studies. Its one or two parameters are fitted on the six training loads of a study, by the library's own
@@ -19,8 +19,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
 
-from tests.docs import marked
-from tests.docs.vdm_accuracy import README, ROOT, STUDIES, as_per_cent
+from tools import marked
+from tools.accuracy import README, ROOT, STUDIES, as_per_cent
 from vdm.boundary.operators import Facets, surface_stiffness
 from vdm.formulations.vector import (
     block_diagonal,

@@ -1,8 +1,8 @@
-"""README's performance section, from `vdmbench bench --large`: `make performance`.
+"""The page of performance, from `vdmbench bench --large`.
 
 SURFACE=liver.obj measures a third body. What is measured is kept in results/bench/bench.h5:
 BENCH=results/bench/bench.h5 makes the section from it again, without measuring. The whole table, of every model on
-every mesh with the spread of its rounds, goes to results/gallery/bench.html.
+every mesh with the spread of its rounds, goes to docs/gallery/bench.html.
 """
 
 from __future__ import annotations
@@ -14,8 +14,8 @@ import numpy as np
 from markupsafe import escape
 
 from tests.command import vdmbench
-from tests.docs import marked
-from tests.docs.gallery import figure_style, glyph
+from tools import marked
+from tools.gallery import figure_style, glyph
 from vdmbench.evidence.bench_data import (
     FAR_OFF,
     YARDSTICK,
@@ -31,9 +31,9 @@ from vdmbench.evidence.bench_data import (
 from vdmbench.evidence.bench_page import pareto_plot, write_bench_page
 from vdmbench.evidence.bench_store import read_bench
 
-ROOT = Path(__file__).parents[2]
-README = ROOT / "README.md"
-GALLERY = ROOT / "results" / "gallery"
+ROOT = Path(__file__).parents[1]
+DOCUMENT = ROOT / "docs" / "evidence" / "performance.md"
+GALLERY = ROOT / "docs" / "gallery"
 MEASURED = ROOT / "results" / "bench" / "bench.h5"
 PART = "performance"
 # models that stand for their kind; the others differ from them by their solver, and are in the whole table
@@ -87,7 +87,7 @@ def section(bench: Bench) -> str:
         f"{100 * largest:.0f} % at most; {sizes}. Errors are in the displacement, ± the reference's own, ~ where "
         f"that is more than a tenth; what it leaves open is undecided. What is {100 * FAR_OFF:g} % off or more "
         "answers no question. "
-        "[Every model on every mesh](results/gallery/bench.html).\n\n"
+        "[Every model on every mesh](../gallery/bench.html).\n\n"
     )
     told = answers(bench)
     text += marked.table(list(told[0]), [list(row.values()) for row in told]) + "\n"
@@ -211,7 +211,7 @@ def main() -> None:
     bench = read_bench(given.bench or MEASURED)
     (GALLERY / "performance.svg").write_text(picture(bench), encoding="utf-8")
     write_bench_page(bench, GALLERY / "bench.html")
-    marked.show(README, PART, section(bench))
+    marked.show(DOCUMENT, PART, section(bench))
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""The pictures that README.md shows: a figure per claim as SVG, and the top of a report as PNG."""
+"""The pictures that the documents show: a figure per claim as SVG, and the top of a report as PNG."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ from tests.unit.browser import Browser, chromium
 from vdmbench.evidence.claims_page import Verdict
 from vdmbench.report.blocks import Figure
 
-ROOT = Path(__file__).parents[2]
-GALLERY = ROOT / "results" / "gallery"
+ROOT = Path(__file__).parents[1]
+GALLERY = ROOT / "docs" / "gallery"
 _CSS = ROOT / "studies" / "report" / "templates" / "page.css"
-_COLUMNS = 3  # of pictures in README.md
+_COLUMNS = 3  # of pictures in a row
 _WIDTH, _HEIGHT = 317.0, 216.0  # of a figure, in its own units
 _LINE, _SIDE = 13.0, 8.0
 _GLYPHS = "●■▲◆▼✚✖"  # the markers of the figures: o s ^ D v P X
@@ -127,8 +127,7 @@ def write_claim_pictures(found: Sequence[Verdict], directory: Path = GALLERY) ->
 def as_markdown(pictures: Sequence[tuple[str, str]]) -> str:
     """The pictures as a table of so many columns, each a link to its full size."""
     cells = [
-        f"[![{told.translate(_PLAIN)}](results/gallery/{name})](results/gallery/{name})"
-        for name, told in pictures
+        f"[![{told.translate(_PLAIN)}](../gallery/{name})](../gallery/{name})" for name, told in pictures
     ]
     rows = [cells[k : k + _COLUMNS] for k in range(0, len(cells), _COLUMNS)]
     if not rows:

@@ -1,4 +1,4 @@
-"""Writes the accuracy table of `vdm/README.md` from the stored results of the accuracy studies: `make accuracy`.
+"""Writes the accuracy table of `vdm/README.md` from the stored results of the accuracy studies.
 
 A surface may be named as argument: it goes through `accuracy-organ` and gets a row of its own. Rows of surfaces
 that are not named stay as they are.
@@ -15,14 +15,14 @@ from typing import Any
 import numpy as np
 
 from tests.command import vdmbench
-from tests.docs import marked
+from tools import marked
 from vdmbench.measures.case import CaseResult, Run
 from vdmbench.measures.metrics import DEFORMATION, VECTOR
 from vdmbench.measures.uncertainty import is_resolved
 from vdmbench.store.cases import read_run
 from vdmbench.verdict.standing import at_full_load, reference_bar
 
-ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).parents[1]
 README = ROOT / "vdm" / "README.md"
 STUDIES = ("sphere", "ellipsoid", "box", "cylinder", "organ")
 CHEAPEST = "box"

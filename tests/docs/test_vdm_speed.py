@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import re
 
-from tests.benchmarks.vdm_speed import HEAD, PART, README, README_HEAD, Sizes, report
-from tests.docs import marked
+from tools import marked
+from tools.vdm_speed import HEAD, PART, README, README_HEAD, Sizes, report
 
 
 def kind(what: str) -> str:
