@@ -109,7 +109,7 @@ def plan_verb(options: argparse.Namespace) -> int:
     _require_own(plan, options)
     _check_files(plan, plan.cases_to_run())
     free = free_bytes(plan.directory)
-    planned = summary(plan) | {"disk_free": free}
+    planned = summary(plan) | {"directory": str(plan.directory), "disk_free": free}
     if options.json:
         return print_json(planned)
     print(f"{study.study.title}: {count(len(planned['cases']), 'case')} of {', '.join(study.study.models)}")
@@ -315,18 +315,20 @@ def _require_own(plan: Plan, options: argparse.Namespace) -> None:
 
 
 def _command(verb: str, options: argparse.Namespace) -> tuple[str, ...]:
-    """What to type to get the same results again: the words of this command that decide them."""
-    from ..study.folders import short_path
-
+    """What to type to get the same results again: the words of this command that decide them, without folders."""
     given = vars(options)
-    words = [verb, given["study"]]
-    if given.get("surface"):
-        words += ["--surface", str(short_path(str(given["surface"])))]  # absolute, it may name a patient
-    if given.get("out"):
-        words += ["--out", str(given["out"])]
+    words = [verb, _name(given["study"])]
+    for key in ("surface", "out"):
+        if given.get(key):
+            words += [f"--{key}", _name(given[key])]
     if given["allow_outside"]:
         words.append("--allow-outside")
     return tuple(words)
+
+
+def _name(path: str | Path) -> str:
+    """The last name of a path: the others may be a patient's."""
+    return Path(path).name or str(path)
 
 
 def _run_for_fit(plan: Plan, path: Path, options: argparse.Namespace) -> tuple[Plan, Run]:

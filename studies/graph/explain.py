@@ -11,7 +11,7 @@ from ..machine.memory import machine_memory
 from ..scene.coordinates import origin
 from ..scene.regions import body_extent, lies_outside
 from ..study.config import holds_nothing
-from ..study.folders import swept_without_folders
+from ..study.folders import swept_without_folders, told_directory
 from ..study.geometry_spec import fewer_nodes
 from ..study.model_name import DISPLACEMENT_ELEMENTS, split
 from .answers import answer_path
@@ -40,7 +40,7 @@ def summary(plan: Plan) -> dict[str, Any]:
             "acceptance": plan.study.acceptance.model_dump(exclude_none=True),
         },
         "command": list(plan.command),
-        "directory": str(plan.directory),
+        "directory": told_directory(plan.directory, plan.command),
         "surfaces": surfaces(plan),
         "cases": [
             {
@@ -116,7 +116,7 @@ def _skipped(plan: Plan, todo: Sequence[PlannedCase]) -> list[str]:
     states = list(plan.state.values())
     done = len({case.hash for case in plan.cases if plan.is_done(case)})
     if done:
-        lines.append(f"{_count(done, 'case')}: already in {plan.directory}")
+        lines.append(f"{_count(done, 'case')}: already in the run directory")
     if "stale" in states and not plan.fresh:
         lines.append(
             f"solving {_count(states.count('stale'), 'stale case')} again: only the metrics have changed"

@@ -1,9 +1,9 @@
-"""Studies as results keep them: a surface by the name of its file, for folders may name a patient."""
+"""Studies as results keep them: files and directories by their names, for folders may name a patient."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -34,6 +34,16 @@ def swept_without_folders(swept: Mapping[str, Any]) -> dict[str, Any]:
 def short_path(value: Any) -> Any:
     """The name of a file that has an absolute path; any other value as it is."""
     return Path(value).name if isinstance(value, str) and Path(value).is_absolute() else value
+
+
+def told_directory(directory: Path, command: Sequence[str]) -> str:
+    """A run directory as its results name it: from the last name of --out on, else from `results` on."""
+    given = command[command.index("--out") + 1] if "--out" in command else "runs"
+    parts = directory.parts
+    if given not in parts:
+        return directory.name
+    own = parts[len(parts) - 1 - parts[::-1].index(given) :]
+    return str(Path(*own) if "--out" in command else Path("results", *own))
 
 
 def text_without_folders(text: str) -> str:

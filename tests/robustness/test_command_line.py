@@ -206,7 +206,7 @@ def test_a_surface_has_a_directory_of_its_own_and_its_report_says_how_to_get_it_
         result = vdmbench(*f"{command}{extra}".split()[1:], cwd=tmp_path)
         assert result.returncode == 0, result.stderr
         page = (tmp_path / place / "report.html").read_text()
-        assert f"{command}{extra}\nvdmbench report {place}<" in page
+        assert f"vdmbench run small.toml --surface ball.obj{extra}\nvdmbench report {place}<" in page
         assert "<dt>geometry file</dt>" in page
         assert "<dd>ball.obj</dd>" in page
         assert str(tmp_path) not in page

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import json
 from pathlib import Path
 
 import meshio
@@ -50,6 +51,26 @@ def test_no_stored_file_names_the_folder_of_a_surface(tmp_path: Path, how: str) 
     assert case.resolved["geometry"]["path"] == "ball.obj"
     assert case.provenance["geometry_file_hash"] == hashlib.sha256(surface.read_bytes()).hexdigest()
     assert vdmbench("report", directory, cwd=work).returncode == 0
+
+
+def test_no_stored_file_names_a_folder_of_the_command(tmp_path: Path) -> None:
+    surface = _surface(tmp_path / "Jane-Doe" / "scans")
+    write_study(surface.parent, a=MODELS, b=REFERENCE)
+    words = ["Jane-Doe/scans/small.toml", "--surface", "Jane-Doe/scans/ball.obj", "--out", "Jane-Doe/out"]
+    result = vdmbench("run", *words, cwd=tmp_path)
+    assert result.returncode == 0, result.stderr
+    out = tmp_path / "Jane-Doe" / "out"
+    for path in (
+        path for folder in (out, tmp_path / "results") for path in folder.rglob("*") if path.is_file()
+    ):
+        assert b"Jane-Doe" not in path.read_bytes(), path
+    plan = json.loads((out / "plan.json").read_text())
+    assert plan["command"] == ["run", "small.toml", "--surface", "ball.obj", "--out", "out"]
+    assert plan["directory"] == "out"
+    assert plan["surfaces"] == {hashlib.sha256(surface.read_bytes()).hexdigest(): "ball.obj"}
+    again = json.loads(vdmbench("plan", *words, "--json", cwd=tmp_path).stdout)
+    assert again["cases_to_run"] == 0
+    assert again["directory"] == "Jane-Doe/out", "the terminal names it whole"
 
 
 def test_only_absolute_paths_of_meshes_are_shortened() -> None:
