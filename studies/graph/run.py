@@ -101,7 +101,7 @@ def run_plan(
         if lines := without_room(plan, cases):
             raise RunError("\n".join(lines))
         _tidy(plan)
-        planned = summary(plan)
+        planned = summary(plan) | {"resumed": _resumed(plan, cases)}
         texts = {
             STUDY: text_without_folders(study_text).encode(),
             RESOLVED: tomli_w.dumps(without_folders(resolved(plan.study))).encode(),
@@ -141,6 +141,15 @@ def _check_study(plan: Plan) -> None:
             raise RunError(
                 f"{plan.directory}: holds the study {shown(other)}, not {shown(name)}; choose another --out"
             )
+
+
+def _resumed(plan: Plan, cases: Sequence[PlannedCase]) -> list[str]:
+    """Hashes of the cases that an earlier run has done; a run that has nothing to do changes none of them."""
+    if cases:
+        return [case.hash for case in plan.in_order if plan.is_done(case)]
+    with suppress(StoreError):
+        return list(read_plan(plan.directory).get("resumed", ()))
+    return []
 
 
 def _check_memory(plan: Plan, cases: Sequence[PlannedCase]) -> None:

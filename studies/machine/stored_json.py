@@ -77,6 +77,7 @@ class PlanShape(Shape):
     cases: list[PlannedShape]
     files: FilesShape
     surfaces: dict[str, str] = {}
+    resumed: list[Hash] = []
     command: list[str] = []
     directory: str = ""
 

@@ -70,14 +70,12 @@ def test_times_say_when_and_where(case: CaseResult, marks: list[str], of_referen
 def test_a_case_that_was_done_before_the_others_is_of_an_earlier_run() -> None:
     cases = [make_case({"vdm-m": 0.1}, label=label, subdivisions=1) for label in ("a", "b")]
     cases = [dataclasses.replace(case, hash=2 * str(k)) for k, case in enumerate(cases)]
-    whole = make_run(cases)
 
-    def marks(*states: str) -> list[str]:
-        planned = [{"hash": case.hash, "state": state} for case, state in zip(cases, states, strict=True)]
-        return measured.measured(dataclasses.replace(whole, plan={"cases": planned}), "vdm-m")
+    def marks(*resumed: str) -> list[str]:
+        return measured.measured(dataclasses.replace(make_run(cases), plan={"resumed": resumed}), "vdm-m")
 
-    assert marks("done", "missing") == marks("failed", "done") == ["earlier run"]
-    assert marks("missing", "missing") == marks("done", "done") == []
+    assert marks("00") == marks("11") == ["earlier run"]
+    assert marks() == []
 
 
 def test_an_entire_case_that_is_resumed_says_so(tmp_path: Path) -> None:
@@ -86,10 +84,11 @@ def test_an_entire_case_that_is_resumed_says_so(tmp_path: Path) -> None:
     assert vdmbench("run", "small.toml", cwd=tmp_path).returncode == 0
     shutil.rmtree(tmp_path / "results/cache")  # so that no answer of its own marks the other case
     next((tmp_path / "results/runs/small/cases").iterdir()).unlink()
-    said = vdmbench("run", "small.toml", "--json", cwd=tmp_path)
-    assert said.returncode == 0, said.stderr
-    times = json.loads(said.stdout)["metrics"]["vdm-paper"]["seconds_setup"]
-    assert times["measured"] == ["earlier run"]
+    for what in ("resumed", "nothing to do"):
+        said = vdmbench("run", "small.toml", "--json", cwd=tmp_path)
+        assert said.returncode == 0, said.stderr
+        times = json.loads(said.stdout)["metrics"]["vdm-paper"]["seconds_setup"]
+        assert times["measured"] == ["earlier run"], what
 
 
 def test_what_another_machine_has_measured_says_so_in_the_next_case(
