@@ -74,8 +74,12 @@ def encoded(text: str) -> bytes:
     return text.encode("utf-8", "replace")
 
 
+_VIEWER = ("viewer_data.js", "viewer_gl.js", "viewer_labels.js", "viewer.js", "viewer_controls.js")
+
+
 def _scripts() -> list[Markup]:
-    return [_asset("page.js"), _asset("viewer.js")]
+    viewer = Markup("\n").join(_asset(name) for name in _VIEWER)
+    return [_asset("page.js"), Markup('"use strict";\n(() => {\n{}})();\n').replace("{}", viewer, 1)]
 
 
 def _policy(scripts: list[Markup]) -> str:

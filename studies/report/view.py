@@ -16,6 +16,8 @@ from numpy.typing import NDArray
 
 from ..measures.case import CaseResult
 from ..verdict.digest import Array, Digest
+from .scene_picture import KINDS
+from .section_scene import parts_of
 
 _U16, _I16 = 65535, 32767
 
@@ -92,10 +94,17 @@ def payload(view: View, digest: Digest) -> dict[str, object]:
                 "factors": [float(case.load_factors[step]) for step in steps],
                 "azimuth": azimuth(case),
                 "scale": displacement_scale(case),
+                "regions": _regions(case),
                 "models": [{"name": name, "steps": _displacements(case, name, steps)} for name in names],
             }
         )
-    return {"geometries": geometries, "cases": cases, "focus": digest.focus, "colours": colour_maps()}
+    return {
+        "geometries": geometries,
+        "cases": cases,
+        "focus": digest.focus,
+        "colours": colour_maps(),
+        "regionColours": {kind: colour for kind, (_, colour) in KINDS.items()},
+    }
 
 
 def colour_maps() -> dict[str, str]:
@@ -130,17 +139,28 @@ def displacement_scale(case: CaseResult) -> float:
     return float(decade * max(step for step in (1.0, 2.0, 5.0) if step * decade <= wanted))
 
 
+def _regions(case: CaseResult) -> list[dict[str, object]]:
+    """The nodes of the regions that something acts on."""
+    return [
+        {"kind": part.kind, "nodes": _pack(np.flatnonzero(part.nodes).astype(_index_type(case)))}
+        for part in parts_of(case, [case])
+    ]
+
+
+def _index_type(case: CaseResult) -> str:
+    return "<u4" if len(case.points) > _U16 else "<u2"
+
+
 def _geometry(case: CaseResult) -> dict[str, object]:
     low = case.points.min(axis=0)
     step = np.where(np.ptp(case.points, axis=0) > 0, np.ptp(case.points, axis=0), 1.0) / _U16
-    wide = len(case.points) > _U16
     return {
         "nodes": len(case.points),
         "low": [float(v) for v in low],
         "step": [float(v) for v in step],
         "points": _pack(((case.points - low) / step).round().astype("<u2")),
-        "wide": wide,
-        "triangles": _pack(case.triangles.astype("<u4" if wide else "<u2")),
+        "wide": len(case.points) > _U16,
+        "triangles": _pack(case.triangles.astype(_index_type(case))),
     }
 
 

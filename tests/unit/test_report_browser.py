@@ -6,6 +6,7 @@ import csv
 import dataclasses
 import io
 import urllib.parse
+import urllib.request
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -84,8 +85,19 @@ def move(browser: Browser, control: str, value: float) -> None:
     )
 
 
-def show(browser: Browser, kind: str) -> None:
-    browser.evaluate(f"{VIEWER}.querySelector('input[value={kind}]').click()")
+def views(browser: Browser) -> dict[str, np.ndarray]:
+    """Pixels of each view, as `stage`."""
+    image = stage(browser)
+    box = "(r => [r.x, r.y, r.width, r.height])"
+    left, top, *_ = browser.evaluate(f"{box}({VIEWER}.querySelector('.stage').getBoundingClientRect())")
+    found = {}
+    for name in ("model", "reference", "difference"):
+        x, y, width, height = browser.evaluate(
+            f"{box}({VIEWER}.querySelector('[data-view={name}]').getBoundingClientRect())"
+        )
+        row, column = round(y - top), round(x - left)
+        found[name] = image[row : row + round(height), column : column + round(width)]
+    return found
 
 
 # --- the page ---
@@ -227,42 +239,77 @@ def test_a_click_on_a_heading_sorts(browser: Browser, page: Path) -> None:
 # --- the viewer ---
 
 
-def test_viewer_draws_the_surface_in_its_colours(browser: Browser, page: Path) -> None:
+def test_three_views_are_one_picture(browser: Browser, page: Path) -> None:
     browser.open(page, 1400)
-    pixels = stage(browser)
-    background = pixels[-1, 0]
-    drawn = np.abs(pixels - background).max(axis=2) > 24
-    assert 0.1 < drawn.mean() < 0.9
-    saturation = np.ptp(pixels[drawn], axis=1)
-    assert (saturation > 40).mean() > 0.8, "viridis is colourful, an unlit or empty drawing is not"
+    first = views(browser)
+    for name, pixels in first.items():
+        drawn = np.abs(pixels - pixels[5, -5]).max(axis=2) > 24
+        assert 0.1 < drawn.mean() < 0.9, name
+        saturation = np.ptp(pixels[drawn], axis=1)
+        assert (saturation > 40).mean() > 0.6, "viridis is colourful, an unlit or empty drawing is not"
+    assert changed(first["model"], first["difference"]) > 0.1
+    assert 0.01 < changed(first["model"], first["reference"]) < changed(first["model"], first["difference"])
+    move(browser, "step", 0)
+    early = views(browser)
+    assert all(changed(first[name], early[name]) > 0.05 for name in first), "one load for all"
+    move(browser, "step", 3)
+    assert all(changed(first[name], again) == 0.0 for name, again in views(browser).items())
+    move(browser, "scale", 0)
+    assert all(changed(first[name], flat) > 0.01 for name, flat in views(browser).items())
+    move(browser, "scale", 50)
+    last = views(browser)
+    assert all(changed(first[name], again) == 0.0 for name, again in last.items())
+    for box in ("edges", "rest", "regions"):
+        browser.evaluate(f"{VIEWER}.querySelector('[data-control={box}]').click()")
+        now = views(browser)
+        assert all(changed(last[name], other) > 0.004 for name, other in now.items()), box
+        last = now
+    told = f"{VIEWER}.querySelector('.told').textContent"
+    assert browser.evaluate(told).splitlines()[1:3] == [
+        f"reference: {REFERENCE}, up to 4 mm",
+        "difference, up to 0.424 mm",
+    ]
+    move(browser, "case", 2)
+    assert all(changed(first[name], other) > 0.01 for name, other in views(browser).items())
+    assert browser.complaints() == []
 
 
-def test_controls_change_the_drawing(browser: Browser, page: Path) -> None:
+def test_a_lost_graphics_context_comes_back_or_leaves_the_pictures(browser: Browser, page: Path) -> None:
     browser.open(page, 1400)
     first = stage(browser)
-    assert changed(first, stage(browser)) == 0.0
-    move(browser, "step", 0)
-    early = stage(browser)
-    assert changed(first, early) > 0.05
+    context = f"{VIEWER}.querySelector('canvas').getContext('webgl2')"
+    browser.evaluate(f"window.loss = {context}.getExtension('WEBGL_lose_context'); loss.loseContext()")
+    assert changed(first, stage(browser)) > 0.2, "nothing is left to see"
+    assert visible(browser, ".viewer"), "for a while it waits"
+    move(browser, "step", 0)  # what is asked for meanwhile is shown afterwards
+    browser.evaluate("loss.restoreContext()")
+    assert changed(first, stage(browser)) > 0.05
     move(browser, "step", 3)
     assert changed(first, stage(browser)) == 0.0
-    move(browser, "scale", 0)
-    assert changed(first, stage(browser)) > 0.02
-    move(browser, "scale", 50)
-    show(browser, "difference")
-    difference = stage(browser)
-    assert changed(first, difference) > 0.1
-    show(browser, "reference")
-    assert changed(first, stage(browser)) > 0.01
-    show(browser, "model")
-    for box in ("edges", "rest"):
-        browser.evaluate(f"{VIEWER}.querySelector('[data-control={box}]').click()")
-        assert changed(first, stage(browser)) > 0.005
-        browser.evaluate(f"{VIEWER}.querySelector('[data-control={box}]').click()")
-    assert changed(first, stage(browser)) == 0.0
-    move(browser, "case", 2)
-    assert changed(first, stage(browser)) > 0.01
-    assert browser.complaints() == []
+    browser.evaluate("window.setTimeout = (act) => act(); loss.loseContext()")
+    stage_hidden = (
+        "new Promise(done => requestAnimationFrame(() => done(document.querySelector('.viewer').hidden)))"
+    )
+    assert browser.evaluate(stage_hidden), "its patience has an end"
+    assert visible(browser, ".stills img")
+
+
+def test_a_picture_of_the_views_is_saved_with_what_they_show(browser: Browser, page: Path) -> None:
+    browser.open(page, 1400)
+    shown = stage(browser)
+    browser.evaluate(
+        "HTMLAnchorElement.prototype.click = function () { window.saved = [this.download, this.href]; }"
+    )
+    browser.evaluate(f"{VIEWER}.querySelector('[data-control=save]').click()")
+    name, url = browser.evaluate("saved")
+    assert name == "A-ball-under-a-fingertip-vdm-vector.png"
+    pixels = np.asarray(Image.open(io.BytesIO(urllib.request.urlopen(url).read())).convert("RGB")).astype(int)
+    height, width, _ = shown.shape
+    assert pixels.shape == (height + 30, width, 3)
+    assert changed(pixels[20 : height - 20, 20:-20], shown[20:-20, 20:-20]) < 0.01, (
+        "but for its rounded corners"
+    )
+    assert np.ptp(pixels[height:]) > 50, "words below"
 
 
 def test_keys_mouse_and_touch_turn_and_zoom(browser: Browser, page: Path) -> None:
@@ -298,9 +345,9 @@ def test_keys_mouse_and_touch_turn_and_zoom(browser: Browser, page: Path) -> Non
 
 
 def middle(browser: Browser) -> tuple[float, float]:
-    """Centre of the viewer in the window."""
+    """Centre of the first view in the window."""
     centre = "(r => [r.x + r.width / 2, r.y + r.height / 2])"
-    x, y = browser.evaluate(f"{centre}({VIEWER}.querySelector('canvas').getBoundingClientRect())")
+    x, y = browser.evaluate(f"{centre}({VIEWER}.querySelector('.view').getBoundingClientRect())")
     return x, y
 
 
@@ -357,7 +404,7 @@ def test_a_step_that_failed_says_so(browser: Browser, tmp_path: Path) -> None:
         page_html(make_run([make_case({"m": 0.1}, stopped={"m": 2}, subdivisions=1)]), no_pictures)
     )
     browser.open(path, 1000)
-    note = f"{VIEWER}.querySelector('.quantity').textContent"
+    note = f"{VIEWER}.querySelector('.told').textContent"
     assert "stopped at this load: the volume could not be held" in browser.evaluate(note)
     move(browser, "step", 1)
     assert "stopped" not in browser.evaluate(note)
