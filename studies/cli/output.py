@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-import os
 import sys
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ..machine.files import json_text
 from ..machine.streams import harmless
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from ..graph.run import Event
     from ..measures.case import Run
 
@@ -21,11 +21,6 @@ BUG, INTERRUPTED = 70, 130
 
 class UsageError(ValueError):
     """A mistake on the command line."""
-
-
-def results_directory() -> Path:
-    """Where runs, the cache and baselines are kept unless the command line says otherwise."""
-    return Path(os.environ.get("VDMBENCH_RESULTS") or "results")
 
 
 def print_run(run: Run, directory: Path, report: Path, as_json: bool) -> int:

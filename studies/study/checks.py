@@ -6,9 +6,8 @@ file has it, usable where it is not None.
 
 from __future__ import annotations
 
-import difflib
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 from ..machine.errors import MeshError
@@ -23,22 +22,22 @@ from .geometry_spec import (
     extents,
 )
 from .geometry_spec import Geometry as GeometrySpec
-from .kinds import safe_name
 from .measured_table import check_measured
 from .model_name import DISPLACEMENT_ELEMENTS, is_vdm, split
 from .problems import Finding, Loc
 from .profiles import PROFILES
+from .region_checks import check_regions
 from .schema import (
     MOST_STEPS,
     Constraint,
     Geometry,
-    HalfSpace,
     Load,
     Region,
     Study,
 )
 from .table import Table
 from .units import shown
+from .wording import given, listed, unknown
 
 SHAPE_KEYS: dict[str, tuple[set[str], set[str]]] = {  # shape -> keys that it needs, keys that it may have
     "sphere": ({"mesh_size", "radius"}, set()),
@@ -53,8 +52,6 @@ _KIND_KEYS = {
     "contact": {"pressure", "force", "profile"},
     "constrained": {"displacement"},
 }
-_MOST_PARTS, _DEEPEST = 1000, 50  # regions that one region may be made of, and levels of them
-_ONE_OF = "below, above, ball, box, cap, group, all, any, not"
 
 
 def check(study: Study) -> Iterator[Finding]:
@@ -65,23 +62,12 @@ def check(study: Study) -> Iterator[Finding]:
     yield from _check_unread(study)
     yield from _check_calibration(study)
     yield from _check_geometry(study.geometry)
-    yield from _check_regions(study.regions or {})
-    yield from _check_groups(study)
-    yield from _check_coordinates(study)
+    yield from check_regions(study)
     yield from _check_constraints(study)
     yield from _check_history(study.load)
     yield from _check_loads(study)
     yield from _check_acceptance(study)
     yield from check_measured(study)
-
-
-def unknown(value: str, known: Sequence[str], what: str, *, list_all: bool = True) -> str:
-    """A sentence that says that a name is unknown, with the closest known one, or all where none is close."""
-    known = [name for name in known if name.isprintable()]
-    close = difflib.get_close_matches(value[:80], known, n=1)
-    if close:
-        return f'unknown {what} {shown(value)}; did you mean "{close[0]}"?'
-    return f"unknown {what} {shown(value)}" + (f"; known: {', '.join(known) or 'none'}" if list_all else "")
 
 
 def fits_kind(data: Mapping[str, Any], loc: Loc) -> bool:
@@ -92,11 +78,6 @@ def fits_kind(data: Mapping[str, Any], loc: Loc) -> bool:
     kind = entry.get("kind") if isinstance(entry, Mapping) else None
     others = set[str]().union(*(keys for name, keys in _KIND_KEYS.items() if name != kind))
     return loc[2] not in others - _KIND_KEYS.get(str(kind), others)
-
-
-def _given(table: Table) -> set[str]:
-    """The keys that the file has, or that follow from others, as written there."""
-    return {type(table).model_fields[name].alias or name for name in table.model_fields_set if name[0] != "_"}
 
 
 def _check_models(study: Study) -> Iterator[Finding]:
@@ -143,7 +124,7 @@ def _check_penalty(study: Study) -> Iterator[Finding]:
             instead = f"[models.{split(answered[0])[0]}]"
             yield (
                 loc,
-                f"is solved by lu alone, not by {_listed(set(answered))}; give it in {instead} or leave it out",
+                f"is solved by lu alone, not by {listed(set(answered))}; give it in {instead} or leave it out",
             )
 
 
@@ -159,9 +140,9 @@ def _check_unread(study: Study) -> Iterator[Finding]:
     ]
     tables.append((("vdm",), study.vdm, set().union(*map(_reads, names))))
     for loc, table, known in tables:
-        for key in sorted(_given(table) - known) if table is not None else ():
+        for key in sorted(given(table) - known) if table is not None else ():
             who = f"{loc[1]} does not read it" if len(loc) > 1 else "no model of this study reads it"
-            yield (*loc, key), f"{who}; leave it out. Read here: {_listed(known) if known else 'none'}"
+            yield (*loc, key), f"{who}; leave it out. Read here: {listed(known) if known else 'none'}"
 
 
 def _check_calibration(study: Study) -> Iterator[Finding]:
@@ -194,28 +175,28 @@ def _check_geometry(geometry: Geometry) -> Iterator[Finding]:
     if geometry is None or geometry.shape is None:
         return
     needed, allowed = SHAPE_KEYS[geometry.shape]
-    given = _given(geometry) - {"shape"}
-    missing = sorted(needed - given)
+    present = given(geometry) - {"shape"}
+    missing = sorted(needed - present)
     # of a faulty path nothing is known
     suffix = geometry.path.suffix.lower() if geometry.path is not None else ""
-    if geometry.shape == "file" and suffix and suffix not in VOLUME_SUFFIXES and "mesh_size" not in given:
+    if geometry.shape == "file" and suffix and suffix not in VOLUME_SUFFIXES and "mesh_size" not in present:
         missing.append("mesh_size")
     for key in missing:
-        yield ("geometry", key), f"is missing; a {geometry.shape} needs {_listed(needed | {key})}"
-    for key in sorted(given - needed - allowed - set(DISTORTIONS)):
-        yield ("geometry", key), f"a {geometry.shape} has no {key}; it takes {_listed(needed | allowed)}"
-    if "seed" in given and not given & {"slivers", "perturbation"}:
+        yield ("geometry", key), f"is missing; a {geometry.shape} needs {listed(needed | {key})}"
+    for key in sorted(present - needed - allowed - set(DISTORTIONS)):
+        yield ("geometry", key), f"a {geometry.shape} has no {key}; it takes {listed(needed | allowed)}"
+    if "seed" in present and not present & {"slivers", "perturbation"}:
         yield ("geometry", "seed"), "decides nothing without slivers or perturbation; give one of them"
     if geometry.path is not None:
         yield from _check_suffix(geometry.path.name, suffix)
-    if {"size", "scale"} <= given and geometry.shape == "file":
+    if {"size", "scale"} <= present and geometry.shape == "file":
         yield ("geometry", "scale"), "give size or scale, not both"
     wants_list = geometry.shape == "box"
     if geometry.size is not None and wants_list != isinstance(geometry.size, tuple):
         wanted = "three lengths, along x, y and z" if wants_list else "one length, the largest extent"
         yield ("geometry", "size"), f"a {geometry.shape} takes {wanted}"
         return
-    if needed - given <= {"mesh_size"}:
+    if needed - present <= {"mesh_size"}:
         yield from _check_extent(geometry)
 
 
@@ -258,134 +239,11 @@ def _check_suffix(name: str, suffix: str) -> Iterator[Finding]:
 def geometry_spec(geometry: Geometry) -> GeometrySpec:
     """The geometry as the mesher takes it; `mesh_size` 0 where a file with tetrahedra has none."""
     keys = set().union(*SHAPE_KEYS[geometry.shape], DISTORTIONS) - {"mesh_size", "coordinates"}
-    given = {key: getattr(geometry, key) for key in sorted(keys & geometry.model_fields_set)}
-    parameters = {key: value for key, value in given.items() if value is not None or key not in DISTORTIONS}
+    present = {key: getattr(geometry, key) for key in sorted(keys & geometry.model_fields_set)}
+    parameters = {key: value for key, value in present.items() if value is not None or key not in DISTORTIONS}
     if geometry.path is not None:
         parameters["path"] = str(geometry.path)
     return GeometrySpec(geometry.shape, geometry.mesh_size or 0.0, parameters)
-
-
-def _check_regions(regions: dict[str, Region]) -> Iterator[Finding]:
-    for name, region in regions.items():
-        try:
-            safe_name(name)
-        except ValueError as error:
-            yield ("regions", name), str(error)
-        yield from _check_region(region, ("regions", name), regions)
-        if name in _reached(name, regions):
-            yield ("regions", name), "refers to itself, directly or through other regions"
-        elif _is_too_large(region, regions):
-            yield (
-                ("regions", name),
-                f"is made of more than {_MOST_PARTS} regions, or more than {_DEEPEST} levels",
-            )
-
-
-def _check_groups(study: Study) -> Iterator[Finding]:
-    """Named groups of nodes where the body has none."""
-    geometry = study.geometry
-    if geometry is None or geometry.shape is None:
-        return
-    if geometry.shape == "file" and (geometry.path is None or geometry.path.suffix.lower() == ".msh"):
-        return
-    for name, region in (study.regions or {}).items():
-        for loc in _groups_in(region, ("regions", name)):
-            yield loc, "only a MSH file has named groups of nodes; say where the region is instead"
-
-
-def _check_coordinates(study: Study) -> Iterator[Finding]:
-    """Coordinates in a body from a file, of which nothing says where they are measured from.
-
-    Until version 0.2 that was the middle of the body: studies of that time must not change in silence.
-    """
-    geometry = study.geometry
-    if geometry is None or geometry.shape != "file" or "coordinates" in _given(geometry):
-        return
-    names = [
-        f"region {shown(name)}" for name, part in (study.regions or {}).items() if _has_coordinates(part)
-    ]
-    names += [f"measured table {shown(table.name)}" for table in study.measured or () if table.name]
-    if names:
-        yield (
-            ("geometry", "coordinates"),
-            f'is missing, and {names[0]} has coordinates: give "file" where they are those of the '
-            'file, in metres, or "centred" where they are from the middle of its bounding box, as they were '
-            "before version 0.2",
-        )
-
-
-def _has_coordinates(region: Region) -> bool:
-    planes = (region.below, region.above)
-    own = region.ball or region.box or any("value" in _given(plane) for plane in planes if plane is not None)
-    return bool(own) or any(_has_coordinates(part) for _, part in _parts(region) if isinstance(part, Region))
-
-
-def _groups_in(region: Region, loc: Loc) -> Iterator[Loc]:
-    if region.group is not None:
-        yield (*loc, "group")
-    for part_loc, part in _parts(region):
-        if isinstance(part, Region):
-            yield from _groups_in(part, (*loc, *part_loc))
-
-
-def _check_region(region: Region, loc: Loc, regions: dict[str, Region]) -> Iterator[Finding]:
-    given = _given(region)
-    if len(given) != 1:
-        have = f", not {_listed(given)}" if given else ""
-        yield loc, f"give exactly one of {_ONE_OF}{have}"
-    for key in ("below", "above"):
-        half_space: HalfSpace | None = getattr(region, key)
-        if half_space is not None and len(_given(half_space) & {"fraction", "value"}) != 1:
-            yield (*loc, key), "give either fraction or value"
-    box = region.box
-    if box is not None and box.min is not None and box.max is not None:
-        for axis, low, high in zip("xyz", box.min, box.max, strict=True):
-            if low >= high:
-                yield (
-                    (*loc, "box", "max"),
-                    f"must be above min along {axis}: {high:g} m is not above {low:g} m",
-                )
-    for part_loc, part in _parts(region):
-        if isinstance(part, Region):
-            yield from _check_region(part, (*loc, *part_loc), regions)
-        elif part not in regions:
-            yield (*loc, *part_loc), unknown(part, list(regions), "region")
-
-
-def _parts(region: Region) -> Iterator[tuple[Loc, Region | str]]:
-    """The regions that a region is made of, each with its place inside."""
-    for key, parts in (("all", region.all_of), ("any", region.any_of)):
-        yield from (((key, place), part) for place, part in enumerate(parts or ()))
-    if region.not_of is not None:
-        yield ("not",), region.not_of
-
-
-def _reached(name: str, regions: dict[str, Region]) -> set[str]:
-    """The names that a region refers to, directly or through others."""
-    reached: set[str] = set()
-    todo: list[Region] = [regions[name]]
-    while todo:
-        for _, part in _parts(todo.pop()):
-            if isinstance(part, Region):
-                todo.append(part)
-            elif part in regions and part not in reached:
-                reached.add(part)
-                todo.append(regions[part])
-    return reached
-
-
-def _is_too_large(region: Region, regions: dict[str, Region]) -> bool:
-    """Whether working out a region takes too many steps: doubling thirty times over fits in a small file."""
-    count = 0
-    todo: list[tuple[Region, int]] = [(region, 1)]
-    while todo:
-        whole, depth = todo.pop()
-        count += 1
-        if count > _MOST_PARTS or depth > _DEEPEST:
-            return True
-        parts = (part if isinstance(part, Region) else regions.get(part) for _, part in _parts(whole))
-        todo += [(part, depth + 1) for part in parts if part is not None]
-    return False
 
 
 def _check_constraints(study: Study) -> Iterator[Finding]:
@@ -408,19 +266,19 @@ def _check_constraints(study: Study) -> Iterator[Finding]:
 
 
 def _check_kind(constraint: Constraint, loc: Loc, regions: dict[str, Region]) -> Iterator[Finding]:
-    given = _given(constraint) - {"kind", "region", "name"}
+    present = given(constraint) - {"kind", "region", "name"}
     allowed = _KIND_KEYS[constraint.kind]
-    for key in sorted(given - allowed):
-        takes = f"it takes {_listed(allowed)}" if allowed else "it takes a region only"
+    for key in sorted(present - allowed):
+        takes = f"it takes {listed(allowed)}" if allowed else "it takes a region only"
         yield (*loc, key), f"a {constraint.kind} constraint has no {key}; {takes}"
-    if constraint.kind == "contact" and {"pressure", "force"} <= given:
+    if constraint.kind == "contact" and {"pressure", "force"} <= present:
         yield loc, "has both pressure and force; keep one"
-    elif constraint.kind == "contact" and not given & {"pressure", "force"}:
+    elif constraint.kind == "contact" and not present & {"pressure", "force"}:
         yield loc, "a contact needs either pressure or force"
-    if constraint.kind == "constrained" and "displacement" not in given:
+    if constraint.kind == "constrained" and "displacement" not in present:
         yield (*loc, "displacement"), 'is missing; give three lengths, such as ["0 mm", "0 mm", "-5 mm"]'
     region = regions.get(constraint.region) if constraint.kind == "contact" else None
-    if constraint.profile in PROFILES and region is not None and not _given(region) & {"cap", "ball"}:
+    if constraint.profile in PROFILES and region is not None and not given(region) & {"cap", "ball"}:
         yield (
             (*loc, "profile"),
             f"a {constraint.profile} profile needs a region that is a cap or a ball, "
@@ -482,7 +340,7 @@ def _check_acceptance(study: Study) -> Iterator[Finding]:
         return
     if study.regions is not None and region not in study.regions:
         yield ("acceptance", "region"), unknown(region, list(study.regions), "region")
-    if "largest_difference" not in _given(limits):
+    if "largest_difference" not in given(limits):
         text = 'decides nothing without largest_difference; give that, such as "1 mm", or leave region out'
         yield ("acceptance", "region"), text
 
@@ -495,7 +353,3 @@ def _largest_extent(geometry: Geometry) -> float | None:
         return geometry.size if isinstance(geometry.size, float) else None
     spec = geometry_spec(geometry)
     return None if None in spec.parameters.values() else max(extents(spec))
-
-
-def _listed(keys: set[str]) -> str:
-    return " and ".join(sorted(keys)) if len(keys) < 3 else ", ".join(sorted(keys))

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from ..machine.errors import MeshError
-from .checks import fits_kind, geometry_spec, unknown
+from .checks import fits_kind, geometry_spec
 from .fields import FieldRow, field_table, targets
 from .geometry_spec import Geometry as GeometrySpec
 from .kinds import MAX_NAME, is_safe_name
@@ -23,6 +23,7 @@ from .sweep import Axis, ResolvedCase, check_cases, first_case, read_axes, subst
 from .toml_lines import NotToml, TooLarge, key_lines
 from .units import shown
 from .validation import validate
+from .wording import unknown
 
 __all__ = [
     "Constraint",

@@ -9,13 +9,14 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
-from .checks import fits_kind, unknown
+from .checks import fits_kind
 from .fields import Target, targets
 from .folders import GEOMETRY_PATH, short_path
 from .problems import MOST_TOLD, Finding, Loc, Source
 from .schema import Study
 from .units import shown, type_name
 from .validation import validate
+from .wording import unknown
 
 Value = float | str
 

@@ -10,12 +10,13 @@ from typing import Any
 from pydantic import ValidationError
 from pydantic_core import ErrorDetails
 
-from .checks import check, unknown
+from .checks import check
 from .fields import field_at, keys_of, table_at
 from .problems import MOST_TOLD, Finding, Loc, Source
 from .schema import Study
 from .table import Context
 from .units import type_name
+from .wording import unknown
 
 _WANTED = {  # kind of pydantic error -> what the value must be
     "model_type": "a table",

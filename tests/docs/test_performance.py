@@ -14,7 +14,7 @@ import pytest
 
 from tests.unit.test_bench import CONDENSED, LINEAR, VECTOR
 from tools import marked, performance
-from vdmbench.cli.study_verbs import bench_verb
+from vdmbench.cli.verb_bench import run as bench_verb
 from vdmbench.evidence.bench_data import YARDSTICK, Bench, Growth
 
 NODES = np.array([642.0, 2562.0, 10242.0, 40962.0, 163842.0])

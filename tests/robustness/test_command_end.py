@@ -33,11 +33,11 @@ import pytest
 )
 def test_what_an_error_means_to_the_shell(error: str, code: int, said: list[str]) -> None:
     program = (
-        "from vdmbench.cli import main as cli, output as cli_output, results as cli_results\n"
+        "from vdmbench.cli import main as cli, output as cli_output, verb_doctor\n"
         "from vdmbench.store import hdf5\n"
         "from vdmbench.study import problems\n"
         f"def verb(options): raise {error}\n"
-        "cli_results.doctor_verb = verb\n"
+        "verb_doctor.run = verb\n"
         "cli.main(['doctor'])"
     )
     result = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)
@@ -47,8 +47,8 @@ def test_what_an_error_means_to_the_shell(error: str, code: int, said: list[str]
 
 def test_a_bug_is_told_from_a_regression(tmp_path: Path) -> None:
     program = (
-        "from vdmbench.cli import main as cli, results as cli_results\n"
-        "cli_results.doctor_verb = lambda options: {}['on mine']\n"
+        "from vdmbench.cli import main as cli, verb_doctor\n"
+        "verb_doctor.run = lambda options: {}['on mine']\n"
         "cli.main(['doctor'])"
     )
     result = subprocess.run(

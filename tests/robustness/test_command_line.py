@@ -300,10 +300,10 @@ def test_usage_mistakes(tmp_path: Path, arguments: list[str], words: str) -> Non
 )
 def test_an_interruption_says_what_the_same_command_does(command: str, words: str) -> None:
     program = (
-        "import sys; from vdmbench.cli import main as cli, study_verbs as cli_study\n"
+        "import sys; from vdmbench.cli import main as cli, verb_bench, verb_calibrate, verb_check, verb_run\n"
         "def interrupted(options): raise KeyboardInterrupt\n"
-        "for verb in ('run', 'calibrate', 'bench', 'check'):\n"
-        "    setattr(cli_study, f'{verb}_verb', interrupted)\n"
+        "for verb in (verb_run, verb_calibrate, verb_bench, verb_check):\n"
+        "    verb.run = interrupted\n"
         "cli.main(sys.argv[1:])"
     )
     result = subprocess.run(
@@ -555,9 +555,9 @@ def test_ctrl_c_in_an_import(tmp_path: Path, module: str, error: str) -> None:
 def test_ctrl_c_at_an_awkward_moment(tmp_path: Path, interrupted: str) -> None:
     program = (
         "import atexit, contextlib, signal, time, weakref\n"
-        "from vdmbench.cli import main as cli, study_verbs as cli_study\n"
+        "from vdmbench.cli import main as cli, verb_run\n"
         f"def verb(options):\n    {interrupted}\n"
-        "cli_study.run_verb = verb\n"
+        "verb_run.run = verb\n"
         "cli.main(['run', 'small.toml'])"
     )
     result = interruptible(program, tmp_path)

@@ -14,7 +14,7 @@ from numpy.testing import assert_allclose
 
 from tests.command import vdmbench
 from vdm import Model, Parameters, SurfaceMesh
-from vdmbench.cli.study_verbs import bodies_to_measure
+from vdmbench.cli.verb_bench import bodies_to_measure
 from vdmbench.evidence import bench
 from vdmbench.evidence.bench_data import (
     Bench,

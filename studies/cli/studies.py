@@ -1,0 +1,97 @@
+"""The study that a command line names, its plan and its files: for the verbs that take a study."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from ..machine.places import cache_directory, results_directory
+from .output import UsageError
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from ..graph.plan import Plan, PlannedCase
+    from ..study.schema import Study
+
+
+def load(options: argparse.Namespace) -> tuple[Study, Path]:
+    """The study, and its file."""
+    from ..study.config import load_study
+    from ..study.shipped import study_path
+
+    path = study_path(options.study)
+    return load_study(path, allow_outside=options.allow_outside, surface=options.surface), path
+
+
+def make_plan(
+    study: Study,
+    options: argparse.Namespace,
+    *,
+    directory: Path | None = None,
+    command: tuple[str, ...] = (),
+) -> Plan:
+    """The plan of all cases; in --out or results/runs/NAME by default."""
+    from ..graph import plan as graph_plan
+    from ..study.config import expand
+
+    directory = directory or vars(options).get("out")
+    if directory is None:
+        directory = results_directory() / "runs" / study.study.name
+    cache = vars(options).get("cache") or cache_directory()
+    command = command or command_of("run", options)
+    fresh = vars(options).get("fresh", False)
+    return graph_plan.make_plan(study, expand(study), directory, cache, command, fresh=fresh)
+
+
+def require_own(plan: Plan, options: argparse.Namespace) -> None:
+    """Raises UsageError where the directory holds no run, or that of another surface file of the same name."""
+    from ..graph.explain import surfaces
+    from ..store.hdf5 import StoreError
+    from ..store.run_directory import read_plan, refuse_foreign
+
+    refuse_foreign(plan.directory)
+    if options.surface is None or options.out is not None:
+        return
+    try:
+        there = read_plan(plan.directory)
+    except StoreError:
+        return
+    if (
+        "--surface" in there.get("command", [])
+        and not surfaces(plan).keys() & there.get("surfaces", {}).keys()
+    ):
+        raise UsageError(
+            f"{plan.directory} has the results of another surface of that name; give those of {options.surface} "
+            "a directory of their own by --out"
+        )
+
+
+def command_of(verb: str, options: argparse.Namespace) -> tuple[str, ...]:
+    """What to type to get the same results again: the words of this command that decide them, without folders."""
+    given = vars(options)
+    words = [verb, _name(given["study"])]
+    for key in ("surface", "out"):
+        if given.get(key):
+            words += [f"--{key}", _name(given[key])]
+    if given["allow_outside"]:
+        words.append("--allow-outside")
+    return tuple(words)
+
+
+def _name(path: str | Path) -> str:
+    """The last name of a path: the others may be a patient's."""
+    return Path(path).name or str(path)
+
+
+def check_files(plan: Plan, cases: Sequence[PlannedCase]) -> None:
+    """Read the files of cases that are still to be meshed. Raises StudyError for those that cannot be used."""
+    from ..machine.errors import MeshError
+    from ..study.config import geometry_error
+
+    for mesh in plan.missing_meshes(cases):
+        try:
+            _ = mesh.expected
+        except MeshError as error:
+            raise geometry_error(plan.study, error) from error

@@ -1,0 +1,30 @@
+"""`vdmbench accept`: a run's accuracy becomes the baseline."""
+
+from __future__ import annotations
+
+import argparse
+
+from .baselines import baseline_arguments, baseline_of
+from .output import OK, count, print_json
+
+SUMMARY = "make a run's accuracy the baseline"
+
+
+def arguments(parser: argparse.ArgumentParser) -> None:
+    """Its arguments."""
+    baseline_arguments(parser)
+    parser.add_argument("--reason", required=True, metavar="TEXT", help="why these numbers are right")
+
+
+def run(options: argparse.Namespace) -> int:
+    """Write a run as the baseline."""
+    from ..guard.gate import accept
+    from ..store.cases import read_run
+
+    run = read_run(options.directory)
+    path = baseline_of(options, str(run.study["name"]))
+    baseline = accept(run, path, options.reason)
+    if options.json:
+        return print_json({"baseline": str(path), "cases": len(baseline.cases), "reason": baseline.reason})
+    print(f"accepted {count(len(baseline.cases), 'case')}: {path}")
+    return OK

@@ -1,0 +1,76 @@
+"""`vdmbench bench`: run time against error for every model."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from ..machine.places import cache_directory, results_directory
+from .argument_kinds import directory, study_arguments
+from .output import OK, UsageError, print_json, print_table, tell
+from .studies import load, make_plan
+
+SUMMARY = "measure run time against error for every model, in about five minutes a body"
+
+
+def arguments(parser: argparse.ArgumentParser) -> None:
+    """Its arguments."""
+    use = ": its body and its models, in place of every model on a sphere, an organ and the --surface given"
+    study_arguments(parser, "?", use)
+    parser.add_argument("--out", type=directory, metavar="DIR", help="directory (default results/bench)")
+    parser.add_argument("--large", action="store_true", help="growth on surfaces of up to 163,842 nodes")
+
+
+def run(options: argparse.Namespace) -> int:
+    """Measure the study, or a sphere, an organ and the surface that is given, with every model."""
+    from ..evidence import bench
+    from ..evidence.bench_data import answers, machine_independent, rows
+    from ..evidence.bench_page import ANSWERS_NOTE, ERROR_NOTE, write_bench_page
+    from ..evidence.bench_store import write_bench
+
+    studies = {
+        body: load(argparse.Namespace(**vars(options) | {"study": name, "surface": surface}))[0]
+        for body, (name, surface) in bodies_to_measure(options.study, options.surface).items()
+    }
+    if options.study:
+        for study in studies.values():
+            # a mesh that cannot be made is told with its line before anything is measured
+            make_plan(study, options)
+    out = options.out or results_directory() / "bench"
+    if out.is_dir() and any(out.iterdir()) and not (out / "bench.h5").exists():
+        raise UsageError(f"{out}: is not empty and not a benchmark's directory; choose another --out")
+    found = bench.measure(
+        studies,
+        vars(options).get("cache") or cache_directory(),
+        names=None if options.study else bench.MODELS,
+        large=options.large,
+        watch=tell,
+    )
+    write_bench(out / "bench.h5", found)
+    write_bench_page(found, out / "bench.html")
+    if options.json:
+        return print_json(
+            {"rows": rows(found), "answers": answers(found), "figures": machine_independent(found)}
+        )
+    print(", ".join(f"{name}: {text}" for name, text in list(found.machine.items())[:5]))
+    print_table(rows(found))
+    print(ERROR_NOTE)
+    for growth in found.growths:
+        print(f"{growth.what} grows as nodes ^ {growth.exponent:.2f}, up to {int(growth.nodes[-1]):,} nodes")
+    print_table(answers(found))
+    print(ANSWERS_NOTE)
+    print(f"report: {out / 'bench.html'}")
+    return OK
+
+
+def bodies_to_measure(study: str | None, surface: Path | None) -> dict[str, tuple[str, Path | None]]:
+    """Name of each body of a benchmark -> its study, and the file that replaces the study's own body."""
+    if study:
+        return {Path(study).stem: (study, surface)}
+    bodies: dict[str, tuple[str, Path | None]] = {
+        "sphere": ("quickstart", None),
+        "organ": ("accuracy-organ", None),
+    }
+    if surface is not None:
+        bodies[surface.name if surface.stem in bodies else surface.stem] = ("accuracy-organ", surface)
+    return bodies

@@ -1,0 +1,87 @@
+"""`vdmbench calibrate`: VDM parameters fitted on half of a study's loads."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from ..machine.processors import usable_processors
+from .argument_kinds import jobs_arguments, out_argument, study_arguments
+from .output import FAILED, OK, Progress, complain_of_failures, print_json, print_table
+from .studies import command_of, load, make_plan, require_own
+
+if TYPE_CHECKING:
+    from ..graph.plan import Plan
+    from ..measures.case import Run
+
+SUMMARY = "fit VDM parameters on half of a study's loads, try them on the rest"
+
+
+def arguments(parser: argparse.ArgumentParser) -> None:
+    """Its arguments."""
+    study_arguments(parser)
+    parser.set_defaults(goes_on=True)
+    out_argument(parser)
+    jobs_arguments(parser)
+    parser.add_argument(
+        "--transfer",
+        action="append",
+        default=[],
+        metavar="STUDY",
+        help="try the fit on the held-out loads of this study too (can be repeated)",
+    )
+
+
+def run(options: argparse.Namespace) -> int:
+    """Fit the VDM parameters on half of a study's loads; print and write the table for its `[vdm]`."""
+    from ..evidence.calibrate import as_json, as_toml, body, calibrate, check, check_fit, finer_study
+    from ..evidence.calibration_table import table
+    from ..machine.files import json_text, write_atomically
+    from ..study.problems import StudyError
+
+    study, path = load(options)
+    plan = make_plan(study, options)
+    require_own(plan, options)
+    check_fit(plan)
+    elsewhere = []  # read, and found to be of use, before anything is run
+    for name in options.transfer:
+        there = argparse.Namespace(**vars(options) | {"study": name, "surface": None, "out": None})
+        other, other_path = load(there)
+        elsewhere.append((make_plan(other, there), other_path))
+        check(elsewhere[-1][0])
+    out = plan.directory
+    run, refined = _run_for_fit(plan, path, options), None
+    finer, no_finer = finer_study(plan)
+    if finer is not None:
+        again = command_of("calibrate", options)
+        try:
+            planned = make_plan(finer, options, directory=out / "finer", command=again)
+        except StudyError as error:
+            no_finer = error.problems[0].message
+        else:
+            refined = _run_for_fit(planned, path, options)
+    own = body(*run, refined, no_finer)
+    others = [body(*_run_for_fit(*other, options)) for other in elsewhere]
+    entries = calibrate(own, others)
+    data = {own.name: as_json(entries)}
+    write_atomically(out / "calibration.json", json_text(data, indent=1).encode())
+    write_atomically(out / "calibration.toml", as_toml(entries).encode())
+    if options.json:
+        print_json(data)
+    else:
+        print_table(table(entries))
+        print(f"\n{as_toml(entries)}\nwritten: {out / 'calibration.toml'}")
+    return FAILED if own.lost or any(other.lost for other in others) else OK
+
+
+def _run_for_fit(plan: Plan, path: Path, options: argparse.Namespace) -> tuple[Plan, Run]:
+    """Run what is missing of a study that parameters are fitted on, and say what failed."""
+    from ..graph.run import Options, count_of_events, run_plan
+    from ..report.rebuild import rebuild
+
+    with Progress(count_of_events(plan), plan.study.study.name, quiet=options.json) as progress:
+        how = Options(jobs=options.jobs or usable_processors())
+        run, _ = run_plan(plan, path.read_text(), how, progress.show, rebuild)
+    complain_of_failures(run)
+    return plan, run

@@ -1,0 +1,48 @@
+"""`vdmbench check`: what is wrong with a study, before anything is solved."""
+
+from __future__ import annotations
+
+import argparse
+
+from .argument_kinds import study_arguments
+from .output import OK, USAGE, count, print_json
+from .studies import check_files, load, make_plan
+
+SUMMARY = "validate a study without running it"
+
+
+def arguments(parser: argparse.ArgumentParser) -> None:
+    """Its arguments."""
+    study_arguments(parser)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Print whether a study is right, or every mistake in it."""
+    from ..graph.explain import refused
+    from ..graph.nodes import bodies
+    from ..graph.scene_check import scene_problems
+    from ..study.problems import StudyError
+
+    try:
+        study, path = load(options)
+        plan = make_plan(study, options)
+        check_files(plan, plan.cases)
+        expected = refused(plan, plan.cases, bodies(plan, plan.cases))
+        doubts = [] if expected else scene_problems(plan)
+    except StudyError as error:
+        if options.json:
+            problems = [problem._asdict() for problem in error.problems]
+            print_json({"ok": False, "problems": problems})
+            return USAGE
+        raise
+    if options.json:
+        told = [problem._asdict() for problem in doubts]
+        return print_json(
+            {"ok": True, "problems": [], "cases": len(plan.cases), "refused": expected, "warnings": told}
+        )
+    print(f"{path}: ok, {count(len(plan.cases), 'case')}")
+    for problem in doubts:
+        print(f"warning: {problem}")
+    for line in expected:
+        print(f"will be refused: {line}")
+    return OK

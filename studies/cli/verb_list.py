@@ -1,0 +1,38 @@
+"""`vdmbench list`: the shipped studies, or the models."""
+
+from __future__ import annotations
+
+import argparse
+
+from ..study.shipped import shipped_studies
+from .output import OK, print_json
+
+SUMMARY = "list the shipped studies, or the models"
+
+
+def arguments(parser: argparse.ArgumentParser) -> None:
+    """Its arguments."""
+    parser.set_defaults(solves=False)
+    parser.add_argument("--models", action="store_true", help="list the models with what a study may set")
+
+
+def run(options: argparse.Namespace) -> int:
+    """Print the shipped studies, or the models."""
+    import tomllib
+
+    titles = {}
+    if options.models:
+        from ..study.registry import all_models
+
+        for name, model in all_models().items():
+            titles[name] = (
+                f"solvers {', '.join(model.solvers)}; reads {', '.join(model.parameters) or 'none'}"
+            )
+    for name, path in shipped_studies().items() if not options.models else ():
+        titles[name] = tomllib.loads(path.read_text())["study"]["title"]
+    if options.json:
+        return print_json(titles)
+    width = max(map(len, titles))
+    for name, title in titles.items():
+        print(f"{name:<{width}}  {title}")
+    return OK

@@ -1,0 +1,51 @@
+"""`vdmbench plan`: what a run would do, and what it would cost."""
+
+from __future__ import annotations
+
+import argparse
+
+from .argument_kinds import fresh_arguments, jobs_arguments, out_argument, study_arguments
+from .output import OK, count, print_json
+from .studies import check_files, load, make_plan, require_own
+
+SUMMARY = "say what a run would do"
+
+
+def arguments(parser: argparse.ArgumentParser) -> None:
+    """Its arguments."""
+    study_arguments(parser)
+    out_argument(parser)
+    jobs_arguments(parser)
+    fresh_arguments(parser)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Print what a run would do, and what it would cost."""
+    from ..graph.explain import summary
+    from ..graph.space import free_bytes
+
+    study, _ = load(options)
+    plan = make_plan(study, options)
+    require_own(plan, options)
+    check_files(plan, plan.cases_to_run())
+    free = free_bytes(plan.directory)
+    planned = summary(plan) | {"directory": str(plan.directory), "disk_free": free}
+    if options.json:
+        return print_json(planned)
+    print(f"{study.study.title}: {count(len(planned['cases']), 'case')} of {', '.join(study.study.models)}")
+    if study.study.reference is None:
+        print("no reference: the models run without comparison")
+    for case in planned["cases"]:
+        print(f"  {case['hash'][:12]}  {case['state']:<8} {case['label']}")
+    meshes = count(planned["meshes_to_make"], "mesh", "meshes")
+    print(f"to run: {count(planned['cases_to_run'], 'case')}, {meshes}")
+    for kind in ("needed", "skipped", "refused"):
+        for line in planned[kind]:
+            print(f"{'will be refused' if kind == 'refused' else kind}: {line}")
+    expected = planned["estimate"]
+    print(
+        f"estimate: {expected['seconds']:.0f} s on one core, {expected['memory'] / 1e6:.0f} MB a worker, "
+        f"{expected['disk'] / 1e6:.1f} MB on disk ({free / 1e9:.3g} GB free); "
+        f"each within a factor of {expected['factor']:g}"
+    )
+    return OK
