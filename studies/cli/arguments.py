@@ -12,9 +12,11 @@ from . import (
     verb_bench,
     verb_calibrate,
     verb_check,
+    verb_compare,
     verb_doctor,
     verb_gate,
     verb_list,
+    verb_new,
     verb_plan,
     verb_report,
     verb_run,
@@ -22,6 +24,7 @@ from . import (
 )
 
 _VERBS = {  # in the order in which they are told
+    "new": verb_new,
     "list": verb_list,
     "check": verb_check,
     "plan": verb_plan,
@@ -29,6 +32,7 @@ _VERBS = {  # in the order in which they are told
     "calibrate": verb_calibrate,
     "status": verb_status,
     "report": verb_report,
+    "compare": verb_compare,
     "gate": verb_gate,
     "accept": verb_accept,
     "bench": verb_bench,

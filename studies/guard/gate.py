@@ -161,7 +161,8 @@ def _inputs(case: CaseResult) -> str:
     return hashlib.sha256(json.dumps(own, sort_keys=True).encode()).hexdigest()
 
 
-def _cases(run: Run) -> dict[str, CaseEntry]:
+def case_entries(run: Run) -> dict[str, CaseEntry]:
+    """What a baseline would hold of a run, by the labels of its cases."""
     return {
         case.label or ONLY_CASE: CaseEntry(
             inputs=_inputs(case),
@@ -246,7 +247,7 @@ def accept(run: Run, path: Path, reason: str) -> Baseline:
         study=str(run.study["name"]),
         reason=reason.strip(),
         date=datetime.now(UTC).date().isoformat(),
-        cases=_cases(run),
+        cases=case_entries(run),
     )
     write_atomically(path, sealed(baseline.model_dump(by_alias=True), SEALED_AS) + b"\n")
     return baseline
@@ -276,7 +277,12 @@ def compare(run: Run, baseline: Baseline) -> list[Finding]:
     name = str(run.study["name"])
     if baseline.study != name:
         raise BaselineError(f"the baseline is of study {baseline.study!r}, the run of {name!r}")
-    now = _cases(run)
+    return compare_cases(run, baseline.cases)
+
+
+def compare_cases(run: Run, before: Mapping[str, CaseEntry], whose: str = "the baseline") -> list[Finding]:
+    """Every metric of the run beside those of accepted cases, or of another run's, called `whose`."""
+    name, now = str(run.study["name"]), case_entries(run)
     # a failure is labelled for people: in a study of one case by the study's name
     failed = {
         ONLY_CASE if failure["label"] == name else failure["label"]: failure["message"]
@@ -284,24 +290,24 @@ def compare(run: Run, baseline: Baseline) -> list[Finding]:
     }
     unfinished = {label or ONLY_CASE for label in run.missing}
     findings: list[Finding] = []
-    for label, was in baseline.cases.items():
+    for label, was in before.items():
         if label in now:
-            findings += _compare_case(label, was, now[label])
+            findings += _compare_case(label, was, now[label], whose)
         elif label in failed:
             findings.append(Finding(NEWLY_FAILING, label, "", "", why=failed[label]))
         else:
             why = "the run has not got to it" if label in unfinished else "the run has no such case"
             findings.append(Finding(MISSING, label, "", "", why=why))
-    for label in sorted(unfinished - baseline.cases.keys()):
+    for label in sorted(unfinished - before.keys()):
         findings.append(Finding(MISSING, label, "", "", why="the run has not got to it"))
     for label in (*now, *failed):
-        if label not in baseline.cases:
+        if label not in before:
             state = f", and it failed: {failed[label]}" if label in failed else ""
-            findings.append(Finding(NEW, label, "", "", why=f"the baseline has no such case{state}"))
+            findings.append(Finding(NEW, label, "", "", why=f"{whose} has no such case{state}"))
     return findings
 
 
-def _compare_case(label: str, was: CaseEntry, now: CaseEntry) -> Iterator[Finding]:
+def _compare_case(label: str, was: CaseEntry, now: CaseEntry, whose: str) -> Iterator[Finding]:
     if was.inputs != now.inputs:
         yield Finding(NOT_COMPARABLE, label, "", "", why="the inputs of the case have changed")
         return
@@ -320,9 +326,9 @@ def _compare_case(label: str, was: CaseEntry, now: CaseEntry) -> Iterator[Findin
             for metric, entry in old.metrics.items():
                 yield _compare_metric(label, model, metric, entry, new.metrics.get(metric))
             for metric in sorted(new.metrics.keys() - old.metrics.keys()):
-                yield Finding(NEW, label, model, metric, why="the baseline has no such metric")
+                yield Finding(NEW, label, model, metric, why=f"{whose} has no such metric")
     for model in sorted(now.models.keys() - was.models.keys()):
-        yield Finding(NEW, label, model, "", why="the baseline has no such model")
+        yield Finding(NEW, label, model, "", why=f"{whose} has no such model")
 
 
 def _reference(case: CaseEntry) -> str:
