@@ -187,13 +187,13 @@ def _runs_of_multiples(loads: Sequence[tuple[Array, ...]]) -> tuple[NDArray[np.i
     """For each load the first of its run, the load itself where none is, and how much of that it is."""
     first, share = np.arange(len(loads)), np.ones(len(loads))
     for k in range(1, len(loads)):
-        found = multiple_of(loads[first[k - 1]], loads[k])
+        found = _multiple_of(loads[first[k - 1]], loads[k])
         if found is not None:
             first[k], share[k] = first[k - 1], found
     return first, share
 
 
-def multiple_of(load: Sequence[Array], other: Sequence[Array]) -> float | None:
+def _multiple_of(load: Sequence[Array], other: Sequence[Array]) -> float | None:
     """c where the other load is c times this one, each kind of it to rounding; None where it is not.
 
     Parameters

@@ -106,11 +106,11 @@ def print_table(rows: Sequence[dict[str, str]]) -> None:
 class Progress:
     """A bar on a terminal, a line per event otherwise; on standard error, so that output can be piped."""
 
-    def __init__(self, total: int, name: str, *, quiet: bool) -> None:
+    def __init__(self, name: str, *, quiet: bool) -> None:
         self.name = name  # of the study, for the case of a study of one
         self.quiet = quiet
         self.bar: Any = None
-        self.total = total
+        self.total = 0
 
     def __enter__(self) -> Progress:
         return self
@@ -140,6 +140,7 @@ class Progress:
         if event.kind == "told":
             complain(event.message, OK)
             return
+        self.total = event.count or self.total
         label = harmless(event.label or self.name)
         if self.bar is None and not self.quiet and sys.stderr.isatty():
             # not sooner: it is a thread, and workers are to be forked from a process that has no other

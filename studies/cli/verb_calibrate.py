@@ -77,10 +77,10 @@ def run(options: argparse.Namespace) -> int:
 
 def _run_for_fit(plan: Plan, path: Path, options: argparse.Namespace) -> tuple[Plan, Run]:
     """Run what is missing of a study that parameters are fitted on, and say what failed."""
-    from ..graph.run import Options, count_of_events, run_plan
+    from ..graph.run import Options, run_plan
     from ..report.rebuild import rebuild
 
-    with Progress(count_of_events(plan), plan.study.study.name, quiet=options.json) as progress:
+    with Progress(plan.study.study.name, quiet=options.json) as progress:
         how = Options(jobs=options.jobs or usable_processors())
         run, _ = run_plan(plan, path.read_text(), how, progress.show, rebuild)
     complain_of_failures(run)

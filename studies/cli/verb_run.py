@@ -55,7 +55,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Run what is missing, write the report, print the headline table."""
-    from ..graph.run import Options, count_of_events, lost_cases, run_plan
+    from ..graph.run import Options, lost_cases, run_plan
     from ..report.rebuild import rebuild
 
     study, path = load(options)
@@ -70,7 +70,7 @@ def run(options: argparse.Namespace) -> int:
         scheduler=options.scheduler,
         insecure_scheduler=options.insecure_scheduler,
     )
-    with Progress(count_of_events(plan, how.shard), study.study.name, quiet=options.json) as progress:
+    with Progress(study.study.name, quiet=options.json) as progress:
         run, report = run_plan(plan, path.read_text(), how, progress.show, rebuild)
     code = print_run(run, plan.directory, report, options.json)
     stopped = options.fail_fast and run.failed  # before it came to all

@@ -90,6 +90,10 @@ class Estimate:
 
 def estimate(plan: Plan, cases: Sequence[PlannedCase]) -> Estimate | None:
     """What it takes to run these cases; None where a file cannot be meshed."""
+    return plan.remembered(("estimate", *(case.hash for case in cases)), lambda: _estimate(plan, cases))
+
+
+def _estimate(plan: Plan, cases: Sequence[PlannedCase]) -> Estimate | None:
     sizes: dict[str, Size] = {}
     for key in dict.fromkeys(case.mesh for case in cases):
         size = size_of(plan, plan.meshes[key])
@@ -178,6 +182,10 @@ def size_of(plan: Plan, mesh: PlannedMesh) -> Size | None:
 
 def known_of(plan: Plan, mesh: PlannedMesh) -> Expected | None:
     """What a mesh in the cache is, or one that is not there will be; None where its file cannot be meshed."""
+    return plan.remembered(("known of", mesh.key), lambda: _known_of(plan, mesh))
+
+
+def _known_of(plan: Plan, mesh: PlannedMesh) -> Expected | None:
     cached = read_mesh(mesh_path(plan.cache, mesh.key))
     if cached is not None:
         return Expected.of_mesh(cached)

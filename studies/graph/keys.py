@@ -129,11 +129,6 @@ def direction(step: Mapping[str, float]) -> tuple[dict[str, float], float]:
     return {unit: float(f"{value / scale:.{_DIGITS}g}") + 0.0 for unit, value in acting.items()}, scale
 
 
-def is_at_rest(study: Study) -> bool:
-    """Whether no load acts, the weight apart."""
-    return not any(part.force or part.pressure or any(part.displacement or ()) for part in study.constraints)
-
-
 def has_weight(study: Study) -> bool:
     """Whether the body's weight acts, which does not scale with the loads."""
     return study.gravity is not None and any(study.gravity.acceleration)

@@ -83,6 +83,10 @@ def limits_path(cache: Path, key: str) -> Path:
 
 def bodies(plan: Plan, cases: Sequence[PlannedCase]) -> list[Body]:
     """The set-ups that these cases need, each with the answers that the cache has not; a load path has its own."""
+    return plan.remembered(("bodies", *(case.hash for case in cases)), lambda: _bodies(plan, cases))
+
+
+def _bodies(plan: Plan, cases: Sequence[PlannedCase]) -> list[Body]:
     found: dict[str, tuple[str, int, str, str]] = {}
     asked: dict[str, dict[str, Asked]] = {}
     for case in cases:

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache, cached_property
 from pathlib import Path
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -30,6 +31,8 @@ from ..study.geometry_spec import (
 from ..study.schema import Study
 from .keys import Wanted, case_hash, limits_key, wanted
 from .nodes import needs_volume
+
+T = TypeVar("T")
 
 
 @dataclass(frozen=True)
@@ -162,6 +165,17 @@ class Plan:
     def _is_sound(self) -> Callable[[Path], bool]:
         """`is_sound`, which reads a file, of each file once: many cases share one, and a plan is of one moment."""
         return cache(is_sound)
+
+    def remembered(self, asked: Hashable, work: Callable[[], T]) -> T:
+        """What `work` gives, done once for a plan: a pure function of the plan and of what is asked."""
+        if asked not in self._known:
+            self._known[asked] = work()
+        found: T = self._known[asked]
+        return found
+
+    @cached_property
+    def _known(self) -> dict[Hashable, Any]:
+        return {}
 
     def missing_meshes(self, cases: Sequence[PlannedCase]) -> list[PlannedMesh]:
         """The meshes that these cases need and the cache does not hold."""

@@ -51,10 +51,13 @@ Finish = Callable[[Path, Callable[[str], None]], tuple[Run, Path]]
 class Event:
     """Something that a watcher of a run may want to show."""
 
-    kind: str  # "started", "done", "failed" of a case, "stopped" of what it needs; "told": a sentence, in `message`
+    # "begun" with the `count` of what will be done, failed or stopped; "started", "done", "failed" of a case,
+    # "stopped" of what it needs; "told": a sentence, in `message`
+    kind: str
     label: str
     seconds: float = 0.0
     message: str = ""
+    count: int = 0
 
 
 @dataclass(frozen=True)
@@ -197,6 +200,7 @@ def _run_missing(
         plan = dataclasses.replace(plan, directory=plan.directory.absolute(), cache=plan.cache.absolute())
     logs = plan.directory / "failed"
     nodes = graph(plan, cases, places.count, run=uuid4().hex)
+    watch(Event("begun", plan.study.study.name, count=sum(max(1, len(node.items)) for node in nodes)))
     outcomes = run_nodes(
         nodes,
         places,
@@ -224,13 +228,6 @@ def _run_missing(
         else:
             _keep_failure(plan, outcome)
     return used
-
-
-def count_of_events(plan: Plan, shard: tuple[int, int] = (1, 1)) -> int:
-    """How many things of a run are told as done or failed: nodes, and each case of a node."""
-    cases = plan.cases_to_run(shard)
-    nodes = graph(plan, cases, 1, run="")
-    return sum(max(1, len(node.items)) for node in nodes)
 
 
 def _keep_failure(plan: Plan, outcome: Outcome) -> None:

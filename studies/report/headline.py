@@ -136,7 +136,7 @@ def _about_model(summary: ModelSummary) -> str:
 
 
 def _about_setup(summary: ModelSummary) -> str:
-    return "\n".join([*(["shared"] if summary.shared_cases else []), *_when_and_where(summary)])
+    return "\n".join(_when_and_where(summary))
 
 
 def _about_frame(summary: ModelSummary) -> str:
@@ -198,10 +198,8 @@ def _reading(digest: Digest) -> str:
         "Times are medians, memory is the largest amount that the model added."
     )
     if digest.compared:
-        marked = any(
-            s.shared_cases or s.earlier_cases or s.elsewhere_cases or s.iterative for s in digest.summaries
-        )
+        marked = any(s.earlier_cases or s.elsewhere_cases or s.iterative for s in digest.summaries)
         parts += ["What is marked below a time is explained under Run time against error."] if marked else []
     else:
-        parts += time_notes(digest.summaries, several=len(digest.cases) > 1)
+        parts += time_notes(digest.summaries)
     return " ".join(parts)

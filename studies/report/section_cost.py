@@ -38,20 +38,14 @@ def run_time_against_error(digest: Digest) -> Section | None:
     )
     if len(digest.cases) > 1:
         note += " Points are medians over the cases, whiskers reach from the best to the worst."
-    notes = time_notes(digest.summaries, several=len(digest.cases) > 1)
+    notes = time_notes(digest.summaries)
     blocks: list[Block] = [Text(note, kind="note"), Figures(figures, digest.legend)]
     return Section("cost", "Run time against error", [*blocks, *(Text(n, kind="note") for n in notes)])
 
 
-def time_notes(summaries: Sequence[ModelSummary], *, several: bool) -> list[str]:
+def time_notes(summaries: Sequence[ModelSummary]) -> list[str]:
     """What times and memory of these models mean where they are not simply those of a solve in this run."""
     notes = []
-    if shared := [s.name for s in summaries if s.shared_cases]:
-        share = "all cases with the same mesh, tissue and supports" if several else "several loads"
-        notes.append(
-            f"Set-up shared ({listed(shared)}): time and memory are those of making it once, which {share} paid "
-            "together."
-        )
     if earlier := [s.name for s in summaries if s.earlier_cases]:
         notes.append(
             f"Measured earlier ({listed(earlier)}): result and times were taken from an earlier run, not measured "

@@ -227,16 +227,6 @@ def case_state(directory: Path, case_hash: str) -> str:
     return "failed" if has_failed(directory, case_hash) else "missing"
 
 
-def result_keys(path: Path) -> dict[str, str]:
-    """Model name -> content key of the results in a case file; nothing where it cannot be read."""
-    try:
-        with Stored(path, SCHEMA) as file:
-            about = parsed(file.texts("case/about"), CaseShape)["models"]
-            return {name: str(model["key"]) for name, model in about.items()}
-    except UNREADABLE:
-        return {}
-
-
 def _metric_versions() -> str:
     return json_text({name: metric.version for name, metric in METRICS.items()}, sort_keys=True)
 

@@ -92,7 +92,6 @@ class ModelSummary:
     seconds_per_step: float  # median over cases and steps
     peak_bytes: float  # largest over cases
     failed_cases: int  # cases with a step that failed
-    shared_cases: int  # cases whose set-up was made for several
     earlier_cases: int  # cases whose result, and with it time and memory, is from an earlier run
     elsewhere_cases: int  # cases in which it was measured on another machine than the page is made on
     iterative: bool  # whether an iterative solver was chosen in any case
@@ -267,7 +266,6 @@ class Digest:
             seconds_per_step=float(np.median(times)) if len(times) else math.nan,
             peak_bytes=float(max((r.peak_bytes for r in results if _has_answer(r)), default=math.nan)),
             failed_cases=sum(bool(failed_steps(result)) for result in results),
-            shared_cases=sum("setup_shared" in result.parameters for result in results),
             earlier_cases=sum(is_earlier(case, name, kept) for case in cases),
             elsewhere_cases=sum(is_elsewhere(case, name) for case in cases),
             iterative=any(result.parameters.get("solver") == "iterative" for result in results),

@@ -14,9 +14,13 @@ from numpy.testing import assert_allclose
 import fem_reference.condensed
 from tests.in_process import outcomes_of
 from vdmbench import models
+from vdmbench.graph import estimate, nodes
 from vdmbench.graph.engine import run_nodes
-from vdmbench.graph.local import local_places
+from vdmbench.graph.explain import summary
+from vdmbench.graph.local import HerePlaces, local_places
 from vdmbench.graph.nodes import bodies, graph
+from vdmbench.graph.run import Event, Options, _run_missing
+from vdmbench.graph.space import without_room
 from vdmbench.measures import metrics
 from vdmbench.models.result import StepStatus
 from vdmbench.store.cases import read_case
@@ -319,3 +323,28 @@ def test_shards_have_each_case_once(tmp_path: Path, cache: Path) -> None:
     plan = plan_of(tmp_path, cache, sweep=TISSUES["sweep"] | {"constraints.finger.force": [0.1, 0.2, 0.3]})
     shards = [plan.cases_to_run((k, 4)) for k in (1, 2, 3, 4)]
     assert sorted(case.hash for shard in shards for case in shard) == sorted(case.hash for case in plan.cases)
+
+
+def test_a_plan_works_out_its_set_ups_and_its_estimate_once(
+    tmp_path: Path, cache: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    plan, made = plan_of(tmp_path, cache, **ALONE), Counter[str]()
+    for module, name in ((nodes, "_bodies"), (estimate, "_estimate")):
+        once = getattr(module, name)
+
+        def counted(*given: Any, name: str = name, once: Any = once) -> Any:
+            made[name] += 1
+            return once(*given)
+
+        monkeypatch.setattr(module, name, counted)
+    summary(plan)
+    assert without_room(plan, plan.cases_to_run()) == []
+    assert graph(plan, plan.cases_to_run(), 1, "")
+    assert made == {"_bodies": 1, "_estimate": 1}
+
+
+def test_a_run_says_before_it_begins_how_much_there_is_to_tell(tmp_path: Path, cache: Path) -> None:
+    plan, events = plan_of(tmp_path, cache, **ALONE), list[Event]()
+    _run_missing(plan, plan.cases_to_run(), Options(jobs=1), events.append, HerePlaces())
+    assert [event.kind for event in events].index("begun") == 0
+    assert events[0].count == sum(event.kind in ("done", "failed", "stopped") for event in events) > 4

@@ -122,7 +122,7 @@ def test_the_headline_is_whole_on_a_wide_window_however_much_is_marked(
     browser: Browser, tmp_path: Path
 ) -> None:
     names = ("vdm-paper", "vdm-consistent", "vdm-vector", "vdm-boundary", "fem-condensed")
-    marks: dict[str, float | str] = {"setup_shared": "yes", "measured_earlier": "yes", "solver": "iterative"}
+    marks: dict[str, float | str] = {"measured_earlier": "yes", "solver": "iterative"}
     cases = []
     for k in range(2):
         errors = bars(0.0174) | {"levels": 2.0}

@@ -17,7 +17,6 @@ from .report_runs import make_case, make_run
 
 MODELS = ("vdm-vector", "fem-condensed", "fem-coarse")
 MARKS = {
-    "setup_shared": ("vdm-vector", "shared", "Set-up shared (vdm-vector): "),
     "measured_earlier": ("fem-condensed", "earlier", "Measured earlier (fem-condensed): "),
     "solver": ("fem-coarse", "iterative", "Solved iteratively (fem-coarse), "),
 }

@@ -63,7 +63,7 @@ def test_times_say_when_and_where(case: CaseResult, marks: list[str], of_referen
         details = "\n".join(cell.detail for cell in row_of_page[1:])
         for word, mark in (("earlier", "earlier run"), ("another machine", "another machine")):
             assert (word in details) == (mark in expected)
-    told = " ".join(time_notes(Digest(shown).summaries, several=False))
+    told = " ".join(time_notes(Digest(shown).summaries))
     assert ("Measured on another machine" in told) == ("another machine" in [*marks, *of_reference])
 
 
