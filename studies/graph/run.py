@@ -112,10 +112,12 @@ def run_plan(
         planned = write_plan(plan.directory, planned, texts)
         began = time.perf_counter()
         used = 0.0
-        if cases:
-            with _places(plan, options, watch) as places:
-                used = _run_missing(plan, cases, options, watch, places)
-        _tidy(plan)  # a worker may have been killed
+        try:
+            if cases:
+                with _places(plan, options, watch) as places:
+                    used = _run_missing(plan, cases, options, watch, places)
+        finally:  # workers may have been killed while they wrote, by an interruption too
+            _tidy(plan)
         run, report = finish(
             plan.directory, lambda text: watch(Event("told", plan.study.study.name, message=text))
         )

@@ -25,7 +25,7 @@ LARGEST = 64.0  # times the study's load: where a search gives up
 MOST_STRAIN = 4.0  # largest principal Green-Lagrange strain of the reference: likewise
 _AT_THE_END = 0.9  # of that strain: near enough to it for a search to end
 _AIM = 0.95  # of that strain: where a search goes that would pass it
-_CLOSE = 0.02  # of a threshold: when a crossing is met
+CLOSE = 0.02  # of a threshold: when a crossing is met; part of a limit's bar
 _MOST_STEPS = 12  # bisections of one crossing
 _POWER_LAW_STEPS = 5  # of these
 _RETREATS = 4  # bisections towards the load at which a solution stops
@@ -168,7 +168,7 @@ def _on_finer_mesh(limit: Limit, path: LoadPath, fine: LoadPath, model: str) -> 
         return unresolved
     e0 = path.structural_error(model)
     power = 1.0 / max(path.slope(lambda point: point.error[model] - e0, factor), 0.5)
-    bar = _index(1.0 - (departure / path.departure(model, factor)) ** power)
+    bar = _index(1.0 - (departure / path.departure(model, factor)) ** power) + CLOSE * power
     further = (limit.threshold / departure) ** power  # the load of the finer mesh's limit, over this one
     indentation = path.slope(lambda point: abs(point.indentation), factor)
     strain = path.slope(lambda point: point.strain, factor)
@@ -239,9 +239,9 @@ def _crossing(path: LoadPath, model: str, threshold: float, low: float, high: fl
             low, high = (factor, high) if departure < threshold else (low, factor)
     for step in range(_MOST_STEPS):
         below, above = path.departure(model, low), path.departure(model, high)
-        if above - threshold <= _CLOSE * threshold:
+        if above - threshold <= CLOSE * threshold:
             return high
-        if threshold - below <= _CLOSE * threshold:
+        if threshold - below <= CLOSE * threshold:
             return low
         share = 0.5
         if below > 0 and step < _POWER_LAW_STEPS:

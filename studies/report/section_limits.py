@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from ..measures.case import Limit, ModelLimits
-from ..measures.limits import LARGEST, MOST_STRAIN
+from ..measures.limits import CLOSE, LARGEST, MOST_STRAIN
 from ..measures.uncertainty import is_resolved
 from ..verdict.digest import Digest
 from ..verdict.formatting import NOT_MEASURED, NOTHING, listed, percent, quantity, short_percent
@@ -36,7 +36,8 @@ def small_strain_limits(digest: Digest) -> Section | None:
         "largest principal Green-Lagrange strain are the reference's at that load; the largest strain is a local "
         "one, at the rim of the contact or of the support. Figures with a bar are those of a mesh with every "
         "tetrahedron split into eight, and bars follow from what that changes: in a limit's load, and, at the same "
-        "load, in indentation and strain, whose bars count the load's in. A load's bar is relative, all others are "
+        "load, in indentation and strain, whose bars count the load's in. The search stops within "
+        f"{short_percent(CLOSE)} of a threshold; the load's bar counts that too. It is relative, all others are "
         "in the unit of their figure. A limit that the case's mesh has and the finer mesh has not is unresolved, "
         f"with the figures of the case's mesh. A search ends at {LARGEST:g} times the study's load, and at a "
         f"largest strain of {short_percent(MOST_STRAIN)}: no soft tissue bears to be three times as long."

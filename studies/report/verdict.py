@@ -251,7 +251,7 @@ def _resolution(digest: Digest, error: Spread) -> str:
         ]
         bar += f" (its mesh levels are {listed(named)}: the widest margin was taken)"
     elif digest.order_is_assumed:
-        bar += " (from two mesh levels, taken to converge with order 2; levels = 3 shows the order)"
+        bar += " (from two mesh levels, taken to converge with order 1; levels = 3 shows the order)"
     if error.resolved == error.cases:
         return f"{bar}, at most a tenth of the difference, which is thereby resolved."
     if not error.resolved:
