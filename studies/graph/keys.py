@@ -15,6 +15,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from .. import models
+from ..measures import uncertainty
 from ..study.config import case_inputs
 from ..study.schema import Study
 
@@ -104,7 +105,7 @@ def _wanted(study: Study, inputs: Mapping[str, Any], name: str, level: int, body
 
 def limits_key(study: Study, case: str) -> str | None:
     """Key of the small-strain limits of a case, by its hash; None where it asks for none."""
-    return _digest({"limits": case}) if study.limits is not None else None
+    return _digest({"limits": case, "bars": uncertainty.VERSION}) if study.limits is not None else None
 
 
 def level_key(mesh_key: str, level: int) -> str:

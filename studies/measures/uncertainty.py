@@ -40,6 +40,7 @@ from .metrics import VECTOR
 if TYPE_CHECKING:
     from .case import CaseResult
 
+VERSION = 2  # of these rules, one more where a bar changes
 FORMAL_ORDER = 2.0
 ASSUMED_ORDER = 1.0  # of two levels
 SAFETY, WIDE_SAFETY = 1.25, 3.0

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from ..machine.files import json_text, write_atomically
 from ..machine.safe_open import read_regular
 from ..machine.stored_json import CaseShape, parsed
+from ..measures import uncertainty
 from ..measures.case import (
     DAMAGED,
     CaseResult,
@@ -228,7 +229,8 @@ def case_state(directory: Path, case_hash: str) -> str:
 
 
 def _metric_versions() -> str:
-    return json_text({name: metric.version for name, metric in METRICS.items()}, sort_keys=True)
+    versions = {name: metric.version for name, metric in METRICS.items()}
+    return json_text({**versions, "error bars": uncertainty.VERSION}, sort_keys=True)
 
 
 # --- one case ---
