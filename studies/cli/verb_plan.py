@@ -17,17 +17,24 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     out_argument(parser)
     jobs_arguments(parser)
     fresh_arguments(parser)
+    parser.add_argument(
+        "--graph", action="store_true", help="print the graph of the work, as text for Mermaid"
+    )
 
 
 def run(options: argparse.Namespace) -> int:
     """Print what a run would do, and what it would cost."""
     from ..graph.explain import summary
+    from ..graph.mermaid import mermaid
     from ..graph.space import free_bytes
 
     study, _ = load(options)
     plan = make_plan(study, options)
     require_own(plan, options)
     check_files(plan, plan.cases_to_run())
+    if options.graph:
+        print(mermaid(plan))
+        return OK
     free = free_bytes(plan.directory)
     planned = summary(plan) | {"directory": str(plan.directory), "disk_free": free}
     if options.json:
