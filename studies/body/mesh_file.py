@@ -8,6 +8,7 @@ import contextlib
 import io
 import re
 import warnings
+from collections.abc import Mapping
 from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -95,6 +96,13 @@ def read_tetrahedra(path: Path) -> tuple[Array, Index]:
         raise MeshError("is damaged: it has cells whose number of nodes does not fit their kind")
     blocks = [np.asarray(block.data, dtype=np.int64) for block in mesh.cells if block.type == "tetra"]
     return _coordinates(mesh.points), np.concatenate([np.empty((0, 4), dtype=np.int64), *blocks])
+
+
+def write_surface_vtu(path: Path, points: Array, triangles: Index, fields: Mapping[str, Array]) -> None:
+    """Write a surface with fields at its nodes, (N,) or (N, 3), as a VTU file. Raises OSError."""
+    import meshio
+
+    meshio.vtu.write(str(path), meshio.Mesh(points, [("triangle", triangles)], dict(fields)))
 
 
 def check_readable(path: Path) -> None:

@@ -62,7 +62,7 @@ def html_document(
             counts=counts,
             models=models,
             sections=sections,
-            style=_asset("page.css"),
+            style=asset("page.css"),
             scripts=scripts,
             policy=_policy(scripts),
         )
@@ -78,8 +78,8 @@ _VIEWER = ("viewer_data.js", "viewer_gl.js", "viewer_labels.js", "viewer.js", "v
 
 
 def _scripts() -> list[Markup]:
-    viewer = Markup("\n").join(_asset(name) for name in _VIEWER)
-    return [_asset("page.js"), Markup('"use strict";\n(() => {\n{}})();\n').replace("{}", viewer, 1)]
+    viewer = Markup("\n").join(asset(name) for name in _VIEWER)
+    return [asset("page.js"), Markup('"use strict";\n(() => {\n{}})();\n').replace("{}", viewer, 1)]
 
 
 def _policy(scripts: list[Markup]) -> str:
@@ -103,7 +103,7 @@ def _environment() -> Environment:
     return environment
 
 
-def _asset(name: str) -> Markup:
+def asset(name: str) -> Markup:
     """A script or style sheet of ours, as it is."""
     return Markup((_TEMPLATES / name).read_text(encoding="utf-8"))
 

@@ -103,6 +103,13 @@ def page_html(run: Run, render: Renderer) -> str:
         return _page_html(Digest(run), render)
 
 
+def every_section(digest: Digest) -> list[Section]:
+    """All that has something to say, but for the viewer."""
+    makers = (*SECTIONS_BEFORE, *SECTIONS_AFTER, *_further_sections(), *APPENDIX)
+    with np.errstate(all="ignore"):
+        return [section for make in makers if (section := make(digest))]
+
+
 def _page_html(digest: Digest, render: Renderer) -> str:
     run, answers, drawn = digest.run, verdict.answers(digest), scene(digest)
     last = (*SECTIONS_AFTER, *_further_sections(), *APPENDIX)
