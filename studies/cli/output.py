@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import dataclasses
+import re
 import sys
-from collections.abc import Mapping, Sequence
+import textwrap
+from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from ..machine.files import json_text
@@ -14,7 +17,11 @@ if TYPE_CHECKING:
 
     from ..graph.run import Event
     from ..measures.case import Run
+    from ..verdict.sentences import Answer
 
+WIDTH = 80  # columns of a terminal
+_BEFORE_UNIT = re.compile(r"(?<=\d) (?=[^\W\d]|%)|(?<=±) ")
+_TOLD_HERE = ("", "Is it good enough?", "Why not?", "What to use?", "Up to which load?")
 OK, REGRESSED, USAGE, FAILED, MACHINE, DAMAGED, NOTHING_COMPARED = range(7)
 BUG, INTERRUPTED = 70, 130
 
@@ -25,14 +32,15 @@ class UsageError(ValueError):
 
 def print_run(run: Run, directory: Path, report: Path, as_json: bool) -> int:
     """The headline table, the verdict, the failures and the report's path."""
-    from ..report.headline import headline_metrics, headline_rows
+    from ..report.headline import headline_metrics, headline_rows, terminal_rows
     from ..report.section_cases import stopped_models
-    from ..report.verdict import answers
     from ..verdict.digest import Digest
+    from ..verdict.sentences import answers
+    from ..verdict.verdict import verdict
 
     digest = Digest(run)
-    rows, stopped = headline_rows(run), stopped_models(digest)
-    verdict = answers(digest)[0]
+    stopped, found = stopped_models(digest), verdict(digest)
+    told = answers(found)
     if as_json:
         print_json(
             {
@@ -44,15 +52,14 @@ def print_run(run: Run, directory: Path, report: Path, as_json: bool) -> int:
                 "stopped": [
                     dict(zip(("model", "where", "message", "remedy"), row, strict=True)) for row in stopped
                 ],
-                "headline": rows,
+                "headline": headline_rows(run),
                 "metrics": headline_metrics(run),
-                "verdict": {"word": verdict.word, "reason": verdict.sentences[0]},
+                "verdict": found.as_data() | {"answers": [dataclasses.asdict(answer) for answer in told]},
             }
         )
     else:
-        print_table(rows)
-        if verdict.word:
-            print(f"{verdict.question} {verdict.word}: {verdict.sentences[0]}")
+        print_table(terminal_rows(digest))
+        print_answers(told)
         complain_of_failures(run)
         for model, place, message, remedy in stopped:
             print(f"stopped: {model} ({place}): {message}" + (f"; {remedy}" if remedy else ""))
@@ -60,8 +67,8 @@ def print_run(run: Run, directory: Path, report: Path, as_json: bool) -> int:
         print(
             f"{len(run.cases)} done, {len(run.failed) - run.damaged} failed{lost}, {len(run.missing)} missing"
         )
-        if told := taken(run.plan):
-            print(told)
+        if spent := taken(run.plan):
+            print(spent)
         print(f"report: {report}")
     if run.failed and not run.cases and all(failure["code"] == "input" for failure in run.failed):
         return USAGE  # nothing could be done with what the user gave
@@ -89,11 +96,35 @@ def taken(plan: Mapping[str, Any]) -> str:
     )
 
 
+def print_answers(told: Iterable[Answer]) -> None:
+    """The questions that decide, with their answers, folded to `WIDTH` columns; the page has the others too."""
+    for answer in told:
+        if answer.question in _TOLD_HERE:
+            print("\n" + " ".join(filter(None, (answer.question, answer.word))))
+            for sentence in answer.sentences:
+                print(_folded(sentence))
+    print()
+
+
+def _folded(text: str) -> str:
+    """A text in lines of `WIDTH` columns; a number stays with its unit."""
+    whole = _BEFORE_UNIT.sub("\u00a0", text)
+    lines = textwrap.fill(whole, WIDTH, initial_indent="  ", subsequent_indent="    ", break_on_hyphens=False)
+    return lines.replace("\u00a0", " ")
+
+
 def print_table(rows: Sequence[dict[str, str]]) -> None:
+    """A line a row; where that is wider than `WIDTH`, the first column on a line and the others below it."""
     if not rows:
         return
     columns = list(rows[0])
     widths = [max(len(column), *(len(row[column]) for row in rows)) for column in columns]
+    if sum(widths) + 2 * (len(widths) - 1) > WIDTH:
+        for row in rows:
+            first, *others = columns
+            print(row[first])
+            print(_folded("; ".join(f"{column} {row[column]}" for column in others if row[column])))
+        return
     print("  ".join(column.ljust(width) for column, width in zip(columns, widths, strict=True)).rstrip())
     for row in rows:
         print(

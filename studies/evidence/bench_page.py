@@ -10,7 +10,6 @@ from markupsafe import Markup
 
 from ..machine.files import write_atomically
 from ..report.blocks import (
-    Answer,
     Block,
     Cell,
     Column,
@@ -24,6 +23,7 @@ from ..report.blocks import (
 from ..report.document import encoded, html_document, written
 from ..report.plots import Plot, colour, marker, percent_axis, time_ticks
 from ..verdict.formatting import NOTHING, listed, short_percent
+from ..verdict.sentences import Answer
 from .bench_data import (
     Bench,
     Entry,

@@ -10,11 +10,12 @@ import numpy as np
 
 from ..machine.files import write_atomically
 from ..measures.case import Run
-from ..report.blocks import Answer, Block, Cell, Code, Column, Figures, Section, Table, Text
+from ..report.blocks import Block, Cell, Code, Column, Figures, Section, Table, Text
 from ..report.document import encoded, html_document, written
 from ..report.judgement import FAILS, HOLDS, OPEN, WITHIN_LIMITS, Claim, Judgement
 from ..verdict.digest import Digest
 from ..verdict.formatting import listed, plural
+from ..verdict.sentences import Answer
 from .claims import CLAIMS, on_trial
 
 PAPER = "Sundaraj and Laugier (2006)"

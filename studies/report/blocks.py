@@ -113,15 +113,6 @@ class Scene:
     note: str = ""
 
 
-@dataclass(frozen=True)
-class Answer:
-    """A question of the reader, a word that answers it where one does, and the sentences that bear it out."""
-
-    question: str
-    word: str
-    sentences: Sequence[str]
-
-
 Block = Text | Table | Figures | Code | Facts | Viewer
 
 

@@ -14,7 +14,8 @@ from pathlib import Path
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
 
-from .blocks import Answer, Scene, Section, Viewer
+from ..verdict.sentences import Answer
+from .blocks import Scene, Section, Viewer
 
 _TEMPLATES = Path(__file__).parent / "templates"
 _JSON_ESCAPES = str.maketrans(

@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from typing import Any
 
+import numpy as np
+
 from ..measures.case import Run
 from ..measures.metrics import DEFORMATION, VECTOR
 from ..measures.uncertainty import is_resolved
@@ -13,6 +15,8 @@ from ..verdict.formatting import NOT_MEASURED, NOTHING, percent, plain, plural, 
 from ..verdict.measured import measured
 from .blocks import Cell, Column, Section, Table, Text
 from .section_cost import time_notes
+
+_ERRORS = ("displacement", "change of shape")
 
 
 def headline_rows(run: Run) -> list[dict[str, str]]:
@@ -37,6 +41,44 @@ def headline_rows(run: Run) -> list[dict[str, str]]:
         row["memory"] = quantity(summary.peak_bytes, "B")
         rows.append(row)
     return rows
+
+
+def terminal_rows(digest: Digest) -> list[dict[str, str]]:
+    """The rows of a table that fits 80 columns: a line a model, and one each for the worst case and for notes."""
+    rows: list[dict[str, str]] = []
+    for summary in digest.summaries:
+        vector, shape = summary.vector, summary.deformation
+        times = {
+            "set-up": quantity(summary.seconds_setup, "s"),
+            "per frame": quantity(summary.seconds_per_step, "s"),
+        }
+        rows.append({"model": summary.name, **_terminal_errors(digest, summary), **times})
+        further = [{"model": f"  {note}"} for note in _terminal_notes(digest, summary)]
+        if vector is not None and vector.cases > 1:
+            errors = [percent(spread.worst) if spread else NOTHING for spread in (vector, shape)]
+            further.insert(0, {"model": "  worst case", **dict(zip(_ERRORS, errors, strict=True))})
+        rows += [dict.fromkeys(rows[-1], "") | row for row in further]
+    return rows
+
+
+def _terminal_errors(digest: Digest, summary: ModelSummary) -> dict[str, str]:
+    """Of a model its median errors, of the reference its own."""
+    if not digest.compared:
+        return {}
+    spreads: tuple[Spread | None, ...] = (summary.vector, summary.deformation)
+    texts = [percent(spread.median) if spread else NOTHING for spread in spreads]
+    if summary.is_reference:
+        bars = [digest.bars(metric) for metric in (VECTOR, DEFORMATION)]
+        known = [bar[np.isfinite(bar)] for bar in bars]
+        texts = [f"± {percent(float(np.median(bar)))}" if len(bar) else f"± {NOTHING}" for bar in known]
+    return dict(zip(_ERRORS, texts, strict=True))
+
+
+def _terminal_notes(digest: Digest, summary: ModelSummary) -> list[str]:
+    marks = measured(digest.run, summary.name)
+    notes = ["reference, own error"] if summary.is_reference else []
+    notes += [f"no answer in {plural(summary.failed_cases, 'case')}"] if summary.failed_cases else []
+    return notes + ([f"times: {', '.join(marks)}"] if marks else [])
 
 
 def headline_metrics(run: Run) -> dict[str, dict[str, dict[str, Any]]]:

@@ -13,7 +13,9 @@ from ..machine.modules import load_all
 from ..measures.case import Run
 from ..verdict.digest import Digest
 from ..verdict.formatting import plural
-from . import headline, picture, verdict
+from ..verdict.sentences import answers
+from ..verdict.verdict import verdict
+from . import headline, picture
 from .blocks import Section
 from .document import SCRIPT_BYTES, Written, encoded, html_document, written
 from .section_appendix import how_to_reproduce, provenance
@@ -111,7 +113,7 @@ def every_section(digest: Digest) -> list[Section]:
 
 
 def _page_html(digest: Digest, render: Renderer) -> str:
-    run, answers, drawn = digest.run, verdict.answers(digest), scene(digest)
+    run, told, drawn = digest.run, answers(verdict(digest)), scene(digest)
     last = (*SECTIONS_AFTER, *_further_sections(), *APPENDIX)
     before, after = ([written(s) for make in part if (s := make(digest))] for part in (SECTIONS_BEFORE, last))
 
@@ -119,7 +121,7 @@ def _page_html(digest: Digest, render: Renderer) -> str:
         return html_document(
             title=str(run.study.get("title") or run.study.get("name", "study")),
             name=str(run.study.get("name", "")),
-            verdict=answers,
+            verdict=told,
             scene=drawn,
             counts=_counts(run),
             models=digest.legend,

@@ -58,7 +58,8 @@ class Criterion:
         value, bar = self.at(case, model, step), self.bar(case)
         bar = bar if math.isfinite(bar) else 0.0
         if not math.isfinite(value):
-            return NOT_ASKED if self.key == "deformation_error" else LOST
+            answered = math.isfinite(_series(case, model, VECTOR)[step])
+            return NOT_ASKED if answered and self.key == "deformation_error" else LOST
         if value + bar <= self.allowed:
             return WITHIN
         return BEYOND if value - bar > self.allowed else OPEN

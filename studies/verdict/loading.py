@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
@@ -125,3 +126,46 @@ def movement_force(case: CaseResult, model: str, name: str) -> tuple[Array, Arra
     mask = case.regions[str(constraint.get("region"))]
     resultant = case.models[model].reaction_force[:, mask].sum(axis=1)
     return case.load_factors * length, resultant @ (prescribed / length)
+
+
+def load_unit(case: CaseResult) -> str:
+    """Unit of a case's load: of its only contact, or of what moves its only moved region; "" of none."""
+    if contact_resultant(case) is not None or _carried(case) is not None:
+        return "N"
+    if contact_pressure(case) is not None:
+        return "Pa"
+    has_contact = any(entry.get("kind") == "contact" for entry in constraints(case))
+    return "N" if len(moved(case)) == 1 and not has_contact and case.reference in case.models else ""
+
+
+def loads_of(case: CaseResult, unit: str) -> Array:
+    """(S,) the load of each step in `load_unit`; its share of the largest for "1"."""
+    if unit == "1":
+        return case.load_factors / max(np.abs(case.load_factors).max(), np.finfo(float).tiny)
+    if (resultant := contact_resultant(case)) is not None:
+        return case.load_factors * resultant
+    if (pressure := contact_pressure(case)) is not None:
+        carried = _carried(case)
+        return case.load_factors * pressure if unit == "Pa" or carried is None else carried
+    (name,) = moved(case)
+    return movement_force(case, str(case.reference), name)[1]
+
+
+def _carried(case: CaseResult) -> Array | None:
+    """(S,) what the supports of the reference carry of a pressure on the only contact [N]; None where more acts."""
+    result = case.models.get(str(case.reference))
+    held = supports(case)
+    if contact_pressure(case) is None or weighs(case) or moved(case) or result is None or not held.any():
+        return None
+    forces = np.linalg.norm(result.reaction_force[:, held].sum(axis=1), axis=1)
+    return forces if np.isfinite(forces).all() and forces.max() > 0.0 else None
+
+
+def depths_of(case: CaseResult, normals: Array) -> Array:
+    """(S,) how far the reference is pushed in, pulled out (negative) or moved [m]; NaN where it is not."""
+    if case.reference is None or case.reference not in case.models:
+        return np.full(len(case.load_factors), math.nan)
+    if any(entry.get("kind") == "contact" for entry in constraints(case)):
+        return indentation(case, [case.reference], normals)[case.reference]
+    lengths = [movement_force(case, case.reference, name)[0] for name in moved(case)]
+    return np.max(lengths, axis=0) if lengths else np.full(len(case.load_factors), math.nan)

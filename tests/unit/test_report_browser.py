@@ -21,7 +21,7 @@ from vdmbench.report.page import page_html
 from .browser import Browser, chromium
 from .report_runs import REFERENCE, cheap_run, make_case, make_run, sweep_run
 from .test_report_page import no_pictures
-from .test_report_verdict import bars
+from .test_verdict import bars
 
 pytestmark = pytest.mark.skipif(chromium() is None, reason="chromium is not installed")
 

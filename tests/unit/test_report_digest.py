@@ -14,10 +14,11 @@ from numpy.testing import assert_allclose
 from vdmbench.measures.case import MetricSeries
 from vdmbench.measures.uncertainty import value_bar
 from vdmbench.report import headline
-from vdmbench.report.verdict import answers
 from vdmbench.store.metrics_table import metrics_csv
 from vdmbench.verdict.digest import DEFORMATION, VECTOR, Digest, spread_of
+from vdmbench.verdict.sentences import answers
 from vdmbench.verdict.standing import at_full_load, reference_bar
+from vdmbench.verdict.verdict import verdict
 
 from .report_runs import REFERENCE, make_case, make_run, sweep_run
 
@@ -249,8 +250,8 @@ def test_the_reference_on_the_coarser_mesh_is_not_on_trial() -> None:
     assert digest.compared == ("vdm", "other", REFERENCE)
     assert digest.on_trial == ("vdm", "other")
     assert digest.focus == "vdm", "not the one that is nearly the reference itself"
-    words = " ".join(sentence for answer in answers(digest) for sentence in answer.sentences)
-    assert "vdm, the best of 2 models" in words
+    words = " ".join(sentence for answer in answers(verdict(digest)) for sentence in answer.sentences)
+    assert "vdm, the closest of 2 models" in words
     assert f"one of {REFERENCE} 1.2 ms" in words, "cost is told beside the same mesh"
     assert [row["model"] for row in headline.headline_rows(run)][-2:] == [REFERENCE, f"{refined} (reference)"]
 

@@ -1,0 +1,225 @@
+"""What to do, and what to use for each kind of interaction, with the figures of this study."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..study.model_name import split
+from .acceptance import WITHIN
+from .digest import Digest, ModelSummary
+from .formatting import quantity
+from .standing import UNDECIDED, YES
+from .why_not import MESH, MODEL, REFERENCE, SMALL_STRAIN, TISSUE, Reason, off
+
+CONDENSED = "fem-condensed"
+RESTING, MOVING, CUTTING, EXACT = (
+    "a contact that stays on one region",
+    "contacts that move, loads everywhere",
+    "cutting, where the topology changes",
+    "a few per cent needed",
+)
+_SURFACE = ("vdm-", "mass-spring")
+
+
+@dataclass(frozen=True)
+class Advice:
+    """What to use for one kind of interaction: the model that this study measured, "" for none, and a sentence."""
+
+    interaction: str
+    model: str
+    sentence: str
+
+
+# --- the next step ---
+
+
+def advice(digest: Digest, model: str, word: str, why: Sequence[Reason]) -> str:
+    """One sentence: what to do with this answer."""
+    if word == YES:
+        better = _better(digest, model)
+        return (
+            f"Take {_told(digest, better)}. It is closer and faster per frame."
+            if better
+            else _take(digest, model)
+        )
+    causes = {reason.cause: reason for reason in why}
+    off_anyway = MODEL in causes and _breaks(digest, causes[MODEL])
+    if SMALL_STRAIN in causes and not off_anyway:
+        return _nonlinear(digest, model)
+    if word == UNDECIDED and REFERENCE in causes:
+        levels = max((int(case.reference_error.get("levels", 1.0)) for case in digest.cases), default=1)
+        return (
+            f"Set levels = {levels + 1} in [uncertainty]: a finer reference has a smaller error of its own."
+        )
+    if TISSUE in causes:
+        ratio = causes[TISSUE].numbers["least_ratio"]
+        return f"Take {model} for Poisson's ratios from {ratio:g} on. Below, take elements."
+    if MESH in causes and not off_anyway:
+        return "Take a smaller mesh_size: the mesh alone takes half of what is allowed, or more."
+    others = [name for name in digest.compared if name != model and _within(digest, name)]
+    if others:
+        quick = min(others, key=lambda name: _summary(digest, name).seconds_per_step)
+        return f"Take {_told(digest, quick)}. It is within the limits."
+    if SMALL_STRAIN in causes:
+        return "Take elements that follow large displacements, as the reference does, or a smaller load."
+    return f"Take elements: {digest.reference} is what the others are held against."
+
+
+def _breaks(digest: Digest, reason: Reason) -> bool:
+    """Whether a cause alone is beyond a limit."""
+    return any(reason.numbers.get(c.key, 0.0) > c.allowed for c in digest.limits.criteria)
+
+
+def _nonlinear(digest: Digest, model: str) -> str:
+    """What to do where small strain has ended."""
+    partner = f"{split(model)[0]}:nonlinear"
+    if partner in digest.compared and math.isfinite(_worst_share(digest, partner)):
+        errors = _errors(digest, partner)
+        if _worst_share(digest, partner) < _worst_share(digest, model):
+            return f"Take {partner}, which follows large displacements: it is {off(errors)} here."
+        return (
+            f"Lower the load: {partner}, which follows large displacements, is {off(errors)} and no better."
+        )
+    if partner in digest.models:
+        return f"Lower the load: {partner}, which follows large displacements, has no answer at this one."
+    if split(model)[0].startswith("vdm-"):
+        return f'Add "{partner}" to the models, which follows large displacements, or lower the load.'
+    return "Lower the load, or take nonlinear elements."
+
+
+# --- by the kind of interaction ---
+
+
+def by_interaction(digest: Digest) -> tuple[Advice, ...]:
+    """The table of answers by what touches the body, each with this study's figures."""
+    surface = [name for name in digest.compared if name.startswith(_SURFACE)]
+    elements = [name for name in digest.compared if name.startswith("fem")]
+    found = [
+        _resting(digest),
+        _moving(digest, _answered(digest, surface)),
+        _cutting(digest, _answered(digest, surface)),
+        _exact(digest, _answered(digest, elements)),
+    ]
+    return tuple(entry for entry in found if entry is not None)
+
+
+def _resting(digest: Digest) -> Advice:
+    text = "Every linear model costs the same small product per frame. Take elements condensed to that region"
+    if CONDENSED in digest.compared and math.isfinite(_worst_share(digest, CONDENSED)):
+        beyond = "" if _within(digest, CONDENSED) else ", which is not within the limits at this load"
+        return Advice(RESTING, CONDENSED, f"{text}: {_told(digest, CONDENSED)}{beyond}.")
+    return Advice(RESTING, "", f"{text}; {CONDENSED} among the models measures them.")
+
+
+def _moving(digest: Digest, surface: Sequence[str]) -> Advice | None:
+    limit = next((c for c in digest.limits.criteria if c.key == "frame_time"), None)
+    quick = [n for n in surface if limit is None or _summary(digest, n).seconds_per_step <= limit.allowed]
+    if not surface:
+        return None
+    if limit is not None and not quick:
+        text = f"No surface model answers within {quantity(limit.allowed, 's', 2)} per frame."
+        return Advice(MOVING, "", text)
+    best = _closest(digest, quick)
+    return Advice(MOVING, best, f"Of the surface models the closest is {_told(digest, best)}.")
+
+
+def _cutting(digest: Digest, surface: Sequence[str]) -> Advice | None:
+    """A cut makes a new body: the least set-up, and what the closest form's costs."""
+    if not surface:
+        return None
+    first = min(surface, key=lambda name: _summary(digest, name).seconds_setup)
+    names = dict.fromkeys([first, _closest(digest, surface)])
+    told = "; ".join(
+        f"{name} needs {_set_up(digest, name)} and is {off(_errors(digest, name))}" for name in names
+    )
+    return Advice(CUTTING, first, f"Each cut needs a new set-up: {told}.")
+
+
+def _exact(digest: Digest, elements: Sequence[str]) -> Advice:
+    if not elements:
+        return Advice(
+            EXACT, "", "Take elements; fem-linear on the model's mesh is not among the models compared."
+        )
+    best = _closest(digest, elements)
+    return Advice(EXACT, best, f"Take elements: {_told(digest, best)}.")
+
+
+# --- figures ---
+
+
+def _summary(digest: Digest, name: str) -> ModelSummary:
+    return next(s for s in digest.summaries if s.name == name)
+
+
+def _errors(digest: Digest, name: str) -> dict[str, float]:
+    """Median errors over the cases with an answer."""
+    summary = _summary(digest, name)
+    spreads = (summary.vector, summary.deformation)
+    keys = [c.key for c in digest.limits.criteria[:2]]
+    return {k: math.nan if s is None else s.median for k, s in zip(keys, spreads, strict=True)}
+
+
+def _told(digest: Digest, name: str) -> str:
+    """A model with its errors and what it costs."""
+    frame = _summary(digest, name).seconds_per_step
+    time = (
+        f", {quantity(frame, 's', 2)} per frame after {_set_up(digest, name)} of set-up"
+        if frame > 0.0
+        else ""
+    )
+    return f"{name} ({off(_errors(digest, name))}{time})"
+
+
+def _take(digest: Digest, name: str) -> str:
+    """A model with what it costs."""
+    frame = _summary(digest, name).seconds_per_step
+    time = (
+        f": {quantity(frame, 's', 2)} per frame after {_set_up(digest, name)} of set-up"
+        if frame > 0.0
+        else ""
+    )
+    return f"Take {name}{time}."
+
+
+def _set_up(digest: Digest, name: str) -> str:
+    return quantity(_summary(digest, name).seconds_setup, "s", 2)
+
+
+def _worst_share(digest: Digest, name: str) -> float:
+    """The largest of what is limited over its limit in any case; infinite where a case has no answer."""
+    return max((digest.limits.of_load.share(case, name) for case in digest.cases), default=math.inf)
+
+
+def _usual_share(digest: Digest, name: str) -> float:
+    return float(np.median([digest.limits.of_load.share(case, name) for case in digest.cases]))
+
+
+def _closest(digest: Digest, names: Iterable[str]) -> str:
+    return min(names, key=lambda name: _usual_share(digest, name))
+
+
+def _answered(digest: Digest, names: Iterable[str]) -> list[str]:
+    """Models with an answer at full load in more than half of the cases."""
+    return [name for name in names if math.isfinite(_usual_share(digest, name))]
+
+
+def _within(digest: Digest, name: str) -> bool:
+    states = {digest.limits.state(case, name, case.full_load) for case in digest.cases}
+    return states == {WITHIN}
+
+
+def _better(digest: Digest, model: str) -> str | None:
+    """A model of another kind that is closer and faster per frame, in every case."""
+    mine = _summary(digest, model).seconds_per_step
+    better = [
+        name
+        for name in digest.compared
+        if name not in digest.candidates
+        and _worst_share(digest, name) < _worst_share(digest, model)
+        and _summary(digest, name).seconds_per_step < mine
+    ]
+    return _closest(digest, better) if better else None
