@@ -13,7 +13,7 @@ from .acceptance import WITHIN
 from .digest import Digest, ModelSummary
 from .formatting import quantity
 from .standing import UNDECIDED, YES
-from .why_not import MESH, MODEL, REFERENCE, SMALL_STRAIN, TISSUE, Reason, off
+from .why_not import COMPRESSIBILITY, MESH, MODEL, REFERENCE, SMALL_STRAIN, Reason, off
 
 CONDENSED = "fem-condensed"
 RESTING, MOVING, CUTTING, EXACT = (
@@ -55,8 +55,8 @@ def advice(digest: Digest, model: str, word: str, why: Sequence[Reason]) -> str:
         return (
             f"Set levels = {levels + 1} in [uncertainty]: a finer reference has a smaller error of its own."
         )
-    if TISSUE in causes:
-        ratio = causes[TISSUE].numbers["least_ratio"]
+    if COMPRESSIBILITY in causes:
+        ratio = causes[COMPRESSIBILITY].numbers["least_ratio"]
         return f"Take {model} for Poisson's ratios from {ratio:g} on. Below, take elements."
     if MESH in causes and not off_anyway:
         return "Take a smaller mesh_size: the mesh alone takes half of what is allowed, or more."

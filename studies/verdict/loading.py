@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from ..body.surface_measures import facet_area_vectors
 from ..measures.case import CaseResult
 from .digest import Array
+from .formatting import quantity
 
 
 def constraints(case: CaseResult) -> Sequence[Mapping[str, object]]:
@@ -169,3 +170,10 @@ def depths_of(case: CaseResult, normals: Array) -> Array:
         return indentation(case, [case.reference], normals)[case.reference]
     lengths = [movement_force(case, case.reference, name)[0] for name in moved(case)]
     return np.max(lengths, axis=0) if lengths else np.full(len(case.load_factors), math.nan)
+
+
+def load_in_words(load: float, unit: str) -> str:
+    """A force in newtons, a pressure in the unit that suits it, else a share of the full load."""
+    if unit == "1":
+        return f"{load:.3g} of the full load"
+    return f"{load:.3g} N" if unit == "N" else quantity(load, unit)

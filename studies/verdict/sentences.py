@@ -7,6 +7,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 from .formatting import listed, plural, quantity, short_percent
+from .loading import load_in_words
 from .standing import NO, YES
 from .verdict import Limit, ModelErrors, Setting, Verdict
 from .why_not import exact_percent
@@ -175,13 +176,6 @@ def _reached(verdict: Verdict) -> list[str]:
         return [f"Within {limits} up to the largest load tried, {reached}."]
     more = "Beyond that it is undecided" if up_to.open else "Not beyond that"
     return [f"Within {limits} up to {reached}. {more}; tried: {tried}."]
-
-
-def load_in_words(load: float, unit: str) -> str:
-    """A force in newtons, a pressure in the unit that suits it, else a share of the full load."""
-    if unit == "1":
-        return f"{load:.3g} of the full load"
-    return f"{load:.3g} N" if unit == "N" else quantity(load, unit)
 
 
 def _depth(depth: float) -> str:

@@ -339,7 +339,7 @@ def _sureness(digest: Digest, error: Spread) -> str:
         named = [f"{n} in {plural(k, 'case')}" if many else n for n, k in digest.unusual_levels.items()]
         text += f", with a wide margin, as its mesh levels are {listed(named)}"
     elif digest.order_is_assumed:
-        text += ", if it converges with order 2; levels = 3 shows the order"
+        text += ", if it converges with order 1; levels = 3 shows the order"
     if error.resolved == error.cases:
         return f"{text}. That is at most a tenth of the difference, which counts as resolved."
     if not error.resolved:

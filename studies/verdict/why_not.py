@@ -18,9 +18,9 @@ from ..study.model_name import FINITE_STRAIN, is_linear, split
 from .acceptance import LOST, OPEN, WITHIN, Acceptance, Criterion
 from .digest import Digest, failed_steps
 from .formatting import listed, quantity, short_percent, swept_value
-from .loading import load_unit, loads_of
+from .loading import load_in_words, load_unit, loads_of
 
-MODEL, SMALL_STRAIN, TISSUE, MESH, REFERENCE, NO_ANSWER = (
+MODEL, SMALL_STRAIN, COMPRESSIBILITY, MESH, REFERENCE, NO_ANSWER = (
     "model",
     "small strain",
     "compressibility",
@@ -206,7 +206,7 @@ def compressibility(shortfall: Shortfall) -> Iterator[Reason]:
         f"The tissue: the error grows as Poisson's ratio falls, and only the cases at {failing} are not within. "
         "The less a tissue keeps its volume, the worse the model."
     )
-    yield Reason(TISSUE, text, {"worst_ratio": max(bad), "least_ratio": min(good)})
+    yield Reason(COMPRESSIBILITY, text, {"worst_ratio": max(bad), "least_ratio": min(good)})
 
 
 def the_mesh(shortfall: Shortfall) -> Iterator[Reason]:
@@ -302,10 +302,8 @@ def _small_step(case: CaseResult) -> int | None:
 
 
 def _load(case: CaseResult, step: int) -> str:
-    unit = load_unit(case)
-    if not unit:
-        return f"{float(case.load_factors[step]):.3g} of the full load"
-    return quantity(abs(float(loads_of(case, unit)[step])), unit)
+    unit = load_unit(case) or "1"
+    return load_in_words(abs(float(loads_of(case, unit)[step])), unit)
 
 
 def _value(value: float, unit: str) -> str:

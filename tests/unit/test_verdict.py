@@ -512,7 +512,7 @@ def test_an_order_that_is_assumed_is_named() -> None:
     measured = {**bars(0.003), "difference_01": 0.001}
     cases = [make_case({"m": 0.04}, reference_error=measured, subdivisions=0)]
     assert (
-        "by 0.3 %, if it converges with order 2; levels = 3 shows the order." in told(make_run(cases))[SURE]
+        "by 0.3 %, if it converges with order 1; levels = 3 shows the order." in told(make_run(cases))[SURE]
     )
     third = make_case({"m": 0.04}, reference_error={**measured, "difference_12": 0.004}, subdivisions=0)
     assert "order" not in told(make_run([*cases, third]))[SURE]

@@ -1,0 +1,100 @@
+"""Page, terminal and JSON take one verdict: the same words and numbers stand in all three."""
+
+from __future__ import annotations
+
+import html
+import json
+import re
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from vdmbench.cli.output import WIDTH, print_run, print_table
+from vdmbench.measures.case import Run
+from vdmbench.report.page import page_html
+from vdmbench.verdict.digest import Digest
+from vdmbench.verdict.sentences import answers
+from vdmbench.verdict.verdict import verdict
+
+from .report_runs import make_case, make_run, sweep_run
+
+LIMITED = {"displacement_error": 0.04, "largest_difference": 2e-4, "region": "finger", "frame_time": 5e-4}
+
+
+def limited_run() -> Run:
+    """A sweep against limits of every kind."""
+    run = sweep_run()
+    return make_run(run.cases, acceptance=LIMITED)
+
+
+def flat(text: str) -> str:
+    return re.sub(r"\s+", " ", text)
+
+
+def printed(run: Run, capsys: pytest.CaptureFixture[str], *, as_json: bool) -> str:
+    capsys.readouterr()
+    print_run(run, Path("runs/ball"), Path("runs/ball/report.html"), as_json)
+    return capsys.readouterr().out
+
+
+@pytest.mark.parametrize("make", [sweep_run, limited_run])
+def test_page_terminal_and_json_say_the_same(make: Any, capsys: pytest.CaptureFixture[str]) -> None:
+    run = make()
+    found = verdict(Digest(run))
+    told = answers(found)
+    page = flat(html.unescape(re.sub(r"<[^>]*>", " ", page_html(run, lambda *_: []))))
+    terminal = flat(printed(run, capsys, as_json=False))
+    data = json.loads(printed(run, capsys, as_json=True))["verdict"]
+    assert f" {found.word}. " in page
+    assert f"Is it good enough? {found.word} " in terminal
+    assert data["word"] == found.word
+    for answer, stored in zip(told, data["answers"], strict=True):
+        assert [stored["question"], stored["word"], stored["sentences"]] == [
+            answer.question,
+            answer.word,
+            list(answer.sentences),
+        ]
+        for sentence in answer.sentences:
+            assert flat(sentence) in page
+            assert flat(sentence) in terminal or answer.question in ("How sure is this?", *SHORT_OF)
+    assert [(limit["key"], limit["word"], limit["value"], limit["allowed"]) for limit in data["limits"]] == [
+        (limit.key, limit.word, limit.value, limit.allowed) for limit in found.limits
+    ]
+
+
+SHORT_OF = (
+    "With which formulation and parameters?",
+    "At what cost?",
+)  # of what the terminal leaves to the page
+
+
+def test_every_limit_has_its_word_and_its_number() -> None:
+    found = {limit.key: limit for limit in verdict(Digest(limited_run())).limits}
+    assert {key: limit.word for key, limit in found.items()} == {
+        "displacement_error": "No",
+        "deformation_error": "In part",
+        "largest_difference": "In part",
+        "frame_time": "No",
+    }
+    frame = found["frame_time"]
+    assert (frame.value, frame.allowed, frame.unit) == (8e-4, 5e-4, "s")
+    difference = found["largest_difference"]
+    assert difference.region == "finger"
+    # 10.6 % of twice 2 mm
+    assert difference.value == pytest.approx(0.106 * 0.004, rel=0.02)
+
+
+def test_no_line_of_the_terminal_is_wider_than_it(capsys: pytest.CaptureFixture[str]) -> None:
+    names = {"vdm-consistent:nonlinear": 0.05, "vdm-boundary:quasi-linear": 0.06, "fem-linear": 0.02}
+    cases = [
+        make_case(names, reference="fem-linear refined", swept={"k": k}, label=f"k = {k}", subdivisions=0)
+        for k in (1.0, 2.0)
+    ]
+    text = printed(make_run(cases), capsys, as_json=False)
+    assert max(map(len, text.splitlines())) <= WIDTH
+    assert [line.split()[0] for line in text.splitlines()[1:5:2]] == list(names)[:2]
+    print_table([{"claim": "a claim", "reason": "word " * 30, "number": "10 %"}])
+    wide = capsys.readouterr().out.splitlines()
+    assert wide[0] == "a claim"
+    assert max(map(len, wide)) <= WIDTH

@@ -1,0 +1,227 @@
+"""Why a model is not within its limits: each cause on a run that shows it and on one that does not."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+import pytest
+
+from vdmbench.measures.case import CaseResult, MetricSeries, Run
+from vdmbench.measures.metrics import DEFORMATION, METRICS, VECTOR, History, evaluate
+from vdmbench.models.result import StepStatus
+from vdmbench.verdict.digest import Digest
+from vdmbench.verdict.verdict import Verdict, verdict
+from vdmbench.verdict.why_not import (
+    COMPRESSIBILITY,
+    MESH,
+    MODEL,
+    NO_ANSWER,
+    NOT_TOLD,
+    REFERENCE,
+    SMALL_STRAIN,
+    reasons,
+)
+
+from .report_runs import make_case, make_run
+
+STEPS = (0.05, 0.5, 1.0)
+OFF_BY = {"gci:relative_l2_displacement_error": 0.01, "gci:relative_l2_deformation_error": 0.01}
+
+
+def causes(run: Run, model: str = "vdm-m") -> dict[str, str]:
+    """Cause -> what is said of it."""
+    return {reason.cause: reason.sentence for reason in reasons(Digest(run), model)}
+
+
+def growing(shares: Mapping[str, Sequence[float]], reference: str = "fem", **others: object) -> CaseResult:
+    """A case in which each model's errors at the steps of `STEPS` are those given; both errors alike."""
+    case = make_case(dict.fromkeys(shares, 0.0), steps=STEPS, reference=reference, subdivisions=1, **others)  # type: ignore[arg-type]
+    surface = Digest(make_run([case])).surfaces[case.hash]
+    true = case.models[reference]
+    models, metrics = dict(case.models), dict(case.metrics)
+    for name, errors in shares.items():
+        u = true.displacement * (1.0 + np.array(errors))[:, None, None]
+        models[name] = dataclasses.replace(case.models[name], displacement=u)
+        history, other = (History(v, true.reaction_force, case.load_factors) for v in (u, true.displacement))
+        values = evaluate(surface, history, other)
+        metrics[name] = {
+            key: MetricSeries(values[key], METRICS[key].unit, METRICS[key].definition, METRICS[key].version)
+            for key in (VECTOR, DEFORMATION)
+        }
+    return dataclasses.replace(case, models=models, metrics=metrics)
+
+
+def test_the_model_is_told_by_linear_elements() -> None:
+    far = growing({"vdm-m": (0.2, 0.2, 0.21), "fem-linear": (0.001, 0.005, 0.01)})
+    told = causes(make_run([far]))
+    assert told == {
+        MODEL: "The model: at any load it is 19.8 % in displacement and 19.8 % in change of shape away from "
+        "fem-linear, which is linear too."
+    }
+    near = growing({"vdm-m": (0.02, 0.1, 0.21), "fem-linear": (0.001, 0.1, 0.2)})
+    assert MODEL not in causes(make_run([near]))
+
+
+def test_the_model_is_told_by_its_smallest_load() -> None:
+    early = growing({"vdm-m:nonlinear": (0.2, 0.2, 0.2)})
+    assert causes(make_run([early]), "vdm-m:nonlinear") == {
+        MODEL: "The model: at 0.025 N, the smallest load, it is 20 % off in displacement and 20 % in change of "
+        "shape."
+    }
+    late = growing({"vdm-m:nonlinear": (0.02, 0.1, 0.2)})
+    assert MODEL not in causes(make_run([late]), "vdm-m:nonlinear")
+
+
+def test_small_strain_has_ended_where_linear_elements_are_as_far_off() -> None:
+    """As on the liver at 1 N: the boundary form 12.3 %, linear elements 11.4 %."""
+    ended = growing({"vdm-m": (0.02, 0.06, 0.123), "fem-linear": (0.001, 0.05, 0.114)})
+    told = causes(make_run([ended]))
+    assert told == {
+        SMALL_STRAIN: "Small strain has ended: fem-linear, linear elements, is 11.4 % off in displacement and "
+        "11.4 % in change of shape at this load."
+    }
+    small = growing({"vdm-m": (0.2, 0.2, 0.2), "fem-linear": (0.001, 0.005, 0.01)})
+    assert SMALL_STRAIN not in causes(make_run([small]))
+
+
+def test_small_strain_has_ended_where_the_error_of_a_linear_model_grows() -> None:
+    told = causes(make_run([growing({"vdm-m": (0.02, 0.1, 0.21)})]))
+    assert told[SMALL_STRAIN] == (
+        "Small strain has ended: it is 2 % off in displacement and 2 % in change of shape at 0.025 N, and 21 % off "
+        "in displacement and 21 % in change of shape at full load."
+    )
+    assert SMALL_STRAIN not in causes(make_run([growing({"vdm-m": (0.2, 0.2, 0.21)})]))
+    nonlinear = growing({"vdm-m:nonlinear": (0.02, 0.1, 0.21)})
+    assert SMALL_STRAIN not in causes(make_run([nonlinear]), "vdm-m:nonlinear"), (
+        "it follows large displacements"
+    )
+
+
+def advice(*cases: CaseResult) -> str:
+    return verdict(Digest(make_run(cases))).advice
+
+
+def test_the_advice_where_small_strain_has_ended_is_the_nonlinear_solver() -> None:
+    linear = {"vdm-m": (0.02, 0.06, 0.123), "fem-linear": (0.001, 0.05, 0.114)}
+    assert advice(growing(linear)) == (
+        'Add "vdm-m:nonlinear" to the models, which follows large displacements, or lower the load.'
+    )
+    worse = linear | {"vdm-m:nonlinear": (0.15, 0.15, 0.15)}
+    assert advice(growing(worse)) == (
+        "Lower the load: vdm-m:nonlinear, which follows large displacements, is 15 % off in displacement and 15 % "
+        "in change of shape and no better."
+    )
+    stopped = linear | {"vdm-m:nonlinear": (0.01, math.nan, math.nan)}
+    assert advice(growing(stopped, stopped={"vdm-m:nonlinear": 1})).startswith(
+        "Lower the load: vdm-m:nonlinear"
+    )
+
+
+def ratios(errors: Mapping[float, float]) -> Run:
+    return make_run(
+        [
+            make_case(
+                {"vdm-m": error},
+                label=f"nu {nu}",
+                swept={"tissue.poisson_ratio": nu},
+                subdivisions=0,
+                steps=(1.0,),
+            )
+            for nu, error in errors.items()
+        ]
+    )
+
+
+def test_compressibility_is_told_by_the_cases_that_fail() -> None:
+    falling = ratios({0.3: 0.3, 0.45: 0.15, 0.49: 0.06})
+    assert causes(falling)[COMPRESSIBILITY] == (
+        "The tissue: the error grows as Poisson's ratio falls, and only the cases at 0.3 and 0.45 are not within. "
+        "The less a tissue keeps its volume, the worse the model."
+    )
+    assert (
+        verdict(Digest(falling)).advice
+        == "Take vdm-m for Poisson's ratios from 0.49 on. Below, take elements."
+    )
+    for others in ({0.3: 0.06, 0.49: 0.3}, {0.3: 0.3, 0.49: 0.2}, {0.3: 0.12, 0.4: 0.2, 0.49: 0.06}):
+        assert COMPRESSIBILITY not in causes(ratios(others))
+
+
+@pytest.mark.parametrize(("coarse", "told"), [(0.08, True), (0.03, False)])
+def test_the_mesh_is_told_by_the_references_own_model_on_it(coarse: float, told: bool) -> None:
+    case = make_case(
+        {"vdm-m": 0.13, "fem-linear": coarse}, reference="fem-linear refined", subdivisions=0, steps=(1.0,)
+    )
+    run = make_run([case], reference="fem-linear")
+    found = causes(run)
+    assert (MESH in found) == told
+    assert (MODEL in found) != told, "what the mesh does not take, the model does"
+    if told:
+        assert found[MESH] == (
+            "The mesh: fem-linear on the same mesh is 8 % off in displacement and 8 % in change of shape against "
+            "the refined one."
+        )
+        wider = verdict(Digest(run))
+        assert (
+            wider.advice == "Take a smaller mesh_size: the mesh alone takes half of what is allowed, or more."
+        )
+
+
+def test_the_references_bar_is_told_where_it_decides() -> None:
+    open_ = make_case({"vdm-m": 0.095}, reference_error=OFF_BY | {"levels": 2.0}, subdivisions=0)
+    found = verdict(Digest(make_run([open_])))
+    assert causes(make_run([open_]))[REFERENCE] == (
+        "The reference: its own error is up to 1 % in displacement and 1 % in change of shape, too wide to tell on "
+        "which side of the limit it is."
+    )
+    assert found.advice.startswith("Set levels = 3 in [uncertainty]")
+    beyond = make_case({"vdm-m": 0.2}, reference_error=OFF_BY, subdivisions=0)
+    assert REFERENCE not in causes(make_run([beyond]))
+
+
+def test_no_answer_is_told_with_its_reason() -> None:
+    case = make_case({"vdm-m": 0.01}, stopped={"vdm-m": 3}, subdivisions=0)
+    told = causes(make_run([case]))
+    assert told[NO_ANSWER] == (
+        "No answer: the volume could not be held. What helps: take smaller load steps."
+    )
+    assert causes(make_run([make_case({"vdm-m": 0.01}, subdivisions=0)])) == {}
+
+
+def test_what_is_not_measured_is_asked_for() -> None:
+    bare = make_case({"vdm-m": 0.2}, reference="fem", steps=(1.0,), subdivisions=0)
+    assert causes(make_run([bare])) == {
+        NOT_TOLD: 'This study does not tell why. It would with "fem-linear" among the models, a small first factor '
+        "in [load] and levels = 2 in [uncertainty]."
+    }
+
+
+# --- a doubtful status ---
+
+
+def with_message(case: CaseResult, model: str, message: str) -> Verdict:
+    status = tuple(StepStatus("converged", message, "take the boundary form") for _ in case.load_factors)
+    doubtful = dataclasses.replace(case.models[model], status=status)
+    return verdict(Digest(make_run([dataclasses.replace(case, models={**case.models, model: doubtful})])))
+
+
+@pytest.mark.parametrize("model", ["vdm-m", "fem-linear"])
+def test_a_yes_carries_the_reservations_of_model_and_reference(model: str) -> None:
+    case = make_case({"vdm-m": 0.01}, subdivisions=0)
+    assert verdict(Digest(make_run([case]))).reservations == ()
+    found = with_message(case, model, "a known bending comes out 109 % wrong")
+    assert found.word == "Yes"
+    assert found.reservations == (
+        f"{model} answers with a reservation: a known bending comes out 109 % wrong.",
+    )
+
+
+def test_a_residual_that_is_no_solution_is_a_reservation() -> None:
+    case = make_case({"vdm-m": 0.01}, subdivisions=0)
+    loose = dataclasses.replace(case.models["vdm-m"], scalars={"relative_residual": np.full(4, 1e-3)})
+    found = verdict(Digest(make_run([dataclasses.replace(case, models={**case.models, "vdm-m": loose})])))
+    assert found.word == "Yes"
+    (told,) = found.reservations
+    assert "called converged with a relative residual of 1.0e-03" in told
