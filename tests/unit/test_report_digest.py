@@ -252,7 +252,7 @@ def test_the_reference_on_the_coarser_mesh_is_not_on_trial() -> None:
     assert digest.focus == "vdm", "not the one that is nearly the reference itself"
     words = " ".join(sentence for answer in answers(verdict(digest)) for sentence in answer.sentences)
     assert "vdm, the closest of 2 models" in words
-    assert f"one of {REFERENCE} 1.2 ms" in words, "cost is told beside the same mesh"
+    assert f"A frame of {REFERENCE} takes 1.2 ms" in words, "cost is told beside the same mesh"
     assert [row["model"] for row in headline.headline_rows(run)][-2:] == [REFERENCE, f"{refined} (reference)"]
 
 
