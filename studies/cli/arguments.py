@@ -21,6 +21,7 @@ from . import (
     verb_plan,
     verb_report,
     verb_run,
+    verb_show,
     verb_status,
 )
 
@@ -28,6 +29,7 @@ _VERBS = {  # in the order in which they are told
     "new": verb_new,
     "list": verb_list,
     "check": verb_check,
+    "show": verb_show,
     "plan": verb_plan,
     "run": verb_run,
     "calibrate": verb_calibrate,

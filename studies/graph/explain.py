@@ -14,6 +14,7 @@ from ..study.config import holds_nothing
 from ..study.folders import swept_without_folders, told_directory
 from ..study.geometry_spec import fewer_nodes
 from ..study.model_name import DISPLACEMENT_ELEMENTS, split
+from ..study.problems import Finding
 from .answers import answer_path
 from .estimate import FACTOR_LAWS, Size, estimate, known_of, largest_solve, size_of
 from .nodes import Body, bodies
@@ -140,8 +141,7 @@ def refused(plan: Plan, cases: Sequence[PlannedCase], work: Sequence[Body]) -> l
     limits = {name: most for name in names if (most := models.find(name)[0].most_nodes) is not None}
     free = any(holds_nothing(case.study) for case in cases)
     lines = [
-        *dict.fromkeys(_off_the_body(plan, cases)),
-        *beyond_memory(plan, work).values(),
+        *(text for _, text in blockers(plan, cases, work)),
         *without_room(plan, cases),
         *(
             f"{name}: nothing is held; hold a region, by kind fixed or constrained"
@@ -176,6 +176,17 @@ def refused(plan: Plan, cases: Sequence[PlannedCase], work: Sequence[Body]) -> l
     return lines
 
 
+def blockers(plan: Plan, cases: Sequence[PlannedCase], work: Sequence[Body]) -> list[Finding]:
+    """What no case with it gets past, with its place in the study: a region off the body, no memory for a solve."""
+    key = (
+        "path"
+        if plan.study.geometry.shape == "file" and plan.study.geometry.mesh_size is None
+        else "mesh_size"
+    )
+    memory: list[Finding] = [(("geometry", key), text) for text in beyond_memory(plan, work).values()]
+    return [*dict.fromkeys(_off_the_body(plan, cases)), *memory]
+
+
 def beyond_memory(plan: Plan, work: Sequence[Body]) -> dict[str, str]:
     """Mesh -> what cannot be solved on it, where this machine has no memory for the least that it may take."""
     there = machine_memory()
@@ -204,11 +215,11 @@ def _body(plan: Plan, key: str) -> Expected | None:
     return known_of(plan, mesh) if mesh.geometry.shape == "file" else mesh.expected
 
 
-def _off_the_body(plan: Plan, cases: Sequence[PlannedCase]) -> list[str]:
+def _off_the_body(plan: Plan, cases: Sequence[PlannedCase]) -> list[Finding]:
     """The regions of constraints that lie off their body; a mesh may reach an edge further."""
     known = {key: _body(plan, key) for key in dict.fromkeys(case.mesh for case in cases)}
     return [
-        f"region {name!r} lies off the body: {body_extent(low, high)}"
+        (("regions", name), f"region {name!r} lies off the body: {body_extent(low, high)}")
         for case in cases
         for name in dict.fromkeys(constraint.region for constraint in case.study.constraints)
         if (body := known[case.mesh]) is not None

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import math
+
 from ..body.mesh import Mesh
 from ..body.mesh_cache import mesh_path, read_mesh
 from ..machine.errors import MeshError
 from ..scene.measured_points import place_measured
-from ..scene.scene import SceneError, build_scene
+from ..scene.scene import Scene, SceneError, build_scene
 from ..scene.warnings import scene_warnings
 from ..study.config import geometry_error, resolved
 from ..study.problems import Finding, Loc, Problem
@@ -38,11 +40,18 @@ def scene_problems(plan: Plan) -> list[Problem]:
     return plan.study._source.error(list(doubts.items()), resolved(plan.study)).problems
 
 
-def _surface(plan: Plan, case: PlannedCase) -> Mesh | None:
+def scene_of(plan: Plan, case: PlannedCase) -> Scene:
+    """A case's scene on its surface, which is meshed however long that takes. Raises StudyError."""
+    mesh = _surface(plan, case, most=math.inf)
+    assert mesh is not None
+    return _scene(plan, case, mesh)
+
+
+def _surface(plan: Plan, case: PlannedCase, most: float = MOST_NODES) -> Mesh | None:
     """The case's mesh, of one that is not there the surface alone; None where that would take long."""
     planned = plan.meshes[case.mesh]
     cached = read_mesh(mesh_path(plan.cache, planned.key))
-    if cached is not None or planned.expected.nodes > MOST_NODES:
+    if cached is not None or planned.expected.nodes > most:
         return cached
     from ..body.geometry import build_mesh  # gmsh is slow to load
 
@@ -53,20 +62,23 @@ def _surface(plan: Plan, case: PlannedCase) -> Mesh | None:
 
 
 def _doubts(plan: Plan, case: PlannedCase, mesh: Mesh) -> list[Finding]:
-    study = case.study
-    try:
-        scene = build_scene(study, mesh)
-        place_measured(study, mesh)
-    except (SceneError, MeshError) as error:
-        place: Loc = error.place if isinstance(error, SceneError) else ("constraints",)
-        finding = (place, _in_case(str(error), case))
-        raise plan.study._source.error([finding], resolved(plan.study)) from error
+    study, scene = case.study, _scene(plan, case, mesh)
     data = resolved(study)
     factor = max(map(abs, study.load.history))
     found = scene_warnings(
         data["constraints"], data["tissue"], scene.regions, mesh.surface_points, mesh.triangles, factor
     )
     return [(loc, _in_case(text, case)) for loc, text in found]
+
+
+def _scene(plan: Plan, case: PlannedCase, mesh: Mesh) -> Scene:
+    try:
+        place_measured(case.study, mesh)
+        return build_scene(case.study, mesh)
+    except (SceneError, MeshError) as error:
+        place: Loc = error.place if isinstance(error, SceneError) else ("constraints",)
+        finding = (place, _in_case(str(error), case))
+        raise plan.study._source.error([finding], resolved(plan.study)) from error
 
 
 def _in_case(text: str, case: PlannedCase) -> str:

@@ -1,0 +1,79 @@
+"""`vdmbench show`: the body, its regions and its loads in a picture, before anything is solved."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from .argument_kinds import output_file, positive, study_arguments
+from .output import OK, UsageError, print_json
+from .studies import load, make_plan
+
+if TYPE_CHECKING:
+    from ..graph.plan import Plan
+    from ..measures.case import CaseResult
+
+SUMMARY = "draw body, regions and loads of a study before anything is solved"
+
+
+def arguments(parser: argparse.ArgumentParser) -> None:
+    """Its arguments."""
+    study_arguments(parser)
+    parser.add_argument(
+        "--save",
+        type=output_file,
+        metavar="PNG",
+        help="the picture (default NAME-scene.png in this directory)",
+    )
+    parser.add_argument("--case", type=positive, default=1, metavar="N", help="of a sweep the N-th case")
+
+
+def run(options: argparse.Namespace) -> int:
+    """Mesh the surface, put the scene on it, draw it."""
+    from ..machine.files import write_atomically
+    from ..report.scene_picture import scene_png
+    from ..report.section_scene import parts_of, scene_words
+
+    study, _ = load(options)
+    plan = make_plan(study, options)
+    if options.case > len(plan.cases):
+        raise UsageError(f"--case {options.case}: the study has {len(plan.cases)} cases")
+    case = _unsolved(plan, options.case - 1)
+    words = scene_words(case, [case])
+    path = options.save or Path(f"{study.study.name}-scene.png")
+    title = f"{study.study.title}: {case.label}" if case.label else study.study.title
+    told = [f"{what}: {value}" for what, value in words]
+    picture = scene_png(case.points, case.triangles, parts_of(case, [case]), told, title=title)
+    write_atomically(path, picture)
+    if options.json:
+        return print_json({"picture": str(path), "scene": dict(words)})
+    for line in told:
+        print(line)
+    print(f"picture: {path}")
+    return OK
+
+
+def _unsolved(plan: Plan, number: int) -> CaseResult:
+    """A case with its scene and no answer. Raises StudyError where the scene cannot be put on its mesh."""
+    from ..graph.scene_check import scene_of
+    from ..measures.case import CaseResult
+    from ..study.config import resolved
+
+    case = plan.cases[number]
+    scene = scene_of(plan, case)
+    return CaseResult(
+        hash=case.hash,
+        label=case.label,
+        swept=case.swept,
+        swept_units=case.swept_units,
+        resolved=resolved(case.study),
+        provenance={},
+        points=scene.mesh.surface_points,
+        triangles=scene.mesh.triangles,
+        load_factors=scene.load_factors,
+        regions=scene.regions,
+        models={},
+        metrics={},
+        reference=None,
+    )

@@ -1,0 +1,107 @@
+"""What `vdmbench check` tells of a scene before anything is solved, and the picture that `show` makes of it."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+from matplotlib.image import imread
+
+from tests.command import write_study
+from vdmbench.cli import verb_check, verb_show
+from vdmbench.cli.arguments import parse
+from vdmbench.study.problems import StudyError
+
+BASE, FINGER = 'below = { axis = "z", fraction = 0.2 }', 'cap = { direction = [0, 0, 1], angle = "30 deg" }'
+THIN = 'shape = "box"\nsize = ["100 mm", "100 mm", "20 mm"]'
+BALL = ('shape = "sphere"\nradius = "50 mm"', THIN)
+UNIFORM = ('profile = "hertz"', 'profile = "uniform"')
+CASES: dict[str, tuple[list[tuple[str, str]], int, str]] = {
+    "a region off the body": (
+        [(FINGER, 'ball = { center = [0, 0, 1], radius = "20 mm" }')],
+        2,
+        "small.toml:19: regions.finger: region 'finger' lies off the body",
+    ),
+    "a support that the body does not reach": (
+        [(BASE, 'below = { axis = "z", value = "-60 mm" }')],
+        2,
+        "small.toml:17: regions.base: region 'base' selects no node of the mesh: the body has",
+    ),
+    "a support between the nodes": (
+        [(BASE, 'ball = { center = [0, 0, 0], radius = "20 mm" }')],
+        2,
+        "small.toml:17: regions.base: region 'base' selects no node",
+    ),
+    "a contact on the support": (
+        [(BASE, 'below = { axis = "z", fraction = 0.99 }')],
+        2,
+        "small.toml:25: constraints.finger: contact 'finger' covers",
+    ),
+    "a force that moves the body by its own size": (
+        [('"0.1 N"', '"90 N"')],
+        0,
+        "warning: small.toml:25: constraints.finger: presses with 90 N",
+    ),
+    "a support of lone nodes": (
+        [(BASE, 'below = { axis = "z", fraction = 0.0 }')],
+        0,
+        "warning: small.toml:24: constraints.base.region: holds one lone node",
+    ),
+    "a ball on both faces of a plate": (
+        [
+            BALL,
+            ('"16 mm"', '"8 mm"'),
+            (FINGER, 'ball = { center = ["45 mm", 0, 0], radius = "30 mm" }'),
+            (BASE, 'below = { axis = "x", fraction = 0.05 }'),
+        ],
+        0,
+        "warning: small.toml:28: constraints.finger.region: presses opposite sides of the body",
+    ),
+}
+
+
+@pytest.fixture(autouse=True)
+def _here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_a_scene_is_told_with_file_and_line(name: str, capsys: pytest.CaptureFixture[str]) -> None:
+    changes, code, told = CASES[name]
+    write_study(Path(), **{f"change{k}": change for k, change in enumerate(changes)})
+    options = parse(["check", "small.toml"])
+    if code == 2:
+        with pytest.raises(StudyError) as raised:
+            verb_check.run(options)
+        assert str(raised.value).startswith(told)
+        assert verb_check.run(parse(["check", "small.toml", "--json"])) == 2
+        assert json.loads(capsys.readouterr().out)["problems"][0]["line"] == int(told.split(":")[1])
+    else:
+        assert verb_check.run(options) == 0
+        assert told in capsys.readouterr().out
+
+
+def test_what_the_memory_does_not_do_is_no_study_to_run(monkeypatch: pytest.MonkeyPatch) -> None:
+    write_study(Path())
+    monkeypatch.setattr("vdmbench.graph.explain.machine_memory", lambda: 1_000)
+    with pytest.raises(
+        StudyError, match=r"small.toml:11: geometry.mesh_size: fem-linear on a mesh of sphere"
+    ):
+        verb_check.run(parse(["check", "small.toml"]))
+
+
+def test_a_scene_is_drawn_before_anything_is_solved(capsys: pytest.CaptureFixture[str]) -> None:
+    write_study(Path())
+    assert verb_show.run(parse(["show", "small.toml"])) == 0
+    told = capsys.readouterr().out
+    assert "Contact: finger, 0.1 N, hertz pressure" in told
+    assert "picture: small-scene.png" in told
+    picture = imread("small-scene.png")
+    # colours of support and contact are there: told apart by blue and by red
+    red, green, blue = (picture[..., k] for k in range(3))
+    assert ((blue - red > 0.2) & (blue > green)).sum() > 500
+    assert ((red - blue > 0.2) & (red > green)).sum() > 500
+    assert not Path("results").exists(), "nothing is solved, nothing is kept"
+    with pytest.raises(ValueError, match="--case 2: the study has 1 cases"):
+        verb_show.run(parse(["show", "small.toml", "--case", "2"]))
