@@ -31,11 +31,14 @@ class Load:
     contact_force : (N, 3) the same contact as force on each node [N], summed facet by facet; the consistent and
         vector formulations use it where it is given, and -p_i g_i where it is not
     prescribed : (N, 3) displacement of the constrained nodes [m]; scalar formulations use its normal component
+    dead_force : (N, 3) further force on each node [N], which keeps size and direction and moves with its node;
+        scalar formulations, which move along normals only, refuse it
     """
 
     contact_pressure: Array
     contact_force: Array | None = None
     prescribed: Array | None = None
+    dead_force: Array | None = None
 
     def scaled(self, factor: float) -> Load:
         """The same load times a factor."""
@@ -43,6 +46,7 @@ class Load:
             factor * self.contact_pressure,
             None if self.contact_force is None else factor * self.contact_force,
             None if self.prescribed is None else factor * self.prescribed,
+            None if self.dead_force is None else factor * self.dead_force,
         )
 
     @classmethod
@@ -95,7 +99,7 @@ class Support:
         if self.contact_sign == "inward":
             return load
         force = None if load.contact_force is None else -load.contact_force
-        return Load(-load.contact_pressure, force, load.prescribed)
+        return Load(-load.contact_pressure, force, load.prescribed, load.dead_force)
 
 
 def node_mask(mask: ArrayLike | None, name: str, n_nodes: int) -> Mask:
@@ -151,7 +155,8 @@ def checked_load(load: Load, support: Support) -> Load:
         raise ConstraintError("constrained nodes need the load's prescribed displacement")
     if prescribed is not None and prescribed.any() and not support.constrained.any():
         raise ConstraintError("the load moves nodes and none is constrained; name them in constrained")
-    return Load(pressure, force, prescribed)
+    dead = _checked(load.dead_force, "dead_force", (n, 3))
+    return Load(pressure, force, prescribed, dead)
 
 
 def _checked(value: ArrayLike | None, name: str, shape: tuple[int, ...]) -> Array | None:

@@ -57,8 +57,19 @@ class Problem:
         force = self.formulation.contact_force(self.support.signed(load))
         if self.support.hydrostatic is not None:
             force = force + self.formulation.pressure_force(self.support.hydrostatic)
+        if load.dead_force is not None:
+            force = force + self._dead_force(load.dead_force)
         # a step keeps the force, and the caller may change the load
         return force.copy() if force is load.contact_force else force
+
+    def _dead_force(self, force: Array) -> Array:
+        """(N, 3) given forces as they are. Raises ConstraintError where nodes move along normals only."""
+        if self.formulation.components != 3:
+            raise ConstraintError(
+                f"the {self.formulation.name} form moves along normals only and takes no force in another "
+                "direction; use the vector or boundary form"
+            )
+        return force
 
     def held_unknown(self, load: Load) -> Array:
         """(N, d) x of the held nodes, zero elsewhere."""
@@ -100,7 +111,7 @@ class Problem:
             # the datum stays at the highest point of the rest surface
             datum = float((self.body.rest @ self.support.gravity).min())
             force = force + column * (self.support.density * (depth - datum))[:, None]
-        return force
+        return force if load.dead_force is None else force + self._dead_force(load.dead_force)
 
 
 @dataclass(frozen=True, kw_only=True)

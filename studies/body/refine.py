@@ -31,6 +31,12 @@ class Hierarchy:
             mask = inherit(mask, mesh, parents)
         return mask
 
+    def inherit_line(self, mask: Mask) -> Mask:
+        """The same of a line: its nodes, and the middles of the edges between them."""
+        for parents in self.parents:
+            mask = np.asarray(mask[parents].all(axis=1))
+        return mask
+
     def restrict(self, force: Array) -> Array:
         """(S, N, 3) nodal forces on the finest mesh -> (S, n, 3) on the coarsest: half of each to either parent."""
         for parents in reversed(self.parents):

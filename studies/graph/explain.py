@@ -162,6 +162,13 @@ def refused(plan: Plan, cases: Sequence[PlannedCase], work: Sequence[Body]) -> l
             for name in names
             if not models.find(name)[0].fibres
         ]
+    if any(part.kind == "line" for case in cases for part in case.study.constraints):
+        lines += [
+            f"{name}: it takes no force along a line; use another model for it"
+            for name in names
+            for model, solver in (models.find(name),)
+            if solver not in model.lines
+        ]
     if not limits:
         return lines
     missing = plan.missing_meshes(cases)

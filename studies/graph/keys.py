@@ -26,7 +26,9 @@ _NOT_DESCRIBED = (
     "force",
     "pressure",
     "displacement",
+    "resultant",
 )  # of a constraint: its kind, and how much
+HOLDING = ("fixed", "constrained")  # kinds of constraints that a set-up depends on
 _DIGITS = 12  # of a load beside others: less is rounding
 
 
@@ -157,7 +159,7 @@ def _body(study: Study, inputs: Mapping[str, Any], name: str) -> dict[str, Any]:
         "solver": solver,
         "version": model.version,
         "tissue": {key: inputs["tissue"][key] for key in read},
-        "held": [_held(part, inputs) for part in inputs["constraints"] if part["kind"] != "contact"],
+        "held": [_held(part, inputs) for part in inputs["constraints"] if part["kind"] in HOLDING],
         "gravity": gravity if weighs else None,
         "anisotropy": inputs.get("anisotropy"),
         "parameters": {key: value for key, value in parameters.items() if key in model.parameters},
@@ -173,7 +175,9 @@ def _held(constraint: Mapping[str, Any], inputs: Mapping[str, Any]) -> dict[str,
 def _touched(inputs: Mapping[str, Any]) -> list[tuple[str, float]]:
     """Where there is contact, and one motion of held nodes up to a factor."""
     loads = _unit_loads(inputs)
-    moved = {unit: value for unit, value in loads.items() if not unit.startswith(("force ", "pressure "))}
+    moved = {
+        unit: value for unit, value in loads.items() if not unit.startswith(("force ", "pressure ", "line "))
+    }
     largest = max(moved.values(), key=abs, default=0.0) or 1.0
     return [(unit, value / largest if unit in moved else 1.0) for unit, value in loads.items() if value]
 
@@ -198,6 +202,10 @@ def _unit_loads(inputs: Mapping[str, Any]) -> dict[str, float]:
             case "constrained":
                 found = [
                     (f"{axis} {described}", value) for axis, value in enumerate(constraint["displacement"])
+                ]
+            case "line":
+                found = [
+                    (f"line {axis} {described}", value) for axis, value in enumerate(constraint["resultant"])
                 ]
             case "fixed":
                 found = []

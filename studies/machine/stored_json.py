@@ -103,6 +103,7 @@ class ConstraintShape(Shape):
     force: float | None = None
     pressure: float | None = None
     displacement: _Vector | None = None
+    resultant: _Vector | None = None
 
 
 class TissueShape(Shape):

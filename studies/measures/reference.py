@@ -120,10 +120,13 @@ def level_scene(study: Study, hierarchy: Hierarchy) -> Scene:
     """
     coarsest = hierarchy.meshes[0]
     named = in_mesh_coordinates(study, coarsest)
+    lines = {part.region for part in study.constraints if part.kind == "line"}
     regions = {name: select(region, coarsest, named) for name, region in named.items()}
-    return build_scene(
-        study, hierarchy.finest, {name: hierarchy.inherit(mask) for name, mask in regions.items()}
-    )
+    masks = {
+        name: hierarchy.inherit_line(mask) if name in lines else hierarchy.inherit(mask)
+        for name, mask in regions.items()
+    }
+    return build_scene(study, hierarchy.finest, masks)
 
 
 def require_converged(name: str, result: ModelResult) -> None:

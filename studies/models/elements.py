@@ -8,12 +8,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from ..body.mesh import Array
 from ..scene.scene import Scene, SurfaceLoad
 from ..study.model_name import split
 from ..study.registry import Model, SetUp, register
 
 if TYPE_CHECKING:
     from fem_reference.loads import Load as FemLoad
+    from fem_reference.mesh import TetMesh
 
 # scikit-fem's own assembly and a general LU factor: what the fast path is held to
 PLAIN = "plain"
@@ -27,11 +29,11 @@ def _small_strain(scene: Scene, solver: str, name: str, n_loads: int) -> SetUp:
         from fem_reference.plain_linear import PlainLinearProblem
 
         plain = PlainLinearProblem(**_body(scene))
-        return SetUp(lambda loads: plain.solve(_fem_loads(loads)))
+        return SetUp(lambda loads: plain.solve(_fem_loads(loads, plain.body.checked)))
     from fem_reference.linear import LinearProblem
 
     problem = LinearProblem(**_body(scene), element=_ELEMENTS[split(name)[0]], expected_loads=n_loads)
-    return SetUp(lambda loads: problem.solve(_fem_loads(loads), _asked(scene)), problem)
+    return SetUp(lambda loads: problem.solve(_fem_loads(loads, problem.mesh), _asked(scene)), problem)
 
 
 def _condensed(scene: Scene, solver: str, name: str, n_loads: int) -> SetUp:  # noqa: ARG001
@@ -47,7 +49,7 @@ def _condensed(scene: Scene, solver: str, name: str, n_loads: int) -> SetUp:  # 
     n_columns = 12 * int(scene.contact.sum())  # three components at the vertices and three edge middles each
     whole = LinearProblem(**body, expected_loads=n_columns + len(motions))
     problem = CondensedProblem(whole, scene.contact, motions=motions)
-    return SetUp(lambda loads: problem.solve(_fem_loads(loads), _asked(scene)), problem)
+    return SetUp(lambda loads: problem.solve(_fem_loads(loads, whole.mesh), _asked(scene)), problem)
 
 
 def _coarse(scene: Scene, solver: str, name: str, n_loads: int) -> SetUp:  # noqa: ARG001
@@ -61,11 +63,11 @@ def _finite_strain(scene: Scene, solver: str, name: str, n_loads: int) -> SetUp:
         from fem_reference.plain_finite_strain import PlainFiniteStrainProblem
 
         plain = PlainFiniteStrainProblem(**_body(scene), material=_material(scene))
-        return SetUp(lambda loads: plain.solve(_fem_loads(loads), frozenset(_LARGEST)))
+        return SetUp(lambda loads: plain.solve(_fem_loads(loads, plain.body.checked), frozenset(_LARGEST)))
     from fem_reference.finite_strain import FiniteStrainProblem
 
     problem = FiniteStrainProblem(**_neo_hookean(scene, n_loads))
-    return SetUp(lambda loads: problem.solve(_fem_loads(loads), _asked(scene, *_LARGEST)))
+    return SetUp(lambda loads: problem.solve(_fem_loads(loads, problem.mesh), _asked(scene, *_LARGEST)))
 
 
 def _finite_strain_onward(scene: Scene, solver: str, name: str, n_loads: int) -> SetUp:
@@ -75,7 +77,7 @@ def _finite_strain_onward(scene: Scene, solver: str, name: str, n_loads: int) ->
     from fem_reference.load_path import LoadPath
 
     problem, path = FiniteStrainProblem(**_neo_hookean(scene, n_loads)), LoadPath()
-    return SetUp(lambda loads: problem.solve(_fem_loads(loads), _asked(scene, *_LARGEST), path))
+    return SetUp(lambda loads: problem.solve(_fem_loads(loads, problem.mesh), _asked(scene, *_LARGEST), path))
 
 
 def _neo_hookean(scene: Scene, n_loads: int) -> dict[str, Any]:
@@ -102,10 +104,15 @@ def _body(scene: Scene) -> dict[str, Any]:
     }
 
 
-def _fem_loads(loads: Sequence[SurfaceLoad]) -> list[FemLoad]:
+def _fem_loads(loads: Sequence[SurfaceLoad], mesh: TetMesh) -> list[FemLoad]:
+    from fem_reference.forces import line_forces
     from fem_reference.loads import Load
 
-    return [Load(load.facet_pressure, load.prescribed, load.gravity) for load in loads]
+    def lines(load: SurfaceLoad) -> Array | None:
+        forces = [line_forces(mesh, edges, force) for edges, force in load.lines]
+        return np.sum(forces, axis=0) if forces else None
+
+    return [Load(load.facet_pressure, load.prescribed, load.gravity, lines(load)) for load in loads]
 
 
 def _asked(scene: Scene, *outputs: str) -> frozenset[str]:
@@ -127,17 +134,19 @@ for _model in (
         name="fem-linear",
         version="3",
         prepare=_small_strain,
+        lines=("linear", PLAIN),
         solvers=("linear", PLAIN),
         superposes=("linear", PLAIN),
     ),
-    _elements(name="fem-p1", version="2", prepare=_small_strain),
-    _elements(name="fem-p2", version="2", prepare=_small_strain),
+    _elements(name="fem-p1", version="2", prepare=_small_strain, lines=("linear",)),
+    _elements(name="fem-p2", version="2", prepare=_small_strain, lines=("linear",)),
     _elements(name="fem-condensed", version="4", prepare=_condensed, contact_in_setup=True),
-    _elements(name="fem-coarse", version="4", prepare=_coarse),
+    _elements(name="fem-coarse", version="4", prepare=_coarse, lines=("linear",)),
     _elements(
         name="fem",
         version="2",
         prepare=_finite_strain,
+        lines=("linear", PLAIN),
         solvers=("linear", PLAIN),
         superposes=(),
         continues=_finite_strain_onward,

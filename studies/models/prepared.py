@@ -35,6 +35,8 @@ class Prepared:
         try:
             if scene.anisotropy is not None and not self.model.fibres:
                 raise ValueError(f"{self.model.name} is isotropic; use another model for fibres")
+            if scene.lines and solver not in self.model.lines:
+                raise ValueError(f"{name} takes no force along a line; use another model for it")
             self.set_up = prepare(scene, solver, name, n_loads)
         except (
             ValueError

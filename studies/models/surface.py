@@ -34,6 +34,7 @@ def prepare_surface(scene: Scene, solver: str, name: str, n_loads: int) -> SetUp
                 contact_pressure=load.contact_pressure,
                 contact_force=load.contact_force,
                 prescribed=load.prescribed,
+                dead_force=load.line_force if load.lines else None,
             )
             for load in loads
         ]
@@ -145,6 +146,7 @@ for _declared in (
         solvers=VDM_SOLVERS,
         parameters=("foundation", "surface_tension", "stretch_stiffness", "rotation", "penalty"),
         by_rule=("surface_tension",),
+        lines=VDM_SOLVERS,
         fibres=True,
     ),
     _surface(
@@ -155,6 +157,7 @@ for _declared in (
         parameters=("shear_modulus", "compressibility", "penalty"),
         most_nodes=2000,
         by_rule=("shear_modulus",),
+        lines=("linear", "nonlinear"),
         fibres=False,
     ),
     _surface(
@@ -164,6 +167,7 @@ for _declared in (
         tissue=("youngs_modulus", "poisson_ratio"),
         parameters=("shear_modulus", "coarse_nodes", "compressibility"),
         by_rule=("shear_modulus",),
+        lines=("linear", "single", "nonlinear"),
         fibres=False,
     ),
     _surface(
@@ -173,6 +177,7 @@ for _declared in (
         parameters=("shear_modulus", "penalty"),
         by_rule=("shear_modulus",),
         most_nodes=5000,
+        lines=VDM_SOLVERS,
         fibres=False,
     ),
 ):

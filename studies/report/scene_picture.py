@@ -33,6 +33,7 @@ KINDS = {
     "fixed": ("support", "#4477aa"),
     "contact": ("contact", "#ee6677"),
     "constrained": ("moved", "#c0a82e"),
+    "line": ("pulled along a line", "#aa3377"),
 }
 _ARROWS = {"contact": "#c42842", "constrained": "#8a7410"}  # their arrows, seen on body and ground
 _BODY, _AMBIENT = "#cfd3d6", 0.72  # bright all round: the colours have a meaning

@@ -8,7 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
-from ..body.mesh import Array, Mask, Mesh
+from ..body.mesh import Array, Index, Mask, Mesh
 from ..body.surface_measures import corner_sum, facet_area_vectors, nodal_sum
 from ..machine.errors import InputError
 from ..study.problems import Loc
@@ -40,6 +40,8 @@ class SurfaceLoad:
     contact_force : (N, 3) the same as nodal forces [N]
     prescribed : (N, 3) displacement of held nodes, zero elsewhere [m]
     gravity : (3,) acceleration [m/s^2]
+    points : (N, 3) the surface nodes at rest [m]
+    lines : forces along lines: (k, 2) nodes at the ends of edges, and the resultant (3,) over their length [N]
     """
 
     facet_pressure: Array
@@ -47,6 +49,19 @@ class SurfaceLoad:
     contact_force: Array
     prescribed: Array
     gravity: Array
+    points: Array
+    lines: tuple[tuple[Index, Array], ...] = ()
+
+    @cached_property
+    def line_force(self) -> Array:
+        """(N, 3) the forces along lines as nodal forces, half of an edge's to each of its ends [N]."""
+        nodal = np.zeros_like(self.contact_force)
+        for edges, force in self.lines:
+            length = np.linalg.norm(self.points[edges[:, 1]] - self.points[edges[:, 0]], axis=1)
+            share = 0.5 * (length / length.sum())[:, None] * force
+            for end in range(2):
+                np.add.at(nodal, edges[:, end], share)
+        return nodal
 
 
 @dataclass(frozen=True)
@@ -69,6 +84,7 @@ class Scene:
     load_factors : (S,)
     anisotropy : fibre direction and contrast, None for an isotropic body
     condition : whether the condition of the VDM models' systems is estimated
+    lines : forces along lines at load factor 1, see `SurfaceLoad`
     """
 
     mesh: Mesh
@@ -85,6 +101,7 @@ class Scene:
     load_factors: Array
     anisotropy: Anisotropy | None
     condition: bool = False
+    lines: tuple[tuple[Index, Array], ...] = ()
 
     @property
     def held(self) -> Mask:
@@ -124,6 +141,8 @@ class Scene:
             factor * self.contact_force,
             factor * self.prescribed,
             self.gravity,
+            self.mesh.surface_points,
+            tuple((edges, factor * force) for edges, force in self.lines),
         )
 
     @property
@@ -154,6 +173,7 @@ def build_scene(study: Study, mesh: Mesh, masks: Mapping[str, Mask] | None = Non
     fixed, constrained = np.zeros(n_nodes, dtype=bool), np.zeros(n_nodes, dtype=bool)
     prescribed = np.zeros((n_nodes, 3))
     pressure = np.zeros((len(mesh.triangles), len(_quadrature()[1])))
+    lines: list[tuple[Index, Array]] = []
     for constraint in study.constraints:
         mask = masks[constraint.region]
         if not mask.any():
@@ -172,6 +192,8 @@ def build_scene(study: Study, mesh: Mesh, masks: Mapping[str, Mask] | None = Non
         elif constraint.kind == "contact":
             place = _place(study, constraint)
             pressure += _contact_pressure(constraint, place, regions[constraint.region], mesh, mask)
+        elif constraint.kind == "line":
+            lines.append((_line(constraint, study, mesh, mask), np.array(constraint.resultant)))
         else:
             raise SceneError(
                 f"constraint {constraint.name!r} is of an unknown kind, {constraint.kind!r}",
@@ -183,10 +205,10 @@ def build_scene(study: Study, mesh: Mesh, masks: Mapping[str, Mask] | None = Non
         raise SceneError(_selects_nothing(judged, study, mesh), ("acceptance", "region"))
     for constraint in study.constraints:
         overlap = masks[constraint.region] & (fixed | constrained)
-        if constraint.kind == "contact" and overlap.any():
+        if constraint.kind in ("contact", "line") and overlap.any():
             raise SceneError(
-                f"contact {constraint.name!r} covers {overlap.sum()} nodes that are fixed or constrained; "
-                "keep the regions apart",
+                f"{constraint.kind} {constraint.name!r} covers {overlap.sum()} nodes that are fixed or "
+                "constrained; keep the regions apart",
                 _place(study, constraint),
             )
     return Scene(
@@ -204,7 +226,22 @@ def build_scene(study: Study, mesh: Mesh, masks: Mapping[str, Mask] | None = Non
         load_factors=np.array(study.load.history),
         anisotropy=study.anisotropy,
         condition=study.study.condition,
+        lines=tuple(lines),
     )
+
+
+def _line(constraint: Constraint, study: Study, mesh: Mesh, mask: Mask) -> Index:
+    """(k, 2) edges of the surface between the nodes of a region that has no facet of its own."""
+    triangles = mesh.triangles
+    sides = np.sort(np.stack([triangles, np.roll(triangles, -1, axis=1)], axis=2).reshape(-1, 2), axis=1)
+    edges = np.unique(sides[mask[sides].all(axis=1)], axis=0)
+    if not len(edges):
+        text = f"line {constraint.name!r} has no edge between its nodes; enlarge its region"
+        raise SceneError(text, _place(study, constraint))
+    if (count := int(mask[triangles].all(axis=1).sum())) > 0:
+        text = f"line {constraint.name!r} covers {count} facets; a line is one node wide: make its region narrower"
+        raise SceneError(text, _place(study, constraint))
+    return np.asarray(edges, dtype=np.int64)
 
 
 def _place(study: Study, constraint: Constraint) -> Loc:

@@ -33,10 +33,12 @@ def scene_warnings(
     largest_factor : largest load factor
     """
     vectors = facet_area_vectors(points, triangles)
-    held = [masks[entry["region"]] for entry in constraints if entry["kind"] != "contact"]
+    held = [masks[entry["region"]] for entry in constraints if entry["kind"] in ("fixed", "constrained")]
     on_support = np.logical_or.reduce([np.zeros(len(points), dtype=bool), *held])[triangles].all(axis=1)
     extent = float(np.ptp(points, axis=0).min())
     for place, entry in enumerate(constraints):
+        if entry["kind"] == "line":
+            continue
         mask, loc = masks[entry["region"]], ("constraints", place, "region")
         if entry["kind"] != "contact":
             if mask.any() and not (on_support & mask[triangles].any(axis=1)).any():

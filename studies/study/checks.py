@@ -51,6 +51,7 @@ _KIND_KEYS = {
     "fixed": set[str](),
     "contact": {"pressure", "force", "profile"},
     "constrained": {"displacement"},
+    "line": {"resultant"},
 }
 
 
@@ -277,6 +278,8 @@ def _check_kind(constraint: Constraint, loc: Loc, regions: dict[str, Region]) ->
         yield loc, "a contact needs either pressure or force"
     if constraint.kind == "constrained" and "displacement" not in present:
         yield (*loc, "displacement"), 'is missing; give three lengths, such as ["0 mm", "0 mm", "-5 mm"]'
+    if constraint.kind == "line" and "resultant" not in given:
+        yield (*loc, "resultant"), 'is missing; give three forces, such as ["0 N", "0 N", "-1 N"]'
     region = regions.get(constraint.region) if constraint.kind == "contact" else None
     if constraint.profile in PROFILES and region is not None and not given(region) & {"cap", "ball"}:
         yield (
@@ -313,6 +316,13 @@ def _check_loads(study: Study) -> Iterator[Finding]:
                 yield (
                     (*loc, "force"),
                     f"{force:g} N on a body {extent:g} m across is a pressure of more than ten times Young's "
+                    f"modulus ({modulus:g} Pa): a mixed-up unit?",
+                )
+            pull = factor * math.hypot(*(constraint.resultant or (0.0,)))
+            if extent is not None and pull > 10 * modulus * extent**2:
+                yield (
+                    (*loc, "resultant"),
+                    f"{pull:g} N on a body {extent:g} m across is a pressure of more than ten times Young's "
                     f"modulus ({modulus:g} Pa): a mixed-up unit?",
                 )
         distance = factor * math.hypot(*(constraint.displacement or (0.0,)))

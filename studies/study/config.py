@@ -332,7 +332,7 @@ def _check_model_names(data: Mapping[str, Any]) -> Iterator[Finding]:
 
 def holds_nothing(study: Study) -> bool:
     """Whether no constraint holds a part of the body, so that elements have no answer."""
-    return all(constraint.kind == "contact" for constraint in study.constraints or ())
+    return all(constraint.kind in ("contact", "line") for constraint in study.constraints or ())
 
 
 def _check_held(study: Study | None) -> Iterator[Finding]:

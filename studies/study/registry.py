@@ -78,6 +78,7 @@ class Model:
     fibres : whether it solves a body with fibres; one that does not is refused them
     most_nodes : surface nodes beyond which it refuses a mesh; None where it has no such limit
     contact_in_setup : whether its set-up depends on where the body is touched and how it is moved
+    lines : solvers that take a force along a line of edges; the others are refused it
     own : of its parameters those that [vdm] has no key for: a study gives them in [models.NAME]
     continues : set up for loads of one rising path, each solved from the last: as `prepare`; None where it cannot
     """
@@ -94,6 +95,7 @@ class Model:
     by_rule: tuple[str, ...] = ()
     most_nodes: int | None = None
     contact_in_setup: bool = False
+    lines: tuple[str, ...] = ()
     own: Mapping[str, Parameter] = field(default_factory=dict)
     continues: Prepare | None = None
 
@@ -121,6 +123,7 @@ def register(model: Model) -> None:
         raise RegistrationError(f"{model.name}: a model declares its version and its solvers")
     for what, keys, known in (
         ("superposes", model.superposes, model.solvers),
+        ("lines", model.lines, model.solvers),
         ("parameters", model.parameters, {**VdmTable.model_fields, **model.own}),
         ("own", model.own, model.parameters),
         ("by_rule", model.by_rule, model.parameters),

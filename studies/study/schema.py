@@ -303,8 +303,8 @@ RegionRef = Annotated[
 class Constraint(Table):
     """[[constraints]]; nodes in none are free"""
 
-    kind: Literal["fixed", "contact", "constrained"] = Field(
-        description="held at rest, pressed, or moved by a given displacement"
+    kind: Literal["fixed", "contact", "constrained", "line"] = Field(
+        description="held at rest, pressed, moved by a displacement, or pulled along a line of edges"
     )
     region: str = Field(description="name of the region")
     name: Name = Field("", description="names it in sweeps and reports; the region's name where left out")
@@ -317,6 +317,10 @@ class Constraint(Table):
         description="contact: shape of the pressure, uniform where left out; the others need a cap or ball",
     )
     displacement: Position | None = Field(None, description="constrained: displacement at load factor 1")
+    resultant: Annotated[Vector3, SI("N", (3,))] | None = Field(
+        None,
+        description="line: force at load factor 1, spread over the region's edges; it keeps its direction",
+    )
 
     @classmethod
     def with_defaults(cls, data: dict[str, Any]) -> dict[str, Any]:

@@ -324,7 +324,7 @@ def _hidden(rounding: float, moved: float) -> Status:
 def _share(before: Load, last: Load, load: Load) -> float:
     """The s for which load - last is s (last - before) to a tenth, in every part; 0 where there is none."""
     shares: list[float] = []
-    for part in ("contact_pressure", "contact_force", "prescribed"):
+    for part in ("contact_pressure", "contact_force", "prescribed", "dead_force"):
         values = (getattr(state, part) for state in (before, last, load))
         a, b, c = (0.0 if value is None else value for value in values)
         old, new = np.asarray(b - a), np.asarray(c - b)
@@ -351,4 +351,9 @@ def _between(start: Load, end: Load, share: float) -> Load:
         return share * b if a is None else (1.0 - share) * a + share * b
 
     pressure = (1.0 - share) * start.contact_pressure + share * end.contact_pressure
-    return Load(pressure, mix(start.contact_force, end.contact_force), mix(start.prescribed, end.prescribed))
+    return Load(
+        pressure,
+        mix(start.contact_force, end.contact_force),
+        mix(start.prescribed, end.prescribed),
+        mix(start.dead_force, end.dead_force),
+    )

@@ -1,0 +1,131 @@
+"""A force along an edge of the body: the same resultant for every model that takes it, refused by the others."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from vdm.constraints import ConstraintError, Load
+from vdm.model import Model
+from vdmbench import models
+from vdmbench.body.geometry import build_mesh
+from vdmbench.body.mesh import Mesh
+from vdmbench.body.refine import refined
+from vdmbench.graph.keys import wanted
+from vdmbench.measures.reference import level_scene
+from vdmbench.scene.scene import SceneError, build_scene
+from vdmbench.study.config import geometry_of
+from vdmbench.study.model_name import is_linear
+from vdmbench.study.schema import Study
+
+PULL = np.array([1e-3, 2e-3, -5e-3])  # N: moves the tip by 0.01 of its width
+BASE: dict[str, Any] = {
+    "study": {"name": "test", "models": ["vdm-boundary", "fem-linear"], "reference": "fem-linear"},
+    "geometry": {"shape": "box", "size": [0.06, 0.03, 0.03], "mesh_size": 0.012},
+    "tissue": {"youngs_modulus": 5000.0, "poisson_ratio": 0.49},
+    "regions": {
+        "clamp": {"below": {"axis": "x", "fraction": 0.001}},
+        "edge": {"box": {"min": [0.0299, -0.02, 0.0149], "max": [0.0301, 0.02, 0.0151]}},
+    },
+    "constraints": [
+        {"kind": "fixed", "region": "clamp"},
+        {"kind": "line", "region": "edge", "resultant": PULL.tolist()},
+    ],
+}
+
+
+def study(**tables: Any) -> Study:
+    return Study.model_validate(BASE | tables)
+
+
+@pytest.fixture(scope="module")
+def box() -> Mesh:
+    return build_mesh(geometry_of(study()))
+
+
+def test_a_line_is_the_edges_between_its_nodes(box: Mesh) -> None:
+    scene = build_scene(study(), box)
+    ((edges, force),) = scene.lines
+    ends = box.surface_points[edges]
+    assert_allclose(ends[:, :, [0, 2]], np.broadcast_to([0.03, 0.015], (len(edges), 2, 2)), atol=1e-12)
+    assert_allclose(np.abs(ends[:, 1, 1] - ends[:, 0, 1]).sum(), 0.03, rtol=1e-12)
+    nodal = scene.load(2.0).line_force
+    assert_allclose(nodal.sum(axis=0), 2 * PULL, rtol=1e-12)
+    # spread by length: its moment is that of the resultant at the middle of the edge
+    assert_allclose((box.surface_points[:, 1, None] * nodal).sum(axis=0), 0.0, atol=1e-15)
+    assert_allclose(force, PULL)
+
+
+def test_a_refined_line_is_the_same_line(box: Mesh) -> None:
+    scene = level_scene(study(), refined(box, 1))
+    assert len(scene.lines[0][0]) == 2 * len(build_scene(study(), box).lines[0][0])
+    assert_allclose(scene.load(1.0).line_force.sum(axis=0), PULL, rtol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("region", "told"),
+    [
+        ({"above": {"axis": "x", "fraction": 0.9}}, "a line is one node wide"),
+        ({"ball": {"center": [0.03, 0.015, 0.015], "radius": 1e-4}}, "has no edge between its nodes"),
+        ({"box": {"min": [-0.04, -0.02, 0.0149], "max": [-0.029, 0.02, 0.0151]}}, "nodes that are fixed"),
+    ],
+)
+def test_a_region_that_is_no_line_is_refused(box: Mesh, region: dict[str, Any], told: str) -> None:
+    with pytest.raises(SceneError, match=told):
+        build_scene(study(regions=BASE["regions"] | {"edge": region}), box)
+
+
+@pytest.mark.parametrize("name", models.model_names())
+def test_every_model_balances_it_or_refuses_it_by_name(box: Mesh, name: str) -> None:
+    model, solver = models.find(name)
+    result = models.run_model(build_scene(study(), box), name)
+    if solver not in model.lines:
+        assert result.status[0].code == models.REFUSED
+        assert name in result.status[0].message
+        return
+    assert result.status[0].ok, result.status
+    # a support answers with the opposite force; what rounding of an iterative solver leaves is 1e-6 of it
+    assert_allclose(result.reaction_force[0].sum(axis=0), -PULL, atol=1e-5 * np.linalg.norm(PULL))
+    first = models.run_model(build_scene(study(), box), model.name)
+    rows = build_scene(study(), box).lines[0][0].ravel()
+    tip, first_tip = (r.displacement[0, rows].mean(axis=0) for r in (result, first))
+    # the tip moves by less than a hundredth of the length: the nonlinear answers are linear to about as much
+    tolerance = 0.03 if not is_linear(name) or not is_linear(model.name) else 1e-3
+    assert_allclose(tip, first_tip, atol=tolerance * np.linalg.norm(first_tip))
+    assert tip @ PULL > 0
+
+
+def test_a_form_along_normals_refuses_a_dead_force(box: Mesh) -> None:
+    from vdm.material import Parameters
+
+    n = len(box.surface_points)
+    held = box.surface_points[:, 0] < -0.0299
+    model = Model(
+        box.surface_points,
+        box.triangles,
+        lambda surface: Parameters.from_tissue(5e3, surface, "consistent", "global", held, 0.5),
+        formulation="consistent",
+        fixed=held,
+    )
+    with pytest.raises(ConstraintError, match="moves along normals only"):
+        model.solve([Load(np.zeros(n), dead_force=np.ones((n, 3)))])
+
+
+def test_answers_are_keyed_by_the_line_and_scaled() -> None:
+    """Twice the force is twice the answer of one set-up; another direction or another line is another answer."""
+    clamp, line = BASE["constraints"]
+    below = {"box": {"min": [0.0299, -0.02, -0.0151], "max": [0.0301, 0.02, -0.0149]}}
+    tables: dict[str, dict[str, Any]] = {
+        "base": {},
+        "twice": {"constraints": [clamp, line | {"resultant": (2 * PULL).tolist()}]},
+        "turned": {"constraints": [clamp, line | {"resultant": [0.0, 0.0, 1e-3]}]},
+        "moved": {"regions": BASE["regions"] | {"edge": below}},
+    }
+    keys = {name: wanted(study(**given), "mesh")[0] for name, given in tables.items()}
+    assert len({one.body for one in keys.values()}) == 1, "a line is no support"
+    assert keys["twice"].answers == keys["base"].answers
+    assert_allclose(keys["twice"].scales[0], 2 * keys["base"].scales[0])
+    assert len({one.answers for one in keys.values()}) == 3
