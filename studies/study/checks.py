@@ -278,7 +278,7 @@ def _check_kind(constraint: Constraint, loc: Loc, regions: dict[str, Region]) ->
         yield loc, "a contact needs either pressure or force"
     if constraint.kind == "constrained" and "displacement" not in present:
         yield (*loc, "displacement"), 'is missing; give three lengths, such as ["0 mm", "0 mm", "-5 mm"]'
-    if constraint.kind == "line" and "resultant" not in given:
+    if constraint.kind == "line" and "resultant" not in present:
         yield (*loc, "resultant"), 'is missing; give three forces, such as ["0 N", "0 N", "-1 N"]'
     region = regions.get(constraint.region) if constraint.kind == "contact" else None
     if constraint.profile in PROFILES and region is not None and not given(region) & {"cap", "ball"}:

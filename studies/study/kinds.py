@@ -129,6 +129,7 @@ Share = Annotated[
 ]
 Position = Annotated[Vector3, SI("m", (3,))]
 Direction = Annotated[Vector3, SI("1", (3,)), AfterValidator(nonzero)]
+Force = Annotated[Vector3, SI("N", (3,))]
 Modulus = Annotated[float, SI("Pa"), not_negative]
 LineForce = Annotated[float, SI("N/m"), not_negative]
 Pressure = Annotated[float, SI("Pa")]

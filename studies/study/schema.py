@@ -31,6 +31,7 @@ from .kinds import (
     SI,
     Axis,
     Direction,
+    Force,
     Length,
     LineForce,
     Modulus,
@@ -317,10 +318,7 @@ class Constraint(Table):
         description="contact: shape of the pressure, uniform where left out; the others need a cap or ball",
     )
     displacement: Position | None = Field(None, description="constrained: displacement at load factor 1")
-    resultant: Annotated[Vector3, SI("N", (3,))] | None = Field(
-        None,
-        description="line: force at load factor 1, spread over the region's edges; it keeps its direction",
-    )
+    resultant: Force | None = Field(None, description="line: dead force at load factor 1, over its edges")
 
     @classmethod
     def with_defaults(cls, data: dict[str, Any]) -> dict[str, Any]:
