@@ -46,6 +46,8 @@ def parts_of(case: CaseResult, cases: Sequence[CaseResult]) -> list[Part]:
         vector = None
         if kind == "constrained":
             vector = np.array(constraint["displacement"], dtype=float)
+        elif kind == "line":
+            vector = np.array(constraint["resultant"], dtype=float)
         elif kind == "contact":
             vector = _thrust(case, nodes, constraint)
         if kind in KINDS:
