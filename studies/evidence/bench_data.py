@@ -311,8 +311,9 @@ def rows(bench: Bench) -> list[dict[str, str]]:
 
 
 def _ratio(values: Array) -> str:
-    ratio = median(values)
-    return "–" if math.isnan(ratio) else f"{ratio:.2g}"
+    """The median of the ratios of all rounds, and between which two they lie."""
+    ratio, (low, high) = median(values), spread(values)
+    return "–" if math.isnan(ratio) else f"{ratio:.2g} [{low:.2g}, {high:.2g}]"
 
 
 def machine_independent(bench: Bench) -> dict[str, float]:

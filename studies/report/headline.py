@@ -227,21 +227,18 @@ def _reading(digest: Digest) -> str:
     )
     if digest.compared:
         parts.append(
-            "Errors are area-weighted L2 norms over the surface, relative to the reference; deformation error "
-            "leaves out the best-fit rigid motion, which a model with a small support gets right almost for free. "
-            "± is the reference's own error from its mesh levels: a difference counts as resolved only where that "
-            "is at most a tenth of it."
+            "An error is the area-weighted L2 norm of the difference over that of the reference. The deformation "
+            "error leaves out the rigid motion, which most models get right: it is the error in change of shape. "
+            "± is the reference's own error. A difference is resolved where that is at most a tenth of it."
         )
     parts.append(
-        "Volume drift is the change of the exact enclosed volume, the largest of all cases: what a linear answer "
-        "adds in second order and, of elements, the tissue's compression and what the flat facets between the "
-        "nodes leave out. Its ±, from the reference's mesh levels at the same nodes, covers of these the "
-        "compression alone. "
-        "Times are medians, memory is the largest amount that the model added."
+        "Volume drift is the change of the enclosed volume, in the worst case. A linear answer adds some in second "
+        "order; elements add the tissue's compression and what flat facets leave out. Its ± covers the compression "
+        "alone. Times are medians. Memory is the most that a model added."
     )
     if digest.compared:
         marked = any(s.earlier_cases or s.elsewhere_cases or s.iterative for s in digest.summaries)
-        parts += ["What is marked below a time is explained under Run time against error."] if marked else []
+        parts += ["Run time against error explains the marks below a time."] if marked else []
     else:
         parts += time_notes(digest.summaries)
     return " ".join(parts)

@@ -29,17 +29,15 @@ def small_strain_limits(digest: Digest) -> Section | None:
     raised = listed(sorted({"every load, in proportion" if one.unit == "1" else one.along for one in found}))
     blocks: list[Block] = [Text(sentence) for sentence in limits_in_words(digest)]
     reading = (
-        f"Raised: {raised}. Structural error: relative L2 displacement error against the "
-        "finite-strain reference in the limit of a small load. Limit: where the error has grown from there by the "
-        f"threshold; of {LINEAR} this is the linearisation limit, where small-strain theory departs from finite "
-        "strain on the same mesh. Indentation (mean displacement along the contact force, weighted by it) and "
-        "largest principal Green-Lagrange strain are the reference's at that load; the largest strain is a local "
-        "one, at the rim of the contact or of the support. Figures with a bar are those of a mesh with every "
-        "tetrahedron split into eight, and bars follow from what that changes: in a limit's load, and, at the same "
-        "load, in indentation and strain, whose bars count the load's in. The search stops within "
-        f"{short_percent(CLOSE)} of a threshold; the load's bar counts that too. It is relative, all others are "
-        "in the unit of their figure. A limit that the case's mesh has and the finer mesh has not is unresolved, "
-        f"with the figures of the case's mesh. A search ends at {LARGEST:g} times the study's load, and at a "
+        f"Raised: {raised}. The structural error is the displacement error at a small load. A limit is the load at "
+        f"which the error has grown from there by the threshold. For {LINEAR} it is the linearisation limit: there "
+        "small-strain theory departs from finite strain on the same mesh. Indentation is the mean displacement "
+        "along the contact force, weighted by it. The largest strain is the reference's largest principal "
+        "Green-Lagrange strain; it is local, at the rim of the contact or of the support. Figures with a bar are of "
+        "a mesh with every tetrahedron split into eight. A bar is what that changes, and the "
+        f"{short_percent(CLOSE)} of the threshold that the search leaves open: for a load relative, for the others "
+        "in their unit and with the load's bar counted in. A limit is unresolved where the finer mesh has none; its "
+        f"figures are then of the case's mesh. A search ends at {LARGEST:g} times the study's load, and at a "
         f"largest strain of {short_percent(MOST_STRAIN)}: no soft tissue bears to be three times as long."
     )
     return Section(

@@ -38,8 +38,8 @@ def all_measures(digest: Digest) -> Section | None:
         Column(str(digest.reference), "reference"),
     ]
     note = (
-        "± is the reference's own part in a measure, from its mesh levels; none where it was not measured. The "
-        "last column has what can be said of the reference alone."
+        "± is the reference's own error in a measure, where that was measured. The last column is of the reference "
+        "alone."
     )
     table = Table("measures", "", columns, rows)
     return Section("measures", "All measures at full load", [Text(note, kind="note"), table])

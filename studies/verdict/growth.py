@@ -75,7 +75,7 @@ def _against_the_paper(rows: list[LimitRow]) -> str:
     )
     theory = f"small-strain theory ({LINEAR}) departs from finite strain"
     if not found:
-        return f"Where {theory} is unresolved: a finer mesh does not bear it out." if denied else ""
+        return f"Where {theory} is not known: a finer mesh does not confirm it." if denied else ""
     parts = []
     for threshold in sorted({row.limit.threshold for row in found}):
         mine = [row.limit for row in found if row.limit.threshold == threshold]
@@ -93,7 +93,7 @@ def _against_the_paper(rows: list[LimitRow]) -> str:
         else []
     )
     told = told or [f"all of these lie above {bound}"]
-    told += [f"a finer mesh does not bear out {len(denied)} more, unresolved"] if denied else []
+    told += [f"a finer mesh does not confirm {len(denied)} more"] if denied else []
     verdict = listed(told)
     return f"S{theory[1:]} by {listed(parts)}. {verdict[0].upper()}{verdict[1:]}."
 
@@ -108,17 +108,17 @@ def _growth(digest: Digest, rows: list[LimitRow]) -> str:
         return ""
     errors = sorted((row.entry.structural_error, row.entry.structural_bar) for row in own)
     text = (
-        f"{digest.focus} is {_span(starmap(_with_bar, (errors[0], errors[-1])))} off already at small loads"
+        f"{digest.focus} is {_span(starmap(_with_bar, (errors[0], errors[-1])))} off at small loads already"
     )
     threshold = min(row.limit.threshold for row in own)
     asked = [row for row in own if row.limit.threshold == threshold]
     finer = any(math.isfinite(row.entry.structural_bar) for row in own)
     coarse = " on the case's own mesh" if finer else ""
-    more = f"{short_percent(threshold)} more come on top by"
-    no_more = f"that does not grow by {short_percent(threshold)} up to"
+    more = f"it is {short_percent(threshold)} further off at"
+    no_more = f"it is less than {short_percent(threshold)} further off up to"
     for state, before, after in (
         ("found", more, ""),
-        ("unresolved", more, f"{coarse}, which a finer mesh does not bear out: unresolved"),
+        ("unresolved", more, f"{coarse}, which a finer mesh does not confirm"),
         ("beyond", no_more, f"{coarse}, as far as was looked"),
         ("model-stopped", no_more, f"{coarse}, where its solver stops"),
         ("reference-stopped", no_more, f"{coarse}, where the reference stops"),

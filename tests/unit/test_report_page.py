@@ -321,7 +321,7 @@ def test_a_single_case_has_no_medians() -> None:
     html = page_html(make_run([make_case({"m": 0.25}, subdivisions=0)]), no_pictures)
     text = words(html[html.index("<body>") : html.index("<script")])
     assert "Displacement error: no, 25 % of 10 % allowed." in text
-    assert "covers of these the compression alone. Times are medians" in text
+    assert "Its ± covers the compression alone. Times are medians" in text
     assert "median" not in html[html.index("<body>") : html.index("<script")].replace("Times are medians", "")
 
 
