@@ -29,16 +29,17 @@ def small_strain_limits(digest: Digest) -> Section | None:
     raised = listed(sorted({"every load, in proportion" if one.unit == "1" else one.along for one in found}))
     blocks: list[Block] = [Text(sentence) for sentence in limits_in_words(digest)]
     reading = (
-        f"Raised: {raised}. The structural error is the displacement error at a small load. A limit is the load at "
-        f"which the error has grown from there by the threshold. For {LINEAR} it is the linearisation limit: there "
-        "small-strain theory departs from finite strain on the same mesh. Indentation is the mean displacement "
-        "along the contact force, weighted by it. The largest strain is the reference's largest principal "
-        "Green-Lagrange strain; it is local, at the rim of the contact or of the support. Figures with a bar are "
-        "of a mesh with every tetrahedron split into eight. A bar is what that changes, and the "
-        f"{short_percent(CLOSE)} of the threshold that the search leaves open: for a load relative, for the "
-        "others in their unit and with the load's bar counted in. A limit is unresolved where the finer mesh has none; "
-        f"its figures are then of the case's mesh. A search ends at {LARGEST:g} times the study's load, and at a "
-        f"largest strain of {short_percent(MOST_STRAIN)}: no soft tissue bears to be three times as long."
+        f"Raised: {raised}. The structural error is the displacement error at a small load. A limit is the "
+        f"load at which the error has grown from there by the threshold. For {LINEAR} it is the "
+        "linearisation limit: there small-strain theory departs from finite strain on the same mesh. "
+        "Indentation is the mean displacement along the contact force, weighted by it. The largest strain "
+        "is the reference's largest principal Green-Lagrange strain; it is local, at the rim of the contact "
+        "or of the support. Figures with a bar are of a mesh with every tetrahedron split into eight. A bar "
+        f"is what that changes, and the {short_percent(CLOSE)} of the threshold that the search leaves open: "
+        "for a load relative, for the others in their unit and with the load's bar counted in. A limit is "
+        "unresolved where the finer mesh has none; its figures are then of the case's mesh. A search ends "
+        f"at {LARGEST:g} times the study's load, and at a largest strain of {short_percent(MOST_STRAIN)}: no "
+        "soft tissue bears to be three times as long."
     )
     return Section(
         "limits", "Small-strain limits", [*blocks, _table(digest, rows), Text(reading, kind="note")]
