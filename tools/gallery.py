@@ -15,6 +15,8 @@ from PIL import Image
 from tests.unit.browser import Browser, chromium
 from vdmbench.evidence.claims_page import Verdict
 from vdmbench.report.blocks import Figure
+from vdmbench.report.plots import shape
+from vdmbench.verdict.palette import COLOURS
 
 ROOT = Path(__file__).parents[1]
 GALLERY = ROOT / "docs" / "gallery"
@@ -74,25 +76,24 @@ def _legend(figure: Figure, models: Sequence[tuple[int, str, bool]]) -> list[str
     lines: list[list[str]] = [[]]
     letters = 0
     for number, name, is_reference in models:
-        k = number % len(_GLYPHS)
-        colour = "reference" if is_reference else f"model-{k}"
+        colour = "reference" if is_reference else f"model-{number % COLOURS}"
         drawn = re.search(rf"(?:: |, | and ){re.escape(name)} (?:from )?[\d−]", words)
         if not drawn or f">{escape(name)}<" in svg:  # the name stands in the figure
             continue
-        dashes = "" if k == number else f" ({_DASHES[number // len(_GLYPHS) - 1]})"
+        dashes = f" ({_DASHES[(number // COLOURS - 1) % 3]})" if number >= COLOURS else ""
         name = f"{name} (reference)" if is_reference else f"{name}{dashes}"
         if letters + len(name) + 4 > _LETTERS and lines[-1]:
             lines.append([])
             letters = 0
-        mark = glyph(0 if is_reference else k)
+        mark = glyph(0 if is_reference else number)
         lines[-1].append(f'<tspan fill="var(--{colour})">{mark}</tspan> {escape(name)}')
         letters += len(name) + 4
     return ["  ".join(line).replace("  <", "\u2003<") for line in lines if line]
 
 
 def glyph(number: int) -> str:
-    """A letter that looks like the marker of a model's number."""
-    return _GLYPHS[number % len(_GLYPHS)]
+    """A letter that looks like the marker of a place in the palette."""
+    return _GLYPHS[shape(number)]
 
 
 def figure_style() -> str:

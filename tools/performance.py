@@ -30,6 +30,7 @@ from vdmbench.evidence.bench_data import (
 )
 from vdmbench.evidence.bench_page import pareto_plot, write_bench_page
 from vdmbench.evidence.bench_store import read_bench
+from vdmbench.verdict import palette
 
 ROOT = Path(__file__).parents[1]
 DOCUMENT = ROOT / "docs" / "evidence" / "performance.md"
@@ -169,7 +170,7 @@ def picture(bench: Bench) -> str:
     """Time against error on the finest mesh of each body, side by side, for light and dark."""
     bodies = finest(bench)
     models = [model for model in DRAWN if any(e.model == model for e in bench.entries)]
-    numbers = {model: k for k, model in enumerate(models)}
+    numbers = palette.places(models)
     width = len(bodies) * (_PANEL + _GAP)
     rows = [models[k : k + _IN_A_LINE] for k in range(0, len(models), _IN_A_LINE)]
     height = _HEIGHT + _LINE * (len(rows) + 2.4)
@@ -188,8 +189,8 @@ def picture(bench: Bench) -> str:
         parts.append(str(panel).replace("<svg ", place, 1))
     for k, row in enumerate(rows):
         names = "\u2003".join(
-            f'<tspan fill="var(--model-{numbers[name]})">{glyph(numbers[name])}</tspan> {escape(name)}'
-            for name in row
+            f'<tspan fill="var(--model-{place % palette.COLOURS})">{glyph(place)}</tspan> {escape(name)}'
+            for name, place in ((name, numbers[name]) for name in row)
         )
         top = _HEIGHT + _LINE * (k + 2.6)
         parts.append(f'<text x="{_GAP:g}" y="{top:g}">{names}</text>')

@@ -22,6 +22,8 @@ from ..report.blocks import (
 )
 from ..report.document import encoded, html_document, written
 from ..report.plots import Plot, colour, marker, percent_axis, time_ticks
+from ..report.told import tell
+from ..verdict import palette
 from ..verdict.formatting import NOTHING, listed, short_percent
 from ..verdict.sentences import Answer
 from .bench_data import (
@@ -66,8 +68,8 @@ def write_bench_page(bench: Bench, path: Path) -> None:
 
 def bench_html(bench: Bench) -> str:
     """The page as text."""
-    numbers = {name: k for k, name in enumerate(dict.fromkeys(e.model for e in bench.entries))}
-    legend = [(k, name, False) for name, k in numbers.items()]
+    numbers = palette.places(e.model for e in bench.entries)
+    legend = [(numbers[name], name, False) for name in dict.fromkeys(e.model for e in bench.entries)]
     figures = [
         Figure(pareto_plot(bench.on(mesh), numbers, f"p{k}"), f"{mesh[0]}, {mesh[1]:,} nodes")
         for k, mesh in enumerate(bench.meshes())
@@ -120,7 +122,10 @@ def pareto_plot(entries: Sequence[Entry], numbers: dict[str, int], salt: str) ->
             axes.plot(list(spread(e.frame_local)), [e.error] * 2, color=colour(k), linewidth=1.0)
             axes.plot([frame, recut], [e.error] * 2, ":", color=colour(k), linewidth=1.0)
             axes.plot([recut], [e.error], marker=marker(k), color=colour(k), markerfacecolor="none")
-            axes.plot([frame], [e.error], marker=marker(k), color=colour(k), markersize=6.5, linestyle="none")
+            (point,) = axes.plot(
+                [frame], [e.error], marker=marker(k), color=colour(k), markersize=6.5, linestyle="none"
+            )
+            tell(point, e.model)
         time_ticks(axes)
         percent_axis(axes, [e.error for e in usable])
     told = [f"{e.model} {seconds(median(e.frame_local))} at {short_percent(e.error)}" for e in usable]

@@ -9,6 +9,7 @@ import numpy as np
 
 from ..report.blocks import Figure
 from ..report.plots import Plot, colour, line, log_axis, marker, percent_ticks
+from ..report.told import tell
 from ..verdict.digest import Digest
 from ..verdict.formatting import listed, plain, short_percent
 from ..verdict.standing import series
@@ -35,7 +36,8 @@ def curves(
     with plot as axes:
         for model, x, y in drawable:
             k = digest.colour(model)
-            axes.plot(x, y, line(k), marker=marker(k), color=colour(k))
+            (curve,) = axes.plot(x, y, line(k), marker=marker(k), color=colour(k))
+            tell(curve, model)
         for which, wanted, column in (("x", log_x, 1), ("y", log_y, 2)):
             values = {value for item in drawable for value in item[column]}
             if wanted and len(values) > 1:  # one value spans no decade

@@ -16,6 +16,8 @@ from markupsafe import Markup
 
 from ..verdict.sentences import Answer
 from .blocks import Scene, Section, Viewer
+from .plots import shape
+from .svg import MARKER_PATHS
 
 _TEMPLATES = Path(__file__).parent / "templates"
 _JSON_ESCAPES = str.maketrans(
@@ -49,8 +51,12 @@ def html_document(
     models: Sequence[tuple[int, str, bool]],
     sections: Sequence[Written],
     scene: Scene | None = None,
+    cases: Sequence[str] = (),
 ) -> str:
-    """The document as text. `counts` are (what, tone) badges, `models` the legend of the whole page."""
+    """The document as text. `counts` are (what, tone) badges, `models` the legend of the whole page.
+
+    `cases` are their names, which charts show under the pointer.
+    """
     scripts = _scripts() if any(section.has_viewer for section in sections) else _scripts()[:1]
     return (
         _environment()
@@ -60,6 +66,7 @@ def html_document(
             name=name,
             verdict=verdict,
             scene=scene,
+            cases=json.dumps(cases),
             counts=counts,
             models=models,
             sections=sections,
@@ -80,7 +87,10 @@ _VIEWER = ("viewer_data.js", "viewer_gl.js", "viewer_labels.js", "viewer.js", "v
 
 def _scripts() -> list[Markup]:
     viewer = Markup("\n").join(asset(name) for name in _VIEWER)
-    return [asset("page.js"), Markup('"use strict";\n(() => {\n{}})();\n').replace("{}", viewer, 1)]
+    return [
+        asset("page.js") + asset("charts.js"),
+        Markup('"use strict";\n(() => {\n{}})();\n').replace("{}", viewer, 1),
+    ]
 
 
 def _policy(scripts: list[Markup]) -> str:
@@ -100,6 +110,8 @@ def _environment() -> Environment:
         lstrip_blocks=True,
     )
     environment.filters["json"] = script_json
+    environment.filters["shape"] = shape
+    environment.globals["marker_paths"] = MARKER_PATHS
     environment.filters["unbroken"] = lambda text: re.sub(r"(?<=\d) (?=[^\W\d]|%)", "\u00a0", text)
     return environment
 

@@ -12,11 +12,13 @@ from html import escape
 from ..measures.case import Run
 from ..verdict.digest import Digest
 from ..verdict.formatting import NOTHING
+from ..verdict.palette import COLOURS
 from .blocks import Cell, Column, Figure, Figures, Section, Table
 from .document import asset
 from .page import every_section
+from .plots import shape
 from .section_scene import scene
-from .svg import PALETTE_SIZE
+from .svg import MARKER_PATHS
 
 _LATEX = {
     "\\": r"\textbackslash{}",
@@ -111,13 +113,16 @@ def _latex(text: str) -> str:
 
 def _figure_svg(figure: Figure, legend: Sequence[tuple[int, str, bool]]) -> str:
     """A chart with its title above and its legend below."""
-    svg = str(figure.svg)
+    svg = re.sub(r' data-(?:x|y|told)="[^"]*"', "", str(figure.svg))  # those are for the page's script
     x, y, width, height = map(float, re.findall(r'viewBox="([^"]+)"', svg)[0].split())
     words = [f'<text x="{x + 4:g}" y="{y - 6:g}" font-weight="bold">{escape(figure.title)}</text>']
     for k, (model, name, is_reference) in enumerate(legend):
         base = y + height + _LINE * (k + 0.8)
-        colour = "var(--reference)" if is_reference else f"var(--model-{model % PALETTE_SIZE})"
-        words.append(f'<circle cx="{x + 10:g}" cy="{base - 4:g}" r="4" fill="{colour}"/>')
+        if is_reference:
+            mark = 'd="M0 5H14" stroke="var(--reference)" stroke-width="1.6"'
+        else:
+            mark = f'd="{MARKER_PATHS[shape(model)]}" fill="var(--model-{model % COLOURS})"'
+        words.append(f'<path transform="translate({x + 3:g} {base - 8.5:g})" {mark}/>')
         told = f"{name} (reference)" if is_reference else name
         words.append(f'<text x="{x + 20:g}" y="{base:g}" fill="var(--ink)">{escape(told)}</text>')
     box = f"{x:g} {y - 2 * _LINE:g} {width:g} {height + _LINE * (len(legend) + 2.5):g}"

@@ -123,6 +123,7 @@ def _page_html(digest: Digest, render: Renderer) -> str:
             name=str(run.study.get("name", "")),
             verdict=told,
             scene=drawn,
+            cases=[digest.case_name(case) for case in digest.cases],
             counts=_counts(run),
             models=digest.legend,
             sections=sections,

@@ -24,8 +24,10 @@ from numpy.typing import ArrayLike
 
 from ..verdict.digest import REFERENCE, Array
 from ..verdict.formatting import plain, quantity
-from .svg import GRID, INK, MODELS, PALETTE_SIZE, STYLE, for_the_page, svg_of
+from ..verdict.palette import COLOURS
+from .svg import GRID, INK, MODELS, STYLE, for_the_page, svg_of
 from .svg import REFERENCE as REFERENCE_COLOUR
+from .told import axes_for_script, name_curves
 
 _MOST_TICKS = 16
 MARKERS = ("o", "s", "^", "D", "v", "P", "X")
@@ -57,18 +59,24 @@ _STYLE: Any = {
 
 
 def colour(model: int) -> str:
-    """Colour of a model by its number; the reference is `REFERENCE`."""
-    return REFERENCE_COLOUR if model == REFERENCE else MODELS[model % PALETTE_SIZE]
+    """Colour of a model by its place in the palette; the reference is `REFERENCE`."""
+    return REFERENCE_COLOUR if model == REFERENCE else MODELS[model % COLOURS]
 
 
 def marker(model: int) -> str:
-    """Marker of a model: differs where colours may not be told apart."""
-    return "o" if model == REFERENCE else MARKERS[model % len(MARKERS)]
+    """Marker of a model: differs where colours may not be told apart, and where models share one."""
+    return "o" if model == REFERENCE else MARKERS[shape(model)]
+
+
+def shape(model: int) -> int:
+    """Which of the markers a model has."""
+    return (model + model // COLOURS) % len(MARKERS)
 
 
 def line(model: int) -> str:
     """Line style of a model: solid for as long as the palette lasts."""
-    return LINES[(max(model, 0) // PALETTE_SIZE) % len(LINES)]
+    again = max(model, 0) // COLOURS
+    return LINES[1 + (again - 1) % 3] if again else LINES[0]
 
 
 def shortened(text: str, most: int = 22) -> str:
@@ -100,7 +108,7 @@ class Sheet:
             axes.xaxis.set_label_coords(0.5, _LABELS[1], blended_transform_factory(axes.transAxes, page))
             axes.yaxis.set_label_coords(_LABELS[0], 0.5, blended_transform_factory(page, axes.transAxes))
         else:
-            for artist in (*self._axes.lines, *self._axes.collections):
+            for artist in (*self._axes.lines, *self._axes.collections, *self._axes.texts):
                 artist.remove()
             self._axes.relim()
             self._axes.autoscale()
@@ -140,7 +148,7 @@ class Plot:
     def __init__(self, x_label: str, y_label: str, salt: str, sheet: Sheet | None = None) -> None:
         self.salt = salt
         self._sheet = sheet or Sheet()
-        self._svg = ""
+        self._svg, self._for_script = "", ""
         self._style = rc_context(_STYLE)
         self._labels = (x_label, y_label)
 
@@ -154,6 +162,8 @@ class Plot:
     def __exit__(self, kind: type[BaseException] | None, *rest: object) -> None:
         try:
             if kind is None:
+                name_curves(self.axes)
+                self._for_script = axes_for_script(self.axes)
                 label = escape_xml(shortened(self._labels[1], 40))
                 self._svg = self._sheet.svg().replace(_Y_LABEL, label)
         finally:
@@ -161,17 +171,22 @@ class Plot:
 
     def drawn(self, alt: str) -> Markup:
         """The finished <svg> element; `alt` says in words what it shows. Matplotlib has escaped its texts."""
-        return for_the_page(self._svg, alt, self.salt)
+        return for_the_page(self._svg, alt, self.salt, self._for_script)
 
 
 def percent_axis(axes: Axes, values: ArrayLike) -> None:
-    """The y axis shows ratios as percentages: from zero, or by decades where they span several."""
+    """The y axis shows ratios as percentages: from zero, or by decades where they span more than one."""
     ratios = np.asarray(values, dtype=np.float64)
-    finite = ratios[np.isfinite(ratios) & (ratios > 0)]
-    if len(finite) and finite.max() > 3.0 and finite.max() > 30 * finite.min():
+    finite = ratios[np.isfinite(ratios)]
+    if len(finite) and finite.min() > 0 and finite.max() > 10 * finite.min():
+        axes.set_yscale("log")
+        axes.set_ylim(finite.min() / 1.5, 1.5 * finite.max())
         log_axis(axes, "y")
     else:
-        axes.set_ylim(0.0, 1.08 * float(finite.max()) if len(finite) else 1.0)
+        if axes.get_yscale() != "linear":
+            axes.set_yscale("linear")
+        top = float(finite.max()) if len(finite) else 0.0
+        axes.set_ylim(0.0, 1.08 * top if top > 0 else 1.0)
         axes.yaxis.set_major_locator(MaxNLocator(6))
     percent_ticks(axes)
 
@@ -188,15 +203,15 @@ def time_ticks(axes: Axes) -> None:
 
 
 def log_axis(axes: Axes, which: str) -> None:
-    """Decades without minor clutter; 1-2-5 steps where there are fewer than two decades."""
+    """Decades without minor clutter; steps between where there are fewer than three."""
     if which == "x":
         axes.set_xscale("log")
-    else:
+    elif axes.get_yscale() != "log":
         axes.set_yscale("log")
     axis = axes.xaxis if which == "x" else axes.yaxis
     low, high = axes.get_xlim() if which == "x" else axes.get_ylim()
-    subdivisions = (1.0, 2.0, 5.0) if high < 100 * low else (1.0,)
-    axis.set_major_locator(LogLocator(subs=subdivisions, numticks=7))
+    subdivisions = (1.0, 2.0, 5.0) if high < 30 * low else (1.0, 3.0) if high < 1000 * low else (1.0,)
+    axis.set_major_locator(LogLocator(subs=subdivisions, numticks=8))
     axis.set_minor_locator(NullLocator())
     axis.set_major_formatter(FuncFormatter(lambda value, _: plain(value)))
 

@@ -21,6 +21,7 @@ from ..verdict.formatting import NOTHING, listed, percent, plain, quantity, shor
 from ..verdict.standing import at_full_load
 from .blocks import Cell, Column, Figure, Figures, Section, Table, Text
 from .plots import Plot, colour, line, log_axis, marker, percent_axis
+from .told import tell
 
 MESH_SIZE = "geometry.mesh_size"
 WORK = "contact_work"
@@ -158,7 +159,10 @@ def _figure(digest: Digest, found: Sequence[_Series], fixed: _Series | None) -> 
         for s in found:
             k = digest.colour(s.model)
             shares = [value / scale for value in s.values]
-            axes.plot([1e3 * h for h in s.sizes], shares, line(k), marker=marker(k), color=colour(k))
+            (curve,) = axes.plot(
+                [1e3 * h for h in s.sizes], shares, line(k), marker=marker(k), color=colour(k)
+            )
+            tell(curve, s.model)
             described.append(f"{s.model} from {short_percent(shares[-1])} to {short_percent(shares[0])}")
         percent_axis(axes, [value / scale for s in found for value in s.values])
         log_axis(axes, "x")

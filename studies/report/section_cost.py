@@ -9,6 +9,7 @@ from ..verdict.digest import REFERENCE, Digest, ModelSummary, Spread
 from ..verdict.formatting import listed, quantity, short_percent
 from .blocks import Block, Figure, Figures, Section, Text
 from .plots import Plot, Sheet, colour, marker, percent_axis, time_ticks
+from .told import tell
 
 
 def run_time_against_error(digest: Digest) -> Section | None:
@@ -92,17 +93,21 @@ def _pareto(
                 )
             if setup > 0 and math.isfinite(setup):
                 axes.plot([frame, setup], [spread.median] * 2, ":", color=colour(k), linewidth=1.0)
-                axes.plot([setup], [spread.median], marker=marker(k), color=colour(k), markerfacecolor="none")
-            axes.plot(
+                (hollow,) = axes.plot(
+                    [setup], [spread.median], marker=marker(k), color=colour(k), markerfacecolor="none"
+                )
+                tell(hollow, f"{model}, set-up", named=False)
+            (point,) = axes.plot(
                 [frame], [spread.median], marker=marker(k), color=colour(k), markersize=6.5, linestyle="none"
             )
+            tell(point, model)
         if reference is not None and reference.seconds_per_step > 0:
             axes.axvline(reference.seconds_per_step, linestyle="--", color=colour(REFERENCE), linewidth=1.0)
         own = points[0][3].median_bar
         if own > 0.0:
             axes.axhline(own, linestyle="--", color=colour(REFERENCE), linewidth=1.0)
         time_ticks(axes)
-        percent_axis(axes, heights)
+        percent_axis(axes, [*heights, *([own] if own > 0.0 else [])])
     described = [
         f"{model} {quantity(frame, 's')} per frame at {short_percent(spread.median)}"
         for model, frame, _, spread in points

@@ -26,6 +26,7 @@ from .plots import (
     percent_axis,
     place,
 )
+from .told import tell
 
 QUANTITIES = ((VECTOR, "Displacement error"), (DEFORMATION, "Deformation error"))
 PARTS = (
@@ -138,12 +139,16 @@ def _against_parameter(
     with plot as axes:
         for rank, model in enumerate(digest.compared):
             errors = digest.full_loads(model, metric)[axis.cases].tolist()
-            points = [(x, y) for x, y in zip(axis.positions, errors, strict=True) if math.isfinite(y)]
+            points = [
+                (x, y, case)
+                for x, y, case in zip(axis.positions, errors, axis.cases, strict=True)
+                if math.isfinite(y)
+            ]
             if not points:
                 continue
             aside = rank - (len(digest.compared) - 1) / 2
-            _draw_model(axes, axis, points, digest.colour(model), _ASIDE * aside)
-            low, high = min(y for _, y in points), max(y for _, y in points)
+            _draw_model(axes, axis, points, digest.colour(model), _ASIDE * aside, model)
+            low, high = min(y for _, y, _ in points), max(y for _, y, _ in points)
             described.append(f"{model} from {short_percent(low)} to {short_percent(high)}")
         if not described:
             return None
@@ -168,33 +173,41 @@ def _against_parameter(
         both = [
             digest.full_loads(model, other)[axis.cases] for model in digest.compared for other, _ in group
         ]
-        percent_axis(axes, np.concatenate(both))
+        percent_axis(axes, np.concatenate([*both, *(digest.bars(other)[axis.cases] for other, _ in group)]))
     heading = f"{title} against {axis.name}"
     return Figure(plot.drawn(f"{heading}: {listed(described)}."), heading)
 
 
 def _draw_model(
-    axes: Axes, axis: _Axis, points: Sequence[tuple[float, float]], number: int, aside: float
+    axes: Axes,
+    axis: _Axis,
+    points: Sequence[tuple[float, float, int]],
+    number: int,
+    aside: float,
+    model: str,
 ) -> None:
     """The cases of one model, and the medians over the cases that share a value where they do or form a line."""
-    medians = _medians(points)
+    medians = _medians((x, y) for x, y, _ in points)
     style = axis.line(line(number), len(points), len(medians))
     shared = len(medians) < len(points)
     if shared or (style == "none" and axis.kind != "names"):
         shift = aside if axis.kind in ("even", "names") else 0.0
-        x, y = zip(*points[:: _stride(len(axis.cases))], strict=True)
+        x, y, drawn = zip(*points[:: _stride(len(axis.cases))], strict=True)
         at = [position + shift for position in x]
-        axes.plot(
+        (cloud,) = axes.plot(
             at, y, linestyle="none", marker=marker(number), color=colour(number), markersize=2.6, alpha=0.45
         )
+        tell(cloud, model, drawn, named=False)
     if style != "none" or axis.kind == "names":
-        axes.plot(
+        every = _every(style, medians)
+        (curve,) = axes.plot(
             *zip(*medians, strict=True),
             linestyle=style,
             marker=marker(number),
-            markevery=_every(style, medians),
+            markevery=every,
             color=colour(number),
         )
+        tell(curve, model, None if shared else [case for _, _, case in sorted(points)][::every])
 
 
 def _every(style: str, points: Sequence[tuple[float, float]]) -> int:
@@ -274,12 +287,13 @@ def _against_load(
             low, middle, high = ([float(f(table[x])) for x in factors] for f in (min, np.median, max))
             if high != low:
                 axes.fill_between(factors, low, high, color=colour(k), alpha=0.14, linewidth=0)
-            axes.plot(factors, middle, line(k), marker=marker(k), color=colour(k))
+            (curve,) = axes.plot(factors, middle, line(k), marker=marker(k), color=colour(k))
+            tell(curve, model, [0] * len(factors) if len(digest.cases) == 1 else None)
             ends = f"from {short_percent(middle[0])} to {short_percent(middle[-1])}"
             described.append(f"{model} {ends}")
         if own > 0.0:
             axes.axhline(own, linestyle="--", color=colour(REFERENCE), linewidth=1.0)
         axes.set_xlim(left=min(0.0, axes.get_xlim()[0]))
-        percent_axis(axes, heights)
+        percent_axis(axes, [*heights, *([own] if own > 0.0 else [])])
     heading = f"{title} against load"
     return Figure(plot.drawn(f"{heading}: {listed(described)}."), heading)

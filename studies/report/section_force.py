@@ -21,8 +21,9 @@ from ..verdict.loading import (
     name_of,
     weighs,
 )
-from .blocks import Figure, Figures, Section, Text
+from .blocks import Block, Cell, Column, Figure, Figures, Section, Table, Text
 from .plots import Plot, Sheet, colour, line, marker
+from .told import tell
 
 _CONTACT_NOTE = (
     "Under a contact the force is given and the indentation is the answer: the largest displacement of the nodes "
@@ -53,23 +54,27 @@ class Push:
 def force_against_indentation(digest: Digest) -> Section | None:
     """How stiff the body feels where it is pushed: key cases, or without a load history all cases together."""
     figures: list[Figure] = []
+    tables: list[Table] = []
     notes: dict[str, None] = {}
     sheet = Sheet()
     for cases, title in _groups(digest):
         for push in _pushes(cases):
-            figure = _stiffness(digest, push, cases, title, f"f{len(figures)}", sheet)
-            if figure is not None:
-                figures.append(figure)
-                notes[push.note] = None
-                if any(weighs(case) for case in cases):
-                    notes[_WEIGHT_NOTE] = None
-    if not figures:
+            curves = _curves(digest, push, cases)
+            if not curves:
+                continue
+            place = f"{push.name}, {title}" if push.name else title
+            if _is_one_load(curves):
+                tables.append(_table(digest, push, curves, place, f"force-{len(tables)}"))
+            else:
+                figures.append(_drawing(digest, push, curves, place, f"f{len(figures)}", sheet))
+            notes[push.note] = None
+            if any(weighs(case) for case in cases):
+                notes[_WEIGHT_NOTE] = None
+    if not notes:
         return None
-    return Section(
-        "force",
-        "Force against indentation",
-        [Text(" ".join(notes), kind="note"), Figures(figures, digest.legend)],
-    )
+    drawn = [Figures(figures, digest.legend)] if figures else []
+    blocks: list[Block] = [Text(" ".join(notes), kind="note"), *drawn, *tables]
+    return Section("force", "Force against indentation", blocks)
 
 
 def _groups(digest: Digest) -> list[tuple[Sequence[CaseResult], str]]:
@@ -143,43 +148,85 @@ def _of_movement(_: Digest, case: CaseResult, name: str) -> Curves:
     return {model: movement_force(case, model, name) for model in case.models}
 
 
-def _stiffness(
-    digest: Digest, push: Push, cases: Sequence[CaseResult], title: str, salt: str, sheet: Sheet
-) -> Figure | None:
+@dataclass(frozen=True)
+class _Curve:
+    """The answers of one model: K lengths [m] and loads, the case of each, and whether they are one history."""
+
+    lengths: Array
+    loads: Array
+    cases: Sequence[int]
+    joined: bool
+
+
+def _curves(digest: Digest, push: Push, cases: Sequence[CaseResult]) -> dict[str, _Curve]:
+    """Model -> its curve, of those that have one: a case's history, or the full load of each of several cases."""
     history = len(cases) == 1 and len(cases[0].load_factors) > 1
-    curves: dict[str, tuple[Array, Array]] = {}
+    numbers = [k for k, case in enumerate(digest.cases) if any(case is one for one in cases)]
     of_cases = [push.curves(digest, case) for case in cases]
+    found = {}
     for model in digest.models:
-        xs, ys = [], []
-        for case, known in zip(cases, of_cases, strict=True):
-            steps = slice(None) if history else slice(case.full_load, case.full_load + 1)
-            if model in known:
-                xs.append(known[model][0][steps])
-                ys.append(known[model][1][steps])
-        if not xs:
-            continue
-        x, y = np.concatenate(xs), np.concatenate(ys)
-        keep = np.isfinite(x) & np.isfinite(y)
-        if keep.any():
-            curves[model] = (x[keep], y[keep])
-    if not curves:
-        return None
-    length, length_unit = scale_of("m", np.concatenate([x for x, _ in curves.values()]))
-    force, force_unit = scale_of(push.unit, np.concatenate([y for _, y in curves.values()]))
+        points = []
+        for number, case, known in zip(numbers, cases, of_cases, strict=True):
+            for step in range(len(case.load_factors)) if history else (case.full_load,):
+                if model in known and np.isfinite([part[step] for part in known[model]]).all():
+                    points.append((float(known[model][0][step]), float(known[model][1][step]), number))
+        if points:
+            lengths, loads, of = zip(*points, strict=True)
+            found[model] = _Curve(np.array(lengths), np.array(loads), of, history)
+    return found
+
+
+def _is_one_load(curves: Mapping[str, _Curve]) -> bool:
+    """Whether all loads are one, or all movements: numbers in a row, which a chart shows as an empty frame."""
+    for values in ([c.lengths for c in curves.values()], [c.loads for c in curves.values()]):
+        gathered = np.concatenate(values)
+        if np.ptp(gathered) <= 1e-9 * np.abs(gathered).max():
+            return True
+    return False
+
+
+def _table(digest: Digest, push: Push, curves: Mapping[str, _Curve], place: str, name: str) -> Table:
+    columns = [
+        Column("Model", numeric=False),
+        Column(f"{push.x_label[:1].upper()}{push.x_label[1:]}", unit="m"),
+        Column(f"{push.y_label[:1].upper()}{push.y_label[1:]}", unit=push.unit),
+    ]
+    rows = [
+        [Cell(model), _range(curve.lengths, "m"), _range(curve.loads, push.unit)]
+        for model, curve in curves.items()
+    ]
+    return Table(name, place, columns, rows, marks=[digest.colour(model) for model in curves])
+
+
+def _range(values: Array, unit: str) -> Cell:
+    """One value, or the least and the largest."""
+    ends = dict.fromkeys(quantity(float(end), unit) for end in (values.min(), values.max()))
+    return Cell(" to ".join(ends), value=float(values[0]) if len(ends) == 1 else None)
+
+
+def _drawing(
+    digest: Digest, push: Push, curves: Mapping[str, _Curve], place: str, salt: str, sheet: Sheet
+) -> Figure:
+    length, length_unit = scale_of("m", np.concatenate([curve.lengths for curve in curves.values()]))
+    force, force_unit = scale_of(push.unit, np.concatenate([curve.loads for curve in curves.values()]))
     y_label = f"{push.y_label} [{force_unit}]" if force_unit else push.y_label
     plot = Plot(f"{push.x_label} [{length_unit}]", y_label, salt, sheet)
+    told = []
     with plot as axes:
-        for model, (x, y) in curves.items():
+        for model, curve in curves.items():
             k = digest.colour(model)
-            style = line(k) if history else "none"
-            axes.plot(x / length, y / force, linestyle=style, marker=marker(k), color=colour(k))
+            (drawn,) = axes.plot(
+                curve.lengths / length,
+                curve.loads / force,
+                linestyle=line(k) if curve.joined else "none",
+                marker=marker(k),
+                color=colour(k),
+            )
+            tell(drawn, model, curve.cases, named=curve.joined)
+            last = int(np.argmax(np.abs(curve.lengths)))
+            load, at = float(curve.loads[last]), float(curve.lengths[last])
+            told.append(f"{model} {quantity(load, push.unit)} at {quantity(at, 'm')}")
         axes.set_xlim(left=min(0.0, axes.get_xlim()[0]))
         axes.set_ylim(bottom=min(0.0, axes.get_ylim()[0]))
-    place = f"{push.name}, {title}" if push.name else title
-    farthest = {model: int(np.argmax(np.abs(x))) for model, (x, _) in curves.items()}
-    told = listed(
-        f"{model} {quantity(float(y[farthest[model]]), push.unit)} at {quantity(float(x[farthest[model]]), 'm')}"
-        for model, (x, y) in curves.items()
-    )
     what = f"{push.y_label[:1].upper()}{push.y_label[1:]}"
-    return Figure(plot.drawn(f"{what} against {push.x_label}, {place}: {told}."), place)
+    return Figure(plot.drawn(f"{what} against {push.x_label}, {place}: {listed(told)}."), place)

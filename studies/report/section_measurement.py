@@ -13,6 +13,7 @@ from ..verdict.digest import REFERENCE, Array, Digest
 from ..verdict.formatting import NOTHING, listed, plain, quantity, short_percent
 from .blocks import Block, Cell, Column, Figure, Figures, Section, Table, Text
 from .plots import Plot, colour, marker, name_ticks
+from .told import tell
 
 _MOST_DRAWN = 40  # quantities of a figure
 _ON = 1e-9  # m: closer is rounding
@@ -141,9 +142,10 @@ def _figure(digest: Digest, case: CaseResult, found: Measurement, number: int) -
                 continue
             k = digest.colour(name)
             shift = 0.12 * (1 + digest.models.index(name))
-            axes.plot(
+            (points,) = axes.plot(
                 places + shift, 1e3 * found.simulated[name][drawn], marker(k), color=colour(k), markersize=4
             )
+            tell(points, name, named=False)
             described.append(name)
         ticks = [(float(x), _named(found.quantities[k], case)) for x, k in zip(places, drawn, strict=True)]
         name_ticks(axes, ticks)

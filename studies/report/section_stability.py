@@ -21,6 +21,7 @@ from ..verdict.ladders import (
 )
 from .blocks import Block, Cell, Column, Figure, Figures, Section, Table, Text
 from .plots import Plot, colour, line, log_axis, marker, name_ticks, place
+from .told import tell
 
 ONE_AT_A_TIME, CLAIM = "one-at-a-time", 9
 _FLOOR = 1e-17  # what is smaller, or zero, is drawn here
@@ -224,7 +225,8 @@ def _figure(digest: Digest, ladder: Ladder, measure: str, salt: str) -> Figure |
             if not points:
                 continue
             k = digest.colour(model)
-            axes.plot(*zip(*points, strict=True), line(k), marker=marker(k), color=colour(k))
+            (curve,) = axes.plot(*zip(*points, strict=True), line(k), marker=marker(k), color=colour(k))
+            tell(curve, model)
             told.append(f"{model} from {min(b for _, b in points):.1e} to {max(b for _, b in points):.1e}")
             broken = [a for a, r in zip(x, readings, strict=True) if r is not None and not r.ok]
             height = 0.98 - 0.035 * (rank % 12)

@@ -9,6 +9,7 @@ from ..verdict.formatting import listed, short_percent
 from ..verdict.standing import series
 from .blocks import Block, Figure, Figures, Section, Text
 from .plots import Plot, Sheet, colour, line, log_axis, marker, percent_ticks
+from .told import tell
 
 _DRIFT_FLOOR = 1e-16  # below what double precision can tell from zero
 
@@ -59,7 +60,10 @@ def _drift(digest: Digest, metric: str, label: str, title: str, salt: str, sheet
         for model, curve in curves.items():
             k = digest.colour(model)
             factors = sorted(curve)
-            axes.plot(factors, [curve[f] for f in factors], line(k), marker=marker(k), color=colour(k))
+            (drawn,) = axes.plot(
+                factors, [curve[f] for f in factors], line(k), marker=marker(k), color=colour(k)
+            )
+            tell(drawn, model)
             described.append(f"{model} up to {short_percent(max(curve.values()))}")
         log_axis(axes, "y")
         percent_ticks(axes)

@@ -16,13 +16,14 @@ from ..measures.case import CaseResult, Run
 from ..measures.metrics import DEFORMATION, VECTOR
 from ..models.result import ModelResult
 from ..study.model_name import is_vdm
+from . import palette
 from .acceptance import Acceptance, acceptance
 from .measured import is_earlier, is_elsewhere, resumed
 from .standing import at_full_load, reference_bar, series, standing
 
 Array = NDArray[np.float64]
 
-# number of the reference in the palette; the other models count from 0
+# place of the reference in the palette; see `palette.places` for the others
 REFERENCE = -1
 
 
@@ -163,11 +164,13 @@ class Digest:
         surface = tuple(name for name in self.on_trial if is_vdm(name))
         return surface or self.on_trial or self.compared
 
+    @cached_property
+    def _places(self) -> dict[str, int]:
+        return palette.places(name for name in self.models if name != self.reference)
+
     def colour(self, model: str) -> int:
-        """The model's number in the palette."""
-        if model == self.reference:
-            return REFERENCE
-        return [name for name in self.models if name != self.reference].index(model)
+        """The model's place in the palette."""
+        return REFERENCE if model == self.reference else self._places[model]
 
     @cached_property
     def legend(self) -> list[tuple[int, str, bool]]:

@@ -7,6 +7,7 @@ import dataclasses
 import io
 import urllib.parse
 import urllib.request
+import xml.etree.ElementTree
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -234,6 +235,41 @@ def test_a_click_on_a_heading_sorts(browser: Browser, page: Path) -> None:
     assert browser.evaluate(column) == [200, 200, 200, 800, 800, 800]
     head = "document.querySelector('[data-name=cases] thead th:nth-child(3)').getAttribute('aria-sort')"
     assert browser.evaluate(head) == "ascending"
+
+
+# --- charts ---
+
+
+def test_a_point_names_its_case_and_a_chart_is_saved_with_its_legend(
+    browser: Browser, page: Path, run: Run
+) -> None:
+    browser.open(page, 1400)
+    browser.evaluate("document.querySelector('#parameters').scrollIntoView({behavior: 'instant'})")
+    mark = "document.querySelectorAll('#parameters .plot [data-told^=vdm-vector] use')[1]"
+    x, y = browser.evaluate(f"(r => [r.x + r.width / 2, r.y + r.height / 2])({mark}.getBoundingClientRect())")
+    browser.send("Input.dispatchMouseEvent", type="mouseMoved", x=x, y=y)
+    told = browser.evaluate("document.querySelector('.tip').innerText").splitlines()
+    error = run.cases[1].metrics["vdm-vector"]["relative_l2_displacement_error"].values[-1]
+    assert told[:2] == ["vdm-vector", run.cases[1].label]
+    value, at = told[2].split(" % at ")
+    assert_allclose([float(value), float(at)], [100 * error, 0.3], rtol=0.02, atol=0)
+    browser.send("Input.dispatchMouseEvent", type="mouseMoved", x=5, y=5)
+    assert not visible(browser, ".tip")
+
+    browser.evaluate(
+        "HTMLAnchorElement.prototype.click = function () { window.saved = [this.download, this.href]; }"
+    )
+    browser.evaluate("document.querySelector('#parameters [data-action=svg]').click()")
+    name, url = browser.evaluate("saved")
+    assert name == "A-ball-under-a-fingertip-Displacement-error-against-Poisson-ratio.svg"
+    svg = urllib.parse.unquote(url.partition(",")[2])
+    assert "var(" not in svg, "it stands alone"
+    assert "#0072b2" in svg
+    texts = [
+        text.text for text in xml.etree.ElementTree.fromstring(svg).iter("{http://www.w3.org/2000/svg}text")
+    ]
+    assert texts[-3:] == ["vdm-paper", "vdm-vector", f"{REFERENCE} (reference)"], "the legend"
+    assert browser.complaints() == []
 
 
 # --- the viewer ---

@@ -263,8 +263,9 @@ def test_points_of_cases_that_share_a_value_are_not_joined() -> None:
 
     axes = Figure().add_subplot()
     axis = _Axis("nu", "nu", "linear", range(6), [0.1] * 3 + [0.4] * 3, [], alone=False)
-    points = [(0.1, 3.0), (0.1, 5.0), (0.1, 12.0), (0.4, 3.0), (0.4, 5.0), (0.4, 12.0)]
-    _draw_model(axes, axis, points, 0, 0.0)
+    heights = [3.0, 5.0, 12.0] * 2
+    points = [(x, y, k) for k, (x, y) in enumerate(zip([0.1] * 3 + [0.4] * 3, heights, strict=True))]
+    _draw_model(axes, axis, points, 0, 0.0, "m")
     single, medians = axes.get_lines()
     assert single.get_linestyle() == "None", "a line through all cases would show what nobody measured"
     assert_allclose(medians.get_ydata(), [5.0, 5.0], rtol=RTOL, atol=ATOL)

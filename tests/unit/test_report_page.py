@@ -156,11 +156,11 @@ def test_figures_carry_numbers_in_words_and_units_on_their_axes(html: str) -> No
         "Displacement error against Poisson ratio: vdm-paper from 60 % to 72 % and vdm-vector from 5 % to 11 %."
         in (parameters)
     )
-    assert parameters.count("<svg") == 12  # six measures against two parameters
+    assert parameters.count('class="plot"') == 12  # six measures against two parameters
     assert parameters.count("<details>") == 2
     for title in ("Normal component", "Tangential component", "Contact region", "Far field"):
         assert f"{title} against pressure of finger" in parameters
-    for label in ("pressure of finger [Pa]", "Poisson ratio", "60 %"):
+    for label in ("pressure of finger [Pa]", "Poisson ratio", "30 %"):
         assert f">{label}</text>" in parameters
     assert "indentation [mm]</text>" in section(html, "force")
     assert "contact force [mN]</text>" in section(html, "force")
@@ -391,7 +391,7 @@ def test_hundreds_of_cases_stay_small() -> None:
     html = page_html(cheap_run(300), no_pictures)
     assert len(html.encode()) < 1_500_000
     assert "Show all 300 rows" in html
-    assert html.count("<svg") < 30
+    assert html.count('class="plot"') < 30
     cases = viewer_data(html)["cases"]
     assert isinstance(cases, list)
     assert [case["title"].split(":")[0] for case in cases] == ["Worst", "Median", "Best"]
@@ -532,7 +532,7 @@ def test_axis_keeps_neighbours_apart(values: list[float], kind: str) -> None:
 
 
 def test_everything_drawn_is_told_in_words_and_every_table_can_be_taken_away(html: str) -> None:
-    drawn = re.findall(r"<svg [^>]*>", html)
+    drawn = re.findall(r"<svg [^>]*>", re.sub(r'<svg [^>]*aria-hidden="true">', "", html))
     assert len(drawn) > 8
     for tag in drawn:
         told = re.search(r'role="img" aria-label="([^"]*)"', tag)

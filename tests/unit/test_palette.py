@@ -1,0 +1,44 @@
+"""A model keeps its colour and marker in every report."""
+
+from __future__ import annotations
+
+import itertools
+
+from vdmbench.report.plots import colour, line, marker
+from vdmbench.study.registry import all_models
+from vdmbench.verdict.digest import Digest
+from vdmbench.verdict.palette import COLOURS, places
+
+from .report_runs import make_case, make_run
+
+
+def looks(names: list[str]) -> dict[str, tuple[str, str, str]]:
+    return {name: (colour(k), marker(k), line(k)) for name, k in places(names).items()}
+
+
+def test_a_look_hangs_on_the_name_and_on_nothing_else_of_the_study() -> None:
+    names = [
+        *(name for name in all_models() if name.startswith(("vdm-", "fem"))),
+        "of-a-plugin",
+        "vdm-vector:nonlinear",
+    ]
+    every = looks(names)
+    for some in ([names[2]], names[::-1], names[1::3], [*names[4:], *names[:4]]):
+        assert looks(some) == {name: every[name] for name in some}
+    assert places(["vdm-paper", "vdm-boundary"]) == {"vdm-paper": 0, "vdm-boundary": 3}, (
+        "as published pages have it"
+    )
+
+
+def test_no_two_models_of_a_study_look_alike() -> None:
+    names = [f"mine-{k}" for k in range(30)] + list(all_models())
+    assert len(set(places(names).values())) == len(names), "some of the thirty hashes collide"
+    assert len(set(looks(names[-18:]).values())) == 18
+    for a, b in itertools.combinations(range(COLOURS**2), 2):
+        assert (colour(a), marker(a)) != (colour(b), marker(b)), "told apart without a line too"
+
+
+def test_a_digest_has_the_palette_whatever_the_order_of_its_models() -> None:
+    for models in (["vdm-vector", "vdm-paper"], ["vdm-paper", "other", "vdm-vector"]):
+        digest = Digest(make_run([make_case(dict.fromkeys(models, 0.1), subdivisions=0)]))
+        assert [digest.colour(name) for name in ("vdm-vector", "vdm-paper", "fem-linear")] == [2, 0, -1]
