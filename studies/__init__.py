@@ -1,10 +1,26 @@
 """The workbench: study files in, comparison reports out."""
 
+TYPE_CHECKING = False  # as typing has it, which would slow the start of every command
+if TYPE_CHECKING:
+    from .api import Results, read, run
 
-def __getattr__(name: str) -> str:
-    """`__version__`, read when it is asked for: what reads it would slow the start of every command."""
+    __version__: str
+
+__all__ = ["Results", "__version__", "read", "run"]
+
+
+def __getattr__(name: str) -> object:
+    """What is in `api`, and `__version__`, are read when they are asked for."""
     if name == "__version__":
         from importlib.metadata import version
 
         return version("vdmbench")
+    if name in __all__:
+        from . import api
+
+        return getattr(api, name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    return [*globals(), *__all__]

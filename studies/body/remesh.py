@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -197,3 +198,11 @@ def _cluster_facets(corners: Index) -> Index:
     corners = corners[(a != b) & (b != c) & (c != a)]
     start = np.argmin(corners, axis=1)
     return np.unique(np.take_along_axis(corners, (start[:, None] + np.arange(3)) % 3, axis=1), axis=0)
+
+
+def polydata(points: Array, triangles: Index, fields: Mapping[str, Array]) -> pv.PolyData:
+    """A surface with fields at its nodes, (N,) or (N, 3)."""
+    surface = pv.PolyData.from_regular_faces(points, triangles.tolist())
+    for name, values in fields.items():
+        surface.point_data[name] = values
+    return surface

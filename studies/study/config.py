@@ -54,6 +54,7 @@ def load_study(
     *,
     allow_outside: bool = False,
     surface: Path | None = None,
+    text: str | None = None,
 ) -> Study:
     """Read and validate a study file; all cases of its sweep are validated too.
 
@@ -63,14 +64,16 @@ def load_study(
     allow_outside : whether the study may name files outside its own directory
     surface : a mesh file to use as the geometry, wherever it lies; `mesh_size` and the largest extent `size` of
         the study are kept, its name is followed by the file's
+    text : what to take for the file's text, where some of it is changed
 
     Raises
     ------
     StudyError
         with every problem of the file.
     """
-    text = _read_text(path)
-    data, source = _parse(text, str(path))
+    changed = text is not None
+    text = _read_text(path) if text is None else text
+    data, source = _parse(text, f"{path}, as changed" if changed else str(path))
     directory = path.parent.resolve()
     source = replace(source, directory=directory, allow_outside=allow_outside)
     if surface is not None:

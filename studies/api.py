@@ -1,0 +1,195 @@
+"""The workbench from Python and in a notebook: `vdmbench.run` runs a study, `vdmbench.read` reads a run."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import cached_property
+from html import escape
+from importlib.util import find_spec
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from .machine.places import cache_directory, results_directory
+from .machine.processors import usable_processors
+from .measures.case import CaseResult, Run
+
+if TYPE_CHECKING:
+    from .graph.run import Event
+
+
+@dataclass(frozen=True)
+class Results:
+    """A run: `directory` with its files, `data` with all arrays (SI units), `report` the path of its page."""
+
+    directory: Path
+    data: Run
+    report: Path
+
+    @property
+    def cases(self) -> list[CaseResult]:
+        """The finished cases, with arrays: `case.models["fem-linear"].displacement` is (S, N, 3) [m]."""
+        return list(self.data.cases)
+
+    @property
+    def failed(self) -> list[str]:
+        """What failed, a line for each case."""
+        return [f"{failure['label']}: {failure['message']}" for failure in self.data.failed]
+
+    @cached_property
+    def headline(self) -> Any:
+        """A row for each model and measure: value (median of the cases), worst, their bars, unit."""
+        from .report.headline import headline_metrics
+
+        rows = [
+            {"model": model, "measure": name, **{key: numbers.get(key) for key in _NUMBERS}}
+            for model, measures in headline_metrics(self.data).items()
+            for name, numbers in measures.items()
+        ]
+        return _table(rows, ("model", "measure", *_NUMBERS))
+
+    @cached_property
+    def metrics(self) -> Any:
+        """A row for each case, model, load step and metric, with the swept values of the case."""
+        from .store.metrics_table import metric_rows
+
+        keys = list(dict.fromkeys(key for case in self.data.cases for key in case.swept))
+        rows = [
+            {
+                "case": case.label or case.hash[:8],
+                **{key: case.swept.get(key) for key in keys},
+                "model": model,
+            }
+            | {"load_factor": factor, "metric": metric, "value": value, "unit": series.unit}
+            for case, model, metric, series in metric_rows(self.data)
+            for factor, value in zip(case.load_factors.tolist(), series.values.tolist(), strict=True)
+        ]
+        return _table(rows, ("case", *keys, "model", "load_factor", "metric", "value", "unit"))
+
+    @cached_property
+    def meshes(self) -> dict[str, Any]:
+        """Label of each case -> its surface as a pyvista.PolyData, with what each model answers at full load.
+
+        Lengths are in metres; those of a body from a file in the file's unit, so that the mesh lies on the scan.
+        """
+        from .body.remesh import polydata
+        from .report.case_surface import mesh_names, surface_fields
+
+        found = {}
+        for name, case in mesh_names(self.data.cases):
+            points, fields = surface_fields(case)
+            found[case.label or Path(name).stem] = polydata(points, case.triangles, fields)
+        return found
+
+    def __repr__(self) -> str:
+        return (
+            f"Results({str(self.directory)!r}: {len(self.data.cases)} cases, {len(self.data.failed)} failed)"
+        )
+
+    def _repr_html_(self) -> str:
+        """The headline table and the way to the report, for a notebook."""
+        from .report.headline import headline_rows
+
+        rows = headline_rows(self.data)
+        head = "".join(f"<th>{escape(key)}</th>" for key in (rows[0] if rows else {}))
+        body = "".join(
+            "<tr>" + "".join(f"<td>{escape(text)}</td>" for text in row.values()) + "</tr>" for row in rows
+        )
+        title = escape(str(self.data.study.get("title") or self.data.study.get("name", "")))
+        failed = "".join(f"<p>failed: {escape(line)}</p>" for line in self.failed)
+        return (
+            f"<h4>{title}</h4><table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>{failed}"
+            f'<p><a href="{escape(self.report.resolve().as_uri())}">report</a></p>'
+        )
+
+
+_NUMBERS = ("value", "worst", "bar", "worst_bar", "unit")
+
+
+def run(
+    study: str | Path,
+    *,
+    surface: str | Path | None = None,
+    out: str | Path | None = None,
+    cache: str | Path | None = None,
+    jobs: int | None = None,
+    fresh: bool = False,
+    allow_outside: bool = False,
+    watch: Callable[[Event], None] = lambda _: None,
+    **overrides: Any,
+) -> Results:
+    """Run what is missing of a study and write its report.
+
+    Parameters
+    ----------
+    study : path of a study file, or the name of a shipped one
+    surface, out, cache, jobs, fresh, allow_outside : as the options of `vdmbench run`
+    watch : is given each event of the run
+    overrides : tables of the study with the keys to change: `tissue={"youngs_modulus": "3 kPa"}`,
+        `constraints={"finger": {"force": "0.2 N"}}`; None drops a key
+
+    Raises
+    ------
+    ValueError
+        a study that is wrong, with file and line of each problem; a directory that holds something else.
+    OSError
+        disk full or read-only.
+    """
+    from .graph.plan import make_plan
+    from .graph.run import Options, run_plan
+    from .report.rebuild import rebuild
+    from .study.config import expand, load_study
+    from .study.overrides import overridden
+    from .study.shipped import study_path
+
+    path = study_path(study)
+    text = overridden(path.read_text(encoding="utf-8-sig"), overrides) if overrides else None
+    body = Path(surface) if surface is not None else None
+    found = load_study(path, allow_outside=allow_outside, surface=body, text=text)
+    directory = Path(out) if out is not None else results_directory() / "runs" / found.study.name
+    place = Path(cache) if cache is not None else cache_directory()
+    plan = make_plan(found, expand(found), directory, place, fresh=fresh)
+    how = Options(jobs=jobs or usable_processors())
+    with _script_left_alone():
+        data, report = run_plan(plan, text or path.read_text(), how, watch, rebuild)
+    return Results(directory, data, report)
+
+
+@contextmanager
+def _script_left_alone() -> Iterator[None]:
+    """Workers need nothing of the script that calls `run`, and would run it again where its main part is bare."""
+    main = sys.modules["__main__"].__dict__
+    saved: dict[str, Any] = {key: main[key] for key in ("__file__", "__spec__") if key in main}
+    main.pop("__file__", None)
+    main["__spec__"] = None
+    try:
+        yield
+    finally:
+        main.update(saved)
+
+
+def read(directory: str | Path) -> Results:
+    """A run that is there. Raises ValueError for a directory that is none, and for damaged results."""
+    from .store.cases import read_run
+
+    return Results(Path(directory), read_run(Path(directory)), Path(directory) / "report.html")
+
+
+def _table(rows: list[dict[str, Any]], columns: tuple[str, ...]) -> Any:
+    """A pandas.DataFrame where that is installed, else a dict of arrays."""
+    data: Mapping[str, list[Any]] = {key: [row[key] for row in rows] for key in columns}
+    if find_spec("pandas") is not None:
+        import pandas
+
+        return pandas.DataFrame(data)
+    return {
+        key: np.array(values, dtype=float if _are_numbers(values) else object) for key, values in data.items()
+    }
+
+
+def _are_numbers(values: list[Any]) -> bool:
+    return all(value is None or isinstance(value, int | float) for value in values)

@@ -1,0 +1,128 @@
+"""The workbench from Python: one run with changes to its study, and all that its results give."""
+
+from __future__ import annotations
+
+import ast
+import subprocess
+import sys
+import types
+from pathlib import Path
+from typing import Any
+
+import pytest
+from numpy.testing import assert_allclose
+
+import vdmbench
+from tests.command import write_study
+from tests.unit.report_runs import sweep_run
+from vdmbench.api import Results
+from vdmbench.study.overrides import overridden
+
+
+@pytest.fixture(scope="module")
+def results(tmp_path_factory: pytest.TempPathFactory) -> Results:
+    where = tmp_path_factory.mktemp("api")
+    changes: dict[str, Any] = {
+        "tissue": {"youngs_modulus": "10 kPa"},
+        "constraints": {"finger": {"force": "0.2 N"}},
+        "geometry": {"mesh_size": "20 mm"},
+        "load": None,
+    }
+    study = write_study(where)
+    return vdmbench.run(study, out=where / "run", cache=where / "cache", jobs=1, **changes)
+
+
+def test_a_study_is_run_with_changes(results: Results) -> None:
+    assert repr(results).endswith("run': 1 cases, 0 failed)")
+    (case,) = results.cases
+    assert case.resolved["tissue"]["youngs_modulus"] == 10e3
+    assert case.resolved["constraints"][1]["force"] == 0.2
+    assert case.load_factors.tolist() == [1.0]
+    assert results.report.stat().st_size > 10_000
+    again = vdmbench.read(results.directory)
+    displacement = again.cases[0].models["fem-linear"].displacement
+    assert_allclose(displacement, case.models["fem-linear"].displacement, rtol=0, atol=0)
+    assert "10 kPa" in (results.directory / "study.toml").read_text(), "the run tells what it ran"
+
+
+def test_a_script_needs_no_guard_around_its_main_part(tmp_path: Path) -> None:
+    """Workers that imported it would start runs of their own."""
+    study = write_study(
+        tmp_path, a=('["vdm-paper", "fem-linear"]', '["vdm-paper"]'), b=('reference = "fem-linear"', "")
+    )
+    script = tmp_path / "script.py"
+    script.write_text(
+        f"import vdmbench\nprint(vdmbench.run({str(study)!r}, out='run', cache='cache'), __file__)\n"
+    )
+    done = subprocess.run([sys.executable, script], cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert done.stdout == f"Results('run': 1 cases, 0 failed) {script}\n"
+    assert done.stderr == ""
+
+
+def test_meshes_carry_the_answers(results: Results) -> None:
+    (case,) = results.cases
+    (mesh,) = results.meshes.values()
+    assert mesh.n_cells == len(case.triangles)
+    expected = case.points + case.models["fem-linear"].displacement[-1]
+    warped = mesh.warp_by_vector("fem-linear.displacement")
+    assert_allclose(warped.points, expected, rtol=0, atol=1e-12)
+
+
+def test_tables_are_arrays_without_pandas_and_frames_with_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    run = sweep_run()
+    found = Results(Path("run"), run, Path("run/report.html"))
+    monkeypatch.setattr("vdmbench.api.find_spec", lambda _: None)
+    metrics = found.metrics
+    assert len({len(column) for column in metrics.values()}) == 1
+    error = "relative_l2_displacement_error"
+    chosen = (
+        (metrics["metric"] == error)
+        & (metrics["model"] == "vdm-paper")
+        & (metrics["tissue.poisson_ratio"] == 0.45)
+        & (metrics["load_factor"] == 1.0)
+    )
+    assert_allclose(metrics["value"][chosen], [0.65, 0.67], rtol=1e-9, atol=0)
+    headline = found.headline
+    row = (headline["model"] == "vdm-paper") & (headline["measure"] == error)
+    assert_allclose(headline["worst"][row], [0.72], rtol=1e-9, atol=0)
+    pandas = types.ModuleType("pandas")
+    monkeypatch.setattr(pandas, "DataFrame", lambda data: ("a frame", list(data)), raising=False)
+    monkeypatch.setitem(sys.modules, "pandas", pandas)
+    monkeypatch.setattr("vdmbench.api.find_spec", lambda _: True)
+    assert Results(Path("run"), run, Path("report.html")).headline[1][:3] == ["model", "measure", "value"]
+
+
+def test_a_notebook_shows_the_headline_and_no_markup_of_a_study() -> None:
+    run = sweep_run()
+    run.study["title"] = "<script>"  # type: ignore[index]
+    html = Results(Path("run"), run, Path("run/report.html"))._repr_html_()
+    assert "<td>vdm-paper</td>" in html
+    assert "72.0 %" in html
+    assert "<script>" not in html
+    assert "run/report.html" in html
+
+
+def test_what_cannot_be_changed_is_told(tmp_path: Path) -> None:
+    study = write_study(tmp_path)
+    with pytest.raises(ValueError, match="constraints has no entry 'thumb'; it has: base, finger"):
+        vdmbench.run(study, constraints={"thumb": {"force": "1 N"}})
+    with pytest.raises(
+        ValueError, match=r"small.toml, as changed:\d+: tissue.poisson_ratio: must be above -1"
+    ):
+        vdmbench.run(study, tissue={"poisson_ratio": 2.0})
+    with pytest.raises(ValueError, match="did you mean quickstart"):
+        vdmbench.run("quikstart")
+    assert overridden("a = 1\n[t]\nb = 2\nc = 3\n", {"t": {"b": None, "d": [1]}, "a": 5}) == (
+        "a = 5\n\n[t]\nc = 3\nd = [\n    1,\n]\n"
+    )
+
+
+def test_the_package_is_cheap_to_import() -> None:
+    code = (
+        "import sys; import vdmbench; print([n for n in sys.modules if n in {'numpy', 'pydantic', 'typing'}])"
+    )
+    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert ast.literal_eval(result.stdout) == []
+    assert {"run", "read", "Results", "__version__"} <= set(dir(vdmbench))
+    with pytest.raises(AttributeError, match="no attribute 'walk'"):
+        _ = vdmbench.walk  # type: ignore[attr-defined]
