@@ -20,16 +20,16 @@ from ..study.geometry_spec import (
     check_node_budget,
     extents,
 )
+from ..study.shapes import FILE, SHAPES
 from .distort import distorted
 from .imported import centred, imported_surface, imported_tetrahedra, named, placed
 from .intersections import without_intersections
 from .mesh import Array, Index, Mesh
-from .organ import liver_points
 from .surface_measures import enclosed_volume
 from .topology import mesh_from_tetrahedra, mesh_from_triangles, surface_only
 
 _TRIANGLE, _TETRAHEDRON = 2, 4  # gmsh's element types
-_ORGAN_SUBDIVISIONS = 6  # 40,962 points, far finer than any mesh of it
+_SUBDIVISIONS = 6  # of a sphere: 40,962 points, far finer than any mesh of a shape made from it
 
 _OPTIONS = {
     "General.Terminal": 0,
@@ -64,14 +64,14 @@ def build_mesh(geometry: Geometry, *, volume: bool = True, max_nodes: int = MAX_
     """
     check_geometry(geometry)
     started = time.perf_counter()
-    if geometry.shape == "file":
+    if geometry.shape == FILE:
         with named(geometry):
             build = _tetrahedra_of_file if geometry.has_own_tetrahedra else _fill_surface_of_file
             mesh = build(geometry, volume, max_nodes)
     else:
         area, inside = area_and_volume(geometry)
         check_node_budget(area, inside if volume else 0.0, geometry.mesh_size, max_nodes)
-        mesh = _organ(geometry, volume) if geometry.shape == "organ" else _solid(geometry, volume)
+        mesh = _solid(geometry, volume) if SHAPES[geometry.shape].add else _of_sphere(geometry, volume)
     given = {name: geometry.number(name) for name in DISTORTIONS if name in geometry.parameters}
     if given:
         mesh = distorted(
@@ -88,12 +88,14 @@ def _solid(geometry: Geometry, volume: bool) -> Mesh:
     return _mesh_with_gmsh(lambda: _add_solid(geometry, unit), geometry.mesh_size, unit, volume=volume)
 
 
-def _organ(geometry: Geometry, volume: bool) -> Mesh:
+def _of_sphere(geometry: Geometry, volume: bool) -> Mesh:
     from .remesh import unit_sphere  # VTK is slow to load: only where a surface is made anew
 
-    sphere, triangles = unit_sphere(_ORGAN_SUBDIVISIONS)
-    points = liver_points(sphere)
-    return fill_surface(centred(points, geometry.number("size")), triangles, geometry.mesh_size, volume)
+    of_sphere = SHAPES[geometry.shape].of_sphere
+    assert of_sphere is not None
+    sphere, triangles = unit_sphere(_SUBDIVISIONS)
+    points = centred(of_sphere(sphere), max(extents(geometry)))
+    return fill_surface(points, triangles, geometry.mesh_size, volume)
 
 
 def _fill_surface_of_file(geometry: Geometry, volume: bool, max_nodes: int) -> Mesh:
@@ -180,17 +182,10 @@ def _elements(kind: int, width: int) -> Index:
 
 def _add_solid(geometry: Geometry, unit: float) -> None:
     """Add a shape with exact surfaces (OpenCASCADE), centred on the origin, in lengths of `unit` [m]."""
+    add = SHAPES[geometry.shape].add
+    assert add is not None
     occ = gmsh.model.occ
-    size = np.array(extents(geometry)) / unit
-    if geometry.shape == "box":
-        occ.addBox(*(-0.5 * size), *size)
-    elif geometry.shape == "cylinder":
-        axis = np.eye(3)["xyz".index(str(geometry.parameters.get("axis", "z")))]
-        length = geometry.number("length") / unit * axis
-        occ.addCylinder(*(-0.5 * length), *length, geometry.number("radius") / unit)
-    else:
-        ball = occ.addSphere(0.0, 0.0, 0.0, 0.5)
-        occ.dilate([(3, ball)], 0.0, 0.0, 0.0, *size)
+    add(occ, geometry.scaled(1.0 / unit))
     occ.synchronize()
 
 

@@ -22,6 +22,7 @@ from .geometry_spec import (
     extents,
 )
 from .geometry_spec import Geometry as GeometrySpec
+from .geometry_table import Geometry
 from .measured_table import check_measured
 from .model_name import DISPLACEMENT_ELEMENTS, is_vdm, split
 from .problems import Finding, Loc
@@ -30,21 +31,20 @@ from .region_checks import check_regions
 from .schema import (
     MOST_STEPS,
     Constraint,
-    Geometry,
     Load,
     Region,
     Study,
 )
+from .shapes import SHAPES
 from .table import Table
 from .units import shown
 from .wording import given, listed, unknown
 
 SHAPE_KEYS: dict[str, tuple[set[str], set[str]]] = {  # shape -> keys that it needs, keys that it may have
-    "sphere": ({"mesh_size", "radius"}, set()),
-    "ellipsoid": ({"mesh_size", "semi_axes"}, set()),
-    "box": ({"mesh_size", "size"}, set()),
-    "cylinder": ({"mesh_size", "radius", "length"}, {"axis"}),
-    "organ": ({"mesh_size", "size"}, set()),
+    **{
+        shape.name: ({"mesh_size", *shape.needed}, set(shape.parameters) - shape.needed)
+        for shape in SHAPES.values()
+    },
     "file": ({"path"}, {"mesh_size", "size", "scale", "coordinates"}),
 }
 _KIND_KEYS = {
@@ -192,13 +192,22 @@ def _check_geometry(geometry: Geometry) -> Iterator[Finding]:
         yield from _check_suffix(geometry.path.name, suffix)
     if {"size", "scale"} <= present and geometry.shape == "file":
         yield ("geometry", "scale"), "give size or scale, not both"
-    wants_list = geometry.shape == "box"
-    if geometry.size is not None and wants_list != isinstance(geometry.size, tuple):
-        wanted = "three lengths, along x, y and z" if wants_list else "one length, the largest extent"
-        yield ("geometry", "size"), f"a {geometry.shape} takes {wanted}"
-        return
-    if needed - present <= {"mesh_size"}:
+    mistaken = list(_check_counts(geometry))
+    yield from mistaken
+    if not mistaken and needed - present <= {"mesh_size"}:
         yield from _check_extent(geometry)
+
+
+def _check_counts(geometry: Geometry) -> Iterator[Finding]:
+    """Keys that one shape takes as a number and another as a list."""
+    shape = SHAPES.get(geometry.shape)
+    counts = {name: about.count for name, about in shape.parameters.items()} if shape else {"size": 1}
+    for key, count in counts.items():
+        value = getattr(geometry, key)
+        if value is not None and isinstance(value, tuple) != (count > 1):
+            wanted = f"{count} lengths" if count > 1 else "one length"
+            text = shape.parameters[key].help if shape else "its largest extent"
+            yield ("geometry", key), f"a {geometry.shape} takes {wanted}, {text}"
 
 
 def _check_extent(geometry: Geometry) -> Iterator[Finding]:

@@ -5,109 +5,43 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
 
 from ..machine.errors import MeshError
+from .shapes import FILE, SHAPES, ShapeKey, shape_names
+from .shapes import VOLUME_SUFFIXES as VOLUME_SUFFIXES
+from .shapes import Geometry as Geometry
 
 MESHER_VERSION = "2"  # raise it with every change that alters a mesh
 
-SHAPES = ("sphere", "ellipsoid", "box", "cylinder", "organ", "file")
 SURFACE_SUFFIXES = (".stl", ".obj", ".ply", ".vtp")
-VOLUME_SUFFIXES = (".msh", ".vtu", ".vtk")
 
 SMALLEST_EXTENT = 1e-3  # m; outside these two a length in the wrong unit is far likelier than such an organ
 MAX_NODES = 2_000_000  # of a mesh
 LARGEST_EXTENT = 10.0  # m
 
-# The organ's extents, area and volume for size 1, measured on its finest surface.
-_ORGAN_EXTENTS = (1.0, 0.606, 0.586)
-_ORGAN_AREA = 1.5155
-_ORGAN_VOLUME = 0.14533
-
-_REQUIRED: dict[str, dict[str, int]] = {  # shape -> parameter -> how many numbers
-    "sphere": {"radius": 1},
-    "ellipsoid": {"semi_axes": 3},
-    "box": {"size": 3},
-    "cylinder": {"radius": 1, "length": 1},
-    "organ": {"size": 1},
-    "file": {},
-}
 DISTORTIONS = ("slivers", "perturbation", "seed")  # what any shape may have, see `vdmbench.body.distort`
 LEAST_SLIVERS, MOST_PERTURBATION = 2.0, 0.5
-_OPTIONAL: dict[str, tuple[str, ...]] = {"cylinder": ("axis",), "file": ("path", "size", "scale")}
-
-
-@dataclass(frozen=True)
-class Geometry:
-    """A shape with resolved parameters, in SI units; all but files are centred on the origin.
-
-    Attributes
-    ----------
-    shape : one of `SHAPES`
-    mesh_size : edge length wanted [m]; a file with tetrahedra keeps its own
-    parameters : by shape, lengths in m.
-        sphere: radius. ellipsoid: semi_axes (3). box: size (3). cylinder: radius, length,
-        axis "x", "y" or "z" (the default). organ: size, the largest extent. file: path, and at most one
-        of size (largest extent after scaling) and scale (factor from the file's unit to m, 1 by default).
-        any: slivers, perturbation and seed of `vdmbench.body.distort`.
-    """
-
-    shape: str
-    mesh_size: float
-    parameters: Mapping[str, float | tuple[float, ...] | str]
-
-    def number(self, name: str) -> float:
-        """A parameter that is one number."""
-        return self.numbers(name)[0]
-
-    def numbers(self, name: str) -> tuple[float, ...]:
-        """A parameter as a tuple of numbers."""
-        value = self.parameters[name]
-        if isinstance(value, str):
-            raise MeshError(f"{self.shape}: {name} must be a number, not {value!r}", name)
-        values = value if isinstance(value, tuple | list) else (value,)
-        return tuple(float(v) for v in values)
-
-    @property
-    def path(self) -> Path:
-        """The file of shape `file`."""
-        return Path(str(self.parameters["path"]))
-
-    @property
-    def has_own_tetrahedra(self) -> bool:
-        """Whether the shape is a file with tetrahedra, which `mesh_size` does not touch."""
-        return self.shape == "file" and self.path.suffix.lower() in VOLUME_SUFFIXES
+_FILE_KEYS = {"path", "size", "scale"}
 
 
 def check_geometry(geometry: Geometry) -> None:
     """Raise MeshError for an unknown shape or parameter, a missing one, or a value out of range."""
     shape = geometry.shape
-    if shape not in SHAPES:
-        raise MeshError(f"unknown shape {shape!r}; choose one of {', '.join(SHAPES)}")
-    required = _REQUIRED[shape]
-    allowed = {*required, *_OPTIONAL.get(shape, ()), *DISTORTIONS}
-    missing = sorted(set(required) - set(geometry.parameters))
-    if shape == "file" and "path" not in geometry.parameters:
-        missing = ["path"]
-    if missing:
+    if shape not in shape_names():
+        raise MeshError(f"unknown shape {shape!r}; choose one of {', '.join(shape_names())}")
+    declared = {} if shape == FILE else SHAPES[shape].parameters
+    needed = {"path"} if shape == FILE else SHAPES[shape].needed
+    allowed = {*(_FILE_KEYS if shape == FILE else declared), *DISTORTIONS}
+    if missing := sorted(needed - set(geometry.parameters)):
         raise MeshError(f"{shape}: {missing[0]} is missing", missing[0])
-    unknown = sorted(set(geometry.parameters) - allowed)
-    if unknown:
+    if unknown := sorted(set(geometry.parameters) - allowed):
         told = f"{shape}: unknown parameter {unknown[0]!r}; it takes {', '.join(sorted(allowed))}"
         raise MeshError(told, unknown[0])
-    for name in sorted(set(geometry.parameters) - {"path", "axis"}):
-        wanted = required.get(name, 1)
-        values = geometry.numbers(name)
-        if len(values) != wanted:
-            raise MeshError(f"{shape}: {name} must have {wanted} numbers, not {len(values)}", name)
-        if name != "seed" and not all(math.isfinite(v) and v > 0 for v in values):
-            raise MeshError(f"{shape}: {name} must be positive and finite", name)
-    if geometry.parameters.get("axis", "z") not in ("x", "y", "z"):
-        raise MeshError(f"cylinder: axis must be x, y or z, not {geometry.parameters['axis']!r}", "axis")
-    if shape == "file":
+    for name in sorted(set(geometry.parameters) - {"path"}):
+        _check_value(geometry, name, declared.get(name, ShapeKey("")))
+    if shape == FILE:
         _check_file_parameters(geometry)
     else:
         extent = max(extents(geometry))
@@ -116,8 +50,22 @@ def check_geometry(geometry: Geometry) -> None:
     if not geometry.has_own_tetrahedra:
         if not (math.isfinite(geometry.mesh_size) and geometry.mesh_size > 0):
             raise MeshError("mesh_size must be positive and finite", "mesh_size")
-        if shape != "file":
+        if shape != FILE:
             check_mesh_size(geometry.mesh_size, min(extents(geometry)))
+
+
+def _check_value(geometry: Geometry, name: str, about: ShapeKey) -> None:
+    shape = geometry.shape
+    if about.choices:
+        if geometry.choice(name) not in about.choices:
+            words = ", ".join(sorted(about.choices)[:-1]) + f" or {max(about.choices)}"
+            raise MeshError(f"{shape}: {name} must be {words}, not {geometry.choice(name)!r}", name)
+        return
+    values = geometry.numbers(name)
+    if len(values) != about.count:
+        raise MeshError(f"{shape}: {name} must have {about.count} numbers, not {len(values)}", name)
+    if name != "seed" and not all(math.isfinite(v) and v > 0 for v in values):
+        raise MeshError(f"{shape}: {name} must be positive and finite", name)
 
 
 def _check_file_parameters(geometry: Geometry) -> None:
@@ -137,26 +85,13 @@ def _check_file_parameters(geometry: Geometry) -> None:
 
 def extents(geometry: Geometry) -> tuple[float, float, float]:
     """Extents along x, y and z [m] of a shape that is not a file."""
-    if geometry.shape == "box":
-        a, b, c = geometry.numbers("size")
-    elif geometry.shape == "ellipsoid":
-        a, b, c = (2 * semi_axis for semi_axis in geometry.numbers("semi_axes"))
-    elif geometry.shape == "cylinder":
-        along = "xyz".index(str(geometry.parameters.get("axis", "z")))
-        diameter, length = 2 * geometry.number("radius"), geometry.number("length")
-        a, b, c = (length if k == along else diameter for k in range(3))
-    elif geometry.shape == "organ":
-        a, b, c = (share * geometry.number("size") for share in _ORGAN_EXTENTS)
-    else:
-        a = b = c = 2 * geometry.number("radius")
-    return a, b, c
+    return SHAPES[geometry.shape].extents(geometry)
 
 
 def extent_key(geometry: Geometry) -> str:
-    """The key that decides the largest extent of a shape that is not a file."""
-    if geometry.shape == "cylinder" and geometry.number("length") > 2 * geometry.number("radius"):
-        return "length"
-    return next(iter(_REQUIRED[geometry.shape]))
+    """The key that decides the largest extent of a shape that is not a file: that which changes it most."""
+    lengths = [name for name, about in SHAPES[geometry.shape].parameters.items() if about.is_length]
+    return max(lengths, key=lambda name: max(extents(geometry.scaled(1.01, name))))
 
 
 def check_extent(extent: float, remedy: str, key: str = "") -> None:
@@ -178,21 +113,8 @@ def check_mesh_size(mesh_size: float, smallest_extent: float) -> None:
 
 
 def area_and_volume(geometry: Geometry) -> tuple[float, float]:
-    """Surface area [m^2] and volume [m^3] of a shape that is not a file.
-
-    The ellipsoid's area is Thomsen's formula (p = 1.6075), within 1.1 %.
-    """
-    a, b, c = extents(geometry)
-    if geometry.shape == "organ":
-        return _ORGAN_AREA * a**2, _ORGAN_VOLUME * a**3
-    if geometry.shape == "box":
-        return 2 * (a * b + b * c + c * a), a * b * c
-    if geometry.shape == "cylinder":
-        radius, length = geometry.number("radius"), geometry.number("length")
-        return 2 * math.pi * radius * (radius + length), math.pi * radius**2 * length
-    p = 1.6075
-    mean = ((a * b) ** p + (b * c) ** p + (c * a) ** p) / 3
-    return math.pi * mean ** (1 / p), math.pi / 6 * a * b * c
+    """Surface area [m^2] and volume [m^3] of a shape that is not a file, see `BodyShape`."""
+    return SHAPES[geometry.shape].area_and_volume(geometry)
 
 
 def estimated_nodes(area: float, volume: float, mesh_size: float) -> float:
@@ -232,7 +154,7 @@ def fewer_nodes(geometry: Geometry, extent: float) -> str:
     """What to do about a mesh with too many nodes of a body this long [m], whose unit may be mixed up."""
     given = [key for key in ("size", "scale") if key in geometry.parameters]
     told = "if that is wrong correct " + (given[0] if given else "its lengths")
-    if geometry.shape == "file" and not given:
+    if geometry.shape == FILE and not given:
         told = "if the file is not in metres give scale or size"
     last = "coarsen it" if geometry.has_own_tetrahedra else "use a larger mesh_size"
     return f"the body is {extent:.3g} m across: {told}, else {last}"
@@ -249,9 +171,11 @@ def geometry_key(geometry: Geometry, *, volume: bool) -> str:
         for name, value in geometry.parameters.items()
         if name != "path"
     }
-    if geometry.shape == "cylinder":
-        inputs.setdefault("axis", "z")
-    if geometry.shape == "file":
+    if geometry.shape != FILE:
+        shape = SHAPES[geometry.shape]
+        inputs |= {name: geometry.choice(name) for name, about in shape.parameters.items() if about.choices}
+        inputs["version"] = shape.version
+    else:
         inputs["file"] = file_digest(geometry.path)
         inputs["kind"] = geometry.path.suffix.lower()
         inputs["origin"] = "file"  # until version 0.2 a body was moved to the origin
@@ -273,7 +197,7 @@ def _packages(geometry: Geometry) -> tuple[str, ...]:
     """The distributions whose version can change the mesh."""
     if geometry.has_own_tetrahedra:
         return ("gmsh", "meshio")
-    if geometry.shape in ("file", "organ"):
+    if geometry.shape == FILE or SHAPES[geometry.shape].of_sphere is not None:
         return ("gmsh", "pyacvd", "vtk")
     return ("gmsh",)
 

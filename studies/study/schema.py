@@ -8,12 +8,10 @@ from __future__ import annotations
 
 import math
 from functools import cache
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from pydantic import (
     AfterValidator,
-    BeforeValidator,
     ConfigDict,
     Discriminator,
     Field,
@@ -26,7 +24,7 @@ from pydantic import (
     create_model,
 )
 
-from .geometry_spec import LEAST_SLIVERS, MOST_PERTURBATION
+from .geometry_table import Geometry
 from .kinds import (
     SI,
     Axis,
@@ -39,7 +37,6 @@ from .kinds import (
     Position,
     Pressure,
     Rotation,
-    Shape,
     Share,
     Time,
     Vector3,
@@ -52,7 +49,7 @@ from .kinds import (
 from .measured_table import MOST_TABLES, Measured
 from .problems import Source
 from .profiles import Profile
-from .table import Table, as_path
+from .table import Table
 
 if TYPE_CHECKING:
     from .registry import Parameter
@@ -94,64 +91,6 @@ class StudyInfo(Table):
     @classmethod
     def with_defaults(cls, data: dict[str, Any]) -> dict[str, Any]:
         return {"title": data["name"], **data} if is_safe_name(data.get("name")) else data
-
-
-class Geometry(Table):
-    """[geometry]; all shapes but a file are centred on the origin"""
-
-    shape: Shape = Field(description="kind of body; `organ` is a procedural liver, `file` reads a mesh")
-    mesh_size: Length | None = Field(
-        None, description="edge length of the mesh; only a file with tetrahedra does without"
-    )
-    radius: Length | None = Field(None, description="sphere, cylinder: radius")
-    semi_axes: Annotated[Vector3, SI("m", (3,)), positive] | None = Field(
-        None, description="ellipsoid: half of its extents along x, y, z"
-    )
-    size: Annotated[float | Vector3, SI("m", (1, 3)), positive] | None = Field(
-        None, description="box: its extents along x, y, z; organ, file: its largest extent"
-    )
-    length: Length | None = Field(None, description="cylinder: length")
-    axis: Axis | None = Field(None, description="cylinder: its axis, z where left out")
-    path: Annotated[Path, BeforeValidator(as_path)] | None = Field(
-        None,
-        description="file: a surface (STL, OBJ, PLY, VTP) or tetrahedra (MSH, VTU, VTK); it is scaled to metres "
-        "and not moved",
-    )
-    coordinates: Literal["file", "centred"] | None = Field(
-        None,
-        description="file: what the coordinates of planes, balls, boxes and measured points start from: the origin "
-        "of the file, or the middle of its bounding box; needed where a study has coordinates",
-    )
-    scale: Annotated[float, SI("1"), positive] | None = Field(
-        None, description="file: metres per unit of the file, 1 where neither scale nor size is given"
-    )
-    slivers: (
-        Annotated[
-            float, SI("1"), number_check(lambda v: v >= LEAST_SLIVERS, f"must be at least {LEAST_SLIVERS:g}")
-        ]
-        | None
-    ) = Field(
-        None,
-        description="any shape: squeeze one facet in twenty-five until its longest edge is so many heights",
-    )
-    perturbation: (
-        Annotated[
-            float,
-            SI("1"),
-            positive,
-            number_check(lambda v: v <= MOST_PERTURBATION, f"must be at most {MOST_PERTURBATION:g}"),
-        ]
-        | None
-    ) = Field(
-        None, description="any shape: move each node at random by up to this share of its shortest edge"
-    )
-    seed: int | None = Field(
-        None, description="of the slivers and the perturbation, 0 where left out", ge=0, lt=2**32
-    )
-
-    @classmethod
-    def with_defaults(cls, data: dict[str, Any]) -> dict[str, Any]:
-        return {"axis": "z", **data} if data.get("shape") == "cylinder" else data
 
 
 class Tissue(Table):

@@ -10,6 +10,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from tests.command import SMALL_STUDY
@@ -232,3 +233,62 @@ def test_a_load_profile(place: Path) -> None:
     assert "parabola" in page(place)
     unknown = python(place, "-c", COMMAND, "check", study(place, swept.replace('"parabola"', '"parabole"')))
     assert "parabola" in unknown.stderr
+
+
+SHAPE = """
+import math
+from .shapes import BodyShape, ShapeKey, register
+
+
+def extents(body):
+    across = 2.0 * (body.number("radius") + body.number("tube"))
+    return across, across, 2.0 * body.number("tube")
+
+
+def area_and_volume(body):
+    around, tube = 2.0 * math.pi * body.number("radius"), body.number("tube")
+    return around * 2.0 * math.pi * tube, around * math.pi * tube**2
+
+
+register(BodyShape(
+    name="ring", version="1",
+    parameters={"radius": ShapeKey("of its middle line"), "tube": ShapeKey("of its tube")},
+    extents=extents, area_and_volume=area_and_volume,
+    add=lambda occ, body: occ.addTorus(0, 0, 0, body.number("radius"), body.number("tube")),
+))
+"""
+RING = VDM.replace('shape = "sphere"', 'shape = "ring"\ntube = "12 mm"').replace("16 mm", "9 mm")
+RING = RING.replace("[0, 0, 1]", "[1, 0, 0]").replace('axis = "z"', 'axis = "x"')
+TUBES = RING + '[sweep]\n"geometry.tube" = ["12 mm", "15 mm"]\n'
+
+
+def test_a_shape(place: Path) -> None:
+    (place / "vdmbench" / "study" / "shape_ring.py").write_text(SHAPE)
+    command(place, "check", study(place, TUBES))
+    planned = json.loads(command(place, "plan", "study.toml", "--json"))
+    assert len({case["mesh"] for case in planned["cases"]}) == 2
+    run(place, TUBES)
+    told = python(
+        place,
+        "-c",
+        "from pathlib import Path\n"
+        "from vdmbench.store.cases import read_run\n"
+        "from vdmbench.study.fields import field_table\n"
+        "for case in read_run(Path('out')).cases:\n"
+        "    print(case.swept['geometry.tube'], case.mesh_quality['volume'])\n"
+        "print(next(row.help for row in field_table() if row.key == 'geometry.tube'))",
+    )
+    assert told.stderr == ""
+    *rows, help_text = told.stdout.splitlines()
+    assert help_text == "ring: of its tube"
+    for row in rows:
+        tube, volume = map(float, row.split())
+        # facets cut the tube's circle: 9 mm of a circumference of 75 or 94 mm
+        assert volume == pytest.approx(2.0 * np.pi**2 * 0.05 * tube**2, rel=0.1)
+    assert "ring" in page(place)
+    for mistake, instead, said in (
+        ('tube = "12 mm"\n', "", "geometry.tube: is missing; a ring needs mesh_size, radius, tube"),
+        ('"ring"', '"rings"', 'did you mean "ring"'),
+    ):
+        result = python(place, "-c", COMMAND, "check", study(place, RING.replace(mistake, instead)))
+        assert said in result.stderr

@@ -20,7 +20,6 @@ from vdmbench.body.imported import imported_surface
 from vdmbench.body.intersections import intersecting_facets
 from vdmbench.body.mesh import Mesh
 from vdmbench.body.mesh_cache import mesh_from_cache, read_mesh, write_mesh
-from vdmbench.body.organ import liver_points
 from vdmbench.body.read_apart import clean_surface_of
 from vdmbench.body.remesh import subdivided, surface_distance, uniform_surface, unit_sphere
 from vdmbench.body.repair import CleanSurface
@@ -29,6 +28,7 @@ from vdmbench.body.topology import consistent_orientation, tetrahedron_sicn, tet
 from vdmbench.machine.errors import MeshError
 from vdmbench.study import geometry_spec
 from vdmbench.study.geometry_spec import Geometry, area_and_volume, check_geometry, extents, geometry_key
+from vdmbench.study.shape_organ import liver_points
 
 SPHERE = Geometry("sphere", 0.012, {"radius": 0.05})
 ELLIPSOID = Geometry("ellipsoid", 0.010, {"semi_axes": (0.06, 0.04, 0.03)})

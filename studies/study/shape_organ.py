@@ -2,11 +2,17 @@
 
 from __future__ import annotations
 
-import numpy as np
+from typing import TYPE_CHECKING
 
-from .mesh import Array
+from .shapes import BodyShape, Geometry, ShapeKey, register
+
+if TYPE_CHECKING:
+    from .shapes import Array
 
 _FULLNESS = 2.3
+# extents, area and volume for size 1, measured on its finest surface
+_EXTENTS = (1.0, 0.606, 0.586)
+_AREA, _VOLUME = 1.5155, 0.14533
 
 
 def liver_points(sphere: Array) -> Array:
@@ -16,6 +22,8 @@ def liver_points(sphere: Array) -> Array:
     by eye, so that for each x the depth, and for each x and y the height, grows with the sphere's own: the
     map is one to one and the body cannot meet itself.
     """
+    import numpy as np  # slow to load: not where a study is only checked
+
     # Fuller than a sphere: with the exponent 2 the lobes would be pointed.
     x, v, w = (sphere / (np.abs(sphere) ** _FULLNESS).sum(axis=1, keepdims=True) ** (1.0 / _FULLNESS)).T
     left = _smooth_step(x, -0.35, 0.95)  # 0 in the right lobe, 1 at the tip of the left
@@ -36,6 +44,25 @@ def liver_points(sphere: Array) -> Array:
 
 def _smooth_step(x: Array, start: float, end: float) -> Array:
     """From 0 at `start` to 1 at `end`, with level ends (a cubic)."""
+    import numpy as np
+
     t = np.clip((x - start) / (end - start), 0.0, 1.0)
     step: Array = t * t * (3.0 - 2.0 * t)
     return step
+
+
+def _extents(body: Geometry) -> tuple[float, float, float]:
+    a, b, c = (share * body.number("size") for share in _EXTENTS)
+    return a, b, c
+
+
+register(
+    BodyShape(
+        name="organ",
+        version="1",
+        parameters={"size": ShapeKey("its largest extent")},
+        extents=_extents,
+        area_and_volume=lambda body: (_AREA * body.number("size") ** 2, _VOLUME * body.number("size") ** 3),
+        of_sphere=liver_points,
+    )
+)
