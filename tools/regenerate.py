@@ -42,7 +42,7 @@ def study_keys() -> str:
         "array of\ntables. "
         "Numbers are in the unit shown; a text with another unit of the same dimension is converted. A parameter\n"
         "in [vdm] that no model of the study reads, or in a model's own table that this model does not, is a "
-        "mistake.\n\n"
+        "mistake. `vdmbench schema` prints the JSON schema of these keys, for an editor.\n\n"
     )
     rows = ((f"`{row.key}`", row.kind, row.default, row.help) for row in field_table())
     return text + marked.table(

@@ -21,6 +21,7 @@ from . import (
     verb_plan,
     verb_report,
     verb_run,
+    verb_schema,
     verb_show,
     verb_status,
 )
@@ -40,6 +41,7 @@ _VERBS = {  # in the order in which they are told
     "gate": verb_gate,
     "accept": verb_accept,
     "bench": verb_bench,
+    "schema": verb_schema,
     "doctor": verb_doctor,
 }
 

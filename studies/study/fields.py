@@ -45,14 +45,15 @@ def _is_table(annotation: Any) -> bool:
     return isinstance(annotation, type) and issubclass(annotation, Table)
 
 
-def _item_type(annotation: Any, loc: Loc) -> Any:
+def item_type(annotation: Any, loc: Loc) -> Any:
     """What a table of tables or a list holds; of the tables of single models, what these declare too."""
     if loc[:1] == ("models",):
         return model_table()
     return get_args(annotation)[1 if get_origin(annotation) is dict else 0]
 
 
-def _field_type(field: FieldInfo) -> tuple[Any, SI | None]:
+def type_of_field(field: FieldInfo) -> tuple[Any, SI | None]:
+    """The type of a field without `None` and metadata, and its unit."""
     annotation, si = unwrapped(field.annotation)
     return annotation, next((item for item in field.metadata if isinstance(item, SI)), si)
 
@@ -67,7 +68,7 @@ def field_at(loc: Loc) -> FieldInfo | None:
             field = keys_of(annotation).get(str(part))
             annotation = field.annotation if field else None
         elif get_origin(annotation) in (dict, tuple):
-            field, annotation = None, _item_type(annotation, loc)
+            field, annotation = None, item_type(annotation, loc)
         else:
             return None
     return field
@@ -81,7 +82,7 @@ def table_at(loc: Loc) -> type[Table]:
         if _is_table(annotation):
             annotation = keys_of(annotation)[str(part)].annotation
         elif get_origin(annotation) in (dict, tuple):
-            annotation = _item_type(annotation, loc)
+            annotation = item_type(annotation, loc)
         else:
             raise LookupError(loc)
     annotation, _ = unwrapped(annotation)
@@ -117,7 +118,7 @@ def targets(data: Mapping[str, Any]) -> dict[str, Target]:
     for name, field in keys_of(Study).items():
         if name not in _NEVER_SWEPT:
             value = _of_each_model(data) if name == "models" else data.get(name)
-            for key, target in _targets(*_field_type(field), name, (name,), value):
+            for key, target in _targets(*type_of_field(field), name, (name,), value):
                 found.setdefault(key, target)
     return found
 
@@ -137,10 +138,10 @@ def _targets(annotation: Any, si: SI | None, key: str, loc: Loc, value: Any) -> 
             return  # an optional table inside another, which a value of a sweep cannot complete
         inside = value if isinstance(value, dict) else {}
         for name, field in keys_of(annotation).items():
-            yield from _targets(*_field_type(field), f"{key}.{name}", (*loc, name), inside.get(name))
+            yield from _targets(*type_of_field(field), f"{key}.{name}", (*loc, name), inside.get(name))
     elif origin is dict or (origin is tuple and _is_table(get_args(annotation)[0])):
         for name, place, item in islice(_named(value), MOST_NAMES):  # more are refused
-            inner, _ = unwrapped(_item_type(annotation, loc))
+            inner, _ = unwrapped(item_type(annotation, loc))
             yield from _targets(inner, None, f"{key}.{name}", (*loc, place), item)
     elif si is not None and isinstance(value, list | tuple):
         for place in range(len(value)):
@@ -181,7 +182,7 @@ def field_table() -> list[FieldRow]:
 
 def _rows(table: type[Table], prefix: str) -> Iterator[FieldRow]:
     for name, field in keys_of(table).items():
-        annotation, si = _field_type(field)
+        annotation, si = type_of_field(field)
         origin, args = get_origin(annotation), get_args(annotation)
         if _is_table(annotation) and not (table is Region and annotation is Region):
             yield from _rows(annotation, f"{prefix}{name}.")

@@ -1,0 +1,26 @@
+"""`vdmbench schema`: what an editor needs to complete and check a study file."""
+
+from __future__ import annotations
+
+import argparse
+
+from .output import OK, print_json
+
+SUMMARY = "print the JSON schema of study files, for editors"
+MORE = (
+    "Print the JSON schema of study files. Save it, and name it in the first line of a study, #:schema study.json, "
+    "for an editor that knows TOML schemas."
+)
+
+
+def arguments(parser: argparse.ArgumentParser) -> None:
+    """Its arguments."""
+    parser.set_defaults(solves=False)
+
+
+def run(_: argparse.Namespace) -> int:
+    """Print it; it is JSON with and without --json."""
+    from ..study.json_schema import study_schema
+
+    print_json(study_schema())
+    return OK

@@ -1,0 +1,72 @@
+"""The JSON schema of study files takes every shipped study and tells mistakes as the program does."""
+
+from __future__ import annotations
+
+import json
+import tomllib
+from typing import Any
+
+import jsonschema
+import pytest
+
+from tests.unit.study_texts import FULL
+from vdmbench.cli import verb_new, verb_schema
+from vdmbench.cli.arguments import parse
+from vdmbench.study.fields import field_table
+from vdmbench.study.json_schema import study_schema
+from vdmbench.study.shipped import shipped_studies
+
+
+@pytest.fixture(scope="module")
+def schema() -> jsonschema.Draft202012Validator:
+    found = study_schema()
+    jsonschema.Draft202012Validator.check_schema(found)
+    return jsonschema.Draft202012Validator(found)
+
+
+def _places(schema: jsonschema.Draft202012Validator, data: Any) -> list[str]:
+    return [".".join(map(str, error.absolute_path)) for error in schema.iter_errors(data)]
+
+
+def test_every_shipped_study_is_sound(schema: jsonschema.Draft202012Validator) -> None:
+    texts = {name: path.read_text() for name, path in shipped_studies().items()}
+    texts |= {"new": verb_new.TEMPLATE.read_text(), "full": FULL}
+    for name, text in texts.items():
+        assert _places(schema, tomllib.loads(text)) == [], name
+
+
+@pytest.mark.parametrize(
+    ("place", "value", "told"),
+    [
+        (("geometry", "mesh_sice"), 0.1, "geometry"),
+        (("geometry", "shape"), "egg", "geometry.shape"),
+        (("geometry", "radius"), [1, 2], "geometry.radius"),
+        (("tissue", "density"), True, "tissue.density"),
+        (("study", "models"), "fem", "study.models"),
+        (("constraints", 0, "kind"), "glued", "constraints.0.kind"),
+        (("regions", "base"), {"under": 1}, "regions.base"),
+        (("load", "steps"), 1.5, "load.steps"),
+        (("sweep", "tissue.density"), 1060, "sweep.tissue.density"),
+        (("models", "vdm-paper"), {"foundatoin": 1}, "models.vdm-paper"),
+    ],
+)
+def test_a_mistake_is_told_at_its_place(
+    schema: jsonschema.Draft202012Validator, place: tuple[Any, ...], value: Any, told: str
+) -> None:
+    data = tomllib.loads(FULL)
+    table = data
+    for key in place[:-1]:
+        table = table.setdefault(key, {}) if isinstance(table, dict) else table[key]
+    table[place[-1]] = value
+    assert _places(schema, data) == [told]
+
+
+def test_every_key_of_the_manual_has_its_help_in_the_schema(capsys: pytest.CaptureFixture[str]) -> None:
+    assert verb_schema.run(parse(["schema"])) == 0
+    text = capsys.readouterr().out
+    json.loads(text)
+    helps = {
+        json.dumps(row.help)[1:-1] for row in field_table() if row.help and not row.key.startswith('sweep."')
+    }
+    assert len(helps) > 50
+    assert [help for help in helps if help not in text] == []
