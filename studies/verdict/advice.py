@@ -13,7 +13,7 @@ from .acceptance import WITHIN
 from .digest import Digest, ModelSummary
 from .formatting import quantity
 from .standing import UNDECIDED, YES
-from .why_not import COMPRESSIBILITY, MESH, MODEL, REFERENCE, SMALL_STRAIN, Reason, off
+from .why_not import COMPRESSIBILITY, MESH, MODEL, REFERENCE, SMALL_STRAIN, TIME, Reason, off
 
 CONDENSED = "fem-condensed"
 RESTING, MOVING, CUTTING, EXACT = (
@@ -64,6 +64,8 @@ def advice(digest: Digest, model: str, word: str, why: Sequence[Reason]) -> str:
     if others:
         quick = min(others, key=lambda name: _summary(digest, name).seconds_per_step)
         return f"Take {_told(digest, quick)}. It is within the limits."
+    if causes.keys() == {TIME}:
+        return "Take a larger mesh_size, which makes a frame shorter, or allow more time."
     if SMALL_STRAIN in causes:
         return "Take elements that follow large displacements, as the reference does, or a smaller load."
     return f"Take elements: {digest.reference} is what the others are held against."
@@ -110,8 +112,9 @@ def by_interaction(digest: Digest) -> tuple[Advice, ...]:
 def _resting(digest: Digest) -> Advice:
     text = "Every linear model costs the same small product per frame. Take elements condensed to that region"
     if CONDENSED in digest.compared and math.isfinite(_worst_share(digest, CONDENSED)):
-        beyond = "" if _within(digest, CONDENSED) else ", which is not within the limits at this load"
-        return Advice(RESTING, CONDENSED, f"{text}: {_told(digest, CONDENSED)}{beyond}.")
+        return Advice(
+            RESTING, CONDENSED, f"{text}: {_told(digest, CONDENSED)}{_how_often(digest, CONDENSED)}."
+        )
     return Advice(RESTING, "", f"{text}; {CONDENSED} among the models measures them.")
 
 
@@ -210,6 +213,19 @@ def _answered(digest: Digest, names: Iterable[str]) -> list[str]:
 def _within(digest: Digest, name: str) -> bool:
     states = {digest.limits.state(case, name, case.full_load) for case in digest.cases}
     return states == {WITHIN}
+
+
+def _how_often(digest: Digest, name: str) -> str:
+    """In how many cases a model is within the limits, where it is not all."""
+    states = [digest.limits.state(case, name, case.full_load) for case in digest.cases]
+    within, count = states.count(WITHIN), len(states)
+    if within == count:
+        return ""
+    return (
+        f", within the limits in {within or 'none'} of {count} cases"
+        if count > 1
+        else ", not within the limits"
+    )
 
 
 def _better(digest: Digest, model: str) -> str | None:

@@ -20,12 +20,13 @@ from .digest import Digest, failed_steps
 from .formatting import listed, quantity, short_percent, swept_value
 from .loading import load_in_words, load_unit, loads_of
 
-MODEL, SMALL_STRAIN, COMPRESSIBILITY, MESH, REFERENCE, NO_ANSWER = (
+MODEL, SMALL_STRAIN, COMPRESSIBILITY, MESH, REFERENCE, TIME, NO_ANSWER = (
     "model",
     "small strain",
     "compressibility",
     "mesh",
     "reference",
+    "time",
     "no answer",
 )
 NOT_TOLD = "not told apart"
@@ -239,6 +240,17 @@ def the_reference(shortfall: Shortfall) -> Iterator[Reason]:
     yield Reason(REFERENCE, text, open_)
 
 
+def the_time(shortfall: Shortfall) -> Iterator[Reason]:
+    """A frame that takes longer than is allowed, in the slowest case."""
+    for limit in shortfall.limits.criteria:
+        if limit.key == "frame_time":
+            times = [limit.at(case, shortfall.model, case.full_load) for case in shortfall.digest.cases]
+            slowest = max((time for time in times if math.isfinite(time)), default=0.0)
+            if slowest > limit.allowed:
+                text = f"The time: a frame takes {quantity(slowest, 's', 2)}."
+                yield Reason(TIME, text, {limit.key: slowest})
+
+
 # in the order in which they are told
 CAUSES: tuple[Callable[[Shortfall], Iterator[Reason]], ...] = (
     no_answer,
@@ -247,6 +259,7 @@ CAUSES: tuple[Callable[[Shortfall], Iterator[Reason]], ...] = (
     compressibility,
     the_mesh,
     the_reference,
+    the_time,
 )
 
 

@@ -22,6 +22,7 @@ from vdmbench.verdict.why_not import (
     NOT_TOLD,
     REFERENCE,
     SMALL_STRAIN,
+    TIME,
     reasons,
 )
 
@@ -196,6 +197,28 @@ def test_what_is_not_measured_is_asked_for() -> None:
         NOT_TOLD: 'This study does not tell why. It would with "fem-linear" among the models, a small first factor '
         "in [load] and levels = 2 in [uncertainty]."
     }
+
+
+def test_a_frame_that_takes_too_long_is_told() -> None:
+    case = make_case({"vdm-m": 0.01, "fem-condensed": 0.02}, subdivisions=0)
+    run = make_run([case], acceptance={"frame_time": 3e-4})  # they take 0.4 and 0.8 ms
+    assert causes(run) == {TIME: "The time: a frame takes 400 µs."}
+    found = verdict(Digest(run))
+    assert found.word == "No"
+    assert found.advice == "Take a larger mesh_size, which makes a frame shorter, or allow more time."
+    moving = next(entry for entry in found.interactions if entry.interaction.startswith("contacts that move"))
+    assert moving.sentence == "No surface model answers within 300 µs per frame."
+    assert causes(make_run([case], acceptance={"frame_time": 5e-4})) == {}
+
+
+def test_condensed_elements_say_how_often_they_are_within() -> None:
+    cases = [
+        make_case({"vdm-m": 0.3, "fem-condensed": error}, label=str(k), swept={"k": k}, subdivisions=0)
+        for k, error in enumerate((0.05, 0.2))
+    ]
+    resting = verdict(Digest(make_run(cases))).interactions[0]
+    assert resting.model == "fem-condensed"
+    assert resting.sentence.endswith("of set-up), within the limits in 1 of 2 cases.")
 
 
 # --- a doubtful status ---
