@@ -20,6 +20,7 @@ from .measures.case import CaseResult, Run
 
 if TYPE_CHECKING:
     from .graph.run import Event
+    from .verdict.verdict import Verdict
 
 
 @dataclass(frozen=True)
@@ -39,6 +40,14 @@ class Results:
     def failed(self) -> list[str]:
         """What failed, a line for each case."""
         return [f"{failure['label']}: {failure['message']}" for failure in self.data.failed]
+
+    @cached_property
+    def verdict(self) -> Verdict:
+        """The answer that page and terminal show: `word`, `limits`, `why_not`, `advice`, `up_to`, `costs`."""
+        from .verdict.digest import Digest
+        from .verdict.verdict import verdict
+
+        return verdict(Digest(self.data))
 
     @cached_property
     def headline(self) -> Any:
@@ -91,8 +100,9 @@ class Results:
         )
 
     def _repr_html_(self) -> str:
-        """The headline table and the way to the report, for a notebook."""
+        """The headline table, the verdict and the way to the report, for a notebook."""
         from .report.headline import headline_rows
+        from .verdict.sentences import GOOD, WHAT, WHY, answers
 
         rows = headline_rows(self.data)
         head = "".join(f"<th>{escape(key)}</th>" for key in (rows[0] if rows else {}))
@@ -101,8 +111,13 @@ class Results:
         )
         title = escape(str(self.data.study.get("title") or self.data.study.get("name", "")))
         failed = "".join(f"<p>failed: {escape(line)}</p>" for line in self.failed)
+        told = "".join(
+            f"<p><b>{escape(' '.join((answer.question, answer.word)))}</b> {escape(' '.join(answer.sentences))}</p>"
+            for answer in answers(self.verdict)
+            if answer.question in ("", GOOD, WHY, WHAT)
+        )
         return (
-            f"<h4>{title}</h4><table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>{failed}"
+            f"<h4>{title}</h4>{told}<table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>{failed}"
             f'<p><a href="{escape(self.report.resolve().as_uri())}">report</a></p>'
         )
 

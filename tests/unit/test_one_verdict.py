@@ -1,4 +1,4 @@
-"""Page, terminal and JSON take one verdict: the same words and numbers stand in all three."""
+"""Page, terminal, JSON and Python take one verdict: the same words and numbers stand in all of them."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from typing import Any
 
 import pytest
 
+from vdmbench.api import Results
 from vdmbench.cli.output import WIDTH, print_run, print_table
 from vdmbench.measures.case import Run
 from vdmbench.report.page import page_html
@@ -49,6 +50,10 @@ def test_page_terminal_and_json_say_the_same(make: Any, capsys: pytest.CaptureFi
     assert f" {found.word}. " in page
     assert f"Is it good enough? {found.word} " in terminal
     assert data["word"] == found.word
+    results = Results(Path("runs/ball"), run, Path("runs/ball/report.html"))
+    assert results.verdict == found
+    notebook = flat(html.unescape(re.sub(r"<[^>]*>", " ", results._repr_html_())))
+    assert all(flat(sentence) in notebook for sentence in told[0].sentences)
     for answer, stored in zip(told, data["answers"], strict=True):
         assert [stored["question"], stored["word"], stored["sentences"]] == [
             answer.question,
