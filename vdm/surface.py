@@ -29,7 +29,10 @@ class SurfaceMesh:
     Parameters
     ----------
     points : (N, 3) coordinates [m]
-    triangles : (F, 3) indices into `points`, counter-clockwise seen from outside
+    triangles : (F, 3) indices into `points`, counter-clockwise seen from outside; or flat as in
+        `pyvista.PolyData.faces`, where a 3 stands before each
+    merge : whether points at the very same place become one, in the order in which they first come; readers of STL
+        may give each facet corners of its own
 
     Raises
     ------
@@ -38,10 +41,12 @@ class SurfaceMesh:
         that no facet uses.
     """
 
-    def __init__(self, points: ArrayLike, triangles: ArrayLike) -> None:
+    def __init__(self, points: ArrayLike, triangles: ArrayLike, *, merge: bool = False) -> None:
         self.points: Array = np.array(points, dtype=np.float64, order="C")
         self.triangles: Index = _triangle_array(triangles)
         _check_arrays(self.points, self.triangles)
+        if merge:
+            self.points, self.triangles = _merged(self.points, self.triangles)
         self.n_nodes = len(self.points)
 
         corners = self._corners()
@@ -50,7 +55,10 @@ class SurfaceMesh:
         _check_facets(corners, self.facet_areas)
         self.edges: NDArray[np.int32]
         self.facet_edges: NDArray[np.int32]
-        self.edges, self.facet_edges = _edges(self.triangles, self.n_nodes)
+        try:
+            self.edges, self.facet_edges = _edges(self.triangles, self.n_nodes)
+        except SurfaceError as error:
+            raise _with_duplicates(error, self.points) from None
 
         # V = (1/6) sum of x0 . (x1 x x2), taken about the centroid so that no digits are lost far from the origin
         centred = corners[0] - self.points.mean(axis=0)
@@ -168,7 +176,33 @@ def _triangle_array(triangles: ArrayLike) -> Index:
     array = np.asarray(triangles)
     if array.dtype.kind not in "iu":
         raise SurfaceError(f"triangles must be integers, not {array.dtype}; pass node indices")
+    if array.ndim == 1 and array.size and array.size % 4 == 0:
+        array = array.reshape(-1, 4)
+        if not (array[:, 0] == 3).all():
+            raise SurfaceError("a flat array of faces must have a 3 before each triangle; cut polygons first")
+        array = array[:, 1:]
     return np.ascontiguousarray(array, dtype=np.int64)
+
+
+def _merged(points: Array, triangles: Index) -> tuple[Array, Index]:
+    """One node for each place, in the order of first appearance."""
+    _, first, place = np.unique(points, axis=0, return_index=True, return_inverse=True)
+    order = np.argsort(first)
+    number = np.empty_like(order)
+    number[order] = np.arange(len(order))
+    return points[first[order]], np.ascontiguousarray(number[place.ravel()][triangles])
+
+
+def _with_duplicates(error: SurfaceError, points: Array) -> SurfaceError:
+    """The same refusal; where points share their place, that may be all that is wrong."""
+    _, first, count = np.unique(points, axis=0, return_index=True, return_counts=True)
+    extra = len(points) - len(count)
+    if not extra:
+        return error
+    example = int(first[count > 1].min())
+    return SurfaceError(
+        f"{error}; {extra} points stand where another one stands (first: {example}): merge them, by merge=True"
+    )
 
 
 def _check_arrays(points: Array, triangles: Index) -> None:

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
+import meshio
 import numpy as np
 import pytest
-from numpy.testing import assert_allclose
+import pyvista
+from numpy.testing import assert_allclose, assert_array_equal
 
 from tests.unit.vdm_shapes import box, icosphere, torus
 from tests.verification.records import Verified
@@ -167,3 +171,32 @@ def test_bad_surfaces_have_one_clear_error(name):
     points, triangles, message = _bad_surfaces()[name]
     with pytest.raises(SurfaceError, match=message):
         SurfaceMesh(points, triangles)
+
+
+def test_what_pyvista_reads_of_an_stl_is_taken(tmp_path: Path) -> None:
+    points, triangles = icosphere(2)
+    meshio.write_points_cells(tmp_path / "ball.stl", points, [("triangle", triangles)])
+    read = pyvista.read(tmp_path / "ball.stl")
+    surface = SurfaceMesh(read.points, read.faces)
+    assert surface.volume == pytest.approx(SurfaceMesh(points, triangles).volume, rel=1e-6)
+    with pytest.raises(SurfaceError, match="a 3 before each triangle"):
+        SurfaceMesh(points, np.full(8, 4))
+
+
+def test_corners_of_their_own_are_named_and_merged_on_request() -> None:
+    points, triangles = icosphere(2)
+    soup, own = points[triangles].reshape(-1, 3), np.arange(3 * len(triangles)).reshape(-1, 3)
+    extra = len(soup) - len(points)
+    told = (
+        rf"the surface is open: .*; {extra} points stand where another one stands \(first: 0\).* merge=True"
+    )
+    with pytest.raises(SurfaceError, match=told):
+        SurfaceMesh(soup, own)
+    merged = SurfaceMesh(soup, own, merge=True)
+    assert merged.n_nodes == len(points)
+    assert_array_equal(merged.points[merged.triangles], points[triangles])
+    assert_array_equal(merged.points[0], soup[0])
+    untouched = SurfaceMesh(points, triangles, merge=True)
+    assert_array_equal(untouched.points[untouched.triangles], points[triangles])
+    with pytest.raises(SurfaceError, match=r"close the holes$"):
+        SurfaceMesh(points, triangles[1:])
