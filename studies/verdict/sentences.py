@@ -41,7 +41,7 @@ def answers(verdict: Verdict) -> tuple[Answer, ...]:
             _answer(WHY, [reason.sentence for reason in verdict.why_not]),
             _answer(WHAT, _what_to_use(verdict)),
             _answer(LOAD, _up_to(verdict)),
-            _answer(WITH, _parameters(verdict)),
+            _answer(WITH, [*_parameters(verdict), *verdict.motion]),
             _answer(COST, _costs(verdict)),
             _answer(SURE, [*verdict.sureness, _KIND]),
         ]

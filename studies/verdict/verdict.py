@@ -21,6 +21,7 @@ from .formatting import listed, parameter_name, plural, short_percent, swept_val
 from .growth import limits_in_words
 from .ladders import reading
 from .measured import measured
+from .motion import motion_in_words
 from .standing import word_of
 from .up_to import UpTo, up_to
 from .why_not import Reason, reasons
@@ -121,6 +122,7 @@ class Verdict:
     errors : of every model that is compared, `model` first
     costs : of every model
     settings : the parameters of `model`
+    motion : what the reference's motion is made of, and what that costs models that move nodes along normals
     sureness : how sure the figures are, and what is not in them
     """
 
@@ -145,6 +147,7 @@ class Verdict:
     errors: tuple[ModelErrors, ...] = ()
     costs: tuple[Cost, ...] = ()
     settings: tuple[Setting, ...] = ()
+    motion: tuple[str, ...] = ()
     sureness: tuple[str, ...] = ()
 
     def as_data(self) -> dict[str, Any]:
@@ -167,7 +170,7 @@ def verdict(digest: Digest) -> Verdict:
     lost = len(run.failed) + len(run.missing)
     costs = tuple(_cost(digest, summary) for summary in digest.summaries)
     about: dict[str, Any] = {"reference": digest.reference or "", "cases": len(digest.cases), "lost": lost}
-    about |= {"costs": costs, "sureness": tuple(_gaps(digest))}
+    about |= {"costs": costs, "motion": motion_in_words(digest), "sureness": tuple(_gaps(digest))}
     if not digest.cases:
         return Verdict("", not_judged="No case has a result yet, so there is nothing to compare.", **about)
     if digest.reference is None:
