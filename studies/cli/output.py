@@ -15,7 +15,6 @@ from ..machine.streams import harmless
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from ..graph.run import Event
     from ..measures.case import Run
     from ..verdict.sentences import Answer
 
@@ -132,55 +131,6 @@ def print_table(rows: Sequence[dict[str, str]]) -> None:
                 row[column].ljust(width) for column, width in zip(columns, widths, strict=True)
             ).rstrip()
         )
-
-
-class Progress:
-    """A bar on a terminal, a line per event otherwise; on standard error, so that output can be piped."""
-
-    def __init__(self, name: str, *, quiet: bool) -> None:
-        self.name = name  # of the study, for the case of a study of one
-        self.quiet = quiet
-        self.bar: Any = None
-        self.total = 0
-
-    def __enter__(self) -> Progress:
-        return self
-
-    def _bar(self) -> Any:
-        from rich.console import Console
-        from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
-
-        bar = Progress(
-            TextColumn("{task.description}", markup=False),
-            BarColumn(),
-            MofNCompleteColumn(),
-            TimeElapsedColumn(),
-            console=Console(stderr=True),
-            transient=True,
-        )
-        bar.start()
-        self.task = bar.add_task("starting", total=self.total)
-        return bar
-
-    def __exit__(self, *_: object) -> None:
-        if self.bar is not None:
-            self.bar.stop()
-
-    def show(self, event: Event) -> None:
-        """Show one event of the run; a sentence also where progress is not wanted."""
-        if event.kind == "told":
-            complain(event.message, OK)
-            return
-        self.total = event.count or self.total
-        label = harmless(event.label or self.name)
-        if self.bar is None and not self.quiet and sys.stderr.isatty():
-            # not sooner: it is a thread, and workers are to be forked from a process that has no other
-            self.bar = self._bar()
-        if self.bar is not None:
-            advance = event.kind in ("done", "failed", "stopped")
-            self.bar.update(self.task, description=label[:60], advance=1 if advance else 0)
-        elif not self.quiet and event.kind in ("done", "failed"):
-            print(f"{event.kind} {label} ({event.seconds:.1f} s)", file=sys.stderr, flush=True)
 
 
 def tell(text: str) -> None:

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING
 
 from ..machine.processors import usable_processors
 from .argument_kinds import jobs_arguments, out_argument, study_arguments
-from .output import FAILED, OK, Progress, complain_of_failures, print_json, print_table
+from .output import FAILED, OK, complain_of_failures, print_json, print_table
+from .progress import Progress
 from .studies import command_of, load, make_plan, require_own
 
 if TYPE_CHECKING:

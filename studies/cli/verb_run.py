@@ -14,7 +14,8 @@ from .argument_kinds import (
     size_in_bytes,
     study_arguments,
 )
-from .output import FAILED, Progress, complain, count, print_run
+from .output import FAILED, complain, count, print_run
+from .progress import Progress
 from .studies import load, make_plan, require_own
 
 SUMMARY = "run what is missing and write the report"

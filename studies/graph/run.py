@@ -34,6 +34,7 @@ from ..study.config import geometry_error, resolved
 from ..study.folders import text_without_folders, without_folders
 from ..study.units import shown
 from .engine import Outcome, Places, run_nodes
+from .estimate import estimate
 from .explain import beyond_memory, summary
 from .nodes import bodies, graph
 from .plan import Plan, PlannedCase
@@ -51,8 +52,8 @@ Finish = Callable[[Path, Callable[[str], None]], tuple[Run, Path]]
 class Event:
     """Something that a watcher of a run may want to show."""
 
-    # "begun" with the `count` of what will be done, failed or stopped; "started", "done", "failed" of a case,
-    # "stopped" of what it needs; "told": a sentence, in `message`
+    # "begun" with the `count` of what will be done, failed or stopped, and the seconds expected; "started", "done",
+    # "failed" of a case, "stopped" of what it needs; "told": a sentence, in `message`
     kind: str
     label: str
     seconds: float = 0.0
@@ -202,7 +203,10 @@ def _run_missing(
         plan = dataclasses.replace(plan, directory=plan.directory.absolute(), cache=plan.cache.absolute())
     logs = plan.directory / "failed"
     nodes = graph(plan, cases, places.count, run=uuid4().hex)
-    watch(Event("begun", plan.study.study.name, count=sum(max(1, len(node.items)) for node in nodes)))
+    expected = estimate(plan, cases)
+    seconds = expected.seconds / max(1, min(places.count, len(nodes))) if expected else 0.0
+    count = sum(max(1, len(node.items)) for node in nodes)
+    watch(Event("begun", plan.study.study.name, seconds, count=count))
     outcomes = run_nodes(
         nodes,
         places,
