@@ -102,7 +102,7 @@ class Results:
     def _repr_html_(self) -> str:
         """The headline table, the verdict and the way to the report, for a notebook."""
         from .report.headline import headline_rows
-        from .verdict.sentences import GOOD, WHAT, WHY, answers
+        from .verdict.sentences import LEAD, answers
 
         rows = headline_rows(self.data)
         head = "".join(f"<th>{escape(key)}</th>" for key in (rows[0] if rows else {}))
@@ -114,7 +114,7 @@ class Results:
         told = "".join(
             f"<p><b>{escape(' '.join((answer.question, answer.word)))}</b> {escape(' '.join(answer.sentences))}</p>"
             for answer in answers(self.verdict)
-            if answer.question in ("", GOOD, WHY, WHAT)
+            if answer.question in LEAD
         )
         return (
             f"<h4>{title}</h4>{told}<table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>{failed}"

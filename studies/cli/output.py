@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 WIDTH = 80  # columns of a terminal
 _BEFORE_UNIT = re.compile(r"(?<=\d) (?=[^\W\d]|%)|(?<=±) ")
-_TOLD_HERE = ("", "Is it good enough?", "Why not?", "What to use?", "Up to which load?")
+_TOLD_HERE = ("", "Is it good enough?", "Why not?", "What to do?", "What to use where?", "Up to which load?")
 OK, REGRESSED, USAGE, FAILED, MACHINE, DAMAGED, NOTHING_COMPARED = range(7)
 BUG, INTERRUPTED = 70, 130
 

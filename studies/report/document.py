@@ -47,6 +47,7 @@ def html_document(
     title: str,
     name: str,
     verdict: Sequence[Answer],
+    further: Sequence[Answer] = (),
     counts: Sequence[tuple[str, str]],
     models: Sequence[tuple[int, str, bool]],
     sections: Sequence[Written],
@@ -55,7 +56,7 @@ def html_document(
 ) -> str:
     """The document as text. `counts` are (what, tone) badges, `models` the legend of the whole page.
 
-    `cases` are their names, which charts show under the pointer.
+    `further` answers come below the scene. `cases` are their names, which charts show under the pointer.
     """
     scripts = _scripts() if any(section.has_viewer for section in sections) else _scripts()[:1]
     return (
@@ -65,6 +66,7 @@ def html_document(
             title=title,
             name=name,
             verdict=verdict,
+            further=further,
             scene=scene,
             cases=json.dumps(cases),
             counts=counts,

@@ -13,7 +13,7 @@ from ..machine.modules import load_all
 from ..measures.case import Run
 from ..verdict.digest import Digest
 from ..verdict.formatting import plural
-from ..verdict.sentences import answers
+from ..verdict.sentences import LEAD, answers
 from ..verdict.verdict import verdict
 from . import headline, picture
 from .blocks import Section
@@ -121,7 +121,8 @@ def _page_html(digest: Digest, render: Renderer) -> str:
         return html_document(
             title=str(run.study.get("title") or run.study.get("name", "study")),
             name=str(run.study.get("name", "")),
-            verdict=told,
+            verdict=[answer for answer in told if answer.question in LEAD],
+            further=[answer for answer in told if answer.question not in LEAD],
             scene=drawn,
             cases=[digest.case_name(case) for case in digest.cases],
             counts=_counts(run),

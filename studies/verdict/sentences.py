@@ -14,11 +14,13 @@ from .why_not import exact_percent
 
 GOOD = "Is it good enough?"
 WHY = "Why not?"
-WHAT = "What to use?"
+DO = "What to do?"
+USE = "What to use where?"
 LOAD = "Up to which load?"
 WITH = "With which formulation and parameters?"
 COST = "At what cost?"
 SURE = "How sure is this?"
+LEAD = ("", GOOD, WHY, DO)  # what decides; a page shows the others further down
 _KIND = "These are differences between computations. Nothing here was compared with an experiment."
 
 
@@ -39,7 +41,8 @@ def answers(verdict: Verdict) -> tuple[Answer, ...]:
         found = [
             Answer(GOOD, verdict.word, tuple(_good_enough(verdict))),
             _answer(WHY, [reason.sentence for reason in verdict.why_not]),
-            _answer(WHAT, _what_to_use(verdict)),
+            _answer(DO, [verdict.advice]),
+            _answer(USE, _what_to_use(verdict)),
             _answer(LOAD, _up_to(verdict)),
             _answer(WITH, [*_parameters(verdict), *verdict.motion]),
             _answer(COST, _costs(verdict)),
@@ -131,10 +134,9 @@ def _with_bar(value: float, bar: float) -> str:
 
 
 def _what_to_use(verdict: Verdict) -> list[str]:
-    told = [
+    return [
         f"{a.interaction[:1].upper()}{a.interaction[1:]}: {_small(a.sentence)}" for a in verdict.interactions
     ]
-    return [verdict.advice, *told]
 
 
 def _small(sentence: str) -> str:

@@ -15,7 +15,7 @@ from vdmbench.study.fields import targets
 from vdmbench.study.model_name import PARAMETERS
 from vdmbench.verdict.acceptance import BEYOND, LOST, OPEN, WITHIN, acceptance
 from vdmbench.verdict.digest import Digest
-from vdmbench.verdict.sentences import COST, GOOD, LOAD, SURE, WHAT, WHY, WITH, answers
+from vdmbench.verdict.sentences import COST, DO, GOOD, LOAD, SURE, USE, WHY, WITH, answers
 from vdmbench.verdict.verdict import verdict
 
 from .report_runs import REFERENCE, make_case, make_run, sweep_run
@@ -55,8 +55,8 @@ def test_a_sweep_in_words() -> None:
         WHY: "The model: it is 10.6 % off in displacement and 10.6 % in change of shape at any load, as both it "
         "and the reference are linear. The reference: its own error is up to 0.68 % in displacement and 0.74 % in "
         "change of shape, too wide to tell on which side of the limit it is.",
-        WHAT: "Take elements: fem-linear is what the others are held against. "
-        "A contact that stays on one region: every linear model costs the same small product per frame. Take "
+        DO: "Take elements: fem-linear is what the others are held against.",
+        USE: "A contact that stays on one region: every linear model costs the same small product per frame. Take "
         "elements condensed to that region; fem-condensed among the models measures them. "
         "Contacts that move, loads everywhere: of the surface models the closest is vdm-vector (7.8 % off in "
         "displacement and 7.8 % in change of shape, 800 µs per frame after 40 ms of set-up). "
@@ -265,7 +265,7 @@ def test_the_verdict_is_about_vdm_even_where_elements_are_closer() -> None:
     run = make_run([dataclasses.replace(case, models={**case.models, "fem-condensed": quick})])
     text = told(run)
     assert text[GOOD].startswith("No. vdm-b, the closest of 2 VDM models, is not within 10 % (no error bar).")
-    assert text[WHAT].startswith(
+    assert text[DO].startswith(
         "Take fem-condensed (1 % off in displacement and 1 % in change of shape, 200 µs per frame after 60 ms of "
         "set-up). It is within the limits."
     )
@@ -572,7 +572,7 @@ def test_nothing_is_judged_beyond_small_strain(error: float) -> None:
         "fem-linear by "
     )
     assert text(8.0)[GOOD].startswith(words)
-    assert not text(8.0).keys() & {WHY, WHAT, LOAD}
+    assert not text(8.0).keys() & {WHY, DO, USE, LOAD}
     judged = "Yes. " if error < 0.1 else "No. "
     assert text(4.0)[GOOD].startswith(judged)
     assert text(8.0, "fem")[GOOD].startswith(judged), "finite strain has no such bound"
