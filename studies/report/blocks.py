@@ -95,12 +95,22 @@ class Facts:
 
 
 @dataclass(frozen=True)
+class Still:
+    """A picture of panels side by side, each as (title, colour map, what its brightest colour stands for)."""
+
+    title: str
+    url: str  # with the data in it
+    words: str
+    panels: Sequence[tuple[str, str, str]]
+
+
+@dataclass(frozen=True)
 class Viewer:
-    """The 3-D viewer's data, as JSON, and its pictures: (title, data URL, alternative text)."""
+    """The 3-D viewer's data, as JSON, and its pictures where it cannot be."""
 
     template: ClassVar[str] = "viewer"
     payload: Mapping[str, object] | None
-    pictures: Sequence[tuple[str, str, str]]
+    pictures: Sequence[Still]
     notes: Sequence[str] = ()
 
 

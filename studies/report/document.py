@@ -13,12 +13,16 @@ from pathlib import Path
 
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
+from matplotlib import colormaps
+from matplotlib.colors import to_hex
 
 from ..verdict.sentences import Answer
 from .blocks import Scene, Section, Viewer
+from .picture import COLOUR_MAPS
 from .plots import shape
 from .svg import MARKER_PATHS
 
+_STOPS = 12  # of a colour map where it is a gradient
 _TEMPLATES = Path(__file__).parent / "templates"
 _JSON_ESCAPES = str.maketrans(
     {"<": "\\u003c", ">": "\\u003e", "&": "\\u0026", "\u2028": "\\u2028", "\u2029": "\\u2029"}
@@ -114,6 +118,9 @@ def _environment() -> Environment:
     environment.filters["json"] = script_json
     environment.filters["shape"] = shape
     environment.globals["marker_paths"] = MARKER_PATHS
+    environment.globals["ramps"] = {
+        name: [to_hex(colormaps[name](k / _STOPS)) for k in range(_STOPS + 1)] for name in COLOUR_MAPS
+    }
     environment.filters["unbroken"] = lambda text: re.sub(r"(?<=\d) (?=[^\W\d]|%)", "\u00a0", text)
     return environment
 

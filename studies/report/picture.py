@@ -21,6 +21,7 @@ from ..verdict.digest import Array
 from ..verdict.formatting import scale_of
 from . import raster
 
+COLOUR_MAPS = ("viridis", "inferno")  # of displacements, of differences
 _PANEL = 420  # pixels
 # of a picture with labels: dots per inch, pixels of height for them, letters of a line above one panel
 _DPI, _LABELS, _LETTERS = 100, 150, 55

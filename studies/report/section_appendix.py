@@ -38,13 +38,13 @@ def how_to_reproduce(digest: Digest) -> Section:
     commands = [words, ["report", str(plan.get("directory", f"results/runs/{name}"))]]
     blocks: list[Block] = [
         Text(
-            "The first command runs the study, or only what is missing of it, where it was run before. The second "
-            "makes this page again from the stored results alone."
+            "The first command runs the study, or what is still missing of it. The second makes this page again "
+            "from the stored results."
         ),
         Code("\n".join(shlex.join(["vdmbench", *words]) for words in commands)),
         Text(
-            "Every number on this page is computed from the case files of the run directory, cases/<hash>.vtkhdf, "
-            "which ParaView opens too; study.h5 and metrics.csv hold all metrics of all cases.",
+            "Every number on this page comes from the case files in the run directory, cases/<hash>.vtkhdf. "
+            "ParaView opens them too. study.h5 and metrics.csv hold all metrics of all cases.",
             kind="note",
         ),
     ]

@@ -41,9 +41,9 @@ def case_table(digest: Digest) -> Section | None:
     blocks: list[Block] = [Table("cases", "", columns, rows, open_rows=_OPEN_ROWS)]
     note = "Errors at full load."
     if len(digest.cases) > 1 and digest.focus and digest.compared:
-        note += f" Sorted by the displacement error of {digest.focus}, the largest first."
+        note += f" The largest displacement error of {digest.focus} comes first."
     if len(rows) < len(ranked):
-        note += f" To keep the page small only the first {len(rows)} of {len(ranked)} are listed."
+        note += f" Only the first {len(rows)} of {len(ranked)} are listed, to keep the page small."
     return Section("cases", "Cases", [Text(note, kind="note"), *blocks])
 
 
@@ -105,9 +105,7 @@ def failures(digest: Digest) -> Section | None:
         blocks.append(Table("stopped", "Models that stopped in a finished case", columns, rows))
     if rows := _reservations(digest):
         columns = _failure_columns("Model and case")
-        blocks.append(
-            Table("reserved", "Results that the model itself has a reservation about", columns, rows)
-        )
+        blocks.append(Table("reserved", "Results that their model warns about", columns, rows))
     if digest.run.missing:
         names = [label or "a case" for label in digest.run.missing]
         shown = names if len(names) <= 8 else [*names[:7], f"{len(names) - 7} more"]

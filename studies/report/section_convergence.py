@@ -56,11 +56,11 @@ def mesh_convergence(digest: Digest) -> Section | None:
         return None
     fixed = next((s for s in found if s.model == digest.reference and s.behaviour != CHANGED), None)
     reading = (
-        "The work that the contact does on the displacement, at full load, on each mesh. The order is that of the "
-        "three finest; where it is between 0.5 and 4 the limit is extrapolated from it and ± is the grid "
-        "convergence index of the finest mesh, 1.25 times its estimated error, else three times the largest "
-        "difference between meshes. A convergent model has a limit of its own; how far that is from the "
-        "reference's is its structural error, which no refinement removes."
+        "Each figure is the work of the contact at full load on one mesh. The order comes from the three finest "
+        "meshes. Where it lies between 0.5 and 4 the limit is extrapolated with it, and ± is the grid convergence "
+        "index of the finest mesh: 1.25 times its estimated error. Elsewhere ± is three times the largest "
+        "difference between meshes. A model that converges has a limit of its own. How far that is from the limit "
+        "of the reference is its structural error, which no finer mesh removes."
     )
     blocks = [Text(sentence) for sentence in _verdict(found, digest.reference)]
     figure = Figures([_figure(digest, found, fixed)], digest.legend)

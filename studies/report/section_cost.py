@@ -34,11 +34,12 @@ def run_time_against_error(digest: Digest) -> Section | None:
     if not figures:
         return None
     note = (
-        "Further left is faster, lower is closer. Filled: time per frame. Hollow, at the end of the dotted line: "
-        "set-up, paid once. Dashed grey: what a frame of the reference costs, and its own error where measured."
+        "Further left is faster; lower is closer. A filled mark is the time of a frame. The hollow mark at the end "
+        "of its dotted line is the set-up, which is paid once. Dashed grey is the reference: its time for a frame, "
+        "and its own error where that was measured."
     )
     if len(digest.cases) > 1:
-        note += " Points are medians over the cases, whiskers reach from the best to the worst."
+        note += " Marks are medians over the cases. Whiskers reach from the best case to the worst."
     notes = time_notes(digest.summaries)
     blocks: list[Block] = [Text(note, kind="note"), Figures(figures, digest.legend)]
     return Section("cost", "Run time against error", [*blocks, *(Text(n, kind="note") for n in notes)])
@@ -49,18 +50,18 @@ def time_notes(summaries: Sequence[ModelSummary]) -> list[str]:
     notes = []
     if earlier := [s.name for s in summaries if s.earlier_cases]:
         notes.append(
-            f"Measured earlier ({listed(earlier)}): result and times were taken from an earlier run, not measured "
-            "beside the others; ratios to them hold only if the machine was as busy then."
+            f"Measured earlier: {listed(earlier)}. Results and times come from an earlier run; the machine may "
+            "have been less busy then, or busier."
         )
     if elsewhere := [s.name for s in summaries if s.elsewhere_cases]:
         notes.append(
-            f"Measured on another machine ({listed(elsewhere)}) than this page was made on: hold these times only "
-            "against times of the same machine."
+            f"Measured on another machine than this page was made on: {listed(elsewhere)}. Compare these times "
+            "with times of that machine only."
         )
     if iterative := [s.name for s in summaries if s.iterative]:
         notes.append(
-            f"Solved iteratively ({listed(iterative)}), which suits the few loads of a study: with factors kept, "
-            "frames of the same elements are shorter and their set-up is longer; vdmbench bench measures those."
+            f"Solved iteratively, as suits the few loads of a study: {listed(iterative)}. With factors kept, the "
+            "same elements take longer to set up and less for a frame; vdmbench bench measures that."
         )
     return notes
 

@@ -66,12 +66,12 @@ def error_against_parameters(digest: Digest) -> Section | None:
     notes = []
     if len(digest.swept_keys) > 1:
         notes.append(
-            "Each point is one case at full load; lines join the medians of the cases that share a value."
+            "Each point is one case at full load. Lines join the medians of the cases that share a value."
         )
     if any(math.isfinite(reference_bar(case)) for case in digest.cases):
-        notes.append("Dashed grey: the reference's own error.")
+        notes.append("Dashed grey is the error of the reference itself.")
     if (step := _stride(len(digest.cases))) > 1:
-        notes.append(f"To keep the page small one in {step} cases is drawn.")
+        notes.append(f"One case in {step} is drawn, to keep the page small.")
     blocks: list[Block] = [Text(" ".join(notes), kind="note")] if notes else []
     return Section("parameters", "Error against each swept parameter", [*blocks, *pairs])
 
@@ -242,9 +242,9 @@ def error_against_load(digest: Digest) -> Section | None:
         return None
     notes = []
     if len(digest.cases) > 1:
-        notes.append("Lines are medians over the cases, bands reach from the best to the worst case.")
+        notes.append("Lines are medians over the cases. Bands reach from the best case to the worst.")
     if any(math.isfinite(reference_bar(case)) for case in digest.cases):
-        notes.append("Dashed grey: the reference's own error, measured at full load.")
+        notes.append("Dashed grey is the error of the reference itself, at full load.")
     blocks: list[Block] = [Text(" ".join(notes), kind="note")] if notes else []
     return Section("load", "Error against load", [*blocks, Figures(figures, digest.legend)])
 

@@ -26,9 +26,9 @@ def anisotropy_of_the_response(digest: Digest) -> Section | None:
     if not rows:
         return None
     note = (
-        "Mean over the body's volume at full load, from the surface. Without fibres a body of revolution "
-        "has the same strain along x and y; fibres along x make the first the smaller one. VDM has its contrast in "
-        "the moduli of nodes and edges, the reference has fibres through its volume."
+        "Means over the volume of the body at full load. Without fibres a body of revolution strains alike along x "
+        "and y. Fibres along x make the strain along x the smaller one. VDM puts the contrast into the moduli of "
+        "nodes and edges; the reference has fibres through its volume."
     )
     columns = [
         Column("Case", numeric=False),

@@ -26,14 +26,14 @@ from .plots import Plot, Sheet, colour, line, marker
 from .told import tell
 
 _CONTACT_NOTE = (
-    "Under a contact the force is given and the indentation is the answer: the largest displacement of the nodes "
-    "in contact along the undeformed normal, inwards, negative where they are pulled out."
+    "The force of a contact is given; the indentation is the answer. It is the largest displacement of a node in "
+    "contact, inwards along the normal of the body at rest. It is negative where the nodes are pulled out."
 )
 _MOVED_NOTE = (
-    "Where a region is moved by a given amount the force is the answer: the resultant of its nodes’ reactions, "
-    "along the way that it is moved. A stiff model lies above the reference."
+    "A region is moved by a given amount; the force is the answer. It is the sum of the reactions of its nodes, "
+    "along the movement. A model that is too stiff lies above the reference."
 )
-_WEIGHT_NOTE = "The body's weight acts without load too, so that no curve starts at the origin."
+_WEIGHT_NOTE = "The body's weight acts without load too: no curve starts at the origin."
 
 
 Curves = Mapping[str, tuple[Array, Array]]  # model -> (S,) lengths [m], (S,) loads

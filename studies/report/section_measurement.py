@@ -18,10 +18,11 @@ from .told import tell
 _MOST_DRAWN = 40  # quantities of a figure
 _ON = 1e-9  # m: closer is rounding
 _READING = (
-    "E is what a model says less what was measured; ± is the validation uncertainty u_val (ASME V&V 20-2009), "
-    "√(u_num² + u_input² + u_D²). Where |E| is at most u_val the two agree as far as anybody can tell; else at "
-    "least |E| − u_val is the model's, or its inputs'. u_num is known of the reference alone, from its mesh "
-    "levels. u_input is not counted: this study does not tell how well its inputs are known."
+    "E is the answer of a model less what was measured. ± is the validation uncertainty u_val (ASME V&V 20-2009), "
+    "√(u_num² + u_input² + u_D²). Where |E| is at most u_val, model and measurement agree as far as anybody can "
+    "tell. Where it is larger, at least |E| − u_val is an error of the model or of its inputs. u_num is known of "
+    "the reference alone, from its mesh levels. u_input is not counted: this study does not tell how well its "
+    "inputs are known."
 )
 
 

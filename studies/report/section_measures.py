@@ -37,10 +37,7 @@ def all_measures(digest: Digest) -> Section | None:
         *(Column(model, "median" if many else "") for model in digest.compared),
         Column(str(digest.reference), "reference"),
     ]
-    note = (
-        "± is the reference's own error in a measure, where that was measured. The last column is of the reference "
-        "alone."
-    )
+    note = "± is the error of the reference itself, where it was measured. The last column is the reference alone."
     table = Table("measures", "", columns, rows)
     return Section("measures", "All measures at full load", [Text(note, kind="note"), table])
 

@@ -85,15 +85,14 @@ def _verdict(found: Sequence[Ladder]) -> list[str]:
 
 def _reading_note() -> str:
     return (
-        "A ladder is one parameter raised alone, all others as the study has them. A solver has broken down where "
-        f"a step's status is not converged, its relative residual is above {RESIDUAL:g} ({SINGLE_RESIDUAL:g} in "
-        "single precision), it is more than "
-        f"{DIFFERENT:g} of the displacement away from the trusted solver of the same system (refined where the "
-        "study runs it, else the direct one in double precision), or more than "
-        f"{LEFT:g} of the displacement is left without load. A linear answer is beyond-linear where what it adds "
-        f"to the volume in second order is more than {100 * BEYOND_LINEAR:g} % of it. Residuals and conditions are "
-        "shown where the solver reports them. Crosses mark values at which a solver has broken down. All measures "
-        "are the worst of the load history; zero is drawn at 1e-17."
+        "A ladder raises one parameter alone; the others are those of the study. A solver breaks down where one of "
+        "four things happens. A step does not converge. Its relative residual is above "
+        f"{RESIDUAL:g} ({SINGLE_RESIDUAL:g} in single precision). Its answer is more than {DIFFERENT:g} of the "
+        "displacement away from the trusted solver of the same system: the refined one where the study runs it, "
+        f"else the direct one in double precision. More than {LEFT:g} of the displacement is left without load. "
+        "A linear answer is beyond-linear where it adds more than "
+        f"{100 * BEYOND_LINEAR:g} % to the volume in second order. Crosses mark values at which a solver breaks "
+        "down. Every measure is the worst of the load history. Zero is drawn at 1e-17."
     )
 
 

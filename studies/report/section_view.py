@@ -10,13 +10,12 @@ import numpy as np
 
 from ..measures.case import CaseResult
 from ..verdict.digest import Array, Digest
-from ..verdict.formatting import plain, quantity
-from .blocks import Section, Text, Viewer
-from .picture import Panel
+from ..verdict.formatting import listed, plain, quantity
+from .blocks import Section, Still, Text, Viewer
+from .picture import COLOUR_MAPS, Panel
 from .view import azimuth, candidates, displacement_scale, payload
 
 Renderer = Callable[[Sequence[Sequence[Panel]]], list[bytes]]
-_COLOUR_MAPS = ("viridis", "inferno")
 
 
 def surfaces(digest: Digest, room: int, render: Renderer) -> Section | None:
@@ -24,13 +23,15 @@ def surfaces(digest: Digest, room: int, render: Renderer) -> Section | None:
     if not digest.cases or digest.focus is None:
         return None
     notes: list[str] = []
-    pictures: list[tuple[str, str, str]] = []
+    pictures: list[Still] = []
     stills = [(_title(digest, role, case), *still(digest, case)) for role, case in digest.key_cases]
     stills = [still for still in stills if still[1]]
-    for (title, _, words), file in zip(stills, render([panels for _, panels, _ in stills]), strict=False):
+    files = render([panels for _, panels, _ in stills])
+    for (title, panels, words), file in zip(stills, files, strict=False):
         url = "data:image/png;base64," + base64.b64encode(file).decode("ascii")
         room -= len(url)
-        pictures.append((title, url, words))
+        shown = [(panel.title, panel.colour_map, quantity(panel.top, "m")) for panel in panels]
+        pictures.append(Still(title, url, words, shown))
     chosen: dict[str, object] | None = None
     for view, note in candidates(digest):
         data = payload(view, digest)
@@ -49,12 +50,11 @@ def surfaces(digest: Digest, room: int, render: Renderer) -> Section | None:
 
 
 def _introduction(digest: Digest) -> str:
-    count = len(digest.key_cases)
-    if count == 1:
+    roles = [role for role, _ in digest.key_cases]
+    if len(roles) == 1:
         return ""
-    if digest.compared:
-        return f"Of {len(digest.cases)} cases, those that matter most by the displacement error of {digest.focus}."
-    return f"Of {len(digest.cases)} cases, those with the largest, the median and the smallest displacement."
+    which = f"The {listed(roles)} of {len(digest.cases)} cases, by the"
+    return f"{which} displacement error of {digest.focus}." if digest.compared else f"{which} displacement."
 
 
 def heading(digest: Digest, role: str, case: CaseResult) -> tuple[str, str]:
@@ -70,15 +70,16 @@ def _title(digest: Digest, role: str, case: CaseResult) -> str:
 
 
 def still(digest: Digest, case: CaseResult) -> tuple[list[Panel], str]:
-    """Reference, focus model and their difference at full load, drawn alike, and what they show in words."""
+    """Focus model, reference and their difference at full load, drawn alike, and what they show in words."""
     step, scale, seen_from = case.full_load, displacement_scale(case), azimuth(case)
-    names = [name for name in dict.fromkeys((case.reference, digest.focus)) if name in case.models]
+    names = [name for name in dict.fromkeys((digest.focus, case.reference)) if name in case.models]
     fields = {str(name): case.models[str(name)].displacement[step] for name in names}
     fields = {name: u for name, u in fields.items() if np.isfinite(u).all()}
     if not fields:
         return [], ""
     sizes = {name: np.linalg.norm(u, axis=1) for name, u in fields.items()}
     largest = max(float(size.max()) for size in sizes.values())
+    called = {name: "the reference" if name == case.reference else name for name in fields}
 
     def panel(name: str, values: Array, top: float, colour_map: str, title: str) -> Panel:
         points = case.points + scale * fields[name]
@@ -86,18 +87,18 @@ def still(digest: Digest, case: CaseResult) -> tuple[list[Panel], str]:
         return Panel(points, case.triangles, shares, colour_map, seen_from, title, top)
 
     panels = [
-        panel(name, size, largest, _COLOUR_MAPS[0], f"displacement of {name}") for name, size in sizes.items()
+        panel(name, size, largest, COLOUR_MAPS[0], f"displacement of {called[name]}")
+        for name, size in sizes.items()
     ]
-    parts = [f"{name}, displaced by up to {quantity(float(size.max()), 'm')}" for name, size in sizes.items()]
-    colours = f"from 0, dark, to {quantity(largest, 'm')}, light"
+    parts = [
+        f"{called[name]} moves by up to {quantity(float(size.max()), 'm')}" for name, size in sizes.items()
+    ]
     if len(fields) == 2:
-        reference, model = fields
+        model, reference = fields
         gap = np.linalg.norm(fields[model] - fields[reference], axis=1)
-        panels.append(panel(model, gap, float(gap.max()), _COLOUR_MAPS[1], "difference"))
-        parts.append(f"their difference, up to {quantity(float(gap.max()), 'm')}")
-        colours += f", and to {quantity(float(gap.max()), 'm')} for the difference"
+        panels.append(panel(model, gap, float(gap.max()), COLOUR_MAPS[1], "difference"))
+        parts.append(f"they differ by up to {quantity(float(gap.max()), 'm')}")
     order = "Left to right: " if len(panels) > 1 else ""
-    return (
-        panels,
-        f"{order}{'; '.join(parts)}. Colours run {colours}. Drawn with {plain(scale)} times the displacement.",
-    )
+    told = f"{order}{'; '.join(parts)}."
+    drawn = f"The displacement is drawn {plain(scale)} times as large." if scale != 1 else ""
+    return panels, " ".join(filter(None, [told[:1].upper() + told[1:], drawn]))

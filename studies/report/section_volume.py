@@ -36,7 +36,7 @@ def volume_drift(digest: Digest) -> Section | None:
         return None
     blocks: list[Block] = []
     if len(digest.cases) > 1:
-        blocks.append(Text("Largest drift over all cases at each load, whatever its sign.", kind="note"))
+        blocks.append(Text("The largest drift of all cases at each load, without its sign.", kind="note"))
     blocks.append(Figures(figures, digest.legend))
     return Section("volume", "Volume drift against load", blocks)
 

@@ -17,8 +17,12 @@ from .report_runs import make_case, make_run
 
 MODELS = ("vdm-vector", "fem-condensed", "fem-coarse")
 MARKS = {
-    "measured_earlier": ("fem-condensed", "earlier", "Measured earlier (fem-condensed): "),
-    "solver": ("fem-coarse", "iterative", "Solved iteratively (fem-coarse), "),
+    "measured_earlier": ("fem-condensed", "earlier", "Measured earlier: fem-condensed."),
+    "solver": (
+        "fem-coarse",
+        "iterative",
+        "Solved iteratively, as suits the few loads of a study: fem-coarse.",
+    ),
 }
 
 

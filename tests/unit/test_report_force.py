@@ -151,7 +151,7 @@ def test_contact_and_movement_of_one_scene_each_have_a_figure() -> None:
     section = force_section(dataclasses.replace(case, resolved={"constraints": constraints}))
     assert [title for title, _ in figures_of(section)] == ["finger, the only case", "tool, the only case"]
     (note,) = (block for block in section.blocks if isinstance(block, Text))
-    assert "Under a contact" in note.text
+    assert "The force of a contact is given" in note.text
     assert "moved by a given amount" in note.text
 
 

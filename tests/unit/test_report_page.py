@@ -219,7 +219,7 @@ def test_a_usable_step_with_a_message_is_listed_as_a_reservation() -> None:
         assert isinstance(case.models, dict)
         case.models["b"] = dataclasses.replace(plain, status=(noted, noted, *plain.status[2:]))
     text = words(section(page_html(make_run(cases), no_pictures), "failures"))
-    assert "Results that the model itself has a reservation about" in text
+    assert "Results that their model warns about" in text
     assert (
         "b k = 0, load factor 0.5, and in 1 other case the load steps move the answer by 2e-3 take smaller load"
         in text
@@ -416,7 +416,7 @@ def test_thousands_of_cases_are_cut_and_say_so() -> None:
     html = page_html(cheap_run(1200), no_pictures)
     assert len(html.encode()) < MOST_BYTES
     assert "of 1200 are listed" in words(section(html, "cases"))
-    assert "cases is drawn" in words(section(html, "parameters"))
+    assert "is drawn, to keep the page small" in words(section(html, "parameters"))
 
 
 # --- the viewer's data ---

@@ -57,7 +57,11 @@ def test_a_picture_that_stands_alone_tells_what_it_shows(tmp_path: Path) -> None
         == "A ball under a fingertip\nthe only case, drawn with 5 times the displacement"
     )
     drawn, bars = figure.axes[:3], figure.axes[3:]
-    assert [a.get_title() for a in drawn] == ["displacement of fem-linear", "displacement of m", "difference"]
+    assert [a.get_title() for a in drawn] == [
+        "displacement of m",
+        "displacement of the reference",
+        "difference",
+    ]
     tops = [np.linalg.norm(u, axis=1).max() for u in (run.cases[0].models["m"].displacement[-1],) * 2]
     tops.append(tops[0] / 3)  # 1.5 times the reference
     np.testing.assert_allclose(
@@ -87,8 +91,8 @@ def test_a_flat_body_has_a_flat_picture() -> None:
 def test_page_has_a_picture_of_each_key_case_in_words_too() -> None:
     html = page_html(make_run([make_case({"m": 0.5}, subdivisions=2)]), render)
     assert html.count('<img src="data:image/png;base64,') == 1
-    sizes = ("fem-linear, displaced by up to 2.00 mm", "m, displaced by up to 3.00 mm")
-    assert f'alt="Left to right: {"; ".join(sizes)}; their difference, up to 1.00 mm.' in html
+    sizes = ("m moves by up to 3.00 mm", "the reference moves by up to 2.00 mm")
+    assert f'alt="Left to right: {"; ".join(sizes)}; they differ by up to 1.00 mm.' in html
 
 
 def test_what_is_in_front_hides_what_is_behind() -> None:
