@@ -91,7 +91,8 @@ class FailureShape(Shape):
     remedy: str
 
 
-_Vector = Annotated[list[float], Field(min_length=3, max_length=3)]
+_Finite = Annotated[float, Field(allow_inf_nan=False)]
+_Vector = Annotated[list[_Finite], Field(min_length=3, max_length=3)]
 
 
 class ConstraintShape(Shape):
@@ -100,8 +101,8 @@ class ConstraintShape(Shape):
     kind: str
     region: str
     name: str | None = None
-    force: float | None = None
-    pressure: float | None = None
+    force: _Finite | None = None
+    pressure: _Finite | None = None
     displacement: _Vector | None = None
     resultant: _Vector | None = None
 

@@ -44,7 +44,7 @@ def parts_of(case: CaseResult, cases: Sequence[CaseResult]) -> list[Part]:
         if kind == "contact" and len(contacts) > 1:
             label = f"{name} {label}"
         vector = None
-        if kind == "constrained":
+        if kind == "constrained" and constraint.get("displacement") is not None:
             vector = np.array(constraint["displacement"], dtype=float)
         elif kind == "line":
             vector = np.array(constraint["resultant"], dtype=float)
@@ -64,7 +64,7 @@ def scene_words(case: CaseResult, cases: Sequence[CaseResult]) -> list[tuple[str
     if any(other.resolved.get("gravity") for other in cases):
         tissue.append(f"with weight, density {_over(cases, 'tissue', 'density', '1')} kg/m³")
     rows = [("Tissue", ", ".join(part for part in tissue if not part.endswith(" ")))]
-    shapes = dict.fromkeys(str(other.resolved.get("geometry", {}).get("shape", "")) for other in cases)
+    shapes = dict.fromkeys(str((other.resolved.get("geometry") or {}).get("shape", "")) for other in cases)
     extents = [_lengths(np.ptp(case.points, axis=0))] if len(shapes) == 1 else []
     rows.append(("Body", ", ".join(filter(None, [listed(filter(None, shapes)), *extents]))))
     size = _over(cases, "geometry", "mesh_size", "m")
