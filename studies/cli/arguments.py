@@ -26,7 +26,7 @@ from . import (
     verb_status,
 )
 
-_VERBS = {  # in the order in which they are told
+VERBS = {  # in the order in which they are told
     "new": verb_new,
     "list": verb_list,
     "check": verb_check,
@@ -78,7 +78,7 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("--version", action=_Version, nargs=0, help="print the version")
     verbs = parser.add_subparsers(title="verbs", required=True, metavar="VERB")
-    for name, verb in _VERBS.items():
+    for name, verb in VERBS.items():
         told = getattr(verb, "MORE", verb.SUMMARY)
         sub = verbs.add_parser(name, help=verb.SUMMARY, description=told)
         sub.add_argument("--json", action="store_true", help="print JSON")
