@@ -19,7 +19,7 @@ def motion_in_words(digest: Digest) -> tuple[str, ...]:
         return ()
     rigid, floor = (_median(digest, digest.reference, name) for name in ("rigid_share", "tangential_share"))
     sentences = []
-    if rigid**2 > 0.5:  # more than the change of shape has
+    if rigid > math.sqrt(0.5):  # more than the change of shape has
         sentences.append(
             f"Rigid motion is {short_percent(rigid)} of the reference's displacement. "
             "The change of shape leaves it out."
