@@ -98,6 +98,27 @@ def read_tetrahedra(path: Path) -> tuple[Array, Index]:
     return _coordinates(mesh.points), np.concatenate([np.empty((0, 4), dtype=np.int64), *blocks])
 
 
+def read_point_fields(path: Path) -> tuple[Array, dict[str, Array]]:
+    """Points (n, 3) of a VTU or legacy VTK file, and what it tells of each as a vector: name -> (n, 3).
+
+    Raises MeshError as `read_tetrahedra`; its cells do not matter.
+    """
+    check_readable(path)
+    if path.suffix.lower() == ".vtk":
+        _check_legacy_header(path)
+    else:
+        _check_xml(path, b"UnstructuredGrid")
+    mesh = _read(path)
+    points = _coordinates(mesh.points)
+    found = {name: np.asarray(values) for name, values in mesh.point_data.items()}
+    vectors = {
+        name: values.astype(np.float64)
+        for name, values in found.items()
+        if values.shape == points.shape and values.dtype.kind in "fiu"
+    }
+    return points, vectors
+
+
 def write_surface_vtu(path: Path, points: Array, triangles: Index, fields: Mapping[str, Array]) -> None:
     """Write a surface with fields at its nodes, (N,) or (N, 3), as a VTU file. Raises OSError."""
     import meshio

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from ..machine.processors import usable_processors
 from .argument_kinds import jobs_arguments, out_argument, study_arguments
-from .output import FAILED, OK, complain_of_failures, print_json, print_table
+from .output import FAILED, OK, UsageError, complain_of_failures, print_json, print_table
 from .progress import Progress
 from .studies import command_of, load, make_plan, require_own
 
@@ -17,6 +17,10 @@ if TYPE_CHECKING:
     from ..measures.case import Run
 
 SUMMARY = "fit VDM parameters on half of a study's loads, try them on the rest"
+MORE = (
+    "Fit VDM parameters on half of a study's loads, try them on the rest. With --measured: fit Young's modulus of "
+    "each model on the first load that was measured, and try it on the others."
+)
 
 
 def arguments(parser: argparse.ArgumentParser) -> None:
@@ -32,6 +36,11 @@ def arguments(parser: argparse.ArgumentParser) -> None:
         metavar="STUDY",
         help="try the fit on the held-out loads of this study too (can be repeated)",
     )
+    parser.add_argument(
+        "--measured",
+        action="store_true",
+        help="fit Young's modulus to the study's [[measured]] tables instead",
+    )
 
 
 def run(options: argparse.Namespace) -> int:
@@ -43,6 +52,8 @@ def run(options: argparse.Namespace) -> int:
 
     study, path = load(options)
     plan = make_plan(study, options)
+    if options.measured:
+        return _fit_measured(plan, options)
     require_own(plan, options)
     check_fit(plan)
     elsewhere = []  # read, and found to be of use, before anything is run
@@ -74,6 +85,58 @@ def run(options: argparse.Namespace) -> int:
         print_table(table(entries))
         print(f"\n{as_toml(entries)}\nwritten: {out / 'calibration.toml'}")
     return FAILED if own.lost or any(other.lost for other in others) else OK
+
+
+def _fit_measured(plan: Plan, options: argparse.Namespace) -> int:
+    """Print the modulus of each model, fitted on the first measured load, and what it says of the others."""
+    from dataclasses import asdict
+
+    from ..body.mesh_cache import mesh_from_cache
+    from ..evidence.modulus import NothingMeasuredError, fit_modulus
+    from ..verdict.formatting import percent, quantity
+
+    if len(plan.cases) > 1:
+        raise UsageError("--measured fits a study of one case; leave [sweep] out")
+    (case,) = plan.cases
+    if not case.study.measured:
+        raise UsageError("the study has no [[measured]] table to fit")
+    mesh = mesh_from_cache(plan.meshes[case.mesh].geometry, plan.cache)
+    try:
+        fits = [fit_modulus(case.study, mesh, name) for name in case.study.study.models]
+    except NothingMeasuredError as error:
+        raise UsageError(str(error)) from error
+    if options.json:
+        return print_json([asdict(fit) for fit in fits])
+    columns = (
+        "model",
+        "E fitted",
+        "± by u_D",
+        "rms E, fitted",
+        "rms E, held out",
+        "of rms D",
+        "with E as given",
+    )
+    print_table(
+        [
+            dict(
+                zip(
+                    columns,
+                    (
+                        fit.model,
+                        quantity(fit.modulus, "Pa"),
+                        quantity(fit.uncertainty, "Pa", 2),
+                        quantity(fit.trained, "m"),
+                        quantity(fit.held_out, "m"),
+                        percent(fit.held_out / fit.size) if fit.size else "–",
+                        quantity(fit.as_given, "m"),
+                    ),
+                    strict=True,
+                )
+            )
+            for fit in fits
+        ]
+    )
+    return OK
 
 
 def _run_for_fit(plan: Plan, path: Path, options: argparse.Namespace) -> tuple[Plan, Run]:

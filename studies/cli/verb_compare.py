@@ -1,15 +1,31 @@
-"""`vdmbench compare`: runs side by side."""
+"""`vdmbench compare`: runs side by side, or another program's result beside a study's models."""
 
 from __future__ import annotations
 
 import argparse
 import math
 import os
+from pathlib import Path
+from typing import TYPE_CHECKING
 
-from .argument_kinds import run_directory
-from .output import OK, UsageError, print_json
+from ..machine.processors import usable_processors
+from .argument_kinds import jobs_arguments, out_argument, run_directory
+from .output import FAILED, OK, UsageError, complain_of_failures, print_json, print_run, tell
+from .progress import Progress
+from .studies import load, make_plan, require_own
 
-SUMMARY = "put runs side by side, each held against the first"
+if TYPE_CHECKING:
+    from ..graph.plan import Plan
+    from ..measures.case import Run
+    from ..measures.foreign import Foreign
+
+SUMMARY = (
+    "put runs side by side, each held against the first; or another program's result beside a study's models"
+)
+MORE = (
+    "Put runs side by side, each held against the first. With --result FILE: judge what another program computed "
+    "for STUDY, at its largest load, like a model of it."
+)
 MOST = 26  # runs, each a letter
 
 
@@ -17,19 +33,46 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     """Its arguments."""
     parser.add_argument(
         "directories",
-        type=run_directory,
         metavar="DIR",
         nargs="+",
-        help="run directories, two or more; the first is what the others are held against",
+        help="run directories, two or more; the first is what the others are held against; with --result a STUDY",
     )
+    parser.add_argument(
+        "--result",
+        type=Path,
+        metavar="FILE",
+        help="what another program computed: VTU, VTK, or CSV by node or by place; displacements or positions",
+    )
+    parser.add_argument(
+        "--name", metavar="NAME", help="what the program is called (default: the file's name)"
+    )
+    parser.add_argument("--array", metavar="FIELD", help="field of a VTU or VTK file (default: displacement)")
+    out_argument(parser)
+    jobs_arguments(parser)
+    parser.add_argument("--surface", type=Path, metavar="FILE", help=argparse.SUPPRESS)
+    parser.add_argument(
+        "--allow-outside", action="store_true", help="allow files outside the study's directory"
+    )
+    parser.add_argument("--cache", type=Path, metavar="DIR", help="where meshes and answers are kept")
 
 
 def run(options: argparse.Namespace) -> int:
-    """Print models by metrics by runs: what is worse, better, newly failing and not comparable."""
+    """Print models by metrics by runs, or judge another program's result."""
+    if options.result is not None:
+        return _judge(options)
+    return _side_by_side(options)
+
+
+def _side_by_side(options: argparse.Namespace) -> int:
+    """Print what is worse, better, newly failing and not comparable."""
     from ..guard.side_by_side import as_text, side_by_side
     from ..store.cases import read_run
 
-    directories = {os.path.normpath(path): path for path in options.directories}
+    try:
+        paths = [run_directory(text) for text in options.directories]
+    except argparse.ArgumentTypeError as error:
+        raise UsageError(str(error)) from None
+    directories = {os.path.normpath(path): path for path in paths}
     if not 2 <= len(directories) <= MOST:
         raise UsageError(f"give 2 to {MOST} different run directories, not {len(directories)}")
     found = side_by_side({name: read_run(path) for name, path in directories.items()})
@@ -52,4 +95,63 @@ def run(options: argparse.Namespace) -> int:
             ],
             "findings": [[vars(finding) for finding in findings] for findings in found.findings],
         }
+    )
+
+
+def _judge(options: argparse.Namespace) -> int:
+    """Run what is missing of the study, and put the file's result beside its models."""
+    from ..body.mesh_cache import mesh_from_cache
+    from ..evidence.judge_foreign import judged
+    from ..measures.foreign import read_foreign
+    from ..report.page import write_report
+    from ..study.kinds import safe_name
+
+    if len(options.directories) != 1:
+        raise UsageError("with --result give one study")
+    options.study = options.directories[0]
+    name = options.name or options.result.stem
+    try:
+        safe_name(name)
+    except ValueError as error:
+        raise UsageError(f"--name: {error}") from None
+    study, path = load(options)
+    plan = make_plan(study, options)
+    require_own(plan, options)
+    if len(plan.cases) > 1:
+        raise UsageError("--result judges a study of one case; leave [sweep] out")
+    if name in plan.study.study.models:
+        raise UsageError(f"--name: {name} is a model of the study; give the program another name")
+    (case,) = plan.cases
+    mesh = mesh_from_cache(plan.meshes[case.mesh].geometry, plan.cache)
+    foreign = read_foreign(options.result, mesh, options.array)
+    found = _run(plan, path, options)
+    if not found.cases:
+        complain_of_failures(found)
+        return FAILED
+    found = judged(found, case.study, mesh, name, foreign)
+    report = plan.directory / f"report-{name}.html"
+    write_report(found, report)
+    if not options.json:
+        tell(_mapping(foreign))
+    return print_run(found, plan.directory, report, options.json)
+
+
+def _run(plan: Plan, path: Path, options: argparse.Namespace) -> Run:
+    from ..graph.run import Options, run_plan
+    from ..report.rebuild import rebuild
+
+    with Progress(plan.study.study.name, quiet=options.json) as progress:
+        how = Options(jobs=options.jobs or usable_processors())
+        found, _ = run_plan(plan, path.read_text(), how, progress.show, rebuild)
+    return found
+
+
+def _mapping(foreign: Foreign) -> str:
+    from ..verdict.formatting import percent, quantity
+
+    if foreign.exact == 1.0:
+        return "every surface node has its own value in the file"
+    return (
+        f"{percent(foreign.exact)} of the surface nodes have their own value; the others take that of the nearest "
+        f"point, at most {quantity(foreign.distance, 'm', 2)} away, which may cost {quantity(foreign.bend, 'm', 2)}"
     )

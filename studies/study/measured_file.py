@@ -10,6 +10,9 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from .units import QuantityError, shown, to_si
 
 MOST_BYTES = 2_000_000
@@ -21,6 +24,7 @@ _LENGTHS = {*AXES, *DISPLACEMENT, *DEFORMED, "uncertainty"}
 _HEADER = re.compile(r"(?:(?P<other>[A-Za-z0-9][\w-]*)\.)?(?P<key>\w+)(?:\s*\[(?P<unit>[^\]]*)\])?")
 
 Row = dict[str, Any]
+Array = NDArray[np.float64]
 
 
 class MeasuredFileError(ValueError):
@@ -55,12 +59,13 @@ def _read(path: Path, _modified: int, size: int) -> dict[str, Any]:
         text = path.read_bytes().decode("utf-8-sig")
     except UnicodeDecodeError:
         raise MeasuredFileError(f"{path.name}:1: is not UTF-8 text; save the file in UTF-8") from None
-    table = _Table(path.name, text)
+    table = CsvTable(path.name, text)
+    table.check_measured()
     return {"surface": table.positions()} if table.is_surface else {"points": table.points()}
 
 
-class _Table:
-    """A header and its rows, each with its line in the file."""
+class CsvTable:
+    """A header and its rows, each with its line in the file. Raises MeasuredFileError for any other text."""
 
     def __init__(self, name: str, text: str) -> None:
         self._name = name
@@ -74,7 +79,14 @@ class _Table:
         for key in keys:
             if keys.count(key) > 1:
                 raise self.error(self._header_line, f"has two columns {shown(key)}")
+        self.keys = keys
         self.is_surface = not {*DEFORMED}.isdisjoint(keys)
+        if not self._rows:
+            raise self.error(self._header_line, "has a header and no row below it")
+
+    def check_measured(self) -> None:
+        """Whether it can be a measured table. Raises MeasuredFileError."""
+        keys = self.keys
         for key in DEFORMED if self.is_surface else AXES:
             if key not in keys:
                 raise self.error(self._header_line, f"has no column {shown(key)}")
@@ -84,8 +96,8 @@ class _Table:
             raise self.error(
                 self._header_line, f"a measured surface has the columns {', '.join(DEFORMED)} only"
             )
-        if not self._rows:
-            raise self.error(self._header_line, "has a header and no row below it")
+        if "node" in keys:
+            raise self.error(self._header_line, "a measured table has places, not nodes")
         if len(self._rows) > MOST_ROWS:
             raise self.error(self._rows[MOST_ROWS][0], f"has more than {MOST_ROWS:,} rows; keep fewer points")
 
@@ -110,6 +122,19 @@ class _Table:
                 raise self.error(line, "has no displacement")
             found.append(point)
         return found
+
+    def columns(self, keys: tuple[str, ...]) -> Array:
+        """(rows, keys) numbers of some columns, each complete [m, or as they are]."""
+        for key in keys:
+            if key not in self.keys:
+                raise self.error(self._header_line, f"has no column {shown(key)}")
+        rows = []
+        for line, cells in self._cells():
+            empty = next((key for key in keys if key not in cells), None)
+            if empty is not None:
+                raise self.error(line, f"has no {empty}")
+            rows.append([cells[key] for key in keys])
+        return np.array(rows, dtype=float)
 
     def positions(self) -> list[list[float]]:
         """The rows as positions on a deformed surface."""
@@ -143,7 +168,9 @@ class _Table:
         if key == "uncertainty" and plain < 0:
             raise self.error(line, f"{key}: must be positive or zero, not {plain:g}")
         try:
-            return to_si(f"{cell} {unit}" if unit else plain, "1" if key == "load_factor" else "m")
+            return to_si(
+                f"{cell} {unit}" if unit else plain, "m" if key.rpartition(".")[2] in _LENGTHS else "1"
+            )
         except QuantityError as error:
             raise self.error(line, f"{key}: {error}") from None
 
@@ -151,7 +178,7 @@ class _Table:
         """(key, unit) of a column."""
         match = _HEADER.fullmatch(title.strip())
         other, key, unit = match.group("other", "key", "unit") if match else (None, "", None)
-        known = {*DISPLACEMENT} if other else _LENGTHS | {"point", "load_factor"}
+        known = {*DISPLACEMENT} if other else _LENGTHS | {"point", "load_factor", "node"}
         if key not in known:
             told = ", ".join(("point", *AXES, *DISPLACEMENT, "uncertainty", "load_factor", *DEFORMED))
             raise self.error(self._header_line, f"unknown column {shown(title.strip())}; known: {told}")

@@ -1,0 +1,83 @@
+"""A result of another program judged like a model of the study: the same measures, the same page."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+
+from ..body.mesh import Mesh
+from ..body.surface_measures import Surface, enclosed_volumes
+from ..graph.work import compare
+from ..measures.case import CaseResult, Run
+from ..measures.foreign import Foreign
+from ..measures.measurement import hold_against
+from ..models.result import ModelResult, StepStatus
+from ..scene.scene import build_scene
+from ..study.schema import Study
+
+NO_STEP = StepStatus("not-given", "the file holds the largest load only", "")
+
+
+def judged(run: Run, study: Study, mesh: Mesh, name: str, foreign: Foreign) -> Run:
+    """A run of one case with another program's result at the largest load beside its models.
+
+    Parameters
+    ----------
+    study : of the case
+    mesh : its mesh
+    name : of the program, which no model of the run has
+    """
+    (case,) = run.cases
+    result = _as_result(case, mesh, foreign)
+    scene = build_scene(study, mesh)
+    surface = Surface(points=mesh.surface_points, triangles=mesh.triangles)
+    surface = surface.under(scene.contact, scene.contact_force, weighs=bool(scene.gravity.any()))
+    results = {name: result}
+    if case.reference is not None:
+        results[case.reference] = case.models[case.reference]
+    own = hold_against(study, mesh, case.swept, case.swept_units, {name: result.displacement})
+    measurement = case.measurement
+    if own is not None and measurement is not None:
+        measurement = dataclasses.replace(
+            measurement,
+            simulated={name: own.simulated[name], **measurement.simulated},
+            numerical={name: own.numerical[name], **measurement.numerical},
+        )
+    metrics = compare(surface, results, scene.load_factors, case.reference)[name]
+    if own is not None:  # the reference has been held against it already
+        metrics = compare(surface, {name: result}, scene.load_factors, None, own)[name] | metrics
+    with_it = dataclasses.replace(
+        case,
+        models={name: result, **case.models},
+        metrics={name: metrics, **case.metrics},
+        measurement=measurement,
+    )
+    models = [name, *(str(one) for one in run.study.get("models", ()))]
+    return dataclasses.replace(run, study={**run.study, "models": models}, cases=[with_it])
+
+
+def _as_result(case: CaseResult, mesh: Mesh, foreign: Foreign) -> ModelResult:
+    """The file's state as a load history in which only the largest load was solved; its cost is not known."""
+    steps = len(case.load_factors)
+    displacement = np.full((steps, *mesh.surface_points.shape), np.nan)
+    displacement[case.full_load] = foreign.displacement
+    nothing = np.full(steps, np.nan)
+    return ModelResult(
+        displacement=displacement,
+        fluid_pressure=nothing,
+        reaction_force=np.full_like(displacement, np.nan),
+        energy=nothing,
+        volume=enclosed_volumes(mesh.surface_points + displacement, mesh.triangles),
+        iterations=np.zeros(steps, dtype=np.int64),
+        status=tuple(StepStatus("converged") if k == case.full_load else NO_STEP for k in range(steps)),
+        seconds_setup=np.nan,
+        seconds_per_step=nothing,
+        peak_bytes=0,
+        version="",
+        parameters={
+            "exact_nodes": foreign.exact,
+            "mapping_distance": foreign.distance,
+            "mapping_error": foreign.bend,
+        },
+    )

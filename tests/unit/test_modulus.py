@@ -1,0 +1,46 @@
+"""Young's modulus fitted to a measurement: found where the answer is known, and tried on what was held out."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from vdmbench.evidence.modulus import FACTOR, NothingMeasuredError, fit, training
+from vdmbench.measures.measurement import Measurement, Quantity
+
+TRUE, GIVEN = 8e3, 5e3  # Pa
+
+
+def answers(modulus: float, shift: float = 0.0, steps: tuple[int, ...] = (0, 0, 1)) -> Measurement:
+    """Displacements 1, 2 and 4 mm of a linear body of TRUE, the last at another load and off by `shift`."""
+    sizes = np.array([1e-3, 2e-3, 4e-3])
+    quantities = [
+        Quantity("tips", f"{k}", "z", step, value, 1e-5, 0.0)
+        for k, (step, value) in enumerate(zip(steps, sizes + np.array([0.0, 0.0, shift]), strict=True))
+    ]
+    return Measurement(quantities, {"m": sizes * TRUE / modulus}, {"m": np.full(3, np.nan)})
+
+
+def test_the_modulus_is_found_and_the_other_load_is_not_fitted() -> None:
+    found = fit(lambda modulus: answers(modulus, shift=1e-4), GIVEN, "m")
+    assert_allclose(found.modulus, TRUE, rtol=2e-3)  # to a thousandth of itself
+    assert_allclose(found.held_out, 1e-4, rtol=0.1)
+    assert found.trained < 1e-5
+    assert_allclose(found.as_given, 4e-3 * (TRUE / GIVEN - 1) - 1e-4, rtol=1e-9)
+    assert_allclose(found.size, 4.1e-3)
+    # d S / d log E = -S: the uncertainty is that of a weighted mean of the two
+    assert_allclose(found.uncertainty, TRUE * 1e-5 / np.hypot(1e-3, 2e-3), rtol=0.05)
+
+
+def test_a_modulus_out_of_reach_and_a_model_without_an_answer_are_no_number() -> None:
+    found = fit(lambda modulus: answers(modulus * 100), GIVEN, "m")
+    assert np.isnan(found.modulus), f"more than {FACTOR} times off"
+    assert np.isfinite(found.as_given)
+    assert np.isnan(fit(lambda _: answers(np.nan), GIVEN, "m").modulus)
+
+
+def test_one_load_alone_cannot_be_tried() -> None:
+    assert training(answers(TRUE)).tolist() == [True, True, False]
+    with pytest.raises(NothingMeasuredError, match="measure another load"):
+        training(answers(TRUE, steps=(0, 0, 0)))
