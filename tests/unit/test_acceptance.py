@@ -83,6 +83,8 @@ def test_the_plan_holds_the_limits(tmp_path: Path, cache: Path) -> None:
     tighter = {"displacement_error": 0.01, "largest_difference": 0.001, "region": "finger"}
     plan = plan_of(tmp_path, cache, acceptance=tighter)
     stored = summary(plan)["study"]
+    with pytest.raises(ValueError, match="displacement_error"):
+        StudyShape.model_validate(stored | {"acceptance": {"displacement_error": -0.1}})
     assert stored["acceptance"] == tighter | {"deformation_error": 0.1}
     StudyShape.model_validate(stored)
 

@@ -8,6 +8,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 
 from vdmbench.measures.case import CaseResult, Limit, ModelLimits, Run, SmallStrainLimits
 from vdmbench.report.headline import headline_rows
@@ -341,6 +342,41 @@ def test_a_swept_load_tells_it_too() -> None:
     )
     undecided = "Not surely within 10 % at any of the loads tried (0.1 to 0.2 N)."
     assert run([0.09, 0.08], bar=0.03).startswith(undecided)
+
+
+def test_the_depth_is_what_every_case_reaches() -> None:
+    cases = [
+        make_case(
+            {"vdm-m": 0.05},
+            swept={"k": load},
+            load=load,
+            contact={"force": 0.5},
+            steps=(1.0,),
+            subdivisions=0,
+        )
+        for load in (1.0, 2.0)
+    ]
+    reached = verdict(Digest(make_run(cases))).up_to
+    assert reached is not None
+    assert (reached.load, reached.unit, reached.all) == (0.5, "N", True)
+    assert_allclose(reached.deepest, 2 * reached.depth, rtol=1e-9, atol=0)
+
+
+def test_a_load_that_no_case_tells_is_a_share_of_the_full_one() -> None:
+    case = make_case({"vdm-m": 0.05}, subdivisions=0)
+    second = {"kind": "contact", "region": "base", "force": 0.1}
+    entries = [*case.resolved["constraints"], second]
+    text = told(make_run([dataclasses.replace(case, resolved={"constraints": entries})]))[LOAD]
+    assert text.startswith("Within 10 % up to the largest load tried, 1 of the full load (")
+
+
+def test_undecided_everywhere_is_better_than_beyond_somewhere() -> None:
+    cases = [
+        make_case({"vdm-a": a, "vdm-b": b}, swept={"k": k}, reference_error=bars(0.01), subdivisions=0)
+        for k, (a, b) in enumerate(((0.105, 0.095), (0.105, 0.095), (0.105, 0.2)))
+    ]
+    found = verdict(Digest(make_run(cases)))
+    assert (found.word, found.model) == ("Undecided", "vdm-a")
 
 
 def test_the_small_strain_limits_are_told_too() -> None:
