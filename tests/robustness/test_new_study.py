@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from vdmbench.cli import verb_new
+from vdmbench.cli import verb_check, verb_new
 from vdmbench.cli.arguments import parse
 from vdmbench.study.config import expand, load_study
 from vdmbench.study.shipped import shipped_studies
@@ -18,11 +18,13 @@ def _here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
 
 
-def test_what_it_writes_is_sound_and_told_line_by_line() -> None:
+def test_what_it_writes_is_sound_and_told_line_by_line(capsys: pytest.CaptureFixture[str]) -> None:
     assert verb_new.run(parse(["new", "palpation"])) == 0
     study = load_study(Path("palpation.toml"))
     assert study.study.name == "palpation"
     assert len(expand(study)) == 2
+    assert verb_check.run(parse(["check", "palpation.toml"])) == 0
+    assert capsys.readouterr().out.endswith("palpation.toml: ok, 2 cases\n"), "without a doubt"
     text = Path("palpation.toml").read_text()
     assert "vdmbench run palpation.toml" in text
     assert text.count("#") > 15

@@ -16,6 +16,7 @@ from vdmbench.body.geometry import build_mesh
 from vdmbench.body.mesh import Mesh
 from vdmbench.body.refine import refined
 from vdmbench.measures.reference import level_scene
+from vdmbench.report.case_surface import surface_fields
 from vdmbench.scene.coordinates import measured_on
 from vdmbench.scene.scene import build_scene
 from vdmbench.study.config import StudyError, load_study
@@ -98,6 +99,11 @@ def test_no_answer_depends_on_the_place_of_the_body(tmp_path: Path, ball: Mesh) 
         answers.append(run(plan_of(where / "run", where / "cache", study=study, sweep={}, **tables))[0])
     near, far = answers
     assert_allclose(far.points, near.points + PLACE, rtol=0, atol=1e-12)
+    scan = meshio.read(next(tmp_path.glob("-*/scan.vtu"))).points
+    points, _ = surface_fields(far)  # as an export has them: in the unit of the scan
+    assert_allclose(
+        [points.min(axis=0), points.max(axis=0)], [scan.min(axis=0), scan.max(axis=0)], rtol=1e-12, atol=0
+    )
     for model in models:
         moved = near.models[model].displacement
         assert_allclose(

@@ -64,7 +64,7 @@ def test_the_wheel_holds_every_file_of_the_three_packages_and_nothing_else(wheel
         f"{package}/{path.relative_to(ROOT / folder).as_posix()}"
         for folder, package in homes.items()
         for path in (ROOT / folder).rglob("*")
-        if path.is_file() and path.suffix != ".pyc" and path.name != "README.md"
+        if path.is_file() and "__pycache__" not in path.parts and path.name != "README.md"
     }
     assert {"vdmbench/cases/quickstart.toml", "vdmbench/report/templates/page.html", "vdm/py.typed"} <= wanted
     assert packed == wanted
