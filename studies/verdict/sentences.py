@@ -36,7 +36,7 @@ class Answer:
 def answers(verdict: Verdict) -> tuple[Answer, ...]:
     """Every question that the verdict has an answer to."""
     if not verdict.word:
-        found = [Answer("", "", (verdict.not_judged,)), _answer(SURE, verdict.sureness)]
+        found = [Answer("", "", (verdict.not_judged,)), _answer(SURE, [*verdict.sureness, *verdict.measured])]
     else:
         found = [
             Answer(GOOD, verdict.word, tuple(_good_enough(verdict))),
@@ -46,7 +46,7 @@ def answers(verdict: Verdict) -> tuple[Answer, ...]:
             _answer(LOAD, _up_to(verdict)),
             _answer(WITH, [*_parameters(verdict), *verdict.motion]),
             _answer(COST, _costs(verdict)),
-            _answer(SURE, [*verdict.sureness, _KIND]),
+            _answer(SURE, [*verdict.sureness, *(verdict.measured or (_KIND,))]),
         ]
     return tuple(answer for answer in found if answer.sentences)
 

@@ -17,6 +17,7 @@ from .acceptance import BEYOND, LOST, NOT_ASKED, OPEN, WITHIN, Criterion
 from .advice import Advice, advice, by_interaction
 from .beyond import beyond_small_strain
 from .digest import Digest, ModelSummary, Spread, failed_steps
+from .experiment import measured_in_words
 from .formatting import listed, parameter_name, plural, short_percent, swept_value
 from .growth import limits_in_words
 from .ladders import reading
@@ -124,6 +125,7 @@ class Verdict:
     settings : the parameters of `model`
     motion : what the reference's motion is made of, and what that costs models that move nodes along normals
     sureness : how sure the figures are, and what is not in them
+    measured : how far reference and `model` are from a measurement, where there is one
     """
 
     word: str
@@ -149,6 +151,7 @@ class Verdict:
     settings: tuple[Setting, ...] = ()
     motion: tuple[str, ...] = ()
     sureness: tuple[str, ...] = ()
+    measured: tuple[str, ...] = ()
 
     def as_data(self) -> dict[str, Any]:
         """All of it as plain data, None where a number is not known."""
@@ -171,6 +174,7 @@ def verdict(digest: Digest) -> Verdict:
     costs = tuple(_cost(digest, summary) for summary in digest.summaries)
     about: dict[str, Any] = {"reference": digest.reference or "", "cases": len(digest.cases), "lost": lost}
     about |= {"costs": costs, "motion": motion_in_words(digest), "sureness": tuple(_gaps(digest))}
+    about["measured"] = measured_in_words(digest, "")
     if not digest.cases:
         return Verdict("", not_judged="No case has a result yet, so there is nothing to compare.", **about)
     if digest.reference is None:
@@ -184,6 +188,7 @@ def verdict(digest: Digest) -> Verdict:
         )
     about |= {
         "model": best,
+        "measured": measured_in_words(digest, best),
         "among": len(rated),
         "kind": "VDM models" if all(map(is_vdm, digest.candidates)) else "models",
         "growth": tuple(limits_in_words(digest)),

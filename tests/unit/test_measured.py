@@ -18,6 +18,8 @@ from vdmbench.scene.measured_points import place_measured
 from vdmbench.scene.scene import SceneError
 from vdmbench.study.config import Study, StudyError, expand, load_study, resolved
 from vdmbench.verdict.digest import Digest
+from vdmbench.verdict.sentences import SURE, answers
+from vdmbench.verdict.verdict import verdict
 
 from .report_runs import icosphere, make_case, make_run
 
@@ -243,3 +245,18 @@ def test_the_section_shows_every_quantity_and_what_remains() -> None:
     assert [row[0].text for row in details.rows] == ["tip <1> z at 1", "rms distance at 1"]
     assert "<svg" in figures.figures[0].svg
     assert against_measurement(Digest(make_run([make_case({"vdm-paper": 0.5})]))) is None
+
+
+def test_the_verdict_tells_what_a_measurement_says() -> None:
+    """-6.45 mm of -6.5 mm is 0.77 % off; it is one of two values, the other is a distance of a whole surface."""
+    case = make_case({"vdm-paper": 0.05}, steps=(0.25, 0.5, 1.0), reference="fem:direct")
+    without = "Nothing here was compared with an experiment."
+    for measurement in (None, example_measurement()):
+        run = make_run([dataclasses.replace(case, measurement=measurement)])
+        told = answers(verdict(Digest(run)))
+        (sure,) = (" ".join(answer.sentences) for answer in told if answer.question == SURE)
+        assert (without in sure) == (measurement is None)
+    assert (
+        "Against measurement vdm-paper is 0.77 % off (root mean square), within the validation uncertainty in 1 of "
+        "2 values. All other errors are differences between computations."
+    ) in sure
