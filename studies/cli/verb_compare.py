@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from ..machine.processors import usable_processors
+from ..machine.streams import harmless
 from .argument_kinds import jobs_arguments, out_argument, run_directory
 from .output import FAILED, OK, UsageError, complain_of_failures, print_json, print_run, tell
 from .progress import Progress
@@ -78,7 +79,7 @@ def _side_by_side(options: argparse.Namespace) -> int:
     found = side_by_side({name: read_run(path) for name, path in directories.items()})
     if not options.json:
         for line in as_text(found):
-            print(line)
+            print(harmless(line))
         return OK
     return print_json(
         {

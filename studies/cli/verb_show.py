@@ -6,6 +6,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from ..machine.streams import harmless
 from .argument_kinds import output_file, positive, study_arguments
 from .output import OK, UsageError, print_json
 from .studies import load, make_plan
@@ -49,7 +50,7 @@ def run(options: argparse.Namespace) -> int:
     if options.json:
         return print_json({"picture": str(path), "scene": dict(words)})
     for line in told:
-        print(line)
+        print(harmless(line))
     print(f"picture: {path}")
     return OK
 

@@ -86,3 +86,15 @@ def test_one_run_is_beside_nothing(tmp_path: Path) -> None:
     (tmp_path / "cases").mkdir()
     with pytest.raises(ValueError, match="give 2 to 26 different run directories, not 1"):
         verb_compare.run(parse(["compare", str(tmp_path), f"{tmp_path}/."]))
+
+
+def test_no_stored_name_steers_the_terminal(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for name in ("a", "b"):
+        (tmp_path / name / "cases").mkdir(parents=True)
+    monkeypatch.setattr("vdmbench.store.cases.read_run", lambda _: _run({"\x1b[31mvdm": 0.1}))
+    assert verb_compare.run(parse(["compare", f"{tmp_path}/a", f"{tmp_path}/b"])) == 0
+    told = capsys.readouterr().out
+    assert "vdm " in told
+    assert "\x1b" not in told
