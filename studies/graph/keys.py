@@ -17,18 +17,10 @@ from typing import Any
 from .. import models
 from ..measures import uncertainty
 from ..study.config import case_inputs
+from ..study.loads import KINDS
 from ..study.schema import Study
 
 _FORMAT = 3  # of the files of answers: raised with what is in them
-_NOT_DESCRIBED = (
-    "kind",
-    "name",
-    "force",
-    "pressure",
-    "displacement",
-    "resultant",
-)  # of a constraint: its kind, and how much
-HOLDING = ("fixed", "constrained")  # kinds of constraints that a set-up depends on
 _DIGITS = 12  # of a load beside others: less is rounding
 
 
@@ -65,6 +57,7 @@ def case_hash(study: Study, mesh_key: str, inputs: Mapping[str, Any] | None = No
             },
             "mesh": mesh_key,
             "models": {name: models.find(name)[0].version for name in study.study.models},
+            "kinds": [KINDS[part.kind].versions(part.model_dump()) for part in study.constraints],
             "reference": study.study.reference,
         }
         | _outputs(study)
@@ -159,7 +152,11 @@ def _body(study: Study, inputs: Mapping[str, Any], name: str) -> dict[str, Any]:
         "solver": solver,
         "version": model.version,
         "tissue": {key: inputs["tissue"][key] for key in read},
-        "held": [_held(part, inputs) for part in inputs["constraints"] if part["kind"] in HOLDING],
+        "held": [
+            _held(part, inputs)
+            for part in inputs["constraints"]
+            if part["kind"] in KINDS and KINDS[part["kind"]].holds
+        ],
         "gravity": gravity if weighs else None,
         "anisotropy": inputs.get("anisotropy"),
         "parameters": {key: value for key, value in parameters.items() if key in model.parameters},
@@ -175,9 +172,7 @@ def _held(constraint: Mapping[str, Any], inputs: Mapping[str, Any]) -> dict[str,
 def _touched(inputs: Mapping[str, Any]) -> list[tuple[str, float]]:
     """Where there is contact, and one motion of held nodes up to a factor."""
     loads = _unit_loads(inputs)
-    moved = {
-        unit: value for unit, value in loads.items() if not unit.startswith(("force ", "pressure ", "line "))
-    }
+    moved = {unit: value for unit, value in loads.items() if KINDS[unit.partition(" ")[0]].holds}
     largest = max(moved.values(), key=abs, default=0.0) or 1.0
     return [(unit, value / largest if unit in moved else 1.0) for unit, value in loads.items() if value]
 
@@ -188,34 +183,19 @@ def _unit_loads(inputs: Mapping[str, Any]) -> dict[str, float]:
     Raises
     ------
     ValueError
-        a kind of load whose unit loads nobody lists.
+        a kind that is not registered, whose loads nobody lists.
     """
     out: dict[str, float] = {}
     for constraint in inputs["constraints"]:
-        about = {key: value for key, value in constraint.items() if key not in _NOT_DESCRIBED}
-        about["region"] = _spelt_out(constraint["region"], inputs["regions"])
-        described = json.dumps(about, sort_keys=True)
-        match constraint["kind"]:
-            case "contact":
-                size = "force" if constraint.get("force") is not None else "pressure"
-                found = [(f"{size} {described}", constraint.get(size) or 0.0)]
-            case "constrained":
-                found = [
-                    (f"{axis} {described}", value) for axis, value in enumerate(constraint["displacement"])
-                ]
-            case "line":
-                found = [
-                    (f"line {axis} {described}", value) for axis, value in enumerate(constraint["resultant"])
-                ]
-            case "fixed":
-                found = []
-            case kind:
-                raise ValueError(
-                    f"a constraint of kind {kind!r} has no unit loads, so that its answers cannot be told from "
-                    "others': list them in vdmbench.graph.keys"
-                )
-        for unit, value in found:
-            out[unit] = out.get(unit, 0.0) + float(value)
+        kind = KINDS.get(constraint["kind"])
+        if kind is None:
+            raise ValueError(f"a constraint of kind {constraint['kind']!r} has no unit loads: register it")
+        apart = {"kind", "name", "region", *kind.loads}
+        about = {key: value for key, value in constraint.items() if key not in apart}
+        region = _spelt_out(constraint["region"], inputs["regions"])
+        described = json.dumps([about, kind.versions(constraint), region], sort_keys=True)
+        for unit, value in kind.unit_loads(constraint, described):
+            out[unit] = out.get(unit, 0.0) + value
     return out
 
 

@@ -35,6 +35,7 @@ KINDS = {
     "constrained": ("moved", "#c0a82e"),
     "line": ("pulled along a line", "#aa3377"),
 }
+_OTHER = "#666666"  # of a kind that has no colour of its own
 _ARROWS = {"contact": "#c42842", "constrained": "#8a7410"}  # their arrows, seen on body and ground
 _BODY, _AMBIENT = "#cfd3d6", 0.72  # bright all round: the colours have a meaning
 _PIXELS = 560  # width of the body's drawing
@@ -206,7 +207,7 @@ def _figure(stage: _Stage, lines: Sequence[str], title: str) -> Figure:
     _draw_scale(foot, metres)
     _draw_triad(foot, stage.axes)
     if stage.parts:
-        handles = [Patch(color=KINDS[part.kind][1], label=_legend(part)) for part in stage.parts]
+        handles = [Patch(color=style_of(part.kind)[1], label=_legend(part)) for part in stage.parts]
         figure.legend(
             handles=handles,
             ncols=2,
@@ -224,8 +225,13 @@ def _figure(stage: _Stage, lines: Sequence[str], title: str) -> Figure:
     return figure
 
 
+def style_of(kind: str) -> tuple[str, str]:
+    """What a kind of constraint is called, and its colour."""
+    return KINDS.get(kind, (kind, _OTHER))
+
+
 def _legend(part: Part) -> str:
-    called = KINDS[part.kind][0]
+    called = style_of(part.kind)[0]
     name = part.name if len(part.name) <= 24 else f"{part.name[:23]}…"
     return f"{called}: {name}" if name and name != called else called
 
@@ -236,14 +242,14 @@ def _draw_body(axes: Axes, stage: _Stage) -> None:
     n_rows = max(1, round(_PIXELS * height / width))
     colours = np.tile(to_rgba(_BODY), (len(stage.triangles), 3, 1))
     for part in stage.parts:
-        colours[stage.facets(part)] = to_rgba(KINDS[part.kind][1])
+        colours[stage.facets(part)] = to_rgba(style_of(part.kind)[1])
     scale = raster.FINER * _PIXELS / width
     pixels = raster.drawn(
         stage.seen, stage.triangles, colours, scale, -scale * low, _PIXELS, n_rows, _AMBIENT
     )
     axes.imshow(pixels, extent=(low[0], high[0], low[1], high[1]), interpolation="nearest", aspect="equal")
     for part in stage.parts:
-        colour = KINDS[part.kind][1]
+        colour = style_of(part.kind)[1]
         edges, facing = stage.outline(part)
         axes.add_collection(
             LineCollection(list(edges[~facing]), colors=colour, linewidths=1.0, linestyles=":")

@@ -13,7 +13,7 @@ from ..measures.case import CaseResult
 from ..verdict.digest import Array, Digest
 from ..verdict.formatting import listed, plain, plural, scale_of
 from .blocks import Scene
-from .scene_picture import KINDS, Part, scene_svg
+from .scene_picture import Part, scene_svg, style_of
 
 _ALL_ROUND = (
     0.05  # of the sum of its facets' forces: a contact whose resultant is smaller presses from all sides
@@ -50,8 +50,7 @@ def parts_of(case: CaseResult, cases: Sequence[CaseResult]) -> list[Part]:
             vector = np.array(constraint["resultant"], dtype=float)
         elif kind == "contact":
             vector = _thrust(case, nodes, constraint)
-        if kind in KINDS:
-            parts.append(Part(name, kind, nodes, vector, label))
+        parts.append(Part(name, kind, nodes, vector, label))
     return parts
 
 
@@ -73,8 +72,8 @@ def scene_words(case: CaseResult, cases: Sequence[CaseResult]) -> list[tuple[str
     for constraint in _constraints(case):
         name, kind = _name(constraint), str(constraint.get("kind"))
         mask = case.regions.get(str(constraint.get("region")))
-        if mask is not None and kind in KINDS:
-            rows.append((KINDS[kind][0].capitalize(), _in_words(case, cases, name, constraint, mask)))
+        if mask is not None:
+            rows.append((style_of(kind)[0].capitalize(), _in_words(case, cases, name, constraint, mask)))
     return [(what, value) for what, value in rows if value]
 
 

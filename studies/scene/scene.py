@@ -10,23 +10,13 @@ import numpy as np
 
 from ..body.mesh import Array, Index, Mask, Mesh
 from ..body.surface_measures import corner_sum, facet_area_vectors, nodal_sum
-from ..machine.errors import InputError
+from ..study.loads import KINDS
 from ..study.problems import Loc
-from ..study.schema import Anisotropy, Constraint, Region, Study, Tissue
-from .contact_profile import on_facets
+from ..study.schema import Anisotropy, Constraint, Study, Tissue
 from .coordinates import in_mesh_coordinates, origin
+from .placed import PlacedConstraint, quadrature
+from .placed import SceneError as SceneError
 from .regions import body_extent, lies_outside, select
-
-
-class SceneError(InputError):
-    """A scene that cannot be put on its mesh; the message says which part and what to change.
-
-    `place` is that part in the study, as ("constraints", 1) or ("regions", "base").
-    """
-
-    def __init__(self, text: str, place: Loc = ("constraints",)) -> None:
-        super().__init__(text)
-        self.place = place
 
 
 @dataclass(frozen=True)
@@ -111,7 +101,7 @@ class Scene:
     @cached_property
     def _thrust(self) -> Array:
         """(F, 3) integral of pressure times shape function over each facet, per corner [N]."""
-        barycentric, weights = _quadrature()
+        barycentric, weights = quadrature()
         _, areas, _ = self._facets
         return areas[:, None] * ((self.facet_pressure * weights) @ barycentric)
 
@@ -172,40 +162,43 @@ def build_scene(study: Study, mesh: Mesh, masks: Mapping[str, Mask] | None = Non
     n_nodes = len(mesh.surface_nodes)
     fixed, constrained = np.zeros(n_nodes, dtype=bool), np.zeros(n_nodes, dtype=bool)
     prescribed = np.zeros((n_nodes, 3))
-    pressure = np.zeros((len(mesh.triangles), len(_quadrature()[1])))
+    pressure = np.zeros((len(mesh.triangles), len(quadrature()[1])))
     lines: list[tuple[Index, Array]] = []
     for constraint in study.constraints:
         mask = masks[constraint.region]
         if not mask.any():
             raise SceneError(_selects_nothing(constraint.region, study, mesh), ("regions", constraint.region))
-        if constraint.kind == "fixed":
-            fixed |= mask
-        elif constraint.kind == "constrained":
-            both = constrained & mask & (prescribed != constraint.displacement).any(axis=1)
+        kind, place = KINDS.get(constraint.kind), _place(study, constraint)
+        if kind is None:
+            raise SceneError(
+                f"constraint {constraint.name!r} is of an unknown kind, {constraint.kind!r}", place
+            )
+        on = PlacedConstraint(constraint, place, regions[constraint.region], mesh, mask)
+        acts = kind.act(constraint, on)
+        if acts.displacement is not None:
+            moved = np.broadcast_to(acts.displacement, prescribed.shape)
+            both = constrained & mask & (prescribed != moved).any(axis=1)
             if both.any():
                 raise SceneError(
                     f"{constraint.name!r} moves {both.sum()} nodes that another constraint moves differently",
-                    _place(study, constraint),
+                    place,
                 )
             constrained |= mask
-            prescribed[mask] = constraint.displacement
-        elif constraint.kind == "contact":
-            place = _place(study, constraint)
-            pressure += _contact_pressure(constraint, place, regions[constraint.region], mesh, mask)
-        elif constraint.kind == "line":
-            lines.append((_line(constraint, study, mesh, mask), np.array(constraint.resultant)))
-        else:
-            raise SceneError(
-                f"constraint {constraint.name!r} is of an unknown kind, {constraint.kind!r}",
-                _place(study, constraint),
-            )
+            prescribed[mask] = moved[mask]
+        elif kind.holds:
+            fixed |= mask
+        if acts.pressure is not None:
+            pressure += acts.pressure
+        if acts.line is not None:
+            edges, force = acts.line
+            lines.append((edges, np.array(force)))
     _check_apart(study, masks)
     judged = study.acceptance.region
     if judged is not None and not masks[judged].any():
         raise SceneError(_selects_nothing(judged, study, mesh), ("acceptance", "region"))
     for constraint in study.constraints:
         overlap = masks[constraint.region] & (fixed | constrained)
-        if constraint.kind in ("contact", "line") and overlap.any():
+        if not KINDS[constraint.kind].holds and overlap.any():
             raise SceneError(
                 f"{constraint.kind} {constraint.name!r} covers {overlap.sum()} nodes that are fixed or "
                 "constrained; keep the regions apart",
@@ -230,20 +223,6 @@ def build_scene(study: Study, mesh: Mesh, masks: Mapping[str, Mask] | None = Non
     )
 
 
-def _line(constraint: Constraint, study: Study, mesh: Mesh, mask: Mask) -> Index:
-    """(k, 2) edges of the surface between the nodes of a region that has no facet of its own."""
-    triangles = mesh.triangles
-    sides = np.sort(np.stack([triangles, np.roll(triangles, -1, axis=1)], axis=2).reshape(-1, 2), axis=1)
-    edges = np.unique(sides[mask[sides].all(axis=1)], axis=0)
-    if not len(edges):
-        text = f"line {constraint.name!r} has no edge between its nodes; enlarge its region"
-        raise SceneError(text, _place(study, constraint))
-    if (count := int(mask[triangles].all(axis=1).sum())) > 0:
-        text = f"line {constraint.name!r} covers {count} facets; a line is one node wide: make its region narrower"
-        raise SceneError(text, _place(study, constraint))
-    return np.asarray(edges, dtype=np.int64)
-
-
 def _place(study: Study, constraint: Constraint) -> Loc:
     """The place of this very constraint: another one may be equal to it."""
     return ("constraints", next(k for k, other in enumerate(study.constraints) if other is constraint))
@@ -251,8 +230,9 @@ def _place(study: Study, constraint: Constraint) -> Loc:
 
 def _check_apart(study: Study, masks: Mapping[str, Mask]) -> None:
     """Refuses nodes that a constraint holds at rest and another one moves."""
-    for held in (part for part in study.constraints if part.kind == "fixed"):
-        for moved in (part for part in study.constraints if part.kind == "constrained"):
+    holding = [part for part in study.constraints if KINDS[part.kind].holds]
+    for held in (part for part in holding if not KINDS[part.kind].loads):
+        for moved in (part for part in holding if KINDS[part.kind].loads):
             if (count := (masks[held.region] & masks[moved.region]).sum()) > 0:
                 raise SceneError(
                     f"{count} nodes are fixed by {held.name!r} and constrained by {moved.name!r}; "
@@ -275,51 +255,3 @@ def _selects_nothing(name: str, study: Study, mesh: Mesh) -> str:
     if not lies_outside(study.regions[name], low, high):
         return f"{told}; enlarge it or take a smaller mesh_size"
     return f"{told}: {body_extent(low, high)}"
-
-
-_LEAST_RESULTANT = 1e-6  # of a contact, over the sum of its facets' forces: below it is rounding or chance
-
-
-def _quadrature() -> tuple[Array, Array]:
-    """The reference's rule on a facet; its package is slow to load, and a plan needs no scene."""
-    from fem_reference.mesh import facet_quadrature
-
-    return facet_quadrature()
-
-
-def _contact_pressure(constraint: Constraint, place: Loc, region: Region, mesh: Mesh, mask: Mask) -> Array:
-    """(F, Q) pressure of one contact at the quadrature points [Pa].
-
-    A uniform pressure acts on the facets whose three nodes are in the region. A smooth profile is integrated over
-    the facets (`vdmbench.scene.contact_profile`), so that its resultant hangs neither on mesh level nor on model.
-    """
-    shape, resultant, total = mesh.remembered(
-        ("contact", constraint.profile, region.model_dump_json(), mask.tobytes()),
-        lambda: _contact_shape(mesh, mask, constraint.profile, region),
-    )
-    if total == 0.0:
-        raise SceneError(
-            f"contact {constraint.name!r} loads no facet; enlarge its region or take a smaller mesh_size",
-            place,
-        )
-    if constraint.force is not None:
-        if resultant < _LEAST_RESULTANT * total:
-            raise SceneError(
-                f"contact {constraint.name!r} presses from all sides, so that its pressures have no resultant "
-                "to be given by force; give pressure, or a region on one side",
-                place,
-            )
-        return shape * (constraint.force / resultant)
-    return shape * (constraint.pressure or 0.0)
-
-
-def _contact_shape(mesh: Mesh, mask: Mask, profile: str | None, region: Region) -> tuple[Array, float, float]:
-    """(F, Q) pressure at the quadrature points over its peak; size of its resultant, sum of the facets' [m^2]."""
-    barycentric, weights = _quadrature()
-    if profile in (None, "uniform"):
-        shape = np.repeat(np.all(mask[mesh.triangles], axis=1)[:, None].astype(float), len(weights), axis=1)
-    else:
-        shape = on_facets(profile, region, mesh, (barycentric, weights))
-    vectors = facet_area_vectors(mesh.surface_points, mesh.triangles)
-    areas = shape @ weights
-    return shape, float(np.linalg.norm(areas @ vectors)), float(areas @ np.linalg.norm(vectors, axis=1))

@@ -10,6 +10,7 @@ import numpy as np
 
 from ..body.mesh import Array, Index, Mask
 from ..body.surface_measures import facet_area_vectors
+from ..study.loads import KINDS
 from ..study.problems import Finding
 
 OPPOSED = 0.05  # share of a contact's area that may face against its resultant
@@ -33,16 +34,16 @@ def scene_warnings(
     largest_factor : largest load factor
     """
     vectors = facet_area_vectors(points, triangles)
-    held = [masks[entry["region"]] for entry in constraints if entry["kind"] in ("fixed", "constrained")]
+    held = [masks[entry["region"]] for entry in constraints if KINDS[entry["kind"]].holds]
     on_support = np.logical_or.reduce([np.zeros(len(points), dtype=bool), *held])[triangles].all(axis=1)
     extent = float(np.ptp(points, axis=0).min())
     for place, entry in enumerate(constraints):
-        if entry["kind"] == "line":
-            continue
         mask, loc = masks[entry["region"]], ("constraints", place, "region")
-        if entry["kind"] != "contact":
+        if KINDS[entry["kind"]].holds:
             if mask.any() and not (on_support & mask[triangles].any(axis=1)).any():
                 yield loc, _lone(int(mask.sum()))
+            continue
+        if entry["kind"] != "contact":
             continue
         pressed = vectors[mask[triangles].all(axis=1)]
         areas, resultant = np.linalg.norm(pressed, axis=1), pressed.sum(axis=0)

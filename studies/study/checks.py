@@ -23,10 +23,10 @@ from .geometry_spec import (
 )
 from .geometry_spec import Geometry as GeometrySpec
 from .geometry_table import Geometry
+from .loads import KINDS
 from .measured_table import check_measured
 from .model_name import DISPLACEMENT_ELEMENTS, is_vdm, split
 from .problems import Finding, Loc
-from .profiles import PROFILES
 from .region_checks import check_regions
 from .schema import (
     MOST_STEPS,
@@ -47,12 +47,7 @@ SHAPE_KEYS: dict[str, tuple[set[str], set[str]]] = {  # shape -> keys that it ne
     },
     "file": ({"path"}, {"mesh_size", "size", "scale", "coordinates"}),
 }
-_KIND_KEYS = {
-    "fixed": set[str](),
-    "contact": {"pressure", "force", "profile"},
-    "constrained": {"displacement"},
-    "line": {"resultant"},
-}
+_KIND_KEYS = {kind.name: set(kind.keys) for kind in KINDS.values()}
 
 
 def check(study: Study) -> Iterator[Finding]:
@@ -281,21 +276,16 @@ def _check_kind(constraint: Constraint, loc: Loc, regions: dict[str, Region]) ->
     for key in sorted(present - allowed):
         takes = f"it takes {listed(allowed)}" if allowed else "it takes a region only"
         yield (*loc, key), f"a {constraint.kind} constraint has no {key}; {takes}"
-    if constraint.kind == "contact" and {"pressure", "force"} <= present:
-        yield loc, "has both pressure and force; keep one"
-    elif constraint.kind == "contact" and not present & {"pressure", "force"}:
-        yield loc, "a contact needs either pressure or force"
-    if constraint.kind == "constrained" and "displacement" not in present:
-        yield (*loc, "displacement"), 'is missing; give three lengths, such as ["0 mm", "0 mm", "-5 mm"]'
-    if constraint.kind == "line" and "resultant" not in present:
-        yield (*loc, "resultant"), 'is missing; give three forces, such as ["0 N", "0 N", "-1 N"]'
-    region = regions.get(constraint.region) if constraint.kind == "contact" else None
-    if constraint.profile in PROFILES and region is not None and not given(region) & {"cap", "ball"}:
-        yield (
-            (*loc, "profile"),
-            f"a {constraint.profile} profile needs a region that is a cap or a ball, "
-            f"and {shown(constraint.region)} is neither",
-        )
+    kind = KINDS[constraint.kind]
+    if len(loads := [name for name in kind.loads if name in present]) > 1:
+        yield loc, f"has both {' and '.join(loads)}; keep one"
+    elif not loads and len(kind.loads) > 1:
+        yield loc, f"a {kind.name} needs either {' or '.join(kind.loads)}"
+    elif not loads and kind.loads:
+        yield (*loc, kind.loads[0]), f"is missing; give {kind.keys[kind.loads[0]].example or 'it'}"
+    region = regions.get(constraint.region)
+    for key, text in kind.check(constraint, frozenset(given(region)) if region else frozenset()).items():
+        yield (*loc, key), text
 
 
 def _check_history(load: Load) -> Iterator[Finding]:
@@ -313,34 +303,13 @@ def _check_loads(study: Study) -> Iterator[Finding]:
     factor = max(map(abs, study.load.factors)) if study.load is not None and study.load.factors else 1.0
     for place, constraint in enumerate(study.constraints or ()):
         loc = ("constraints", place)
-        if modulus is not None:
-            pressure = factor * abs(constraint.pressure or 0.0)
-            if pressure > 10 * modulus:
-                yield (
-                    (*loc, "pressure"),
-                    f"{pressure:g} Pa is more than ten times Young's modulus ({modulus:g} Pa): a mixed-up unit?",
-                )
-            force = factor * abs(constraint.force or 0.0)
-            if extent is not None and force > 10 * modulus * extent**2:
-                yield (
-                    (*loc, "force"),
-                    f"{force:g} N on a body {extent:g} m across is a pressure of more than ten times Young's "
-                    f"modulus ({modulus:g} Pa): a mixed-up unit?",
-                )
-            pull = factor * math.hypot(*(constraint.resultant or (0.0,)))
-            if extent is not None and pull > 10 * modulus * extent**2:
-                yield (
-                    (*loc, "resultant"),
-                    f"{pull:g} N on a body {extent:g} m across is a pressure of more than ten times Young's "
-                    f"modulus ({modulus:g} Pa): a mixed-up unit?",
-                )
-        distance = factor * math.hypot(*(constraint.displacement or (0.0,)))
-        if extent is not None and distance > extent:
-            yield (
-                (*loc, "displacement"),
-                f"{distance:g} m is more than the body's extent ({extent:g} m): a mixed-up unit? "
-                'A bare number is in metres; write "5 mm"',
-            )
+        keys = KINDS[constraint.kind].keys.items() if constraint.kind is not None else ()
+        for name, key in keys:
+            value = getattr(constraint, name)
+            if key.is_load and value is not None:
+                size = factor * math.hypot(*(value if isinstance(value, tuple) else (value,)))
+                if told := _mixed_up(size, key.unit, modulus, extent):
+                    yield (*loc, name), told
     if modulus is not None and extent is not None and study.gravity is not None:
         weight = (study.tissue.density or 0.0) * math.hypot(*(study.gravity.acceleration or (0.0,))) * extent
         if weight > 10 * modulus:
@@ -349,6 +318,25 @@ def _check_loads(study: Study) -> Iterator[Finding]:
                 f"the weight of a body {extent:g} m across is a pressure of {weight:g} Pa, more than ten times "
                 f"Young's modulus ({modulus:g} Pa): a mixed-up unit?",
             )
+
+
+def _mixed_up(size: float, unit: str, modulus: float | None, extent: float | None) -> str:
+    """What is wrong with a load of this size on a body of this stiffness [Pa] and extent [m], if anything."""
+    if unit == "Pa" and modulus is not None and size > 10 * modulus:
+        return f"{size:g} Pa is more than ten times Young's modulus ({modulus:g} Pa): a mixed-up unit?"
+    if extent is None:
+        return ""
+    if unit == "N" and modulus is not None and size > 10 * modulus * extent**2:
+        return (
+            f"{size:g} N on a body {extent:g} m across is a pressure of more than ten times Young's "
+            f"modulus ({modulus:g} Pa): a mixed-up unit?"
+        )
+    if unit == "m" and size > extent:
+        return (
+            f"{size:g} m is more than the body's extent ({extent:g} m): a mixed-up unit? "
+            'A bare number is in metres; write "5 mm"'
+        )
+    return ""
 
 
 def _check_acceptance(study: Study) -> Iterator[Finding]:

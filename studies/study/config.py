@@ -15,6 +15,7 @@ from .checks import fits_kind, geometry_spec
 from .fields import FieldRow, field_table, targets
 from .geometry_spec import Geometry as GeometrySpec
 from .kinds import MAX_NAME, is_safe_name
+from .loads import KINDS
 from .measured_table import check_measured_cases
 from .model_name import FINITE_STRAIN, split
 from .problems import MOST_TOLD, Finding, Loc, Problem, Source, StudyError, file_fault
@@ -335,7 +336,7 @@ def _check_model_names(data: Mapping[str, Any]) -> Iterator[Finding]:
 
 def holds_nothing(study: Study) -> bool:
     """Whether no constraint holds a part of the body, so that elements have no answer."""
-    return all(constraint.kind in ("contact", "line") for constraint in study.constraints or ())
+    return not any(KINDS[constraint.kind].holds for constraint in study.constraints or () if constraint.kind)
 
 
 def _check_held(study: Study | None) -> Iterator[Finding]:

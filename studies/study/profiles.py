@@ -14,10 +14,15 @@ if TYPE_CHECKING:
     Array = NDArray[np.float64]
 
 PROFILES: dict[str, Callable[[Array], Array]] = {}
+VERSIONS = {"uniform": "1"}
 
 
-def profile(function: Callable[[Array], Array]) -> Callable[[Array], Array]:
+def profile(function: Callable[[Array], Array], version: str = "1") -> Callable[[Array], Array]:
     """Register pressure over its peak at rho, 0 in the middle and 1 at the rim, beyond which it is nothing.
+
+    Parameters
+    ----------
+    version : raised whenever its values change; part of the keys of results
 
     Raises
     ------
@@ -25,9 +30,9 @@ def profile(function: Callable[[Array], Array]) -> Callable[[Array], Array]:
         a name that is taken.
     """
     name = function.__name__
-    if name in ("uniform", *PROFILES):
+    if name in VERSIONS:
         raise ValueError(f"a profile {name!r} is registered already")
-    PROFILES[name] = function
+    PROFILES[name], VERSIONS[name] = function, version
     return function
 
 

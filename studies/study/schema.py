@@ -29,7 +29,6 @@ from .kinds import (
     SI,
     Axis,
     Direction,
-    Force,
     Length,
     LineForce,
     Modulus,
@@ -46,9 +45,9 @@ from .kinds import (
     one_line,
     positive,
 )
+from .loads import KINDS, keys_of_all
 from .measured_table import MOST_TABLES, Measured
 from .problems import Source
-from .profiles import Profile
 from .table import Table
 
 if TYPE_CHECKING:
@@ -240,31 +239,47 @@ RegionRef = Annotated[
 ]
 
 
-class Constraint(Table):
-    """[[constraints]]; nodes in none are free"""
-
-    kind: Literal["fixed", "contact", "constrained", "line"] = Field(
-        description="held at rest, pressed, moved by a displacement, or pulled along a line of edges"
-    )
+class _AnyConstraint(Table):
+    if TYPE_CHECKING:
+        kind: str
+        pressure: float | None
+        force: float | None
+        profile: str | None
+        displacement: Vector3 | None
+        resultant: Vector3 | None
+    else:
+        kind: Literal[tuple(KINDS)] = Field(
+            description=", ".join(f"{kind.name}: {kind.help}" for kind in KINDS.values())
+        )
     region: str = Field(description="name of the region")
     name: Name = Field("", description="names it in sweeps and reports; the region's name where left out")
-    pressure: Pressure | None = Field(None, description="contact: (peak) pressure, positive into the body")
-    force: Annotated[float, SI("N")] | None = Field(
-        None, description="contact: resultant, instead of the pressure"
+
+
+if TYPE_CHECKING:
+    _ConstraintOfKinds = _AnyConstraint
+else:
+    _ConstraintOfKinds = create_model(
+        "_ConstraintOfKinds",
+        __base__=_AnyConstraint,
+        **{
+            name: (
+                taken[0][1].type | None,
+                Field(None, description="; ".join(f"{kind}: {key.help}" for kind, key in taken)),
+            )
+            for name, taken in keys_of_all().items()
+        },
     )
-    profile: Profile | None = Field(
-        None,
-        description="contact: shape of the pressure, uniform where left out; the others need a cap or ball",
-    )
-    displacement: Position | None = Field(None, description="constrained: displacement at load factor 1")
-    resultant: Force | None = Field(None, description="line: dead force at load factor 1, over its edges")
+
+
+class Constraint(_ConstraintOfKinds):
+    """[[constraints]]; nodes in none are free"""
 
     @classmethod
     def with_defaults(cls, data: dict[str, Any]) -> dict[str, Any]:
         defaults = {"name": data["region"]} if is_safe_name(data.get("region")) else {}
-        if data.get("kind") == "contact":
-            defaults["profile"] = "uniform"
-        return defaults | data
+        kind = KINDS.get(str(data.get("kind")))
+        keys = kind.keys.items() if kind is not None else ()
+        return defaults | {name: key.default for name, key in keys if key.default is not None} | data
 
 
 class Load(Table):

@@ -292,3 +292,64 @@ def test_a_shape(place: Path) -> None:
     ):
         result = python(place, "-c", COMMAND, "check", study(place, RING.replace(mistake, instead)))
         assert said in result.stderr
+
+
+LOAD = """
+from typing import Annotated
+from .kinds import SI
+from .loads import Acts, LoadKey, LoadKind, register
+
+
+def act(constraint, on):
+    height = on.points[:, 2]
+    return Acts(pressure=constraint.gradient * on.at_quadrature(height[on.nodes].max() - height))
+
+
+register(LoadKind(
+    name="hydrostatic", help="under a liquid", version="1", holds=False, act=act,
+    keys={"gradient": LoadKey(Annotated[float, SI("Pa/m")], "growth of the pressure with depth", is_load=True)},
+))
+"""
+LIQUID = VDM.replace("vdm-paper", "fem-linear").replace('kind = "contact"', 'kind = "hydrostatic"')
+LIQUID = LIQUID.replace('force = "0.1 N"', 'gradient = "9810 Pa/m"')
+LIQUID = LIQUID.replace('profile = "hertz"\n', "").replace("factors = [0.5, 1.0]", "factors = [0.01]")
+GRADIENTS = LIQUID + '[sweep]\n"constraints.finger.gradient" = ["9810 Pa/m", "19620 Pa/m"]\n'
+
+
+def test_a_kind_of_load(place: Path) -> None:
+    (place / "vdmbench" / "study" / "load_hydrostatic.py").write_text(LOAD)
+    command(place, "check", study(place, GRADIENTS))
+    planned = json.loads(command(place, "plan", "study.toml", "--json"))
+    assert len(planned["cases"]) == 2
+    assert [work["solves"] for work in planned["work"]] == [1], "one is twice the other"
+    run(place, GRADIENTS)
+    told = python(
+        place,
+        "-c",
+        "from pathlib import Path\n"
+        "import numpy as np\n"
+        "from vdmbench.store.cases import read_run\n"
+        "for case in read_run(Path('out')).cases:\n"
+        "    print(-case.models['fem-linear'].reaction_force[-1].sum(axis=0)[2])\n"
+        "    corners = case.points[case.triangles[case.regions['finger'][case.triangles].all(axis=1)]]\n"
+        "    up = 0.5 * np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])[:, 2]\n"
+        "    depth = case.points[case.regions['finger'], 2].max() - corners[:, :, 2].mean(axis=1)\n"
+        "    print(-0.01 * 9810.0 * up @ depth)\n",
+    )
+    once, weight, twice, _ = map(float, told.stdout.split())
+    assert weight < 0.0
+    assert once == pytest.approx(weight, rel=1e-9), "of the liquid above its facets"
+    assert twice == pytest.approx(2.0 * once, rel=1e-9)
+    assert "hydrostatic" in page(place).lower()
+    for mistake, instead, said in (
+        ('gradient = "9810 Pa/m"', "", "gradient: is missing"),
+        ('"9810 Pa/m"', '"3 mm"', "constraints.finger.gradient"),
+        (
+            'gradient = "9810 Pa/m"',
+            'force = "1 N"',
+            "a hydrostatic constraint has no force; it takes gradient",
+        ),
+        ('"hydrostatic"', '"hydrostatics"', 'did you mean "hydrostatic"'),
+    ):
+        result = python(place, "-c", COMMAND, "check", study(place, LIQUID.replace(mistake, instead)))
+        assert said in result.stderr, result.stderr

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import dataclasses
 from typing import Any
 
 import pytest
 
 from vdmbench.graph import keys
 from vdmbench.graph.keys import Wanted, case_hash, direction, load_steps, wanted
+from vdmbench.study.loads import KINDS
+from vdmbench.study.profiles import VERSIONS
 from vdmbench.study.schema import Study
 from vdmbench.study.sweep import substituted
 
@@ -153,3 +156,17 @@ def test_a_contact_is_told_by_every_key_that_it_has() -> None:
         return load_steps(study(), {"constraints": [press], "regions": {}})
 
     assert units(friction=0.1) != units(friction=0.2)
+
+
+def test_a_profile_or_a_kind_that_has_changed_is_another_answer_and_another_case(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    one = study()
+    used = {part.profile for part in one.constraints if part.kind == "contact"}
+    before = answers(one)["vdm-paper", 0].answers, case_hash(one, "mesh")
+    assert before == (answers(one)["vdm-paper", 0].answers, case_hash(one, "mesh"))
+    monkeypatch.setitem(VERSIONS, str(used.pop()), "2")
+    profile = answers(one)["vdm-paper", 0].answers, case_hash(one, "mesh")
+    monkeypatch.setitem(KINDS, "contact", dataclasses.replace(KINDS["contact"], version="2"))
+    kind = answers(one)["vdm-paper", 0].answers, case_hash(one, "mesh")
+    assert len({before[0], profile[0], kind[0]}) == len({before[1], profile[1], kind[1]}) == 3

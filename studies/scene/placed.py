@@ -1,0 +1,110 @@
+"""A constraint on its mesh: what the kinds of constraints make pressures and lines from."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..body.mesh import Array, Index, Mask, Mesh
+from ..body.surface_measures import facet_area_vectors
+from ..machine.errors import InputError
+from ..study.problems import Loc
+from ..study.schema import Constraint, Region
+from .contact_profile import on_facets
+
+_LEAST_RESULTANT = 1e-6  # of a contact, over the sum of its facets' forces: below it is rounding or chance
+
+
+class SceneError(InputError):
+    """A scene that cannot be put on its mesh; the message says which part and what to change.
+
+    `place` is that part in the study, as ("constraints", 1) or ("regions", "base").
+    """
+
+    def __init__(self, text: str, place: Loc = ("constraints",)) -> None:
+        super().__init__(text)
+        self.place = place
+
+
+@dataclass(frozen=True)
+class PlacedConstraint:
+    """See `vdmbench.study.loads.Placed`; `place` is its own in the study, `region` in the mesh's coordinates."""
+
+    constraint: Constraint
+    place: Loc
+    region: Region
+    mesh: Mesh
+    nodes: Mask
+
+    @property
+    def points(self) -> Array:
+        """(N, 3) surface nodes [m]."""
+        return self.mesh.surface_points
+
+    @property
+    def triangles(self) -> Index:
+        """(F, 3) nodes of the facets."""
+        return self.mesh.triangles
+
+    def pressure(self, profile: str | None) -> Array:
+        """(F, Q) pressure of peak 1 over the region.
+
+        A uniform pressure acts on the facets whose three nodes are in the region. A smooth profile is integrated
+        over the facets (`vdmbench.scene.contact_profile`): its resultant hangs neither on mesh level nor on model.
+        """
+        shape = self._remembered(profile, lambda: self._shape(profile))
+        if not shape.any():
+            raise self._error("loads no facet; enlarge its region or take a smaller mesh_size")
+        return shape
+
+    def resultant(self, pressure: Array) -> float:
+        """Size of the resultant of a pressure, over its unit [m^2]."""
+        vectors = facet_area_vectors(self.points, self.triangles)
+        areas = pressure @ quadrature()[1]
+        resultant = float(np.linalg.norm(areas @ vectors))
+        total = float(np.abs(areas) @ np.linalg.norm(vectors, axis=1))
+        if resultant < _LEAST_RESULTANT * total:
+            raise self._error(
+                "presses from all sides, so that its pressures have no resultant to be given by force; give "
+                "pressure, or a region on one side"
+            )
+        return resultant
+
+    def at_quadrature(self, values: Array) -> Array:
+        """(F, Q) from (N,) values, linear on each facet of the region, 0 on the others."""
+        barycentric, _ = quadrature()
+        return self.pressure(None) * (values[self.triangles] @ barycentric.T)
+
+    def edges(self) -> Index:
+        """(k, 2) edges of the surface between the nodes of a region that has no facet of its own."""
+        triangles, mask = self.triangles, self.nodes
+        sides = np.sort(np.stack([triangles, np.roll(triangles, -1, axis=1)], axis=2).reshape(-1, 2), axis=1)
+        edges = np.unique(sides[mask[sides].all(axis=1)], axis=0)
+        if not len(edges):
+            raise self._error("has no edge between its nodes; enlarge its region")
+        if (count := int(mask[triangles].all(axis=1).sum())) > 0:
+            raise self._error(f"covers {count} facets; a line is one node wide: make its region narrower")
+        return np.asarray(edges, dtype=np.int64)
+
+    def _shape(self, profile: str | None) -> Array:
+        barycentric, weights = quadrature()
+        if profile in (None, "uniform"):
+            inside = np.all(self.nodes[self.triangles], axis=1)
+            return np.repeat(inside[:, None].astype(float), len(weights), axis=1)
+        return on_facets(str(profile), self.region, self.mesh, (barycentric, weights))
+
+    def _remembered(self, profile: str | None, work: Callable[[], Array]) -> Array:
+        asked = ("pressure", profile, self.region.model_dump_json(), self.nodes.tobytes())
+        return self.mesh.remembered(asked, work)
+
+    def _error(self, text: str) -> SceneError:
+        return SceneError(f"{self.constraint.kind} {self.constraint.name!r} {text}", self.place)
+
+
+def quadrature() -> tuple[Array, Array]:
+    """The reference's rule on a facet; its package is slow to load, and a plan needs no scene."""
+    from fem_reference.mesh import facet_quadrature
+
+    return facet_quadrature()

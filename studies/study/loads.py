@@ -1,0 +1,250 @@
+"""Kinds of constraints: what holds, moves and loads a body.
+
+One more is a `register(LoadKind(...))`, here or in a file `load_NAME.py`. Its keys of [[constraints]], the checks,
+its unit loads (which decide what answers are shared) and what it does on a mesh follow from that.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Annotated, Any, Protocol, get_args
+
+from ..machine.modules import load_all
+from .kinds import SI, Force, Position, Pressure
+from .profiles import PROFILES, VERSIONS, Profile
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from .schema import Constraint
+
+    Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class LoadKey:
+    """A key of [[constraints]] that a kind takes.
+
+    Attributes
+    ----------
+    type : of its value, with its unit, as the tables of `vdmbench.study.schema` have it
+    help : what it is
+    is_load : whether it says how much acts, and is raised by load factors; of several such keys one is given
+    default : its value where it is left out
+    example : what to give where it is missing
+    versions : of its words, where they stand for functions; part of the keys of answers
+    """
+
+    type: Any
+    help: str
+    is_load: bool = False
+    default: Any = None
+    example: str = ""
+    versions: Mapping[str, str] = field(default_factory=dict)
+
+    @property
+    def unit(self) -> str:
+        """SI unit, "" of a word."""
+        return next((item.unit for item in get_args(self.type) if isinstance(item, SI)), "")
+
+
+class Placed(Protocol):
+    """A constraint on its mesh: N surface nodes, F facets with Q quadrature points each."""
+
+    @property
+    def points(self) -> Array:
+        """(N, 3) surface nodes [m]."""
+
+    @property
+    def triangles(self) -> Any:
+        """(F, 3) nodes of the facets."""
+
+    @property
+    def nodes(self) -> Any:
+        """(N,) mask of its region."""
+
+    def pressure(self, profile: str | None) -> Array:
+        """(F, Q) pressure of peak 1 over the region, uniform or by a profile. Raises SceneError."""
+
+    def resultant(self, pressure: Array) -> float:
+        """Size of the resultant of a pressure, over its unit [m^2]. Raises SceneError where it has none."""
+
+    def at_quadrature(self, values: Array) -> Array:
+        """(F, Q) from (N,) values, linear on each facet of the region, 0 on the others."""
+
+    def edges(self) -> Any:
+        """(k, 2) edges of the surface between nodes that have no facet of their own. Raises SceneError."""
+
+
+@dataclass(frozen=True)
+class Acts:
+    """What a constraint does at load factor 1: one or several of these, or nothing.
+
+    Attributes
+    ----------
+    displacement : (N, 3) or (3,) of the nodes of its region, where it moves them [m]
+    pressure : (F, Q) into the body [Pa]
+    line : (k, 2) edges and (3,) the force on them [N]
+    """
+
+    displacement: Any = None
+    pressure: Any = None
+    line: Any = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class LoadKind:
+    """A kind of the registry.
+
+    Attributes
+    ----------
+    name : what a study writes
+    help : what happens to the region, in some words
+    version : raised whenever it acts otherwise; part of the keys of answers
+    keys : its keys of [[constraints]] besides kind, region and name
+    holds : whether the displacement of its nodes is known; nothing may press on those
+    act : what it does on a mesh
+    check : what is wrong with the keys, beyond what they declare: key -> sentence
+    """
+
+    name: str
+    help: str
+    version: str
+    keys: Mapping[str, LoadKey] = field(default_factory=dict)
+    holds: bool
+    act: Callable[[Constraint, Placed], Acts]
+    check: Callable[[Constraint, frozenset[str]], Mapping[str, str]] = lambda *_: {}
+
+    @property
+    def loads(self) -> list[str]:
+        """The keys that say how much acts."""
+        return [name for name, key in self.keys.items() if key.is_load]
+
+    def versions(self, entry: Mapping[str, Any]) -> dict[str, str]:
+        """Its own version, and those of the words that a constraint has."""
+        found = {name: key.versions.get(str(entry.get(name))) for name, key in self.keys.items()}
+        words = {name: version for name, version in found.items() if version is not None}
+        return {"kind": self.version, **words}
+
+    def unit_loads(self, entry: Mapping[str, Any], described: str) -> Iterator[tuple[str, float]]:
+        """Load of size 1 -> how much of it a constraint has, component by component.
+
+        Parameters
+        ----------
+        described : the rest of the constraint, its region spelt out
+        """
+        for name in self.loads:
+            value = entry.get(name)
+            parts = value if isinstance(value, tuple | list) else [value]
+            for axis, part in enumerate(parts if value is not None else ()):
+                yield f"{self.name} {name} {axis} {described}", float(part)
+
+
+KINDS: dict[str, LoadKind] = {}
+
+
+def register(kind: LoadKind) -> None:
+    """Add a kind.
+
+    Raises
+    ------
+    ValueError
+        a name that is taken, no version, a key that another kind declares otherwise, or nothing to hold or load by.
+    """
+    if kind.name in KINDS:
+        raise ValueError(f"a kind of constraint {kind.name!r} is registered already")
+    if not kind.version or not (kind.holds or kind.loads):
+        raise ValueError(
+            f"{kind.name}: a kind declares its version, and a key that is a load where it does not hold"
+        )
+    for name, key in kind.keys.items():
+        others = [other.keys[name] for other in KINDS.values() if name in other.keys]
+        if name in ("kind", "region", "name") or any(key.type != other.type for other in others):
+            raise ValueError(f"{kind.name}: {name} is declared already, as something else")
+    KINDS[kind.name] = kind
+
+
+def keys_of_all() -> dict[str, list[tuple[str, LoadKey]]]:
+    """Key of [[constraints]] -> the kinds that take it, with what they declare."""
+    found: dict[str, list[tuple[str, LoadKey]]] = {}
+    for kind in KINDS.values():
+        for name, key in kind.keys.items():
+            found.setdefault(name, []).append((kind.name, key))
+    return found
+
+
+# --- the kinds ---
+
+
+def _press(constraint: Constraint, on: Placed) -> Acts:
+    shape = on.pressure(constraint.profile)
+    if constraint.force is not None:
+        return Acts(pressure=shape * (constraint.force / on.resultant(shape)))
+    return Acts(pressure=shape * (constraint.pressure or 0.0))
+
+
+def _check_profile(constraint: Constraint, region: frozenset[str]) -> Mapping[str, str]:
+    if constraint.profile in PROFILES and region and not region & {"cap", "ball"}:
+        told = f"a {constraint.profile} profile needs a region that is a cap or a ball"
+        return {"profile": f'{told}, and "{constraint.region}" is neither'}
+    return {}
+
+
+register(LoadKind(name="fixed", help="held at rest", version="1", holds=True, act=lambda *_: Acts()))
+register(
+    LoadKind(
+        name="contact",
+        help="pressed",
+        version="1",
+        keys={
+            "pressure": LoadKey(Pressure, "(peak) pressure, positive into the body", is_load=True),
+            "force": LoadKey(Annotated[float, SI("N")], "resultant, instead of the pressure", is_load=True),
+            "profile": LoadKey(
+                Profile,
+                "shape of the pressure, uniform where left out; the others need a cap or ball",
+                default="uniform",
+                versions=VERSIONS,
+            ),
+        },
+        holds=False,
+        act=_press,
+        check=_check_profile,
+    )
+)
+register(
+    LoadKind(
+        name="constrained",
+        help="moved by a displacement",
+        version="1",
+        keys={
+            "displacement": LoadKey(
+                Position,
+                "displacement at load factor 1",
+                is_load=True,
+                example='three lengths, such as ["0 mm", "0 mm", "-5 mm"]',
+            )
+        },
+        holds=True,
+        act=lambda constraint, _: Acts(displacement=constraint.displacement),
+    )
+)
+register(
+    LoadKind(
+        name="line",
+        help="pulled along a line of edges",
+        version="1",
+        keys={
+            "resultant": LoadKey(
+                Force,
+                "dead force at load factor 1, over its edges",
+                is_load=True,
+                example='three forces, such as ["0 N", "0 N", "-1 N"]',
+            )
+        },
+        holds=False,
+        act=lambda constraint, on: Acts(line=(on.edges(), constraint.resultant)),
+    )
+)
+load_all("vdmbench.study", "load_")  # last: they use what is above
