@@ -53,7 +53,7 @@ def _bar(spread: Spread, unit: str) -> str:
     if not math.isfinite(spread.median_bar):
         return ""
     text = f"± {of_unit(spread.median_bar, unit)}"
-    return text if is_resolved(spread.median, spread.median_bar) else f"{text} unresolved"
+    return text if is_resolved(spread.median, spread.median_bar) else f"{text}\nunresolved"
 
 
 def measure_name(metric: str) -> str:

@@ -163,6 +163,12 @@ def test_print_shows_the_still_pictures_and_every_row(browser: Browser, page: Pa
     assert visible(browser, ".stills")
     assert not visible(browser, ".viewer")
     assert not visible(browser, ".tools")
+    marks = "document.querySelectorAll('.legend .swatch :is(use, path)')"
+    assert browser.evaluate(f"[...{marks}].every(m => m.getBoundingClientRect().width > 0)")
+    assert browser.evaluate(f"{marks}.length") > 10, "drawn: browsers leave backgrounds out of print"
+    beyond = "t => t.scrollWidth > t.closest('.table').clientWidth + 1"
+    wide = f"[...document.querySelectorAll('table')].filter({beyond})"
+    assert browser.evaluate(f"{wide}.map(t => t.dataset.name)") == [], "paper does not scroll"
     browser.send("Emulation.setEmulatedMedia", media="")
 
 

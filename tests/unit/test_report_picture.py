@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import io
+import re
 from pathlib import Path
 
 import numpy as np
@@ -93,6 +94,15 @@ def test_page_has_a_picture_of_each_key_case_in_words_too() -> None:
     assert html.count('<img src="data:image/png;base64,') == 1
     sizes = ("m moves by up to 3.00 mm", "the reference moves by up to 2.00 mm")
     assert f'alt="Left to right: {"; ".join(sizes)}; they differ by up to 1.00 mm.' in html
+    bars = re.findall(
+        r'<div>([^<]*)<svg[^>]*><rect[^>]*url\(#ramp-(\w+)\)"/></svg><span>0</span><span>([^<]*)<', html
+    )
+    assert [(title, ramp, top.replace("\xa0", " ")) for title, ramp, top in bars] == [
+        ("displacement of m", "viridis", "3.00 mm"),
+        ("displacement of the reference", "viridis", "3.00 mm"),
+        ("difference", "inferno", "1.00 mm"),
+    ], "on one scale but for the difference"
+    assert all(f'id="ramp-{ramp}"' in html for _, ramp, _ in bars)
 
 
 def test_what_is_in_front_hides_what_is_behind() -> None:
