@@ -122,7 +122,7 @@ def print_table(rows: Sequence[dict[str, str]]) -> None:
         for row in rows:
             first, *others = columns
             print(row[first])
-            print(_folded("; ".join(f"{column} {row[column]}" for column in others if row[column])))
+            print(_folded("; ".join(f"{column}: {row[column]}" for column in others if row[column])))
         return
     print("  ".join(column.ljust(width) for column, width in zip(columns, widths, strict=True)).rstrip())
     for row in rows:

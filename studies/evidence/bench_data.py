@@ -293,9 +293,9 @@ def rows(bench: Bench) -> list[dict[str, str]]:
 
     return [
         {
+            "model": e.model,
             "body": e.body,
             "nodes": f"{e.nodes:,}",
-            "model": e.model,
             "set-up": timed(e.setup),
             "frame, all nodes": timed(e.frame_all),
             "frame, contact": timed(e.frame_local),

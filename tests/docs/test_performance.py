@@ -153,6 +153,6 @@ def test_the_terminal_explains_its_signs(
     given = Namespace(study=None, surface=None, allow_outside=False, large=False, json=False, out=tmp_path)
     assert bench_verb(given) == 0
     told = capsys.readouterr().out
-    table, answered = (told.index(words) for words in ("~3 % ± 1 %", "question"))
+    table, answered = (told.index(words) for words in ("~3 % ± 1 %", "Fastest frame"))
     assert table < told.index("± that reference's own; ~ where this is more than a tenth") < answered
     assert answered < told.index("Undecided: the reference's own error, ±, leaves open whether")
