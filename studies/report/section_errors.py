@@ -236,7 +236,7 @@ def error_against_load(digest: Digest) -> Section | None:
     figures = [
         _against_load(digest, curves[metric], _own(digest, metric), title, heights, f"l{k}", sheet)
         for k, (metric, title) in enumerate(QUANTITIES)
-        if curves[metric]
+        if any(len(table) > 1 for table in curves[metric].values())  # one load is no curve
     ]
     if not figures:
         return None

@@ -52,8 +52,8 @@ def _drift(digest: Digest, metric: str, label: str, title: str, salt: str, sheet
                 if math.isfinite(value):
                     curve = curves.setdefault(model, {})
                     curve[float(factor)] = max(curve.get(float(factor), _DRIFT_FLOOR), abs(float(value)))
-    if not curves:
-        return None
+    if not any(len(curve) > 1 for curve in curves.values()):
+        return None  # one load is no curve
     described = []
     plot = Plot("load factor", label, salt, sheet)
     with plot as axes:

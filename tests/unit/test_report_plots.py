@@ -19,7 +19,12 @@ from vdmbench.report.plots import (
     percent_axis,
     time_ticks,
 )
+from vdmbench.report.section_errors import error_against_load
+from vdmbench.report.section_volume import volume_drift
 from vdmbench.report.told import tell
+from vdmbench.verdict.digest import Digest
+
+from .report_runs import REFERENCE, make_case, make_run
 
 Draw = Callable[[Plot], None]
 
@@ -147,3 +152,13 @@ def test_a_curve_tells_the_script_whose_points_it_has_and_on_which_axes() -> Non
     assert re.search(r'data-y="linear 0 0.216 [\d.]+ [\d.]+ %"', svg)
     group = svg[svg.index("data-told") :]
     assert group[: group.index("<g clip-path") + 500].count("<use") >= 2
+
+
+def test_one_load_that_is_left_of_a_history_is_no_curve() -> None:
+    whole, short = (
+        Digest(make_run([make_case({"m": 0.1}, stopped={"m": first, REFERENCE: first}, subdivisions=0)]))
+        for first in (4, 1)
+    )
+    for section in (error_against_load, volume_drift):
+        assert section(whole) is not None
+        assert section(short) is None
