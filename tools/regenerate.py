@@ -22,6 +22,8 @@ PICTURE = gallery.GALLERY / "liver-palpation.png"
 REPORT = gallery.GALLERY / "report.png"
 COLUMNS = ("model", "displacement error", "deformation error", "reference's own")
 PART = "quickstart"
+ARCHITECTURE = ROOT / "docs" / "methods" / "architecture.md"
+GRAPH = "graph"
 
 
 def headline_table(directory: Path) -> str:
@@ -32,6 +34,14 @@ def headline_table(directory: Path) -> str:
     rows = json.loads(result.stdout)["headline"]
     rated = [row for row in rows if row["displacement error"] != "–"]
     return marked.table(COLUMNS, ([row[column] for column in COLUMNS] for row in rated))
+
+
+def graph_of_quickstart(directory: Path) -> str:
+    """The quickstart's graph for Mermaid, as nothing of it was done."""
+    result = vdmbench("plan", "quickstart", "--graph", "--fresh", cwd=directory)
+    if result.returncode:
+        raise RuntimeError(result.stderr)
+    return f"```mermaid\n{result.stdout}```\n"
 
 
 def study_keys() -> str:
@@ -55,6 +65,7 @@ def main() -> None:
     surface = ["--surface", str(Path(sys.argv[1]).resolve())] if len(sys.argv) > 1 else []
     with tempfile.TemporaryDirectory() as name:
         marked.show(README, PART, headline_table(Path(name)))
+        marked.show(ARCHITECTURE, GRAPH, graph_of_quickstart(Path(name)))
         STUDY_KEYS.write_text(study_keys())
         vdmbench("run", "liver-palpation", *surface, "--out", "liver", cwd=Path(name))
         result = vdmbench("report", "liver", "--picture", "liver.png", cwd=Path(name))

@@ -111,6 +111,12 @@ def test_the_tutorial(tmp_path: Path) -> None:
     assert (tmp_path / "results/runs/mine-liver/report.html").is_file()
 
 
+def test_the_graph_is_that_of_the_quickstart(tmp_path: Path) -> None:
+    assert regenerate.graph_of_quickstart(tmp_path) == marked.shown(
+        regenerate.ARCHITECTURE, regenerate.GRAPH
+    ), "run `make docs`"
+
+
 def test_make_targets_exist() -> None:
     makefile = (regenerate.ROOT / "Makefile").read_text()
     for target in re.findall(r"\bmake (\w+)", TEXT):
