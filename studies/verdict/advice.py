@@ -115,7 +115,7 @@ def _resting(digest: Digest) -> Advice:
         return Advice(
             RESTING, CONDENSED, f"{text}: {_told(digest, CONDENSED)}{_how_often(digest, CONDENSED)}."
         )
-    return Advice(RESTING, "", f"{text}; {CONDENSED} among the models measures them.")
+    return Advice(RESTING, "", f"{text}. Add {CONDENSED} to the models to measure them.")
 
 
 def _moving(digest: Digest, surface: Sequence[str]) -> Advice | None:
@@ -137,9 +137,9 @@ def _cutting(digest: Digest, surface: Sequence[str]) -> Advice | None:
     first = min(surface, key=lambda name: _summary(digest, name).seconds_setup)
     names = dict.fromkeys([first, _closest(digest, surface)])
     told = "; ".join(
-        f"{name} needs {_set_up(digest, name)} and is {off(_errors(digest, name))}" for name in names
+        f"{name} takes {_set_up(digest, name)} and is {off(_errors(digest, name))}" for name in names
     )
-    return Advice(CUTTING, first, f"Each cut needs a new set-up: {told}.")
+    return Advice(CUTTING, first, f"Each cut needs a new set-up. {told}.")
 
 
 def _exact(digest: Digest, elements: Sequence[str]) -> Advice:

@@ -58,11 +58,11 @@ def test_a_sweep_in_words() -> None:
         "change of shape, too wide to tell on which side of the limit it is.",
         DO: "Take elements: fem-linear is what the others are held against.",
         USE: "A contact that stays on one region: every linear model costs the same small product per frame. Take "
-        "elements condensed to that region; fem-condensed among the models measures them. "
+        "elements condensed to that region. Add fem-condensed to the models to measure them. "
         "Contacts that move, loads everywhere: of the surface models the closest is vdm-vector (7.8 % off in "
         "displacement and 7.8 % in change of shape, 800 µs per frame after 40 ms of set-up). "
-        "Cutting, where the topology changes: each cut needs a new set-up: vdm-paper needs 20 ms and is 66 % off "
-        "in displacement and 66 % in change of shape; vdm-vector needs 40 ms and is 7.8 % off in displacement and "
+        "Cutting, where the topology changes: each cut needs a new set-up. vdm-paper takes 20 ms and is 66 % off "
+        "in displacement and 66 % in change of shape; vdm-vector takes 40 ms and is 7.8 % off in displacement and "
         "7.8 % in change of shape. "
         "A few per cent needed: take elements; fem-linear on the model's mesh is not among the models compared.",
         LOAD: "Within 10 % up to 0.125 N (0.5 mm of indentation). Beyond that it is undecided; tried: 0.125 to 1 "
