@@ -9,7 +9,7 @@ factor smaller.
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -19,6 +19,7 @@ from ..machine.errors import MeshError
 from ..store.cases import read_case
 from ..store.hdf5 import StoreError
 from ..study.model_name import REFINED, split
+from ..study.registry import Cost, Size, mesh_seconds
 from .nodes import Body, bodies
 from .plan import Expected, Plan, PlannedCase, PlannedMesh
 
@@ -27,44 +28,12 @@ _START = 3.0  # s to load the libraries, and to write the tables and the report
 _PROCESS_BYTES = 1.3e8  # of a worker that has done nothing
 _PER_NODE = 48.0  # bytes of a displacement and a reaction
 _COPIES = 5.0  # of a case's results in its worker at the most, while its metrics and its file are made
-_DENSE_NODES = 2000.0  # `vdm.formulations.boundary.MAX_NODES`, which would load the library; more are refused
-_COARSE_NODES = 1000.0  # `vdm.material.COARSE_NODES`
 _KNOWN = 0.5  # weight of the cases that have run, from which on they tell the speed
 _MOST_READ = 3  # case files that are read to learn from
 _SEARCH_LOADS = 30  # that a search for small-strain limits tries, each of them once for all models
 # steps of the study that a load amid the limits costs: of a model that goes there from rest in halved steps,
 # and of one that goes on from the last load, the end of its way counted in
 _DEEP, _ONWARD = 8.0, 2.0
-# unknowns per tetrahedron, as these elements have them on meshes of some thousand
-_UNKNOWNS = {"P1": 0.7, "P2": 4.7}
-# seconds a tetrahedron that scikit-fem's own assembly of a finite-strain tangent takes
-_PLAIN_TANGENT = 1.5e-3
-# the paths' own estimates are for choosing one; of this one, a solve of 3,000 to 25,000 tetrahedra takes
-_ITERATIVE_SHARE = 0.6
-_NEWTON_SOLVES = (
-    3.2  # iterative solves whose time a load step of finite strain takes, where no factors are made
-)
-
-
-@dataclass(frozen=True)
-class Size:
-    """Surface nodes and tetrahedra of a mesh, as counted or as expected."""
-
-    nodes: float
-    tetrahedra: float
-
-    def refined(self, times: int) -> Size:
-        """The size after so many refinements; the results stay on the nodes of the case's mesh."""
-        return Size(4.0**times * self.nodes, 8.0**times * self.tetrahedra)
-
-
-@dataclass(frozen=True)
-class Cost:
-    """Of one set-up and one step [s], and the memory of both [B]."""
-
-    setup: float
-    step: float
-    bytes: float
 
 
 @dataclass(frozen=True)
@@ -114,7 +83,7 @@ def _estimate(plan: Plan, cases: Sequence[PlannedCase]) -> Estimate | None:
     memory += _COPIES * max((case_bytes(case, sizes[case.mesh]) for case in cases), default=0.0)
     speed, weight = _speed(plan, dearest)
     seconds *= speed
-    seconds += _START + sum(_mesh_seconds(sizes[mesh.key]) for mesh in plan.missing_meshes(cases))
+    seconds += _START + sum(mesh_seconds(sizes[mesh.key]) for mesh in plan.missing_meshes(cases))
     for case in cases:
         results, steps = len(case.wanted), len(case.study.load.history)
         per_result = 48.0 * steps * sizes[case.mesh].nodes
@@ -142,10 +111,6 @@ def largest_solve(size: Size, work: Iterable[Body]) -> tuple[float, str]:
         (_law(part.name, size.refined(part.level), 1).bytes, part.name + (REFINED if part.level else ""))
         for part in work
     )
-
-
-def _mesh_seconds(size: Size) -> float:
-    return 0.3 + 2e-4 * size.tetrahedra
 
 
 def _search(case: PlannedCase, size: Size) -> Spent:
@@ -196,62 +161,8 @@ def _known_of(plan: Plan, mesh: PlannedMesh) -> Expected | None:
 
 
 def _law(name: str, size: Size, loads: int) -> Cost:
-    """Fits to bodies of 100 to 900 surface nodes; a model without a law of its own gets that of its kind."""
     model, solver = models.find(name)
-    n = size.nodes
-    if model.volumetric:
-        return _plain(model.name, size) if solver == models.PLAIN else _volumetric(model.name, size, loads)
-    if model.name == "vdm-boundary":
-        if n > _DENSE_NODES:
-            return Cost(1e-2, 0.0, 6e3 * n)
-        step = (3e-7 if solver == "nonlinear" else 3e-8) * n**2
-        return Cost(0.1 + 1e-6 * n**2 + 2.5e-9 * n**3, step, 700.0 * n**2)
-    if model.name == "vdm-sparse":
-        coarse = min(n, _COARSE_NODES)
-        step = (1e-7 if solver == "nonlinear" else 2e-9) * (coarse**2 + 600.0 * n)
-        return Cost(0.1 + 1e-6 * coarse**2 + 1e-8 * coarse**3 + 2e-4 * n, step, 900.0 * coarse**2 + 1e4 * n)
-    if model.name == "mass-spring":  # struts from side to side: a dense factor
-        step = (1e-7 if solver == "nonlinear" else 3.5e-9) * n**2
-        return Cost(1e-2 + 1.6e-9 * n**3, 7e-7 * n + step, 6e3 * n + 36.0 * n**2)
-    step = 1e-6 * n if solver in ("linear", "lu", "quasi-linear") else 2e-3 + 1.2e-5 * n
-    return Cost(1e-2 + (2e-4 if solver == "lu" else 2e-5) * n, step, (3e4 if solver == "lu" else 6e3) * n)
-
-
-def _plain(name: str, size: Size) -> Cost:
-    """Of the plain path: an LU factor, in finite strain one each iteration after scikit-fem's own assembly."""
-    from fem_reference.costs import NEWTON_STEPS, lu_seconds, superlu_bytes
-
-    unknowns = _UNKNOWNS["P2"] * size.tetrahedra
-    factor, held = lu_seconds(unknowns), superlu_bytes(unknowns, "float64") + 6e4 * size.tetrahedra
-    if name == "fem":
-        return Cost(1e-4 * size.tetrahedra, NEWTON_STEPS * (factor + _PLAIN_TANGENT * size.tetrahedra), held)
-    return Cost(2e-4 * size.tetrahedra + factor, 1e-6 * unknowns, held)
-
-
-def _volumetric(name: str, size: Size, loads: int) -> Cost:
-    from fem_reference.costs import estimate_costs, estimate_newton_costs
-
-    if name == "fem-coarse":
-        cost = _volumetric("fem-linear", size.refined(-1), loads)
-        return replace(cost, setup=cost.setup + _mesh_seconds(size.refined(-1)))
-    unknowns = _UNKNOWNS["P1" if name == "fem-p1" else "P2"] * size.tetrahedra
-    vertices = 0.22 * size.tetrahedra
-    if name == "fem-condensed":
-        loads = max(loads, 600)
-    one, many = (estimate_costs(int(unknowns), int(vertices), k) for k in (0, loads))
-    path = min(many, key=lambda kind: many[kind].seconds)
-    share = _ITERATIVE_SHARE if path == "iterative" else 1.0
-    setup = share * one[path].seconds + 1e-5 * unknowns
-    step = share * (many[path].seconds - one[path].seconds) / loads
-    if name == "fem-condensed":
-        return Cost(setup + loads * step, 1e-7 * unknowns, 2e4 * unknowns)
-    if name == "fem":
-        solve = (many["iterative"].seconds - one["iterative"].seconds) / loads
-        step = min(5.0 * one["direct"].seconds, _NEWTON_SOLVES * solve)
-        newton = estimate_newton_costs(int(unknowns), int(vertices), loads)
-        held = min(newton.values(), key=lambda cost: cost.seconds).bytes
-        return Cost(1e-5 * unknowns + one["iterative"].seconds, step, 5e7 + 6.3e3 * unknowns + held)
-    return Cost(setup, step, (1.8e4 if path == "direct" else 2.6e3) * unknowns)
+    return model.cost(size, solver, loads)
 
 
 def _speed(plan: Plan, dearest: float) -> tuple[float, float]:

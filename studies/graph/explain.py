@@ -15,8 +15,9 @@ from ..study.folders import swept_without_folders, told_directory
 from ..study.geometry_spec import fewer_nodes
 from ..study.model_name import DISPLACEMENT_ELEMENTS, split
 from ..study.problems import Finding
+from ..study.registry import Size
 from .answers import answer_path
-from .estimate import FACTOR_LAWS, Size, estimate, known_of, largest_solve, size_of
+from .estimate import FACTOR_LAWS, estimate, known_of, largest_solve, size_of
 from .nodes import Body, bodies
 from .plan import Expected, Plan, PlannedCase
 from .space import without_room

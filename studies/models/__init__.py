@@ -2,6 +2,7 @@
 
 from ..study.registry import (
     MODELS,
+    Cost,
     Model,
     Parameter,
     RegistrationError,
@@ -22,6 +23,7 @@ __all__ = [
     "PLAIN",
     "REFUSED",
     "VDM_SOLVERS",
+    "Cost",
     "Model",
     "Parameter",
     "Prepared",

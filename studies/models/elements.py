@@ -12,6 +12,7 @@ from ..body.mesh import Array
 from ..scene.scene import Scene, SurfaceLoad
 from ..study.model_name import split
 from ..study.registry import Model, SetUp, register
+from . import costs
 
 if TYPE_CHECKING:
     from fem_reference.loads import Load as FemLoad
@@ -128,6 +129,7 @@ _elements = partial(
     tissue=("youngs_modulus", "poisson_ratio"),
     parameters=(),
     fibres=True,
+    cost=costs.linear,
 )
 for _model in (
     _elements(
@@ -138,14 +140,19 @@ for _model in (
         solvers=("linear", PLAIN),
         superposes=("linear", PLAIN),
     ),
-    _elements(name="fem-p1", version="2", prepare=_small_strain, lines=("linear",)),
+    _elements(
+        name="fem-p1", version="2", prepare=_small_strain, cost=costs.elements("P1"), lines=("linear",)
+    ),
     _elements(name="fem-p2", version="2", prepare=_small_strain, lines=("linear",)),
-    _elements(name="fem-condensed", version="4", prepare=_condensed, contact_in_setup=True),
-    _elements(name="fem-coarse", version="4", prepare=_coarse, lines=("linear",)),
+    _elements(
+        name="fem-condensed", version="4", prepare=_condensed, cost=costs.condensed, contact_in_setup=True
+    ),
+    _elements(name="fem-coarse", version="4", prepare=_coarse, cost=costs.coarse, lines=("linear",)),
     _elements(
         name="fem",
         version="2",
         prepare=_finite_strain,
+        cost=costs.finite_strain,
         lines=("linear", PLAIN),
         solvers=("linear", PLAIN),
         superposes=(),

@@ -14,6 +14,7 @@ from ..scene.scene import Scene, SurfaceLoad
 from ..study.model_name import split, takes_fluid
 from ..study.registry import Model as Declared
 from ..study.registry import SetUp, register
+from . import costs
 
 if TYPE_CHECKING:
     from vdm.model import Model
@@ -108,7 +109,12 @@ def _model(
 
 
 _surface = partial(
-    Declared, prepare=prepare_surface, volumetric=False, superposes=("linear",), tissue=("youngs_modulus",)
+    Declared,
+    prepare=prepare_surface,
+    volumetric=False,
+    superposes=("linear",),
+    tissue=("youngs_modulus",),
+    cost=costs.surface,
 )
 VDM_SOLVERS = (
     "linear",
@@ -151,6 +157,7 @@ for _declared in (
     ),
     _surface(
         name="vdm-boundary",
+        cost=costs.boundary,
         version="12",
         solvers=("linear", "nonlinear"),
         tissue=("youngs_modulus", "poisson_ratio"),
@@ -162,6 +169,7 @@ for _declared in (
     ),
     _surface(
         name="vdm-sparse",
+        cost=costs.sparse_boundary,
         version="1",
         solvers=("linear", "single", "nonlinear"),
         tissue=("youngs_modulus", "poisson_ratio"),
@@ -172,6 +180,7 @@ for _declared in (
     ),
     _surface(
         name="mass-spring",
+        cost=costs.mass_spring,
         version="6",
         solvers=VDM_SOLVERS,
         parameters=("shear_modulus", "penalty"),

@@ -60,6 +60,35 @@ class Parameter:
     help: str
 
 
+@dataclass(frozen=True)
+class Size:
+    """Surface nodes and tetrahedra of a mesh, as counted or as expected."""
+
+    nodes: float
+    tetrahedra: float
+
+    def refined(self, times: int) -> Size:
+        """The size after so many refinements; the results stay on the nodes of the case's mesh."""
+        return Size(4.0**times * self.nodes, 8.0**times * self.tetrahedra)
+
+
+@dataclass(frozen=True)
+class Cost:
+    """Of one set-up and one step on one core [s], and the memory of both [B]."""
+
+    setup: float
+    step: float
+    bytes: float
+
+
+CostLaw = Callable[[Size, str, int], Cost]  # of a mesh, a solver and so many loads
+
+
+def mesh_seconds(size: Size) -> float:
+    """To make a mesh."""
+    return 0.3 + 2e-4 * size.tetrahedra
+
+
 @dataclass(frozen=True, kw_only=True)
 class Model:
     """A model of the registry.
@@ -76,6 +105,7 @@ class Model:
     parameters : keys of [vdm] and of its own table that it reads
     by_rule : of these the moduli that it takes from the tissue where a study does not set them
     fibres : whether it solves a body with fibres; one that does not is refused them
+    cost : what a set-up and a step take, within a factor of five: a plan tells it, and refuses what has no memory
     most_nodes : surface nodes beyond which it refuses a mesh; None where it has no such limit
     contact_in_setup : whether its set-up depends on where the body is touched and how it is moved
     lines : solvers that take a force along a line of edges; the others are refused it
@@ -92,6 +122,7 @@ class Model:
     tissue: tuple[str, ...]
     parameters: tuple[str, ...]
     fibres: bool
+    cost: CostLaw
     by_rule: tuple[str, ...] = ()
     most_nodes: int | None = None
     contact_in_setup: bool = False

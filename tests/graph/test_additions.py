@@ -20,7 +20,7 @@ SPRINGS = '''
 """A model of a package of its own: each node on a spring, stiffer by `gain`."""
 import numpy as np
 from vdm.solution import CONVERGED, Solution
-from vdmbench.models import Model, Parameter, SetUp, register
+from vdmbench.models import Cost, Model, Parameter, SetUp, register
 
 
 def prepare(scene, solver, name, n_loads):
@@ -40,6 +40,7 @@ def prepare(scene, solver, name, n_loads):
 
 register(Model(name="springs", version="1", prepare=prepare, volumetric=False, solvers=("linear",),
                superposes=("linear",), tissue=("youngs_modulus",), parameters=("gain",), fibres=False,
+               cost=lambda size, solver, loads: Cost(100.0, 1e-6 * size.nodes, 100.0 * size.nodes),
                own={"gain": Parameter("1", "stiffness of the springs over that of the tissue")}))
 '''
 COMMAND = "from vdmbench.cli.main import main; main()"
@@ -106,6 +107,7 @@ def test_a_model_of_another_package(springs: Path) -> None:
     command(springs, "check", study(springs, GAINS))
     planned = json.loads(command(springs, "plan", "study.toml", "--json"))
     assert len(planned["cases"]) == 3
+    assert planned["estimate"]["seconds"] > 3 * 100.0, "its own cost law"
     run(springs, GAINS)
     assert_gains_differ(springs)
     assert "springs" in page(springs)

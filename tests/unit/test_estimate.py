@@ -13,12 +13,13 @@ from numpy.testing import assert_allclose
 
 from tests.graph import shared_work
 from tests.graph.shared_work import TABLES, plan_of, run
-from vdmbench.graph.estimate import _PROCESS_BYTES, FACTOR_MEASURED, Size, _law
+from vdmbench.graph.estimate import _PROCESS_BYTES, FACTOR_MEASURED, _law
 from vdmbench.graph.explain import summary
 from vdmbench.graph.plan import make_plan
 from vdmbench.store.cases import write_case
 from vdmbench.study.config import expand, load_study
 from vdmbench.study.model_name import REFINED
+from vdmbench.study.registry import Size
 from vdmbench.study.shipped import SHIPPED
 
 cache, meshes = shared_work.cache, shared_work.meshes  # the fixtures

@@ -10,11 +10,12 @@ from tests.command import write_study
 from tests.graph.shared_work import plan_of
 from vdmbench.cli.main import main
 from vdmbench.graph import space as room
-from vdmbench.graph.estimate import Size, case_bytes, estimate
+from vdmbench.graph.estimate import case_bytes, estimate
 from vdmbench.graph.explain import summary
 from vdmbench.graph.plan import Plan
 from vdmbench.graph.run import Options, RunError, run_plan
 from vdmbench.report.rebuild import rebuild
+from vdmbench.study.registry import Size
 
 LONG = {"factors": [k / 10_000 for k in range(1, 10_001)]}
 
