@@ -11,6 +11,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+
 from ..measures.case import CaseResult
 from ..study.model_name import FINITE_STRAIN, PARAMETERS, is_vdm, split
 from .acceptance import BEYOND, LOST, NOT_ASKED, OPEN, WITHIN, Criterion
@@ -169,6 +171,12 @@ def _plain(value: Any) -> Any:
 
 def verdict(digest: Digest) -> Verdict:
     """What comes out of a run."""
+    # overflow is no surprise in what a model that broke down left behind
+    with np.errstate(all="ignore"):
+        return _verdict(digest)
+
+
+def _verdict(digest: Digest) -> Verdict:
     run = digest.run
     lost = len(run.failed) + len(run.missing)
     costs = tuple(_cost(digest, summary) for summary in digest.summaries)

@@ -162,6 +162,21 @@ def test_a_case_that_fails_at_a_higher_ratio_is_not_the_tissues() -> None:
     assert COMPRESSIBILITY not in causes(make_run(cases))
 
 
+def test_ratios_without_an_answer_are_no_warning() -> None:
+    cases = [
+        make_case(
+            {"vdm-m": 0.05},
+            label=str(nu),
+            swept={"tissue.poisson_ratio": nu},
+            stopped={"vdm-m": 0} if nu < 0.4 else None,
+            subdivisions=0,
+            steps=(1.0,),
+        )
+        for nu in (0.3, 0.35, 0.49)
+    ]
+    assert verdict(Digest(make_run(cases))).word == "No"
+
+
 def test_what_the_mesh_takes_of_linear_elements_is_not_small_strain() -> None:
     shares = {"vdm-m": (0.2, 0.2, 0.2), "fem-linear": (0.09, 0.09, 0.1), "fem": (0.09, 0.09, 0.09)}
     told = causes(make_run([growing(shares, reference="fem refined")], reference="fem"))
