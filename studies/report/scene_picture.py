@@ -101,6 +101,11 @@ def scene_svg(points: Array, triangles: np.ndarray, parts: Sequence[Part], *, al
         return for_the_page(svg_of(_figure(_Stage(points, triangles, parts), (), "")), alt, salt)
 
 
+def best_azimuth(points: Array, triangles: np.ndarray, parts: Sequence[Part]) -> float:
+    """Angle about z from which the scene's parts are seen best [rad]."""
+    return _Stage(points, triangles, parts).azimuth
+
+
 class _Stage:
     """A scene with the camera that shows it best."""
 
@@ -108,7 +113,8 @@ class _Stage:
         self.points, self.triangles, self.parts = points, triangles, parts
         self.size = max(float(np.linalg.norm(np.ptp(points, axis=0))), 1e-12)
         self.arrows = [arrow for part in parts for arrow in self._arrows(part)]
-        self.axes = self._camera()
+        self.azimuth, elevation = self._camera()
+        self.axes = raster.directions(self.azimuth, elevation)
         self.seen = points @ self.axes.T
 
     @cached_property
@@ -133,15 +139,14 @@ class _Stage:
         tail, tip = (node - along, node) if inward @ along > 0 else (node, node + along)
         return [(tail, tip, part)]
 
-    def _camera(self) -> Array:
-        """(3, 3) right, up, towards the viewer: a later camera is taken where it shows clearly more."""
-        cameras = [raster.directions(a, e) for e in _ELEVATIONS for a in _AZIMUTHS]
-        best, most = cameras[0], -1.0
-        for camera in cameras:
-            shown = self._shown(camera)
+    def _camera(self) -> tuple[float, float]:
+        """Azimuth and elevation [rad] of the camera: a later one is taken where it shows clearly more."""
+        best, most = (_AZIMUTHS[0], _ELEVATIONS[0]), -1.0
+        for camera in ((azimuth, elevation) for elevation in _ELEVATIONS for azimuth in _AZIMUTHS):
+            shown = self._shown(raster.directions(*camera))
             if shown > _CLEARLY * most:
                 best, most = camera, shown
-        return best
+        return float(best[0]), float(best[1])
 
     def _shown(self, camera: Array) -> float:
         """How much a camera shows: root of the share of each part that faces it, and the arrows' lengths."""
@@ -266,7 +271,9 @@ def _draw_arrow(axes: Axes, stage: _Stage, tail: Array, tip: Array, part: Part) 
     _arrow(axes, start, end, "-|>", 1.8, _ARROWS.get(part.kind, INK))
     low, high = stage.frame
     middle = (low + high) / 2
-    x, y = max(start, end, key=lambda place: float(np.linalg.norm(place - middle)))
+    nodes = stage.points[np.asarray(part.nodes)]
+    touches = np.linalg.norm(nodes - tail, axis=1).min() <= np.linalg.norm(nodes - tip, axis=1).min()
+    x, y = end if touches else start  # the end away from the body
     upright = abs(end - start)[1] > abs(end - start)[0]
     right, low_end = x > middle[0], y < (start + end)[1] / 2
     axes.annotate(

@@ -63,7 +63,7 @@ def scene_words(case: CaseResult, cases: Sequence[CaseResult]) -> list[tuple[str
     if any(other.resolved.get("gravity") for other in cases):
         tissue.append(f"with weight, density {_over(cases, 'tissue', 'density', '1')} kg/m³")
     rows = [("Tissue", ", ".join(part for part in tissue if not part.endswith(" ")))]
-    shapes = dict.fromkeys(str((other.resolved.get("geometry") or {}).get("shape", "")) for other in cases)
+    shapes = dict.fromkeys(_shape(other) for other in cases)
     extents = [_lengths(np.ptp(case.points, axis=0))] if len(shapes) == 1 else []
     rows.append(("Body", ", ".join(filter(None, [listed(filter(None, shapes)), *extents]))))
     size = _over(cases, "geometry", "mesh_size", "m")
@@ -75,6 +75,11 @@ def scene_words(case: CaseResult, cases: Sequence[CaseResult]) -> list[tuple[str
         if mask is not None:
             rows.append((style_of(kind)[0].capitalize(), _in_words(case, cases, name, constraint, mask)))
     return [(what, value) for what, value in rows if value]
+
+
+def _shape(case: CaseResult) -> str:
+    shape = str((case.resolved.get("geometry") or {}).get("shape", ""))
+    return "from a file" if shape == "file" else shape
 
 
 def _in_words(

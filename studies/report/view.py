@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from ..measures.case import CaseResult
 from ..verdict.digest import Array, Digest
-from .scene_picture import KINDS
+from .scene_picture import KINDS, best_azimuth
 from .section_scene import parts_of
 
 _U16, _I16 = 65535, 32767
@@ -117,15 +117,8 @@ def colour_maps() -> dict[str, str]:
 
 
 def azimuth(case: CaseResult) -> float:
-    """Angle about z from which the loaded side is seen [rad]."""
-    centre = case.points.mean(axis=0)
-    for constraint in case.resolved.get("constraints", ()):
-        mask = case.regions.get(str(constraint.get("region")))
-        if constraint.get("kind") == "contact" and mask is not None and mask.any():
-            x, y, _ = case.points[mask].mean(axis=0) - centre
-            if np.hypot(x, y) > 0.1 * np.ptp(case.points, axis=0).max():
-                return float(np.arctan2(y, x)) + 0.5
-    return -1.0
+    """Angle about z from which the case's supports and loads are seen best [rad]."""
+    return best_azimuth(case.points, case.triangles, parts_of(case, [case]))
 
 
 def displacement_scale(case: CaseResult) -> float:

@@ -447,6 +447,20 @@ def test_viewer_data_hold_the_displacements() -> None:
             assert_allclose(found, true, rtol=0, atol=0.51 * np.abs(true).max() / 32767)
 
 
+def test_the_viewer_begins_where_supports_and_loads_are_seen() -> None:
+    """The finger is turned to each side: the camera is within a right angle of it."""
+    case = make_case({"m": 0.1}, subdivisions=2)
+    for angle in (0.3, 2.0, 4.0):
+        side = case.points @ [np.cos(angle), np.sin(angle), 0.0] > 0.04
+        turned = dataclasses.replace(case, regions={**case.regions, "finger": side})
+        data = payload(candidates(Digest(make_run([turned])))[0][0], Digest(make_run([turned])))
+        assert np.cos(data["cases"][0]["azimuth"] - angle) > 0.2
+        regions = data["cases"][0]["regions"]
+        assert [region["kind"] for region in regions] == ["fixed", "contact"]
+        nodes = np.frombuffer(base64.b64decode(regions[1]["nodes"]), "<u2")
+        assert nodes.tolist() == np.flatnonzero(side).tolist()
+
+
 def test_a_failed_step_is_a_message_to_the_viewer() -> None:
     digest = Digest(make_run([make_case({"m": 0.1}, stopped={"m": 1}, subdivisions=0)]))
     data = json.loads(json.dumps(payload(candidates(digest)[0][0], digest), allow_nan=False))

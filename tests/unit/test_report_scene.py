@@ -37,6 +37,8 @@ def test_words_have_the_ranges_of_all_cases_at_full_load() -> None:
         "Support": "base, 23 nodes, 71 mm across",
         "Contact": "finger, 0.1 to 0.4 N, hertz pressure, 7 nodes, 31 mm across",
     }
+    scan = told("d", 0.45, 0.05, geometry={"shape": "file", "path": "/of/a/patient.obj", "mesh_size": 0.009})
+    assert dict(scene_words(scan, [scan]))["Body"] == "from a file, 100 × 100 × 100 mm"
     heavy = told("c", 0.45, 0.05, gravity={"acceleration": [0, 0, -9.81]}, anisotropy={"contrast": 3.0})
     assert dict(scene_words(heavy, [heavy]))["Tissue"].endswith(
         "3 times as stiff along its fibres, with weight, density 1060 kg/m³"
