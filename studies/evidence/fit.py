@@ -18,8 +18,7 @@ from .. import models
 from ..body.mesh import Array
 from ..body.mesh_cache import mesh_from_cache
 from ..body.surface_measures import Surface, relative_l2, rigid_motion_removed, weighted_norm
-from ..graph.nodes import needs_volume
-from ..graph.plan import Plan, PlannedCase
+from ..graph.plan import Plan, PlannedCase, needs_volume
 from ..measures.case import Run
 from ..measures.metrics import DEFORMATION, VECTOR, full_load_step
 from ..measures.uncertainty import reference_bar

@@ -7,11 +7,9 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from .. import models
 from ..body.mesh_cache import mesh_path
 from ..store.run_directory import case_path
 from ..study.config import resolved
-from ..study.schema import Study
 from .answers import answer_path
 from .keys import Wanted, level_key
 
@@ -69,11 +67,6 @@ class Body:
     def superposes(self) -> bool:
         """Whether its answers are of one load each, and not load paths."""
         return len(self.asked[0].factors) == 1 and bool(self.asked[0].case.want(self.name, self.level).scales)
-
-
-def needs_volume(study: Study) -> bool:
-    """Whether any model of a study needs tetrahedra."""
-    return any(models.find(name)[0].volumetric for name in study.study.models)
 
 
 def limits_path(cache: Path, key: str) -> Path:

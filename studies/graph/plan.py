@@ -10,6 +10,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
+from .. import models
 from ..body.mesh import Array, Mesh
 from ..body.mesh_cache import mesh_path
 from ..machine.errors import MeshError
@@ -30,7 +31,6 @@ from ..study.geometry_spec import (
 )
 from ..study.schema import Study
 from .keys import Wanted, case_hash, limits_key, wanted
-from .nodes import needs_volume
 
 T = TypeVar("T")
 
@@ -240,3 +240,8 @@ def _planned(case: ResolvedCase, mesh_key: str) -> PlannedCase:
         wanted=tuple(wanted(study, mesh_key, inputs)),
         limits=limits_key(study, hashed),
     )
+
+
+def needs_volume(study: Study) -> bool:
+    """Whether any model of a study needs tetrahedra."""
+    return any(models.find(name)[0].volumetric for name in study.study.models)

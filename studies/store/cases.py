@@ -21,6 +21,7 @@ from ..machine.files import json_text, write_atomically
 from ..machine.safe_open import read_regular
 from ..machine.stored_json import CaseShape, parsed
 from ..measures import uncertainty
+from ..measures.bars import value_bar
 from ..measures.case import (
     DAMAGED,
     CaseResult,
@@ -31,7 +32,6 @@ from ..measures.case import (
     SmallStrainLimits,
 )
 from ..measures.metrics import METRICS
-from ..measures.uncertainty import value_bar
 from ..models.result import ModelResult, StepStatus
 from .case_checks import check_case
 from .hdf5 import (

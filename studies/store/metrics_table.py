@@ -6,8 +6,8 @@ import csv
 import io
 import math
 
+from ..measures.bars import value_bar
 from ..measures.case import CaseResult, MetricSeries, Run
-from ..measures.uncertainty import value_bar
 
 
 def metric_rows(run: Run) -> list[tuple[CaseResult, str, str, MetricSeries]]:

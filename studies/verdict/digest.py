@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from ..body.surface_measures import Surface
 from ..measures import uncertainty
+from ..measures.bars import value_bar
 from ..measures.case import CaseResult, Run
 from ..measures.metrics import DEFORMATION, VECTOR
 from ..models.result import ModelResult
@@ -227,7 +228,7 @@ class Digest:
             name = model or str(case.reference)
             values[k] = at_full_load(case, name, metric)
             if math.isfinite(values[k]):
-                bars[k] = uncertainty.value_bar(case, name, metric)
+                bars[k] = value_bar(case, name, metric)
         return spread_of(values, bars)
 
     @cached_property

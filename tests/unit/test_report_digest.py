@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
+from vdmbench.measures.bars import value_bar
 from vdmbench.measures.case import MetricSeries
-from vdmbench.measures.uncertainty import value_bar
 from vdmbench.report import headline
 from vdmbench.store.metrics_table import metrics_csv
 from vdmbench.verdict.digest import DEFORMATION, VECTOR, Digest, spread_of
