@@ -28,9 +28,9 @@ def refined_case(levels: float) -> CaseResult:
     return make_case(errors, reference=REFINED, reference_error=bars, subdivisions=0, label="measured")
 
 
-@pytest.mark.parametrize(("levels", "share"), [(2.0, 1.0), (3.0, 1 / 5), (4.0, 3 / 63)])
+@pytest.mark.parametrize(("levels", "share"), [(2.0, 1.25), (3.0, 1.25 / 3), (4.0, 1.25 / 7)])
 def test_study_tables_hold_load_factors_and_bars(tmp_path: Path, levels: float, share: float) -> None:
-    """The reference's own drift has a bar of its own: 3 |fine - coarse| / (r^2 - 1), r = 2^(levels - 1)."""
+    """The reference's own drift has a bar of its own: 1.25 |fine - coarse| / (r - 1), r = 2^(levels - 1)."""
     first = refined_case(levels)
     second = make_case({"vdm-paper": 0.1}, reference=REFINED, subdivisions=0, steps=(0.5, -2.0), label="bare")
     store.write_study(tmp_path, make_run([first, second]))
