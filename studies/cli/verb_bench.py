@@ -27,6 +27,7 @@ def run(options: argparse.Namespace) -> int:
     from ..evidence.bench_data import answers, machine_independent, rows
     from ..evidence.bench_page import ANSWERS_NOTE, ERROR_NOTE, write_bench_page
     from ..evidence.bench_store import write_bench
+    from ..models import benched_names
 
     studies = {
         body: load(argparse.Namespace(**vars(options) | {"study": name, "surface": surface}))[0]
@@ -42,7 +43,7 @@ def run(options: argparse.Namespace) -> int:
     found = bench.measure(
         studies,
         vars(options).get("cache") or cache_directory(),
-        names=None if options.study else bench.MODELS,
+        names=None if options.study else benched_names(),
         large=options.large,
         watch=tell,
     )

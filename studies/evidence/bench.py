@@ -46,26 +46,6 @@ from .contact import Problem, contact_frame
 from .growth import growths
 from .timing import LONG, SAMPLES, calls_of_a_sample, median_of_samples, median_seconds
 
-MODELS = (
-    "mass-spring",
-    "vdm-paper",
-    "vdm-paper:quasi-linear",
-    "vdm-paper:nonlinear",
-    "vdm-paper:bicg",
-    "vdm-consistent",
-    "vdm-consistent:nonlinear",
-    "vdm-consistent:cg",
-    "vdm-vector",
-    "vdm-vector:quasi-linear",
-    "vdm-vector:nonlinear",
-    "vdm-boundary",
-    "vdm-boundary:nonlinear",
-    "fem-coarse",
-    "fem-p1",
-    "fem-condensed",
-    "fem-linear",
-    "fem",
-)
 SIZES = (2.6, 2.0, 1.6, 1.3)  # mesh sizes over that of the study: four, for the exponents of growth
 FINER = (1.3, 1.0, 0.7, 0.48)  # the same for the growth of the models below: some 300 to 2,000 nodes
 GROWN = (

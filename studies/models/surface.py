@@ -131,6 +131,7 @@ VDM_SOLVERS = (
 for _declared in (
     _surface(
         name="vdm-paper",
+        benched=("quasi-linear", "nonlinear", "bicg"),
         version="4",
         # MINRES needs a symmetric matrix, which the printed form has not
         solvers=tuple(name for name in VDM_SOLVERS if name != "minres"),
@@ -140,6 +141,7 @@ for _declared in (
     ),
     _surface(
         name="vdm-consistent",
+        benched=("nonlinear", "cg"),
         version="5",
         solvers=VDM_SOLVERS,
         parameters=("foundation", "surface_tension", "penalty"),
@@ -148,6 +150,7 @@ for _declared in (
     ),
     _surface(
         name="vdm-vector",
+        benched=("quasi-linear", "nonlinear"),
         version="8",
         solvers=VDM_SOLVERS,
         parameters=("foundation", "surface_tension", "stretch_stiffness", "rotation", "penalty"),
@@ -157,6 +160,7 @@ for _declared in (
     ),
     _surface(
         name="vdm-boundary",
+        benched=("nonlinear",),
         cost=costs.boundary,
         version="12",
         solvers=("linear", "nonlinear"),

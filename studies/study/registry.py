@@ -110,6 +110,7 @@ class Model:
     contact_in_setup : whether its set-up depends on where the body is touched and how it is moved
     lines : solvers that take a force along a line of edges; the others are refused it
     own : of its parameters those that [vdm] has no key for: a study gives them in [models.NAME]
+    benched : the solvers that a benchmark measures beside the default
     continues : set up for loads of one rising path, each solved from the last: as `prepare`; None where it cannot
     """
 
@@ -128,6 +129,7 @@ class Model:
     contact_in_setup: bool = False
     lines: tuple[str, ...] = ()
     own: Mapping[str, Parameter] = field(default_factory=dict)
+    benched: tuple[str, ...] = ()
     continues: Prepare | None = None
 
 
@@ -154,6 +156,7 @@ def register(model: Model) -> None:
         raise RegistrationError(f"{model.name}: a model declares its version and its solvers")
     for what, keys, known in (
         ("superposes", model.superposes, model.solvers),
+        ("benched", model.benched, model.solvers[1:]),
         ("lines", model.lines, model.solvers),
         ("parameters", model.parameters, {**VdmTable.model_fields, **model.own}),
         ("own", model.own, model.parameters),
@@ -197,6 +200,15 @@ def model_names() -> list[str]:
         name
         for model in all_models().values()
         for name in (model.name, *(f"{model.name}:{solver}" for solver in model.solvers))
+    ]
+
+
+def benched_names() -> list[str]:
+    """Every model that a benchmark measures, with its default solver and the others that it declares."""
+    return [
+        name
+        for model in all_models().values()
+        for name in (model.name, *(f"{model.name}:{solver}" for solver in model.benched))
     ]
 
 

@@ -114,6 +114,12 @@ def test_a_model_of_another_package(springs: Path) -> None:
     assert "springs.gain" in page(springs)
 
 
+def test_a_benchmark_without_a_study_measures_it_too(springs: Path) -> None:
+    told = python(springs, "-c", "from vdmbench.models import benched_names; print(*benched_names())")
+    names = told.stdout.split()
+    assert names.count("springs") == names.count("vdm-paper:bicg") == 1, told.stderr
+
+
 def assert_gains_differ(place: Path) -> None:
     """Three answers under three keys, each as stiff as its gain."""
     told = python(
