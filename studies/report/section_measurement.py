@@ -63,7 +63,7 @@ def _summary(digest: Digest, case: CaseResult, found: Measurement, number: int) 
     columns = [
         Column("Model", numeric=False),
         Column("Within u_val"),
-        Column("rms of E", unit="m"),
+        Column("rms of E", "of displacements", unit="m"),
         Column("of rms of D", unit="1"),
         Column("Remains", "largest |E| − u_val", unit="m"),
         Column("Per frame", unit="s"),
@@ -80,7 +80,9 @@ def _summary_row(case: CaseResult, found: Measurement, name: str) -> list[Cell]:
     if not known.any():
         return [told, Cell("no answer", tone="bad"), *(Cell(NOTHING) for _ in range(4))]
     count, within = int(known.sum()), int(found.within(name)[known].sum())
-    rms, size = _rms(errors[known]), _rms(data[known])
+    moved = known & np.array([one.component in AXES for one in found.quantities])
+    used = moved if moved.any() else known  # distances of a whole surface are another kind
+    rms, size = _rms(errors[used]), _rms(data[used])
     rest = max(0.0, float((np.abs(errors) - found.uncertainty(name))[known].max()))
     frame = float(np.median(case.models[name].seconds_per_step)) if name in case.models else math.nan
     return [

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import shutil
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
 from typing import Any
 
@@ -16,33 +18,11 @@ import pytest
 from tests.command import SMALL_STUDY
 
 ROOT = Path(__file__).parents[2]
-SPRINGS = '''
-"""A model of a package of its own: each node on a spring, stiffer by `gain`."""
-import numpy as np
-from vdm.solution import CONVERGED, Solution
-from vdmbench.models import Cost, Model, Parameter, SetUp, register
-
-
-def prepare(scene, solver, name, n_loads):
-    stiffness = scene.parameters.get("gain", 1.0) * scene.tissue.youngs_modulus * 0.05
-
-    def solve(loads):
-        held = scene.held[:, None]
-        u = np.array([np.where(held, load.prescribed, load.contact_force / stiffness) for load in loads])
-        force = np.array([load.contact_force for load in loads])
-        n = len(loads)
-        return Solution(u, np.zeros(n), np.where(scene.held[:, None], -force, 0.0), 0.5 * (u * force).sum((1, 2)),
-                        np.zeros(n, dtype=np.int64), (CONVERGED,) * n, 1e-4, np.full(n, 1e-4),
-                        {"gain": scene.parameters.get("gain", 1.0)})
-
-    return SetUp(solve)
-
-
-register(Model(name="springs", version="1", prepare=prepare, volumetric=False, solvers=("linear",),
-               superposes=("linear",), tissue=("youngs_modulus",), parameters=("gain",), fibres=False,
-               cost=lambda size, solver, loads: Cost(100.0, 1e-6 * size.nodes, 100.0 * size.nodes),
-               own={"gain": Parameter("1", "stiffness of the springs over that of the tissue")}))
-'''
+# the manual's own example: what it shows is what runs
+OWN_ENGINE = (ROOT / "docs" / "howto" / "own-engine.md").read_text()
+SPRINGS, ENTRY = (
+    re.findall(rf"```{kind}\n(.*?)```", OWN_ENGINE, flags=re.DOTALL)[0] for kind in ("python", "toml")
+)
 COMMAND = "from vdmbench.cli.main import main; main()"
 STUDY = SMALL_STUDY.replace('"vdm-paper"', '"springs"')
 GAINS = STUDY + '[sweep]\n"models.springs.gain" = [1.0, 2.0, 4.0]\n'
@@ -65,7 +45,9 @@ def springs(place: Path) -> Path:
     about = place / "springs_model-1.0.dist-info"
     about.mkdir()
     (about / "METADATA").write_text("Metadata-Version: 2.1\nName: springs-model\nVersion: 1.0\n")
-    (about / "entry_points.txt").write_text("[vdmbench.models]\nsprings = springs_model\n")
+    ((group, names),) = tomllib.loads(ENTRY)["project"]["entry-points"].items()
+    lines = [f"{name} = {module}" for name, module in names.items()]
+    (about / "entry_points.txt").write_text("\n".join([f"[{group}]", *lines, ""]))
     return place
 
 
