@@ -34,12 +34,13 @@ def scene_warnings(
     largest_factor : largest load factor
     """
     vectors = facet_area_vectors(points, triangles)
-    held = [masks[entry["region"]] for entry in constraints if KINDS[entry["kind"]].holds]
+    holding = {name for name, kind in KINDS.items() if kind.holds}  # a stored kind may be of another program
+    held = [masks[entry["region"]] for entry in constraints if entry["kind"] in holding]
     on_support = np.logical_or.reduce([np.zeros(len(points), dtype=bool), *held])[triangles].all(axis=1)
     extent = float(np.ptp(points, axis=0).min())
     for place, entry in enumerate(constraints):
         mask, loc = masks[entry["region"]], ("constraints", place, "region")
-        if KINDS[entry["kind"]].holds:
+        if entry["kind"] in holding:
             if mask.any() and not (on_support & mask[triangles].any(axis=1)).any():
                 yield loc, _lone(int(mask.sum()))
             continue
