@@ -35,8 +35,12 @@ def _plain(value: Any) -> Any:
     return _plain(value.tolist()) if hasattr(value, "tolist") else value  # of NumPy, not loaded for this
 
 
-def write_atomically(path: Path, data: bytes) -> None:
+def write_atomically(path: Path, data: bytes, *, durable: bool = True) -> None:
     """Write `data` so that `path` is either absent (or what it was) or complete, also after a crash.
+
+    Parameters
+    ----------
+    durable : wait for the disk; without it a loss of power may leave the file cut, which no killed program does
 
     Raises
     ------
@@ -47,22 +51,25 @@ def write_atomically(path: Path, data: bytes) -> None:
     require_replaceable(path)
     path.parent.mkdir(parents=True, exist_ok=True)
     try:
-        _replace(path, data)
+        _replace(path, data, durable)
     except OSError as error:  # a write names no file, and others the one that was to become this
         raise OSError(error.errno, error.strerror, str(path)) from error
 
 
-def _replace(path: Path, data: bytes) -> None:
+def _replace(path: Path, data: bytes, durable: bool) -> None:
     handle, name = _temporary(path)
     try:
         with os.fdopen(handle, "wb") as file:  # its lock is held until it has its final name
             file.write(data)
             file.flush()
-            os.fsync(file.fileno())
+            if durable:
+                os.fsync(file.fileno())
             name.replace(path)
     except BaseException:
         name.unlink(missing_ok=True)
         raise
+    if not durable:
+        return
     directory = os.open(path.parent, os.O_RDONLY)
     try:
         os.fsync(directory)

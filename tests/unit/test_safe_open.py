@@ -7,12 +7,13 @@ import stat
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from vdmbench.graph.run import _lock
 from vdmbench.machine.files import clear_abandoned, write_atomically
 from vdmbench.machine.safe_open import UnfitFileError, open_regular, read_regular
-from vdmbench.machine.sealed import read_arrays
+from vdmbench.machine.sealed import read_arrays, write_arrays
 from vdmbench.store.cases import case_state, read_run, run_state
 from vdmbench.store.hdf5 import Stored, StoreError
 from vdmbench.store.run_directory import case_path, read_plan, refuse_linked
@@ -131,3 +132,18 @@ def test_a_folder_of_a_run_that_is_a_link_is_refused(tmp_path: Path, folder: str
     (tmp_path / folder).symlink_to("elsewhere")
     with pytest.raises(StoreError, match=f"{folder}: is a link"):
         refuse_linked(tmp_path)
+
+
+def test_the_cache_does_not_wait_for_the_disk_and_results_do(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    waits: list[int] = []
+    monkeypatch.setattr(os, "fsync", waits.append)
+    write_arrays(tmp_path / "a.npz", {"a": np.ones(3)})
+    assert waits == []
+    write_atomically(tmp_path / "b", b"b")
+    assert len(waits) == 2, "the file and its directory"
+    whole = (tmp_path / "a.npz").read_bytes()
+    for end in (0, 10, len(whole) - 1):  # what a loss of power may leave
+        (tmp_path / "a.npz").write_bytes(whole[:end])
+        assert read_arrays(tmp_path / "a.npz") is None
