@@ -27,6 +27,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
         metavar="PNG",
         help="the picture (default NAME-scene.png in this directory)",
     )
+    parser.add_argument("--window", action="store_true", help="open it in a window too, to turn it")
     parser.add_argument("--case", type=positive, default=1, metavar="N", help="of a sweep the N-th case")
 
 
@@ -34,8 +35,11 @@ def run(options: argparse.Namespace) -> int:
     """Mesh the surface, put the scene on it, draw it."""
     from ..machine.files import write_atomically
     from ..report.scene_picture import scene_png
+    from ..report.scene_window import has_display, scene_plotter
     from ..report.section_scene import parts_of, scene_words
 
+    if options.window and not has_display():
+        raise UsageError("--window: there is no display here; the picture of --save shows the same")
     study, _ = load(options)
     plan = make_plan(study, options)
     if options.case > len(plan.cases):
@@ -45,8 +49,10 @@ def run(options: argparse.Namespace) -> int:
     path = options.save or Path(f"{study.study.name}-scene.png")
     title = f"{study.study.title}: {case.label}" if case.label else study.study.title
     told = [f"{what}: {value}" for what, value in words]
-    picture = scene_png(case.points, case.triangles, parts_of(case, [case]), told, title=title)
-    write_atomically(path, picture)
+    parts = parts_of(case, [case])
+    write_atomically(path, scene_png(case.points, case.triangles, parts, told, title=title))
+    if options.window:
+        scene_plotter(case.points, case.triangles, parts, title=title).show()
     if options.json:
         return print_json({"picture": str(path), "scene": dict(words)})
     for line in told:
