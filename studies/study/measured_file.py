@@ -45,18 +45,21 @@ def read_measured(path: Path) -> dict[str, Any]:
         no such table: an unknown or missing column, a wrong unit, a cell that is no finite number.
     """
     try:
-        about = path.stat()
-        return _read(path, about.st_mtime_ns, about.st_size)
+        if not path.is_file():  # a FIFO would be waited for
+            raise MeasuredFileError(f"{path.name} cannot be read: no such file")
+        with path.open("rb") as file:
+            data = file.read(MOST_BYTES + 1)
     except OSError as error:
         raise MeasuredFileError(f"{path.name} cannot be read: {error.strerror}") from None
+    if len(data) > MOST_BYTES:
+        raise MeasuredFileError(f"{path.name} is larger than {MOST_BYTES // 1_000_000} MB; keep fewer points")
+    return _parsed(path, data)
 
 
 @lru_cache(maxsize=16)  # each case of a sweep validates the study anew
-def _read(path: Path, _modified: int, size: int) -> dict[str, Any]:
-    if size > MOST_BYTES:
-        raise MeasuredFileError(f"{path.name} is larger than {MOST_BYTES // 1_000_000} MB; keep fewer points")
+def _parsed(path: Path, data: bytes) -> dict[str, Any]:
     try:
-        text = path.read_bytes().decode("utf-8-sig")
+        text = data.decode("utf-8-sig")
     except UnicodeDecodeError:
         raise MeasuredFileError(f"{path.name}:1: is not UTF-8 text; save the file in UTF-8") from None
     table = CsvTable(path.name, text)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import os
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +18,7 @@ from vdmbench.report.section_measurement import against_measurement
 from vdmbench.scene.measured_points import place_measured
 from vdmbench.scene.scene import SceneError
 from vdmbench.study.config import Study, StudyError, expand, load_study, resolved
+from vdmbench.study.measured_file import MeasuredFileError, read_measured
 from vdmbench.verdict.digest import Digest
 from vdmbench.verdict.sentences import SURE, answers
 from vdmbench.verdict.verdict import verdict
@@ -260,3 +262,9 @@ def test_the_verdict_tells_what_a_measurement_says() -> None:
         "Against measurement vdm-paper is 0.77 % off (root mean square), within the validation uncertainty in 1 of "
         "2 values. All other errors are differences between computations."
     ) in sure
+
+
+def test_a_fifo_is_no_table_and_is_not_waited_for(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "points.csv")
+    with pytest.raises(MeasuredFileError, match=r"points\.csv cannot be read: no such file"):
+        read_measured(tmp_path / "points.csv")
