@@ -6,6 +6,7 @@ README's picture of a report is taken where Chromium is installed; elsewhere the
 from __future__ import annotations
 
 import json
+import re
 import shutil
 import sys
 import tempfile
@@ -24,6 +25,7 @@ COLUMNS = ("model", "displacement error", "deformation error", "reference's own"
 PART = "quickstart"
 ARCHITECTURE = ROOT / "docs" / "methods" / "architecture.md"
 GRAPH = "graph"
+NOTEBOOK = ROOT / "docs" / "reference" / "quickstart.ipynb"
 
 
 def headline_table(directory: Path) -> str:
@@ -34,6 +36,26 @@ def headline_table(directory: Path) -> str:
     rows = json.loads(result.stdout)["headline"]
     rated = [row for row in rows if row["displacement error"] != "–"]
     return marked.table(COLUMNS, ([row[column] for column in COLUMNS] for row in rated))
+
+
+def notebook() -> str:
+    """The page on notebooks as a notebook: a cell for each part of its code."""
+    intro, code = re.split(r"```python\n", (NOTEBOOK.with_name("notebook.md")).read_text(), maxsplit=1)
+    cells: list[dict[str, object]] = [
+        {"cell_type": "markdown", "id": "intro", "metadata": {}, "source": intro.strip()}
+    ]
+    cells += [
+        {
+            "cell_type": "code",
+            "id": f"code-{number}",
+            "metadata": {},
+            "execution_count": None,
+            "outputs": [],
+            "source": part,
+        }
+        for number, part in enumerate(code.split("```")[0].strip().split("\n\n"), start=1)
+    ]
+    return json.dumps({"cells": cells, "metadata": {}, "nbformat": 4, "nbformat_minor": 5}, indent=1) + "\n"
 
 
 def graph_of_quickstart(directory: Path) -> str:
@@ -67,6 +89,7 @@ def main() -> None:
         marked.show(README, PART, headline_table(Path(name)))
         marked.show(ARCHITECTURE, GRAPH, graph_of_quickstart(Path(name)))
         STUDY_KEYS.write_text(study_keys())
+        NOTEBOOK.write_text(notebook())
         vdmbench("run", "liver-palpation", *surface, "--out", "liver", cwd=Path(name))
         result = vdmbench("report", "liver", "--picture", "liver.png", cwd=Path(name))
         if result.returncode:

@@ -14,7 +14,7 @@ import vdm.material
 import vdm.solution
 from vdmbench import models
 from vdmbench.cli.doctor import LIBRARIES, PACKAGES
-from vdmbench.graph import estimate
+from vdmbench.models import costs
 from vdmbench.models.result import ModelResult
 
 ROOT = Path(__file__).parents[2]
@@ -39,7 +39,7 @@ def test_the_stored_result_keeps_all_that_a_solution_has() -> None:
 
 def test_an_estimate_knows_how_many_nodes_the_boundary_form_takes() -> None:
     """Without loading the library: a plan has to be quick."""
-    assert vdm.formulations.boundary.MAX_NODES == estimate._DENSE_NODES
+    assert vdm.formulations.boundary.MAX_NODES == costs._DENSE_NODES
 
 
 def test_a_registered_model_declares_what_its_library_says() -> None:
