@@ -17,7 +17,17 @@ import pytest
 from tests.command import write_study
 
 ROOT = Path(__file__).parents[2]
-SOURCES = ("pyproject.toml", "README.md", "LICENSE", "vdm", "fem_reference", "studies")
+SOURCES = (
+    "pyproject.toml",
+    "README.md",
+    "CHANGELOG.md",
+    "LICENSE",
+    "vdm",
+    "fem_reference",
+    "studies",
+    "docs",
+    "results",
+)
 
 
 def _has_backend() -> bool:
@@ -34,7 +44,10 @@ def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
     source, out = tmp_path_factory.mktemp("source"), tmp_path_factory.mktemp("wheel")
     for name in SOURCES:
         path = ROOT / name
-        shutil.copytree(path, source / name) if path.is_dir() else shutil.copy(path, source)
+        if path.is_dir():
+            shutil.copytree(path, source / name, ignore=shutil.ignore_patterns("runs", "cache", "bench"))
+        else:
+            shutil.copy(path, source)
     alone = ["--no-build-isolation"] if _has_backend() else []
     command = [
         sys.executable,
@@ -58,7 +71,8 @@ def test_the_wheel_holds_every_file_of_the_three_packages_and_nothing_else(wheel
     with zipfile.ZipFile(wheel) as archive:
         names = archive.namelist()
     about = {name.partition(".dist-info/")[2] for name in names if ".dist-info/" in name}
-    packed = {name for name in names if ".dist-info/" not in name}
+    documents = {name.partition("share/doc/vdmbench/")[2] for name in names if ".data/data/share/" in name}
+    packed = {name for name in names if ".dist-info/" not in name and ".data/" not in name}
     homes = {"vdm": "vdm", "fem_reference": "fem_reference", "studies": "vdmbench"}
     wanted = {
         f"{package}/{path.relative_to(ROOT / folder).as_posix()}"
@@ -70,6 +84,8 @@ def test_the_wheel_holds_every_file_of_the_three_packages_and_nothing_else(wheel
     assert packed == wanted
     assert {name.split("/")[0] for name in packed} == set(homes.values()), "nothing called `studies`"
     assert "licenses/LICENSE" in about
+    pages = {path.relative_to(ROOT / "docs").as_posix() for path in (ROOT / "docs").rglob("*.md")}
+    assert pages | {"README.md", "CHANGELOG.md", "FORMAT.md"} <= documents
 
 
 @pytest.mark.slow
