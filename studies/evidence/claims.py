@@ -35,6 +35,7 @@ from ..verdict.formatting import listed, percent, plain, plural, quantity, short
 from ..verdict.growth import is_measured, strain_in_words, strain_range, strain_side
 from ..verdict.standing import at_full_load, reference_bar, series
 from .claim_figures import Line, bars, curves, histories
+from .claim_words import ABOUT
 
 PRINTED = "vdm-paper"
 EXACT = 1e-10  # relative volume drift that counts as none
@@ -52,7 +53,8 @@ CLAIMS: dict[int, Claim] = {}
 
 def _claim(number: int, text: str, rule: str) -> Callable[[Judge], Judge]:
     def register(judge: Judge) -> Judge:
-        CLAIMS[number] = Claim(number, text, rule, judge)
+        about = ABOUT[number]
+        CLAIMS[number] = Claim(number, text, rule, judge, about.place, about.trial, about.change)
         return judge
 
     return register

@@ -30,12 +30,19 @@ Judge = Callable[[Sequence[Digest]], Judgement | None]
 
 @dataclass(frozen=True)
 class Claim:
-    """One claim: its number in the paper's order, its words, the rule that it is judged by."""
+    """One claim: its number in the paper's order, its words, the rule that it is judged by.
+
+    `place` is where the paper says it and what it says there, `trial` how it was tried here, `change` what would
+    change the verdict.
+    """
 
     number: int
     text: str
     rule: str
     judge: Judge
+    place: str
+    trial: str
+    change: str
 
 
 @dataclass(frozen=True)
