@@ -37,7 +37,7 @@ BEHIND = {
     "gmsh": {"studies/body/geometry.py"},
     "h5py": {"studies/store/hdf5.py"},
     "meshio": {"studies/body/mesh_file.py"},
-    "pyvista": {"studies/body/remesh.py"},
+    "pyvista": {"studies/body/remesh.py", "studies/report/scene_window.py"},
     "distributed": {"studies/graph/cluster.py"},
     "pebble": {"studies/graph/local.py"},
     "pyacvd": {"studies/body/remesh.py"},
