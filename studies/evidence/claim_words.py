@@ -2,17 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
-
-@dataclass(frozen=True)
-class About:
-    """Place in the paper, trial and what would change the verdict, in sentences."""
-
-    place: str
-    trial: str
-    change: str
-
+from ..report.judgement import About
 
 ABOUT = {
     1: About(

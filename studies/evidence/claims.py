@@ -53,8 +53,7 @@ CLAIMS: dict[int, Claim] = {}
 
 def _claim(number: int, text: str, rule: str) -> Callable[[Judge], Judge]:
     def register(judge: Judge) -> Judge:
-        about = ABOUT[number]
-        CLAIMS[number] = Claim(number, text, rule, judge, about.place, about.trial, about.change)
+        CLAIMS[number] = Claim(number, text, rule, judge, ABOUT[number])
         return judge
 
     return register
@@ -161,10 +160,8 @@ def _linear(digests: Sequence[Digest]) -> Judgement | None:
     3,
     "VDM costs an order of magnitude less than FEM.",
     f"Holds where a frame and the set-up of the printed form are both {ORDER:g} times cheaper than those "
-    f"of linear "
-    "elements on the same mesh, and a frame also than that of elements condensed to the surface; within "
-    "limits where "
-    "only some of these hold.",
+    "of linear elements on the same mesh, and a frame also than that of elements condensed to the surface; within "
+    "limits where only some of these hold.",
 )
 def _cost(digests: Sequence[Digest]) -> Judgement | None:
     ratios: dict[str, list[float]] = {"frame": [], "set-up": [], "condensed frame": []}

@@ -124,10 +124,10 @@ def _section(verdict: Verdict) -> Section:
     claim, judgement = verdict.claim, verdict.judgement
     blocks: list[Block] = [
         Text(f"{judgement.verdict[:1].upper()}{judgement.verdict[1:]}. {judgement.reason}"),
-        Text(f"In the paper: {claim.place}"),
-        Text(f"Tried: {claim.trial}"),
+        Text(f"In the paper: {claim.about.place}"),
+        Text(f"Tried: {claim.about.trial}"),
         Text(f"Rule: {claim.rule}", kind="note"),
-        Text(f"What would change the verdict: {claim.change}", kind="note"),
+        Text(f"What would change the verdict: {claim.about.change}", kind="note"),
     ]
     if judgement.figures:
         blocks.append(Figures(judgement.figures, verdict.digests[0].legend))

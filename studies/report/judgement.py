@@ -29,20 +29,23 @@ Judge = Callable[[Sequence[Digest]], Judgement | None]
 
 
 @dataclass(frozen=True)
-class Claim:
-    """One claim: its number in the paper's order, its words, the rule that it is judged by.
+class About:
+    """Where the paper says a claim and what it says there, how it is tried here, what would change the verdict."""
 
-    `place` is where the paper says it and what it says there, `trial` how it was tried here, `change` what would
-    change the verdict.
-    """
+    place: str
+    trial: str
+    change: str
+
+
+@dataclass(frozen=True)
+class Claim:
+    """One claim: its number in the paper's order, its words, the rule that it is judged by."""
 
     number: int
     text: str
     rule: str
     judge: Judge
-    place: str
-    trial: str
-    change: str
+    about: About
 
 
 @dataclass(frozen=True)
