@@ -35,13 +35,15 @@ def scene_plotter(
     """
     import pyvista
 
-    body = pyvista.PolyData.from_regular_faces(points, triangles)
+    coloured = [part.nodes[triangles].all(axis=1) for part in parts]
+    plain = ~np.any(coloured, axis=0) if coloured else np.ones(len(triangles), bool)
+    body = pyvista.PolyData.from_regular_faces(points, triangles[plain] if plain.any() else triangles)
     plotter = pyvista.Plotter(off_screen=off_screen, title=title)
     plotter.add_mesh(body, color=BODY, show_edges=True, edge_color="#9aa0a6", name="body")
     size = float(np.ptp(points, axis=0).max())
-    for part in parts:
+    for part, mask in zip(parts, coloured, strict=True):
         name, colour = KINDS.get(part.kind, (part.kind, OTHER))
-        facets = triangles[part.nodes[triangles].all(axis=1)]
+        facets = triangles[mask]
         if len(facets):
             region = pyvista.PolyData.from_regular_faces(points, facets)
             plotter.add_mesh(region, color=colour, name=part.name, label=f"{name}: {part.name} {part.label}")

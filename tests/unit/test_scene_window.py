@@ -28,6 +28,10 @@ def test_body_regions_and_arrow_are_drawn() -> None:
         assert colours["base"] == KINDS["fixed"][1]
         assert colours["finger"] == KINDS["contact"][1]
         assert plotter.actors["finger"].mapper.dataset.n_cells == top[triangles].all(axis=1).sum()
+        coloured = sum(part.nodes[triangles].all(axis=1).sum() for part in parts)
+        assert plotter.actors["body"].mapper.dataset.n_cells == len(triangles) - coloured, (
+            "no facet is drawn twice"
+        )
         arrows = [name for name in plotter.actors if name not in {"body", "base", "finger"}]
         assert arrows, "the load has an arrow"
     finally:
