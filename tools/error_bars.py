@@ -75,6 +75,7 @@ a bar the difference to that on the mesh itself. Here, on shipped studies' own m
 holds where it is at least the distance of its number from the best estimate: the number for the reference that
 Richardson's extrapolation of the three levels gives, by the order observed. "Used" is that distance over the bar:
 at most 1 where it holds. Cases are numbered from 1, as `vdmbench plan` lists them.
+The solves were made with version 11 of `vdm-boundary` and before smooth contacts had one resultant on every mesh.
 """
 
 
