@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ..body.surface_measures import Surface, ratio, weighted_norms, without_motions
-from .metrics import Array, History, metric
+from .metrics import Array, History, along, metric
 
 
 @metric(
@@ -31,5 +31,5 @@ def rigid_share(surface: Surface, model: History) -> Array:
 )
 def tangential_share(surface: Surface, model: History) -> Array:
     u = model.displacement
-    along = np.einsum("sij,ij->si", u, surface.normals)[:, :, None] * surface.normals
-    return np.asarray(ratio(weighted_norms(u - along, surface.areas), weighted_norms(u, surface.areas)))
+    inside = u - along(u, surface.normals) * surface.normals
+    return np.asarray(ratio(weighted_norms(inside, surface.areas), weighted_norms(u, surface.areas)))

@@ -172,7 +172,7 @@ VECTOR, DEFORMATION = relative_l2_displacement_error.__name__, relative_l2_defor
 @metric("1", "as the displacement error, for the component along the undeformed normal", degree=0, version=2)
 def relative_l2_normal_error(surface: Surface, model: History, reference: History) -> Array:
     def compare(s: Surface, u: Array, r: Array) -> Array:
-        return _of_parts(r, s.areas, *(_along(v, s.normals) for v in (u, r)))
+        return _of_parts(r, s.areas, *(along(v, s.normals) for v in (u, r)))
 
     return _each_step(surface, model, reference, compare)
 
@@ -180,7 +180,7 @@ def relative_l2_normal_error(surface: Surface, model: History, reference: Histor
 @metric("1", "as the displacement error, for the component in the undeformed surface", degree=0, version=2)
 def relative_l2_tangential_error(surface: Surface, model: History, reference: History) -> Array:
     def compare(s: Surface, u: Array, r: Array) -> Array:
-        return _of_parts(r, s.areas, *(v - _along(v, s.normals) * s.normals for v in (u, r)))
+        return _of_parts(r, s.areas, *(v - along(v, s.normals) * s.normals for v in (u, r)))
 
     return _each_step(surface, model, reference, compare)
 
@@ -420,7 +420,7 @@ def evaluate_all(
     }
 
 
-def _along(displacements: Array, normals: Array) -> Array:
+def along(displacements: Array, normals: Array) -> Array:
     """(S, N, 1) components along the normals (N, 3)."""
     return np.einsum("sni,ni->sn", displacements, normals)[:, :, None]
 

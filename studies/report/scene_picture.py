@@ -35,9 +35,9 @@ KINDS = {
     "constrained": ("moved", "#c0a82e"),
     "line": ("pulled along a line", "#aa3377"),
 }
-_OTHER = "#666666"  # of a kind that has no colour of its own
+OTHER = "#666666"  # of a kind that has no colour of its own
 _ARROWS = {"contact": "#c42842", "constrained": "#8a7410"}  # their arrows, seen on body and ground
-_BODY, _AMBIENT = "#cfd3d6", 0.72  # bright all round: the colours have a meaning
+BODY, _AMBIENT = "#cfd3d6", 0.72  # bright all round: the colours have a meaning
 _PIXELS = 560  # width of the body's drawing
 _WIDTH, _MOST_HEIGHT = 4.4, 3.6  # inches: as wide as a chart
 _LINE = 0.17  # inches, height of a line of text
@@ -232,7 +232,7 @@ def _figure(stage: _Stage, lines: Sequence[str], title: str) -> Figure:
 
 def style_of(kind: str) -> tuple[str, str]:
     """What a kind of constraint is called, and its colour."""
-    return KINDS.get(kind, (kind, _OTHER))
+    return KINDS.get(kind, (kind, OTHER))
 
 
 def _legend(part: Part) -> str:
@@ -245,7 +245,7 @@ def _draw_body(axes: Axes, stage: _Stage) -> None:
     low, high = stage.frame
     width, height = high - low
     n_rows = max(1, round(_PIXELS * height / width))
-    colours = np.tile(to_rgba(_BODY), (len(stage.triangles), 3, 1))
+    colours = np.tile(to_rgba(BODY), (len(stage.triangles), 3, 1))
     for part in stage.parts:
         colours[stage.facets(part)] = to_rgba(style_of(part.kind)[1])
     scale = raster.FINER * _PIXELS / width

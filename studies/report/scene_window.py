@@ -10,9 +10,7 @@ from typing import Any
 import numpy as np
 
 from ..body.surface_measures import Array
-from .scene_picture import KINDS, Part
-
-BODY, OTHER = "#d0d4d8", "#666666"
+from .scene_picture import BODY, KINDS, OTHER, Part
 
 
 def has_display() -> bool:

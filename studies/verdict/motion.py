@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-
 from .digest import Digest
 from .formatting import listed, plural, short_percent
 
@@ -36,12 +34,10 @@ def motion_in_words(digest: Digest) -> tuple[str, ...]:
 
 
 def _moves_along_normals(digest: Digest, model: str) -> bool:
-    shares = digest.full_loads(model, "tangential_share")
-    known = shares[np.isfinite(shares)]
-    return bool(len(known) and (known < _ALONG_NORMALS).all())
+    share = digest.spread(model, "tangential_share")
+    return share is not None and share.worst < _ALONG_NORMALS
 
 
 def _median(digest: Digest, model: str, metric: str) -> float:
-    values = digest.full_loads(model, metric)
-    known = values[np.isfinite(values)]
-    return float(np.median(known)) if len(known) else math.nan
+    found = digest.spread(model, metric)
+    return math.nan if found is None else found.median
