@@ -26,8 +26,8 @@ from vdmbench import models
 from vdmbench.body.geometry import build_mesh
 from vdmbench.body.refine import Hierarchy, refined
 from vdmbench.body.surface_measures import Surface, weighted_norms, without_motions
+from vdmbench.evidence.audit import HEADLINE, Bar, extrapolated
 from vdmbench.measures.metrics import (
-    DEFORMATION,
     METRICS,
     VECTOR,
     History,
@@ -36,7 +36,7 @@ from vdmbench.measures.metrics import (
     full_load_step,
 )
 from vdmbench.measures.reference import level_scene, own_error, require_converged, restricted
-from vdmbench.measures.uncertainty import REASONABLE_ORDERS, SIGNED, estimate_error, no_less, reference_bar
+from vdmbench.measures.uncertainty import SIGNED, estimate_error, no_less, reference_bar
 from vdmbench.models.result import ModelResult
 from vdmbench.scene.scene import build_scene
 from vdmbench.study.config import expand, geometry_of, load_study
@@ -65,8 +65,6 @@ TRIED = {
     "poisson-sweep": (1, 6),
     "quickstart": (1, 2, 3),
 }
-ROUNDING = 1e-9  # a distance up to this, of a number with a unit times the number, is the solver's tolerance
-HEADLINE = (VECTOR, DEFORMATION)
 HEAD = """# What the error bars of two mesh levels are worth
 
 Made by `make evidence WHAT=error_bars`.
@@ -91,25 +89,6 @@ class Levels:
     models: Mapping[str, ModelResult]  # the reference's on the mesh among them
     reference: str
     levels: Sequence[ModelResult]
-
-
-@dataclass(frozen=True)
-class Bar:
-    """A number of a case as two levels give it, with its bar, and its best estimate."""
-
-    model: str
-    metric: str
-    value: float
-    bar: float
-    best: float
-
-    @property
-    def used(self) -> float:
-        """Distance over bar, at most 1 where the bar holds."""
-        distance = abs(self.value - self.best)
-        if distance <= ROUNDING * (1.0 if METRICS[self.metric].unit == "1" else abs(self.value)):
-            return 0.0
-        return distance / self.bar if self.bar else math.inf
 
 
 def solved(study: Study, tried: Sequence[int]) -> Iterator[Levels]:
@@ -151,7 +130,8 @@ def bars(case: Levels) -> list[Bar]:
     step = full_load_step(case.load_factors)
     own = evaluate(case.surface, _history(case, coarse), None)
     told = own_error(case.surface, [fine, coarse], case.load_factors)
-    best = _metrics(case, extrapolated(case))
+    _, estimate = extrapolated(case.surface, case.levels, case.load_factors)
+    best = _metrics(case, estimate)
     found = []
     for model, series in _metrics(case, _history(case, fine)).items():
         for metric, values in series.items():
@@ -181,17 +161,6 @@ def orders(case: Levels) -> tuple[float, float]:
         for of in (fields, deformed)
     )
     return vector, deformation
-
-
-def extrapolated(case: Levels) -> History:
-    """The best estimate of the reference."""
-    _, fine, finest = case.levels
-    order, _ = orders(case)
-    low, high = REASONABLE_ORDERS
-    share = 1.0 / (2.0 ** min(max(order, low), high) - 1.0)
-    displacement = finest.displacement + share * (finest.displacement - fine.displacement)
-    force = finest.reaction_force + share * (finest.reaction_force - fine.reaction_force)
-    return History(displacement, force, case.load_factors)
 
 
 def _history(case: Levels, result: ModelResult) -> History:

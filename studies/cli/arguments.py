@@ -9,6 +9,7 @@ from typing import NoReturn
 from ..machine.streams import harmless
 from . import (
     verb_accept,
+    verb_audit,
     verb_bench,
     verb_calibrate,
     verb_check,
@@ -36,6 +37,7 @@ VERBS = {  # in the order in which they are told
     "calibrate": verb_calibrate,
     "status": verb_status,
     "report": verb_report,
+    "audit": verb_audit,
     "compare": verb_compare,
     "export": verb_export,
     "gate": verb_gate,
@@ -72,8 +74,8 @@ def _parser() -> argparse.ArgumentParser:
     parser = _Parser(
         prog="vdmbench",
         description="Compare the Volume Distribution Method with finite elements on the same mesh.",
-        epilog="exit codes: 0 ok, 1 accuracy regressed, 2 usage or study file wrong, 3 some cases failed, "
-        "4 machine lacks something, 5 stored results damaged, "
+        epilog="exit codes: 0 ok, 1 accuracy regressed or bars too narrow, 2 usage or study file wrong, "
+        "3 some cases failed, 4 machine lacks something, 5 stored results damaged, "
         "6 not all was compared, 70 a bug of the program, 130 interrupted",
     )
     parser.add_argument("--version", action=_Version, nargs=0, help="print the version")
