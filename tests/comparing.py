@@ -6,7 +6,7 @@ from collections.abc import Mapping
 
 from vdmbench.graph import work
 from vdmbench.measures.case import MetricSeries
-from vdmbench.models.result import ModelResult
+from vdmbench.scene.result import ModelResult
 from vdmbench.scene.scene import Scene
 
 

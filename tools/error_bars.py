@@ -37,7 +37,7 @@ from vdmbench.measures.metrics import (
 )
 from vdmbench.measures.reference import level_scene, own_error, require_converged, restricted
 from vdmbench.measures.uncertainty import SIGNED, estimate_error, no_less, reference_bar
-from vdmbench.models.result import ModelResult
+from vdmbench.scene.result import ModelResult
 from vdmbench.scene.scene import build_scene
 from vdmbench.study.config import expand, geometry_of, load_study
 from vdmbench.study.model_name import REFINED

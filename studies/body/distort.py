@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 from scipy import sparse
 
-from ..machine.errors import MeshError
+from ..study.errors import MeshError
 from .mesh import Array, Index, Mask, Mesh
 from .surface_measures import enclosed_volume, facet_area_vectors, facet_areas
 from .topology import tetrahedron_sicn, tetrahedron_volumes

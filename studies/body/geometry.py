@@ -10,7 +10,7 @@ from dataclasses import replace
 import gmsh
 import numpy as np
 
-from ..machine.errors import MeshError
+from ..study.errors import MeshError
 from ..study.geometry_spec import (
     DISTORTIONS,
     MAX_NODES,

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..machine.errors import MeshError
+from ..study.errors import MeshError
 from ..study.geometry_spec import (
     Geometry,
     check_extent,

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..machine.errors import MeshError
+from ..study.errors import MeshError
 from .mesh import Array, Index
 from .obj_file import read_obj
 from .ply_file import read_ply

@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..machine.errors import MeshError
+from ..study.errors import MeshError
 from .mesh import Array, Index, Mask
 from .numbers_in_file import Numbers
 

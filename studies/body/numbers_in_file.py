@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..machine.errors import MeshError
+from ..study.errors import MeshError
 
 _TRUNCATED = "is truncated or damaged: it announces more numbers than it holds"
 

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..machine.errors import MeshError
+from ..study.errors import MeshError
 from .mesh import Array, Index
 
 

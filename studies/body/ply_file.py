@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from ..machine.errors import MeshError
+from ..study.errors import MeshError
 from .mesh import Array, Index
 from .numbers_in_file import Numbers
 

@@ -16,7 +16,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from ..machine.errors import MeshError
+from ..study.errors import MeshError
 from ..study.geometry_spec import VOLUME_SUFFIXES
 from .repair import CleanSurface, CleanTetrahedra
 

@@ -10,7 +10,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 
-from ..machine.errors import MeshError
+from ..study.errors import MeshError
 from .mesh import Array, Index, Mask
 from .topology import (
     check_finite,

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import breadth_first_order, connected_components
 
-from ..machine.errors import MeshError
+from ..study.errors import MeshError
 from .mesh import Array, Index, Mask, Mesh
 from .surface_measures import enclosed_volume, facet_areas
 

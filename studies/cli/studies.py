@@ -87,8 +87,8 @@ def _name(path: str | Path) -> str:
 
 def check_files(plan: Plan, cases: Sequence[PlannedCase]) -> None:
     """Read the files of cases that are still to be meshed. Raises StudyError for those that cannot be used."""
-    from ..machine.errors import MeshError
     from ..study.config import geometry_error
+    from ..study.errors import MeshError
 
     for mesh in plan.missing_meshes(cases):
         try:

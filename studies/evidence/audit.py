@@ -19,7 +19,7 @@ from ..measures.bars import value_bar
 from ..measures.case import CaseResult
 from ..measures.metrics import DEFORMATION, METRICS, VECTOR, History, evaluate_all, full_load_step
 from ..measures.uncertainty import REASONABLE_ORDERS, estimate_error
-from ..models.result import ModelResult
+from ..scene.result import ModelResult
 from ..scene.scene import build_scene
 from ..study.model_name import REFINED
 from ..study.schema import MOST_LEVELS

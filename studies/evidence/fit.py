@@ -22,7 +22,7 @@ from ..graph.plan import Plan, PlannedCase, needs_volume
 from ..measures.case import Run
 from ..measures.metrics import DEFORMATION, VECTOR, full_load_step
 from ..measures.uncertainty import reference_bar
-from ..models.result import ModelResult
+from ..scene.result import ModelResult
 from ..scene.scene import Scene, build_scene
 from ..study.config import geometry_of
 from ..study.model_name import is_vdm

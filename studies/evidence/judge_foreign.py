@@ -12,7 +12,7 @@ from ..graph.work import compare
 from ..measures.case import CaseResult, Run
 from ..measures.foreign import Foreign
 from ..measures.measurement import hold_against
-from ..models.result import ModelResult, StepStatus
+from ..scene.result import ModelResult, StepStatus
 from ..scene.scene import build_scene
 from ..study.schema import Study
 

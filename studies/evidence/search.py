@@ -16,7 +16,7 @@ import numpy as np
 from scipy.optimize import minimize, minimize_scalar
 
 from ..body.mesh import Array
-from ..machine.errors import InputError
+from ..study.errors import InputError
 
 WIDEST = math.log(1e5)  # of a ratio between two moduli, beside that of their rules
 _MOST = 2.0 * WIDEST  # of a modulus over its rule's

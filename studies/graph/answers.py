@@ -14,7 +14,7 @@ from ..body.mesh import Mesh
 from ..body.surface_measures import enclosed_volumes
 from ..machine.processors import processor_name
 from ..machine.sealed import read_arrays, write_arrays
-from ..models.result import ModelResult, StepStatus
+from ..scene.result import ModelResult, StepStatus
 
 _ARRAYS = (
     "displacement",

@@ -15,9 +15,9 @@ import numpy as np
 
 from .. import models
 from ..body.mesh_cache import mesh_path, read_mesh
-from ..machine.errors import MeshError
 from ..store.cases import read_case
 from ..store.hdf5 import StoreError
+from ..study.errors import MeshError
 from ..study.model_name import REFINED, split
 from ..study.registry import Cost, Size, mesh_seconds
 from .nodes import Body, bodies

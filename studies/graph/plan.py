@@ -13,11 +13,11 @@ import numpy as np
 from .. import models
 from ..body.mesh import Array, Mesh
 from ..body.mesh_cache import mesh_path
-from ..machine.errors import MeshError
 from ..machine.sealed import is_sound
 from ..store.cases import case_state
 from ..store.run_directory import case_path
 from ..study.config import ResolvedCase, case_inputs, geometry_error, geometry_of
+from ..study.errors import MeshError
 from ..study.geometry_spec import (
     DISTORTIONS,
     MAX_NODES,

@@ -13,7 +13,6 @@ from uuid import uuid4
 
 import tomli_w
 
-from ..machine.errors import MeshError
 from ..machine.files import clear_abandoned
 from ..machine.locks import LockedError, lock
 from ..measures.case import Run
@@ -31,6 +30,7 @@ from ..store.run_directory import (
     write_plan,
 )
 from ..study.config import geometry_error, resolved
+from ..study.errors import MeshError
 from ..study.folders import text_without_folders, without_folders
 from ..study.units import shown
 from .engine import Outcome, Places, run_nodes

@@ -6,11 +6,11 @@ import math
 
 from ..body.mesh import Mesh
 from ..body.mesh_cache import mesh_path, read_mesh
-from ..machine.errors import MeshError
 from ..scene.measured_points import place_measured
 from ..scene.scene import Scene, SceneError, build_scene
 from ..scene.warnings import scene_warnings
 from ..study.config import geometry_error, resolved
+from ..study.errors import MeshError
 from ..study.problems import Finding, Loc, Problem
 from .plan import Plan, PlannedCase
 

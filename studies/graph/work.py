@@ -19,19 +19,18 @@ from ..body.mesh import Array, Mesh
 from ..body.mesh_cache import mesh_from_cache, mesh_path, read_level, read_mesh, write_level
 from ..body.refine import Hierarchy, refine, refined
 from ..body.surface_measures import Surface
-from ..machine.errors import InputError
 from ..machine.memory import OUT_OF_MEMORY, memory_limits
 from ..machine.safe_open import open_regular
 from ..measures.case import CaseResult, MetricSeries, SmallStrainLimits
 from ..measures.measurement import Measurement, hold_against, step_rms
 from ..measures.metrics import METRICS, History, evaluate_all
 from ..measures.reference import level_scene, own_error, require_converged, restricted
-from ..measures.small_strain import read_limits, small_strain_limits, write_limits
 from ..models import Prepared, find
-from ..models.result import ModelResult
+from ..scene.result import ModelResult
 from ..scene.scene import Scene, build_scene
 from ..store.cases import write_case
 from ..study.config import geometry_of
+from ..study.errors import InputError
 from ..study.folders import swept_without_folders, without_folders
 from ..study.model_name import REFINED
 from ..study.schema import Study
@@ -39,6 +38,7 @@ from .answers import answer_path, combined, one_step, read_answer, write_answer
 from .keys import Wanted, level_key
 from .nodes import limits_path
 from .provenance import provenance
+from .small_strain import read_limits, small_strain_limits, write_limits
 
 ATTEMPTS = 3  # of a node whose process dies
 

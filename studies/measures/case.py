@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..models.result import ModelResult
+from ..scene.result import ModelResult
 from .measurement import Measurement
 from .metrics import full_load_step
 

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from ..body.mesh import Array, Mesh
-from ..machine.errors import InputError, MeshError
+from ..study.errors import InputError, MeshError
 from ..study.measured_file import AXES, DEFORMED, DISPLACEMENT, CsvTable, MeasuredFileError
 
 NAMES = (

@@ -24,7 +24,7 @@ from ..body.surface_measures import (
     weighted_quantiles,
     without_motions,
 )
-from ..machine.modules import load_all
+from ..study.modules import load_all
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]

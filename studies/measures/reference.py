@@ -8,15 +8,14 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from .. import models
 from ..body.mesh import Array
 from ..body.refine import Hierarchy
 from ..body.surface_measures import Surface, enclosed_volumes, weighted_norm, without_motions
-from ..machine.errors import InputError
-from ..models.result import ModelResult
 from ..scene.coordinates import in_mesh_coordinates
 from ..scene.regions import select
+from ..scene.result import REFUSED, ModelResult
 from ..scene.scene import Scene, build_scene
+from ..study.errors import InputError
 from ..study.schema import Study
 from .metrics import METRICS, History, evaluate, evaluate_all, full_load_step
 from .uncertainty import estimate_error, estimate_limit
@@ -132,7 +131,7 @@ def level_scene(study: Study, hierarchy: Hierarchy) -> Scene:
 def require_converged(name: str, result: ModelResult) -> None:
     """Raise FailedReferenceError, or InputError where the scene is at fault, of a result that is no reference."""
     for status in result.status:
-        if status.code == models.REFUSED:
+        if status.code == REFUSED:
             raise InputError(f"{name}: {status.message}" + (f"; {status.remedy}" if status.remedy else ""))
         if not status.ok:
             raise FailedReferenceError(f"{name}: {status.message}", status.remedy)

@@ -1,22 +1,19 @@
 """The models: who answers. A scene goes in, what a model answers to load steps comes out."""
 
+from ..scene.result import REFUSED
 from ..study.registry import (
     MODELS,
     Cost,
-    Model,
     Parameter,
-    RegistrationError,
-    SetUp,
     all_models,
     benched_names,
-    find,
     model_names,
     reads,
-    register,
     superposes,
 )
 from .elements import PLAIN
-from .prepared import REFUSED, Prepared, run_model
+from .model import Model, RegistrationError, SetUp, find, register
+from .prepared import Prepared, run_model
 from .surface import VDM_SOLVERS
 
 __all__ = [

@@ -11,8 +11,8 @@ import numpy as np
 from ..body.mesh import Array
 from ..scene.scene import Scene, SurfaceLoad
 from ..study.model_name import split
-from ..study.registry import Model, SetUp, register
 from . import costs
+from .model import Model, SetUp, register
 
 if TYPE_CHECKING:
     from fem_reference.loads import Load as FemLoad

@@ -10,14 +10,12 @@ import numpy as np
 
 from ..body.surface_measures import enclosed_volumes
 from ..machine.memory import peak_bytes_since, reset_peak
+from ..scene.result import REFUSED, ModelResult, StepStatus
 from ..scene.scene import Scene, SurfaceLoad
-from ..study.registry import Model, SetUp, find
-from .result import ModelResult, StepStatus
+from .model import Model, SetUp, find
 
 if TYPE_CHECKING:
-    from ..study.registry import Solution
-
-REFUSED = "refused"  # status of a model that could not be set up: before any solve, for a reason of the input
+    from .model import Solution
 
 
 class Prepared:

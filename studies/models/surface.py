@@ -12,9 +12,9 @@ import numpy as np
 from ..body.mesh import Mesh
 from ..scene.scene import Scene, SurfaceLoad
 from ..study.model_name import split, takes_fluid
-from ..study.registry import Model as Declared
-from ..study.registry import SetUp, register
 from . import costs
+from .model import Model as Registered
+from .model import SetUp, register
 
 if TYPE_CHECKING:
     from vdm.model import Model
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 
 def prepare_surface(scene: Scene, solver: str, name: str, n_loads: int) -> SetUp:  # noqa: ARG001
-    """The model `name` set up on the scene's body; see `vdmbench.study.registry.Prepare`."""
+    """The model `name` set up on the scene's body; see `vdmbench.models.model.Prepare`."""
     from vdm.constraints import Load
     from vdm.solvers.linear import LinearSolver
 
@@ -109,7 +109,7 @@ def _model(
 
 
 _surface = partial(
-    Declared,
+    Registered,
     prepare=prepare_surface,
     volumetric=False,
     superposes=("linear",),
@@ -128,7 +128,7 @@ VDM_SOLVERS = (
     "cg",
     "minres",
 )
-for _declared in (
+for _registered in (
     _surface(
         name="vdm-paper",
         benched=("quasi-linear", "nonlinear", "bicg"),
@@ -194,4 +194,4 @@ for _declared in (
         fibres=False,
     ),
 ):
-    register(_declared)
+    register(_registered)

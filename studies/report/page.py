@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from ..machine.files import write_atomically
-from ..machine.modules import load_all
 from ..measures.case import Run
+from ..study.modules import load_all
 from ..verdict.digest import Digest
 from ..verdict.formatting import plural
 from ..verdict.sentences import LEAD, answers

@@ -9,7 +9,7 @@ import numpy as np
 
 from ..body.mesh import Array, Index, Mask, Mesh
 from ..body.surface_measures import facet_area_vectors
-from ..machine.errors import InputError
+from ..study.errors import InputError
 from ..study.problems import Loc
 from ..study.schema import Constraint, Region
 from .contact_profile import on_facets

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from ..body.mesh import Array, Mask, Mesh
-from ..machine.errors import MeshError
+from ..study.errors import MeshError
 from ..study.schema import HalfSpace, Region
 from .coordinates import AXES
 

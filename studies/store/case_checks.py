@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from ..machine.stored_json import LARGEST
 from ..measures.case import CaseResult
 from ..measures.measurement import Measurement
-from ..models.result import ModelResult
+from ..scene.result import ModelResult
 
 
 def check_case(case: CaseResult) -> None:

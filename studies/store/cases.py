@@ -32,7 +32,7 @@ from ..measures.case import (
     SmallStrainLimits,
 )
 from ..measures.metrics import METRICS
-from ..models.result import ModelResult, StepStatus
+from ..scene.result import ModelResult, StepStatus
 from .case_checks import check_case
 from .hdf5 import (
     MAX_BYTES,

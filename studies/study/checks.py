@@ -10,7 +10,7 @@ import math
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from ..machine.errors import MeshError
+from .errors import MeshError
 from .geometry_spec import (
     DISTORTIONS,
     LARGEST_EXTENT,

@@ -10,8 +10,8 @@ from itertools import islice
 from pathlib import Path
 from typing import Any
 
-from ..machine.errors import MeshError
 from .checks import fits_kind, geometry_spec
+from .errors import MeshError
 from .fields import FieldRow, field_table, targets
 from .geometry_spec import Geometry as GeometrySpec
 from .kinds import MAX_NAME, is_safe_name

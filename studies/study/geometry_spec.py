@@ -8,7 +8,7 @@ import math
 from importlib.metadata import version
 from pathlib import Path
 
-from ..machine.errors import MeshError
+from .errors import MeshError
 from .shapes import FILE, SHAPES, ShapeKey, shape_names
 from .shapes import VOLUME_SUFFIXES as VOLUME_SUFFIXES
 from .shapes import Geometry as Geometry

@@ -10,8 +10,8 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Annotated, Any, Protocol, get_args
 
-from ..machine.modules import load_all
 from .kinds import SI, Force, Position, Pressure
+from .modules import load_all
 from .profiles import PROFILES, VERSIONS, Profile
 
 if TYPE_CHECKING:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Literal
 
-from ..machine.modules import load_all
+from .modules import load_all
 
 if TYPE_CHECKING:
     import numpy as np

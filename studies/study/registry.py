@@ -7,49 +7,14 @@ module registers its models when it is imported. A model is one `register(Model(
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cache
 from importlib import import_module
 from importlib.metadata import entry_points
-from typing import TYPE_CHECKING, Protocol
-
-from .units import DIMENSIONS
-
-if TYPE_CHECKING:
-    from fem_reference.condensed import CondensedProblem
-    from fem_reference.linear import LinearProblem
-    from fem_reference.solution import Solution as FemSolution
-    from vdm.solution import Solution as VdmSolution
-    from vdm.solvers.linear import LinearSolver
-
-    from ..scene.scene import Scene, SurfaceLoad
-
-    Solution = FemSolution | VdmSolution
-    PressureProblem = LinearSolver | LinearProblem | CondensedProblem
 
 ENTRY_POINT = "vdmbench.models"
 _FAMILIES = ("vdmbench.models.surface", "vdmbench.models.elements")
-
-
-@dataclass(frozen=True)
-class SetUp:
-    """A model made ready for a body: its operators and factors.
-
-    Attributes
-    ----------
-    solve : load steps -> Solution; the steps are independent where the model superposes, else one load path
-    problem : what answers contact pressures linearly; None where nothing does
-    """
-
-    solve: Callable[[Sequence[SurfaceLoad]], Solution]
-    problem: PressureProblem | None = None
-
-
-class Prepare(Protocol):
-    """Sets a model up on the body of a scene, for about so many load steps. Raises ValueError with a sentence."""
-
-    def __call__(self, scene: Scene, solver: str, name: str, n_loads: int) -> SetUp: ...
 
 
 @dataclass(frozen=True)
@@ -90,14 +55,13 @@ def mesh_seconds(size: Size) -> float:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Model:
-    """A model of the registry.
+class Declared:
+    """What a model declares of itself; `vdmbench.models.Model` adds how it is set up.
 
     Attributes
     ----------
     name : what a study writes, without the solver
     version : raised whenever its numbers change; part of every key
-    prepare : sets it up
     volumetric : whether it needs tetrahedra
     solvers : the solvers it offers, the default first
     superposes : of these the ones whose answers to loads superpose
@@ -111,12 +75,10 @@ class Model:
     lines : solvers that take a force along a line of edges; the others are refused it
     own : of its parameters those that [vdm] has no key for: a study gives them in [models.NAME]
     benched : the solvers that a benchmark measures beside the default
-    continues : set up for loads of one rising path, each solved from the last: as `prepare`; None where it cannot
     """
 
     name: str
     version: str
-    prepare: Prepare
     volumetric: bool
     solvers: tuple[str, ...]
     superposes: tuple[str, ...]
@@ -130,49 +92,9 @@ class Model:
     lines: tuple[str, ...] = ()
     own: Mapping[str, Parameter] = field(default_factory=dict)
     benched: tuple[str, ...] = ()
-    continues: Prepare | None = None
 
 
-class RegistrationError(ValueError):
-    """A model that cannot be registered; the message says what is missing."""
-
-
-MODELS: dict[str, Model] = {}  # filled by the families, see `all_models`
-
-
-def register(model: Model) -> None:
-    """Add a model.
-
-    Raises
-    ------
-    RegistrationError
-        a name that is taken, or a declaration that does not fit together or names keys that no study has.
-    """
-    from .schema import Tissue, VdmTable  # which reads the names of models
-
-    if model.name in MODELS:
-        raise RegistrationError(f"a model {model.name!r} is registered already")
-    if not model.version or not model.solvers:
-        raise RegistrationError(f"{model.name}: a model declares its version and its solvers")
-    for what, keys, known in (
-        ("superposes", model.superposes, model.solvers),
-        ("benched", model.benched, model.solvers[1:]),
-        ("lines", model.lines, model.solvers),
-        ("parameters", model.parameters, {**VdmTable.model_fields, **model.own}),
-        ("own", model.own, model.parameters),
-        ("by_rule", model.by_rule, model.parameters),
-        ("tissue", model.tissue, Tissue.model_fields),
-    ):
-        if unknown := [key for key in keys if key not in known]:
-            raise RegistrationError(
-                f"{model.name} declares {what} that there are none of: {', '.join(unknown)}"
-            )
-    for key, parameter in model.own.items():
-        if key in VdmTable.model_fields or own_parameters().get(key, parameter) != parameter:
-            raise RegistrationError(f"{model.name}: {key} is declared already, as something else")
-        if parameter.unit not in DIMENSIONS:
-            raise RegistrationError(f"{model.name}: {key} has none of the units {', '.join(DIMENSIONS)}")
-    MODELS[model.name] = model
+MODELS: dict[str, Declared] = {}  # filled by `vdmbench.models.register` of the families, see `all_models`
 
 
 def own_parameters() -> dict[str, Parameter]:
@@ -188,7 +110,7 @@ def _load_families() -> None:
         entry.load()
 
 
-def all_models() -> dict[str, Model]:
+def all_models() -> dict[str, Declared]:
     """Every model by its name, those of other packages too."""
     _load_families()
     return MODELS
@@ -212,7 +134,7 @@ def benched_names() -> list[str]:
     ]
 
 
-def find(name: str) -> tuple[Model, str]:
+def find(name: str) -> tuple[Declared, str]:
     """The model and solver behind "name" or "name:solver".
 
     Raises

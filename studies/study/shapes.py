@@ -11,8 +11,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ..machine.errors import MeshError
-from ..machine.modules import load_all
+from .errors import MeshError
+from .modules import load_all
 
 if TYPE_CHECKING:
     import numpy as np

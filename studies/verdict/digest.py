@@ -15,7 +15,7 @@ from ..measures import uncertainty
 from ..measures.bars import value_bar
 from ..measures.case import CaseResult, Run
 from ..measures.metrics import DEFORMATION, VECTOR
-from ..models.result import ModelResult
+from ..scene.result import ModelResult
 from ..study.model_name import is_vdm
 from . import palette
 from .acceptance import Acceptance, acceptance

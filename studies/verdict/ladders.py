@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..measures.case import CaseResult
-from ..models.result import ModelResult
+from ..scene.result import ModelResult
 from ..study.model_name import is_linear, split
 from .digest import Array, Digest, failed_steps
 from .formatting import swept_value

@@ -22,7 +22,7 @@ from vdmbench.graph.nodes import bodies, graph
 from vdmbench.graph.run import Event, Options, _run_missing
 from vdmbench.graph.space import without_room
 from vdmbench.measures import metrics
-from vdmbench.models.result import StepStatus
+from vdmbench.scene.result import StepStatus
 from vdmbench.store.cases import read_case
 
 from . import shared_work

@@ -21,7 +21,7 @@ from vdmbench.body.mesh import Array, Index, Mesh
 from vdmbench.body.read_apart import read_clean
 from vdmbench.body.topology import tetrahedron_volumes
 from vdmbench.graph.plan import PlannedMesh
-from vdmbench.machine.errors import MeshError
+from vdmbench.study.errors import MeshError
 from vdmbench.study.geometry_spec import Geometry
 
 SUFFIXES = ["a.stl", "b.stl", "a.obj", "a.ply", "b.ply", "a.vtp", "b.vtp"]

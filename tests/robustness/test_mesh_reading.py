@@ -14,7 +14,7 @@ from tests.command import write_study
 from vdmbench.body import read_apart
 from vdmbench.body.read_apart import clean_surface_of, clean_tetrahedra_of, read_clean
 from vdmbench.cli.main import main
-from vdmbench.machine.errors import MeshError
+from vdmbench.study.errors import MeshError
 
 VTP = (
     '<?xml version="1.0"?><VTKFile type="{kind}" version="0.1" byte_order="LittleEndian"><PolyData>'

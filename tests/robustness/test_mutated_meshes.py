@@ -14,7 +14,7 @@ from vdmbench.body.geometry import build_mesh
 from vdmbench.body.mesh import Mesh
 from vdmbench.body.read_apart import clean_surface_of, clean_tetrahedra_of
 from vdmbench.body.topology import mesh_from_tetrahedra, mesh_from_triangles
-from vdmbench.machine.errors import MeshError
+from vdmbench.study.errors import MeshError
 from vdmbench.study.geometry_spec import VOLUME_SUFFIXES, Geometry
 
 from .test_mesh_files import SUFFIXES, VOLUMES, write_named

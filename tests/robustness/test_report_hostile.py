@@ -14,10 +14,10 @@ import pytest
 from tests.unit.browser import Browser, chromium
 from tests.unit.report_runs import make_case, make_run
 from vdmbench.measures.case import CaseResult, Run
-from vdmbench.models.result import StepStatus
 from vdmbench.report.headline import headline_rows
 from vdmbench.report.page import page_html, write_report
 from vdmbench.report.picture import Panel
+from vdmbench.scene.result import StepStatus
 
 ATTACKS = (
     "<script>window.owned = 1</script>",

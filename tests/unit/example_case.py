@@ -6,7 +6,7 @@ import numpy as np
 
 from vdmbench.measures.case import CaseResult, Limit, MetricSeries, ModelLimits, SmallStrainLimits
 from vdmbench.measures.measurement import Measurement, Quantity
-from vdmbench.models.result import ModelResult, StepStatus
+from vdmbench.scene.result import ModelResult, StepStatus
 
 N_STEPS = 3
 RESOLVED = {

@@ -11,7 +11,7 @@ import numpy as np
 from vdmbench.body.surface_measures import Surface
 from vdmbench.measures.case import CaseResult, MetricSeries, Run
 from vdmbench.measures.metrics import METRICS, History, evaluate
-from vdmbench.models.result import ModelResult, StepStatus
+from vdmbench.scene.result import ModelResult, StepStatus
 
 RADIUS = 0.05  # m
 AMPLITUDE = 0.002  # m, radial displacement at the poles at full load

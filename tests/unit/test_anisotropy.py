@@ -20,7 +20,7 @@ from vdmbench.graph.explain import refused
 from vdmbench.graph.nodes import bodies
 from vdmbench.graph.plan import make_plan
 from vdmbench.measures.metrics import METRICS, History
-from vdmbench.models.result import ModelResult
+from vdmbench.scene.result import ModelResult
 from vdmbench.scene.scene import build_scene
 from vdmbench.study.config import expand, geometry_of
 from vdmbench.study.schema import Study

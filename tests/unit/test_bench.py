@@ -33,8 +33,8 @@ from vdmbench.evidence.bench_data import (
 from vdmbench.evidence.bench_page import bench_html
 from vdmbench.evidence.growth import RADIUS, fill_and_flops, sphere
 from vdmbench.evidence.timing import SAMPLE, SAMPLES, calls_of_a_sample, median_of_samples, median_seconds
-from vdmbench.machine.errors import InputError
 from vdmbench.study.config import load_study
+from vdmbench.study.errors import InputError
 
 
 def entry(model: str, recut: float, frame: float, error: float, **changes: Any) -> Entry:

@@ -11,7 +11,7 @@ from vdmbench.body.geometry import build_mesh
 from vdmbench.body.mesh import Mesh
 from vdmbench.body.surface_measures import facet_area_vectors
 from vdmbench.body.topology import tetrahedron_sicn, tetrahedron_volumes
-from vdmbench.machine.errors import MeshError
+from vdmbench.study.errors import MeshError
 from vdmbench.study.geometry_spec import Geometry, check_geometry, geometry_key
 
 

@@ -25,8 +25,8 @@ from vdmbench.body.remesh import subdivided, surface_distance, uniform_surface, 
 from vdmbench.body.repair import CleanSurface
 from vdmbench.body.surface_measures import enclosed_volume, facet_area_vectors
 from vdmbench.body.topology import consistent_orientation, tetrahedron_sicn, tetrahedron_volumes
-from vdmbench.machine.errors import MeshError
 from vdmbench.study import geometry_spec
+from vdmbench.study.errors import MeshError
 from vdmbench.study.geometry_spec import Geometry, area_and_volume, check_geometry, extents, geometry_key
 from vdmbench.study.shape_organ import liver_points
 

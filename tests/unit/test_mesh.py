@@ -25,7 +25,7 @@ from vdmbench.body.topology import (
     tetrahedron_sicn,
     tetrahedron_volumes,
 )
-from vdmbench.machine.errors import MeshError
+from vdmbench.study.errors import MeshError
 
 CORNER = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]])
 ONE = np.array([[0, 1, 2, 3]])

@@ -16,7 +16,6 @@ import pytest
 from numpy.testing import assert_allclose
 
 from vdmbench.measures.case import Limit, ModelLimits, SmallStrainLimits
-from vdmbench.models.result import StepStatus
 from vdmbench.report import page as page_module
 from vdmbench.report.blocks import Figures
 from vdmbench.report.document import script_json
@@ -25,6 +24,7 @@ from vdmbench.report.picture import Panel
 from vdmbench.report.plots import place
 from vdmbench.report.section_errors import error_against_parameters
 from vdmbench.report.view import View, candidates, displacement_scale, payload
+from vdmbench.scene.result import StepStatus
 from vdmbench.verdict.digest import Digest
 from vdmbench.verdict.formatting import parameter_name, percent
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 import subprocess
 import sys
+from graphlib import TopologicalSorter
 from pathlib import Path
 
 import pytest
@@ -31,6 +32,7 @@ ROOMS = (
     "evidence",
     "cli",
 )
+MOST_FLOORS = 8
 NOT_ALLOWED = {"report": {"graph"}, "guard": {"graph", "models", "scene", "report"}}
 # each of these is behind one module
 BEHIND = {
@@ -44,13 +46,13 @@ BEHIND = {
 }
 
 
-def _imports(path: Path) -> set[str]:
-    """Absolute dotted names of all that a file imports when it runs, wherever in the file."""
+def _imports(path: Path, *, types: bool = False) -> set[str]:
+    """Absolute dotted names of all that a file imports, wherever in the file: when it runs, or for `types` too."""
     package = ("vdmbench", *path.relative_to(ROOT).parent.parts[1:])
     names = set()
     tree = ast.parse(path.read_text())
     for node in ast.walk(tree):
-        if isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING":
+        if isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING" and not types:
             node.body = []
     for node in ast.walk(tree):
         if isinstance(node, ast.Import):
@@ -71,8 +73,8 @@ def _name(path: Path) -> str:
 
 
 def _rooms(path: Path) -> set[str]:
-    """The rooms that a file imports from."""
-    parts = (name.split(".") for name in _imports(path))
+    """The rooms that a file imports from, for its types too."""
+    parts = (name.split(".") for name in _imports(path, types=True))
     return {part[1] for part in parts if part[0] == "vdmbench" and len(part) > 1}
 
 
@@ -92,6 +94,26 @@ def test_arrows_go_one_way(room: str) -> None:
 
 def test_an_arrow_is_seen() -> None:
     assert {"store", "study", "machine"} <= _rooms(ROOT / "studies" / "graph" / "run.py")
+    assert "verdict" in _rooms(ROOT / "studies" / "api.py"), "for types too"
+
+
+def _floors() -> dict[str, int]:
+    """Floor of each room: above all that it imports, the lowest 1."""
+    below = {
+        room: {other for path in (ROOT / "studies" / room).rglob("*.py") for other in _rooms(path) - {room}}
+        for room in ROOMS
+    }
+    floors: dict[str, int] = {}
+    for room in TopologicalSorter(below).static_order():
+        floors[room] = 1 + max((floors[other] for other in below[room]), default=0)
+    return floors
+
+
+def test_the_house_has_no_more_floors() -> None:
+    """A room that takes a small thing from its neighbour can add one: put that where both may take it."""
+    floors = _floors()
+    assert floors["study"] == floors["machine"] == 1
+    assert max(floors.values()) <= MOST_FLOORS, floors
 
 
 def test_the_solver_libraries_stand_alone() -> None:

@@ -14,11 +14,11 @@ from vdmbench import models
 from vdmbench.body.mesh_cache import mesh_from_cache
 from vdmbench.body.refine import inherit, refine
 from vdmbench.body.surface_measures import Surface, relative_l2
-from vdmbench.measures import small_strain
+from vdmbench.graph import small_strain
+from vdmbench.graph.small_strain import small_strain_limits
 from vdmbench.measures.case import SmallStrainLimits
 from vdmbench.measures.limits import LoadPath, LoadPoint
-from vdmbench.measures.small_strain import small_strain_limits
-from vdmbench.models.result import ModelResult
+from vdmbench.scene.result import ModelResult
 from vdmbench.scene.scene import Scene, SurfaceLoad, build_scene
 from vdmbench.study.config import geometry_of, load_study, raised, value_and_unit
 from vdmbench.study.problems import StudyError

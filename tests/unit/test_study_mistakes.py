@@ -6,9 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from vdmbench.machine.errors import MeshError
 from vdmbench.models import model_names
 from vdmbench.study.config import StudyError, geometry_error, load_study
+from vdmbench.study.errors import MeshError
 
 from .study_texts import SMALL, problems
 

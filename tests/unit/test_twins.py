@@ -15,7 +15,7 @@ import vdm.solution
 from vdmbench import models
 from vdmbench.cli.doctor import LIBRARIES, PACKAGES
 from vdmbench.models import costs
-from vdmbench.models.result import ModelResult
+from vdmbench.scene.result import ModelResult
 
 ROOT = Path(__file__).parents[2]
 

@@ -11,7 +11,7 @@ import pytest
 
 from vdmbench.measures.case import CaseResult, MetricSeries, Run
 from vdmbench.measures.metrics import DEFORMATION, METRICS, VECTOR, History, evaluate
-from vdmbench.models.result import StepStatus
+from vdmbench.scene.result import StepStatus
 from vdmbench.verdict.digest import Digest
 from vdmbench.verdict.verdict import Verdict, verdict
 from vdmbench.verdict.why_not import (

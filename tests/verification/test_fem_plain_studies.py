@@ -13,10 +13,10 @@ from tests.unit.test_shipped_studies import NAMES, shipped
 from vdmbench import models
 from vdmbench.body.geometry import build_mesh
 from vdmbench.body.mesh import Mesh
-from vdmbench.machine.errors import InputError
-from vdmbench.models.result import ModelResult
+from vdmbench.scene.result import ModelResult
 from vdmbench.scene.scene import Scene, build_scene
 from vdmbench.study.config import expand, geometry_of
+from vdmbench.study.errors import InputError
 from vdmbench.study.model_name import split
 from vdmbench.study.schema import Study
 

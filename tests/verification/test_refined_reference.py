@@ -15,7 +15,7 @@ from vdmbench.body.surface_measures import Surface, relative_l2, weighted_norm, 
 from vdmbench.measures.metrics import METRICS, History, evaluate
 from vdmbench.measures.reference import level_scene, own_error, restricted
 from vdmbench.measures.uncertainty import reference_bar, stored_estimate
-from vdmbench.models.result import ModelResult
+from vdmbench.scene.result import ModelResult
 from vdmbench.scene.scene import Scene, build_scene
 from vdmbench.study.config import geometry_of
 from vdmbench.study.schema import Study, VdmTable

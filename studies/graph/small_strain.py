@@ -16,13 +16,13 @@ from ..body.mesh import Array, Mask, Mesh
 from ..body.refine import refined
 from ..body.surface_measures import Surface, relative_l2
 from ..machine.sealed import read_arrays, write_arrays
-from ..models.result import ModelResult
+from ..measures.case import Limit, ModelLimits, SmallStrainLimits
+from ..measures.limits import SMALL, LoadPath, LoadPoint, model_limits, on_finer_mesh
+from ..measures.metrics import mean_indentation
+from ..scene.result import ModelResult
 from ..scene.scene import Scene, build_scene
 from ..study.config import raised, start_of
 from ..study.schema import Study
-from .case import Limit, ModelLimits, SmallStrainLimits
-from .limits import SMALL, LoadPath, LoadPoint, model_limits, on_finer_mesh
-from .metrics import mean_indentation
 
 STRAIN = "max_principal_strain"
 EXPECTED_LOADS = 30  # that a search tries

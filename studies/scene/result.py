@@ -10,6 +10,8 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
+REFUSED = "refused"  # status of a model that could not be set up: before any solve, for a reason of the input
+
 
 @dataclass(frozen=True)
 class StepStatus:
