@@ -13,6 +13,7 @@ from ..measures.uncertainty import is_resolved
 from ..verdict.digest import Digest, ModelSummary, Spread
 from ..verdict.formatting import NOT_MEASURED, NOTHING, percent, plain, plural, quantity
 from ..verdict.measured import measured
+from ..verdict.motion import along_normals
 from .blocks import Cell, Column, Section, Table, Text
 from .section_cost import time_notes
 
@@ -32,6 +33,7 @@ def headline_rows(run: Run) -> list[dict[str, str]]:
             row["displacement error"] = _one_line(summary.vector)
             row["deformation error"] = _one_line(summary.deformation)
             row["reference's own"] = _bars_in_words(summary.vector, summary.deformation)
+            row["along normals"] = _along_normals(digest, summary)
         drift = _drift(summary.drift)
         row["volume drift"] = " ".join(filter(None, (drift.text, drift.detail)))
         marks = measured(run, summary.name)
@@ -77,8 +79,15 @@ def _terminal_errors(digest: Digest, summary: ModelSummary) -> dict[str, str]:
 def _terminal_notes(digest: Digest, summary: ModelSummary) -> list[str]:
     marks = measured(digest.run, summary.name)
     notes = ["reference, own error"] if summary.is_reference else []
+    notes += filter(None, [_about_form(digest, summary)])
     notes += [f"no answer in {plural(summary.failed_cases, 'case')}"] if summary.failed_cases else []
     return notes + ([f"times: {', '.join(marks)}"] if marks else [])
+
+
+def _along_normals(digest: Digest, summary: ModelSummary) -> str:
+    """The floor of a form that moves nodes along normals, and its error in what it predicts; "" of any other."""
+    found = along_normals(digest, summary.name)
+    return f"at least {percent(found[0])}, normal component {percent(found[1])}" if found else ""
 
 
 def headline_metrics(run: Run) -> dict[str, dict[str, dict[str, Any]]]:
@@ -155,7 +164,9 @@ def _table(digest: Digest) -> Table:
     columns += [Column("Set-up", unit="s"), Column("Per frame", unit="s"), Column("Memory", unit="B")]
     rows = []
     for summary in digest.summaries:
-        row = [Cell(summary.name, _about_model(summary))]
+        row = [
+            Cell(summary.name, "\n".join(filter(None, (_about_model(summary), _about_form(digest, summary)))))
+        ]
         if digest.compared:
             for spread in (summary.vector, summary.deformation):
                 row += [_median(spread), _worst(spread)] if many else [_worst(spread)]
@@ -175,6 +186,11 @@ def _about_model(summary: ModelSummary) -> str:
     if summary.failed_cases:
         about.append(f"incomplete in {plural(summary.failed_cases, 'case')}")
     return ", ".join(about)
+
+
+def _about_form(digest: Digest, summary: ModelSummary) -> str:
+    told = _along_normals(digest, summary)
+    return f"along normals: {told}" if told else ""
 
 
 def _about_setup(summary: ModelSummary) -> str:
@@ -230,6 +246,11 @@ def _reading(digest: Digest) -> str:
             "An error is the area-weighted L2 norm of the difference over that of the reference. The deformation "
             "error leaves out the rigid motion, which most models get right: it is the error in change of shape. "
             "± is the reference's own error. A difference is resolved where that is at most a tenth of it."
+        )
+    if any(along_normals(digest, summary.name) for summary in digest.summaries):
+        parts.append(
+            "A form along normals cannot have a displacement error below the one named: that of the reference "
+            "itself, moved so. The normal component is what it predicts."
         )
     parts.append(
         "Volume drift is the change of the enclosed volume, in the worst case. A linear answer adds some in second "

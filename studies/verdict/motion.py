@@ -22,20 +22,29 @@ def motion_in_words(digest: Digest) -> tuple[str, ...]:
             f"Rigid motion is {short_percent(rigid)} of the reference's displacement. "
             "The change of shape leaves it out."
         )
-    scalar = [name for name in digest.compared if _moves_along_normals(digest, name)]
-    if scalar and math.isfinite(floor):
-        kind = plural(len(scalar), "model")
-        own = listed(f"{name} {short_percent(_median(digest, name, _NORMAL))}" for name in scalar)
+    own = {name: found[1] for name in digest.compared if (found := along_normals(digest, name)) is not None}
+    if own:
+        told = listed(f"{name} {short_percent(error)}" for name, error in own.items())
         sentences.append(
-            f"{kind.capitalize()} can move nodes along normals only: the reference itself, moved so, is "
-            f"{short_percent(floor)} off. Errors of the normal component alone: {own}."
+            f"{plural(len(own), 'model').capitalize()} can move nodes along normals only: the reference itself, "
+            f"moved so, is {short_percent(floor)} off. Errors of the normal component alone: {told}."
         )
     return tuple(sentences)
 
 
-def _moves_along_normals(digest: Digest, model: str) -> bool:
+def along_normals(digest: Digest, model: str) -> tuple[float, float] | None:
+    """Of a model that moves nodes along normals only, medians over the cases; None of any other.
+
+    Returns
+    -------
+    the displacement error of the reference itself, moved so, below which the model cannot be, and the model's error
+    in the normal component, which is what it predicts
+    """
     share = digest.spread(model, "tangential_share")
-    return share is not None and share.worst < _ALONG_NORMALS
+    if digest.reference is None or share is None or not share.worst < _ALONG_NORMALS:
+        return None
+    floor = _median(digest, digest.reference, "tangential_share")
+    return (floor, _median(digest, model, _NORMAL)) if math.isfinite(floor) else None
 
 
 def _median(digest: Digest, model: str, metric: str) -> float:
