@@ -283,6 +283,8 @@ def _same_body(one: Scene, other: Scene) -> bool:
         and one.parameters == other.parameters
         and one.overrides == other.overrides
         and one.environment_pressure == other.environment_pressure
+        and [(part.stiffness, part.direction, part.facets.tobytes()) for part in one.springs]
+        == [(part.stiffness, part.direction, part.facets.tobytes()) for part in other.springs]
         and all(
             np.array_equal(getattr(one, name), getattr(other, name))
             for name in ("fixed", "constrained", "gravity")

@@ -157,12 +157,24 @@ def _body(study: Study, inputs: Mapping[str, Any], name: str) -> dict[str, Any]:
             for part in inputs["constraints"]
             if part["kind"] in KINDS and KINDS[part["kind"]].holds
         ],
+        **_supports(inputs),
         "gravity": gravity if weighs else None,
         "anisotropy": inputs.get("anisotropy"),
         "parameters": {key: value for key, value in parameters.items() if key in model.parameters},
         "environment": None if model.volumetric else inputs.get("environment"),
         "touched": _touched(inputs) if model.contact_in_setup else None,
     } | _outputs(study)
+
+
+def _supports(inputs: Mapping[str, Any]) -> dict[str, Any]:
+    """What resists without holding, with its keys; nothing where there is none."""
+    found = []
+    for part in inputs["constraints"]:
+        kind = KINDS.get(part["kind"])
+        if kind is not None and kind.supports:
+            own = {key: part.get(key) for key in ("kind", *kind.keys)}
+            found.append(own | _held(part, inputs) | {"versions": kind.versions(part)})
+    return {"supports": found} if found else {}
 
 
 def _held(constraint: Mapping[str, Any], inputs: Mapping[str, Any]) -> dict[str, Any]:

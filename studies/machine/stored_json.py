@@ -105,6 +105,7 @@ class ConstraintShape(Shape):
     pressure: _Finite | None = None
     displacement: _Vector | None = None
     resultant: _Vector | None = None
+    stiffness: _Finite | None = None
 
 
 class TissueShape(Shape):

@@ -20,6 +20,7 @@ from fem_reference.linear import LinearProblem
 from fem_reference.loads import Load, nodal_forces, prescribed_nodes
 from fem_reference.mesh import TetMesh, facet_quadrature, triangle_p2
 from fem_reference.solution import CONVERGED, Solution, SolverError, Status
+from fem_reference.springs import ElasticSupport
 
 from ..body.geometry import fill_surface
 from ..body.mesh import Array, Index, Mask, Mesh
@@ -93,6 +94,29 @@ def coarse_support(scene: Scene, coarse: Mesh) -> tuple[Mask, Index]:
     return distance <= reach, nodes[place]
 
 
+def coarse_springs(scene: Scene, coarse: Mesh) -> list[ElasticSupport]:
+    """The scene's springs under the coarse facets whose nearest facet has them, of the same stiffness altogether.
+
+    Raises
+    ------
+    SolverError
+        springs under no coarse facet.
+    """
+    if not scene.springs:
+        return []
+    tree = cKDTree(scene.mesh.surface_points[scene.mesh.triangles].mean(axis=1))
+    nearest = np.asarray(tree.query(coarse.surface_points[coarse.triangles].mean(axis=1))[1])
+    own, areas = _areas(scene.mesh), _areas(coarse)
+    found = []
+    for part in scene.springs:
+        facets = part.facets[nearest]
+        if not facets.any():
+            raise SolverError(SMALL_SUPPORT)
+        stiffness = part.stiffness * own[part.facets].sum() / areas[facets].sum()
+        found.append(ElasticSupport(facets, stiffness, part.direction))
+    return found
+
+
 def _areas(mesh: Mesh) -> Array:
     return facet_areas(mesh.surface_points, mesh.triangles)
 
@@ -121,9 +145,9 @@ class CoarseProblem:
         self._scene = scene
         coarse, tissue, fibres = coarse_mesh(scene.mesh), scene.tissue, scene.anisotropy
         held, nearest = coarse_support(scene, coarse)
-        options: dict[str, Any] = {}
+        options: dict[str, Any] = {"elastic_supports": coarse_springs(scene, coarse)}
         if fibres:
-            options = {"fibre_direction": fibres.fibre_direction, "contrast": fibres.contrast}
+            options |= {"fibre_direction": fibres.fibre_direction, "contrast": fibres.contrast}
         self.problem = LinearProblem(
             coarse.points,
             coarse.tetrahedra,
@@ -212,8 +236,8 @@ def _frame(scene: Scene, problem: LinearProblem, transfer: Transfer, load: Surfa
 
 
 def _reaction(scene: Scene, problem: LinearProblem, nodal: Array) -> Array:
-    """(N, 3) coarse reactions (n_nodes, 3), each at the nearest held node of the scene."""
-    held = np.flatnonzero(scene.held)
+    """(N, 3) coarse reactions (n_nodes, 3), each at the nearest node of the scene that is held or has springs."""
+    held = np.flatnonzero(scene.supported)
     pulling = np.flatnonzero(nodal.any(axis=1))
     place = cKDTree(scene.mesh.surface_points[held]).query(problem.mesh.node_points[pulling])[1]
     out = np.zeros((len(scene.held), 3))

@@ -17,6 +17,7 @@ from .model import Model, SetUp, register
 if TYPE_CHECKING:
     from fem_reference.loads import Load as FemLoad
     from fem_reference.mesh import TetMesh
+    from fem_reference.springs import ElasticSupport
 
 # scikit-fem's own assembly and a general LU factor: what the fast path is held to
 PLAIN = "plain"
@@ -101,8 +102,15 @@ def _body(scene: Scene) -> dict[str, Any]:
         "poisson_ratio": tissue.poisson_ratio,
         "density": tissue.density,
         "held": scene.held,
+        "elastic_supports": _springs(scene),
         **({"fibre_direction": fibres.fibre_direction, "contrast": fibres.contrast} if fibres else {}),
     }
+
+
+def _springs(scene: Scene) -> list[ElasticSupport]:
+    from fem_reference.springs import ElasticSupport
+
+    return [ElasticSupport(part.facets, part.stiffness, part.direction) for part in scene.springs]
 
 
 def _fem_loads(loads: Sequence[SurfaceLoad], mesh: TetMesh) -> list[FemLoad]:
@@ -121,6 +129,14 @@ def _asked(scene: Scene, *outputs: str) -> frozenset[str]:
     return frozenset({*outputs, "condition_estimate"} if scene.condition else outputs)
 
 
+_BOTH, _ONE = ("linear", PLAIN), ("linear",)
+
+
+def _takes(solvers: tuple[str, ...]) -> dict[str, tuple[str, ...]]:
+    """What all elements take that not every model does."""
+    return dict.fromkeys(("normal springs", "full springs"), solvers)
+
+
 _elements = partial(
     Model,
     volumetric=True,
@@ -130,15 +146,17 @@ _elements = partial(
     parameters=(),
     fibres=True,
     cost=costs.linear,
+    takes=_takes(_ONE),
 )
 for _model in (
     _elements(
         name="fem-linear",
         version="3",
         prepare=_small_strain,
-        lines=("linear", PLAIN),
-        solvers=("linear", PLAIN),
-        superposes=("linear", PLAIN),
+        lines=_BOTH,
+        takes=_takes(_BOTH),
+        solvers=_BOTH,
+        superposes=_BOTH,
     ),
     _elements(
         name="fem-p1", version="2", prepare=_small_strain, cost=costs.elements("P1"), lines=("linear",)
@@ -153,8 +171,9 @@ for _model in (
         version="2",
         prepare=_finite_strain,
         cost=costs.finite_strain,
-        lines=("linear", PLAIN),
-        solvers=("linear", PLAIN),
+        lines=_BOTH,
+        takes=_takes(_BOTH),
+        solvers=_BOTH,
         superposes=(),
         continues=_finite_strain_onward,
     ),

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Protocol, cast
 
 from ..scene.scene import Scene, SurfaceLoad
 from ..study import registry
+from ..study.extras import EXTRAS
 from ..study.registry import MODELS, Declared, own_parameters
 from ..study.schema import Tissue, VdmTable
 from ..study.units import DIMENSIONS
@@ -77,6 +78,8 @@ def register(model: Model) -> None:
         ("superposes", model.superposes, model.solvers),
         ("benched", model.benched, model.solvers[1:]),
         ("lines", model.lines, model.solvers),
+        ("takes", model.takes, EXTRAS),
+        ("takes", {solver for solvers in model.takes.values() for solver in solvers}, model.solvers),
         ("parameters", model.parameters, {**VdmTable.model_fields, **model.own}),
         ("own", model.own, model.parameters),
         ("by_rule", model.by_rule, model.parameters),

@@ -12,6 +12,7 @@ from ..body.surface_measures import enclosed_volumes
 from ..machine.memory import peak_bytes_since, reset_peak
 from ..scene.result import REFUSED, ModelResult, StepStatus
 from ..scene.scene import Scene, SurfaceLoad
+from ..study.registry import lacks
 from .model import Model, SetUp, find
 
 if TYPE_CHECKING:
@@ -35,6 +36,8 @@ class Prepared:
                 raise ValueError(f"{self.model.name} is isotropic; use another model for fibres")
             if scene.lines and solver not in self.model.lines:
                 raise ValueError(f"{name} takes no force along a line; use another model for it")
+            if lacking := lacks(name, scene.extras):
+                raise ValueError(f"{name} takes no {lacking[0]}; use another model for it")
             self.set_up = prepare(scene, solver, name, n_loads)
         except (
             ValueError

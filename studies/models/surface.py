@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..body.mesh import Mesh
+from ..body.mesh import Array, Mesh
+from ..body.surface_measures import facet_areas, nodal_sum
 from ..scene.scene import Scene, SurfaceLoad
 from ..study.model_name import split, takes_fluid
 from . import costs
@@ -17,6 +18,7 @@ from .model import Model as Registered
 from .model import SetUp, register
 
 if TYPE_CHECKING:
+    from vdm.material import Parameters
     from vdm.model import Model
     from vdm.solution import Solution
     from vdm.surface import SurfaceMesh
@@ -29,6 +31,8 @@ def prepare_surface(scene: Scene, solver: str, name: str, n_loads: int) -> SetUp
 
     model = _model(**_inputs(scene, name))
 
+    springs = nodal_springs(scene)
+
     def solve(loads: Sequence[SurfaceLoad]) -> Solution:
         steps = [
             Load(
@@ -39,9 +43,29 @@ def prepare_surface(scene: Scene, solver: str, name: str, n_loads: int) -> SetUp
             )
             for load in loads
         ]
-        return model.solve(steps, condition=scene.condition)
+        solution = model.solve(steps, condition=scene.condition)
+        return solution if springs is None else _apart(solution, springs, model.surface.normals)
 
     return SetUp(solve, model.solver if isinstance(model.solver, LinearSolver) else None)
+
+
+def nodal_springs(scene: Scene) -> Array | None:
+    """(N,) stiffness of the springs along the normals at the nodes [N/m]; None where there are none."""
+    if not scene.springs:
+        return None
+    points, triangles = scene.mesh.surface_points, scene.mesh.triangles
+    areas = facet_areas(points, triangles)
+    per_facet = sum((part.stiffness * part.facets * areas for part in scene.springs), np.zeros(len(areas)))
+    return nodal_sum(per_facet, triangles, len(points))
+
+
+def _apart(solution: Solution, springs: Array, normals: Array) -> Solution:
+    """The solution with the force of the springs among the reactions, and the energy of the body alone."""
+    along = np.einsum("sni,ni->sn", solution.displacement, normals)
+    reaction = solution.reaction_force - (springs * along)[:, :, None] * normals
+    return dataclasses.replace(
+        solution, reaction_force=reaction, energy=solution.energy - 0.5 * along**2 @ springs
+    )
 
 
 def _inputs(scene: Scene, name: str) -> dict[str, Any]:
@@ -63,6 +87,7 @@ def _inputs(scene: Scene, name: str) -> dict[str, Any]:
         "constrained": scene.constrained,
         "gravity": scene.gravity,
         "environment_pressure": scene.environment_pressure,
+        "springs": nodal_springs(scene),
     }
 
 
@@ -75,6 +100,7 @@ def _model(
     fibres: tuple[tuple[float, ...], float] | None,
     formulation: str,
     solver: str,
+    springs: Array | None,
     **options: Any,
 ) -> Model:
     """The model of a tissue of E and nu with the parameters `given`; `options` are the model's own."""
@@ -93,7 +119,8 @@ def _model(
             # a T of the study is the mean over the edges of one that grows from the support
             grown = chosen["surface_tension"] * (rule.surface_tension / rule.surface_tension.mean())
             whole = dataclasses.replace(whole, surface_tension=grown)
-        return whole if fibres is None else whole.anisotropic(surface, *fibres)
+        whole = whole if fibres is None else whole.anisotropic(surface, *fibres)
+        return whole if springs is None else _on_springs(whole, springs, surface)
 
     if penalty is not None:
         options |= {"constraint_method": "penalty-replaced", "penalty": penalty}  # (25) and (26) as printed
@@ -108,6 +135,19 @@ def _model(
     )
 
 
+def _on_springs(parameters: Parameters, springs: Array, surface: SurfaceMesh) -> Parameters:
+    """The material with springs as a foundation of its own at each node, which B_i over V / A is as well."""
+    changed: dict[str, Any] = {}
+    if parameters.bulk_modulus is not None:
+        height = surface.volume / surface.area
+        changed["bulk_modulus"] = parameters.bulk_modulus + height * springs / surface.nodal_areas
+    else:
+        own = 0.0 if parameters.foundation is None else parameters.foundation
+        changed["foundation"] = own + springs / surface.vector_areas
+    # the known bendings are those of a body that is held or free
+    return dataclasses.replace(parameters, youngs_modulus=None, **changed)
+
+
 _surface = partial(
     Registered,
     prepare=prepare_surface,
@@ -116,6 +156,7 @@ _surface = partial(
     tissue=("youngs_modulus",),
     cost=costs.surface,
 )
+SPRINGS = "normal springs"  # of `vdmbench.study.extras`
 VDM_SOLVERS = (
     "linear",
     "single",
@@ -135,6 +176,8 @@ for _registered in (
         version="4",
         # MINRES needs a symmetric matrix, which the printed form has not
         solvers=tuple(name for name in VDM_SOLVERS if name != "minres"),
+        # the nonlinear solver's areas, and with them its springs, grow with the deformation
+        takes={SPRINGS: tuple(name for name in VDM_SOLVERS if name not in ("minres", "nonlinear"))},
         parameters=("bulk_modulus", "connectivity_modulus", "penalty"),
         by_rule=("bulk_modulus", "connectivity_modulus"),
         fibres=True,
@@ -144,6 +187,7 @@ for _registered in (
         benched=("nonlinear", "cg"),
         version="5",
         solvers=VDM_SOLVERS,
+        takes={SPRINGS: VDM_SOLVERS},
         parameters=("foundation", "surface_tension", "penalty"),
         by_rule=("foundation", "surface_tension"),
         fibres=True,
@@ -153,6 +197,7 @@ for _registered in (
         benched=("quasi-linear", "nonlinear"),
         version="8",
         solvers=VDM_SOLVERS,
+        takes={SPRINGS: VDM_SOLVERS},
         parameters=("foundation", "surface_tension", "stretch_stiffness", "rotation", "penalty"),
         by_rule=("surface_tension",),
         lines=VDM_SOLVERS,

@@ -34,6 +34,7 @@ KINDS = {
     "contact": ("contact", "#ee6677"),
     "constrained": ("moved", "#c0a82e"),
     "line": ("pulled along a line", "#aa3377"),
+    "elastic": ("springs", "#228833"),
 }
 OTHER = "#666666"  # of a kind that has no colour of its own
 _ARROWS = {"contact": "#c42842", "constrained": "#8a7410"}  # their arrows, seen on body and ground

@@ -129,6 +129,8 @@ def _load(name: str, cases: Iterable[CaseResult]) -> str:
             elif constraint.get("pressure") is not None:
                 kind = "Pa" if constraint.get("profile") in (None, "uniform") else "peak"
                 found.setdefault(kind, []).append(factor * constraint["pressure"])
+            elif constraint.get("stiffness") is not None:
+                found.setdefault("Pa/m", []).append(constraint["stiffness"])
             elif constraint.get("displacement") is not None:
                 found.setdefault("m", []).append(factor * float(np.linalg.norm(constraint["displacement"])))
     told = [

@@ -88,6 +88,13 @@ class PlacedConstraint:
             raise self._error(f"covers {count} facets; a line is one node wide: make its region narrower")
         return np.asarray(edges, dtype=np.int64)
 
+    def facets(self) -> Mask:
+        """(F,) mask of the facets whose three nodes are in the region."""
+        inside = np.all(self.nodes[self.triangles], axis=1)
+        if not inside.any():
+            raise self._error("has no facet; enlarge its region or take a smaller mesh_size")
+        return np.asarray(inside)
+
     def _shape(self, profile: str | None) -> Array:
         barycentric, weights = quadrature()
         if profile in (None, "uniform"):

@@ -10,7 +10,8 @@ import numpy as np
 
 from ..body.mesh import Array, Index, Mask, Mesh
 from ..body.surface_measures import corner_sum, facet_area_vectors, nodal_sum
-from ..study.loads import KINDS
+from ..study.extras import extras_of
+from ..study.loads import KINDS, Springs
 from ..study.problems import Loc
 from ..study.schema import Anisotropy, Constraint, Study, Tissue
 from .coordinates import in_mesh_coordinates, origin
@@ -75,6 +76,8 @@ class Scene:
     anisotropy : fibre direction and contrast, None for an isotropic body
     condition : whether the condition of the VDM models' systems is estimated
     lines : forces along lines at load factor 1, see `SurfaceLoad`
+    springs : between facets and the ground
+    extras : what it has that not every model takes, see `vdmbench.study.extras`
     """
 
     mesh: Mesh
@@ -92,11 +95,21 @@ class Scene:
     anisotropy: Anisotropy | None
     condition: bool = False
     lines: tuple[tuple[Index, Array], ...] = ()
+    springs: tuple[Springs, ...] = ()
+    extras: frozenset[str] = frozenset()
 
     @property
     def held(self) -> Mask:
         """(N,) nodes whose displacement is known."""
         return self.fixed | self.constrained
+
+    @property
+    def supported(self) -> Mask:
+        """(N,) nodes that are held, or have springs."""
+        found = self.held
+        for part in self.springs:
+            found[self.mesh.triangles[part.facets].ravel()] = True
+        return found
 
     @cached_property
     def _thrust(self) -> Array:
@@ -164,6 +177,7 @@ def build_scene(study: Study, mesh: Mesh, masks: Mapping[str, Mask] | None = Non
     prescribed = np.zeros((n_nodes, 3))
     pressure = np.zeros((len(mesh.triangles), len(quadrature()[1])))
     lines: list[tuple[Index, Array]] = []
+    springs: list[Springs] = []
     for constraint in study.constraints:
         mask = masks[constraint.region]
         if not mask.any():
@@ -192,13 +206,23 @@ def build_scene(study: Study, mesh: Mesh, masks: Mapping[str, Mask] | None = Non
         if acts.line is not None:
             edges, force = acts.line
             lines.append((edges, np.array(force)))
+        if acts.springs is not None:
+            springs.append(acts.springs)
     _check_apart(study, masks)
     judged = study.acceptance.region
     if judged is not None and not masks[judged].any():
         raise SceneError(_selects_nothing(judged, study, mesh), ("acceptance", "region"))
     for constraint in study.constraints:
         overlap = masks[constraint.region] & (fixed | constrained)
-        if not KINDS[constraint.kind].holds and overlap.any():
+        if KINDS[constraint.kind].supports:
+            shared = int(overlap[mesh.triangles].all(axis=1).sum())
+            if shared:
+                raise SceneError(
+                    f"{constraint.kind} {constraint.name!r} has {shared} facets that are fixed or constrained; "
+                    "keep the regions apart",
+                    _place(study, constraint),
+                )
+        elif not KINDS[constraint.kind].holds and overlap.any():
             raise SceneError(
                 f"{constraint.kind} {constraint.name!r} covers {overlap.sum()} nodes that are fixed or "
                 "constrained; keep the regions apart",
@@ -220,6 +244,8 @@ def build_scene(study: Study, mesh: Mesh, masks: Mapping[str, Mask] | None = Non
         anisotropy=study.anisotropy,
         condition=study.study.condition,
         lines=tuple(lines),
+        springs=tuple(springs),
+        extras=extras_of(study),
     )
 
 

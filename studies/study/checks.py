@@ -275,7 +275,7 @@ def _check_kind(constraint: Constraint, loc: Loc, regions: dict[str, Region]) ->
     allowed = _KIND_KEYS[constraint.kind]
     for key in sorted(present - allowed):
         takes = f"it takes {listed(allowed)}" if allowed else "it takes a region only"
-        yield (*loc, key), f"a {constraint.kind} constraint has no {key}; {takes}"
+        yield (*loc, key), f"{_a(constraint.kind)} constraint has no {key}; {takes}"
     kind = KINDS[constraint.kind]
     if len(loads := [name for name in kind.loads if name in present]) > 1:
         yield loc, f"has both {' and '.join(loads)}; keep one"
@@ -283,9 +283,16 @@ def _check_kind(constraint: Constraint, loc: Loc, regions: dict[str, Region]) ->
         yield loc, f"a {kind.name} needs either {' or '.join(kind.loads)}"
     elif not loads and kind.loads:
         yield (*loc, kind.loads[0]), f"is missing; give {kind.keys[kind.loads[0]].example or 'it'}"
+    for name, about in kind.keys.items():
+        if about.needed and name not in present:
+            yield (*loc, name), f"is missing; give {about.example or 'it'}"
     region = regions.get(constraint.region)
     for key, text in kind.check(constraint, frozenset(given(region)) if region else frozenset()).items():
         yield (*loc, key), text
+
+
+def _a(kind: str) -> str:
+    return f"{'an' if kind[0] in 'aeiou' else 'a'} {kind}"
 
 
 def _check_history(load: Load) -> Iterator[Finding]:

@@ -15,7 +15,7 @@ from .errors import MeshError
 from .fields import FieldRow, field_table, targets
 from .geometry_spec import Geometry as GeometrySpec
 from .kinds import MAX_NAME, is_safe_name
-from .loads import KINDS
+from .loads import KINDS, LOAD_KEYS
 from .measured_table import check_measured_cases
 from .model_name import FINITE_STRAIN, split
 from .problems import MOST_TOLD, Finding, Loc, Problem, Source, StudyError, file_fault
@@ -214,7 +214,7 @@ def _loads(data: Mapping[str, Any]) -> dict[str, Loc]:
         key: target.loc
         for key, target in targets(data).items()
         if target.si is not None
-        and target.loc[0] in ("constraints", "gravity")
+        and (target.loc[0] == "gravity" or (target.loc[0] == "constraints" and target.loc[2] in LOAD_KEYS))
         and fits_kind(data, target.loc)
     }
 
@@ -335,8 +335,9 @@ def _check_model_names(data: Mapping[str, Any]) -> Iterator[Finding]:
 
 
 def holds_nothing(study: Study) -> bool:
-    """Whether no constraint holds a part of the body, so that elements have no answer."""
-    return not any(KINDS[constraint.kind].holds for constraint in study.constraints or () if constraint.kind)
+    """Whether no constraint holds or supports a part of the body, so that elements have no answer."""
+    kinds = [KINDS[constraint.kind] for constraint in study.constraints or () if constraint.kind]
+    return not any(kind.holds or kind.supports for kind in kinds)
 
 
 def _check_held(study: Study | None) -> Iterator[Finding]:

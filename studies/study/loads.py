@@ -8,9 +8,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Annotated, Any, Protocol, get_args
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Protocol, get_args
 
-from .kinds import SI, Force, Position, Pressure
+from .kinds import SI, Force, Position, Pressure, positive
 from .modules import load_all
 from .profiles import PROFILES, VERSIONS, Profile
 
@@ -32,6 +32,7 @@ class LoadKey:
     type : of its value, with its unit, as the tables of `vdmbench.study.schema` have it
     help : what it is
     is_load : whether it says how much acts, and is raised by load factors; of several such keys one is given
+    needed : whether a constraint has to have it, and it is no load
     default : its value where it is left out
     example : what to give where it is missing
     versions : of its words, where they stand for functions; part of the keys of answers
@@ -40,6 +41,7 @@ class LoadKey:
     type: Any
     help: str
     is_load: bool = False
+    needed: bool = False
     default: Any = None
     example: str = ""
     versions: Mapping[str, str] = field(default_factory=dict)
@@ -77,6 +79,25 @@ class Placed(Protocol):
     def edges(self) -> Any:
         """(k, 2) edges of the surface between nodes that have no facet of their own. Raises SceneError."""
 
+    def facets(self) -> Any:
+        """(F,) mask of the facets whose three nodes are in the region. Raises SceneError where there is none."""
+
+
+@dataclass(frozen=True)
+class Springs:
+    """Springs between some facets and the ground.
+
+    Attributes
+    ----------
+    facets : (F,) mask
+    stiffness : per area of the undeformed surface [Pa/m]
+    direction : "normal" resists along the normal, "full" in every direction
+    """
+
+    facets: Any
+    stiffness: float
+    direction: str
+
 
 @dataclass(frozen=True)
 class Acts:
@@ -87,11 +108,13 @@ class Acts:
     displacement : (N, 3) or (3,) of the nodes of its region, where it moves them [m]
     pressure : (F, Q) into the body [Pa]
     line : (k, 2) edges and (3,) the force on them [N]
+    springs : under some of its facets
     """
 
     displacement: Any = None
     pressure: Any = None
     line: Any = None
+    springs: Springs | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -105,6 +128,7 @@ class LoadKind:
     version : raised whenever it acts otherwise; part of the keys of answers
     keys : its keys of [[constraints]] besides kind, region and name
     holds : whether the displacement of its nodes is known; nothing may press on those
+    supports : whether it resists what moves the body and leaves the displacement open: it belongs to a set-up
     act : what it does on a mesh
     check : what is wrong with the keys, beyond what they declare: key -> sentence
     """
@@ -114,6 +138,7 @@ class LoadKind:
     version: str
     keys: Mapping[str, LoadKey] = field(default_factory=dict)
     holds: bool
+    supports: bool = False
     act: Callable[[Constraint, Placed], Acts]
     check: Callable[[Constraint, frozenset[str]], Mapping[str, str]] = lambda *_: {}
 
@@ -155,9 +180,9 @@ def register(kind: LoadKind) -> None:
     """
     if kind.name in KINDS:
         raise ValueError(f"a kind of constraint {kind.name!r} is registered already")
-    if not kind.version or not (kind.holds or kind.loads):
+    if not kind.version or not (kind.holds or kind.supports or kind.loads):
         raise ValueError(
-            f"{kind.name}: a kind declares its version, and a key that is a load where it does not hold"
+            f"{kind.name}: a kind declares its version, and holds, supports or has a key that is a load"
         )
     for name, key in kind.keys.items():
         others = [other.keys[name] for other in KINDS.values() if name in other.keys]
@@ -247,4 +272,30 @@ register(
         act=lambda constraint, on: Acts(line=(on.edges(), constraint.resultant)),
     )
 )
+register(
+    LoadKind(
+        name="elastic",
+        help="on springs",
+        version="1",
+        keys={
+            "stiffness": LoadKey(
+                Annotated[float, SI("Pa/m"), positive],
+                "spring constant per area",
+                needed=True,
+                example='a pressure per length, such as "1 kPa/mm"',
+            ),
+            "direction": LoadKey(
+                Literal["normal", "full"],
+                "what the springs resist: motion along the normal, or any",
+                default="normal",
+            ),
+        },
+        holds=False,
+        supports=True,
+        act=lambda constraint, on: Acts(
+            springs=Springs(on.facets(), constraint.stiffness or 0.0, constraint.direction or "normal")
+        ),
+    )
+)
 load_all("vdmbench.study", "load_")  # last: they use what is above
+LOAD_KEYS = {name for kind in KINDS.values() for name in kind.loads}

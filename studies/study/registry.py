@@ -7,11 +7,13 @@ module registers its models when it is imported. A model is one `register(Model(
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field
 from functools import cache
 from importlib import import_module
 from importlib.metadata import entry_points
+
+from .extras import EXTRAS
 
 ENTRY_POINT = "vdmbench.models"
 _FAMILIES = ("vdmbench.models.surface", "vdmbench.models.elements")
@@ -73,6 +75,7 @@ class Declared:
     most_nodes : surface nodes beyond which it refuses a mesh; None where it has no such limit
     contact_in_setup : whether its set-up depends on where the body is touched and how it is moved
     lines : solvers that take a force along a line of edges; the others are refused it
+    takes : of `EXTRAS` what it takes, and with which solvers; the others are refused it
     own : of its parameters those that [vdm] has no key for: a study gives them in [models.NAME]
     benched : the solvers that a benchmark measures beside the default
     """
@@ -90,6 +93,7 @@ class Declared:
     most_nodes: int | None = None
     contact_in_setup: bool = False
     lines: tuple[str, ...] = ()
+    takes: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     own: Mapping[str, Parameter] = field(default_factory=dict)
     benched: tuple[str, ...] = ()
 
@@ -147,6 +151,14 @@ def find(name: str) -> tuple[Declared, str]:
     if solver and solver not in model.solvers:
         raise KeyError(name)
     return model, solver or model.solvers[0]
+
+
+def lacks(name: str, extras: Collection[str]) -> list[str]:
+    """Of these `EXTRAS` those that a model does not take with its solver, as they are said."""
+    model, solver = find(name)
+    return [
+        said for extra, said in EXTRAS.items() if extra in extras and solver not in model.takes.get(extra, ())
+    ]
 
 
 def reads(name: str) -> tuple[str, ...]:

@@ -247,6 +247,8 @@ class _AnyConstraint(Table):
         profile: str | None
         displacement: Vector3 | None
         resultant: Vector3 | None
+        stiffness: float | None
+        direction: str | None
     else:
         kind: Literal[tuple(KINDS)] = Field(
             description=", ".join(f"{kind.name}: {kind.help}" for kind in KINDS.values())

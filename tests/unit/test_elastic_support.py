@@ -1,0 +1,180 @@
+"""Springs between a part of the surface and the ground, by a study: between fixed and free in every model."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from vdmbench import models
+from vdmbench.body.geometry import build_mesh
+from vdmbench.body.mesh import Mesh
+from vdmbench.body.refine import refined
+from vdmbench.body.surface_measures import facet_areas
+from vdmbench.graph.keys import wanted
+from vdmbench.measures.reference import level_scene
+from vdmbench.scene.result import ModelResult
+from vdmbench.scene.scene import SceneError, build_scene
+from vdmbench.study.config import geometry_of, raised
+from vdmbench.study.model_name import is_linear
+from vdmbench.study.problems import Source
+from vdmbench.study.schema import Study
+from vdmbench.study.validation import validate
+
+FORCE = 0.02  # N: moves the top by a thousandth of its height
+BED: dict[str, Any] = {"kind": "elastic", "region": "bottom", "stiffness": 2e5}
+BASE: dict[str, Any] = {
+    "study": {"name": "test", "models": ["vdm-consistent", "fem-linear"], "reference": "fem-linear"},
+    "geometry": {"shape": "box", "size": [0.06, 0.03, 0.03], "mesh_size": 0.015},
+    "tissue": {"youngs_modulus": 5000.0, "poisson_ratio": 0.49},
+    "regions": {
+        "clamp": {"below": {"axis": "x", "fraction": 0.001}},
+        "bottom": {"below": {"axis": "z", "fraction": 0.001}},
+        "top": {"box": {"min": [-0.02, -0.02, 0.0149], "max": [0.04, 0.02, 0.0151]}},
+    },
+    "constraints": [
+        {"kind": "fixed", "region": "clamp"},
+        BED,
+        {"kind": "contact", "region": "top", "force": FORCE},
+    ],
+}
+
+SAME = [f"{model.name}:{model.solvers[0]}" for model in models.all_models().values()]
+SCALAR = ["vdm-paper", "vdm-consistent"]  # whose nodes move along normals only
+FULL = ["fem-linear", "fem-linear:plain", "fem-condensed", "fem-coarse", "fem"]
+
+
+def study(*parts: dict[str, Any], **tables: Any) -> Study:
+    clamp, _, push = BASE["constraints"]
+    given = {"constraints": [clamp, *parts, push]} if parts else {}
+    return Study.model_validate(BASE | given | tables)
+
+
+@pytest.fixture(scope="module")
+def box() -> Mesh:
+    return build_mesh(geometry_of(study()))
+
+
+def answer(mesh: Mesh, name: str, *parts: dict[str, Any], **tables: Any) -> ModelResult:
+    return models.run_model(build_scene(study(*parts, **tables), mesh), name)
+
+
+@pytest.mark.parametrize("direction", ["normal", "full"])
+@pytest.mark.parametrize("name", [name for name in models.model_names() if name not in SAME])
+def test_every_model_balances_it_or_refuses_it_by_name(box: Mesh, name: str, direction: str) -> None:
+    model, solver = models.find(name)
+    result = answer(box, name, BED | {"direction": direction})
+    if solver not in model.takes.get(f"{direction} springs", ()):
+        assert result.status[0].code == models.REFUSED
+        assert f"{name} takes no springs" in result.status[0].message
+        return
+    assert result.status[0].ok, result.status
+    on_bottom = build_scene(study(), box).regions["bottom"]
+    share = result.reaction_force[0, on_bottom, 2].sum() / FORCE
+    if model.name in SCALAR:  # whose foundation is tied to space, and whose forces do not add up
+        assert 0.1 < share < 0.4
+    else:
+        assert 0.4 < share < 1.2, "most of the force goes into the bed"
+        # at large displacements the pressure turns with the surface
+        tolerance = 1e-6 if is_linear(name) else 5e-3
+        assert_allclose(result.reaction_force[0].sum(axis=0), [0, 0, FORCE], atol=tolerance * FORCE)
+    if model.name != "vdm-paper":  # whose load does its work on other areas
+        work = 0.5 * np.vdot(result.displacement[0], build_scene(study(), box).contact_force)
+        assert 0.0 < result.energy[0] < work, "the springs keep a part of the work"
+
+
+@pytest.mark.parametrize("name", [*SCALAR, *(name for name in FULL if name != "fem-coarse")])
+def test_stiff_springs_tend_to_a_fixed_region(box: Mesh, name: str) -> None:
+    fixed = answer(box, name, {"kind": "fixed", "region": "bottom"})
+    assert falls_tenfold(box, name, fixed, (1e9, 1e10))
+
+
+@pytest.mark.parametrize("name", [*SCALAR, "vdm-vector", *FULL])
+def test_soft_springs_tend_to_a_free_region(box: Mesh, name: str) -> None:
+    clamp, _, push = BASE["constraints"]
+    free = answer(box, name, constraints=[clamp, push])
+    assert falls_tenfold(box, name, free, (10.0, 1.0))
+
+
+def falls_tenfold(box: Mesh, name: str, limit: ModelResult, constants: tuple[float, float]) -> bool:
+    """Whether a tenth of the distance to the limit is left at the second constant."""
+    direction = "full" if name in FULL else "normal"
+    gaps = [
+        float(
+            np.abs(
+                answer(box, name, BED | {"stiffness": k, "direction": direction}).displacement
+                - limit.displacement
+            ).max()
+        )
+        for k in constants
+    ]
+    assert limit.status[0].ok
+    assert gaps[0] < 0.03 * np.abs(limit.displacement).max(), gaps
+    assert 8.0 < gaps[0] / gaps[1] < 12.0, gaps
+    return True
+
+
+def test_refined_springs_are_the_same_springs(box: Mesh) -> None:
+    scene = level_scene(study(), refined(box, 1))
+    points, triangles = scene.mesh.surface_points, scene.mesh.triangles[scene.springs[0].facets]
+    assert_allclose(facet_areas(points, triangles).sum(), 0.06 * 0.03, rtol=1e-12)
+
+
+def test_a_bed_alone_holds_a_body(box: Mesh) -> None:
+    """Springs in every direction under all of it hold elements: the force goes through them alone."""
+    push = BASE["constraints"][2]
+    full = BED | {"direction": "full"}
+    result = answer(box, "fem-linear", constraints=[full, push])
+    assert_allclose(result.reaction_force[0].sum(axis=0), [0, 0, FORCE], atol=1e-9)
+    sliding = answer(box, "fem-linear", constraints=[BED, push])
+    assert sliding.status[0].code == models.REFUSED, "nothing stops it from sliding"
+    assert "too little is held" in sliding.status[0].message
+
+
+def test_springs_belong_to_the_set_up() -> None:
+    """Another stiffness is another body; another force is not. Studies without springs keep their keys."""
+    clamp, _, push = BASE["constraints"]
+    keys = {
+        name: wanted(study(*given, **tables), "mesh")[1]
+        for name, (given, tables) in {
+            "base": ((BED,), {}),
+            "pushed": ((), {"constraints": [clamp, BED, push | {"force": 2 * FORCE}]}),
+            "stiffer": ((BED | {"stiffness": 3e5},), {}),
+            "full": ((BED | {"direction": "full"},), {}),
+            "without": ((), {"constraints": [clamp, push]}),
+        }.items()
+    }
+    assert keys["pushed"].body == keys["base"].body
+    assert len({one.body for one in keys.values()}) == 4
+
+
+def test_raising_all_loads_leaves_the_springs() -> None:
+    twice = raised(study(load={"factors": [1.0]}), "load", 2.0)
+    assert [part.stiffness for part in twice.constraints] == [None, BED["stiffness"], None]
+    assert twice.constraints[2].force == 2 * FORCE
+
+
+@pytest.mark.parametrize(
+    ("wrong", "told"),
+    [
+        (
+            {"kind": "elastic", "region": "bottom"},
+            'is missing; give a pressure per length, such as "1 kPa/mm"',
+        ),
+        (BED | {"stiffness": -1.0}, "must be positive"),
+        (BED | {"stiffness": "3 kPa"}, "is not a unit of a pressure per length"),
+        (BED | {"force": 1.0}, "an elastic constraint has no force; it takes direction and stiffness"),
+    ],
+)
+def test_mistakes_are_told(wrong: dict[str, Any], told: str) -> None:
+    clamp, _, push = BASE["constraints"]
+    _, faults = validate(BASE | {"constraints": [clamp, wrong, push]}, Source())
+    assert len(faults) == 1
+    assert told in faults[0][1], faults
+
+
+def test_springs_under_held_facets_are_refused(box: Mesh) -> None:
+    with pytest.raises(SceneError, match="facets that are fixed or constrained"):
+        build_scene(study(BED | {"region": "clamp"}), box)
