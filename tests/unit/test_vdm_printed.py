@@ -1,0 +1,105 @@
+"""Equations 10 to 15, 17, 20 and 33 as printed, and the stopping rule of Figure 8."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from tests.unit.vdm_shapes import icosphere
+from vdm import Load, Model, Parameters, SurfaceMesh, printed
+from vdm.deformed import DeformableSurface
+from vdm.solvers.krylov import KrylovSolver
+
+POINTS, TRIANGLES = icosphere(2, (0.05, 0.06, 0.045))
+BODY = SurfaceMesh(POINTS, TRIANGLES)
+PUSHED = POINTS[:, 2] > 0.03
+PUSH = Load(np.where(PUSHED, 200.0, 0.0))
+MATERIAL = Parameters.from_tissue(5000.0, BODY, "paper")
+
+
+def model(**options) -> Model:
+    return Model(POINTS, TRIANGLES, MATERIAL, fixed=POINTS[:, 2] < -0.03, **options)
+
+
+def along_normals(displacement: np.ndarray) -> np.ndarray:
+    return np.asarray((displacement * BODY.normals).sum(axis=-1))
+
+
+def test_outside_and_inside_balance_at_every_free_node() -> None:
+    """P_ext = P_int (10, 14, 15), where a contact adds its own pressure outside (24)."""
+    environment = 300.0
+    body = model(density=1060.0, gravity=(0.0, 0.0, -9.81), environment_pressure=environment)
+    solution = body.solve([PUSH])
+    displacement = along_normals(solution.displacement[0])
+    fluid = float(solution.fluid_pressure[0])
+    outside = printed.external_pressure(body.formulation, displacement, environment) + PUSH.contact_pressure
+    inside = printed.internal_pressure(BODY.n_nodes, fluid, body.problem.support.hydrostatic)
+    free = body.problem.free
+    # rounding of a solve, against pressures of some hundred pascals
+    assert_allclose(outside[free], inside[free], rtol=0.0, atol=1e-8 * fluid)
+    assert np.abs(outside - inside)[~free].max() > 1.0, "the supports push there"
+    step = body.solver.step(PUSH)
+    assert_allclose(printed.pressure_change(fluid, environment), step.pressure_change, rtol=1e-12, atol=0)
+
+
+def test_columns_from_the_centre_change_as_the_volume_does_and_displacements_twice_over() -> None:
+    """A ball of radius R that grows by s: dV = 4 pi (R + s)^2 ds."""
+    points, triangles = icosphere(3, (0.05, 0.05, 0.05))
+    rest, radius, s, ds = SurfaceMesh(points, triangles), 0.05, 0.01, 1e-6
+    at, after = (SurfaceMesh(points * (1.0 + grown / radius), triangles) for grown in (s, s + ds))
+    areas, change = at.nodal_areas, after.nodal_areas - at.nodal_areas
+    column = [(mesh.points * mesh.normals).sum(axis=1) / 3.0 for mesh in (at, after)]
+    exact = after.volume - at.volume
+    found = printed.volume_change(areas, change, column[0], column[1] - column[0]).sum()
+    # facets: normals at nodes are off those of the facets by a part of the mesh size squared
+    assert_allclose(found, exact, rtol=5e-3, atol=0)
+    displaced = np.full(rest.n_nodes, s)
+    twice = printed.volume_change(areas, change, displaced, np.full(rest.n_nodes, ds)).sum()
+    # A ds + s dA = A ds (1 + 2 s / (R + s))
+    assert_allclose(twice / exact, 1.0 + 2.0 * s / (radius + s), rtol=5e-3, atol=0)
+
+
+@pytest.mark.parametrize("row", ["printed", "exact"])
+def test_the_printed_row_of_the_quasi_linear_solver_is_equation_33(row: str) -> None:
+    """Sum A_i dL_i + L_i dA_i = 0 from step to step, on the areas that each step starts from; the volume drifts."""
+    solution = model(solver="quasi-linear", volume_row=row).solve([PUSH.scaled(k / 4) for k in range(1, 5)])
+    surface = DeformableSurface(BODY)
+    length = [along_normals(u) for u in solution.displacement]
+    areas = [BODY.nodal_areas, *(surface.at(u).nodal_areas for u in solution.displacement)]
+    sums = [
+        printed.volume_change(
+            areas[k], areas[k] - areas[k - 1], length[k - 1], length[k] - length[k - 1]
+        ).sum()
+        for k in range(1, 4)
+    ]
+    size = float(areas[0] @ np.abs(length[-1]))
+    largest = np.abs(sums).max() / size
+    drift = abs(surface.at(solution.displacement[-1]).volume - BODY.volume) / size
+    if row == "printed":
+        assert largest < 1e-12, "rounding"
+        assert drift > 0.01
+    else:
+        assert largest > 1e-3
+        assert drift < 0.01
+
+
+def test_figure_8_stops_where_the_answer_no_longer_grows() -> None:
+    """|dL^(i+1)| - |dL^i| > eps, without a residual: it ends sooner, and what it leaves is what the audit sees."""
+    problem = model().problem
+    right = model().solve([PUSH]).displacement[0]
+
+    def error(solver: KrylovSolver) -> tuple[int, float, str]:
+        step, found = solver.audited(PUSH, solver.step(PUSH))
+        off = np.abs(step.displacement - right).max() / np.abs(right).max()
+        assert step.status.ok
+        return step.iterations, float(off), "not kept" if found.residual > found.limit else "kept"
+
+    by_residual = error(KrylovSolver(problem, "bicg", tolerance=1e-8))
+    as_printed = error(KrylovSolver(problem, "bicg", tolerance=1e-8, stopping="printed"))
+    assert by_residual[1] < 1e-6
+    assert by_residual[2] == "kept"
+    # BiCG's iterates do not grow steadily: the first that shrinks ends it
+    assert as_printed[0] < by_residual[0]
+    assert as_printed[1] > 1e3 * by_residual[1]
+    assert as_printed[2] == "not kept"

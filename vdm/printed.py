@@ -1,0 +1,37 @@
+"""Equations of the paper that no solver needs as they stand in print, each as a function of nodal quantities."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vdm.formulations.paper import PaperFormulation
+
+Array = NDArray[np.float64]
+
+
+def external_pressure(form: PaperFormulation, displacement: Array, environment: float = 0.0) -> Array:
+    """(N,) P_ext = P_ep + P_vp + P_vt [Pa] of normal displacements L (N,) [m] (equations 11 and 13)."""
+    return environment + form.volumic_pressure(displacement) + form.volumic_tension(displacement)
+
+
+def internal_pressure(n_nodes: int, fluid: float, hydrostatic: Array | None = None) -> Array:
+    """(N,) P_int = P_fluid + P_gravity [Pa], with P_gravity = rho g delta_i (equation 12)."""
+    inside = np.full(n_nodes, fluid)
+    return inside if hydrostatic is None else inside + hydrostatic
+
+
+def pressure_change(fluid: float, environment: float) -> float:
+    """dP = P_fluid - P_ep [Pa] (equation 17)."""
+    return fluid - environment
+
+
+def volume_change(areas: Array, area_change: Array, length: Array, length_change: Array) -> Array:
+    """(N,) dV_i = A_i dL_i + L_i dA_i [m^3] as printed (equation 20; its sum is 33).
+
+    It is the change of a column of section A_i and length L_i. With the length from a point inside, x_i . n_i / 3,
+    the sum is the change of the body's volume. With L_i the displacement, as the paper has it, A_i dL_i is the
+    whole already, and the second term counts what a surface sweeps twice.
+    """
+    change: Array = areas * length_change + length * area_change
+    return change
