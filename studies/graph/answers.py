@@ -72,6 +72,15 @@ def read_answer(path: Path, run: str = "") -> ModelResult | None:
     )
 
 
+def stored_answer(cache: Path, key: str, run: str) -> ModelResult:
+    """An answer that a node before this one has made. Raises OSError where it is gone."""
+    path = answer_path(cache, key)
+    answer = read_answer(path, run)
+    if answer is None:
+        raise FileNotFoundError(2, "an answer is gone, or damaged; run again", str(path))
+    return answer
+
+
 def one_step(result: ModelResult, step: int) -> ModelResult:
     """One step of a result, S = 1."""
     part = slice(step, step + 1)

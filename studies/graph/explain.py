@@ -93,7 +93,7 @@ def _needed(todo: Sequence[PlannedCase], work: Sequence[Body]) -> list[str]:
         keys = {asked.key for body in own for asked in body.asked}
         steps = sum(
             len(case.study.load.history)
-            for case in todo
+            for case in (part for one in todo for part in one.parts)
             if any((w.name, w.level) == (name, level) and keys.intersection(w.answers) for w in case.wanted)
         )
         where = f", refined {_count(level, 'time')} for its error bar" if level else ""
@@ -101,6 +101,8 @@ def _needed(todo: Sequence[PlannedCase], work: Sequence[Body]) -> list[str]:
             f"{name}{where}: {_count(len(own), 'set-up')} and {_count(solves, 'solve')} "
             f"for {_count(steps, 'load step')}"
         )
+    if varied := max((len(case.variations) for case in todo), default=0):
+        lines.append(f"{_count(varied, 'variation')} of each case for what is not known of its inputs")
     if any(case.limits for case in todo):
         lines.append("small-strain limits: a load that is tried serves all models and thresholds")
     return lines
@@ -128,7 +130,7 @@ def _skipped(plan: Plan, todo: Sequence[PlannedCase]) -> list[str]:
     if cached:
         lines.append(f"{_count(cached, 'mesh', 'meshes')}: already in the cache")
     for name in plan.study.study.models:
-        wants = [want for case in todo for want in case.wanted if want.name == name]
+        wants = [want for case in todo for part in case.parts for want in part.wanted if want.name == name]
         there = sum(all(plan.has(answer_path(plan.cache, key)) for key in want.answers) for want in wants)
         if there:
             lines.append(f"{name}: {there} of {_count(len(wants), 'result')} from answers in the cache")

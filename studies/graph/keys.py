@@ -21,6 +21,8 @@ from ..study.loads import KINDS
 from ..study.schema import Study
 
 _FORMAT = 3  # of the files of answers: raised with what is in them
+_FORCES = ("fixed", "contact", "line")  # kinds of constraints that hold, or act by forces
+_NO_MODULI = ("coarse_nodes", "compressibility", "rotation")  # of the parameters of [vdm]
 _DIGITS = 12  # of a load beside others: less is rounding
 
 
@@ -95,6 +97,23 @@ def _wanted(study: Study, inputs: Mapping[str, Any], name: str, level: int, body
         body,
         tuple(key(load if scale else acting) for load, scale in sized),
         tuple(scale for _, scale in sized),
+    )
+
+
+def goes_with_modulus(study: Study, name: str) -> bool:
+    """Whether a model's answers go with one over Young's modulus: linear, all moduli by rule, only forces act."""
+    model, _ = models.find(name)
+    given = {**study.vdm_parameters(), **study.model_parameters().get(name, {})}
+    forces = all(
+        part.kind in _FORCES or (part.kind == "constrained" and not any(part.displacement or ()))
+        for part in study.constraints
+    )
+    return (
+        model.one_over_modulus
+        and models.superposes(name, penalty=has_penalty(study, name))
+        and forces
+        and not set(given) & {key for key in model.parameters if key not in _NO_MODULI}
+        and study.environment is None
     )
 
 

@@ -82,7 +82,7 @@ def bodies(plan: Plan, cases: Sequence[PlannedCase]) -> list[Body]:
 def _bodies(plan: Plan, cases: Sequence[PlannedCase]) -> list[Body]:
     found: dict[str, tuple[str, int, str, str]] = {}
     asked: dict[str, dict[str, Asked]] = {}
-    for case in cases:
+    for case in (part for one in cases for part in one.parts):
         for want in case.wanted:
             for key, factors in _factors(case, want):
                 if plan.has(answer_path(plan.cache, key)):
@@ -144,7 +144,7 @@ def _case_nodes(
     """Cases that wait for the same nodes, in as many parts as there are jobs: they read their mesh once."""
     blocks: dict[tuple[str, frozenset[str]], list[PlannedCase]] = {}
     for case in cases:
-        wants = [key for want in case.wanted for key in want.answers]
+        wants = [key for part in case.parts for want in part.wanted for key in want.answers]
         needs = frozenset(there[key] for key in (case.mesh, case.limits or "", *wants) if key in there)
         blocks.setdefault((case.mesh, needs), []).append(case)
     nodes = []
@@ -196,6 +196,10 @@ def _item(case: PlannedCase, plan: Plan) -> dict[str, Any]:
         "path": str(case_path(plan.directory, case.hash)),
         "wanted": [asdict(want) for want in case.wanted],
         "limits": case.limits,
+        "variations": [
+            [{**asdict(want), "times": part.times} for part in variation for want in part.wanted]
+            for variation in case.variations
+        ],
     }
 
 

@@ -30,7 +30,8 @@ from ..study.geometry_spec import (
     geometry_key,
 )
 from ..study.schema import Study
-from .keys import Wanted, case_hash, limits_key, wanted
+from ..study.variations import variations
+from .keys import Wanted, case_hash, goes_with_modulus, limits_key, wanted
 
 T = TypeVar("T")
 
@@ -47,6 +48,14 @@ class PlannedCase:
     mesh: str  # key of its mesh
     wanted: tuple[Wanted, ...]  # of every model, and of the reference on every level
     limits: str | None  # key of its small-strain limits
+    # where its inputs are not known: other values of them, each with some of the models; see `_varied`
+    variations: tuple[tuple[PlannedCase, ...], ...] = ()
+    times: float = 1.0  # of a variation: what its answers are to be multiplied by
+
+    @property
+    def parts(self) -> list[PlannedCase]:
+        """The case and its variations."""
+        return [self, *(part for variation in self.variations for part in variation)]
 
     def want(self, name: str, level: int = 0) -> Wanted:
         """What it takes of one model on one mesh level."""
@@ -239,6 +248,50 @@ def _planned(case: ResolvedCase, mesh_key: str) -> PlannedCase:
         mesh=mesh_key,
         wanted=tuple(wanted(study, mesh_key, inputs)),
         limits=limits_key(study, hashed),
+        variations=_varied(case, mesh_key),
+    )
+
+
+_MODULUS = "tissue.youngs_modulus"
+
+
+def _varied(case: ResolvedCase, mesh_key: str) -> tuple[tuple[PlannedCase, ...], ...]:
+    """The variations of a case; models whose answers go with one over the modulus are asked at the case's own."""
+    study = case.study
+    if study.inputs is None:
+        return ()
+    found = []
+    for varied in variations(study)[0]:
+        names = set(study.study.models)
+        free = (
+            {name for name in names if goes_with_modulus(study, name)} if _MODULUS in varied.values else set()
+        )
+        own = study.tissue.youngs_modulus
+        same = varied.study.model_copy(
+            update={"tissue": varied.study.tissue.model_copy(update={"youngs_modulus": own})}
+        )
+        label = ", ".join(f"{key} = {value:.6g}" for key, value in varied.values.items())
+        parts = [(varied.study, names - free, 1.0), (same, free, own / varied.values.get(_MODULUS, own))]
+        found.append(tuple(_variation(case, mesh_key, label, *part) for part in parts if part[1]))
+    return tuple(found)
+
+
+def _variation(
+    case: ResolvedCase, mesh_key: str, label: str, study: Study, names: set[str], times: float
+) -> PlannedCase:
+    inputs = case_inputs(study)
+    return PlannedCase(
+        hash=case_hash(study, mesh_key, inputs),
+        label=", ".join(filter(None, (case.label, label))),
+        swept=case.swept,
+        swept_units=case.swept_units,
+        study=study,
+        mesh=mesh_key,
+        wanted=tuple(
+            want for want in wanted(study, mesh_key, inputs) if want.name in names and want.level == 0
+        ),
+        limits=None,
+        times=times,
     )
 
 

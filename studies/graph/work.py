@@ -22,8 +22,9 @@ from ..body.surface_measures import Surface
 from ..machine.memory import OUT_OF_MEMORY, memory_limits
 from ..machine.safe_open import open_regular
 from ..measures.case import CaseResult, MetricSeries, SmallStrainLimits
+from ..measures.input_spread import InputSpread
 from ..measures.measurement import Measurement, hold_against, step_rms
-from ..measures.metrics import METRICS, History, evaluate_all
+from ..measures.metrics import METRICS, History, evaluate_all, full_load_step
 from ..measures.reference import level_scene, own_error, require_converged, restricted
 from ..models import Prepared, find
 from ..scene.result import ModelResult
@@ -34,11 +35,12 @@ from ..study.errors import InputError
 from ..study.folders import swept_without_folders, without_folders
 from ..study.model_name import REFINED
 from ..study.schema import Study
-from .answers import answer_path, combined, one_step, read_answer, write_answer
+from .answers import answer_path, combined, one_step, stored_answer, write_answer
 from .keys import Wanted, level_key
 from .nodes import limits_path
 from .provenance import provenance
 from .small_strain import read_limits, small_strain_limits, write_limits
+from .varied import Varied
 
 ATTEMPTS = 3  # of a node whose process dies
 
@@ -222,8 +224,10 @@ def _case(payload: Payload, block: _Block) -> None:
     if reference is not None and len(levels) > 1:
         reference += REFINED
         results[reference] = levels[-1]
-    measurement = _measurement(payload, study, mesh, results, levels)
-    metrics = compare(surface, results, scene.load_factors, reference, measurement)
+    varied = Varied(payload, study, results)
+    spread = varied.spread(surface, full_load_step(scene.load_factors))
+    measurement = _measurement(payload, study, mesh, results, levels, varied)
+    metrics = compare(surface, results, scene.load_factors, reference, measurement, spread)
     found = payload["file_hash"]
     write_case(
         Path(payload["path"]),
@@ -246,6 +250,7 @@ def _case(payload: Payload, block: _Block) -> None:
             ),
             small_strain=_small_strain(payload),
             measurement=measurement,
+            inputs=spread,
             mesh_quality={
                 **mesh.quality,
                 "tetrahedra": len(mesh.tetrahedra),
@@ -259,11 +264,7 @@ def _result(wanted: Wanted, scene: Scene, payload: Payload, known: dict[str, Mod
     """A model's result in a case. Raises OSError where an answer is gone that was there."""
     for key in wanted.answers:
         if key not in known:
-            path = answer_path(Path(payload["cache"]), key)
-            answer = read_answer(path, payload["run"])
-            if answer is None:
-                raise FileNotFoundError(2, "an answer is gone, or damaged; run again", str(path))
-            known[key] = answer
+            known[key] = stored_answer(Path(payload["cache"]), key, payload["run"])
     answers = [known[key] for key in wanted.answers]
     if not wanted.scales:
         return answers[0]
@@ -273,7 +274,12 @@ def _result(wanted: Wanted, scene: Scene, payload: Payload, known: dict[str, Mod
 
 
 def _measurement(
-    payload: Payload, study: Study, mesh: Mesh, results: Mapping[str, ModelResult], levels: list[ModelResult]
+    payload: Payload,
+    study: Study,
+    mesh: Mesh,
+    results: Mapping[str, ModelResult],
+    levels: list[ModelResult],
+    varied: Varied,
 ) -> Measurement | None:
     """The case's models, and its reference level by level, against what was measured on it."""
     names = {id(result): name for name, result in results.items()}
@@ -284,6 +290,7 @@ def _measurement(
         payload["swept_units"],
         {name: result.displacement for name, result in results.items()},
         [(names.get(id(level), ""), level.displacement) for level in levels],
+        varied.rules(),
     )
 
 
@@ -299,6 +306,7 @@ def compare(
     load_factors: Array,
     reference: str | None,
     measurement: Measurement | None = None,
+    spread: InputSpread | None = None,
 ) -> dict[str, dict[str, MetricSeries]]:
     """Every metric of every model; the reference itself gets those that need no comparison."""
     histories = {
@@ -308,6 +316,7 @@ def compare(
             load_factors,
             volume=result.volume,
             measurement=step_rms(measurement, name, len(load_factors)) if measurement else None,
+            inputs=(spread.models[name].displacement, spread.models[name].deformation) if spread else None,
         )
         for name, result in results.items()
     }

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..scene.result import ModelResult
+from .input_spread import InputSpread
 from .measurement import Measurement
 from .metrics import full_load_step
 
@@ -83,6 +84,7 @@ class CaseResult:
     mesh_quality: Mapping[str, float] = field(default_factory=dict)
     small_strain: SmallStrainLimits | None = None  # where [limits] asks for them
     measurement: Measurement | None = None  # where [[measured]] tells what was measured on it
+    inputs: InputSpread | None = None  # where [inputs] tells how well they are known
 
     @cached_property
     def full_load(self) -> int:

@@ -4,12 +4,12 @@ E = S - D of what a model simulates and what was measured; u_val = sqrt(u_num^2 
 uncertainties. |E| <= u_val: the model's error is lost in the uncertainty. Else |E| - u_val at least remains.
 u_num of the reference is the grid convergence index of its mesh levels as it is, which is wider than a standard
 uncertainty; a coarser level has its distance from the finest beside. No other model is solved on two meshes: it has
-no u_num. u_input is zero: a study does not tell how well its inputs are known.
+no u_num. u_input is what comes of not knowing the inputs, where [inputs] of a study tells how well they are known.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -21,9 +21,11 @@ from ..scene.measured_points import Placed, place_measured
 from ..study.measured_file import AXES
 from ..study.measured_table import Measured, same_load
 from ..study.schema import Study
+from .input_spread import Propagation
 from .metrics import full_load_step
 from .uncertainty import estimate_limit
 
+Spread = tuple[Propagation, Callable[[], Sequence[Array]]]
 RMS, MOST = "rms distance", "largest distance"  # of a measured surface's points to the deformed body
 
 
@@ -51,6 +53,7 @@ class Measurement:
     numerical : name -> (Q,) u_num [m]; NaN where it is not known
     sources : table -> who measured
     others : names in `simulated` that are no model of the study: results that came with the measurement
+    inputs : name -> (Q,) u_input [m]; a name that is not there, and NaN, where it is not known
     """
 
     quantities: Sequence[Quantity]
@@ -58,6 +61,7 @@ class Measurement:
     numerical: Mapping[str, Array]
     sources: Mapping[str, str] = field(default_factory=dict)
     others: Sequence[str] = ()
+    inputs: Mapping[str, Array] = field(default_factory=dict)
 
     @property
     def values(self) -> Array:
@@ -71,7 +75,8 @@ class Measurement:
     def uncertainty(self, name: str) -> Array:
         """(Q,) u_val [m]; what is not known counts as none."""
         data = np.array([quantity.uncertainty for quantity in self.quantities])
-        return np.hypot(data, np.nan_to_num(self.numerical[name], nan=0.0))
+        parts = (self.numerical[name], self.inputs.get(name, np.zeros(len(data))))
+        return np.asarray(np.sqrt(data**2 + sum(np.nan_to_num(part, nan=0.0) ** 2 for part in parts)))
 
     def within(self, name: str) -> Mask:
         """(Q,) whether |E| <= u_val."""
@@ -85,6 +90,7 @@ def hold_against(
     units: Mapping[str, str],
     results: Mapping[str, Array],
     levels: Sequence[tuple[str, Array]] = (),
+    spread: Mapping[str, Spread] | None = None,
 ) -> Measurement | None:
     """The results of a case against what was measured on it; None where nothing was.
 
@@ -92,6 +98,7 @@ def hold_against(
     ----------
     results : model -> (S, N, 3) displacement at the surface nodes of `mesh` [m]
     levels : the reference on its mesh levels at the same nodes, coarse first; the name of each in `results`, or ""
+    spread : model -> its answers to other values of the inputs, and the rule that makes u_input of them
 
     Raises
     ------
@@ -120,6 +127,10 @@ def hold_against(
         {**numerical, **{name: np.full(len(quantities), np.nan) for name in others}},
         {table.name: table.source for table, _ in tables},
         tuple(others),
+        {
+            name: rule.deviation([_simulated(tables, field, mesh, factors) for field in answers()])
+            for name, (rule, answers) in (spread or {}).items()
+        },
     )
 
 

@@ -43,6 +43,7 @@ class History:
     distances: tuple[Array, float] | None = None
     volume: Array | None = None  # (S,) enclosed volumes [m^3], where they are known
     measurement: tuple[Array, Array] | None = None  # (S,) rms of E and of D, see `measurement.step_rms`
+    inputs: tuple[float, float] | None = None  # at full load, see `input_spread.ModelSpread`
 
     @cached_property
     def largest(self) -> Array:
@@ -69,6 +70,7 @@ class Metric:
     needs_contact: bool
     sense: Sense = "error"
     needs_measurement: bool = False
+    needs_inputs: bool = False
 
 
 METRICS: dict[str, Metric] = {}
@@ -94,6 +96,7 @@ def metric(
     needs_reference: bool = True,
     needs_contact: bool = False,
     needs_measurement: bool = False,
+    needs_inputs: bool = False,
     sense: Sense = "error",
 ) -> Callable[[Function], Function]:
     """Register a function as a metric of its name; see `Metric`. Raises ValueError for a name that is taken."""
@@ -114,6 +117,7 @@ def metric(
             needs_contact,
             sense,
             needs_measurement,
+            needs_inputs,
         )
         return function
 
@@ -388,8 +392,10 @@ def evaluate(
     for one in METRICS.values():
         if one.name in known:
             out[one.name] = known[one.name]
-        elif (one.needs_contact and not surface.contact.any()) or (
-            one.needs_measurement and model.measurement is None
+        elif (
+            (one.needs_contact and not surface.contact.any())
+            or (one.needs_measurement and model.measurement is None)
+            or (one.needs_inputs and model.inputs is None)
         ):
             continue
         elif not one.needs_reference:

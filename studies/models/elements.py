@@ -147,6 +147,7 @@ _elements = partial(
     fibres=True,
     cost=costs.linear,
     takes=_takes(_ONE),
+    one_over_modulus=True,
 )
 for _model in (
     _elements(
@@ -175,6 +176,7 @@ for _model in (
         takes=_takes(_BOTH),
         solvers=_BOTH,
         superposes=(),
+        one_over_modulus=False,
         continues=_finite_strain_onward,
     ),
 ):

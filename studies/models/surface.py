@@ -155,6 +155,7 @@ _surface = partial(
     superposes=("linear",),
     tissue=("youngs_modulus",),
     cost=costs.surface,
+    one_over_modulus=True,
 )
 SPRINGS = "normal springs"  # of `vdmbench.study.extras`
 VDM_SOLVERS = (

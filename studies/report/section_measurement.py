@@ -20,10 +20,11 @@ _ON = 1e-9  # m: closer is rounding
 _READING = (
     "E is the answer of a model less what was measured. ± is the validation uncertainty u_val (ASME V&V 20-2009), "
     "√(u_num² + u_input² + u_D²). Where |E| is at most u_val, model and measurement agree as far as anybody can "
-    "tell. Where it is larger, at least |E| − u_val is an error of the model or of its inputs. u_num is known of "
-    "the reference alone, from its mesh levels. u_input is not counted: this study does not tell how well its "
-    "inputs are known."
+    "tell. Where it is larger, at least |E| − u_val is an error of the model{inputs}. u_num is known of the "
+    "reference alone, from its mesh levels. {known}"
 )
+_KNOWN = "u_input is what comes of not knowing the inputs better than [inputs] says."
+_NOT_KNOWN = "u_input is not counted: this study does not tell how well its inputs are known."
 
 
 def against_measurement(digest: Digest) -> Section | None:
@@ -41,7 +42,9 @@ def against_measurement(digest: Digest) -> Section | None:
         if (figure := _figure(digest, case, found, number)) is not None:
             blocks.append(Figures([figure], digest.legend))
         blocks.append(_details(case, found, number))
-    blocks.append(Text(_READING, kind="note"))
+    known = any(case.measurement is not None and case.measurement.inputs for case in cases)
+    told = {"inputs": "", "known": _KNOWN} if known else {"inputs": " or of its inputs", "known": _NOT_KNOWN}
+    blocks.append(Text(_READING.format(**told), kind="note"))
     return Section("measurement", "Against measurement", blocks)
 
 

@@ -46,6 +46,7 @@ from .hdf5 import (
     Text,
     sealed,
 )
+from .input_entries import input_entries, read_inputs
 from .measurement_entries import measurement_entries, read_measurement
 from .metrics_table import metric_rows, metrics_csv
 from .run_directory import (
@@ -254,6 +255,7 @@ def _case_entries(case: CaseResult) -> list[Entry]:
         *(_metrics_table(f"metrics/{name}", series) for name, series in case.metrics.items() if series),
         *(_limits_entries(case.small_strain) if case.small_strain is not None else ()),
         *(measurement_entries(case.measurement) if case.measurement is not None else ()),
+        *(input_entries(case.inputs) if case.inputs is not None else ()),
     ]
 
 
@@ -370,6 +372,7 @@ def _read_case(file: Stored) -> CaseResult:
         metrics={name: _read_metrics(file, f"metrics/{name}", about["metrics"]) for name in about["models"]},
         small_strain=_read_limits(file) if "limits" in file else None,
         measurement=read_measurement(file) if "measurement" in file else None,
+        inputs=read_inputs(file) if "inputs" in file else None,
     )
     check_case(case)
     return case

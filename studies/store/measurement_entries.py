@@ -11,7 +11,7 @@ from .hdf5 import Data, Entry, Group, Stored, Text
 
 _LENGTHS = ("value", "uncertainty", "distance")
 _TEXTS = ("table", "point", "component")
-_SERIES = ("simulated", "numerical")
+_SERIES = ("simulated", "numerical", "inputs")
 
 
 def measurement_entries(found: Measurement) -> list[Entry]:
@@ -44,9 +44,15 @@ def read_measurement(file: Stored) -> Measurement:
     series = {
         key: {name: file.floats(f"measurement/{key}/{name}") for name in file.members(f"measurement/{key}")}
         for key in _SERIES
+        if key != "inputs" or "measurement/inputs" in file
     }
     return Measurement(
-        quantities, series["simulated"], series["numerical"], about["sources"], tuple(about["others"])
+        quantities,
+        series["simulated"],
+        series["numerical"],
+        about["sources"],
+        tuple(about["others"]),
+        series.get("inputs", {}),
     )
 
 

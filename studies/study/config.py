@@ -14,6 +14,7 @@ from .checks import fits_kind, geometry_spec
 from .errors import MeshError
 from .fields import FieldRow, field_table, targets
 from .geometry_spec import Geometry as GeometrySpec
+from .inputs import as_written
 from .kinds import MAX_NAME, is_safe_name
 from .loads import KINDS, LOAD_KEYS
 from .measured_table import check_measured_cases
@@ -24,6 +25,7 @@ from .sweep import Axis, ResolvedCase, check_cases, first_case, read_axes, subst
 from .toml_lines import NotToml, TooLarge, key_lines
 from .units import shown
 from .validation import validate
+from .variations import variations
 from .wording import unknown
 
 __all__ = [
@@ -92,12 +94,16 @@ def load_study(
     findings += _check_held(study)
     if study is not None and study.measured:
         findings += check_measured_cases(study, {a.key: (a.values, a.target.unit) for a in axes})
+    if study is not None and study.inputs is not None:
+        findings += variations(study)[1]
     swept_well = not axis_findings and not any(loc[:1] == ("sweep",) for loc, _ in findings)
     if axes and swept_well:
         most = study.study.max_cases if study is not None else 1000
         known = {loc for loc, _ in findings}
-        _, faults = check_cases(data, axes, most, source)
+        cases, faults = check_cases(data, axes, most, source)
         findings += [(loc, text) for loc, text in faults if loc not in known]
+        if study is not None and study.inputs is not None and not findings:
+            findings += [finding for case in cases for finding in variations(case.study)[1]]
     if findings or study is None:
         raise source.error(findings, base)
     study._source = source
@@ -133,6 +139,8 @@ def resolved(study: Study) -> dict[str, Any]:
         for axis in sorted(axes, key=lambda axis: axis.key):
             own[axis.key] = axis.as_written()
         data["sweep"] = own
+    if "inputs" in data:
+        data["inputs"] = as_written(data)
     return data
 
 
@@ -149,7 +157,7 @@ def case_inputs(study: Study) -> dict[str, Any]:
     """The part of `resolved` that a case's hash covers: all that decides its numbers.
 
     That is geometry, tissue, vdm, models (the overrides), regions, constraints, load, gravity, environment,
-    anisotropy, limits and uncertainty; not the name, title, list of models, reference, sweep,
+    anisotropy, inputs, limits and uncertainty; not the name, title, list of models, reference, sweep,
     calibration and acceptance. A geometry file is named by its path: hash its content beside this
     (`geometry_spec.geometry_key`).
     """

@@ -12,11 +12,13 @@ from pydantic.fields import FieldInfo
 
 from .kinds import SI
 from .problems import Loc
-from .schema import MOST_NAMES, Region, Study, Sweep, model_table
+from .schema import MOST_NAMES, Inputs, Region, Study, Sweep, model_table
 from .table import Table
 from .units import DIMENSIONS
 
-_NEVER_SWEPT = {"study", "sweep", "limits", "calibration", "acceptance", "measured"}
+_NEVER_SWEPT = {"study", "sweep", "inputs", "limits", "calibration", "acceptance", "measured"}
+# tables whose numbers decide how much is computed, or the body itself
+NEVER_AN_INPUT = {*_NEVER_SWEPT, "geometry", "load", "uncertainty"}
 
 
 def keys_of(table: type[Table]) -> dict[str, FieldInfo]:
@@ -194,6 +196,8 @@ def _rows(table: type[Table], prefix: str) -> Iterator[FieldRow]:
             yield FieldRow(prefix + name, _kind(annotation, si), _default(field), field.description or "")
     if table is Sweep:
         yield from _axis_rows()
+    if table is Inputs:
+        yield from _input_rows()
 
 
 def _axis_rows() -> Iterator[FieldRow]:
@@ -214,6 +218,21 @@ def _axis_rows() -> Iterator[FieldRow]:
         f"{axis}.num", "whole number", "", "a range: how many values, 2 or more; latin-hypercube: none"
     )
     yield FieldRow(f"{axis}.scale", "linear | log", "linear", "a range: in equal steps or in equal ratios")
+
+
+def _input_rows() -> Iterator[FieldRow]:
+    """What `vdmbench.study.inputs` takes beside the named keys of [inputs]."""
+    closed = ", ".join(f"`{name}`" for name in sorted(NEVER_AN_INPUT))
+    known = 'inputs."KEY"'
+    yield FieldRow(
+        known,
+        "table",
+        "required",
+        "how well a number is known: KEY is the path of a quantity, as in a sweep; sd or range. Not of "
+        f"{closed}",
+    )
+    yield FieldRow(f"{known}.sd", "as of KEY", "", "its standard deviation; the study has its mean")
+    yield FieldRow(f"{known}.range", "list of 2: as of KEY", "", "least and most, all between as likely")
 
 
 def _kind(annotation: Any, si: SI | None) -> str:

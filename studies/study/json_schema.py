@@ -8,7 +8,7 @@ from pydantic.fields import FieldInfo
 
 from .fields import item_type, keys_of, type_of_field, unwrapped
 from .kinds import SI
-from .schema import Region, Study, StudyInfo, Sweep
+from .schema import Inputs, Region, Study, StudyInfo, Sweep
 from .table import Table
 
 _PLAIN: dict[Any, str] = {bool: "boolean", int: "integer", float: "number"}
@@ -19,6 +19,15 @@ _AXIS = {
         {"type": "object", "required": ["start", "stop"]},
     ],
 }
+_INPUT = {
+    "description": "how well a key of the study is known: a standard deviation or a range",
+    "type": "object",
+    "properties": {
+        "sd": {"type": ["number", "string"]},
+        "range": {"type": "array", "items": {"type": ["number", "string"]}, "minItems": 2, "maxItems": 2},
+    },
+}
+_FURTHER: dict[type[Table], Any] = {Sweep: _AXIS, Inputs: _INPUT}
 
 
 def study_schema() -> dict[str, Any]:
@@ -36,7 +45,7 @@ def _table(table: type[Table], loc: tuple[str, ...]) -> dict[str, Any]:
     found: dict[str, Any] = {
         "type": "object",
         "properties": {key: _field(field, (*loc, key)) for key, field in fields.items()},
-        "additionalProperties": _AXIS if table is Sweep else False,
+        "additionalProperties": _FURTHER.get(table, False),
     }
     if table in (Study, StudyInfo):  # in the other tables a sweep may give what is missing
         found["required"] = [key for key, field in fields.items() if field.is_required()]

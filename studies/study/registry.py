@@ -78,6 +78,7 @@ class Declared:
     takes : of `EXTRAS` what it takes, and with which solvers; the others are refused it
     own : of its parameters those that [vdm] has no key for: a study gives them in [models.NAME]
     benched : the solvers that a benchmark measures beside the default
+    one_over_modulus : whether its answers to forces go with one over Young's modulus where its moduli are by rule
     """
 
     name: str
@@ -96,6 +97,7 @@ class Declared:
     takes: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     own: Mapping[str, Parameter] = field(default_factory=dict)
     benched: tuple[str, ...] = ()
+    one_over_modulus: bool = False
 
 
 MODELS: dict[str, Declared] = {}  # filled by `vdmbench.models.register` of the families, see `all_models`

@@ -345,6 +345,26 @@ class Sweep(Table):
     seed: int | None = Field(None, description="latin-hypercube: seed, 0 where left out", ge=0, lt=2**32)
 
 
+class Inputs(Table):
+    """[inputs]: how well numbers are known; further keys are dotted paths of keys of the study"""
+
+    model_config = ConfigDict(extra="allow")
+
+    method: Literal["sensitivities", "sampling", "sobol", "morris"] = Field(
+        "sensitivities",
+        description="how that goes into the answers: two variations of each key; random samples of all; Sobol's or "
+        "Morris' indices by SALib",
+    )
+    samples: int | None = Field(
+        None,
+        description="sampling: variations of a case (64); sobol: of them, times the number of keys and 2 (64); "
+        "morris: ways through the ranges (8)",
+        ge=4,
+        le=10_000,
+    )
+    seed: int | None = Field(None, description="of the samples, 0 where left out", ge=0, lt=2**32)
+
+
 class Limits(Table):
     """[limits]: search the small-strain limits"""
 
@@ -430,6 +450,7 @@ class Study(Table):
     environment: Environment | None = Field(None, description="surroundings")
     anisotropy: Anisotropy | None = Field(None, description="one family of fibres")
     sweep: Sweep = Field(Sweep(), description="what is varied")
+    inputs: Inputs | None = Field(None, description="how well numbers are known")
     limits: Limits | None = Field(None, description="small-strain limits")
     calibration: Calibration | None = Field(None, description="how the [vdm] parameters are fitted")
     uncertainty: Uncertainty | None = Field(None, description="the reference's own error")

@@ -7,6 +7,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 from .formatting import listed, plural, quantity, short_percent
+from .inputs_known import inputs_in_words
 from .loading import load_in_words
 from .standing import NO, YES
 from .verdict import Limit, ModelErrors, Setting, Verdict
@@ -15,12 +16,13 @@ from .why_not import exact_percent
 GOOD = "Is it good enough?"
 WHY = "Why not?"
 DO = "What to do?"
+INPUTS = "Is the error larger than what is not known of the inputs?"
 USE = "What to use where?"
 LOAD = "Up to which load?"
 WITH = "With which formulation and parameters?"
 COST = "At what cost?"
 SURE = "How sure is this?"
-LEAD = ("", GOOD, WHY, DO)  # what decides; a page shows the others further down
+LEAD = ("", GOOD, WHY, DO, INPUTS)  # what decides; a page shows the others further down
 _KIND = "These are differences between computations. Nothing here was compared with an experiment."
 
 
@@ -36,12 +38,16 @@ class Answer:
 def answers(verdict: Verdict) -> tuple[Answer, ...]:
     """Every question that the verdict has an answer to."""
     if not verdict.word:
-        found = [Answer("", "", (verdict.not_judged,)), _answer(SURE, [*verdict.sureness, *verdict.measured])]
+        found = [
+            Answer("", "", (verdict.not_judged,)),
+            _answer(SURE, [*verdict.sureness, *verdict.measured, *inputs_in_words(verdict.inputs)]),
+        ]
     else:
         found = [
             Answer(GOOD, verdict.word, tuple(_good_enough(verdict))),
             _answer(WHY, [reason.sentence for reason in verdict.why_not]),
             _answer(DO, [verdict.advice]),
+            _answer(INPUTS, inputs_in_words(verdict.inputs)),
             _answer(USE, _what_to_use(verdict)),
             _answer(LOAD, _up_to(verdict)),
             _answer(WITH, [*_parameters(verdict), *verdict.motion]),

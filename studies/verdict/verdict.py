@@ -22,6 +22,7 @@ from .digest import Digest, ModelSummary, Spread, failed_steps
 from .experiment import measured_in_words
 from .formatting import listed, parameter_name, plural, short_percent, swept_value
 from .growth import limits_in_words
+from .inputs_known import InputsKnown, inputs_known
 from .ladders import reading
 from .measured import measured
 from .motion import motion_in_words
@@ -128,6 +129,7 @@ class Verdict:
     motion : what the reference's motion is made of, and what that costs models that move nodes along normals
     sureness : how sure the figures are, and what is not in them
     measured : how far reference and `model` are from a measurement, where there is one
+    inputs : what is not known of the inputs, beside the error of `model`; None where the study does not tell
     """
 
     word: str
@@ -154,6 +156,7 @@ class Verdict:
     motion: tuple[str, ...] = ()
     sureness: tuple[str, ...] = ()
     measured: tuple[str, ...] = ()
+    inputs: InputsKnown | None = None
 
     def as_data(self) -> dict[str, Any]:
         """All of it as plain data, None where a number is not known."""
@@ -182,7 +185,7 @@ def _verdict(digest: Digest) -> Verdict:
     costs = tuple(_cost(digest, summary) for summary in digest.summaries)
     about: dict[str, Any] = {"reference": digest.reference or "", "cases": len(digest.cases), "lost": lost}
     about |= {"costs": costs, "motion": motion_in_words(digest), "sureness": tuple(_gaps(digest))}
-    about["measured"] = measured_in_words(digest, "")
+    about |= {"measured": measured_in_words(digest, ""), "inputs": inputs_known(digest, "")}
     if not digest.cases:
         return Verdict("", not_judged="No case has a result yet, so there is nothing to compare.", **about)
     if digest.reference is None:
@@ -197,6 +200,7 @@ def _verdict(digest: Digest) -> Verdict:
     about |= {
         "model": best,
         "measured": measured_in_words(digest, best),
+        "inputs": inputs_known(digest, best),
         "among": len(rated),
         "kind": "VDM models" if all(map(is_vdm, digest.candidates)) else "models",
         "growth": tuple(limits_in_words(digest)),

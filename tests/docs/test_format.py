@@ -17,7 +17,12 @@ from vdmbench.store import cases as store
 from vdmbench.store import hdf5
 
 FORMAT = Path(__file__).parents[2] / "results" / "FORMAT.md"
-PLACEHOLDERS = {"<model>": r"[^/.]+?", "<region>": r"[^/]+", "<metric>": r"[^/]+"}
+PLACEHOLDERS = {
+    "<model>": r"[^/.]+?",
+    "<region>": r"[^/]+",
+    "<metric>": r"[^/]+",
+    "<index>": r"(?:S1|ST|mu_star|sigma)",
+}
 
 
 def _documented() -> dict[str, re.Pattern[str]]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from vdmbench.measures.case import CaseResult, Limit, MetricSeries, ModelLimits, SmallStrainLimits
+from vdmbench.measures.input_spread import InputSpread, ModelSpread
 from vdmbench.measures.measurement import Measurement, Quantity
 from vdmbench.scene.result import ModelResult, StepStatus
 
@@ -69,6 +70,24 @@ def example_measurement() -> Measurement:
         {"vdm-paper": np.full(2, np.nan), "fem:direct": np.array([1e-4, 2e-4]), "COMSOL": np.full(2, np.nan)},
         {"tips": "motion capture", "bent": ""},
         ("COMSOL",),
+        {"vdm-paper": np.array([2e-4, 0.0]), "fem:direct": np.full(2, np.nan)},
+    )
+
+
+def example_inputs() -> InputSpread:
+    """Two inputs, of which Sobol's indices were asked."""
+    parts, indices = np.full(2, np.nan), {"S1": np.array([0.9, 0.1]), "ST": np.array([0.91, np.nan])}
+    return InputSpread(
+        "sobol",
+        256,
+        ["tissue.poisson_ratio", "tissue.youngs_modulus"],
+        ["1", "Pa"],
+        np.array([0.45, 5e3]),
+        np.array([0.01, 300.0]),
+        {
+            "vdm-paper": ModelSpread(0.07, 0.08, parts, np.nan, indices),
+            "fem:direct": ModelSpread(0.06, np.nan, np.array([0.01, 0.06]), 0.02),
+        },
     )
 
 
@@ -98,6 +117,7 @@ def example_case(case_hash: str = "ab" * 32, label: str = "poisson_ratio = 0.45"
         reference_error={"relative_l2": 0.01, "observed_order": float("nan"), "gci:max_nodal_error": 0.25},
         mesh_quality={"worst_sicn": 0.3},
         measurement=example_measurement(),
+        inputs=example_inputs(),
         small_strain=SmallStrainLimits(
             "constraints.finger.pressure",
             "Pa",

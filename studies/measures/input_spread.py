@@ -1,0 +1,160 @@
+"""What comes of not knowing the inputs: standard deviations of answers, and which input they are from.
+
+By sensitivities: with d_k the standard deviation of an answer through input k alone, the root of the sum of d_k^2.
+That is first order: it holds where answers go straight with each input, and inputs know nothing of each other. By
+samples: their standard deviation, whatever the answer does.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from ..body.mesh import Array
+from ..body.surface_measures import Surface, weighted_norm, without_motions
+from ..study.inputs import Input, inputs_of
+from ..study.schema import Study
+from ..study.variations import MORRIS, SENSITIVITIES, SOBOL, analysis, shares, unit_cube
+
+# what SALib calls them -> what they are
+INDICES = {
+    SOBOL: {"S1": "first order", "ST": "total"},
+    MORRIS: {"mu_star": "mean effect", "sigma": "its spread"},
+}
+STRAIGHT = 0.2  # `ModelSpread.bend` up to which first order will do: it moves the deviation by a fiftieth
+
+
+@dataclass(frozen=True)
+class ModelSpread:
+    """What one model makes of it at full load.
+
+    Attributes
+    ----------
+    displacement : area-weighted norm of the standard deviation of the displacement, over the norm of it
+    deformation : the same without the best-fit rigid motion
+    parts : (K,) share of `displacement` by each input alone; NaN where only samples tell
+    bend : most by which an answer is off the line between those at an input's ends, over `displacement`; NaN
+        likewise
+    indices : name -> (K,) of the norm of the displacement; see `INDICES`
+    """
+
+    displacement: float
+    deformation: float
+    parts: Array
+    bend: float
+    indices: Mapping[str, Array] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class InputSpread:
+    """The K inputs of a case, how well each is known, and what comes of it: model -> spread."""
+
+    method: str
+    variations: int
+    keys: Sequence[str]
+    units: Sequence[str]
+    values: Array  # (K,) of the study, SI
+    deviations: Array  # (K,) standard deviations, SI
+    models: Mapping[str, ModelSpread]
+
+
+class Propagation:
+    """The rule that makes standard deviations of the answers to a study's variations."""
+
+    def __init__(self, study: Study) -> None:
+        assert study.inputs is not None
+        self.inputs: Sequence[Input] = inputs_of(study)
+        self.table = study.inputs
+
+    @property
+    def by_slopes(self) -> bool:
+        """Whether it has the answers at both ends of each input, before any samples."""
+        return self.table.method in (SENSITIVITIES, MORRIS)
+
+    def deviation(self, answers: Sequence[Array]) -> Array:
+        """Standard deviation of each number of the V answers, arrays of one shape."""
+        if self.by_slopes:
+            return np.asarray(np.sqrt((self.parts(answers) ** 2).sum(axis=0)))
+        return np.asarray(np.std(np.stack(answers), axis=0, ddof=1))
+
+    def parts(self, answers: Sequence[Array]) -> Array:
+        """(K, ...) standard deviation of each number through one input alone, with its sign."""
+        pairs = zip(self.inputs, answers[0::2], answers[1::2], strict=False)
+        return np.stack([one.weight * (high - low) / 2.0 for one, low, high in pairs])
+
+    def indices(self, sizes: Array) -> dict[str, Array]:
+        """SALib's indices (K,) of one number at each variation; none where its method asks for none."""
+        names = INDICES.get(self.table.method, {})
+        if not names:
+            return {}
+        count = len(self.inputs)
+        problem, own = unit_cube(count), sizes[2 * count :] if self.by_slopes else sizes
+        if not np.isfinite(own).all() or not np.ptp(own):
+            return {name: np.full(count, np.nan) for name in names}
+        module, seed = analysis(self.table.method), self.table.seed or 0
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of an input that does nothing
+            if self.table.method == SOBOL:
+                found = module.analyze(problem, own, calc_second_order=False, seed=seed)
+            else:
+                samples = shares(MORRIS, count, self.table.samples, self.table.seed)
+                found = module.analyze(problem, samples, own, seed=seed)
+        return {name: np.asarray(found[name], dtype=float) for name in names}
+
+
+Answers = Callable[[str], Sequence[Array]]  # model -> its V answers at full load (N, 3)
+
+
+def input_spread(study: Study, surface: Surface, own: Mapping[str, Array], answers: Answers) -> InputSpread:
+    """What each model makes of what is not known of the inputs.
+
+    Parameters
+    ----------
+    own : model -> (N, 3) its answer to the study itself at full load [m]
+    """
+    rule, count = Propagation(study), 0
+    found = {}
+    for name, displacement in own.items():
+        fields = answers(name)
+        count = len(fields)
+        found[name] = _model_spread(rule, surface, displacement, fields)
+    return InputSpread(
+        rule.table.method,
+        count,
+        [one.key for one in rule.inputs],
+        [one.unit for one in rule.inputs],
+        np.array([one.value for one in rule.inputs]),
+        np.array([one.deviation for one in rule.inputs]),
+        found,
+    )
+
+
+def _model_spread(rule: Propagation, surface: Surface, own: Array, fields: Sequence[Array]) -> ModelSpread:
+    areas = surface.areas
+
+    def shape(values: Array) -> Array:
+        return without_motions(surface.rigid_motions, values[None], areas)[0]
+
+    def share(values: Array, whole: Array) -> float:
+        norm = weighted_norm(whole, areas)
+        return weighted_norm(values, areas) / norm if norm else float("nan")
+
+    parts, bend = np.full(len(rule.inputs), np.nan), float("nan")
+    if rule.by_slopes:
+        slopes = rule.parts(fields)
+        parts = np.array([share(slope, own) for slope in slopes])
+        shapes = np.array([share(shape(slope), shape(own)) for slope in slopes])
+        total, deformation = (float(np.sqrt((values**2).sum())) for values in (parts, shapes))
+        bends = [
+            share(low + (high - low) * one.place - own, own)
+            for one, low, high in zip(rule.inputs, fields[0::2], fields[1::2], strict=False)
+        ]
+        bend = float(np.max(bends)) / total if total else bend
+    else:
+        total = share(rule.deviation(fields), own)
+        deformation = share(rule.deviation([shape(values) for values in fields]), shape(own))
+    sizes = np.array([weighted_norm(values, areas) for values in fields])
+    return ModelSpread(total, deformation, parts, bend, rule.indices(sizes))

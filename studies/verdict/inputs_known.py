@@ -1,0 +1,148 @@
+"""Whether a model's error is larger than what is not known of the inputs, over all cases."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..measures.case import CaseResult
+from ..measures.input_spread import STRAIGHT, ModelSpread
+from ..measures.metrics import VECTOR
+from .digest import Digest
+from .formatting import listed, parameter_name, plural, short_percent
+from .standing import at_full_load, reference_bar
+
+LARGER, SMALLER, ALIKE = "larger", "smaller", "alike"
+_LEAST = 0.1  # of the whole: an input that makes less is not named
+_WORDS = {
+    LARGER: "is larger: a better model helps more than better known inputs",
+    SMALLER: "is smaller: better known inputs help more than a better model",
+    ALIKE: "is about as large: the reference's own error hides which is larger",
+}
+
+
+@dataclass(frozen=True)
+class InputsKnown:
+    """What is not known of the inputs, as medians over cases, beside a model's displacement error.
+
+    Attributes
+    ----------
+    answer : whose answers it is of: the reference's, else the model's
+    displacement, deformation : standard deviation of its displacement, over it; NaN where not known
+    parts : key of the study -> share of `displacement` by that input alone, the largest first; none of samples
+    method : how it was found
+    bend : see `vdmbench.measures.input_spread.ModelSpread`
+    model, error : the model that the verdict is about, "" for none, and its displacement error
+    larger, alike, smaller : cases in which that is larger, cannot be told, or is smaller
+    """
+
+    answer: str
+    displacement: float
+    deformation: float
+    parts: tuple[tuple[str, float], ...]
+    method: str
+    bend: float
+    model: str = ""
+    error: float = math.nan
+    larger: int = 0
+    alike: int = 0
+    smaller: int = 0
+
+
+def inputs_known(digest: Digest, model: str) -> InputsKnown | None:
+    """None where no case tells how well its inputs are known.
+
+    Parameters
+    ----------
+    model : the one that the verdict is about, "" for none
+    """
+    cases = [case for case in digest.cases if case.inputs is not None]
+    answer = digest.reference or model or next(iter(digest.models), "")
+    found = [(case, spread) for case in cases if (spread := _of(case, answer)) is not None]
+    if not found or cases[0].inputs is None:
+        return None
+    spreads = [spread for _, spread in found]
+    keys = cases[0].inputs.keys
+    shares = {key: _median([float(spread.parts[k]) for spread in spreads]) for k, key in enumerate(keys)}
+    parts = sorted(((k, s) for k, s in shares.items() if math.isfinite(s)), key=lambda part: -part[1])
+    states = [_state(case, model, spread) for case, spread in found] if model else []
+    return InputsKnown(
+        answer=answer,
+        displacement=_median([spread.displacement for spread in spreads]),
+        deformation=_median([spread.deformation for spread in spreads]),
+        parts=tuple(parts),
+        method=cases[0].inputs.method,
+        bend=_median([spread.bend for spread in spreads]),
+        model=model,
+        error=_median([at_full_load(case, model, VECTOR) for case, _ in found]) if model else math.nan,
+        larger=states.count(LARGER),
+        alike=states.count(ALIKE),
+        smaller=states.count(SMALLER),
+    )
+
+
+def _of(case: CaseResult, answer: str) -> ModelSpread | None:
+    return case.inputs.models.get(answer) if case.inputs is not None else None
+
+
+def _median(values: list[float]) -> float:
+    known = [value for value in values if math.isfinite(value)]
+    return float(np.median(known)) if known else math.nan
+
+
+def _state(case: CaseResult, model: str, spread: ModelSpread) -> str:
+    """How the error stands to the spread of the inputs, the reference's own error counted; "" where unknown."""
+    error, bar = at_full_load(case, model, VECTOR), reference_bar(case)
+    bar = bar if math.isfinite(bar) else 0.0
+    if not math.isfinite(error) or not math.isfinite(spread.displacement):
+        return ""
+    if abs(error - spread.displacement) <= bar:
+        return ALIKE
+    return LARGER if error > spread.displacement else SMALLER
+
+
+def inputs_in_words(found: InputsKnown | None) -> list[str]:
+    """The sentences of it; none where nothing is told."""
+    if found is None:
+        return []
+    if not math.isfinite(found.displacement):
+        return [
+            f"What is not known of the inputs is not known here: {found.answer} has no answer to a variation."
+        ]
+    main = [
+        f"{parameter_name(key)} {short_percent(share)}" for key, share in found.parts if _counts(found, share)
+    ]
+    through = f", through {listed(main)}" if main else ""
+    told = [
+        f"What is not known of the inputs is {short_percent(found.displacement)} of the displacement of "
+        f"{found.answer} (one standard deviation){through}."
+    ]
+    told += filter(None, [_compared(found)])
+    if found.bend > STRAIGHT:
+        told.append(
+            'An answer bends with an input, so this is rough: method = "sampling" in [inputs] does better.'
+        )
+    return told
+
+
+def _counts(found: InputsKnown, share: float) -> bool:
+    return share > _LEAST * found.displacement
+
+
+def _compared(found: InputsKnown) -> str:
+    counts = {LARGER: found.larger, ALIKE: found.alike, SMALLER: found.smaller}
+    total = sum(counts.values())
+    if not total:
+        return ""
+    error = f"The error of {found.model}, {short_percent(found.error)},"
+    alone = next((state for state, count in counts.items() if count == total), None)
+    if alone is not None:
+        return f"{error} {_WORDS[alone]}."
+    each = [
+        f"{'about as large' if state == ALIKE else state} in {count}"
+        for state, count in counts.items()
+        if count
+    ]
+    return f"{error} is {listed(each)} of {plural(total, 'case')}."

@@ -1,0 +1,381 @@
+"""How well inputs are known: read from a study, varied as parts of its graph, and what comes of it."""
+
+from __future__ import annotations
+
+import copy
+import dataclasses
+import importlib.util
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from tests.command import vdmbench
+from tests.graph.shared_work import ONE_LOAD, cache, meshes, plan_of, planned_work, run, scene_of
+from vdmbench import models
+from vdmbench.body.surface_measures import Surface, weighted_norm
+from vdmbench.graph.plan import Plan
+from vdmbench.measures.input_spread import InputSpread, ModelSpread, Propagation, input_spread
+from vdmbench.measures.measurement import hold_against
+from vdmbench.report.section_inputs import inputs as section
+from vdmbench.study.config import Study, StudyError, load_study, resolved
+from vdmbench.study.inputs import inputs_of
+from vdmbench.study.variations import variations
+from vdmbench.verdict.digest import Digest
+from vdmbench.verdict.sentences import INPUTS, answers
+from vdmbench.verdict.verdict import verdict
+
+from .report_runs import make_case, make_run
+from .test_measured import GOOD, STUDY, ball, load
+
+__all__ = ["cache", "meshes"]
+
+E, NU, FORCE = "tissue.youngs_modulus", "tissue.poisson_ratio", "constraints.finger.force"
+KNOWN: dict[str, Any] = {E: {"sd": 500.0}, NU: {"range": [0.45, 0.49]}, FORCE: {"sd": 0.002}}
+HAS_SALIB = importlib.util.find_spec("SALib") is not None
+
+
+def plan(directory: Path, cache: Path, inputs: Any = KNOWN, **changes: Any) -> Plan:
+    return plan_of(directory / "run", cache, tables=ONE_LOAD, inputs=copy.deepcopy(inputs), **changes)
+
+
+def study_of(inputs: Any, **changes: Any) -> Study:
+    return Study.model_validate(copy.deepcopy(ONE_LOAD) | {"inputs": inputs, **changes})
+
+
+# --- what a study says ---
+
+
+def test_deviations_are_read_in_their_units_and_kept_in_si() -> None:
+    study = study_of({"tissue": {"youngs_modulus": {"sd": "0.3 kPa"}}, NU: {"range": [0.45, 0.4999]}})
+    of_ratio, of_modulus = inputs_of(study)
+    assert (of_modulus.key, of_modulus.unit, of_modulus.deviation) == (E, "Pa", 300.0)
+    assert of_modulus.ends == (4700.0, 5300.0)
+    assert_allclose(of_ratio.deviation, 0.0499 / np.sqrt(12), rtol=1e-12)
+    assert resolved(study)["inputs"] == {
+        "method": "sensitivities",
+        NU: {"range": [0.45, 0.4999]},
+        E: {"sd": 300.0},
+    }
+    again = Study.model_validate(resolved(study))
+    assert inputs_of(again) == inputs_of(study)
+
+
+@pytest.mark.parametrize(
+    ("line", "told"),
+    [
+        ('tissue.youngs_modulus = { sd = "5 mm" }', '"mm" is not a unit of a pressure'),
+        ("tissue.youngs_modulus = { sd = 0 }", "must be positive"),
+        ("tissue.youngs_modulus = { sd = 5000 }", "at 0: must be positive, not 0; give a range"),
+        ("tissue.youngs_modulus = 300", "must be a table: write { sd"),
+        ("tissue.youngs_modulus = { std = 1 }", 'unknown key "std"'),
+        ("tissue.youngs_modulus = { sd = 1, range = [1, 2] }", "one of them"),
+        ("tissue.youngs_modulus = { range = [6000, 7000] }", "does not hold the study's own value, 5000 Pa"),
+        ("tissue.youngs_modulus = { range = [6000, 4000] }", "must begin with the smaller value"),
+        ("tissue.youngs_modulus = { range = [4000] }", "must be a list of two values"),
+        ("tissue.poisson_ratio = { sd = 0.1 }", "at 0.55: must be above -1 and at most 0.5"),
+        ("tissue.youngs_modulos = { sd = 1 }", 'did you mean "tissue.youngs_modulus"?'),
+        ("geometry.radius = { sd = 0.01 }", "is another body with other nodes"),
+        ("vdm.foundation = { sd = 1 }", "has no value in this study"),
+        ('study.name = { sd = "a" }', "unknown quantity"),
+        ("samples = 2", "must be greater than or equal to 4"),
+        ('method = "guess"', "unknown choice"),
+        ("seed = 1", "names no key"),
+        ('method = "sampling"\nsamples = 10000\ntissue.youngs_modulus = { sd = 1 }', "10,000 variations"),
+    ],
+)
+def test_a_bad_table_is_told_by_its_line(tmp_path: Path, line: str, told: str) -> None:
+    (tmp_path / "tips.csv").write_text(GOOD)
+    (tmp_path / "tips.toml").write_text(f"{STUDY}[inputs]\n{line}\n")
+    with pytest.raises(StudyError) as caught:
+        load_study(tmp_path / "tips.toml")
+    assert told in str(caught.value)
+    assert len(caught.value.problems) == 1
+    assert caught.value.problems[0].line >= STUDY.count("\n") + 1
+
+
+def test_check_ends_with_2_and_one_line(tmp_path: Path) -> None:
+    (tmp_path / "tips.csv").write_text(GOOD)
+    (tmp_path / "tips.toml").write_text(f'{STUDY}[inputs]\n"tissue.poisson_ratio" = {{ sd = 0.1 }}\n')
+    result = vdmbench("check", "tips.toml", cwd=tmp_path)
+    assert result.returncode == 2
+    (line,) = result.stderr.strip().splitlines()
+    assert f"tips.toml:{STUDY.count(chr(10)) + 2}: " in line
+
+
+def test_a_case_of_a_sweep_is_told_too(tmp_path: Path) -> None:
+    (tmp_path / "tips.csv").write_text(GOOD)
+    sweep = (
+        '[sweep]\n"tissue.poisson_ratio" = [0.3, 0.49]\n[inputs]\n"tissue.poisson_ratio" = { sd = 0.02 }\n'
+    )
+    (tmp_path / "tips.toml").write_text(STUDY + sweep)
+    with pytest.raises(StudyError, match=r"at 0\.51: must be above -1 and at most 0\.5"):
+        load_study(tmp_path / "tips.toml")
+
+
+def test_a_missing_wheel_is_one_line_with_the_command(monkeypatch: pytest.MonkeyPatch) -> None:
+    from vdmbench.study import variations as module
+
+    def lost(_: str) -> Any:
+        raise ImportError("no SALib")
+
+    monkeypatch.setattr(module, "import_module", lost)
+    for method in ("sobol", "morris"):
+        found, findings = variations(study_of({"method": method, E: {"sd": 300.0}}))
+        assert found == []
+        ((loc, text),) = findings
+        assert loc == ("inputs", "method")
+        assert "pip install --constraint constraints.txt --editable '.[sensitivity]'" in text
+
+
+# --- what is computed ---
+
+
+def test_sensitivities_by_hand(tmp_path: Path, cache: Path) -> None:
+    """Half of 1/0.9 less 1/1.1 for the modulus, its own share for the force, and two solves for the ratio."""
+    planned = plan(tmp_path, cache)
+    assert planned_work(planned, "fem-linear") == {"set-ups": 2, "solves": 2}, "force and modulus come free"
+    assert planned_work(planned, "vdm-vector") == {"set-ups": 1, "solves": 1}, "it reads no Poisson ratio"
+    (case,) = run(planned)
+    scene = scene_of(planned, planned.cases[0])
+    own, other = (
+        models.run_model(dataclasses.replace(scene, tissue=tissue), "fem-linear").displacement[0]
+        for tissue in (scene.tissue, scene.tissue.model_copy(update={"poisson_ratio": 0.45}))
+    )
+    areas = Surface(case.points, case.triangles).areas
+    by_ratio = weighted_norm(own - other, areas) / np.sqrt(12) / weighted_norm(own, areas)
+    expected = np.array([0.002 / 0.1, by_ratio, (1 / 0.9 - 1 / 1.1) / 2])
+    found = case.inputs
+    assert found is not None
+    assert found.keys == [FORCE, NU, E]
+    assert_allclose(found.models["fem-linear"].parts, expected, rtol=1e-5)
+    assert_allclose(found.models["vdm-vector"].parts, expected * [1, 0, 1], rtol=1e-9)
+    assert_allclose(found.models["fem-linear"].displacement, np.linalg.norm(expected), rtol=1e-5)
+    for name, spread in found.models.items():
+        (value,) = case.metrics[name]["input_uncertainty"].values
+        assert value == spread.displacement
+    # of the three the modulus bends: the mean of 1/0.9 and 1/1.1 is 1.0101
+    assert_allclose(found.models["vdm-vector"].bend, 0.010101 / np.linalg.norm(expected[[0, 2]]), rtol=1e-4)
+
+
+def test_inputs_add_their_variations_to_a_study_that_has_run(tmp_path: Path, cache: Path) -> None:
+    run(plan_of(tmp_path / "plain", cache, tables=ONE_LOAD))
+    assert planned_work(plan(tmp_path, cache)) == {"set-ups": 1, "solves": 1}
+
+
+def test_the_refined_reference_has_the_spread_of_its_own_mesh(tmp_path: Path, cache: Path) -> None:
+    inputs = {FORCE: {"sd": 0.002}}
+    (case,) = run(plan(tmp_path, cache, inputs, uncertainty={"levels": 2}, load={"factors": [0.5, 1.0]}))
+    assert case.inputs is not None
+    # the norm of the coarse mesh's slope over that of the refined answer
+    coarse, fine = (case.models[name].displacement[1] for name in ("fem-linear", "fem-linear refined"))
+    areas = Surface(case.points, case.triangles).areas
+    share = 0.02 * weighted_norm(coarse, areas) / weighted_norm(fine, areas)
+    assert_allclose(case.inputs.models["fem-linear refined"].displacement, share, rtol=1e-9)
+
+
+@pytest.mark.parametrize("name", [n for n, m in models.all_models().items() if m.one_over_modulus])
+def test_a_model_that_says_so_goes_with_one_over_the_modulus(tmp_path: Path, cache: Path, name: str) -> None:
+    planned = plan_of(
+        tmp_path,
+        cache,
+        tables=ONE_LOAD,
+        study={"name": "test", "models": [name]},
+        gravity={"acceleration": [0, 0, -0.1]},
+    )
+    scene = scene_of(planned, planned.cases[0])
+    stiff = dataclasses.replace(scene, tissue=scene.tissue.model_copy(update={"youngs_modulus": 10000.0}))
+    soft, hard = (models.run_model(s, name).displacement for s in (scene, stiff))
+    assert np.abs(soft).max() > 0
+    assert_allclose(hard, soft / 2, rtol=0, atol=1e-6 * np.abs(soft).max())
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"vdm": {"surface_tension": 3.0}},
+        {"environment": {"pressure": 10.0}},
+        {
+            "constraints": [
+                *ONE_LOAD["constraints"],
+                {"name": "bed", "kind": "elastic", "region": "base", "stiffness": 1e4},
+            ]
+        },
+        {
+            "constraints": [
+                *ONE_LOAD["constraints"][1:],
+                {"kind": "constrained", "region": "base", "displacement": [0.0, 0.0, 0.001]},
+            ]
+        },
+    ],
+)
+def test_what_does_not_go_with_one_over_the_modulus_is_solved(
+    tmp_path: Path, cache: Path, changes: dict[str, Any]
+) -> None:
+    planned = plan(
+        tmp_path, cache, {E: {"sd": 500.0}}, study={"name": "test", "models": ["vdm-vector"]}, **changes
+    )
+    assert planned_work(planned)["set-ups"] == 3
+
+
+def test_samples_spread_as_their_inputs_do(tmp_path: Path, cache: Path) -> None:
+    """A linear answer goes with its force: the spread is that of the 64 forces, free of charge."""
+    planned = plan(tmp_path, cache, {"method": "sampling", "seed": 3, FORCE: {"sd": 0.002}})
+    assert planned_work(planned) == {"set-ups": 2, "solves": 2}
+    (case,) = run(planned)
+    assert case.inputs is not None
+    assert case.inputs.variations == 64
+    forces = [v.values[FORCE] for v in variations(planned.cases[0].study)[0]]
+    assert_allclose(np.mean(forces), 0.1, rtol=1e-3)
+    for spread in case.inputs.models.values():
+        assert_allclose(spread.displacement, np.std(forces, ddof=1) / 0.1, rtol=1e-6)
+        assert_allclose(spread.displacement, 0.02, rtol=0.05)
+        assert np.isnan(spread.parts).all()
+
+
+def test_the_place_of_a_support_can_be_an_input(tmp_path: Path, cache: Path) -> None:
+    (case,) = run(
+        plan(
+            tmp_path,
+            cache,
+            {"regions.base.below.fraction": {"range": [0.05, 0.4]}},
+            study={"name": "test", "models": ["fem-p1"]},
+        )
+    )
+    assert case.inputs is not None
+    assert case.inputs.models["fem-p1"].displacement > 0.1
+    told = section(Digest(make_run([case])))
+    assert told is not None
+    assert "moves none" not in str(told.blocks)
+    spread = case.inputs.models["fem-p1"]
+    lost = dataclasses.replace(case.inputs, models={"fem-p1": dataclasses.replace(spread, parts=np.zeros(1))})
+    told = section(Digest(make_run([dataclasses.replace(case, inputs=lost)])))
+    assert told is not None
+    assert "regions.base.below.fraction moves none of this mesh" in str(told.blocks)
+
+
+def unit_sphere() -> Surface:
+    mesh = ball()
+    return Surface(mesh.points, mesh.triangles)
+
+
+def of_product(study: Study, surface: Surface) -> InputSpread:
+    """The spread of u0 * E / 5000 * (F / 0.1)^2, by the study's own variations."""
+    u0 = surface.points * [0.0, 0.0, 1.0]
+    fields = [
+        u0 * v.values.get(E, 5000.0) / 5000.0 * (v.values.get(FORCE, 0.1) / 0.1) ** 2
+        for v in variations(study)[0]
+    ]
+    return input_spread(study, surface, {"m": u0}, lambda _: fields)
+
+
+@pytest.mark.skipif(not HAS_SALIB, reason="SALib is not installed")
+def test_indices_of_a_product() -> None:
+    """Of E F^2 the force's small share counts twice: the first-order indices are those of 0.05 and 2 * 0.02."""
+    inputs = {E: {"sd": 250.0}, FORCE: {"sd": 0.002}}
+    sobol = of_product(study_of({"method": "sobol", "samples": 256, **inputs}), unit_sphere()).models["m"]
+    expected = np.array([0.04**2, 0.05**2]) / (0.04**2 + 0.05**2)
+    assert_allclose(sobol.indices["S1"], expected, atol=0.1)
+    assert_allclose(sobol.indices["ST"], expected, atol=0.1)
+    assert_allclose(sobol.displacement, np.hypot(0.04, 0.05), rtol=0.1)
+    morris = of_product(study_of({"method": "morris", **inputs}), unit_sphere()).models["m"]
+    assert_allclose(morris.displacement, np.hypot(0.04, 0.05), rtol=1e-3)
+    mu = morris.indices["mu_star"]
+    assert_allclose(mu[0] / mu[1], 0.04 / 0.05, rtol=0.1)
+
+
+# --- what is made of it ---
+
+
+def test_u_input_joins_the_validation_uncertainty(tmp_path: Path) -> None:
+    """Of S = 2.05 mm at 5 % in the modulus, 0.1025 mm and more join u_D = 0.1 and 0.2 mm."""
+    study = load(tmp_path, GOOD, STUDY + '[inputs]\n"tissue.youngs_modulus" = { sd = 250 }\n')
+    field = np.zeros((2, 162, 3))
+    field[:, :, 2] = -2.05e-3
+    rule, fields = Propagation(study), [field * 1.05, field * 0.95]
+    found = hold_against(
+        study, ball(), {}, {}, {"a": field, "b": field}, spread={"a": (rule, lambda: fields)}
+    )
+    assert found is not None
+    u_input = 0.05 * 2.05e-3
+    assert_allclose(found.inputs["a"], [u_input, 0.0, u_input], rtol=1e-9, atol=1e-15)
+    assert_allclose(found.uncertainty("a"), np.hypot([1e-4, 2e-4, 2e-4], [u_input, 0, u_input]), rtol=1e-9)
+    assert_allclose(found.uncertainty("b"), [1e-4, 2e-4, 2e-4], rtol=1e-12)
+
+
+def known(displacement: float, bend: float = 0.0) -> InputSpread:
+    parts = displacement * np.array([0.99, 0.05])
+    spread = ModelSpread(displacement, displacement, parts, bend)
+    return InputSpread(
+        "sensitivities",
+        4,
+        [E, NU],
+        ["Pa", "1"],
+        np.array([5e3, 0.45]),
+        np.array([300.0, 0.01]),
+        {"fem-linear": spread},
+    )
+
+
+@pytest.mark.parametrize(
+    ("spreads", "bar", "told"),
+    [
+        (
+            (0.05,),
+            0.0,
+            "The error of vdm-paper, 10 %, is larger: a better model helps more than better known inputs.",
+        ),
+        ((0.2,), 0.0, "is smaller: better known inputs help more than a better model."),
+        ((0.12,), 0.03, "is about as large: the reference's own error hides which is larger."),
+        ((0.05, 0.2), 0.0, "is larger in 1 and smaller in 1 of 2 cases."),
+        (
+            (0.05,),
+            0.0,
+            "is 5 % of the displacement of fem-linear (one standard deviation), through Young's modulus 5 %.",
+        ),
+    ],
+)
+def test_the_verdict_answers_whether_the_error_is_larger(
+    spreads: tuple[float, ...], bar: float, told: str
+) -> None:
+    bars = {"gci:relative_l2_displacement_error": bar}
+    cases = [
+        dataclasses.replace(
+            make_case({"vdm-paper": 0.1}, label=f"k = {k}" if len(spreads) > 1 else "", reference_error=bars),
+            inputs=known(spread),
+        )
+        for k, spread in enumerate(spreads)
+    ]
+    found = verdict(Digest(make_run(cases)))
+    (answer,) = (a for a in answers(found) if a.question == INPUTS)
+    assert told in " ".join(answer.sentences)
+    data = json.loads(json.dumps(found.as_data()))["inputs"]
+    assert data["larger"] + data["alike"] + data["smaller"] == len(spreads)
+    assert data["parts"][0][0] == E
+
+
+def test_a_study_without_inputs_is_not_asked() -> None:
+    found = verdict(Digest(make_run([make_case({"vdm-paper": 0.1})])))
+    assert found.inputs is None
+    assert INPUTS not in [a.question for a in answers(found)]
+
+
+def test_an_answer_that_bends_is_said_to_be_rough() -> None:
+    case = make_case({"vdm-paper": 0.1})
+    for bend, rough in ((0.0, False), (0.5, True)):
+        run_ = make_run([dataclasses.replace(case, inputs=known(0.05, bend))])
+        told = " ".join(s for a in answers(verdict(Digest(run_))) for s in a.sentences)
+        assert ('method = "sampling"' in told) == rough
+
+
+def test_the_section_has_every_share() -> None:
+    run_ = make_run([dataclasses.replace(make_case({"vdm-paper": 0.1}), inputs=known(0.05))])
+    made = section(Digest(run_))
+    assert made is not None
+    (table,) = (block for block in made.blocks if type(block).__name__ == "Table")
+    assert [column.detail for column in table.columns[1:3]] == ["5 kPa ± 300 Pa", "0.45 ± 0.01"]
+    assert [cell.text for cell in table.rows[0][1:5]] == ["4.95 %", "0.25 %", "5.00 %", "5.00 %"]
+    assert section(Digest(make_run([make_case({"vdm-paper": 0.1})]))) is None
