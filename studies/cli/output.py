@@ -61,13 +61,13 @@ def print_run(run: Run, directory: Path, report: Path, as_json: bool) -> int:
         print_answers(told)
         complain_of_failures(run)
         for model, place, message, remedy in stopped:
-            print(f"stopped: {model} ({place}): {message}" + (f"; {remedy}" if remedy else ""))
+            print(folded(f"stopped: {model} ({place}): {message}" + (f"; {remedy}" if remedy else "")))
         lost = f", {run.damaged} damaged" if run.damaged else ""
         print(
             f"{len(run.cases)} done, {len(run.failed) - run.damaged} failed{lost}, {len(run.missing)} missing"
         )
         if spent := taken(run.plan):
-            print(spent)
+            print(folded(spent))
         print(f"report: {report}")
     if run.failed and not run.cases and all(failure["code"] == "input" for failure in run.failed):
         return USAGE  # nothing could be done with what the user gave
@@ -101,14 +101,21 @@ def print_answers(told: Iterable[Answer]) -> None:
         if answer.question in _TOLD_HERE:
             print("\n" + " ".join(filter(None, (answer.question, answer.word))))
             for sentence in answer.sentences:
-                print(_folded(sentence))
+                print(folded(sentence, "  "))
     print()
 
 
-def _folded(text: str) -> str:
-    """A text in lines of `WIDTH` columns; a number stays with its unit."""
+def folded(text: str, indent: str = "") -> str:
+    """A text in lines of `WIDTH` columns, the further ones set in; a number stays with its unit."""
     whole = _BEFORE_UNIT.sub("\u00a0", text)
-    lines = textwrap.fill(whole, WIDTH, initial_indent="  ", subsequent_indent="    ", break_on_hyphens=False)
+    lines = textwrap.fill(
+        whole,
+        WIDTH,
+        initial_indent=indent,
+        subsequent_indent=f"{indent}  ",
+        break_on_hyphens=False,
+        break_long_words=False,
+    )
     return lines.replace("\u00a0", " ")
 
 
@@ -122,7 +129,7 @@ def print_table(rows: Sequence[dict[str, str]]) -> None:
         for row in rows:
             first, *others = columns
             print(row[first])
-            print(_folded("; ".join(f"{column}: {row[column]}" for column in others if row[column])))
+            print(folded("; ".join(f"{column}: {row[column]}" for column in others if row[column]), "  "))
         return
     print("  ".join(column.ljust(width) for column, width in zip(columns, widths, strict=True)).rstrip())
     for row in rows:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 
 from .argument_kinds import fresh_arguments, jobs_arguments, out_argument, study_arguments
-from .output import OK, count, print_json
+from .output import OK, count, folded, print_json
 from .studies import check_files, load, make_plan, require_own
 
 SUMMARY = "say what a run would do"
@@ -39,7 +39,11 @@ def run(options: argparse.Namespace) -> int:
     planned = summary(plan) | {"directory": str(plan.directory), "disk_free": free}
     if options.json:
         return print_json(planned)
-    print(f"{study.study.title}: {count(len(planned['cases']), 'case')} of {', '.join(study.study.models)}")
+    print(
+        folded(
+            f"{study.study.title}: {count(len(planned['cases']), 'case')} of {', '.join(study.study.models)}"
+        )
+    )
     if study.study.reference is None:
         print("no reference: the models run without comparison")
     for case in planned["cases"]:
@@ -48,11 +52,12 @@ def run(options: argparse.Namespace) -> int:
     print(f"to run: {count(planned['cases_to_run'], 'case')}, {meshes}")
     for kind in ("needed", "skipped", "refused"):
         for line in planned[kind]:
-            print(f"{'will be refused' if kind == 'refused' else kind}: {line}")
+            print(folded(f"{'will be refused' if kind == 'refused' else kind}: {line}"))
     expected = planned["estimate"]
-    print(
+    text = (
         f"estimate: {expected['seconds']:.0f} s on one core, {expected['memory'] / 1e6:.0f} MB a worker, "
         f"{expected['disk'] / 1e6:.1f} MB on disk ({free / 1e9:.3g} GB free); "
         f"each within a factor of {expected['factor']:g}"
     )
+    print(folded(text))
     return OK

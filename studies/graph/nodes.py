@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ..body.mesh_cache import mesh_path
-from ..store.run_directory import case_path
 from ..study.config import resolved
 from .answers import answer_path
 from .keys import Wanted, level_key
@@ -193,7 +192,7 @@ def _item(case: PlannedCase, plan: Plan) -> dict[str, Any]:
         "swept": dict(case.swept),
         "swept_units": dict(case.swept_units),
         "study": resolved(case.study),
-        "path": str(case_path(plan.directory, case.hash)),
+        "path": str(plan.case_file(case)),
         "wanted": [asdict(want) for want in case.wanted],
         "limits": case.limits,
         "variations": [

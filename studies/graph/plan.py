@@ -145,7 +145,7 @@ class Plan:
     @cached_property
     def state(self) -> dict[str, str]:
         """Case hash -> "done", "stale", "failed", "damaged" or "missing"."""
-        return {case.hash: case_state(self.directory, case.hash) for case in self.cases}
+        return {case.hash: case_state(self.directory, case.hash, case.label) for case in self.cases}
 
     @cached_property
     def in_order(self) -> list[PlannedCase]:
@@ -193,7 +193,7 @@ class Plan:
 
     def case_file(self, case: PlannedCase) -> Path:
         """Where the case is kept once it is done."""
-        return case_path(self.directory, case.hash)
+        return case_path(self.directory, case.hash, case.label)
 
 
 def make_plan(

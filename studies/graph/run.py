@@ -230,7 +230,7 @@ def _run_missing(
         if outcome.kind != "cases":
             continue
         if outcome.ok:
-            failure_path(plan.directory, outcome.id).unlink(missing_ok=True)
+            failure_path(plan.directory, outcome.id, outcome.label).unlink(missing_ok=True)
         else:
             _keep_failure(plan, outcome)
     return used
@@ -238,12 +238,12 @@ def _run_missing(
 
 def _keep_failure(plan: Plan, outcome: Outcome) -> None:
     """A failure, with its log, takes the place of whatever result the case had before."""
-    path = case_path(plan.directory, outcome.id)
+    path = case_path(plan.directory, outcome.id, outcome.label)
     if not path.is_dir():  # which is no result, and may be why the case failed
         path.unlink(missing_ok=True)
     reason = {"hash": outcome.id, "label": outcome.label}
     reason |= {name: getattr(outcome.said, name) for name in ("code", "message", "remedy")}
-    write_failure(failure_path(plan.directory, outcome.id), reason, outcome.said.log)
+    write_failure(failure_path(plan.directory, outcome.id, outcome.label), reason, outcome.said.log)
 
 
 @contextmanager

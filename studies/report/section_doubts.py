@@ -1,24 +1,18 @@
-"""What is doubtful about the scenes: each a judgement, told beside results that were computed all the same."""
+"""What is doubtful about the scenes."""
 
 from __future__ import annotations
 
-from ..scene.warnings import scene_warnings
 from ..verdict.digest import Digest
+from ..verdict.doubts import doubts as found
 from .blocks import Cell, Column, Section, Table
 
 
 def doubts(digest: Digest) -> Section | None:
     """A row per constraint and doubt, of several cases the first."""
-    rows: dict[tuple[str | int, ...], list[Cell]] = {}
-    for case in digest.cases:
-        constraints = case.resolved.get("constraints", [])
-        tissue, factor = case.resolved.get("tissue", {}), float(abs(case.load_factors).max())
-        for loc, text in scene_warnings(
-            constraints, tissue, case.regions, case.points, case.triangles, factor
-        ):
-            entry = constraints[int(loc[1])]
-            name = entry.get("name") or entry["region"]
-            rows.setdefault(loc, [Cell(name), Cell(digest.case_name(case)), Cell(text)])
+    rows = [
+        [Cell(doubt.constraint), Cell(digest.case_name(doubt.case)), Cell(doubt.text)]
+        for doubt in found(digest)
+    ]
     columns = [Column(name, numeric=False) for name in ("Constraint", "Case", "What is doubtful")]
-    table = Table("doubts", "", columns, list(rows.values()))
+    table = Table("doubts", "", columns, rows)
     return Section("doubts", "What is doubtful about the scene", [table]) if rows else None

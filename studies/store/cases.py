@@ -149,9 +149,9 @@ def read_run(directory: Path, *, damaged: bool = False) -> Run:
     cases, failed, missing = [], [], []
     for planned in plan["cases"]:
         label = planned["label"] or plan["study"]["name"]
-        path = case_path(directory, planned["hash"])
+        path = case_path(directory, planned["hash"], planned["label"])
         # reading it says the rest
-        state = "done" if os.path.lexists(path) else case_state(directory, planned["hash"])
+        state = "done" if os.path.lexists(path) else case_state(directory, planned["hash"], planned["label"])
         # the swept values and the label belong to the study, not to the case: another study may share it
         names = {key: planned[key] for key in ("label", "swept", "swept_units")}
         if state == "done":
@@ -183,7 +183,7 @@ def run_state(directory: Path) -> dict[str, list[Any]]:
     state: dict[str, list[Any]] = {"done": [], "stale": [], "failed": [], "damaged": [], "missing": []}
     plan = read_plan(directory)
     for planned in plan["cases"]:
-        kind = case_state(directory, planned["hash"])
+        kind = case_state(directory, planned["hash"], planned["label"])
         label = planned["label"] or plan["study"]["name"]
         failed = kind == "failed"
         state[kind].append(read_failure(directory, planned["hash"], label) if failed else label)
@@ -209,12 +209,12 @@ def _digest(table: bytes) -> str:
     return hashlib.sha256(table).hexdigest()
 
 
-def case_state(directory: Path, case_hash: str) -> str:
+def case_state(directory: Path, case_hash: str, label: str = "") -> str:
     """ "done", "stale" (done, but by other versions of the metrics), "damaged", "failed" or "missing".
 
     A file of an older schema counts as missing: the next run writes it anew.
     """
-    path = case_path(directory, case_hash)
+    path = case_path(directory, case_hash, label)
     if os.path.lexists(path):
         try:
             with Stored(path, SCHEMA) as file:
@@ -226,7 +226,7 @@ def case_state(directory: Path, case_hash: str) -> str:
         except UNREADABLE:
             return "damaged"
         return "done" if fresh else "stale"
-    return "failed" if has_failed(directory, case_hash) else "missing"
+    return "failed" if has_failed(directory, case_hash, label) else "missing"
 
 
 def _metric_versions() -> str:

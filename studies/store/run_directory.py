@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import os
+import re
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
@@ -17,6 +18,7 @@ from .hdf5 import StoreError
 
 PLAN, STUDY, RESOLVED = "plan.json", "study.toml", "resolved.toml"
 CASE_SUFFIX = ".vtkhdf"
+_SHORT, _READABLE = 12, 100  # characters of the hash, and of the label at most, in the name of a file
 _FOLDERS = ("cases", "failed")
 _BEGUN = {STUDY, RESOLVED, *_FOLDERS}  # what a run that was killed leaves without a plan
 
@@ -25,14 +27,25 @@ class ForeignDirectoryError(ValueError):
     """A directory that holds something else than a run."""
 
 
-def case_path(directory: Path, case_hash: str) -> Path:
-    """Where a run directory keeps a finished case."""
-    return directory / "cases" / f"{case_hash}{CASE_SUFFIX}"
+def case_path(directory: Path, case_hash: str, label: str = "") -> Path:
+    """Where a run directory keeps a finished case: the file of this hash, by whatever label it has its name."""
+    return _named(directory / "cases", case_hash, label, CASE_SUFFIX)
 
 
-def failure_path(directory: Path, case_hash: str) -> Path:
+def failure_path(directory: Path, case_hash: str, label: str = "") -> Path:
     """Where a run directory keeps the reason why a case failed."""
-    return directory / "failed" / f"{case_hash}.json"
+    return _named(directory / "failed", case_hash, label, ".json")
+
+
+def _named(folder: Path, case_hash: str, label: str, suffix: str) -> Path:
+    """`force-0.1-N-2c29307b61fd.vtkhdf`; a label is the study's, so the same case may be there under another."""
+    words = re.sub(r"[^\w.+-]+", "-", label, flags=re.ASCII).strip("-.")[:_READABLE]
+    ending = f"{case_hash[:_SHORT]}{suffix}"
+    named = folder / "-".join(filter(None, (words, ending)))
+    if os.path.lexists(named) or not folder.is_dir():
+        return named
+    there = (name for name in os.listdir(folder) if name.endswith(ending) or name == f"{case_hash}{suffix}")
+    return folder / next(there, named.name)
 
 
 # --- whose it is ---
@@ -171,7 +184,7 @@ def write_failure(path: Path, reason: Mapping[str, str], log: str) -> None:
 
 def read_failure(directory: Path, case_hash: str, label: str) -> dict[str, str]:
     """Why a case failed. Raises StoreError."""
-    path = failure_path(directory, case_hash)
+    path = failure_path(directory, case_hash, label)
     try:
         record = unsealed(read_regular(path), path.name, FailureShape)
     except (UnfitFileError, IsADirectoryError) as error:
@@ -181,6 +194,6 @@ def read_failure(directory: Path, case_hash: str, label: str) -> dict[str, str]:
     return {**{key: record[key] for key in ("hash", "code", "message", "remedy")}, "label": label}
 
 
-def has_failed(directory: Path, case_hash: str) -> bool:
+def has_failed(directory: Path, case_hash: str, label: str = "") -> bool:
     """Whether a run directory says why a case failed."""
-    return os.path.lexists(failure_path(directory, case_hash))
+    return os.path.lexists(failure_path(directory, case_hash, label))

@@ -19,6 +19,7 @@ from .acceptance import BEYOND, LOST, NOT_ASKED, OPEN, WITHIN, Criterion
 from .advice import Advice, advice, by_interaction
 from .beyond import beyond_small_strain
 from .digest import Digest, ModelSummary, Spread, failed_steps
+from .doubts import doubts
 from .experiment import measured_in_words
 from .formatting import listed, parameter_name, plural, short_percent, swept_value
 from .growth import limits_in_words
@@ -118,7 +119,7 @@ class Verdict:
     tells : the values of one swept parameter that only cases not within have, "" where none tells them
     why_not : causes, of what is not within
     not_judged : why there is no word, or no judgement
-    reservations : what the model, the reference or their numbers say against the answer
+    reservations : what the model, the reference, their numbers or the scene say against the answer
     advice, interactions : what to do; what to use for each kind of interaction
     up_to : the load up to which every case is within; None where the loads are not known or nothing is judged
     growth : the small-strain limits in words, where the study searched them
@@ -208,7 +209,7 @@ def _verdict(digest: Digest) -> Verdict:
         "errors": tuple(_errors(digest)),
         "settings": tuple(_settings(digest, best)),
         "sureness": (_sureness(digest, rated[best]), *about["sureness"]),
-        "reservations": tuple(_reservations(digest, best)),
+        "reservations": (*_reservations(digest, best), *_scene_doubts(digest)),
     }
     if str(digest.reference).startswith(SURFACE_MODELS):
         text = f"The reference, {digest.reference}, is a surface model itself. Agreement with it is not accuracy."
@@ -344,6 +345,12 @@ def _reservations(digest: Digest, model: str) -> list[str]:
     return [
         f"{name} answers with a reservation{f' in {cases} of {count} cases' if count > 1 else ''}: {message}."
         for (name, message), cases in list(found.items())[:_MOST_VALUES]
+    ]
+
+
+def _scene_doubts(digest: Digest) -> list[str]:
+    return [f"The scene is doubtful: {doubt.constraint} {doubt.text}." for doubt in doubts(digest)][
+        :_MOST_VALUES
     ]
 
 

@@ -13,7 +13,7 @@ import pytest
 from tests.command import SCRIPT, vdmbench
 from vdmbench.cli.main import _complain_of
 from vdmbench.machine.streams import harmless
-from vdmbench.store.run_directory import failure_path, read_plan, rewrite_plan, write_failure
+from vdmbench.store.run_directory import case_path, failure_path, read_plan, rewrite_plan, write_failure
 
 from .processes import RUN
 
@@ -37,7 +37,7 @@ def test_copied_results_do_not_steer_the_terminal(
     rewrite_plan(directory, plan)
     reason = dict.fromkeys(("hash", "label", "code", "message", "remedy"), attack)
     lost = plan["cases"][0]["hash"]
-    (directory / "cases" / f"{lost}.vtkhdf").unlink()
+    case_path(directory, lost).unlink()
     write_failure(failure_path(directory, lost), {**reason, "hash": lost}, attack)
     said = vdmbench(verb, RUN, cwd=tmp_path)
     text = said.stdout + said.stderr

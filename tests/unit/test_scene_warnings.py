@@ -14,9 +14,10 @@ from numpy.testing import assert_allclose
 from tests.command import SMALL_STUDY, write_study
 from vdmbench.cli.main import main
 from vdmbench.report.page import write_report
-from vdmbench.report.section_doubts import doubts
 from vdmbench.scene.warnings import indentation, scene_warnings
 from vdmbench.verdict.digest import Digest
+from vdmbench.verdict.doubts import doubts
+from vdmbench.verdict.verdict import verdict
 
 from .report_runs import icosphere, make_case, make_run
 
@@ -152,10 +153,13 @@ def test_check_tells_a_scene_that_cannot_be_put_on_its_mesh(
 
 def test_the_report_tells_them_too(tmp_path: Path) -> None:
     case = make_case({"vdm-paper": 0.05})
-    assert doubts(Digest(make_run([case]))) is None
+    assert doubts(Digest(make_run([case]))) == []
     lone = {**case.regions, "base": np.arange(len(case.points)) == 0}
     page = tmp_path / "report.html"
-    write_report(make_run([dataclasses.replace(case, regions=lone)]), page)
+    run = make_run([dataclasses.replace(case, regions=lone)])
+    (reservation,) = verdict(Digest(run)).reservations
+    assert reservation.startswith("The scene is doubtful: base holds one lone node and no facet")
+    write_report(run, page)
     told = page.read_text()
     assert "What is doubtful about the scene" in told
     assert "holds one lone node and no facet" in told

@@ -196,6 +196,20 @@ def _edit_about(file: h5py.File, **changes: Any) -> None:
     file["case/about"][()] = text
 
 
+def test_a_file_is_named_by_its_label_and_found_by_its_hash(tmp_path: Path) -> None:
+    case = example_case()
+    path = case_path(tmp_path, case.hash, "force = 0.1 N, poisson_ratio = -0.45")
+    assert path.name == f"force-0.1-N-poisson_ratio--0.45-{case.hash[:12]}.vtkhdf"
+    path.parent.mkdir()
+    store.write_case(path, case)
+    assert case_path(tmp_path, case.hash, "another study's label") == path
+    assert case_path(tmp_path, "b" * 64, "../../é of\nsomebody" * 99).parent == path.parent
+    assert len(case_path(tmp_path, "b" * 64, "é word " * 99).name.encode()) < 130
+    earlier = path.rename(path.with_name(f"{case.hash}.vtkhdf"))
+    assert case_path(tmp_path, case.hash, "force = 0.1 N") == earlier
+    assert store.case_state(tmp_path, case.hash, "force = 0.1 N") == "done"
+
+
 def test_a_case_of_an_older_program_is_made_anew(tmp_path: Path) -> None:
     case = example_case()
     path = case_path(tmp_path, case.hash)
