@@ -149,6 +149,30 @@ def test_a_model_of_another_package_is_benchmarked(springs: Path) -> None:
     assert "springs" in {row["model"] for row in told["rows"]}
 
 
+BENCH = """
+from pathlib import Path
+from vdmbench.evidence import bench
+from vdmbench.study.config import load_study
+
+bench.growths = lambda *_, **__: []  # spheres under a finger: of no addition
+study = load_study(Path("study.toml"))
+found = bench.measure({"it": study}, Path("cache"), sizes=(1.0,), rounds=1, watch=lambda _: None)
+for e in found.entries:
+    print(e.model, e.status, e.error, float(e.frame_all[0] * e.frame_local[0]))
+"""
+
+
+def error_in_benchmark(place: Path, text: str) -> float:
+    """Relative error of the study's only model beside the refined reference, as `vdmbench bench` has it."""
+    study(place, text)
+    told = python(place, "-c", BENCH)
+    assert told.returncode == 0, told.stderr
+    ((_, status, error, times),) = (line.split() for line in told.stdout.splitlines())
+    assert status == "converged"
+    assert float(times) > 0.0
+    return float(error)
+
+
 METRIC = """
 import numpy as np
 from .metrics import metric
@@ -276,6 +300,7 @@ def test_a_shape(place: Path) -> None:
         # facets cut the tube's circle: 9 mm of a circumference of 75 or 94 mm
         assert volume == pytest.approx(2.0 * np.pi**2 * 0.05 * tube**2, rel=0.1)
     assert "ring" in page(place)
+    assert error_in_benchmark(place, RING.replace("vdm-paper", "fem-linear")) < 0.5
     for mistake, instead, said in (
         ('tube = "12 mm"\n', "", "geometry.tube: is missing; a ring needs mesh_size, radius, tube"),
         ('"ring"', '"rings"', 'did you mean "ring"'),
@@ -331,6 +356,7 @@ def test_a_kind_of_load(place: Path) -> None:
     assert once == pytest.approx(weight, rel=1e-9), "of the liquid above its facets"
     assert twice == pytest.approx(2.0 * once, rel=1e-9)
     assert "hydrostatic" in page(place).lower()
+    assert error_in_benchmark(place, LIQUID) < 0.1, "under the same load as its reference"
     for mistake, instead, said in (
         ('gradient = "9810 Pa/m"', "", "gradient: is missing"),
         ('"9810 Pa/m"', '"3 mm"', "constraints.finger.gradient"),
