@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import fcntl
 import os
 import signal
 import sys
@@ -11,6 +12,12 @@ from pathlib import Path
 import pytest
 
 import vdmbench
+from tests.command import vdmbench_process
+from vdmbench.body import imported
+from vdmbench.body.mesh_file import check_readable
+from vdmbench.body.read_apart import read_clean
+from vdmbench.body.repair import CleanSurface, CleanTetrahedra
+from vdmbench.machine.locks import lock
 
 ROOT = Path(__file__).parents[1]
 if Path(vdmbench.__file__).resolve().parent != ROOT / "studies":
@@ -31,6 +38,33 @@ def _own_signals() -> Iterator[None]:
     sys.unraisablehook = hook
     for number, answer in before.items():
         signal.signal(number, answer)
+
+
+@pytest.fixture
+def read_here(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Mesh files are read in this process, which saves half a second each; `test_mesh_reading` reads them apart."""
+
+    def read(path: Path) -> CleanSurface | CleanTetrahedra:
+        check_readable(path)
+        return read_clean(path)
+
+    for name in ("clean_surface_of", "clean_tetrahedra_of"):
+        monkeypatch.setattr(imported, name, read)
+
+
+@pytest.fixture(scope="session")
+def quickstart(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A directory in which the quickstart was run, by the first worker of pytest that asks. Not to be changed."""
+    base = tmp_path_factory.getbasetemp()
+    if "PYTEST_XDIST_WORKER" in os.environ:
+        base = base.parent
+    directory = base / "quickstart"
+    with lock(base / ".quickstart", fcntl.LOCK_EX, patience=600):
+        if not directory.exists():
+            directory.mkdir()
+            result = vdmbench_process("run", "quickstart", cwd=directory)
+            assert result.returncode == 0, result.stderr
+    return directory
 
 
 @pytest.fixture(scope="session")

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from tests.command import vdmbench
+from tests.command import vdmbench_process as vdmbench
 from tools import marked
 from vdmbench.measures.case import CaseResult, Run
 from vdmbench.measures.metrics import DEFORMATION, VECTOR

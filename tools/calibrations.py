@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from tests.command import vdmbench
+from tests.command import vdmbench_process as vdmbench
 from tools import marked
 from vdmbench.evidence.calibrate import body, worse_than_rule
 from vdmbench.evidence.fit import Errors, Trial, least_error

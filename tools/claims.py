@@ -9,7 +9,7 @@ from __future__ import annotations
 import tomllib
 from pathlib import Path
 
-from tests.command import vdmbench
+from tests.command import vdmbench_process as vdmbench
 from tools import gallery, marked
 from vdmbench.evidence.claims_page import verdict_rows, write_claims
 from vdmbench.store.cases import read_run

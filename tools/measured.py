@@ -9,7 +9,7 @@ import json
 from pathlib import Path
 from typing import Any
 
-from tests.command import vdmbench
+from tests.command import vdmbench_process as vdmbench
 from tools import marked
 from vdmbench.report.blocks import Table
 from vdmbench.report.section_measurement import against_measurement

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 from markupsafe import escape
 
-from tests.command import vdmbench
+from tests.command import vdmbench_process as vdmbench
 from tools import marked
 from tools.gallery import figure_style, glyph
 from vdmbench.evidence.bench_data import (

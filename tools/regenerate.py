@@ -12,7 +12,7 @@ import sys
 import tempfile
 from pathlib import Path
 
-from tests.command import vdmbench
+from tests.command import vdmbench_process as vdmbench
 from tools import gallery, marked
 from vdmbench.study.fields import field_table
 

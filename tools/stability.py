@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from tests.command import vdmbench
+from tests.command import vdmbench_process as vdmbench
 from tools import marked
 from vdmbench.store.cases import Run, read_run
 from vdmbench.verdict.digest import Digest

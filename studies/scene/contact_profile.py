@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 
 from ..body.mesh import Array, Index, Mask, Mesh
@@ -29,56 +27,61 @@ def on_facets(profile: str, region: Region, mesh: Mesh, rule: tuple[Array, Array
     ----------
     rule : (Q, 3) barycentric coordinates and (Q,) weights of a rule of Q = 6 points, exact to degree 4
     """
-    barycentric, weights = rule
     moments = np.zeros((len(mesh.triangles), len(_PRODUCTS)))
     facets = np.arange(len(mesh.triangles))
-    cells = np.broadcast_to(np.eye(3), (len(facets), 3, 3))  # barycentric coordinates of their corners
+    corners = mesh.surface_points[mesh.triangles].transpose(
+        1, 0, 2
+    )  # (3, C, 3) of the cells, at first the facets
+    cells = np.broadcast_to(
+        np.eye(3)[:, None], corners.shape
+    )  # the same in the facet's barycentric coordinates
     share = 1.0  # of a cell in its facet
     while len(facets):
-        split = _are_split(region, mesh, facets, cells)
-        moments += share * _moments(PROFILES[profile], region, mesh, facets[~split], cells[~split], rule)
-        facets, cells = np.repeat(facets[split], 4), _quarters(cells[split])
+        split, whole = _are_split(region, mesh, corners)
+        values = PROFILES[profile](profile_coordinate(region, mesh, _at(rule[0], corners[:, whole])))
+        moments += share * _moments(values, cells[:, whole], facets[whole], rule, len(moments))
+        facets = np.tile(facets[split], 4)
+        corners, cells = _quarters(corners[:, split]), _quarters(cells[:, split])
         share /= 4.0
-    return np.asarray(np.linalg.solve((_products(barycentric) * weights[:, None]).T, moments.T).T)
-
-
-def _are_split(region: Region, mesh: Mesh, facets: Index, cells: Array) -> Mask:
-    """(C,) cells over which the profile is not smooth enough for the rule."""
-    corners = cells @ mesh.surface_points[mesh.triangles[facets]]
-    longest = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1)
-    rho = profile_coordinate(region, mesh, corners)
-    change = longest * profile_slope(region, mesh, corners).max(axis=1)
-    outside = rho.min(axis=1) - change > 1.0
-    smooth = (change < _SMOOTH) & (1.0 - rho.max(axis=1) > _FROM_RIM * change)
-    found: Mask = ~(outside | smooth | (change < _FINEST))
-    return found
-
-
-def _moments(
-    profile: Callable[[Array], Array],
-    region: Region,
-    mesh: Mesh,
-    facets: Index,
-    cells: Array,
-    rule: tuple[Array, Array],
-) -> Array:
-    """(F, 6) integrals of the profile times the products, over the cells' area, summed by facet."""
     barycentric, weights = rule
-    places = barycentric @ cells
-    pressure = profile(profile_coordinate(region, mesh, places @ mesh.surface_points[mesh.triangles[facets]]))
-    found = np.einsum("cq,cqk->ck", pressure * weights, _products(places))
-    sums = [np.bincount(facets, column, len(mesh.triangles)) for column in found.T]
-    return np.stack(sums, axis=1)
+    return np.asarray(np.linalg.solve(_products(barycentric) * weights, moments.T).T)
+
+
+def _are_split(region: Region, mesh: Mesh, corners: Array) -> tuple[Mask, Mask]:
+    """(C,) cells over which the profile is not smooth enough for the rule, and those over which it is.
+
+    In neither are those that lie beyond the rim.
+    """
+    sides = corners - np.roll(corners, 1, axis=0)
+    longest = np.sqrt(np.einsum("kci,kci->kc", sides, sides).max(axis=0))
+    rho = profile_coordinate(region, mesh, corners)
+    change = longest * profile_slope(region, mesh, corners).max(axis=0)
+    outside = rho.min(axis=0) - change > 1.0
+    smooth = (change < _SMOOTH) & (1.0 - rho.max(axis=0) > _FROM_RIM * change)
+    whole = smooth | (change < _FINEST)
+    return ~(outside | whole), whole & ~outside
+
+
+def _at(barycentric: Array, corners: Array) -> Array:
+    """(Q, C, 3) places in cells whose corners are (3, C, 3)."""
+    return np.asarray(np.tensordot(barycentric, corners, axes=1))
+
+
+def _moments(values: Array, cells: Array, facets: Index, rule: tuple[Array, Array], count: int) -> Array:
+    """(F, 6) integrals of (Q, C) values times the products, over the cells' area, summed by facet."""
+    barycentric, weights = rule
+    found = np.einsum("qc,kqc->kc", values * weights[:, None], _products(_at(barycentric, cells)))
+    return np.stack([np.bincount(facets, row, count) for row in found], axis=1)
 
 
 def _products(barycentric: Array) -> Array:
-    """(..., 6) of barycentric coordinates (..., 3)."""
-    return np.stack([barycentric[..., a] * barycentric[..., b] for a, b in _PRODUCTS], axis=-1)
+    """(6, ...) of barycentric coordinates (..., 3)."""
+    return np.stack([barycentric[..., a] * barycentric[..., b] for a, b in _PRODUCTS])
 
 
 def _quarters(cells: Array) -> Array:
-    """(4 C, 3, 3) of cells (C, 3, 3), by the middles of their edges."""
-    a, b, c = cells[:, 0], cells[:, 1], cells[:, 2]
+    """(3, 4 C, 3) of cells (3, C, 3), by the middles of their edges."""
+    a, b, c = cells
     ab, bc, ca = 0.5 * (a + b), 0.5 * (b + c), 0.5 * (c + a)
     parts = [(a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca)]
-    return np.stack([np.stack(part, axis=1) for part in parts], axis=1).reshape(-1, 3, 3)
+    return np.concatenate([np.stack(part) for part in parts], axis=1)

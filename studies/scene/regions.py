@@ -90,13 +90,13 @@ def profile_coordinate(region: Region, mesh: Mesh, points: Array) -> Array:
         another kind of region, which has no middle.
     """
     if region.ball is not None:
-        return np.linalg.norm(points - np.array(region.ball.center), axis=-1) / region.ball.radius
+        return _length(points - np.array(region.ball.center)) / region.ball.radius
     if region.cap is None:
         raise MeshError("only a cap or a ball has a middle; give the contact such a region")
     offset = points - _centroid(mesh)
     direction = np.array(region.cap.direction) / np.linalg.norm(region.cap.direction)
     along = offset @ direction
-    across = np.linalg.norm(offset - along[..., None] * direction, axis=-1)
+    across = _length(offset - along[..., None] * direction)
     return np.arctan2(across, along) / region.cap.angle
 
 
@@ -106,8 +106,13 @@ def profile_slope(region: Region, mesh: Mesh, points: Array) -> Array:
         return np.full(points.shape[:-1], 1.0 / region.ball.radius)
     if region.cap is None:
         raise MeshError("only a cap or a ball has a middle; give the contact such a region")
-    distance = np.linalg.norm(points - _centroid(mesh), axis=-1)
+    distance = _length(points - _centroid(mesh))
     return np.asarray(1.0 / (region.cap.angle * np.maximum(distance, _margin(mesh))))
+
+
+def _length(vectors: Array) -> Array:
+    """(...,) of vectors (..., 3): `np.linalg.norm`, several times as fast for many short ones."""
+    return np.asarray(np.sqrt(np.einsum("...k,...k->...", vectors, vectors)))
 
 
 def _centroid(mesh: Mesh) -> Array:

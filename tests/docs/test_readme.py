@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 import shlex
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -27,7 +28,10 @@ def blocks(language: str, document: Path = regenerate.README) -> list[str]:
     return re.findall(rf"^```{language}\n(.*?)^```", document.read_text(), flags=re.MULTILINE | re.DOTALL)
 
 
-def test_the_result_table_is_what_the_command_prints_and_a_notebook_reads_it(tmp_path: Path) -> None:
+def test_the_result_table_is_what_the_command_prints_and_a_notebook_reads_it(
+    quickstart: Path, tmp_path: Path
+) -> None:
+    shutil.copytree(quickstart, tmp_path, dirs_exist_ok=True)
     table = regenerate.headline_table(tmp_path)
     assert table == marked.shown(regenerate.README, regenerate.PART), "run `make docs` and look at it"
     assert regenerate.NOTEBOOK.read_text() == regenerate.notebook(), "run `make docs`"
@@ -107,7 +111,10 @@ def test_the_tutorial(tmp_path: Path) -> None:
         result = vdmbench(*words[1:], cwd=tmp_path)
         assert result.returncode == 0, f"{line}\n{result.stderr}"
         if words[1] == "new":
-            (tmp_path / "mine.toml").write_text((tmp_path / "mine.toml").read_text() + "\n" + accepted)
+            text = (tmp_path / "mine.toml").read_text()
+            coarse, count = re.subn(r'mesh_size = "\d+ mm"', 'mesh_size = "20 mm"', text)
+            assert count == 1
+            (tmp_path / "mine.toml").write_text(f"{coarse}\n{accepted}")
     assert "Is it good enough?" in result.stdout
     assert (tmp_path / "scene.png").is_file()
     assert (tmp_path / "results/runs/mine-liver/report.html").is_file()

@@ -63,10 +63,10 @@ BESIDE = {
         "reference": "fem-linear",
     }
 }
+COARSE = {"geometry": TABLES["geometry"] | {"mesh_size": 0.03}}
 FINITE = {
     "study": {"name": "test", "models": ["vdm-vector", "fem-linear", "fem"], "reference": "fem"},
     "uncertainty": None,
-    "geometry": TABLES["geometry"] | {"mesh_size": 0.03},
 }
 
 
@@ -74,14 +74,14 @@ FINITE = {
     "changes", [{}, HISTORY, TISSUES, ZIPPED, PARAMETERS, WEIGHT, PENALTY, MOVED, ALONE, BESIDE, FINITE]
 )
 def test_what_is_planned_is_what_is_done(tmp_path: Path, made: Counter[str], changes: dict[str, Any]) -> None:
-    plan = plan_of(tmp_path, tmp_path / "cache", **changes)
+    plan = plan_of(tmp_path, tmp_path / "cache", **COARSE, **changes)
     of_fem, of_vdm = planned_work(plan, *LINEAR), planned_work(plan, "vdm-vector")
     run(plan)
     assert made["fem set-ups"] == of_fem["set-ups"]
     assert made["fem solves"] <= of_fem["solves"], "sums of others are not solved"
     assert (made["vdm set-ups"], made["vdm solves"]) == (of_vdm["set-ups"], of_vdm["solves"])
     made.clear()
-    run(plan_of(tmp_path, tmp_path / "cache", **changes))
+    run(plan_of(tmp_path, tmp_path / "cache", **COARSE, **changes))
     assert not made, "what is done is not done again"
 
 
@@ -96,7 +96,7 @@ def test_two_places_and_two_forces_are_two_loads_on_one_body(
     "changes", [{}, ALONE, BESIDE, ZIPPED, ALONE | WEIGHT, ALONE | MOVED, LEVELS, HISTORY]
 )
 def test_shared_numbers_are_those_of_each_case_alone(tmp_path: Path, changes: dict[str, Any]) -> None:
-    plan = plan_of(tmp_path / "together", tmp_path / "cache", **changes)
+    plan = plan_of(tmp_path / "together", tmp_path / "cache", **COARSE, **changes)
     for case, planned in zip(run(plan), plan.cases, strict=True):
         alone = run_alone(planned, plan, tmp_path / "alone")
         # iterations end at their own residual

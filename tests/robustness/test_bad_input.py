@@ -37,6 +37,7 @@ from vdmbench.store.hdf5 import TRAILER_BYTES
 
 from .processes import RUN
 
+pytestmark = pytest.mark.usefixtures("read_here")
 Prepare = Callable[[Path], Sequence[str | Path]]  # spoils a directory, says what to call
 
 CUBE = np.array([[x, y, z] for z in (0, 0.1) for y in (0, 0.1) for x in (0, 0.1)])

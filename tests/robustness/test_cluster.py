@@ -21,7 +21,7 @@ import psutil
 import pytest
 import trustme
 
-from tests.command import SCRIPT, heed_ctrl_c, vdmbench, write_study
+from tests.command import SCRIPT, heed_ctrl_c, vdmbench_process, write_study
 from tools.site import ROOT
 from vdmbench.graph.cluster import LOOPBACK, AddressError, checked_address, refusal
 from vdmbench.store.cases import read_case
@@ -150,12 +150,12 @@ def _assert_same(values: Any, others: Any, rounding: float = 0.0) -> None:
 def local_run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The same study run without a cluster, with a cache of its own."""
     place = tmp_path_factory.mktemp("local")
-    assert vdmbench("run", _study(place), "--out", "run", "--jobs", "2", cwd=place).returncode == 0
+    assert vdmbench_process("run", _study(place), "--out", "run", "--jobs", "2", cwd=place).returncode == 0
     return place / "run"
 
 
 def test_a_cluster_gives_the_same_numbers(tmp_path: Path, scheduler: str, local_run: Path) -> None:
-    result = vdmbench("run", _study(tmp_path), "--out", "run", "--scheduler", scheduler, cwd=tmp_path)
+    result = vdmbench_process("run", _study(tmp_path), "--out", "run", "--scheduler", scheduler, cwd=tmp_path)
     assert result.returncode == 0, result.stderr
     assert sum(line.startswith("done ") and "nu" not in line for line in result.stderr.splitlines()) >= 1 + 4
     assert "warning" not in result.stderr
@@ -198,7 +198,9 @@ def test_every_document_starts_it_so() -> None:
 def test_a_cluster_that_other_machines_reach_is_told(tmp_path: Path) -> None:
     with _cluster(tmp_path, open_to_all=True) as (address, _):
         study = _study(tmp_path)
-        result = vdmbench("run", study, "--out", "run", "--scheduler", address, "--json", cwd=tmp_path)
+        result = vdmbench_process(
+            "run", study, "--out", "run", "--scheduler", address, "--json", cwd=tmp_path
+        )
     assert result.returncode == 0, result.stderr
     (warning,) = (line for line in result.stderr.splitlines() if "warning" in line)
     assert warning.startswith("vdmbench: warning: other machines reach worker ")
@@ -230,7 +232,9 @@ def test_ctrl_c_stops_what_runs_and_keeps_what_is_done(
     assert not list(run.glob(".cluster*"))
     kept = {path: path.stat().st_mtime_ns for path in run.glob(COMPLETE)}
     assert kept
-    assert vdmbench("run", study, "--out", "run", "--scheduler", scheduler, cwd=tmp_path).returncode == 0
+    assert (
+        vdmbench_process("run", study, "--out", "run", "--scheduler", scheduler, cwd=tmp_path).returncode == 0
+    )
     assert {path: path.stat().st_mtime_ns for path in kept} == kept
     _assert_same_cases(run, local_run)
 
@@ -242,13 +246,17 @@ def test_tls_takes_those_with_a_certificate_only(tmp_path: Path, local_run: Path
     stranger = _certificates(tmp_path / "stranger", trustme.CA()) | NEAR_ZERO_PATIENCE
     with _cluster(tmp_path, "--protocol", "tls", **trusted) as (address, _):
         assert address.startswith("tls://127.0.0.1:")
-        refused = vdmbench("run", study, "--out", "run", "--scheduler", address, cwd=tmp_path, **stranger)
+        refused = vdmbench_process(
+            "run", study, "--out", "run", "--scheduler", address, cwd=tmp_path, **stranger
+        )
         assert refused.returncode == 4
         assert refused.stderr.startswith(
             f"vdmbench: no scheduler that trusts this certificate answers at {address};"
         )
         assert len(refused.stderr.splitlines()) == 1
-        result = vdmbench("run", study, "--out", "run", "--scheduler", address, cwd=tmp_path, **trusted)
+        result = vdmbench_process(
+            "run", study, "--out", "run", "--scheduler", address, cwd=tmp_path, **trusted
+        )
     assert result.returncode == 0, result.stderr
     _assert_same_cases(tmp_path / "run", local_run)
 
@@ -257,22 +265,26 @@ def test_nobody_there_and_nobody_to_be_trusted(tmp_path: Path) -> None:
     with socket.socket() as held:  # bound, not listening: whoever calls is refused
         held.bind(("127.0.0.1", 0))
         address = f"tcp://127.0.0.1:{held.getsockname()[1]}"
-        result = vdmbench("run", _study(tmp_path), "--scheduler", address, cwd=tmp_path, **NEAR_ZERO_PATIENCE)
+        result = vdmbench_process(
+            "run", _study(tmp_path), "--scheduler", address, cwd=tmp_path, **NEAR_ZERO_PATIENCE
+        )
     assert result.returncode == 4
     start = f"dask scheduler {LOOPBACK}"
     assert result.stderr == f"vdmbench: no scheduler answers at {address}; start one with: {start}\n"
-    result = vdmbench("run", tmp_path / "small.toml", "--scheduler", "10.0.0.1:8786", cwd=tmp_path)
+    result = vdmbench_process("run", tmp_path / "small.toml", "--scheduler", "10.0.0.1:8786", cwd=tmp_path)
     assert result.returncode == 2
     assert result.stderr.startswith("vdmbench: tcp://10.0.0.1:8786: without TLS")
     assert len(result.stderr.splitlines()) == 1
-    result = vdmbench("run", tmp_path / "small.toml", "--scheduler", "tls://10.0.0.1:8786", cwd=tmp_path)
+    result = vdmbench_process(
+        "run", tmp_path / "small.toml", "--scheduler", "tls://10.0.0.1:8786", cwd=tmp_path
+    )
     assert result.returncode == 2, "there are no certificates"
     assert len(result.stderr.splitlines()) == 1
 
 
 def test_dask_that_is_not_installed_is_named(tmp_path: Path) -> None:
     (tmp_path / "distributed.py").write_text("raise ImportError\n")
-    result = vdmbench(
+    result = vdmbench_process(
         "run",
         _study(tmp_path),
         "--scheduler",

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.command import SCRIPT, vdmbench
+from tests.command import SCRIPT, vdmbench_process
 from vdmbench.cli.main import _complain_of
 from vdmbench.machine.streams import harmless
 from vdmbench.store.run_directory import case_path, failure_path, read_plan, rewrite_plan, write_failure
@@ -39,7 +39,7 @@ def test_copied_results_do_not_steer_the_terminal(
     lost = plan["cases"][0]["hash"]
     case_path(directory, lost).unlink()
     write_failure(failure_path(directory, lost), {**reason, "hash": lost}, attack)
-    said = vdmbench(verb, RUN, cwd=tmp_path)
+    said = vdmbench_process(verb, RUN, cwd=tmp_path)
     text = said.stdout + said.stderr
     assert verb == "gate" or "\\x1b]0;owned" in text, "it is told, harmlessly"
     assert not {"\x1b", "\x07", "\x9b"} & set(text)

@@ -15,10 +15,8 @@ import pytest
 import pyvista as pv
 from numpy.testing import assert_allclose, assert_array_equal
 
-from vdmbench.body import imported
 from vdmbench.body.geometry import build_mesh
 from vdmbench.body.mesh import Array, Index, Mesh
-from vdmbench.body.read_apart import read_clean
 from vdmbench.body.topology import tetrahedron_volumes
 from vdmbench.graph.plan import PlannedMesh
 from vdmbench.study.errors import MeshError
@@ -38,11 +36,7 @@ VOLUMES = [
 ]
 
 
-@pytest.fixture
-def read_here(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Read files in this process: for those that do not crash it, by the hundred."""
-    for name in ("clean_surface_of", "clean_tetrahedra_of"):
-        monkeypatch.setattr(imported, name, read_clean)
+pytestmark = pytest.mark.usefixtures("read_here")
 
 
 @pytest.fixture(scope="module")
@@ -198,7 +192,6 @@ def test_scripts_are_not_run_whatever_they_are_called(tmp_path: Path, ball: Mesh
 # --- damage: cut and flipped --------------------------------------------------------------------------
 
 
-@pytest.mark.usefixtures("read_here")
 @pytest.mark.parametrize("name", SUFFIXES + VOLUMES)
 def test_sound_files_are_read_and_cut_ones_refused(
     tmp_path: Path, ball: Mesh, name: str, capfd: pytest.CaptureFixture[str]
@@ -229,7 +222,6 @@ def test_sound_files_are_read_and_cut_ones_refused(
     assert capfd.readouterr() == ("", "")
 
 
-@pytest.mark.usefixtures("read_here")
 @pytest.mark.parametrize("name", SUFFIXES + VOLUMES)
 def test_flipped_bytes_never_give_a_traceback(tmp_path: Path, ball: Mesh, name: str) -> None:
     """Formats without checksums cannot tell a changed coordinate; what is read is still a sound closed mesh."""

@@ -30,6 +30,7 @@ from vdmbench.study.errors import MeshError
 from vdmbench.study.geometry_spec import Geometry, area_and_volume, check_geometry, extents, geometry_key
 from vdmbench.study.shape_organ import liver_points
 
+pytestmark = pytest.mark.usefixtures("read_here")
 SPHERE = Geometry("sphere", 0.012, {"radius": 0.05})
 ELLIPSOID = Geometry("ellipsoid", 0.010, {"semi_axes": (0.06, 0.04, 0.03)})
 BOX = Geometry("box", 0.010, {"size": (0.1, 0.05, 0.04)})
