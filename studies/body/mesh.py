@@ -29,6 +29,7 @@ class Mesh:
     surface_nodes : (N,) ascending indices into `points`: surface node i is point `surface_nodes[i]`
     triangles : (F, 3) indices into 0..N-1, outward
     groups : named sets of surface nodes, (N,) masks
+    volumes : named sets of tetrahedra, (m,) masks
     quality : figures for the record, such as `worst_sicn` and `surface_distance`
     centre : (3,) middle of the bounding box of the file that the body is from [m], zero of other shapes
     """
@@ -40,6 +41,7 @@ class Mesh:
     groups: Mapping[str, Mask] = field(default_factory=dict)
     quality: Mapping[str, float] = field(default_factory=dict)
     centre: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    volumes: Mapping[str, Mask] = field(default_factory=dict)
 
     @cached_property
     def surface_points(self) -> Array:
@@ -70,5 +72,8 @@ class Mesh:
             digest.update(array.tobytes())
         for name, mask in sorted(self.groups.items()):
             digest.update(name.encode())
+            digest.update(np.packbits(mask).tobytes())
+        for name, mask in sorted(self.volumes.items()):
+            digest.update(f"volume {name}".encode())
             digest.update(np.packbits(mask).tobytes())
         return digest.hexdigest()

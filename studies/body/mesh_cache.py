@@ -47,13 +47,17 @@ def read_level(path: Path) -> tuple[Mesh, Index] | None:
 
 
 def _mesh(stored: dict[str, NDArray[Any]]) -> Mesh:
-    groups = {name.removeprefix("group/"): stored[name] for name in stored if name.startswith("group/")}
+    groups, volumes = (
+        {name.removeprefix(kind): stored[name] for name in stored if name.startswith(kind)}
+        for kind in ("group/", "volume/")
+    )
     return Mesh(
         points=stored["points"],
         tetrahedra=stored["tetrahedra"],
         surface_nodes=stored["surface_nodes"],
         triangles=stored["triangles"],
         groups=groups,
+        volumes=volumes,
         quality=json.loads(str(stored["quality"])),
         centre=tuple(stored["centre"].tolist()) if "centre" in stored else Mesh.centre,
     )
@@ -78,4 +82,5 @@ def _arrays(mesh: Mesh) -> dict[str, NDArray[Any]]:
         "quality": np.array(json.dumps(dict(mesh.quality), sort_keys=True)),
         "centre": np.array(mesh.centre),
     }
+    arrays |= {f"volume/{name}": mask for name, mask in mesh.volumes.items()}
     return arrays | {f"group/{name}": mask for name, mask in mesh.groups.items()}

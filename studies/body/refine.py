@@ -7,6 +7,7 @@ not the shape, not the area of a support.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
@@ -35,6 +36,12 @@ class Hierarchy:
         """The same of a line: its nodes, and the middles of the edges between them."""
         for parents in self.parents:
             mask = np.asarray(mask[parents].all(axis=1))
+        return mask
+
+    def inherit_inside(self, mask: Mask) -> Mask:
+        """(m,) mask of tetrahedra on the finest mesh, of that on the coarsest."""
+        for mesh, finer in pairwise(self.meshes):
+            mask = mask[_split_of(mesh, finer)]
         return mask
 
     def restrict(self, force: Array) -> Array:
@@ -102,6 +109,21 @@ def _split_inside(mesh: Mesh, pairs: Index) -> tuple[Array, Index, Index]:
     edge_of = {tuple(sorted(pair)): edge for edge, pair in enumerate(coarse.edges.T.tolist())}
     middles = np.array([len(mesh.points) + edge_of[tuple(sorted(pair))] for pair in pairs.tolist()])
     return np.ascontiguousarray(fine.p.T), tetrahedra, middles
+
+
+def _split_of(mesh: Mesh, finer: Mesh) -> Index:
+    """(8 m,) the tetrahedron that each of the finer mesh is a part of: its nodes halve the edges of that one."""
+    import skfem
+
+    edges = skfem.MeshTet(mesh.points.T.copy(), mesh.tetrahedra.T.copy()).edges.T
+    ends = np.concatenate([np.repeat(np.arange(len(mesh.points))[:, None], 2, axis=1), edges])
+    family = np.sort(ends[finer.tetrahedra].reshape(len(finer.tetrahedra), -1), axis=1)
+    new = np.diff(family, axis=1, prepend=-1) > 0
+    rows = np.concatenate([np.sort(mesh.tetrahedra, axis=1), family[new].reshape(-1, 4)])
+    number = np.unique(rows, axis=0, return_inverse=True)[1].ravel()
+    place = np.empty(len(mesh.tetrahedra), dtype=np.int64)
+    place[number[: len(place)]] = np.arange(len(place))
+    return np.asarray(place[number[len(place) :]])
 
 
 def _split_surface(mesh: Mesh, pairs: Index) -> tuple[Array, Index, Index]:

@@ -187,7 +187,8 @@ def mesh_from_tetrahedra(
 ) -> Mesh:
     """The Mesh of positive tetrahedra, with its boundary extracted, checked and described.
 
-    `groups` are masks over `points`; a group without a surface node is dropped. Raises MeshError for
+    `groups` are masks over `points`: named sets of the surface nodes in them, and of the tetrahedra that have all
+    their nodes in them. Raises MeshError for
     coordinates that are not finite, inverted or flat tetrahedra, points that no tetrahedron uses, and a
     boundary that is not one closed manifold surface.
     """
@@ -202,6 +203,7 @@ def mesh_from_tetrahedra(
     check_vertex_fans(outward)
     surface_nodes, local = np.unique(triangles, return_inverse=True)
     on_surface = {name: mask[surface_nodes] for name, mask in (groups or {}).items()}
+    volumes = {name: np.all(mask[tetrahedra], axis=1) for name, mask in (groups or {}).items()}
     figures = {
         "points": float(len(points)),
         "tetrahedra": float(len(tetrahedra)),
@@ -218,6 +220,7 @@ def mesh_from_tetrahedra(
         triangles=np.ascontiguousarray(local.reshape(-1, 3), dtype=np.int64),
         groups={name: mask for name, mask in on_surface.items() if mask.any()},
         quality={**figures, **(quality or {})},
+        volumes={name: mask for name, mask in volumes.items() if mask.any()},
     )
 
 

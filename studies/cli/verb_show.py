@@ -36,7 +36,7 @@ def run(options: argparse.Namespace) -> int:
     from ..machine.files import write_atomically
     from ..report.scene_picture import scene_png
     from ..report.scene_window import has_display, scene_plotter
-    from ..report.section_scene import parts_of, scene_words
+    from ..report.section_scene import outlines_of, parts_of, scene_words
 
     if options.window and not has_display():
         raise UsageError("--window: there is no display here; the picture of --save shows the same")
@@ -50,7 +50,10 @@ def run(options: argparse.Namespace) -> int:
     title = f"{study.study.title}: {case.label}" if case.label else study.study.title
     told = [f"{what}: {value}" for what, value in words]
     parts = parts_of(case, [case])
-    write_atomically(path, scene_png(case.points, case.triangles, parts, told, title=title))
+    outlines = outlines_of(case)
+    write_atomically(
+        path, scene_png(case.points, case.triangles, parts, told, title=title, outlines=outlines)
+    )
     if options.window:
         scene_plotter(case.points, case.triangles, parts, title=title).show()
     if options.json:

@@ -283,13 +283,18 @@ def _same_body(one: Scene, other: Scene) -> bool:
         and one.parameters == other.parameters
         and one.overrides == other.overrides
         and one.environment_pressure == other.environment_pressure
-        and [(part.stiffness, part.direction, part.facets.tobytes()) for part in one.springs]
-        == [(part.stiffness, part.direction, part.facets.tobytes()) for part in other.springs]
+        and _inner(one) == _inner(other)
         and all(
             np.array_equal(getattr(one, name), getattr(other, name))
             for name in ("fixed", "constrained", "gravity")
         )
     )
+
+
+def _inner(scene: Scene) -> list[tuple[object, ...]]:
+    """Springs and inclusions, to be compared."""
+    springs = [(part.stiffness, part.direction, part.facets.tobytes()) for part in scene.springs]
+    return [*springs, *((part.declared, part.inside.tobytes()) for part in scene.inclusions)]
 
 
 def fit(

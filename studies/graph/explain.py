@@ -11,7 +11,7 @@ from ..machine.memory import machine_memory
 from ..scene.coordinates import origin
 from ..scene.regions import body_extent, lies_outside
 from ..study.config import holds_nothing
-from ..study.extras import extras_of
+from ..study.extras import extras_for
 from ..study.folders import swept_without_folders, told_directory
 from ..study.geometry_spec import fewer_nodes
 from ..study.model_name import DISPLACEMENT_ELEMENTS, split
@@ -173,10 +173,9 @@ def refused(plan: Plan, cases: Sequence[PlannedCase], work: Sequence[Body]) -> l
             for model, solver in (models.find(name),)
             if solver not in model.lines
         ]
-    extras = frozenset().union(*(extras_of(case.study) for case in cases))
-    lines += [
-        f"{name}: it takes no {said}; use another model" for name in names for said in lacks(name, extras)
-    ]
+    lines += dict.fromkeys(
+        told for name in names for case in cases for told in lacks(name, extras_for(name, case.study))
+    )
     if not limits:
         return lines
     missing = plan.missing_meshes(cases)

@@ -63,6 +63,7 @@ def case_hash(study: Study, mesh_key: str, inputs: Mapping[str, Any] | None = No
             "reference": study.study.reference,
         }
         | _outputs(study)
+        | _homogeneous(study)
     )
 
 
@@ -160,6 +161,11 @@ def _outputs(study: Study) -> dict[str, bool]:
     return {"condition": True} if study.study.condition else {}
 
 
+def _homogeneous(study: Study) -> dict[str, list[str]]:
+    """The models that answer without the inclusions; nothing where there are none."""
+    return {"homogeneous": sorted(study.study.homogeneous)} if study.study.homogeneous else {}
+
+
 def _body(study: Study, inputs: Mapping[str, Any], name: str) -> dict[str, Any]:
     """What a model's set-up reads, the mesh apart."""
     model, solver = models.find(name)
@@ -177,12 +183,19 @@ def _body(study: Study, inputs: Mapping[str, Any], name: str) -> dict[str, Any]:
             if part["kind"] in KINDS and KINDS[part["kind"]].holds
         ],
         **_supports(inputs),
+        **_inclusions(study, inputs, name),
         "gravity": gravity if weighs else None,
         "anisotropy": inputs.get("anisotropy"),
         "parameters": {key: value for key, value in parameters.items() if key in model.parameters},
         "environment": None if model.volumetric else inputs.get("environment"),
         "touched": _touched(inputs) if model.contact_in_setup else None,
     } | _outputs(study)
+
+
+def _inclusions(study: Study, inputs: Mapping[str, Any], name: str) -> dict[str, Any]:
+    """The inclusions that a model knows; nothing where there is none, or it answers without them."""
+    found = [] if name in study.study.homogeneous else inputs.get("inclusions") or []
+    return {"inclusions": found} if found else {}
 
 
 def _supports(inputs: Mapping[str, Any]) -> dict[str, Any]:

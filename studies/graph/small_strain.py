@@ -51,12 +51,14 @@ def small_strain_limits(study: Study, scene: Scene) -> SmallStrainLimits:
     return SmallStrainLimits(asked.along, unit, found)
 
 
-Level = tuple[Mesh, Mapping[str, Mask]]  # a mesh and the regions' nodes on it
+# a mesh, the regions' nodes and the inclusions' tetrahedra on it
+Level = tuple[Mesh, Mapping[str, Mask], Mapping[str, Mask]]
 
 
 def _refined(scene: Scene) -> Level:
     finer = refined(scene.mesh, 1)
-    return finer.finest, {name: finer.inherit(mask) for name, mask in scene.regions.items()}
+    inside = {part.declared.name: finer.inherit_inside(part.inside) for part in scene.inclusions}
+    return finer.finest, {name: finer.inherit(mask) for name, mask in scene.regions.items()}, inside
 
 
 class _Evaluator:
@@ -71,7 +73,11 @@ class _Evaluator:
         level: Level | None = None,
     ) -> None:
         self._study, self._along = study, along
-        self._own: Level = (scene.mesh, scene.regions)
+        self._own: Level = (
+            scene.mesh,
+            scene.regions,
+            {part.declared.name: part.inside for part in scene.inclusions},
+        )
         self._level = level or self._own
         self._reference = reference
         self._set_up: dict[str, models.Prepared] = {}

@@ -128,6 +128,30 @@ class FibresShape(Shape):
     fibre_direction: _Vector
 
 
+class BallShape(Shape):
+    """A ball."""
+
+    center: _Vector
+    radius: _Finite
+
+
+class BoxShape(Shape):
+    """A box."""
+
+    min: _Vector
+    max: _Vector
+
+
+class InclusionShape(Shape):
+    """What the report reads of an inclusion."""
+
+    name: str
+    youngs_modulus: _Finite
+    poisson_ratio: _Finite | None = None
+    ball: BallShape | None = None
+    box: BoxShape | None = None
+
+
 class ResolvedShape(Shape):
     """What the report reads of the inputs of a case."""
 
@@ -135,6 +159,7 @@ class ResolvedShape(Shape):
     tissue: TissueShape = TissueShape()
     geometry: dict[str, Any] | None = None
     anisotropy: FibresShape | None = None
+    inclusions: list[InclusionShape] | None = None
     gravity: GravityShape | None = None
     vdm: dict[str, Any] | None = None
     models: dict[str, dict[str, Any]] | None = None

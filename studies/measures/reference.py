@@ -12,6 +12,7 @@ from ..body.mesh import Array
 from ..body.refine import Hierarchy
 from ..body.surface_measures import Surface, enclosed_volumes, weighted_norm, without_motions
 from ..scene.coordinates import in_mesh_coordinates
+from ..scene.inclusions import place_inclusions
 from ..scene.regions import select
 from ..scene.result import REFUSED, ModelResult
 from ..scene.scene import Scene, build_scene
@@ -125,7 +126,11 @@ def level_scene(study: Study, hierarchy: Hierarchy) -> Scene:
         name: hierarchy.inherit_line(mask) if name in lines else hierarchy.inherit(mask)
         for name, mask in regions.items()
     }
-    return build_scene(study, hierarchy.finest, masks)
+    inside = {
+        part.declared.name: hierarchy.inherit_inside(part.inside)
+        for part in place_inclusions(study, coarsest)
+    }
+    return build_scene(study, hierarchy.finest, masks, inside)
 
 
 def require_converged(name: str, result: ModelResult) -> None:

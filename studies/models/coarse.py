@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.sparse import csr_array
 from scipy.spatial import cKDTree
 
@@ -25,6 +26,7 @@ from fem_reference.springs import ElasticSupport
 from ..body.geometry import fill_surface
 from ..body.mesh import Array, Index, Mask, Mesh
 from ..body.surface_measures import enclosed_volume, facet_areas
+from ..scene.inclusions import moduli, on_mesh
 from ..scene.scene import Scene, SurfaceLoad
 
 COARSENING = 2.0  # edge of the coarse mesh over that of the case's own
@@ -145,16 +147,21 @@ class CoarseProblem:
         self._scene = scene
         coarse, tissue, fibres = coarse_mesh(scene.mesh), scene.tissue, scene.anisotropy
         held, nearest = coarse_support(scene, coarse)
+        young: ArrayLike = tissue.youngs_modulus
+        ratio: ArrayLike = tissue.poisson_ratio
         options: dict[str, Any] = {"elastic_supports": coarse_springs(scene, coarse)}
         if fibres:
             options |= {"fibre_direction": fibres.fibre_direction, "contrast": fibres.contrast}
+        if scene.inclusions:
+            placed = on_mesh([part.declared for part in scene.inclusions], coarse)
+            young, ratio, options["parts"] = moduli(tissue, placed)
         self.problem = LinearProblem(
             coarse.points,
             coarse.tetrahedra,
             coarse.surface_nodes,
             coarse.triangles,
-            youngs_modulus=tissue.youngs_modulus,
-            poisson_ratio=tissue.poisson_ratio,
+            youngs_modulus=young,
+            poisson_ratio=ratio,
             density=tissue.density * _volume(scene.mesh) / _volume(coarse),
             held=held,
             solver="direct",

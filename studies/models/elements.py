@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..body.mesh import Array
+from ..scene.inclusions import moduli
 from ..scene.scene import Scene, SurfaceLoad
 from ..study.model_name import split
 from . import costs
@@ -103,8 +104,17 @@ def _body(scene: Scene) -> dict[str, Any]:
         "density": tissue.density,
         "held": scene.held,
         "elastic_supports": _springs(scene),
+        **_inside(scene),
         **({"fibre_direction": fibres.fibre_direction, "contrast": fibres.contrast} if fibres else {}),
     }
+
+
+def _inside(scene: Scene) -> dict[str, Any]:
+    """The moduli of each tetrahedron where there are inclusions."""
+    if not scene.inclusions:
+        return {}
+    young, ratio, parts = moduli(scene.tissue, scene.inclusions)
+    return {"youngs_modulus": young, "poisson_ratio": ratio, "parts": parts}
 
 
 def _springs(scene: Scene) -> list[ElasticSupport]:
@@ -134,7 +144,7 @@ _BOTH, _ONE = ("linear", PLAIN), ("linear",)
 
 def _takes(solvers: tuple[str, ...]) -> dict[str, tuple[str, ...]]:
     """What all elements take that not every model does."""
-    return dict.fromkeys(("normal springs", "full springs"), solvers)
+    return dict.fromkeys(("normal springs", "full springs", "inclusions"), solvers)
 
 
 _elements = partial(

@@ -37,7 +37,7 @@ class Prepared:
             if scene.lines and solver not in self.model.lines:
                 raise ValueError(f"{name} takes no force along a line; use another model for it")
             if lacking := lacks(name, scene.extras):
-                raise ValueError(f"{name} takes no {lacking[0]}; use another model for it")
+                raise ValueError(lacking[0])
             self.set_up = prepare(scene, solver, name, n_loads)
         except (
             ValueError
@@ -63,6 +63,8 @@ def run_model(scene: Scene, name: str) -> ModelResult:
 def _as_declared(scene: Scene, model: Model, name: str) -> Scene:
     """The scene with what the model declares to read, and nothing else: its answers are shared by that."""
     given = {**scene.parameters, **scene.overrides.get(name, {})}
+    if name in scene.homogeneous:
+        scene = dataclasses.replace(scene, inclusions=(), extras=scene.extras - {"inclusions"})
     return dataclasses.replace(
         scene,
         parameters={key: value for key, value in given.items() if key in model.parameters},

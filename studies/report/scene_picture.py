@@ -36,6 +36,7 @@ KINDS = {
     "line": ("pulled along a line", "#aa3377"),
     "elastic": ("springs", "#228833"),
 }
+INSIDE = "#5b3a8c"  # what is drawn through the body
 OTHER = "#666666"  # of a kind that has no colour of its own
 _ARROWS = {"contact": "#c42842", "constrained": "#8a7410"}  # their arrows, seen on body and ground
 BODY, _AMBIENT = "#cfd3d6", 0.72  # bright all round: the colours have a meaning
@@ -65,8 +66,22 @@ class Part:
     label: str = ""
 
 
+@dataclass(frozen=True)
+class Outline:
+    """Something inside the body: its name and the lines (E, 2, 3) that show where it is [m]."""
+
+    name: str
+    segments: np.ndarray
+
+
 def scene_figure(
-    points: Array, triangles: np.ndarray, parts: Sequence[Part], lines: Sequence[str] = (), *, title: str = ""
+    points: Array,
+    triangles: np.ndarray,
+    parts: Sequence[Part],
+    lines: Sequence[str] = (),
+    *,
+    title: str = "",
+    outlines: Sequence[Outline] = (),
 ) -> Figure:
     """The scene as a matplotlib figure, from where its parts are seen best.
 
@@ -75,7 +90,7 @@ def scene_figure(
     same drawing.
     """
     with rc_context(STYLE):
-        return _figure(_Stage(points, triangles, parts), lines, title)
+        return _figure(_Stage(points, triangles, parts, outlines), lines, title)
 
 
 def scene_png(
@@ -86,20 +101,29 @@ def scene_png(
     *,
     title: str = "",
     dpi: int = 200,
+    outlines: Sequence[Outline] = (),
 ) -> bytes:
     """`scene_figure` as a PNG file on white ground."""
     out = io.BytesIO()
     with rc_context(STYLE), warnings.catch_warnings():
         warnings.filterwarnings("ignore", "Glyph .* missing")  # such a letter is drawn as a box
-        figure = _figure(_Stage(points, triangles, parts), lines, title)
+        figure = _figure(_Stage(points, triangles, parts, outlines), lines, title)
         figure.savefig(out, format="png", dpi=dpi, metadata={"Software": None})
     return out.getvalue()
 
 
-def scene_svg(points: Array, triangles: np.ndarray, parts: Sequence[Part], *, alt: str, salt: str) -> Markup:
+def scene_svg(
+    points: Array,
+    triangles: np.ndarray,
+    parts: Sequence[Part],
+    *,
+    alt: str,
+    salt: str,
+    outlines: Sequence[Outline] = (),
+) -> Markup:
     """`scene_figure` as an <svg> element in the colours of the page; `alt` tells it in words."""
     with rc_context(STYLE):
-        return for_the_page(svg_of(_figure(_Stage(points, triangles, parts), (), "")), alt, salt)
+        return for_the_page(svg_of(_figure(_Stage(points, triangles, parts, outlines), (), "")), alt, salt)
 
 
 def best_azimuth(points: Array, triangles: np.ndarray, parts: Sequence[Part]) -> float:
@@ -110,8 +134,14 @@ def best_azimuth(points: Array, triangles: np.ndarray, parts: Sequence[Part]) ->
 class _Stage:
     """A scene with the camera that shows it best."""
 
-    def __init__(self, points: Array, triangles: np.ndarray, parts: Sequence[Part]) -> None:
-        self.points, self.triangles, self.parts = points, triangles, parts
+    def __init__(
+        self,
+        points: Array,
+        triangles: np.ndarray,
+        parts: Sequence[Part],
+        outlines: Sequence[Outline] = (),
+    ) -> None:
+        self.points, self.triangles, self.parts, self.outlines = points, triangles, parts, outlines
         self.size = max(float(np.linalg.norm(np.ptp(points, axis=0))), 1e-12)
         self.arrows = [arrow for part in parts for arrow in self._arrows(part)]
         self.azimuth, elevation = self._camera()
@@ -190,7 +220,7 @@ class _Stage:
 
 def _figure(stage: _Stage, lines: Sequence[str], title: str) -> Figure:
     words = [row for line in lines for row in wrap(line, _LETTERS)]
-    rows = -(-len(stage.parts) // 2)
+    rows = -(-(len(stage.parts) + len(stage.outlines)) // 2)
     low, high = stage.frame
     width, height = np.maximum(high - low, 1e-12)
     below, above = _LINE * (len(words) + rows + 0.8), _LINE * (2 if title else 0)
@@ -212,8 +242,11 @@ def _figure(stage: _Stage, lines: Sequence[str], title: str) -> Figure:
     foot.set_axis_off()
     _draw_scale(foot, metres)
     _draw_triad(foot, stage.axes)
-    if stage.parts:
+    if stage.parts or stage.outlines:
         handles = [Patch(color=style_of(part.kind)[1], label=_legend(part)) for part in stage.parts]
+        handles += [
+            Patch(color=INSIDE, label=f"inside: {_short(outline.name)}") for outline in stage.outlines
+        ]
         figure.legend(
             handles=handles,
             ncols=2,
@@ -238,8 +271,12 @@ def style_of(kind: str) -> tuple[str, str]:
 
 def _legend(part: Part) -> str:
     called = style_of(part.kind)[0]
-    name = part.name if len(part.name) <= 24 else f"{part.name[:23]}…"
+    name = _short(part.name)
     return f"{called}: {name}" if name and name != called else called
+
+
+def _short(name: str) -> str:
+    return name if len(name) <= 24 else f"{name[:23]}…"
 
 
 def _draw_body(axes: Axes, stage: _Stage) -> None:
@@ -263,6 +300,9 @@ def _draw_body(axes: Axes, stage: _Stage) -> None:
         axes.add_collection(LineCollection(list(edges[facing]), colors=colour, linewidths=1.2))
         dots = stage.seen[stage.lone(part)]
         axes.plot(dots[:, 0], dots[:, 1], "o", color=colour, markersize=3.0, markeredgewidth=0)
+    for outline in stage.outlines:
+        seen = (outline.segments @ stage.axes.T)[:, :, :2]
+        axes.add_collection(LineCollection(list(seen), colors=INSIDE, linewidths=1.2, linestyles="--"))
     axes.set_xlim(low[0], high[0])
     axes.set_ylim(low[1], high[1])
 

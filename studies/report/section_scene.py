@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
+from itertools import combinations, product
 from typing import Any
 
 import numpy as np
@@ -13,7 +14,7 @@ from ..measures.case import CaseResult
 from ..verdict.digest import Array, Digest
 from ..verdict.formatting import listed, plain, plural, scale_of
 from .blocks import Scene
-from .scene_picture import Part, scene_svg, style_of
+from .scene_picture import Outline, Part, scene_svg, style_of
 
 _ALL_ROUND = (
     0.05  # of the sum of its facets' forces: a contact whose resultant is smaller presses from all sides
@@ -27,7 +28,7 @@ def scene(digest: Digest) -> Scene | None:
     case = digest.key_cases[0][1]
     parts, words = parts_of(case, digest.cases), scene_words(case, digest.cases)
     alt = "The body at rest. " + "; ".join(f"{what}: {value}" for what, value in words)
-    svg = scene_svg(case.points, case.triangles, parts, alt=alt, salt="scene")
+    svg = scene_svg(case.points, case.triangles, parts, alt=alt, salt="scene", outlines=outlines_of(case))
     same = all(np.array_equal(case.points, other.points) for other in digest.cases)
     return Scene(svg, words, "" if same else f"The picture shows {digest.case_name(case)}.")
 
@@ -54,6 +55,48 @@ def parts_of(case: CaseResult, cases: Sequence[CaseResult]) -> list[Part]:
     return parts
 
 
+def outlines_of(case: CaseResult) -> list[Outline]:
+    """Where the inclusions are: three great circles of a ball, the edges of a box; of a group nothing is known."""
+    found = []
+    centred = (case.resolved.get("geometry") or {}).get("coordinates") == "centred"
+    start = (case.points.min(axis=0) + case.points.max(axis=0)) / 2 if centred else np.zeros(3)
+    for entry in _inclusions(case):
+        if ball := entry.get("ball"):
+            lines = float(ball["radius"]) * _circles() + np.array(ball["center"]) + start
+        elif box := entry.get("box"):
+            low, high = np.array(box["min"]), np.array(box["max"])
+            lines = low + _edges() * (high - low) + start
+        else:
+            continue
+        found.append(Outline(str(entry["name"]), lines))
+    return found
+
+
+def _circles() -> Array:
+    """(E, 2, 3) the three great circles of the unit ball."""
+    angle = np.linspace(0.0, 2.0 * np.pi, 49)
+    circle = np.stack([np.cos(angle), np.sin(angle), np.zeros_like(angle)], axis=1)
+    pieces = np.stack([circle[:-1], circle[1:]], axis=1)
+    return np.concatenate([pieces, pieces[:, :, [2, 0, 1]], pieces[:, :, [1, 2, 0]]])
+
+
+def _edges() -> Array:
+    """(12, 2, 3) edges of the unit box."""
+    corners = np.array(list(product((0.0, 1.0), repeat=3)))
+    ends = [(a, b) for a, b in combinations(range(8), 2) if np.abs(corners[a] - corners[b]).sum() == 1.0]
+    return corners[np.array(ends)]
+
+
+def _inclusions(case: CaseResult) -> list[Mapping[str, Any]]:
+    return list(case.resolved.get("inclusions") or ())
+
+
+def _homogeneous(case: CaseResult) -> str:
+    """What is said of the models that answer without the inclusions."""
+    names = (case.resolved.get("study") or {}).get("homogeneous") or ()
+    return f"unknown to {listed(names)}" if names else ""
+
+
 def scene_words(case: CaseResult, cases: Sequence[CaseResult]) -> list[tuple[str, str]]:
     """(what, value) of tissue, body, mesh and constraints, with the ranges over all `cases`."""
     tissue = [f"Young's modulus {_over(cases, 'tissue', 'youngs_modulus', 'Pa')}"]
@@ -63,6 +106,8 @@ def scene_words(case: CaseResult, cases: Sequence[CaseResult]) -> list[tuple[str
     if any(other.resolved.get("gravity") for other in cases):
         tissue.append(f"with weight, density {_over(cases, 'tissue', 'density', '1')} kg/m³")
     rows = [("Tissue", ", ".join(part for part in tissue if not part.endswith(" ")))]
+    for number, entry in enumerate(_inclusions(case)):
+        rows.append(("Inclusion", _inclusion_words(number, entry, case, cases)))
     shapes = dict.fromkeys(_shape(other) for other in cases)
     extents = [_lengths(np.ptp(case.points, axis=0))] if len(shapes) == 1 else []
     rows.append(("Body", ", ".join(filter(None, [listed(filter(None, shapes)), *extents]))))
@@ -75,6 +120,18 @@ def scene_words(case: CaseResult, cases: Sequence[CaseResult]) -> list[tuple[str
         if mask is not None:
             rows.append((style_of(kind)[0].capitalize(), _in_words(case, cases, name, constraint, mask)))
     return [(what, value) for what, value in rows if value]
+
+
+def _inclusion_words(
+    number: int, entry: Mapping[str, Any], case: CaseResult, cases: Sequence[CaseResult]
+) -> str:
+    """Its name, size and moduli over all cases, and who leaves it out."""
+    same = [found[number] for other in cases if len(found := _inclusions(other)) > number]
+    young = _span([float(one["youngs_modulus"]) for one in same], "Pa")
+    ratio = [float(one["poisson_ratio"]) for one in same if one.get("poisson_ratio") is not None]
+    size = f"{plain(2e3 * entry['ball']['radius'], 2)} mm across" if entry.get("ball") else ""
+    told = (f"Poisson ratio {_span(ratio, '1')}" if ratio else "", size, _homogeneous(case))
+    return ", ".join(filter(None, [str(entry["name"]), f"Young's modulus {young}", *told]))
 
 
 def _shape(case: CaseResult) -> str:

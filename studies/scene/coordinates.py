@@ -35,13 +35,14 @@ def measured_on(study: Study, mesh: Mesh) -> list[Measured]:
 def _measured(table: Measured, by: tuple[float, ...]) -> Measured:
     points = []
     for point in table.points:
-        x, y, z = _shifted((point.x, point.y, point.z), by)
+        x, y, z = shifted((point.x, point.y, point.z), by)
         points.append(point.model_copy(update={"x": x, "y": y, "z": z}))
-    surface = tuple(_shifted(place, by) for place in table.surface)
+    surface = tuple(shifted(place, by) for place in table.surface)
     return table.model_copy(update={"points": tuple(points), "surface": surface})
 
 
-def _shifted(place: Vector3, by: tuple[float, ...]) -> Vector3:
+def shifted(place: Vector3, by: tuple[float, ...]) -> Vector3:
+    """A place moved by (3,) [m]."""
     x, y, z = (a + b for a, b in zip(place, by, strict=True))
     return x, y, z
 
@@ -56,9 +57,9 @@ def _moved(region: Region, by: tuple[float, ...]) -> Region:
         if plane is not None and plane.value is not None:
             new[key] = plane.model_copy(update={"value": plane.value + by[AXES[plane.axis]]})
     if region.ball is not None:
-        new["ball"] = region.ball.model_copy(update={"center": _shifted(region.ball.center, by)})
+        new["ball"] = region.ball.model_copy(update={"center": shifted(region.ball.center, by)})
     if region.box is not None:
-        corners = {"min": _shifted(region.box.min, by), "max": _shifted(region.box.max, by)}
+        corners = {"min": shifted(region.box.min, by), "max": shifted(region.box.max, by)}
         new["box"] = region.box.model_copy(update=corners)
     for key in ("all_of", "any_of"):
         if (parts := getattr(region, key)) is not None:

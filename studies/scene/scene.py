@@ -15,6 +15,7 @@ from ..study.loads import KINDS, Springs
 from ..study.problems import Loc
 from ..study.schema import Anisotropy, Constraint, Study, Tissue
 from .coordinates import in_mesh_coordinates, origin
+from .inclusions import PlacedInclusion, place_inclusions
 from .placed import PlacedConstraint, quadrature
 from .placed import SceneError as SceneError
 from .regions import body_extent, lies_outside, select
@@ -78,6 +79,8 @@ class Scene:
     lines : forces along lines at load factor 1, see `SurfaceLoad`
     springs : between facets and the ground
     extras : what it has that not every model takes, see `vdmbench.study.extras`
+    inclusions : parts of the inside with moduli of their own
+    homogeneous : models that answer as if there were no inclusions
     """
 
     mesh: Mesh
@@ -97,6 +100,8 @@ class Scene:
     lines: tuple[tuple[Index, Array], ...] = ()
     springs: tuple[Springs, ...] = ()
     extras: frozenset[str] = frozenset()
+    inclusions: tuple[PlacedInclusion, ...] = ()
+    homogeneous: frozenset[str] = frozenset()
 
     @property
     def held(self) -> Mask:
@@ -159,10 +164,16 @@ class Scene:
         return self.contact_pressure != 0.0
 
 
-def build_scene(study: Study, mesh: Mesh, masks: Mapping[str, Mask] | None = None) -> Scene:
+def build_scene(
+    study: Study,
+    mesh: Mesh,
+    masks: Mapping[str, Mask] | None = None,
+    inside: Mapping[str, Mask] | None = None,
+) -> Scene:
     """Put a study's regions, constraints and loads on a mesh.
 
-    `masks` gives the regions' nodes where the mesh is a refinement, whose regions are those of the coarse mesh.
+    `masks` gives the regions' nodes and `inside` the inclusions' tetrahedra where the mesh is a refinement, with
+    those of the coarse mesh.
 
     Raises
     ------
@@ -246,6 +257,8 @@ def build_scene(study: Study, mesh: Mesh, masks: Mapping[str, Mask] | None = Non
         lines=tuple(lines),
         springs=tuple(springs),
         extras=extras_of(study),
+        inclusions=place_inclusions(study, mesh, inside),
+        homogeneous=frozenset(study.study.homogeneous),
     )
 
 

@@ -23,6 +23,7 @@ from .geometry_spec import (
 )
 from .geometry_spec import Geometry as GeometrySpec
 from .geometry_table import Geometry
+from .inclusion_checks import check_inclusions
 from .loads import KINDS
 from .measured_table import check_measured
 from .model_name import DISPLACEMENT_ELEMENTS, is_vdm, split
@@ -60,6 +61,7 @@ def check(study: Study) -> Iterator[Finding]:
     yield from _check_geometry(study.geometry)
     yield from check_regions(study)
     yield from _check_constraints(study)
+    yield from check_inclusions(study)
     yield from _check_history(study.load)
     yield from _check_loads(study)
     yield from _check_acceptance(study)

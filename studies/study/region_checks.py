@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
+from .inclusion_checks import check_box
 from .kinds import safe_name
 from .problems import Finding, Loc
 from .schema import HalfSpace, Region, Study
@@ -47,6 +48,12 @@ def _check_groups(study: Study) -> Iterator[Finding]:
     for name, region in (study.regions or {}).items():
         for loc in _groups_in(region, ("regions", name)):
             yield loc, "only a MSH file has named groups of nodes; say where the region is instead"
+    for place, part in enumerate(study.inclusions or ()):
+        if part.group is not None:
+            yield (
+                ("inclusions", place, "group"),
+                "only a MSH file has named groups; give a ball or a box instead",
+            )
 
 
 def _check_coordinates(study: Study) -> Iterator[Finding]:
@@ -60,6 +67,7 @@ def _check_coordinates(study: Study) -> Iterator[Finding]:
     names = [
         f"region {shown(name)}" for name, part in (study.regions or {}).items() if _has_coordinates(part)
     ]
+    names += [f"inclusion {shown(part.name)}" for part in study.inclusions or () if part.ball or part.box]
     names += [f"measured table {shown(table.name)}" for table in study.measured or () if table.name]
     if names:
         yield (
@@ -93,14 +101,7 @@ def _check_region(region: Region, loc: Loc, regions: dict[str, Region]) -> Itera
         half_space: HalfSpace | None = getattr(region, key)
         if half_space is not None and len(given(half_space) & {"fraction", "value"}) != 1:
             yield (*loc, key), "give either fraction or value"
-    box = region.box
-    if box is not None and box.min is not None and box.max is not None:
-        for axis, low, high in zip("xyz", box.min, box.max, strict=True):
-            if low >= high:
-                yield (
-                    (*loc, "box", "max"),
-                    f"must be above min along {axis}: {high:g} m is not above {low:g} m",
-                )
+    yield from check_box(region.box, (*loc, "box"))
     for part_loc, part in _parts(region):
         if isinstance(part, Region):
             yield from _check_region(part, (*loc, *part_loc), regions)

@@ -156,11 +156,10 @@ def find(name: str) -> tuple[Declared, str]:
 
 
 def lacks(name: str, extras: Collection[str]) -> list[str]:
-    """Of these `EXTRAS` those that a model does not take with its solver, as they are said."""
+    """A sentence for each of these `EXTRAS` that a model does not take with its solver, with what to do."""
     model, solver = find(name)
-    return [
-        said for extra, said in EXTRAS.items() if extra in extras and solver not in model.takes.get(extra, ())
-    ]
+    wanted = [extra for extra in EXTRAS if extra in extras and solver not in model.takes.get(extra, ())]
+    return [f"{name} {EXTRAS[extra]}" for extra in wanted]
 
 
 def reads(name: str) -> tuple[str, ...]:

@@ -85,6 +85,13 @@ class StudyInfo(Table):
     condition: bool = Field(
         False, description="whether the models estimate the condition of the system that they solve"
     )
+    homogeneous: tuple[str, ...] = Field(
+        (),
+        description="models of this study that may answer as if there were no inclusions; the others know them, or "
+        "are refused",
+        strict=False,
+        max_length=MOST_NAMES,
+    )
     max_cases: int = Field(1000, description="refuse a sweep of more cases than this", ge=1, le=100_000)
 
     @classmethod
@@ -92,23 +99,29 @@ class StudyInfo(Table):
         return {"title": data["name"], **data} if is_safe_name(data.get("name")) else data
 
 
+YoungsModulus = Annotated[
+    float,
+    SI("Pa"),
+    positive,
+    number_check(
+        lambda v: 10 <= v <= 1e10,
+        'must lie between 10 Pa and 10 GPa (a mixed-up unit? a bare number is in Pa: write "5 kPa")',
+    ),
+]
+PoissonRatio = Annotated[
+    float,
+    SI("1"),
+    number_check(lambda v: -1 < v <= 0.5, "must be above -1 and at most 0.5 (incompressible)"),
+]
+
+
 class Tissue(Table):
     """[tissue]"""
 
-    youngs_modulus: Annotated[
-        float,
-        SI("Pa"),
-        positive,
-        number_check(
-            lambda v: 10 <= v <= 1e10,
-            'must lie between 10 Pa and 10 GPa (a mixed-up unit? a bare number is in Pa: write "5 kPa")',
-        ),
-    ] = Field(description="Young's modulus")
-    poisson_ratio: Annotated[
-        float,
-        SI("1"),
-        number_check(lambda v: -1 < v <= 0.5, "must be above -1 and at most 0.5 (incompressible)"),
-    ] = Field(description="Poisson's ratio, up to and including 0.5; surface models keep the volume")
+    youngs_modulus: YoungsModulus = Field(description="Young's modulus")
+    poisson_ratio: PoissonRatio = Field(
+        description="Poisson's ratio, up to and including 0.5; surface models keep the volume"
+    )
     density: Annotated[
         float,
         SI("kg/m^3"),
@@ -331,6 +344,22 @@ class Anisotropy(Table):
     )
 
 
+class Inclusion(Table):
+    """[[inclusions]]: a part of the inside with moduli of its own, as a tumour; one of ball, box, group"""
+
+    name: Name = Field(description="names it in sweeps and reports")
+    ball: Ball | None = Field(None, description="tetrahedra whose middle is in a ball")
+    box: Box | None = Field(None, description="tetrahedra whose middle is in a box")
+    group: str | None = Field(
+        None, description="tetrahedra whose four nodes are in a named group of the mesh file", min_length=1
+    )
+    youngs_modulus: YoungsModulus = Field(description="its Young's modulus")
+    poisson_ratio: PoissonRatio | None = Field(
+        None,
+        description="its Poisson's ratio, the tissue's where left out; ratios that differ are above 0",
+    )
+
+
 class Sweep(Table):
     """[sweep]: further keys are axes, each the dotted path of a key of the study"""
 
@@ -440,6 +469,9 @@ class Study(Table):
     study: StudyInfo = Field(description="what is compared")
     geometry: Geometry = Field(description="the body")
     tissue: Tissue = Field(description="its material")
+    inclusions: tuple[Inclusion, ...] | None = Field(
+        None, description="parts of the inside with moduli of their own", strict=False, max_length=MOST_NAMES
+    )
     vdm: VdmTable = Field(VdmTable(), description="parameters of the VDM models")
     regions: dict[str, Region] = Field({}, description="named sets of surface nodes", max_length=MOST_NAMES)
     constraints: tuple[Constraint, ...] = Field(

@@ -51,6 +51,7 @@ QUICK = (
     "liver-palpation",
     "stability",
     "thigh-probe",
+    "tumour",
     "warm-start",
 )
 

@@ -1,0 +1,223 @@
+"""Parts of the inside with moduli of their own, by a study: known by elements, refused or left out by others."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from vdmbench import models
+from vdmbench.body.geometry import build_mesh
+from vdmbench.body.mesh import Mesh
+from vdmbench.body.mesh_cache import read_mesh, write_mesh
+from vdmbench.body.refine import refined
+from vdmbench.body.topology import mesh_from_tetrahedra
+from vdmbench.graph.keys import case_hash, wanted
+from vdmbench.measures.reference import level_scene
+from vdmbench.report.scene_picture import Outline, scene_figure
+from vdmbench.report.section_scene import outlines_of
+from vdmbench.scene.inclusions import moduli
+from vdmbench.scene.result import ModelResult
+from vdmbench.scene.scene import SceneError, build_scene
+from vdmbench.study.config import geometry_of
+from vdmbench.study.problems import Source
+from vdmbench.study.schema import Study
+from vdmbench.study.validation import validate
+
+from .example_case import example_case
+from .fem_shapes import cube
+
+UPPER: dict[str, Any] = {
+    "name": "upper",
+    "box": {"min": [-1.0, -1.0, 0.5], "max": [2.0, 2.0, 2.0]},
+    "youngs_modulus": 1800.0,
+}
+BASE: dict[str, Any] = {
+    "study": {"name": "test", "models": ["vdm-boundary", "fem-linear"], "reference": "fem-linear"},
+    "geometry": {"shape": "box", "size": [1.0, 1.0, 1.0], "mesh_size": 0.5},
+    "tissue": {"youngs_modulus": 1000.0, "poisson_ratio": 0.0},
+    "inclusions": [UPPER],
+    "regions": {
+        "bottom": {"below": {"axis": "z", "fraction": 0.0}},
+        "top": {"above": {"axis": "z", "fraction": 1.0}},
+    },
+    "constraints": [
+        {"kind": "fixed", "region": "bottom"},
+        {"kind": "contact", "region": "top", "pressure": 0.1},
+    ],
+}
+
+
+def study(**tables: Any) -> Study:
+    return Study.model_validate({key: value for key, value in (BASE | tables).items() if value is not None})
+
+
+@pytest.fixture(scope="module")
+def bar() -> Mesh:
+    """A unit cube with a plane of facets at half its height."""
+    b = cube(2)
+    low, high = b.points[b.tetrahedra].mean(axis=1)[:, 2] < 0.5, b.points[:, 2] >= 0.5
+    assert low.any()
+    return mesh_from_tetrahedra(b.points, b.tetrahedra, groups={"cap": high, "skin": b.points[:, 2] == 1.0})
+
+
+def answer(mesh: Mesh, name: str, **tables: Any) -> ModelResult:
+    return models.run_model(build_scene(study(**tables), mesh), name)
+
+
+KNOWING = [
+    name
+    for name in models.model_names()
+    if models.find(name)[1] in models.find(name)[0].takes.get("inclusions", ()) and name.count(":linear") == 0
+]
+
+
+@pytest.mark.parametrize("name", [name for name in KNOWING if name != "fem-coarse"])
+def test_two_materials_in_series(bar: Mesh, name: str) -> None:
+    """Without a Poisson ratio the stress is p everywhere: u_z = -p times the integral of 1/E, on any such mesh."""
+    result = answer(bar, name)
+    assert result.status[0].ok, result.status
+    z = bar.surface_points[:, 2]
+    exact = -0.1 * (np.minimum(z, 0.5) / 1000.0 + np.maximum(z - 0.5, 0.0) / 1800.0)
+    large = 1e-4 if name.startswith("fem:") or name == "fem" else 1e-9  # finite strain, of 1e-4
+    assert_allclose(result.displacement[0, :, 2], exact, rtol=0, atol=3 * large * np.abs(exact).max())
+
+
+def test_the_coarse_mesh_has_inclusions_of_its_own() -> None:
+    """The coarse mesh's answer goes with the inclusion as the fine one's does."""
+    tables: dict[str, Any] = {
+        "geometry": BASE["geometry"] | {"mesh_size": 0.2},
+        "tissue": {"youngs_modulus": 1000.0, "poisson_ratio": 0.4},
+    }
+    mesh = build_mesh(geometry_of(study(**tables)))
+    stiff = [{"name": "lump", "ball": {"center": [0, 0, 0.1], "radius": 0.35}, "youngs_modulus": 1e5}]
+    lower = {
+        name: [
+            np.abs(answer(mesh, name, **tables, inclusions=part).displacement[0, :, 2]).max()
+            for part in (None, stiff)
+        ]
+        for name in ("fem-coarse", "fem-linear")
+    }
+    shares = {name: stiffened / plain for name, (plain, stiffened) in lower.items()}
+    assert shares["fem-linear"] < 0.92
+    assert 0.7 < shares["fem-coarse"] < 0.92
+
+
+@pytest.mark.parametrize("name", [name for name in models.model_names() if name not in KNOWING])
+def test_others_are_refused_by_name_or_leave_it_out(bar: Mesh, name: str) -> None:
+    if models.find(name)[1] in models.find(name)[0].takes.get("inclusions", ()):
+        return  # another name of one that knows them
+    refused = answer(bar, name)
+    assert refused.status[0].code == models.REFUSED
+    assert f"{name} knows no inclusions; study.homogeneous" in refused.status[0].message
+    allowed = answer(bar, name, study=BASE["study"] | {"models": [name], "homogeneous": [name]})
+    without = answer(bar, name, inclusions=None)
+    assert allowed.status == without.status
+    assert_allclose(allowed.displacement, without.displacement, rtol=1e-12, atol=1e-18)
+
+
+def test_the_last_of_several_wins(bar: Mesh) -> None:
+    core = {"name": "core", "ball": {"center": [0.5, 0.5, 0.75], "radius": 0.3}, "youngs_modulus": 9e3}
+    core |= {"poisson_ratio": 0.3}
+    tissue = {"youngs_modulus": 1000.0, "poisson_ratio": 0.45}
+    scene = build_scene(study(inclusions=[UPPER, core], tissue=tissue), bar)
+    young, ratio, parts = moduli(scene.tissue, scene.inclusions)
+    near = np.linalg.norm(bar.points[bar.tetrahedra].mean(axis=1) - [0.5, 0.5, 0.75], axis=1) <= 0.3
+    above = bar.points[bar.tetrahedra].mean(axis=1)[:, 2] > 0.5
+    assert near.any()
+    assert (young == np.where(near, 9e3, np.where(above, 1800.0, 1000.0))).all()
+    assert (ratio == np.where(near, 0.3, 0.45)).all()
+    assert (parts == np.where(near, 2, np.where(above, 1, 0))).all()
+    with pytest.raises(SceneError, match="'upper' has no tetrahedron of its own; enlarge it"):
+        build_scene(study(inclusions=[UPPER, UPPER | {"name": "again"}]), bar)
+
+
+def test_a_refinement_has_the_same_inclusions(bar: Mesh) -> None:
+    ball = UPPER | {"box": None, "ball": {"center": [0.5, 0.5, 0.6], "radius": 0.3}}
+    given = study(inclusions=[{key: value for key, value in ball.items() if value is not None}])
+    hierarchy = refined(bar, 2)
+    fine, coarse = level_scene(given, hierarchy), build_scene(given, bar)
+    volumes = [
+        np.abs(np.linalg.det(mesh.points[inside[:, 1:]] - mesh.points[inside[:, :1]])).sum()
+        for mesh, inside in (
+            (scene.mesh, scene.mesh.tetrahedra[scene.inclusions[0].inside]) for scene in (coarse, fine)
+        )
+    ]
+    assert_allclose(volumes[1], volumes[0], rtol=1e-12)
+    centres = fine.mesh.points[fine.mesh.tetrahedra[fine.inclusions[0].inside]].mean(axis=(0, 1))
+    own = bar.points[bar.tetrahedra[coarse.inclusions[0].inside]].mean(axis=(0, 1))
+    assert_allclose(centres, own, atol=1e-12)
+
+
+def test_a_group_of_tetrahedra_is_kept_with_the_mesh(bar: Mesh, tmp_path: Path) -> None:
+    group = {"name": "upper", "group": "cap", "youngs_modulus": 1800.0}
+    assert set(bar.volumes) == {"cap"}, "a group of a surface has no tetrahedra"
+    write_mesh(tmp_path / "mesh.npz", bar)
+    stored = read_mesh(tmp_path / "mesh.npz")
+    assert stored is not None
+    assert stored.content_hash == bar.content_hash
+    by_box, by_group = (build_scene(study(inclusions=[part]), stored) for part in (UPPER, group))
+    assert (by_box.inclusions[0].inside == by_group.inclusions[0].inside).all()
+    with pytest.raises(SceneError, match="no group 'vessel' of tetrahedra; it has: cap"):
+        build_scene(study(inclusions=[group | {"group": "vessel"}]), stored)
+
+
+def test_keys_have_what_a_model_knows() -> None:
+    """Another modulus inside is another body for elements, and the same for a model that leaves it out."""
+    homogeneous = BASE["study"] | {"homogeneous": ["vdm-boundary"]}
+    tables: dict[str, dict[str, Any]] = {
+        "base": {"study": homogeneous},
+        "stiffer": {"study": homogeneous, "inclusions": [UPPER | {"youngs_modulus": 2e3}]},
+        "without": {"inclusions": None},
+        "refusing": {},
+    }
+    keys = {name: wanted(study(**given), "mesh") for name, given in tables.items()}
+    boundary, elements = ({name: pair[k].body for name, pair in keys.items()} for k in range(2))
+    assert boundary["base"] == boundary["stiffer"] == boundary["without"] != boundary["refusing"]
+    assert elements["base"] == elements["refusing"]
+    assert len({elements[name] for name in ("base", "stiffer", "without")}) == 3
+    assert len({case_hash(study(**given), "mesh") for given in tables.values()}) == 4
+
+
+@pytest.mark.parametrize(
+    ("tables", "told"),
+    [
+        (
+            {"inclusions": [UPPER | {"group": "cap"}]},
+            "give exactly one of ball, box, group, not box and group",
+        ),
+        ({"inclusions": [UPPER, UPPER]}, '"upper" is the name of another inclusion'),
+        ({"inclusions": [UPPER | {"poisson_ratio": 0.4}]}, "where ratios differ each must be above 0"),
+        (
+            {"inclusions": [UPPER | {"box": {"min": [0, 0, 1], "max": [1, 1, 0]}}]},
+            "must be above min along z",
+        ),
+        ({"inclusions": [{"name": "a", "group": "a", "youngs_modulus": 1e3}]}, "only a MSH file has named"),
+        ({"study": BASE["study"] | {"homogeneous": ["fem-linear"]}}, "the reference, which has to know"),
+        ({"study": BASE["study"] | {"homogeneous": ["vdm-bound"]}}, 'did you mean "vdm-boundary"'),
+        ({"study": BASE["study"] | {"homogeneous": ["vdm-boundary"]}, "inclusions": []}, "decides nothing"),
+    ],
+)
+def test_mistakes_are_told(tables: dict[str, Any], told: str) -> None:
+    _, faults = validate(BASE | tables, Source())
+    assert any(told in text for _, text in faults), faults
+
+
+def test_it_is_drawn_where_it_is() -> None:
+    ball = {"name": "lump", "ball": {"center": [0.1, 0.2, 0.3], "radius": 0.2}, "youngs_modulus": 1e4}
+    case = example_case()
+    case.resolved["inclusions"] = [ball, UPPER, {"name": "vessel", "group": "a", "youngs_modulus": 1e4}]
+    try:
+        lump, upper = outlines_of(case)
+    finally:
+        del case.resolved["inclusions"]
+    assert_allclose(np.linalg.norm(lump.segments - [0.1, 0.2, 0.3], axis=2), 0.2)
+    assert len(upper.segments) == 12
+    assert_allclose(upper.segments.reshape(-1, 3).max(axis=0), [2.0, 2.0, 2.0])
+    plain = scene_figure(case.points, case.triangles, [])
+    drawn = scene_figure(case.points, case.triangles, [], outlines=[Outline("lump", lump.segments)])
+    assert len(drawn.axes[0].collections) == len(plain.axes[0].collections) + 1
+    assert [text.get_text() for text in drawn.legends[0].get_texts()] == ["inside: lump"]
