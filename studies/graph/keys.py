@@ -176,7 +176,7 @@ def _body(study: Study, inputs: Mapping[str, Any], name: str) -> dict[str, Any]:
         "model": model.name,
         "solver": solver,
         "version": model.version,
-        "tissue": {key: inputs["tissue"][key] for key in read},
+        "tissue": {key: inputs["tissue"][key] for key in read if key in inputs["tissue"]},
         "held": [
             _held(part, inputs)
             for part in inputs["constraints"]

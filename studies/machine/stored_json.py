@@ -113,6 +113,7 @@ class TissueShape(Shape):
 
     youngs_modulus: Annotated[float, Field(gt=0)] = 1.0
     poisson_ratio: float = 0.0
+    law: str | None = None
 
 
 class GravityShape(Shape):

@@ -11,6 +11,7 @@ import numpy as np
 from ..body.mesh import Array
 from ..scene.inclusions import moduli
 from ..scene.scene import Scene, SurfaceLoad
+from ..study.laws import LAW_KEYS, LAWS, NEO_HOOKEAN, parameters_of
 from ..study.model_name import split
 from . import costs
 from .model import Model, SetUp, register
@@ -65,11 +66,11 @@ def _finite_strain(scene: Scene, solver: str, name: str, n_loads: int) -> SetUp:
     if solver == PLAIN:
         from fem_reference.plain_finite_strain import PlainFiniteStrainProblem
 
-        plain = PlainFiniteStrainProblem(**_body(scene), material=_material(scene))
+        plain = PlainFiniteStrainProblem(**_body(scene), **_material(scene))
         return SetUp(lambda loads: plain.solve(_fem_loads(loads, plain.body.checked), frozenset(_LARGEST)))
     from fem_reference.finite_strain import FiniteStrainProblem
 
-    problem = FiniteStrainProblem(**_neo_hookean(scene, n_loads))
+    problem = FiniteStrainProblem(**_hyperelastic(scene, n_loads))
     return SetUp(lambda loads: problem.solve(_fem_loads(loads, problem.mesh), _asked(scene, *_LARGEST)))
 
 
@@ -79,16 +80,20 @@ def _finite_strain_onward(scene: Scene, solver: str, name: str, n_loads: int) ->
     from fem_reference.finite_strain import FiniteStrainProblem
     from fem_reference.load_path import LoadPath
 
-    problem, path = FiniteStrainProblem(**_neo_hookean(scene, n_loads)), LoadPath()
+    problem, path = FiniteStrainProblem(**_hyperelastic(scene, n_loads)), LoadPath()
     return SetUp(lambda loads: problem.solve(_fem_loads(loads, problem.mesh), _asked(scene, *_LARGEST), path))
 
 
-def _neo_hookean(scene: Scene, n_loads: int) -> dict[str, Any]:
-    return {**_body(scene), "material": _material(scene), "expected_loads": n_loads}
+def _hyperelastic(scene: Scene, n_loads: int) -> dict[str, Any]:
+    return {**_body(scene), **_material(scene), "expected_loads": n_loads}
 
 
-def _material(scene: Scene) -> str:
-    return "transversely-isotropic" if scene.anisotropy else "neo-hookean"
+def _material(scene: Scene) -> dict[str, Any]:
+    """The law of large strain and its numbers."""
+    if scene.anisotropy:
+        return {"material": "transversely-isotropic"}
+    law = LAWS[scene.tissue.law or NEO_HOOKEAN]
+    return {"material": law.material, "material_parameters": parameters_of(scene.tissue)}
 
 
 def _body(scene: Scene) -> dict[str, Any]:
@@ -183,7 +188,8 @@ for _model in (
         prepare=_finite_strain,
         cost=costs.finite_strain,
         lines=_BOTH,
-        takes=_takes(_BOTH),
+        takes=_takes(_BOTH) | {"law": _ONE},
+        tissue=("youngs_modulus", "poisson_ratio", "law", *LAW_KEYS),
         solvers=_BOTH,
         superposes=(),
         one_over_modulus=False,

@@ -10,7 +10,8 @@ from ..scene.scene import Scene, SurfaceLoad
 from ..study import registry
 from ..study.extras import EXTRAS
 from ..study.registry import MODELS, Declared, own_parameters
-from ..study.schema import Tissue, VdmTable
+from ..study.schema import VdmTable
+from ..study.tissue_table import Tissue
 from ..study.units import DIMENSIONS
 
 if TYPE_CHECKING:

@@ -101,6 +101,11 @@ def scene_words(case: CaseResult, cases: Sequence[CaseResult]) -> list[tuple[str
     """(what, value) of tissue, body, mesh and constraints, with the ranges over all `cases`."""
     tissue = [f"Young's modulus {_over(cases, 'tissue', 'youngs_modulus', 'Pa')}"]
     tissue.append(f"Poisson ratio {_over(cases, 'tissue', 'poisson_ratio', '1')}")
+    laws = dict.fromkeys(
+        str(law) for other in cases if (law := (other.resolved.get("tissue") or {}).get("law"))
+    )
+    if laws:
+        tissue.append(f"{listed(laws)} at large strain")
     if any(other.resolved.get("anisotropy") for other in cases):
         tissue.append(f"{_over(cases, 'anisotropy', 'contrast', '1')} times as stiff along its fibres")
     if any(other.resolved.get("gravity") for other in cases):

@@ -8,7 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..body.mesh import Array, Index, Mask, Mesh
-from ..study.schema import Inclusion, Study, Tissue
+from ..study.schema import Inclusion, Study
+from ..study.tissue_table import Tissue
 from .coordinates import origin, shifted
 from .placed import SceneError
 

@@ -13,7 +13,8 @@ from ..body.surface_measures import corner_sum, facet_area_vectors, nodal_sum
 from ..study.extras import extras_of
 from ..study.loads import KINDS, Springs
 from ..study.problems import Loc
-from ..study.schema import Anisotropy, Constraint, Study, Tissue
+from ..study.schema import Anisotropy, Constraint, Study
+from ..study.tissue_table import Tissue
 from .coordinates import in_mesh_coordinates, origin
 from .inclusions import PlacedInclusion, place_inclusions
 from .placed import PlacedConstraint, quadrature

@@ -24,6 +24,7 @@ from .geometry_spec import (
 from .geometry_spec import Geometry as GeometrySpec
 from .geometry_table import Geometry
 from .inclusion_checks import check_inclusions
+from .laws import check_law
 from .loads import KINDS
 from .measured_table import check_measured
 from .model_name import DISPLACEMENT_ELEMENTS, is_vdm, split
@@ -55,6 +56,7 @@ def check(study: Study) -> Iterator[Finding]:
     """Everything that is wrong with a study whose keys are right by themselves."""
     yield from _check_models(study)
     yield from _check_incompressible(study)
+    yield from check_law(study)
     yield from _check_penalty(study)
     yield from _check_unread(study)
     yield from _check_calibration(study)

@@ -20,8 +20,9 @@ from .loads import KINDS, LOAD_KEYS
 from .measured_table import check_measured_cases
 from .model_name import FINITE_STRAIN, split
 from .problems import MOST_TOLD, Finding, Loc, Problem, Source, StudyError, file_fault
-from .schema import Constraint, Region, Study, Tissue
+from .schema import Constraint, Region, Study
 from .sweep import Axis, ResolvedCase, check_cases, first_case, read_axes, substituted
+from .tissue_table import Tissue
 from .toml_lines import NotToml, TooLarge, key_lines
 from .units import shown
 from .validation import validate

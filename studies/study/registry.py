@@ -14,6 +14,7 @@ from importlib import import_module
 from importlib.metadata import entry_points
 
 from .extras import EXTRAS
+from .model_name import is_linear
 
 ENTRY_POINT = "vdmbench.models"
 _FAMILIES = ("vdmbench.models.surface", "vdmbench.models.elements")
@@ -158,6 +159,8 @@ def find(name: str) -> tuple[Declared, str]:
 def lacks(name: str, extras: Collection[str]) -> list[str]:
     """A sentence for each of these `EXTRAS` that a model does not take with its solver, with what to do."""
     model, solver = find(name)
+    if is_linear(name):
+        extras = {*extras} - {"law"}  # which is of large strain alone
     wanted = [extra for extra in EXTRAS if extra in extras and solver not in model.takes.get(extra, ())]
     return [f"{name} {EXTRAS[extra]}" for extra in wanted]
 

@@ -49,6 +49,7 @@ from .loads import KINDS, keys_of_all
 from .measured_table import MOST_TABLES, Measured
 from .problems import Source
 from .table import Table
+from .tissue_table import PoissonRatio, Tissue, YoungsModulus
 
 if TYPE_CHECKING:
     from .registry import Parameter
@@ -97,40 +98,6 @@ class StudyInfo(Table):
     @classmethod
     def with_defaults(cls, data: dict[str, Any]) -> dict[str, Any]:
         return {"title": data["name"], **data} if is_safe_name(data.get("name")) else data
-
-
-YoungsModulus = Annotated[
-    float,
-    SI("Pa"),
-    positive,
-    number_check(
-        lambda v: 10 <= v <= 1e10,
-        'must lie between 10 Pa and 10 GPa (a mixed-up unit? a bare number is in Pa: write "5 kPa")',
-    ),
-]
-PoissonRatio = Annotated[
-    float,
-    SI("1"),
-    number_check(lambda v: -1 < v <= 0.5, "must be above -1 and at most 0.5 (incompressible)"),
-]
-
-
-class Tissue(Table):
-    """[tissue]"""
-
-    youngs_modulus: YoungsModulus = Field(description="Young's modulus")
-    poisson_ratio: PoissonRatio = Field(
-        description="Poisson's ratio, up to and including 0.5; surface models keep the volume"
-    )
-    density: Annotated[
-        float,
-        SI("kg/m^3"),
-        positive,
-        number_check(
-            lambda v: 10 <= v <= 1e5,
-            'must lie between 10 and 100,000 kg/m^3 (a mixed-up unit? write "1.06 g/cm^3")',
-        ),
-    ] = Field(1060.0, description="mass density; only gravity uses it")
 
 
 class VdmTable(Table):
