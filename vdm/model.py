@@ -29,7 +29,7 @@ from vdm.problem import Problem, Step, check_held
 from vdm.solution import Solution, SolverError, Status
 from vdm.solvers.audit import Audit, judged
 from vdm.solvers.condition import Condition, condition_of_matrix, condition_of_operator
-from vdm.solvers.krylov import KrylovSolver
+from vdm.solvers.krylov import TOLERANCE, KrylovSolver
 from vdm.solvers.linear import BorderedFactor, LinearSolver
 from vdm.solvers.lu import CONSTRAINT_METHODS, ConstraintMethod, LuSolver
 from vdm.solvers.nonlinear import NonlinearSolver
@@ -87,6 +87,7 @@ class Model:
     constraint_method : "elimination", or one of the paper's two penalties (solver "lu")
     penalty : alpha over the largest diagonal entry of the state matrix
     volume_row : of the quasi-linear solver: "exact", or "printed" as in equation 33
+    tolerance : of the iterative solvers: residual over the right-hand side
 
     Raises
     ------
@@ -112,9 +113,10 @@ class Model:
         constraint_method: ConstraintMethod = "elimination",
         penalty: float = 1e8,
         volume_row: VolumeRow = "exact",
+        tolerance: float = TOLERANCE,
     ) -> None:
         start = time.perf_counter()
-        _check_choices(formulation, solver, outputs, constraint_method, contact_sign, volume_row)
+        _check_choices(formulation, solver, outputs, constraint_method, contact_sign, volume_row, tolerance)
         if not np.isfinite(environment_pressure):
             raise ConstraintError(f"environment_pressure must be finite, not {environment_pressure}")
         self.surface = SurfaceMesh(points, triangles)
@@ -146,7 +148,7 @@ class Model:
         self.outputs = tuple(outputs)
         self.solver_name = solver
         self.solver: Solver
-        self.solver = _make_solver(solver, self.problem, constraint_method, penalty, volume_row)
+        self.solver = _make_solver(solver, self.problem, constraint_method, penalty, volume_row, tolerance)
         self.seconds_setup = time.perf_counter() - start
         # how wrong the form is about a bending that is known: beyond the set-up, as an audit is beyond a step
         self.bending_error = _bending_error(self.problem, self.solver)
@@ -210,7 +212,7 @@ class Model:
             scalars={
                 "relative_residual": residual,
                 **({} if np.isnan(path_error).all() else {"path_error": path_error}),
-                **(self._condition(count) if condition else {}),
+                **(self.condition_scalars(count) if condition else {}),
             },
             point_fields=fields,
         )
@@ -244,7 +246,8 @@ class Model:
             return condition_of_operator(self.problem, None if single else solver.factor)
         return condition_of_operator(self.problem)
 
-    def _condition(self, n_steps: int) -> dict[str, Array]:
+    def condition_scalars(self, n_steps: int) -> dict[str, Array]:
+        """`Solution.scalars` of the condition of the system that is solved, the same for all steps."""
         try:
             estimate = self.condition_estimate().system
         except SolverError as error:  # singular in double precision: what the steps came from did not see it
@@ -287,7 +290,12 @@ def _bending_error(problem: Problem, solver: Solver) -> float:
 
 
 def _make_solver(
-    name: str, problem: Problem, constraint_method: ConstraintMethod, penalty: float, volume_row: VolumeRow
+    name: str,
+    problem: Problem,
+    constraint_method: ConstraintMethod,
+    penalty: float,
+    volume_row: VolumeRow,
+    tolerance: float,
 ) -> Solver:
     def at_rest() -> Factor:
         return problem.formulation.factor(problem.free)
@@ -299,10 +307,10 @@ def _make_solver(
         "lu": lambda: LuSolver(problem, constraint_method, penalty),
         "quasi-linear": lambda: QuasiLinearSolver(problem, volume_row),
         "nonlinear": lambda: NonlinearSolver(problem),
-        "bicg": lambda: KrylovSolver(problem, "bicg"),
-        "bicg-cold": lambda: KrylovSolver(problem, "bicg", warm_start=False),
-        "cg": lambda: KrylovSolver(problem, "cg", factor=at_rest()),
-        "minres": lambda: KrylovSolver(problem, "minres", factor=at_rest()),
+        "bicg": lambda: KrylovSolver(problem, "bicg", tolerance=tolerance),
+        "bicg-cold": lambda: KrylovSolver(problem, "bicg", warm_start=False, tolerance=tolerance),
+        "cg": lambda: KrylovSolver(problem, "cg", tolerance=tolerance, factor=at_rest()),
+        "minres": lambda: KrylovSolver(problem, "minres", tolerance=tolerance, factor=at_rest()),
     }
     return makers[name]()
 
@@ -314,6 +322,7 @@ def _check_choices(
     constraint_method: ConstraintMethod,
     contact_sign: ContactSign,
     volume_row: VolumeRow,
+    tolerance: float,
 ) -> None:
     for value, allowed, name in (
         (formulation, tuple(FORMULATIONS), "formulation"),
@@ -325,6 +334,8 @@ def _check_choices(
     ):
         if value not in allowed:
             raise ParameterError(f"{name} must be one of {', '.join(allowed)}, not {value!r}")
+    if not 0.0 < tolerance < 1.0:
+        raise ParameterError(f"tolerance must lie between 0 and 1, not {tolerance}")
     if constraint_method != "elimination" and solver != "lu":
         raise ParameterError('a penalty needs solver "lu"; the other solvers eliminate held nodes exactly')
     if "nodal_stress" in outputs and formulation != "paper":

@@ -11,8 +11,8 @@ ABOUT = {
         "ones for any.",
         "Every solver of every form takes the load history of a deep push on a ball. The exact volume of "
         "the deformed polyhedron is compared with that at rest, never the solver's own sum.",
-        "A solver whose polyhedron keeps its volume within the loads that the paper gives it. The linear "
-        "one adds terms of second order by its definition, so a smaller load lowers its number.",
+        "Other loads: the linear solver adds terms of second order by its definition, so that a smaller load "
+        "within its range lowers its number.",
     ),
     2: About(
         "Linear Analysis and Quasi-Linear Analysis: the areas stay constant for small deformations and "
@@ -30,18 +30,19 @@ ABOUT = {
     ),
     4: About(
         "Conclusion: VDM is not very accurate, but at small time-steps its results are like those of FEM.",
-        "The same load is applied in one step and in many, by the quasi-linear and the nonlinear solver; "
-        "the reference is of finite strain.",
-        "An incremental form, in which each step moves the nodes and the normals turn before the next one. "
-        "This total form solves for the whole displacement in each step, so that its steps can show little.",
+        "The same load is applied in one step and in many, by the quasi-linear, the nonlinear and the incremental "
+        "solver; the reference is of finite strain. The first two solve for the whole displacement in each step. "
+        "The third reads the figures: each step moves the nodes, and areas, normals and matrix are rebuilt.",
+        "A load, a body or moduli whose error at small steps is not that of one step.",
     ),
     5: About(
         "Nonlinear Analysis, Figure 8: with the last displacement as first guess the iterations are far "
         "fewer.",
         "Bi-conjugate gradients run load histories of several lengths, started from the last solution and "
-        "from zero, to the same tolerance.",
-        "The tolerance and the units: the gain is larger at a loose tolerance, and shrinks as it is "
-        "tightened.",
+        "from zero, to the same tolerance, which goes from loose to tight. The matrix is scaled, so that the units "
+        "of its rows decide nothing.",
+        "A longer history or a looser tolerance, with which the gain grows; a state matrix in the units in which "
+        "it is printed, whose cold start takes longer.",
     ),
     6: About(
         "Conclusion: a liver, being 95 % blood, needs only the density and the bulk modulus of blood.",

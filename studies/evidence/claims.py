@@ -7,12 +7,11 @@ stand in the rule's own words, so that a reader can disagree with them.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
 
-from ..body.surface_measures import weighted_norm
 from ..measures.case import CaseResult, Limit
 from ..measures.metrics import VECTOR
 from ..report.blocks import Figure
@@ -31,22 +30,15 @@ from ..report.judgement import (
 )
 from ..study.model_name import REFINED, is_linear, is_vdm, split
 from ..verdict.digest import Digest, failed_steps
-from ..verdict.formatting import listed, percent, plain, plural, quantity, short_percent
+from ..verdict.formatting import listed, plain, plural, quantity, short_percent
 from ..verdict.growth import is_measured, strain_in_words, strain_range, strain_side
-from ..verdict.standing import at_full_load, reference_bar, series
+from ..verdict.standing import at_full_load, series
 from .claim_figures import Line, bars, curves, histories
+from .claim_shared import CLOSE, FIT, KEPT, ORDER, SAME, own_error
+from .claim_steps import SMALL_STEPS_RULE, WARM_START_RULE, small_steps, warm_start
+from .claim_volume import RULE as VOLUME_RULE
+from .claim_volume import volume
 from .claim_words import ABOUT
-
-PRINTED = "vdm-paper"
-EXACT = 1e-10  # relative volume drift that counts as none
-SMALL_DRIFT = 0.05  # of the displaced volume
-CLOSE = 0.10  # displacement error that counts as the reference's result
-ORDER = 10.0  # of magnitude
-DRAMATIC = 2.0  # times fewer iterations
-KEPT = 0.05  # growth of an error that counts as little
-FIT = 2.0  # factor within which a displacement is of the right size
-SAME = 1e-6  # difference of two solvers of one system that counts as none
-
 
 CLAIMS: dict[int, Claim] = {}
 
@@ -68,52 +60,7 @@ def _iterative(case: CaseResult, model: str) -> bool:
     return model in case.models and case.models[model].parameters.get("solver") == "iterative"
 
 
-@_claim(
-    1,
-    "Volume is conserved by every solver.",
-    f"Holds where no solver's exact volume drifts by more than {EXACT:g} of the volume; within limits where "
-    f"the nonlinear solvers keep to that and the others to {short_percent(SMALL_DRIFT)} of the displaced volume. "
-    "The printed form is one of the others: its fluid keeps the sum of A_i L_i, not the volume.",
-)
-def _volume(digests: Sequence[Digest]) -> Judgement | None:
-    drift: dict[str, float] = {}
-    displaced: dict[str, float] = {}
-    for digest in digests:
-        for model in filter(is_vdm, digest.models):
-            for found, metric in ((drift, "volume_drift"), (displaced, "volume_drift_of_displaced")):
-                values = [v for case in digest.cases for v in (series(case, model, metric),) if v is not None]
-                largest = max(
-                    (float(np.nanmax(np.abs(v))) for v in values if np.isfinite(v).any()), default=0.0
-                )
-                found[model] = max(found.get(model, 0.0), largest)
-    if not drift:
-        return None
-    exact = [m for m in drift if split(m)[1] == "nonlinear" and split(m)[0] != PRINTED]
-    others = [m for m in drift if m not in exact]
-    worst = _largest(drift)
-    if drift[worst] <= EXACT:
-        verdict = HOLDS
-    elif all(drift[m] <= EXACT for m in exact) and all(displaced[m] <= SMALL_DRIFT for m in others):
-        verdict = WITHIN_LIMITS
-    else:
-        verdict = FAILS
-    reason = ""
-    if exact:
-        reason += (
-            f"The nonlinear solver keeps the volume to {plain(max(drift[m] for m in exact), 1)} of itself. "
-        )
-    if others:
-        most = _largest({m: displaced[m] for m in others})
-        reason += (
-            f"The others conserve it to first order only: {most} gains or loses "
-            f"{short_percent(displaced[most])} of "
-            "the volume that it displaces at the largest load."
-        )
-    lines = [line for digest in digests for line in histories(digest, "volume_drift_of_displaced", drift)]
-    figure = curves(digests[0], lines, "load factor", "|drift| / displaced volume", "claim1", log_y=True)
-    return Judgement(
-        verdict, f"{percent(displaced[worst])} of the displaced volume ({worst})", reason, figure
-    )
+_claim(1, "Volume is conserved by every solver.", VOLUME_RULE)(volume)
 
 
 @_claim(
@@ -205,75 +152,8 @@ def _cost(digests: Sequence[Digest]) -> Judgement | None:
     return Judgement(verdict, f"{plain(typical['frame'], 2)} times per frame", reason, figure)
 
 
-@_claim(
-    4,
-    "At small time-steps VDM gives results like those of FEM.",
-    f"Holds where an error of more than {short_percent(CLOSE)} in one step falls below that with many; within "
-    f"limits where small steps bring it down by {short_percent(KEPT)} at least; fails where the step is not what "
-    "the error is made of; not decided where the reference's own error decides. A gain is no larger than a "
-    "model's answers are apart, whatever the reference.",
-)
-def _small_steps(digests: Sequence[Digest]) -> Judgement | None:
-    changes: dict[str, Change] = {}
-    apart: dict[str, float] = {}
-    lines: list[Line] = []
-    for digest in digests:
-        cases = sorted(digest.cases, key=lambda case: len(case.load_factors))
-        for model in filter(is_vdm, digest.compared):
-            errors = [(case, at_full_load(case, model, VECTOR)) for case in cases]
-            known = [(case, error) for case, error in errors if math.isfinite(error)]
-            if len(known) > 1:
-                (first, one), (last, many) = known[0], known[-1]
-                changes[model] = Change(one, many, max(map(own_bar, (first, last))))
-                apart[model] = _apart(digest, model, first, last)
-                steps = [float(len(case.load_factors)) for case, _ in known]
-                lines.append((model, steps, [error for _, error in known]))
-    if not changes:
-        return None
-
-    def verdict(way: float) -> str:
-        arrived = [change.after - way * change.bar <= CLOSE for change in changes.values()]
-        gained = [min(way * 2.0 * c.bar - c.growth, apart[m]) >= KEPT for m, c in changes.items()]
-        return HOLDS if all(arrived) else WITHIN_LIMITS if any(arrived + gained) else FAILS
-
-    reason = (
-        f"With the smallest steps instead of the largest the error at full load goes, for {in_words(changes)}. The "
-        f"answers themselves are {short_percent(max(apart.values()))} apart at most."
-    )
-    largest = max(abs(change.growth) for change in changes.values())
-    figure = curves(digests[0], lines, "load steps", "displacement error at full load", "claim4", log_x=True)
-    number = f"{short_percent(largest)} at most by small steps{_own_error(digests)}"
-    return Judgement(either_way(verdict), number, reason, figure)
-
-
-@_claim(
-    5,
-    "Starting from the last solution gives dramatic gains in speed.",
-    f"Holds where warm starts need {DRAMATIC:g} times fewer iterations over a load history whatever its "
-    f"steps; within "
-    "limits where they do for some histories only; fails where for none.",
-)
-def _warm_start(digests: Sequence[Digest]) -> Judgement | None:
-    gains: list[tuple[int, float]] = []
-    for case in (case for digest in digests for case in digest.cases):
-        warm, cold = (case.models.get(f"vdm-paper:{name}") for name in ("bicg", "bicg-cold"))
-        if warm is not None and cold is not None and warm.iterations.sum():
-            gains.append((len(case.load_factors), float(cold.iterations.sum() / warm.iterations.sum())))
-    if not gains:
-        return None
-    reached = [gain >= DRAMATIC for _, gain in gains]
-    verdict = HOLDS if all(reached) else WITHIN_LIMITS if any(reached) else FAILS
-    told = listed(f"{plain(gain, 3)} times fewer over {steps} steps" for steps, gain in sorted(gains))
-    reason = (
-        f"Iterations of BiCG with a warm start: {told}. The start saves the digits that neighbouring "
-        f"steps share, and "
-        "a solve to many digits has most of its way still to go."
-    )
-    line = ("vdm-paper:bicg", [float(n) for n, _ in sorted(gains)], [g for _, g in sorted(gains)])
-    figure = curves(
-        digests[0], [line], "load steps", "cold / warm iterations", "claim5", log_x=True, ratio=True
-    )
-    return Judgement(verdict, f"{plain(max(g for _, g in gains), 3)} times fewer at best", reason, figure)
+_claim(4, "At small time-steps VDM gives results like those of FEM.", SMALL_STEPS_RULE)(small_steps)
+_claim(5, "Starting from the last solution gives dramatic gains in speed.", WARM_START_RULE)(warm_start)
 
 
 @_claim(
@@ -320,7 +200,7 @@ def _blood(digests: Sequence[Digest]) -> Judgement | None:
         log_x=True,
         ratio=True,
     )
-    number = f"{plain(ratio, 2)} of the reference's displacement{_own_error(digests)}"
+    number = f"{plain(ratio, 2)} of the reference's displacement{own_error(digests)}"
     return Judgement(verdict, number, reason, figure)
 
 
@@ -409,7 +289,7 @@ def _large_strain(digests: Sequence[Digest]) -> Judgement | None:
     if grown:
         reasons.append(f"From the smallest load to the largest the error goes, for {in_words(grown)}.")
         worst = float(np.max([change.after - change.before for change in grown.values()]))  # NaN where one is
-        number = f"{short_percent(worst)} growth at most{_own_error(digests)}"
+        number = f"{short_percent(worst)} growth at most{own_error(digests)}"
     if stopped:
         reasons.append(f"{listed(dict.fromkeys(stopped))} did not reach the full load.")
     figure = curves(digests[0], lines, "load factor", "displacement error", "claim8")
@@ -450,36 +330,6 @@ def _stability(digests: Sequence[Digest]) -> Judgement | None:
     values = {m: float(failures.get(m, 0) + wrong.get(m, 0)) for d in digests for m in d.compared}
     figure = bars(digests[0], values, "cases without the right answer", "claim9")
     return Judgement(verdict, f"{bad} of {total} solves", reason, figure)
-
-
-# --- what the rules share ---
-
-
-def _largest(values: Mapping[str, float]) -> str:
-    """The name of the largest value; of solvers of one system the first, whichever rounding puts on top."""
-    top = max(values.values())
-    return next(name for name, value in values.items() if value >= (1.0 - SAME) * top)
-
-
-def _apart(digest: Digest, model: str, one: CaseResult, other: CaseResult) -> float:
-    """Norm of the difference of a model's answers at full load over the reference's; infinite on another mesh."""
-    surface, same = digest.surfaces[one.hash], digest.surfaces[other.hash]
-    if one.reference is None or len(surface.areas) != len(same.areas):
-        return math.inf
-    u, v = (case.models[model].displacement[case.full_load] for case in (one, other))
-    true = one.models[one.reference].displacement[one.full_load]
-    return weighted_norm(u - v, surface.areas) / weighted_norm(true, surface.areas)
-
-
-def _own_error(digests: Sequence[Digest]) -> str:
-    """The reference's own error, where every case has it, behind a number that is from errors against it."""
-    bars = [reference_bar(case) for digest in digests for case in digest.cases if case.reference is not None]
-    largest = float(np.max(bars)) if bars else math.nan  # NaN where one is
-    return (
-        f" (reference's own error {short_percent(largest)})"
-        if math.isfinite(largest)
-        else " (bar not measured)"
-    )
 
 
 def _contrast(case: CaseResult) -> float:

@@ -18,6 +18,7 @@ from .model import Model as Registered
 from .model import SetUp, register
 
 if TYPE_CHECKING:
+    from vdm.incremental import IncrementalModel
     from vdm.material import Parameters
     from vdm.model import Model
     from vdm.solution import Solution
@@ -27,6 +28,7 @@ if TYPE_CHECKING:
 def prepare_surface(scene: Scene, solver: str, name: str, n_loads: int) -> SetUp:  # noqa: ARG001
     """The model `name` set up on the scene's body; see `vdmbench.models.model.Prepare`."""
     from vdm.constraints import Load
+    from vdm.model import Model
     from vdm.solvers.linear import LinearSolver
 
     model = _model(**_inputs(scene, name))
@@ -46,7 +48,8 @@ def prepare_surface(scene: Scene, solver: str, name: str, n_loads: int) -> SetUp
         solution = model.solve(steps, condition=scene.condition)
         return solution if springs is None else _apart(solution, springs, model.surface.normals)
 
-    return SetUp(solve, model.solver if isinstance(model.solver, LinearSolver) else None)
+    solver_of_pressures = model.solver if isinstance(model, Model) else None
+    return SetUp(solve, solver_of_pressures if isinstance(solver_of_pressures, LinearSolver) else None)
 
 
 def nodal_springs(scene: Scene) -> Array | None:
@@ -102,13 +105,14 @@ def _model(
     solver: str,
     springs: Array | None,
     **options: Any,
-) -> Model:
+) -> Model | IncrementalModel:
     """The model of a tissue of E and nu with the parameters `given`; `options` are the model's own."""
+    from vdm.incremental import IncrementalModel
     from vdm.material import Parameters
     from vdm.model import Model
 
     penalty = given.get("penalty")
-    chosen = {name: value for name, value in given.items() if name not in ("penalty", "compressibility")}
+    chosen = {name: value for name, value in given.items() if name not in _NOT_OF_THE_MATERIAL}
     rotation: Any = chosen.get("rotation", "global")
     held = options["fixed"] | options["constrained"]
 
@@ -125,6 +129,12 @@ def _model(
     if penalty is not None:
         options |= {"constraint_method": "penalty-replaced", "penalty": penalty}  # (25) and (26) as printed
         solver = "lu" if solver == "linear" else solver  # lu solves the same problem; any other refuses
+    if "tolerance" in given:
+        options["tolerance"] = given["tolerance"]
+    if solver == INCREMENTAL:
+        return IncrementalModel(
+            mesh.surface_points, mesh.triangles, parameters, formulation=formulation, **options
+        )
     return Model(
         mesh.surface_points,
         mesh.triangles,
@@ -170,16 +180,18 @@ VDM_SOLVERS = (
     "cg",
     "minres",
 )
+INCREMENTAL = "incremental"  # of the printed form alone, whose claim it tries
+_NOT_OF_THE_MATERIAL = ("penalty", "compressibility", "tolerance")
 for _registered in (
     _surface(
         name="vdm-paper",
         benched=("quasi-linear", "nonlinear", "bicg"),
         version="4",
         # MINRES needs a symmetric matrix, which the printed form has not
-        solvers=tuple(name for name in VDM_SOLVERS if name != "minres"),
+        solvers=(*(name for name in VDM_SOLVERS if name != "minres"), INCREMENTAL),
         # the nonlinear solver's areas, and with them its springs, grow with the deformation
         takes={SPRINGS: tuple(name for name in VDM_SOLVERS if name not in ("minres", "nonlinear"))},
-        parameters=("bulk_modulus", "connectivity_modulus", "penalty"),
+        parameters=("bulk_modulus", "connectivity_modulus", "penalty", "tolerance"),
         by_rule=("bulk_modulus", "connectivity_modulus"),
         fibres=True,
     ),
@@ -189,7 +201,7 @@ for _registered in (
         version="5",
         solvers=VDM_SOLVERS,
         takes={SPRINGS: VDM_SOLVERS},
-        parameters=("foundation", "surface_tension", "penalty"),
+        parameters=("foundation", "surface_tension", "penalty", "tolerance"),
         by_rule=("foundation", "surface_tension"),
         fibres=True,
     ),

@@ -5,7 +5,7 @@ from __future__ import annotations
 FINITE_STRAIN = ("fem",)  # models that can serve as the reference of the small-strain limits
 DISPLACEMENT_ELEMENTS = ("fem-p1", "fem-p2")  # which have no answer for an incompressible body
 REFINED = " refined"  # what the reference's name gets where it is solved on refinements of the case's mesh
-_NOT_LINEAR = ("quasi-linear", "nonlinear")  # solvers of another problem than the linear one
+_NOT_LINEAR = ("quasi-linear", "nonlinear", "incremental")  # solvers of another problem than the linear one
 
 # parameters that are numbers: what they are called, and their unit
 PARAMETERS = {
@@ -17,6 +17,7 @@ PARAMETERS = {
     "stretch_stiffness": ("stretch stiffness E_s", "N/m"),
     "coarse_nodes": ("nodes of the coarse body", "1"),
     "penalty": ("penalty alpha", "1"),
+    "tolerance": ("tolerance", "1"),
 }
 
 

@@ -126,6 +126,9 @@ class VdmTable(Table):
         None,
         description="alpha of (25) and (26), which only lu solves; left out: held nodes are eliminated exactly",
     )
+    tolerance: (
+        Annotated[float, SI("1"), positive, number_check(lambda v: v < 1, "must be below 1")] | None
+    ) = Field(None, description="of the iterative solvers, residual over right-hand side; left out: 1e-10")
 
     def given(self) -> Vdm:
         """The parameters that are set."""

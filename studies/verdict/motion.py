@@ -8,7 +8,7 @@ from .digest import Digest
 from .formatting import listed, plural, short_percent
 
 _ALONG_NORMALS = 1e-9  # of its motion that a model has in the surface
-_NORMAL = "relative_l2_normal_error"
+NORMAL = "relative_l2_normal_error"
 
 
 def motion_in_words(digest: Digest) -> tuple[str, ...]:
@@ -44,7 +44,7 @@ def along_normals(digest: Digest, model: str) -> tuple[float, float] | None:
     if digest.reference is None or share is None or not share.worst < _ALONG_NORMALS:
         return None
     floor = _median(digest, digest.reference, "tangential_share")
-    return (floor, _median(digest, model, _NORMAL)) if math.isfinite(floor) else None
+    return (floor, _median(digest, model, NORMAL)) if math.isfinite(floor) else None
 
 
 def _median(digest: Digest, model: str, metric: str) -> float:

@@ -17,6 +17,7 @@ from vdmbench.evidence.claims_page import claims_html, verdict_rows, verdicts, w
 from vdmbench.measures.case import CaseResult, Limit, MetricSeries, ModelLimits, Run, SmallStrainLimits
 from vdmbench.report.judgement import FAILS, HOLDS, OPEN, WITHIN_LIMITS, Judgement
 from vdmbench.study.schema import CLAIMS as HOW_MANY
+from vdmbench.verdict.motion import NORMAL
 
 from .report_runs import make_case, make_run
 
@@ -64,6 +65,45 @@ def test_of_the_printed_form_no_solver_is_asked_for_the_exact_volume() -> None:
     case = make_case({"vdm-paper:nonlinear": 0.1}, subdivisions=0)
     found = {"volume_drift": 1e-4, "volume_drift_of_displaced": 0.02}
     assert judged(1, with_metric(case, "vdm-paper:nonlinear", found)).verdict == WITHIN_LIMITS
+
+
+@pytest.mark.parametrize(
+    ("small", "verdict"), [(0.03, WITHIN_LIMITS), (0.2, FAILS)], ids=["kept there", "lost there"]
+)
+def test_a_linear_solver_is_judged_on_volume_up_to_a_strain_of_10_percent(small: float, verdict: str) -> None:
+    """Strains of 5, 10, 20 and 40 %: the drift beyond is told, and does not decide."""
+    case = make_case({"vdm-paper": 0.1, "vdm-paper:quasi-linear": 0.1}, subdivisions=0)
+    case = with_models(
+        case, fem_linear={"scalars": {"max_principal_strain": np.array([0.05, 0.1, 0.2, 0.4])}}
+    )
+    case = with_metric(
+        case, "vdm-paper:quasi-linear", {"volume_drift": 1e-3, "volume_drift_of_displaced": 0.01}
+    )
+    drift = np.array([small / 2, small, 0.3, 0.5])
+    entries = {
+        "volume_drift": MetricSeries(0.1 * drift, "1", "", 1),
+        "volume_drift_of_displaced": MetricSeries(drift, "1", "", 1),
+    }
+    case = dataclasses.replace(
+        case, metrics={**case.metrics, "vdm-paper": {**case.metrics["vdm-paper"], **entries}}
+    )
+    outcome = judged(1, case)
+    assert outcome.verdict == verdict
+    beyond = "beyond 10 % strain 50.0 % (vdm-paper)"
+    assert outcome.number == f"{100 * small:.3g} % of the displaced volume (vdm-paper); {beyond}".replace(
+        "3 %", "3.00 %"
+    ).replace("20 %", "20.0 %")
+    assert "Beyond, up to a strain of 40 %, it is 50.0 % (vdm-paper)" in outcome.reason
+
+
+def test_the_quasi_linear_solver_answers_for_its_volume_at_every_load() -> None:
+    case = make_case({"vdm-paper:quasi-linear": 0.1}, subdivisions=0)
+    case = with_models(case, fem_linear={"scalars": {"max_principal_strain": np.full(4, 0.5)}})
+    found = {"volume_drift": 1e-2, "volume_drift_of_displaced": 0.2}
+    assert judged(1, with_metric(case, "vdm-paper:quasi-linear", found)).verdict == FAILS
+    linear = make_case({"vdm-paper": 0.1}, subdivisions=0)
+    linear = with_models(linear, fem_linear={"scalars": {"max_principal_strain": np.full(4, 0.5)}})
+    assert judged(1, with_metric(linear, "vdm-paper", found)).verdict == OPEN, "no load of its range"
 
 
 @pytest.mark.parametrize("rounding", [-1e-13, 0.0, 1e-13])
@@ -198,6 +238,17 @@ def test_small_steps_with_the_reference_s_own_error(
     assert outcome.verdict == verdict
     assert outcome.number.endswith(f" at most by small steps (reference's own error {100 * bar:g} %)")
     assert f"The answers themselves are {100 * (few - many):.2g} % apart at most." in outcome.reason
+    assert "along normals" not in outcome.reason
+
+
+def test_small_steps_of_a_form_along_normals_are_told_by_its_own_measure() -> None:
+    cases = []
+    for case, normal in zip(in_steps(0.4, 0.3), (0.15, 0.25), strict=True):
+        case = with_metric(case, "vdm-paper:quasi-linear", {"tangential_share": 0.0, NORMAL: normal})
+        cases.append(with_metric(case, "fem-linear", {"tangential_share": 0.75}))
+    outcome = judged(4, *cases)
+    assert "Forms along normals cannot be better than 75 %" in outcome.reason
+    assert "the error goes, for vdm-paper:quasi-linear from 25 % to 15 %." in outcome.reason
 
 
 @pytest.mark.parametrize(("gains", "verdict"), [((3, 4), HOLDS), ((1, 4), WITHIN_LIMITS), ((1, 1), FAILS)])
@@ -218,6 +269,31 @@ def test_warm_start(gains: tuple[int, int], verdict: str) -> None:
     outcome = judged(5, *cases)
     assert outcome.verdict == verdict
     assert outcome.number == f"{max(gains)} times fewer at best"
+
+
+def test_the_gain_of_a_warm_start_is_a_curve_over_the_tolerance() -> None:
+    cases = []
+    for steps, tolerance, gain in ((2, 1e-3, 3), (2, 1e-8, 1), (4, 1e-3, 4), (4, None, 1)):
+        case = make_case(
+            {"vdm-paper:bicg": 0.0, "vdm-paper:bicg-cold": 0.0},
+            label=f"{steps} {tolerance}",
+            steps=np.linspace(0, 1, steps + 1)[1:].tolist(),
+            subdivisions=0,
+        )
+        warm = np.full(steps, 10)
+        case = with_models(
+            case, vdm_paper__bicg={"iterations": warm}, vdm_paper__bicg_cold={"iterations": gain * warm}
+        )
+        table = {} if tolerance is None else {"vdm": {"tolerance": tolerance}}
+        cases.append(dataclasses.replace(case, resolved={**case.resolved, **table}))
+    outcome = judged(5, *cases)
+    assert outcome.verdict == WITHIN_LIMITS
+    assert (
+        "over 2 steps 1 at 10⁻⁸ and 3 at 0.001 and over 4 steps 1 at 10⁻¹⁰ and 4 at 0.001." in outcome.reason
+    )
+    assert [figure.title for figure in outcome.figures] == [
+        f"Cold / warm iterations against tolerance, {steps} load steps" for steps in (4, 2)
+    ]
 
 
 @pytest.mark.parametrize(
