@@ -12,6 +12,7 @@ from ..graph.work import compare
 from ..measures.case import CaseResult, Run
 from ..measures.foreign import Foreign
 from ..measures.measurement import hold_against
+from ..measures.pushed import Answer
 from ..scene.result import ModelResult, StepStatus
 from ..scene.scene import build_scene
 from ..study.schema import Study
@@ -36,7 +37,9 @@ def judged(run: Run, study: Study, mesh: Mesh, name: str, foreign: Foreign) -> R
     results = {name: result}
     if case.reference is not None:
         results[case.reference] = case.models[case.reference]
-    own = hold_against(study, mesh, case.swept, case.swept_units, {name: result.displacement})
+    own = hold_against(
+        study, mesh, case.swept, case.swept_units, {name: Answer(result.displacement, result.reaction_force)}
+    )
     measurement = case.measurement
     if own is not None and measurement is not None:
         measurement = dataclasses.replace(

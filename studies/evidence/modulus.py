@@ -12,7 +12,9 @@ from scipy.optimize import minimize_scalar
 
 from .. import models
 from ..body.mesh import Array, Mask, Mesh
-from ..measures.measurement import Measurement, hold_against
+from ..measures.measurement import Measurement, Quantity, hold_against
+from ..measures.pushed import Answer
+from ..scene.result import ModelResult
 from ..scene.scene import build_scene
 from ..study.schema import Study
 
@@ -57,7 +59,11 @@ def training(found: Measurement) -> Mask:
         nothing is left to try the fit on.
     """
     first = found.quantities[0]
-    mine = [(one.table, one.step) == (first.table, first.step) for one in found.quantities]
+
+    def load_of(one: Quantity) -> tuple[object, ...]:
+        return one.table, one.step, "" if math.isnan(one.depth) else one.depth
+
+    mine = [load_of(one) == load_of(first) for one in found.quantities]
     if all(mine):
         raise NothingMeasuredError(
             "one load of one table was measured, so that a fit could be tried on nothing; measure another load"
@@ -77,12 +83,16 @@ def fit_modulus(study: Study, mesh: Mesh, name: str) -> Fit:
     def answer(modulus: float) -> Measurement:
         tissue = study.tissue.model_copy(update={"youngs_modulus": modulus})
         scene = build_scene(study.model_copy(update={"tissue": tissue}), mesh)
-        found = hold_against(study, mesh, {}, {}, {name: models.run_model(scene, name).displacement})
+        found = hold_against(study, mesh, {}, {}, {name: _answer(models.run_model(scene, name), name)})
         if found is None:
             raise NothingMeasuredError("the study has no [[measured]] table of its case")
         return found
 
     return fit(answer, study.tissue.youngs_modulus, name)
+
+
+def _answer(result: ModelResult, name: str) -> Answer:
+    return Answer(result.displacement, result.reaction_force, models.superposes(name))
 
 
 def fit(answer: Callable[[float], Measurement], given: float, name: str) -> Fit:

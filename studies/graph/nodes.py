@@ -196,7 +196,11 @@ def _item(case: PlannedCase, plan: Plan) -> dict[str, Any]:
         "wanted": [asdict(want) for want in case.wanted],
         "limits": case.limits,
         "variations": [
-            [{**asdict(want), "times": part.times} for part in variation for want in part.wanted]
+            [
+                {"wanted": asdict(want), "times": part.times, "values": dict(part.values)}
+                for part in variation
+                for want in part.wanted
+            ]
             for variation in case.variations
         ],
     }

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Hashable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cache, cached_property
 from pathlib import Path
 from typing import Any, TypeVar
@@ -50,7 +50,8 @@ class PlannedCase:
     limits: str | None  # key of its small-strain limits
     # where its inputs are not known: other values of them, each with some of the models; see `_varied`
     variations: tuple[tuple[PlannedCase, ...], ...] = ()
-    times: float = 1.0  # of a variation: what its answers are to be multiplied by
+    values: Mapping[str, float] = field(default_factory=dict)  # of a variation: key -> value
+    times: float = 1.0  # of a variation: what its displacements are to be multiplied by
 
     @property
     def parts(self) -> list[PlannedCase]:
@@ -270,16 +271,21 @@ def _varied(case: ResolvedCase, mesh_key: str) -> tuple[tuple[PlannedCase, ...],
         same = varied.study.model_copy(
             update={"tissue": varied.study.tissue.model_copy(update={"youngs_modulus": own})}
         )
-        label = ", ".join(f"{key} = {value:.6g}" for key, value in varied.values.items())
         parts = [(varied.study, names - free, 1.0), (same, free, own / varied.values.get(_MODULUS, own))]
-        found.append(tuple(_variation(case, mesh_key, label, *part) for part in parts if part[1]))
+        found.append(tuple(_variation(case, mesh_key, varied.values, *part) for part in parts if part[1]))
     return tuple(found)
 
 
 def _variation(
-    case: ResolvedCase, mesh_key: str, label: str, study: Study, names: set[str], times: float
+    case: ResolvedCase,
+    mesh_key: str,
+    values: Mapping[str, float],
+    study: Study,
+    names: set[str],
+    times: float,
 ) -> PlannedCase:
     inputs = case_inputs(study)
+    label = ", ".join(f"{key} = {value:.6g}" for key, value in values.items())
     return PlannedCase(
         hash=case_hash(study, mesh_key, inputs),
         label=", ".join(filter(None, (case.label, label))),
@@ -291,6 +297,7 @@ def _variation(
             want for want in wanted(study, mesh_key, inputs) if want.name in names and want.level == 0
         ),
         limits=None,
+        values=values,
         times=times,
     )
 

@@ -288,8 +288,8 @@ def _measurement(
         mesh,
         payload["swept"],
         payload["swept_units"],
-        {name: result.displacement for name, result in results.items()},
-        [(names.get(id(level), ""), level.displacement) for level in levels],
+        {name: varied.answer(name, result) for name, result in results.items()},
+        [(names.get(id(level), ""), varied.answer(str(study.study.reference), level)) for level in levels],
         varied.rules(),
     )
 

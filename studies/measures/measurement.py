@@ -19,27 +19,36 @@ from ..body.nearest import nearest_on_surface
 from ..scene.coordinates import measured_on
 from ..scene.measured_points import Placed, place_measured
 from ..study.measured_file import AXES
-from ..study.measured_table import Measured, same_load
+from ..study.measured_table import Measured, pushing, same_load
 from ..study.schema import Study
 from .input_spread import Propagation
 from .metrics import full_load_step
+from .pushed import Answer, Pushed
 from .uncertainty import estimate_limit
 
-Spread = tuple[Propagation, Callable[[], Sequence[Array]]]
+Spread = tuple[Propagation, Callable[[], Sequence[Answer]]]
 RMS, MOST = "rms distance", "largest distance"  # of a measured surface's points to the deformed body
+FORCE = "force"
 
 
 @dataclass(frozen=True)
 class Quantity:
-    """One measured number: a component of a point's displacement, or of a whole surface a distance, with D = 0."""
+    """One measured number: a component of a point's displacement; of a whole surface a distance, with D = 0; or the
+    force of a constraint, named by `point`, at a depth."""
 
     table: str
     point: str
-    component: str  # "x", "y", "z", RMS or MOST
-    step: int  # of the load history
-    value: float  # D [m]
-    uncertainty: float  # u_D [m]
+    component: str  # "x", "y", "z", RMS, MOST or FORCE
+    step: int  # of the load history; of a force the largest load's
+    value: float  # D [m], or [N] of a force
+    uncertainty: float  # u_D, likewise
     distance: float  # of the measured place from the mesh's surface [m]
+    depth: float = np.nan  # of a force [m]
+
+    @property
+    def unit(self) -> str:
+        """Of its numbers."""
+        return "N" if self.component == FORCE else "m"
 
 
 @dataclass(frozen=True)
@@ -49,11 +58,11 @@ class Measurement:
     Attributes
     ----------
     quantities : in the order of the study's tables
-    simulated : name -> (Q,) S [m]; NaN where there is no answer
-    numerical : name -> (Q,) u_num [m]; NaN where it is not known
+    simulated : name -> (Q,) S, each in its quantity's unit; NaN where there is no answer
+    numerical : name -> (Q,) u_num, likewise; NaN where it is not known
     sources : table -> who measured
     others : names in `simulated` that are no model of the study: results that came with the measurement
-    inputs : name -> (Q,) u_input [m]; a name that is not there, and NaN, where it is not known
+    inputs : name -> (Q,) u_input, likewise; a name that is not there, and NaN, where it is not known
     """
 
     quantities: Sequence[Quantity]
@@ -65,15 +74,15 @@ class Measurement:
 
     @property
     def values(self) -> Array:
-        """(Q,) D [m]."""
+        """(Q,) D."""
         return np.array([quantity.value for quantity in self.quantities])
 
     def error(self, name: str) -> Array:
-        """(Q,) E = S - D [m]."""
+        """(Q,) E = S - D."""
         return np.asarray(self.simulated[name] - self.values)
 
     def uncertainty(self, name: str) -> Array:
-        """(Q,) u_val [m]; what is not known counts as none."""
+        """(Q,) u_val; what is not known counts as none."""
         data = np.array([quantity.uncertainty for quantity in self.quantities])
         parts = (self.numerical[name], self.inputs.get(name, np.zeros(len(data))))
         return np.asarray(np.sqrt(data**2 + sum(np.nan_to_num(part, nan=0.0) ** 2 for part in parts)))
@@ -88,15 +97,15 @@ def hold_against(
     mesh: Mesh,
     swept: Mapping[str, float | str],
     units: Mapping[str, str],
-    results: Mapping[str, Array],
-    levels: Sequence[tuple[str, Array]] = (),
+    results: Mapping[str, Answer],
+    levels: Sequence[tuple[str, Answer]] = (),
     spread: Mapping[str, Spread] | None = None,
 ) -> Measurement | None:
     """The results of a case against what was measured on it; None where nothing was.
 
     Parameters
     ----------
-    results : model -> (S, N, 3) displacement at the surface nodes of `mesh` [m]
+    results : model -> its answers to the load steps at the surface nodes of `mesh`
     levels : the reference on its mesh levels at the same nodes, coarse first; the name of each in `results`, or ""
     spread : model -> its answers to other values of the inputs, and the rule that makes u_input of them
 
@@ -113,10 +122,19 @@ def hold_against(
     if not tables:
         return None
     factors = np.array(study.load.history)
-    quantities = [quantity for table, placed in tables for quantity in _quantities(table, placed, factors)]
-    simulated = {name: _simulated(tables, field, mesh, factors) for name, field in results.items()}
+    pushed = {
+        name: Pushed(study, mesh, name)
+        for name in dict.fromkeys(_pushing(study, table) for table, _ in tables if table.forces)
+    }
+
+    def simulate(answer: Answer) -> Array:
+        forces = {table.name: pushed[_pushing(study, table)] for table, _ in tables if table.forces}
+        return _simulated(tables, answer, mesh, factors, forces)
+
+    quantities = [one for table, placed in tables for one in _quantities(study, table, placed, factors)]
+    simulated = {name: simulate(answer) for name, answer in results.items()}
     numerical = {name: np.full(len(quantities), np.nan) for name in results}
-    solved = [_simulated(tables, field, mesh, factors) for _, field in levels]
+    solved = [simulate(answer) for _, answer in levels]
     for (name, _), values in zip(levels, solved, strict=True):
         if name and len(levels) > 1:
             numerical[name] = _numerical(values, solved[::-1])
@@ -128,7 +146,7 @@ def hold_against(
         {table.name: table.source for table, _ in tables},
         tuple(others),
         {
-            name: rule.deviation([_simulated(tables, field, mesh, factors) for field in answers()])
+            name: rule.deviation([simulate(answer) for answer in answers()])
             for name, (rule, answers) in (spread or {}).items()
         },
     )
@@ -147,7 +165,12 @@ def _numerical(values: Array, levels: Sequence[Array]) -> Array:
 Tables = Sequence[tuple[Measured, Placed]]
 
 
-def _quantities(table: Measured, placed: Placed, factors: Array) -> list[Quantity]:
+def _pushing(study: Study, table: Measured) -> str:
+    """Name of the constraint whose force a table has."""
+    return table.constraint or pushing(study)[0]
+
+
+def _quantities(study: Study, table: Measured, placed: Placed, factors: Array) -> list[Quantity]:
     found = []
     for k, point in enumerate(table.points):
         name, step = point.name or str(k + 1), _step(table.factor(point), factors)
@@ -157,12 +180,20 @@ def _quantities(table: Measured, placed: Placed, factors: Array) -> list[Quantit
     if table.surface:
         step = _step(table.factor(), factors)
         found += [Quantity(table.name, "", what, step, 0.0, table.deviation(), 0.0) for what in (RMS, MOST)]
+    for one in table.forces:
+        name, own = _pushing(study, table), one.uncertainty
+        deviation = float(own if own is not None else table.force_uncertainty or 0.0)
+        step = full_load_step(factors)
+        found.append(Quantity(table.name, name, FORCE, step, one.force, deviation, 0.0, one.depth))
     return found
 
 
-def _simulated(tables: Tables, displacement: Array, mesh: Mesh, factors: Array) -> Array:
-    """(Q,) S of a field (S, N, 3), in the order of `_quantities`."""
+def _simulated(
+    tables: Tables, answer: Answer, mesh: Mesh, factors: Array, forces: Mapping[str, Pushed]
+) -> Array:
+    """(Q,) S of an answer, in the order of `_quantities`; `forces` has what a table of forces is of."""
     found: list[float] = []
+    displacement = answer.displacement
     for table, placed in tables:
         at_points = (
             [placed.displacement(step, mesh.triangles) for step in displacement] if table.points else []
@@ -172,6 +203,7 @@ def _simulated(tables: Tables, displacement: Array, mesh: Mesh, factors: Array) 
             found += [float(at_points[step][k, axis]) for axis in point.components()]
         if table.surface:
             found += _distances(table, displacement[_step(table.factor(), factors)], mesh)
+        found += [forces[table.name].force_at(one.depth, answer) for one in table.forces]
     return np.array(found)
 
 
@@ -193,7 +225,7 @@ def _others(tables: Tables) -> dict[str, Array]:
                 known = point.others[name].components() if name in point.others else {}
                 values += [known.get(axis, np.nan) for axis in point.components()]
         for values in found.values():
-            values += [np.nan] * (2 if table.surface else 0)
+            values += [np.nan] * ((2 if table.surface else 0) + len(table.forces))
     return {name: np.array(values) for name, values in found.items()}
 
 

@@ -7,12 +7,12 @@ import math
 import numpy as np
 
 from ..measures.case import CaseResult
-from ..measures.measurement import Measurement, Quantity
+from ..measures.measurement import FORCE, Measurement, Quantity
 from ..study.measured_file import AXES
 from ..verdict.digest import REFERENCE, Array, Digest
-from ..verdict.formatting import NOTHING, listed, plain, quantity, short_percent
+from ..verdict.formatting import NOTHING, listed, plain, quantity, scale_of, short_percent
 from .blocks import Block, Cell, Column, Figure, Figures, Section, Table, Text
-from .plots import Plot, colour, marker, name_ticks
+from .plots import Plot, colour, line, marker, name_ticks
 from .told import tell
 
 _MOST_DRAWN = 40  # quantities of a figure
@@ -38,9 +38,10 @@ def against_measurement(digest: Digest) -> Section | None:
         if found is None:
             continue
         name = digest.case_name(case) if len(digest.cases) > 1 else ""
-        blocks += [Text(_sentence(found, name)), _summary(digest, case, found, number)]
-        if (figure := _figure(digest, case, found, number)) is not None:
-            blocks.append(Figures([figure], digest.legend))
+        blocks.append(Text(_sentence(found, name)))
+        blocks += [_summary(digest, case, found, number, unit) for unit in _units(found)]
+        if figures := [figure for make in (_figure, _curves) for figure in make(digest, case, found, number)]:
+            blocks.append(Figures(figures, digest.legend))
         blocks.append(_details(case, found, number))
     known = any(case.measurement is not None and case.measurement.inputs for case in cases)
     told = {"inputs": "", "known": _KNOWN} if known else {"inputs": " or of its inputs", "known": _NOT_KNOWN}
@@ -62,28 +63,33 @@ def _marks(digest: Digest, names: list[str]) -> list[int | None]:
     return [digest.colour(name) if name in digest.models else None for name in names]
 
 
-def _summary(digest: Digest, case: CaseResult, found: Measurement, number: int) -> Table:
+def _units(found: Measurement) -> list[str]:
+    return list(dict.fromkeys(one.unit for one in found.quantities))
+
+
+def _summary(digest: Digest, case: CaseResult, found: Measurement, number: int, unit: str) -> Table:
     columns = [
         Column("Model", numeric=False),
         Column("Within u_val"),
-        Column("rms of E", "of displacements", unit="m"),
+        Column("rms of E", "of displacements" if unit == "m" else "of forces", unit=unit),
         Column("of rms of D", unit="1"),
-        Column("Remains", "largest |E| − u_val", unit="m"),
+        Column("Remains", "largest |E| − u_val", unit=unit),
         Column("Per frame", unit="s"),
     ]
     names = list(found.simulated)
-    rows = [_summary_row(case, found, name) for name in names]
-    return Table(f"measured-{number}", "", columns, rows, marks=_marks(digest, names))
+    rows = [_summary_row(case, found, name, unit) for name in names]
+    suffix = f"-{unit}" if unit != "m" else ""
+    return Table(f"measured-{number}{suffix}", "", columns, rows, marks=_marks(digest, names))
 
 
-def _summary_row(case: CaseResult, found: Measurement, name: str) -> list[Cell]:
+def _summary_row(case: CaseResult, found: Measurement, name: str, unit: str) -> list[Cell]:
     errors, data = found.error(name), found.values
-    known = np.isfinite(errors)
+    known = np.isfinite(errors) & np.array([one.unit == unit for one in found.quantities])
     told = Cell(name, "came with the measurement" if name in found.others else "")
     if not known.any():
         return [told, Cell("no answer", tone="bad"), *(Cell(NOTHING) for _ in range(4))]
     count, within = int(known.sum()), int(found.within(name)[known].sum())
-    moved = known & np.array([one.component in AXES for one in found.quantities])
+    moved = known & np.array([one.component in (*AXES, FORCE) for one in found.quantities])
     used = moved if moved.any() else known  # distances of a whole surface are another kind
     rms, size = _rms(errors[used]), _rms(data[used])
     rest = max(0.0, float((np.abs(errors) - found.uncertainty(name))[known].max()))
@@ -91,9 +97,9 @@ def _summary_row(case: CaseResult, found: Measurement, name: str) -> list[Cell]:
     return [
         told,
         Cell(f"{within} of {count}", value=within, tone="" if within == count else "bad"),
-        Cell(quantity(rms, "m"), value=rms),
+        Cell(quantity(rms, unit), value=rms),
         Cell(short_percent(rms / size) if size else NOTHING, value=rms / size if size else None),
-        Cell(quantity(rest, "m") if rest else "nothing", value=rest),
+        Cell(quantity(rest, unit) if rest else "nothing", value=rest),
         Cell(quantity(frame, "s"), value=frame),
     ]
 
@@ -109,31 +115,36 @@ def _details(case: CaseResult, found: Measurement, number: int) -> Table:
     within = {name: found.within(name) for name in names}
     rows = []
     for k, one in enumerate(found.quantities):
-        measured = Cell(quantity(one.value, "m"), f"± {quantity(one.uncertainty, 'm', 2)}", one.value)
+        measured = Cell(
+            quantity(one.value, one.unit), f"± {quantity(one.uncertainty, one.unit, 2)}", one.value
+        )
         cells = []
         for name in names:
             error, bar = float(errors[name][k]), float(bars[name][k])
             tone = "" if within[name][k] or math.isnan(error) else "bad"
-            detail = "" if math.isnan(error) else f"± {quantity(bar, 'm', 2)}"
-            cells.append(Cell(quantity(error, "m"), detail, error, tone=tone))
+            detail = "" if math.isnan(error) else f"± {quantity(bar, one.unit, 2)}"
+            cells.append(Cell(quantity(error, one.unit), detail, error, tone=tone))
         rows.append([Cell(_named(one, case), one.table), measured, *cells])
     columns = [
         Column("Quantity", numeric=False),
-        Column("Measured", "± u_D", unit="m"),
-        *(Column(name, "E ± u_val", unit="m") for name in names),
+        Column("Measured", "± u_D", unit=" or ".join(_units(found))),
+        *(Column(name, "E ± u_val", unit=" or ".join(_units(found))) for name in names),
     ]
     return Table(f"measured-points-{number}", "", columns, rows)
 
 
 def _named(one: Quantity, case: CaseResult) -> str:
+    if one.component == FORCE:
+        return f"force of {one.point} at {quantity(one.depth, 'm')}"
     name = " ".join(filter(None, (one.point, one.component)))
     return f"{name} at {plain(float(case.load_factors[one.step]))}" if len(case.load_factors) > 1 else name
 
 
-def _figure(digest: Digest, case: CaseResult, found: Measurement, number: int) -> Figure | None:
+def _figure(digest: Digest, case: CaseResult, found: Measurement, number: int) -> list[Figure]:
+    """Bars of the components that were measured at points."""
     drawn = [k for k, one in enumerate(found.quantities) if one.component in AXES][:_MOST_DRAWN]
     if not drawn:
-        return None
+        return []
     places = np.arange(len(drawn), dtype=float)
     data = 1e3 * found.values[drawn]
     bars = [1e3 * found.quantities[k].uncertainty for k in drawn]
@@ -156,7 +167,43 @@ def _figure(digest: Digest, case: CaseResult, found: Measurement, number: int) -
         ticks = [(float(x), _named(found.quantities[k], case)) for x, k in zip(places, drawn, strict=True)]
         name_ticks(axes, ticks)
     heading = "Measured (bars: ± u_D) and simulated"
-    return Figure(plot.drawn(f"{heading}: {listed(described)}."), heading)
+    return [Figure(plot.drawn(f"{heading}: {listed(described)}."), heading)]
+
+
+def _curves(digest: Digest, _: CaseResult, found: Measurement, number: int) -> list[Figure]:
+    """Of each constraint whose force was measured the force against depth, measured and simulated."""
+    figures: list[Figure] = []
+    for name in dict.fromkeys(one.point for one in found.quantities if one.component == FORCE):
+        mine = [k for k, one in enumerate(found.quantities) if (one.point, one.component) == (name, FORCE)]
+        depths = np.array([found.quantities[k].depth for k in mine])
+        order = np.argsort(depths)
+        mine, depths = [mine[k] for k in order], depths[order]
+        force, unit = scale_of("N", [found.quantities[k].value for k in mine])
+        length, length_unit = scale_of("m", depths)
+        plot = Plot(f"depth [{length_unit}]", f"force [{unit}]", f"curve{number}-{len(figures)}")
+        described = []
+        with plot as axes:
+            values, bars = (
+                found.values[mine] / force,
+                np.array([found.quantities[k].uncertainty for k in mine]) / force,
+            )
+            axes.vlines(
+                depths / length, values - bars, values + bars, colors=colour(REFERENCE), linewidth=2.2
+            )
+            axes.plot(depths / length, values, "_", color=colour(REFERENCE), markersize=11)
+            for model in (model for model in digest.models if model in found.simulated):
+                k = digest.colour(model)
+                simulated = found.simulated[model][mine] / force
+                (curve,) = axes.plot(
+                    depths / length, simulated, marker(k), linestyle=line(k), color=colour(k), markersize=4
+                )
+                tell(curve, model)
+                described.append(model)
+            axes.set_xlim(left=0.0)
+            axes.set_ylim(bottom=min(0.0, axes.get_ylim()[0]))
+        heading = f"Force of {name} against depth, measured (bars: ± u_D) and simulated"
+        figures.append(Figure(plot.drawn(f"{heading}: {listed(described)}."), heading))
+    return figures
 
 
 SECTIONS = (against_measurement,)

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from ..machine.stored_json import LARGEST
 from ..measures.case import CaseResult
-from ..measures.measurement import Measurement
+from ..measures.measurement import FORCE, Measurement
 from ..scene.result import ModelResult
 
 
@@ -58,6 +58,8 @@ def _measurement_faults(found: Measurement, n_steps: int) -> Iterator[str]:
         yield "a value was measured at a step that is not there"
     if not np.isfinite([(q.value, q.uncertainty, q.distance) for q in found.quantities]).all():
         yield "a measured value is not a finite number"
+    if not all(np.isfinite(q.depth) for q in found.quantities if q.component == FORCE):
+        yield "a force was measured at a depth that is not a finite number"
 
 
 def _fits(model: ModelResult, n_steps: int, n_nodes: int) -> bool:

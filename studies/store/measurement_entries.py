@@ -9,7 +9,8 @@ from ..machine.stored_json import MeasurementShape, parsed
 from ..measures.measurement import Measurement, Quantity
 from .hdf5 import Data, Entry, Group, Stored, Text
 
-_LENGTHS = ("value", "uncertainty", "distance")
+_VALUES = ("value", "uncertainty")
+_LENGTHS = (*_VALUES, "distance")
 _TEXTS = ("table", "point", "component")
 _SERIES = ("simulated", "numerical", "inputs")
 
@@ -19,13 +20,17 @@ def measurement_entries(found: Measurement) -> list[Entry]:
     rows = found.quantities
     entries: list[Entry] = [Group("measurement")]
     entries += [Text(f"measurement/{key}", [getattr(row, key) for row in rows]) for key in _TEXTS]
-    entries += [_lengths(key, np.array([getattr(row, key) for row in rows])) for key in _LENGTHS]
+    units = " or ".join(dict.fromkeys(row.unit for row in rows))
+    entries += [_lengths(key, np.array([getattr(row, key) for row in rows]), units) for key in _VALUES]
+    entries.append(_lengths("distance", np.array([row.distance for row in rows])))
+    entries.append(Text("measurement/unit", [row.unit for row in rows]))
+    entries.append(_lengths("depth", np.array([row.depth for row in rows])))
     entries.append(Data("measurement/step", np.array([row.step for row in rows], dtype=np.int64)))
     about = {"sources": dict(found.sources), "others": list(found.others)}
     entries.append(Text("measurement/about", json_text(about)))
     for key in _SERIES:
         entries.append(Group(f"measurement/{key}"))
-        entries += [_lengths(f"{key}/{name}", values) for name, values in getattr(found, key).items()]
+        entries += [_lengths(f"{key}/{name}", values, units) for name, values in getattr(found, key).items()]
     return entries
 
 
@@ -34,10 +39,13 @@ def read_measurement(file: Stored) -> Measurement:
     texts = [file.texts(f"measurement/{key}") for key in _TEXTS]
     numbers = [file.floats(f"measurement/{key}").tolist() for key in _LENGTHS]
     steps = file.integers("measurement/step").tolist()
+    depths = [np.nan] * len(steps)  # a file of an older program has none
+    if "measurement/depth" in file:
+        depths = file.floats("measurement/depth").tolist()
     quantities = [
-        Quantity(table, point, component, step, value, deviation, distance)
-        for table, point, component, step, value, deviation, distance in zip(
-            *texts, steps, *numbers, strict=True
+        Quantity(table, point, component, step, value, deviation, distance, depth)
+        for table, point, component, step, value, deviation, distance, depth in zip(
+            *texts, steps, *numbers, depths, strict=True
         )
     ]
     about = parsed(file.texts("measurement/about"), MeasurementShape)
@@ -56,5 +64,5 @@ def read_measurement(file: Stored) -> Measurement:
     )
 
 
-def _lengths(path: str, values: np.ndarray) -> Data:
-    return Data(f"measurement/{path}", np.asarray(values, dtype=float), {"unit": "m"})
+def _lengths(path: str, values: np.ndarray, unit: str = "m") -> Data:
+    return Data(f"measurement/{path}", np.asarray(values, dtype=float), {"unit": unit})

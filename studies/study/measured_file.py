@@ -20,7 +20,8 @@ MOST_ROWS = 10_000
 AXES = ("x", "y", "z")
 DISPLACEMENT = tuple(f"displacement_{axis}" for axis in AXES)
 DEFORMED = tuple(f"deformed_{axis}" for axis in AXES)
-_LENGTHS = {*AXES, *DISPLACEMENT, *DEFORMED, "uncertainty"}
+FORCES = ("depth", "force")
+_LENGTHS = {*AXES, "depth", *DISPLACEMENT, *DEFORMED, "uncertainty"}
 _HEADER = re.compile(r"(?:(?P<other>[A-Za-z0-9][\w-]*)\.)?(?P<key>\w+)(?:\s*\[(?P<unit>[^\]]*)\])?")
 
 Row = dict[str, Any]
@@ -32,12 +33,14 @@ class MeasuredFileError(ValueError):
 
 
 def read_measured(path: Path) -> dict[str, Any]:
-    """What a CSV file measured: {"points": rows}, or {"surface": positions} where it has columns `deformed_x` ...
+    """What a CSV file measured: {"points": rows}; {"surface": positions} where it has columns `deformed_x` ...;
+    {"forces": rows} where it has a column `force`.
 
     A row has `point` (its name), the rest position `x`, `y`, `z`, some of `displacement_x`, `displacement_y`,
     `displacement_z`, and where wanted `uncertainty` and `load_factor`. A column `NAME.displacement_x` is what
-    another program, NAME, computed there. A header tells its unit in brackets, as in `x [mm]`; without one it is in
-    metres. Lines that begin with # are passed over.
+    another program, NAME, computed there. A row of forces has `depth`, `force` and `uncertainty`, a force. A header
+    tells its unit in brackets, as in `x [mm]`; without one it is in metres or newtons. Lines that begin with # are
+    passed over.
 
     Raises
     ------
@@ -64,6 +67,8 @@ def _parsed(path: Path, data: bytes) -> dict[str, Any]:
         raise MeasuredFileError(f"{path.name}:1: is not UTF-8 text; save the file in UTF-8") from None
     table = CsvTable(path.name, text)
     table.check_measured()
+    if table.is_force:
+        return {"forces": table.forces()}
     return {"surface": table.positions()} if table.is_surface else {"points": table.points()}
 
 
@@ -77,6 +82,7 @@ class CsvTable:
             raise self.error(1, "holds no table")
         self._header_line, header = rows[0]
         self._rows = rows[1:]
+        self._forces = any(title.strip().partition("[")[0].strip() == "force" for title in header)
         self._columns = [self._column(title) for title in header]
         keys = [key for key, _ in self._columns]
         for key in keys:
@@ -84,16 +90,23 @@ class CsvTable:
                 raise self.error(self._header_line, f"has two columns {shown(key)}")
         self.keys = keys
         self.is_surface = not {*DEFORMED}.isdisjoint(keys)
+        self.is_force = not {*FORCES}.isdisjoint(keys)
         if not self._rows:
             raise self.error(self._header_line, "has a header and no row below it")
 
     def check_measured(self) -> None:
         """Whether it can be a measured table. Raises MeasuredFileError."""
         keys = self.keys
-        for key in DEFORMED if self.is_surface else AXES:
+        if self.is_force and (more := [key for key in keys if key not in (*FORCES, "uncertainty")]):
+            raise self.error(
+                self._header_line,
+                f"measured forces have the columns depth, force and uncertainty only, not {shown(more[0])}",
+            )
+        wanted = FORCES if self.is_force else DEFORMED if self.is_surface else AXES
+        for key in wanted:
             if key not in keys:
                 raise self.error(self._header_line, f"has no column {shown(key)}")
-        if not self.is_surface and {*DISPLACEMENT}.isdisjoint(keys):
+        if wanted is AXES and {*DISPLACEMENT}.isdisjoint(keys):
             raise self.error(self._header_line, f"has none of the columns {', '.join(DISPLACEMENT)}")
         if self.is_surface and len(keys) > len(DEFORMED):
             raise self.error(
@@ -103,6 +116,16 @@ class CsvTable:
             raise self.error(self._header_line, "a measured table has places, not nodes")
         if len(self._rows) > MOST_ROWS:
             raise self.error(self._rows[MOST_ROWS][0], f"has more than {MOST_ROWS:,} rows; keep fewer points")
+
+    def forces(self) -> list[Row]:
+        """The rows as a study's `forces`."""
+        found = []
+        for line, cells in self._cells():
+            for key in FORCES:
+                if key not in cells:
+                    raise self.error(line, f"has no {key}")
+            found.append({"line": line, **cells})
+        return found
 
     def error(self, line: int, text: str) -> MeasuredFileError:
         return MeasuredFileError(f"{self._name}:{line}: {text}")
@@ -171,25 +194,31 @@ class CsvTable:
         if key == "uncertainty" and plain < 0:
             raise self.error(line, f"{key}: must be positive or zero, not {plain:g}")
         try:
-            return to_si(
-                f"{cell} {unit}" if unit else plain, "m" if key.rpartition(".")[2] in _LENGTHS else "1"
-            )
+            return to_si(f"{cell} {unit}" if unit else plain, self._si(key) or "1")
         except QuantityError as error:
             raise self.error(line, f"{key}: {error}") from None
+
+    def _si(self, key: str) -> str:
+        """SI unit of a column, "" of one without."""
+        if key == "force" or (key == "uncertainty" and self._forces):
+            return "N"
+        return "m" if key.rpartition(".")[2] in _LENGTHS else ""
 
     def _column(self, title: str) -> tuple[str, str]:
         """(key, unit) of a column."""
         match = _HEADER.fullmatch(title.strip())
         other, key, unit = match.group("other", "key", "unit") if match else (None, "", None)
-        known = {*DISPLACEMENT} if other else _LENGTHS | {"point", "load_factor", "node"}
+        known = {*DISPLACEMENT} if other else _LENGTHS | {"point", "load_factor", "node", "force"}
         if key not in known:
-            told = ", ".join(("point", *AXES, *DISPLACEMENT, "uncertainty", "load_factor", *DEFORMED))
+            told = ", ".join(
+                ("point", *AXES, *DISPLACEMENT, "uncertainty", "load_factor", *DEFORMED, *FORCES)
+            )
             raise self.error(self._header_line, f"unknown column {shown(title.strip())}; known: {told}")
         if unit is not None:
             try:
-                if key not in _LENGTHS:
+                if not self._si(key):
                     raise QuantityError("has no unit")
-                to_si(f"1 {unit}", "m")
+                to_si(f"1 {unit}", self._si(key))
             except QuantityError as error:
                 raise self.error(self._header_line, f"column {key}: {error}") from None
         return f"{other}.{key}" if other else key, unit or ""

@@ -8,11 +8,12 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from pydantic import AfterValidator, Field, ValidationInfo, model_validator
 
-from .kinds import MAX_NAME, SI, Name, Position, is_safe_name, not_negative, one_line
+from .kinds import MAX_NAME, SI, Name, Position, is_safe_name, not_negative, one_line, positive
 from .measured_file import DISPLACEMENT, read_measured
-from .problems import Finding
+from .problems import Finding, Loc
 from .table import Table, as_path
 from .units import QuantityError, shown, to_si
+from .wording import unknown
 
 if TYPE_CHECKING:
     from .schema import Study
@@ -56,8 +57,22 @@ class MeasuredPoint(Displacement):
     )
 
 
+class MeasuredForce(Table):
+    """One point of a curve of force against depth"""
+
+    depth: Annotated[float, SI("m"), positive] = Field(
+        description="of a contact the largest displacement of its nodes, inwards along the normal; of what moves a "
+        "region the movement"
+    )
+    force: Annotated[float, SI("N")] = Field(description="resultant, in the direction of the depth")
+    uncertainty: Annotated[float, SI("N"), not_negative] | None = Field(
+        None, description="standard uncertainty, instead of the table's"
+    )
+    line: int | None = Field(None, description="its line in the CSV file, for messages", ge=1)
+
+
 class Measured(Table):
-    """[[measured]]: points with displacements, or a deformed surface, in the study's coordinates"""
+    """[[measured]]: points with displacements, a deformed surface, or force against depth"""
 
     name: Name = Field(description="names it in the report; the file's name where left out")
     path: str | None = Field(
@@ -65,7 +80,7 @@ class Measured(Table):
         description="a CSV file beside the study: columns `point`, `x`, `y`, `z`, `displacement_x`, "
         "`displacement_y`, `displacement_z`, `uncertainty`, `load_factor`, units in brackets as in `x [mm]`; an "
         "empty cell was not measured; `NAME.displacement_x` is what another program computed; of a deformed "
-        "surface `deformed_x`, `deformed_y`, `deformed_z`",
+        "surface `deformed_x`, `deformed_y`, `deformed_z`; of force against depth `depth`, `force`, `uncertainty`",
     )
     source: Annotated[str, AfterValidator(one_line)] = Field(
         "", description="who measured, in one line for the report", max_length=500
@@ -84,6 +99,16 @@ class Measured(Table):
     surface: tuple[Position, ...] = Field(
         (), description="places on the deformed surface, instead of points", strict=False
     )
+    forces: tuple[MeasuredForce, ...] = Field(
+        (), description="force against depth, instead of points", strict=False
+    )
+    force_uncertainty: Annotated[float, SI("N"), not_negative] | None = Field(
+        None, description="standard uncertainty u_D of the forces, where one has none of its own"
+    )
+    constraint: str | None = Field(
+        None,
+        description="name of the contact or of the movement whose force it is; needed where there are several",
+    )
 
     @model_validator(mode="before")
     @classmethod
@@ -91,8 +116,8 @@ class Measured(Table):
         """The file's values in the place of its path, so that a case carries all that decides its numbers."""
         if not isinstance(data, dict) or data.get("path") is None:
             return data
-        if "points" in data or "surface" in data:
-            raise ValueError("give path, points or surface; one of them")
+        if data.keys() & {"points", "surface", "forces"}:
+            raise ValueError("give path, points, surface or forces; one of them")
         path = as_path(data["path"], info)
         name = {"name": path.stem[:MAX_NAME]} if is_safe_name(path.stem[:MAX_NAME]) else {}
         rest = {key: value for key, value in data.items() if key != "path"}
@@ -137,10 +162,11 @@ def check_measured(study: Study) -> Iterator[Finding]:
     seen: set[str] = set()
     for place, table in enumerate(study.measured or ()):
         loc = ("measured", place)
-        if not table.points and not table.surface:
-            yield loc, "has no values: give path, points or surface"
-        if table.points and table.surface:
-            yield loc, "has points and a surface; give a table to each"
+        kinds = [name for name in ("points", "surface", "forces") if getattr(table, name)]
+        if not kinds:
+            yield loc, "has no values: give path, points, surface or forces"
+        if len(kinds) > 1:
+            yield loc, f"has {' and '.join(kinds)}; give a table to each"
         if table.name in seen:
             yield (*loc, "name"), f"{shown(table.name)} is the name of another table; give each its own name"
         seen.add(table.name)
@@ -151,9 +177,45 @@ def check_measured(study: Study) -> Iterator[Finding]:
                 (*loc, "uncertainty"),
                 f"is missing{where}: without u_D nobody can tell an error from noise; give a standard uncertainty",
             )
+        if table.forces:
+            yield from _check_forces(study, table, loc)
         if (table.swept is None) != (table.at is None):
             yield (*loc, "swept"), "swept and at belong together: a swept key and its value"
         yield from _check_factors(study, table, place)
+
+
+def pushing(study: Study) -> list[str]:
+    """Names of the constraints whose force goes with a depth: contacts, and movements of a region."""
+    return [
+        part.name
+        for part in study.constraints or ()
+        if part.kind == "contact" or (part.kind == "constrained" and any(part.displacement or ()))
+    ]
+
+
+def _check_forces(study: Study, table: Measured, loc: Loc) -> Iterator[Finding]:
+    bare = next((one for one in table.forces if one.uncertainty is None), None)
+    if table.force_uncertainty is None and bare is not None:
+        where = f" (line {bare.line})" if bare.line else ""
+        text = (
+            f"is missing{where}: without u_D nobody can tell an error from noise; give a standard uncertainty"
+        )
+        yield (*loc, "force_uncertainty"), text
+    names = pushing(study)
+    if table.constraint is not None and table.constraint not in names:
+        yield (*loc, "constraint"), unknown(table.constraint, names, "contact or movement")
+        return
+    if table.constraint is None and len(names) != 1:
+        told = f"several push: {', '.join(names)}; name one" if names else "nothing pushes the body"
+        yield (*loc, "constraint"), told
+        return
+    name = table.constraint or names[0]
+    part = next(part for part in study.constraints if part.name == name)
+    if part.kind == "contact" and part.force is None and part.profile not in (None, "uniform"):
+        yield (
+            (*loc, "constraint"),
+            f"{shown(name)} has a pressure of a {part.profile} profile; give its force instead",
+        )
 
 
 def check_measured_cases(study: Study, axes: Mapping[str, tuple[Sequence[Any], str]]) -> Iterator[Finding]:

@@ -33,21 +33,29 @@ def measured_in_words(digest: Digest, model: str) -> tuple[str, ...]:
 
 def _off(cases: list[CaseResult], name: str) -> str:
     """`fem is 5.1 % off (root mean square), within the validation uncertainty in 4 of 9 values`."""
-    errors, values, within = [], [], 0
+    parts: dict[str, list[tuple[float, float]]] = {}  # unit -> (E, D)
+    within = count = 0
     for case in cases:
         found = case.measurement
         if found is None or name not in found.simulated:
             continue
-        known = np.isfinite(found.error(name))
-        errors += found.error(name)[known].tolist()
-        values += found.values[known].tolist()
-        within += int(found.within(name)[known].sum())
-    size = float(np.linalg.norm(values)) if values else 0.0
-    if not size:
+        for one, error, inside in zip(found.quantities, found.error(name), found.within(name), strict=True):
+            if np.isfinite(error):
+                within, count = within + int(inside), count + 1
+                if one.value:  # distances of a whole surface have no size of their own
+                    parts.setdefault(one.unit, []).append((float(error), one.value))
+    if not parts:
         return ""
-    moved = np.array(values) != 0.0  # distances of a whole surface have no size of their own
-    share = float(np.linalg.norm(np.array(errors)[moved])) / size
+    shares = {unit: np.linalg.norm(np.array(pairs), axis=0) for unit, pairs in parts.items()}
+    several = len(parts) > 1
+    told = [
+        f"{short_percent(float(error / size))} off{f' in {_WHAT[unit]}' if several else ''}"
+        for unit, (error, size) in shares.items()
+    ]
     return (
-        f"{name} is {short_percent(share)} off (root mean square), within the validation uncertainty in {within} "
-        f"of {plural(len(errors), 'value')}"
+        f"{name} is {listed(told)} (root mean square), within the validation uncertainty in {within} "
+        f"of {plural(count, 'value')}"
     )
+
+
+_WHAT = {"m": "displacement", "N": "force"}

@@ -8,8 +8,8 @@ from collections.abc import Iterable, Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from ..body.surface_measures import facet_area_vectors
 from ..measures.case import CaseResult
+from ..measures.pushed import along_movement, inward, resultant
 from .digest import Array
 from .formatting import quantity
 
@@ -77,9 +77,7 @@ def contact_resultant(case: CaseResult) -> float | None:
         or contact.get("profile", "uniform") != "uniform"
     ):
         return None
-    first, second, third = mask[case.triangles].T
-    vectors = facet_area_vectors(case.points, case.triangles[first & second & third])
-    return float(pressure * np.linalg.norm(vectors.sum(axis=0)))
+    return resultant(pressure, mask, case.points, case.triangles)
 
 
 def contact_pressure(case: CaseResult) -> float | None:
@@ -103,12 +101,7 @@ def indentation(case: CaseResult, models: Iterable[str], normals: Array) -> dict
         if constraint.get("kind") == "contact" and str(constraint.get("region")) in case.regions:
             mask |= case.regions[str(constraint.get("region"))]
     nodes = np.flatnonzero(mask if mask.any() else ~mask)
-    steps, along = np.arange(len(case.load_factors)), normals[nodes]
-    found = {}
-    for model in models:
-        inward = -np.einsum("sij,ij->si", case.models[model].displacement[:, nodes], along)
-        found[model] = inward[steps, np.abs(inward).argmax(axis=1)]
-    return found
+    return {model: inward(case.models[model].displacement, nodes, normals) for model in models}
 
 
 def movement_force(case: CaseResult, model: str, name: str) -> tuple[Array, Array]:
@@ -125,8 +118,8 @@ def movement_force(case: CaseResult, model: str, name: str) -> tuple[Array, Arra
     prescribed = _prescribed(constraint)
     length = float(np.linalg.norm(prescribed))
     mask = case.regions[str(constraint.get("region"))]
-    resultant = case.models[model].reaction_force[:, mask].sum(axis=1)
-    return case.load_factors * length, resultant @ (prescribed / length)
+    force = along_movement(prescribed, case.models[model].reaction_force, mask)
+    return case.load_factors * length, force
 
 
 def load_unit(case: CaseResult) -> str:

@@ -20,6 +20,7 @@ from vdmbench.body.surface_measures import Surface, weighted_norm
 from vdmbench.graph.plan import Plan
 from vdmbench.measures.input_spread import InputSpread, ModelSpread, Propagation, input_spread
 from vdmbench.measures.measurement import hold_against
+from vdmbench.measures.pushed import Answer
 from vdmbench.report.section_inputs import inputs as section
 from vdmbench.study.config import Study, StudyError, load_study, resolved
 from vdmbench.study.inputs import inputs_of
@@ -295,9 +296,9 @@ def test_u_input_joins_the_validation_uncertainty(tmp_path: Path) -> None:
     study = load(tmp_path, GOOD, STUDY + '[inputs]\n"tissue.youngs_modulus" = { sd = 250 }\n')
     field = np.zeros((2, 162, 3))
     field[:, :, 2] = -2.05e-3
-    rule, fields = Propagation(study), [field * 1.05, field * 0.95]
+    rule, fields = Propagation(study), [Answer(field * 1.05), Answer(field * 0.95)]
     found = hold_against(
-        study, ball(), {}, {}, {"a": field, "b": field}, spread={"a": (rule, lambda: fields)}
+        study, ball(), {}, {}, {"a": Answer(field), "b": Answer(field)}, spread={"a": (rule, lambda: fields)}
     )
     assert found is not None
     u_input = 0.05 * 2.05e-3

@@ -14,6 +14,7 @@ from tests.command import vdmbench
 from tests.unit.example_case import example_measurement
 from vdmbench.body.mesh import Mesh
 from vdmbench.measures.measurement import MOST, RMS, hold_against, step_rms
+from vdmbench.measures.pushed import Answer
 from vdmbench.report.section_measurement import against_measurement
 from vdmbench.scene.measured_points import place_measured
 from vdmbench.scene.scene import SceneError
@@ -125,7 +126,7 @@ def test_a_bad_table_is_told_by_file_and_line(tmp_path: Path, wrong: str, right:
     [
         ('swept = "tissue.poisson_ratio"', "swept and at belong together"),
         ('swept = "tissue.poisson_ratio"\nat = 0.3', "'tissue.poisson_ratio' is not swept"),
-        ("points = []", "give path, points or surface"),
+        ("points = []", "give path, points, surface or forces"),
         ('[[measured]]\npath = "tips.csv"', "'tips' is the name of another table"),
         ('[[measured]]\nname = "none"', "has no values"),
         ('[[measured]]\npath = "lost.csv"', "does not exist"),
@@ -141,7 +142,7 @@ def test_a_table_names_the_swept_case_that_it_belongs_to(tmp_path: Path) -> None
     sweep = '\n[sweep]\n"tissue.youngs_modulus" = ["5 kPa", "6 kPa"]\n'
     study = STUDY + 'swept = "tissue.youngs_modulus"\nat = "6 kPa"\n' + sweep
     found = [
-        hold_against(case.study, ball(), case.swept, case.swept_units, {"m": np.zeros((2, 162, 3))})
+        hold_against(case.study, ball(), case.swept, case.swept_units, {"m": Answer(np.zeros((2, 162, 3)))})
         for case in expand(load(tmp_path, GOOD, study))
     ]
     assert [measurement is not None for measurement in found] == [False, True]
@@ -187,8 +188,8 @@ def test_error_and_uncertainty_by_hand(tmp_path: Path) -> None:
     study, mesh = load(tmp_path, GOOD), ball()
     field = np.zeros((2, 162, 3))
     field[:, :, 2] = -2.05e-3
-    levels = [field * factor for factor in (1.05, 1.01, 1.0)]
-    results = {"a": field * 1.05, "b": field, "none": field * np.nan}
+    levels = [Answer(field * factor) for factor in (1.05, 1.01, 1.0)]
+    results = {"a": Answer(field * 1.05), "b": Answer(field), "none": Answer(field * np.nan)}
     found = hold_against(study, mesh, {}, {}, results, list(zip(("a", "", "b"), levels, strict=True)))
     assert found is not None
     assert [(q.point, q.component, q.step) for q in found.quantities] == [
@@ -226,7 +227,7 @@ def test_a_measured_surface_is_as_far_as_it_is(tmp_path: Path) -> None:
         study = load(
             tmp_path, f"deformed_x,deformed_y,deformed_z\n{rows}\n", STUDY + "uncertainty = 0.0001\n"
         )
-        found = hold_against(study, mesh, {}, {}, {"m": field, "lost": field * np.nan})
+        found = hold_against(study, mesh, {}, {}, {"m": Answer(field), "lost": Answer(field * np.nan)})
         assert found is not None
         assert [q.component for q in found.quantities] == [RMS, MOST]
         assert_allclose(found.simulated["m"], outward, rtol=1e-6, atol=1e-15)

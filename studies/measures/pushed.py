@@ -1,0 +1,121 @@
+"""How hard a constraint pushes and how far the body gives way, as force against depth: pure functions on arrays."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy.interpolate import PchipInterpolator
+
+from ..body.mesh import Array, Index, Mask, Mesh
+from ..body.surface_measures import Surface, facet_area_vectors
+from ..scene.coordinates import in_mesh_coordinates
+from ..scene.regions import select
+from ..study.schema import Constraint, Study
+
+_BEYOND = 1e-9  # of the largest depth: as far beyond it is rounding
+
+
+@dataclass(frozen=True)
+class Answer:
+    """What a model answers to S load steps at N surface nodes.
+
+    Attributes
+    ----------
+    displacement : (S, N, 3) [m]
+    reaction : (S, N, 3) that the support exerts [N]; None where it is not known
+    linear : whether its answers go straight with the load, beyond the steps too
+    values : inputs that differ from the study's: key -> value, SI
+    """
+
+    displacement: Array
+    reaction: Array | None = None
+    linear: bool = False
+    values: Mapping[str, float] | None = None
+
+
+def inward(displacement: Array, nodes: Index, normals: Array) -> Array:
+    """(S,) displacement along the normal, inwards, of the node of `nodes` that it moves farthest [m]."""
+    along = -np.einsum("sij,ij->si", displacement[:, nodes], normals[nodes])
+    return np.asarray(along[np.arange(len(along)), np.abs(along).argmax(axis=1)])
+
+
+def resultant(pressure: float, mask: Mask, points: Array, triangles: Index) -> float:
+    """Force of a uniform pressure [Pa] over the facets whose three nodes are in a region [N]."""
+    first, second, third = mask[triangles].T
+    vectors = facet_area_vectors(points, triangles[first & second & third])
+    return float(pressure * np.linalg.norm(vectors.sum(axis=0)))
+
+
+def along_movement(prescribed: Array, reaction: Array, mask: Mask) -> Array:
+    """(S,) force along a prescribed displacement (3,) that holds the region there [N]."""
+    total: Array = reaction[:, mask].sum(axis=1)
+    return np.asarray(total @ (prescribed / np.linalg.norm(prescribed)))
+
+
+class Pushed:
+    """One constraint on a mesh: the curve of force against depth of any answer."""
+
+    def __init__(self, study: Study, mesh: Mesh, name: str) -> None:
+        self.constraint: Constraint = next(part for part in study.constraints if part.name == name)
+        region = in_mesh_coordinates(study, mesh)[self.constraint.region]
+        self._mask = select(region, mesh, in_mesh_coordinates(study, mesh))
+        self._mesh, self._factors = mesh, np.array(study.load.history)
+        self._rests = study.gravity is None or not any(study.gravity.acceleration)
+        self._normals = Surface(mesh.surface_points, mesh.triangles).normals
+
+    def curve(self, answer: Answer) -> tuple[Array, Array]:
+        """(S,) depths [m] and (S,) forces [N]; NaN where the answer does not tell."""
+        given = {**self.constraint.model_dump(exclude_none=True), **self._changed(answer)}
+        if self.constraint.kind == "contact":
+            mesh = self._mesh
+            force = given.get("force")
+            if force is None:
+                force = resultant(given["pressure"], self._mask, mesh.surface_points, mesh.triangles)
+            nodes = np.flatnonzero(self._mask)
+            return inward(answer.displacement, nodes, self._normals), self._factors * float(force)
+        prescribed = np.array(given["displacement"], dtype=float)
+        depths = self._factors * float(np.linalg.norm(prescribed))
+        if answer.reaction is None:
+            return depths, np.full(len(depths), np.nan)
+        return depths, along_movement(prescribed, answer.reaction, self._mask)
+
+    def force_at(self, depth: float, answer: Answer) -> float:
+        """The force at a depth [N]: a monotone cubic through the load steps, a line of what is linear.
+
+        NaN beyond the deepest step, but of a linear answer of a body that rests without load.
+        """
+        depths, forces = self.curve(answer)
+        solved = np.cumprod(np.isfinite(depths) & np.isfinite(forces)).astype(bool)  # up to where it stopped
+        depths, forces = depths[solved], forces[solved]
+        if self._rests:
+            depths, forces = np.append(depths, 0.0), np.append(forces, 0.0)
+        depths, first = np.unique(depths, return_index=True)
+        forces = forces[first]
+        if len(depths) < 2:
+            return np.nan
+        low, high = depths[0], depths[-1]
+        if answer.linear:
+            return float(forces[0] + (depth - low) * (forces[-1] - forces[0]) / (high - low))
+        rounding = _BEYOND * (high - low)
+        if not low - rounding <= depth <= high + rounding:
+            return np.nan
+        return float(PchipInterpolator(depths, forces)(min(max(depth, low), high)))
+
+    def _changed(self, answer: Answer) -> dict[str, Any]:
+        """Its keys that an input changes, whole vectors too."""
+        start = f"constraints.{self.constraint.name}."
+        found: dict[str, Any] = {}
+        for key, value in (answer.values or {}).items():
+            name, _, place = key.removeprefix(start).partition(".")
+            if not key.startswith(start):
+                continue
+            if place:
+                whole = list(found.get(name, getattr(self.constraint, name)))
+                whole[int(place)] = value
+                found[name] = whole
+            else:
+                found[name] = value
+        return found

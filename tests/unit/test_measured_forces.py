@@ -1,0 +1,217 @@
+"""Force against depth: read from a file, simulated by hand, and told beside the models."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from tests.graph.shared_work import ONE_LOAD, cache, meshes, plan_of, run
+from vdmbench.body.surface_measures import Surface
+from vdmbench.evidence.modulus import training
+from vdmbench.measures.input_spread import Propagation
+from vdmbench.measures.measurement import FORCE, Measurement, Quantity, hold_against
+from vdmbench.measures.pushed import Answer
+from vdmbench.report.section_measurement import against_measurement
+from vdmbench.study.config import StudyError
+from vdmbench.verdict.digest import Digest
+from vdmbench.verdict.experiment import measured_in_words
+
+from .report_runs import make_case, make_run
+from .test_measured import STUDY, ball, load
+
+__all__ = ["cache", "meshes"]
+
+PRESSED = STUDY.replace(
+    "[load]",
+    """\
+[regions.finger]
+cap = { direction = [0, 0, 1], angle = 0.4 }
+[[constraints]]
+name = "finger"
+kind = "contact"
+region = "finger"
+force = 8
+[load]""",
+).replace("factors = [0.5, 1.0]", "factors = [0.25, 0.5, 1.0]")
+MOVED = PRESSED.replace('kind = "contact"', 'kind = "constrained"').replace(
+    "force = 8", "displacement = [0, 0, -0.1]"
+)
+CURVE = "depth [mm], force [mN], uncertainty [mN]\n50, 3000, 100\n100, 9000, 200\n"
+
+
+def sunk(depths: list[float]) -> np.ndarray:
+    """(S, 162, 3) the ball's top pushed in along the normals."""
+    mesh = ball()
+    shape = np.where(mesh.points[:, 2:] > 0.9, -mesh.points, 0.0)
+    return np.array(depths)[:, None, None] * shape
+
+
+def test_a_curve_is_read_in_its_units(tmp_path: Path) -> None:
+    (table,) = load(tmp_path, CURVE, PRESSED).measured or ()
+    assert [(one.depth, one.force, one.uncertainty, one.line) for one in table.forces] == [
+        (0.05, 3.0, 0.1, 2),
+        (0.1, 9.0, 0.2, 3),
+    ]
+
+
+@pytest.mark.parametrize(
+    ("wrong", "right", "told"),
+    [
+        ("force [mN]", "force [mm]", 'tips.csv:1: column force: "mm" is not a unit of a force'),
+        ("uncertainty [mN]", "uncertainty [mm]", "tips.csv:1: column uncertainty: "),
+        ("uncertainty [mN]", "x [mm]", "tips.csv:1: measured forces have the columns depth, force"),
+        ("depth [mm],", "", "tips.csv:1: has no column 'depth'"),
+        ("50, 3000,", "50, ,", "tips.csv:2: has no force"),
+        ("50, 3000,", "nan, 3000,", "tips.csv:2: depth: must be a finite number"),
+        ("50, 3000,", "0, 3000,", "must be positive"),
+        ("100\n", "\n", "force_uncertainty: is missing (line 2)"),
+    ],
+)
+def test_a_bad_curve_is_told_by_file_and_line(tmp_path: Path, wrong: str, right: str, told: str) -> None:
+    assert wrong in CURVE
+    text = CURVE.replace(wrong, right, 1)
+    if "depth" not in text:
+        text = text.replace("50, ", "", 1).replace("100, ", "", 1)
+    with pytest.raises(StudyError) as caught:
+        load(tmp_path, text, PRESSED)
+    assert told in str(caught.value).replace('"depth"', "'depth'")
+    assert len(caught.value.problems) == 1
+
+
+@pytest.mark.parametrize(
+    ("study", "told"),
+    [
+        (STUDY, "nothing pushes the body"),
+        (PRESSED + 'constraint = "fingr"\n', 'did you mean "finger"?'),
+        (
+            PRESSED + '[[constraints]]\nname = "other"\nkind = "contact"\nregion = "finger"\nforce = 1\n',
+            "several push: finger, other; name one",
+        ),
+        (
+            PRESSED.replace("force = 8", 'pressure = 8\nprofile = "hertz"'),
+            '"finger" has a pressure of a hertz profile; give its force',
+        ),
+        (PRESSED + "points = []\n", "give path, points, surface or forces"),
+    ],
+)
+def test_a_curve_that_fits_no_study_is_told(tmp_path: Path, study: str, told: str) -> None:
+    with pytest.raises(StudyError) as caught:
+        load(tmp_path, CURVE, study)
+    assert told in str(caught.value)
+
+
+def test_forces_of_a_contact_by_hand(tmp_path: Path) -> None:
+    """Forces of 2, 4 and 8 N; a linear answer goes on beyond its 40 mm, one that stiffens is read between steps."""
+    study = load(tmp_path, CURVE, PRESSED)
+    answers = {
+        "linear": Answer(sunk([0.01, 0.02, 0.04]), linear=True),
+        "steps": Answer(sunk([0.05, 0.09, 0.12])),
+        "stopped": Answer(sunk([0.05, 0.09, np.nan])),
+        "reaches no depth": Answer(sunk([0.01, 0.02, 0.04])),
+    }
+    found = hold_against(study, ball(), {}, {}, answers)
+    assert found is not None
+    assert [(q.point, q.component, q.depth, q.unit) for q in found.quantities] == [
+        ("finger", FORCE, 0.05, "N"),
+        ("finger", FORCE, 0.1, "N"),
+    ]
+    assert_allclose(found.error("linear"), [10.0 - 3.0, 20.0 - 9.0], rtol=1e-9)
+    at_step, between = found.simulated["steps"]
+    assert_allclose(at_step, 2.0, rtol=1e-9)
+    assert 4.0 < between < 4.0 + 4.0 / 3.0 + 0.1
+    assert_allclose(found.simulated["stopped"], [2.0, np.nan], rtol=1e-9)
+    assert np.isnan(found.simulated["reaches no depth"]).all()
+    assert found.within("linear").tolist() == [False, False]
+
+
+def test_forces_of_a_movement_are_reactions(tmp_path: Path) -> None:
+    study = load(tmp_path, CURVE, MOVED)
+    mesh = ball()
+    reaction = np.zeros((3, 162, 3))
+    top = int(mesh.points[:, 2].argmax())
+    reaction[:, top, 2] = [-1.5, -3.0, -8.8]
+    reaction[:, int(mesh.points[:, 2].argmin()), 2] = 5.0  # of the support, which is no part of it
+    found = hold_against(study, mesh, {}, {}, {"m": Answer(sunk([0.025, 0.05, 0.1]), reaction)})
+    assert found is not None
+    assert_allclose(found.simulated["m"], [3.0, 8.8], rtol=1e-9)
+    assert found.within("m").tolist() == [True, True]
+
+
+@pytest.mark.parametrize(
+    ("key", "change", "u_input"),
+    [("tissue.youngs_modulus", 250.0, 0.05), ("constraints.finger.force", 0.4, 0.0)],
+)
+def test_u_input_of_a_stiffness(tmp_path: Path, key: str, change: float, u_input: float) -> None:
+    """The force at a depth goes with the modulus; a larger force sinks in by more, at the same stiffness."""
+    study = load(tmp_path, CURVE, PRESSED + f'[inputs]\n"{key}" = {{ sd = {change} }}\n')
+    rule, depths = Propagation(study), np.array([0.01, 0.02, 0.04])
+    modulus = key.startswith("tissue")
+    answers = [
+        Answer(sunk((depths * factor).tolist()), linear=True, values={key: value})
+        for value, factor in zip(
+            rule.inputs[0].ends, (1 / 0.95, 1 / 1.05) if modulus else (0.95, 1.05), strict=True
+        )
+    ]
+    own = {"m": Answer(sunk(depths.tolist()), linear=True)}
+    found = hold_against(study, ball(), {}, {}, own, spread={"m": (rule, lambda: answers)})
+    assert found is not None
+    assert_allclose(found.inputs["m"], u_input * found.simulated["m"], rtol=1e-9, atol=1e-12)
+    assert_allclose(found.uncertainty("m"), np.hypot([0.1, 0.2], found.inputs["m"]), rtol=1e-9)
+
+
+def test_a_run_holds_its_models_against_a_curve(tmp_path: Path, cache: Path) -> None:
+    """A linear model's force goes with the depth; 10 % in the modulus are 10 % in the force."""
+    changes: dict[str, Any] = {
+        "measured": [
+            {"name": "press", "forces": [{"depth": 0.004, "force": 0.3}], "force_uncertainty": 0.01}
+        ],
+        "inputs": {"tissue.youngs_modulus": {"sd": 500.0}},
+    }
+    (case,) = run(plan_of(tmp_path / "run", cache, tables=ONE_LOAD, **changes))
+    found = case.measurement
+    assert found is not None
+    for name in ("vdm-vector", "fem-linear"):
+        u = case.models[name].displacement[0]
+        finger = np.flatnonzero(case.regions["finger"])
+        depth = -np.einsum("ij,ij->i", u, Surface(case.points, case.triangles).normals)[finger].min()
+        assert_allclose(found.simulated[name], 0.1 * 0.004 / depth, rtol=1e-9)
+        assert_allclose(found.inputs[name], 0.1 * found.simulated[name], rtol=1e-9)
+
+
+def curve_found() -> Measurement:
+    rows = [
+        Quantity("press", "finger", FORCE, 0, force, 0.05, 0.0, depth)
+        for depth, force in ((1e-3, 0.2), (2e-3, 0.5))
+    ]
+    nothing = np.full(2, np.nan)
+    simulated = {"vdm-paper": np.array([0.22, 0.8]), "fem-linear": np.array([0.2, np.nan])}
+    return Measurement(rows, simulated, dict.fromkeys(simulated, nothing), {"press": "a scale"})
+
+
+def test_section_and_verdict_tell_of_forces() -> None:
+    case = dataclasses.replace(make_case({"vdm-paper": 0.1}), measurement=curve_found())
+    digest = Digest(make_run([case]))
+    section = against_measurement(digest)
+    assert section is not None
+    summary, figures, details = (block for block in section.blocks if type(block).__name__ != "Text")
+    assert [cell.text for cell in summary.rows[0][:3]] == ["vdm-paper", "1 of 2", "213 mN"]
+    assert summary.rows[0][4].text == "250 mN", "0.3 N less u_val"
+    assert [row[0].text for row in details.rows] == [
+        "force of finger at 1.00 mm",
+        "force of finger at 2.00 mm",
+    ]
+    assert "measured (bars: ± u_D) and simulated" in figures.figures[0].title
+    (told, _) = measured_in_words(digest, "vdm-paper")
+    assert (
+        "vdm-paper is 56 % off (root mean square), within the validation uncertainty in 1 of 2 values" in told
+    )
+    assert "fem-linear is 0 % off" in told
+
+
+def test_the_first_depth_trains_a_fit() -> None:
+    assert training(curve_found()).tolist() == [True, False]
