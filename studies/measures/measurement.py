@@ -44,6 +44,8 @@ class Quantity:
     uncertainty: float  # u_D, likewise
     distance: float  # of the measured place from the mesh's surface [m]
     depth: float = np.nan  # of a force [m]
+    facet: int = -1  # of the surface that the point is on; -1 of what is no point
+    weights: tuple[float, float, float] = (0.0, 0.0, 0.0)  # barycentric coordinates in it
 
     @property
     def unit(self) -> str:
@@ -176,7 +178,20 @@ def _quantities(study: Study, table: Measured, placed: Placed, factors: Array) -
         name, step = point.name or str(k + 1), _step(table.factor(point), factors)
         for axis, value in point.components().items():
             deviation, distance = table.deviation(point), float(placed.distance[k])
-            found.append(Quantity(table.name, name, AXES[axis], step, value, deviation, distance))
+            u, v, w = placed.weights[k].tolist()
+            found.append(
+                Quantity(
+                    table.name,
+                    name,
+                    AXES[axis],
+                    step,
+                    value,
+                    deviation,
+                    distance,
+                    facet=int(placed.facet[k]),
+                    weights=(u, v, w),
+                )
+            )
     if table.surface:
         step = _step(table.factor(), factors)
         found += [Quantity(table.name, "", what, step, 0.0, table.deviation(), 0.0) for what in (RMS, MOST)]

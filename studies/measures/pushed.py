@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy.interpolate import PchipInterpolator
 
 from ..body.mesh import Array, Index, Mask, Mesh
 from ..body.surface_measures import Surface, facet_area_vectors
@@ -99,6 +98,8 @@ class Pushed:
         low, high = depths[0], depths[-1]
         if answer.linear:
             return float(forces[0] + (depth - low) * (forces[-1] - forces[0]) / (high - low))
+        from scipy.interpolate import PchipInterpolator  # which a report does without
+
         rounding = _BEYOND * (high - low)
         if not low - rounding <= depth <= high + rounding:
             return np.nan

@@ -88,7 +88,14 @@ def encoded(text: str) -> bytes:
     return text.encode("utf-8", "replace")
 
 
-_VIEWER = ("viewer_data.js", "viewer_gl.js", "viewer_labels.js", "viewer.js", "viewer_controls.js")
+_VIEWER = (
+    "viewer_data.js",
+    "viewer_gl.js",
+    "viewer_labels.js",
+    "viewer_measured.js",
+    "viewer.js",
+    "viewer_controls.js",
+)
 
 
 def _scripts() -> list[Markup]:

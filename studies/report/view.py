@@ -15,11 +15,13 @@ from matplotlib import colormaps
 from numpy.typing import NDArray
 
 from ..measures.case import CaseResult
+from ..study.measured_file import AXES
 from ..verdict.digest import Array, Digest
 from .scene_picture import KINDS, best_azimuth
 from .section_scene import parts_of
 
 _U16, _I16 = 65535, 32767
+_MOST_MEASURED = 2000  # points that the viewer shows
 
 
 @dataclass(frozen=True)
@@ -95,6 +97,7 @@ def payload(view: View, digest: Digest) -> dict[str, object]:
                 "azimuth": azimuth(case),
                 "scale": displacement_scale(case),
                 "regions": _regions(case),
+                **({"measured": found} if (found := _measured(case, steps)) else {}),
                 "models": [{"name": name, "steps": _displacements(case, name, steps)} for name in names],
             }
         )
@@ -138,6 +141,31 @@ def _regions(case: CaseResult) -> list[dict[str, object]]:
         {"kind": part.kind, "nodes": _pack(np.flatnonzero(part.nodes).astype(_index_type(case)))}
         for part in parts_of(case, [case])
     ]
+
+
+def _measured(case: CaseResult, steps: list[int]) -> list[dict[str, object]]:
+    """The measured points: where they are, and of the kept steps their displacement, null where unknown."""
+    points: dict[tuple[str, str, int], dict[str, object]] = {}
+    for one in case.measurement.quantities if case.measurement is not None else ():
+        if one.facet < 0 or one.component not in AXES or one.step not in steps:
+            continue
+        name = (one.table, one.point, steps.index(one.step))
+        nothing: list[float | None] = [None, None, None]
+        point = points.setdefault(
+            name,
+            {
+                "name": one.point,
+                "step": name[2],
+                "nodes": [int(node) for node in case.triangles[one.facet]],
+                "weights": list(one.weights),
+                "value": list(nothing),
+                "uncertainty": one.uncertainty,
+            },
+        )
+        value = point["value"]
+        assert isinstance(value, list)
+        value[AXES.index(one.component)] = one.value
+    return list(points.values())[:_MOST_MEASURED]
 
 
 def _index_type(case: CaseResult) -> str:

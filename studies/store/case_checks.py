@@ -44,12 +44,12 @@ def _faults(case: CaseResult) -> Iterator[str]:
         if any(series.values.shape != (n_steps,) for series in metrics.values()):
             yield f"the metrics of {name} do not fit its steps"
     if case.measurement is not None:
-        yield from _measurement_faults(case.measurement, n_steps)
+        yield from _measurement_faults(case.measurement, n_steps, len(facets))
     if any(map(_is_too_large, _numbers(case))):
         yield f"a number beyond {LARGEST:g}"
 
 
-def _measurement_faults(found: Measurement, n_steps: int) -> Iterator[str]:
+def _measurement_faults(found: Measurement, n_steps: int, n_facets: int) -> Iterator[str]:
     count = len(found.quantities)
     series = [*found.simulated.values(), *found.numerical.values()]
     if found.simulated.keys() != found.numerical.keys() or any(v.shape != (count,) for v in series):
@@ -58,6 +58,8 @@ def _measurement_faults(found: Measurement, n_steps: int) -> Iterator[str]:
         yield "a value was measured at a step that is not there"
     if not np.isfinite([(q.value, q.uncertainty, q.distance) for q in found.quantities]).all():
         yield "a measured value is not a finite number"
+    if any(not -1 <= q.facet < n_facets or not np.isfinite(q.weights).all() for q in found.quantities):
+        yield "a point was measured on a facet that is not there"
     if not all(np.isfinite(q.depth) for q in found.quantities if q.component == FORCE):
         yield "a force was measured at a depth that is not a finite number"
 

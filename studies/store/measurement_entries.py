@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from ..machine.files import json_text
@@ -24,6 +26,10 @@ def measurement_entries(found: Measurement) -> list[Entry]:
     entries += [_lengths(key, np.array([getattr(row, key) for row in rows]), units) for key in _VALUES]
     entries.append(_lengths("distance", np.array([row.distance for row in rows])))
     entries.append(Text("measurement/unit", [row.unit for row in rows]))
+    entries.append(Data("measurement/facet", np.array([row.facet for row in rows], dtype=np.int64)))
+    entries.append(
+        Data("measurement/weights", np.array([row.weights for row in rows], dtype=float), {"unit": "1"})
+    )
     entries.append(_lengths("depth", np.array([row.depth for row in rows])))
     entries.append(Data("measurement/step", np.array([row.step for row in rows], dtype=np.int64)))
     about = {"sources": dict(found.sources), "others": list(found.others)}
@@ -36,18 +42,12 @@ def measurement_entries(found: Measurement) -> list[Entry]:
 
 def read_measurement(file: Stored) -> Measurement:
     """What `measurement_entries` wrote. Raises ValueError for another shape."""
-    texts = [file.texts(f"measurement/{key}") for key in _TEXTS]
-    numbers = [file.floats(f"measurement/{key}").tolist() for key in _LENGTHS]
-    steps = file.integers("measurement/step").tolist()
-    depths = [np.nan] * len(steps)  # a file of an older program has none
-    if "measurement/depth" in file:
-        depths = file.floats("measurement/depth").tolist()
-    quantities = [
-        Quantity(table, point, component, step, value, deviation, distance, depth)
-        for table, point, component, step, value, deviation, distance, depth in zip(
-            *texts, steps, *numbers, depths, strict=True
-        )
-    ]
+    columns: dict[str, list[Any]] = {key: file.texts(f"measurement/{key}") for key in _TEXTS}
+    columns |= {key: file.floats(f"measurement/{key}").tolist() for key in _LENGTHS}
+    columns["step"] = file.integers("measurement/step").tolist()
+    columns |= _since(file, len(columns["step"]))
+    rows = zip(*columns.values(), strict=True)
+    quantities = [Quantity(**dict(zip(columns, row, strict=True))) for row in rows]
     about = parsed(file.texts("measurement/about"), MeasurementShape)
     series = {
         key: {name: file.floats(f"measurement/{key}/{name}") for name in file.members(f"measurement/{key}")}
@@ -62,6 +62,18 @@ def read_measurement(file: Stored) -> Measurement:
         tuple(about["others"]),
         series.get("inputs", {}),
     )
+
+
+def _since(file: Stored, count: int) -> dict[str, list[Any]]:
+    """The depth, facet and weights of each quantity, which a file of an older program has not."""
+    if "measurement/weights" not in file:
+        return {}
+    weights = file.floats("measurement/weights").reshape(count, 3).tolist()
+    return {
+        "depth": file.floats("measurement/depth").tolist(),
+        "facet": file.integers("measurement/facet").tolist(),
+        "weights": list(map(tuple, weights)),
+    }
 
 
 def _lengths(path: str, values: np.ndarray, unit: str = "m") -> Data:

@@ -59,7 +59,7 @@ def example_measurement() -> Measurement:
     """Two quantities, of which the second was measured as a whole surface, and a program that came with them."""
     return Measurement(
         [
-            Quantity("tips", "tip <1>", "z", 2, -6.5e-3, 1e-4, 2e-5),
+            Quantity("tips", "tip <1>", "z", 2, -6.5e-3, 1e-4, 2e-5, facet=1, weights=(0.5, 0.25, 0.25)),
             Quantity("bent", "", "rms distance", 2, 0.0, 1e-3, 0.0),
         ],
         {
