@@ -53,3 +53,7 @@ def test_a_container_has_only_what_is_there() -> None:
     assert (ROOT / "constraints.txt").exists()
     assert "/src/constraints.txt" in text
     assert 'ENTRYPOINT ["vdmbench"]' in text
+    shipped = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["setuptools"]["data-files"]
+    left_out = (ROOT / ".containerignore").read_text().split()
+    for path in ("constraints.txt", *(name for names in shipped.values() for name in names)):
+        assert not [name for name in left_out if f"{path}/".startswith(f"{name}/")], f"the image needs {path}"
