@@ -22,7 +22,7 @@ from ..report.judgement import (
 from ..study.model_name import is_vdm
 from ..verdict.digest import Digest
 from ..verdict.formatting import listed, plain, short_percent
-from ..verdict.motion import NORMAL, along_normals
+from ..verdict.motion import ALONG_NORMALS, NORMAL
 from ..verdict.standing import at_full_load
 from .claim_figures import Line, curves
 from .claim_shared import CLOSE, DRAMATIC, KEPT, apart, own_error
@@ -55,7 +55,7 @@ def small_steps(digests: Sequence[Digest]) -> Judgement | None:
                 (first, one), (last, many) = known[0], known[-1]
                 changes[model] = Change(one, many, max(map(own_bar, (first, last))))
                 between[model] = apart(digest, model, first, last)
-                if along_normals(digest, model) is not None:
+                if at_full_load(first, model, "tangential_share") < ALONG_NORMALS:
                     before, after = (at_full_load(case, model, NORMAL) for case in (first, last))
                     normal[model] = Change(before, after, math.nan)
                 steps = [float(len(case.load_factors)) for case, _ in known]
@@ -73,12 +73,12 @@ def small_steps(digests: Sequence[Digest]) -> Judgement | None:
         f"answers themselves are {short_percent(max(between.values()))} apart at most."
     )
     if normal:
-        floor = short_percent(
-            max(found[0] for d in digests for m in normal if (found := along_normals(d, m)))
-        )
+        floors = [
+            at_full_load(case, str(case.reference), "tangential_share") for d in digests for case in d.cases
+        ]
         reason += (
-            f" Forms along normals cannot be better than {floor}, which the reference itself, moved so, is off. In "
-            f"the normal component, which they predict, the error goes, for {in_words(normal)}."
+            f" The reference itself, moved along normals, is {short_percent(max(floors))} off: no form along "
+            f"normals can be better. In the normal component, which they predict, it goes, for {in_words(normal)}."
         )
     most = max(abs(change.growth) for change in changes.values())
     figure = curves(digests[0], lines, "load steps", "displacement error at full load", "claim4", log_x=True)

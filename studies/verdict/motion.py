@@ -7,7 +7,7 @@ import math
 from .digest import Digest
 from .formatting import listed, plural, short_percent
 
-_ALONG_NORMALS = 1e-9  # of its motion that a model has in the surface
+ALONG_NORMALS = 1e-9  # of its motion that a model has in the surface
 NORMAL = "relative_l2_normal_error"
 
 
@@ -41,7 +41,7 @@ def along_normals(digest: Digest, model: str) -> tuple[float, float] | None:
     in the normal component, which is what it predicts
     """
     share = digest.spread(model, "tangential_share")
-    if digest.reference is None or share is None or not share.worst < _ALONG_NORMALS:
+    if digest.reference is None or share is None or not share.worst < ALONG_NORMALS:
         return None
     floor = _median(digest, digest.reference, "tangential_share")
     return (floor, _median(digest, model, NORMAL)) if math.isfinite(floor) else None
