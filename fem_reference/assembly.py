@@ -17,9 +17,7 @@ from scipy.sparse import bsr_array, coo_array, csr_array
 from skfem import Basis, BilinearForm, ElementTetP1, ElementTetP2, LinearForm
 
 from fem_reference.mesh import TetMesh
-
-Array = NDArray[np.float64]
-Index = NDArray[np.int64]
+from solver_common.arrays import Array, Index
 
 _CHUNK = 20_000  # elements per pass: bounds the temporary arrays
 

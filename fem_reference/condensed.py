@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
+from functools import partial
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -23,10 +24,11 @@ from fem_reference.linear import Fields, LinearProblem, Load
 from fem_reference.linear_algebra import BATCH
 from fem_reference.loads import check_loads, gather_to_vertices, prescribed_nodes
 from fem_reference.memory import available_memory
-from fem_reference.mesh import facet_quadrature, triangle_p2
+from fem_reference.mesh import triangle_p2
 from fem_reference.solution import CONVERGED, Solution, SolverError, Status, check_outputs
-
-Array = NDArray[np.float64]
+from solver_common.arrays import Array
+from solver_common.quadrature import facet_quadrature
+from solver_common.solution import solver_error
 
 CONDITION = "condition_estimate"
 # facets whose normals differ by less than this push in one direction: far below what is promised
@@ -322,9 +324,7 @@ def _motion(problem: LinearProblem, displacement: Array) -> Load:
     return Load(np.zeros(0), np.where(held, displacement, 0.0), np.zeros(3))
 
 
-def _bad_contact(message: str, remedy: str) -> SolverError:
-    return SolverError(Status("bad-contact", message, remedy))
+_bad_contact = partial(solver_error, "bad-contact")
 
 
-def _bad_load(message: str, remedy: str) -> SolverError:
-    return SolverError(Status("bad-load", message, remedy))
+_bad_load = partial(solver_error, "bad-load")

@@ -17,6 +17,7 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -25,10 +26,11 @@ from scipy.sparse import csr_array
 from fem_reference.indenter import Indenter
 from fem_reference.linear import LinearProblem, Load
 from fem_reference.linear_algebra import BATCH
-from fem_reference.mesh import facet_quadrature, triangle_p2
-from fem_reference.solution import Solution, SolverError, Status
-
-Array = NDArray[np.float64]
+from fem_reference.mesh import triangle_p2
+from fem_reference.solution import Solution, Status
+from solver_common.arrays import Array
+from solver_common.quadrature import facet_quadrature
+from solver_common.solution import solver_error
 
 _MOST_CHANGES = 60  # of the active set; it settles in some ten
 
@@ -208,5 +210,4 @@ def _outcome(own: Status, settled: bool) -> Status:
     )
 
 
-def _bad_contact(message: str, remedy: str) -> SolverError:
-    return SolverError(Status("bad-contact", message, remedy))
+_bad_contact = partial(solver_error, "bad-contact")

@@ -10,10 +10,9 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse import csr_array
 from skfem import (
     Basis,
@@ -23,26 +22,33 @@ from skfem import (
     ElementVector,
     Functional,
     LinearForm,
+    MeshTet,
     MeshTet2,
 )
 from skfem.helpers import ddot, div, sym_grad, trace
 from skfem.quadrature import get_quadrature
 from skfem.refdom import RefTet
 
-from fem_reference.solution import SolverError, Status
-
-if TYPE_CHECKING:
-    from fem_reference.mesh import TetMesh
-
-Array = NDArray[np.float64]
+from solver_common.arrays import Array, Index
+from solver_common.solution import SolverError, solver_error
 
 # mypy: allow-untyped-calls, allow-untyped-decorators, allow-untyped-defs
 
 _DEGREE = 6
 
 
+_bad_mesh = partial(solver_error, "bad-mesh")
+
+
 class Curved:
     """Operators of one curved mesh; every `weights` is an (m,) factor of each tetrahedron.
+
+    Parameters
+    ----------
+    mesh : the straight tetrahedra
+    points : (n_nodes, 3) their nodes [m]
+    edges : (E,) nodes in the middles of boundary edges
+    onto : moves (E, 3) points onto the true surface
 
     Attributes
     ----------
@@ -54,25 +60,22 @@ class Curved:
         If a curved tetrahedron turns inside out, or `onto` returns something else than points.
     """
 
-    def __init__(self, mesh: TetMesh, onto: Callable[[Array], Array]) -> None:
-        self.node_points = mesh.node_points.copy()
-        edges = mesh.surface_edge_nodes
+    def __init__(self, mesh: MeshTet, points: Array, edges: Index, onto: Callable[[Array], Array]) -> None:
+        self.node_points = points.copy()
         moved = np.asarray(onto(self.node_points[edges]), dtype=np.float64)
         if moved.shape != (len(edges), 3) or not np.isfinite(moved).all():
             raise _bad_mesh(f"onto gives an array of shape {moved.shape}", f"return ({len(edges)}, 3) points")
         self.node_points[edges] = moved
-        skfem_mesh = replace(
-            MeshTet2.from_mesh(mesh.skfem_mesh), doflocs=np.ascontiguousarray(self.node_points.T)
-        )
+        curved = replace(MeshTet2.from_mesh(mesh), doflocs=np.ascontiguousarray(self.node_points.T))
         rule = get_quadrature(RefTet, _DEGREE)
         try:
-            determinants = skfem_mesh.mapping().detDF(rule[0])
+            determinants = curved.mapping().detDF(rule[0])
         except Exception as error:  # of no class of its own: a determinant is exactly zero
             raise _inverted("a tetrahedron") from error
         if determinants.min() <= 0.0:
             worst = int(np.argmin(determinants.min(axis=1)))
             raise _inverted(f"tetrahedron {worst}")
-        self._basis = Basis(skfem_mesh, ElementVector(ElementTetP2()), quadrature=rule)
+        self._basis = Basis(curved, ElementVector(ElementTetP2()), quadrature=rule)
         self._pressures = self._basis.with_element(ElementTetP1())
         self._scalars = self._basis.with_element(ElementTetP2())
 
@@ -138,7 +141,3 @@ class Curved:
 
 def _inverted(what: str) -> SolverError:
     return _bad_mesh(f"{what} turns inside out on the curved surface", "use a finer mesh at the surface")
-
-
-def _bad_mesh(message: str, remedy: str) -> SolverError:
-    return SolverError(Status("bad-mesh", message, remedy))

@@ -9,9 +9,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.polynomial import Legendre
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from solver_common.arrays import Array
 
 
 @dataclass(frozen=True)

@@ -5,10 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.integrate import quad
 
-Array = NDArray[np.float64]
+from solver_common.arrays import Array
 
 _POINTS = 32  # of Gauss and Legendre; the integrands are smooth
 

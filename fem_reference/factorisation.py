@@ -9,7 +9,6 @@ from __future__ import annotations
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse import csc_array, csc_matrix, diags_array
 from scipy.sparse.linalg import splu
 
@@ -17,8 +16,7 @@ from fem_reference import costs
 from fem_reference.costs import superlu_bytes
 from fem_reference.memory import reserved_not_counted
 from fem_reference.system import LinearSystem
-
-Array = NDArray[np.float64]
+from solver_common.arrays import Array
 
 LIBRARY = "SuperLU" if costs.rslab is None else "rslab"
 """Name of the library in use, recorded with every solution that it served."""

@@ -9,16 +9,18 @@ section 6.3). A pressure of one shear modulus sinks in by a three-hundredth of a
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fem_reference.assembly import Pattern
 from fem_reference.indenter import Capsule, Indenter, Sphere
-from fem_reference.mesh import TetMesh, facet_quadrature, triangle_p2
-from fem_reference.solution import SolverError, Status
-
-Array = NDArray[np.float64]
+from fem_reference.mesh import TetMesh, triangle_p2
+from fem_reference.solution import Status
+from solver_common.arrays import Array
+from solver_common.quadrature import facet_quadrature
+from solver_common.solution import solver_error
 
 _PENALTY = 300.0  # of a shear modulus per mean edge
 
@@ -146,5 +148,4 @@ class RigidContact:
         return length - self._radius, normal, flat / length[..., None, None]
 
 
-def _bad_contact(message: str, remedy: str) -> SolverError:
-    return SolverError(Status("bad-contact", message, remedy))
+_bad_contact = partial(solver_error, "bad-contact")

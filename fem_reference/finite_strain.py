@@ -11,6 +11,7 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -33,17 +34,19 @@ from fem_reference.loads import (
     prescribed_nodes,
 )
 from fem_reference.materials import make_law
-from fem_reference.mesh import TetMesh, facet_quadrature
+from fem_reference.mesh import TetMesh
 from fem_reference.moduli import check_density, check_fibres, make_moduli
 from fem_reference.newton import Newton, ScaledLoad, Substep
-from fem_reference.solution import CONVERGED, Solution, SolverError, Status, check_outputs
+from fem_reference.solution import CONVERGED, Solution, Status, check_outputs
 from fem_reference.springs import ElasticSupport, make_springs
 from fem_reference.system import LinearSystem, build_system
 from fem_reference.tangent_solver import TangentSolver, TangentSystem
+from solver_common.arrays import Array
+from solver_common.quadrature import facet_quadrature
+from solver_common.solution import solver_error
 
 __all__ = ["OUTPUTS", "PRESSURES", "FiniteStrainProblem", "Load"]
 
-Array = NDArray[np.float64]
 
 PRESSURES = ("follower", "dead")
 
@@ -376,5 +379,4 @@ class FiniteStrainProblem:
         )
 
 
-def _bad_option(message: str, remedy: str) -> SolverError:
-    return SolverError(Status("bad-option", message, remedy))
+_bad_option = partial(solver_error, "bad-option")

@@ -11,15 +11,13 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from skfem.quadrature import get_quadrature
 from skfem.refdom import RefTet
 
 from fem_reference.assembly import Coupling, Pattern, reference_gradients
 from fem_reference.kinematics import PAIRS, Kinematics, Law
 from fem_reference.mesh import TetMesh
-
-Array = NDArray[np.float64]
+from solver_common.arrays import Array
 
 # The volume constraint is of degree 4: a rule exact to degree 5 (14 points, all weights positive).
 _DEGREE = 5

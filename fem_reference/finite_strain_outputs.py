@@ -6,7 +6,6 @@ import time
 from collections.abc import Mapping
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fem_reference.finite_strain_assembly import ElementAssembly
 from fem_reference.loads import gather_to_vertices
@@ -14,8 +13,6 @@ from fem_reference.newton import Substep
 from fem_reference.recovery import StrainRecovery
 from fem_reference.solution import CONVERGED, Solution, Status
 from fem_reference.system import LinearSystem
-
-Array = NDArray[np.float64]
 
 OUTPUTS = {
     "condition_estimate": "condition number of the scaled tangent's symmetric part in that state, see"

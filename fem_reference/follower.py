@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
 from fem_reference.assembly import Pattern
-from fem_reference.mesh import TetMesh, facet_quadrature, triangle_p2
-
-Array = NDArray[np.float64]
+from fem_reference.mesh import TetMesh, triangle_p2
+from solver_common.arrays import Array
+from solver_common.quadrature import facet_quadrature
 
 
 def curved_area_vectors(mesh: TetMesh) -> Array:

@@ -7,14 +7,16 @@ those of the load to rounding. At finite strain they keep size and direction and
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fem_reference.follower import curved_area_vectors
-from fem_reference.mesh import TetMesh, facet_quadrature, triangle_p2
-from fem_reference.solution import SolverError, Status
-
-Array = NDArray[np.float64]
+from fem_reference.mesh import TetMesh, triangle_p2
+from solver_common.arrays import Array
+from solver_common.quadrature import facet_quadrature
+from solver_common.solution import solver_error
 
 # A region whose points lie this close to one line, in units of its size, cannot take a moment about that line.
 _THIN = 1e-9
@@ -183,5 +185,4 @@ def _summed(mesh: TetMesh, nodes: NDArray[np.int64], local: Array) -> Array:
     return out
 
 
-def _bad_load(message: str, remedy: str) -> SolverError:
-    return SolverError(Status("bad-load", message, remedy))
+_bad_load = partial(solver_error, "bad-load")

@@ -18,11 +18,9 @@ from abc import ABC, abstractmethod
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fem_reference.kinematics import PAIRS, Kinematics, Tangent, less_exponential, less_logarithm
-
-Array = NDArray[np.float64]
+from solver_common.arrays import Array
 
 _I, _J = PAIRS
 _UNIT = np.eye(3)[_I, _J]

@@ -8,13 +8,13 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from fem_reference.solution import SolverError, Status
-
-Array = NDArray[np.float64]
+from solver_common.arrays import Array
+from solver_common.solution import solver_error
 
 
 class Shape(ABC):
@@ -137,5 +137,4 @@ def _cap(radius: float, squares: Array) -> Array:
     return np.where(inside, squares / (radius + below), np.inf)
 
 
-def _bad_indenter(message: str, remedy: str) -> SolverError:
-    return SolverError(Status("bad-indenter", message, remedy))
+_bad_indenter = partial(solver_error, "bad-indenter")

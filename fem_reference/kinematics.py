@@ -7,9 +7,8 @@ from functools import cached_property
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from solver_common.arrays import Array
 
 # Below this |x| the series of x - log(1 + x) and of exp(x) - 1 - x are exact to rounding, above it the differences.
 _SERIES = 1e-3

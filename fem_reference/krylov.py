@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from scipy.linalg import qr, solve_triangular
 
 from fem_reference.costs import RESTART
+from solver_common.arrays import Array
 
-Array = NDArray[np.float64]
 Operator = Callable[[Array], Array]
 
 

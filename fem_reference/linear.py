@@ -37,10 +37,10 @@ from fem_reference.outputs import OUTPUTS, mean_pressure, strain_outputs
 from fem_reference.solution import CONVERGED, Solution, SolverError, Status, check_outputs
 from fem_reference.springs import ElasticSupport, make_springs
 from fem_reference.system import LinearSystem, build_system
+from solver_common.arrays import Array
 
 __all__ = ["ELEMENTS", "Fields", "LinearProblem", "Load"]
 
-Array = NDArray[np.float64]
 
 ELEMENTS = {"P2-P1": (2, True), "P2": (2, False), "P1": (1, False)}
 

@@ -24,8 +24,7 @@ from fem_reference.memory import available_memory, check_memory
 from fem_reference.multigrid import BlockPreconditioner
 from fem_reference.solution import SolverError, Status
 from fem_reference.system import LinearSystem
-
-Array = NDArray[np.float64]
+from solver_common.arrays import Array
 
 SOLVERS = ("auto", "direct", "iterative")
 BATCH = 32  # right-hand sides per triangular solve: beyond it a single one gets no cheaper

@@ -11,12 +11,11 @@ from numpy.typing import NDArray
 from fem_reference.assembly import gravity_weights
 from fem_reference.follower import curved_area_vectors
 from fem_reference.krylov import independent_columns
-from fem_reference.mesh import TetMesh, facet_quadrature, triangle_p2
+from fem_reference.mesh import TetMesh, triangle_p2
 from fem_reference.solution import SolverError, Status
 from fem_reference.springs import Springs
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
+from solver_common.arrays import Array, Mask
+from solver_common.quadrature import facet_quadrature
 
 # what a load may differ from a combination of others, of its norm
 _DEPENDENT = 1e-13

@@ -14,15 +14,15 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from fem_reference.hyperelastic import FungDemiray, MooneyRivlin, Ogden, Yeoh
 from fem_reference.kinematics import Kinematics, Law, Tangent, less_logarithm
-from fem_reference.solution import SolverError, Status
-
-Array = NDArray[np.float64]
+from solver_common.arrays import Array
+from solver_common.solution import solver_error
 
 # Each material with its parameters: numbers without a unit, in sums that are one where the moduli add up to G.
 PARAMETERS: dict[str, tuple[str, ...]] = {
@@ -225,5 +225,4 @@ def _checked_parameters(material: str, given: Mapping[str, ArrayLike]) -> dict[s
     return values
 
 
-def _bad_material(message: str, remedy: str) -> SolverError:
-    return SolverError(Status("bad-material", message, remedy))
+_bad_material = partial(solver_error, "bad-material")

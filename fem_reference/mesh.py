@@ -4,47 +4,24 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Callable
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from skfem import Basis, ElementTetP1, ElementTetP2, ElementVector, MeshTet
 from skfem.assembly import Dofs
 
 from fem_reference.curved import Curved
-from fem_reference.solution import SolverError, Status
+from solver_common.arrays import Array, Index
+from solver_common.quadrature import facet_quadrature as facet_quadrature
+from solver_common.solution import solver_error
 
-Array = NDArray[np.float64]
-Index = NDArray[np.int64]
-Mask = NDArray[np.bool_]
+_bad_mesh = partial(solver_error, "bad-mesh")
 
 # A tetrahedron whose volume is below this share of its longest edge cubed is flat to rounding.
 _FLAT = 1e-12
-
-
-def facet_quadrature() -> tuple[Array, Array]:
-    """Quadrature on a triangle, exact to degree 4 (Dunavant 1985, doi 10.1002/nme.1620210612, rule 4).
-
-    Returns
-    -------
-    points : (6, 3) barycentric coordinates
-    weights : (6,) summing to one; an integral is the facet's area times the weighted sum
-    """
-    # Closed form of the two orbits, so that the rule is exact to rounding and not to printed digits.
-    root = np.sqrt(10.0)
-    inner = np.sqrt(38.0 - 44.0 * np.sqrt(0.4))
-    near = (8.0 - root + inner) / 18.0
-    far = (8.0 - root - inner) / 18.0
-    weight = np.sqrt(213125.0 - 53320.0 * root)
-    weights = np.repeat([(620.0 + weight) / 3720.0, (620.0 - weight) / 3720.0], 3)
-    points = np.empty((6, 3))
-    for orbit, value in enumerate((near, far)):
-        rows = slice(3 * orbit, 3 * orbit + 3)
-        points[rows] = value
-        points[rows][np.diag_indices(3)] = 1.0 - 2.0 * value
-    return points, weights
 
 
 def triangle_p2(barycentric: Array) -> Array:
@@ -119,7 +96,7 @@ class TetMesh:
         if onto is not None:
             if order != 2 or parts is not None:
                 raise _bad_mesh("curved elements are P2 and of one part", "leave out onto, or parts")
-            self.curved = Curved(self, onto)
+            self.curved = Curved(self.skfem_mesh, self.node_points, self.surface_edge_nodes, onto)
             self.node_points = self.curved.node_points
 
     @property
@@ -319,7 +296,3 @@ class TetMesh:
         )
         self.surface_edges = pairs[first]
         self.facet_edges = facet_edges.reshape(-1, 3)
-
-
-def _bad_mesh(message: str, remedy: str) -> SolverError:
-    return SolverError(Status("bad-mesh", message, remedy))

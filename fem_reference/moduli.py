@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fem_reference.mesh import TetMesh
-from fem_reference.solution import SolverError, Status
-
-Array = NDArray[np.float64]
+from solver_common.arrays import Array
+from solver_common.solution import solver_error
 
 
 @dataclass(frozen=True)
@@ -99,5 +99,4 @@ def _first(values: Array, bad: NDArray[np.bool_]) -> str:
     return f"{values[number]} in tetrahedron {number}"
 
 
-def _bad_material(message: str, remedy: str) -> SolverError:
-    return SolverError(Status("bad-material", message, remedy))
+_bad_material = partial(solver_error, "bad-material")

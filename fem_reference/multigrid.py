@@ -19,9 +19,7 @@ from fem_reference.loads import rigid_modes
 from fem_reference.mesh import TetMesh
 from fem_reference.solution import SolverError, Status
 from fem_reference.system import LinearSystem, hold_components
-
-Array = NDArray[np.float64]
-Index = NDArray[np.int64]
+from solver_common.arrays import Array, Index
 
 _POWER_STEPS = 12
 _COARSEST = 50  # nodes of the level that is solved densely

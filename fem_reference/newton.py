@@ -12,18 +12,16 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse import bsr_array, csr_array
 
 from fem_reference.assembly import Coupling, Pattern
 from fem_reference.finite_contact import RigidContact
 from fem_reference.finite_strain_assembly import ElementAssembly
 from fem_reference.follower import FollowerPressure
-from fem_reference.mesh import facet_quadrature
 from fem_reference.system import LinearSystem, hold_components
 from fem_reference.tangent_solver import TangentSolver, TangentSystem
-
-Array = NDArray[np.float64]
+from solver_common.arrays import Array
+from solver_common.quadrature import facet_quadrature
 
 _LEAST_STEP = 2.0**-8  # of a load step
 _EASY = 5  # Newton iterations after which the next substep may be longer

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from skfem.quadrature import get_quadrature
 from skfem.refdom import RefTet
 
@@ -11,8 +10,7 @@ from fem_reference.assembly import tetrahedron_quadrature
 from fem_reference.mesh import TetMesh
 from fem_reference.recovery import StrainRecovery, displacement_gradient
 from fem_reference.system import LinearSystem
-
-Array = NDArray[np.float64]
+from solver_common.arrays import Array
 
 OUTPUTS = {
     "condition_estimate": "condition number of the scaled system, see `fem_reference.condition`",

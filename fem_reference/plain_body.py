@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.sparse import csr_matrix
 from skfem import (
     Basis,
@@ -31,14 +31,12 @@ from fem_reference.kinematics import Law
 from fem_reference.loads import Load, check_loads, held_nodes
 from fem_reference.materials import TransverselyIsotropic
 from fem_reference.memory import check_memory
-from fem_reference.mesh import TetMesh, facet_quadrature
+from fem_reference.mesh import TetMesh
 from fem_reference.moduli import Moduli, check_density, check_fibres, make_moduli
 from fem_reference.solution import Solution, SolverError, Status
 from fem_reference.springs import DIRECTIONS, ElasticSupport, make_springs
-
-Array = NDArray[np.float64]
-Index = NDArray[np.int64]
-Mask = NDArray[np.bool_]
+from solver_common.arrays import Array, Index, Mask
+from solver_common.quadrature import facet_quadrature
 
 NOT_REACHED = Status("not-reached", "an earlier load step failed", "see that step")
 

@@ -22,7 +22,7 @@ from dataclasses import fields, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.sparse import csr_matrix
 from skfem import BilinearForm, Functional, LinearForm, bmat, condense, solve
 from skfem.helpers import ddot, det, dot, grad, inv, mul, trace, transpose
@@ -32,8 +32,7 @@ from fem_reference.materials import NeoHookean, TransverselyIsotropic, make_law
 from fem_reference.plain_body import Dofs, PlainBody
 from fem_reference.solution import CONVERGED, Solution, SolverError, Status, check_outputs
 from fem_reference.springs import ElasticSupport
-
-Array = NDArray[np.float64]
+from solver_common.arrays import Array
 
 # mypy: allow-untyped-defs, allow-untyped-calls, allow-untyped-decorators
 

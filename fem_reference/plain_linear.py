@@ -17,7 +17,7 @@ import time
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.sparse.linalg import SuperLU, splu
 from skfem import BilinearForm, Functional, bmat, condense, solve
 from skfem.helpers import ddot, div, dot, mul, sym_grad
@@ -28,8 +28,6 @@ from fem_reference.materials import make_law
 from fem_reference.plain_body import Dofs, PlainBody
 from fem_reference.solution import CONVERGED, Solution, Status, check_outputs
 from fem_reference.springs import ElasticSupport
-
-Array = NDArray[np.float64]
 
 # mypy: allow-untyped-defs, allow-untyped-calls, allow-untyped-decorators
 

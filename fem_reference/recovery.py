@@ -11,8 +11,7 @@ from skfem.refdom import RefTet
 
 from fem_reference.assembly import reference_gradients, tetrahedron_quadrature
 from fem_reference.mesh import TetMesh
-
-Array = NDArray[np.float64]
+from solver_common.arrays import Array
 
 _EDGES = ((0, 1), (1, 2), (0, 2), (0, 3), (1, 3), (2, 3))
 _NODES = np.vstack([np.eye(4), [[0.5 * (k in edge) for k in range(4)] for edge in _EDGES]])

@@ -1,39 +1,12 @@
-"""What a FEM solve returns. `vdm.solution` has the same field names; a test holds them together."""
+"""What a FEM solve returns, in the form that the surface models answer in too."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass, field
 
-import numpy as np
-from numpy.typing import NDArray
+from solver_common.solution import CONVERGED, Solution, SolverError, Status, solver_error
 
-Array = NDArray[np.float64]
-
-
-@dataclass(frozen=True)
-class Status:
-    """The outcome of one load step; a failure says what happened and what to change."""
-
-    code: str
-    message: str = ""
-    remedy: str = ""
-
-    @property
-    def ok(self) -> bool:
-        """Whether the step can be used."""
-        return self.code == "converged"
-
-
-CONVERGED = Status("converged")
-
-
-class SolverError(ValueError):
-    """The model cannot be set up or solved; carries the `Status` that says why and what to change."""
-
-    def __init__(self, status: Status) -> None:
-        super().__init__(f"{status.message}; {status.remedy}" if status.remedy else status.message)
-        self.status = status
+__all__ = ["CONVERGED", "Solution", "SolverError", "Status", "check_outputs"]
 
 
 def check_outputs(outputs: frozenset[str], known: Iterable[str]) -> None:
@@ -41,34 +14,4 @@ def check_outputs(outputs: frozenset[str], known: Iterable[str]) -> None:
     unknown = sorted(outputs - set(known))
     if unknown:
         remedy = f"use some of {', '.join(known)}"
-        raise SolverError(Status("bad-output", f"output {unknown[0]!r} is unknown", remedy))
-
-
-@dataclass(frozen=True)
-class Solution:
-    """A load history of S steps on a surface of N nodes, SI units.
-
-    Attributes
-    ----------
-    displacement : (S, N, 3) displacement of the surface nodes [m]
-    fluid_pressure : (S,) pressure of the fluid; for a solid the volume mean of -tr(stress)/3 [Pa]
-    reaction_force : (S, N, 3) force that supports and springs exert on the body, zero at free nodes [N]
-    energy : (S,) elastic energy [J]
-    iterations : (S,) solver iterations, 0 for a direct solve
-    status : S outcomes, one per step
-    seconds_setup : assembly and factorisation [s]
-    seconds_per_step : (S,) time of each step after set-up [s]
-    parameters : the material and solver parameters that were used
-    scalars : further (S,) outputs by name
-    """
-
-    displacement: Array
-    fluid_pressure: Array
-    reaction_force: Array
-    energy: Array
-    iterations: NDArray[np.int64]
-    status: tuple[Status, ...]
-    seconds_setup: float
-    seconds_per_step: Array
-    parameters: dict[str, float | str] = field(default_factory=dict)
-    scalars: dict[str, Array] = field(default_factory=dict)
+        raise solver_error("bad-output", f"output {unknown[0]!r} is unknown", remedy)

@@ -8,17 +8,17 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.sparse import csr_array
 
 from fem_reference.assembly import Pattern
-from fem_reference.mesh import TetMesh, facet_quadrature, triangle_p2
-from fem_reference.solution import SolverError, Status
-
-Array = NDArray[np.float64]
-Index = NDArray[np.int64]
+from fem_reference.mesh import TetMesh, triangle_p2
+from solver_common.arrays import Array, Index
+from solver_common.quadrature import facet_quadrature
+from solver_common.solution import solver_error
 
 DIRECTIONS = ("normal", "full")
 
@@ -141,5 +141,4 @@ def _checked_facets(support: ElasticSupport, count: int) -> NDArray[np.bool_]:
     return facets
 
 
-def _bad_support(message: str, remedy: str) -> SolverError:
-    return SolverError(Status("bad-support", message, remedy))
+_bad_support = partial(solver_error, "bad-support")

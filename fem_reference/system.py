@@ -20,7 +20,6 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse import block_array, bsr_array, bsr_matrix, csc_array, csr_array
 
 from fem_reference.assembly import (
@@ -34,10 +33,7 @@ from fem_reference.assembly import (
 from fem_reference.mesh import TetMesh
 from fem_reference.solution import SolverError, Status
 from fem_reference.springs import Springs
-
-Array = NDArray[np.float64]
-Index = NDArray[np.int64]
-Mask = NDArray[np.bool_]
+from solver_common.arrays import Array, Index, Mask
 
 
 @dataclass(frozen=True)

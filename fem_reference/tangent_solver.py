@@ -15,7 +15,6 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fem_reference.costs import NEWTON_STEPS, estimate_costs, estimate_newton_costs
 from fem_reference.factorisation import LIBRARY, analyse, pivotable_triangle
@@ -25,8 +24,8 @@ from fem_reference.memory import available_memory, check_memory
 from fem_reference.multigrid import BlockPreconditioner
 from fem_reference.solution import SolverError, Status
 from fem_reference.system import LinearSystem
+from solver_common.arrays import Array
 
-Array = NDArray[np.float64]
 Operator = Callable[[Array], Array]
 
 

@@ -16,9 +16,9 @@ from functools import cached_property
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import linalg
 
+from solver_common.arrays import Array, Mask
 from tools import marked
 from tools.accuracy import README, ROOT, STUDIES, as_per_cent
 from vdm.boundary.operators import Facets, surface_stiffness
@@ -35,8 +35,6 @@ from vdmbench.graph.run import Options, run_plan
 from vdmbench.report.rebuild import rebuild
 from vdmbench.study.config import expand, load_study
 
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 Build = Callable[["Body", Array], Array]
 
 # beta of the rotations' own stiffness where it is not fitted

@@ -28,11 +28,11 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse import linalg
 from threadpoolctl import threadpool_info
 
+from solver_common.arrays import Array, Index, Mask
 from tests.unit.vdm_shapes import icosphere, torus
 from tools import marked
 from vdm import FORMULATIONS, Load, Model, Parameters, SurfaceMesh
@@ -44,10 +44,6 @@ from vdm.solvers.compliance import ContactCompliance
 from vdm.solvers.krylov import KrylovSolver, Method
 from vdm.solvers.linear import LinearSolver
 from vdmbench.machine.memory import peak_bytes_since, reset_peak
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
-Index = NDArray[np.int64]
 
 RADIUS = 0.05
 BYTES_PER_NONZERO = 8

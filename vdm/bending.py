@@ -19,8 +19,8 @@ from dataclasses import replace
 from itertools import permutations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from solver_common.arrays import Array
 from vdm.constraints import Load
 from vdm.formulations.base import Formulation, rigid_motions
 from vdm.formulations.boundary import MAX_NODES, BoundaryFormulation
@@ -30,8 +30,6 @@ from vdm.problem import Problem
 from vdm.solution import Status
 from vdm.solvers.linear import BorderedFactor
 from vdm.surface import SurfaceMesh
-
-Array = NDArray[np.float64]
 
 # the form of boundary integrals was wrong by 1.1 to 2.2 times this on bodies that nobody tuned it for
 BENDING_LIMIT = 0.1

@@ -6,12 +6,11 @@ from dataclasses import dataclass
 from typing import Literal, get_args
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from solver_common.arrays import Array, Mask
 from vdm.surface import SurfaceMesh
 
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 ContactSign = Literal["inward", "printed"]
 CONTACT_SIGNS: tuple[ContactSign, ...] = get_args(ContactSign)
 LARGEST = 1e100  # of a load, in SI units: beyond it squares overflow

@@ -5,12 +5,10 @@ from __future__ import annotations
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
 
+from solver_common.arrays import Array
 from vdm.surface import SurfaceMesh
-
-Array = NDArray[np.float64]
 
 
 class DeformableSurface:

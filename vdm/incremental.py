@@ -11,15 +11,14 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from solver_common.arrays import Array
 from vdm.constraints import ConstraintError, Load
 from vdm.material import Parameters
 from vdm.model import Model
 from vdm.solution import Solution, SolverError, Status
 from vdm.surface import SurfaceError, SurfaceMesh
-
-Array = NDArray[np.float64]
 
 
 class IncrementalModel:

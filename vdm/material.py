@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import cKDTree
 
+from solver_common.arrays import Array
 from vdm.surface import SurfaceMesh
 
-Array = NDArray[np.float64]
 Rotation = Literal["none", "global"]
 ROTATIONS: tuple[Rotation, ...] = ("none", "global")
 

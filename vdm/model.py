@@ -7,8 +7,9 @@ from collections.abc import Callable, Collection, Sequence
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from solver_common.arrays import Array
 from vdm.bending import bending_error, reserved
 from vdm.constraints import (
     CONTACT_SIGNS,
@@ -35,8 +36,6 @@ from vdm.solvers.lu import CONSTRAINT_METHODS, ConstraintMethod, LuSolver
 from vdm.solvers.nonlinear import NonlinearSolver
 from vdm.solvers.quasi_linear import VOLUME_ROWS, QuasiLinearSolver, VolumeRow
 from vdm.surface import SurfaceMesh
-
-Array = NDArray[np.float64]
 
 
 class Solver(Protocol):

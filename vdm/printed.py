@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from solver_common.arrays import Array
 from vdm.formulations.paper import PaperFormulation
-
-Array = NDArray[np.float64]
 
 
 def external_pressure(form: PaperFormulation, displacement: Array, environment: float = 0.0) -> Array:

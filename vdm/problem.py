@@ -10,14 +10,14 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from vdm.constraints import ConstraintError, Load, Mask, Support
+from solver_common.arrays import Array, Mask
+from vdm.constraints import ConstraintError, Load, Support
 from vdm.deformed import DeformableSurface, DeformedSurface
 from vdm.formulations.base import Formulation
 from vdm.material import Parameters
 from vdm.solution import CONVERGED, SolverError, Status
 from vdm.surface import SurfaceMesh
 
-Array = NDArray[np.float64]
 HeldForce = Callable[[], Array]
 
 # share of a unit motion at the held nodes below which it counts as left free: what resists it is its square, of

@@ -10,8 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 
-Array = NDArray[np.float64]
-Index = NDArray[np.int64]
+from solver_common.arrays import Array, Index
 
 # A facet whose height is below this share of its longest edge has no usable normal in double precision.
 FLAT_FACET = 1e-12

@@ -7,8 +7,10 @@ from dataclasses import replace
 import numpy as np
 from scipy import sparse
 
+from solver_common.arrays import Array, Index, Mask
+
 from ..study.errors import MeshError
-from .mesh import Array, Index, Mask, Mesh
+from .mesh import Mesh
 from .surface_measures import enclosed_volume, facet_area_vectors, facet_areas
 from .topology import tetrahedron_sicn, tetrahedron_volumes
 

@@ -10,6 +10,8 @@ from dataclasses import replace
 import gmsh
 import numpy as np
 
+from solver_common.arrays import Array, Index
+
 from ..study.errors import MeshError
 from ..study.geometry_spec import (
     DISTORTIONS,
@@ -24,7 +26,7 @@ from ..study.shapes import FILE, SHAPES
 from .distort import distorted
 from .imported import centred, imported_surface, imported_tetrahedra, named, placed
 from .intersections import without_intersections
-from .mesh import Array, Index, Mesh
+from .mesh import Mesh
 from .surface_measures import enclosed_volume
 from .topology import mesh_from_tetrahedra, mesh_from_triangles, surface_only
 

@@ -10,6 +10,8 @@ from pathlib import Path
 
 import numpy as np
 
+from solver_common.arrays import Array, Index
+
 from ..study.errors import MeshError
 from ..study.geometry_spec import (
     Geometry,
@@ -19,7 +21,7 @@ from ..study.geometry_spec import (
     fewer_nodes,
     file_digest,
 )
-from .mesh import Array, Index, Mesh
+from .mesh import Mesh
 from .mesh_file import check_readable
 from .read_apart import clean_surface_of, clean_tetrahedra_of
 from .repair import CleanSurface, CleanTetrahedra

@@ -6,8 +6,9 @@ import numpy as np
 from scipy.sparse import coo_array, csr_array
 from scipy.spatial import KDTree
 
+from solver_common.arrays import Array, Index, Mask
+
 from ..study.errors import MeshError
-from .mesh import Array, Index, Mask
 from .surface_measures import facet_area_vectors
 from .topology import facet_pairs, half_edges
 

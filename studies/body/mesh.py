@@ -9,11 +9,9 @@ from functools import cached_property
 from typing import Any, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
-Index = NDArray[np.int64]
-Mask = NDArray[np.bool_]
+from solver_common.arrays import Array, Index, Mask
+
 T = TypeVar("T")
 _MOST_KNOWN = 64  # things remembered on a mesh: contacts of a sweep, of some 100 kB each
 

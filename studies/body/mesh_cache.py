@@ -9,9 +9,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from solver_common.arrays import Index
+
 from ..machine.sealed import read_arrays, write_arrays
 from ..study.geometry_spec import Geometry, geometry_key
-from .mesh import Index, Mesh
+from .mesh import Mesh
 
 
 def mesh_from_cache(geometry: Geometry, cache_dir: Path, *, volume: bool = True) -> Mesh:

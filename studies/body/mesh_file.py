@@ -15,8 +15,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from solver_common.arrays import Array, Index
+
 from ..study.errors import MeshError
-from .mesh import Array, Index
 from .obj_file import read_obj
 from .ply_file import read_ply
 

@@ -15,8 +15,9 @@ from pathlib import Path
 
 import numpy as np
 
+from solver_common.arrays import Array, Index, Mask
+
 from ..study.errors import MeshError
-from .mesh import Array, Index, Mask
 from .numbers_in_file import Numbers
 
 _TETRAHEDRON = 4

@@ -5,10 +5,8 @@ from __future__ import annotations
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
-Index = NDArray[np.int64]
+from solver_common.arrays import Array, Index
 
 _NEAR = 64  # facets around a node that are measured at rest
 # pairs of a node and a facet: small surfaces are searched together, for large ones that is memory for nothing

@@ -11,8 +11,9 @@ from pathlib import Path
 
 import numpy as np
 
+from solver_common.arrays import Array, Index
+
 from ..study.errors import MeshError
-from .mesh import Array, Index
 
 
 def read_obj(path: Path) -> tuple[Array, Index]:

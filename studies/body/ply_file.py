@@ -14,8 +14,9 @@ from typing import Any
 
 import numpy as np
 
+from solver_common.arrays import Array, Index
+
 from ..study.errors import MeshError
-from .mesh import Array, Index
 from .numbers_in_file import Numbers
 
 _TYPES = {

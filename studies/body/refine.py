@@ -11,7 +11,9 @@ from itertools import pairwise
 
 import numpy as np
 
-from .mesh import Array, Index, Mask, Mesh
+from solver_common.arrays import Array, Index, Mask
+
+from .mesh import Mesh
 
 
 @dataclass(frozen=True)

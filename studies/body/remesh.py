@@ -12,8 +12,9 @@ import pyvista as pv
 from vtkmodules.vtkCommonCore import vtkLogger
 from vtkmodules.vtkIOXML import vtkXMLPolyDataReader
 
+from solver_common.arrays import Array, Index
+
 from ..study.errors import MeshError
-from .mesh import Array, Index
 from .surface_measures import facet_areas
 from .topology import check_vertex_fans, consistent_orientation
 

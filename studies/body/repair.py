@@ -10,8 +10,9 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 
+from solver_common.arrays import Array, Index, Mask
+
 from ..study.errors import MeshError
-from .mesh import Array, Index, Mask
 from .topology import (
     check_finite,
     check_vertex_fans,

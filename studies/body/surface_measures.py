@@ -6,13 +6,10 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
+
+from solver_common.arrays import Array, Index, Mask
 
 from .nearest import Neighbourhood
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
-Index = NDArray[np.int64]
 
 _MOST_NORMALS = 300  # of facets that an extent is measured along
 

@@ -10,8 +10,10 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import breadth_first_order, connected_components
 
+from solver_common.arrays import Array, Index, Mask
+
 from ..study.errors import MeshError
-from .mesh import Array, Index, Mask, Mesh
+from .mesh import Mesh
 from .surface_measures import enclosed_volume, facet_areas
 
 _LARGEST = 1e100  # coordinate

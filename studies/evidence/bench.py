@@ -21,8 +21,9 @@ from pathlib import Path
 import numpy as np
 from threadpoolctl import threadpool_info
 
+from solver_common.arrays import Array
+
 from .. import models
-from ..body.mesh import Array
 from ..body.mesh_cache import mesh_from_cache
 from ..body.refine import refined
 from ..body.surface_measures import Surface

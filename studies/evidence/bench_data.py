@@ -8,12 +8,11 @@ from dataclasses import dataclass, field
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
+
+from solver_common.arrays import Array
 
 from ..measures.uncertainty import is_resolved
 from ..verdict.formatting import quantity
-
-Array = NDArray[np.float64]
 
 LEAST_SIZES = 4  # of a mesh, for an exponent
 SAME = 1.5  # times up to which two costs count as the same: runs differ by as much

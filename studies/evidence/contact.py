@@ -9,12 +9,12 @@ import numpy as np
 from fem_reference.condensed import CondensedProblem
 from fem_reference.linear import LinearProblem
 from fem_reference.loads import Load
-from fem_reference.mesh import facet_quadrature
+from solver_common.arrays import Array, Index
+from solver_common.quadrature import facet_quadrature
 from vdm.solvers.columns import ContactColumns
 from vdm.solvers.compliance import ContactCompliance
 from vdm.solvers.linear import LinearSolver
 
-from ..body.mesh import Array, Index
 from ..scene.scene import Scene
 
 Problem = LinearSolver | LinearProblem | CondensedProblem

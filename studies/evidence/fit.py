@@ -14,8 +14,9 @@ from functools import cached_property
 
 import numpy as np
 
+from solver_common.arrays import Array
+
 from .. import models
-from ..body.mesh import Array
 from ..body.mesh_cache import mesh_from_cache
 from ..body.surface_measures import Surface, relative_l2, rigid_motion_removed, weighted_norm
 from ..graph.plan import Plan, PlannedCase, needs_volume

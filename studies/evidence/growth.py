@@ -10,10 +10,10 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse import linalg
 
+from solver_common.arrays import Array, Index
 from vdm import Load, Model, Parameters, SurfaceMesh
 from vdm.formulations.vector import VectorFormulation
 
-from ..body.mesh import Array, Index
 from .bench_data import Growth, median
 from .timing import median_seconds
 

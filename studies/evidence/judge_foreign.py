@@ -6,6 +6,8 @@ import dataclasses
 
 import numpy as np
 
+from solver_common.solution import Status
+
 from ..body.mesh import Mesh
 from ..body.surface_measures import Surface, enclosed_volumes
 from ..graph.work import compare
@@ -13,11 +15,11 @@ from ..measures.case import CaseResult, Run
 from ..measures.foreign import Foreign
 from ..measures.measurement import hold_against
 from ..measures.pushed import Answer
-from ..scene.result import ModelResult, StepStatus
+from ..scene.result import ModelResult
 from ..scene.scene import build_scene
 from ..study.schema import Study
 
-NO_STEP = StepStatus("not-given", "the file holds the largest load only", "")
+NO_STEP = Status("not-given", "the file holds the largest load only", "")
 
 
 def judged(run: Run, study: Study, mesh: Mesh, name: str, foreign: Foreign) -> Run:
@@ -73,7 +75,7 @@ def _as_result(case: CaseResult, mesh: Mesh, foreign: Foreign) -> ModelResult:
         energy=nothing,
         volume=enclosed_volumes(mesh.surface_points + displacement, mesh.triangles),
         iterations=np.zeros(steps, dtype=np.int64),
-        status=tuple(StepStatus("converged") if k == case.full_load else NO_STEP for k in range(steps)),
+        status=tuple(Status("converged") if k == case.full_load else NO_STEP for k in range(steps)),
         seconds_setup=np.nan,
         seconds_per_step=nothing,
         peak_bytes=0,

@@ -10,8 +10,10 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import minimize_scalar
 
+from solver_common.arrays import Array, Mask
+
 from .. import models
-from ..body.mesh import Array, Mask, Mesh
+from ..body.mesh import Mesh
 from ..measures.measurement import Measurement, Quantity, hold_against
 from ..measures.pushed import Answer
 from ..scene.result import ModelResult

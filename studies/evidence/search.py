@@ -15,7 +15,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import minimize, minimize_scalar
 
-from ..body.mesh import Array
+from solver_common.arrays import Array
+
 from ..study.errors import InputError
 
 WIDEST = math.log(1e5)  # of a ratio between two moduli, beside that of their rules

@@ -8,7 +8,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from .bench_data import Array
+from solver_common.arrays import Array
 
 SAMPLE = 1e-3  # seconds of a sample at least: beside it the clock's grain and a call's overhead are nothing
 SAMPLES = 5

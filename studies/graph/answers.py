@@ -10,11 +10,13 @@ from typing import Any
 
 import numpy as np
 
+from solver_common.solution import Status
+
 from ..body.mesh import Mesh
 from ..body.surface_measures import enclosed_volumes
 from ..machine.processors import processor_name
 from ..machine.sealed import read_arrays, write_arrays
-from ..scene.result import ModelResult, StepStatus
+from ..scene.result import ModelResult
 
 _ARRAYS = (
     "displacement",
@@ -62,7 +64,7 @@ def read_answer(path: Path, run: str = "") -> ModelResult | None:
     return ModelResult(
         **stored,
         **{name: about[name] for name in _NUMBERS},
-        status=tuple(StepStatus(*status) for status in about["status"]),
+        status=tuple(Status(*status) for status in about["status"]),
         parameters={**about["parameters"], **earlier},
         scalars={
             name.removeprefix("scalar/"): values

@@ -10,8 +10,10 @@ from typing import Any, TypeVar
 
 import numpy as np
 
+from solver_common.arrays import Array
+
 from .. import models
-from ..body.mesh import Array, Mesh
+from ..body.mesh import Mesh
 from ..body.mesh_cache import mesh_path
 from ..machine.sealed import is_sound
 from ..store.cases import case_state

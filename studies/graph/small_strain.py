@@ -11,8 +11,10 @@ from pathlib import Path
 
 import numpy as np
 
+from solver_common.arrays import Array, Mask
+
 from .. import models
-from ..body.mesh import Array, Mask, Mesh
+from ..body.mesh import Mesh
 from ..body.refine import refined
 from ..body.surface_measures import Surface, relative_l2
 from ..machine.sealed import read_arrays, write_arrays

@@ -15,7 +15,9 @@ from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any
 
-from ..body.mesh import Array, Mesh
+from solver_common.arrays import Array
+
+from ..body.mesh import Mesh
 from ..body.mesh_cache import mesh_from_cache, mesh_path, read_level, read_mesh, write_level
 from ..body.refine import Hierarchy, refine, refined
 from ..body.surface_measures import Surface

@@ -10,12 +10,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from solver_common.arrays import Array
+
 from ..scene.result import ModelResult
 from .input_spread import InputSpread
 from .measurement import Measurement
 from .metrics import full_load_step
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,9 @@ from pathlib import Path
 
 import numpy as np
 
-from ..body.mesh import Array, Mesh
+from solver_common.arrays import Array
+
+from ..body.mesh import Mesh
 from ..study.errors import InputError, MeshError
 from ..study.measured_file import AXES, DEFORMED, DISPLACEMENT, CsvTable, MeasuredFileError
 

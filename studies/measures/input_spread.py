@@ -13,7 +13,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from ..body.mesh import Array
+from solver_common.arrays import Array
+
 from ..body.surface_measures import Surface, weighted_norm, without_motions
 from ..study.inputs import Input, inputs_of
 from ..study.schema import Study

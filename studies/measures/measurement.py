@@ -14,12 +14,15 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from ..body.mesh import Array, Index, Mask, Mesh
+from solver_common.arrays import Array, Index, Mask
+
+from ..body.mesh import Mesh
 from ..body.nearest import nearest_on_surface
 from ..scene.coordinates import measured_on
 from ..scene.measured_points import Placed, place_measured
+from ..study.measured_checks import pushing
 from ..study.measured_file import AXES
-from ..study.measured_table import Measured, pushing, same_load
+from ..study.measured_table import Measured, same_load
 from ..study.schema import Study
 from .input_spread import Propagation
 from .metrics import full_load_step

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
+from solver_common.arrays import Array
+
 from ..body.surface_measures import Surface
-from .metrics import Array, History, full_load_step, metric
+from .metrics import History, full_load_step, metric
 
 
 def _at_full_load(model: History, value: float) -> Array:

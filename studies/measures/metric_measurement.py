@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
+from solver_common.arrays import Array
+
 from ..body.surface_measures import Surface, ratio
-from .metrics import Array, History, metric
+from .metrics import History, metric
 
 
 @metric(

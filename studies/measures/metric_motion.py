@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
+from solver_common.arrays import Array
+
 from ..body.surface_measures import Surface, ratio, weighted_norms, without_motions
-from .metrics import Array, History, along, metric
+from .metrics import History, along, metric
 
 
 @metric(

@@ -13,7 +13,8 @@ from functools import cached_property, wraps
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
+
+from solver_common.arrays import Array, Mask
 
 from ..body.surface_measures import (
     Surface,
@@ -26,8 +27,6 @@ from ..body.surface_measures import (
 )
 from ..study.modules import load_all
 
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 # an error; the deviation, of either sign, from a quantity that is conserved; neither good nor bad
 Sense = Literal["error", "conserved", "descriptive"]
 

@@ -8,7 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from ..body.mesh import Array, Index, Mask, Mesh
+from solver_common.arrays import Array, Index, Mask
+
+from ..body.mesh import Mesh
 from ..body.surface_measures import Surface, facet_area_vectors
 from ..scene.coordinates import in_mesh_coordinates
 from ..scene.regions import select

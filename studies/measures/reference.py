@@ -8,7 +8,8 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from ..body.mesh import Array
+from solver_common.arrays import Array
+
 from ..body.refine import Hierarchy
 from ..body.surface_measures import Surface, enclosed_volumes, weighted_norm, without_motions
 from ..scene.coordinates import in_mesh_coordinates

@@ -19,12 +19,14 @@ from scipy.spatial import cKDTree
 
 from fem_reference.linear import LinearProblem
 from fem_reference.loads import Load, nodal_forces, prescribed_nodes
-from fem_reference.mesh import TetMesh, facet_quadrature, triangle_p2
+from fem_reference.mesh import TetMesh, triangle_p2
 from fem_reference.solution import CONVERGED, Solution, SolverError, Status
 from fem_reference.springs import ElasticSupport
+from solver_common.arrays import Array, Index, Mask
+from solver_common.quadrature import facet_quadrature
 
 from ..body.geometry import fill_surface
-from ..body.mesh import Array, Index, Mask, Mesh
+from ..body.mesh import Mesh
 from ..body.surface_measures import enclosed_volume, facet_areas
 from ..scene.inclusions import moduli, on_mesh
 from ..scene.scene import Scene, SurfaceLoad

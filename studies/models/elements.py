@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..body.mesh import Array
+from solver_common.arrays import Array
+
 from ..scene.inclusions import moduli
 from ..scene.scene import Scene, SurfaceLoad
 from ..study.laws import LAW_KEYS, LAWS, NEO_HOOKEAN, parameters_of

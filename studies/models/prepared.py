@@ -8,9 +8,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from solver_common.solution import Status
+
 from ..body.surface_measures import enclosed_volumes
 from ..machine.memory import peak_bytes_since, reset_peak
-from ..scene.result import REFUSED, ModelResult, StepStatus
+from ..scene.result import REFUSED, ModelResult
 from ..scene.scene import Scene, SurfaceLoad
 from ..study.registry import lacks
 from .model import Model, SetUp, find
@@ -73,15 +75,14 @@ def _as_declared(scene: Scene, model: Model, name: str) -> Scene:
     )
 
 
-def _refusal(error: ValueError) -> StepStatus:
+def _refusal(error: ValueError) -> Status:
     status = getattr(error, "status", None)
     message, remedy = (status.message, status.remedy) if status else (f"{error}", "")
-    return StepStatus(REFUSED, message, remedy)
+    return Status(REFUSED, message, remedy)
 
 
 def _result(scene: Scene, solution: Solution, peak_bytes: int, model: Model) -> ModelResult:
-    statuses = tuple(StepStatus(s.code, s.message, s.remedy) for s in solution.status)
-    usable = np.array([s.ok for s in statuses])
+    usable = np.array([status.ok for status in solution.status])
     displacement = np.where(usable[:, None, None], solution.displacement, np.nan)
     points, triangles = scene.mesh.surface_points, scene.mesh.triangles
     return ModelResult(
@@ -91,7 +92,7 @@ def _result(scene: Scene, solution: Solution, peak_bytes: int, model: Model) -> 
         energy=np.where(usable, solution.energy, np.nan),
         volume=enclosed_volumes(points + displacement, triangles),
         iterations=solution.iterations,
-        status=statuses,
+        status=solution.status,
         seconds_setup=solution.seconds_setup,
         seconds_per_step=solution.seconds_per_step,
         peak_bytes=peak_bytes,
@@ -101,7 +102,7 @@ def _result(scene: Scene, solution: Solution, peak_bytes: int, model: Model) -> 
     )
 
 
-def _failed(scene: Scene, model: Model, reason: StepStatus, n_steps: int) -> ModelResult:
+def _failed(scene: Scene, model: Model, reason: Status, n_steps: int) -> ModelResult:
     vectors = np.full((n_steps, len(scene.fixed), 3), np.nan)
     numbers = np.full(n_steps, np.nan)
     return ModelResult(

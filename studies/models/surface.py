@@ -9,7 +9,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..body.mesh import Array, Mesh
+from solver_common.arrays import Array
+
+from ..body.mesh import Mesh
 from ..body.surface_measures import facet_areas, nodal_sum
 from ..scene.scene import Scene, SurfaceLoad
 from ..study.model_name import split, takes_fluid

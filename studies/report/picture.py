@@ -17,7 +17,8 @@ from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from matplotlib.image import imsave
 
-from ..verdict.digest import Array
+from solver_common.arrays import Array
+
 from ..verdict.formatting import scale_of
 from . import raster
 

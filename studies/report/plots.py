@@ -22,7 +22,9 @@ from matplotlib.ticker import (
 from matplotlib.transforms import blended_transform_factory
 from numpy.typing import ArrayLike
 
-from ..verdict.digest import REFERENCE, Array
+from solver_common.arrays import Array
+
+from ..verdict.digest import REFERENCE
 from ..verdict.formatting import plain, quantity
 from ..verdict.palette import COLOURS
 from .svg import GRID, INK, MODELS, STYLE, for_the_page, svg_of

@@ -12,7 +12,7 @@ import numpy as np
 from matplotlib.backends.backend_agg import RendererAgg
 from matplotlib.transforms import IdentityTransform
 
-from ..verdict.digest import Array
+from solver_common.arrays import Array
 
 ELEVATION = np.radians(22.0)
 FINER = 2  # drawn so many times as large, then averaged: smooth outlines

@@ -22,8 +22,9 @@ from matplotlib.colors import to_rgba
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
+from solver_common.arrays import Array
+
 from ..body.surface_measures import facet_area_vectors
-from ..verdict.digest import Array
 from ..verdict.formatting import plain, scale_of
 from . import raster
 from .svg import INK, STYLE, for_the_page, svg_of

@@ -9,7 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from ..body.surface_measures import Array
+from solver_common.arrays import Array
+
 from .scene_picture import BODY, KINDS, OTHER, Part
 
 

@@ -8,8 +8,10 @@ from functools import partial
 
 import numpy as np
 
+from solver_common.arrays import Array
+
 from ..measures.case import CaseResult
-from ..verdict.digest import Array, Digest
+from ..verdict.digest import Digest
 from ..verdict.formatting import listed, quantity, scale_of
 from ..verdict.loading import (
     constraints,

@@ -6,10 +6,12 @@ import math
 
 import numpy as np
 
+from solver_common.arrays import Array
+
 from ..measures.case import CaseResult
 from ..measures.measurement import FORCE, Measurement, Quantity
 from ..study.measured_file import AXES
-from ..verdict.digest import REFERENCE, Array, Digest
+from ..verdict.digest import REFERENCE, Digest
 from ..verdict.formatting import NOTHING, listed, plain, quantity, scale_of, short_percent
 from .blocks import Block, Cell, Column, Figure, Figures, Section, Table, Text
 from .plots import Plot, colour, line, marker, name_ticks

@@ -9,9 +9,11 @@ from typing import Any
 
 import numpy as np
 
+from solver_common.arrays import Array
+
 from ..body.surface_measures import facet_area_vectors
 from ..measures.case import CaseResult
-from ..verdict.digest import Array, Digest
+from ..verdict.digest import Digest
 from ..verdict.formatting import listed, plain, plural, scale_of
 from .blocks import Scene
 from .scene_picture import Outline, Part, scene_svg, style_of

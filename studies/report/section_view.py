@@ -8,8 +8,10 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
+from solver_common.arrays import Array
+
 from ..measures.case import CaseResult
-from ..verdict.digest import Array, Digest
+from ..verdict.digest import Digest
 from ..verdict.formatting import listed, plain, quantity
 from .blocks import Section, Still, Text, Viewer
 from .picture import COLOUR_MAPS, Panel

@@ -11,7 +11,7 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import FixedFormatter
 from matplotlib.transforms import Bbox
 
-from ..verdict.digest import Array
+from solver_common.arrays import Array
 
 ID = "told:"  # how the id of such a curve begins in the drawing
 _LETTER, _HEIGHT, _GAP = 4.5, 8.5, 4.0  # points: of a label, and how far it is from its point

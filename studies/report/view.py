@@ -14,9 +14,11 @@ import numpy as np
 from matplotlib import colormaps
 from numpy.typing import NDArray
 
+from solver_common.arrays import Array
+
 from ..measures.case import CaseResult
 from ..study.measured_file import AXES
-from ..verdict.digest import Array, Digest
+from ..verdict.digest import Digest
 from .scene_picture import KINDS, best_azimuth
 from .section_scene import parts_of
 

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..body.mesh import Array, Index, Mask, Mesh
+from solver_common.arrays import Array, Index, Mask
+
+from ..body.mesh import Mesh
 from ..study.profiles import PROFILES
 from ..study.schema import Region
 from .regions import profile_coordinate, profile_slope

@@ -7,7 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from ..body.mesh import Array, Mesh
+from solver_common.arrays import Array
+
+from ..body.mesh import Mesh
 from ..study.kinds import Vector3
 from ..study.measured_table import Measured
 from ..study.schema import HalfSpace, Region, Study

@@ -7,7 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..body.mesh import Array, Index, Mask, Mesh
+from solver_common.arrays import Array, Index, Mask
+
+from ..body.mesh import Mesh
 from ..study.schema import Inclusion, Study
 from ..study.tissue_table import Tissue
 from .coordinates import origin, shifted

@@ -6,7 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..body.mesh import Array, Index, Mesh
+from solver_common.arrays import Array, Index
+
+from ..body.mesh import Mesh
 from ..body.nearest import nearest_on_surface
 from ..study.measured_table import Measured, MeasuredPoint
 from ..study.schema import Study

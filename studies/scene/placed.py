@@ -7,7 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..body.mesh import Array, Index, Mask, Mesh
+from solver_common.arrays import Array, Index, Mask
+from solver_common.quadrature import facet_quadrature
+
+from ..body.mesh import Mesh
 from ..body.surface_measures import facet_area_vectors
 from ..study.errors import InputError
 from ..study.problems import Loc
@@ -62,7 +65,7 @@ class PlacedConstraint:
     def resultant(self, pressure: Array) -> float:
         """Size of the resultant of a pressure, over its unit [m^2]."""
         vectors = facet_area_vectors(self.points, self.triangles)
-        areas = pressure @ quadrature()[1]
+        areas = pressure @ facet_quadrature()[1]
         resultant = float(np.linalg.norm(areas @ vectors))
         total = float(np.abs(areas) @ np.linalg.norm(vectors, axis=1))
         if resultant < _LEAST_RESULTANT * total:
@@ -74,7 +77,7 @@ class PlacedConstraint:
 
     def at_quadrature(self, values: Array) -> Array:
         """(F, Q) from (N,) values, linear on each facet of the region, 0 on the others."""
-        barycentric, _ = quadrature()
+        barycentric, _ = facet_quadrature()
         return self.pressure(None) * (values[self.triangles] @ barycentric.T)
 
     def edges(self) -> Index:
@@ -96,7 +99,7 @@ class PlacedConstraint:
         return np.asarray(inside)
 
     def _shape(self, profile: str | None) -> Array:
-        barycentric, weights = quadrature()
+        barycentric, weights = facet_quadrature()
         if profile in (None, "uniform"):
             inside = np.all(self.nodes[self.triangles], axis=1)
             return np.repeat(inside[:, None].astype(float), len(weights), axis=1)
@@ -108,10 +111,3 @@ class PlacedConstraint:
 
     def _error(self, text: str) -> SceneError:
         return SceneError(f"{self.constraint.kind} {self.constraint.name!r} {text}", self.place)
-
-
-def quadrature() -> tuple[Array, Array]:
-    """The reference's rule on a facet; its package is slow to load, and a plan needs no scene."""
-    from fem_reference.mesh import facet_quadrature
-
-    return facet_quadrature()

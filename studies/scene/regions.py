@@ -6,7 +6,9 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from ..body.mesh import Array, Mask, Mesh
+from solver_common.arrays import Array, Mask
+
+from ..body.mesh import Mesh
 from ..study.errors import MeshError
 from ..study.schema import HalfSpace, Region
 from .coordinates import AXES

@@ -8,23 +8,10 @@ from dataclasses import dataclass, field, fields
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from solver_common.arrays import Array
+from solver_common.solution import Status
 
 REFUSED = "refused"  # status of a model that could not be set up: before any solve, for a reason of the input
-
-
-@dataclass(frozen=True)
-class StepStatus:
-    """The outcome of one load step of one model."""
-
-    code: str
-    message: str = ""
-    remedy: str = ""
-
-    @property
-    def ok(self) -> bool:
-        """Whether the step can be used."""
-        return self.code == "converged"
 
 
 @dataclass(frozen=True)
@@ -40,7 +27,7 @@ class ModelResult:
     energy: Array  # (S,) J
     volume: Array  # (S,) m^3, exact volume of the deformed surface polyhedron
     iterations: NDArray[np.int64]  # (S,)
-    status: tuple[StepStatus, ...]
+    status: tuple[Status, ...]
     seconds_setup: float
     seconds_per_step: Array  # (S,) s
     peak_bytes: int  # peak resident memory that the model added

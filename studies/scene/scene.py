@@ -8,7 +8,10 @@ from functools import cached_property
 
 import numpy as np
 
-from ..body.mesh import Array, Index, Mask, Mesh
+from solver_common.arrays import Array, Index, Mask
+from solver_common.quadrature import facet_quadrature
+
+from ..body.mesh import Mesh
 from ..body.surface_measures import corner_sum, facet_area_vectors, nodal_sum
 from ..study.extras import extras_of
 from ..study.loads import KINDS, Springs
@@ -17,7 +20,7 @@ from ..study.schema import Anisotropy, Constraint, Study
 from ..study.tissue_table import Tissue
 from .coordinates import in_mesh_coordinates, origin
 from .inclusions import PlacedInclusion, place_inclusions
-from .placed import PlacedConstraint, quadrature
+from .placed import PlacedConstraint
 from .placed import SceneError as SceneError
 from .regions import body_extent, lies_outside, select
 
@@ -120,7 +123,7 @@ class Scene:
     @cached_property
     def _thrust(self) -> Array:
         """(F, 3) integral of pressure times shape function over each facet, per corner [N]."""
-        barycentric, weights = quadrature()
+        barycentric, weights = facet_quadrature()
         _, areas, _ = self._facets
         return areas[:, None] * ((self.facet_pressure * weights) @ barycentric)
 
@@ -187,7 +190,7 @@ def build_scene(
     n_nodes = len(mesh.surface_nodes)
     fixed, constrained = np.zeros(n_nodes, dtype=bool), np.zeros(n_nodes, dtype=bool)
     prescribed = np.zeros((n_nodes, 3))
-    pressure = np.zeros((len(mesh.triangles), len(quadrature()[1])))
+    pressure = np.zeros((len(mesh.triangles), len(facet_quadrature()[1])))
     lines: list[tuple[Index, Array]] = []
     springs: list[Springs] = []
     for constraint in study.constraints:

@@ -8,7 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from ..body.mesh import Array, Index, Mask
+from solver_common.arrays import Array, Index, Mask
+
 from ..body.surface_measures import facet_area_vectors
 from ..study.loads import KINDS
 from ..study.problems import Finding

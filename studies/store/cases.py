@@ -17,6 +17,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from solver_common.solution import Status
+
 from ..machine.files import json_text, write_atomically
 from ..machine.safe_open import read_regular
 from ..machine.stored_json import CaseShape, parsed
@@ -32,7 +34,7 @@ from ..measures.case import (
     SmallStrainLimits,
 )
 from ..measures.metrics import METRICS
-from ..scene.result import ModelResult, StepStatus
+from ..scene.result import ModelResult
 from .case_checks import check_case
 from .hdf5 import (
     MAX_BYTES,
@@ -398,7 +400,7 @@ def _read_model(
         reaction_force=per_step(f"{name}.reaction_force"),
         **{series: steps.pop(series) for series in _SERIES if series != "iterations"},
         iterations=steps.pop("iterations").astype(np.int64),
-        status=tuple(StepStatus(*row) for row in about["status"]),
+        status=tuple(Status(*row) for row in about["status"]),
         **_told(about, _ABOUT_MODEL),
         scalars=steps,
     )

@@ -26,10 +26,11 @@ from .geometry_table import Geometry
 from .inclusion_checks import check_inclusions
 from .laws import check_law
 from .loads import KINDS
-from .measured_table import check_measured
+from .measured_checks import check_measured
 from .model_name import DISPLACEMENT_ELEMENTS, is_vdm, split
 from .problems import Finding, Loc
 from .region_checks import check_regions
+from .registry import all_models, reads
 from .schema import (
     MOST_STEPS,
     Constraint,
@@ -113,9 +114,7 @@ def _check_incompressible(study: Study) -> Iterator[Finding]:
 
 def _check_penalty(study: Study) -> Iterator[Finding]:
     """Held nodes by penalty, equations (25) and (26), are solved by `lu`, whose answer no other may claim."""
-    names = [
-        name for name in (study.study and study.study.models) or () if name and "penalty" in _reads(name)
-    ]
+    names = [name for name in (study.study and study.study.models) or () if name and "penalty" in reads(name)]
     others = [name for name in names if split(name)[1] not in ("linear", "lu")]
     tables: list[tuple[Loc, Table | None, list[str]]] = [(("vdm", "penalty"), study.vdm, others)]
     tables += [(("models", name, "penalty"), (study.models or {}).get(name), [name]) for name in others]
@@ -130,15 +129,13 @@ def _check_penalty(study: Study) -> Iterator[Finding]:
 
 def _check_unread(study: Study) -> Iterator[Finding]:
     """Parameters that decide nothing: [vdm] may serve several models, but one of them has to read each."""
-    from .registry import all_models  # which reads the schema: only where it is needed
-
     names = [name for name in (study.study and study.study.models) or () if name]
     if any(split(name)[0] not in all_models() for name in names):
         return  # a name that is wrong: nobody knows what it was to read
     tables: list[tuple[Loc, Table | None, set[str]]] = [
-        (("models", name), (study.models or {}).get(name), set(_reads(name))) for name in names
+        (("models", name), (study.models or {}).get(name), set(reads(name))) for name in names
     ]
-    tables.append((("vdm",), study.vdm, set().union(*map(_reads, names))))
+    tables.append((("vdm",), study.vdm, set().union(*map(reads, names))))
     for loc, table, known in tables:
         for key in sorted(given(table) - known) if table is not None else ():
             who = f"{loc[1]} does not read it" if len(loc) > 1 else "no model of this study reads it"
@@ -149,9 +146,9 @@ def _check_calibration(study: Study) -> Iterator[Finding]:
     """Parameters to fit, where the study names them: a model of VDM has to read each, each model one of them."""
     names = [name for name in (study.study and study.study.models) or () if name and is_vdm(name)]
     asked = (study.calibration and study.calibration.parameters) or ()
-    if not asked or not all(map(_reads, names)):
+    if not asked or not all(map(reads, names)):
         return  # left to the rules, or a name is wrong
-    known = set().union(*map(_reads, names)) & set(asked)
+    known = set().union(*map(reads, names)) & set(asked)
     for place, key in enumerate(asked):
         loc = ("calibration", "parameters", place)
         if key not in known:
@@ -159,16 +156,9 @@ def _check_calibration(study: Study) -> Iterator[Finding]:
         elif key in asked[:place]:
             yield loc, f"{key} is listed twice"
     for name in names:
-        if known and known.isdisjoint(_reads(name)):
+        if known and known.isdisjoint(reads(name)):
             text = f"{name} reads none of them; add one that it reads, or leave parameters out to fit all"
             yield ("calibration", "parameters"), text
-
-
-def _reads(name: str) -> tuple[str, ...]:
-    """Keys of [vdm] that a model declares to read."""
-    from .registry import reads  # which reads the schema: only where it is needed
-
-    return reads(name)
 
 
 def _check_geometry(geometry: Geometry) -> Iterator[Finding]:

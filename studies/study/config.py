@@ -17,9 +17,10 @@ from .geometry_spec import Geometry as GeometrySpec
 from .inputs import as_written
 from .kinds import MAX_NAME, is_safe_name
 from .loads import KINDS, LOAD_KEYS
-from .measured_table import check_measured_cases
+from .measured_checks import check_measured_cases
 from .model_name import FINITE_STRAIN, split
 from .problems import MOST_TOLD, Finding, Loc, Problem, Source, StudyError, file_fault
+from .registry import find, model_names
 from .schema import Constraint, Region, Study
 from .sweep import Axis, ResolvedCase, check_cases, first_case, read_axes, substituted
 from .tissue_table import Tissue
@@ -333,8 +334,6 @@ def _name_after(surface: Path, study: Any) -> None:
 
 
 def _check_model_names(data: Mapping[str, Any]) -> Iterator[Finding]:
-    from .registry import model_names  # loads the families: only where it is needed
-
     known = model_names()
     study = data.get("study")
     names = study.get("models") if isinstance(study, dict) else None
@@ -350,8 +349,6 @@ def holds_nothing(study: Study) -> bool:
 
 
 def _check_held(study: Study | None) -> Iterator[Finding]:
-    from .registry import find, model_names
-
     reference = study.study.reference if study is not None else None
     if study is None or reference not in model_names():
         return

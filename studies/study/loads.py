@@ -10,17 +10,34 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Protocol, get_args
 
-from .kinds import SI, Force, Position, Pressure, positive
+from pydantic import Field
+
+from .kinds import SI, Force, Name, Position, Pressure, Vector3, positive
 from .modules import load_all
 from .profiles import PROFILES, VERSIONS, Profile
+from .table import Table
 
 if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from .schema import Constraint
-
     Array = NDArray[np.float64]
+
+
+class AnyConstraint(Table):
+    """What every table of [[constraints]] has; the keys that kinds declare are added to it."""
+
+    kind: str
+    if TYPE_CHECKING:
+        pressure: float | None
+        force: float | None
+        profile: str | None
+        displacement: Vector3 | None
+        resultant: Vector3 | None
+        stiffness: float | None
+        direction: str | None
+    region: str = Field(description="name of the region")
+    name: Name = Field("", description="names it in sweeps and reports; the region's name where left out")
 
 
 @dataclass(frozen=True)
@@ -139,8 +156,8 @@ class LoadKind:
     keys: Mapping[str, LoadKey] = field(default_factory=dict)
     holds: bool
     supports: bool = False
-    act: Callable[[Constraint, Placed], Acts]
-    check: Callable[[Constraint, frozenset[str]], Mapping[str, str]] = lambda *_: {}
+    act: Callable[[AnyConstraint, Placed], Acts]
+    check: Callable[[AnyConstraint, frozenset[str]], Mapping[str, str]] = lambda *_: {}
 
     @property
     def loads(self) -> list[str]:
@@ -203,14 +220,14 @@ def keys_of_all() -> dict[str, list[tuple[str, LoadKey]]]:
 # --- the kinds ---
 
 
-def _press(constraint: Constraint, on: Placed) -> Acts:
+def _press(constraint: AnyConstraint, on: Placed) -> Acts:
     shape = on.pressure(constraint.profile)
     if constraint.force is not None:
         return Acts(pressure=shape * (constraint.force / on.resultant(shape)))
     return Acts(pressure=shape * (constraint.pressure or 0.0))
 
 
-def _check_profile(constraint: Constraint, region: frozenset[str]) -> Mapping[str, str]:
+def _check_profile(constraint: AnyConstraint, region: frozenset[str]) -> Mapping[str, str]:
     if constraint.profile in PROFILES and region and not region & {"cap", "ball"}:
         told = f"a {constraint.profile} profile needs a region that is a cap or a ball"
         return {"profile": f'{told}, and "{constraint.region}" is neither'}

@@ -11,7 +11,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+
+from solver_common.arrays import Array
 
 from .units import QuantityError, shown, to_si
 
@@ -25,7 +26,6 @@ _LENGTHS = {*AXES, "depth", *DISPLACEMENT, *DEFORMED, "uncertainty"}
 _HEADER = re.compile(r"(?:(?P<other>[A-Za-z0-9][\w-]*)\.)?(?P<key>\w+)(?:\s*\[(?P<unit>[^\]]*)\])?")
 
 Row = dict[str, Any]
-Array = NDArray[np.float64]
 
 
 class MeasuredFileError(ValueError):

@@ -45,14 +45,12 @@ from .kinds import (
     one_line,
     positive,
 )
-from .loads import KINDS, keys_of_all
+from .loads import KINDS, AnyConstraint, keys_of_all
 from .measured_table import MOST_TABLES, Measured
 from .problems import Source
+from .registry import Parameter, all_models, own_parameters
 from .table import Table
 from .tissue_table import PoissonRatio, Tissue, YoungsModulus
-
-if TYPE_CHECKING:
-    from .registry import Parameter
 
 Vdm = dict[str, float | str]
 
@@ -137,9 +135,7 @@ class VdmTable(Table):
 
 def model_table() -> type[VdmTable]:
     """The table of a single model: the keys of [vdm], and those that models declare as their own."""
-    from .registry import all_models, own_parameters  # loads the families: only where it is needed
-
-    all_models()
+    all_models()  # which loads the families
     return _table_with(tuple(own_parameters().items()))
 
 
@@ -222,30 +218,16 @@ RegionRef = Annotated[
 ]
 
 
-class _AnyConstraint(Table):
-    if TYPE_CHECKING:
-        kind: str
-        pressure: float | None
-        force: float | None
-        profile: str | None
-        displacement: Vector3 | None
-        resultant: Vector3 | None
-        stiffness: float | None
-        direction: str | None
-    else:
-        kind: Literal[tuple(KINDS)] = Field(
-            description=", ".join(f"{kind.name}: {kind.help}" for kind in KINDS.values())
-        )
-    region: str = Field(description="name of the region")
-    name: Name = Field("", description="names it in sweeps and reports; the region's name where left out")
-
-
 if TYPE_CHECKING:
-    _ConstraintOfKinds = _AnyConstraint
+    _ConstraintOfKinds = AnyConstraint
 else:
     _ConstraintOfKinds = create_model(
         "_ConstraintOfKinds",
-        __base__=_AnyConstraint,
+        __base__=AnyConstraint,
+        kind=(
+            Literal[tuple(KINDS)],
+            Field(description=", ".join(f"{kind.name}: {kind.help}" for kind in KINDS.values())),
+        ),
         **{
             name: (
                 taken[0][1].type | None,

@@ -8,14 +8,13 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+
+from solver_common.arrays import Array
 
 from ..measures import uncertainty
 from ..measures.case import CaseResult
 from ..measures.metrics import DEFORMATION, VECTOR, max_nodal_error
 from .formatting import short_percent
-
-Array = NDArray[np.float64]
 
 CLOSE = 0.10  # of both errors where a study says nothing: the "within 10 %" that the paper's claim speaks of
 NODAL = max_nodal_error.__name__

@@ -8,7 +8,8 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
+
+from solver_common.arrays import Array
 
 from ..body.surface_measures import Surface
 from ..measures import uncertainty
@@ -21,8 +22,6 @@ from . import palette
 from .acceptance import Acceptance, acceptance
 from .measured import is_earlier, is_elsewhere, resumed
 from .standing import at_full_load, reference_bar, series, standing
-
-Array = NDArray[np.float64]
 
 # place of the reference in the palette; see `palette.places` for the others
 REFERENCE = -1

@@ -8,10 +8,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from solver_common.arrays import Array
+
 from ..measures.case import CaseResult
 from ..scene.result import ModelResult
 from ..study.model_name import is_linear, split
-from .digest import Array, Digest, failed_steps
+from .digest import Digest, failed_steps
 from .formatting import swept_value
 from .standing import series
 

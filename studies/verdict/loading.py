@@ -8,9 +8,10 @@ from collections.abc import Iterable, Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from solver_common.arrays import Array
+
 from ..measures.case import CaseResult
 from ..measures.pushed import along_movement, inward, resultant
-from .digest import Array
 from .formatting import quantity
 
 

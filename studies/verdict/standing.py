@@ -6,14 +6,13 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
+
+from solver_common.arrays import Array
 
 from ..measures import uncertainty
 from ..measures.case import CaseResult
 from ..measures.metrics import VECTOR
 from .acceptance import BEYOND, LOST, OPEN, WITHIN, Acceptance
-
-Array = NDArray[np.float64]
 
 YES, IN_PART, UNDECIDED, NO = "Yes", "In part", "Undecided", "No"
 _WORDS = (YES, IN_PART, UNDECIDED, NO)  # the best first

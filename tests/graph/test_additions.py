@@ -33,7 +33,7 @@ def place(tmp_path: Path) -> Path:
     """A folder with a copy of the package, named vdmbench, and nothing else of this repository."""
     caches = shutil.ignore_patterns("__pycache__")
     shutil.copytree(ROOT / "studies", tmp_path / "vdmbench", ignore=caches)
-    for library in ("vdm", "fem_reference"):
+    for library in ("vdm", "fem_reference", "solver_common"):
         (tmp_path / library).symlink_to(ROOT / library)
     return tmp_path
 

@@ -12,6 +12,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 import fem_reference.condensed
+from solver_common.solution import Status
 from tests.in_process import outcomes_of
 from vdmbench import models
 from vdmbench.graph import estimate, nodes
@@ -22,7 +23,6 @@ from vdmbench.graph.nodes import bodies, graph
 from vdmbench.graph.run import Event, Options, _run_missing
 from vdmbench.graph.space import without_room
 from vdmbench.measures import metrics
-from vdmbench.scene.result import StepStatus
 from vdmbench.store.cases import read_case
 
 from . import shared_work
@@ -241,7 +241,7 @@ def test_a_reference_that_failed_is_no_reference(tmp_path: Path, monkeypatch: py
         result = answer(self, loads)
         if self.model.name != "fem-linear":
             return result
-        stopped = StepStatus("diverged", "it did not converge", "do this")
+        stopped = Status("diverged", "it did not converge", "do this")
         return dataclasses.replace(result, status=(stopped,) * len(result.status))
 
     monkeypatch.setattr(models.Prepared, "answer", failing)

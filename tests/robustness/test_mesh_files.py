@@ -15,8 +15,9 @@ import pytest
 import pyvista as pv
 from numpy.testing import assert_allclose, assert_array_equal
 
+from solver_common.arrays import Array, Index
 from vdmbench.body.geometry import build_mesh
-from vdmbench.body.mesh import Array, Index, Mesh
+from vdmbench.body.mesh import Mesh
 from vdmbench.body.topology import tetrahedron_volumes
 from vdmbench.graph.plan import PlannedMesh
 from vdmbench.study.errors import MeshError

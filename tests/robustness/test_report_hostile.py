@@ -11,13 +11,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from solver_common.solution import Status
 from tests.unit.browser import Browser, chromium
 from tests.unit.report_runs import make_case, make_run
 from vdmbench.measures.case import CaseResult, Run
 from vdmbench.report.headline import headline_rows
 from vdmbench.report.page import page_html, write_report
 from vdmbench.report.picture import Panel
-from vdmbench.scene.result import StepStatus
 
 ATTACKS = (
     "<script>window.owned = 1</script>",
@@ -51,7 +51,7 @@ def hostile_run() -> Run:
             steps=(0.5, 1.0),
             subdivisions=0,
         )
-        bad = StepStatus(attack, attack, attack)
+        bad = Status(attack, attack, attack)
         models = {
             name: dataclasses.replace(
                 result,

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
+from solver_common.solution import Status
 from vdmbench.measures.case import CaseResult, Limit, MetricSeries, ModelLimits, SmallStrainLimits
 from vdmbench.measures.input_spread import InputSpread, ModelSpread
 from vdmbench.measures.measurement import Measurement, Quantity
-from vdmbench.scene.result import ModelResult, StepStatus
+from vdmbench.scene.result import ModelResult
 
 N_STEPS = 3
 RESOLVED = {
@@ -42,9 +43,9 @@ def model_result(rng: np.random.Generator, n_nodes: int) -> ModelResult:
         volume=rng.normal(size=N_STEPS),
         iterations=np.arange(N_STEPS),
         status=(
-            StepStatus("converged"),
-            StepStatus("stalled", "no progress", "take smaller steps"),
-            StepStatus("converged"),
+            Status("converged"),
+            Status("stalled", "no progress", "take smaller steps"),
+            Status("converged"),
         ),
         seconds_setup=0.5,
         seconds_per_step=np.array([0.1, 0.2, np.nan]),

@@ -12,7 +12,8 @@ from skfem import MeshTet
 
 from fem_reference import assembly
 from fem_reference.linear import LinearProblem, Load
-from fem_reference.mesh import TetMesh, facet_quadrature
+from fem_reference.mesh import TetMesh
+from solver_common.quadrature import facet_quadrature
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]

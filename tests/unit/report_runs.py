@@ -8,16 +8,17 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from solver_common.solution import Status
 from vdmbench.body.surface_measures import Surface
 from vdmbench.measures.case import CaseResult, MetricSeries, Run
 from vdmbench.measures.metrics import METRICS, History, evaluate
-from vdmbench.scene.result import ModelResult, StepStatus
+from vdmbench.scene.result import ModelResult
 
 RADIUS = 0.05  # m
 AMPLITUDE = 0.002  # m, radial displacement at the poles at full load
 REFERENCE = "fem-linear"
-CONVERGED = StepStatus("converged")
-STOPPED = StepStatus("diverged", "the volume could not be held", "take smaller load steps")
+CONVERGED = Status("converged")
+STOPPED = Status("diverged", "the volume could not be held", "take smaller load steps")
 
 
 def icosphere(subdivisions: int) -> tuple[np.ndarray, np.ndarray]:

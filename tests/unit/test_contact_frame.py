@@ -12,7 +12,7 @@ from numpy.testing import assert_allclose
 from fem_reference.condensed import CondensedProblem
 from fem_reference.linear import LinearProblem
 from fem_reference.loads import Load
-from fem_reference.mesh import facet_quadrature
+from solver_common.quadrature import facet_quadrature
 from vdm.solvers.columns import ContactColumns
 from vdmbench import models
 from vdmbench.body.geometry import build_mesh

@@ -9,8 +9,9 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from fem_reference.loads import gather_to_vertices, held_nodes, nodal_forces, prescribed_nodes
-from fem_reference.mesh import TetMesh, facet_quadrature, triangle_p2
+from fem_reference.mesh import TetMesh, triangle_p2
 from fem_reference.solution import SolverError
+from solver_common.quadrature import facet_quadrature
 from tests.unit.fem_shapes import Body, ball, body, cube
 
 

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
+from solver_common.arrays import Array, Index
 from vdmbench.body.intersections import intersecting_facets, without_intersections
-from vdmbench.body.mesh import Array, Index
 from vdmbench.body.remesh import unit_sphere
 from vdmbench.body.repair import clean_surface, clean_tetrahedra
 from vdmbench.body.surface_measures import enclosed_volume, facet_area_vectors

@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
+from solver_common.solution import Status
 from vdmbench.measures.case import Limit, ModelLimits, SmallStrainLimits
 from vdmbench.report import page as page_module
 from vdmbench.report.blocks import Figures
@@ -24,7 +25,6 @@ from vdmbench.report.picture import Panel
 from vdmbench.report.plots import place
 from vdmbench.report.section_errors import error_against_parameters
 from vdmbench.report.view import View, candidates, displacement_scale, payload
-from vdmbench.scene.result import StepStatus
 from vdmbench.verdict.digest import Digest
 from vdmbench.verdict.formatting import parameter_name, percent
 
@@ -209,7 +209,7 @@ def test_a_model_that_stopped_is_listed_once_with_where_and_why() -> None:
 
 
 def test_a_usable_step_with_a_message_is_listed_as_a_reservation() -> None:
-    noted = StepStatus("converged", "the load steps move the answer by 2e-3", "take smaller load steps")
+    noted = Status("converged", "the load steps move the answer by 2e-3", "take smaller load steps")
     cases = [
         make_case({"a": 0.1, "b": 0.2}, label=f"k = {k}", swept={"k": float(k)}, subdivisions=0)
         for k in range(2)

@@ -13,7 +13,7 @@ import pytest
 from tests.command import vdmbench, write_study
 
 ROOT = Path(__file__).parents[2]
-PACKAGES = ("vdm", "fem_reference", "studies")
+PACKAGES = ("solver_common", "vdm", "fem_reference", "studies")
 FILES = [path for package in PACKAGES for path in sorted((ROOT / package).rglob("*.py"))]
 
 # in the order in which data flows: each may import those before it
@@ -116,12 +116,31 @@ def test_the_house_has_no_more_floors() -> None:
     assert max(floors.values()) <= MOST_FLOORS, floors
 
 
-def test_the_solver_libraries_stand_alone() -> None:
+def test_the_solver_libraries_share_one_small_package_and_nothing_else() -> None:
+    assert (
+        sum(len(path.read_text().splitlines()) for path in FILES if path.parts[-2] == "solver_common") < 200
+    )
     for path in (path for path in FILES if not _name(path).startswith("studies/")):
-        own = _name(path).split("/")[0]
-        assert not _tops(path) & ({"vdm", "fem_reference", "vdmbench"} - {own}), _name(path)
+        own = {_name(path).split("/")[0], "solver_common"}
+        assert not _tops(path) & ({"solver_common", "vdm", "fem_reference", "vdmbench"} - own), _name(path)
         files = {"gmsh", "h5py", "meshio", "pyvista", "json", "pathlib", "pickle", "tomllib"}
         assert not _tops(path) & files - ({"pathlib"} if _name(path).endswith("memory.py") else set()), path
+
+
+def _module(path: Path) -> str:
+    parts = path.relative_to(ROOT).with_suffix("").parts
+    return ".".join(("vdmbench" if parts[0] == "studies" else parts[0], *parts[1:])).removesuffix(".__init__")
+
+
+def test_no_files_import_each_other_in_a_circle() -> None:
+    """For their types alone either: who reads the one has to know the other."""
+    files = {_module(path): path for path in FILES}
+    arrows = {name: (_imports(path, types=True) & files.keys()) - {name} for name, path in files.items()}
+    assert "solver_common.arrays" in arrows["fem_reference.mesh"]
+    packages = {
+        name for name, path in files.items() if path.name == "__init__.py"
+    }  # the name before a submodule's
+    TopologicalSorter({name: below - packages for name, below in arrows.items()}).prepare()
 
 
 def test_heavy_libraries_are_behind_one_module() -> None:

@@ -9,7 +9,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from fem_reference.linear import LinearProblem, Load
-from fem_reference.mesh import facet_quadrature
+from solver_common.quadrature import facet_quadrature
 from vdmbench import models
 from vdmbench.body.geometry import build_mesh
 from vdmbench.body.mesh import Mesh

@@ -7,11 +7,11 @@ import re
 import tomllib
 from pathlib import Path
 
-import fem_reference.solution
 import vdm.formulations.boundary
 import vdm.formulations.mass_spring
 import vdm.material
 import vdm.solution
+from solver_common.solution import Solution
 from vdmbench import models
 from vdmbench.cli.doctor import LIBRARIES, PACKAGES
 from vdmbench.models import costs
@@ -24,17 +24,9 @@ def fields(cls: type) -> dict[str, object]:
     return {field.name: field.type for field in dataclasses.fields(cls)}
 
 
-def test_both_libraries_answer_in_the_same_words() -> None:
-    """Neither may import the other, so each has its own `Solution`."""
-    assert fields(vdm.solution.Status) == fields(fem_reference.solution.Status)
-    own = {"point_fields": "dict[str, Array]"}  # what a model of VDM is asked for by `outputs`
-    assert fields(vdm.solution.Solution) == fields(fem_reference.solution.Solution) | own
-    assert vdm.solution.CONVERGED.ok
-    assert fem_reference.solution.CONVERGED.ok
-
-
 def test_the_stored_result_keeps_all_that_a_solution_has() -> None:
-    assert fields(fem_reference.solution.Solution).keys() <= fields(ModelResult).keys()
+    ours = fields(Solution).keys() - {"point_fields"}  # which a study asks no model for
+    assert ours <= fields(ModelResult).keys()
 
 
 def test_an_estimate_knows_how_many_nodes_the_boundary_form_takes() -> None:

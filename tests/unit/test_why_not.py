@@ -9,9 +9,9 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 import pytest
 
+from solver_common.solution import Status
 from vdmbench.measures.case import CaseResult, MetricSeries, Run
 from vdmbench.measures.metrics import DEFORMATION, METRICS, VECTOR, History, evaluate
-from vdmbench.scene.result import StepStatus
 from vdmbench.verdict.digest import Digest
 from vdmbench.verdict.verdict import Verdict, verdict
 from vdmbench.verdict.why_not import (
@@ -267,7 +267,7 @@ def test_condensed_elements_say_how_often_they_are_within() -> None:
 
 
 def with_message(case: CaseResult, model: str, message: str) -> Verdict:
-    status = tuple(StepStatus("converged", message, "take the boundary form") for _ in case.load_factors)
+    status = tuple(Status("converged", message, "take the boundary form") for _ in case.load_factors)
     doubtful = dataclasses.replace(case.models[model], status=status)
     return verdict(Digest(make_run([dataclasses.replace(case, models={**case.models, model: doubtful})])))
 

@@ -14,7 +14,7 @@ from numpy.testing import assert_allclose
 from skfem import Basis, ElementTetP2, ElementVector, MeshTet
 
 from fem_reference.exact import IncompressibleBall, ThickCylinder, ThickSphere
-from fem_reference.mesh import facet_quadrature
+from solver_common.quadrature import facet_quadrature
 from tests.unit.fem_shapes import Body, ball, body, mapped_box, octant_shell
 from tests.verification.fem_convergence import Convergence
 from tests.verification.records import Verified

@@ -21,7 +21,8 @@ from skfem.refdom import RefTet
 from fem_reference.exact import ThickSphere
 from fem_reference.exact_finite_strain import InflatedThickSphere
 from fem_reference.finite_strain import FiniteStrainProblem
-from fem_reference.mesh import TetMesh, facet_quadrature, triangle_p2
+from fem_reference.mesh import TetMesh, triangle_p2
+from solver_common.quadrature import facet_quadrature
 from tests.unit.fem_shapes import Body, ball, cube, octant_shell
 from tests.verification.fem_convergence import Convergence
 from tests.verification.records import Verified

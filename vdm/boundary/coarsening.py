@@ -5,15 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse import csgraph
 
+from solver_common.arrays import Array, Index
 from vdm.boundary.spacing import evenly_spaced
 from vdm.surface import SurfaceMesh, cross
-
-Array = NDArray[np.float64]
-Index = NDArray[np.int64]
 
 # a collapse may not turn a facet by more than this, nor squeeze it below this share of an equilateral one
 LEAST_COSINE = 0.5

@@ -5,14 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
 
+from solver_common.arrays import Array, Index
 from vdm.boundary.coarsening import CoarseSurface, nearest
 from vdm.surface import SurfaceMesh
-
-Array = NDArray[np.float64]
-Index = NDArray[np.int64]
 
 # a direction in which a stencil is flatter than this share of its width bears no linear term
 FLAT = 1e-6

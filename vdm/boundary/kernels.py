@@ -10,14 +10,12 @@ same with f and g exchanged. They do not depend on the material.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from solver_common.arrays import Array, Index
+from solver_common.quadrature import facet_quadrature
 from vdm.boundary.jit import compiled
 from vdm.boundary.plane import add_near, graded
-from vdm.boundary.quadrature import Rule, dunavant, three_points, touching
-
-Array = NDArray[np.float64]
-Index = NDArray[np.int64]
+from vdm.boundary.quadrature import Rule, sixteen_points, three_points, touching
 
 # distance of two facets' centres over the sum of their radii, from which a product of two rules is enough
 FAR, MIDDLE, NEAR = 4.0, 2.0, 1.15
@@ -34,7 +32,10 @@ def rules() -> tuple[Array, Index, Array, Array]:
 
     In the order: one vertex, one edge, the same facet, then far, middle and near facets that do not touch.
     """
-    parts = [*touching(), *(_product(*rule) for rule in (three_points(), dunavant(4), dunavant(8)))]
+    parts = [
+        *touching(),
+        *(_product(*rule) for rule in (three_points(), facet_quadrature(), sixteen_points())),
+    ]
     table = np.concatenate([np.stack([*x.T[1:], *y.T[1:], w]) for x, y, w in parts], axis=1)
     starts = np.cumsum([0, *(len(part[2]) for part in parts)])
     return np.ascontiguousarray(table), starts.astype(np.int64), *graded()

@@ -24,14 +24,12 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy import linalg, sparse
 from scipy.linalg import blas
 
+from solver_common.arrays import Array, Index
 from vdm.boundary.kernels import all_pairs, rules, some_pairs
-
-Array = NDArray[np.float64]
-Index = NDArray[np.int64]
 
 # Nodes up to which all is in double precision. Single halves the time and the memory of more; what it leaves, 1e-6,
 # is less than what quadrature does.

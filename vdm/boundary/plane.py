@@ -12,11 +12,9 @@ Propag. 32):
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from solver_common.arrays import Array
 from vdm.boundary.jit import compiled
-
-Array = NDArray[np.float64]
 
 # Gauss points from the centre outward and along the edges, of each of the three parts of a facet
 POINTS = 5

@@ -8,11 +8,12 @@ write the domain as a few unit cubes whose Jacobian cancels it, so that Gauss po
 from __future__ import annotations
 
 from functools import cache
+from itertools import permutations
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from solver_common.arrays import Array
+
 Rule = tuple[Array, Array, Array]
 
 # Gauss points in each of the four directions of a map
@@ -26,32 +27,21 @@ def three_points() -> tuple[Array, Array]:
     return points, np.full(3, 1.0 / 3.0)
 
 
-def dunavant(degree: int) -> tuple[Array, Array]:
-    """(n, 3) points and (n,) weights of sum 1, exact to degree 4, 5 or 8 with 6, 7 or 16 points.
+def sixteen_points() -> tuple[Array, Array]:
+    """(16, 3) points and (16,) weights of sum 1, exact to degree 8.
 
     Source: Dunavant 1985, Int. J. Numer. Methods Eng. 21.
     """
-    orbits: dict[int, list[tuple[float, tuple[float, float, float]]]] = {
-        4: [
-            (0.223381589678011, (0.108103018168070, 0.445948490915965, 0.445948490915965)),
-            (0.109951743655322, (0.816847572980459, 0.091576213509771, 0.091576213509771)),
-        ],
-        5: [
-            (0.225, (1.0 / 3.0, 1.0 / 3.0, 1.0 / 3.0)),
-            (0.132394152788506, (0.059715871789770, 0.470142064105115, 0.470142064105115)),
-            (0.125939180544827, (0.797426985353087, 0.101286507323456, 0.101286507323456)),
-        ],
-        8: [
-            (0.144315607677787, (1.0 / 3.0, 1.0 / 3.0, 1.0 / 3.0)),
-            (0.095091634267285, (0.081414823414554, 0.459292588292723, 0.459292588292723)),
-            (0.103217370534718, (0.658861384496480, 0.170569307751760, 0.170569307751760)),
-            (0.032458497623198, (0.898905543365938, 0.050547228317031, 0.050547228317031)),
-            (0.027230314174435, (0.008394777409958, 0.263112829634638, 0.728492392955404)),
-        ],
-    }
+    orbits = [
+        (0.144315607677787, (1.0 / 3.0, 1.0 / 3.0, 1.0 / 3.0)),
+        (0.095091634267285, (0.081414823414554, 0.459292588292723, 0.459292588292723)),
+        (0.103217370534718, (0.658861384496480, 0.170569307751760, 0.170569307751760)),
+        (0.032458497623198, (0.898905543365938, 0.050547228317031, 0.050547228317031)),
+        (0.027230314174435, (0.008394777409958, 0.263112829634638, 0.728492392955404)),
+    ]
     points, weights = [], []
-    for weight, (a, b, c) in orbits[degree]:
-        orbit = sorted({(a, b, c), (b, c, a), (c, a, b), (a, c, b), (c, b, a), (b, a, c)})
+    for weight, corners in orbits:
+        orbit = sorted(set(permutations(corners)))
         points += orbit
         weights += [weight] * len(orbit)
     total = np.array(weights)

@@ -3,14 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from solver_common.arrays import Array, Index, Mask
 from vdm.surface import cross, facet_vectors
-
-Array = NDArray[np.float64]
-Index = NDArray[np.int64]
-Mask = NDArray[np.bool_]
 
 ROUNDS = 20
 FLIP_ROUNDS = 5

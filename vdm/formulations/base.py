@@ -7,18 +7,15 @@ from collections.abc import Callable
 from typing import ClassVar, Protocol, runtime_checkable
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
 
+from solver_common.arrays import Array, Mask
 from vdm.constraints import Load
 from vdm.deformed import DeformedSurface, follow
 from vdm.formulations.border import LEVI_CIVITA, Columns, DenseColumns
 from vdm.material import Parameters
 from vdm.solvers.cholesky import Cholesky
 from vdm.surface import SurfaceMesh
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 
 class Factor(Protocol):

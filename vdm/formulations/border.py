@@ -5,10 +5,8 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
+from solver_common.arrays import Array, Mask
 
 # e_abc of the cross product: (w x p)_a = sum e_abc w_b p_c
 LEVI_CIVITA = np.zeros((3, 3, 3))

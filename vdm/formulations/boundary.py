@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import linalg, sparse
 
+from solver_common.arrays import Array, Mask
 from vdm.deformed import DeformedSurface
-from vdm.formulations.base import DisplacementFormulation, Factor, Factorise, Mask, rigid_motions
+from vdm.formulations.base import DisplacementFormulation, Factor, Factorise, rigid_motions
 from vdm.formulations.border import DenseColumns
 from vdm.material import ParameterError, Parameters
 from vdm.solution import SolverError, Status
 from vdm.solvers.cholesky import Cholesky
 from vdm.surface import SurfaceMesh
-
-Array = NDArray[np.float64]
 
 # of a dense matrix of (3N)^2 numbers
 MAX_NODES = 2000

@@ -3,19 +3,16 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
 
+from solver_common.arrays import Array, Index, Mask
 from vdm.deformed import DeformedSurface
-from vdm.formulations.base import DisplacementFormulation, Factor, Factorise, Mask
+from vdm.formulations.base import DisplacementFormulation, Factor, Factorise
 from vdm.formulations.border import DenseColumns
 from vdm.material import ParameterError, Parameters
 from vdm.solution import SolverError, Status
 from vdm.solvers.cholesky import Cholesky
 from vdm.surface import SurfaceMesh
-
-Array = NDArray[np.float64]
-Index = NDArray[np.int64]
 
 # sum c_r L_r / (mu V): 15 in a dense network that follows the strain; this coarse one yields more, and the number
 # fits an incompressible ball under a finger's patch, as does the skin's share

@@ -5,17 +5,15 @@ from __future__ import annotations
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
 
+from solver_common.arrays import Array, Mask
 from vdm.constraints import Load
 from vdm.deformed import DeformedSurface
-from vdm.formulations.base import Mask, ScalarFormulation
+from vdm.formulations.base import ScalarFormulation
 from vdm.formulations.border import DenseColumns
 from vdm.material import ParameterError, Parameters, per_item
 from vdm.surface import SurfaceMesh
-
-Array = NDArray[np.float64]
 
 
 class PaperFormulation(ScalarFormulation):

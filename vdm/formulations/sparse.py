@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import linalg, sparse
 from scipy.linalg import blas
 
-from vdm.formulations.base import Factor, Factorise, Mask
+from solver_common.arrays import Array, Mask
+from vdm.formulations.base import Factor, Factorise
 from vdm.formulations.boundary import INDEFINITE, BoundaryFormulation
 from vdm.material import COARSE_NODES
 from vdm.solution import SolverError, Status
 from vdm.solvers.cholesky import Cholesky
 from vdm.solvers.single import SingleFactor
-
-Array = NDArray[np.float64]
 
 # fine nodes that are multiplied with a dense matrix of the coarse body at once: bounds the temporary arrays
 ROWS = 4096

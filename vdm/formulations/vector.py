@@ -5,24 +5,15 @@ from __future__ import annotations
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
 
+from solver_common.arrays import Array, Mask
 from vdm.deformed import DeformedSurface, best_rotation
-from vdm.formulations.base import (
-    DisplacementFormulation,
-    Factor,
-    Factorise,
-    Mask,
-    SparseFactor,
-    rigid_motions,
-)
+from vdm.formulations.base import DisplacementFormulation, Factor, Factorise, SparseFactor, rigid_motions
 from vdm.formulations.border import Columns, DenseColumns, TurningColumns
 from vdm.material import ParameterError, Parameters, per_item
 from vdm.solvers.cholesky import Cholesky
 from vdm.surface import SurfaceMesh
-
-Array = NDArray[np.float64]
 
 
 class VectorFormulation(DisplacementFormulation):

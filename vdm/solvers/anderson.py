@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from solver_common.arrays import Array
 
 # of changes of length one: a smaller singular value of their products says more of the path than of the slope
 DEPENDENT = 1e-6

@@ -11,13 +11,12 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from solver_common.arrays import Array
 from vdm.constraints import LARGEST, Load
 from vdm.problem import LinearStep, Problem, Step
 from vdm.solution import Status
 
-Array = NDArray[np.float64]
 # forces (N, d) that free nodes lack and what the border rows lack (m,) -> change of x (N, d) and of the border (m,)
 Correction = Callable[[Array, Array], tuple[Array, Array]]
 

@@ -15,16 +15,14 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import linalg
 
-from vdm.constraints import Load, Mask, node_mask
+from solver_common.arrays import Array, Mask
+from vdm.constraints import Load, node_mask
 from vdm.problem import LinearStep, Problem, check_held
 from vdm.solution import SolverError
 from vdm.solvers.cholesky import SINGULAR
 from vdm.solvers.linear import LinearSolver
-
-Array = NDArray[np.float64]
 
 # smallest pivot of the small system, in units of its diagonal, that is told from a singular one
 PIVOT_TOLERANCE = 1e-11

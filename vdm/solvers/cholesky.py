@@ -6,12 +6,10 @@ import ctypes
 
 import numpy as np
 from cholespy import CholeskySolverD, MatrixType, _cholespy_core
-from numpy.typing import NDArray
 from scipy import sparse
 
+from solver_common.arrays import Array
 from vdm.solution import SolverError, Status
-
-Array = NDArray[np.float64]
 
 # growth of a random load, times the largest entry, beyond which the matrix counts as singular
 CONDITION_LIMIT = 1e14

@@ -5,10 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
-Index = NDArray[np.int64]
+from solver_common.arrays import Array, Index
 
 # radii of the contact from its middle, beyond which the columns of its nodes look alike
 FAR = 4.0

@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from solver_common.arrays import Array, Index
 from vdm.constraints import ConstraintError, Load
 from vdm.problem import Problem
 from vdm.solvers.columns import ContactColumns
 from vdm.solvers.linear import LinearSolver
-
-Array = NDArray[np.float64]
-Index = NDArray[np.int64]
 
 # right-hand sides per pass through the factor: wider blocks no longer gain and cost memory
 BATCH = 32

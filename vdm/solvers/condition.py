@@ -1,25 +1,19 @@
-"""How well conditioned a problem is: condition numbers in the 1-norm, estimated from a few solves.
-
-Hager (1984) and Higham (ACM Trans. Math. Softw. 14 (1988) 381, algorithm 4.1): a lower bound of the norm of the
-inverse, rarely more than three times too small. The same number every time: no random vector is in it.
-"""
+"""How well conditioned a problem is: condition numbers in the 1-norm, estimated from a few solves."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse import linalg
 
-from vdm.formulations.base import Formulation, Mask
+from solver_common.arrays import Array, Mask
+from solver_common.condition import Product, estimated_norm, operator
+from vdm.formulations.base import Formulation
 from vdm.problem import Problem
 from vdm.solvers.linear import BorderedFactor
 
-Array = NDArray[np.float64]
-Solve = Callable[[Array], Array]
 Matrix = sparse.csc_array | linalg.LinearOperator
 
 
@@ -82,8 +76,8 @@ def condition_of_operator(problem: Problem, factor: BorderedFactor | None = None
         return np.concatenate([solve_block(b[:n]) - solved_rows @ border, border])
 
     return Condition(
-        block=_norm(block) * inverse_norm(solve_block, solve_block, n),
-        system=_norm(whole) * inverse_norm(solve, solve_transposed, n + m),
+        block=_norm(block) * estimated_norm(operator(n, solve_block, solve_block)),
+        system=_norm(whole) * estimated_norm(operator(n + m, solve, solve_transposed)),
     )
 
 
@@ -93,21 +87,6 @@ def condition_of_matrix(matrix: sparse.csr_array, n_border: int) -> Condition:
         block=_condition(matrix[:-n_border][:, :-n_border]),
         system=_condition(matrix),
     )
-
-
-def inverse_norm(solve: Solve, solve_transposed: Solve, size: int) -> float:
-    """Lower bound of |M^-1|_1 of a matrix (size, size) from solves with M and with its transpose."""
-    return _estimated_norm(_operator(size, solve, solve_transposed))
-
-
-def _estimated_norm(operator: linalg.LinearOperator) -> float:
-    """Lower bound of an operator's 1-norm."""
-    size = operator.shape[1]
-    found = float(linalg.onenormest(operator, t=1))
-    # Higham's second guess, for the matrices that Hager's walk is blind to
-    alternating = 1.0 + np.arange(size) / max(size - 1, 1)
-    alternating[1::2] *= -1.0
-    return max(found, 2.0 * float(np.abs(operator @ alternating).sum()) / (3.0 * size))
 
 
 def _scaled_block(formulation: Formulation, inside: Mask, unit: Array) -> Matrix:
@@ -122,7 +101,7 @@ def _scaled_block(formulation: Formulation, inside: Mask, unit: Array) -> Matrix
         force = formulation.apply(x.reshape(-1, formulation.components))
         return np.asarray(unit * force.reshape(-1)[inside])
 
-    return _operator(len(unit), apply, apply)
+    return operator(len(unit), apply, apply)
 
 
 def _bordered(block: Matrix, columns: Array, rows: Array, corner: Array) -> Matrix:
@@ -143,19 +122,10 @@ def _bordered(block: Matrix, columns: Array, rows: Array, corner: Array) -> Matr
         x, s = np.split(b, [n])
         return np.concatenate([block @ x + rows @ s, corner.T @ s - columns.T @ x])
 
-    return _operator(n + len(corner), apply, apply_transposed)
+    return operator(n + len(corner), apply, apply_transposed)
 
 
-def _operator(size: int, product: Solve, product_transposed: Solve) -> linalg.LinearOperator:
-    return linalg.LinearOperator(
-        (size, size),
-        matvec=lambda b: product(b.reshape(-1)),
-        rmatvec=lambda b: product_transposed(b.reshape(-1)),
-        dtype=np.float64,
-    )
-
-
-def _in_own_units(border: Array, solve_block: Solve, corner: Array) -> tuple[Array, Array]:
+def _in_own_units(border: Array, solve_block: Product, corner: Array) -> tuple[Array, Array]:
     energy = np.einsum("ij,ij->j", border, solve_block(border))
     unit = 1.0 / np.sqrt(np.maximum(energy, np.abs(corner.diagonal())))
     return border * unit, unit
@@ -170,11 +140,11 @@ def _condition(matrix: sparse.csr_array) -> float:
     def solve_transposed(b: Array) -> Array:
         return np.asarray(factors.solve(b, trans="T"))  # type: ignore[call-overload] # scipy-stubs knows no trans
 
-    norm = inverse_norm(factors.solve, solve_transposed, matrix.shape[0])
+    norm = estimated_norm(operator(matrix.shape[0], factors.solve, solve_transposed))
     return _norm(matrix) * norm if np.isfinite(norm) else np.inf
 
 
 def _norm(matrix: Matrix | sparse.csr_array) -> float:
     if isinstance(matrix, linalg.LinearOperator):
-        return _estimated_norm(matrix)
+        return estimated_norm(matrix)
     return float(linalg.norm(matrix, 1))

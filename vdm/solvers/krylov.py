@@ -6,10 +6,10 @@ from dataclasses import replace
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse import linalg
 
+from solver_common.arrays import Array
 from vdm.constraints import Load
 from vdm.formulations.base import Factor
 from vdm.problem import LinearStep, Problem, Step
@@ -17,7 +17,6 @@ from vdm.solution import CONVERGED, SolverError, Status
 from vdm.solvers.audit import Audit, audit
 from vdm.solvers.linear import BORDER_TOLERANCE, check_border
 
-Array = NDArray[np.float64]
 Method = Literal["bicg", "cg", "minres"]
 Stopping = Literal["residual", "printed"]
 

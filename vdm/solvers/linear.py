@@ -7,8 +7,8 @@ from functools import partial
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from solver_common.arrays import Array
 from vdm.constraints import Load
 from vdm.formulations.base import Factorise, ReactingFactor
 from vdm.problem import HeldForce, LinearStep, Problem, Step
@@ -18,7 +18,6 @@ from vdm.solvers.cholesky import SINGULAR, Cholesky
 from vdm.solvers.single import SINGULAR as SINGLE_SINGULAR
 from vdm.solvers.single import SingleFactor
 
-Array = NDArray[np.float64]
 Precision = Literal["single", "double"]
 
 # smallest singular value of the scaled border system that is told from rounding

@@ -6,16 +6,15 @@ from dataclasses import replace
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse import linalg
 
+from solver_common.arrays import Array
 from vdm.constraints import ConstraintError, Load
 from vdm.problem import LinearStep, Problem, Step
 from vdm.solution import SolverError, Status
 from vdm.solvers.audit import Audit, audit
 
-Array = NDArray[np.float64]
 ConstraintMethod = Literal["elimination", "penalty-added", "penalty-replaced"]
 HELD_SLIP = 1e-4  # of the largest displacement: a held node that moves more is not held
 CONSTRAINT_METHODS: tuple[ConstraintMethod, ...] = ("elimination", "penalty-added", "penalty-replaced")

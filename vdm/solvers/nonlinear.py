@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from solver_common.arrays import Array
 from vdm.constraints import Load
 from vdm.deformed import DeformedSurface, best_rotation
 from vdm.problem import Problem, Step
@@ -14,8 +14,6 @@ from vdm.solution import Status
 from vdm.solvers.anderson import Anderson
 from vdm.solvers.audit import ERROR_LIMIT, Audit
 from vdm.solvers.linear import BorderedFactor
-
-Array = NDArray[np.float64]
 
 MAX_ITERATIONS = 60
 HISTORY = 10

@@ -6,14 +6,13 @@ from dataclasses import replace
 from typing import Literal, get_args
 
 import numpy as np
-from numpy.typing import NDArray
 
+from solver_common.arrays import Array
 from vdm.constraints import Load
 from vdm.problem import LinearStep, Problem, Step
 from vdm.solvers.audit import Audit, audit
 from vdm.solvers.linear import BorderedFactor
 
-Array = NDArray[np.float64]
 VolumeRow = Literal["exact", "printed"]
 VOLUME_ROWS: tuple[VolumeRow, ...] = get_args(VolumeRow)
 

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse import linalg
 
+from solver_common.arrays import Array
 from vdm.solution import SolverError, Status
-
-Array = NDArray[np.float64]
 
 SINGULAR = Status(
     "singular",
