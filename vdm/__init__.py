@@ -1,11 +1,15 @@
 """The Volume Distribution Method: a surface-only model of soft tissue (Sundaraj and Laugier 2006)."""
 
-from vdm.constraints import ConstraintError, Load
-from vdm.formulations import FORMULATIONS
-from vdm.material import ParameterError, Parameters
-from vdm.model import Model
-from vdm.solution import Solution, SolverError, Status
-from vdm.surface import SurfaceError, SurfaceMesh
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from vdm.constraints import ConstraintError, Load
+    from vdm.formulations import FORMULATIONS
+    from vdm.material import ParameterError, Parameters
+    from vdm.model import Model
+    from vdm.solution import Solution, SolverError, Status
+    from vdm.surface import SurfaceError, SurfaceMesh
 
 __all__ = [
     "FORMULATIONS",
@@ -20,3 +24,13 @@ __all__ = [
     "SurfaceError",
     "SurfaceMesh",
 ]
+
+
+def __getattr__(name: str) -> Any:
+    """Loaded when it is asked for: `vdm.solvers` tells which solvers there are without them and SciPy."""
+    if name in __all__:
+        for home in ("constraints", "formulations", "material", "solution", "surface", "model"):
+            module = import_module(f"vdm.{home}")
+            if hasattr(module, name):
+                return getattr(module, name)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -28,6 +28,7 @@ from vdm.formulations.paper import PaperFormulation
 from vdm.material import ParameterError, Parameters
 from vdm.problem import Problem, Step, check_held
 from vdm.solution import Solution, SolverError, Status
+from vdm.solvers import SOLVERS
 from vdm.solvers.audit import Audit, judged
 from vdm.solvers.condition import Condition, condition_of_matrix, condition_of_operator
 from vdm.solvers.krylov import TOLERANCE, KrylovSolver
@@ -50,18 +51,6 @@ class Solver(Protocol):
         ...
 
 
-SOLVERS: tuple[str, ...] = (
-    "linear",
-    "single",
-    "refined",
-    "lu",
-    "quasi-linear",
-    "nonlinear",
-    "bicg",
-    "bicg-cold",
-    "cg",
-    "minres",
-)
 FactorSolver = LinearSolver | QuasiLinearSolver | NonlinearSolver
 OUTPUTS: tuple[str, ...] = ("nodal_stress", "normal_traction")
 
@@ -80,7 +69,7 @@ class Model:
     density : of the fluid [kg/m^3]
     gravity : (3,) [m/s^2], constant over the history like the environment's pressure
     environment_pressure : P_ep [Pa]
-    solver : one of `SOLVERS`
+    solver : one of `vdm.solvers.SOLVERS`
     outputs : further point fields, of `OUTPUTS`; nothing else is computed
     contact_sign : "inward", or "printed" for the sign of equation 24
     constraint_method : "elimination", or one of the paper's two penalties (solver "lu")

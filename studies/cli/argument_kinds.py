@@ -15,6 +15,11 @@ def study_arguments(parser: argparse.ArgumentParser, count: str | None = None, u
     """A study, and what it may read."""
     told = f"path of a study file, or a shipped study's name{use}"
     parser.add_argument("study", metavar="STUDY", nargs=count, help=told)
+    file_arguments(parser)
+
+
+def file_arguments(parser: argparse.ArgumentParser) -> None:
+    """What a study may read, and where it keeps what it computes."""
     parser.add_argument(
         "--surface",
         type=Path,
@@ -32,18 +37,14 @@ def study_arguments(parser: argparse.ArgumentParser, count: str | None = None, u
     )
 
 
-def out_argument(parser: argparse.ArgumentParser) -> None:
-    """A run directory."""
+def run_arguments(parser: argparse.ArgumentParser) -> None:
+    """Where a run goes, and how many cases at once."""
     parser.add_argument(
         "--out",
         type=directory,
         metavar="DIR",
         help="run directory (default results/runs/NAME; another --surface of the same file name needs its own)",
     )
-
-
-def jobs_arguments(parser: argparse.ArgumentParser) -> None:
-    """How many cases at once."""
     parser.add_argument(
         "--jobs",
         type=positive,
@@ -52,8 +53,10 @@ def jobs_arguments(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def fresh_arguments(parser: argparse.ArgumentParser) -> None:
-    """Whether what is done counts."""
+def plan_arguments(parser: argparse.ArgumentParser) -> None:
+    """What decides the plan of a run."""
+    study_arguments(parser)
+    run_arguments(parser)
     parser.add_argument("--fresh", action="store_true", help="run every case again")
 
 

@@ -60,7 +60,7 @@ class Finding(NamedTuple):
     remedy: str
 
 
-def examine(directory: Path = Path()) -> list[Finding]:
+def examine() -> list[Finding]:
     """Look at Python, shared libraries, packages, cores, memory and the place for results."""
     findings = [
         Finding(
@@ -85,6 +85,7 @@ def examine(directory: Path = Path()) -> list[Finding]:
     findings += [_package(name, module) for name, module in PACKAGES.items()]
     findings.append(Finding("cores", True, False, _cores(), ""))
     findings.append(_memory())
+    directory = Path()
     free = shutil.disk_usage(directory).free
     writable = os.access(directory, os.W_OK)
     findings.append(

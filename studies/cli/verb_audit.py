@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from ..machine.processors import usable_processors
 from ..machine.streams import harmless
-from .argument_kinds import jobs_arguments, out_argument, study_arguments
+from .argument_kinds import run_arguments, study_arguments
 from .output import (
     DAMAGED,
     FAILED,
@@ -43,8 +43,7 @@ _MODEL, _CASE = 28, 38  # letters of a name
 def arguments(parser: argparse.ArgumentParser) -> None:
     """Its arguments."""
     study_arguments(parser)
-    out_argument(parser)
-    jobs_arguments(parser)
+    run_arguments(parser)
     parser.set_defaults(goes_on=True)
 
 

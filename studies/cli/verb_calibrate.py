@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from ..machine.processors import usable_processors
-from .argument_kinds import jobs_arguments, out_argument, study_arguments
+from .argument_kinds import run_arguments, study_arguments
 from .output import FAILED, OK, UsageError, complain_of_failures, print_json, print_table
 from .progress import Progress
 from .studies import command_of, load, make_plan, require_own
@@ -27,8 +27,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     """Its arguments."""
     study_arguments(parser)
     parser.set_defaults(goes_on=True)
-    out_argument(parser)
-    jobs_arguments(parser)
+    run_arguments(parser)
     parser.add_argument(
         "--transfer",
         action="append",

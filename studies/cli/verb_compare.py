@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 from ..machine.processors import usable_processors
 from ..machine.streams import harmless
-from .argument_kinds import jobs_arguments, out_argument, run_directory
+from .argument_kinds import file_arguments, run_arguments, run_directory
 from .output import FAILED, OK, UsageError, complain_of_failures, print_json, print_run, tell
 from .progress import Progress
 from .studies import load, make_plan, require_own
@@ -48,13 +48,8 @@ def arguments(parser: argparse.ArgumentParser) -> None:
         "--name", metavar="NAME", help="what the program is called (default: the file's name)"
     )
     parser.add_argument("--array", metavar="FIELD", help="field of a VTU or VTK file (default: displacement)")
-    out_argument(parser)
-    jobs_arguments(parser)
-    parser.add_argument("--surface", type=Path, metavar="FILE", help=argparse.SUPPRESS)
-    parser.add_argument(
-        "--allow-outside", action="store_true", help="allow files outside the study's directory"
-    )
-    parser.add_argument("--cache", type=Path, metavar="DIR", help="where meshes and answers are kept")
+    run_arguments(parser)
+    file_arguments(parser)
 
 
 def run(options: argparse.Namespace) -> int:

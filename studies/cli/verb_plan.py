@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 
-from .argument_kinds import fresh_arguments, jobs_arguments, out_argument, study_arguments
+from .argument_kinds import plan_arguments
 from .output import OK, count, folded, print_json
 from .studies import check_files, load, make_plan, require_own
 
@@ -13,10 +13,7 @@ SUMMARY = "say what a run would do"
 
 def arguments(parser: argparse.ArgumentParser) -> None:
     """Its arguments."""
-    study_arguments(parser)
-    out_argument(parser)
-    jobs_arguments(parser)
-    fresh_arguments(parser)
+    plan_arguments(parser)
     parser.add_argument(
         "--graph", action="store_true", help="print the graph of the work, as text for Mermaid"
     )

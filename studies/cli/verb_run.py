@@ -6,13 +6,10 @@ import argparse
 
 from ..machine.processors import usable_processors
 from .argument_kinds import (
-    fresh_arguments,
-    jobs_arguments,
-    out_argument,
+    plan_arguments,
     positive_seconds,
     shard,
     size_in_bytes,
-    study_arguments,
 )
 from .output import FAILED, complain, count, print_run
 from .progress import Progress
@@ -23,10 +20,7 @@ SUMMARY = "run what is missing and write the report"
 
 def arguments(parser: argparse.ArgumentParser) -> None:
     """Its arguments."""
-    study_arguments(parser)
-    out_argument(parser)
-    jobs_arguments(parser)
-    fresh_arguments(parser)
+    plan_arguments(parser)
     parser.add_argument(
         "--shard", type=shard, default=(1, 1), metavar="I/N", help="run only the I-th of N parts of the cases"
     )

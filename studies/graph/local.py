@@ -35,7 +35,7 @@ _PRELOADED = (
     "numpy.ma",
     "scipy.sparse.linalg",
     "skfem",
-    "vdm",
+    "vdm.model",
     "fem_reference.linear",
 )
 
@@ -266,22 +266,3 @@ def _environment(**values: str) -> Iterator[None]:
                 os.environ.pop(name)
             else:
                 os.environ[name] = value
-
-
-class HerePlaces:
-    """One place in this process itself: nothing is started, and nothing stops what does not end or crashes."""
-
-    count = 1
-
-    def submit(self, node: str, log: Path, seconds: float | None) -> Future[str]:  # noqa: ARG002
-        """See `Places`."""
-        future: Future[str] = Future()
-        future.set_result(run_node(node))
-        return future
-
-    def look(self) -> None:
-        """See `Places`."""
-
-    def failure(self, error: BaseException, log: str) -> Said:
-        """See `Places`."""
-        return told(error, log)

@@ -382,22 +382,17 @@ def mean_indentation(surface: Surface, displacement: Array) -> Array:
     return np.asarray(np.einsum("ij,sij->s", surface.contact_force, displacement) / sizes.sum())
 
 
-def evaluate(
-    surface: Surface, model: History, reference: History | None, known: Mapping[str, Array] | None = None
-) -> dict[str, Array]:
-    """Every metric that has what it needs: name -> (S,) values. What is `known` is taken as it is."""
-    known = known or {}
+def evaluate(surface: Surface, model: History, reference: History | None) -> dict[str, Array]:
+    """Every metric that has what it needs: name -> (S,) values."""
     out = {}
     for one in METRICS.values():
-        if one.name in known:
-            out[one.name] = known[one.name]
-        elif (
+        if (
             (one.needs_contact and not surface.contact.any())
             or (one.needs_measurement and model.measurement is None)
             or (one.needs_inputs and model.inputs is None)
         ):
             continue
-        elif not one.needs_reference:
+        if not one.needs_reference:
             out[one.name] = one.function(surface, model)
         elif reference is not None:
             out[one.name] = one.function(surface, model, reference)
@@ -405,22 +400,16 @@ def evaluate(
 
 
 def evaluate_all(
-    surface: Surface,
-    models: Mapping[str, History],
-    reference: str | None,
-    known: Mapping[str, Mapping[str, Array]] | None = None,
+    surface: Surface, models: Mapping[str, History], reference: str | None
 ) -> dict[str, dict[str, Array]]:
     """`evaluate` of each model against one of them, which is itself compared with nothing."""
-    known = known or {}
     if reference is None:
-        return {name: evaluate(surface, model, None, known.get(name)) for name, model in models.items()}
+        return {name: evaluate(surface, model, None) for name, model in models.items()}
     others = [name for name in models if name != reference]
     measured = _with_distances(surface, [models[name] for name in others], models[reference])
     ready = dict(zip(others, measured, strict=True))
     return {
-        name: evaluate(
-            surface, ready.get(name, model), models[reference] if name in ready else None, known.get(name)
-        )
+        name: evaluate(surface, ready.get(name, model), models[reference] if name in ready else None)
         for name, model in models.items()
     }
 

@@ -14,13 +14,11 @@ from ..study.registry import (
 from .elements import PLAIN
 from .model import Model, RegistrationError, SetUp, find, register
 from .prepared import Prepared, run_model
-from .surface import VDM_SOLVERS
 
 __all__ = [
     "MODELS",
     "PLAIN",
     "REFUSED",
-    "VDM_SOLVERS",
     "Cost",
     "Model",
     "Parameter",

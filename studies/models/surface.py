@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from solver_common.arrays import Array
+from vdm.solvers import SOLVERS
 
 from ..body.mesh import Mesh
 from ..body.surface_measures import facet_areas, nodal_sum
@@ -170,18 +171,6 @@ _surface = partial(
     one_over_modulus=True,
 )
 SPRINGS = "normal springs"  # of `vdmbench.study.extras`
-VDM_SOLVERS = (
-    "linear",
-    "single",
-    "refined",
-    "lu",
-    "quasi-linear",
-    "nonlinear",
-    "bicg",
-    "bicg-cold",
-    "cg",
-    "minres",
-)
 INCREMENTAL = "incremental"  # of the printed form alone, whose claim it tries
 _NOT_OF_THE_MATERIAL = ("penalty", "compressibility", "tolerance")
 for _registered in (
@@ -190,9 +179,9 @@ for _registered in (
         benched=("quasi-linear", "nonlinear", "bicg"),
         version="4",
         # MINRES needs a symmetric matrix, which the printed form has not
-        solvers=(*(name for name in VDM_SOLVERS if name != "minres"), INCREMENTAL),
+        solvers=(*(name for name in SOLVERS if name != "minres"), INCREMENTAL),
         # the nonlinear solver's areas, and with them its springs, grow with the deformation
-        takes={SPRINGS: tuple(name for name in VDM_SOLVERS if name not in ("minres", "nonlinear"))},
+        takes={SPRINGS: tuple(name for name in SOLVERS if name not in ("minres", "nonlinear"))},
         parameters=("bulk_modulus", "connectivity_modulus", "penalty", "tolerance"),
         by_rule=("bulk_modulus", "connectivity_modulus"),
         fibres=True,
@@ -201,8 +190,8 @@ for _registered in (
         name="vdm-consistent",
         benched=("nonlinear", "cg"),
         version="5",
-        solvers=VDM_SOLVERS,
-        takes={SPRINGS: VDM_SOLVERS},
+        solvers=SOLVERS,
+        takes={SPRINGS: SOLVERS},
         parameters=("foundation", "surface_tension", "penalty", "tolerance"),
         by_rule=("foundation", "surface_tension"),
         fibres=True,
@@ -211,11 +200,11 @@ for _registered in (
         name="vdm-vector",
         benched=("quasi-linear", "nonlinear"),
         version="8",
-        solvers=VDM_SOLVERS,
-        takes={SPRINGS: VDM_SOLVERS},
+        solvers=SOLVERS,
+        takes={SPRINGS: SOLVERS},
         parameters=("foundation", "surface_tension", "stretch_stiffness", "rotation", "penalty"),
         by_rule=("surface_tension",),
-        lines=VDM_SOLVERS,
+        lines=SOLVERS,
         fibres=True,
     ),
     _surface(
@@ -246,11 +235,11 @@ for _registered in (
         name="mass-spring",
         cost=costs.mass_spring,
         version="6",
-        solvers=VDM_SOLVERS,
+        solvers=SOLVERS,
         parameters=("shear_modulus", "penalty"),
         by_rule=("shear_modulus",),
         most_nodes=5000,
-        lines=VDM_SOLVERS,
+        lines=SOLVERS,
         fibres=False,
     ),
 ):

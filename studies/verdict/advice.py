@@ -168,24 +168,20 @@ def _errors(digest: Digest, name: str) -> dict[str, float]:
 
 def _told(digest: Digest, name: str) -> str:
     """A model with its errors and what it costs."""
-    frame = _summary(digest, name).seconds_per_step
-    time = (
-        f", {quantity(frame, 's', 2)} per frame after {_set_up(digest, name)} of set-up"
-        if frame > 0.0
-        else ""
-    )
-    return f"{name} ({off(_errors(digest, name))}{time})"
+    return f"{name} ({', '.join(filter(None, (off(_errors(digest, name)), _cost(digest, name))))})"
 
 
 def _take(digest: Digest, name: str) -> str:
     """A model with what it costs."""
+    return f"Take {': '.join(filter(None, (name, _cost(digest, name))))}."
+
+
+def _cost(digest: Digest, name: str) -> str:
+    """Its time, "" where none was measured."""
     frame = _summary(digest, name).seconds_per_step
-    time = (
-        f": {quantity(frame, 's', 2)} per frame after {_set_up(digest, name)} of set-up"
-        if frame > 0.0
-        else ""
+    return (
+        f"{quantity(frame, 's', 2)} per frame after {_set_up(digest, name)} of set-up" if frame > 0.0 else ""
     )
-    return f"Take {name}{time}."
 
 
 def _set_up(digest: Digest, name: str) -> str:

@@ -82,9 +82,9 @@ def quantity(value: float, unit: str, digits: int = 3) -> str:
     return f"{number(value / factor, digits)} {shown}"
 
 
-def of_unit(value: float, unit: str, *, signed: bool = False) -> str:
+def of_unit(value: float, unit: str) -> str:
     """A metric: a percentage where it has no unit."""
-    return percent(value, signed=signed) if unit == "1" else quantity(value, unit)
+    return percent(value) if unit == "1" else quantity(value, unit)
 
 
 def swept_value(value: float | str, unit: str) -> str:

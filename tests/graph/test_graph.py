@@ -13,12 +13,12 @@ from numpy.testing import assert_allclose
 
 import fem_reference.condensed
 from solver_common.solution import Status
-from tests.in_process import outcomes_of
+from tests.in_process import HerePlaces, outcomes_of
 from vdmbench import models
 from vdmbench.graph import estimate, nodes
 from vdmbench.graph.engine import run_nodes
 from vdmbench.graph.explain import summary
-from vdmbench.graph.local import HerePlaces, local_places
+from vdmbench.graph.local import local_places
 from vdmbench.graph.nodes import bodies, graph
 from vdmbench.graph.run import Event, Options, _run_missing
 from vdmbench.graph.space import without_room

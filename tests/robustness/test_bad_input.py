@@ -23,11 +23,11 @@ import numpy as np
 import pytest
 
 from tests.command import write_study
+from tests.in_process import HerePlaces
 from tests.unit.test_store import _reseal
 from vdmbench.cli import doctor
 from vdmbench.cli.main import main
 from vdmbench.graph import run, work
-from vdmbench.graph.local import HerePlaces
 from vdmbench.guard.gate import SEALED_AS
 from vdmbench.machine import files
 from vdmbench.machine.stored_json import sealed

@@ -406,18 +406,6 @@ def test_metrics_grow_with_their_degree(share: float) -> None:
     assert seen == {name for name, metric in METRICS.items() if metric.degree is not None}
 
 
-def test_what_is_known_is_not_measured(surface: Surface, field: np.ndarray) -> None:
-    models = {"a": history(field), "r": history(2 * field)}
-    known = {"a": {"max_nodal_error": np.array([7.0])}}
-    found = evaluate_all(surface, models, "r", known)
-    plain = evaluate_all(surface, models, "r")
-    assert found["a"].pop("max_nodal_error").tolist() == [7.0]
-    assert plain["a"].pop("max_nodal_error").tolist() != [7.0]
-    assert found["r"].keys() == plain["r"].keys()
-    for name, values in plain["a"].items():
-        assert np.array_equal(found["a"][name], values, equal_nan=True), name
-
-
 def test_distances_are_taken_at_full_load_only(surface: Surface) -> None:
     steps = np.array([0.02, 0.1, 0.05])[:, None, None] * surface.points
     grown = History(steps, np.zeros_like(steps), np.array([0.2, 1.0, 0.5]))

@@ -9,7 +9,7 @@ from numpy.testing import assert_allclose
 from solver_common.condition import estimated_norm, operator
 from tests.unit.vdm_shapes import icosphere
 from vdm import Load, Model, Parameters, SurfaceMesh
-from vdm.model import SOLVERS
+from vdm.solvers import SOLVERS
 
 from .vdm_shapes import WITH_MATRIX
 

@@ -23,7 +23,7 @@ from vdm import (
 )
 from vdm.deformed import DeformableSurface
 from vdm.material import ROTATIONS, ball_compliance
-from vdm.model import SOLVERS
+from vdm.solvers import SOLVERS
 from vdm.solvers.compliance import ContactCompliance
 
 POINTS, TRIANGLES = icosphere(2, (0.05, 0.06, 0.045))

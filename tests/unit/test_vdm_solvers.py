@@ -9,7 +9,7 @@ from numpy.testing import assert_allclose
 from tests.unit.vdm_shapes import halved, icosphere, octahedron, torus
 from vdm import Load, Model, Parameters, SolverError, SurfaceMesh
 from vdm.deformed import DeformableSurface
-from vdm.model import SOLVERS
+from vdm.solvers import SOLVERS
 from vdm.solvers.anderson import Anderson
 from vdm.solvers.krylov import KrylovSolver
 from vdm.solvers.quasi_linear import sherman_morrison

@@ -49,11 +49,11 @@ def sixteen_points() -> tuple[Array, Array]:
 
 
 @cache
-def touching(order: int = SINGULAR_ORDER) -> tuple[Rule, Rule, Rule]:
+def touching() -> tuple[Rule, Rule, Rule]:
     """Rules (points of the first triangle (n, 3), of the second, weights (n,) of sum 1) for one vertex, one edge
     or all three vertices in common; shared vertices come first, in the same order, in both triangles.
     """
-    nodes, weights = np.polynomial.legendre.leggauss(order)
+    nodes, weights = np.polynomial.legendre.leggauss(SINGULAR_ORDER)
     nodes, weights = 0.5 * (nodes + 1.0), 0.5 * weights
     x, a, b, c = (part.ravel() for part in np.meshgrid(nodes, nodes, nodes, nodes, indexing="ij"))
     cube = np.prod(np.meshgrid(weights, weights, weights, weights, indexing="ij"), axis=0).ravel()

@@ -25,6 +25,10 @@ LEAST_TURN = 1e-9  # of the second moment of the held nodes: rotations about whi
 FURTHEST_AHEAD = 2.0  # increments of load that are extrapolated
 # sizes of the body; forces that move it less are measured by those that move it so far
 SMALLEST_MOTION = 1e-6
+# of the balance's residual over the larger of the internal and the applied forces, or over the force of a pressure
+# that moves the body by `SMALLEST_MOTION` where both are smaller
+TOLERANCE = 1e-8
+VOLUME_TOLERANCE = 1e-13  # of |V - V0| / V0
 GROWTH_LIMIT = 1e3  # a residual that grew by this much will not come back
 
 NOT_CONVERGED = Status(
@@ -98,15 +102,10 @@ class NonlinearSolver:
     Parameters
     ----------
     problem : formulation and supports
-    tolerance : of the balance's residual, relative to the larger of the internal and the applied forces, and to
-        the force of a pressure that moves the body by 1e-6 of its size where both are smaller than that
-    volume_tolerance : of |V - V0| / V0
     """
 
-    def __init__(self, problem: Problem, tolerance: float = 1e-8, volume_tolerance: float = 1e-13) -> None:
+    def __init__(self, problem: Problem) -> None:
         self.problem = problem
-        self.tolerance = tolerance
-        self.volume_tolerance = volume_tolerance
         self.factor = BorderedFactor(problem)
         self.free = problem.free
         self._free_nodes = np.flatnonzero(self.free)
@@ -274,10 +273,7 @@ class NonlinearSolver:
             if not np.isfinite(residual) or residual > GROWTH_LIMIT * max(smallest, balance.scale):
                 return None, iteration
             smallest = min(smallest, residual)
-            if (
-                residual <= self.tolerance * max(balance.scale, self.smallest_force)
-                and abs(gap) <= self.tolerance
-            ):
+            if residual <= TOLERANCE * max(balance.scale, self.smallest_force) and abs(gap) <= TOLERANCE:
                 return self._close_volume(load, balance), iteration
             target = np.zeros(factor.n_border)
             target[0] = -gap * self.rest_volume
@@ -297,7 +293,7 @@ class NonlinearSolver:
         shift = _turned(self.factor.response.first, balance.turn)
         for _ in range(5):
             gap = balance.volume - self.rest_volume
-            if abs(gap) <= self.volume_tolerance * self.rest_volume:
+            if abs(gap) <= VOLUME_TOLERANCE * self.rest_volume:
                 return balance
             amount = -gap / float(np.vdot(balance.row[self._free_nodes], shift))
             x = balance.x.copy()
