@@ -285,5 +285,5 @@ def _versions() -> dict[str, str]:
 
     return {
         "vdmbench": version("vdmbench"),
-        **{f"model {name}": model.version for name, model in models.MODELS.items()},
+        **{f"model {name}": model.version for name, model in models.all_models().items()},
     }

@@ -2,7 +2,6 @@
 
 from ..scene.result import REFUSED
 from ..study.registry import (
-    MODELS,
     Cost,
     Parameter,
     all_models,
@@ -16,7 +15,6 @@ from .model import Model, RegistrationError, SetUp, find, register
 from .prepared import Prepared, run_model
 
 __all__ = [
-    "MODELS",
     "PLAIN",
     "REFUSED",
     "Cost",
