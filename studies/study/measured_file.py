@@ -11,8 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-
-from solver_common.arrays import Array
+from numpy.typing import NDArray
 
 from .units import QuantityError, shown, to_si
 
@@ -149,7 +148,7 @@ class CsvTable:
             found.append(point)
         return found
 
-    def columns(self, keys: tuple[str, ...]) -> Array:
+    def columns(self, keys: tuple[str, ...]) -> NDArray[np.float64]:
         """(rows, keys) numbers of some columns, each complete [m, or as they are]."""
         for key in keys:
             if key not in self.keys:
