@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING, Protocol, cast
 
 from ..scene.scene import Scene, SurfaceLoad
 from ..study import registry
-from ..study.extras import EXTRAS
-from ..study.registry import MODELS, Declared, own_parameters
+from ..study.registry import EXTRAS, MODELS, Declared, own_parameters
 from ..study.schema import VdmTable
 from ..study.tissue_table import Tissue
 from ..study.units import DIMENSIONS

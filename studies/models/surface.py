@@ -170,7 +170,7 @@ _surface = partial(
     cost=costs.surface,
     one_over_modulus=True,
 )
-SPRINGS = "normal springs"  # of `vdmbench.study.extras`
+SPRINGS = "normal springs"  # of `vdmbench.study.registry.EXTRAS`
 INCREMENTAL = "incremental"  # of the printed form alone, whose claim it tries
 _NOT_OF_THE_MATERIAL = ("penalty", "compressibility", "tolerance")
 for _registered in (

@@ -13,9 +13,14 @@ from functools import cache
 from importlib import import_module
 from importlib.metadata import entry_points
 
-from .extras import EXTRAS
 from .model_name import is_linear
 
+EXTRAS = {  # what a study has that not every model takes -> what is said of one that does not
+    "normal springs": "takes no springs along the normal; use another model for them",
+    "full springs": "takes no springs that resist in every direction; use another model for them",
+    "inclusions": "knows no inclusions; study.homogeneous lets it answer without them, or leave it out",
+    "law": "has no such law of large strain; leave out tissue.law, or the model",
+}
 ENTRY_POINT = "vdmbench.models"
 _FAMILIES = ("vdmbench.models.surface", "vdmbench.models.elements")
 
