@@ -62,6 +62,6 @@ def test_what_the_rule_gives_is_known_before_there_is_a_surface() -> None:
     surface = SurfaceMesh(points, triangles)
     given = {name: tuple(Parameters.from_tissue(1.0, surface, name).moduli()) for name in RULED}
     assert given == RULED
-    assert {name.removeprefix("vdm-") for name in models.MODELS if not models.MODELS[name].volumetric} == set(
-        RULED
-    )
+    assert {
+        name.removeprefix("vdm-") for name in models.all_models() if not models.all_models()[name].volumetric
+    } == set(RULED)

@@ -127,7 +127,7 @@ VALUES = {
 SOLVER = {"tolerance": "bicg"}  # of a key that the default solver has no use for
 
 
-@pytest.mark.parametrize("name", sorted(name for name, m in models.MODELS.items() if not m.volumetric))
+@pytest.mark.parametrize("name", sorted(name for name, m in models.all_models().items() if not m.volumetric))
 def test_a_model_reads_the_keys_that_change_its_answer_and_no_others(name: str) -> None:
     """Against solves: the list that study files are held against is what the models do."""
     assert set(VALUES) == set(VdmTable.model_fields)
@@ -149,8 +149,10 @@ def test_a_model_reads_the_keys_that_change_its_answer_and_no_others(name: str) 
 
 
 def test_elements_read_no_parameters_of_the_vdm() -> None:
-    assert {bool(models.reads(name)) for name, model in models.MODELS.items() if model.volumetric} == {False}
-    assert all(name.startswith("fem") == model.volumetric for name, model in models.MODELS.items())
+    assert {bool(models.reads(name)) for name, model in models.all_models().items() if model.volumetric} == {
+        False
+    }
+    assert all(name.startswith("fem") == model.volumetric for name, model in models.all_models().items())
 
 
 @pytest.mark.parametrize("gravity", [None, {"acceleration": [0.0, 0.0, -9.81]}], ids=["scaled", "solved"])
@@ -194,7 +196,7 @@ def test_the_condition_is_estimated_where_it_is_asked_for(name: str, scene: Scen
     assert np.array_equal(plain.displacement, asked.displacement)
 
 
-@pytest.mark.parametrize("name", list(models.MODELS))
+@pytest.mark.parametrize("name", list(models.all_models()))
 def test_a_contact_without_force_leaves_the_body_at_rest(name: str, scene: Scene) -> None:
     result = models.run_model(
         dataclasses.replace(scene, facet_pressure=np.zeros_like(scene.facet_pressure)), name
@@ -207,7 +209,7 @@ def test_a_contact_without_force_leaves_the_body_at_rest(name: str, scene: Scene
 def test_which_elements_have_no_answer_for_an_incompressible_body_is_known(scene: Scene) -> None:
     tissue = scene.tissue.model_copy(update={"poisson_ratio": 0.5})
     scene = dataclasses.replace(scene, tissue=tissue, load_factors=scene.load_factors[-1:])
-    names = [model.name for model in models.MODELS.values() if model.volumetric]
+    names = [model.name for model in models.all_models().values() if model.volumetric]
     refused = {name for name in names if models.run_model(scene, name).status[0].code == models.REFUSED}
     assert refused == set(DISPLACEMENT_ELEMENTS)
 

@@ -44,9 +44,9 @@ def test_a_model_that_will_refuse_a_mesh_is_named(
     nodes = mesh.expected.nodes
     if known:
         nodes = len(mesh_from_cache(mesh.geometry, cache).surface_nodes)
-    found = models.MODELS["mass-spring"]
+    found = models.all_models()["mass-spring"]
     most = dataclasses.replace(found, most_nodes=math.ceil(share * nodes))
-    monkeypatch.setitem(models.MODELS, "mass-spring", most)
+    monkeypatch.setitem(models.all_models(), "mass-spring", most)
     lines = summary(plan)["refused"]
     assert len(lines) == (told is not None)
     for line in lines:

@@ -149,7 +149,7 @@ def test_the_short_way_to_each_load_gives_the_limits_of_the_long_one(
     if not bars:
         study = study.model_copy(update={"uncertainty": None})
         short = small_strain_limits(study, scene)
-    monkeypatch.setitem(models.MODELS, "fem", replace(models.MODELS["fem"], continues=None))
+    monkeypatch.setitem(models.all_models(), "fem", replace(models.all_models()["fem"], continues=None))
 
     class Long(LoadPath):
         def at(self, factor: float) -> LoadPoint | None:

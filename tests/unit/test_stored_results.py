@@ -37,10 +37,10 @@ def test_a_body_at_rest_that_an_earlier_version_refused_is_solved(
 
     names = {"study": {"name": "test", "models": ["fem-condensed"]}, "uncertainty": None, "sweep": {}}
     changes = names | {"constraints": TABLES["constraints"][:1]}
-    today = models.MODELS["fem-condensed"]
+    today = models.all_models()["fem-condensed"]
     earlier = dataclasses.replace(today, version="2", prepare=refusing)
     with monkeypatch.context() as patched:
-        patched.setitem(models.MODELS, "fem-condensed", earlier)
+        patched.setitem(models.all_models(), "fem-condensed", earlier)
         (case,) = run(plan_of(tmp_path, tmp_path / "cache", **changes))
     assert {status.code for status in case.models["fem-condensed"].status} == {models.REFUSED}
     (case,) = run(plan_of(tmp_path, tmp_path / "cache", **changes))
