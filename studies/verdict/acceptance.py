@@ -14,7 +14,6 @@ from solver_common.arrays import Array
 from ..measures import uncertainty
 from ..measures.case import CaseResult
 from ..measures.metrics import DEFORMATION, VECTOR, max_nodal_error
-from .formatting import short_percent
 
 CLOSE = 0.10  # of both errors where a study says nothing: the "within 10 %" that the paper's claim speaks of
 NODAL = max_nodal_error.__name__
@@ -79,16 +78,6 @@ class Acceptance:
         """The worst of the limits' states."""
         states = {one.state(case, model, step) for one in self.criteria}
         return next(state for state in (LOST, BEYOND, OPEN, WITHIN) if state in states)
-
-    @property
-    def in_words(self) -> str:
-        """What to be within: the one figure where both errors have the same and nothing else is limited."""
-        allowed = {(one.allowed, one.unit) for one in self.criteria}
-        return (
-            short_percent(self.criteria[0].allowed)
-            if allowed == {(self.criteria[0].allowed, "1")}
-            else "the limits"
-        )
 
     def share(self, case: CaseResult, model: str) -> float:
         """The largest of what is limited over its limit at full load; infinite without an answer."""

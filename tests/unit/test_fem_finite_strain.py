@@ -16,7 +16,6 @@ from fem_reference.assembly import coupling_pattern, scalar_pattern, tetrahedron
 from fem_reference.finite_strain import OUTPUTS, FiniteStrainProblem
 from fem_reference.finite_strain_assembly import ElementAssembly
 from fem_reference.follower import FollowerPressure
-from fem_reference.loads import nodal_forces
 from fem_reference.materials import make_law
 from fem_reference.mesh import TetMesh
 from fem_reference.recovery import displacement_gradient
@@ -507,12 +506,10 @@ def test_a_first_step_out_of_reach_leaves_the_body_at_rest(block: Body) -> None:
     assert_allclose(s.scalars["volume"], 1.0, rtol=1e-14, atol=0)
 
 
-def test_nodal_histories(block: Body) -> None:
-    """The same forces given at the nodes; NaN from a step out of reach on."""
+def test_nodal_fields_are_those_of_the_surface_and_none_beyond_reach(block: Body) -> None:
     problem = _problem(block, _bottom(block), pressure="dead", density=1.0)
     loads = [block.load(size * _top(block)) for size in (0.1, 1e9, 0.1)]
-    forces = nodal_forces(problem.mesh, loads, 1.0)
-    fields = problem.solve_nodal(forces, np.zeros_like(forces))
+    fields = problem.fields(loads)
     s = problem.solve(loads[:1])
     assert_allclose(fields.displacement[0][problem.mesh.surface_nodes], s.displacement[0], rtol=0, atol=1e-12)
     assert fields.residual[0] <= 1e-9
@@ -589,20 +586,20 @@ def test_loads_that_make_no_sense_are_refused(block: Body) -> None:
 
 
 def test_nodal_arrays_that_make_no_sense_are_refused(block: Body) -> None:
-    for problem in (_problem(block, _bottom(block)), block.problem(_bottom(block))):
-        good = np.zeros((1, problem.mesh.n_nodes, 3))
-        bad = good.copy()
-        bad[0, -1, 2] = np.inf
-        with pytest.raises(SolverError, match="prescribed at the nodes has values that are not finite"):
-            problem.solve_nodal(good, bad)
-        with pytest.raises(SolverError, match="forces at the nodes has values that are not finite"):
-            problem.solve_nodal(bad, good)
-        with pytest.raises(SolverError, match="forces at the nodes has shape"):
-            problem.solve_nodal(good[:, 1:], good)
-        with pytest.raises(SolverError, match="prescribed at the nodes has shape"):
-            problem.solve_nodal(good, np.repeat(good, 2, axis=0))
-        with pytest.raises(SolverError, match="forces at the nodes has shape"):
-            problem.solve_nodal(good[:0], good[:0])
+    problem = block.problem(_bottom(block))
+    good = np.zeros((1, problem.mesh.n_nodes, 3))
+    bad = good.copy()
+    bad[0, -1, 2] = np.inf
+    with pytest.raises(SolverError, match="prescribed at the nodes has values that are not finite"):
+        problem.solve_nodal(good, bad)
+    with pytest.raises(SolverError, match="forces at the nodes has values that are not finite"):
+        problem.solve_nodal(bad, good)
+    with pytest.raises(SolverError, match="forces at the nodes has shape"):
+        problem.solve_nodal(good[:, 1:], good)
+    with pytest.raises(SolverError, match="prescribed at the nodes has shape"):
+        problem.solve_nodal(good, np.repeat(good, 2, axis=0))
+    with pytest.raises(SolverError, match="forces at the nodes has shape"):
+        problem.solve_nodal(good[:0], good[:0])
 
 
 def test_the_pattern_of_a_mesh_is_made_once(block: Body, monkeypatch: pytest.MonkeyPatch) -> None:
