@@ -14,8 +14,8 @@ from pathlib import Path
 from typing import Any
 from unittest import mock
 
+from tests.in_process import HerePlaces
 from vdmbench.cli.main import main
-from vdmbench.graph.local import HerePlaces
 
 SCRIPT = Path(sys.executable).parent / "vdmbench"
 
