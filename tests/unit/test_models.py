@@ -136,7 +136,7 @@ def test_a_model_reads_the_keys_that_change_its_answer_and_no_others(name: str) 
     )
     scene = build_scene(study, build_mesh(geometry_of(study)))
     assert len(scene.fixed) > 200, "enough for a skin on a coarse body"
-    solvers = models.MODELS[name].solvers
+    solvers = models.all_models()[name].solvers
     read = set()
     for key, value in VALUES.items():
         asked = f"{name}:{SOLVER[key]}" if SOLVER.get(key) in solvers else name
