@@ -20,8 +20,9 @@ from .digest import Digest, failed_steps
 from .formatting import listed, quantity, short_percent, swept_value
 from .loading import load_in_words, load_unit, loads_of
 
-MODEL, SMALL_STRAIN, COMPRESSIBILITY, MESH, REFERENCE, TIME, NO_ANSWER = (
+MODEL, LEFT_OUT, SMALL_STRAIN, COMPRESSIBILITY, MESH, REFERENCE, TIME, NO_ANSWER = (
     "model",
+    "left out",
     "small strain",
     "compressibility",
     "mesh",
@@ -153,7 +154,8 @@ def the_model(shortfall: Shortfall) -> Iterator[Reason]:
             yield Reason(MODEL, text, errors)
         return
     if not shortfall.finite_strain and is_linear(model):
-        if shortfall.part(model) - _mesh_part(shortfall) >= HALF:
+        other = max(_mesh_part(shortfall), _left_out_part(shortfall))
+        if shortfall.part(model) - other >= HALF:
             errors = shortfall.errors(model)
             text = f"The model: it is {off(errors)} at any load, as both it and the reference are linear."
             yield Reason(MODEL, text, errors)
@@ -163,6 +165,15 @@ def the_model(shortfall: Shortfall) -> Iterator[Reason]:
         errors = shortfall.errors(model, step)
         text = f"The model: at {_load(shortfall.case, step)}, the smallest load, it is {off(errors)}."
         yield Reason(MODEL, text, errors)
+
+
+def what_is_left_out(shortfall: Shortfall) -> Iterator[Reason]:
+    """Inclusions that the model does not know: elements without them are as far off."""
+    elements = _without_inclusions(shortfall)
+    if elements is not None and _left_out_part(shortfall) >= HALF:
+        errors = shortfall.errors(elements)
+        names = listed(entry["name"] for entry in shortfall.case.resolved["inclusions"])
+        yield Reason(LEFT_OUT, f"What is left out: {elements} without {names} is {off(errors)} too.", errors)
 
 
 def small_strain_ended(shortfall: Shortfall) -> Iterator[Reason]:
@@ -255,6 +266,7 @@ def the_time(shortfall: Shortfall) -> Iterator[Reason]:
 CAUSES: tuple[Callable[[Shortfall], Iterator[Reason]], ...] = (
     no_answer,
     the_model,
+    what_is_left_out,
     small_strain_ended,
     compressibility,
     the_mesh,
@@ -278,6 +290,23 @@ def _how_to_tell(shortfall: Shortfall) -> str:
 def _mesh_part(shortfall: Shortfall) -> float:
     coarse = shortfall.digest.coarse_reference
     return shortfall.part(coarse) if coarse is not None else 0.0
+
+
+def _without_inclusions(shortfall: Shortfall) -> str | None:
+    """Elements that leave out the same inclusions as the model does."""
+    case = shortfall.case
+    homogeneous = (case.resolved.get("study") or {}).get("homogeneous") or ()
+    if shortfall.model not in homogeneous or not case.resolved.get("inclusions"):
+        return None
+    known = [name for name in homogeneous if name in shortfall.digest.compared and name in case.models]
+    return next(
+        (name for name in known if split(name)[0] in LINEAR_ELEMENTS and name != shortfall.model), None
+    )
+
+
+def _left_out_part(shortfall: Shortfall) -> float:
+    elements = _without_inclusions(shortfall)
+    return shortfall.part(elements) if elements is not None else 0.0
 
 
 def _against(shortfall: Shortfall, other: str) -> dict[str, float]:
