@@ -10,6 +10,7 @@ from pathlib import Path
 from ..machine.locks import LockedError, lock
 from ..measures.case import Run
 from ..store.cases import read_run, write_study
+from ..store.ro_crate import REPORT, write_crate
 from ..store.run_directory import read_plan
 
 _PATIENCE = 300.0  # s that one other process may take to write the tables and the report
@@ -27,11 +28,12 @@ def rebuild(directory: Path, tell: Callable[[str], None]) -> tuple[Run, Path]:
     from .page import write_report  # plotting is slow to load, and who only plans draws nothing
 
     read_plan(directory)  # nothing is left in a directory that is none of ours
-    report = directory / "report.html"
+    report = directory / REPORT
     with _report_lock(directory, tell):  # the last of several shards sees all
         run = read_run(directory, damaged=True)
         write_study(directory, run)
         write_report(run, report)
+        write_crate(directory, run)  # last: it has the sizes of the others
     return run, report
 
 
