@@ -20,7 +20,6 @@ if TYPE_CHECKING:
 
 WIDTH = 80  # columns of a terminal
 _BEFORE_UNIT = re.compile(r"(?<=\d) (?=[^\W\d]|%)|(?<=±) ")
-_TOLD_HERE = ("", "Is it good enough?", "Why not?", "What to do?", "What to use where?", "Up to which load?")
 OK, REGRESSED, USAGE, FAILED, MACHINE, DAMAGED, NOTHING_COMPARED = range(7)
 BUG, INTERRUPTED = 70, 130
 
@@ -97,8 +96,10 @@ def taken(plan: Mapping[str, Any]) -> str:
 
 def print_answers(told: Iterable[Answer]) -> None:
     """The questions that decide, with their answers, folded to `WIDTH` columns; the page has the others too."""
+    from ..verdict.sentences import LEAD, LOAD, USE
+
     for answer in told:
-        if answer.question in _TOLD_HERE:
+        if answer.question in (*LEAD, USE, LOAD):
             print("\n" + " ".join(filter(None, (answer.question, answer.word))))
             for sentence in answer.sentences:
                 print(folded(sentence, "  "))

@@ -135,6 +135,10 @@ def _fit_measured(plan: Plan, options: argparse.Namespace) -> int:
             for fit in fits
         ]
     )
+    for fit in fits:
+        for sentence in fit.untold:
+            print(f"{fit.model}: {sentence}.")
+    print("Only Young's modulus is fitted. All other inputs, the body and its supports are taken as given.")
     return OK
 
 

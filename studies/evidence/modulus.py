@@ -19,10 +19,15 @@ from ..measures.pushed import Answer
 from ..scene.result import ModelResult
 from ..scene.scene import build_scene
 from ..study.schema import Study
+from ..verdict.formatting import short_percent
 
 FACTOR = 4.0  # how far from the study's modulus one is looked for, either way
 _FOUND = 1e-3  # of the modulus
 _STEP = 0.02  # of the modulus, for the slope of the answers
+RATIO_STEP = 0.01  # of Poisson's ratio, for the same
+_STILL = 1e-6  # of u_D: changes as small are rounding
+_ALIKE = 0.95  # cosine of two changes from which on they count as one
+_OPEN = 0.2  # of the modulus
 
 
 class NothingMeasuredError(ValueError):
@@ -41,6 +46,7 @@ class Fit:
     trained, held_out : root mean square of E over the fitted quantities and over the others [m]
     as_given : that over the others with the study's own modulus [m]
     size : root mean square of D over the others [m]; 0 where all are distances
+    untold : what the fitted values do not tell, in sentences
     """
 
     model: str
@@ -50,6 +56,7 @@ class Fit:
     held_out: float
     as_given: float
     size: float
+    untold: tuple[str, ...] = ()
 
 
 def training(found: Measurement) -> Mask:
@@ -82,23 +89,31 @@ def fit_modulus(study: Study, mesh: Mesh, name: str) -> Fit:
         nothing was measured, or nothing would be held out.
     """
 
-    def answer(modulus: float) -> Measurement:
-        tissue = study.tissue.model_copy(update={"youngs_modulus": modulus})
+    def answer(modulus: float, ratio: float = study.tissue.poisson_ratio) -> Measurement:
+        tissue = study.tissue.model_copy(update={"youngs_modulus": modulus, "poisson_ratio": ratio})
         scene = build_scene(study.model_copy(update={"tissue": tissue}), mesh)
         found = hold_against(study, mesh, {}, {}, {name: _answer(models.run_model(scene, name), name)})
         if found is None:
             raise NothingMeasuredError("the study has no [[measured]] table of its case")
         return found
 
-    return fit(answer, study.tissue.youngs_modulus, name)
+    def softer(modulus: float) -> Measurement:
+        return answer(modulus, study.tissue.poisson_ratio - RATIO_STEP)
+
+    return fit(answer, study.tissue.youngs_modulus, name, softer)
 
 
 def _answer(result: ModelResult, name: str) -> Answer:
     return Answer(result.displacement, result.reaction_force, models.superposes(name))
 
 
-def fit(answer: Callable[[float], Measurement], given: float, name: str) -> Fit:
-    """The same of a model that answers to a modulus [Pa]."""
+def fit(
+    answer: Callable[[float], Measurement],
+    given: float,
+    name: str,
+    other_ratio: Callable[[float], Measurement] | None = None,
+) -> Fit:
+    """The same of a model that answers to a modulus [Pa]; `other_ratio`: its answers at a lower Poisson ratio."""
     start = answer(given)
     mine = training(start)
     weights = 1.0 / np.maximum([one.uncertainty for one in start.quantities], 1e-9)[mine]
@@ -110,6 +125,12 @@ def fit(answer: Callable[[float], Measurement], given: float, name: str) -> Fit:
     lost = Fit(name, *(math.nan,) * 5, _rms(start.values[~mine]))
     if not np.isfinite(start.error(name)).all():
         return lost
+    moved = (answer(given * (1 + _STEP)).error(name) - start.error(name))[mine] * weights
+    if float(np.linalg.norm(moved)) <= _STILL:
+        told = (
+            "no fitted value changes with the modulus: a prescribed movement does not tell it, a force does"
+        )
+        return dataclasses.replace(lost, as_given=_rms(start.error(name)[~mine]), untold=(told,))
     reach = math.log(FACTOR)
     log = float(minimize_scalar(lack, bounds=(-reach, reach), method="bounded", options={"xatol": _FOUND}).x)
     if abs(log) > reach - 2 * _FOUND:
@@ -118,15 +139,48 @@ def fit(answer: Callable[[float], Measurement], given: float, name: str) -> Fit:
     best, beside = (answer(modulus * (1 + step)).simulated[name] for step in (0.0, _STEP))
     slope = (beside - best)[mine] * weights / _STEP
     errors = best - start.values
+    uncertainty = modulus / float(np.linalg.norm(slope))
+    untold = (
+        [f"u_D alone leaves it open by {short_percent(uncertainty / modulus)}"]
+        if uncertainty > _OPEN * modulus
+        else []
+    )
+    if other_ratio is not None:
+        beside = (other_ratio(modulus).simulated[name] - best)[mine] * weights
+        untold += _of_ratio(beside, slope)
     return Fit(
         name,
         modulus,
-        modulus / float(np.linalg.norm(slope)),
+        uncertainty,
         _rms(errors[mine]),
         _rms(errors[~mine]),
         _rms(start.error(name)[~mine]),
         _rms(start.values[~mine]),
+        tuple(untold),
     )
+
+
+def _of_ratio(change: Array, slope: Array) -> list[str]:
+    """What the fitted values do not tell of Poisson's ratio.
+
+    Parameters
+    ----------
+    change : of the values over u_D, of a ratio lower by RATIO_STEP
+    slope : by the logarithm of the modulus
+    """
+    size = float(np.linalg.norm(change))
+    if not math.isfinite(size):
+        return []
+    if size <= _STILL:
+        return ["no fitted value changes with Poisson's ratio, which stays as given"]
+    alike = abs(float(change @ slope)) / (size * float(np.linalg.norm(slope)))
+    if alike < _ALIKE:
+        return []
+    shift = float(change @ slope) / float(slope @ slope)
+    return [
+        f"Poisson's ratio cannot be told from it: one lower by {RATIO_STEP:g} acts as a modulus that is "
+        f"{short_percent(abs(shift))} {'higher' if shift > 0 else 'lower'}"
+    ]
 
 
 def _rms(values: Array) -> float:

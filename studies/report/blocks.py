@@ -55,6 +55,7 @@ class Table:
     rows: Sequence[Sequence[Cell]]
     marks: Sequence[int | None] = ()  # per row: the model whose colour it carries
     open_rows: int = 30
+    summary: str = ""  # folded away under this where given
 
 
 @dataclass(frozen=True)

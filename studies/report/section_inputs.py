@@ -8,8 +8,8 @@ from ..measures.case import CaseResult
 from ..measures.input_spread import INDICES, InputSpread
 from ..measures.metrics import VECTOR
 from ..verdict.digest import Digest
-from ..verdict.formatting import NOTHING, listed, number, parameter_name, percent, plural, swept_value
-from ..verdict.inputs_known import inputs_in_words, inputs_known
+from ..verdict.formatting import NOTHING, listed, number, percent, plural, swept_value
+from ..verdict.inputs_known import input_name, inputs_in_words, inputs_known
 from ..verdict.standing import at_full_load
 from .blocks import Block, Cell, Column, Section, Table, Text
 
@@ -62,7 +62,7 @@ def _table(digest: Digest, case: CaseResult, spread: InputSpread, name: str, cap
         Column("Model", numeric=False),
         *(
             Column(
-                parameter_name(key),
+                input_name(key),
                 f"{swept_value(float(value), unit)} ± {swept_value(float(f'{deviation:.3g}'), unit)}",
                 unit="1",
             )
@@ -103,7 +103,7 @@ def _indices(digest: Digest, spread: InputSpread, name: str) -> Table:
     words = INDICES.get(spread.method, {})
     columns = [
         Column("Model", numeric=False),
-        *(Column(parameter_name(key), word) for key in spread.keys for word in words.values()),
+        *(Column(input_name(key), word) for key in spread.keys for word in words.values()),
     ]
     rows = [
         [

@@ -1,4 +1,4 @@
-"""What is in a run directory as an RO-Crate 1.1 (https://w3id.org/ro/crate/1.1): files, software, what made what."""
+"""What is in a run directory as an RO-Crate 1.1 (https://w3id.org/ro/crate/1.1): files, software and the run."""
 
 from __future__ import annotations
 
@@ -66,12 +66,12 @@ def crate(directory: Path, run: Run) -> Entity:
     if dates:
         action["startTime"] = dates[0]
     if not done:
-        action["error"] = f"{len(run.failed)} cases failed, {len(run.missing)} were not run"
+        action["error"] = f"cases that failed: {len(run.failed)}, that were not run: {len(run.missing)}"
     root: Entity = {
         "@id": "./",
         "@type": "Dataset",
         "name": str(run.study.get("title") or name),
-        "description": f"The study {name}: models of soft tissue compared by vdmbench, {len(run.cases)} cases.",
+        "description": f"The study {name}: models of soft tissue compared by vdmbench. Cases: {len(run.cases)}.",
         "datePublished": last[:10],
         "license": _link("#license"),
         "hasPart": [_link(one["@id"]) for one in files],

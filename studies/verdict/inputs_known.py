@@ -112,7 +112,7 @@ def inputs_in_words(found: InputsKnown | None) -> list[str]:
             f"What is not known of the inputs is not known here: {found.answer} has no answer to a variation."
         ]
     main = [
-        f"{parameter_name(key)} {short_percent(share)}" for key, share in found.parts if _counts(found, share)
+        f"{input_name(key)} {short_percent(share)}" for key, share in found.parts if _counts(found, share)
     ]
     through = f", through {listed(main)}" if main else ""
     told = [
@@ -125,6 +125,12 @@ def inputs_in_words(found: InputsKnown | None) -> list[str]:
             'An answer bends with an input, so this is rough: method = "sampling" in [inputs] does better.'
         )
     return told
+
+
+def input_name(key: str) -> str:
+    """An input as words; of a region's shape with the region: `fraction of below (base)`."""
+    parts = key.split(".")
+    return f"{parameter_name(key)} ({parts[1]})" if parts[0] == "regions" else parameter_name(key)
 
 
 def _counts(found: InputsKnown, share: float) -> bool:

@@ -18,6 +18,7 @@ from ..study.model_name import FINITE_STRAIN, PARAMETERS, is_vdm, split
 from .acceptance import BEYOND, LOST, NOT_ASKED, OPEN, WITHIN, Criterion
 from .advice import Advice, advice, by_interaction
 from .beyond import beyond_small_strain
+from .credibility import Evidence, credibility
 from .digest import Digest, ModelSummary, Spread, failed_steps
 from .doubts import doubts
 from .experiment import measured_in_words
@@ -130,6 +131,7 @@ class Verdict:
     motion : what the reference's motion is made of, and what that costs models that move nodes along normals
     sureness : how sure the figures are, and what is not in them
     measured : how far reference and `model` are from a measurement, where there is one
+    credibility : evidence by category, shown, partly or not
     inputs : what is not known of the inputs, beside the error of `model`; None where the study does not tell
     """
 
@@ -158,6 +160,7 @@ class Verdict:
     sureness: tuple[str, ...] = ()
     measured: tuple[str, ...] = ()
     inputs: InputsKnown | None = None
+    credibility: tuple[Evidence, ...] = ()
 
     def as_data(self) -> dict[str, Any]:
         """All of it as plain data, None where a number is not known."""
@@ -187,6 +190,7 @@ def _verdict(digest: Digest) -> Verdict:
     about: dict[str, Any] = {"reference": digest.reference or "", "cases": len(digest.cases), "lost": lost}
     about |= {"costs": costs, "motion": motion_in_words(digest), "sureness": tuple(_gaps(digest))}
     about |= {"measured": measured_in_words(digest, ""), "inputs": inputs_known(digest, "")}
+    about["credibility"] = tuple(credibility(digest))
     if not digest.cases:
         return Verdict("", not_judged="No case has a result yet, so there is nothing to compare.", **about)
     if digest.reference is None:

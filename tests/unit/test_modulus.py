@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import dataclasses
+from collections.abc import Callable
+
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
@@ -44,3 +47,39 @@ def test_one_load_alone_cannot_be_tried() -> None:
     assert training(answers(TRUE)).tolist() == [True, True, False]
     with pytest.raises(NothingMeasuredError, match="measure another load"):
         training(answers(TRUE, steps=(0, 0, 0)))
+
+
+def test_what_moves_alone_tells_no_modulus() -> None:
+    found = fit(lambda _: answers(TRUE), GIVEN, "m")
+    assert np.isnan(found.modulus)
+    assert found.as_given == 0.0
+    (told,) = found.untold
+    assert "no fitted value changes with the modulus" in told
+
+
+def test_a_ratio_that_acts_as_the_modulus_does_is_told() -> None:
+    """A ratio that moves all by 3 % more acts as a modulus lower by 3 % (a difference over 2 %); no other does."""
+
+    def beside(factors: list[float]) -> Callable[[float], Measurement]:
+        def answer(modulus: float) -> Measurement:
+            found = answers(modulus)
+            return dataclasses.replace(found, simulated={"m": found.simulated["m"] * factors})
+
+        return answer
+
+    alike = fit(answers, GIVEN, "m", beside([1.03, 1.03, 1.0]))
+    (told,) = alike.untold
+    assert "one lower by 0.01 acts as a modulus that is 3.1 % lower" in told
+    assert fit(answers, GIVEN, "m", beside([1.1, 0.97, 1.0])).untold == ()
+    (told,) = fit(answers, GIVEN, "m", answers).untold
+    assert "no fitted value changes with Poisson's ratio" in told
+
+
+def test_noise_that_leaves_the_modulus_open_is_told() -> None:
+    def noisy(modulus: float) -> Measurement:
+        found = answers(modulus)
+        rows = [dataclasses.replace(one, uncertainty=1e-3) for one in found.quantities]
+        return dataclasses.replace(found, quantities=rows)
+
+    (told,) = fit(noisy, GIVEN, "m").untold
+    assert told == "u_D alone leaves it open by 46 %"

@@ -142,6 +142,7 @@ def test_every_section_is_there_and_linked(html: str) -> None:
         "volume",
         "cost",
         "measures",
+        "credibility",
         "cases",
         "failures",
         "provenance",
@@ -305,7 +306,8 @@ def test_without_a_reference_no_error_is_claimed() -> None:
     html = page_html(make_run(cases), no_pictures)
     names = re.findall(r'<section id="(\w+)"', html)
     # of an icosahedron the support is a lone node
-    assert names == ["headline", "surface", "force", "volume", "cases", "doubts", "provenance", "reproduce"]
+    before = ["headline", "surface", "force", "volume", "credibility"]
+    assert names == [*before, "cases", "doubts", "provenance", "reproduce"]
     assert "error" not in words(section(html, "headline")).lower()
 
 

@@ -105,7 +105,7 @@ def test_the_run_is_an_action_of_the_software_of_its_cases(directory: Path) -> N
     assert {"@id": "plan.json"} in action["result"]
     assert action["endTime"] == dates["date"]
     assert action["actionStatus"] == {"@id": "http://schema.org/FailedActionStatus"}
-    assert action["error"] == "1 cases failed, 1 were not run"
+    assert action["error"] == "cases that failed: 1, that were not run: 1"
     assert (graph["#vdmbench"]["softwareVersion"], graph["#vdmbench"]["identifier"]) == ("9.8", "abc")
     assert graph["#numpy"]["softwareVersion"] == "2.1"
     assert graph["./"]["datePublished"] == "2026-01-02"
