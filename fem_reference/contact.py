@@ -125,13 +125,13 @@ class ContactProblem:
         self.compliance = 0.5 * (self.compliance + self.compliance.T)
         self.seconds_setup = problem.seconds_setup + time.perf_counter() - start
 
-    def solve(self, depths: Sequence[float], load: Load | None = None) -> ContactSolution:
+    def solve(self, depths: Sequence[float], load: Load | Sequence[Load] | None = None) -> ContactSolution:
         """One step per depth of the indenter [m], measured from where its tip is at rest.
 
         Parameters
         ----------
         depths : in any order; neighbours help each other
-        load : what else acts in every step
+        load : what else acts, in every step or in each
 
         Raises
         ------
@@ -141,22 +141,23 @@ class ContactProblem:
         if not len(depths) or not np.isfinite(depths).all():
             raise _bad_contact(f"the depths are {list(depths)}", "give one finite number of metres or more")
         mesh = self.problem.mesh
-        base = load or Load(
+        nothing = Load(
             np.zeros((len(mesh.triangles), len(facet_quadrature()[1]))),
             np.zeros((len(mesh.surface_nodes), 3)),
             np.zeros(3),
         )
-        lifted = self._gap.copy()
-        if load is not None:
-            lifted += self._spread.T @ (self.problem.fields(load).displacement[0] @ self.indenter.axis)
+        bases = [load or nothing] * len(depths) if load is None or isinstance(load, Load) else list(load)
+        if len(bases) != len(depths):
+            raise _bad_contact(f"{len(bases)} loads go with {len(depths)} depths", "give one for each depth")
+        lifted = self._lifted(bases)
         pressures = np.zeros((len(depths), len(self.vertices)))
         changes, settled = np.zeros(len(depths), dtype=np.int64), np.zeros(len(depths), dtype=bool)
         active = np.zeros(len(self.vertices), dtype=bool)
         for step, depth in enumerate(depths):
             pressures[step], active, changes[step], settled[step] = self._complementarity(
-                lifted - depth * self._area, active
+                lifted[step] - depth * self._area, active
             )
-        loads = [self._loaded(base, force) for force in self._forces(pressures)]
+        loads = [self._loaded(b, force) for b, force in zip(bases, self._forces(pressures), strict=True)]
         solution = self.problem.solve(loads)
         gaps = (lifted - np.outer(depths, self._area) + pressures @ self.compliance) / self._area
         at_surface = np.zeros((len(depths), len(mesh.surface_nodes)))
@@ -172,6 +173,17 @@ class ContactProblem:
                 _outcome(own, done) for own, done in zip(solution.status, settled.tolist(), strict=True)
             ),
         )
+
+    def _lifted(self, loads: Sequence[Load]) -> Array:
+        """(S, C) sums of the gaps that these loads alone leave; one load after another is often the same."""
+        found: list[Array] = []
+        for step, load in enumerate(loads):
+            if step and load is loads[step - 1]:
+                found.append(found[-1])
+                continue
+            moved = self.problem.fields(load).displacement[0] @ self.indenter.axis
+            found.append(self._gap + self._spread.T @ moved)
+        return np.array(found)
 
     def _complementarity(
         self, gap: Array, active: NDArray[np.bool_]

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from fem_reference.assembly import Pattern
 from fem_reference.indenter import Capsule, Indenter, Sphere
 from fem_reference.mesh import TetMesh, triangle_p2
-from fem_reference.solution import Status
+from fem_reference.solution import Solution, Status
 from solver_common.arrays import Array
 from solver_common.quadrature import facet_quadrature
 from solver_common.solution import solver_error
@@ -39,6 +39,7 @@ class Indentation:
     inside : (S,) the deepest that a point is left inside the indenter [m]
     iterations : (S,) of Newton's method
     status : S outcomes
+    solution : the same as of any load history, with reactions and further outputs
     """
 
     displacement: Array
@@ -49,6 +50,7 @@ class Indentation:
     inside: Array
     iterations: NDArray[np.int64]
     status: tuple[Status, ...]
+    solution: Solution
 
 
 class RigidContact:

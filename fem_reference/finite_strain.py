@@ -204,7 +204,12 @@ class FiniteStrainProblem:
         return fields
 
     def indent(
-        self, indenter: Indenter, facets: NDArray[np.bool_], depths: Sequence[float], load: Load | None = None
+        self,
+        indenter: Indenter,
+        facets: NDArray[np.bool_],
+        depths: Sequence[float],
+        load: Load | Sequence[Load] | None = None,
+        outputs: frozenset[str] = frozenset(),
     ) -> Indentation:
         """Push a rigid frictionless indenter in, from the undeformed body; see `fem_reference.finite_contact`.
 
@@ -213,7 +218,8 @@ class FiniteStrainProblem:
         indenter : a sphere or a capsule
         facets : (F,) those that it can touch
         depths : of the steps, from where its tip is at rest [m]
-        load : what else acts, in full from the first step on
+        load : what else acts, in full from the first step on or step by step
+        outputs : further scalars of its solution, see `OUTPUTS`; no condition
 
         Raises
         ------
@@ -222,14 +228,20 @@ class FiniteStrainProblem:
         """
         if not len(depths) or not np.isfinite(depths).all():
             raise _bad_option(f"the depths are {list(depths)}", "give one finite number of metres or more")
+        check_outputs(outputs, OUTPUTS.keys() - {"condition_estimate"})
         mesh, length = self.mesh, self.mesh.mean_edge
         contact = RigidContact(mesh, self._pattern, indenter, facets)
-        base = self._newton.rest.load
-        if load is not None:
-            check_loads(mesh, [load])
-            base = self._scaled(load)
+        loads = [] if load is None else [load] * len(depths) if isinstance(load, Load) else list(load)
+        if loads and len(loads) != len(depths):
+            raise _bad_option(f"{len(loads)} loads go with {len(depths)} depths", "give one for each depth")
+        if loads:
+            check_loads(mesh, loads)
+        bases = [self._scaled(one) for one in loads] or [self._newton.rest.load] * len(depths)
         points = mesh.node_points / length
-        scaled = [replace(base, depth=float(depth) / length) for depth in depths]
+        scaled = [replace(b, depth=float(d) / length) for b, d in zip(bases, depths, strict=True)]
+        record = Record(
+            self.system, self._assembly, self.shear_modulus, len(depths), outputs, self._newton.rest
+        )
         displacement = np.full((len(depths), len(mesh.surface_nodes), 3), np.nan)
         force = np.full((len(depths), 3), np.nan)
         energy, penalty, area, inside = np.full((4, len(depths)), np.nan)
@@ -238,6 +250,7 @@ class FiniteStrainProblem:
         self._newton.contact = contact
         try:
             for step, last in self._follow(scaled):
+                record.add(step, last)
                 iterations[step] += len(last.residuals) - 1
                 if not (last.converged and last.load_factor == 1.0):
                     message = f"step {step} stopped at {last.load_factor:.3g} of its way"
@@ -255,7 +268,11 @@ class FiniteStrainProblem:
                 inside[step] = contact.inside(x, depth) * length
         finally:
             self._newton.contact = None
-        return Indentation(displacement, force, energy, penalty, area, inside, iterations, tuple(status))
+        record.end()
+        solution = record.solution(self.seconds_setup, self._told(), {})
+        return Indentation(
+            displacement, force, energy, penalty, area, inside, iterations, tuple(status), solution
+        )
 
     def _energy(self, reached: Substep) -> float:
         """Elastic energy, scaled."""
@@ -310,25 +327,31 @@ class FiniteStrainProblem:
         }
         return record.solution(
             self.seconds_setup,
-            {
-                "element": "P2-P1",
-                "material": self.material,
-                "contrast": self._contrast,
-                "pressure": self.pressure,
-                "youngs_modulus": self.youngs_modulus,
-                "poisson_ratio": self.poisson_ratio,
-                "density": self.density,
-                "solver": self.solver.preconditioner.name,
-                "factorisation": self.solver.preconditioner.library,
-                "solver_reason": self.solver.reason,
-                "solver_estimated_bytes": self.solver.preconditioner.estimated_bytes,
+            self._told()
+            | {
                 "factorisations": float(self.solver.factorisations - factorisations),
                 "linear_iterations": float(self.solver.steps - steps),
-                "dofs": float(self.system.size),
-                "tetrahedra": float(len(self.mesh.tetrahedra)),
             },
             condition,
         )
+
+    def _told(self) -> dict[str, float | str]:
+        """What is told of every solution."""
+        return {
+            "element": "P2-P1",
+            "material": self.material,
+            "contrast": self._contrast,
+            "pressure": self.pressure,
+            "youngs_modulus": self.youngs_modulus,
+            "poisson_ratio": self.poisson_ratio,
+            "density": self.density,
+            "solver": self.solver.preconditioner.name,
+            "factorisation": self.solver.preconditioner.library,
+            "solver_reason": self.solver.reason,
+            "solver_estimated_bytes": self.solver.preconditioner.estimated_bytes,
+            "dofs": float(self.system.size),
+            "tetrahedra": float(len(self.mesh.tetrahedra)),
+        }
 
     def _scaled(self, load: Load) -> ScaledLoad:
         dead = load

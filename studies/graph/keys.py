@@ -17,6 +17,7 @@ from typing import Any
 from .. import models
 from ..measures import uncertainty
 from ..study.config import case_inputs
+from ..study.extras import extras_of
 from ..study.loads import KINDS
 from ..study.schema import Study
 
@@ -86,7 +87,7 @@ def _wanted(study: Study, inputs: Mapping[str, Any], name: str, level: int, body
     def key(load: Any) -> str:
         return _digest({"body": body, "load": load, "format": _FORMAT})
 
-    if not models.superposes(name, penalty=has_penalty(study, name)):
+    if not models.superposes(name, penalty=has_penalty(study, name)) or "indenter" in extras_of(study):
         return Wanted(name, level, body, (key(steps),), ())
     sized = [direction(step) for step in steps]
     acting = next(

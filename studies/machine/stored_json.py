@@ -106,6 +106,8 @@ class ConstraintShape(Shape):
     displacement: _Vector | None = None
     resultant: _Vector | None = None
     stiffness: _Finite | None = None
+    depth: _Finite | None = None
+    push: _Vector | None = None
 
 
 class TissueShape(Shape):

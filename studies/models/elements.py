@@ -14,7 +14,7 @@ from ..scene.inclusions import moduli
 from ..scene.scene import Scene, SurfaceLoad
 from ..study.laws import LAW_KEYS, LAWS, NEO_HOOKEAN, parameters_of
 from ..study.model_name import split
-from . import costs
+from . import costs, indented
 from .model import Model, SetUp, register
 
 if TYPE_CHECKING:
@@ -37,7 +37,12 @@ def _small_strain(scene: Scene, solver: str, name: str, n_loads: int) -> SetUp:
         return SetUp(lambda loads: plain.solve(_fem_loads(loads, plain.body.checked)))
     from fem_reference.linear import LinearProblem
 
-    problem = LinearProblem(**_body(scene), element=_ELEMENTS[split(name)[0]], expected_loads=n_loads)
+    touched = indented.count(scene)
+    problem = LinearProblem(
+        **_body(scene), element=_ELEMENTS[split(name)[0]], expected_loads=n_loads + touched
+    )
+    if scene.indenter:
+        return SetUp(indented.linear(scene, problem, partial(_fem_loads, mesh=problem.mesh)))
     return SetUp(lambda loads: problem.solve(_fem_loads(loads, problem.mesh), _asked(scene)), problem)
 
 
@@ -72,11 +77,14 @@ def _finite_strain(scene: Scene, solver: str, name: str, n_loads: int) -> SetUp:
     from fem_reference.finite_strain import FiniteStrainProblem
 
     problem = FiniteStrainProblem(**_hyperelastic(scene, n_loads))
+    if scene.indenter:
+        loads_of, outputs = partial(_fem_loads, mesh=problem.mesh), _asked(scene, *_LARGEST)
+        return SetUp(indented.finite_strain(scene, problem, loads_of, outputs))
     return SetUp(lambda loads: problem.solve(_fem_loads(loads, problem.mesh), _asked(scene, *_LARGEST)))
 
 
 def _finite_strain_onward(scene: Scene, solver: str, name: str, n_loads: int) -> SetUp:
-    if solver == PLAIN:
+    if solver == PLAIN or scene.indenter:
         return _finite_strain(scene, solver, name, n_loads)
     from fem_reference.finite_strain import FiniteStrainProblem
     from fem_reference.load_path import LoadPath
@@ -171,14 +179,25 @@ for _model in (
         version="3",
         prepare=_small_strain,
         lines=_BOTH,
-        takes=_takes(_BOTH),
+        takes=_takes(_BOTH) | {"indenter": _ONE},
         solvers=_BOTH,
         superposes=_BOTH,
     ),
     _elements(
-        name="fem-p1", version="2", prepare=_small_strain, cost=costs.elements("P1"), lines=("linear",)
+        name="fem-p1",
+        version="2",
+        prepare=_small_strain,
+        cost=costs.elements("P1"),
+        lines=_ONE,
+        takes=_takes(_ONE) | {"indenter": _ONE},
     ),
-    _elements(name="fem-p2", version="2", prepare=_small_strain, lines=("linear",)),
+    _elements(
+        name="fem-p2",
+        version="2",
+        prepare=_small_strain,
+        lines=_ONE,
+        takes=_takes(_ONE) | {"indenter": _ONE},
+    ),
     _elements(
         name="fem-condensed", version="4", prepare=_condensed, cost=costs.condensed, contact_in_setup=True
     ),
@@ -189,7 +208,7 @@ for _model in (
         prepare=_finite_strain,
         cost=costs.finite_strain,
         lines=_BOTH,
-        takes=_takes(_BOTH) | {"law": _ONE},
+        takes=_takes(_BOTH) | {"law": _ONE, "indenter": _ONE},
         tissue=("youngs_modulus", "poisson_ratio", "law", *LAW_KEYS),
         solvers=_BOTH,
         superposes=(),

@@ -36,6 +36,7 @@ KINDS = {
     "constrained": ("moved", "#c0a82e"),
     "line": ("pulled along a line", "#aa3377"),
     "elastic": ("springs", "#228833"),
+    "indenter": ("indenter", "#ee7733"),
 }
 INSIDE = "#5b3a8c"  # what is drawn through the body
 OTHER = "#666666"  # of a kind that has no colour of its own

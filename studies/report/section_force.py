@@ -35,6 +35,10 @@ _MOVED_NOTE = (
     "A region is moved by a given amount; the force is the answer. It is the sum of the reactions of its nodes, "
     "along the movement. A model that is too stiff lies above the reference."
 )
+_INDENTER_NOTE = (
+    "A rigid indenter is pushed in by a given depth; its force along the push is the answer. A "
+    "model that is too stiff lies above the reference."
+)
 _WEIGHT_NOTE = "The body's weight acts without load too: no curve starts at the origin."
 
 
@@ -90,19 +94,19 @@ def _groups(digest: Digest) -> list[tuple[Sequence[CaseResult], str]]:
         return [(list(digest.cases), "all cases")]
     only = digest.cases[0] if digest.cases else None
     # one load of a given pressure is a point that the table has; the force of a movement stands nowhere else
-    return [([only], "the only case")] if only is not None and moved(only) else []
+    return [([only], "the only case")] if only is not None and (moved(only) or _indenters(only)) else []
 
 
 def _pushes(cases: Sequence[CaseResult]) -> list[Push]:
     contacts = [c for c in constraints(cases[0]) if c.get("kind") == "contact"]
-    names = list(moved(cases[0]))
+    names, indenters = list(moved(cases[0])), _indenters(cases[0])
     found: list[Push] = []
     how: tuple[str, str, Callable[[Digest, CaseResult], Curves]] | None
     if any(contact_resultant(case) is not None for case in cases):
         how = ("contact force", "N", _under_contact)
     elif any(contact_pressure(case) is not None for case in cases):
         how = ("contact pressure", "Pa", _under_pressure)
-    elif len(cases) == 1 and (contacts or not names):
+    elif len(cases) == 1 and (contacts or not (names or indenters)):
         how = ("load factor", "1", _under_load)
     else:
         how = None
@@ -110,6 +114,9 @@ def _pushes(cases: Sequence[CaseResult]) -> list[Push]:
         y_label, unit, curves = how
         place = listed(name_of(c) for c in contacts)
         found.append(Push(place, "indentation", y_label, unit, _CONTACT_NOTE, curves))
+    for indenter in indenters:
+        place = name_of(indenter)
+        found.append(Push(place, "depth", "indenter force", "N", _INDENTER_NOTE, _of_indenter))
     for name in names:
         found.append(
             Push(
@@ -148,6 +155,19 @@ def _of_movement(_: Digest, case: CaseResult, name: str) -> Curves:
     if name not in moved(case):
         return {}
     return {model: movement_force(case, model, name) for model in case.models}
+
+
+def _of_indenter(_: Digest, case: CaseResult) -> Curves:
+    depths = [float(str(entry["depth"])) for entry in _indenters(case)]  # a study has one
+    return {
+        name: (case.load_factors * depths[0], result.scalars["indenter_force"])
+        for name, result in case.models.items()
+        if depths and "indenter_force" in result.scalars
+    }
+
+
+def _indenters(case: CaseResult) -> list[Mapping[str, object]]:
+    return [entry for entry in constraints(case) if entry.get("kind") == "indenter"]
 
 
 @dataclass(frozen=True)

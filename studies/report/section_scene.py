@@ -51,7 +51,9 @@ def parts_of(case: CaseResult, cases: Sequence[CaseResult]) -> list[Part]:
             vector = np.array(constraint["displacement"], dtype=float)
         elif kind == "line":
             vector = np.array(constraint["resultant"], dtype=float)
-        elif kind == "contact":
+        elif kind == "indenter" and constraint.get("push") is not None:
+            vector = np.array(constraint["push"], dtype=float)
+        elif kind in ("contact", "indenter"):
             vector = _thrust(case, nodes, constraint)
         parts.append(Part(name, kind, nodes, vector, label))
     return parts
@@ -168,7 +170,7 @@ def _thrust(case: CaseResult, nodes: np.ndarray, constraint: Mapping[str, Any]) 
     total, sizes = vectors.sum(axis=0), np.linalg.norm(vectors, axis=1).sum()
     if np.linalg.norm(total) <= _ALL_ROUND * sizes:
         return None
-    size = constraint.get("force") or constraint.get("pressure") or 0.0
+    size = constraint.get("force") or constraint.get("pressure") or constraint.get("depth") or 0.0
     return np.asarray(-total * math.copysign(1.0, size * case.load_factors[case.full_load]))
 
 
@@ -195,6 +197,8 @@ def _load(name: str, cases: Iterable[CaseResult]) -> str:
                 found.setdefault(kind, []).append(factor * constraint["pressure"])
             elif constraint.get("stiffness") is not None:
                 found.setdefault("Pa/m", []).append(constraint["stiffness"])
+            elif constraint.get("depth") is not None:
+                found.setdefault("m", []).append(factor * constraint["depth"])
             elif constraint.get("displacement") is not None:
                 found.setdefault("m", []).append(factor * float(np.linalg.norm(constraint["displacement"])))
     told = [

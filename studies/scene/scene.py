@@ -20,6 +20,7 @@ from ..study.schema import Anisotropy, Constraint, Study
 from ..study.tissue_table import Tissue
 from .coordinates import in_mesh_coordinates, origin
 from .inclusions import PlacedInclusion, place_inclusions
+from .indenters import PlacedIndenter, place_indenter
 from .placed import PlacedConstraint
 from .placed import SceneError as SceneError
 from .regions import body_extent, lies_outside, select
@@ -38,6 +39,7 @@ class SurfaceLoad:
     gravity : (3,) acceleration [m/s^2]
     points : (N, 3) the surface nodes at rest [m]
     lines : forces along lines: (k, 2) nodes at the ends of edges, and the resultant (3,) over their length [N]
+    depth : of the indenter, where there is one [m]
     """
 
     facet_pressure: Array
@@ -47,6 +49,7 @@ class SurfaceLoad:
     gravity: Array
     points: Array
     lines: tuple[tuple[Index, Array], ...] = ()
+    depth: float = 0.0
 
     @cached_property
     def line_force(self) -> Array:
@@ -85,6 +88,7 @@ class Scene:
     extras : what it has that not every model takes, see `vdmbench.study.extras`
     inclusions : parts of the inside with moduli of their own
     homogeneous : models that answer as if there were no inclusions
+    indenter : a rigid one that is pushed in, or None
     """
 
     mesh: Mesh
@@ -106,6 +110,7 @@ class Scene:
     extras: frozenset[str] = frozenset()
     inclusions: tuple[PlacedInclusion, ...] = ()
     homogeneous: frozenset[str] = frozenset()
+    indenter: PlacedIndenter | None = None
 
     @property
     def held(self) -> Mask:
@@ -155,6 +160,7 @@ class Scene:
             self.gravity,
             self.mesh.surface_points,
             tuple((edges, factor * force) for edges, force in self.lines),
+            factor * self.indenter.depth if self.indenter else 0.0,
         )
 
     @property
@@ -193,6 +199,7 @@ def build_scene(
     pressure = np.zeros((len(mesh.triangles), len(facet_quadrature()[1])))
     lines: list[tuple[Index, Array]] = []
     springs: list[Springs] = []
+    indenter: PlacedIndenter | None = None
     for constraint in study.constraints:
         mask = masks[constraint.region]
         if not mask.any():
@@ -223,6 +230,8 @@ def build_scene(
             lines.append((edges, np.array(force)))
         if acts.springs is not None:
             springs.append(acts.springs)
+        if acts.pushed is not None:
+            indenter = place_indenter(acts.pushed, mesh, place)
     _check_apart(study, masks)
     judged = study.acceptance.region
     if judged is not None and not masks[judged].any():
@@ -263,6 +272,7 @@ def build_scene(
         extras=extras_of(study),
         inclusions=place_inclusions(study, mesh, inside),
         homogeneous=frozenset(study.study.homogeneous),
+        indenter=indenter,
     )
 
 

@@ -89,6 +89,8 @@ _ABOUT_MODEL = ("seconds_setup", "peak_bytes", "version", "key", "parameters")
 _NUMBERS = ("reference_error", "mesh_quality", "seconds_setup", "parameters")  # may hold NaN, stored as null
 _ABOUT_METRIC = ("unit", "definition", "version")
 # of a small-strain limit, besides the load itself
+# of further outputs, where they have one
+_OUTPUT_UNITS = {"indenter_force": "N", "contact_area": "m^2"}
 _LIMIT_UNITS = {
     "threshold": "1",
     "bar": "1",
@@ -308,7 +310,8 @@ def _about_model(model: ModelResult) -> dict[str, Any]:
 
 def _steps_table(path: str, model: ModelResult) -> Data:
     columns = {name: getattr(model, name) for name in _SERIES} | dict(model.scalars)
-    return _table(path, columns, {name: _SERIES.get(name, "1") for name in columns})
+    units = {**_OUTPUT_UNITS, **_SERIES}
+    return _table(path, columns, {name: units.get(name, "1") for name in columns})
 
 
 def _metrics_table(path: str, series: Mapping[str, MetricSeries]) -> Data:

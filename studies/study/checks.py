@@ -64,6 +64,7 @@ def check(study: Study) -> Iterator[Finding]:
     yield from _check_geometry(study.geometry)
     yield from check_regions(study)
     yield from _check_constraints(study)
+    yield from _check_indenters(study)
     yield from check_inclusions(study)
     yield from _check_history(study.load)
     yield from _check_loads(study)
@@ -262,6 +263,12 @@ def _check_constraints(study: Study) -> Iterator[Finding]:
             )
         if constraint.kind is not None:
             yield from _check_kind(constraint, loc, study.regions or {})
+
+
+def _check_indenters(study: Study) -> Iterator[Finding]:
+    places = [place for place, part in enumerate(study.constraints or ()) if part.kind == "indenter"]
+    for place in places[1:]:
+        yield ("constraints", place, "kind"), "is a second indenter; a study has one, so make it a contact"
 
 
 def _check_kind(constraint: Constraint, loc: Loc, regions: dict[str, Region]) -> Iterator[Finding]:

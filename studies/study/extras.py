@@ -9,6 +9,8 @@ from .schema import Study
 def extras_of(study: Study) -> frozenset[str]:
     """Of `vdmbench.study.registry.EXTRAS` those that a study has."""
     found = {f"{part.direction} springs" for part in study.constraints if part.kind == "elastic"}
+    if any(part.kind == "indenter" for part in study.constraints):
+        found.add("indenter")
     if study.tissue.law not in (None, NEO_HOOKEAN):
         found.add("law")
     if study.inclusions:

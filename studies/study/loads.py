@@ -36,6 +36,12 @@ class AnyConstraint(Table):
         resultant: Vector3 | None
         stiffness: float | None
         direction: str | None
+        depth: float | None
+        shape: str | None
+        radius: float | None
+        length: float | None
+        along: Vector3 | None
+        push: Vector3 | None
     region: str = Field(description="name of the region")
     name: Name = Field("", description="names it in sweeps and reports; the region's name where left out")
 
@@ -117,6 +123,28 @@ class Springs:
 
 
 @dataclass(frozen=True)
+class Pushed:
+    """A rigid frictionless indenter.
+
+    Attributes
+    ----------
+    facets : (F,) mask of those that it can touch
+    shape : "sphere", "flat-punch" or "capsule"
+    radius, length, along : of the shape; the last two of a capsule [m], [m], (3,)
+    direction : (3,) of the push, None for against the mean normal
+    depth : from where it first touches [m]
+    """
+
+    facets: Any
+    shape: str
+    radius: float
+    length: float
+    along: tuple[float, float, float] | None
+    direction: tuple[float, float, float] | None
+    depth: float
+
+
+@dataclass(frozen=True)
 class Acts:
     """What a constraint does at load factor 1: one or several of these, or nothing.
 
@@ -126,12 +154,14 @@ class Acts:
     pressure : (F, Q) into the body [Pa]
     line : (k, 2) edges and (3,) the force on them [N]
     springs : under some of its facets
+    pushed : an indenter
     """
 
     displacement: Any = None
     pressure: Any = None
     line: Any = None
     springs: Springs | None = None
+    pushed: Pushed | None = None
 
 
 @dataclass(frozen=True, kw_only=True)

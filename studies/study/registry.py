@@ -19,6 +19,7 @@ EXTRAS = {  # what a study has that not every model takes -> what is said of one
     "normal springs": "takes no springs along the normal; use another model for them",
     "full springs": "takes no springs that resist in every direction; use another model for them",
     "inclusions": "knows no inclusions; study.homogeneous lets it answer without them, or leave it out",
+    "indenter": "takes no rigid indenter; use another model for it, or give its pressure as a contact",
     "law": "has no such law of large strain; leave out tissue.law, or the model",
 }
 ENTRY_POINT = "vdmbench.models"

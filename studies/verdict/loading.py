@@ -99,7 +99,10 @@ def indentation(case: CaseResult, models: Iterable[str], normals: Array) -> dict
     """
     mask = np.zeros(len(case.points), dtype=bool)
     for constraint in constraints(case):
-        if constraint.get("kind") == "contact" and str(constraint.get("region")) in case.regions:
+        if (
+            constraint.get("kind") in ("contact", "indenter")
+            and str(constraint.get("region")) in case.regions
+        ):
             mask |= case.regions[str(constraint.get("region"))]
     nodes = np.flatnonzero(mask if mask.any() else ~mask)
     return {model: inward(case.models[model].displacement, nodes, normals) for model in models}

@@ -174,3 +174,17 @@ def test_a_pressure_of_unknown_resultant_is_drawn_as_a_pressure() -> None:
         "Contact pressure against indentation, finger, the only case: "
         "m 300 Pa at 3.00 mm and fem-linear 300 Pa at 2.00 mm."
     )
+
+
+def test_force_of_an_indenter_over_its_depth() -> None:
+    touch = {"kind": "indenter", "region": "base", "depth": 0.004, "name": "ball"}
+    case = make_case({"m": 0.5}, contact=touch, steps=(0.5, 1.0))
+    told = {
+        name: dataclasses.replace(result, scalars={"indenter_force": np.array([0.2, 0.7])})
+        for name, result in case.models.items()
+        if name == REFERENCE
+    }
+    pushed = dataclasses.replace(case, models={**case.models, **told})
+    ((_, words),) = figures_of(force_section(pushed))
+    assert "700 mN at 4.00 mm" in words
+    assert "m " not in words, "a model without contact has no curve"
