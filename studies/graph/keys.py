@@ -116,6 +116,7 @@ def goes_with_modulus(study: Study, name: str) -> bool:
         and forces
         and not set(given) & {key for key in model.parameters if key not in _NO_MODULI}
         and study.environment is None
+        and (not study.inclusions or name in study.study.homogeneous)
     )
 
 

@@ -194,6 +194,28 @@ def test_a_model_that_says_so_goes_with_one_over_the_modulus(tmp_path: Path, cac
     assert_allclose(hard, soft / 2, rtol=0, atol=1e-6 * np.abs(soft).max())
 
 
+def test_a_new_table_of_a_study_is_thought_of() -> None:
+    """What is not listed here may have a stiffness of its own: see `goes_with_modulus` before adding it."""
+    thought_of = {"geometry", "regions", "load", "sweep", "inputs", "limits", "calibration", "uncertainty"}
+    thought_of |= {"study", "tissue", "vdm", "models", "constraints", "gravity", "environment", "anisotropy"}
+    assert set(Study.model_fields) == thought_of | {"acceptance", "measured", "inclusions"}
+
+
+@pytest.mark.parametrize(("homogeneous", "set_ups"), [([], 3), (["fem-p1"], 1)])
+def test_an_inclusion_keeps_its_own_modulus(
+    tmp_path: Path, cache: Path, homogeneous: list[str], set_ups: int
+) -> None:
+    inclusion = {"name": "lump", "ball": {"center": [0.0, 0.0, 0.0], "radius": 0.03}}
+    planned = plan(
+        tmp_path,
+        cache,
+        {E: {"sd": 500.0}},
+        study={"name": "test", "models": ["fem-p1"], "homogeneous": homogeneous},
+        inclusions=[{**inclusion, "youngs_modulus": 5e4}],
+    )
+    assert planned_work(planned)["set-ups"] == set_ups
+
+
 @pytest.mark.parametrize(
     "changes",
     [
