@@ -15,9 +15,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from solver_common.arrays import Array, Index
+from solver_common.arrays import Array, Index, Mask
 
 from ..study.errors import MeshError
+from .mesh import Mesh
 from .obj_file import read_obj
 from .ply_file import read_ply
 
@@ -125,6 +126,32 @@ def write_surface_vtu(path: Path, points: Array, triangles: Index, fields: Mappi
     import meshio
 
     meshio.vtu.write(str(path), meshio.Mesh(points, [("triangle", triangles)], dict(fields)))
+
+
+def write_body_vtu(path: Path, mesh: Mesh, fields: Mapping[str, Array], facet_pressure: Array) -> None:
+    """Write tetrahedra and facets with fields (n,) or (n, 3) at the points, (F,) on the facets. Raises OSError."""
+    import meshio
+
+    inside = np.zeros(len(mesh.tetrahedra))
+    cells = [("tetra", mesh.tetrahedra), ("triangle", mesh.surface_nodes[mesh.triangles])]
+    data = {"pressure": [inside, facet_pressure]}
+    meshio.vtu.write(str(path), meshio.Mesh(mesh.points, cells, dict(fields), data))
+
+
+def write_body_msh(path: Path, mesh: Mesh, parts: Mapping[str, Mask]) -> None:
+    """Write tetrahedra and facets as MSH 2.2 text, a facet in the first part (F,) that has it. Raises OSError."""
+    import meshio
+
+    names, number = ["surface", *parts], np.ones(len(mesh.triangles), dtype=np.int32)
+    for k, mask in reversed(list(enumerate(parts.values(), 2))):
+        number[mask] = k
+    tags = [np.full(len(mesh.tetrahedra), 1, dtype=np.int32), number]
+    about = {name: np.array([k, 2]) for k, name in enumerate(names, 1)} | {"body": np.array([1, 3])}
+    cells = [("tetra", mesh.tetrahedra), ("triangle", mesh.surface_nodes[mesh.triangles])]
+    made = meshio.Mesh(
+        mesh.points, cells, cell_data={"gmsh:physical": tags, "gmsh:geometrical": tags}, field_data=about
+    )
+    meshio.gmsh.write(str(path), made, fmt_version="2.2", binary=False)
 
 
 def check_readable(path: Path) -> None:

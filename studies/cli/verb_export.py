@@ -1,4 +1,4 @@
-"""`vdmbench export`: a run's tables, figures and meshes as files of their own."""
+"""`vdmbench export`: a run's tables, figures and meshes, or a study's scene, as files of their own."""
 
 from __future__ import annotations
 
@@ -6,52 +6,97 @@ import argparse
 from pathlib import Path
 
 from ..machine.streams import harmless
-from .argument_kinds import directory, run_directory
+from .argument_kinds import directory, positive, run_directory, study_arguments
 from .output import OK, UsageError, print_json
+from .studies import load, make_plan
 
-SUMMARY = "write a run's tables (CSV, LaTeX), figures (SVG) and meshes (VTU)"
+SUMMARY = "write a run's tables, figures and meshes, or a study's scene for other programs"
 MORE = (
-    "Write a run's tables (CSV, LaTeX), figures (SVG) and a mesh per case (VTU) with what each model answers at "
-    "full load. Lengths in a mesh are in metres; those of a body from a file are in its own unit, so that the "
-    "mesh lies on the scan."
+    "Of a run directory: its tables (CSV, LaTeX), figures (SVG) and a mesh per case (VTU) with what each model "
+    "answers at full load. Lengths in a mesh are in metres; those of a body from a file are in its own unit, so "
+    "that the mesh lies on the scan. Of a study: one case at its largest load, as a mesh with regions (VTU, MSH), "
+    "supports and loads (JSON, CSV), and scenes for SOFA, FEBio and MuJoCo, all in metres, newtons and pascals."
 )
 
 
 def arguments(parser: argparse.ArgumentParser) -> None:
     """Its arguments."""
-    parser.add_argument("directory", type=run_directory, metavar="DIR", help="run directory")
+    study_arguments(parser, use=", or a run directory")
     parser.add_argument(
         "--to", type=directory, required=True, metavar="OUT", help="a new or an empty directory"
+    )
+    parser.add_argument(
+        "--case", type=positive, default=1, metavar="N", help="of a sweep the N-th case (default 1)"
     )
 
 
 def run(options: argparse.Namespace) -> int:
     """Write the files, and say which."""
+    out: Path = options.to
+    if out.exists() and (not out.is_dir() or any(out.iterdir())):
+        raise UsageError(f"{out}: is not an empty directory; name a new one")
+    if Path(options.study).is_dir():
+        return _export_run(options, out)
+    return _export_scene(options, out)
+
+
+def _export_run(options: argparse.Namespace, out: Path) -> int:
     from ..body.mesh_file import write_surface_vtu
     from ..report.case_surface import mesh_names, surface_fields, unit_of
     from ..report.export import exported
     from ..store.cases import read_run
 
-    out: Path = options.to
-    if out.exists() and (not out.is_dir() or any(out.iterdir())):
-        raise UsageError(f"{out}: is not an empty directory; name a new one")
-    run = read_run(options.directory)
+    try:
+        path = run_directory(options.study)
+    except argparse.ArgumentTypeError as error:
+        raise UsageError(str(error)) from None
+    run = read_run(path)
     if not run.cases:
-        raise UsageError(f"{options.directory}: no case is finished, so there is nothing to export")
+        raise UsageError(f"{path}: no case is finished, so there is nothing to export")
     names = []
     for name, text in exported(run):
-        path = out / name
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(text, encoding="utf-8", newline="\n")
+        file = out / name
+        file.parent.mkdir(parents=True, exist_ok=True)
+        file.write_text(text, encoding="utf-8", newline="\n")
         names.append(name)
     (out / "meshes").mkdir(parents=True, exist_ok=True)
     for name, case in mesh_names(run.cases):
         points, fields = surface_fields(case)
         write_surface_vtu(out / name, points, case.triangles, fields)
         names.append(name)
+    unit = ", ".join(sorted({harmless(unit_of(case)) for case in run.cases}))
+    return _told(options, out, names, [f"lengths in meshes/ in {unit}"])
+
+
+def _export_scene(options: argparse.Namespace, out: Path) -> int:
+    import numpy as np
+
+    from ..body.mesh_cache import mesh_from_cache
+    from ..measures.metrics import full_load_step
+    from ..scene.export import write_scene
+    from ..scene.handout import hand_out
+    from ..scene.scene import build_scene
+
+    study, _ = load(options)
+    plan = make_plan(study, options)
+    if options.case > len(plan.cases):
+        raise UsageError(f"--case {options.case}: the study has {len(plan.cases)} cases")
+    case = plan.cases[options.case - 1]
+    mesh = mesh_from_cache(plan.meshes[case.mesh].geometry, plan.cache)
+    history = case.study.load.history
+    factor = history[full_load_step(np.array(history))]
+    name = f"{study.study.name}: {case.label}" if case.label else study.study.name
+    scene = build_scene(case.study, mesh)
+    body = hand_out(scene, scene.load(factor), name, factor)
+    names, refused = write_scene(body, out)
+    return _told(options, out, names, ["lengths in metres, forces in newtons", *refused])
+
+
+def _told(options: argparse.Namespace, out: Path, names: list[str], lines: list[str]) -> int:
     if options.json:
-        return print_json({"directory": str(out), "files": names})
+        return print_json({"directory": str(out), "files": names, "notes": lines})
     for name in names:
         print(out / name)
-    print(f"lengths in meshes/ in {', '.join(sorted({harmless(unit_of(case)) for case in run.cases}))}")
+    for line in lines:
+        print(line)
     return OK

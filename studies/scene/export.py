@@ -1,0 +1,53 @@
+"""A scene as files that other programs read: mesh, tables, and scenes for SOFA, FEBio and MuJoCo."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+from ..body.mesh_file import write_body_msh, write_body_vtu
+from .as_feb import NAME as FEBIO
+from .as_feb import feb
+from .as_mjcf import NAME as MUJOCO
+from .as_mjcf import mjcf
+from .as_sofa import NAME as SOFA
+from .as_sofa import sofa
+from .as_tables import forces_csv, scene_json, supports_csv
+from .handout import Handout, cannot_express
+
+Writer = Callable[[Handout], str]
+TABLES: dict[str, Writer] = {
+    "scene.json": scene_json,
+    "supports.csv": supports_csv,
+    "forces.csv": forces_csv,
+}
+SCENES: dict[str, tuple[str, Writer]] = {
+    "scene_sofa.py": (SOFA, sofa),
+    "scene.feb": (FEBIO, feb),
+    "scene_mujoco.xml": (MUJOCO, mjcf),
+}
+
+
+def write_scene(body: Handout, out: Path) -> tuple[list[str], list[str]]:
+    """Write a scene into a directory. Gives the files' names, and a line for each that is not there. OSError."""
+    out.mkdir(parents=True, exist_ok=True)
+    mesh = body.mesh
+    on_facets = {name: np.all(mask[mesh.triangles], axis=1) for name, mask in body.regions.items()}
+    numbers = body.surface_number
+    fields = {name: (mask[numbers] & (numbers >= 0)).astype(float) for name, mask in body.regions.items()}
+    fields = {f"region.{name}": values for name, values in fields.items()}
+    fields |= {"surface_node": numbers.astype(float), "held": body.held.astype(float)}
+    fields |= {"prescribed": body.displacement, "force": body.force}
+    write_body_vtu(out / "mesh.vtu", mesh, fields, body.facet_pressure)
+    write_body_msh(out / "mesh.msh", mesh, on_facets)
+    texts = dict(TABLES)
+    why_not = cannot_express(body)
+    texts |= {} if why_not else {name: write for name, (_, write) in SCENES.items()}
+    for name, write in texts.items():
+        (out / name).write_text(write(body), encoding="utf-8", newline="\n")
+    refused = [
+        f"{name}: not written: {program}: {why_not}" for name, (program, _) in SCENES.items() if why_not
+    ]
+    return ["mesh.vtu", "mesh.msh", *texts], refused
