@@ -139,12 +139,13 @@ def _skipped(plan: Plan, todo: Sequence[PlannedCase]) -> list[str]:
 
 def refused(plan: Plan, cases: Sequence[PlannedCase], work: Sequence[Body]) -> list[str]:
     """What will be refused of these cases, with their work, so far as that is beyond doubt: a region that lies off
-    the body, a solve that this machine has no memory for, and models: elements that nothing holds, an
-    incompressible body, fibres, and a mesh of more surface nodes than a model takes."""
+    the body, a solve that this machine has no memory for, and models: without their wheel, elements that nothing
+    holds, an incompressible body, fibres, and a mesh of more surface nodes than a model takes."""
     names = plan.study.study.models
     limits = {name: most for name in names if (most := models.find(name)[0].most_nodes) is not None}
     free = any(holds_nothing(case.study) for case in cases)
     lines = [
+        *(f"{name}: {'; '.join(lack)}" for name in names if (lack := models.missing(name)) is not None),
         *(text for _, text in blockers(plan, cases, work)),
         *without_room(plan, cases),
         *(

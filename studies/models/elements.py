@@ -34,7 +34,7 @@ def _small_strain(scene: Scene, solver: str, name: str, n_loads: int) -> SetUp:
         from fem_reference.plain_linear import PlainLinearProblem
 
         plain = PlainLinearProblem(**_body(scene))
-        return SetUp(lambda loads: plain.solve(_fem_loads(loads, plain.body.checked)))
+        return SetUp(lambda loads: plain.solve(fem_loads(loads, plain.body.checked)))
     from fem_reference.linear import LinearProblem
 
     touched = indented.count(scene)
@@ -42,8 +42,8 @@ def _small_strain(scene: Scene, solver: str, name: str, n_loads: int) -> SetUp:
         **_body(scene), element=_ELEMENTS[split(name)[0]], expected_loads=n_loads + touched
     )
     if scene.indenter:
-        return SetUp(indented.linear(scene, problem, partial(_fem_loads, mesh=problem.mesh)))
-    return SetUp(lambda loads: problem.solve(_fem_loads(loads, problem.mesh), _asked(scene)), problem)
+        return SetUp(indented.linear(scene, problem, partial(fem_loads, mesh=problem.mesh)))
+    return SetUp(lambda loads: problem.solve(fem_loads(loads, problem.mesh), _asked(scene)), problem)
 
 
 def _condensed(scene: Scene, solver: str, name: str, n_loads: int) -> SetUp:  # noqa: ARG001
@@ -59,7 +59,7 @@ def _condensed(scene: Scene, solver: str, name: str, n_loads: int) -> SetUp:  # 
     n_columns = 12 * int(scene.contact.sum())  # three components at the vertices and three edge middles each
     whole = LinearProblem(**body, expected_loads=n_columns + len(motions))
     problem = CondensedProblem(whole, scene.contact, motions=motions)
-    return SetUp(lambda loads: problem.solve(_fem_loads(loads, whole.mesh), _asked(scene)), problem)
+    return SetUp(lambda loads: problem.solve(fem_loads(loads, whole.mesh), _asked(scene)), problem)
 
 
 def _coarse(scene: Scene, solver: str, name: str, n_loads: int) -> SetUp:  # noqa: ARG001
@@ -73,14 +73,14 @@ def _finite_strain(scene: Scene, solver: str, name: str, n_loads: int) -> SetUp:
         from fem_reference.plain_finite_strain import PlainFiniteStrainProblem
 
         plain = PlainFiniteStrainProblem(**_body(scene), **_material(scene))
-        return SetUp(lambda loads: plain.solve(_fem_loads(loads, plain.body.checked), frozenset(_LARGEST)))
+        return SetUp(lambda loads: plain.solve(fem_loads(loads, plain.body.checked), frozenset(_LARGEST)))
     from fem_reference.finite_strain import FiniteStrainProblem
 
     problem = FiniteStrainProblem(**_hyperelastic(scene, n_loads))
     if scene.indenter:
-        loads_of, outputs = partial(_fem_loads, mesh=problem.mesh), _asked(scene, *_LARGEST)
+        loads_of, outputs = partial(fem_loads, mesh=problem.mesh), _asked(scene, *_LARGEST)
         return SetUp(indented.finite_strain(scene, problem, loads_of, outputs))
-    return SetUp(lambda loads: problem.solve(_fem_loads(loads, problem.mesh), _asked(scene, *_LARGEST)))
+    return SetUp(lambda loads: problem.solve(fem_loads(loads, problem.mesh), _asked(scene, *_LARGEST)))
 
 
 def _finite_strain_onward(scene: Scene, solver: str, name: str, n_loads: int) -> SetUp:
@@ -90,7 +90,7 @@ def _finite_strain_onward(scene: Scene, solver: str, name: str, n_loads: int) ->
     from fem_reference.load_path import LoadPath
 
     problem, path = FiniteStrainProblem(**_hyperelastic(scene, n_loads)), LoadPath()
-    return SetUp(lambda loads: problem.solve(_fem_loads(loads, problem.mesh), _asked(scene, *_LARGEST), path))
+    return SetUp(lambda loads: problem.solve(fem_loads(loads, problem.mesh), _asked(scene, *_LARGEST), path))
 
 
 def _hyperelastic(scene: Scene, n_loads: int) -> dict[str, Any]:
@@ -137,7 +137,7 @@ def _springs(scene: Scene) -> list[ElasticSupport]:
     return [ElasticSupport(part.facets, part.stiffness, part.direction) for part in scene.springs]
 
 
-def _fem_loads(loads: Sequence[SurfaceLoad], mesh: TetMesh) -> list[FemLoad]:
+def fem_loads(loads: Sequence[SurfaceLoad], mesh: TetMesh) -> list[FemLoad]:
     from fem_reference.forces import line_forces
     from fem_reference.loads import Load
 

@@ -22,7 +22,7 @@ def scene_json(body: Handout) -> str:
     return json_text(
         {
             "name": body.name,
-            "units": {"length": "m", "force": "N", "stress": "Pa", "density": "kg/m^3"},
+            "units": {"length": "m", "force": "N", "stress": "Pa", "density": "kg/m^3", "stiffness": "Pa/m"},
             "mesh": "mesh.vtu",
             "tissue": {
                 "youngs_modulus": body.youngs_modulus,
@@ -37,6 +37,14 @@ def scene_json(body: Handout) -> str:
                 "facets": surface[body.mesh.triangles[pressed]],
                 "pressure": body.facet_pressure[pressed],
             },
+            "springs": [
+                {
+                    "facets": surface[body.mesh.triangles[part.facets]],
+                    "stiffness": part.stiffness,
+                    "direction": part.direction,
+                }
+                for part in body.springs
+            ],
             "surface_points": surface,
             "regions": {name: surface[mask] for name, mask in body.regions.items()},
         }

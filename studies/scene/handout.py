@@ -8,6 +8,8 @@ from functools import cached_property
 import numpy as np
 
 from ..body.mesh import Array, Index, Mask, Mesh
+from ..study.extras import EXTRAS
+from ..study.loads import Springs
 from .placed import quadrature
 from .scene import Scene, SurfaceLoad
 
@@ -25,6 +27,8 @@ class Handout:
     regions : (N,) masks by name
     youngs_modulus, poisson_ratio, density : of the tissue [Pa], [1], [kg/m^3]
     fibres : whether it has fibres, which no scene here expresses
+    extras : what it has of `vdmbench.study.extras`, as it is said, which none expresses either
+    springs : between facets and the ground
     gravity : (3,) acceleration [m/s^2]
     held : (n,) points whose displacement is given
     displacement : (n, 3) of these, zero elsewhere [m]
@@ -40,6 +44,8 @@ class Handout:
     poisson_ratio: float
     density: float
     fibres: bool
+    extras: tuple[str, ...]
+    springs: tuple[Springs, ...]
     gravity: Array
     held: Mask
     displacement: Array
@@ -92,6 +98,8 @@ def hand_out(scene: Scene, load: SurfaceLoad, name: str = "", factor: float = 1.
         poisson_ratio=scene.tissue.poisson_ratio,
         density=scene.tissue.density,
         fibres=scene.anisotropy is not None,
+        extras=tuple(said for extra, said in EXTRAS.items() if extra in scene.extras),
+        springs=scene.springs,
         gravity=load.gravity,
         held=held,
         displacement=displacement,
@@ -107,6 +115,8 @@ def cannot_express(body: Handout) -> str:
         return "its tetrahedra have no law for an incompressible tissue; give a poisson_ratio below 0.5"
     if body.fibres:
         return "its law is isotropic; leave [anisotropy] out"
+    if body.extras:
+        return f"it is written without {body.extras[0]}; leave them out"
     return ""
 
 

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 FINITE_STRAIN = ("fem",)  # models that can serve as the reference of the small-strain limits
-DISPLACEMENT_ELEMENTS = ("fem-p1", "fem-p2")  # which have no answer for an incompressible body
+_LARGE = (*FINITE_STRAIN, "mujoco-flex")  # models of large displacements, whatever their solver
+DISPLACEMENT_ELEMENTS = ("fem-p1", "fem-p2", "mujoco-flex")  # which have no answer for an incompressible body
 REFINED = " refined"  # what the reference's name gets where it is solved on refinements of the case's mesh
 _NOT_LINEAR = ("quasi-linear", "nonlinear", "incremental")  # solvers of another problem than the linear one
 
@@ -40,4 +41,4 @@ def split(name: str) -> tuple[str, str]:
 def is_linear(name: str) -> bool:
     """Whether a model solves the linear problem, in small displacements from rest."""
     base, solver = split(name)
-    return base not in FINITE_STRAIN and solver not in _NOT_LINEAR
+    return base not in _LARGE and solver not in _NOT_LINEAR

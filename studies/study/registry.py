@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 from functools import cache
 from importlib import import_module
 from importlib.metadata import entry_points
+from importlib.util import find_spec
 
 from .model_name import is_linear
 
@@ -23,7 +24,7 @@ EXTRAS = {  # what a study has that not every model takes -> what is said of one
     "law": "has no such law of large strain; leave out tissue.law, or the model",
 }
 ENTRY_POINT = "vdmbench.models"
-_FAMILIES = ("vdmbench.models.surface", "vdmbench.models.elements")
+_FAMILIES = ("vdmbench.models.surface", "vdmbench.models.elements", "vdmbench.models.peers")
 
 
 @dataclass(frozen=True)
@@ -86,6 +87,7 @@ class Declared:
     own : of its parameters those that [vdm] has no key for: a study gives them in [models.NAME]
     benched : the solvers that a benchmark measures beside the default
     one_over_modulus : whether its answers to forces go with one over Young's modulus where its moduli are by rule
+    needs : the wheel of another project that it runs; "" where it needs none. A benchmark of all leaves it out
     """
 
     name: str
@@ -105,6 +107,7 @@ class Declared:
     own: Mapping[str, Parameter] = field(default_factory=dict)
     benched: tuple[str, ...] = ()
     one_over_modulus: bool = False
+    needs: str = ""
 
 
 MODELS: dict[str, Declared] = {}  # filled by `vdmbench.models.register` of the families, see `all_models`
@@ -139,12 +142,21 @@ def model_names() -> list[str]:
 
 
 def benched_names() -> list[str]:
-    """Every model that a benchmark measures, with its default solver and the others that it declares."""
+    """Every model of ours that a benchmark measures, with its default solver and the others that it declares."""
     return [
         name
         for model in all_models().values()
+        if not model.needs
         for name in (model.name, *(f"{model.name}:{solver}" for solver in model.benched))
     ]
+
+
+def missing(name: str) -> tuple[str, str] | None:
+    """What a model lacks on this machine, and the remedy; None where it lacks nothing."""
+    wheel = find(name)[0].needs
+    if not wheel or find_spec(wheel) is not None:
+        return None
+    return f"it runs {wheel}, which is not installed", "pip install 'vdmbench[peers]', or leave the model out"
 
 
 def find(name: str) -> tuple[Declared, str]:

@@ -192,6 +192,6 @@ def test_every_model_is_in_the_table() -> None:
     from vdmbench.models import all_models
 
     text = (DOCS / "reference" / "models.md").read_text()
-    assert set(re.findall(r"^\| `((?:vdm|fem|mass)[a-z0-9-]*)` \|", text, flags=re.MULTILINE)) == set(
-        all_models()
-    )
+    assert set(
+        re.findall(r"^\| `((?:vdm|fem|mass|mujoco|ngsolve)[a-z0-9-]*)` \|", text, flags=re.MULTILINE)
+    ) == set(all_models())

@@ -32,6 +32,7 @@ STUDY: dict[str, Any] = {
     "regions": {
         "base": {"below": {"axis": "z", "fraction": 0.2}},
         "side": {"above": {"axis": "x", "fraction": 0.9}},
+        "back": {"cap": {"direction": [-1.0, 0.0, 0.0], "angle": 0.4}},
         "finger": {"cap": {"direction": [0.0, 0.0, 1.0], "angle": 0.6}},
     },
     "constraints": [
@@ -42,6 +43,9 @@ STUDY: dict[str, Any] = {
     "gravity": {"acceleration": [0.0, 1.0, -9.81]},
     "load": {"factors": [0.5, 2.0]},
 }
+
+
+SPRINGS = {"kind": "elastic", "region": "back", "stiffness": 1e5}
 
 
 def handed(**tables: Any) -> Handout:
@@ -124,7 +128,7 @@ def test_tables_hold_supports_and_loads(body: Handout, out: Path) -> None:
     assert_allclose(np.sum(told["forces"]["force"], axis=0), body.force.sum(axis=0), rtol=1e-12)
     assert told["held"]["points"] == np.flatnonzero(body.held).tolist()
     assert told["gravity"] == [0.0, 1.0, -9.81]
-    assert set(told["regions"]) == {"base", "side", "finger"}
+    assert set(told["regions"]) == {"base", "side", "back", "finger"}
     for name, unit, values in (("forces", "N", body.force), ("supports", "m", body.displacement)):
         rows = list(csv.DictReader((out / f"{name}.csv").read_text().splitlines()))
         what = "force" if unit == "N" else "displacement"
@@ -243,6 +247,7 @@ def test_mujoco_scene_holds_masses_forces_and_moves(body: Handout, out: Path) ->
     [
         ({"tissue": {"youngs_modulus": 5000.0, "poisson_ratio": 0.5}}, "poisson_ratio below 0.5"),
         ({"anisotropy": {"fibre_direction": [1.0, 0.0, 0.0], "contrast": 2.0}}, "leave [anisotropy] out"),
+        ({"constraints": [*STUDY["constraints"], SPRINGS]}, "without springs along the normal"),
     ],
 )
 def test_what_a_program_cannot_express_is_told(tmp_path: Path, tables: dict[str, Any], told: str) -> None:
@@ -251,7 +256,9 @@ def test_what_a_program_cannot_express_is_told(tmp_path: Path, tables: dict[str,
     assert len(refused) == 3
     for line in refused:
         assert told in line
-    assert (tmp_path / "mesh.vtu").exists(), "mesh and tables are there all the same"
+    found = json.loads((tmp_path / "scene.json").read_text())["springs"]
+    assert len(found) == ("springs" in told)
+    assert all(part["stiffness"] == 1e5 and part["facets"] for part in found)
 
 
 def test_the_heads_of_scenes_say_what_they_leave_out(out: Path) -> None:

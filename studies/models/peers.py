@@ -1,0 +1,218 @@
+"""Engines of others, from their wheels: MuJoCo's flex, and NGSolve's mixed elements as a second reference.
+
+Each solve runs a file `engine_NAME.py` in a process of its own, which gets and gives arrays: what the engine
+prints, holds or breaks stays there. Without its wheel a model is refused by name.
+"""
+
+from __future__ import annotations
+
+import io
+import subprocess
+import sys
+from collections.abc import Sequence
+from functools import partial
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ..scene.as_mjcf import FORCE_UNIT, mjcf
+from ..scene.handout import cannot_express, hand_out
+from ..scene.scene import Scene, SurfaceLoad
+from ..study.registry import missing
+from . import costs
+from .elements import fem_loads
+from .model import Model, SetUp, register
+from .saint_venant import State, state
+
+if TYPE_CHECKING:
+    from fem_reference.solution import Solution, Status
+
+Arrays = dict[str, Any]
+MOST_SECONDS = 3600.0
+MOST_UNBALANCED = 1e-3  # of MuJoCo's answer, by its own law, over the forces of load and support
+_HERE = Path(__file__).parent
+
+
+def call(engine: str, given: Arrays) -> Arrays:
+    """What the engine in a file `engine_NAME.py` answers, from a process of its own. Raises SolverError."""
+    from fem_reference.solution import SolverError, Status
+
+    buffer = io.BytesIO()
+    np.savez(buffer, **given)
+    command = [sys.executable, "-P", str(_HERE / "engine.py"), str(_HERE / f"engine_{engine}.py")]
+    try:
+        ended = subprocess.run(
+            command, input=buffer.getvalue(), capture_output=True, timeout=MOST_SECONDS, check=False
+        )
+    except subprocess.TimeoutExpired:
+        message = f"{engine} takes more than {MOST_SECONDS:.0f} s"
+        raise SolverError(Status("too-slow", message, "use a larger mesh_size")) from None
+    if ended.returncode or not ended.stdout:
+        said = ended.stderr.decode(errors="replace").strip().splitlines() or [f"exit code {ended.returncode}"]
+        raise SolverError(Status("engine-failed", f"{engine} ended: {said[-1][:300]}", "leave the model out"))
+    with np.load(io.BytesIO(ended.stdout)) as file:
+        return dict(file)
+
+
+def _require(name: str) -> None:
+    from fem_reference.solution import SolverError, Status
+
+    lack = missing(name)
+    if lack is not None:
+        raise SolverError(Status("missing-wheel", *lack))
+
+
+def _mujoco(scene: Scene, solver: str, name: str, n_loads: int) -> SetUp:  # noqa: ARG001
+    _require(name)
+    body = hand_out(scene, scene.load(1.0))
+    if why := cannot_express(body):
+        raise ValueError(f"{name}: {why}")
+    # a force that rounding of the points' coordinates makes
+    least = 1e-15 * body.youngs_modulus * np.ptp(body.mesh.points, axis=0).max() ** 2
+    text, surface = mjcf(body, loaded=False), scene.mesh.surface_nodes
+
+    def solve(loads: Sequence[SurfaceLoad]) -> Solution:
+        from fem_reference.solution import Solution
+
+        parts = [hand_out(scene, load) for load in loads]
+        found = call(
+            "mujoco",
+            {
+                "scene": np.array(text),
+                "force": np.array([part.force for part in parts]) / FORCE_UNIT,
+                "displacement": np.array([part.displacement for part in parts]),
+            },
+        )
+        needed = [
+            state(scene.mesh, u, scene.tissue.youngs_modulus, scene.tissue.poisson_ratio)
+            for u in found["displacement"]
+        ]
+        given = [one.force - part.whole_force for part, one in zip(parts, needed, strict=True)]
+        loose = [
+            np.abs(gap[~body.held]).max() / max(np.abs(one.force).max(), least)
+            for gap, one in zip(given, needed, strict=True)
+        ]
+        reaction = [np.where(body.held[:, None], gap, 0.0)[surface] for gap in given]
+        return Solution(
+            displacement=found["displacement"][:, surface],
+            fluid_pressure=np.array([one.pressure for one in needed]),
+            reaction_force=np.array(reaction),
+            energy=np.array([one.energy for one in needed]),
+            iterations=found["iterations"],
+            status=tuple(map(_at_rest, found["iterations"].tolist(), loose, needed)),
+            seconds_setup=float(found["setup"]),
+            seconds_per_step=found["seconds"],
+            parameters=_parameters(scene, found),
+            scalars={"relative_residual": np.array(loose)},
+        )
+
+    return SetUp(solve)
+
+
+def _at_rest(steps: int, loose: float, reached: State) -> Status:
+    from fem_reference.solution import CONVERGED, Status
+
+    if not steps:
+        return Status("no-rest", "MuJoCo's body burst or did not come to rest", "take smaller loads")
+    if not loose <= MOST_UNBALANCED:
+        message = f"MuJoCo's body rests with forces out of balance by {loose:.1e} of the largest"
+        return Status("no-balance", message, "take smaller loads")
+    if not reached.least_volume > 0.0:
+        return Status("inside-out", "MuJoCo's body rests with tetrahedra inside out", "take smaller loads")
+    return CONVERGED
+
+
+def _ngsolve(scene: Scene, solver: str, name: str, n_loads: int) -> SetUp:  # noqa: ARG001
+    from fem_reference.loads import held_nodes, nodal_forces
+    from fem_reference.mesh import TetMesh
+
+    _require(name)
+    if scene.tissue.poisson_ratio == 0.0:
+        raise ValueError(f"{name}: its pressure field needs a poisson_ratio above 0")
+    mesh = TetMesh(scene.mesh.points, scene.mesh.tetrahedra, scene.mesh.surface_nodes, scene.mesh.triangles)
+    held, n = held_nodes(mesh, scene.held)[:, 0], len(scene.mesh.points)
+    body = {
+        "points": scene.mesh.points,
+        "tetrahedra": scene.mesh.tetrahedra,
+        "facets": scene.mesh.surface_nodes[scene.mesh.triangles],
+        "edges": mesh.skfem_mesh.edges.T.astype(np.int64),
+        "held": held[:n],
+        "held_edges": held[n:],
+        "young": np.array(scene.tissue.youngs_modulus),
+        "poisson": np.array(scene.tissue.poisson_ratio),
+        "large": np.array(solver == "nonlinear"),
+    }
+
+    def solve(loads: Sequence[SurfaceLoad]) -> Solution:
+        from fem_reference.solution import CONVERGED, Solution, Status
+
+        forces = nodal_forces(mesh, fem_loads(loads, mesh), scene.tissue.density)
+        displacement = np.array([hand_out(scene, load).displacement for load in loads])
+        steps = {"force": forces[:, :n], "edge_force": forces[:, n:], "displacement": displacement}
+        found = call("ngsolve", {**body, **steps})
+        failed = Status("no-balance", "NGSolve's Newton iteration finds no balance", "take smaller loads")
+        surface = scene.mesh.surface_nodes
+        return Solution(
+            displacement=found["displacement"][:, surface],
+            fluid_pressure=found["pressure"],
+            reaction_force=found["reaction"][:, surface],
+            energy=found["energy"],
+            iterations=found["iterations"],
+            status=tuple(CONVERGED if taken else failed for taken in found["iterations"].tolist()),
+            seconds_setup=float(found["setup"]),
+            seconds_per_step=found["seconds"],
+            parameters=_parameters(scene, found),
+        )
+
+    return SetUp(solve)
+
+
+def _parameters(scene: Scene, found: Arrays) -> dict[str, float | str]:
+    return {
+        "youngs_modulus": scene.tissue.youngs_modulus,
+        "poisson_ratio": scene.tissue.poisson_ratio,
+        "engine_version": str(found["version"]),
+    }
+
+
+def _version(own: str, wheel: str) -> str:
+    """Of the numbers that a model gives: they change with the engine."""
+    try:
+        return f"{own}, {wheel} {version(wheel)}"
+    except PackageNotFoundError:
+        return own
+
+
+_peer = partial(
+    Model,
+    volumetric=True,
+    tissue=("youngs_modulus", "poisson_ratio"),
+    parameters=(),
+    fibres=False,
+)
+register(
+    _peer(
+        name="mujoco-flex",
+        version=_version("1", "mujoco"),
+        prepare=_mujoco,
+        solvers=("linear",),
+        superposes=(),
+        lines=("linear",),
+        cost=costs.mujoco,
+        needs="mujoco",
+    )
+)
+register(
+    _peer(
+        name="ngsolve-p2p1",
+        version=_version("1", "ngsolve"),
+        prepare=_ngsolve,
+        solvers=("linear", "nonlinear"),
+        superposes=("linear",),
+        lines=("linear", "nonlinear"),
+        cost=costs.ngsolve,
+        needs="ngsolve",
+    )
+)
