@@ -32,12 +32,14 @@ class Load:
     prescribed : (N, 3) displacement of the constrained nodes [m]; scalar formulations use its normal component
     dead_force : (N, 3) further force on each node [N], which keeps size and direction and moves with its node;
         scalar formulations, which move along normals only, refuse it
+    weight : share of the body's weight that acts on the deformed surface; below 1 on the way to a first load
     """
 
     contact_pressure: Array
     contact_force: Array | None = None
     prescribed: Array | None = None
     dead_force: Array | None = None
+    weight: float = 1.0
 
     def scaled(self, factor: float) -> Load:
         """The same load times a factor."""

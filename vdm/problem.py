@@ -110,7 +110,7 @@ class Problem:
             depth = state.positions @ self.support.gravity
             # the datum stays at the highest point of the rest surface
             datum = float((self.body.rest @ self.support.gravity).min())
-            force = force + column * (self.support.density * (depth - datum))[:, None]
+            force = force + column * (load.weight * self.support.density * (depth - datum))[:, None]
         return force if load.dead_force is None else force + self._dead_force(load.dead_force)
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
@@ -16,7 +18,7 @@ Index = NDArray[np.int64]
 THICK, THIN = (0.1, 0.05, 0.05), (0.1, 0.015, 0.015)
 
 
-def held_at_one_end(points: Array, triangles: Index, **options: str) -> Model:
+def held_at_one_end(points: Array, triangles: Index, **options: Any) -> Model:
     """A body whose lowest tenth along x is held."""
     x = points[:, 0]
     parameters = Parameters(shear_modulus=1667.0)
@@ -138,3 +140,19 @@ def test_nothing_is_judged_without_a_tissue() -> None:
         solution = model.solve([Load(np.zeros(len(points)))])
         assert "bending_error" not in solution.parameters
         assert solution.status[0].message == ""
+
+
+def test_a_weight_that_bends_a_body_far_is_brought_on_in_steps() -> None:
+    """A quarter of its length: from rest under its whole weight the solver does not get there in one step."""
+    points, triangles = box(4, (0.06, 0.03, 0.03))
+    density, gravity = 1000.0, np.array([0.0, 0.0, -3.0])
+    weighs = {"density": density, "gravity": gravity}
+    nonlinear, linear = (
+        held_at_one_end(points, triangles, solver=solver, **weighs) for solver in ("nonlinear", "linear")
+    )
+    found, straight = (model.solve([Load(np.zeros(len(points)))]) for model in (nonlinear, linear))
+    assert found.status[0].ok, found.status
+    sag = [-solution.displacement[0, :, 2].min() for solution in (found, straight)]
+    assert sag[0] > 0.15 * 0.06
+    assert sag[0] == pytest.approx(sag[1], rel=0.1)
+    assert_allclose(found.reaction_force[0].sum(axis=0), -density * 0.06 * 0.03**2 * gravity, atol=1e-9)

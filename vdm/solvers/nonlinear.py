@@ -121,7 +121,7 @@ class NonlinearSolver:
         push = float(np.linalg.norm(problem.formulation.columns.first[self._free_nodes]))
         self.smallest_force = SMALLEST_MOTION * size / moved * push
         self._rounding = self._moved_by_rounding(size)
-        unloaded = Load(np.zeros(n), np.zeros((n, 3)), np.zeros((n, 3)))
+        unloaded = Load(np.zeros(n), np.zeros((n, 3)), np.zeros((n, 3)), weight=0.0)
         self._rest = _Converged(unloaded, np.zeros((n, d)), 0.0)
         self._last = self._before = self._rest
         self._largest = 0.0
@@ -318,7 +318,7 @@ def _hidden(rounding: float, moved: float) -> Status:
 def _share(before: Load, last: Load, load: Load) -> float:
     """The s for which load - last is s (last - before) to a tenth, in every part; 0 where there is none."""
     shares: list[float] = []
-    for part in ("contact_pressure", "contact_force", "prescribed", "dead_force"):
+    for part in ("contact_pressure", "contact_force", "prescribed", "dead_force", "weight"):
         values = (getattr(state, part) for state in (before, last, load))
         a, b, c = (0.0 if value is None else value for value in values)
         old, new = np.asarray(b - a), np.asarray(c - b)
@@ -350,4 +350,5 @@ def _between(start: Load, end: Load, share: float) -> Load:
         mix(start.contact_force, end.contact_force),
         mix(start.prescribed, end.prescribed),
         mix(start.dead_force, end.dead_force),
+        (1.0 - share) * start.weight + share * end.weight,
     )
