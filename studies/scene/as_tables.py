@@ -45,6 +45,15 @@ def scene_json(body: Handout) -> str:
                 }
                 for part in body.springs
             ],
+            "inclusions": [
+                {
+                    "name": part.declared.name,
+                    "tetrahedra": np.flatnonzero(part.inside),
+                    "youngs_modulus": part.declared.youngs_modulus,
+                    "poisson_ratio": part.declared.poisson_ratio,  # null: the tissue's
+                }
+                for part in body.inclusions
+            ],
             "surface_points": surface,
             "regions": {name: surface[mask] for name, mask in body.regions.items()},
         }

@@ -8,8 +8,8 @@ from functools import cached_property
 import numpy as np
 
 from ..body.mesh import Array, Index, Mask, Mesh
-from ..study.extras import EXTRAS
 from ..study.loads import Springs
+from .inclusions import PlacedInclusion
 from .placed import quadrature
 from .scene import Scene, SurfaceLoad
 
@@ -27,8 +27,9 @@ class Handout:
     regions : (N,) masks by name
     youngs_modulus, poisson_ratio, density : of the tissue [Pa], [1], [kg/m^3]
     fibres : whether it has fibres, which no scene here expresses
-    extras : what it has of `vdmbench.study.extras`, as it is said, which none expresses either
+    extras : what it has of `vdmbench.study.extras`, which none expresses either
     springs : between facets and the ground
+    inclusions : parts of the inside with moduli of their own
     gravity : (3,) acceleration [m/s^2]
     held : (n,) points whose displacement is given
     displacement : (n, 3) of these, zero elsewhere [m]
@@ -46,6 +47,7 @@ class Handout:
     fibres: bool
     extras: tuple[str, ...]
     springs: tuple[Springs, ...]
+    inclusions: tuple[PlacedInclusion, ...]
     gravity: Array
     held: Mask
     displacement: Array
@@ -98,8 +100,9 @@ def hand_out(scene: Scene, load: SurfaceLoad, name: str = "", factor: float = 1.
         poisson_ratio=scene.tissue.poisson_ratio,
         density=scene.tissue.density,
         fibres=scene.anisotropy is not None,
-        extras=tuple(said for extra, said in EXTRAS.items() if extra in scene.extras),
+        extras=tuple(sorted(scene.extras)),
         springs=scene.springs,
+        inclusions=scene.inclusions,
         gravity=load.gravity,
         held=held,
         displacement=displacement,
@@ -116,7 +119,7 @@ def cannot_express(body: Handout) -> str:
     if body.fibres:
         return "its law is isotropic; leave [anisotropy] out"
     if body.extras:
-        return f"it is written without {body.extras[0]}; leave them out"
+        return f"not expressed here: {', '.join(body.extras)}; leave out what makes them"
     return ""
 
 

@@ -45,6 +45,7 @@ STUDY: dict[str, Any] = {
 }
 
 
+LUMP = {"name": "lump", "ball": {"center": [0.0, 0.0, 0.0], "radius": 0.03}, "youngs_modulus": 9e3}
 SPRINGS = {"kind": "elastic", "region": "back", "stiffness": 1e5}
 
 
@@ -247,7 +248,8 @@ def test_mujoco_scene_holds_masses_forces_and_moves(body: Handout, out: Path) ->
     [
         ({"tissue": {"youngs_modulus": 5000.0, "poisson_ratio": 0.5}}, "poisson_ratio below 0.5"),
         ({"anisotropy": {"fibre_direction": [1.0, 0.0, 0.0], "contrast": 2.0}}, "leave [anisotropy] out"),
-        ({"constraints": [*STUDY["constraints"], SPRINGS]}, "without springs along the normal"),
+        ({"inclusions": [LUMP]}, "not expressed here: inclusions"),
+        ({"constraints": [*STUDY["constraints"], SPRINGS]}, "not expressed here: normal springs"),
     ],
 )
 def test_what_a_program_cannot_express_is_told(tmp_path: Path, tables: dict[str, Any], told: str) -> None:
@@ -256,9 +258,11 @@ def test_what_a_program_cannot_express_is_told(tmp_path: Path, tables: dict[str,
     assert len(refused) == 3
     for line in refused:
         assert told in line
-    found = json.loads((tmp_path / "scene.json").read_text())["springs"]
-    assert len(found) == ("springs" in told)
-    assert all(part["stiffness"] == 1e5 and part["facets"] for part in found)
+    found = json.loads((tmp_path / "scene.json").read_text())
+    assert len(found["springs"]) == ("springs" in told)
+    assert all(part["stiffness"] == 1e5 and part["facets"] for part in found["springs"])
+    assert len(found["inclusions"]) == ("inclusions" in told)
+    assert all(part["youngs_modulus"] == 9e3 and part["tetrahedra"] for part in found["inclusions"])
 
 
 def test_the_heads_of_scenes_say_what_they_leave_out(out: Path) -> None:
