@@ -27,7 +27,7 @@ from .model import Model, SetUp, register
 from .saint_venant import State, state
 
 if TYPE_CHECKING:
-    from fem_reference.solution import Solution, Status
+    from solver_common.solution import Solution, Status
 
 Arrays = dict[str, Any]
 MOST_SECONDS = 3600.0
@@ -37,7 +37,7 @@ _HERE = Path(__file__).parent
 
 def call(engine: str, given: Arrays) -> Arrays:
     """What the engine in a file `engine_NAME.py` answers, from a process of its own. Raises SolverError."""
-    from fem_reference.solution import SolverError, Status
+    from solver_common.solution import SolverError, Status
 
     buffer = io.BytesIO()
     np.savez(buffer, **given)
@@ -57,7 +57,7 @@ def call(engine: str, given: Arrays) -> Arrays:
 
 
 def _require(name: str) -> None:
-    from fem_reference.solution import SolverError, Status
+    from solver_common.solution import SolverError, Status
 
     lack = missing(name)
     if lack is not None:
@@ -74,7 +74,7 @@ def _mujoco(scene: Scene, solver: str, name: str, n_loads: int) -> SetUp:  # noq
     text, surface = mjcf(body, loaded=False), scene.mesh.surface_nodes
 
     def solve(loads: Sequence[SurfaceLoad]) -> Solution:
-        from fem_reference.solution import Solution
+        from solver_common.solution import Solution
 
         parts = [hand_out(scene, load) for load in loads]
         found = call(
@@ -112,7 +112,7 @@ def _mujoco(scene: Scene, solver: str, name: str, n_loads: int) -> SetUp:  # noq
 
 
 def _at_rest(steps: int, loose: float, reached: State) -> Status:
-    from fem_reference.solution import CONVERGED, Status
+    from solver_common.solution import CONVERGED, Status
 
     if not steps:
         return Status("no-rest", "MuJoCo's body burst or did not come to rest", "take smaller loads")
@@ -146,7 +146,7 @@ def _ngsolve(scene: Scene, solver: str, name: str, n_loads: int) -> SetUp:  # no
     }
 
     def solve(loads: Sequence[SurfaceLoad]) -> Solution:
-        from fem_reference.solution import CONVERGED, Solution, Status
+        from solver_common.solution import CONVERGED, Solution, Status
 
         forces = nodal_forces(mesh, fem_loads(loads, mesh), scene.tissue.density)
         displacement = np.array([hand_out(scene, load).displacement for load in loads])

@@ -6,7 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..body.mesh import Array, Mesh
+from solver_common.arrays import Array
+
+from ..body.mesh import Mesh
 
 
 @dataclass(frozen=True)

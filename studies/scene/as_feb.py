@@ -7,7 +7,8 @@ from xml.sax.saxutils import escape
 
 import numpy as np
 
-from ..body.mesh import Array, Mask
+from solver_common.arrays import Array, Mask
+
 from .handout import Handout, remarks
 
 NAME = "FEBio (.feb, format 4.0)"

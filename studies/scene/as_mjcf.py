@@ -10,7 +10,8 @@ from xml.sax.saxutils import escape
 
 import numpy as np
 
-from ..body.mesh import Mask
+from solver_common.arrays import Mask
+
 from .handout import Handout, remarks
 
 NAME = "MuJoCo (MJCF)"

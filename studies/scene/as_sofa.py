@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..body.mesh import Array, Index
+from solver_common.arrays import Array, Index
+
 from .handout import Handout, remarks
 
 NAME = "SOFA (Python scene)"

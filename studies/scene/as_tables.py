@@ -7,7 +7,8 @@ from itertools import chain
 
 import numpy as np
 
-from ..body.mesh import Array, Mask
+from solver_common.arrays import Array, Mask
+
 from ..machine.files import json_text
 from .handout import Handout
 

@@ -7,10 +7,12 @@ from functools import cached_property
 
 import numpy as np
 
-from ..body.mesh import Array, Index, Mask, Mesh
+from solver_common.arrays import Array, Index, Mask
+from solver_common.quadrature import facet_quadrature
+
+from ..body.mesh import Mesh
 from ..study.loads import Springs
 from .inclusions import PlacedInclusion
-from .placed import quadrature
 from .scene import Scene, SurfaceLoad
 
 LOCKS_FROM = 0.45  # Poisson's ratio from which linear tetrahedra are visibly too stiff
@@ -107,7 +109,7 @@ def hand_out(scene: Scene, load: SurfaceLoad, name: str = "", factor: float = 1.
         held=held,
         displacement=displacement,
         force=force,
-        facet_pressure=load.facet_pressure @ quadrature()[1],
+        facet_pressure=load.facet_pressure @ facet_quadrature()[1],
         load_factor=factor,
     )
 

@@ -153,7 +153,9 @@ def test_a_model_reads_the_keys_that_change_its_answer_and_no_others(name: str) 
 
 
 def test_elements_read_no_parameters_of_the_vdm() -> None:
-    assert {bool(models.reads(name)) for name, model in models.all_models().items() if model.volumetric} == {False}
+    assert {bool(models.reads(name)) for name, model in models.all_models().items() if model.volumetric} == {
+        False
+    }
     ours = {name: model for name, model in models.all_models().items() if not model.needs}
     assert all(name.startswith("fem") == model.volumetric for name, model in ours.items())
 

@@ -156,7 +156,7 @@ def test_a_run_goes_on_without_a_wheel(tmp_path: Path) -> None:
 def test_what_an_engine_prints_or_breaks_stays_in_its_process(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from fem_reference.solution import SolverError
+    from solver_common.solution import SolverError
 
     shutil.copy(Path(peers.__file__).with_name("engine.py"), tmp_path)
     monkeypatch.setattr(peers, "_HERE", tmp_path)
