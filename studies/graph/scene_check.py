@@ -37,7 +37,16 @@ def scene_problems(plan: Plan) -> list[Problem]:
         mesh = meshes[case.mesh]
         if mesh is not None:
             doubts = dict(_doubts(plan, case, mesh)) | doubts  # of several cases the first
+            for other in _other_scenes(case):
+                _scene(plan, other, mesh)
     return plan.study._source.error(list(doubts.items()), resolved(plan.study)).problems
+
+
+def _other_scenes(case: PlannedCase) -> list[PlannedCase]:
+    """The variations of a case whose regions are others."""
+    found = {repr(part.study.regions): part for part in case.parts}
+    del found[repr(case.study.regions)]
+    return list(found.values())[:MOST_SCENES]
 
 
 def scene_of(plan: Plan, case: PlannedCase) -> Scene:

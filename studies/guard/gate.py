@@ -154,7 +154,7 @@ def _inputs(case: CaseResult) -> str:
     own = {
         key: value
         for key, value in case.resolved.items()
-        if key not in ("study", "sweep", "calibration", "acceptance")
+        if key not in ("study", "sweep", "calibration", "acceptance", "inputs")
     }
     if isinstance(geometry := own.get("geometry"), Mapping) and "path" in geometry:
         own["geometry"] = {**geometry, "path": Path(str(geometry["path"])).name}

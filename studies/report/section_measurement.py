@@ -11,10 +11,11 @@ from solver_common.arrays import Array
 from ..measures.case import CaseResult
 from ..measures.measurement import FORCE, Measurement, Quantity
 from ..study.measured_file import AXES
-from ..verdict.digest import REFERENCE, Digest
+from ..verdict.digest import Digest
 from ..verdict.formatting import NOTHING, listed, plain, quantity, scale_of, short_percent
 from .blocks import Block, Cell, Column, Figure, Figures, Section, Table, Text
 from .plots import Plot, colour, line, marker, name_ticks
+from .svg import INK
 from .told import tell
 
 _MOST_DRAWN = 40  # quantities of a figure
@@ -153,9 +154,8 @@ def _figure(digest: Digest, case: CaseResult, found: Measurement, number: int) -
     plot = Plot("measured quantity", "displacement [mm]", f"measured{number}")
     described = []
     with plot as axes:
-        ink = colour(REFERENCE)
-        axes.vlines(places, data - bars, data + bars, colors=ink, linewidth=2.2)
-        axes.plot(places, data, "_", color=ink, markersize=11)
+        axes.vlines(places, data - bars, data + bars, colors=INK, linewidth=2.2)
+        axes.plot(places, data, "_", color=INK, markersize=11)
         for name in found.simulated:
             if name not in digest.models:
                 continue
@@ -189,10 +189,8 @@ def _curves(digest: Digest, _: CaseResult, found: Measurement, number: int) -> l
                 found.values[mine] / force,
                 np.array([found.quantities[k].uncertainty for k in mine]) / force,
             )
-            axes.vlines(
-                depths / length, values - bars, values + bars, colors=colour(REFERENCE), linewidth=2.2
-            )
-            axes.plot(depths / length, values, "_", color=colour(REFERENCE), markersize=11)
+            axes.vlines(depths / length, values - bars, values + bars, colors=INK, linewidth=2.2)
+            axes.plot(depths / length, values, "_", color=INK, markersize=11)
             for model in (model for model in digest.models if model in found.simulated):
                 k = digest.colour(model)
                 simulated = found.simulated[model][mine] / force

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from tests.command import vdmbench
+from tests.command import SMALL_STUDY, vdmbench
 from tests.graph.shared_work import ONE_LOAD, cache, meshes, plan_of, planned_work, run, scene_of
 from vdmbench import models
 from vdmbench.body.surface_measures import Surface, weighted_norm
@@ -115,6 +115,17 @@ def test_a_case_of_a_sweep_is_told_too(tmp_path: Path) -> None:
     (tmp_path / "tips.toml").write_text(STUDY + sweep)
     with pytest.raises(StudyError, match=r"at 0\.51: must be above -1 and at most 0\.5"):
         load_study(tmp_path / "tips.toml")
+
+
+def test_check_puts_each_place_of_a_region_on_the_mesh(tmp_path: Path) -> None:
+    text = SMALL_STUDY.replace('"hertz"', '"uniform"') + "[inputs]\ntissue.youngs_modulus = { sd = 300 }\n"
+    text += '"regions.finger.cap.angle" = { range = ["0.1 deg", "35 deg"] }\n'
+    (tmp_path / "small.toml").write_text(text)
+    result = vdmbench("check", "small.toml", cwd=tmp_path)
+    assert result.returncode == 2
+    (line,) = result.stderr.strip().splitlines()
+    assert "contact 'finger' loads no facet" in line or "selects no node" in line
+    assert "(in the case regions.finger.cap.angle = 0.00174533)" in line
 
 
 def test_a_missing_wheel_is_one_line_with_the_command(monkeypatch: pytest.MonkeyPatch) -> None:
