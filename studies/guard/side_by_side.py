@@ -30,7 +30,7 @@ from .gate import (
 # what is shown whether it has changed or not; of the others what has
 HEADLINE = {
     VECTOR: "displacement error",
-    DEFORMATION: "deformation error",
+    DEFORMATION: "error in change of shape",
     "max_nodal_error": "largest difference at a node",
     "volume_drift": "volume drift",
 }

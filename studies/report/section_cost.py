@@ -19,7 +19,7 @@ def run_time_against_error(digest: Digest) -> Section | None:
     compared = [summary for summary in digest.summaries if summary.name in digest.compared]
     measures = (
         ("Displacement error", [summary.vector for summary in compared]),
-        ("Deformation error", [summary.deformation for summary in compared]),
+        ("Error in change of shape", [summary.deformation for summary in compared]),
     )
     heights = [
         height

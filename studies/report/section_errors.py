@@ -28,7 +28,7 @@ from .plots import (
 )
 from .told import tell
 
-QUANTITIES = ((VECTOR, "Displacement error"), (DEFORMATION, "Deformation error"))
+QUANTITIES = ((VECTOR, "Displacement error"), (DEFORMATION, "Error in change of shape"))
 PARTS = (
     ("relative_l2_normal_error", "Normal component"),
     ("relative_l2_tangential_error", "Tangential component"),

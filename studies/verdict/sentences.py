@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from .formatting import listed, plural, quantity, short_percent
 from .inputs_known import inputs_in_words
 from .loading import load_in_words
-from .standing import NO, YES
+from .standing import NO, UNDECIDED, YES
 from .verdict import Limit, ModelErrors, Setting, Verdict
 from .why_not import exact_percent
 
@@ -82,6 +82,8 @@ def _summary(verdict: Verdict) -> str:
         return f"{subject} is within {limits} or not: the reference is too uncertain to tell."
     if verdict.word == YES:
         return f"{subject} is within {limits} in all {verdict.cases} cases{bare}."
+    if verdict.word == UNDECIDED:
+        return f"{subject} is surely within {limits} in none of {verdict.cases} cases."
     only = f": those at {verdict.tells} are not" if verdict.tells and verdict.within else ""
     return f"{subject} is within {limits} in {verdict.within or 'none'} of {verdict.cases} cases{bare}{only}."
 

@@ -237,7 +237,7 @@ def test_within_in_no_case_is_not_in_part() -> None:
         for error in (0.2, 0.101, 0.3)
     ]
     assert told(make_run(cases))[GOOD].startswith(
-        "Undecided. vdm-m is within 10 % in none of 3 cases. Displacement error: undecided, 30 % ± 1 % of "
+        "Undecided. vdm-m is surely within 10 % in none of 3 cases. Displacement error: undecided, 30 % ± 1 % of "
     )
 
 
