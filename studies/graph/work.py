@@ -105,16 +105,29 @@ def _answers(payload: Payload, node: str) -> Iterator[Said]:
         meshes = _meshes(payload, level)
         scenes = _scenes(payload["asked"], meshes)
         asked = [one for one in payload["asked"] if one["key"] in scenes]
-        paths = [[scenes[one["key"]].load(factor) for factor in one["factors"]] for one in asked]
-        steps = [load for path in paths for load in path]
-        result = Prepared(scenes[asked[0]["key"]], name, len(steps)).answer(steps)
-        if level:
-            result = restricted(result, meshes)
-        for place, one in enumerate(asked):  # of several each is one step
-            own = result if len(asked) == 1 else one_step(result, place)
-            write_answer(answer_path(cache, one["key"]), own, payload["run"])
+        first = scenes[asked[0]["key"]]
+        prepared = Prepared(first, name, sum(len(one["factors"]) for one in asked))
+        for of_one in _by_modulus(asked, scenes):
+            scene = scenes[of_one[0]["key"]]
+            same = scene.tissue.youngs_modulus == first.tissue.youngs_modulus
+            own = prepared if same else prepared.of_modulus(scene, name)
+            steps = [scenes[one["key"]].load(factor) for one in of_one for factor in one["factors"]]
+            result = own.answer(steps)
+            if level:
+                result = restricted(result, meshes)
+            for place, one in enumerate(of_one):  # of several each is one step
+                answer = result if len(of_one) == 1 else one_step(result, place)
+                write_answer(answer_path(cache, one["key"]), answer, payload["run"])
 
     yield _attempt(node, solve)
+
+
+def _by_modulus(asked: Sequence[Payload], scenes: Mapping[str, Scene]) -> list[list[Payload]]:
+    """What is asked, by the Young's modulus of its tissue."""
+    found: dict[float, list[Payload]] = {}
+    for one in asked:
+        found.setdefault(scenes[one["key"]].tissue.youngs_modulus, []).append(one)
+    return list(found.values())
 
 
 def _scenes(asked: Sequence[Payload], meshes: Hierarchy) -> dict[str, Scene]:

@@ -18,6 +18,7 @@ from . import costs, indented
 from .model import Model, SetUp, register
 
 if TYPE_CHECKING:
+    from fem_reference.linear import LinearProblem
     from fem_reference.loads import Load as FemLoad
     from fem_reference.mesh import TetMesh
     from fem_reference.springs import ElasticSupport
@@ -43,7 +44,15 @@ def _small_strain(scene: Scene, solver: str, name: str, n_loads: int) -> SetUp:
     )
     if scene.indenter:
         return SetUp(indented.linear(scene, problem, partial(fem_loads, mesh=problem.mesh)))
-    return SetUp(lambda loads: problem.solve(fem_loads(loads, problem.mesh), _asked(scene)), problem)
+    return _linear(problem, scene)
+
+
+def _linear(problem: LinearProblem, scene: Scene) -> SetUp:
+    return SetUp(
+        lambda loads: problem.solve(fem_loads(loads, problem.mesh), _asked(scene)),
+        problem,
+        lambda modulus: _linear(problem.with_youngs_modulus(modulus), scene),
+    )
 
 
 def _condensed(scene: Scene, solver: str, name: str, n_loads: int) -> SetUp:  # noqa: ARG001
@@ -176,6 +185,7 @@ _elements = partial(
 for _model in (
     _elements(
         name="fem-linear",
+        of_any_modulus=_ONE,
         version="3",
         prepare=_small_strain,
         lines=_BOTH,
@@ -185,6 +195,7 @@ for _model in (
     ),
     _elements(
         name="fem-p1",
+        of_any_modulus=_ONE,
         version="2",
         prepare=_small_strain,
         cost=costs.elements("P1"),
@@ -193,6 +204,7 @@ for _model in (
     ),
     _elements(
         name="fem-p2",
+        of_any_modulus=_ONE,
         version="2",
         prepare=_small_strain,
         lines=_ONE,

@@ -32,10 +32,13 @@ class SetUp:
     ----------
     solve : load steps -> Solution; the steps are independent where the model superposes, else one load path
     problem : what answers contact pressures linearly; None where nothing does
+    of_modulus : the set-up of the same body with another Young's modulus [Pa], on the same factor; None where it is
+        another set-up
     """
 
     solve: Callable[[Sequence[SurfaceLoad]], Solution]
     problem: PressureProblem | None = None
+    of_modulus: Callable[[float], SetUp] | None = None
 
 
 class Prepare(Protocol):
@@ -78,6 +81,7 @@ def register(model: Model) -> None:
         ("superposes", model.superposes, model.solvers),
         ("benched", model.benched, model.solvers[1:]),
         ("lines", model.lines, model.solvers),
+        ("of_any_modulus", model.of_any_modulus, model.superposes),
         ("takes", model.takes, EXTRAS),
         ("takes", {solver for solvers in model.takes.values() for solver in solvers}, model.solvers),
         ("parameters", model.parameters, {**VdmTable.model_fields, **model.own}),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import dataclasses
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
@@ -45,6 +46,15 @@ class Prepared:
             ValueError
         ) as error:  # the sentence of a surface, parameter, support or solver that does not work
             self._refusal = _refusal(error)
+
+    def of_modulus(self, scene: Scene, name: str) -> Prepared:
+        """The same for a scene that differs in Young's modulus alone, on the same factor."""
+        other = copy.copy(self)
+        other._scene = _as_declared(scene, self.model, name)
+        if self.set_up is not None:
+            assert self.set_up.of_modulus is not None  # the model declares it
+            other.set_up = self.set_up.of_modulus(scene.tissue.youngs_modulus)
+        return other
 
     def answer(self, loads: Sequence[SurfaceLoad]) -> ModelResult:
         """The result of some load steps: one load path, or independent of each other where the model superposes."""

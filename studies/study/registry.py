@@ -84,6 +84,7 @@ class Declared:
     contact_in_setup : whether its set-up depends on where the body is touched and how it is moved
     lines : solvers that take a force along a line of edges; the others are refused it
     takes : of `EXTRAS` what it takes, and with which solvers; the others are refused it
+    of_any_modulus : solvers whose set-up serves the same body with any Young's modulus
     own : of its parameters those that [vdm] has no key for: a study gives them in [models.NAME]
     benched : the solvers that a benchmark measures beside the default
     one_over_modulus : whether its answers to forces go with one over Young's modulus where its moduli are by rule
@@ -104,6 +105,7 @@ class Declared:
     contact_in_setup: bool = False
     lines: tuple[str, ...] = ()
     takes: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    of_any_modulus: tuple[str, ...] = ()
     own: Mapping[str, Parameter] = field(default_factory=dict)
     benched: tuple[str, ...] = ()
     one_over_modulus: bool = False
