@@ -124,10 +124,10 @@ def _fit_measured(plan: Plan, options: argparse.Namespace) -> int:
                         fit.model,
                         quantity(fit.modulus, "Pa"),
                         quantity(fit.uncertainty, "Pa", 2),
-                        quantity(fit.trained, "m"),
-                        quantity(fit.held_out, "m"),
+                        quantity(fit.trained, fit.unit),
+                        quantity(fit.held_out, fit.unit),
                         percent(fit.held_out / fit.size) if fit.size else "–",
-                        quantity(fit.as_given, "m"),
+                        quantity(fit.as_given, fit.unit),
                     ),
                     strict=True,
                 )

@@ -43,9 +43,10 @@ class Fit:
     model : its name
     modulus : of least squares over u_D [Pa]; NaN where the model has no answer, or where the range ends
     uncertainty : standard, of the modulus, from u_D alone [Pa]
-    trained, held_out : root mean square of E over the fitted quantities and over the others [m]
-    as_given : that over the others with the study's own modulus [m]
-    size : root mean square of D over the others [m]; 0 where all are distances
+    trained, held_out : root mean square of E over the fitted quantities and over the others of their unit
+    as_given : that over the others with the study's own modulus
+    size : root mean square of D over the others; 0 where all are distances
+    unit : of these, m or N
     untold : what the fitted values do not tell, in sentences
     """
 
@@ -56,11 +57,12 @@ class Fit:
     held_out: float
     as_given: float
     size: float
+    unit: str = "m"
     untold: tuple[str, ...] = ()
 
 
 def training(found: Measurement) -> Mask:
-    """(Q,) the quantities to fit: those of the first table's first load; the others are held out.
+    """(Q,) the quantities to fit: those of the first table's first load; the others of their unit are held out.
 
     Raises
     ------
@@ -73,7 +75,7 @@ def training(found: Measurement) -> Mask:
         return one.table, one.step, "" if math.isnan(one.depth) else one.depth
 
     mine = [load_of(one) == load_of(first) for one in found.quantities]
-    if all(mine):
+    if all(is_mine or one.unit != first.unit for is_mine, one in zip(mine, found.quantities, strict=True)):
         raise NothingMeasuredError(
             "one load of one table was measured, so that a fit could be tried on nothing; measure another load"
         )
@@ -116,25 +118,27 @@ def fit(
     """The same of a model that answers to a modulus [Pa]; `other_ratio`: its answers at a lower Poisson ratio."""
     start = answer(given)
     mine = training(start)
+    unit = start.quantities[0].unit
+    rest = np.array([one.unit == unit for one in start.quantities]) & ~mine
     weights = 1.0 / np.maximum([one.uncertainty for one in start.quantities], 1e-9)[mine]
 
     def lack(log: float) -> float:
         errors = answer(given * math.exp(log)).error(name)[mine] * weights
         return float(errors @ errors) if np.isfinite(errors).all() else 1e30
 
-    lost = Fit(name, *(math.nan,) * 5, _rms(start.values[~mine]))
-    if not np.isfinite(start.error(name)).all():
+    lost = Fit(name, *(math.nan,) * 5, _rms(start.values[rest]), unit)
+    if not np.isfinite(start.error(name)[mine]).all():
         return lost
     moved = (answer(given * (1 + _STEP)).error(name) - start.error(name))[mine] * weights
     if float(np.linalg.norm(moved)) <= _STILL:
         told = (
             "no fitted value changes with the modulus: a prescribed movement does not tell it, a force does"
         )
-        return dataclasses.replace(lost, as_given=_rms(start.error(name)[~mine]), untold=(told,))
+        return dataclasses.replace(lost, as_given=_rms(start.error(name)[rest]), untold=(told,))
     reach = math.log(FACTOR)
     log = float(minimize_scalar(lack, bounds=(-reach, reach), method="bounded", options={"xatol": _FOUND}).x)
     if abs(log) > reach - 2 * _FOUND:
-        return dataclasses.replace(lost, as_given=_rms(start.error(name)[~mine]))
+        return dataclasses.replace(lost, as_given=_rms(start.error(name)[rest]))
     modulus = given * math.exp(log)
     best, beside = (answer(modulus * (1 + step)).simulated[name] for step in (0.0, _STEP))
     slope = (beside - best)[mine] * weights / _STEP
@@ -153,9 +157,10 @@ def fit(
         modulus,
         uncertainty,
         _rms(errors[mine]),
-        _rms(errors[~mine]),
-        _rms(start.error(name)[~mine]),
-        _rms(start.values[~mine]),
+        _rms(errors[rest]),
+        _rms(start.error(name)[rest]),
+        _rms(start.values[rest]),
+        unit,
         tuple(untold),
     )
 

@@ -6,6 +6,7 @@ import copy
 import dataclasses
 import importlib.util
 import json
+from importlib import resources
 from pathlib import Path
 from typing import Any
 
@@ -413,3 +414,12 @@ def test_the_section_has_every_share() -> None:
     assert [column.detail for column in table.columns[1:3]] == ["5 kPa ± 300 Pa", "0.45 ± 0.01"]
     assert [cell.text for cell in table.rows[0][1:5]] == ["4.95 %", "0.25 %", "5.00 %", "5.00 %"]
     assert section(Digest(make_run([make_case({"vdm-paper": 0.1})]))) is None
+
+
+def test_the_commented_table_of_a_new_study_is_right(tmp_path: Path) -> None:
+    lines = resources.files("vdmbench.cli").joinpath("new_study.toml").read_text().splitlines()
+    start = lines.index("# [inputs]")
+    table = [line.removeprefix("# ") for line in lines[start : lines.index("", start)]]
+    text = "\n".join([*lines[:start], *table, *lines[start + len(table) :]])
+    study = load_study(tmp_path / "new.toml", text=text)
+    assert [one.key for one in inputs_of(study)] == [FORCE, E]

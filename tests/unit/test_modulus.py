@@ -10,7 +10,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from vdmbench.evidence.modulus import FACTOR, NothingMeasuredError, fit, training
-from vdmbench.measures.measurement import Measurement, Quantity
+from vdmbench.measures.measurement import FORCE, Measurement, Quantity
 
 TRUE, GIVEN = 8e3, 5e3  # Pa
 
@@ -83,3 +83,25 @@ def test_noise_that_leaves_the_modulus_open_is_told() -> None:
 
     (told,) = fit(noisy, GIVEN, "m").untold
     assert told == "u_D alone leaves it open by 46 %"
+
+
+def test_forces_are_fitted_and_tried_in_newtons() -> None:
+    """Of three depths the first trains; displacements beside them are of another unit, and are left out."""
+
+    def pressed(modulus: float) -> Measurement:
+        forces = np.array([1.0, 2.0, 4.0])
+        rows = [
+            Quantity("press", "finger", FORCE, 0, force, 0.01, 0.0, depth)
+            for depth, force in zip(
+                (1e-3, 2e-3, 3e-3), (forces + np.array([0.0, 0.1, 0.1])).tolist(), strict=True
+            )
+        ]
+        rows.append(Quantity("tips", "tip", "z", 0, 5.0, 1e-5, 0.0))
+        simulated = np.append(forces * modulus / TRUE, np.nan)
+        return Measurement(rows, {"m": simulated}, {"m": np.full(4, np.nan)})
+
+    found = fit(pressed, GIVEN, "m")
+    assert found.unit == "N"
+    assert_allclose(found.modulus, TRUE, rtol=2e-3)
+    assert_allclose(found.held_out, 0.1, rtol=0.1)
+    assert_allclose(found.size, np.sqrt((2.1**2 + 4.1**2) / 2), rtol=1e-9)
