@@ -28,12 +28,13 @@ from skfem.helpers import dot
 
 from fem_reference.costs import superlu_bytes
 from fem_reference.kinematics import Law
+from fem_reference.linear_algebra import DIRECT_TOLERANCE
 from fem_reference.loads import Load, check_loads, held_nodes
 from fem_reference.materials import TransverselyIsotropic
 from fem_reference.memory import check_memory
 from fem_reference.mesh import TetMesh
 from fem_reference.moduli import Moduli, check_density, check_fibres, make_moduli
-from fem_reference.solution import Solution, SolverError, Status
+from fem_reference.solution import CONVERGED, Solution, SolverError, Status
 from fem_reference.springs import DIRECTIONS, ElasticSupport, make_springs
 from solver_common.arrays import Array, Index, Mask
 from solver_common.quadrature import facet_quadrature
@@ -103,10 +104,10 @@ class PlainBody:
         surface_nodes: ArrayLike,
         triangles: ArrayLike,
         *,
-        parts: ArrayLike | None,
-        elastic_supports: Sequence[ElasticSupport],
         held: ArrayLike,
         intorder: int,
+        parts: ArrayLike | None = None,
+        elastic_supports: Sequence[ElasticSupport] = (),
     ) -> None:
         # these two refuse what is unusable
         self.checked = TetMesh(points, tetrahedra, surface_nodes, triangles, parts=parts)
@@ -279,3 +280,11 @@ class PlainBody:
 def _per_tetrahedron(value: Array) -> Array:
     """(1, 1) or (m, 1), to go with (m, Q) values at quadrature points."""
     return np.reshape(value, (-1, 1))
+
+
+def lu_status(residual: float) -> Status:
+    """Whether an LU factor has solved what it should."""
+    if residual <= DIRECT_TOLERANCE:
+        return CONVERGED
+    message = f"the LU factor gave a relative residual of {residual:.1e}, {DIRECT_TOLERANCE:.0e} is needed"
+    return Status("not-converged", message, "hold more of the surface, or improve the worst tetrahedra")

@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -22,12 +23,10 @@ from scipy.sparse.linalg import SuperLU, splu
 from skfem import BilinearForm, Functional, bmat, condense, solve
 from skfem.helpers import ddot, div, dot, mul, sym_grad
 
-from fem_reference.linear_algebra import DIRECT_TOLERANCE
 from fem_reference.loads import Load
 from fem_reference.materials import make_law
-from fem_reference.plain_body import Dofs, PlainBody
-from fem_reference.solution import CONVERGED, Solution, Status, check_outputs
-from fem_reference.springs import ElasticSupport
+from fem_reference.plain_body import Dofs, PlainBody, lu_status
+from fem_reference.solution import Solution, check_outputs
 
 # mypy: allow-untyped-defs, allow-untyped-calls, allow-untyped-decorators
 
@@ -68,8 +67,8 @@ class PlainLinearProblem:
 
     Parameters
     ----------
-    points, tetrahedra, surface_nodes, triangles, youngs_modulus, poisson_ratio, density, held, parts,
-    elastic_supports, fibre_direction, contrast : as `fem_reference.linear.LinearProblem`
+    mesh, supports : as `fem_reference.plain_body.PlainBody`
+    youngs_modulus, poisson_ratio, density, fibre_direction, contrast : as `fem_reference.linear.LinearProblem`
 
     Attributes
     ----------
@@ -85,34 +84,18 @@ class PlainLinearProblem:
 
     def __init__(
         self,
-        points: ArrayLike,
-        tetrahedra: ArrayLike,
-        surface_nodes: ArrayLike,
-        triangles: ArrayLike,
-        *,
+        *mesh: ArrayLike,
         youngs_modulus: ArrayLike,
         poisson_ratio: ArrayLike,
         density: float = 0.0,
-        held: ArrayLike,
-        parts: ArrayLike | None = None,
-        elastic_supports: Sequence[ElasticSupport] = (),
         fibre_direction: ArrayLike | None = None,
         contrast: float = 1.0,
+        **supports: Any,
     ) -> None:
         start = time.perf_counter()
         material = "neo-hookean" if fibre_direction is None else "transversely-isotropic"
         law = make_law(material, 1.0, 1.0, fibre_direction, contrast)
-        body = PlainBody(
-            points,
-            tetrahedra,
-            surface_nodes,
-            triangles,
-            parts=parts,
-            elastic_supports=elastic_supports,
-            held=held,
-            intorder=2,
-        )
-        self.body = body
+        self.body = body = PlainBody(*mesh, **supports, intorder=2)
         self.values, moduli = body.parameters(youngs_modulus, poisson_ratio, density, law)
         self.density = density
         self._told: dict[str, float | str] = {
@@ -153,7 +136,7 @@ class PlainLinearProblem:
             energy=0.5 * float(u @ (f[:n] + reaction)),
             mean_pressure=float(pressure_integral.assemble(body.basis, **inside)) / body.volume,
             residual=residual,
-            status=_status(residual),
+            status=lu_status(residual),
             seconds=time.perf_counter() - start,
         )
 
@@ -176,10 +159,3 @@ class PlainLinearProblem:
             self._factor = splu(A.tocsc())
         x = self._factor.solve(b)
         return x + self._factor.solve(b - A @ x)
-
-
-def _status(residual: float) -> Status:
-    if residual <= DIRECT_TOLERANCE:
-        return CONVERGED
-    message = f"the LU factor gave a relative residual of {residual:.1e}, {DIRECT_TOLERANCE:.0e} is needed"
-    return Status("not-converged", message, "hold more of the surface, or improve the worst tetrahedra")
