@@ -1,14 +1,17 @@
-"""Writes the accuracy table of `vdm/README.md` from the stored results of the accuracy studies.
+"""Writes the tables of `docs/evidence/accuracy.md` from runs of the accuracy studies, and of variants of these.
 
-A surface may be named as argument: it goes through `accuracy-organ` and gets a row of its own. Rows of surfaces
-that are not named stay as they are.
+In a variant the patch is moved by a given amount instead of pressed, or the bed holds more of the body. A surface
+may be named as argument: it goes through `accuracy-organ` and gets rows of its own. Rows of surfaces that are not
+named stay as they are. The studies run in `results/runs`, where what is there already is kept.
 """
 
 from __future__ import annotations
 
 import sys
 import tempfile
-from collections.abc import Iterator, Sequence
+import tomllib
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -20,10 +23,13 @@ from vdmbench.measures.case import CaseResult, Run
 from vdmbench.measures.metrics import DEFORMATION, VECTOR
 from vdmbench.measures.uncertainty import is_resolved
 from vdmbench.store.cases import read_run
+from vdmbench.study.overrides import overridden
+from vdmbench.verdict.formatting import NOTHING
 from vdmbench.verdict.standing import at_full_load, reference_bar
 
 ROOT = Path(__file__).parents[1]
-README = ROOT / "vdm" / "README.md"
+DOCUMENT = ROOT / "docs" / "evidence" / "accuracy.md"
+CASES = ROOT / "studies" / "cases"
 STUDIES = ("sphere", "ellipsoid", "box", "cylinder", "organ")
 CHEAPEST = "box"
 # of the models in the studies, what the table calls them
@@ -34,35 +40,113 @@ COLUMNS = {
     "vdm-boundary": "boundary",
     "fem-linear": "FEM, this mesh",
 }
+ALONG_NORMALS = ("vdm-paper", "vdm-consistent")  # the models that move nodes along normals only
+NORMAL = "relative_l2_normal_error"
 MEASURES = (VECTOR, DEFORMATION)
-HEAD = ("body", "nodes", "loads", "reference's own", *COLUMNS.values())
+HEAD = ("body", "nodes", "loads", "rigid", "reference's own", "least along normals", *COLUMNS.values())
+STEP = 1e-3  # m, by which a patch is moved; the models are linear, so that any other gives the same errors
 _PART = "accuracy"
 
 
-def row_of(study: str, directory: Path, name: str, surface: Path | None = None) -> list[str]:
-    """Run a study in `directory` and give its row of the table, called `name`.
+@dataclass(frozen=True)
+class Variant:
+    """How a body is touched and held: `words` after its name in the table, `suffix` after its study's name."""
+
+    words: str = ""
+    suffix: str = ""
+    moved: bool = False
+    embedded: float = 0.0  # share of the height that the bed holds; 0 for the study's own
+    stiffness: float = 0.0  # Pa/m, of springs along the normal that are the bed; 0 for one that holds
+
+    def changes(self, study: str) -> dict[str, Any]:
+        """What the variant changes in a study, for `overridden`."""
+        data = tomllib.loads((CASES / f"{study}.toml").read_text())
+        found: dict[str, Any] = {"study": {"name": study + self.suffix}}
+        if self.embedded:
+            found["regions"] = {"base": {"below": {"axis": "z", "fraction": self.embedded, "value": None}}}
+        if self.stiffness:
+            found["constraints"] = {"base": {"kind": "elastic", "stiffness": self.stiffness}}
+        if self.moved:
+            inward = -STEP * _unit([data["sweep"][f"regions.finger.cap.direction.{k}"] for k in range(3)])
+            found["constraints"] = found.get("constraints", {}) | {
+                "finger": {
+                    "kind": "constrained",
+                    "pressure": None,
+                    "profile": None,
+                    "displacement": inward[:, 0].tolist(),
+                }
+            }
+            found["sweep"] = {f"constraints.finger.displacement.{k}": inward[k].tolist() for k in range(3)}
+        return found
+
+
+PRESSED, MOVED = Variant(), Variant(", moved", "-moved", moved=True)
+
+
+def _embedded(share: float) -> tuple[Variant, Variant]:
+    words = f", embedded to {100 * share:.0f} %"
+    return (
+        Variant(words, "-embedded", embedded=share),
+        Variant(f"{words}, moved", "-embedded-moved", moved=True, embedded=share),
+    )
+
+
+# springs of 10 kPa/mm: on softer ones the body rocks as on a small base
+ELASTIC = Variant(", embedded to 40 % on springs", "-elastic", embedded=0.4, stiffness=1e7)
+# bodies that rock on a small base have a bed beside on which they do not, as deep as the patches leave room for
+VARIANTS = dict.fromkeys(STUDIES, (PRESSED, MOVED)) | {
+    "sphere": (PRESSED, MOVED, *_embedded(0.5)),
+    "organ": (PRESSED, MOVED, *_embedded(0.4), ELASTIC),
+}
+
+
+def _unit(directions: Sequence[Sequence[float]]) -> np.ndarray:
+    """(3, n) directions, each of length 1."""
+    found = np.array(directions)
+    return np.asarray(found / np.linalg.norm(found, axis=0))
+
+
+def row_of(
+    body: str, variant: Variant = PRESSED, *, cwd: Path = ROOT, surface: Path | None = None
+) -> list[str]:
+    """Run what is missing of a body's study in `cwd`, and give its row; a surface is on the organ's bed.
 
     Raises
     ------
     RuntimeError
         a study that did not finish all its cases.
     """
-    given = ["--surface", str(surface)] if surface else []
-    result = vdmbench("run", study, *given, "--out", name, "--json", cwd=directory)
+    study = "accuracy-organ" if surface else f"accuracy-{body}"
+    out = cwd / "results" / "runs" / f"accuracy-{body}{variant.suffix}"
+    given = ["--surface", str(surface), "--allow-outside"] if surface else []
+    with tempfile.TemporaryDirectory() as name:
+        path = Path(name) / "study.toml"
+        path.write_text(overridden((CASES / f"{study}.toml").read_text(), variant.changes(study)))
+        result = vdmbench("run", path, *given, "--out", out, "--json", cwd=cwd, seconds=7200)
     if result.returncode:
         raise RuntimeError(result.stderr)
-    return [name, *cells(read_run(directory / name))]
+    return [body + variant.words, *cells(read_run(out))]
 
 
 def cells(run: Run) -> Iterator[str]:
-    """What a row says of a run: size, the reference's own error, and each model's two errors in per cent."""
+    """What a row says of a run: size, the reference's motion and own error, and each model's errors in per cent."""
     yield str(len(run.cases[0].points))
     yield str(len(run.cases))
+    yield _of_reference(run.cases, "rigid_share")
     own = ([reference_bar(case, measure) for case in run.cases] for measure in MEASURES)
     yield " / ".join(as_per_cent(np.mean(values)) for values in own)
+    yield _of_reference(run.cases, "tangential_share")
     for model in COLUMNS:
-        means, worst = zip(*(_errors(run.cases, model, measure) for measure in MEASURES), strict=True)
+        if not all(np.isfinite(at_full_load(case, model, VECTOR)) for case in run.cases):
+            yield NOTHING
+            continue
+        measures = (*MEASURES, NORMAL) if model in ALONG_NORMALS else MEASURES
+        means, worst = zip(*(_errors(run.cases, model, measure) for measure in measures), strict=True)
         yield f"{' / '.join(means)} ({' / '.join(worst)})"
+
+
+def _of_reference(cases: Sequence[CaseResult], metric: str) -> str:
+    return as_per_cent(np.mean([at_full_load(case, str(case.reference), metric) for case in cases]))
 
 
 def _errors(cases: Sequence[CaseResult], model: str, measure: str) -> tuple[str, str]:
@@ -79,27 +163,29 @@ def as_per_cent(share: np.floating[Any] | float) -> str:
     return f"{per_cent:.0f}" if per_cent >= 9.95 else f"{per_cent:.1f}"
 
 
-def rows_in_readme() -> dict[str, list[str]]:
-    """The rows that `vdm/README.md` shows now, by body."""
-    return {row[0]: row for row in marked.cells(marked.shown(README, _PART))[1:]}
+def rows_in_document() -> dict[str, list[str]]:
+    """The rows that the page shows now, by body."""
+    return {row[0]: row for row in marked.cells(marked.shown(DOCUMENT, _PART))[1:]}
 
 
-def written(rows: dict[str, list[str]]) -> str:
+def written(rows: Mapping[str, Sequence[str]]) -> str:
     """The table as Markdown."""
     return marked.table(HEAD, rows.values())
 
 
 def main() -> None:
     """Run all the studies and write the table."""
-    rows = rows_in_readme()
-    with tempfile.TemporaryDirectory() as name:
-        directory = Path(name)
-        for body in STUDIES:
-            rows[body] = row_of(f"accuracy-{body}", directory, body)
-        for surface in sys.argv[1:]:
-            body = Path(surface).stem
-            rows[body] = row_of("accuracy-organ", directory, body, Path(surface).resolve())
-    marked.show(README, _PART, written(rows))
+    found = {}
+    for body, variants in VARIANTS.items():
+        for variant in variants:
+            row = row_of(body, variant)
+            found[row[0]] = row
+    for surface in (Path(name).resolve() for name in sys.argv[1:]):
+        for variant in (PRESSED, MOVED):
+            row = row_of(surface.stem, variant, surface=surface)
+            found[row[0]] = row
+    there = {name: row for name, row in rows_in_document().items() if len(row) == len(HEAD)}
+    marked.show(DOCUMENT, _PART, written(found | {k: v for k, v in there.items() if k not in found}))
 
 
 if __name__ == "__main__":
