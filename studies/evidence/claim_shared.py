@@ -11,7 +11,7 @@ from ..body.surface_measures import weighted_norm
 from ..measures.case import CaseResult
 from ..verdict.digest import Digest
 from ..verdict.formatting import short_percent
-from ..verdict.standing import reference_bar
+from ..verdict.standing import at_full_load, reference_bar
 
 PRINTED = "vdm-paper"
 EXACT = 1e-10  # relative volume drift that counts as none
@@ -51,3 +51,16 @@ def own_error(digests: Sequence[Digest]) -> str:
         if math.isfinite(largest)
         else " (bar not measured)"
     )
+
+
+def floor_in_words(digests: Sequence[Digest]) -> str:
+    """What the reference itself is off where it is moved along normals, as a further sentence; "" if not known."""
+    floors = [
+        at_full_load(case, str(case.reference), "tangential_share") for d in digests for case in d.cases
+    ]
+    known = [floor for floor in floors if math.isfinite(floor)]
+    if not known:
+        return ""
+    low, high = (short_percent(found) for found in (min(known), max(known)))
+    told = low if low == high else f"{low} to {high}"
+    return f" The reference itself, moved along normals, is {told} off: no form along normals can be better."

@@ -25,7 +25,7 @@ from ..verdict.formatting import listed, plain, short_percent
 from ..verdict.motion import ALONG_NORMALS, NORMAL
 from ..verdict.standing import at_full_load
 from .claim_figures import Line, curves
-from .claim_shared import CLOSE, DRAMATIC, KEPT, apart, own_error
+from .claim_shared import CLOSE, DRAMATIC, KEPT, apart, floor_in_words, own_error
 
 TOLERANCE = 1e-10  # of the iterative solvers where a study names none
 SMALL_STEPS_RULE = (
@@ -73,13 +73,8 @@ def small_steps(digests: Sequence[Digest]) -> Judgement | None:
         f"answers themselves are {short_percent(max(between.values()))} apart at most."
     )
     if normal:
-        floors = [
-            at_full_load(case, str(case.reference), "tangential_share") for d in digests for case in d.cases
-        ]
-        reason += (
-            f" The reference itself, moved along normals, is {short_percent(max(floors))} off: no form along "
-            f"normals can be better. In the normal component, which they predict, it goes, for {in_words(normal)}."
-        )
+        reason += floor_in_words(digests)
+        reason += f" In the normal component, which they predict, the error goes, for {in_words(normal)}."
     most = max(abs(change.growth) for change in changes.values())
     figure = curves(digests[0], lines, "load steps", "displacement error at full load", "claim4", log_x=True)
     number = f"{short_percent(most)} at most by small steps{own_error(digests)}"

@@ -34,7 +34,7 @@ from ..verdict.formatting import listed, plain, plural, quantity, short_percent
 from ..verdict.growth import is_measured, strain_in_words, strain_range, strain_side
 from ..verdict.standing import at_full_load, series
 from .claim_figures import Line, bars, curves, histories
-from .claim_shared import CLOSE, FIT, KEPT, ORDER, SAME, own_error
+from .claim_shared import CLOSE, FIT, KEPT, ORDER, SAME, floor_in_words, own_error
 from .claim_steps import SMALL_STEPS_RULE, WARM_START_RULE, small_steps, warm_start
 from .claim_volume import RULE as VOLUME_RULE
 from .claim_volume import volume
@@ -92,7 +92,7 @@ def _linear(digests: Sequence[Digest]) -> Judgement | None:
     reason = (
         "Linear elements depart from finite strain by 5 % at a largest principal strain of "
         f"{strain_in_words(first)}{' or more' if len(found) > 1 else ''}. At small loads already, "
-        f"{listed(f'{m} is {short_percent(e)} off' for m, e in structural.items())}."
+        f"{listed(f'{m} is {short_percent(e)} off' for m, e in structural.items())}.{floor_in_words(digests)}"
     )
     figures: tuple[Figure, ...] = ()
     for k, d in enumerate(digests):
@@ -287,7 +287,8 @@ def _large_strain(digests: Sequence[Digest]) -> Judgement | None:
 
     reasons, number = [], "no form reaches the full load"
     if grown:
-        reasons.append(f"From the smallest load to the largest the error goes, for {in_words(grown)}.")
+        told = f"From the smallest load to the largest the error goes, for {in_words(grown)}."
+        reasons.append(told + floor_in_words(digests))
         worst = float(np.max([change.after - change.before for change in grown.values()]))  # NaN where one is
         number = f"{short_percent(worst)} growth at most{own_error(digests)}"
     if stopped:

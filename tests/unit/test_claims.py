@@ -140,6 +140,7 @@ def test_linear_analysis(strain: float, bar: float, structural: float, verdict: 
     assert outcome.verdict == verdict
     shown = "" if math.isnan(bar) else f" ± {100 * strain * bar:.2g} %"
     assert outcome.number == f"{100 * strain:g} %{shown} strain at 5 % departure"
+    assert "The reference itself, moved along normals, is" in outcome.reason
     denied = ModelLimits(0.0, 0.0, (Limit(0.05, "unresolved", 50.0, math.nan, 0.001, 0.05),))
     other = SmallStrainLimits(found.along, "Pa", {"fem-linear": denied})
     judged_both = judged(
@@ -249,7 +250,7 @@ def test_small_steps_of_a_form_along_normals_are_told_by_its_own_measure() -> No
         cases.append(with_metric(case, "fem-linear", {"tangential_share": 0.75}))
     outcome = judged(4, *cases)
     assert "The reference itself, moved along normals, is 75 % off" in outcome.reason
-    assert "it goes, for vdm-paper:quasi-linear from 25 % to 15 %." in outcome.reason
+    assert "the error goes, for vdm-paper:quasi-linear from 25 % to 15 %." in outcome.reason
 
 
 @pytest.mark.parametrize(("gains", "verdict"), [((3, 4), HOLDS), ((1, 4), WITHIN_LIMITS), ((1, 1), FAILS)])
@@ -388,6 +389,7 @@ def test_large_strain_with_the_reference_s_own_error(
     outcome = judged(8, case)
     assert outcome.verdict == verdict
     assert outcome.number.endswith(f" growth at most (reference's own error {100 * bar:g} %)")
+    assert "The reference itself, moved along normals, is" in outcome.reason
 
 
 def test_no_growth_is_told_of_forms_that_all_stop() -> None:
