@@ -15,7 +15,7 @@ from solver_common.arrays import Array, Mask
 from .. import models
 from ..body.mesh import Mesh
 from ..measures.measurement import Measurement, Quantity, hold_against
-from ..measures.pushed import Answer
+from ..measures.pushed import INDENTER_FORCE, Answer
 from ..scene.result import ModelResult
 from ..scene.scene import build_scene
 from ..study.schema import Study
@@ -94,7 +94,10 @@ def fit_modulus(study: Study, mesh: Mesh, name: str) -> Fit:
     def answer(modulus: float, ratio: float = study.tissue.poisson_ratio) -> Measurement:
         tissue = study.tissue.model_copy(update={"youngs_modulus": modulus, "poisson_ratio": ratio})
         scene = build_scene(study.model_copy(update={"tissue": tissue}), mesh)
-        found = hold_against(study, mesh, {}, {}, {name: _answer(models.run_model(scene, name), name)})
+        linear = models.superposes(name) and scene.indenter is None
+        found = hold_against(
+            study, mesh, {}, {}, {name: _answer(models.run_model(scene, name), linear=linear)}
+        )
         if found is None:
             raise NothingMeasuredError("the study has no [[measured]] table of its case")
         return found
@@ -105,8 +108,9 @@ def fit_modulus(study: Study, mesh: Mesh, name: str) -> Fit:
     return fit(answer, study.tissue.youngs_modulus, name, softer)
 
 
-def _answer(result: ModelResult, name: str) -> Answer:
-    return Answer(result.displacement, result.reaction_force, models.superposes(name))
+def _answer(result: ModelResult, *, linear: bool) -> Answer:
+    force = result.scalars.get(INDENTER_FORCE)
+    return Answer(result.displacement, result.reaction_force, linear, indenter_force=force)
 
 
 def fit(

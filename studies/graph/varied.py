@@ -12,7 +12,7 @@ import numpy as np
 from ..body.surface_measures import Surface
 from ..measures.input_spread import InputSpread, Propagation, input_spread
 from ..measures.measurement import Spread
-from ..measures.pushed import Answer
+from ..measures.pushed import INDENTER_FORCE, Answer
 from ..scene.result import ModelResult
 from ..study.model_name import REFINED
 from ..study.schema import Study
@@ -30,7 +30,12 @@ class Varied:
 
     def answer(self, name: str, result: ModelResult) -> Answer:
         """A result of a model of the case as what it answers."""
-        return Answer(result.displacement, result.reaction_force, name.removesuffix(REFINED) in self._linear)
+        return Answer(
+            result.displacement,
+            result.reaction_force,
+            name.removesuffix(REFINED) in self._linear,
+            indenter_force=result.scalars.get(INDENTER_FORCE),
+        )
 
     def answers(self, name: str) -> list[Answer]:
         """What a model answers to each variation."""
@@ -42,7 +47,8 @@ class Varied:
         found = {key: stored_answer(cache, key, run) for key in dict.fromkeys(want.answers)}
         if not want.scales:
             only = found[want.answers[0]]
-            return Answer(only.displacement, only.reaction_force, values=values)
+            force = only.scalars.get(INDENTER_FORCE)
+            return Answer(only.displacement, only.reaction_force, values=values, indenter_force=force)
         parts = [(scale, found[key]) for key, scale in zip(want.answers, want.scales, strict=True)]
         displacement = np.concatenate([times * scale * one.displacement for scale, one in parts])
         reaction = np.concatenate([scale * one.reaction_force for scale, one in parts])

@@ -25,6 +25,7 @@ INDICES = {
     SOBOL: {"S1": "first order", "ST": "total"},
     MORRIS: {"mu_star": "mean effect", "sigma": "its spread"},
 }
+_NOTHING = 1e-6  # share of the displacement: less is what solvers leave open
 STRAIGHT = 0.2  # `ModelSpread.bend` up to which first order will do: it moves the deviation by a fiftieth
 
 
@@ -153,7 +154,7 @@ def _model_spread(rule: Propagation, surface: Surface, own: Array, fields: Seque
             share(low + (high - low) * one.place - own, own)
             for one, low, high in zip(rule.inputs, fields[0::2], fields[1::2], strict=False)
         ]
-        bend = float(np.max(bends)) / total if total else bend
+        bend = float(np.max(bends)) / total if total > _NOTHING else 0.0
     else:
         total = share(rule.deviation(fields), own)
         deformation = share(rule.deviation([shape(values) for values in fields]), shape(own))

@@ -16,6 +16,7 @@ from ..scene.coordinates import in_mesh_coordinates
 from ..scene.regions import select
 from ..study.schema import Constraint, Study
 
+INDENTER_FORCE = "indenter_force"  # scalar of a result
 _BEYOND = 1e-9  # of the largest depth: as far beyond it is rounding
 
 
@@ -29,12 +30,14 @@ class Answer:
     reaction : (S, N, 3) that the support exerts [N]; None where it is not known
     linear : whether its answers go straight with the load, beyond the steps too
     values : inputs that differ from the study's: key -> value, SI
+    indenter_force : (S,) of a rigid indenter, along its push [N]; None where there is none
     """
 
     displacement: Array
     reaction: Array | None = None
     linear: bool = False
     values: Mapping[str, float] | None = None
+    indenter_force: Array | None = None
 
 
 def inward(displacement: Array, nodes: Index, normals: Array) -> Array:
@@ -77,6 +80,10 @@ class Pushed:
                 force = resultant(given["pressure"], self._mask, mesh.surface_points, mesh.triangles)
             nodes = np.flatnonzero(self._mask)
             return inward(answer.displacement, nodes, self._normals), self._factors * float(force)
+        if self.constraint.kind == "indenter":
+            force = answer.indenter_force
+            depths = self._factors * float(given["depth"])
+            return depths, np.full(len(depths), np.nan) if force is None else force
         prescribed = np.array(given["displacement"], dtype=float)
         depths = self._factors * float(np.linalg.norm(prescribed))
         if answer.reaction is None:

@@ -40,11 +40,12 @@ def check_measured(study: Study) -> Iterator[Finding]:
 
 
 def pushing(study: Study) -> list[str]:
-    """Names of the constraints whose force goes with a depth: contacts, and movements of a region."""
+    """Names of the constraints whose force goes with a depth: contacts, indenters, and movements of a region."""
     return [
         part.name
         for part in study.constraints or ()
-        if part.kind == "contact" or (part.kind == "constrained" and any(part.displacement or ()))
+        if part.kind in ("contact", "indenter")
+        or (part.kind == "constrained" and any(part.displacement or ()))
     ]
 
 
@@ -58,7 +59,7 @@ def _check_forces(study: Study, table: Measured, loc: Loc) -> Iterator[Finding]:
         yield (*loc, "force_uncertainty"), text
     names = pushing(study)
     if table.constraint is not None and table.constraint not in names:
-        yield (*loc, "constraint"), unknown(table.constraint, names, "contact or movement")
+        yield (*loc, "constraint"), unknown(table.constraint, names, "contact, indenter or movement")
         return
     if table.constraint is None and len(names) != 1:
         told = f"several push: {', '.join(names)}; name one" if names else "nothing pushes the body"

@@ -56,8 +56,8 @@ class MeasuredForce(Table):
     """One point of a curve of force against depth"""
 
     depth: Annotated[float, SI("m"), positive] = Field(
-        description="of a contact the largest displacement of its nodes, inwards along the normal; of what moves a "
-        "region the movement"
+        description="of a contact the largest displacement of its nodes, inwards along the normal; of an indenter "
+        "its way from where it first touches; of what moves a region the movement"
     )
     force: Annotated[float, SI("N")] = Field(description="resultant, in the direction of the depth")
     uncertainty: Annotated[float, SI("N"), not_negative] | None = Field(
@@ -102,7 +102,7 @@ class Measured(Table):
     )
     constraint: str | None = Field(
         None,
-        description="name of the contact or of the movement whose force it is; needed where there are several",
+        description="name of the contact, indenter or movement whose force it is; needed where there are several",
     )
 
     @model_validator(mode="before")

@@ -307,6 +307,15 @@ def of_product(study: Study, surface: Surface) -> InputSpread:
     return input_spread(study, surface, {"m": u0}, lambda _: fields)
 
 
+def test_what_solvers_leave_open_does_not_bend() -> None:
+    surface, study = unit_sphere(), study_of({E: {"sd": 250.0}})
+    u0 = surface.points * [0.0, 0.0, 1.0]
+    noise = 1e-9 * np.random.default_rng(5).normal(size=(2, *u0.shape))
+    found = input_spread(study, surface, {"m": u0}, lambda _: list(u0 + noise)).models["m"]
+    assert found.displacement < 1e-8
+    assert found.bend == 0.0
+
+
 @pytest.mark.skipif(not HAS_SALIB, reason="SALib is not installed")
 def test_indices_of_a_product() -> None:
     """Of E F^2 the force's small share counts twice: the first-order indices are those of 0.05 and 2 * 0.02."""

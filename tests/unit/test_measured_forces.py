@@ -142,6 +142,19 @@ def test_forces_of_a_movement_are_reactions(tmp_path: Path) -> None:
     assert found.within("m").tolist() == [True, True]
 
 
+def test_forces_of_an_indenter_are_its_own(tmp_path: Path) -> None:
+    """Its way is the depth: 25, 50 and 100 mm at 1, 3 and 9 N; a model that it does not touch has no answer."""
+    pushed = PRESSED.replace("vdm-boundary", "fem-p1").replace('kind = "contact"', 'kind = "indenter"')
+    pushed = pushed.replace("force = 8", 'depth = 0.1\nshape = "sphere"\nradius = 0.5')
+    study = load(tmp_path, CURVE, pushed)
+    still = np.zeros((3, 162, 3))
+    answers = {"m": Answer(still, indenter_force=np.array([1.0, 3.0, 9.0])), "none": Answer(still)}
+    found = hold_against(study, ball(), {}, {}, answers)
+    assert found is not None
+    assert_allclose(found.error("m"), [0.0, 0.0], atol=1e-12)
+    assert np.isnan(found.simulated["none"]).all()
+
+
 @pytest.mark.parametrize(
     ("key", "change", "u_input"),
     [("tissue.youngs_modulus", 250.0, 0.05), ("constraints.finger.force", 0.4, 0.0)],
