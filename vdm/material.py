@@ -71,6 +71,7 @@ class Parameters:
         (sparse)
     poisson_ratio : of what is inside, above -1 and at most 1/2: the fluid that keeps the volume (boundary, sparse)
     rotation : which rotation is free of tension: none, or one for the body (vector)
+    ground : (N, 3, 3) springs between the nodes and a rigid ground [N/m], symmetric (vector, boundary, mass-spring)
     tension_stiffening : gamma of the nonlinear volumic tension B_ij (1 + gamma s^2) s, s the difference of two
         neighbours' dV over their mean V_i (paper, nonlinear solver); zero is equation 8
     youngs_modulus : E [Pa] of the tissue that the moduli stand for: what `vdm.bending` judges a form by. None:
@@ -86,6 +87,7 @@ class Parameters:
     coarse_nodes: int | None = None
     poisson_ratio: float = 0.5
     rotation: Rotation = "global"
+    ground: Array | None = None
     tension_stiffening: float = 0.0
     youngs_modulus: float | None = None
 
@@ -99,6 +101,9 @@ class Parameters:
             raise ParameterError(
                 f"coarse_nodes must be a whole number from {fewest} to {most:,}, not {count!r}"
             )
+        ground = self.ground
+        if ground is not None and not (ground.shape[1:] == (3, 3) and np.isfinite(ground).all()):
+            raise ParameterError(f"ground must be finite and of shape (N, 3, 3), not {ground.shape}")
         if not -1.0 < self.poisson_ratio <= 0.5:
             raise ParameterError(f"poisson_ratio must be above -1 and at most 1/2, not {self.poisson_ratio}")
         if not _not_negative(self.tension_stiffening):

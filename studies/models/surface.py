@@ -13,7 +13,7 @@ from solver_common.arrays import Array
 from vdm.solvers import SOLVERS
 
 from ..body.mesh import Mesh
-from ..body.surface_measures import facet_areas, nodal_sum
+from ..body.surface_measures import corner_sum, facet_area_vectors
 from ..scene.scene import Scene, SurfaceLoad
 from ..study.model_name import split, takes_fluid
 from . import costs
@@ -21,6 +21,7 @@ from .model import Model as Registered
 from .model import SetUp, register
 
 if TYPE_CHECKING:
+    from vdm.formulations.base import Formulation
     from vdm.incremental import IncrementalModel
     from vdm.material import Parameters
     from vdm.model import Model
@@ -36,7 +37,7 @@ def prepare_surface(scene: Scene, solver: str, name: str, n_loads: int) -> SetUp
 
     model = _model(**_inputs(scene, name))
 
-    springs = nodal_springs(scene)
+    springs = _springs(scene)
 
     def solve(loads: Sequence[SurfaceLoad]) -> Solution:
         steps = [
@@ -49,28 +50,47 @@ def prepare_surface(scene: Scene, solver: str, name: str, n_loads: int) -> SetUp
             for load in loads
         ]
         solution = model.solve(steps, condition=scene.condition)
-        return solution if springs is None else _apart(solution, springs, model.surface.normals)
+        # of the incremental model there are none: it declares to take no springs
+        if springs is None or not isinstance(model, Model):
+            return solution
+        return _apart(solution, springs, model.formulation)
 
     solver_of_pressures = model.solver if isinstance(model, Model) else None
     return SetUp(solve, solver_of_pressures if isinstance(solver_of_pressures, LinearSolver) else None)
 
 
-def nodal_springs(scene: Scene) -> Array | None:
-    """(N,) stiffness of the springs along the normals at the nodes [N/m]; None where there are none."""
+def _springs(scene: Scene) -> Array | None:
+    """(N, 3, 3) springs between the nodes and the ground [N/m]; None where there are none."""
     if not scene.springs:
         return None
     points, triangles = scene.mesh.surface_points, scene.mesh.triangles
-    areas = facet_areas(points, triangles)
-    per_facet = sum((part.stiffness * part.facets * areas for part in scene.springs), np.zeros(len(areas)))
-    return nodal_sum(per_facet, triangles, len(points))
+    vectors = facet_area_vectors(points, triangles)
+    areas = np.linalg.norm(vectors, axis=1)[:, None, None]
+    along = np.einsum("fi,fj->fij", vectors, vectors) / areas  # of the normals, times the area
+    found = np.zeros((len(areas), 3, 3))
+    for part in scene.springs:
+        shape = along if part.direction == "normal" else areas * np.eye(3)
+        found += part.stiffness * part.facets[:, None, None] * shape
+    # a third of each facet's springs at each of its nodes
+    return np.asarray(corner_sum(np.repeat(found[:, None] / 3.0, 3, axis=1), triangles, len(points)))
 
 
-def _apart(solution: Solution, springs: Array, normals: Array) -> Solution:
+def _along_normals(springs: Array, normals: Array) -> Array:
+    """(N,) what springs are for nodes that move along their normals."""
+    return np.asarray(np.einsum("ni,nij,nj->n", normals, springs, normals))
+
+
+def _apart(solution: Solution, springs: Array, formulation: Formulation) -> Solution:
     """The solution with the force of the springs among the reactions, and the energy of the body alone."""
-    along = np.einsum("sni,ni->sn", solution.displacement, normals)
-    reaction = solution.reaction_force - (springs * along)[:, :, None] * normals
+    u = solution.displacement
+    force = np.einsum("nij,snj->sni", springs, u)
+    if formulation.components == 1:
+        normals = formulation.surface.normals
+        along = np.einsum("sni,ni->sn", u, normals) * _along_normals(springs, normals)
+        force = along[:, :, None] * normals
+    stored = 0.5 * np.einsum("sni,sni->s", force, u)
     return dataclasses.replace(
-        solution, reaction_force=reaction, energy=solution.energy - 0.5 * along**2 @ springs
+        solution, reaction_force=solution.reaction_force - force, energy=solution.energy - stored
     )
 
 
@@ -93,7 +113,7 @@ def _inputs(scene: Scene, name: str) -> dict[str, Any]:
         "constrained": scene.constrained,
         "gravity": scene.gravity,
         "environment_pressure": scene.environment_pressure,
-        "springs": nodal_springs(scene),
+        "springs": _springs(scene),
     }
 
 
@@ -127,7 +147,7 @@ def _model(
             grown = chosen["surface_tension"] * (rule.surface_tension / rule.surface_tension.mean())
             whole = dataclasses.replace(whole, surface_tension=grown)
         whole = whole if fibres is None else whole.anisotropic(surface, *fibres)
-        return whole if springs is None else _on_springs(whole, springs, surface)
+        return whole if springs is None else _on_springs(whole, springs, surface, formulation)
 
     if penalty is not None:
         options |= {"constraint_method": "penalty-replaced", "penalty": penalty}  # (25) and (26) as printed
@@ -148,15 +168,17 @@ def _model(
     )
 
 
-def _on_springs(parameters: Parameters, springs: Array, surface: SurfaceMesh) -> Parameters:
-    """The material with springs as a foundation of its own at each node, which B_i over V / A is as well."""
-    changed: dict[str, Any] = {}
-    if parameters.bulk_modulus is not None:
+def _on_springs(parameters: Parameters, springs: Array, surface: SurfaceMesh, formulation: str) -> Parameters:
+    """The material on springs; nodes that move along normals have them as a foundation of their own."""
+    if formulation not in ("paper", "consistent"):
+        return dataclasses.replace(parameters, ground=springs)
+    along, changed = _along_normals(springs, surface.normals), dict[str, Any]()
+    if parameters.bulk_modulus is not None:  # B_i over V / A is a foundation
         height = surface.volume / surface.area
-        changed["bulk_modulus"] = parameters.bulk_modulus + height * springs / surface.nodal_areas
+        changed["bulk_modulus"] = parameters.bulk_modulus + height * along / surface.nodal_areas
     else:
         own = 0.0 if parameters.foundation is None else parameters.foundation
-        changed["foundation"] = own + springs / surface.vector_areas
+        changed["foundation"] = own + along / surface.vector_areas
     # the known bendings are those of a body that is held or free
     return dataclasses.replace(parameters, youngs_modulus=None, **changed)
 
@@ -170,7 +192,7 @@ _surface = partial(
     cost=costs.surface,
     one_over_modulus=True,
 )
-SPRINGS = "normal springs"  # of `vdmbench.study.registry.EXTRAS`
+SPRINGS, FULL = "normal springs", "full springs"  # of `vdmbench.study.registry.EXTRAS`
 INCREMENTAL = "incremental"  # of the printed form alone, whose claim it tries
 _NOT_OF_THE_MATERIAL = ("penalty", "compressibility", "tolerance")
 for _registered in (
@@ -201,7 +223,7 @@ for _registered in (
         benched=("quasi-linear", "nonlinear"),
         version="8",
         solvers=SOLVERS,
-        takes={SPRINGS: SOLVERS},
+        takes={SPRINGS: SOLVERS, FULL: SOLVERS},
         parameters=("foundation", "surface_tension", "stretch_stiffness", "rotation", "penalty"),
         by_rule=("surface_tension",),
         lines=SOLVERS,
@@ -211,6 +233,7 @@ for _registered in (
         name="vdm-boundary",
         benched=("nonlinear",),
         cost=costs.boundary,
+        takes=dict.fromkeys((SPRINGS, FULL), ("linear", "nonlinear")),
         version="12",
         solvers=("linear", "nonlinear"),
         tissue=("youngs_modulus", "poisson_ratio"),
@@ -234,6 +257,7 @@ for _registered in (
     _surface(
         name="mass-spring",
         cost=costs.mass_spring,
+        takes={SPRINGS: SOLVERS, FULL: SOLVERS},
         version="6",
         solvers=SOLVERS,
         parameters=("shear_modulus", "penalty"),

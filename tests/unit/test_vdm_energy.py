@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
@@ -18,8 +20,15 @@ BASE = POINTS[:, 2] < -0.03
 # off the axis: the body dents and leans
 SIDE = Load(np.where(POINTS @ [0.7, 0.2, 0.6] > 0.035, 300.0, 0.0))
 TISSUE = {name: Parameters.from_tissue(5000.0, BODY, name, held=BASE) for name in FORMULATIONS}
+GROUND = 5.0 * np.einsum(
+    "nia,nja->nij", *2 * (np.random.default_rng(4).standard_normal((len(POINTS), 3, 3)),)
+)
 FORMS = {
     **{name: (name, parameters) for name, parameters in TISSUE.items()},
+    **{
+        f"{name}, ground": (name, replace(TISSUE[name], ground=GROUND))
+        for name in ("vector", "boundary", "mass-spring")
+    },
     "paper, stiffening": (
         "paper",
         Parameters(bulk_modulus=20.0, connectivity_modulus=200.0, tension_stiffening=50.0),

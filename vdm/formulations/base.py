@@ -45,6 +45,7 @@ class SparseFactor(Factor, Protocol):
     size: int
 
 
+_STOPPED = 1e-10  # energy of a rigid motion over the largest one, below which springs leave it free
 Factorise = Callable[[sparse.csr_array], SparseFactor]
 
 
@@ -228,6 +229,23 @@ class DisplacementFormulation(Formulation):
     """Three unknowns per node: x is the displacement, and a generalised force is a force."""
 
     components = 3
+
+    @classmethod
+    def free_motions(cls, surface: SurfaceMesh, parameters: Parameters, nodes: Mask) -> Array:
+        """The rigid motions that springs to the ground leave free."""
+        motions = rigid_motions(surface, nodes)
+        if parameters.ground is None:
+            return motions
+        whole = rigid_motions(surface, np.ones(surface.n_nodes, dtype=np.bool_))
+        energy, axes = np.linalg.eigh(
+            np.einsum("nia,nij,njb->ab", whole, parameters.ground, whole, optimize=True)
+        )
+        return motions @ axes[:, energy <= _STOPPED * energy.max()]
+
+    def ground_force(self, x: Array) -> Array:
+        """(N, 3) what springs to the ground, where there are some, need for a displacement; they do not turn."""
+        ground = self.parameters.ground
+        return np.zeros_like(x) if ground is None else np.einsum("nij,nj->ni", ground, x)
 
     def unknown(self, displacement: Array) -> Array:
         return displacement

@@ -105,6 +105,10 @@ class BoundaryFormulation(DisplacementFormulation):
         return {**super().record(), "poisson_ratio": self.poisson_ratio, "scheme": "dense"}
 
     def apply(self, x: Array) -> Array:
+        return self.elastic_force(x) + self.ground_force(x)
+
+    def elastic_force(self, x: Array) -> Array:
+        """S u, (N, 3)."""
         force: Array = (self.matrix @ x.reshape(-1)).reshape(-1, 3)
         return force
 
@@ -112,13 +116,22 @@ class BoundaryFormulation(DisplacementFormulation):
         if factorise is not Cholesky:
             raise SolverError(DENSE)
         dofs = np.repeat(free, 3)
-        return DenseFactor(self.matrix[np.ix_(dofs, dofs)])
+        return DenseFactor(self._grounded(self.matrix[np.ix_(dofs, dofs)], free))
 
     def stiffness(self) -> sparse.csr_array:
-        return sparse.csr_array(self.matrix)
+        return sparse.csr_array(self._grounded(self.matrix.copy(), np.ones(self.surface.n_nodes, np.bool_)))
 
     def diagonal(self) -> Array:
-        return np.diagonal(self.matrix)
+        ground = self.parameters.ground
+        own = np.diagonal(self.matrix)
+        return own if ground is None else own + np.einsum("nii->ni", ground).reshape(-1)
+
+    def _grounded(self, block: Array, nodes: Mask) -> Array:
+        """A block of S over some nodes, with their springs added to it."""
+        if self.parameters.ground is not None:
+            at = np.arange(np.count_nonzero(nodes))
+            block.reshape(len(at), 3, len(at), 3)[at, :, at] += self.parameters.ground[nodes]
+        return block
 
     def pressure_force(self, pressure: Array) -> Array:
         """Force (N, 3) of weight, given as the hydrostatic pressure (N,) that would carry it.
@@ -135,11 +148,11 @@ class BoundaryFormulation(DisplacementFormulation):
         slope, mean = fitted[:3], fitted[3]
         moved = (arms @ slope)[:, None] * arms - 0.5 * np.square(arms).sum(axis=1)[:, None] * slope
         moved += mean * arms
-        return force - self.apply(moved) / (3.0 * self.bulk_modulus)
+        return force - self.elastic_force(moved) / (3.0 * self.bulk_modulus)
 
-    def deformed_internal_force(self, x: Array, state: DeformedSurface) -> Array:  # noqa: ARG002 - x is in state
+    def deformed_internal_force(self, x: Array, state: DeformedSurface) -> Array:
         turn, unturned = self._unturned(state)
-        force = self.apply(unturned) @ turn
+        force = self.elastic_force(unturned) @ turn
         # dQ = Q [omega]x with (tr P - P) omega = -sum levers x dx, P = sum levers (x) positions, is symmetric;
         # the energy changes by omega . sum positions x force
         levers = state.body.levers @ turn
@@ -147,11 +160,11 @@ class BoundaryFormulation(DisplacementFormulation):
         inertia = np.trace(stretch) * np.eye(3) - stretch
         pull = np.linalg.solve(inertia, _axial(state.positions.T @ force))
         balanced: Array = force - levers @ _turning(pull)
-        return balanced
+        return balanced + self.ground_force(x)
 
-    def deformed_energy(self, x: Array, state: DeformedSurface) -> float:  # noqa: ARG002 - x is in state
+    def deformed_energy(self, x: Array, state: DeformedSurface) -> float:
         unturned = self._unturned(state)[1]
-        return 0.5 * float(np.vdot(unturned, self.apply(unturned)))
+        return 0.5 * float(np.vdot(unturned, self.elastic_force(unturned)) + np.vdot(x, self.ground_force(x)))
 
     def _unturned(self, state: DeformedSurface) -> tuple[Array, Array]:
         """The best-fit rotation Q of the nodes and the displacement left after it is undone."""

@@ -9,6 +9,7 @@ from solver_common.arrays import Array, Index, Mask
 from vdm.deformed import DeformedSurface
 from vdm.formulations.base import DisplacementFormulation, Factor, Factorise
 from vdm.formulations.border import DenseColumns
+from vdm.formulations.vector import block_diagonal
 from vdm.material import ParameterError, Parameters
 from vdm.solution import SolverError, Status
 from vdm.solvers.cholesky import Cholesky
@@ -71,6 +72,8 @@ class MassSpringFormulation(DisplacementFormulation):
         self.rest_lengths: Array = np.linalg.norm(vectors, axis=1)
         elongation = _elongation(self.springs, vectors / self.rest_lengths[:, None], surface.n_nodes)
         self.matrix = sparse.csr_array(elongation.T @ sparse.diags_array(self.spring_constants) @ elongation)
+        if parameters.ground is not None:
+            self.matrix = self.matrix + block_diagonal(parameters.ground)
         self.columns = DenseColumns(surface.area_vectors[:, :, None])
         self.rows = self.columns
         self.corner = np.zeros((1, 1))
@@ -85,13 +88,15 @@ class MassSpringFormulation(DisplacementFormulation):
     def stiffness(self) -> sparse.csr_array:
         return self.matrix
 
-    def deformed_internal_force(self, x: Array, state: DeformedSurface) -> Array:  # noqa: ARG002
+    def deformed_internal_force(self, x: Array, state: DeformedSurface) -> Array:
         directions, growth = self._stretched(state)
         turned = _elongation(self.springs, directions, self.surface.n_nodes)
-        return np.asarray(turned.T @ (self.spring_constants * growth)).reshape(-1, 3)
+        force = np.asarray(turned.T @ (self.spring_constants * growth)).reshape(-1, 3)
+        return force + self.ground_force(x)
 
-    def deformed_energy(self, x: Array, state: DeformedSurface) -> float:  # noqa: ARG002
-        return 0.5 * float(self.spring_constants @ self._stretched(state)[1] ** 2)
+    def deformed_energy(self, x: Array, state: DeformedSurface) -> float:
+        stretch = self.spring_constants @ self._stretched(state)[1] ** 2
+        return 0.5 * float(stretch + np.vdot(x, self.ground_force(x)))
 
     def _stretched(self, state: DeformedSurface) -> tuple[Array, Array]:
         """(R, 3) directions of the springs as they are now and (R,) how much longer they are [m]."""

@@ -9,7 +9,7 @@ from scipy.linalg import blas
 from solver_common.arrays import Array, Mask
 from vdm.formulations.base import Factor, Factorise
 from vdm.formulations.boundary import INDEFINITE, BoundaryFormulation
-from vdm.material import COARSE_NODES
+from vdm.material import COARSE_NODES, ParameterError
 from vdm.solution import SolverError, Status
 from vdm.solvers.cholesky import Cholesky
 from vdm.solvers.single import SingleFactor
@@ -50,6 +50,10 @@ class SparseFormulation(BoundaryFormulation):
         from vdm.boundary.coarsening import coarsened
         from vdm.boundary.interpolation import identity, interpolation
 
+        if self.parameters.ground is not None:
+            raise ParameterError(
+                "the sparse formulation takes no springs to the ground; use the boundary one"
+            )
         surface, count = self.surface, self.parameters.coarse_nodes or COARSE_NODES
         body, spread = surface, identity(surface.n_nodes)
         if surface.n_nodes > count:
@@ -74,7 +78,7 @@ class SparseFormulation(BoundaryFormulation):
         scheme = "whole" if self.n_coarse == self.surface.n_nodes else f"on a body of {self.n_coarse} nodes"
         return {**super().record(), "scheme": scheme, "coarse_nodes": float(self.n_coarse)}
 
-    def apply(self, x: Array) -> Array:
+    def elastic_force(self, x: Array) -> Array:
         gathered = (self.gather @ (self.springs[:, None] * x)).reshape(-1)
         fitted = blas.dsymv(1.0, self.inner, gathered, lower=1).reshape(-1, 3)
         force: Array = self.springs[:, None] * (x + self.spread @ fitted)

@@ -9,7 +9,7 @@ from scipy import sparse
 
 from solver_common.arrays import Array, Mask
 from vdm.deformed import DeformedSurface, best_rotation
-from vdm.formulations.base import DisplacementFormulation, Factor, Factorise, SparseFactor, rigid_motions
+from vdm.formulations.base import DisplacementFormulation, Factor, Factorise, SparseFactor
 from vdm.formulations.border import Columns, DenseColumns, TurningColumns
 from vdm.material import ParameterError, Parameters, per_item
 from vdm.solvers.cholesky import Cholesky
@@ -44,7 +44,9 @@ class VectorFormulation(DisplacementFormulation):
 
         None with a foundation, which may or may not stop them: then the factor has to tell.
         """
-        motions = rigid_motions(surface, nodes)
+        motions = super().free_motions(surface, parameters, nodes)
+        if parameters.ground is not None:
+            return motions
         if parameters.foundation is not None and np.any(np.asarray(parameters.foundation)):
             return motions[:, :, :0]
         if parameters.rotation == "none" and np.any(np.asarray(parameters.surface_tension, dtype=np.float64)):
@@ -65,7 +67,7 @@ class VectorFormulation(DisplacementFormulation):
         self.tension = surface.laplacian(weights)
         # (3N, 3N) part that couples the components, None where one scalar factor serves all three
         self.coupling: sparse.csr_array | None = None
-        if self.foundation is not None or self.stretch is not None:
+        if self.foundation is not None or self.stretch is not None or parameters.ground is not None:
             self.coupling = sparse.csr_array((3 * surface.n_nodes, 3 * surface.n_nodes))
             if self.foundation is not None:
                 diagonal = np.einsum("n,na,nb->nab", self.foundation, *2 * (surface.normals,))
@@ -73,6 +75,8 @@ class VectorFormulation(DisplacementFormulation):
             if self.stretch is not None:
                 blocks = np.einsum("e,ea,eb->eab", self.stretch, *2 * (edge_directions(surface),))
                 self.coupling = self.coupling + block_laplacian(surface, blocks)
+            if parameters.ground is not None:
+                self.coupling = self.coupling + block_diagonal(parameters.ground)
         self.columns: Columns
         self.columns, self.corner = DenseColumns(surface.area_vectors[:, :, None]), np.zeros((1, 1))
         if parameters.rotation == "global":
@@ -130,7 +134,8 @@ class VectorFormulation(DisplacementFormulation):
             turned = rest @ best_rotation((self.tension @ rest).T @ state.positions)
         change = state.positions - turned
         force = np.asarray(self.tension @ change)
-        energy = 0.5 * float(np.vdot(change, force))
+        energy = 0.5 * float(np.vdot(change, force) + np.vdot(x, self.ground_force(x)))
+        force = force + self.ground_force(x)
         if self.foundation is not None:
             along = np.einsum("ic,ic->i", x, self.surface.normals)
             force = force + (self.foundation * along)[:, None] * self.surface.normals
