@@ -73,7 +73,9 @@ a bar the difference to that on the mesh itself. Here, on shipped studies' own m
 holds where it is at least the distance of its number from the best estimate: the number for the reference that
 Richardson's extrapolation of the three levels gives, by the order observed. "Used" is that distance over the bar:
 at most 1 where it holds. Cases are numbered from 1, as `vdmbench plan` lists them.
-The solves were made with version 11 of `vdm-boundary` and before smooth contacts had one resultant on every mesh.
+"""
+EARLIER = """Cases with * were solved by an earlier program: version 11 of `vdm-boundary`, and smooth contacts whose
+resultant changed a little with the mesh.
 """
 
 
@@ -213,7 +215,7 @@ def document(rows: Sequence[Mapping[str, Any]]) -> str:
     by_case = [
         [
             row["study"],
-            str(row["case"]),
+            f"{row['case']} *" if row.get("earlier") else str(row["case"]),
             f"{1e3 * row['mesh_size']:g} mm",
             f"± {percent(row['bar'])}",
             f"{row['order']:.2f} / {row['order_deformation']:.2f}",
@@ -234,6 +236,7 @@ def document(rows: Sequence[Mapping[str, Any]]) -> str:
     head = ["study", "case", "mesh", "bar", "order", "used by the reference's own mesh", "used at most"]
     return (
         HEAD
+        + (EARLIER if any(row.get("earlier") for row in rows) else "")
         + "\nThe two errors, displacement / deformation, but for the bar, which is the displacement's:\n\n"
         + marked.table(head, by_case)
         + "\nOf the reference on the study's own mesh the error is its own alone: its bars hold in "
