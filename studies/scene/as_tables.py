@@ -13,6 +13,7 @@ from ..machine.files import json_text
 from .handout import Handout
 
 _XYZ = "xyz"
+_TOLD = {"normal springs", "full springs", "inclusions"}  # of the extras of a scene
 
 
 def scene_json(body: Handout) -> str:
@@ -55,10 +56,16 @@ def scene_json(body: Handout) -> str:
                 }
                 for part in body.inclusions
             ],
+            "left_out": left_out(body),
             "surface_points": surface,
             "regions": {name: surface[mask] for name, mask in body.regions.items()},
         }
     )
+
+
+def left_out(body: Handout) -> list[str]:
+    """What the tables have no words for."""
+    return [*sorted(set(body.extras) - _TOLD), *(["fibres"] if body.fibres else [])]
 
 
 def supports_csv(body: Handout) -> str:

@@ -14,7 +14,7 @@ from .as_mjcf import NAME as MUJOCO
 from .as_mjcf import mjcf
 from .as_sofa import NAME as SOFA
 from .as_sofa import sofa
-from .as_tables import forces_csv, scene_json, supports_csv
+from .as_tables import forces_csv, left_out, scene_json, supports_csv
 from .handout import Handout, cannot_express
 
 Writer = Callable[[Handout], str]
@@ -50,4 +50,5 @@ def write_scene(body: Handout, out: Path) -> tuple[list[str], list[str]]:
     refused = [
         f"{name}: not written: {program}: {why_not}" for name, (program, _) in SCENES.items() if why_not
     ]
+    refused += [f"scene.json: leaves out {part}" for part in left_out(body)]
     return ["mesh.vtu", "mesh.msh", *texts], refused

@@ -6,6 +6,10 @@ import dataclasses
 import importlib.util
 import json
 import shutil
+import subprocess
+import sys
+import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -180,3 +184,33 @@ def test_a_benchmark_of_all_leaves_them_out() -> None:
     assert "fem-linear" in names
     assert "mujoco" not in names
     assert "ngsolve" not in names
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="elsewhere an engine ends with its own work")
+def test_an_engine_ends_with_the_process_that_started_it(tmp_path: Path) -> None:
+    shutil.copy(Path(peers.__file__).with_name("engine.py"), tmp_path)
+    said = tmp_path / "pid"
+    (tmp_path / "engine_slow.py").write_text(
+        "import os, pathlib, time\n"
+        "def solve(given):\n"
+        f"    part = pathlib.Path({str(tmp_path / 'part')!r})\n"
+        f"    part.write_text(str(os.getpid()))\n    part.rename({str(said)!r})\n    time.sleep(60)\n"
+    )
+    starting = (
+        "import pathlib\nfrom vdmbench.models import peers\n"
+        f"peers._HERE = pathlib.Path({str(tmp_path)!r})\npeers.call('slow', {{}})\n"
+    )
+    with subprocess.Popen([sys.executable, "-c", starting], cwd=Path(__file__).parents[2]) as starter:
+        try:
+            wait_for(said.exists)
+        finally:
+            starter.kill()
+    engine = Path("/proc") / said.read_text()
+    wait_for(lambda: not engine.exists() or "Z" in (engine / "stat").read_text().rsplit(")", 1)[1].split()[0])
+
+
+def wait_for(what: Callable[[], bool]) -> None:
+    deadline = time.monotonic() + 60.0
+    while not what():
+        assert time.monotonic() < deadline
+        time.sleep(0.02)

@@ -19,6 +19,16 @@ STUDY = STUDY.replace('"hertz"', '"uniform"')
 
 
 @pytest.fixture(scope="module")
+def ngs() -> Any:
+    return pytest.importorskip("ngsolve", reason="needs NGSolve: pip install '.[peers]'")
+
+
+@pytest.fixture(scope="module")
+def mujoco() -> Any:
+    return pytest.importorskip("mujoco", reason="needs MuJoCo: pip install '.[peers]'")
+
+
+@pytest.fixture(scope="module")
 def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with the study and its export in `out`."""
     place = tmp_path_factory.mktemp("round")
@@ -39,10 +49,10 @@ def judged(place: Path, result: str, name: str) -> dict[str, float]:
     return {model: row[VECTOR]["value"] for model, row in metrics.items() if VECTOR in row}
 
 
-def test_ngsolve_from_the_files_alone_is_the_reference(place: Path) -> None:
+def test_ngsolve_from_the_files_alone_is_the_reference(ngs: Any, place: Path) -> None:
     """Quadratic elements of its own, pressure integrated by itself: a constant on each facet."""
-    ngs = pytest.importorskip("ngsolve", reason="needs NGSolve: pip install '.[peers]'")
-    netgen = pytest.importorskip("netgen.meshing", reason="needs NGSolve: pip install '.[peers]'")
+    import netgen.meshing as netgen
+
     scene = json.loads((place / "out" / "scene.json").read_text())
     read = meshio.read(place / "out" / scene["mesh"])
     held, pressed = set(scene["held"]["points"]), scene["pressures"]
@@ -89,9 +99,8 @@ def test_ngsolve_from_the_files_alone_is_the_reference(place: Path) -> None:
 
 
 def test_mujoco_from_its_scene_is_linear_elasticity_on_its_tetrahedra(
-    place: Path, monkeypatch: pytest.MonkeyPatch
+    mujoco: Any, place: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    mujoco = pytest.importorskip("mujoco", reason="needs MuJoCo: pip install '.[peers]'")
     monkeypatch.chdir(place)  # where it logs its warnings
     model = mujoco.MjModel.from_xml_path(str(place / "out" / "scene_mujoco.xml"))
     data = mujoco.MjData(model)
