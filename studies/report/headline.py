@@ -243,8 +243,8 @@ def _reading(digest: Digest) -> str:
     )
     if digest.compared:
         parts.append(
-            "An error is the area-weighted L2 norm of the difference over that of the reference. The deformation "
-            "error leaves out the rigid motion, which most models get right: it is the error in change of shape. "
+            "An error is the area-weighted L2 norm of the difference over that of the reference. The error "
+            "in change of shape leaves out the rigid motion, which most models get right. "
             "± is the reference's own error. A difference is resolved where that is at most a tenth of it."
         )
     if any(along_normals(digest, summary.name) for summary in digest.summaries):
