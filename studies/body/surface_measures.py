@@ -9,8 +9,6 @@ import numpy as np
 
 from solver_common.arrays import Array, Index, Mask
 
-from .nearest import Neighbourhood
-
 _MOST_NORMALS = 300  # of facets that an extent is measured along
 
 
@@ -162,14 +160,9 @@ class Surface:
         """Enclosed volume [m^3]."""
         return enclosed_volume(self.points, self.triangles)
 
-    @cached_property
-    def neighbourhood(self) -> Neighbourhood:
-        """For distances between deformed surfaces."""
-        return Neighbourhood(self.points, self.triangles)
-
     def under(self, contact: Mask, contact_force: Array, *, weighs: bool = False) -> Surface:
         """The same surface under other loads; what is measured of it is measured once."""
         other = replace(self, contact=contact, contact_force=contact_force, weighs=weighs)
-        for name in ("areas", "volume_gradient", "normals", "rigid_motions", "volume", "neighbourhood"):
+        for name in ("areas", "volume_gradient", "normals", "rigid_motions", "volume"):
             other.__dict__[name] = getattr(self, name)
         return other

@@ -15,8 +15,6 @@ import numpy as np
 
 from .. import models
 from ..body.mesh_cache import mesh_path, read_mesh
-from ..store.cases import read_case
-from ..store.hdf5 import StoreError
 from ..study.errors import MeshError
 from ..study.model_name import REFINED, split
 from ..study.registry import Cost, Size, mesh_seconds
@@ -172,6 +170,9 @@ def _speed(plan: Plan, dearest: float) -> tuple[float, float]:
     of work of its own size: each case counts by its seconds, those on refined meshes included, and all of them as
     far as the dearest set-up and step that they had goes towards the `dearest` one to come [s by the laws].
     """
+    from ..store.cases import read_case  # its file format is slow to load, and a new study has no case
+    from ..store.hdf5 import StoreError
+
     ratios, weights, known = [], [], 0.0
     done = [case for case in plan.in_order if plan.state[case.hash] in ("done", "stale")]
     for case in done[:: max(1, len(done) // _MOST_READ)][:_MOST_READ]:

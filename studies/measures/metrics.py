@@ -16,6 +16,7 @@ import numpy as np
 
 from solver_common.arrays import Array, Mask
 
+from ..body.nearest import distances_and_farthest
 from ..body.surface_measures import (
     Surface,
     enclosed_volumes,
@@ -271,7 +272,7 @@ def _with_distances(surface: Surface, models: Sequence[History], reference: Hist
     ]
     if usable:
         deformed = surface.points + np.stack([models[place].displacement[step] for place in usable])
-        there, farthest = surface.neighbourhood.distances_and_farthest(deformed, surface.points + r)
+        there, farthest = distances_and_farthest(deformed, surface.points + r, surface.triangles)
         for place, distance, most in zip(usable, there, farthest, strict=True):
             found[place] = replace(models[place], distances=(distance, float(most)))
     return found

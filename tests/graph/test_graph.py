@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import dataclasses
+import json
 from collections import Counter
+from concurrent.futures import Future
 from pathlib import Path
 from typing import Any
 
@@ -348,3 +350,21 @@ def test_a_run_says_before_it_begins_how_much_there_is_to_tell(tmp_path: Path, c
     _run_missing(plan, plan.cases_to_run(), Options(jobs=1), events.append, HerePlaces())
     assert [event.kind for event in events].index("begun") == 0
     assert events[0].count == sum(event.kind in ("done", "failed", "stopped") for event in events) > 4
+
+
+def test_a_time_limit_is_for_each_case_of_a_node(tmp_path: Path, cache: Path) -> None:
+    plan = plan_of(tmp_path, cache, sweep=TISSUES["sweep"], uncertainty=None)
+    allowed: dict[str, float | None] = {}
+
+    class Watched(HerePlaces):
+        def submit(self, node: str, log: Path, seconds: float | None) -> Future[str]:
+            allowed[json.loads(node)["id"]] = seconds
+            return super().submit(node, log, seconds)
+
+    planned = graph(plan, plan.cases, 1, run="x")
+    outcomes = list(run_nodes(planned, Watched(), tmp_path / "failed", timeout=100.0, started=lambda _: None))
+    assert all(outcome.ok for outcome in outcomes)
+    cases = {node.id: len(node.items) for node in planned if node.kind == "cases"}
+    assert max(cases.values()) > 1
+    assert {node: allowed[node] for node in cases} == {node: 100.0 * count for node, count in cases.items()}
+    assert {allowed[node.id] for node in planned if node.kind == "answers"} == {100.0}

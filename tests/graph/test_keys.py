@@ -170,3 +170,16 @@ def test_a_profile_or_a_kind_that_has_changed_is_another_answer_and_another_case
     monkeypatch.setitem(KINDS, "contact", dataclasses.replace(KINDS["contact"], version="2"))
     kind = answers(one)["vdm-paper", 0].answers, case_hash(one, "mesh")
     assert len({before[0], profile[0], kind[0]}) == len({before[1], profile[1], kind[1]}) == 3
+
+
+def test_what_is_set_up_for_a_contact_is_set_up_for_its_place() -> None:
+    """Elements condensed to the nodes of a contact serve no other; the others' set-ups serve both."""
+    names = {"name": "keys", "models": ["fem-condensed", "fem-linear"], "reference": "fem-linear"}
+    plain = {**STUDY, "study": names, "anisotropy": None, "models": {}, "vdm": {}}
+    moved = substituted(plain, ("regions", "finger", "cap", "angle"), 0.6)
+    bodies = [
+        {want.name: want.body for want in wanted(Study.model_validate(data), "mesh") if not want.level}
+        for data in (plain, moved)
+    ]
+    assert bodies[0]["fem-condensed"] != bodies[1]["fem-condensed"]
+    assert bodies[0]["fem-linear"] == bodies[1]["fem-linear"]

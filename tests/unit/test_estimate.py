@@ -16,6 +16,7 @@ from tests.graph.shared_work import TABLES, plan_of, run
 from vdmbench.graph.estimate import _PROCESS_BYTES, FACTOR_MEASURED, _law
 from vdmbench.graph.explain import summary
 from vdmbench.graph.plan import make_plan
+from vdmbench.models import costs
 from vdmbench.store.cases import write_case
 from vdmbench.study.config import expand, load_study
 from vdmbench.study.model_name import REFINED
@@ -157,3 +158,10 @@ def test_finite_strain_on_a_refined_mesh_is_expected_to_take_its_cheaper_path() 
     """Three load steps of the shipped thigh, refined once, took some 45 s of a core; with factors, 290 and more."""
     law = _law("fem", Size(2540.0, 31944.0), 3)
     assert 45.0 / FACTOR_MEASURED < law.setup + 3 * law.step < 45.0 * FACTOR_MEASURED
+
+
+def test_the_coarse_elements_take_the_time_of_their_own_mesh_too() -> None:
+    size, coarse = Size(400.0, 8000.0), Size(100.0, 1000.0)
+    own, elements = costs.coarse(size, "", 10), costs.linear(coarse, "", 10)
+    assert own.setup - elements.setup == pytest.approx(0.3 + 2e-4 * 1000.0, rel=1e-12)
+    assert (own.step, own.bytes) == (elements.step, elements.bytes)

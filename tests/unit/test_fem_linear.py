@@ -9,6 +9,8 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from fem_reference.linear import LinearProblem
+from fem_reference.mesh import TetMesh
+from fem_reference.moduli import make_moduli
 from fem_reference.outputs import OUTPUTS, strain_outputs
 from fem_reference.solution import SolverError
 from fem_reference.springs import ElasticSupport
@@ -359,3 +361,17 @@ def test_another_youngs_modulus_on_the_same_factor_is_the_long_way_round(nu: flo
     springs = b.problem(held=held, elastic_supports=[ElasticSupport(side, 1.0)])
     with pytest.raises(SolverError, match="springs under a body"):
         springs.with_youngs_modulus(1.0)
+
+
+def test_moduli_that_vary_have_means_by_volume() -> None:
+    mesh = TetMesh(*cube(2, distort=0.2).arrays)
+    share = mesh.volumes / mesh.volumes.sum()
+    young, nu = (
+        np.where(share > np.median(share), 9000.0, 3000.0),
+        np.where(share > np.median(share), 0.49, 0.3),
+    )
+    found = make_moduli(mesh, young, nu, mixed=True)
+    assert_allclose(found.youngs_modulus, share @ young, rtol=1e-12, atol=0)
+    assert_allclose(found.poisson_ratio, share @ nu, rtol=1e-12, atol=0)
+    unit = found.youngs_modulus / (2.0 * (1.0 + found.poisson_ratio))
+    assert_allclose(found.stiffness, young / (2.0 * (1.0 + nu)) / unit, rtol=1e-12, atol=0)

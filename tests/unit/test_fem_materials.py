@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from fractions import Fraction
 
@@ -9,6 +10,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
+from fem_reference.kinematics import less_exponential, less_logarithm
 from fem_reference.materials import Kinematics, Law, Tangent, make_law
 from fem_reference.solution import SolverError
 from tests.verification.records import Verified
@@ -282,3 +284,13 @@ def test_materials_that_make_no_sense_are_refused() -> None:
     ):
         with pytest.raises(SolverError, match=words):
             make_law(*arguments)
+
+
+@pytest.mark.parametrize("x", [-9e-4, -1e-7, 3e-6, 9e-4, 0.02])
+def test_what_is_left_of_logarithm_and_exponential_is_their_power_series(x: float) -> None:
+    """Beside exact sums of fractions; the differences themselves lose all digits of a small x."""
+    powers = [Fraction(x) ** n for n in range(2, 12)]
+    logarithm = sum((p if n % 2 == 0 else -p) / n for n, p in enumerate(powers, start=2))
+    exponential = sum(p / math.factorial(n) for n, p in enumerate(powers, start=2))
+    assert_allclose(less_logarithm(np.array(x)), float(logarithm), rtol=1e-12, atol=0)
+    assert_allclose(less_exponential(np.array(x)), float(exponential), rtol=1e-12, atol=0)

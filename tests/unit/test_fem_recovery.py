@@ -8,7 +8,7 @@ from numpy.testing import assert_allclose
 
 from fem_reference import recovery
 from fem_reference.mesh import TetMesh
-from fem_reference.recovery import StrainRecovery
+from fem_reference.recovery import StrainRecovery, displacement_gradient
 from tests.unit.fem_shapes import Body, cube
 
 
@@ -75,3 +75,23 @@ def test_a_turn_of_the_body_is_no_finite_strain() -> None:
     assert error > 1e-3
     assert_allclose(recovery.relative_error(turned), error, rtol=1e-9, atol=0)
     assert StrainRecovery(mesh).relative_error(turned) < 0.5 * error
+
+
+def test_a_node_takes_the_fit_about_its_own_vertex() -> None:
+    """A node moved beyond a vertex's own tetrahedra changes fits about its neighbours, but no strain there."""
+    mesh = TetMesh(*cube(4).arrays, order=1)
+    middle = int(np.argmin(np.linalg.norm(mesh.points - 0.5, axis=1)))
+    patch = np.unique(mesh.tetrahedra[(mesh.tetrahedra == middle).any(axis=1)])
+    (beyond,) = np.flatnonzero(np.linalg.norm(mesh.points - [1.0, 0.5, 0.5], axis=1) < 1e-9)
+    assert beyond not in patch
+    still = _field(mesh.points)
+    moved = still.copy()
+    moved[beyond] += 0.1
+    recovery = StrainRecovery(mesh)
+    first, other = (
+        recovery._recover(u, recovery._strain(displacement_gradient(mesh, u, np.eye(4))))
+        for u in (still, moved)
+    )
+    changes = np.abs(other - first).max(axis=1)
+    assert changes[patch].max() > 1e-2, "about a neighbour"
+    assert changes[middle] < 1e-6

@@ -10,7 +10,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from vdmbench.body.nearest import nearest_on_surface
-from vdmbench.body.surface_measures import Surface
+from vdmbench.body.surface_measures import Surface, rigid_motions
 from vdmbench.measures.metrics import History, evaluate
 
 from .test_metrics import ROUND, bumpy, history
@@ -115,3 +115,12 @@ def test_a_reaction_in_another_direction_is_off_by_the_angle(uneven: tuple[Surfa
     turned, straight = (history(u, reaction=reaction) for reaction in reactions)
     found = evaluate(surface, turned, straight)["reaction_force_error"]
     assert_allclose(found, math.hypot(4.0, 2.0) / 5.0, **ROUND)
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_a_turn_about_the_line_of_all_points_is_no_motion(seed: int) -> None:
+    """Its moment of inertia is zero, or rounding of either sign, by whose root nothing is divided."""
+    points = np.linspace(0.0, 1.0, 7)[:, None] * np.random.default_rng(seed).normal(size=3)
+    motions = rigid_motions(points, np.ones(7))
+    sizes = np.einsum("mni,mni->m", motions, motions)
+    assert_allclose(np.sort(sizes), [0, 1, 1, 1, 1, 1], rtol=1e-12, atol=1e-12)

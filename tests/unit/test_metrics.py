@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-from typing import Any
 
 import numpy as np
 import pytest
@@ -12,7 +11,7 @@ from numpy.testing import assert_allclose
 from tests.comparing import compare
 from vdmbench.body import surface_measures
 from vdmbench.body.geometry import build_mesh
-from vdmbench.body.nearest import nearest_on_surface
+from vdmbench.body.nearest import distances_and_farthest, nearest_on_surface
 from vdmbench.body.surface_measures import Surface
 from vdmbench.measures import metrics
 from vdmbench.measures.metrics import METRICS, History, evaluate, evaluate_all
@@ -471,48 +470,61 @@ def test_all_steps_and_models_at_once_are_each_alone() -> None:
 
 
 @pytest.mark.parametrize("size", [0.01, 0.3, 3.0])
-def test_distances_of_many_surfaces_are_those_of_each(monkeypatch: pytest.MonkeyPatch, size: float) -> None:
+def test_distances_of_many_surfaces_are_those_to_all_facets(size: float) -> None:
     """Also the largest one, for which most nodes of the way back are left out."""
     surface, models = bumpy(9)
     shifts = size * np.stack([models[0].displacement[0], models[2].displacement[0]])
     shifts[1, :, 0] += 0.3  # one surface beside the other
     other = surface.points + size * models[2].displacement[1]
-    for at_once in (1, 10_000):
-        monkeypatch.setattr("vdmbench.body.nearest._MOST_AT_ONCE", at_once * 64)
-        assert_distances(surface, surface.points + shifts, other)
+    assert_distances(surface, surface.points + shifts, other)
     spike = surface.points.copy()
     spike[surface.points[:, 2].argmax()] *= 2.0  # only the way back from its tip sees how long it is
-    there, farthest = surface.neighbourhood.distances_and_farthest(surface.points[None], spike)
+    there, farthest = distances_and_farthest(surface.points[None], spike, surface.triangles)
     back = nearest_on_surface(spike, surface.points, surface.triangles)[0]
     assert farthest[0] == back.max() > there.max()
 
 
 def assert_distances(surface: Surface, copies: np.ndarray, other: np.ndarray) -> None:
-    """Against the search of the whole surface. Both round at the size of a facet, 0.1 to 1."""
-    there, farthest = surface.neighbourhood.distances_and_farthest(copies, other)
+    """Against the distances to each facet. Both round at the size of a facet, 0.1 to 1, and of the coordinates."""
+    there, farthest = distances_and_farthest(copies, other, surface.triangles)
+    rounding = 1e-15 * (1.0 + np.abs(other).max())
     for place, points in enumerate(copies):
-        one = nearest_on_surface(points, other, surface.triangles)[0]
-        back = nearest_on_surface(other, points, surface.triangles)[0]
-        assert_allclose(there[place], one, rtol=1e-12, atol=1e-15)
-        assert_allclose(farthest[place], max(one.max(), back.max()), rtol=1e-12, atol=1e-15)
+        one, back = (to_facets(*pair, surface.triangles) for pair in ((points, other), (other, points)))
+        assert_allclose(there[place], one, rtol=1e-12, atol=rounding)
+        assert_allclose(farthest[place], max(one.max(), back.max()), rtol=1e-12, atol=rounding)
 
 
-def test_distances_of_a_surface_with_a_border_and_facets_without_area() -> None:
-    """At a border an edge is of one facet only; displacements go beyond the facets of a node, too."""
+def to_facets(queries: np.ndarray, points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
+    """(Q,) least distance to any facet: to its plane where the foot is inside, else to one of its edges."""
+    corners, ends = points[triangles], points[np.roll(triangles, -1, axis=1)]
+    edges = ends - corners
+    normals = np.cross(edges[:, 0], edges[:, 1])
+    sizes = np.linalg.norm(normals, axis=1)
+    normals = normals / np.where(sizes, sizes, 1.0)[:, None]
+    away = queries[:, None, None] - corners  # (Q, F, 3, 3)
+    inside = (np.einsum("fki,qfki->qfk", np.cross(normals[:, None], edges), away) >= 0.0).all(axis=2) & (
+        sizes > 0.0
+    )
+    to_planes = np.where(inside, np.abs(np.einsum("fi,qfi->qf", normals, away[:, :, 0])), np.inf)
+    lengths = np.maximum(np.einsum("fki,fki->fk", edges, edges), 1e-300)
+    along = np.clip(np.einsum("qfki,fki->qfk", away, edges) / lengths, 0.0, 1.0)
+    to_edges = np.linalg.norm(away - along[..., None] * edges, axis=3).min(axis=2)
+    return np.minimum(to_planes, to_edges).min(axis=1)
+
+
+def test_distances_of_a_surface_with_facets_without_area() -> None:
+    """Their edges are those of their neighbours; displacements go beyond the facets of a node, too."""
     surface, _ = bumpy(9)
-    upper = surface.triangles[surface.points[surface.triangles, 2].min(axis=1) > 0.0]
-    used, facets = np.unique(upper, return_inverse=True)
-    facets = np.concatenate([facets.reshape(-1, 3), [[0, 1, 1], [0, 0, 0]]])
-    rest = surface.points[used]
     generator = np.random.default_rng(2)
+    a, b = surface.triangles[0, :2]
+    facets = np.concatenate([surface.triangles, [[a, b, b], [a, a, a]]])
     for triangles in (facets, facets[:, ::-1]):
         for size in (1e-3, 0.03, 0.3):
-            moved = rest + size * generator.standard_normal((3, *rest.shape))
-            moved[1] = moved[2] * [1.2, 1.2, 1.0]  # the border is beyond the other's
-            assert_distances(Surface(rest, triangles), moved[:2], moved[2])
+            moved = surface.points + size * generator.standard_normal((3, *surface.points.shape))
+            assert_distances(Surface(surface.points, triangles), moved[:2], moved[2])
 
 
-def test_distances_where_a_surface_comes_near_to_itself(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_distances_where_a_surface_comes_near_to_itself() -> None:
     """Two sheets of a flattened ball, and one pushed through the other: a node's own facets are not the nearest."""
     surface, _ = bumpy(9)
     flat = surface.points * [1.0, 1.0, 0.02]
@@ -524,26 +536,3 @@ def test_distances_where_a_surface_comes_near_to_itself(monkeypatch: pytest.Monk
             assert_distances(body, moved[:2], moved[2])
             assert_distances(body, moved[:2] + np.array([0.0, 0.0, 0.04]), moved[2])
             assert_distances(body, moved[:2] + 5.0, moved[2] + 5.0)  # far away together
-    # few facets are measured at rest: what is known of all others, and that they may be the nearest, matters more
-    monkeypatch.setattr("vdmbench.body.nearest._NEAR", 24)
-    points, triangles = octahedron()
-    for _ in range(4):
-        points, triangles = _quartered(points, triangles)
-    pressed = points * [1.0, 1.0, 0.001]  # the poles meet, each with all that is around it
-    moved = np.stack([pressed + 0.001 * generator.standard_normal(points.shape) for _ in range(2)])
-    assert_distances(Surface(points, triangles), moved[:1], moved[1])
-    monkeypatch.setattr("vdmbench.body.nearest._NEAR", 64)
-    searched: list[int] = []
-
-    def counted(queries: np.ndarray, *others: Any) -> Any:
-        searched.append(len(queries))
-        return nearest_on_surface(queries, *others)
-
-    monkeypatch.setattr("vdmbench.body.nearest.nearest_on_surface", counted)
-    body = Surface(surface.points, surface.triangles)
-    shift = 0.01 * generator.standard_normal(rest.shape)
-    assert_distances(body, surface.points[None] + 5.0 + shift, surface.points + 5.0)
-    assert not searched  # what moves little against its neighbours needs no search, wherever it goes
-    flat_body = Surface(flat, surface.triangles)
-    flat_body.neighbourhood.distances_and_farthest(flat[None] + np.array([0.0, 0.0, 0.04]), flat)
-    assert searched

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.testing import assert_allclose
 
 from vdmbench.body.mesh import Mesh
-from vdmbench.body.refine import inherit, refine
+from vdmbench.body.refine import inherit, refine, refined
 from vdmbench.body.surface_measures import enclosed_volume, facet_area_vectors
 from vdmbench.body.topology import surface_only
 
@@ -83,3 +83,14 @@ def test_a_region_keeps_its_facets() -> None:
     assert inherit(np.array([True, False, False, False, True]), coarse, parents).sum() == 2
     lone_edge = np.array([True, True, False, False, False])
     assert inherit(lone_edge, coarse, parents).sum() == 2
+
+
+def test_forces_on_a_refinement_keep_their_sum_and_moment_on_the_body() -> None:
+    """Half of a middle's force goes to either end of its edge, twice on two levels."""
+    hierarchy = refined(wedge(), 2)
+    coarse, fine = wedge().surface_points, hierarchy.finest.surface_points
+    force = np.random.default_rng(2).normal(size=(2, len(fine), 3))
+    found = hierarchy.restrict(force)
+    assert_allclose(found.sum(axis=1), force.sum(axis=1), rtol=0, atol=1e-13)
+    moments = (np.cross(points, forces).sum(axis=1) for points, forces in ((coarse, found), (fine, force)))
+    assert_allclose(*moments, rtol=0, atol=1e-13)

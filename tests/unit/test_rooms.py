@@ -47,6 +47,7 @@ BEHIND = {
     "distributed": {"studies/graph/cluster.py"},
     "pebble": {"studies/graph/local.py"},
     "pyacvd": {"studies/body/remesh.py"},
+    "vtkmodules": {"studies/body/nearest.py", "studies/body/remesh.py"},
 }
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -11,7 +12,7 @@ from numpy.typing import NDArray
 
 from tests.unit.vdm_shapes import box, icosphere
 from vdm import Load, Model, Parameters, SurfaceMesh
-from vdm.bending import BENDING_LIMIT, bendings
+from vdm.bending import BENDING_LIMIT, bendings, reserved
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -156,3 +157,11 @@ def test_a_weight_that_bends_a_body_far_is_brought_on_in_steps() -> None:
     assert sag[0] > 0.15 * 0.06
     assert sag[0] == pytest.approx(sag[1], rel=0.1)
     assert_allclose(found.reaction_force[0].sum(axis=0), -density * 0.06 * 0.03**2 * gravity, atol=1e-9)
+
+
+@pytest.mark.parametrize(("error", "is_told"), [(0.09, False), (BENDING_LIMIT, False), (0.11, True)])
+def test_a_reservation_begins_beyond_a_tenth(error: float, is_told: bool) -> None:
+    model = held_at_one_end(*icosphere(1, (0.05, 0.05, 0.05)))
+    status = model.solve([Load(np.zeros(model.surface.n_nodes))]).status[0]
+    sound = replace(status, message="", remedy="")
+    assert (reserved(sound, error, model.formulation).message != "") == is_told
