@@ -23,7 +23,8 @@ GALLERY = ROOT / "docs" / "gallery"
 _CSS = ROOT / "studies" / "report" / "templates" / "page.css"
 _COLUMNS = 3  # of pictures in a row
 _WIDTH, _HEIGHT = 317.0, 216.0  # of a figure, in its own units
-_LINE, _SIDE = 13.0, 8.0
+_LINE, _SIDE, _GAP = 13.0, 8.0, 14.0
+_IN_A_LINE = 4  # names of a legend below panels
 _GLYPHS = "●■▲◆▼✚✖"  # the markers of the figures: o s ^ D v P X
 _PLAIN = str.maketrans("[]|", "() ")  # what would end a picture's text in Markdown
 _DASHES = ("dashed", "dash-dotted", "dotted")
@@ -80,8 +81,7 @@ def _legend(figure: Figure, models: Sequence[tuple[int, str, bool]]) -> list[str
         drawn = re.search(rf"(?:: |, | and ){re.escape(name)} (?:from )?[\d−]", words)
         if not drawn or f">{escape(name)}<" in svg:  # the name stands in the figure
             continue
-        dashes = f" ({_DASHES[(number // COLOURS - 1) % 3]})" if number >= COLOURS else ""
-        name = f"{name} (reference)" if is_reference else f"{name}{dashes}"
+        name = f"{name} (reference)" if is_reference else f"{name}{_dashed(number)}"
         if letters + len(name) + 4 > _LETTERS and lines[-1]:
             lines.append([])
             letters = 0
@@ -89,6 +89,41 @@ def _legend(figure: Figure, models: Sequence[tuple[int, str, bool]]) -> list[str
         lines[-1].append(f'<tspan fill="var(--{colour})">{mark}</tspan> {escape(name)}')
         letters += len(name) + 4
     return ["  ".join(line).replace("  <", "\u2003<") for line in lines if line]
+
+
+def panels(drawn: Sequence[tuple[str, str]], models: dict[str, int], told: str) -> str:
+    """Charts side by side, each a title and its SVG, with the models' names below, for light and dark.
+
+    `models` has the place of each in the palette; `told` says in words what is shown.
+    """
+    names = list(models)
+    rows = [names[k : k + _IN_A_LINE] for k in range(0, len(names), _IN_A_LINE)]
+    width = len(drawn) * (_WIDTH + _GAP)
+    height = _HEIGHT + _LINE * (len(rows) + 2.4)
+    parts = [
+        f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {width:g} {height:g}" width="{width:g}" '
+        f'height="{height:g}" role="img" aria-label="{escape(told)}">',
+        f"<style>{figure_style()}</style>",
+        f'<rect width="{width:g}" height="{height:g}" fill="var(--paper)"/>',
+    ]
+    for k, (title, svg) in enumerate(drawn):
+        left = k * (_WIDTH + _GAP) + _GAP / 2
+        parts.append(f'<text class="claim" x="{left + 60:g}" y="{_LINE:g}">{escape(title)}</text>')
+        place = f'<svg x="{left:g}" y="{1.4 * _LINE:g}" width="{_WIDTH:g}" height="{_HEIGHT:g}" '
+        parts.append(str(svg).replace("<svg ", place, 1))
+    for k, row in enumerate(rows):
+        words = "\u2003".join(
+            f'<tspan fill="var(--model-{models[name] % COLOURS})">{glyph(models[name])}</tspan> '
+            f"{escape(name)}{_dashed(models[name])}"
+            for name in row
+        )
+        parts.append(f'<text x="{_GAP:g}" y="{_HEIGHT + _LINE * (k + 2.6):g}">{words}</text>')
+    return "\n".join([*parts, "</svg>\n"])
+
+
+def _dashed(number: int) -> str:
+    """How the line of a place in the palette is broken, where colours come again."""
+    return f" ({_DASHES[(number // COLOURS - 1) % 3]})" if number >= COLOURS else ""
 
 
 def glyph(number: int) -> str:

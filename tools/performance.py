@@ -11,11 +11,10 @@ import argparse
 from pathlib import Path
 
 import numpy as np
-from markupsafe import escape
 
 from tests.command import vdmbench_process as vdmbench
 from tools import marked
-from tools.gallery import figure_style, glyph
+from tools.gallery import panels
 from vdmbench.evidence.bench_data import (
     FAR_OFF,
     YARDSTICK,
@@ -66,8 +65,6 @@ COMPARED = (
     "fem-coarse",
     "fem-condensed",
 )  # with linear elements, in one line each
-_PANEL, _HEIGHT, _GAP, _LINE = 317.0, 216.0, 14.0, 13.0
-_IN_A_LINE = 4  # names of the legend
 
 
 def finest(bench: Bench) -> list[list[Entry]]:
@@ -170,31 +167,16 @@ def picture(bench: Bench) -> str:
     """Time against error on the finest mesh of each body, side by side, for light and dark."""
     bodies = finest(bench)
     models = [model for model in DRAWN if any(e.model == model for e in bench.entries)]
-    numbers = palette.places(models)
-    width = len(bodies) * (_PANEL + _GAP)
-    rows = [models[k : k + _IN_A_LINE] for k in range(0, len(models), _IN_A_LINE)]
-    height = _HEIGHT + _LINE * (len(rows) + 2.4)
-    parts = [
-        f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {width:g} {height:g}" width="{width:g}" '
-        f'height="{height:g}" role="img" aria-label="Run time against error on {len(bodies)} bodies">',
-        f"<style>{figure_style()}</style>",
-        f'<rect width="{width:g}" height="{height:g}" fill="var(--paper)"/>',
-    ]
-    for k, body in enumerate(bodies):
-        left = k * (_PANEL + _GAP) + _GAP / 2
-        title = f"{body[0].body}, {body[0].nodes:,} nodes"
-        parts.append(f'<text class="claim" x="{left + 60:g}" y="{_LINE:g}">{escape(title)}</text>')
-        place = f'<svg x="{left:g}" y="{1.4 * _LINE:g}" width="{_PANEL:g}" height="{_HEIGHT:g}" '
-        panel = pareto_plot([e for e in body if e.model in DRAWN], numbers, f"t{k}")
-        parts.append(str(panel).replace("<svg ", place, 1))
-    for k, row in enumerate(rows):
-        names = "\u2003".join(
-            f'<tspan fill="var(--model-{place % palette.COLOURS})">{glyph(place)}</tspan> {escape(name)}'
-            for name, place in ((name, numbers[name]) for name in row)
+    places = palette.places(models)
+    numbers = {model: places[model] for model in models}
+    drawn = [
+        (
+            f"{body[0].body}, {body[0].nodes:,} nodes",
+            pareto_plot([e for e in body if e.model in DRAWN], numbers, f"t{k}"),
         )
-        top = _HEIGHT + _LINE * (k + 2.6)
-        parts.append(f'<text x="{_GAP:g}" y="{top:g}">{names}</text>')
-    return "\n".join([*parts, "</svg>\n"])
+        for k, body in enumerate(bodies)
+    ]
+    return panels(drawn, numbers, f"Run time against error on {len(bodies)} bodies")
 
 
 def main() -> None:

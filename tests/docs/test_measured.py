@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import dataclasses
+from pathlib import Path
 
 import pytest
 
 from tests.unit.example_case import example_measurement
 from tests.unit.report_runs import make_case, make_run
 from tools.marked import cells, shown
-from tools.measured import DOCUMENT, HEAD, STUDIES, fits, table
+from tools.measured import DOCUMENT, HEAD, STUDIES, fits, table, with_peers
+from vdmbench.study import registry
 from vdmbench.study.config import load_study
 from vdmbench.study.shipped import study_path
 
@@ -48,3 +50,12 @@ def test_a_fit_without_a_number_is_told() -> None:
         ["a", "none in range", "–", "–", "–", "–"],
         ["b", "8.00 kPa", "1.00 %", "1.00 mm", "2.00 mm", "3.00 mm"],
     ]
+
+
+def test_engines_of_others_run_beside_the_models(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(registry, "find_spec", lambda wheel: None if wheel == "mujoco" else "there")
+    path = with_peers("phantom-beam", tmp_path / "new")
+    found, own = load_study(path), load_study(study_path("phantom-beam"))
+    beside = ("vdm-boundary:nonlinear", "ngsolve-p2p1:nonlinear")
+    assert found.study.models == (*own.study.models, *beside), "all but the one whose wheel is not there"
+    assert found.measured == own.measured
