@@ -33,7 +33,7 @@ def _limited(
     )
 
 
-@pytest.mark.parametrize(("letter", "megabytes"), [("v", 150), ("v", 250), ("d", 100), ("d", 150)])
+@pytest.mark.parametrize(("letter", "megabytes"), [("v", 150), ("d", 150)])
 def test_where_the_solvers_cannot_be_loaded_that_is_told(tmp_path: Path, letter: str, megabytes: int) -> None:
     write_study(tmp_path)
     for arguments in (["run", "small.toml", "--jobs", "1"], ["plan", "small.toml"]):
@@ -43,7 +43,7 @@ def test_where_the_solvers_cannot_be_loaded_that_is_told(tmp_path: Path, letter:
     assert _limited(tmp_path, letter, megabytes, "list").returncode == 0, "it loads none"
 
 
-@pytest.mark.parametrize(("letter", "megabytes"), [("v", 400), ("v", 1300), ("d", 250), ("d", 400)])
+@pytest.mark.parametrize(("letter", "megabytes"), [("v", 1300), ("d", 250)])
 def test_a_limit_that_is_hardly_met_ends_the_run(tmp_path: Path, letter: str, megabytes: int) -> None:
     """What fits depends on versions and processors: done, or told with what to do."""
     write_study(tmp_path)
