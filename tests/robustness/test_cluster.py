@@ -195,6 +195,7 @@ def test_every_document_starts_it_so() -> None:
         assert "--listen-address" not in line
 
 
+@pytest.mark.slow
 def test_a_cluster_that_other_machines_reach_is_told(tmp_path: Path) -> None:
     with _cluster(tmp_path, open_to_all=True) as (address, _):
         study = _study(tmp_path)
@@ -239,6 +240,7 @@ def test_ctrl_c_stops_what_runs_and_keeps_what_is_done(
     _assert_same_cases(run, local_run)
 
 
+@pytest.mark.slow
 def test_tls_takes_those_with_a_certificate_only(tmp_path: Path, local_run: Path) -> None:
     study, authority = _study(tmp_path), trustme.CA()
     trusted = _certificates(tmp_path, authority)
