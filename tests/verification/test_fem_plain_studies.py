@@ -25,7 +25,7 @@ TOLERANCE = 1e-8
 FLAT, STIFF, TOLERANCE_AT_EXTREMES = 1e5, 1e8, 1e-6
 COARSENINGS = (2.0, 1.5, 1.0)  # of the largest mesh size of a study: the first on which its regions exist
 QUICK = ("quickstart", "locking")
-PARTS = ("geometry", "tissue", "regions", "constraints", "gravity", "anisotropy")
+PARTS = ("geometry", "tissue", "regions", "constraints", "gravity", "anisotropy", "inclusions")
 
 
 def scenes(name: str) -> Iterator[tuple[str, Scene, tuple[str, ...], float]]:
