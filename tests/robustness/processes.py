@@ -74,6 +74,12 @@ def wait_until_gone(processes: list[int], seconds: float = 30) -> None:
         time.sleep(0.01)
 
 
+def planned_hash(case: Path) -> str:
+    """The hash of a case file's case, by the plan beside it; its own name where it is of no case there."""
+    planned = json.loads((case.parents[1] / "plan.json").read_text())["cases"]
+    return next((e["hash"] for e in planned if case.stem.endswith(e["hash"][:12])), case.stem)
+
+
 def check_what_is_there(directory: Path) -> dict[str, bytes]:
     """Every case file and cache entry is whole, whatever happened; the case files' bytes by their hash."""
     found = {}

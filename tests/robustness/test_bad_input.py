@@ -35,7 +35,7 @@ from vdmbench.report import rebuild
 from vdmbench.store import run_directory
 from vdmbench.store.hdf5 import TRAILER_BYTES
 
-from .processes import RUN
+from .processes import RUN, planned_hash
 
 pytestmark = pytest.mark.usefixtures("read_here")
 Prepare = Callable[[Path], Sequence[str | Path]]  # spoils a directory, says what to call
@@ -231,7 +231,7 @@ def _study_lost(directory: Path) -> Sequence[str | Path]:
 
 
 def _failure_cut(directory: Path) -> Sequence[str | Path]:
-    path = run_directory.failure_path(directory / RUN, _case(directory).stem)
+    path = run_directory.failure_path(directory / RUN, planned_hash(_case(directory)))
     _case(directory).unlink()
     path.parent.mkdir(exist_ok=True)
     path.write_text("{}")

@@ -23,7 +23,7 @@ from vdmbench.store import cases as store
 from vdmbench.store.hdf5 import Stored, StoreError
 from vdmbench.study.config import expand, load_study
 
-from .processes import CACHE, RUN
+from .processes import CACHE, RUN, planned_hash
 
 KINDS = {
     "case": f"{RUN}/cases/*.vtkhdf",
@@ -48,7 +48,7 @@ def _reads(kind: str, path: Path) -> bool:
         return read_answer(path) is not None
     try:
         if kind == "case":
-            store.read_case(path, path.stem)
+            store.read_case(path, planned_hash(path))
         else:
             Stored(path, store.SCHEMA).close()
     except StoreError as error:
