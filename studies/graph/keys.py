@@ -17,8 +17,9 @@ from typing import Any
 from .. import models
 from ..measures import uncertainty
 from ..study.config import case_inputs
-from ..study.extras import extras_of
+from ..study.extras import extras_for, extras_of
 from ..study.loads import KINDS
+from ..study.registry import lacks
 from ..study.schema import Study
 
 _FORMAT = 3  # of the files of answers: raised with what is in them
@@ -201,6 +202,7 @@ def _body(study: Study, inputs: Mapping[str, Any], name: str) -> dict[str, Any]:
         ],
         **_supports(inputs),
         **_inclusions(study, inputs, name),
+        **_refusal(study, name),
         "gravity": gravity if weighs else None,
         "anisotropy": inputs.get("anisotropy"),
         "parameters": {key: value for key, value in parameters.items() if key in model.parameters},
@@ -213,6 +215,12 @@ def _inclusions(study: Study, inputs: Mapping[str, Any], name: str) -> dict[str,
     """The inclusions that a model knows; nothing where there is none, or it answers without them."""
     found = [] if name in study.study.homogeneous else inputs.get("inclusions") or []
     return {"inclusions": found} if found else {}
+
+
+def _refusal(study: Study, name: str) -> dict[str, Any]:
+    """Why a model refuses the study: a stored refusal ends when the model learns. Nothing where it does not."""
+    lacking = lacks(name, extras_for(name, study))
+    return {"lacks": lacking} if lacking else {}
 
 
 def _supports(inputs: Mapping[str, Any]) -> dict[str, Any]:

@@ -11,6 +11,7 @@ from vdmbench.graph import keys
 from vdmbench.graph.keys import Wanted, case_hash, direction, load_steps, wanted
 from vdmbench.study.loads import KINDS
 from vdmbench.study.profiles import VERSIONS
+from vdmbench.study.registry import all_models, find
 from vdmbench.study.schema import Study
 from vdmbench.study.sweep import substituted
 
@@ -183,3 +184,17 @@ def test_what_is_set_up_for_a_contact_is_set_up_for_its_place() -> None:
     ]
     assert bodies[0]["fem-condensed"] != bodies[1]["fem-condensed"]
     assert bodies[0]["fem-linear"] == bodies[1]["fem-linear"]
+
+
+def test_a_refusal_ends_when_the_model_learns(monkeypatch: pytest.MonkeyPatch) -> None:
+    names = {"name": "keys", "models": ["vdm-boundary", "fem-linear"], "reference": "fem-linear"}
+    lump = {"name": "lump", "ball": {"center": [0.0, 0.0, 0.0], "radius": 0.01}, "youngs_modulus": 5e4}
+    rest = {key: STUDY[key] for key in ("geometry", "tissue", "regions", "constraints")}
+    one = Study.model_validate({**rest, "study": names, "inclusions": [lump]})
+    before = {name: want.body for (name, level), want in answers(one).items() if not level}
+    model, _ = find("vdm-boundary")
+    taught = dataclasses.replace(model, takes={**model.takes, "inclusions": model.solvers})
+    monkeypatch.setitem(all_models(), "vdm-boundary", taught)
+    after = {name: want.body for (name, level), want in answers(one).items() if not level}
+    assert before["vdm-boundary"] != after["vdm-boundary"]
+    assert before["fem-linear"] == after["fem-linear"]
