@@ -23,7 +23,7 @@ from ..study.registry import lacks
 from ..study.schema import Study
 
 _FORMAT = 3  # of the files of answers: raised with what is in them
-_FORCES = ("fixed", "contact", "line")  # kinds of constraints that hold, or act by forces
+_FORCES = ("fixed", "contact", "line", "traction")  # kinds of constraints that hold, or act by forces
 _NO_MODULI = ("coarse_nodes", "compressibility", "rotation")  # of the parameters of [vdm]
 _DIGITS = 12  # of a load beside others: less is rounding
 

@@ -226,7 +226,7 @@ def _frame(scene: Scene, problem: LinearProblem, transfer: Transfer, load: Surfa
         load.gravity,
     )
     forces = nodal_forces(mesh, [coarse], problem.density)
-    forces[0] += transfer.interpolation.T @ (load.contact_force + load.line_force)
+    forces[0] += transfer.interpolation.T @ (load.contact_force + load.dead_force)
     fields = problem.solve_nodal(forces, prescribed_nodes(mesh, [coarse]))
     displacement = np.asarray(transfer.interpolation @ fields.displacement[0])
     displacement[scene.held] = load.prescribed[scene.held]

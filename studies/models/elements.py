@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from solver_common.arrays import Array
+from solver_common.arrays import Array, Index
 
 from ..scene.inclusions import moduli
 from ..scene.scene import Scene, SurfaceLoad
@@ -147,14 +147,20 @@ def _springs(scene: Scene) -> list[ElasticSupport]:
 
 
 def fem_loads(loads: Sequence[SurfaceLoad], mesh: TetMesh) -> list[FemLoad]:
-    from fem_reference.forces import line_forces
+    from fem_reference.forces import line_forces, region_forces
     from fem_reference.loads import Load
 
-    def lines(load: SurfaceLoad) -> Array | None:
-        forces = [line_forces(mesh, edges, force) for edges, force in load.lines]
+    def spread(parts: Index, force: Array) -> Array:
+        if parts.shape[1] == 2:
+            return line_forces(mesh, parts, force)
+        powers = len(mesh.surface_nodes) ** np.arange(3)
+        return region_forces(mesh, np.isin(mesh.triangles @ powers, parts @ powers), force)
+
+    def dead(load: SurfaceLoad) -> Array | None:
+        forces = [spread(parts, force) for parts, force in load.dead]
         return np.sum(forces, axis=0) if forces else None
 
-    return [Load(load.facet_pressure, load.prescribed, load.gravity, lines(load)) for load in loads]
+    return [Load(load.facet_pressure, load.prescribed, load.gravity, dead(load)) for load in loads]
 
 
 def _asked(scene: Scene, *outputs: str) -> frozenset[str]:
@@ -188,7 +194,7 @@ for _model in (
         of_any_modulus=_ONE,
         version="3",
         prepare=_small_strain,
-        lines=_BOTH,
+        dead_forces=_BOTH,
         takes=_takes(_BOTH) | {"indenter": _ONE},
         solvers=_BOTH,
         superposes=_BOTH,
@@ -199,7 +205,7 @@ for _model in (
         version="2",
         prepare=_small_strain,
         cost=costs.elements("P1"),
-        lines=_ONE,
+        dead_forces=_ONE,
         takes=_takes(_ONE) | {"indenter": _ONE},
     ),
     _elements(
@@ -207,19 +213,19 @@ for _model in (
         of_any_modulus=_ONE,
         version="2",
         prepare=_small_strain,
-        lines=_ONE,
+        dead_forces=_ONE,
         takes=_takes(_ONE) | {"indenter": _ONE},
     ),
     _elements(
         name="fem-condensed", version="4", prepare=_condensed, cost=costs.condensed, contact_in_setup=True
     ),
-    _elements(name="fem-coarse", version="4", prepare=_coarse, cost=costs.coarse, lines=("linear",)),
+    _elements(name="fem-coarse", version="4", prepare=_coarse, cost=costs.coarse, dead_forces=("linear",)),
     _elements(
         name="fem",
         version="2",
         prepare=_finite_strain,
         cost=costs.finite_strain,
-        lines=_BOTH,
+        dead_forces=_BOTH,
         takes=_takes(_BOTH) | {"law": _ONE, "indenter": _ONE},
         tissue=("youngs_modulus", "poisson_ratio", "law", *LAW_KEYS),
         solvers=_BOTH,

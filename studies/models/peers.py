@@ -199,7 +199,7 @@ register(
         prepare=_mujoco,
         solvers=("linear",),
         superposes=(),
-        lines=("linear",),
+        dead_forces=("linear",),
         cost=costs.mujoco,
         needs="mujoco",
     )
@@ -211,7 +211,7 @@ register(
         prepare=_ngsolve,
         solvers=("linear", "nonlinear"),
         superposes=("linear",),
-        lines=("linear", "nonlinear"),
+        dead_forces=("linear", "nonlinear"),
         cost=costs.ngsolve,
         needs="ngsolve",
     )

@@ -45,7 +45,7 @@ def prepare_surface(scene: Scene, solver: str, name: str, n_loads: int) -> SetUp
                 contact_pressure=load.contact_pressure,
                 contact_force=load.contact_force,
                 prescribed=load.prescribed,
-                dead_force=load.line_force if load.lines else None,
+                dead_force=load.dead_force if load.dead else None,
             )
             for load in loads
         ]
@@ -226,7 +226,7 @@ for _registered in (
         takes={SPRINGS: SOLVERS, FULL: SOLVERS},
         parameters=("foundation", "surface_tension", "stretch_stiffness", "rotation", "penalty"),
         by_rule=("surface_tension",),
-        lines=SOLVERS,
+        dead_forces=SOLVERS,
         fibres=True,
     ),
     _surface(
@@ -240,7 +240,7 @@ for _registered in (
         parameters=("shear_modulus", "compressibility", "penalty"),
         most_nodes=2000,
         by_rule=("shear_modulus",),
-        lines=("linear", "nonlinear"),
+        dead_forces=("linear", "nonlinear"),
         fibres=False,
     ),
     _surface(
@@ -251,7 +251,7 @@ for _registered in (
         tissue=("youngs_modulus", "poisson_ratio"),
         parameters=("shear_modulus", "coarse_nodes", "compressibility"),
         by_rule=("shear_modulus",),
-        lines=("linear", "single", "nonlinear"),
+        dead_forces=("linear", "single", "nonlinear"),
         fibres=False,
     ),
     _surface(
@@ -263,7 +263,7 @@ for _registered in (
         parameters=("shear_modulus", "penalty"),
         by_rule=("shear_modulus",),
         most_nodes=5000,
-        lines=SOLVERS,
+        dead_forces=SOLVERS,
         fibres=False,
     ),
 ):

@@ -35,6 +35,7 @@ KINDS = {
     "contact": ("contact", "#ee6677"),
     "constrained": ("moved", "#c0a82e"),
     "line": ("pulled along a line", "#aa3377"),
+    "traction": ("pulled or sheared", "#882255"),
     "elastic": ("springs", "#228833"),
     "indenter": ("indenter", "#ee7733"),
 }

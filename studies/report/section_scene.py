@@ -49,7 +49,7 @@ def parts_of(case: CaseResult, cases: Sequence[CaseResult]) -> list[Part]:
         vector = None
         if kind == "constrained" and constraint.get("displacement") is not None:
             vector = np.array(constraint["displacement"], dtype=float)
-        elif kind == "line":
+        elif kind in ("line", "traction"):
             vector = np.array(constraint["resultant"], dtype=float)
         elif kind == "indenter" and constraint.get("push") is not None:
             vector = np.array(constraint["push"], dtype=float)

@@ -93,7 +93,7 @@ def hand_out(scene: Scene, load: SurfaceLoad, name: str = "", factor: float = 1.
     held, displacement, force = np.zeros(n, dtype=bool), np.zeros((n, 3)), np.zeros((n, 3))
     held[mesh.surface_nodes] = scene.held
     displacement[mesh.surface_nodes] = np.where(scene.held[:, None], load.prescribed, 0.0)
-    force[mesh.surface_nodes] = load.contact_force + load.line_force
+    force[mesh.surface_nodes] = load.contact_force + load.dead_force
     return Handout(
         name=" ".join(name.split()),
         mesh=mesh,

@@ -38,7 +38,7 @@ class SurfaceLoad:
     prescribed : (N, 3) displacement of held nodes, zero elsewhere [m]
     gravity : (3,) acceleration [m/s^2]
     points : (N, 3) the surface nodes at rest [m]
-    lines : forces along lines: (k, 2) nodes at the ends of edges, and the resultant (3,) over their length [N]
+    dead : dead forces: (k, 2) nodes of edges or (k, 3) of facets, and the resultant (3,) spread evenly there [N]
     depth : of the indenter, where there is one [m]
     """
 
@@ -48,18 +48,20 @@ class SurfaceLoad:
     prescribed: Array
     gravity: Array
     points: Array
-    lines: tuple[tuple[Index, Array], ...] = ()
+    dead: tuple[tuple[Index, Array], ...] = ()
     depth: float = 0.0
 
     @cached_property
-    def line_force(self) -> Array:
-        """(N, 3) the forces along lines as nodal forces, half of an edge's to each of its ends [N]."""
+    def dead_force(self) -> Array:
+        """(N, 3) the dead forces as nodal forces: the nodes of an edge or a facet have equal shares [N]."""
         nodal = np.zeros_like(self.contact_force)
-        for edges, force in self.lines:
-            length = np.linalg.norm(self.points[edges[:, 1]] - self.points[edges[:, 0]], axis=1)
-            share = 0.5 * (length / length.sum())[:, None] * force
-            for end in range(2):
-                np.add.at(nodal, edges[:, end], share)
+        for parts, force in self.dead:
+            sides = self.points[parts[:, 1:]] - self.points[parts[:, :1]]
+            gram = np.einsum("kai,kbi->kab", sides, sides)
+            size = np.sqrt(np.linalg.det(gram))  # length, or twice the area
+            share = (size / size.sum())[:, None] * force / parts.shape[1]
+            for corner in range(parts.shape[1]):
+                np.add.at(nodal, parts[:, corner], share)
         return nodal
 
 
@@ -83,7 +85,7 @@ class Scene:
     load_factors : (S,)
     anisotropy : fibre direction and contrast, None for an isotropic body
     condition : whether the condition of the VDM models' systems is estimated
-    lines : forces along lines at load factor 1, see `SurfaceLoad`
+    dead : dead forces at load factor 1, see `SurfaceLoad`
     springs : between facets and the ground
     extras : what it has that not every model takes, see `vdmbench.study.extras`
     inclusions : parts of the inside with moduli of their own
@@ -105,7 +107,7 @@ class Scene:
     load_factors: Array
     anisotropy: Anisotropy | None
     condition: bool = False
-    lines: tuple[tuple[Index, Array], ...] = ()
+    dead: tuple[tuple[Index, Array], ...] = ()
     springs: tuple[Springs, ...] = ()
     extras: frozenset[str] = frozenset()
     inclusions: tuple[PlacedInclusion, ...] = ()
@@ -159,7 +161,7 @@ class Scene:
             factor * self.prescribed,
             self.gravity,
             self.mesh.surface_points,
-            tuple((edges, factor * force) for edges, force in self.lines),
+            tuple((parts, factor * force) for parts, force in self.dead),
             factor * self.indenter.depth if self.indenter else 0.0,
         )
 
@@ -197,7 +199,7 @@ def build_scene(
     fixed, constrained = np.zeros(n_nodes, dtype=bool), np.zeros(n_nodes, dtype=bool)
     prescribed = np.zeros((n_nodes, 3))
     pressure = np.zeros((len(mesh.triangles), len(facet_quadrature()[1])))
-    lines: list[tuple[Index, Array]] = []
+    dead: list[tuple[Index, Array]] = []
     springs: list[Springs] = []
     indenter: PlacedIndenter | None = None
     for constraint in study.constraints:
@@ -225,9 +227,9 @@ def build_scene(
             fixed |= mask
         if acts.pressure is not None:
             pressure += acts.pressure
-        if acts.line is not None:
-            edges, force = acts.line
-            lines.append((edges, np.array(force)))
+        if acts.dead is not None:
+            parts, force = acts.dead
+            dead.append((parts, np.array(force)))
         if acts.springs is not None:
             springs.append(acts.springs)
         if acts.pushed is not None:
@@ -267,7 +269,7 @@ def build_scene(
         load_factors=np.array(study.load.history),
         anisotropy=study.anisotropy,
         condition=study.study.condition,
-        lines=tuple(lines),
+        dead=tuple(dead),
         springs=tuple(springs),
         extras=extras_of(study),
         inclusions=place_inclusions(study, mesh, inside),

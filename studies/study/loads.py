@@ -152,14 +152,14 @@ class Acts:
     ----------
     displacement : (N, 3) or (3,) of the nodes of its region, where it moves them [m]
     pressure : (F, Q) into the body [Pa]
-    line : (k, 2) edges and (3,) the force on them [N]
+    dead : (k, 2) edges or (k, 3) facets, and (3,) the force that is spread evenly over them [N]
     springs : under some of its facets
     pushed : an indenter
     """
 
     displacement: Any = None
     pressure: Any = None
-    line: Any = None
+    dead: Any = None
     springs: Springs | None = None
     pushed: Pushed | None = None
 
@@ -316,7 +316,24 @@ register(
             )
         },
         holds=False,
-        act=lambda constraint, on: Acts(line=(on.edges(), constraint.resultant)),
+        act=lambda constraint, on: Acts(dead=(on.edges(), constraint.resultant)),
+    )
+)
+register(
+    LoadKind(
+        name="traction",
+        help="pulled or sheared by a traction of any direction",
+        version="1",
+        keys={
+            "resultant": LoadKey(
+                Force,
+                "dead force at load factor 1, spread evenly over its facets",
+                is_load=True,
+                example='three forces, such as ["0.1 N", "0 N", "0 N"]',
+            )
+        },
+        holds=False,
+        act=lambda constraint, on: Acts(dead=(on.triangles[on.facets()], constraint.resultant)),
     )
 )
 register(

@@ -82,7 +82,7 @@ class Declared:
     cost : what a set-up and a step take, within a factor of five: a plan tells it, and refuses what has no memory
     most_nodes : surface nodes beyond which it refuses a mesh; None where it has no such limit
     contact_in_setup : whether its set-up depends on where the body is touched and how it is moved
-    lines : solvers that take a force along a line of edges; the others are refused it
+    dead_forces : solvers that take a force of any direction, along a line or over facets; the others are refused it
     takes : of `EXTRAS` what it takes, and with which solvers; the others are refused it
     of_any_modulus : solvers whose set-up serves the same body with any Young's modulus
     own : of its parameters those that [vdm] has no key for: a study gives them in [models.NAME]
@@ -103,7 +103,7 @@ class Declared:
     by_rule: tuple[str, ...] = ()
     most_nodes: int | None = None
     contact_in_setup: bool = False
-    lines: tuple[str, ...] = ()
+    dead_forces: tuple[str, ...] = ()
     takes: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     of_any_modulus: tuple[str, ...] = ()
     own: Mapping[str, Parameter] = field(default_factory=dict)

@@ -50,11 +50,11 @@ def box() -> Mesh:
 
 def test_a_line_is_the_edges_between_its_nodes(box: Mesh) -> None:
     scene = build_scene(study(), box)
-    ((edges, force),) = scene.lines
+    ((edges, force),) = scene.dead
     ends = box.surface_points[edges]
     assert_allclose(ends[:, :, [0, 2]], np.broadcast_to([0.03, 0.015], (len(edges), 2, 2)), atol=1e-12)
     assert_allclose(np.abs(ends[:, 1, 1] - ends[:, 0, 1]).sum(), 0.03, rtol=1e-12)
-    nodal = scene.load(2.0).line_force
+    nodal = scene.load(2.0).dead_force
     assert_allclose(nodal.sum(axis=0), 2 * PULL, rtol=1e-12)
     # spread by length: its moment is that of the resultant at the middle of the edge
     assert_allclose((box.surface_points[:, 1, None] * nodal).sum(axis=0), 0.0, atol=1e-15)
@@ -63,8 +63,8 @@ def test_a_line_is_the_edges_between_its_nodes(box: Mesh) -> None:
 
 def test_a_refined_line_is_the_same_line(box: Mesh) -> None:
     scene = level_scene(study(), refined(box, 1))
-    assert len(scene.lines[0][0]) == 2 * len(build_scene(study(), box).lines[0][0])
-    assert_allclose(scene.load(1.0).line_force.sum(axis=0), PULL, rtol=1e-12)
+    assert len(scene.dead[0][0]) == 2 * len(build_scene(study(), box).dead[0][0])
+    assert_allclose(scene.load(1.0).dead_force.sum(axis=0), PULL, rtol=1e-12)
 
 
 @pytest.mark.parametrize(
@@ -80,21 +80,61 @@ def test_a_region_that_is_no_line_is_refused(box: Mesh, region: dict[str, Any], 
         build_scene(study(regions=BASE["regions"] | {"edge": region}), box)
 
 
+TRACTION: dict[str, Any] = {
+    "regions": BASE["regions"] | {"end": {"above": {"axis": "x", "fraction": 0.999}}},
+    "constraints": [
+        {"kind": "fixed", "region": "clamp"},
+        {"kind": "traction", "region": "end", "resultant": PULL.tolist()},
+    ],
+}
+
+
+def test_a_traction_is_even_over_its_facets(box: Mesh) -> None:
+    scene = build_scene(study(**TRACTION), box)
+    ((facets, force),) = scene.dead
+    assert_allclose(box.surface_points[facets][..., 0], 0.03, atol=1e-12)
+    nodal = scene.load(2.0).dead_force
+    assert_allclose(nodal.sum(axis=0), 2 * PULL, rtol=1e-12)
+    # its moment is that of the resultant at the middle of the face
+    assert_allclose((box.surface_points[:, 1:, None] * nodal[:, None]).sum(axis=0), 0.0, atol=1e-15)
+    corners = box.surface_points[facets]
+    areas = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1) / 2
+    by_hand = np.zeros_like(nodal)
+    np.add.at(by_hand, facets, (areas / 3 * 2 / 0.03**2)[:, None, None] * force)
+    assert_allclose(nodal, by_hand, atol=1e-15)
+    finer = level_scene(study(**TRACTION), refined(box, 1))
+    assert_allclose(finer.load(1.0).dead_force.sum(axis=0), PULL, rtol=1e-12)
+
+
+def test_a_traction_along_the_normal_is_a_pressure(box: Mesh) -> None:
+    pull = {"kind": "traction", "region": "end", "resultant": [5e-3, 0.0, 0.0]}
+    press = {"kind": "contact", "region": "end", "force": -5e-3}
+    drawn, pressed = (
+        models.run_model(
+            build_scene(study(**TRACTION | {"constraints": [BASE["constraints"][0], part]}), box), name
+        )
+        for name in ("fem-linear",)
+        for part in (pull, press)
+    )
+    assert_allclose(drawn.displacement, pressed.displacement, atol=1e-9 * np.abs(pressed.displacement).max())
+
+
+@pytest.mark.parametrize("tables", [{}, TRACTION], ids=["line", "traction"])
 @pytest.mark.parametrize("name", models.model_names())
-def test_every_model_balances_it_or_refuses_it_by_name(box: Mesh, name: str) -> None:
+def test_every_model_balances_it_or_refuses_it_by_name(box: Mesh, name: str, tables: dict[str, Any]) -> None:
     if lack := models.missing(name):
         pytest.skip(f"{name}: {'; '.join(lack)}")
     model, solver = models.find(name)
-    result = models.run_model(build_scene(study(), box), name)
-    if solver not in model.lines:
+    result = models.run_model(build_scene(study(**tables), box), name)
+    if solver not in model.dead_forces:
         assert result.status[0].code == models.REFUSED
         assert name in result.status[0].message
         return
     assert result.status[0].ok, result.status
     # a support answers with the opposite force; what rounding of an iterative solver leaves is 1e-6 of it
     assert_allclose(result.reaction_force[0].sum(axis=0), -PULL, atol=1e-5 * np.linalg.norm(PULL))
-    first = models.run_model(build_scene(study(), box), model.name)
-    rows = build_scene(study(), box).lines[0][0].ravel()
+    first = models.run_model(build_scene(study(**tables), box), model.name)
+    rows = build_scene(study(**tables), box).dead[0][0].ravel()
     tip, first_tip = (r.displacement[0, rows].mean(axis=0) for r in (result, first))
     # the tip moves by less than a hundredth of the length: the nonlinear answers are linear to about as much
     tolerance = 0.03 if not is_linear(name) or not is_linear(model.name) else 1e-3
