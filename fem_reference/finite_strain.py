@@ -28,6 +28,7 @@ from fem_reference.load_path import LoadPath
 from fem_reference.loads import (
     Load,
     check_loads,
+    check_nodal,
     held_nodes,
     nodal_forces,
     prescribed_nodes,
@@ -40,6 +41,8 @@ from fem_reference.solution import CONVERGED, Solution, Status, check_outputs
 from fem_reference.springs import ElasticSupport, make_springs
 from fem_reference.system import LinearSystem, build_system
 from fem_reference.tangent_solver import TangentSolver, TangentSystem
+from solver_common.arrays import Array
+from solver_common.quadrature import facet_quadrature
 from solver_common.solution import solver_error
 
 __all__ = ["OUTPUTS", "PRESSURES", "FiniteStrainProblem", "Load"]
@@ -175,6 +178,35 @@ class FiniteStrainProblem:
         """The tangent in the state of a substep, in its scaled units."""
         return self._newton.tangent(reached.state, reached.load)
 
+    def solve_nodal(self, forces: Array, prescribed: Array) -> Fields:
+        """Follow a history of dead forces and displacements that are given at the nodes.
+
+        Parameters
+        ----------
+        forces : (S, n_nodes, 3) [N]
+        prescribed : (S, n_nodes, 3) displacement of held nodes; ignored elsewhere [m]
+
+        Returns
+        -------
+        Fields
+            NaN from the first load step on that cannot be reached.
+
+        Raises
+        ------
+        SolverError
+            For arrays of the wrong shape or with values that are not finite.
+        """
+        check_nodal(self.mesh, forces, prescribed)
+        length = self.mesh.mean_edge
+        force_unit = self.shear_modulus * length**2
+        nothing = np.zeros((len(self.mesh.triangles), len(facet_quadrature()[1])))
+        return self._fields(
+            [
+                ScaledLoad(nothing, force / force_unit, given / length)
+                for force, given in zip(forces, prescribed, strict=True)
+            ]
+        )
+
     def fields(self, loads: Sequence[Load]) -> Fields:
         """The nodal fields of a load history; NaN from the first load step on that cannot be reached.
 
@@ -184,6 +216,9 @@ class FiniteStrainProblem:
             For a load of the wrong shape or with values that are not finite.
         """
         check_loads(self.mesh, loads)
+        return self._fields([self._scaled(load) for load in loads])
+
+    def _fields(self, loads: Sequence[ScaledLoad]) -> Fields:
         steps, length = len(loads), self.mesh.mean_edge
         force_unit = self.shear_modulus * length**2
         fields = Fields(
@@ -193,7 +228,7 @@ class FiniteStrainProblem:
             residual=np.full(steps, np.nan),
             iterations=np.zeros(steps, dtype=np.int64),
         )
-        for number, attempt in self._follow([self._scaled(load) for load in loads]):
+        for number, attempt in self._follow(loads):
             fields.iterations[number] += len(attempt.residuals) - 1
             if attempt.converged and attempt.load_factor == 1.0:
                 fields.displacement[number] = attempt.state.displacement * length

@@ -20,7 +20,7 @@ from scipy import linalg
 
 from solver_common.arrays import Array, Mask
 from tools import marked
-from tools.accuracy import README, ROOT, STUDIES, as_per_cent
+from tools.accuracy import ROOT, STUDIES, as_per_cent
 from vdm.boundary.operators import Facets, surface_stiffness
 from vdm.formulations.vector import (
     block_diagonal,
@@ -39,6 +39,7 @@ Build = Callable[["Body", Array], Array]
 
 # beta of the rotations' own stiffness where it is not fitted
 BETA = 0.01
+README = ROOT / "vdm" / "README.md"
 _PART = "candidates"
 
 

@@ -269,7 +269,15 @@ def section(found: Sequence[Entry], left_out: Sequence[str]) -> str:
         f"{len({entry.case for entry in found})} cases.",
         *(f"Not here: {name}, whose wheel is not installed." for name in left_out),
     ]
-    return "\n".join([" ".join(lines), "", table(found), "![Profiles](../gallery/league.svg)", ""])
+    return "\n".join(
+        [
+            " ".join(lines),
+            "",
+            table(found),
+            "![Share of cases within an error, and within a multiple of the quickest time](../gallery/league.svg)",
+            "",
+        ]
+    )
 
 
 def main() -> None:

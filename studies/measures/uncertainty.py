@@ -119,13 +119,13 @@ def no_less(bar: float, metric: str, figures: Mapping[str, float], relative: flo
 
 
 def stored_estimate(reference_error: Mapping[str, float]) -> ErrorEstimate | None:
-    """The estimate behind a case's `reference_error`; None where it was not measured."""
+    """The estimate behind a case's `reference_error`; None where it was not measured, or is no number."""
     differences = [
         reference_error[key]
         for key in ("difference_01", "difference_12", "difference_23")
         if key in reference_error
     ]
-    return estimate_error(differences) if differences else None
+    return estimate_error(differences) if differences and all(map(math.isfinite, differences)) else None
 
 
 def estimate_error(differences: Sequence[float], ratio: float | Sequence[float] = 2.0) -> ErrorEstimate:

@@ -156,7 +156,7 @@ def _table(digest: Digest) -> Table:
     many = len(digest.cases) > 1
     columns = [Column("Model", numeric=False)]
     if digest.compared:
-        for title in ("Displacement error", "Error in change of shape"):
+        for title in ("Displacement error", "Change of shape"):
             columns += [
                 Column(title, detail, unit="1") for detail in (("median", "worst") if many else ("",))
             ]

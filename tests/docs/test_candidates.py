@@ -8,7 +8,7 @@ from numpy.testing import assert_allclose
 
 from tests.unit.vdm_shapes import icosphere
 from tools import candidates as c
-from tools.accuracy import README, STUDIES
+from tools.accuracy import STUDIES
 from vdm.formulations.base import Formulation
 from vdm.formulations.vector import VectorFormulation
 from vdm.material import Parameters
@@ -57,4 +57,4 @@ def test_the_table_has_a_row_for_every_candidate_and_a_column_for_every_body() -
     assert set(STUDIES) <= set(columns)
     names = [candidate.name for candidate in c.CANDIDATES]
     assert all(list(column) == names for column in columns.values())
-    assert c.written(columns) in README.read_text(encoding="utf-8")
+    assert c.written(columns) in c.README.read_text(encoding="utf-8")

@@ -45,7 +45,7 @@ def test_many_cases_are_few_nodes_with_their_number(tmp_path: Path) -> None:
     assert labels(text) == [
         "mesh of sphere at 22 mm<br>for 24 cases",
         "vdm-vector<br>24 set-ups<br>24 loads<br>for 24 cases",
-        "fem-linear<br>24 set-ups<br>24 loads<br>for 24 cases",
+        "fem-linear<br>24 loads<br>for 24 cases",
         "24 cases",
         "tables and report",
     ]
