@@ -167,13 +167,6 @@ def refused(plan: Plan, cases: Sequence[PlannedCase], work: Sequence[Body]) -> l
             for name in names
             if not models.find(name)[0].fibres
         ]
-    if any(part.kind in ("line", "traction") for case in cases for part in case.study.constraints):
-        lines += [
-            f"{name}: it takes no dead force along a line or over facets; use another model for it"
-            for name in names
-            for model, solver in (models.find(name),)
-            if solver not in model.dead_forces
-        ]
     lines += dict.fromkeys(
         told for name in names for case in cases for told in lacks(name, extras_for(name, case.study))
     )

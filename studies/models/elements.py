@@ -169,11 +169,12 @@ def _asked(scene: Scene, *outputs: str) -> frozenset[str]:
 
 
 _BOTH, _ONE = ("linear", PLAIN), ("linear",)
+DEAD = "dead forces"  # of `vdmbench.study.registry.EXTRAS`
 
 
-def _takes(solvers: tuple[str, ...]) -> dict[str, tuple[str, ...]]:
-    """What all elements take that not every model does."""
-    return dict.fromkeys(("normal springs", "full springs", "inclusions"), solvers)
+def _takes(solvers: tuple[str, ...], *more: str) -> dict[str, tuple[str, ...]]:
+    """What all elements take that not every model does, and more."""
+    return dict.fromkeys(("normal springs", "full springs", "inclusions", *more), solvers)
 
 
 _elements = partial(
@@ -194,8 +195,7 @@ for _model in (
         of_any_modulus=_ONE,
         version="3",
         prepare=_small_strain,
-        dead_forces=_BOTH,
-        takes=_takes(_BOTH) | {"indenter": _ONE},
+        takes=_takes(_BOTH, DEAD) | {"indenter": _ONE},
         solvers=_BOTH,
         superposes=_BOTH,
     ),
@@ -205,28 +205,25 @@ for _model in (
         version="2",
         prepare=_small_strain,
         cost=costs.elements("P1"),
-        dead_forces=_ONE,
-        takes=_takes(_ONE) | {"indenter": _ONE},
+        takes=_takes(_ONE, DEAD, "indenter"),
     ),
     _elements(
         name="fem-p2",
         of_any_modulus=_ONE,
         version="2",
         prepare=_small_strain,
-        dead_forces=_ONE,
-        takes=_takes(_ONE) | {"indenter": _ONE},
+        takes=_takes(_ONE, DEAD, "indenter"),
     ),
     _elements(
         name="fem-condensed", version="4", prepare=_condensed, cost=costs.condensed, contact_in_setup=True
     ),
-    _elements(name="fem-coarse", version="4", prepare=_coarse, cost=costs.coarse, dead_forces=("linear",)),
+    _elements(name="fem-coarse", version="4", prepare=_coarse, cost=costs.coarse, takes=_takes(_ONE, DEAD)),
     _elements(
         name="fem",
         version="2",
         prepare=_finite_strain,
         cost=costs.finite_strain,
-        dead_forces=_BOTH,
-        takes=_takes(_BOTH) | {"law": _ONE, "indenter": _ONE},
+        takes=_takes(_BOTH, DEAD) | {"law": _ONE, "indenter": _ONE},
         tissue=("youngs_modulus", "poisson_ratio", "law", *LAW_KEYS),
         solvers=_BOTH,
         superposes=(),

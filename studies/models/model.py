@@ -80,7 +80,6 @@ def register(model: Model) -> None:
     for what, keys, known in (
         ("superposes", model.superposes, model.solvers),
         ("benched", model.benched, model.solvers[1:]),
-        ("dead_forces", model.dead_forces, model.solvers),
         ("of_any_modulus", model.of_any_modulus, model.superposes),
         ("takes", model.takes, EXTRAS),
         ("takes", {solver for solvers in model.takes.values() for solver in solvers}, model.solvers),

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..scene.as_mjcf import FORCE_UNIT, mjcf
+from ..scene.as_mjcf import FORCE_UNIT, TAKES, mjcf
 from ..scene.handout import cannot_express, hand_out
 from ..scene.scene import Scene, SurfaceLoad
 from ..study.registry import missing
@@ -67,7 +67,7 @@ def _require(name: str) -> None:
 def _mujoco(scene: Scene, solver: str, name: str, n_loads: int) -> SetUp:  # noqa: ARG001
     _require(name)
     body = hand_out(scene, scene.load(1.0))
-    if why := cannot_express(body):
+    if why := cannot_express(body, TAKES):
         raise ValueError(f"{name}: {why}")
     # a force that rounding of the points' coordinates makes
     least = 1e-15 * body.youngs_modulus * np.ptp(body.mesh.points, axis=0).max() ** 2
@@ -199,7 +199,7 @@ register(
         prepare=_mujoco,
         solvers=("linear",),
         superposes=(),
-        dead_forces=("linear",),
+        takes=dict.fromkeys(TAKES, ("linear",)),
         cost=costs.mujoco,
         needs="mujoco",
     )
@@ -211,7 +211,7 @@ register(
         prepare=_ngsolve,
         solvers=("linear", "nonlinear"),
         superposes=("linear",),
-        dead_forces=("linear", "nonlinear"),
+        takes={"dead forces": ("linear", "nonlinear")},
         cost=costs.ngsolve,
         needs="ngsolve",
     )

@@ -37,10 +37,6 @@ class Prepared:
         try:
             if scene.anisotropy is not None and not self.model.fibres:
                 raise ValueError(f"{self.model.name} is isotropic; use another model for fibres")
-            if scene.dead and solver not in self.model.dead_forces:
-                raise ValueError(
-                    f"{name} takes no dead force along a line or over facets; use another model for it"
-                )
             if lacking := lacks(name, scene.extras):
                 raise ValueError(lacking[0])
             self.set_up = prepare(scene, solver, name, n_loads)

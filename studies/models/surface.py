@@ -192,7 +192,7 @@ _surface = partial(
     cost=costs.surface,
     one_over_modulus=True,
 )
-SPRINGS, FULL = "normal springs", "full springs"  # of `vdmbench.study.registry.EXTRAS`
+SPRINGS, FULL, DEAD = "normal springs", "full springs", "dead forces"  # of `vdmbench.study.registry.EXTRAS`
 INCREMENTAL = "incremental"  # of the printed form alone, whose claim it tries
 _NOT_OF_THE_MATERIAL = ("penalty", "compressibility", "tolerance")
 for _registered in (
@@ -223,24 +223,22 @@ for _registered in (
         benched=("quasi-linear", "nonlinear"),
         version="8",
         solvers=SOLVERS,
-        takes={SPRINGS: SOLVERS, FULL: SOLVERS},
+        takes=dict.fromkeys((SPRINGS, FULL, DEAD), SOLVERS),
         parameters=("foundation", "surface_tension", "stretch_stiffness", "rotation", "penalty"),
         by_rule=("surface_tension",),
-        dead_forces=SOLVERS,
         fibres=True,
     ),
     _surface(
         name="vdm-boundary",
         benched=("nonlinear",),
         cost=costs.boundary,
-        takes=dict.fromkeys((SPRINGS, FULL), ("linear", "nonlinear")),
+        takes=dict.fromkeys((SPRINGS, FULL, DEAD), ("linear", "nonlinear")),
         version="12",
         solvers=("linear", "nonlinear"),
         tissue=("youngs_modulus", "poisson_ratio"),
         parameters=("shear_modulus", "compressibility", "penalty"),
         most_nodes=2000,
         by_rule=("shear_modulus",),
-        dead_forces=("linear", "nonlinear"),
         fibres=False,
     ),
     _surface(
@@ -251,19 +249,18 @@ for _registered in (
         tissue=("youngs_modulus", "poisson_ratio"),
         parameters=("shear_modulus", "coarse_nodes", "compressibility"),
         by_rule=("shear_modulus",),
-        dead_forces=("linear", "single", "nonlinear"),
+        takes={DEAD: ("linear", "single", "nonlinear")},
         fibres=False,
     ),
     _surface(
         name="mass-spring",
         cost=costs.mass_spring,
-        takes={SPRINGS: SOLVERS, FULL: SOLVERS},
+        takes=dict.fromkeys((SPRINGS, FULL, DEAD), SOLVERS),
         version="6",
         solvers=SOLVERS,
         parameters=("shear_modulus", "penalty"),
         by_rule=("shear_modulus",),
         most_nodes=5000,
-        dead_forces=SOLVERS,
         fibres=False,
     ),
 ):

@@ -12,6 +12,7 @@ from solver_common.arrays import Array, Mask
 from .handout import Handout, remarks
 
 NAME = "FEBio (.feb, format 4.0)"
+TAKES = frozenset({"dead forces"})  # of the extras of a study what it writes
 _CONTROL = (
     "<Control><analysis>STATIC</analysis><time_steps>10</time_steps><step_size>0.1</step_size>"
     '<solver type="solid"><symmetric_stiffness>symmetric</symmetric_stiffness></solver></Control>'

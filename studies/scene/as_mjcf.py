@@ -15,6 +15,7 @@ from solver_common.arrays import Mask
 from .handout import Handout, remarks
 
 NAME = "MuJoCo (MJCF)"
+TAKES = frozenset({"dead forces"})  # of the extras of a study what it writes
 FLEX = "tissue"
 _AXES = {"x": "1 0 0", "y": "0 1 0", "z": "0 0 1"}
 # its solver stops at absolute bounds made for robots: in newtons a soft body drifts on for hundreds of steps

@@ -9,6 +9,7 @@ from solver_common.arrays import Array, Index
 from .handout import Handout, remarks
 
 NAME = "SOFA (Python scene)"
+TAKES = frozenset({"dead forces"})  # of the extras of a study what it writes
 _HEAD = (
     "For SOFA 24.06 or newer: runSofa scene_sofa.py. Its law is linear in a frame that turns with a tetrahedron.",
     "The weight is in the forces. Moved supports go to their place in the first step, of 1 s.",

@@ -13,7 +13,7 @@ from ..machine.files import json_text
 from .handout import Handout
 
 _XYZ = "xyz"
-_TOLD = {"normal springs", "full springs", "inclusions"}  # of the extras of a scene
+TAKES = frozenset({"dead forces", "normal springs", "full springs", "inclusions"})  # of the extras of a study
 
 
 def scene_json(body: Handout) -> str:
@@ -65,7 +65,7 @@ def scene_json(body: Handout) -> str:
 
 def left_out(body: Handout) -> list[str]:
     """What the tables have no words for."""
-    return [*sorted(set(body.extras) - _TOLD), *(["fibres"] if body.fibres else [])]
+    return [*sorted(set(body.extras) - TAKES), *(["fibres"] if body.fibres else [])]
 
 
 def supports_csv(body: Handout) -> str:

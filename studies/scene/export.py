@@ -8,12 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from ..body.mesh_file import write_body_msh, write_body_vtu
-from .as_feb import NAME as FEBIO
-from .as_feb import feb
-from .as_mjcf import NAME as MUJOCO
-from .as_mjcf import mjcf
-from .as_sofa import NAME as SOFA
-from .as_sofa import sofa
+from . import as_feb, as_mjcf, as_sofa
 from .as_tables import forces_csv, left_out, scene_json, supports_csv
 from .handout import Handout, cannot_express
 
@@ -23,10 +18,10 @@ TABLES: dict[str, Writer] = {
     "supports.csv": supports_csv,
     "forces.csv": forces_csv,
 }
-SCENES: dict[str, tuple[str, Writer]] = {
-    "scene_sofa.py": (SOFA, sofa),
-    "scene.feb": (FEBIO, feb),
-    "scene_mujoco.xml": (MUJOCO, mjcf),
+SCENES: dict[str, tuple[str, frozenset[str], Writer]] = {  # file -> program, extras that it takes, writer
+    "scene_sofa.py": (as_sofa.NAME, as_sofa.TAKES, as_sofa.sofa),
+    "scene.feb": (as_feb.NAME, as_feb.TAKES, as_feb.feb),
+    "scene_mujoco.xml": (as_mjcf.NAME, as_mjcf.TAKES, as_mjcf.mjcf),
 }
 
 
@@ -42,13 +37,14 @@ def write_scene(body: Handout, out: Path) -> tuple[list[str], list[str]]:
     fields |= {"prescribed": body.displacement, "force": body.force}
     write_body_vtu(out / "mesh.vtu", mesh, fields, body.facet_pressure)
     write_body_msh(out / "mesh.msh", mesh, on_facets)
-    texts = dict(TABLES)
-    why_not = cannot_express(body)
-    texts |= {} if why_not else {name: write for name, (_, write) in SCENES.items()}
+    why_not = {name: cannot_express(body, takes) for name, (_, takes, _) in SCENES.items()}
+    texts = TABLES | {name: write for name, (_, _, write) in SCENES.items() if not why_not[name]}
     for name, write in texts.items():
         (out / name).write_text(write(body), encoding="utf-8", newline="\n")
     refused = [
-        f"{name}: not written: {program}: {why_not}" for name, (program, _) in SCENES.items() if why_not
+        f"{name}: not written: {program}: {why_not[name]}"
+        for name, (program, _, _) in SCENES.items()
+        if why_not[name]
     ]
     refused += [f"scene.json: leaves out {part}" for part in left_out(body)]
     return ["mesh.vtu", "mesh.msh", *texts], refused

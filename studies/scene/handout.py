@@ -29,7 +29,7 @@ class Handout:
     regions : (N,) masks by name
     youngs_modulus, poisson_ratio, density : of the tissue [Pa], [1], [kg/m^3]
     fibres : whether it has fibres, which no scene here expresses
-    extras : what it has of `vdmbench.study.extras`, which none expresses either
+    extras : what it has of `vdmbench.study.extras`; an export says beside its name which it takes
     springs : between facets and the ground
     inclusions : parts of the inside with moduli of their own
     gravity : (3,) acceleration [m/s^2]
@@ -114,14 +114,14 @@ def hand_out(scene: Scene, load: SurfaceLoad, name: str = "", factor: float = 1.
     )
 
 
-def cannot_express(body: Handout) -> str:
-    """Why a scene of linear tetrahedra and an isotropic law cannot be this one; "" where it can."""
+def cannot_express(body: Handout, takes: frozenset[str]) -> str:
+    """Why linear tetrahedra of an isotropic law that take these extras cannot be this scene; "" where they can."""
     if body.poisson_ratio == 0.5:
         return "its tetrahedra have no law for an incompressible tissue; give a poisson_ratio below 0.5"
     if body.fibres:
         return "its law is isotropic; leave [anisotropy] out"
-    if body.extras:
-        return f"not expressed here: {', '.join(body.extras)}; leave out what makes them"
+    if others := sorted(set(body.extras) - takes):
+        return f"not expressed here: {', '.join(others)}; leave out what makes them"
     return ""
 
 

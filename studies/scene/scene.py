@@ -16,6 +16,7 @@ from ..body.surface_measures import corner_sum, facet_area_vectors, nodal_sum
 from ..study.extras import extras_of
 from ..study.loads import KINDS, Springs
 from ..study.problems import Loc
+from ..study.registry import EXTRAS
 from ..study.schema import Anisotropy, Constraint, Study
 from ..study.tissue_table import Tissue
 from .coordinates import in_mesh_coordinates, origin
@@ -213,6 +214,8 @@ def build_scene(
             )
         on = PlacedConstraint(constraint, place, regions[constraint.region], mesh, mask)
         acts = kind.act(constraint, on)
+        if acts.needs_an_extra and kind.extra(constraint) not in EXTRAS:
+            raise SceneError(f"the kind {kind.name!r} has to declare as `extra` what its models take", place)
         if acts.displacement is not None:
             moved = np.broadcast_to(acts.displacement, prescribed.shape)
             both = constrained & mask & (prescribed != moved).any(axis=1)

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from .laws import NEO_HOOKEAN
+from .loads import KINDS
 from .schema import Study
 
 
 def extras_of(study: Study) -> frozenset[str]:
     """Of `vdmbench.study.registry.EXTRAS` those that a study has."""
-    found = {f"{part.direction} springs" for part in study.constraints if part.kind == "elastic"}
-    if any(part.kind == "indenter" for part in study.constraints):
-        found.add("indenter")
+    found = {KINDS[part.kind].extra(part) for part in study.constraints if part.kind in KINDS} - {""}
     if study.tissue.law not in (None, NEO_HOOKEAN):
         found.add("law")
     if study.inclusions:

@@ -60,6 +60,7 @@ register(
             ),
         },
         holds=False,
+        extra=lambda _: "indenter",
         act=_push,
         check=_check,
     )

@@ -163,6 +163,11 @@ class Acts:
     springs: Springs | None = None
     pushed: Pushed | None = None
 
+    @property
+    def needs_an_extra(self) -> bool:
+        """Whether it does what not every model takes: a model that does not would ignore it."""
+        return not (self.dead is None and self.springs is None and self.pushed is None)
+
 
 @dataclass(frozen=True, kw_only=True)
 class LoadKind:
@@ -176,6 +181,7 @@ class LoadKind:
     keys : its keys of [[constraints]] besides kind, region and name
     holds : whether the displacement of its nodes is known; nothing may press on those
     supports : whether it resists what moves the body and leaves the displacement open: it belongs to a set-up
+    extra : which of `vdmbench.study.registry.EXTRAS` a model takes that takes it; "" where every model does
     act : what it does on a mesh
     check : what is wrong with the keys, beyond what they declare: key -> sentence
     """
@@ -186,6 +192,7 @@ class LoadKind:
     keys: Mapping[str, LoadKey] = field(default_factory=dict)
     holds: bool
     supports: bool = False
+    extra: Callable[[AnyConstraint], str] = lambda _: ""
     act: Callable[[AnyConstraint, Placed], Acts]
     check: Callable[[AnyConstraint, frozenset[str]], Mapping[str, str]] = lambda *_: {}
 
@@ -316,6 +323,7 @@ register(
             )
         },
         holds=False,
+        extra=lambda _: "dead forces",
         act=lambda constraint, on: Acts(dead=(on.edges(), constraint.resultant)),
     )
 )
@@ -333,6 +341,7 @@ register(
             )
         },
         holds=False,
+        extra=lambda _: "dead forces",
         act=lambda constraint, on: Acts(dead=(on.triangles[on.facets()], constraint.resultant)),
     )
 )
@@ -356,6 +365,7 @@ register(
         },
         holds=False,
         supports=True,
+        extra=lambda constraint: f"{constraint.direction or 'normal'} springs",
         act=lambda constraint, on: Acts(
             springs=Springs(on.facets(), constraint.stiffness or 0.0, constraint.direction or "normal")
         ),

@@ -17,6 +17,7 @@ from importlib.util import find_spec
 from .model_name import is_linear
 
 EXTRAS = {  # what a study has that not every model takes -> what is said of one that does not
+    "dead forces": "takes no dead force along a line or over facets; use another model for it",
     "normal springs": "takes no springs along the normal; use another model for them",
     "full springs": "takes no springs that resist in every direction; use another model for them",
     "inclusions": "knows no inclusions; study.homogeneous lets it answer without them, or leave it out",
@@ -82,7 +83,6 @@ class Declared:
     cost : what a set-up and a step take, within a factor of five: a plan tells it, and refuses what has no memory
     most_nodes : surface nodes beyond which it refuses a mesh; None where it has no such limit
     contact_in_setup : whether its set-up depends on where the body is touched and how it is moved
-    dead_forces : solvers that take a force of any direction, along a line or over facets; the others are refused it
     takes : of `EXTRAS` what it takes, and with which solvers; the others are refused it
     of_any_modulus : solvers whose set-up serves the same body with any Young's modulus
     own : of its parameters those that [vdm] has no key for: a study gives them in [models.NAME]
@@ -103,7 +103,6 @@ class Declared:
     by_rule: tuple[str, ...] = ()
     most_nodes: int | None = None
     contact_in_setup: bool = False
-    dead_forces: tuple[str, ...] = ()
     takes: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     of_any_modulus: tuple[str, ...] = ()
     own: Mapping[str, Parameter] = field(default_factory=dict)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -16,8 +18,11 @@ from vdmbench.body.mesh import Mesh
 from vdmbench.body.refine import refined
 from vdmbench.graph.keys import wanted
 from vdmbench.measures.reference import level_scene
+from vdmbench.scene.export import SCENES, write_scene
+from vdmbench.scene.handout import hand_out
 from vdmbench.scene.scene import SceneError, build_scene
 from vdmbench.study.config import geometry_of
+from vdmbench.study.loads import KINDS
 from vdmbench.study.model_name import is_linear
 from vdmbench.study.problems import Source
 from vdmbench.study.schema import Study
@@ -126,7 +131,7 @@ def test_every_model_balances_it_or_refuses_it_by_name(box: Mesh, name: str, tab
         pytest.skip(f"{name}: {'; '.join(lack)}")
     model, solver = models.find(name)
     result = models.run_model(build_scene(study(**tables), box), name)
-    if solver not in model.dead_forces:
+    if solver not in model.takes.get("dead forces", ()):
         assert result.status[0].code == models.REFUSED
         assert name in result.status[0].message
         return
@@ -140,6 +145,22 @@ def test_every_model_balances_it_or_refuses_it_by_name(box: Mesh, name: str, tab
     tolerance = 0.03 if not is_linear(name) or not is_linear(model.name) else 1e-3
     assert_allclose(tip, first_tip, atol=tolerance * np.linalg.norm(first_tip))
     assert tip @ PULL > 0
+
+
+def test_a_kind_that_acts_by_a_dead_force_declares_it(box: Mesh, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A model that takes none would ignore it."""
+    monkeypatch.setitem(KINDS, "line", dataclasses.replace(KINDS["line"], extra=lambda _: ""))
+    with pytest.raises(SceneError, match="'line' has to declare as `extra`"):
+        build_scene(study(), box)
+
+
+def test_exports_write_it_as_forces(box: Mesh, tmp_path: Path) -> None:
+    scene = build_scene(study(**TRACTION), box)
+    body = hand_out(scene, scene.load(1.0))
+    names, refused = write_scene(body, tmp_path)
+    assert set(SCENES) <= set(names)
+    assert not refused
+    assert_allclose(body.force.sum(axis=0), PULL, rtol=1e-12)
 
 
 def test_a_form_along_normals_refuses_a_dead_force(box: Mesh) -> None:
