@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 from scipy.sparse import coo_array, csr_array
-from scipy.spatial import KDTree
 
 from solver_common.arrays import Array, Index, Mask
 
@@ -77,6 +76,8 @@ def without_intersections(points: Array, triangles: Index) -> tuple[Array, int]:
 
 
 def _candidates(points: Array, triangles: Index) -> tuple[Index, Index]:
+    from scipy.spatial import KDTree  # slow to load: only where a surface was made anew
+
     corners = points[triangles]
     centroids = corners.mean(axis=1)
     radii = np.linalg.norm(corners - centroids[:, None], axis=2).max(axis=1)

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
-from scipy.spatial import KDTree
 
 from solver_common.arrays import Array, Index, Mask
 
@@ -114,6 +113,8 @@ def clean_tetrahedra(points: Array, tetrahedra: Index, groups: Mapping[str, Mask
 
 def _merge_targets(points: Array, tolerance: float) -> Index:
     """For each point the first of those that lie within `tolerance` of each other."""
+    from scipy.spatial import KDTree  # slow to load: only where a file is read
+
     pairs = KDTree(points).query_pairs(tolerance, output_type="ndarray")
     graph = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(len(points),) * 2)
     _, labels = connected_components(graph.tocsr(), directed=False)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from xml.sax.saxutils import escape
+from html import escape  # that of XML loads what opens network addresses
 
 import numpy as np
 
@@ -29,7 +29,7 @@ def feb(body: Handout) -> str:
     sets = {"held": body.held & ~body.moved, "moved": body.moved, "loaded": np.any(force, axis=1)}
     sets = {name: mask for name, mask in sets.items() if mask.any()}
     told = "\n".join(
-        escape(line).replace("--", "- -") for line in (*remarks(body), "Its law is neo-Hookean.")
+        escape(line, quote=False).replace("--", "- -") for line in (*remarks(body), "Its law is neo-Hookean.")
     )
     lines = [
         '<?xml version="1.0" encoding="UTF-8"?>',

@@ -6,7 +6,7 @@ moved has joints that are held where it goes. A force is an actuator whose bias 
 
 from __future__ import annotations
 
-from xml.sax.saxutils import escape
+from html import escape  # that of XML loads what opens network addresses
 
 import numpy as np
 
@@ -36,7 +36,7 @@ def mjcf(body: Handout, *, loaded: bool = True) -> str:
         _body(k, point, mass, free[k])
         for k, (point, mass) in enumerate(zip(body.mesh.points.tolist(), masses, strict=True))
     ]
-    told = "\n".join(escape(line).replace("--", "- -") for line in (*remarks(body), *_HEAD))
+    told = "\n".join(escape(line, quote=False).replace("--", "- -") for line in (*remarks(body), *_HEAD))
     lines = [
         f"<!--\n{told}\n-->",
         '<mujoco model="vdmbench">',
