@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -15,9 +16,13 @@ from tests.comparing import compare
 from tests.unit.report_runs import make_run
 from vdmbench import models
 from vdmbench.body.geometry import build_mesh
+from vdmbench.body.mesh import Mesh
+from vdmbench.graph.keys import Wanted, wanted
 from vdmbench.measures.case import CaseResult
+from vdmbench.scene.result import ModelResult
 from vdmbench.scene.scene import build_scene
 from vdmbench.study.config import ResolvedCase, expand, geometry_of, load_study
+from vdmbench.study.geometry_spec import geometry_key
 from vdmbench.verdict.digest import Digest
 from vdmbench.verdict.ladders import Ladder, Reading, ladders
 
@@ -40,6 +45,14 @@ SMALL: dict[str, tuple[tuple[tuple[str, str], ...], int]] = {
 }
 
 
+@dataclass(frozen=True)
+class Known:
+    """Meshes by their keys, and results by what a case wants of a model."""
+
+    meshes: dict[str, Mesh] = field(default_factory=dict)
+    answers: dict[Wanted, ModelResult] = field(default_factory=dict)
+
+
 def small_study(name: str, directory: Path) -> list[ResolvedCase]:
     """The cases of a shipped study made small."""
     path = directory / f"{name}.toml"
@@ -53,7 +66,9 @@ def small_study(name: str, directory: Path) -> list[ResolvedCase]:
 
 def small(name: str, directory: Path) -> dict[str, Ladder]:
     """The ladders of a shipped study made small."""
-    cases = [solved(case, name in VOLUMETRIC) for case in some(small_study(name, directory), SMALL[name][1])]
+    known = Known()
+    volume = name in VOLUMETRIC
+    cases = [solved(case, volume, known) for case in some(small_study(name, directory), SMALL[name][1])]
     return {ladder.key: ladder for ladder in ladders(Digest(make_run(cases)))}
 
 
@@ -75,10 +90,19 @@ def some(cases: list[ResolvedCase], every: int) -> Iterator[ResolvedCase]:
         yield ladder[-1]
 
 
-def solved(case: ResolvedCase, volume: bool) -> CaseResult:
-    mesh = build_mesh(geometry_of(case.study), volume=volume)
+def solved(case: ResolvedCase, volume: bool, known: Known) -> CaseResult:
+    """A case, of which what another case has asked by the same keys is not solved again."""
+    geometry = geometry_of(case.study)
+    mesh_key = geometry_key(geometry, volume=volume)
+    if mesh_key not in known.meshes:
+        known.meshes[mesh_key] = build_mesh(geometry, volume=volume)
+    mesh = known.meshes[mesh_key]
     scene = build_scene(case.study, mesh)
-    results = {name: models.run_model(scene, name) for name in case.study.study.models}
+    results = {}
+    for want in wanted(case.study, mesh_key):
+        if want not in known.answers:
+            known.answers[want] = models.run_model(scene, want.name)
+        results[want.name] = known.answers[want]
     return CaseResult(
         hash=case.label,
         label=case.label,
