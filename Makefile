@@ -21,8 +21,9 @@ test: setup
 	$(RUN)ruff check .
 	$(RUN)ruff format --check .
 	@mkdir -p build/typed && ln -sfn ../../studies build/typed/vdmbench
-	$(RUN)mypy
-	$(PYTEST) -n $$(nproc) --dist loadfile -m "not slow" --timeout 600 --timeout-method thread
+	$(RUN)mypy & types=$$!; \
+	$(PYTEST) -n $$(nproc) --dist worksteal -m "not slow" --timeout 600 --timeout-method thread; tests=$$?; \
+	wait $$types || { echo 'mypy found errors: see above'; exit 1; }; exit $$tests
 
 verify: setup
 	$(PYTEST) --verification

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 import vdmbench
-from tests.command import vdmbench_process
+from tests.command import vdmbench as command
 from vdmbench.body import imported
 from vdmbench.body.mesh_file import check_readable
 from vdmbench.body.read_apart import read_clean
@@ -62,7 +62,7 @@ def quickstart(tmp_path_factory: pytest.TempPathFactory) -> Path:
     with lock(base / ".quickstart", fcntl.LOCK_EX, patience=600):
         if not directory.exists():
             directory.mkdir()
-            result = vdmbench_process("run", "quickstart", cwd=directory)
+            result = command("run", "quickstart", cwd=directory)
             assert result.returncode == 0, result.stderr
     return directory
 

@@ -96,7 +96,7 @@ def _half_space(shape: Shape, depth: float, poisson_ratio: float, cells: int) ->
 
 
 @a_sphere
-@pytest.mark.parametrize("poisson_ratio", [0.3, 0.5])
+@pytest.mark.parametrize("poisson_ratio", [pytest.param(0.3, marks=pytest.mark.slow), 0.5])
 def test_sphere_on_a_half_space(poisson_ratio: float, verified: Verified) -> None:
     """Contact radius 1 under a sphere of radius 20."""
     exact = Hertz(20.0, 0.05, 1.0 / (1.0 - poisson_ratio**2))
@@ -138,7 +138,7 @@ def test_layer_formula(verified: Verified) -> None:
 
 
 @a_layer
-@pytest.mark.parametrize("contact_radius", [0.2, 0.4])
+@pytest.mark.parametrize("contact_radius", [0.2, pytest.param(0.4, marks=pytest.mark.slow)])
 def test_sphere_on_a_bonded_layer(contact_radius: float, verified: Verified) -> None:
     """Force against the integral equation, and against Dimitriadis where his terms suffice; thickness 1."""
     radius = 20.0

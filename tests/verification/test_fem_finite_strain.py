@@ -88,7 +88,7 @@ def test_inflated_sphere_formula(verified: Verified) -> None:
 
 
 @a_sphere
-@pytest.mark.parametrize("poisson_ratio", [0.4999, 0.5])
+@pytest.mark.parametrize("poisson_ratio", [pytest.param(0.4999, marks=pytest.mark.slow), 0.5])
 def test_inflated_sphere(poisson_ratio: float, verified: Verified) -> None:
     """An octant on rollers under follower pressure; 30 % hoop stretch at the inner surface."""
     exact = InflatedThickSphere(1.0, 2.0, 1.0 / 3.0, 1.3)
@@ -110,7 +110,7 @@ def test_inflated_sphere(poisson_ratio: float, verified: Verified) -> None:
 
 
 @a_sphere
-@pytest.mark.parametrize("poisson_ratio", [0.3, 0.4999])
+@pytest.mark.parametrize("poisson_ratio", [0.3, pytest.param(0.4999, marks=pytest.mark.slow)])
 def test_inflated_sphere_without_its_geometry_error(poisson_ratio: float, verified: Verified) -> None:
     """Compressible: the radial boundary value problem by collocation, its solution given at the surface."""
     shear = 0.5 / (1.0 + poisson_ratio)
@@ -298,7 +298,7 @@ def _check_manufactured(
 
 
 @a_manufactured
-@pytest.mark.parametrize("poisson_ratio", [0.3, 0.4999, 0.5])
+@pytest.mark.parametrize("poisson_ratio", [pytest.param(0.3, marks=pytest.mark.slow), 0.4999, 0.5])
 def test_manufactured_solution(poisson_ratio: float, verified: Verified) -> None:
     _check_manufactured(verified, poisson_ratio, (4, 8), (2e-4, 2.7e-3), 0.3)
 
