@@ -40,14 +40,6 @@ COARSE_NODES = 1000
 NODE_MODULI = ("bulk_modulus", "foundation")
 EDGE_MODULI = ("connectivity_modulus", "surface_tension", "stretch_stiffness")
 MODULI = (*NODE_MODULI, *EDGE_MODULI, "shear_modulus")
-RULED = {  # formulation -> the moduli that `Parameters.from_tissue` gives it
-    "paper": ("bulk_modulus", "connectivity_modulus"),
-    "consistent": ("foundation", "surface_tension"),
-    "vector": ("surface_tension",),
-    "boundary": ("shear_modulus",),
-    "sparse": ("shear_modulus",),
-    "mass-spring": ("shear_modulus",),
-}
 ISOTROPIC = ("boundary", "sparse", "mass-spring")  # formulations that know no fibres
 
 

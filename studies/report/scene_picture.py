@@ -110,7 +110,7 @@ def scene_png(
     out = io.BytesIO()
     with rc_context(STYLE), warnings.catch_warnings():
         warnings.filterwarnings("ignore", "Glyph .* missing")  # such a letter is drawn as a box
-        figure = _figure(_Stage(points, triangles, parts, outlines), lines, title)
+        figure = scene_figure(points, triangles, parts, lines, title=title, outlines=outlines)
         figure.savefig(out, format="png", dpi=dpi, metadata={"Software": None})
     return out.getvalue()
 
@@ -126,7 +126,7 @@ def scene_svg(
 ) -> Markup:
     """`scene_figure` as an <svg> element in the colours of the page; `alt` tells it in words."""
     with rc_context(STYLE):
-        return for_the_page(svg_of(_figure(_Stage(points, triangles, parts, outlines), (), "")), alt, salt)
+        return for_the_page(svg_of(scene_figure(points, triangles, parts, outlines=outlines)), alt, salt)
 
 
 def best_azimuth(points: Array, triangles: np.ndarray, parts: Sequence[Part]) -> float:

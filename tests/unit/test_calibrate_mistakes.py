@@ -7,10 +7,6 @@ from pathlib import Path
 import pytest
 
 from tests.command import vdmbench
-from tests.unit.report_runs import icosphere
-from vdm.material import RULED, Parameters
-from vdm.surface import SurfaceMesh
-from vdmbench import models
 from vdmbench.evidence.calibrate import check, check_fit
 from vdmbench.evidence.search import CalibrationError
 from vdmbench.graph.plan import make_plan
@@ -55,13 +51,3 @@ def test_a_study_that_sets_all_parameters_still_tries_the_fits_of_others(tmp_pat
     check(plan)
     with pytest.raises(CalibrationError, match="sets all of them"):
         check_fit(plan)
-
-
-def test_what_the_rule_gives_is_known_before_there_is_a_surface() -> None:
-    points, triangles = icosphere(1)
-    surface = SurfaceMesh(points, triangles)
-    given = {name: tuple(Parameters.from_tissue(1.0, surface, name).moduli()) for name in RULED}
-    assert given == RULED
-    assert {
-        name.removeprefix("vdm-") for name in models.all_models() if not models.all_models()[name].volumetric
-    } == set(RULED)

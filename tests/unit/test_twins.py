@@ -12,6 +12,9 @@ import vdm.formulations.mass_spring
 import vdm.material
 import vdm.solution
 from solver_common.solution import Solution
+from tests.unit.report_runs import icosphere
+from vdm.material import Parameters
+from vdm.surface import SurfaceMesh
 from vdmbench import models
 from vdmbench.cli.doctor import LIBRARIES, PACKAGES
 from vdmbench.models import costs
@@ -36,9 +39,10 @@ def test_an_estimate_knows_how_many_nodes_the_boundary_form_takes() -> None:
 
 def test_a_registered_model_declares_what_its_library_says() -> None:
     """Without loading it: a plan has to be quick."""
+    body = SurfaceMesh(*icosphere(1))
     surface = {name: model for name, model in models.all_models().items() if not model.volumetric}
     rules = {name.removeprefix("vdm-"): model.by_rule for name, model in surface.items()}
-    assert rules == vdm.material.RULED
+    assert rules == {name: tuple(Parameters.from_tissue(1.0, body, name).moduli()) for name in rules}
     assert {name.removeprefix("vdm-") for name, m in surface.items() if not m.fibres} == set(
         vdm.material.ISOTROPIC
     )
