@@ -56,7 +56,7 @@ class Variant:
     suffix: str = ""
     moved: bool = False
     embedded: float = 0.0  # share of the height that the bed holds; 0 for the study's own
-    stiffness: float = 0.0  # Pa/m, of springs along the normal that are the bed; 0 for one that holds
+    stiffness: float = 0.0  # Pa/m, of springs in every direction that are the bed; 0 for one that holds
 
     def changes(self, study: str) -> dict[str, Any]:
         """What the variant changes in a study, for `overridden`."""
@@ -65,7 +65,8 @@ class Variant:
         if self.embedded:
             found["regions"] = {"base": {"below": {"axis": "z", "fraction": self.embedded, "value": None}}}
         if self.stiffness:
-            found["constraints"] = {"base": {"kind": "elastic", "stiffness": self.stiffness}}
+            bed = {"kind": "elastic", "stiffness": self.stiffness, "direction": "full"}
+            found["constraints"] = {"base": bed}
         if self.moved:
             inward = -STEP * _unit([data["sweep"][f"regions.finger.cap.direction.{k}"] for k in range(3)])
             found["constraints"] = found.get("constraints", {}) | {
@@ -91,8 +92,8 @@ def _embedded(share: float) -> tuple[Variant, Variant]:
     )
 
 
-# springs of 10 kPa/mm: on softer ones the body rocks as on a small base
-ELASTIC = Variant(", embedded to 40 % on springs", "-elastic", embedded=0.4, stiffness=1e7)
+# springs of 1 kPa/mm; along the normal alone the body slides in its bed, which elements resolve slowly
+ELASTIC = Variant(", embedded to 40 % on springs", "-elastic", embedded=0.4, stiffness=1e6)
 # bodies that rock on a small base have a bed beside on which they do not, as deep as the patches leave room for
 VARIANTS = dict.fromkeys(STUDIES, (PRESSED, MOVED)) | {
     "sphere": (PRESSED, MOVED, *_embedded(0.5)),

@@ -8,6 +8,7 @@ from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy import sparse
 from scipy.spatial import cKDTree
 
 from solver_common.arrays import Array
@@ -63,7 +64,8 @@ class Parameters:
         (sparse)
     poisson_ratio : of what is inside, above -1 and at most 1/2: the fluid that keeps the volume (boundary, sparse)
     rotation : which rotation is free of tension: none, or one for the body (vector)
-    ground : (N, 3, 3) springs between the nodes and a rigid ground [N/m], symmetric (vector, boundary, mass-spring)
+    ground : (3N, 3N) force of springs between the surface and a rigid ground over the displacement of the nodes
+        [N/m], sparse and symmetric (vector, boundary, mass-spring)
     tension_stiffening : gamma of the nonlinear volumic tension B_ij (1 + gamma s^2) s, s the difference of two
         neighbours' dV over their mean V_i (paper, nonlinear solver); zero is equation 8
     youngs_modulus : E [Pa] of the tissue that the moduli stand for: what `vdm.bending` judges a form by. None:
@@ -79,7 +81,7 @@ class Parameters:
     coarse_nodes: int | None = None
     poisson_ratio: float = 0.5
     rotation: Rotation = "global"
-    ground: Array | None = None
+    ground: sparse.csr_array | None = None
     tension_stiffening: float = 0.0
     youngs_modulus: float | None = None
 
@@ -94,8 +96,8 @@ class Parameters:
                 f"coarse_nodes must be a whole number from {fewest} to {most:,}, not {count!r}"
             )
         ground = self.ground
-        if ground is not None and not (ground.shape[1:] == (3, 3) and np.isfinite(ground).all()):
-            raise ParameterError(f"ground must be finite and of shape (N, 3, 3), not {ground.shape}")
+        if ground is not None and not (_is_square_of_threes(ground.shape) and np.isfinite(ground.data).all()):
+            raise ParameterError(f"ground must be finite and of shape (3N, 3N), not {ground.shape}")
         if not -1.0 < self.poisson_ratio <= 0.5:
             raise ParameterError(f"poisson_ratio must be above -1 and at most 1/2, not {self.poisson_ratio}")
         if not _not_negative(self.tension_stiffening):
@@ -247,6 +249,10 @@ def _check_rotation(rotation: str) -> None:
         raise ParameterError(f"rotation = 'nodal' {NO_NODAL}")
     if rotation not in ROTATIONS:
         raise ParameterError(f"rotation must be one of {', '.join(ROTATIONS)}, not {rotation!r}")
+
+
+def _is_square_of_threes(shape: tuple[int, ...]) -> bool:
+    return shape[0] == shape[1] and shape[0] % 3 == 0
 
 
 def _not_negative(value: object) -> bool:

@@ -8,12 +8,13 @@ from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from scipy import sparse
 
 from solver_common.arrays import Array
 from vdm.solvers import SOLVERS
 
 from ..body.mesh import Mesh
-from ..body.surface_measures import corner_sum, facet_area_vectors
+from ..body.surface_measures import facet_area_vectors
 from ..scene.scene import Scene, SurfaceLoad
 from ..study.model_name import split, takes_fluid
 from . import costs
@@ -59,8 +60,12 @@ def prepare_surface(scene: Scene, solver: str, name: str, n_loads: int) -> SetUp
     return SetUp(solve, solver_of_pressures if isinstance(solver_of_pressures, LinearSolver) else None)
 
 
-def _springs(scene: Scene) -> Array | None:
-    """(N, 3, 3) springs between the nodes and the ground [N/m]; None where there are none."""
+def _springs(scene: Scene) -> sparse.csr_array | None:
+    """(3N, 3N) springs between facets that stay flat and the ground [N/m]; None where there are none.
+
+    Exact for every displacement that is linear on the facets. A third of a facet's springs at each of its nodes
+    would hold a body that turns in a round bed four times too stiffly.
+    """
     if not scene.springs:
         return None
     points, triangles = scene.mesh.surface_points, scene.mesh.triangles
@@ -71,19 +76,23 @@ def _springs(scene: Scene) -> Array | None:
     for part in scene.springs:
         shape = along if part.direction == "normal" else areas * np.eye(3)
         found += part.stiffness * part.facets[:, None, None] * shape
-    # a third of each facet's springs at each of its nodes
-    return np.asarray(corner_sum(np.repeat(found[:, None] / 3.0, 3, axis=1), triangles, len(points)))
+    under = found.any(axis=(1, 2))
+    dofs = (3 * triangles[under][:, :, None] + np.arange(3)).reshape(-1, 9)
+    blocks = np.kron((np.ones((3, 3)) + np.eye(3)) / 12.0, found[under])  # integrals of two shape functions
+    at = (np.repeat(dofs, 9, axis=1).ravel(), np.tile(dofs, 9).ravel())
+    return sparse.csr_array((blocks.ravel(), at), shape=(3 * len(points), 3 * len(points)))
 
 
-def _along_normals(springs: Array, normals: Array) -> Array:
-    """(N,) what springs are for nodes that move along their normals."""
-    return np.asarray(np.einsum("ni,nij,nj->n", normals, springs, normals))
+def _along_normals(springs: sparse.csr_array, normals: Array) -> Array:
+    """(N,) what springs are for nodes that move along their normals, a third of a facet's at each of its nodes."""
+    lumped = (springs @ np.tile(np.eye(3), (len(normals), 1))).reshape(-1, 3, 3)
+    return np.asarray(np.einsum("ni,nij,nj->n", normals, lumped, normals))
 
 
-def _apart(solution: Solution, springs: Array, formulation: Formulation) -> Solution:
+def _apart(solution: Solution, springs: sparse.csr_array, formulation: Formulation) -> Solution:
     """The solution with the force of the springs among the reactions, and the energy of the body alone."""
     u = solution.displacement
-    force = np.einsum("nij,snj->sni", springs, u)
+    force = np.asarray(u.reshape(len(u), -1) @ springs).reshape(u.shape)  # symmetric
     if formulation.components == 1:
         normals = formulation.surface.normals
         along = np.einsum("sni,ni->sn", u, normals) * _along_normals(springs, normals)
@@ -126,7 +135,7 @@ def _model(
     fibres: tuple[tuple[float, ...], float] | None,
     formulation: str,
     solver: str,
-    springs: Array | None,
+    springs: sparse.csr_array | None,
     **options: Any,
 ) -> Model | IncrementalModel:
     """The model of a tissue of E and nu with the parameters `given`; `options` are the model's own."""
@@ -168,7 +177,9 @@ def _model(
     )
 
 
-def _on_springs(parameters: Parameters, springs: Array, surface: SurfaceMesh, formulation: str) -> Parameters:
+def _on_springs(
+    parameters: Parameters, springs: sparse.csr_array, surface: SurfaceMesh, formulation: str
+) -> Parameters:
     """The material on springs; nodes that move along normals have them as a foundation of their own."""
     if formulation not in ("paper", "consistent"):
         return dataclasses.replace(parameters, ground=springs)

@@ -349,7 +349,7 @@ register(
     LoadKind(
         name="elastic",
         help="on springs",
-        version="1",
+        version="2",
         keys={
             "stiffness": LoadKey(
                 Annotated[float, SI("Pa/m"), positive],

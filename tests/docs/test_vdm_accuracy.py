@@ -67,6 +67,7 @@ def test_a_variant_moves_the_patch_inward_or_deepens_the_bed_and_leaves_the_rest
             beds = [part for part in case.constraints if part.region == "base"]
             assert [bed.kind for bed in beds] == ["elastic" if variant.stiffness else "fixed"]
             assert (beds[0].stiffness or 0.0) == variant.stiffness
+            assert beds[0].direction == ("full" if variant.stiffness else None)
             assert (case.geometry, case.tissue) == (as_shipped.geometry, as_shipped.tissue)
 
 

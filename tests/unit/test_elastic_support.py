@@ -8,11 +8,12 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
+from solver_common.quadrature import facet_quadrature
 from vdmbench import models
 from vdmbench.body.geometry import build_mesh
 from vdmbench.body.mesh import Mesh
 from vdmbench.body.refine import refined
-from vdmbench.body.surface_measures import facet_areas
+from vdmbench.body.surface_measures import facet_area_vectors, facet_areas
 from vdmbench.graph.keys import wanted
 from vdmbench.measures.reference import level_scene
 from vdmbench.scene.result import ModelResult
@@ -21,6 +22,7 @@ from vdmbench.study.config import geometry_of, raised
 from vdmbench.study.model_name import is_linear
 from vdmbench.study.problems import Source
 from vdmbench.study.schema import Study
+from vdmbench.study.shapes import Geometry
 from vdmbench.study.validation import validate
 
 FORCE = 0.02  # N: moves the top by a thousandth of its height
@@ -60,6 +62,17 @@ def study(*parts: dict[str, Any], **tables: Any) -> Study:
 @pytest.fixture(scope="module")
 def box() -> Mesh:
     return build_mesh(geometry_of(study()))
+
+
+BOWL: dict[str, Any] = {
+    "bottom": {"below": {"axis": "z", "fraction": 0.5}},
+    "top": {"cap": {"direction": [1.0, 0.3, 0.4], "angle": "25 deg"}},
+}
+
+
+@pytest.fixture(scope="module")
+def ball() -> Mesh:
+    return build_mesh(Geometry("sphere", 0.02, {"radius": 0.05}))
 
 
 def answer(mesh: Mesh, name: str, *parts: dict[str, Any], **tables: Any) -> ModelResult:
@@ -136,6 +149,40 @@ def test_a_bed_alone_holds_a_body(box: Mesh) -> None:
     sliding = answer(box, "fem-linear", constraints=[BED, push])
     assert sliding.status[0].code == models.REFUSED, "nothing stops it from sliding"
     assert "too little is held" in sliding.status[0].message
+
+
+@pytest.mark.parametrize("direction", ["normal", "full"])
+@pytest.mark.parametrize("name", ["vdm-vector", "vdm-boundary", "mass-spring", "fem-linear"])
+def test_a_stiff_ball_turns_in_its_bed_as_a_rigid_one_would(ball: Mesh, name: str, direction: str) -> None:
+    """Springs along the normals of flat facets hold a turn in a round bed by what the facets are off the ball."""
+    given = study(
+        regions=BOWL,
+        constraints=[BED | {"direction": direction}, BASE["constraints"][2]],
+        tissue={"youngs_modulus": 1e9, "poisson_ratio": 0.49},
+    )
+    scene = build_scene(given, ball)
+    points, triangles = ball.surface_points, ball.triangles
+    bed = scene.springs[0].facets
+    at = np.einsum("qa,fac->fqc", facet_quadrature()[0], points[triangles[bed]])
+    areas = facet_areas(points, triangles)[bed]
+    normals = facet_area_vectors(points, triangles)[bed] / areas[:, None]
+    moved = rigid(at)
+    if direction == "normal":
+        moved = np.einsum("fqcm,fc->fqm", moved, normals)[:, :, None]
+    bowl = BED["stiffness"] * np.einsum("fqcm,fqcn,q,f->mn", moved, moved, facet_quadrature()[1], areas)
+    push = np.einsum("ncm,nc->m", rigid(points), scene.contact_force)
+    exact = rigid(points) @ np.linalg.solve(bowl, push)
+    found = models.run_model(scene, name)
+    assert found.status[0].ok, found.status
+    # what the tissue of 1 GPa gives way
+    assert_allclose(found.displacement[0], exact, rtol=0, atol=5e-3 * np.abs(exact).max())
+
+
+def rigid(points: np.ndarray) -> np.ndarray:
+    """(..., 3, 6) displacement of (..., 3) points by the six rigid motions."""
+    turns = np.cross(np.eye(3)[:, None], points.reshape(-1, 3)).transpose(1, 2, 0)
+    moves = np.broadcast_to(np.eye(3), (len(turns), 3, 3))
+    return np.concatenate([moves, turns], axis=2).reshape(*points.shape, 6)
 
 
 def test_springs_belong_to_the_set_up() -> None:

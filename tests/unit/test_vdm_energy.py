@@ -7,9 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
+from scipy import sparse
 
 from tests.unit.vdm_shapes import icosphere
-from vdm import FORMULATIONS, Load, Model, Parameters, SurfaceMesh
+from vdm import FORMULATIONS, Load, Model, ParameterError, Parameters, SurfaceMesh
 from vdm.deformed import DeformableSurface
 from vdm.formulations.base import Formulation
 
@@ -20,9 +21,8 @@ BASE = POINTS[:, 2] < -0.03
 # off the axis: the body dents and leans
 SIDE = Load(np.where(POINTS @ [0.7, 0.2, 0.6] > 0.035, 300.0, 0.0))
 TISSUE = {name: Parameters.from_tissue(5000.0, BODY, name, held=BASE) for name in FORMULATIONS}
-GROUND = 5.0 * np.einsum(
-    "nia,nja->nij", *2 * (np.random.default_rng(4).standard_normal((len(POINTS), 3, 3)),)
-)
+SPREAD = sparse.random_array((3 * len(POINTS),) * 2, density=0.01, rng=np.random.default_rng(4), format="csr")
+GROUND = sparse.csr_array(5.0 * SPREAD @ SPREAD.T)
 FORMS = {
     **{name: (name, parameters) for name, parameters in TISSUE.items()},
     **{
@@ -190,3 +190,9 @@ def test_the_body_is_carried_only_by_supports_that_move_as_one():
     moved, turn = pushed._carried(rest, dent)
     assert_allclose(turn, np.eye(3), rtol=0.0, atol=0.0)
     assert_allclose(moved, dent, rtol=0.0, atol=0.0)
+
+
+@pytest.mark.parametrize(("shape", "value"), [((4, 4), 1.0), ((3, 6), 1.0), ((3, 3), np.inf)])
+def test_springs_that_are_no_matrix_of_nodes_are_refused(shape: tuple[int, int], value: float) -> None:
+    with pytest.raises(ParameterError, match=r"ground must be finite and of shape \(3N, 3N\)"):
+        Parameters(shear_modulus=1.0, ground=sparse.csr_array(np.full(shape, value)))

@@ -237,15 +237,14 @@ class DisplacementFormulation(Formulation):
         if parameters.ground is None:
             return motions
         whole = rigid_motions(surface, np.ones(surface.n_nodes, dtype=np.bool_))
-        energy, axes = np.linalg.eigh(
-            np.einsum("nia,nij,njb->ab", whole, parameters.ground, whole, optimize=True)
-        )
+        whole = whole.reshape(-1, whole.shape[2])
+        energy, axes = np.linalg.eigh(whole.T @ (parameters.ground @ whole))
         return motions @ axes[:, energy <= _STOPPED * energy.max()]
 
     def ground_force(self, x: Array) -> Array:
         """(N, 3) what springs to the ground, where there are some, need for a displacement; they do not turn."""
         ground = self.parameters.ground
-        return np.zeros_like(x) if ground is None else np.einsum("nij,nj->ni", ground, x)
+        return np.zeros_like(x) if ground is None else np.asarray(ground @ x.reshape(-1)).reshape(-1, 3)
 
     def unknown(self, displacement: Array) -> Array:
         return displacement

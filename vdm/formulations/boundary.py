@@ -124,13 +124,14 @@ class BoundaryFormulation(DisplacementFormulation):
     def diagonal(self) -> Array:
         ground = self.parameters.ground
         own = np.diagonal(self.matrix)
-        return own if ground is None else own + np.einsum("nii->ni", ground).reshape(-1)
+        return own if ground is None else own + ground.diagonal()
 
     def _grounded(self, block: Array, nodes: Mask) -> Array:
         """A block of S over some nodes, with their springs added to it."""
         if self.parameters.ground is not None:
-            at = np.arange(np.count_nonzero(nodes))
-            block.reshape(len(at), 3, len(at), 3)[at, :, at] += self.parameters.ground[nodes]
+            dofs = np.repeat(nodes, 3)
+            springs = self.parameters.ground[dofs][:, dofs].tocoo()
+            block[springs.coords] += springs.data  # one entry a place: a sum of two would be lost
         return block
 
     def pressure_force(self, pressure: Array) -> Array:

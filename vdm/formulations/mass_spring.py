@@ -9,7 +9,6 @@ from solver_common.arrays import Array, Index, Mask
 from vdm.deformed import DeformedSurface
 from vdm.formulations.base import DisplacementFormulation, Factor, Factorise
 from vdm.formulations.border import DenseColumns
-from vdm.formulations.vector import block_diagonal
 from vdm.material import ParameterError, Parameters
 from vdm.solution import SolverError, Status
 from vdm.solvers.cholesky import Cholesky
@@ -73,7 +72,7 @@ class MassSpringFormulation(DisplacementFormulation):
         elongation = _elongation(self.springs, vectors / self.rest_lengths[:, None], surface.n_nodes)
         self.matrix = sparse.csr_array(elongation.T @ sparse.diags_array(self.spring_constants) @ elongation)
         if parameters.ground is not None:
-            self.matrix = self.matrix + block_diagonal(parameters.ground)
+            self.matrix = self.matrix + parameters.ground
         self.columns = DenseColumns(surface.area_vectors[:, :, None])
         self.rows = self.columns
         self.corner = np.zeros((1, 1))

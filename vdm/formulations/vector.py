@@ -76,7 +76,7 @@ class VectorFormulation(DisplacementFormulation):
                 blocks = np.einsum("e,ea,eb->eab", self.stretch, *2 * (edge_directions(surface),))
                 self.coupling = self.coupling + block_laplacian(surface, blocks)
             if parameters.ground is not None:
-                self.coupling = self.coupling + block_diagonal(parameters.ground)
+                self.coupling = self.coupling + parameters.ground
         self.columns: Columns
         self.columns, self.corner = DenseColumns(surface.area_vectors[:, :, None]), np.zeros((1, 1))
         if parameters.rotation == "global":
