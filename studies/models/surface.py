@@ -244,7 +244,7 @@ for _registered in (
         benched=("nonlinear",),
         cost=costs.boundary,
         takes=dict.fromkeys((SPRINGS, FULL, DEAD), ("linear", "nonlinear")),
-        version="12",
+        version="13",
         solvers=("linear", "nonlinear"),
         tissue=("youngs_modulus", "poisson_ratio"),
         parameters=("shear_modulus", "compressibility", "penalty"),
@@ -255,7 +255,7 @@ for _registered in (
     _surface(
         name="vdm-sparse",
         cost=costs.sparse_boundary,
-        version="1",
+        version="2",
         solvers=("linear", "single", "nonlinear"),
         tissue=("youngs_modulus", "poisson_ratio"),
         parameters=("shear_modulus", "coarse_nodes", "compressibility"),

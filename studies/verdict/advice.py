@@ -12,6 +12,7 @@ from ..study.model_name import split
 from .acceptance import WITHIN
 from .digest import Digest, ModelSummary
 from .formatting import quantity
+from .motion import mostly_rigid
 from .standing import UNDECIDED, YES
 from .why_not import COMPRESSIBILITY, MESH, MODEL, REFERENCE, SMALL_STRAIN, TIME, Reason, off
 
@@ -23,6 +24,7 @@ RESTING, MOVING, CUTTING, EXACT = (
     "a few per cent needed",
 )
 _SURFACE = ("vdm-", "mass-spring")
+_TURN_AS_ONE = ("vdm-boundary", "vdm-sparse")  # whose nonlinear solver has one rotation of the whole body
 
 
 @dataclass(frozen=True)
@@ -88,6 +90,11 @@ def _nonlinear(digest: Digest, model: str) -> str:
         )
     if partner in digest.models:
         return f"Lower the load: {partner}, which follows large displacements, has no answer at this one."
+    if split(model)[0] in _TURN_AS_ONE and mostly_rigid(digest):
+        return (
+            "Take elements that follow large displacements, as the reference does, or lower the load: the body "
+            f"swings on its support, and the one rotation of {partner} does not follow a bend."
+        )
     if split(model)[0].startswith("vdm-"):
         return f'Add "{partner}" to the models, which follows large displacements, or lower the load.'
     return "Lower the load, or take nonlinear elements."

@@ -11,13 +11,19 @@ ALONG_NORMALS = 1e-9  # of its motion that a model has in the surface
 NORMAL = "relative_l2_normal_error"
 
 
+def mostly_rigid(digest: Digest) -> bool:
+    """Whether the reference's displacement is more rigid motion than change of shape: at the median."""
+    reference = digest.reference
+    return reference is not None and _median(digest, reference, "rigid_share") > math.sqrt(0.5)
+
+
 def motion_in_words(digest: Digest) -> tuple[str, ...]:
     """Sentences on the reference's rigid share and on the floor of scalar forms; none without a comparison."""
     if digest.reference is None or not digest.compared:
         return ()
     rigid, floor = (_median(digest, digest.reference, name) for name in ("rigid_share", "tangential_share"))
     sentences = []
-    if rigid > math.sqrt(0.5):  # more than the change of shape has
+    if mostly_rigid(digest):
         sentences.append(
             f"Rigid motion is {short_percent(rigid)} of the reference's displacement. "
             "The change of shape leaves it out."

@@ -198,6 +198,15 @@ def test_what_the_mesh_takes_of_linear_elements_is_not_small_strain() -> None:
     assert MESH in told
 
 
+def test_a_body_that_swings_on_its_support_is_not_sent_to_a_solver_with_one_rotation() -> None:
+    case = growing({"vdm-boundary": (0.02, 0.06, 0.123), "fem-linear": (0.001, 0.05, 0.114)})
+    for share, word in ((0.5, "Add"), (0.98, "Take elements that follow large displacements")):
+        own = case.metrics["fem"]
+        rigid = dataclasses.replace(own["rigid_share"], values=np.full(3, share))
+        swung = dataclasses.replace(case, metrics={**case.metrics, "fem": {**own, "rigid_share": rigid}})
+        assert advice(swung).startswith(word)
+
+
 def test_a_model_that_is_far_off_at_any_load_is_not_sent_to_its_nonlinear_solver() -> None:
     both = growing({"vdm-m": (0.2, 0.25, 0.3), "fem-linear": (0.001, 0.05, 0.114)})
     assert {MODEL, SMALL_STRAIN} == causes(make_run([both])).keys()

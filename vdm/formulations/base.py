@@ -60,6 +60,9 @@ class Formulation(ABC):
     name: ClassVar[str]
     components: ClassVar[int]
     has_matrix: bool = True  # whether `stiffness` gives one
+    turns_as_one: ClassVar[bool] = (
+        False  # whether at large displacements one rotation is that of the whole body
+    )
     # what to do where a motion that costs no energy is left free
     remedy: ClassVar[str] = "hold an area of the surface, the nodes of some of its facets"
     columns: Columns

@@ -52,6 +52,7 @@ class BoundaryFormulation(DisplacementFormulation):
     """
 
     name = "boundary"
+    turns_as_one = True
     matrix: Array
 
     def __init__(self, surface: SurfaceMesh, parameters: Parameters) -> None:
