@@ -28,7 +28,10 @@ DOCUMENT = ROOT / "docs" / "evidence" / "measured.md"
 STUDIES = ("phantom-beam", "phantom-cylinder")
 # beside the study's own models; linear answers of others are those of ours
 BESIDE = ("vdm-boundary:nonlinear", "mujoco-flex", "ngsolve-p2p1:nonlinear")
-HEAD = ["model", "within u_val", "rms of E", "of rms of D", "remains", "per frame", "set-up"]
+HEAD = [
+    *("model", "within u_val", "rms of E", "of rms of D"),
+    *("u_num", "u_input", "u_D", "remains", "per frame", "set-up"),
+]
 FIT_HEAD = ["model", "E fitted", "± by u_D", "rms of E, fitted", "rms of E, held out", "with the study's E"]
 
 

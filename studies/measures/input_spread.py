@@ -17,6 +17,7 @@ from solver_common.arrays import Array
 
 from ..body.surface_measures import Surface, weighted_norm, without_motions
 from ..study.inputs import Input, inputs_of
+from ..study.model_name import REFINED
 from ..study.schema import Study
 from ..study.variations import MORRIS, SENSITIVITIES, SOBOL, analysis, shares, unit_cube
 
@@ -122,7 +123,9 @@ def input_spread(study: Study, surface: Surface, own: Mapping[str, Array], answe
     for name, displacement in own.items():
         fields = answers(name)
         count = len(fields)
-        found[name] = _model_spread(rule, surface, displacement, fields)
+        # variations are of the case's own mesh, also where the model's own answer is of a finer one
+        unvaried = own[name.removesuffix(REFINED)]
+        found[name] = _model_spread(rule, surface, displacement, fields, unvaried)
     return InputSpread(
         rule.table.method,
         count,
@@ -134,7 +137,9 @@ def input_spread(study: Study, surface: Surface, own: Mapping[str, Array], answe
     )
 
 
-def _model_spread(rule: Propagation, surface: Surface, own: Array, fields: Sequence[Array]) -> ModelSpread:
+def _model_spread(
+    rule: Propagation, surface: Surface, own: Array, fields: Sequence[Array], unvaried: Array
+) -> ModelSpread:
     areas = surface.areas
 
     def shape(values: Array) -> Array:
@@ -151,7 +156,7 @@ def _model_spread(rule: Propagation, surface: Surface, own: Array, fields: Seque
         shapes = np.array([share(shape(slope), shape(own)) for slope in slopes])
         total, deformation = (float(np.sqrt((values**2).sum())) for values in (parts, shapes))
         bends = [
-            share(low + (high - low) * one.place - own, own)
+            share(low + (high - low) * one.place - unvaried, own)
             for one, low, high in zip(rule.inputs, fields[0::2], fields[1::2], strict=False)
         ]
         bend = float(np.max(bends)) / total if total > _NOTHING else 0.0

@@ -86,11 +86,17 @@ class Measurement:
         """(Q,) E = S - D."""
         return np.asarray(self.simulated[name] - self.values)
 
+    def parts(self, name: str) -> dict[str, Array]:
+        """(Q,) u_num, u_input and u_D by their names; NaN where one is not known."""
+        unknown = np.full(len(self.quantities), np.nan)
+        data = np.array([quantity.uncertainty for quantity in self.quantities])
+        return {"u_num": self.numerical[name], "u_input": self.inputs.get(name, unknown), "u_D": data}
+
     def uncertainty(self, name: str) -> Array:
         """(Q,) u_val; what is not known counts as none."""
-        data = np.array([quantity.uncertainty for quantity in self.quantities])
-        parts = (self.numerical[name], self.inputs.get(name, np.zeros(len(data))))
-        return np.asarray(np.sqrt(data**2 + sum(np.nan_to_num(part, nan=0.0) ** 2 for part in parts)))
+        return np.asarray(
+            np.sqrt(sum(np.nan_to_num(part, nan=0.0) ** 2 for part in self.parts(name).values()))
+        )
 
     def within(self, name: str) -> Mask:
         """(Q,) whether |E| <= u_val."""

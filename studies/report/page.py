@@ -26,7 +26,9 @@ from .section_doubts import doubts
 from .section_errors import error_against_load, error_against_parameters
 from .section_fibres import anisotropy_of_the_response
 from .section_force import force_against_indentation
+from .section_inputs import inputs
 from .section_limits import small_strain_limits
+from .section_measurement import against_measurement
 from .section_measures import all_measures
 from .section_scene import scene
 from .section_stability import numerical_stability
@@ -52,6 +54,8 @@ SECTIONS_BEFORE: tuple[Make, ...] = (
     error_against_load,
 )
 SECTIONS_AFTER: tuple[Make, ...] = (
+    against_measurement,
+    inputs,
     force_against_indentation,
     volume_drift,
     numerical_stability,

@@ -100,13 +100,15 @@ def _groups(digest: Digest) -> list[tuple[Sequence[CaseResult], str]]:
 def _pushes(cases: Sequence[CaseResult]) -> list[Push]:
     contacts = [c for c in constraints(cases[0]) if c.get("kind") == "contact"]
     names, indenters = list(moved(cases[0])), _indenters(cases[0])
+    # what pulls has no inwards; on an edge the normals of its nodes are no direction of it
+    pulls = any(c.get("kind") in ("line", "traction") for c in constraints(cases[0]))
     found: list[Push] = []
     how: tuple[str, str, Callable[[Digest, CaseResult], Curves]] | None
     if any(contact_resultant(case) is not None for case in cases):
         how = ("contact force", "N", _under_contact)
     elif any(contact_pressure(case) is not None for case in cases):
         how = ("contact pressure", "Pa", _under_pressure)
-    elif len(cases) == 1 and (contacts or not (names or indenters)):
+    elif len(cases) == 1 and (contacts or not (names or indenters or pulls)):
         how = ("load factor", "1", _under_load)
     else:
         how = None

@@ -23,10 +23,13 @@ _ON = 1e-9  # m: closer is rounding
 _READING = (
     "E is the answer of a model less what was measured. ± is the validation uncertainty u_val (ASME V&V 20-2009), "
     "√(u_num² + u_input² + u_D²). Where |E| is at most u_val, model and measurement agree as far as anybody can "
-    "tell. Where it is larger, at least |E| − u_val is an error of the model{inputs}. u_num is known of the "
-    "reference alone, from its mesh levels. {known}"
+    "tell. Where it is larger, at least |E| − u_val is an error of the model{inputs}. Each part is told by its "
+    "root mean square. u_num is known of the reference alone, from its mesh levels. {known}"
 )
-_KNOWN = "u_input is what comes of not knowing the inputs better than [inputs] says."
+_KNOWN = (
+    "u_input is what comes of not knowing the inputs better than [inputs] says. Where a part is not known, u_val "
+    "is too small, and less is within it."
+)
 _NOT_KNOWN = "u_input is not counted: this study does not tell how well its inputs are known."
 
 
@@ -76,6 +79,7 @@ def _summary(digest: Digest, case: CaseResult, found: Measurement, number: int, 
         Column("Within u_val"),
         Column("rms of E", "of displacements" if unit == "m" else "of forces", unit=unit),
         Column("of rms of D", unit="1"),
+        *(Column(part, "rms", unit=unit) for part in ("u_num", "u_input", "u_D")),
         Column("Remains", "largest |E| − u_val", unit=unit),
         Column("Per frame", unit="s"),
     ]
@@ -90,7 +94,7 @@ def _summary_row(case: CaseResult, found: Measurement, name: str, unit: str) -> 
     known = np.isfinite(errors) & np.array([one.unit == unit for one in found.quantities])
     told = Cell(name, "came with the measurement" if name in found.others else "")
     if not known.any():
-        return [told, Cell("no answer", tone="bad"), *(Cell(NOTHING) for _ in range(4))]
+        return [told, Cell("no answer", tone="bad"), *(Cell(NOTHING) for _ in range(7))]
     count, within = int(known.sum()), int(found.within(name)[known].sum())
     moved = known & np.array([one.component in (*AXES, FORCE) for one in found.quantities])
     used = moved if moved.any() else known  # distances of a whole surface are another kind
@@ -102,9 +106,16 @@ def _summary_row(case: CaseResult, found: Measurement, name: str, unit: str) -> 
         Cell(f"{within} of {count}", value=within, tone="" if within == count else "bad"),
         Cell(quantity(rms, unit), value=rms),
         Cell(short_percent(rms / size) if size else NOTHING, value=rms / size if size else None),
+        *(_part(part[used], unit) for part in found.parts(name).values()),
         Cell(quantity(rest, unit) if rest else "nothing", value=rest),
         Cell(quantity(frame, "s"), value=frame),
     ]
+
+
+def _part(values: Array, unit: str) -> Cell:
+    """Of u_val, where it is known of every quantity."""
+    rms = _rms(values)
+    return Cell(quantity(rms, unit, 2), value=rms) if math.isfinite(rms) else Cell(NOTHING)
 
 
 def _rms(values: Array) -> float:
@@ -129,7 +140,7 @@ def _details(case: CaseResult, found: Measurement, number: int) -> Table:
             cells.append(Cell(quantity(error, one.unit), detail, error, tone=tone))
         rows.append([Cell(_named(one, case), one.table), measured, *cells])
     columns = [
-        Column("Quantity", numeric=False),
+        Column("Quantity", "at its load factor" if len(case.load_factors) > 1 else "", numeric=False),
         Column("Measured", "± u_D", unit=" or ".join(_units(found))),
         *(Column(name, "E ± u_val", unit=" or ".join(_units(found))) for name in names),
     ]
@@ -153,6 +164,7 @@ def _figure(digest: Digest, case: CaseResult, found: Measurement, number: int) -
     bars = [1e3 * found.quantities[k].uncertainty for k in drawn]
     plot = Plot("measured quantity", "displacement [mm]", f"measured{number}")
     described = []
+    gap = 0.8 / (1 + len(digest.models))  # a quantity's models end before the next quantity
     with plot as axes:
         axes.vlines(places, data - bars, data + bars, colors=INK, linewidth=2.2)
         axes.plot(places, data, "_", color=INK, markersize=11)
@@ -160,7 +172,7 @@ def _figure(digest: Digest, case: CaseResult, found: Measurement, number: int) -
             if name not in digest.models:
                 continue
             k = digest.colour(name)
-            shift = 0.12 * (1 + digest.models.index(name))
+            shift = gap * (1 + digest.models.index(name))
             (points,) = axes.plot(
                 places + shift, 1e3 * found.simulated[name][drawn], marker(k), color=colour(k), markersize=4
             )
@@ -204,6 +216,3 @@ def _curves(digest: Digest, _: CaseResult, found: Measurement, number: int) -> l
         heading = f"Force of {name} against depth, measured (bars: ± u_D) and simulated"
         figures.append(Figure(plot.drawn(f"{heading}: {listed(described)}."), heading))
     return figures
-
-
-SECTIONS = (against_measurement,)

@@ -15,6 +15,7 @@ from ..body.surface_measures import facet_area_vectors
 from ..measures.case import CaseResult
 from ..verdict.digest import Digest
 from ..verdict.formatting import listed, plain, plural, scale_of
+from ..verdict.loading import kind_of
 from .blocks import Scene
 from .scene_picture import Outline, Part, scene_svg, style_of
 
@@ -41,7 +42,7 @@ def parts_of(case: CaseResult, cases: Sequence[CaseResult]) -> list[Part]:
     contacts = [c for c in constraints if c.get("kind") == "contact"]
     parts = []
     for constraint in constraints:
-        name, kind = _name(constraint), str(constraint.get("kind"))
+        name, kind = _name(constraint), kind_of(constraint)
         nodes = case.regions[str(constraint.get("region"))]
         label = _load(name, cases)
         if kind == "contact" and len(contacts) > 1:
@@ -124,7 +125,7 @@ def scene_words(case: CaseResult, cases: Sequence[CaseResult]) -> list[tuple[str
     nodes = _span([len(other.points) for other in cases], "1", 9)
     rows.append(("Mesh", f"{nodes} surface nodes" + (f", {size} apart" if size else "")))
     for constraint in _constraints(case):
-        name, kind = _name(constraint), str(constraint.get("kind"))
+        name, kind = _name(constraint), kind_of(constraint)
         mask = case.regions.get(str(constraint.get("region")))
         if mask is not None:
             rows.append((style_of(kind)[0].capitalize(), _in_words(case, cases, name, constraint, mask)))
@@ -199,7 +200,7 @@ def _load(name: str, cases: Iterable[CaseResult]) -> str:
                 found.setdefault("Pa/m", []).append(constraint["stiffness"])
             elif constraint.get("depth") is not None:
                 found.setdefault("m", []).append(factor * constraint["depth"])
-            elif constraint.get("displacement") is not None:
+            elif kind_of(constraint) == "constrained" and constraint.get("displacement") is not None:
                 found.setdefault("m", []).append(factor * float(np.linalg.norm(constraint["displacement"])))
     told = [
         f"peak {_span(values, 'Pa')}" if unit == "peak" else _span(values, unit)

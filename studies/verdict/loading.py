@@ -28,14 +28,18 @@ def name_of(constraint: Mapping[str, object]) -> str:
     return str(constraint.get("name") or constraint.get("region") or "")
 
 
+def kind_of(constraint: Mapping[str, object]) -> str:
+    """Its kind; what is moved by nothing is held."""
+    kind = str(constraint.get("kind"))
+    return "fixed" if kind == "constrained" and not np.any(_prescribed(constraint)) else kind
+
+
 def moved(case: CaseResult) -> dict[str, Mapping[str, object]]:
     """Constraints that move their region: name -> constraint."""
     return {
         name_of(constraint): constraint
         for constraint in constraints(case)
-        if constraint.get("kind") == "constrained"
-        and np.any(_prescribed(constraint))
-        and str(constraint.get("region")) in case.regions
+        if kind_of(constraint) == "constrained" and str(constraint.get("region")) in case.regions
     }
 
 

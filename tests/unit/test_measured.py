@@ -241,10 +241,13 @@ def test_the_section_shows_every_quantity_and_what_remains() -> None:
     section = against_measurement(Digest(make_run([case])))
     assert section is not None
     summary, figures, details = (block for block in section.blocks if type(block).__name__ != "Text")
-    rows = {row[0].text: [cell.text for cell in row[1:5]] for row in summary.rows}
-    assert rows["vdm-paper"][0] == "1 of 2"
-    assert rows["vdm-paper"][3] == "1.00 mm", "2 mm off a surface known to 1 mm"
-    assert rows["fem:direct"][0] == "no answer"
+    heads = [column.title for column in summary.columns]
+    rows = {row[0].text: dict(zip(heads, [cell.text for cell in row], strict=True)) for row in summary.rows}
+    assert rows["vdm-paper"]["Within u_val"] == "1 of 2"
+    assert rows["vdm-paper"]["Remains"] == "1.00 mm", "2 mm off a surface known to 1 mm"
+    assert [rows["vdm-paper"][part] for part in ("u_num", "u_input", "u_D")] == ["–", "200 µm", "100 µm"]
+    assert rows["COMSOL"]["u_input"] == "–"
+    assert rows["fem:direct"]["Within u_val"] == "no answer"
     assert [row[0].text for row in details.rows] == ["tip <1> z at 1", "rms distance at 1"]
     assert "<svg" in figures.figures[0].svg
     assert against_measurement(Digest(make_run([make_case({"vdm-paper": 0.5})]))) is None

@@ -213,7 +213,7 @@ def test_section_and_verdict_tell_of_forces() -> None:
     assert section is not None
     summary, figures, details = (block for block in section.blocks if type(block).__name__ != "Text")
     assert [cell.text for cell in summary.rows[0][:3]] == ["vdm-paper", "1 of 2", "213 mN"]
-    assert summary.rows[0][4].text == "250 mN", "0.3 N less u_val"
+    assert summary.rows[0][7].text == "250 mN", "0.3 N less u_val"
     assert [row[0].text for row in details.rows] == [
         "force of finger at 1.00 mm",
         "force of finger at 2.00 mm",

@@ -115,6 +115,12 @@ def test_no_curve_of_a_body_with_a_weight_is_said_to_start_at_rest() -> None:
         assert any(said in note for note in notes) == there
 
 
+def test_a_pull_along_a_line_is_no_indentation() -> None:
+    line = {"kind": "line", "force": None, "resultant": [0.0, 0.0, -1.0]}
+    case = make_case({"m": 0.1}, contact=line, steps=(0.5, 1.0))
+    assert force_against_indentation(Digest(make_run([case]))) is None
+
+
 def test_a_movement_is_drawn_for_model_and_reference() -> None:
     ((title, told),) = figures_of(force_section(moved_case()))
     assert title == "tool, the only case"

@@ -76,6 +76,16 @@ def test_a_moved_region_and_a_contact_all_round() -> None:
     assert air.vector is None, "it presses from all sides"
 
 
+def test_a_region_that_is_moved_by_nothing_is_a_support() -> None:
+    for amount, word in ((0.0, "Support"), (0.002, "Moved")):
+        jaw = {"kind": "constrained", "region": "finger", "name": "jaw", "displacement": [amount, 0.0, 0.0]}
+        case = make_case({"m": 0.1}, contact={"force": None, **jaw}, subdivisions=3)
+        (told,) = (value for what, value in scene_words(case, [case]) if what == word and "jaw" in value)
+        assert ("2 mm, " in told) == (amount > 0.0)
+        assert "0 m," not in told
+        assert parts_of(case, [case])[1].kind == ("constrained" if amount else "fixed")
+
+
 def test_the_page_shows_the_scene_right_below_the_verdict() -> None:
     html = page_html(make_run([told("a", 0.45, 0.05)]), no_pictures)
     at = html.index('<figure class="scene">')
