@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 import subprocess
 import sys
+from functools import cache
 from graphlib import TopologicalSorter
 from pathlib import Path
 
@@ -51,7 +52,8 @@ BEHIND = {
 }
 
 
-def _imports(path: Path, *, types: bool = False) -> set[str]:
+@cache
+def _imports(path: Path, *, types: bool = False) -> frozenset[str]:
     """Absolute dotted names of all that a file imports, wherever in the file: when it runs, or for `types` too."""
     package = ("vdmbench", *path.relative_to(ROOT).parent.parts[1:])
     names = set()
@@ -66,7 +68,7 @@ def _imports(path: Path, *, types: bool = False) -> set[str]:
             base = ".".join(package[: len(package) - node.level + 1]) if node.level else ""
             module = ".".join(part for part in (base, node.module) if part)
             names |= {f"{module}.{alias.name}" for alias in node.names} | {module}
-    return names
+    return frozenset(names)
 
 
 def _tops(path: Path) -> set[str]:

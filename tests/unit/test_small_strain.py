@@ -125,7 +125,8 @@ def test_the_error_has_grown_by_the_threshold_at_the_load_that_was_found(found: 
             assert np.isnan(limit.bar)
 
 
-@pytest.mark.parametrize("which", [pytest.param(0, marks=pytest.mark.slow), 1])
+@pytest.mark.slow
+@pytest.mark.parametrize("which", [0, 1])
 def test_the_limit_of_the_refined_mesh_lies_inside_the_bar(found: Found, which: int) -> None:
     """The error has not grown by the threshold at the bar's lower end, and has at its upper one."""
     study, scene, limits = found
@@ -134,8 +135,15 @@ def test_the_limit_of_the_refined_mesh_lies_inside_the_bar(found: Found, which: 
             low, _ = grown(study, scene, name, limit.load * (1.0 - limit.bar), refined=True)
             high, _ = grown(study, scene, name, limit.load * (1.0 + limit.bar), refined=True)
             assert low - entry.structural_error < limit.threshold < high - entry.structural_error
+
+
+@pytest.mark.parametrize("which", [pytest.param(0, marks=pytest.mark.slow), 1])
+def test_the_limit_of_a_departure_by_a_power_law_is_that_of_the_refined_mesh(
+    found: Found, which: int
+) -> None:
+    study, scene, limits = found
     linear = limits.models["fem-linear"]
-    for limit in linear.limits[which : which + 1]:  # whose departure is a power law: the limit itself
+    for limit in linear.limits[which : which + 1]:
         error, strain = grown(study, scene, "fem-linear", limit.load, refined=True)
         assert_allclose(error - linear.structural_error, limit.threshold, rtol=0.005, atol=0)
         assert_allclose(limit.strain, strain, rtol=0.02, atol=0)
