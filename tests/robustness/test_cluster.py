@@ -21,7 +21,7 @@ import psutil
 import pytest
 import trustme
 
-from tests.command import SCRIPT, heed_ctrl_c, vdmbench_process, write_study
+from tests.command import SCRIPT, heed_ctrl_c, vdmbench, vdmbench_process, write_study
 from tools.site import ROOT
 from vdmbench.graph.cluster import LOOPBACK, AddressError, checked_address, refusal
 from vdmbench.store.cases import read_case
@@ -150,7 +150,7 @@ def _assert_same(values: Any, others: Any, rounding: float = 0.0) -> None:
 def local_run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The same study run without a cluster, with a cache of its own."""
     place = tmp_path_factory.mktemp("local")
-    assert vdmbench_process("run", _study(place), "--out", "run", "--jobs", "2", cwd=place).returncode == 0
+    assert vdmbench("run", _study(place), "--out", "run", cwd=place).returncode == 0
     return place / "run"
 
 

@@ -441,7 +441,7 @@ def test_results_that_cannot_be_written(tmp_path: Path) -> None:
     assert result.stderr == "vdmbench: results: is not a directory; remove it, or choose another\n"
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("number", [pytest.param(signal.SIGINT, marks=pytest.mark.slow), signal.SIGTERM])
 def test_an_interrupted_run_goes_on(tmp_path: Path, number: signal.Signals) -> None:
     write_study(
         tmp_path,
