@@ -8,7 +8,6 @@ from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from scipy import sparse
 
 from solver_common.arrays import Array
 from vdm.solvers import SOLVERS
@@ -22,6 +21,8 @@ from .model import Model as Registered
 from .model import SetUp, register
 
 if TYPE_CHECKING:
+    from scipy import sparse
+
     from vdm.formulations.base import Formulation
     from vdm.incremental import IncrementalModel
     from vdm.material import Parameters
@@ -68,6 +69,8 @@ def _springs(scene: Scene) -> sparse.csr_array | None:
     """
     if not scene.springs:
         return None
+    from scipy import sparse  # slow to load, and who only plans solves nothing
+
     points, triangles = scene.mesh.surface_points, scene.mesh.triangles
     vectors = facet_area_vectors(points, triangles)
     areas = np.linalg.norm(vectors, axis=1)[:, None, None]
