@@ -70,7 +70,7 @@ MUTANTS = (
     ),
     Mutant("vdm/bending.py", "moved[k, c] = -nu *", "moved[k, c] = nu *", f"{U}vdm_bending.py"),
     Mutant(
-        "vdm/bending.py", "not error > BENDING_LIMIT", "not error > 2.0 * BENDING_LIMIT", f"{U}vdm_bending.py"
+        "vdm/reservations.py", "if bending > LIMIT:", "if bending > 2.0 * LIMIT:", f"{U}vdm_mesh_error.py"
     ),
     Mutant("vdm/solvers/anderson.py", "step - mix @", "step + mix @", f"{U}vdm_steps.py {U}vdm_solvers.py"),
     Mutant(

@@ -23,6 +23,7 @@ from tools import marked
 from vdmbench.body.geometry import build_mesh
 from vdmbench.measures.case import CaseResult
 from vdmbench.measures.metrics import DEFORMATION, VECTOR
+from vdmbench.scene.warnings import scene_warnings
 from vdmbench.store.cases import read_run
 from vdmbench.study.shapes import Geometry
 from vdmbench.verdict.standing import at_full_load, reference_bar
@@ -199,7 +200,7 @@ class Row:
     ratio: float
     errors: Mapping[str, tuple[float, float]]  # model -> displacement, deformation
     own: tuple[float, float]  # the reference's
-    told: str  # what the form says of its answer; "" where nothing
+    told: str  # what the form says of its answer, and `check` of the scene; "" where nothing
 
     @property
     def worst(self) -> float:
@@ -234,7 +235,10 @@ def _row(body: str, load: str, case: CaseResult) -> Row:
         m: (at_full_load(case, m, VECTOR), at_full_load(case, m, DEFORMATION)) for m in (FORM, ELEMENTS)
     }
     status = case.models[FORM].status[case.full_load]
-    told = status.message if status.ok else f"{status.code}: {status.message}"
+    own_words = status.message if status.ok else f"{status.code}: {status.message}"
+    constraints, tissue = case.resolved["constraints"], case.resolved["tissue"]
+    of_scene = scene_warnings(constraints, tissue, case.regions, case.points, case.triangles)
+    told = "; ".join(filter(None, (own_words, *(text.partition(":")[0] for _, text in of_scene))))
     own = tuple(reference_bar(case, measure) for measure in both)
     ratio = case.resolved["tissue"]["poisson_ratio"]
     return Row(body, load, len(case.points), ratio, errors, (own[0], own[1]), told)
@@ -246,7 +250,7 @@ def written(rows: Sequence[Row]) -> tuple[str, str]:
     for body, load in dict.fromkeys((row.body, row.load) for row in rows):
         own = [row for row in rows if (row.body, row.load) == (body, load)]
         bars = max(own, key=lambda row: row.own[0]).own
-        told = "; ".join(dict.fromkeys(filter(None, (row.told for row in own))))
+        told = max(own, key=lambda row: (bool(row.told), row.worst)).told
         cells = [" / ".join(_per_cent(e) for e in row.errors[FORM]) for row in own]
         elements = max(row.errors[ELEMENTS] for row in own)
         shown = (" / ".join(map(_per_cent, pair)) for pair in (elements, bars))
@@ -259,7 +263,7 @@ def written(rows: Sequence[Row]) -> tuple[str, str]:
     rest = len(rows) - within
     told = (
         f"{within} of {len(rows)} cases are within {_per_cent(ENOUGH)} % in both errors. Of the other {rest} the "
-        f"model gives {len(silent)} without a reservation.\nMedians: {form} %, of the elements {elements} %.\n"
+        f"tool gives {len(silent)} without a reservation.\nMedians: {form} %, of the elements {elements} %.\n"
     )
     return marked.table(head, lines), told
 

@@ -15,24 +15,16 @@ tells. A skin does not know what is inside; boundary integrals lose a lobe thinn
 
 from __future__ import annotations
 
-from dataclasses import replace
 from itertools import permutations
 
 import numpy as np
 
 from solver_common.arrays import Array
 from vdm.constraints import Load
-from vdm.formulations.base import Formulation, rigid_motions
-from vdm.formulations.boundary import MAX_NODES, BoundaryFormulation
-from vdm.formulations.sparse import SparseFormulation
-from vdm.material import COARSE_NODES_RANGE
+from vdm.formulations.base import rigid_motions
 from vdm.problem import Problem
-from vdm.solution import Status
 from vdm.solvers.linear import BorderedFactor
 from vdm.surface import SurfaceMesh
-
-# the form of boundary integrals was wrong by 1.1 to 2.2 times this on bodies that nobody tuned it for
-BENDING_LIMIT = 0.1
 
 
 def bending_error(problem: Problem, factor: BorderedFactor) -> float:
@@ -57,44 +49,6 @@ def bending_error(problem: Problem, factor: BorderedFactor) -> float:
         error += float((areas * (form.displacement(x) - u) ** 2).sum())
         size += float((areas * deformed.reshape(-1, 3) ** 2).sum())
     return float(np.sqrt(error / size))
-
-
-def reserved(status: Status, error: float, form: Formulation) -> Status:
-    """The status of a step, with a reservation where the form is known to be wrong about this body.
-
-    By `bending_error`.
-    """
-    if not status.ok or not error > BENDING_LIMIT:
-        return status
-    wrong = f"a known bending comes out {error:.0%} wrong"
-    if isinstance(form, BoundaryFormulation):
-        message, remedy = f"the mesh is too coarse for the body's thin parts: {wrong}", _finer(form, error)
-    else:
-        message, remedy = f"the {form.name} form does not know what is inside this body: {wrong}", INSIDE
-    return replace(
-        status,
-        message="; ".join(filter(None, (status.message, message))),
-        remedy="; ".join(filter(None, (status.remedy, remedy))),
-    )
-
-
-INSIDE = (
-    "take the boundary form or finite elements where the size of the displacement matters, or fit the parameters to"
-    " loads like yours"
-)
-
-
-def _finer(form: BoundaryFormulation, error: float) -> str:
-    # the error falls with the square of the mesh size, and that with the root of the nodes
-    nodes, most = form.surface.n_nodes, MAX_NODES
-    if isinstance(form, SparseFormulation):
-        nodes, most = form.n_coarse, COARSE_NODES_RANGE[1]
-    wanted = 100 * int(np.ceil(nodes * error / (100.0 * BENDING_LIMIT)))
-    if wanted > most:
-        return f"solve the body with finite elements: it takes some {wanted:,} nodes of this form"
-    if nodes < form.surface.n_nodes:
-        return f"set coarse_nodes to {wanted:,}"
-    return f"refine the surface, above all where it is thin, to about {wanted:,} nodes"
 
 
 def bendings(surface: SurfaceMesh, nu: float = 0.5) -> tuple[Array, Array]:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from solver_common.arrays import Array
-from vdm.bending import bending_error, reserved
+from vdm.bending import bending_error
 from vdm.constraints import (
     CONTACT_SIGNS,
     ConstraintError,
@@ -24,9 +24,12 @@ from vdm.constraints import (
 )
 from vdm.formulations import FORMULATIONS
 from vdm.formulations.base import Factor
+from vdm.formulations.boundary import BoundaryFormulation
 from vdm.formulations.paper import PaperFormulation
 from vdm.material import ParameterError, Parameters
+from vdm.mesh_error import MeshError
 from vdm.problem import Problem, Step, check_held
+from vdm.reservations import reserved
 from vdm.solution import Solution, SolverError, Status
 from vdm.solvers import SOLVERS
 from vdm.solvers.audit import Audit, judged
@@ -140,6 +143,7 @@ class Model:
         self.seconds_setup = time.perf_counter() - start
         # how wrong the form is about a bending that is known: beyond the set-up, as an audit is beyond a step
         self.bending_error = _bending_error(self.problem, self.solver)
+        self._mesh_error: MeshError | None = None
         self._is_warm = False
 
     def solve(self, loads: Sequence[Load], condition: bool = False) -> Solution:
@@ -149,6 +153,7 @@ class Model:
         audited: `scalars["relative_residual"]`, and a status other than converged where it cannot be relied on.
         With the quasi-linear solver `scalars["path_error"]` is the share of the largest displacement so far that is
         owed to the load steps on the way; beyond 1e-3 the status, still converged, says so and what to do.
+        Of a form of boundary integrals `scalars["mesh_error"]` is what its mesh leaves open; see `vdm.mesh_error`.
         With `condition`, `scalars["condition_estimate"]` is that of the whole system that is solved, from
         `condition_estimate`, the same for all steps.
 
@@ -164,7 +169,7 @@ class Model:
         loads = [checked_load(load, self.problem.support) for load in loads]
         count, n_nodes = len(loads), self.surface.n_nodes
         displacement, reaction_force = (np.empty((count, n_nodes, 3)) for _ in range(2))
-        pressure, energy, seconds, residual, path_error = (np.empty(count) for _ in range(5))
+        pressure, energy, seconds, residual, path_error, mesh_error = (np.empty(count) for _ in range(6))
         iterations = np.empty(count, dtype=np.int64)
         status: list[Status] = []
         fields = {name: np.empty((count, n_nodes)) for name in self.outputs}
@@ -183,8 +188,8 @@ class Model:
                 seconds[k] = time.perf_counter() - start
             last = judged(step, found)
             pressure[k], iterations[k], residual[k] = step.pressure_change, step.iterations, found.residual
-            path_error[k] = found.path
-            status.append(reserved(last.status, self.bending_error, self.formulation))
+            path_error[k], mesh_error[k] = found.path, self._of_mesh(load)
+            status.append(reserved(last.status, self.bending_error, mesh_error[k], self.formulation))
             for name, values in fields.items():
                 values[k] = self._point_field(name, step)
         return Solution(
@@ -200,10 +205,21 @@ class Model:
             scalars={
                 "relative_residual": residual,
                 **({} if np.isnan(path_error).all() else {"path_error": path_error}),
+                **({} if np.isnan(mesh_error).all() else {"mesh_error": mesh_error}),
                 **(self.condition_scalars(count) if condition else {}),
             },
             point_fields=fields,
         )
+
+    def _of_mesh(self, load: Load) -> float:
+        """What the mesh leaves open of the answer to a load, see `vdm.mesh_error`; NaN of other forms."""
+        form = self.formulation
+        has_no_coarse_body = not isinstance(form, BoundaryFormulation) or form.parameters.ground is not None
+        if has_no_coarse_body or not isinstance(self.solver, FactorSolver):
+            return np.nan
+        if self._mesh_error is None:
+            self._mesh_error = MeshError(self.problem, self.solver.factor)
+        return self._mesh_error.of(load)
 
     def _warm_up(self, loads: Sequence[Load]) -> None:
         """The first frame after a set-up takes several times as long as those after it; where one costs next to

@@ -7,6 +7,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
+from scipy import sparse
+from scipy.sparse import csgraph
 
 from solver_common.arrays import Array, Index, Mask
 
@@ -37,13 +39,17 @@ def scene_warnings(
     vectors = facet_area_vectors(points, triangles)
     holding = {name for name, kind in KINDS.items() if kind.holds}  # a stored kind may be of another program
     held = [masks[entry["region"]] for entry in constraints if entry["kind"] in holding]
-    on_support = np.logical_or.reduce([np.zeros(len(points), dtype=bool), *held])[triangles].all(axis=1)
+    support = np.logical_or.reduce([np.zeros(len(points), dtype=bool), *held])
+    on_support = support[triangles].all(axis=1)
+    apart = _apart(support, triangles)
     extent = float(np.ptp(points, axis=0).min())
     for place, entry in enumerate(constraints):
         mask, loc = masks[entry["region"]], ("constraints", place, "region")
         if entry["kind"] in holding:
             if mask.any() and not (on_support & mask[triangles].any(axis=1)).any():
                 yield loc, _lone(int(mask.sum()))
+            elif count := int((mask & apart).sum()):
+                yield loc, _lone_besides(count)
             continue
         if entry["kind"] != "contact":
             continue
@@ -80,9 +86,31 @@ def indentation(force: float, area: float, youngs_modulus: float, poisson_ratio:
     return 16 * force * (1 - poisson_ratio**2) / (3 * math.pi**2 * radius * youngs_modulus)
 
 
+def _apart(support: Mask, triangles: Index) -> Mask:
+    """(N,) held nodes that no edges between held nodes join to a held facet."""
+    ends = triangles[:, [0, 1, 2, 1, 2, 0]].reshape(-1, 2, 3).transpose(0, 2, 1).reshape(-1, 2)
+    ends = ends[support[ends].all(axis=1)]
+    count = len(support)
+    graph = sparse.coo_array((np.ones(len(ends)), (ends[:, 0], ends[:, 1])), shape=(count, count))
+    part = csgraph.connected_components(graph, directed=False)[1]
+    joined = np.zeros(count, dtype=bool)
+    joined[part[triangles[support[triangles].all(axis=1)]]] = True
+    return np.asarray(support & ~joined[part])
+
+
 def _lone(count: int) -> str:
-    nodes = "one lone node" if count == 1 else f"{count} lone nodes"
     return (
-        f"holds {nodes} and no facet: on finer meshes what moves there grows without limit; "
+        f"holds {_nodes(count)} and no facet: on finer meshes what moves there grows without limit; "
         "hold an area, by a larger region or a smaller mesh_size"
     )
+
+
+def _lone_besides(count: int) -> str:
+    return (
+        f"holds {_nodes(count)} apart from its facets: what they carry falls with the mesh size, and with it the "
+        "answer may change by any amount; take them out of the region, or hold an area there by a smaller mesh_size"
+    )
+
+
+def _nodes(count: int) -> str:
+    return "one lone node" if count == 1 else f"{count} lone nodes"

@@ -58,6 +58,21 @@ def test_a_support_of_lone_nodes_has_no_limit(kind: str) -> None:
     line = TOP & (np.abs(POINTS[:, 0]) < 1e-9)
     assert "holds 21 lone nodes and no facet" in found(kind, line)[0]
     assert not found(kind, TOP & (NEAR < 0.02))
+
+
+@pytest.mark.parametrize("kind", ["fixed", "constrained"])
+def test_lone_nodes_besides_an_area_are_told_and_those_at_its_rim_are_not(kind: str) -> None:
+    area = TOP & (NEAR < 0.02)
+    assert not found(kind, area)
+    corner = np.argmax(POINTS[:, 0] + POINTS[:, 1])
+    far = area | (np.arange(len(POINTS)) == corner)
+    assert "holds one lone node apart from its facets" in found(kind, far)[0]
+    # a node that hangs on the area by an edge, and no facet
+    x, y = POINTS[:, 0], POINTS[:, 1]
+    rim = x[area].max()
+    hanging = area | (TOP & (np.abs(x - rim - 0.005) < 1e-9) & (np.abs(y) < 1e-9))
+    assert hanging.sum() == area.sum() + 1
+    assert not found(kind, hanging)
     # beside the area that another constraint holds it is no lone node
     assert not found(kind, TOP & (np.abs(POINTS[:, 0] + 0.04) < 1e-9))
 

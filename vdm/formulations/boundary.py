@@ -92,6 +92,11 @@ class BoundaryFormulation(DisplacementFormulation):
         return matrix
 
     @property
+    def n_coarse(self) -> int:
+        """Nodes of the body that the integrals are of."""
+        return len(self.matrix) // 3
+
+    @property
     def is_incompressible(self) -> bool:
         """Whether the volume is kept, by a pressure that is an unknown."""
         return self.poisson_ratio == 0.5

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 from scipy import linalg, sparse
 from scipy.linalg import blas
@@ -13,6 +15,10 @@ from vdm.material import COARSE_NODES, ParameterError
 from vdm.solution import SolverError, Status
 from vdm.solvers.cholesky import Cholesky
 from vdm.solvers.single import SingleFactor
+from vdm.surface import SurfaceMesh
+
+if TYPE_CHECKING:
+    from vdm.boundary.interpolation import Interpolation
 
 # fine nodes that are multiplied with a dense matrix of the coarse body at once: bounds the temporary arrays
 ROWS = 4096
@@ -59,20 +65,29 @@ class SparseFormulation(BoundaryFormulation):
         if surface.n_nodes > count:
             coarse = coarsened(surface, count)
             body, spread = coarse.surface, interpolation(surface, coarse)
-        self.n_coarse = n = body.n_nodes
+        self._stand_on(body, spread, self._dense(body))
+
+    def _stand_on(self, body: SurfaceMesh, spread: Interpolation, stiffness: Array) -> None:
+        """Take the coarse body (n nodes), what spreads it over the surface, and its stiffness (3n, 3n)."""
+        surface = self.surface
+        self.coarse, self.cells, self.body = body, spread.cells, stiffness
+        n = body.n_nodes
         # both by columns: scipy's product with three vectors is then half as long, as no sum waits for itself
         self.spread = sparse.csc_array(spread.weights)
         self.gather = sparse.csc_array(spread.weights.T)
         coarse_size = np.sqrt(np.bincount(spread.cells, surface.nodal_areas, n))[spread.cells]
         waves = 0.5 * np.pi * (1.0 / coarse_size + 1.0 / np.sqrt(surface.nodal_areas))
-        stiffness = self.shear_modulus / (1.0 - self.poisson_ratio)
-        self.springs: Array = stiffness * waves * surface.nodal_areas
-        self.body = self._dense(body)
+        modulus = self.shear_modulus / (1.0 - self.poisson_ratio)
+        self.springs: Array = modulus * waves * surface.nodal_areas
         gathered = linalg.cho_factor(self._gathered(self.springs), check_finite=False)
         # T = I - G^-1 S and Q = -T G^-1
         self.rest = np.eye(3 * n) - _solve_blocks(gathered, self.body)
         inner = -_solve_blocks(gathered, self.rest.T)
         self.inner = np.asfortranarray(0.5 * (inner + inner.T))
+
+    @property
+    def n_coarse(self) -> int:
+        return self.coarse.n_nodes
 
     def record(self) -> dict[str, float | str]:
         scheme = "whole" if self.n_coarse == self.surface.n_nodes else f"on a body of {self.n_coarse} nodes"
@@ -107,6 +122,32 @@ class SparseFormulation(BoundaryFormulation):
 
     def _gathered(self, springs: Array) -> Array:
         return np.asarray((self.gather @ sparse.diags_array(springs) @ self.spread).toarray())
+
+
+class HalvedFormulation(SparseFormulation):
+    """A form of boundary integrals on about half of its nodes, without an integral of its own: S is P^T S P."""
+
+    def __init__(self, form: BoundaryFormulation) -> None:
+        self._whole = form
+        super().__init__(form.surface, form.parameters)
+
+    def _assemble(self) -> None:
+        from vdm.boundary.coarsening import coarsened
+        from vdm.boundary.interpolation import Interpolation, interpolation
+
+        whole = self._whole
+        if isinstance(whole, SparseFormulation):
+            body, matrix = whole.coarse, whole.body
+        else:
+            body, matrix = whole.surface, whole.matrix
+        coarse = coarsened(body, body.n_nodes // 2)
+        spread = interpolation(body, coarse)
+        each = sparse.csr_array(sparse.kron(spread.weights.T, sparse.eye_array(3)))
+        stiffness = np.asarray(each @ (each @ matrix).T)
+        if isinstance(whole, SparseFormulation):
+            weights = sparse.csr_array(sparse.csr_array(whole.spread) @ spread.weights)
+            spread = Interpolation(weights, spread.cells[whole.cells])
+        self._stand_on(coarse.surface, spread, stiffness)
 
 
 class SparseInverse:

@@ -123,6 +123,7 @@ class LinearSolver:
     problem : formulation and supports
     precision : of the factor of K; the border is in double precision always
     refine : in the audit of a history, by residuals in double precision, where they show that it pays
+    factor : of the problem, where there is one
 
     Raises
     ------
@@ -130,11 +131,17 @@ class LinearSolver:
         where the operator is singular.
     """
 
-    def __init__(self, problem: Problem, precision: Precision = "double", refine: bool = True) -> None:
+    def __init__(
+        self,
+        problem: Problem,
+        precision: Precision = "double",
+        refine: bool = True,
+        factor: BorderedFactor | None = None,
+    ) -> None:
         self.problem = problem
         self.precision = precision
         self.refine = refine
-        self.factor = BorderedFactor(problem, SingleFactor if precision == "single" else Cholesky)
+        self.factor = factor or BorderedFactor(problem, SingleFactor if precision == "single" else Cholesky)
 
     def step(self, load: Load, previous: Step | None = None) -> Step:  # noqa: ARG002 - one interface for all solvers
         """Solution of one load; the previous step does not matter."""
