@@ -213,7 +213,7 @@ for _registered in (
     _surface(
         name="vdm-paper",
         benched=("quasi-linear", "nonlinear", "bicg"),
-        version="4",
+        version="5",
         # MINRES needs a symmetric matrix, which the printed form has not
         solvers=(*(name for name in SOLVERS if name != "minres"), INCREMENTAL),
         # the nonlinear solver's areas, and with them its springs, grow with the deformation
@@ -225,7 +225,7 @@ for _registered in (
     _surface(
         name="vdm-consistent",
         benched=("nonlinear", "cg"),
-        version="5",
+        version="6",
         solvers=SOLVERS,
         takes={SPRINGS: SOLVERS},
         parameters=("foundation", "surface_tension", "penalty", "tolerance"),
@@ -235,7 +235,7 @@ for _registered in (
     _surface(
         name="vdm-vector",
         benched=("quasi-linear", "nonlinear"),
-        version="8",
+        version="9",
         solvers=SOLVERS,
         takes=dict.fromkeys((SPRINGS, FULL, DEAD), SOLVERS),
         parameters=("foundation", "surface_tension", "stretch_stiffness", "rotation", "penalty"),
@@ -270,7 +270,7 @@ for _registered in (
         name="mass-spring",
         cost=costs.mass_spring,
         takes=dict.fromkeys((SPRINGS, FULL, DEAD), SOLVERS),
-        version="6",
+        version="7",
         solvers=SOLVERS,
         parameters=("shear_modulus", "penalty"),
         by_rule=("shear_modulus",),
