@@ -247,7 +247,7 @@ for _registered in (
         benched=("nonlinear",),
         cost=costs.boundary,
         takes=dict.fromkeys((SPRINGS, FULL, DEAD), ("linear", "nonlinear")),
-        version="13",
+        version="14",
         solvers=("linear", "nonlinear"),
         tissue=("youngs_modulus", "poisson_ratio"),
         parameters=("shear_modulus", "compressibility", "penalty"),
@@ -258,7 +258,7 @@ for _registered in (
     _surface(
         name="vdm-sparse",
         cost=costs.sparse_boundary,
-        version="2",
+        version="3",
         solvers=("linear", "single", "nonlinear"),
         tissue=("youngs_modulus", "poisson_ratio"),
         parameters=("shear_modulus", "coarse_nodes", "compressibility"),
