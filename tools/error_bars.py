@@ -254,7 +254,7 @@ def write(rows: Sequence[Mapping[str, Any]]) -> None:
 
 
 def main() -> None:
-    """Solve the cases of the studies that are named, by default of all, and write what came out; others' rows stay."""
+    """Solve the cases of the studies named, by default of all, and write what came out; rows of others stay."""
     named = sys.argv[1:] or list(TRIED)
     if unknown := set(named) - set(TRIED):
         sys.exit(f"no case of {', '.join(sorted(unknown))} is tried; take some of {', '.join(TRIED)}")
