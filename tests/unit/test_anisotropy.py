@@ -110,7 +110,10 @@ def test_a_plan_names_the_models_that_refuse_fibres(
     study = Study.model_validate(wanted | ({"anisotropy": anisotropy} if anisotropy else {}))
     plan = make_plan(study, expand(study), tmp_path / "run", tmp_path / "cache")
     told = {line.partition(":")[0] for line in refused(plan, plan.cases, bodies(plan, plan.cases))}
-    assert told == {name for name in names if run(mesh, name, anisotropy).status[0].code == models.REFUSED}
+    if anisotropy:
+        assert told == {
+            name for name in names if run(mesh, name, anisotropy).status[0].code == models.REFUSED
+        }
     assert told == ({"vdm-boundary", "vdm-sparse", "mass-spring"} if anisotropy else set())
 
 

@@ -81,7 +81,9 @@ def _elsewhere(prelude: str) -> tuple[dict[str, dict[str, object]], list[object]
     return found, doctor
 
 
-@pytest.mark.parametrize("prelude", [_HIDE, _BREAK], ids=["missing", "broken"])
+@pytest.mark.parametrize(
+    "prelude", [pytest.param(_HIDE, marks=pytest.mark.slow), _BREAK], ids=["missing", "broken"]
+)
 def test_without_rslab_the_numbers_are_the_same(prelude: str) -> None:
     found, doctor = _elsewhere(prelude)
     for name, expected in answers().items():

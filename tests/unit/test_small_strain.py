@@ -149,7 +149,8 @@ def test_the_limit_of_a_departure_by_a_power_law_is_that_of_the_refined_mesh(
         assert_allclose(limit.strain, strain, rtol=0.02, atol=0)
 
 
-@pytest.mark.parametrize("bars", [False, pytest.param(True, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("bars", [False, True])
 def test_the_short_way_to_each_load_gives_the_limits_of_the_long_one(
     found: Found, monkeypatch: pytest.MonkeyPatch, *, bars: bool
 ) -> None:
