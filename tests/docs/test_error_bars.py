@@ -50,6 +50,7 @@ def test_what_is_used_of_a_bar_by_hand() -> None:
     assert held(rows, ["a", "b", "c"]) == (3, 4)
 
 
+@pytest.mark.slow
 def test_the_bars_of_a_small_body_hold() -> None:
     """The block under a finger on a mesh twice as coarse as the study's, where the order is about 2."""
     study = load_study(CASES / "contact-size.toml")

@@ -396,7 +396,7 @@ def test_many_mutated_studies_never_break_the_reader(path: Path, data: dict[str,
     attempt(path)
 
 
-@settings(RELAXED, max_examples=150)
+@settings(RELAXED, max_examples=75)
 @given(data=mutated())
 @example(data={**BASE, "regions": {"": {"all": [""]}}})
 @example(data={**BASE, "geometry": 5, "sweep": {"geometry.mesh_size": [1]}})

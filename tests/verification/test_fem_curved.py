@@ -88,6 +88,7 @@ def _check_ball(verified: Verified, levels: tuple[int, ...], caps: tuple[float, 
 
 
 @a_ball
+@pytest.mark.slow
 def test_ball_harmonics_with_their_geometry(verified: Verified) -> None:
     """Order 3, where flat facets have 2 and leave seven times the error for n = 2."""
     _check_ball(verified, (2, 3), (2.5e-3, 9.5e-3, 2.2e-2))

@@ -24,7 +24,7 @@ TOLERANCE = 1e-8
 # Where slivers or fibres take ten digits, both paths are left with a residual of some 1e-10: 2e-7 was seen.
 FLAT, STIFF, TOLERANCE_AT_EXTREMES = 1e5, 1e8, 1e-6
 COARSENINGS = (2.0, 1.5, 1.0)  # of the largest mesh size of a study: the first on which its regions exist
-QUICK = ("quickstart", "locking")
+QUICK = ("locking",)
 PARTS = ("geometry", "tissue", "regions", "constraints", "gravity", "anisotropy", "inclusions")
 
 
