@@ -3,7 +3,7 @@
 # make verify    the long verification runs; their table goes to results/verification.md
 # make docs      the generated parts of the documents, and the site in build/site
 # make baselines REASON="why": accepts the accuracy of the gated studies as it is now
-# make evidence  WHAT=claims|stability|measured|league|calibrations|performance|accuracy|anchors|motion|untuned|candidates|error_bars|vdm_speed|fem_speed|mutants:
+# make evidence  WHAT=claims|stability|measured|league|calibrations|performance|accuracy|ratios|anchors|motion|untuned|candidates|error_bars|vdm_speed|fem_speed|mutants:
 #                measures anew what a documented table shows, in one thread, for minutes to hours
 # Each sets up what it needs: .venv, pinned packages, and the shared libraries of gmsh and VTK.
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 import sys
 import tempfile
 import tomllib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -110,7 +110,22 @@ def _unit(directions: Sequence[Sequence[float]]) -> np.ndarray:
 def row_of(
     body: str, variant: Variant = PRESSED, *, cwd: Path = ROOT, surface: Path | None = None
 ) -> list[str]:
-    """Run what is missing of a body's study in `cwd`, and give its row; a surface is on the organ's bed.
+    """Run what is missing of a body's study in `cwd`, and give its row; a surface is on the organ's bed."""
+    return [
+        body + variant.words,
+        *cells(run_of(body, variant.changes, variant.suffix, cwd=cwd, surface=surface)),
+    ]
+
+
+def run_of(
+    body: str,
+    changes: Callable[[str], dict[str, Any]],
+    suffix: str,
+    *,
+    cwd: Path = ROOT,
+    surface: Path | None = None,
+) -> Run:
+    """A body's study with what `changes` gives for its name, run in `cwd` as far as it is missing.
 
     Raises
     ------
@@ -118,15 +133,15 @@ def row_of(
         a study that did not finish all its cases.
     """
     study = "accuracy-organ" if surface else f"accuracy-{body}"
-    out = cwd / "results" / "runs" / f"accuracy-{body}{variant.suffix}"
+    out = cwd / "results" / "runs" / f"accuracy-{body}{suffix}"
     given = ["--surface", str(surface), "--allow-outside"] if surface else []
     with tempfile.TemporaryDirectory() as name:
         path = Path(name) / "study.toml"
-        path.write_text(overridden((CASES / f"{study}.toml").read_text(), variant.changes(study)))
+        path.write_text(overridden((CASES / f"{study}.toml").read_text(), changes(study)))
         result = vdmbench("run", path, *given, "--out", out, "--json", cwd=cwd, seconds=7200)
     if result.returncode:
         raise RuntimeError(result.stderr)
-    return [body + variant.words, *cells(read_run(out))]
+    return read_run(out)
 
 
 def cells(run: Run) -> Iterator[str]:
