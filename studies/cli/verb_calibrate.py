@@ -89,6 +89,7 @@ def run(options: argparse.Namespace) -> int:
 def _fit_measured(plan: Plan, options: argparse.Namespace) -> int:
     """Print the modulus of each model, fitted on the first measured load, and what it says of the others."""
     from dataclasses import asdict
+    from math import isnan
 
     from ..body.mesh_cache import mesh_from_cache
     from ..evidence.modulus import NothingMeasuredError, fit_modulus
@@ -126,7 +127,7 @@ def _fit_measured(plan: Plan, options: argparse.Namespace) -> int:
                         quantity(fit.uncertainty, "Pa", 2),
                         quantity(fit.trained, fit.unit),
                         quantity(fit.held_out, fit.unit),
-                        percent(fit.held_out / fit.size) if fit.size else "–",
+                        percent(fit.held_out / fit.size) if fit.size > 0.0 else "–",
                         quantity(fit.as_given, fit.unit),
                     ),
                     strict=True,
@@ -135,6 +136,10 @@ def _fit_measured(plan: Plan, options: argparse.Namespace) -> int:
             for fit in fits
         ]
     )
+    if all(isnan(fit.size) for fit in fits):
+        print(
+            "One load was measured, so that nothing is held out: a fit hides a model that is wrong. Measure another."
+        )
     for fit in fits:
         for sentence in fit.untold:
             print(f"{fit.model}: {sentence}.")

@@ -31,7 +31,7 @@ _OPEN = 0.2  # of the modulus
 
 
 class NothingMeasuredError(ValueError):
-    """A study without a measurement to fit, or to try the fit on."""
+    """A study without a measurement to fit."""
 
 
 @dataclass(frozen=True)
@@ -62,24 +62,13 @@ class Fit:
 
 
 def training(found: Measurement) -> Mask:
-    """(Q,) the quantities to fit: those of the first table's first load; the others of their unit are held out.
-
-    Raises
-    ------
-    NothingMeasuredError
-        nothing is left to try the fit on.
-    """
+    """(Q,) the quantities to fit: those of the first table's first load; the others of their unit are held out."""
     first = found.quantities[0]
 
     def load_of(one: Quantity) -> tuple[object, ...]:
         return one.table, one.step, "" if math.isnan(one.depth) else one.depth
 
-    mine = [load_of(one) == load_of(first) for one in found.quantities]
-    if all(is_mine or one.unit != first.unit for is_mine, one in zip(mine, found.quantities, strict=True)):
-        raise NothingMeasuredError(
-            "one load of one table was measured, so that a fit could be tried on nothing; measure another load"
-        )
-    return np.array(mine)
+    return np.array([load_of(one) == load_of(first) for one in found.quantities])
 
 
 def fit_modulus(study: Study, mesh: Mesh, name: str) -> Fit:
@@ -88,7 +77,7 @@ def fit_modulus(study: Study, mesh: Mesh, name: str) -> Fit:
     Raises
     ------
     NothingMeasuredError
-        nothing was measured, or nothing would be held out.
+        nothing was measured.
     """
 
     def answer(modulus: float, ratio: float = study.tissue.poisson_ratio) -> Measurement:
@@ -124,6 +113,7 @@ def fit(
     mine = training(start)
     unit = start.quantities[0].unit
     rest = np.array([one.unit == unit for one in start.quantities]) & ~mine
+    tried = rest if rest.any() else mine
     weights = 1.0 / np.maximum([one.uncertainty for one in start.quantities], 1e-9)[mine]
 
     def lack(log: float) -> float:
@@ -138,11 +128,11 @@ def fit(
         told = (
             "no fitted value changes with the modulus: a prescribed movement does not tell it, a force does"
         )
-        return dataclasses.replace(lost, as_given=_rms(start.error(name)[rest]), untold=(told,))
+        return dataclasses.replace(lost, as_given=_rms(start.error(name)[tried]), untold=(told,))
     reach = math.log(FACTOR)
     log = float(minimize_scalar(lack, bounds=(-reach, reach), method="bounded", options={"xatol": _FOUND}).x)
     if abs(log) > reach - 2 * _FOUND:
-        return dataclasses.replace(lost, as_given=_rms(start.error(name)[rest]))
+        return dataclasses.replace(lost, as_given=_rms(start.error(name)[tried]))
     modulus = given * math.exp(log)
     best, beside = (answer(modulus * (1 + step)).simulated[name] for step in (0.0, _STEP))
     slope = (beside - best)[mine] * weights / _STEP
@@ -162,7 +152,7 @@ def fit(
         uncertainty,
         _rms(errors[mine]),
         _rms(errors[rest]),
-        _rms(start.error(name)[rest]),
+        _rms(start.error(name)[tried]),
         _rms(start.values[rest]),
         unit,
         tuple(untold),
@@ -193,4 +183,4 @@ def _of_ratio(change: Array, slope: Array) -> list[str]:
 
 
 def _rms(values: Array) -> float:
-    return float(np.sqrt((values**2).mean()))
+    return float(np.sqrt((values**2).mean())) if len(values) else math.nan

@@ -16,13 +16,14 @@ from .why_not import exact_percent
 GOOD = "Is it good enough?"
 WHY = "Why not?"
 DO = "What to do?"
+MEASURED = "What does the measurement say?"
 INPUTS = "Is the error larger than what is not known of the inputs?"
 USE = "What to use where?"
 LOAD = "Up to which load?"
 WITH = "With which formulation and parameters?"
 COST = "At what cost?"
 SURE = "How sure is this?"
-LEAD = ("", GOOD, WHY, DO, INPUTS)  # what decides; a page shows the others further down
+LEAD = ("", GOOD, MEASURED, WHY, DO, INPUTS)  # what decides; a page shows the others further down
 _KIND = "These are differences between computations. Nothing here was compared with an experiment."
 
 
@@ -40,11 +41,13 @@ def answers(verdict: Verdict) -> tuple[Answer, ...]:
     if not verdict.word:
         found = [
             Answer("", "", (verdict.not_judged,)),
-            _answer(SURE, [*verdict.sureness, *verdict.measured, *inputs_in_words(verdict.inputs)]),
+            _answer(MEASURED, verdict.measured[:1]),
+            _answer(SURE, [*verdict.sureness, *verdict.measured[1:], *inputs_in_words(verdict.inputs)]),
         ]
     else:
         found = [
             Answer(GOOD, verdict.word, tuple(_good_enough(verdict))),
+            _answer(MEASURED, verdict.measured[:1]),
             _answer(WHY, [reason.sentence for reason in verdict.why_not]),
             _answer(DO, [verdict.advice]),
             _answer(INPUTS, inputs_in_words(verdict.inputs)),
@@ -52,7 +55,7 @@ def answers(verdict: Verdict) -> tuple[Answer, ...]:
             _answer(LOAD, _up_to(verdict)),
             _answer(WITH, [*_parameters(verdict), *verdict.motion]),
             _answer(COST, _costs(verdict)),
-            _answer(SURE, [*verdict.sureness, *(verdict.measured or (_KIND,))]),
+            _answer(SURE, [*verdict.sureness, *(verdict.measured[1:] or (_KIND,))]),
         ]
     return tuple(answer for answer in found if answer.sentences)
 

@@ -21,7 +21,7 @@ from vdmbench.scene.scene import SceneError
 from vdmbench.study.config import Study, StudyError, expand, load_study, resolved
 from vdmbench.study.measured_file import MeasuredFileError, read_measured
 from vdmbench.verdict.digest import Digest
-from vdmbench.verdict.sentences import SURE, answers
+from vdmbench.verdict.sentences import LEAD, MEASURED, SURE, answers
 from vdmbench.verdict.verdict import verdict
 
 from .report_runs import icosphere, make_case, make_run
@@ -262,10 +262,14 @@ def test_the_verdict_tells_what_a_measurement_says() -> None:
         told = answers(verdict(Digest(run)))
         (sure,) = (" ".join(answer.sentences) for answer in told if answer.question == SURE)
         assert (without in sure) == (measurement is None)
-    assert (
+        assert [answer.question for answer in told].count(MEASURED) == (measurement is not None)
+    assert sure.endswith("All other errors are differences between computations.")
+    (said,) = (answer.sentences for answer in told if answer.question == MEASURED)
+    assert said == (
         "Against measurement vdm-paper is 0.77 % off (root mean square), within the validation uncertainty in 1 of "
-        "2 values. All other errors are differences between computations."
-    ) in sure
+        "2 values.",
+    )
+    assert MEASURED in LEAD, "the terminal says it too"
 
 
 def test_a_fifo_is_no_table_and_is_not_waited_for(tmp_path: Path) -> None:
