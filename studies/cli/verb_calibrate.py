@@ -138,7 +138,7 @@ def _fit_measured(plan: Plan, options: argparse.Namespace) -> int:
     )
     if all(isnan(fit.size) for fit in fits):
         print(
-            "One load was measured, so that nothing is held out: a fit hides a model that is wrong. Measure another."
+            "One load was measured, so that nothing is held out: a fit hides a wrong model. Measure another."
         )
     for fit in fits:
         for sentence in fit.untold:

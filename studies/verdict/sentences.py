@@ -23,7 +23,7 @@ LOAD = "Up to which load?"
 WITH = "With which formulation and parameters?"
 COST = "At what cost?"
 SURE = "How sure is this?"
-LEAD = ("", GOOD, MEASURED, WHY, DO, INPUTS)  # what decides; a page shows the others further down
+LEAD = ("", GOOD, WHY, DO, MEASURED, INPUTS)  # what decides; a page shows the others further down
 _KIND = "These are differences between computations. Nothing here was compared with an experiment."
 
 
@@ -47,9 +47,9 @@ def answers(verdict: Verdict) -> tuple[Answer, ...]:
     else:
         found = [
             Answer(GOOD, verdict.word, tuple(_good_enough(verdict))),
-            _answer(MEASURED, verdict.measured[:1]),
             _answer(WHY, [reason.sentence for reason in verdict.why_not]),
             _answer(DO, [verdict.advice]),
+            _answer(MEASURED, verdict.measured[:1]),
             _answer(INPUTS, inputs_in_words(verdict.inputs)),
             _answer(USE, _what_to_use(verdict)),
             _answer(LOAD, _up_to(verdict)),
