@@ -1,7 +1,7 @@
 """Forty small faults, one at a time in a copy: which of them the tests of their neighbourhood catch.
 
-`make evidence WHAT=mutants` prints a row for each; ARGS are numbers of rows, by default all. It ends with an error
-where one survives. A fault that the tests let pass needs a test, or was none.
+`make evidence WHAT=mutants` writes docs/evidence/mutants.md, each row as it is known; ARGS are numbers of rows, by
+default all, and the others stay. It ends with an error where one survives: such a fault needs a test, or was none.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ import shutil
 import subprocess
 import sys
 import tempfile
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from queue import Queue
@@ -20,6 +20,8 @@ from typing import NamedTuple
 from tools import marked
 
 ROOT = Path(__file__).parents[1]
+DOCUMENT, PART = ROOT / "docs" / "evidence" / "mutants.md", "mutants"
+SURVIVES = "**survives**"
 COPIED = ("vdm", "fem_reference", "studies", "tests", "tools", "docs", "pyproject.toml")
 COPIED_TOO = ("results/baselines", "results/FORMAT.md")
 JOBS = 2
@@ -195,34 +197,57 @@ def first_failure(tests: Iterable[str], place: Path) -> str:
     return words[0].split()[1] if words else f"pytest ends with {ended.returncode}"
 
 
+def row(mutant: Mutant) -> list[str]:
+    """What was done, as cells of the table."""
+    return [mutant.file, *(f"`{text.strip()}`" if text else "(nothing)" for text in (mutant.old, mutant.new))]
+
+
+def caught_of(text: str) -> dict[Mutant, str]:
+    """Of a table, what caught each fault that is still of the list."""
+    found = {tuple(cells[1:4]): cells[4] for cells in marked.cells(text)[1:]}
+    return {mutant: found[key] for mutant in MUTANTS if (key := tuple(row(mutant))) in found}
+
+
+def table_of(caught: Mapping[Mutant, str]) -> str:
+    """The table of the faults that were tried, and how many of them are caught."""
+    rows = [
+        (f"{number}", *row(mutant), caught[mutant])
+        for number, mutant in enumerate(MUTANTS, 1)
+        if mutant in caught
+    ]
+    survived = sum(cells[-1] == SURVIVES for cells in rows)
+    return (
+        marked.table(("no.", "file", "was", "became", "caught by"), rows)
+        + f"\n{len(rows) - survived} of {len(rows)} are caught.\n"
+    )
+
+
 def main() -> None:
-    """A row as each is known, then what survived."""
+    """Writes each row as it is known, in the order of the list."""
     numbers = [int(word) for word in sys.argv[1:]] or range(1, len(MUTANTS) + 1)
+    tried = [MUTANTS[number - 1] for number in numbers]
+    caught = caught_of(marked.shown(DOCUMENT, PART))
     with tempfile.TemporaryDirectory() as name:
         places: Queue[Path] = Queue()
         for number in range(JOBS):
             (Path(name) / f"{number}").mkdir()
             places.put(copied(Path(name) / f"{number}"))
-        tests = sorted({test for number in numbers for test in MUTANTS[number - 1].tests.split()})
+        tests = sorted({test for mutant in tried for test in mutant.tests.split()})
         if broken := first_failure(tests, Path(name) / "0"):
             sys.exit(f"{broken} fails without a fault: mend it first")
 
-        def row(number: int) -> tuple[str, ...]:
+        def catch(mutant: Mutant) -> str:
             place = places.get()
-            found = failed(MUTANTS[number - 1], place)
+            found = failed(mutant, place)
             places.put(place)
-            mutant = MUTANTS[number - 1]
-            old, new = (f"`{text.strip()}`" if text else "(nothing)" for text in (mutant.old, mutant.new))
-            cells = (f"{number}", mutant.file, old, new, found.partition("[")[0] or "**survives**")
-            print(" | ".join(cells), file=sys.stderr, flush=True)
-            return cells
+            return found.partition("[")[0] or SURVIVES
 
         with ThreadPoolExecutor(JOBS) as pool:
-            rows = list(pool.map(row, numbers))
-    print(marked.table(("no.", "file", "was", "became", "caught by"), rows), end="")
-    survived = sum("survives" in cells[-1] for cells in rows)
-    print(f"\n{len(rows) - survived} of {len(rows)} are caught.")
-    sys.exit(1 if survived else 0)
+            for mutant, found in zip(tried, pool.map(catch, tried), strict=True):
+                caught[mutant] = found
+                marked.show(DOCUMENT, PART, table_of(caught))
+                print(MUTANTS.index(mutant) + 1, mutant.file, found, flush=True)
+    sys.exit(any(caught[mutant] == SURVIVES for mutant in tried))
 
 
 if __name__ == "__main__":
