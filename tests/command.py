@@ -79,6 +79,7 @@ def vdmbench(*arguments: str | Path, cwd: Path, **environment: str) -> subproces
     assert "--scheduler" not in words
     output, complaints = io.StringIO(), io.StringIO()
     with (
+        own_signals(),  # of a fixture of a session or a module those of the test come too late
         contextlib.chdir(cwd),
         contextlib.redirect_stdout(output),
         contextlib.redirect_stderr(complaints),
@@ -92,6 +93,20 @@ def vdmbench(*arguments: str | Path, cwd: Path, **environment: str) -> subproces
             code = ended.code
     assert isinstance(code, int), words
     return _harmless(subprocess.CompletedProcess(words, code, output.getvalue(), complaints.getvalue()))
+
+
+@contextlib.contextmanager
+def own_signals() -> Iterator[None]:
+    """The command leaves its own answers to signals, and to errors that nobody can catch: those of before."""
+    numbers = (signal.SIGINT, signal.SIGHUP, signal.SIGTERM, signal.SIGALRM)
+    before = {number: signal.getsignal(number) for number in numbers}
+    hook = sys.unraisablehook
+    try:
+        yield
+    finally:
+        sys.unraisablehook = hook
+        for number, answer in before.items():
+            signal.signal(number, answer)
 
 
 @contextlib.contextmanager

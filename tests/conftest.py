@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import fcntl
 import os
-import signal
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
 import vdmbench
+from tests.command import own_signals
 from tests.command import vdmbench as command
 from vdmbench.body import imported
 from vdmbench.body.mesh_file import check_readable
@@ -30,14 +29,9 @@ pytest_plugins = ["tests.verification.records"]
 
 @pytest.fixture(autouse=True)
 def _own_signals() -> Iterator[None]:
-    """The command, where a test calls it in this process, leaves its own answers to signals."""
-    numbers = (signal.SIGINT, signal.SIGHUP, signal.SIGTERM, signal.SIGALRM)
-    before = {number: signal.getsignal(number) for number in numbers}
-    hook = sys.unraisablehook
-    yield
-    sys.unraisablehook = hook
-    for number, answer in before.items():
-        signal.signal(number, answer)
+    """Where a test calls the command in this process."""
+    with own_signals():
+        yield
 
 
 @pytest.fixture
