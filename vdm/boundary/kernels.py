@@ -13,6 +13,7 @@ import numpy as np
 
 from solver_common.arrays import Array, Index
 from solver_common.quadrature import facet_quadrature
+from vdm.boundary.far import far_row
 from vdm.boundary.jit import compiled
 from vdm.boundary.plane import add_near, graded
 from vdm.boundary.quadrature import Rule, sixteen_points, three_points, touching
@@ -58,22 +59,26 @@ def add_rule(table, lower, upper, p, q, m, n, i, j, total):
     cx, cy, cz = q[j[1], 0] - q[j[0], 0], q[j[1], 1] - q[j[0], 1], q[j[1], 2] - q[j[0], 2]
     dx, dy, dz = q[j[2], 0] - q[j[0], 0], q[j[2], 1] - q[j[0], 1], q[j[2], 2] - q[j[0], 2]
     sx, sy, sz = q[j[0], 0] - p[i[0], 0], q[j[0], 1] - p[i[0], 1], q[j[0], 2] - p[i[0], 2]
+    nx, ny, nz, mx, my, mz = n[0], n[1], n[2], m[0], m[1], m[2]
     xx = yy = zz = xy = xz = yz = g0 = g1 = g2 = f0 = f1 = f2 = 0.0
-    for k in range(lower, upper):
-        x1, x2, y1, y2 = table[0, k], table[1, k], table[2, k], table[3, k]
+    # contiguous parts, counted from zero: else the compiler does not take several points at once
+    first, second, third = table[0][lower:upper], table[1][lower:upper], table[2][lower:upper]
+    fourth, weights = table[3][lower:upper], table[4][lower:upper]
+    for k in range(len(weights)):
+        x1, x2, y1, y2 = first[k], second[k], third[k], fourth[k]
         rx = sx + y1 * cx + y2 * dx - x1 * ax - x2 * bx
         ry = sy + y1 * cy + y2 * dy - x1 * ay - x2 * by
         rz = sz + y1 * cz + y2 * dz - x1 * az - x2 * bz
         square = rx * rx + ry * ry + rz * rz
-        w = table[4, k] / (square * np.sqrt(square))
+        w = weights[k] / (square * np.sqrt(square))
         xx += w * rx * rx
         yy += w * ry * ry
         zz += w * rz * rz
         xy += w * rx * ry
         xz += w * rx * rz
         yz += w * ry * rz
-        g = w * (rx * n[0] + ry * n[1] + rz * n[2])
-        f = w * (rx * m[0] + ry * m[1] + rz * m[2])
+        g = w * (rx * nx + ry * ny + rz * nz)
+        f = w * (rx * mx + ry * my + rz * mz)
         g0 += g
         g1 += g * y1
         g2 += g * y2
@@ -173,37 +178,82 @@ def _space():
 
 
 @compiled
-def all_pairs(mesh, rules, of_identity, of_kelvin, single, double):
-    """Fill V (3F, 3F) = `of_identity` tr(B) I + `of_kelvin` B, and add Laplace's K to `double` (F, N)."""
-    triangles, areas = mesh[1], mesh[3]
+def all_pairs(mesh, points, rules, of_identity, of_kelvin, single, laplace, double):
+    """Fill V = `of_identity` tr(B) I + `of_kelvin` B and tr(B) below the diagonal; add Laplace's K to `double`.
+
+    V (3F, 3F), tr(B) (F, F), K (F, N). `points` (3, 3, F) are those of `vdm.boundary.far`.
+    """
+    _, triangles, normals, areas, centres, radii, _ = mesh
+    across = np.ascontiguousarray(normals.T)
+    totals = np.zeros((COUNT, len(triangles)))
     space = _space()
-    total = space[-1]
     for f in range(len(triangles)):
+        far_row(f, points, across, totals)
+        x, y, z = centres[f, 0], centres[f, 1], centres[f, 2]
         for g in range(f + 1):
-            integrate_pair(mesh, f, g, rules, space)
+            # without a view of a row, which takes longer than all else here
+            a, b, c = centres[g, 0] - x, centres[g, 1] - y, centres[g, 2] - z
+            reach = FAR * (radii[f] + radii[g])
+            if a * a + b * b + c * c <= reach * reach:
+                integrate_pair(mesh, f, g, rules, space)
+                totals[:, g] = space[-1]
+        for g in range(f + 1):
             both = areas[f] * areas[g]
-            trace = both * of_identity * (total[0] + total[1] + total[2])
-            for i in range(3):
-                for j in range(3):
-                    entry = both * of_kelvin * total[i if i == j else i + j + 2]
-                    if i == j:
-                        entry += trace
-                    single[3 * f + i, 3 * g + j] = entry
-                    single[3 * g + i, 3 * f + j] = entry
-            if f != g:
-                for a in range(3):
-                    double[f, triangles[g, a]] += both * total[6 + a]
-                    double[g, triangles[f, a]] += both * total[9 + a]
+            trace = both * (totals[0, g] + totals[1, g] + totals[2, g])
+            laplace[f, g] = trace
+            trace *= of_identity
+            both *= of_kelvin
+            xy, xz, yz = both * totals[3, g], both * totals[4, g], both * totals[5, g]
+            single[3 * f, 3 * g] = trace + both * totals[0, g]
+            single[3 * f, 3 * g + 1] = xy
+            single[3 * f, 3 * g + 2] = xz
+            single[3 * f + 1, 3 * g] = xy
+            single[3 * f + 1, 3 * g + 1] = trace + both * totals[1, g]
+            single[3 * f + 1, 3 * g + 2] = yz
+            single[3 * f + 2, 3 * g] = xz
+            single[3 * f + 2, 3 * g + 1] = yz
+            single[3 * f + 2, 3 * g + 2] = trace + both * totals[2, g]
+        for g in range(f):
+            both = areas[f] * areas[g]
+            for a in range(3):
+                double[f, triangles[g, a]] += both * totals[6 + a, g]
+                double[g, triangles[f, a]] += both * totals[9 + a, g]
 
 
 @compiled
-def some_pairs(mesh, rows, columns, rules, values):
-    """Write the first nine integrals of the facets `rows` (m,) with `columns` (n,) to `values` (m, n, 9)."""
-    areas = mesh[3]
-    space = _space()
-    total = space[-1]
-    for k in range(len(rows)):
-        for n in range(len(columns)):
-            integrate_pair(mesh, rows[k], columns[n], rules, space)
-            for c in range(9):
-                values[k, n, c] = areas[rows[k]] * areas[columns[n]] * total[c]
+def mirror(matrix, into):
+    """Write a symmetric matrix (n, n), given on and below its diagonal, to `into`, which may be itself."""
+    n, size = len(matrix), 64
+    for top in range(0, n, size):
+        for left in range(0, top + 1, size):
+            for i in range(top, min(top + size, n)):
+                for j in range(left, min(left + size, i + 1)):
+                    into[i, j] = into[j, i] = matrix[i, j]
+
+
+@compiled
+def add_square(matrix, vector):
+    """Add v v^T (n,) to a matrix (n, n), below the diagonal."""
+    for i in range(len(vector)):
+        for j in range(i + 1):
+            matrix[i, j] += vector[i] * vector[j]
+
+
+@compiled
+def interleave(double, smooth, matrix):
+    """Fill B (F, 3, N, 3) = K I - e_ijk s_k / (4 pi) of K (F, N) and three s_k (F, N)."""
+    n_facets, n_nodes = double.shape
+    share = 0.25 / np.pi
+    x, y, z = smooth
+    for f in range(n_facets):
+        for n in range(n_nodes):
+            own, a, b, c = double[f, n], share * x[f, n], share * y[f, n], share * z[f, n]
+            matrix[f, 0, n, 0] = own
+            matrix[f, 0, n, 1] = -c
+            matrix[f, 0, n, 2] = b
+            matrix[f, 1, n, 0] = c
+            matrix[f, 1, n, 1] = own
+            matrix[f, 1, n, 2] = -a
+            matrix[f, 2, n, 0] = -b
+            matrix[f, 2, n, 1] = a
+            matrix[f, 2, n, 2] = own
