@@ -9,6 +9,7 @@ from numpy.testing import assert_allclose
 from tests.unit.vdm_shapes import halved, icosphere, octahedron, torus
 from vdm import Load, Model, Parameters, SolverError, SurfaceMesh
 from vdm.deformed import DeformableSurface
+from vdm.formulations.boundary import DenseFactor
 from vdm.solvers import SOLVERS
 from vdm.solvers.anderson import Anderson
 from vdm.solvers.krylov import KrylovSolver
@@ -529,3 +530,15 @@ def test_a_penalty_is_that_of_equations_25_and_26(method):
     expected = np.linalg.solve(matrix, right)[:-1, None] * BODY.normals
     found = body.solve([load]).displacement[0]
     assert_allclose(found, expected, rtol=0.0, atol=1e-10 * np.abs(expected).max())
+
+
+@pytest.mark.parametrize("most", [0, 60])
+def test_a_dense_factor_solves_one_and_many_loads_by_its_inverse_and_without(most, monkeypatch):
+    monkeypatch.setattr("vdm.formulations.boundary.INVERTED", most)
+    half = np.random.default_rng(5).standard_normal((40, 40))
+    matrix = half @ half.T + 40.0 * np.eye(40)
+    factor = DenseFactor(matrix.copy())
+    loads = np.random.default_rng(6).standard_normal((40, 3))
+    # a condition of ten: rounding
+    assert_allclose(matrix @ factor.solve(loads), loads, rtol=0.0, atol=1e-13)
+    assert_allclose(matrix @ factor.solve(loads[:, 1]), loads[:, 1], rtol=0.0, atol=1e-13)
