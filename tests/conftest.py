@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import fcntl
+import gc
 import os
 from collections.abc import Iterator
 from pathlib import Path
@@ -25,6 +26,11 @@ if Path(vdmbench.__file__).resolve().parent != ROOT / "studies":
     )
 
 pytest_plugins = ["tests.verification.records"]
+
+
+def pytest_collection_finish() -> None:
+    """Five thousand tests and what they load stay to the end: no look for garbage goes through them again."""
+    gc.freeze()
 
 
 @pytest.fixture(autouse=True)
