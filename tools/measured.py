@@ -14,9 +14,10 @@ from typing import Any
 
 from tests.command import vdmbench_process as vdmbench
 from tools import marked
+from vdmbench.measures.case import Run
 from vdmbench.report.blocks import Table
 from vdmbench.report.section_measurement import against_measurement
-from vdmbench.store.cases import Run, read_run
+from vdmbench.store.cases import read_run
 from vdmbench.study.config import load_study
 from vdmbench.study.registry import missing
 from vdmbench.study.shipped import study_path

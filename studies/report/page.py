@@ -26,9 +26,7 @@ from .section_doubts import doubts
 from .section_errors import error_against_load, error_against_parameters
 from .section_fibres import anisotropy_of_the_response
 from .section_force import force_against_indentation
-from .section_inputs import inputs
 from .section_limits import small_strain_limits
-from .section_measurement import against_measurement
 from .section_measures import all_measures
 from .section_scene import scene
 from .section_stability import numerical_stability
@@ -46,7 +44,8 @@ _MARGIN = 50_000  # markup around the viewer's data
 Make = Callable[[Digest], Section | None]
 
 # the order of the page; a section that has nothing to say returns None. The viewer comes after SECTIONS_BEFORE,
-# what other files `section_NAME.py` have in their SECTIONS after SECTIONS_AFTER, and the APPENDIX last
+# then what other files `section_NAME.py` have in their SECTIONS_FIRST; what they have in their SECTIONS comes after
+# SECTIONS_AFTER, and the APPENDIX last
 SECTIONS_BEFORE: tuple[Make, ...] = (
     headline.headline,
     mesh_convergence,
@@ -54,8 +53,6 @@ SECTIONS_BEFORE: tuple[Make, ...] = (
     error_against_load,
 )
 SECTIONS_AFTER: tuple[Make, ...] = (
-    against_measurement,
-    inputs,
     force_against_indentation,
     volume_drift,
     numerical_stability,
@@ -68,9 +65,14 @@ APPENDIX: tuple[Make, ...] = (case_table, doubts, failures, provenance, how_to_r
 
 
 @cache
-def _further_sections() -> tuple[Make, ...]:
+def _further_sections(place: str) -> tuple[Make, ...]:
     found = load_all("vdmbench.report", "section_")
-    return tuple(make for module in found for make in getattr(module, "SECTIONS", ()))
+    return tuple(make for module in found for make in getattr(module, place, ()))
+
+
+def _after() -> tuple[Make, ...]:
+    """What comes after the viewer."""
+    return (*_further_sections("SECTIONS_FIRST"), *SECTIONS_AFTER, *_further_sections("SECTIONS"), *APPENDIX)
 
 
 def write_picture(run: Run, path: Path) -> None:
@@ -111,15 +113,16 @@ def page_html(run: Run, render: Renderer) -> str:
 
 def every_section(digest: Digest) -> list[Section]:
     """All that has something to say, but for the viewer."""
-    makers = (*SECTIONS_BEFORE, *SECTIONS_AFTER, *_further_sections(), *APPENDIX)
+    makers = (*SECTIONS_BEFORE, *_after())
     with np.errstate(all="ignore"):
         return [section for make in makers if (section := make(digest))]
 
 
 def _page_html(digest: Digest, render: Renderer) -> str:
     run, told, drawn = digest.run, answers(verdict(digest)), scene(digest)
-    last = (*SECTIONS_AFTER, *_further_sections(), *APPENDIX)
-    before, after = ([written(s) for make in part if (s := make(digest))] for part in (SECTIONS_BEFORE, last))
+    before, after = (
+        [written(s) for make in part if (s := make(digest))] for part in (SECTIONS_BEFORE, _after())
+    )
 
     def page(sections: list[Written]) -> str:
         return html_document(

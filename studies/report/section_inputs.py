@@ -118,3 +118,6 @@ def _indices(digest: Digest, spread: InputSpread, name: str) -> Table:
     ]
     marks = [digest.colour(model) if model in digest.models else None for model in spread.models]
     return Table(name, "", columns, rows, marks=marks)
+
+
+SECTIONS_FIRST = (inputs,)

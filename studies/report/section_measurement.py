@@ -216,3 +216,6 @@ def _curves(digest: Digest, _: CaseResult, found: Measurement, number: int) -> l
         heading = f"Force of {name} against depth, measured (bars: ± u_D) and simulated"
         figures.append(Figure(plot.drawn(f"{heading}: {listed(described)}."), heading))
     return figures
+
+
+SECTIONS_FIRST = (against_measurement,)

@@ -7,8 +7,6 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from scipy import sparse
-from scipy.sparse import csgraph
 
 from solver_common.arrays import Array, Index, Mask
 
@@ -90,12 +88,14 @@ def _apart(support: Mask, triangles: Index) -> Mask:
     """(N,) held nodes that no edges between held nodes join to a held facet."""
     ends = triangles[:, [0, 1, 2, 1, 2, 0]].reshape(-1, 2, 3).transpose(0, 2, 1).reshape(-1, 2)
     ends = ends[support[ends].all(axis=1)]
-    count = len(support)
-    graph = sparse.coo_array((np.ones(len(ends)), (ends[:, 0], ends[:, 1])), shape=(count, count))
-    part = csgraph.connected_components(graph, directed=False)[1]
-    joined = np.zeros(count, dtype=bool)
-    joined[part[triangles[support[triangles].all(axis=1)]]] = True
-    return np.asarray(support & ~joined[part])
+    joined = np.zeros(len(support), dtype=bool)
+    joined[triangles[support[triangles].all(axis=1)]] = True
+    found = -1
+    while found < (
+        found := np.count_nonzero(joined)
+    ):  # from neighbour to neighbour; scipy costs each report its start
+        joined[ends[joined[ends].any(axis=1)]] = True
+    return np.asarray(support & ~joined)
 
 
 def _lone(count: int) -> str:
