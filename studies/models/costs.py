@@ -81,6 +81,11 @@ def mujoco(size: Size, _solver: str, _loads: int) -> Cost:
     return Cost(1.0 + 3e-5 * size.tetrahedra, 1.5e-3 * size.tetrahedra, 2e8 + 5e4 * size.tetrahedra)
 
 
+def newton(size: Size, _solver: str, _loads: int) -> Cost:
+    """Of Newton's VBD, some thousand of its steps, and a process with the engine that compiles itself once."""
+    return Cost(5.0 + 3e-4 * size.tetrahedra, 2e-2 * size.tetrahedra, 6e8 + 5e4 * size.tetrahedra)
+
+
 def ngsolve(size: Size, solver: str, _loads: int) -> Cost:
     """Of NGSolve's mixed elements, a factor each iteration, and a process with the engine."""
     from fem_reference.costs import lu_seconds, superlu_bytes

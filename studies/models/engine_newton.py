@@ -17,7 +17,7 @@ import numpy as np
 import warp as wp
 
 SWEEPS = 20  # over all points in a time step
-MOST_STEPS = 4000  # of one time step
+MOST_STEPS = 4000  # of one load step
 STILL, CALM = 2e-6, 20  # change in a step over the largest displacement; steps of which each changes less
 ROUNDING = 2.0**-22  # of the largest coordinate: two of the last digit, which go up and down at rest
 SAME, MOST_HALVINGS = 5e-4, 6  # change of the rest by a halved time step, likewise
@@ -81,7 +81,7 @@ class _Body:
             state.particle_qd.zero_()
         taken, duration, last = 0, self.duration, None
         for _ in range(MOST_HALVINGS):
-            moved, steps = self._come_to_rest(pull, duration)
+            moved, steps = self._come_to_rest(pull, duration, MOST_STEPS - taken)
             taken += steps
             if not steps:
                 self.states[0].particle_q.assign(self.rest)
@@ -91,11 +91,11 @@ class _Body:
             last, duration = moved, duration / 2.0
         return moved, 0
 
-    def _come_to_rest(self, pull: Any, duration: float) -> tuple[Any, int]:
+    def _come_to_rest(self, pull: Any, duration: float, most: int) -> tuple[Any, int]:
         """The same with one time step; at each peak of the kinetic energy all points are stopped."""
         control = self.model.control()
         moved, energy, calm = self.states[0].particle_q.numpy() - self.rest, 0.0, 0
-        for step in range(1, MOST_STEPS + 1):
+        for step in range(1, most + 1):
             now, then = self.states
             now.clear_forces()
             now.particle_f.assign(pull)

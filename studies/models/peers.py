@@ -1,4 +1,4 @@
-"""Engines of others, from their wheels: MuJoCo's flex, and NGSolve's mixed elements as a second reference.
+"""Engines of others, from their wheels: MuJoCo's flex, Newton's VBD, and NGSolve's elements as a second reference.
 
 Each solve runs a file `engine_NAME.py` in a process of its own, which gets and gives arrays: what the engine
 prints, holds or breaks stays there. Without its wheel a model is refused by name.
@@ -18,20 +18,20 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..scene.as_mjcf import FORCE_UNIT, TAKES, mjcf
-from ..scene.handout import cannot_express, hand_out
+from ..scene.handout import Handout, cannot_express, hand_out
 from ..scene.scene import Scene, SurfaceLoad
 from ..study.registry import missing
 from . import costs
 from .elements import fem_loads
 from .model import Model, SetUp, register
-from .saint_venant import State, state
+from .tetrahedra import Law, State, moduli_of, saint_venant, stable_neo_hookean, state
 
 if TYPE_CHECKING:
     from solver_common.solution import Solution, Status
 
 Arrays = dict[str, Any]
 MOST_SECONDS = 3600.0
-MOST_UNBALANCED = 1e-3  # of MuJoCo's answer, by its own law, over the forces of load and support
+MOST_UNBALANCED = 1e-3  # of an engine's answer, by its own law, over the forces of load and support
 _HERE = Path(__file__).parent
 
 
@@ -65,62 +65,95 @@ def _require(name: str) -> None:
 
 
 def _mujoco(scene: Scene, solver: str, name: str, n_loads: int) -> SetUp:  # noqa: ARG001
-    _require(name)
-    body = hand_out(scene, scene.load(1.0))
-    if why := cannot_express(body, TAKES):
-        raise ValueError(f"{name}: {why}")
-    # a force that rounding of the points' coordinates makes
-    least = 1e-15 * body.youngs_modulus * np.ptp(body.mesh.points, axis=0).max() ** 2
-    text, surface = mjcf(body, loaded=False), scene.mesh.surface_nodes
+    body = _expressed(scene, name)
+    text = mjcf(body, loaded=False)
 
     def solve(loads: Sequence[SurfaceLoad]) -> Solution:
-        from solver_common.solution import Solution
-
         parts = [hand_out(scene, load) for load in loads]
-        found = call(
-            "mujoco",
-            {
-                "scene": np.array(text),
-                "force": np.array([part.force for part in parts]) / FORCE_UNIT,
-                "displacement": np.array([part.displacement for part in parts]),
-            },
-        )
-        needed = [
-            state(scene.mesh, u, scene.tissue.youngs_modulus, scene.tissue.poisson_ratio)
-            for u in found["displacement"]
-        ]
-        given = [one.force - part.whole_force for part, one in zip(parts, needed, strict=True)]
-        loose = [
-            np.abs(gap[~body.held]).max() / max(np.abs(one.force).max(), least)
-            for gap, one in zip(given, needed, strict=True)
-        ]
-        reaction = [np.where(body.held[:, None], gap, 0.0)[surface] for gap in given]
-        return Solution(
-            displacement=found["displacement"][:, surface],
-            fluid_pressure=np.array([one.pressure for one in needed]),
-            reaction_force=np.array(reaction),
-            energy=np.array([one.energy for one in needed]),
-            iterations=found["iterations"],
-            status=tuple(map(_at_rest, found["iterations"].tolist(), loose, needed)),
-            seconds_setup=float(found["setup"]),
-            seconds_per_step=found["seconds"],
-            parameters=_parameters(scene, found),
-            scalars={"relative_residual": np.array(loose)},
-        )
+        force = np.array([part.force for part in parts]) / FORCE_UNIT
+        moved = np.array([part.displacement for part in parts])
+        found = call("mujoco", {"scene": np.array(text), "force": force, "displacement": moved})
+        return _rested(scene, parts, found, saint_venant, "MuJoCo")
 
     return SetUp(solve)
 
 
-def _at_rest(steps: int, loose: float, reached: State) -> Status:
+def _newton(scene: Scene, solver: str, name: str, n_loads: int) -> SetUp:  # noqa: ARG001
+    body = _expressed(scene, name)
+    mu, lame = moduli_of(body.youngs_modulus, body.poisson_ratio)
+    edges = np.diff(body.mesh.points[body.mesh.tetrahedra[:, :2]], axis=1)
+    # in which a wave of shear and stretch passes an edge
+    duration = np.linalg.norm(edges, axis=2).mean() * np.sqrt(body.density / body.youngs_modulus)
+    given = {
+        "points": body.mesh.points,
+        "tetrahedra": body.mesh.tetrahedra,
+        "held": body.held,
+        "mu": np.array(mu),
+        "lame": np.array(lame),
+        "density": np.array(body.density),
+        "duration": np.array(duration),
+    }
+
+    def solve(loads: Sequence[SurfaceLoad]) -> Solution:
+        parts = [hand_out(scene, load) for load in loads]
+        force = np.array([part.whole_force for part in parts])
+        moved = np.array([part.displacement for part in parts])
+        found = call("newton", {**given, "force": force, "displacement": moved})
+        return _rested(scene, parts, found, stable_neo_hookean, "Newton")
+
+    return SetUp(solve)
+
+
+def _expressed(scene: Scene, name: str) -> Handout:
+    """The body for an engine of linear tetrahedra. Raises SolverError without its wheel, else ValueError."""
+    _require(name)
+    body = hand_out(scene, scene.load(1.0))
+    if why := cannot_express(body, TAKES):
+        raise ValueError(f"{name}: {why}")
+    return body
+
+
+def _rested(scene: Scene, parts: Sequence[Handout], found: Arrays, law: Law, engine: str) -> Solution:
+    """Where an engine came to rest under each load, judged by the forces of its own law."""
+    from solver_common.solution import Solution
+
+    tissue, held, surface = scene.tissue, parts[0].held, scene.mesh.surface_nodes
+    # a force that rounding of the points' coordinates makes
+    least = 1e-15 * tissue.youngs_modulus * np.ptp(scene.mesh.points, axis=0).max() ** 2
+    needed = [
+        state(scene.mesh, u, tissue.youngs_modulus, tissue.poisson_ratio, law) for u in found["displacement"]
+    ]
+    given = [one.force - part.whole_force for part, one in zip(parts, needed, strict=True)]
+    loose = [
+        np.abs(gap[~held]).max() / max(np.abs(one.force).max(), least)
+        for gap, one in zip(given, needed, strict=True)
+    ]
+    reaction = [np.where(held[:, None], gap, 0.0)[surface] for gap in given]
+    steps = found["iterations"].tolist()
+    return Solution(
+        displacement=found["displacement"][:, surface],
+        fluid_pressure=np.array([one.pressure for one in needed]),
+        reaction_force=np.array(reaction),
+        energy=np.array([one.energy for one in needed]),
+        iterations=found["iterations"],
+        status=tuple(_at_rest(engine, *each) for each in zip(steps, loose, needed, strict=True)),
+        seconds_setup=float(found["setup"]),
+        seconds_per_step=found["seconds"],
+        parameters=_parameters(scene, found),
+        scalars={"relative_residual": np.array(loose)},
+    )
+
+
+def _at_rest(engine: str, steps: int, loose: float, reached: State) -> Status:
     from solver_common.solution import CONVERGED, Status
 
     if not steps:
-        return Status("no-rest", "MuJoCo's body burst or did not come to rest", "take smaller loads")
+        return Status("no-rest", f"{engine}'s body burst or did not come to rest", "take smaller loads")
     if not loose <= MOST_UNBALANCED:
-        message = f"MuJoCo's body rests with forces out of balance by {loose:.1e} of the largest"
+        message = f"{engine}'s body rests with forces out of balance by {loose:.1e} of the largest"
         return Status("no-balance", message, "take smaller loads")
     if not reached.least_volume > 0.0:
-        return Status("inside-out", "MuJoCo's body rests with tetrahedra inside out", "take smaller loads")
+        return Status("inside-out", f"{engine}'s body rests with tetrahedra inside out", "take smaller loads")
     return CONVERGED
 
 
@@ -202,6 +235,18 @@ register(
         takes=dict.fromkeys(TAKES, ("linear",)),
         cost=costs.mujoco,
         needs="mujoco",
+    )
+)
+register(
+    _peer(
+        name="newton-vbd",
+        version=_version("1", "newton"),
+        prepare=_newton,
+        solvers=("nonlinear",),
+        superposes=(),
+        takes=dict.fromkeys(TAKES, ("nonlinear",)),
+        cost=costs.newton,
+        needs="newton",
     )
 )
 register(

@@ -193,5 +193,5 @@ def test_every_model_is_in_the_table() -> None:
 
     text = (DOCS / "reference" / "models.md").read_text()
     assert set(
-        re.findall(r"^\| `((?:vdm|fem|mass|mujoco|ngsolve)[a-z0-9-]*)` \|", text, flags=re.MULTILINE)
+        re.findall(r"^\| `((?:vdm|fem|mass|mujoco|newton|ngsolve)[a-z0-9-]*)` \|", text, flags=re.MULTILINE)
     ) == set(all_models())

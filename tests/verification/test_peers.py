@@ -23,7 +23,7 @@ from vdmbench.body.geometry import build_mesh
 from vdmbench.graph.explain import refused
 from vdmbench.graph.plan import make_plan
 from vdmbench.models import peers
-from vdmbench.models.saint_venant import state
+from vdmbench.models.tetrahedra import Law, saint_venant, stable_neo_hookean, state
 from vdmbench.scene.result import ModelResult
 from vdmbench.scene.scene import Scene, build_scene
 from vdmbench.study import registry
@@ -56,7 +56,9 @@ def scene() -> Scene:
 
 
 def needs(wheel: str) -> None:
-    pytest.importorskip(wheel, reason=f"needs {wheel}: pip install '.[peers]'")
+    pytest.importorskip(
+        wheel, reason=f"needs {wheel}: pip install '.[{'newton' if wheel == 'newton' else 'peers'}]'"
+    )
 
 
 def assert_same(ours: ModelResult, theirs: ModelResult, tolerance: float) -> None:
@@ -104,6 +106,18 @@ def test_mujoco_at_small_loads_is_linear_elasticity_on_its_tetrahedra(scene: Sce
     assert_same(ours, theirs, 1e-3)  # its strain is quadratic: micrometres on 60 mm are linear to as much
 
 
+def test_newton_rests_where_the_forces_of_its_law_balance(scene: Scene) -> None:
+    """Its positions have 32 bits, of which the forces have four digits left."""
+    needs("newton")
+    scene = dataclasses.replace(scene, load_factors=np.ones(1))
+    ours, theirs = (models.run_model(scene, name) for name in ("fem-p1", "newton-vbd"))
+    assert all(status.ok for status in theirs.status), theirs.status
+    assert (theirs.scalars["relative_residual"] < 1e-3).all()
+    assert_allclose(theirs.displacement[-1][scene.held], scene.prescribed[scene.held], atol=1e-8)
+    difference = np.abs(theirs.displacement - ours.displacement).max()
+    assert difference < 0.05 * np.abs(ours.displacement).max(), "linear elements of the same tetrahedra"
+
+
 def test_a_body_that_is_crushed_is_told(scene: Scene) -> None:
     needs("mujoco")
     torn = dataclasses.replace(scene, gravity=np.array([0.0, 0.0, -1e5]))
@@ -113,25 +127,30 @@ def test_a_body_that_is_crushed_is_told(scene: Scene) -> None:
     assert np.isnan(result.displacement).all()
 
 
-def test_forces_of_the_law_are_the_slope_of_its_energy(scene: Scene) -> None:
+@pytest.mark.parametrize("law", [saint_venant, stable_neo_hookean])
+def test_forces_of_the_law_are_the_slope_of_its_energy(scene: Scene, law: Law) -> None:
     mesh, rng = scene.mesh, np.random.default_rng(5)
     u = 1e-3 * rng.normal(size=mesh.points.shape)
     way = rng.normal(size=mesh.points.shape)
-    force = state(mesh, u, 5000.0, 0.4).force
+    force = state(mesh, u, 5000.0, 0.4, law).force
     step = 1e-8
-    energies = [state(mesh, u + side * step * way, 5000.0, 0.4).energy for side in (-1.0, 1.0)]
+    energies = [state(mesh, u + side * step * way, 5000.0, 0.4, law).energy for side in (-1.0, 1.0)]
     assert np.vdot(force, way) == pytest.approx((energies[1] - energies[0]) / (2.0 * step), rel=1e-6)
     assert_allclose(force.sum(axis=0), 0.0, atol=1e-12 * np.abs(force).max())
     # all around pressed together by 0.1 %: p = -K tr(strain), to the square of it
     bulk = 5000.0 / (3.0 * (1.0 - 0.8))
-    pressed = state(mesh, -1e-3 * mesh.points, 5000.0, 0.4)
+    pressed = state(mesh, -1e-3 * mesh.points, 5000.0, 0.4, law)
     assert pressed.pressure == pytest.approx(3e-3 * bulk, rel=3e-3)
     assert pressed.least_volume == pytest.approx(0.999**3, rel=1e-9)
-    assert state(mesh, -2.0 * mesh.points * [1.0, 0.0, 0.0], 5000.0, 0.4).least_volume == pytest.approx(-1.0)
-    assert state(mesh, np.zeros_like(u), 5000.0, 0.4).energy == pytest.approx(0.0, abs=1e-20)
+    assert state(mesh, -2.0 * mesh.points * [1.0, 0.0, 0.0], 5000.0, 0.4, law).least_volume == pytest.approx(
+        -1.0
+    )
+    assert state(mesh, np.zeros_like(u), 5000.0, 0.4, law).energy == pytest.approx(
+        0.0, abs=1e-16
+    )  # rounding of 5 kPa over 54 cm3
 
 
-@pytest.mark.parametrize("name", ["mujoco-flex", "ngsolve-p2p1", "ngsolve-p2p1:nonlinear"])
+@pytest.mark.parametrize("name", ["mujoco-flex", "newton-vbd", "ngsolve-p2p1", "ngsolve-p2p1:nonlinear"])
 def test_a_missing_wheel_is_a_named_refusal(
     scene: Scene, name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -139,7 +158,8 @@ def test_a_missing_wheel_is_a_named_refusal(
     result = models.run_model(scene, name)
     assert {status.code for status in result.status} == {models.REFUSED}
     assert "which is not installed" in result.status[0].message
-    assert "pip install 'vdmbench[peers]'" in result.status[0].remedy
+    extra = "newton" if name == "newton-vbd" else "peers"
+    assert f"pip install 'vdmbench[{extra}]'" in result.status[0].remedy
     study = Study.model_validate(STUDY | {"study": {"name": "test", "models": ["fem-p1", name]}})
     plan = make_plan(study, expand(study), tmp_path / "run", tmp_path / "cache")
     (line,) = refused(plan, plan.cases, [])
@@ -183,6 +203,7 @@ def test_a_benchmark_of_all_leaves_them_out() -> None:
     names = json.dumps(models.benched_names())
     assert "fem-linear" in names
     assert "mujoco" not in names
+    assert "newton" not in names
     assert "ngsolve" not in names
 
 
