@@ -242,9 +242,9 @@ register(
         name="newton-vbd",
         version=_version("1", "newton"),
         prepare=_newton,
-        solvers=("nonlinear",),
+        solvers=("linear",),
         superposes=(),
-        takes=dict.fromkeys(TAKES, ("nonlinear",)),
+        takes=dict.fromkeys(TAKES, ("linear",)),
         cost=costs.newton,
         needs="newton",
     )

@@ -90,11 +90,9 @@ def _apart(support: Mask, triangles: Index) -> Mask:
     ends = ends[support[ends].all(axis=1)]
     joined = np.zeros(len(support), dtype=bool)
     joined[triangles[support[triangles].all(axis=1)]] = True
-    found = -1
-    while found < (
-        found := np.count_nonzero(joined)
-    ):  # from neighbour to neighbour; scipy costs each report its start
-        joined[ends[joined[ends].any(axis=1)]] = True
+    # from neighbour to neighbour; scipy would cost each report its start
+    while len(further := ends[joined[ends[:, 0]] != joined[ends[:, 1]]]):
+        joined[further] = True
     return np.asarray(support & ~joined)
 
 

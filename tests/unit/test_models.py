@@ -81,6 +81,8 @@ def test_what_a_name_tells_is_what_the_registry_knows() -> None:
         "fem:linear",
         "mujoco-flex",
         "mujoco-flex:linear",
+        "newton-vbd",
+        "newton-vbd:linear",
     ]
     assert {split(name)[1] for name in names if not is_linear(name)} == {
         "linear",
