@@ -48,7 +48,7 @@ from .growth import growths
 from .timing import LONG, SAMPLES, calls_of_a_sample, median_of_samples, median_seconds
 
 SIZES = (2.6, 2.0, 1.6, 1.3)  # mesh sizes over that of the study: four, for the exponents of growth
-FINER = (1.3, 1.0, 0.7, 0.48)  # the same for the growth of the models below: some 300 to 2,000 nodes
+FINER = (1.3, 1.0, 0.7, 0.5)  # the same for the growth of the models below: some 300 to 1,900 nodes
 GROWN = (
     "vdm-boundary",
     "fem-coarse",

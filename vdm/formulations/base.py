@@ -15,6 +15,7 @@ from vdm.deformed import DeformedSurface, follow
 from vdm.formulations.border import LEVI_CIVITA, Columns, DenseColumns
 from vdm.material import Parameters
 from vdm.solvers.cholesky import Cholesky
+from vdm.solvers.columns import LEFT_OUT
 from vdm.surface import SurfaceMesh
 
 
@@ -60,6 +61,7 @@ class Formulation(ABC):
     name: ClassVar[str]
     components: ClassVar[int]
     has_matrix: bool = True  # whether `stiffness` gives one
+    left_out_far: float = LEFT_OUT  # of a contact's columns far away, see `vdm.solvers.columns`
     turns_as_one: ClassVar[bool] = (
         False  # whether at large displacements one rotation is that of the whole body
     )

@@ -10,7 +10,8 @@ from solver_common.arrays import Array, Index
 
 # radii of the contact from its middle, beyond which the columns of its nodes look alike
 FAR = 4.0
-# what may be left out there, of the largest answer to contact pressures of the same size
+# what may be left out there, of the largest answer to contact pressures of the same size, where the form that the
+# columns are of says no other
 LEFT_OUT = 1e-7
 # the share of the nodes that must be far for a shorter basis to be worth its making
 WORTH = 0.25
@@ -54,7 +55,7 @@ class ContactColumns:
     A frame is a dense product with the columns: d N + 1 values for each contact node. In single precision, which
     halves the memory that a frame reads, the columns are shortened at the second frame: far from the contact they
     look alike, and fewer directions than nodes span them. Both together err by less than 1e-6 of the
-    largest displacement that pressures of the same size can cause.
+    largest displacement that pressures of the same size can cause, or by `left_out` where that is more.
 
     Parameters
     ----------
@@ -62,11 +63,13 @@ class ContactColumns:
         in 32 bits, which are shortened, or in 64 bits, which stay as they are
     points : (N, 3) of the surface
     nodes : (k,) of the contact
+    left_out : largest error of the shortened columns, of the largest answer to pressures of the same size
     """
 
-    def __init__(self, columns: Array, points: Array, nodes: Index) -> None:
+    def __init__(self, columns: Array, points: Array, nodes: Index, left_out: float = LEFT_OUT) -> None:
         self.columns = np.asfortranarray(columns)
         self._points, self._nodes = points, nodes.copy()  # the caller may change its array
+        self._left_out = left_out
         self._frames = 0
         self._short: _Shortened | None = None
 
@@ -102,7 +105,7 @@ class ContactColumns:
         mixes: list[Array] = []
         for part in np.split(far[:-1], components):
             squares, directions = np.linalg.eigh(part.T @ part)
-            kept = np.sqrt(np.cumsum(np.maximum(squares, 0.0))) > LEFT_OUT * largest
+            kept = np.sqrt(np.cumsum(np.maximum(squares, 0.0))) > self._left_out * largest
             bases.append((part @ directions[:, kept]).astype(columns.dtype, order="F"))
             mixes.append(directions[:, kept].T)
         mix: Array = np.asarray(np.concatenate(mixes), dtype=columns.dtype)

@@ -75,7 +75,8 @@ class ContactCompliance:
             self._columns[node] = self._columns.pop(node)
         while len(self._columns) > max(nodes.size, KEPT // (size * columns.itemsize)):
             del self._columns[next(iter(self._columns))]
-        self._active, self._key = ContactColumns(columns, surface.points, nodes), key
+        far = self.problem.formulation.left_out_far
+        self._active, self._key = ContactColumns(columns, surface.points, nodes, far), key
         return self._active
 
     def frame(self, nodes: Index, pressure: Array) -> tuple[Array, float]:
