@@ -8,10 +8,10 @@ factor's size, 8 bytes a non-zero, indices not counted, so that a factor that fi
 the cache. cholespy does not tell its non-zeros; they are those of SuperLU's symmetric minimum degree ordering,
 an upper bound as long as cholespy's ordering is no worse. The paper, the consistent and the vector form of one
 body have the same scalar factor, and its two readings are the bound of iterations and nonlinear steps too,
-which need many. That of a local contact is one reading of its columns, that of the boundary form two of half
-its dense matrix, which is symmetric, and on a coarse body one of half the coarse matrix, an inverse. Memory is
-set against what one factor more takes of the process, its indices and all; the last column is what its library
-takes while it makes that factor.
+which need many. That of a local contact is one reading of its columns, that of the boundary form one of half
+its dense inverse, above 1,000 nodes two of half its factor, of the sparse form one of half the coarse inverse.
+Memory is set against what one factor more takes of the process, its indices and all; the last column is what its
+library takes while it makes that factor. Of the boundary and the sparse form it is the most that the set-up takes.
 
 A set-up goes from points, triangles and a tissue to the factor: checks, the rule for the parameters, assembly.
 """
@@ -36,7 +36,7 @@ from solver_common.arrays import Array, Index, Mask
 from tests.unit.vdm_shapes import icosphere, torus
 from tools import marked
 from vdm import FORMULATIONS, Load, Model, Parameters, SurfaceMesh
-from vdm.formulations.boundary import BoundaryFormulation
+from vdm.formulations.boundary import INVERTED, BoundaryFormulation
 from vdm.formulations.vector import VectorFormulation
 from vdm.problem import Problem, Step
 from vdm.solvers.cholesky import Cholesky
@@ -72,7 +72,7 @@ class Sizes:
 
     levels: int = 5  # of the icosphere: 10,242 nodes
     fine_levels: int = 7  # 163,842 nodes
-    tori: tuple[tuple[int, int], ...] = ((30, 20), (40, 30))  # 600 and 1,200 nodes
+    tori: tuple[tuple[int, int], ...] = ((40, 25), (50, 40))  # 1,000 and 2,000 nodes
     contact: int = 50
     repeats: int = 101
     slow_repeats: int = 3
@@ -146,7 +146,7 @@ def ball(formulation: str, levels: int, solver: str = "linear") -> Model:
 
 def set_up_on(points: Array, triangles: Index, formulation: str, solver: str = "linear") -> Model:
     """The model of a surface whose lowest part is held."""
-    fixed = points[:, 2] < -0.9 * RADIUS
+    fixed = points[:, 2] < 0.9 * points[:, 2].min()
     parameters = partial(tissue, formulation=formulation, held=fixed)
     return Model(points, triangles, parameters, formulation=formulation, fixed=fixed, solver=solver)
 
@@ -312,23 +312,32 @@ def history_rows(sizes: Sizes) -> Iterator[Row]:
 
 
 def boundary_rows(sizes: Sizes) -> Iterator[Row]:
-    """Set-up and a frame of the dense form, on tori."""
+    """The dense form on tori, the sparse form on a ball."""
     for n, m in sizes.tori:
-        points, triangles = torus(n=n, m=m)
-        parameters = Parameters(shear_modulus=1667.0)
-        seconds = []
-        for _ in range(sizes.slow_repeats):
-            start = time.thread_time()
-            model = Model(points, triangles, parameters, formulation="boundary", fixed=points[:, 2] < -0.015)
-            seconds.append(time.thread_time() - start)
-        form = model.formulation
-        assert isinstance(form, BoundaryFormulation)
-        # a dense Cholesky factor is read twice
-        bound = 2 * reading_seconds(form.matrix.nbytes // 2, sizes.repeats)
-        load = Load(100.0 * np.random.default_rng(3).random(len(points)))
-        frame = timed(partial(model.solver.step, load), sizes.repeats)
-        for what, taken in (("set-up", np.array(seconds)), ("linear step, every node loaded", frame)):
-            yield Row(f"{what}, boundary", len(points), taken, float(np.median(taken)) / bound)
+        yield from rows_of_integrals("boundary", sizes, *torus(n=n, m=m))
+    yield from rows_of_integrals("sparse", sizes, *icosphere(sizes.levels, (RADIUS, RADIUS, RADIUS)))
+
+
+def rows_of_integrals(formulation: str, sizes: Sizes, points: Array, triangles: Index) -> Iterator[Row]:
+    """Set-up with its memory and frames of a form of boundary integrals."""
+    ball(formulation, 2)  # compiles what is compiled at its first call
+    before = reset_peak()
+    model = set_up_on(points, triangles, formulation)
+    peak = peak_bytes_since(before) / 1e9
+    again = partial(set_up_on, points, triangles, formulation)
+    seconds = np.array([timed_once(again) for _ in range(sizes.slow_repeats)])
+    form = model.formulation
+    assert isinstance(form, BoundaryFormulation)
+    # of a matrix one half is read: of an inverse once, of a factor twice
+    size = 3 * form.n_coarse
+    readings = 1 if formulation == "sparse" or size <= INVERTED else 2
+    bound = readings * reading_seconds(BYTES_PER_NONZERO * size * size // 2, sizes.repeats)
+    load = Load(100.0 * np.random.default_rng(3).random(len(points)))
+    frame = timed(partial(model.solver.step, load), sizes.repeats)
+    what = f"set-up, {peak:.2f} GB at its peak"
+    for name, taken in ((what, seconds), ("linear step, every node loaded", frame)):
+        yield Row(f"{name}, {formulation}", len(points), taken, float(np.median(taken)) / bound)
+    yield from contact_rows(model, sizes)
 
 
 def rows_of(sizes: Sizes) -> Iterator[Row]:
