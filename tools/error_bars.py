@@ -76,9 +76,6 @@ holds where it is at least the distance of its number from the best estimate: th
 Richardson's extrapolation of the three levels gives, by the order observed. "Used" is that distance over the bar:
 at most 1 where it holds. Cases are numbered from 1, as `vdmbench plan` lists them.
 """
-EARLIER = """Cases with * were solved by an earlier program: version 11 of `vdm-boundary`, and smooth contacts whose
-resultant changed a little with the mesh.
-"""
 
 
 @dataclass(frozen=True)
@@ -217,7 +214,7 @@ def document(rows: Sequence[Mapping[str, Any]]) -> str:
     by_case = [
         [
             row["study"],
-            f"{row['case']} *" if row.get("earlier") else str(row["case"]),
+            str(row["case"]),
             f"{1e3 * row['mesh_size']:g} mm",
             f"± {percent(row['bar'])}",
             f"{row['order']:.2f} / {row['order_deformation']:.2f}",
@@ -238,7 +235,6 @@ def document(rows: Sequence[Mapping[str, Any]]) -> str:
     head = ["study", "case", "mesh", "bar", "order", "used by the reference's own mesh", "used at most"]
     return (
         HEAD
-        + (EARLIER if any(row.get("earlier") for row in rows) else "")
         + "\nThe two errors, displacement / deformation, but for the bar, which is the displacement's:\n\n"
         + marked.table(head, by_case)
         + "\nOf the reference on the study's own mesh the error is its own alone: its bars hold in "

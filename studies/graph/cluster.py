@@ -182,7 +182,8 @@ def _connected(address: str, *, insecure: bool) -> Iterator[tuple[Any, str]]:
         import distributed
     except ImportError:
         raise ImportError(f"--scheduler needs Dask, which is not installed: {INSTALL}") from None
-    logging.getLogger("distributed").setLevel(logging.CRITICAL)  # what matters of it is said by an error
+    for name in ("distributed", "tornado.application"):  # what matters of these is said by an error
+        logging.getLogger(name).setLevel(logging.CRITICAL)
     if address.startswith("tls:"):
         _require_certificates(distributed.Security(), address)  # type: ignore[no-untyped-call]
     try:

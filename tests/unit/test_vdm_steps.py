@@ -25,6 +25,13 @@ def model(form: str, **options) -> Model:
     return Model(POINTS, TRIANGLES, rule, formulation=form, fixed=BASE, **options)
 
 
+def on_coarse_nodes() -> Model:
+    """The sparse form of a body with more nodes than it makes dense."""
+    points, triangles = icosphere(3, (0.05, 0.06, 0.045))
+    parameters = Parameters(shear_modulus=1667.0, coarse_nodes=200)
+    return Model(points, triangles, parameters, formulation="sparse", fixed=points[:, 2] < -0.03)
+
+
 def a_load() -> Load:
     """Pressures and forces at all nodes, and displacements of the top."""
     n = len(POINTS)
@@ -35,7 +42,7 @@ def a_load() -> Load:
 @pytest.mark.parametrize("solver", ["linear", "quasi-linear"])
 @pytest.mark.parametrize("form", FORMS)
 def test_a_frame_that_asks_for_nothing_computes_nothing(form, solver, monkeypatch):
-    body = model(form, solver=solver)
+    body = on_coarse_nodes() if (form, solver) == ("sparse", "linear") else model(form, solver=solver)
     seen: list[str] = []
     for name in PRODUCTS:
         original = getattr(type(body.formulation), name)
@@ -45,7 +52,7 @@ def test_a_frame_that_asks_for_nothing_computes_nothing(form, solver, monkeypatc
             return original(self, *arguments)
 
         monkeypatch.setattr(type(body.formulation), name, counted)
-    step = body.solver.step(Load(20.0 * TOP))
+    step = body.solver.step(Load(20.0 * (body.surface.points[:, 2] > 0.04)))
     # the quasi-linear solver asks where the surface of the last step is, and for nothing else
     assert seen == ([] if solver == "linear" else ["displacement"])
     seen.clear()
