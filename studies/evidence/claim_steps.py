@@ -32,7 +32,8 @@ SMALL_STEPS_RULE = (
     f"Holds where an error of more than {short_percent(CLOSE)} in one step falls below that with many; within "
     f"limits where small steps bring it down by {short_percent(KEPT)} at least; fails where the step is not what "
     "the error is made of; not decided where the reference's own error decides. A gain is no larger than a "
-    "model's answers are apart, whatever the reference."
+    "model's answers are apart, and known better than the errors: where answers are alike, so is what the "
+    "reference's own error does to them."
 )
 WARM_START_RULE = (
     f"Holds where warm starts need {DRAMATIC:g} times fewer iterations over a load history whatever its steps and "
@@ -65,7 +66,9 @@ def small_steps(digests: Sequence[Digest]) -> Judgement | None:
 
     def verdict(way: float) -> str:
         arrived = [change.after - way * change.bar <= CLOSE for change in changes.values()]
-        gained = [min(way * 2.0 * c.bar - c.growth, between[m]) >= KEPT for m, c in changes.items()]
+        gained = [
+            min(way * _bar_of_gain(c, between[m]) - c.growth, between[m]) >= KEPT for m, c in changes.items()
+        ]
         return HOLDS if all(arrived) else WITHIN_LIMITS if any(arrived + gained) else FAILS
 
     reason = (
@@ -79,6 +82,16 @@ def small_steps(digests: Sequence[Digest]) -> Judgement | None:
     figure = curves(digests[0], lines, "load steps", "displacement error at full load", "claim4", log_x=True)
     number = f"{short_percent(most)} at most by small steps{own_error(digests)}"
     return Judgement(either_way(verdict), number, reason, figure)
+
+
+def _bar_of_gain(change: Change, between: float) -> float:
+    """How far the reference's own error can move the difference of two errors, of answers `between` apart.
+
+    A shift d of the reference changes an error |u - r| by e.d, e the direction of u - r; the directions of two
+    answers differ by 2 |u - v| / (|u - r| + |v - r|) at most, and by 2.
+    """
+    both = change.before + change.after
+    return change.bar * (min(2.0, 2.0 * between / both) if both else 2.0)
 
 
 def warm_start(digests: Sequence[Digest]) -> Judgement | None:
