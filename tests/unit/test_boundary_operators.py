@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from solver_common.quadrature import facet_quadrature
 from tests.unit.vdm_shapes import box, icosphere, torus
-from vdm.boundary import operators
+from vdm.boundary import kernels, operators
 from vdm.boundary.far import far_row
 from vdm.boundary.kernels import _space, integrate_pair, rules
 from vdm.boundary.operators import Facets, assembled, layers, surface_stiffness
@@ -224,3 +224,14 @@ def test_several_processes_compile_and_keep_the_same_code_at_once(tmp_path: Path
     second = start().communicate()[0]  # from what was kept
     assert {*first, second} == {first[0]}
     assert float(second) > 0.0
+
+
+@pytest.mark.parametrize("n_nodes", [operators.DOUBLE_NODES, operators.DOUBLE_NODES + 1])
+def test_what_is_compiled_once_is_compiled_before_it_is_timed(n_nodes: int) -> None:
+    """After `compile_for` a set-up in that precision finds every loop as machine code."""
+    operators.compile_for(n_nodes)
+    loops = (kernels.all_pairs, kernels.mirror, kernels.interleave, kernels.add_square)
+    known = [len(loop.signatures) for loop in loops]
+    for nu in (0.3, 0.5):
+        surface_stiffness(body(), nu, operators.precision(n_nodes))
+    assert [len(loop.signatures) for loop in loops] == known

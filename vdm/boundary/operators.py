@@ -162,13 +162,28 @@ def assembled(facets: Facets, nu: float, dtype: type[np.floating[Any]] = np.floa
     return Operators(single, moved.reshape(3 * n_facets, -1), rest.reshape(3 * n_nodes, -1))
 
 
-def surface_stiffness(facets: Facets, nu: float) -> Array:
+def precision(n_nodes: int) -> type[np.floating[Any]]:
+    """In which the operators of a surface are assembled."""
+    return np.float64 if n_nodes <= DOUBLE_NODES else np.float32
+
+
+def compile_for(n_nodes: int) -> None:
+    """Compile the loops that so many nodes need, or read them from the disk: seconds at first, then nothing."""
+    corners = np.vstack([np.zeros(3), np.eye(3)])
+    surface_stiffness(
+        Facets.of(corners, [[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]]), 0.5, precision(n_nodes)
+    )
+
+
+def surface_stiffness(facets: Facets, nu: float, dtype: type[np.floating[Any]] | None = None) -> Array:
     """(3N, 3N) symmetric S [m] for mu = 1: nodal forces, the work of the tractions, of displacements.
+
+    The operators are of the `precision` of as many nodes where no dtype is given.
 
     At nu = 1/2 a change of volume has no finite stiffness: it is left to a constraint. Here it only must not be
     free, and gets a stiffness of the size of the others.
     """
-    dtype = np.float64 if len(facets.points) <= DOUBLE_NODES else np.float32
+    dtype = dtype or precision(len(facets.points))
     operators = assembled(facets, nu, dtype)
     if nu == 0.5:
         _stiffen(facets, operators)
