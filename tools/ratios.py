@@ -25,9 +25,8 @@ FORM, ELEMENTS = "vdm-boundary", "fem-linear"
 FILLED = f"models.{FORM}.compressibility"
 RATIO = "tissue.poisson_ratio"
 INSIDE = ("tissue", "fluid")
-PRESSURE = (
-    0.04  # Pa: the volume changes in first order alone, and linear models have the same errors at every load
-)
+# Pa: the volume changes in first order alone, and linear models have the same errors at every load
+PRESSURE = 0.04
 HEAD = (
     "body",
     "nu",

@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tests.command import vdmbench_process as vdmbench
+from tests.unit import vdm_shapes
 from tools import marked
 from vdmbench.body.geometry import build_mesh
 from vdmbench.measures.case import CaseResult
@@ -50,10 +51,10 @@ class Body:
     top: tuple[float, float, float] = (0.3, 0.1, 1.0)
 
 
-def _grid(rows: int, columns: int, *, closed: bool) -> Triangles:
-    """Triangles of rows x columns nodes; columns meet their first one, rows only where `closed`."""
-    i, j = np.mgrid[0 : rows if closed else rows - 1, 0:columns]
-    i, j, below, right = i.ravel(), j.ravel(), (i.ravel() + 1) % rows, (j.ravel() + 1) % columns
+def _grid(rows: int, columns: int) -> Triangles:
+    """Triangles of rows x columns nodes; columns meet their first one."""
+    i, j = np.mgrid[0 : rows - 1, 0:columns]
+    i, j, below, right = i.ravel(), j.ravel(), i.ravel() + 1, (j.ravel() + 1) % columns
     a, b, c, d = i * columns + j, below * columns + j, below * columns + right, i * columns + right
     return np.concatenate([np.stack([a, b, c], 1), np.stack([a, c, d], 1)])
 
@@ -69,7 +70,7 @@ def _turned(profile: Array, columns: int) -> tuple[Array, Triangles]:
         ],
         axis=2,
     ).reshape(-1, 3)
-    triangles, around = _grid(len(inner), columns, closed=False), np.arange(columns)
+    triangles, around = _grid(len(inner), columns), np.arange(columns)
     following, last = np.roll(around, -1), len(ring) - columns
     ends = [
         np.stack([np.full(columns, len(ring)), around, following], 1),
@@ -81,10 +82,7 @@ def _turned(profile: Array, columns: int) -> tuple[Array, Triangles]:
 
 def torus() -> Body:
     """40 mm from its middle to the tube's, which is 18 mm thick in radius; it lies flat."""
-    v, u = np.meshgrid(*(2 * np.pi * np.arange(n) / n for n in (80, 40)), indexing="ij")
-    around = 0.04 + 0.018 * np.cos(u)
-    points = np.stack([around * np.cos(v), around * np.sin(v), 0.018 * np.sin(u)], axis=2).reshape(-1, 3)
-    return Body(points, _grid(80, 40, closed=True), "7.5 mm", top=(1.0, 0.3, 0.5))
+    return Body(*vdm_shapes.torus(0.04, 0.018, 80, 40), "7.5 mm", top=(1.0, 0.3, 0.5))
 
 
 def cone() -> Body:

@@ -133,8 +133,12 @@ class Model:
             contact_sign=contact_sign,
         )
         check_apart(support)
-        check_held(FORMULATIONS[formulation], self.surface, parameters, support.held)
-        self.formulation = FORMULATIONS[formulation](self.surface, parameters)
+        form = FORMULATIONS[formulation]
+        check_held(form, self.surface, parameters, support.held)
+        compiling = time.perf_counter()
+        form.compile(self.surface, parameters)
+        start += time.perf_counter() - compiling
+        self.formulation = form(self.surface, parameters)
         self.problem = Problem(self.formulation, support)
         self.outputs = tuple(outputs)
         self.solver_name = solver
@@ -188,7 +192,7 @@ class Model:
                 seconds[k] = time.perf_counter() - start
             last = judged(step, found)
             pressure[k], iterations[k], residual[k] = step.pressure_change, step.iterations, found.residual
-            path_error[k], mesh_error[k] = found.path, self._of_mesh(load)
+            path_error[k], mesh_error[k] = found.path, self._of_mesh(load, step)
             status.append(reserved(last.status, self.bending_error, mesh_error[k], self.formulation))
             for name, values in fields.items():
                 values[k] = self._point_field(name, step)
@@ -211,7 +215,7 @@ class Model:
             point_fields=fields,
         )
 
-    def _of_mesh(self, load: Load) -> float:
+    def _of_mesh(self, load: Load, step: Step) -> float:
         """What the mesh leaves open of the answer to a load, see `vdm.mesh_error`; NaN of other forms."""
         form = self.formulation
         has_no_coarse_body = not isinstance(form, BoundaryFormulation) or form.parameters.ground is not None
@@ -219,7 +223,7 @@ class Model:
             return np.nan
         if self._mesh_error is None:
             self._mesh_error = MeshError(self.problem, self.solver.factor)
-        return self._mesh_error.of(load)
+        return self._mesh_error.of(load, step if isinstance(self.solver, LinearSolver) else None)
 
     def _warm_up(self, loads: Sequence[Load]) -> None:
         """The first frame after a set-up takes several times as long as those after it; where one costs next to

@@ -29,22 +29,23 @@ def reserved(status: Status, bending: float, mesh: float, form: Formulation) -> 
     """
     if not status.ok:
         return status
-    found: list[tuple[str, str]] = []
     if bending > LIMIT:
         wrong = f"a known bending comes out {bending:.0%} wrong"
         if isinstance(form, BoundaryFormulation):
-            thin = _finer(form, bending, "above all where it is thin")
-            found.append((f"the mesh is too coarse for the body's thin parts: {wrong}", thin))
+            message = f"the mesh is too coarse for the body's thin parts: {wrong}"
+            remedy = _finer(form, bending, "above all where it is thin")
         else:
-            found.append((f"the {form.name} form does not know what is inside this body: {wrong}", _INSIDE))
+            message = f"the {form.name} form does not know what is inside this body: {wrong}"
+            remedy = _INSIDE
     elif mesh > LIMIT and isinstance(form, BoundaryFormulation):
-        rims = _finer(form, mesh, "above all at the edges of supports and loads")
-        found.append((f"the mesh leaves about {mesh:.0%} of the displacement open", rims))
-    if not found:
+        message = f"the mesh leaves about {mesh:.0%} of the displacement open"
+        remedy = _finer(form, mesh, "above all at the edges of supports and loads")
+    else:
         return status
-    messages, remedies = zip((status.message, status.remedy), *found, strict=True)
     return replace(
-        status, message="; ".join(filter(None, messages)), remedy="; ".join(filter(None, remedies))
+        status,
+        message="; ".join(filter(None, (status.message, message))),
+        remedy="; ".join(filter(None, (status.remedy, remedy))),
     )
 
 

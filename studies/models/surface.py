@@ -37,15 +37,7 @@ def prepare_surface(scene: Scene, solver: str, name: str, n_loads: int) -> SetUp
     from vdm.model import Model
     from vdm.solvers.linear import LinearSolver
 
-    inputs = _inputs(scene, name)
-    if inputs["formulation"] in ("boundary", "sparse"):
-        from vdm.boundary.operators import compile_for
-        from vdm.material import COARSE_NODES
-
-        # no set-up is to count what is compiled once on a machine
-        n_nodes, coarse = len(scene.fixed), inputs["given"].get("coarse_nodes") or COARSE_NODES
-        compile_for(n_nodes if inputs["formulation"] == "boundary" else min(n_nodes, int(coarse)))
-    model = _model(**inputs)
+    model = _model(**_inputs(scene, name))
     springs = _springs(scene)
 
     def solve(loads: Sequence[SurfaceLoad]) -> Solution:

@@ -4,12 +4,8 @@ from __future__ import annotations
 
 FINITE_STRAIN = ("fem",)  # models that can serve as the reference of the small-strain limits
 _LARGE = (*FINITE_STRAIN, "mujoco-flex", "newton-vbd")  # models of large displacements, whatever their solver
-DISPLACEMENT_ELEMENTS = (
-    "fem-p1",
-    "fem-p2",
-    "mujoco-flex",
-    "newton-vbd",
-)  # which have no answer for an incompressible body
+# which have no answer for an incompressible body
+DISPLACEMENT_ELEMENTS = ("fem-p1", "fem-p2", "mujoco-flex", "newton-vbd")
 REFINED = " refined"  # what the reference's name gets where it is solved on refinements of the case's mesh
 _NOT_LINEAR = ("quasi-linear", "nonlinear", "incremental")  # solvers of another problem than the linear one
 

@@ -152,7 +152,7 @@ def benched_names() -> list[str]:
     ]
 
 
-_EXTRAS = {"newton": "newton"}  # half a gigabyte, so that it is no part of "peers"
+_INSTALLED_BY = {"newton": "newton"}  # half a gigabyte, so that it is no part of "peers"
 
 
 def missing(name: str) -> tuple[str, str] | None:
@@ -160,7 +160,7 @@ def missing(name: str) -> tuple[str, str] | None:
     wheel = find(name)[0].needs
     if not wheel or find_spec(wheel) is not None:
         return None
-    extra = _EXTRAS.get(wheel, "peers")
+    extra = _INSTALLED_BY.get(wheel, "peers")
     return (
         f"it runs {wheel}, which is not installed",
         f"pip install 'vdmbench[{extra}]', or leave the model out",

@@ -62,9 +62,8 @@ class Formulation(ABC):
     components: ClassVar[int]
     has_matrix: bool = True  # whether `stiffness` gives one
     left_out_far: float = LEFT_OUT  # of a contact's columns far away, see `vdm.solvers.columns`
-    turns_as_one: ClassVar[bool] = (
-        False  # whether at large displacements one rotation is that of the whole body
-    )
+    # whether at large displacements one rotation is that of the whole body
+    turns_as_one: ClassVar[bool] = False
     # what to do where a motion that costs no energy is left free
     remedy: ClassVar[str] = "hold an area of the surface, the nodes of some of its facets"
     columns: Columns
@@ -82,6 +81,10 @@ class Formulation(ABC):
         Known before anything is assembled: here the six rigid motions of a body that is not tied to space.
         """
         return rigid_motions(surface, nodes)
+
+    @classmethod  # noqa: B027 - most have nothing to compile
+    def compile(cls, surface: SurfaceMesh, parameters: Parameters) -> None:
+        """Compile what is compiled once on a machine, before a set-up is timed."""
 
     @abstractmethod
     def apply(self, x: Array) -> Array:

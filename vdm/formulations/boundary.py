@@ -75,6 +75,12 @@ class BoundaryFormulation(DisplacementFormulation):
             self.rows = DenseColumns(pressed * (self.bulk_modulus / surface.volume))
             self.corner = np.ones((1, 1))
 
+    @classmethod
+    def compile(cls, surface: SurfaceMesh, parameters: Parameters) -> None:  # noqa: ARG003
+        from vdm.boundary.operators import compile_for
+
+        compile_for(surface.n_nodes)
+
     def _assemble(self) -> None:
         if self.surface.n_nodes > MAX_NODES:
             raise SolverError(too_large(self.surface.n_nodes))

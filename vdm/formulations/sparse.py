@@ -11,7 +11,7 @@ from scipy.linalg import blas
 from solver_common.arrays import Array, Mask
 from vdm.formulations.base import Factor, Factorise
 from vdm.formulations.boundary import INDEFINITE, BoundaryFormulation, DenseFactor
-from vdm.material import COARSE_NODES, ParameterError
+from vdm.material import COARSE_NODES, ParameterError, Parameters
 from vdm.solution import SolverError, Status
 from vdm.solvers.cholesky import Cholesky
 from vdm.solvers.single import SingleFactor
@@ -53,6 +53,12 @@ class SparseFormulation(BoundaryFormulation):
     has_matrix = False
     # the interpolation makes columns unlike that are alike; a thousandth of the form's own error
     left_out_far = 1e-4
+
+    @classmethod
+    def compile(cls, surface: SurfaceMesh, parameters: Parameters) -> None:
+        from vdm.boundary.operators import compile_for
+
+        compile_for(min(surface.n_nodes, parameters.coarse_nodes or COARSE_NODES))
 
     def _assemble(self) -> None:
         from vdm.boundary.coarsening import coarsened

@@ -189,8 +189,8 @@ class NonlinearSolver:
         found = Audit(max(residual / max(balance.scale, self.smallest_force), gap))
         if not self.problem.force(load).any() and not self.problem.held_unknown(load).any():
             return step, found
-        # forces that cancel, as a pressure from all sides, move no more than their rounding, however large they are
         step = replace(step, status=self._reserved(step.status, balance.turn, step.unknown))
+        # forces that cancel, as a pressure from all sides, move no more than their rounding, however large they are
         acting = np.abs(self.problem.force(load)) + abs(step.pressure_change) * np.abs(balance.column)
         largest = max(self._largest, float(np.abs(displaced(self.problem.own_motion(acting))).max()))
         if self._rounding > ERROR_LIMIT * largest:
