@@ -41,19 +41,19 @@ def reference_gradients(order: int, barycentric: Array) -> Array:
 
 @dataclass(frozen=True)
 class Pattern:
-    """The scalar sparsity pattern of a mesh's nodes.
+    """The scalar sparsity pattern of rows and nodes that share an element; rows are nodes or P1 pressures.
 
     Attributes
     ----------
     indptr, indices : CSR pattern with sorted columns, 32-bit
-    place : (m, nodes * nodes) position of each element entry (row major) in `indices`
-    mirror : position of the transposed entry
+    place : (m, rows * nodes) position of each element entry (row major) in `indices`
+    columns : number of nodes
     """
 
     indptr: NDArray[np.int32]
     indices: NDArray[np.int32]
     place: Index
-    mirror: Index
+    columns: int
 
     @property
     def size(self) -> int:
@@ -63,8 +63,19 @@ class Pattern:
     @cached_property
     def numbered(self) -> csr_array:
         """The pattern as a matrix whose entries are their own positions, for cutting out blocks."""
-        n = len(self.indptr) - 1
-        return csr_array((np.arange(self.size), self.indices, self.indptr), shape=(n, n))
+        shape = (len(self.indptr) - 1, self.columns)
+        return csr_array((np.arange(self.size), self.indices, self.indptr), shape=shape)
+
+    @cached_property
+    def mirror(self) -> Index:
+        """(size,) position of the transposed entry, where rows are nodes."""
+        return csr_array(self.numbered.T).data
+
+    def places(self, nodes: Index) -> Index:
+        """(k * w * w,) positions of all pairs of the w nodes in each of k rows, row major."""
+        width = nodes.shape[1]
+        rows, columns = np.repeat(nodes, width, axis=1).ravel(), np.tile(nodes, (1, width)).ravel()
+        return np.asarray(self.numbered[rows, columns]).ravel()
 
 
 def scalar_pattern(mesh: TetMesh) -> Pattern:
@@ -96,46 +107,22 @@ def scalar_pattern(mesh: TetMesh) -> Pattern:
     place[gathered.data] = entry
     indices = gathered.indices[starts].astype(np.int32)
     indptr = np.append(entry[gathered.indptr[:-1]], len(indices)).astype(np.int32)
-    numbered = csr_array((np.arange(len(indices)), indices, indptr), shape=gathered.shape)
-    mirror = csr_array(numbered.T).data
-    return Pattern(indptr, indices, place.reshape(m, width * width), mirror)
+    return Pattern(indptr, indices, place.reshape(m, width * width), mesh.n_nodes)
 
 
-@dataclass(frozen=True)
-class Coupling:
-    """The sparsity pattern of the products of P1 pressures (rows) and nodes; see `Pattern`."""
-
-    indptr: NDArray[np.int32]
-    indices: NDArray[np.int32]
-    place: Index
-    columns: int
-
-    @property
-    def size(self) -> int:
-        """Number of stored entries."""
-        return len(self.indices)
-
-    @cached_property
-    def numbered(self) -> csr_array:
-        """The pattern as a matrix whose entries are their own positions."""
-        shape = (len(self.indptr) - 1, self.columns)
-        return csr_array((np.arange(self.size), self.indices, self.indptr), shape=shape)
-
-
-def coupling_pattern(mesh: TetMesh, pattern: Pattern) -> Coupling:
+def coupling_pattern(mesh: TetMesh, pattern: Pattern) -> Pattern:
     """The pattern of all pairs of a pressure and a node that share an element."""
     m, width = mesh.element_nodes.shape
     if mesh.pressure_elements is mesh.tetrahedra:  # the vertices are the first nodes
         indptr = pattern.indptr[: mesh.n_vertices + 1]
         place = pattern.place[:, : 4 * width]
-        return Coupling(indptr, pattern.indices[: indptr[-1]], place, mesh.n_nodes)
+        return Pattern(indptr, pattern.indices[: indptr[-1]], place, mesh.n_nodes)
     keys = mesh.pressure_elements[:, :, None] * mesh.n_nodes + mesh.element_nodes[:, None, :]
     entries, place = np.unique(keys, return_inverse=True)
     counts = np.bincount(entries // mesh.n_nodes, minlength=mesh.n_pressures)
     indptr = np.concatenate([[0], np.cumsum(counts)]).astype(np.int32)
-    return Coupling(
-        indptr, (entries % mesh.n_nodes).astype(np.int32), place.reshape(m, 4 * width), mesh.n_nodes
-    )
+    columns = (entries % mesh.n_nodes).astype(np.int32)
+    return Pattern(indptr, columns, place.reshape(m, 4 * width), mesh.n_nodes)
 
 
 def elasticity_blocks(
@@ -163,7 +150,7 @@ def elasticity_blocks(
     table = np.einsum("q,qia,qjb->abij", weights, grads, grads).reshape(9, width * width)
     size = pattern.size
     products = {(i, j): np.zeros(size) for i in range(3) for j in range(i, 3)}
-    for part in _chunks(len(mesh.volumes)):
+    for part in chunks(len(mesh.volumes), _CHUNK):
         g = mesh.barycentric_gradients[part]
         scaled = g * sizes[part, None, None]
         place = pattern.place[part].ravel()
@@ -188,7 +175,7 @@ def elasticity_blocks(
     return blocks
 
 
-def divergence_blocks(mesh: TetMesh, coupling: Coupling) -> Array:
+def divergence_blocks(mesh: TetMesh, coupling: Pattern) -> Array:
     """(coupling.size, 1, 3) blocks of the integral of `q div u` over P1 pressures q and displacements [m^2]."""
     if mesh.curved is not None:
         matrix = bsr_array(mesh.curved.divergence(), blocksize=(1, 3))
@@ -199,7 +186,7 @@ def divergence_blocks(mesh: TetMesh, coupling: Coupling) -> Array:
     table = np.einsum("q,qa,qic->cai", weights, barycentric, grads).reshape(3, 4 * width)
     size = coupling.size
     blocks = np.zeros((size, 1, 3))
-    for part in _chunks(len(mesh.volumes)):
+    for part in chunks(len(mesh.volumes), _CHUNK):
         scaled = mesh.barycentric_gradients[part] * mesh.volumes[part, None, None]
         place = coupling.place[part].ravel()
         for k in range(3):
@@ -241,5 +228,6 @@ def _in_order(matrix: bsr_array, indptr: NDArray[np.int32], indices: NDArray[np.
     return out
 
 
-def _chunks(count: int) -> list[slice]:
-    return [slice(start, min(start + _CHUNK, count)) for start in range(0, count, _CHUNK)]
+def chunks(count: int, most: int) -> list[slice]:
+    """Slices of at most so many that cover a count."""
+    return [slice(start, min(start + most, count)) for start in range(0, count, most)]

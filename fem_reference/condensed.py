@@ -23,9 +23,8 @@ from fem_reference.assembly import gravity_weights
 from fem_reference.linear import Fields, LinearProblem, Load
 from fem_reference.linear_algebra import BATCH
 from fem_reference.loads import check_loads, gather_to_vertices, prescribed_nodes
-from fem_reference.memory import available_memory
-from fem_reference.mesh import triangle_p2
-from fem_reference.solution import CONVERGED, Solution, SolverError, Status, check_outputs
+from fem_reference.memory import allowed_memory
+from fem_reference.solution import CONVERGED, Solution, Status, check_outputs
 from solver_common.arrays import Array
 from solver_common.quadrature import facet_quadrature
 from solver_common.solution import solver_error
@@ -99,14 +98,12 @@ class CondensedProblem:
         springs = problem.system.springs
         sprung = 3 * len(springs.nodes) + columns if springs else 0  # rows for the energy of the springs
         needed = 8.0 * float(sizes.sum() + sprung) * columns
-        allowed = available_memory() if memory_limit is None else memory_limit
+        allowed = allowed_memory(memory_limit)
         if needed > allowed:
-            raise SolverError(
-                Status(
-                    "memory",
-                    f"the compliance matrix needs {needed / 1e6:.0f} MB but {allowed / 1e6:.0f} MB are available",
-                    "choose fewer contact nodes or a larger mesh_size",
-                )
+            raise solver_error(
+                "memory",
+                f"the compliance matrix needs {needed / 1e6:.0f} MB but {allowed / 1e6:.0f} MB are available",
+                "choose fewer contact nodes or a larger mesh_size",
             )
         self._moved_nodes = prescribed_nodes(mesh, [_motion(problem, motion) for motion in self._motions])
         self.matrix = np.empty((int(sizes.sum()), columns))
@@ -252,7 +249,7 @@ class CondensedProblem:
         """(C, facets * Q) forces along `directions` of unit pressures at the facets' quadrature points."""
         mesh = self.problem.mesh
         points, weights = facet_quadrature()
-        shape = (triangle_p2(points) if mesh.order == 2 else points) * weights[:, None]
+        shape = mesh.facet_functions(points) * weights[:, None]
         area = mesh.area_vectors[self._facets]
         values = -np.einsum("qa,fk->fqak", shape, area)
         place = np.searchsorted(self.nodes, mesh.facet_nodes[self._facets])

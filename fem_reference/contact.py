@@ -26,7 +26,6 @@ from scipy.sparse import csr_array
 from fem_reference.indenter import Indenter
 from fem_reference.linear import LinearProblem, Load
 from fem_reference.linear_algebra import BATCH
-from fem_reference.mesh import triangle_p2
 from fem_reference.solution import Solution, Status
 from solver_common.arrays import Array
 from solver_common.quadrature import facet_quadrature
@@ -108,8 +107,7 @@ class ContactProblem:
 
         self._area = summed(measure)
         self._gap = summed(measure * np.where(np.isfinite(gap), gap, 0.0))
-        shape = triangle_p2(points) if mesh.order == 2 else points
-        local = np.einsum("fq,qa,qi->fai", measure, shape, points)
+        local = np.einsum("fq,qa,qi->fai", measure, mesh.facet_functions(points), points)
         nodes = np.broadcast_to(mesh.facet_nodes[facets][:, :, None], local.shape)
         columns = np.broadcast_to(place[:, None], local.shape)
         self._spread = csr_array(

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from fem_reference.assembly import Pattern
 from fem_reference.indenter import Capsule, Indenter, Sphere
 from fem_reference.mesh import TetMesh, triangle_p2
-from fem_reference.solution import Solution, Status
+from fem_reference.solution import Solution
 from solver_common.arrays import Array
 from solver_common.quadrature import facet_quadrature
 from solver_common.solution import solver_error
@@ -27,30 +27,22 @@ _PENALTY = 300.0  # of a shear modulus per mean edge
 
 @dataclass(frozen=True)
 class Indentation:
-    """Where the indenter is, in steps; S steps, N surface nodes.
+    """What an indenter does in S steps; NaN from the first step on that was not reached.
 
     Attributes
     ----------
-    displacement : (S, N, 3) [m]; NaN from the first step on that was not reached
+    solution : the same as of any load history
     force : (S, 3) of the indenter on the body [N]
-    energy : (S,) elastic energy of the body [J]
     penalty_energy : (S,) what is stored in the penalty, zero for an ideal contact [J]
     contact_area : (S,) undeformed area under pressure [m^2]
     inside : (S,) the deepest that a point is left inside the indenter [m]
-    iterations : (S,) of Newton's method
-    status : S outcomes
-    solution : the same as of any load history, with reactions and further outputs
     """
 
-    displacement: Array
+    solution: Solution
     force: Array
-    energy: Array
     penalty_energy: Array
     contact_area: Array
     inside: Array
-    iterations: NDArray[np.int64]
-    status: tuple[Status, ...]
-    solution: Solution
 
 
 class RigidContact:
@@ -90,17 +82,13 @@ class RigidContact:
         if isinstance(shape, Capsule):
             self._along = np.array(shape.along) / np.linalg.norm(shape.along)
             self._half = 0.5 * shape.length / unit
-        self._pattern, self._size = pattern, mesh.n_nodes
+        self._pattern, self._mesh = pattern, mesh
 
     def forces(self, positions: Array, depth: float) -> Array:
         """(n_nodes, 3) forces on the body."""
         distance, normal, _ = self._distance(positions, depth)
         traction = (self._pressure(distance) * self._measure)[..., None] * normal
-        local = self._shape.T @ traction
-        out = np.empty((self._size, 3))
-        for i in range(3):
-            out[:, i] = np.bincount(self._nodes.ravel(), weights=local[..., i].ravel(), minlength=self._size)
-        return out
+        return self._mesh.summed(self._nodes, self._shape.T @ traction)
 
     def add_stiffness(self, blocks: Array, positions: Array, depth: float) -> None:
         """Add the negative derivative of the forces to the (pattern.size, 3, 3) blocks."""
@@ -110,14 +98,10 @@ class RigidContact:
         tensors = (_PENALTY * on)[..., None, None] * normal[..., :, None] * normal[..., None, :]
         tensors -= (pressure * self._measure)[..., None, None] * curvature
         touched = on.any(axis=1)
-        nodes = self._nodes[touched]
-        width = nodes.shape[1]
-        values = np.einsum(
-            "qa,qb,fqij->fabij", self._shape, self._shape, tensors[touched], optimize=True
-        ).reshape(-1, 3, 3)
-        rows, columns = np.repeat(nodes, width, axis=1).ravel(), np.tile(nodes, width).ravel()
-        if len(rows):
-            np.add.at(blocks, np.asarray(self._pattern.numbered[rows, columns]).ravel(), values)
+        if not touched.any():
+            return
+        values = np.einsum("qa,qb,fqij->fabij", self._shape, self._shape, tensors[touched], optimize=True)
+        np.add.at(blocks, self._pattern.places(self._nodes[touched]), values.reshape(-1, 3, 3))
 
     def inside(self, positions: Array, depth: float) -> float:
         """The deepest that a point is inside the indenter."""

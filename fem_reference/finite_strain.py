@@ -37,7 +37,7 @@ from fem_reference.materials import make_law
 from fem_reference.mesh import TetMesh
 from fem_reference.moduli import check_density, check_fibres, make_moduli
 from fem_reference.newton import Newton, ScaledLoad, Substep
-from fem_reference.solution import CONVERGED, Solution, Status, check_outputs
+from fem_reference.solution import Solution, check_outputs
 from fem_reference.springs import ElasticSupport, make_springs
 from fem_reference.system import LinearSystem, build_system
 from fem_reference.tangent_solver import TangentSolver, TangentSystem
@@ -277,43 +277,23 @@ class FiniteStrainProblem:
         record = Record(
             self.system, self._assembly, self.shear_modulus, len(depths), outputs, self._newton.rest
         )
-        displacement = np.full((len(depths), len(mesh.surface_nodes), 3), np.nan)
         force = np.full((len(depths), 3), np.nan)
-        energy, penalty, area, inside = np.full((4, len(depths)), np.nan)
-        iterations = np.zeros(len(depths), dtype=np.int64)
-        status = [Status("not-reached", "an earlier step failed", "see that step")] * len(depths)
+        penalty, area, inside = np.full((3, len(depths)), np.nan)
         self._newton.contact = contact
         try:
             for step, last in self._follow(scaled):
                 record.add(step, last)
-                iterations[step] += len(last.residuals) - 1
-                if not (last.converged and last.load_factor == 1.0):
-                    message = f"step {step} stopped at {last.load_factor:.3g} of its way"
-                    status[step] = Status(
-                        last.code, message, "go deeper in smaller steps, or use a finer mesh"
-                    )
-                    continue
-                status[step] = CONVERGED
-                x, depth = points + last.state.displacement, scaled[step].depth
-                displacement[step] = last.state.displacement[mesh.surface_nodes] * length
-                force[step] = contact.forces(x, depth).sum(axis=0) * self.shear_modulus * length**2
-                energy[step] = self._energy(last) * self.shear_modulus * length**3
-                penalty[step] = contact.energy(x, depth) * self.shear_modulus * length**3
-                area[step] = contact.area(x, depth) * length**2
-                inside[step] = contact.inside(x, depth) * length
+                if last.converged and last.load_factor == 1.0:
+                    x, depth = points + last.state.displacement, scaled[step].depth
+                    force[step] = contact.forces(x, depth).sum(axis=0) * self.shear_modulus * length**2
+                    penalty[step] = contact.energy(x, depth) * self.shear_modulus * length**3
+                    area[step] = contact.area(x, depth) * length**2
+                    inside[step] = contact.inside(x, depth) * length
         finally:
             self._newton.contact = None
         record.end()
         solution = record.solution(self.seconds_setup, self._told(), {})
-        return Indentation(
-            displacement, force, energy, penalty, area, inside, iterations, tuple(status), solution
-        )
-
-    def _energy(self, reached: Substep) -> float:
-        """Elastic energy, scaled."""
-        q, compliance = reached.state.pressure, self.system.compliance
-        volumetric = 0.0 if compliance is None else 0.5 * float(q @ (compliance @ q))
-        return self._assembly.strain_energy(reached.state.displacement) + volumetric
+        return Indentation(solution, force, penalty, area, inside)
 
     def _follow(
         self, loads: Sequence[ScaledLoad], path: LoadPath | None = None

@@ -7,14 +7,14 @@ short vectors over the quadrature points, done for many elements at a time.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 from skfem.quadrature import get_quadrature
 from skfem.refdom import RefTet
 
-from fem_reference.assembly import Coupling, Pattern, reference_gradients
+from fem_reference.assembly import Pattern, chunks, reference_gradients
 from fem_reference.kinematics import PAIRS, Kinematics, Law
 from fem_reference.mesh import TetMesh
 from solver_common.arrays import Array
@@ -51,7 +51,7 @@ class ElementAssembly:
         self,
         mesh: TetMesh,
         pattern: Pattern,
-        coupling: Coupling,
+        coupling: Pattern,
         law: Law,
         stiffness: Array | None = None,
     ) -> None:
@@ -89,9 +89,7 @@ class ElementAssembly:
             pulled = stress @ np.swapaxes(self._barycentric_gradients[part], 1, 2)[:, None]
             count = len(weights)
             local = self._to_gradient @ pulled.swapaxes(2, 3).reshape(count, -1, 3)
-            nodes = mesh.element_nodes[part].ravel()
-            for i in range(3):
-                nodal[:, i] += np.bincount(nodes, weights=local[..., i].ravel(), minlength=mesh.n_nodes)
+            nodal += mesh.summed(mesh.element_nodes[part], local)
             shares = (weights * k.dilation) @ self._barycentric
             volume += np.bincount(
                 mesh.pressure_elements[part].ravel(), weights=shares.ravel(), minlength=mesh.n_pressures
@@ -110,7 +108,7 @@ class ElementAssembly:
         pattern, coupling = self._pattern, self._coupling
         stiffness = np.zeros((pattern.size, 3, 3))
         divergence = np.zeros((coupling.size, 1, 3))
-        parts = list(self._parts())
+        parts = self._parts()
         for first in range(0, len(parts), _GATHER):
             group = parts[first : first + _GATHER]
             results = [self._element_matrices(part, displacement, pressure) for part in group]
@@ -211,9 +209,8 @@ class ElementAssembly:
             float(np.einsum("eq,eq->", self._weights[part], integrand(part))) for part in self._parts()
         )
 
-    def _parts(self) -> Iterator[slice]:
-        count = len(self._weights)
-        return (slice(start, min(start + _CHUNK, count)) for start in range(0, count, _CHUNK))
+    def _parts(self) -> list[slice]:
+        return chunks(len(self._weights), _CHUNK)
 
 
 def _strains(deformation: Array, gradients: Array) -> Array:

@@ -43,11 +43,7 @@ class FollowerPressure:
         nodes, weighted = self._loaded(facet_pressure)
         corners = positions[nodes]
         normal = np.cross(self._by_r @ corners, self._by_s @ corners)
-        local = self._shape.T @ (-weighted[..., None] * normal)
-        out = np.empty_like(positions)
-        for i in range(3):
-            out[:, i] = np.bincount(nodes.ravel(), weights=local[..., i].ravel(), minlength=len(positions))
-        return out
+        return self._mesh.summed(nodes, self._shape.T @ (-weighted[..., None] * normal))
 
     def stiffness(self, positions: Array, facet_pressure: Array) -> tuple[NDArray[np.int64], Array]:
         """Negative derivative of `forces`: (k,) entries of the pattern and their (k, 3, 3) blocks."""
@@ -60,9 +56,6 @@ class FollowerPressure:
             - self._by_s[None, :, :, None] * tangent_r[:, :, None]
         )
         v = np.einsum("fq,qa,fqbm->fabm", weighted, self._shape, inner, optimize=True).reshape(-1, 3)
-        width = nodes.shape[1]
-        rows, columns = np.repeat(nodes, width, axis=1).ravel(), np.tile(nodes, (1, width)).ravel()
-        place = np.asarray(self._pattern.numbered[rows, columns]).ravel()
         blocks = np.zeros((len(v), 3, 3))
         for i, k, m, sign in (
             (0, 1, 2, 1),
@@ -73,7 +66,7 @@ class FollowerPressure:
             (2, 1, 0, -1),
         ):
             blocks[:, i, k] = sign * v[:, m]
-        places, inverse = np.unique(place, return_inverse=True)
+        places, inverse = np.unique(self._pattern.places(nodes), return_inverse=True)
         gather = csr_array((np.ones(len(v)), (inverse, np.arange(len(v)))), shape=(len(places), len(v)))
         return places, np.asarray(gather @ blocks.reshape(-1, 9)).reshape(-1, 3, 3)
 

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fem_reference.follower import curved_area_vectors
-from fem_reference.mesh import TetMesh, triangle_p2
+from fem_reference.mesh import TetMesh
 from solver_common.arrays import Array
 from solver_common.quadrature import facet_quadrature
 from solver_common.solution import solver_error
@@ -36,15 +36,15 @@ def traction_forces(mesh: TetMesh, traction: ArrayLike) -> Array:
         For an array of another shape.
     """
     points, weights = facet_quadrature()
-    shape = triangle_p2(points) if mesh.order == 2 else points
     wanted = (len(mesh.triangles), len(weights), 3)
     given = np.asarray(traction, dtype=np.float64)
     try:
         values = np.broadcast_to(given, wanted)
     except ValueError as error:
         raise _bad_load(f"traction has shape {given.shape}", f"give shape {wanted}") from error
+    shape = mesh.facet_functions(points)
     local = np.einsum("fq,q,qa,fqi->fai", _areas(mesh), weights, shape, values, optimize=True)
-    return _summed(mesh, mesh.facet_nodes, local)
+    return mesh.summed(mesh.facet_nodes, local)
 
 
 def region_forces(
@@ -140,7 +140,7 @@ def line_forces(mesh: TetMesh, edges: ArrayLike, force: ArrayLike) -> Array:
         nodes = np.column_stack([nodes, mesh.facet_nodes[facet, 3 + side]])
         shares = np.array([1.0, 1.0, 4.0]) / 6.0
     weight = np.outer(length / length.sum(), shares)
-    return _summed(mesh, nodes, weight[:, :, None] * np.asarray(force, dtype=np.float64))
+    return mesh.summed(nodes, weight[:, :, None] * np.asarray(force, dtype=np.float64))
 
 
 def point_forces(mesh: TetMesh, facet: int, barycentric: ArrayLike, force: ArrayLike) -> Array:
@@ -165,24 +165,14 @@ def point_forces(mesh: TetMesh, facet: int, barycentric: ArrayLike, force: Array
         raise _bad_load(f"there is no facet {facet}", f"give 0 to {len(mesh.triangles) - 1}")
     if at.shape != (3,) or not (at >= 0.0).all() or abs(at.sum() - 1.0) > 1e-9:
         raise _bad_load(f"barycentric is {at.tolist()}", "give three numbers that are not negative, sum 1")
-    shape = triangle_p2(at[None])[0] if mesh.order == 2 else at
-    return _summed(
-        mesh, mesh.facet_nodes[[facet]], np.outer(shape, np.asarray(force, dtype=np.float64))[None]
-    )
+    local = np.outer(mesh.facet_functions(at[None])[0], np.asarray(force, dtype=np.float64))
+    return mesh.summed(mesh.facet_nodes[[facet]], local[None])
 
 
 def _areas(mesh: TetMesh) -> Array:
     """(F, Q) or (F, 1) area by which a weighted sum over a facet is an integral."""
     vectors = mesh.area_vectors[:, None] if mesh.curved is None else curved_area_vectors(mesh)
     return np.asarray(np.linalg.norm(vectors, axis=2))
-
-
-def _summed(mesh: TetMesh, nodes: NDArray[np.int64], local: Array) -> Array:
-    """(n_nodes, 3) sums of (k, w, 3) values at (k, w) nodes."""
-    out = np.empty((mesh.n_nodes, 3))
-    for i in range(3):
-        out[:, i] = np.bincount(nodes.ravel(), weights=local[..., i].ravel(), minlength=mesh.n_nodes)
-    return out
 
 
 _bad_load = partial(solver_error, "bad-load")

@@ -34,10 +34,11 @@ from fem_reference.materials import TransverselyIsotropic, make_law
 from fem_reference.mesh import TetMesh
 from fem_reference.moduli import check_density, check_fibres, make_moduli
 from fem_reference.outputs import OUTPUTS, mean_pressure, strain_outputs
-from fem_reference.solution import CONVERGED, Solution, SolverError, Status, check_outputs
+from fem_reference.solution import CONVERGED, Solution, Status, check_outputs
 from fem_reference.springs import ElasticSupport, make_springs
 from fem_reference.system import LinearSystem, build_system
 from solver_common.arrays import Array
+from solver_common.solution import solver_error
 
 __all__ = ["ELEMENTS", "Fields", "LinearProblem", "Load"]
 
@@ -133,8 +134,8 @@ class LinearProblem:
     ) -> None:
         start = time.perf_counter()
         if element not in ELEMENTS:
-            raise SolverError(
-                Status("bad-element", f"element {element!r} is unknown", f"use one of {', '.join(ELEMENTS)}")
+            raise solver_error(
+                "bad-element", f"element {element!r} is unknown", f"use one of {', '.join(ELEMENTS)}"
             )
         order, mixed = ELEMENTS[element]
         check_density(density)
@@ -183,7 +184,7 @@ class LinearProblem:
         """
         if self.system.springs is not None:
             message = "springs under a body do not follow its Young's modulus"
-            raise SolverError(Status("bad-material", message, "set up a problem for each"))
+            raise solver_error("bad-material", message, "set up a problem for each")
         moduli = make_moduli(self.mesh, youngs_modulus, self.poisson_ratio, mixed=self.system.mixed)
         other = copy.copy(self)
         other.youngs_modulus, other.shear_modulus = moduli.youngs_modulus, moduli.shear_modulus

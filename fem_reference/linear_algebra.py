@@ -20,11 +20,12 @@ from threadpoolctl import threadpool_limits
 from fem_reference.costs import Estimate, estimate_costs
 from fem_reference.factorisation import LIBRARY, analyse, pivotable_triangle
 from fem_reference.krylov import gmres, independent_columns
-from fem_reference.memory import available_memory, check_memory
+from fem_reference.memory import allowed_memory, check_memory
 from fem_reference.multigrid import BlockPreconditioner
-from fem_reference.solution import SolverError, Status
+from fem_reference.solution import SolverError
 from fem_reference.system import LinearSystem
 from solver_common.arrays import Array
+from solver_common.solution import solver_error
 
 SOLVERS = ("auto", "direct", "iterative")
 BATCH = 32  # right-hand sides per triangular solve: beyond it a single one gets no cheaper
@@ -97,8 +98,7 @@ class DirectSolver:
         self._memory_limit = memory_limit
         matrix = pivotable_triangle(system)
         self._analysis = analyse(matrix)
-        allowed = available_memory() if memory_limit is None else memory_limit
-        double = loads >= _MANY_LOADS and self._needed("float64") <= allowed
+        double = loads >= _MANY_LOADS and self._needed("float64") <= allowed_memory(memory_limit)
         self._factorise("float64" if double else "float32", matrix)
 
     def solve(self, rhs: Array) -> Solved:
@@ -123,12 +123,10 @@ class DirectSolver:
             if precision == "float32":
                 self._factorise("float64", matrix)
                 return
-            raise SolverError(
-                Status(
-                    "singular",
-                    "the stiffness matrix is singular",
-                    "hold more of the surface, or remove parts of the mesh that hang on a vertex or an edge",
-                )
+            raise solver_error(
+                "singular",
+                "the stiffness matrix is singular",
+                "hold more of the surface, or remove parts of the mesh that hang on a vertex or an edge",
             ) from error
 
     def _needed(self, precision: str) -> float:
@@ -264,15 +262,15 @@ def choose_solver(
         If the name is unknown or no path fits into `memory_limit` bytes (None: what is available).
     """
     if requested not in SOLVERS:
-        raise SolverError(
-            Status("bad-solver", f"solver {requested!r} is unknown", f"use one of {', '.join(SOLVERS)}")
+        raise solver_error(
+            "bad-solver", f"solver {requested!r} is unknown", f"use one of {', '.join(SOLVERS)}"
         )
     if requested == "direct":
         return DirectSolver(system, memory_limit, "asked for", expected_loads)
     if requested == "iterative":
         return IterativeSolver(system, memory_limit, "asked for")
     costs = _system_costs(system, max(1, expected_loads))
-    allowed = available_memory() if memory_limit is None else memory_limit
+    allowed = allowed_memory(memory_limit)
     reason = f"{system.size} unknowns, {expected_loads} loads: " + ", ".join(
         f"{name} about {cost.seconds:.2g} s and {cost.bytes / 1e6:.0f} MB" for name, cost in costs.items()
     )
@@ -285,12 +283,10 @@ def choose_solver(
             reason += "; the analysis found that the factors need more"
     if costs["iterative"].bytes > allowed:
         smallest = min(cost.bytes for cost in costs.values())
-        raise SolverError(
-            Status(
-                "memory",
-                f"the body has {system.size} unknowns: the direct and the iterative solver need"
-                f" {smallest / 1e6:.0f} MB or more but {allowed / 1e6:.0f} MB are available",
-                "use a larger mesh_size or a machine with more memory",
-            )
+        raise solver_error(
+            "memory",
+            f"the body has {system.size} unknowns: the direct and the iterative solver need"
+            f" {smallest / 1e6:.0f} MB or more but {allowed / 1e6:.0f} MB are available",
+            "use a larger mesh_size or a machine with more memory",
         )
     return IterativeThenDirect(system, memory_limit, reason)

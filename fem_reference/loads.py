@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 from fem_reference.assembly import gravity_weights
 from fem_reference.follower import curved_area_vectors
 from fem_reference.krylov import independent_columns
-from fem_reference.mesh import TetMesh, triangle_p2
-from fem_reference.solution import SolverError, Status
+from fem_reference.mesh import TetMesh
 from fem_reference.springs import Springs
 from solver_common.arrays import Array, Mask
 from solver_common.quadrature import facet_quadrature
+from solver_common.solution import solver_error
 
 # what a load may differ from a combination of others, of its norm
 _DEPENDENT = 1e-13
@@ -46,7 +46,7 @@ class Load:
 def check_loads(mesh: TetMesh, loads: Sequence[Load]) -> None:
     """Raise a `SolverError` for a load of the wrong shape or with values that are not finite."""
     if not loads:
-        raise SolverError(Status("bad-load", "there is no load step", "give at least one load"))
+        raise solver_error("bad-load", "there is no load step", "give at least one load")
     shapes = {
         "facet_pressure": (len(mesh.triangles), len(facet_quadrature()[1])),
         "prescribed": (len(mesh.surface_nodes), 3),
@@ -60,13 +60,13 @@ def check_loads(mesh: TetMesh, loads: Sequence[Load]) -> None:
             value = np.asarray(getattr(load, name))
             if value.shape != shape:
                 message = f"{name} of load step {step} has shape {value.shape}"
-                raise SolverError(Status("bad-load", message, f"give shape {shape}"))
+                raise solver_error("bad-load", message, f"give shape {shape}")
             if not np.isfinite(value).all():
                 message = f"{name} of load step {step} has values that are not finite"
-                raise SolverError(Status("bad-load", message, "give finite numbers"))
+                raise solver_error("bad-load", message, "give finite numbers")
             if np.abs(value).max(initial=0.0) > _LARGEST:
                 message = f"{name} of load step {step} has values beyond {_LARGEST:.0e}"
-                raise SolverError(Status("bad-load", message, "give a load that a body can carry"))
+                raise solver_error("bad-load", message, "give a load that a body can carry")
 
 
 def check_nodal(mesh: TetMesh, forces: Array, prescribed: Array) -> None:
@@ -75,12 +75,12 @@ def check_nodal(mesh: TetMesh, forces: Array, prescribed: Array) -> None:
     for name, value in (("forces", forces), ("prescribed", prescribed)):
         if not len(forces) or value.shape != shape:
             message = f"{name} at the nodes has shape {value.shape}"
-            raise SolverError(
-                Status("bad-load", message, f"give shape (load steps, {mesh.n_nodes}, 3) for both arrays")
+            raise solver_error(
+                "bad-load", message, f"give shape (load steps, {mesh.n_nodes}, 3) for both arrays"
             )
         if not np.isfinite(value).all():
             message = f"{name} at the nodes has values that are not finite"
-            raise SolverError(Status("bad-load", message, "give finite numbers"))
+            raise solver_error("bad-load", message, "give finite numbers")
 
 
 def nodal_forces(mesh: TetMesh, loads: Sequence[Load], density: float) -> Array:
@@ -89,20 +89,18 @@ def nodal_forces(mesh: TetMesh, loads: Sequence[Load], density: float) -> Array:
     `density` in kg/m^3. The sum over the nodes is the load's resultant to rounding.
     """
     points, weights = facet_quadrature()
-    shape = triangle_p2(points) if mesh.order == 2 else points
+    shape = mesh.facet_functions(points)
     forces = np.zeros((len(loads), mesh.n_nodes, 3))
     gravities = np.array([load.gravity for load in loads], dtype=np.float64)
     if density and gravities.any():
         forces += density * gravity_weights(mesh)[None, :, None] * gravities[:, None, :]
-    nodes = mesh.facet_nodes.ravel()
     for force, load in zip(forces, loads, strict=True):
         pressure = np.asarray(load.facet_pressure) * weights
-        for k in range(3):
-            if mesh.curved is None:
-                values = -((pressure @ shape) * mesh.area_vectors[:, k, None]).ravel()
-            else:
-                values = -((pressure * curved_area_vectors(mesh)[:, :, k]) @ shape).ravel()
-            force[:, k] += np.bincount(nodes, weights=values, minlength=mesh.n_nodes)
+        if mesh.curved is None:
+            local = (pressure @ shape)[:, :, None] * mesh.area_vectors[:, None]
+        else:
+            local = shape.T @ (pressure[:, :, None] * curved_area_vectors(mesh))
+        force -= mesh.summed(mesh.facet_nodes, local)
         if load.forces is not None:
             force += load.forces
     return forces
@@ -121,15 +119,15 @@ def held_nodes(mesh: TetMesh, held: Mask, springs: Springs | None = None) -> Mas
     count = len(mesh.surface_nodes)
     given = np.asarray(held)
     if given.dtype != bool:
-        raise SolverError(
-            Status("bad-support", f"held is an array of {given.dtype}, not of true and false", "give a mask")
+        raise solver_error(
+            "bad-support", f"held is an array of {given.dtype}, not of true and false", "give a mask"
         )
     mask = given
     if mask.shape == (count,):
         mask = np.repeat(mask[:, None], 3, axis=1)
     if mask.shape != (count, 3):
-        raise SolverError(
-            Status("bad-support", f"held has shape {mask.shape}", f"give shape ({count},) or ({count}, 3)")
+        raise solver_error(
+            "bad-support", f"held has shape {mask.shape}", f"give shape ({count},) or ({count}, 3)"
         )
     out = np.zeros((mesh.n_nodes, 3), dtype=bool)
     out[mesh.surface_nodes] = mask
@@ -234,20 +232,18 @@ def _check_rigid_motion(mesh: TetMesh, held: Mask, springs: Springs | None) -> N
         sprung, directions = springs.rigid_rows(mesh)
         vertices, rows = np.concatenate([vertices, sprung]), np.concatenate([rows, directions])
     if not len(vertices):
-        raise SolverError(
-            Status("not-held", "nothing is held, so the body can move freely", "hold a part of the surface")
+        raise solver_error(
+            "not-held", "nothing is held, so the body can move freely", "hold a part of the surface"
         )
     count, label = mesh.components
     for body in range(count):
         mine = label[vertices] == body
         if _rigid_rank(mesh.points[vertices[mine]], rows[mine]) < 6:
             name = "the body" if count == 1 else f"body {body} of {count}"
-            raise SolverError(
-                Status(
-                    "not-held",
-                    f"too little is held: {name} can still move or turn freely",
-                    "hold an area of the surface, the nodes of some of its facets",
-                )
+            raise solver_error(
+                "not-held",
+                f"too little is held: {name} can still move or turn freely",
+                "hold an area of the surface, the nodes of some of its facets",
             )
 
 

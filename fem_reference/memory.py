@@ -7,7 +7,7 @@ import resource
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-from fem_reference.solution import SolverError, Status
+from solver_common.solution import solver_error
 
 
 def available_memory() -> float:
@@ -57,15 +57,18 @@ def _data_bytes() -> int:
         return 0
 
 
+def allowed_memory(limit: float | None) -> float:
+    """The limit, or what is available now where there is none [B]."""
+    return available_memory() if limit is None else limit
+
+
 def check_memory(needed: float, limit: float | None, path: str) -> None:
     """Raise a `SolverError` if `needed` bytes exceed `limit` (None: what is available now)."""
-    allowed = available_memory() if limit is None else limit
+    allowed = allowed_memory(limit)
     if needed > allowed:
         other = "iterative" if path == "direct" else "direct"
-        raise SolverError(
-            Status(
-                "memory",
-                f"the {path} solver needs about {needed / 1e6:.0f} MB but {allowed / 1e6:.0f} MB are available",
-                f'use a larger mesh_size or solver="{other}"',
-            )
+        raise solver_error(
+            "memory",
+            f"the {path} solver needs about {needed / 1e6:.0f} MB but {allowed / 1e6:.0f} MB are available",
+            f'use a larger mesh_size or solver="{other}"',
         )

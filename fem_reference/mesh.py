@@ -175,12 +175,22 @@ class TetMesh:
         other._number_nodes()
         return other
 
+    def facet_functions(self, barycentric: Array) -> Array:
+        """(Q, 3 or 6) shape functions on a facet at (Q, 3) points."""
+        return triangle_p2(barycentric) if self.order == 2 else barycentric
+
     @property
     def facet_points(self) -> Array:
         """(F, Q, 3) points of `facet_quadrature` on the facets, straight or curved [m]."""
-        points, _ = facet_quadrature()
-        shape = triangle_p2(points) if self.order == 2 else points
+        shape = self.facet_functions(facet_quadrature()[0])
         return np.asarray(np.einsum("qa,fai->fqi", shape, self.node_points[self.facet_nodes]))
+
+    def summed(self, nodes: Index, local: Array) -> Array:
+        """(n_nodes, 3) sums of (k, w, 3) values at (k, w) nodes."""
+        out = np.empty((self.n_nodes, 3))
+        for i in range(3):
+            out[:, i] = np.bincount(nodes.ravel(), weights=local[..., i].ravel(), minlength=self.n_nodes)
+        return out
 
     def check_straight(self, what: str) -> None:
         """Refuse what curved elements do not have. Raises SolverError."""

@@ -17,9 +17,9 @@ from scipy.sparse import bsr_array, bsr_matrix, coo_array, csr_array
 from fem_reference.assembly import elasticity_blocks, scalar_pattern
 from fem_reference.loads import rigid_modes
 from fem_reference.mesh import TetMesh
-from fem_reference.solution import SolverError, Status
 from fem_reference.system import LinearSystem, hold_components
 from solver_common.arrays import Array, Index
+from solver_common.solution import solver_error
 
 _POWER_STEPS = 12
 _COARSEST = 50  # nodes of the level that is solved densely
@@ -82,8 +82,8 @@ class DisplacementPreconditioner:
         self._free = ~system.held[vertices]
         self._levels: tuple[csr_array, csr_array] | None = None
         if not len(vertices):
-            raise SolverError(
-                Status("bad-solver", "every vertex is held, so multigrid has no coarse level", 'use "direct"')
+            raise solver_error(
+                "bad-solver", "every vertex is held, so multigrid has no coarse level", 'use "direct"'
             )
         if mesh.order == 1:
             coarse = bsr_matrix(system.stiffness)

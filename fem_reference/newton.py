@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.sparse import bsr_array, csr_array
 
-from fem_reference.assembly import Coupling, Pattern
+from fem_reference.assembly import Pattern
 from fem_reference.finite_contact import RigidContact
 from fem_reference.finite_strain_assembly import ElementAssembly
 from fem_reference.follower import FollowerPressure
@@ -148,7 +148,7 @@ class Newton:
         self,
         system: LinearSystem,
         pattern: Pattern,
-        coupling: Coupling,
+        coupling: Pattern,
         assembly: ElementAssembly,
         follower: FollowerPressure,
         solver: TangentSolver,

@@ -34,10 +34,11 @@ from fem_reference.materials import TransverselyIsotropic
 from fem_reference.memory import check_memory
 from fem_reference.mesh import TetMesh
 from fem_reference.moduli import Moduli, check_density, check_fibres, make_moduli
-from fem_reference.solution import CONVERGED, Solution, SolverError, Status
+from fem_reference.solution import CONVERGED, Solution, Status
 from fem_reference.springs import DIRECTIONS, ElasticSupport, make_springs
 from solver_common.arrays import Array, Index, Mask
 from solver_common.quadrature import facet_quadrature
+from solver_common.solution import solver_error
 
 NOT_REACHED = Status("not-reached", "an earlier load step failed", "see that step")
 
@@ -195,7 +196,7 @@ class PlainBody:
                 "an incompressible body is held over its whole surface, which leaves its pressure undefined"
             )
             remedy = "free a part of the surface or set poisson_ratio to 0.4999"
-            raise SolverError(Status("enclosed", message, remedy))
+            raise solver_error("enclosed", message, remedy)
         G = E / (2.0 * (1.0 + nu))
         couples, gives = 0.0, np.ones(1)  # p = 0
         if nu.all():

@@ -9,7 +9,7 @@ from skfem import ElementTetP1, ElementTetP2
 from skfem.quadrature import get_quadrature
 from skfem.refdom import RefTet
 
-from fem_reference.assembly import reference_gradients, tetrahedron_quadrature
+from fem_reference.assembly import chunks, reference_gradients, tetrahedron_quadrature
 from fem_reference.mesh import TetMesh
 from solver_common.arrays import Array
 
@@ -101,8 +101,7 @@ class StrainRecovery:
         return np.asarray(total[:, :6] / total[:, 6:])
 
     def _chunks(self) -> list[slice]:
-        count = len(self._mesh.volumes)
-        return [slice(start, min(start + _CHUNK, count)) for start in range(0, count, _CHUNK)]
+        return chunks(len(self._mesh.volumes), _CHUNK)
 
     def _incidence(self, part: slice) -> csr_array:
         return _gather(self._mesh.tetrahedra[part].ravel(), self._mesh.n_vertices)

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.sparse import csr_array
 
 from fem_reference.assembly import Pattern
-from fem_reference.mesh import TetMesh, triangle_p2
+from fem_reference.mesh import TetMesh
 from solver_common.arrays import Array, Index
 from solver_common.quadrature import facet_quadrature
 from solver_common.solution import solver_error
@@ -107,7 +107,7 @@ class Springs:
     def _entries(self, mesh: TetMesh) -> tuple[Index, Index, Array]:
         """(k,) rows and columns of nodes and their (k, 3, 3) stiffness."""
         points, weights = facet_quadrature()
-        shape = triangle_p2(points) if mesh.order == 2 else points
+        shape = mesh.facet_functions(points)
         table = shape.T @ (weights[:, None] * shape)
         area = np.linalg.norm(mesh.area_vectors[self.facets], axis=1) / mesh.mean_edge**2
         nodes = mesh.facet_nodes[self.facets]

@@ -31,9 +31,9 @@ from fem_reference.assembly import (
     scalar_pattern,
 )
 from fem_reference.mesh import TetMesh
-from fem_reference.solution import SolverError, Status
 from fem_reference.springs import Springs
 from solver_common.arrays import Array, Index, Mask
+from solver_common.solution import solver_error
 
 
 @dataclass(frozen=True)
@@ -66,20 +66,21 @@ class LinearSystem:
     held: Mask
     kept: Index
     stiffness: bsr_array
-    divergence: csr_array | None
-    gradient: csr_array | None
-    mass: csr_array | None
-    compliance: csr_array | None
-    compressibility: float
-    pressure_scale: float
     divergence_coefficient: float
     fibres: Array | None
     relative_stiffness: Array | None
-    schur_factor: float
     springs: Springs | None
     support: Index
     support_rows: bsr_array
-    support_divergence: csr_array | None
+    # of a pressure field
+    divergence: csr_array | None = None
+    gradient: csr_array | None = None
+    mass: csr_array | None = None
+    compliance: csr_array | None = None
+    compressibility: float = 0.0
+    pressure_scale: float = 0.0
+    schur_factor: float = 0.0
+    support_divergence: csr_array | None = None
 
     @property
     def mixed(self) -> bool:
@@ -208,20 +209,12 @@ def build_system(
         held=held,
         kept=kept,
         stiffness=stiffness,
-        divergence=None,
-        gradient=None,
-        mass=None,
-        compliance=None,
-        compressibility=0.0,
-        pressure_scale=0.0,
         divergence_coefficient=lame,
         fibres=fibres,
         relative_stiffness=relative_stiffness,
-        schur_factor=0.0,
         springs=springs,
         support=support,
         support_rows=support_rows,
-        support_divergence=None,
     )
     if not mixed:
         return displacement
@@ -309,12 +302,10 @@ def _check_pressure_datum(mesh: TetMesh, divergence: csr_array) -> None:
     for body in range(count):
         flux = divergence.T @ (label[mesh.pressure_vertices] == body).astype(np.float64)
         if np.abs(flux).max(initial=0.0) < 1e-10:
-            raise SolverError(
-                Status(
-                    "enclosed",
-                    "an incompressible body is held over its whole surface, which leaves its pressure undefined",
-                    "free a part of the surface or set poisson_ratio to 0.4999",
-                )
+            raise solver_error(
+                "enclosed",
+                "an incompressible body is held over its whole surface, which leaves its pressure undefined",
+                "free a part of the surface or set poisson_ratio to 0.4999",
             )
 
 

@@ -20,11 +20,12 @@ from fem_reference.costs import NEWTON_STEPS, estimate_costs, estimate_newton_co
 from fem_reference.factorisation import LIBRARY, analyse, pivotable_triangle
 from fem_reference.krylov import gmres
 from fem_reference.linear_algebra import SOLVERS
-from fem_reference.memory import available_memory, check_memory
+from fem_reference.memory import allowed_memory, check_memory
 from fem_reference.multigrid import BlockPreconditioner
-from fem_reference.solution import SolverError, Status
+from fem_reference.solution import SolverError
 from fem_reference.system import LinearSystem
 from solver_common.arrays import Array
+from solver_common.solution import solver_error
 
 Operator = Callable[[Array], Array]
 
@@ -86,7 +87,7 @@ class Factors:
     def sharpen(self) -> bool:
         """See `Preconditioner`."""
         needed = self._needed("float64")
-        if self._precision == "float64" or needed > _allowed(self._memory_limit):
+        if self._precision == "float64" or needed > allowed_memory(self._memory_limit):
             return False
         self._precision = "float64"
         self.estimated_bytes = needed
@@ -142,8 +143,8 @@ class TangentSolver:
         self, system: LinearSystem, requested: str, expected_loads: int, memory_limit: float | None
     ) -> None:
         if requested not in SOLVERS:
-            raise SolverError(
-                Status("bad-solver", f"solver {requested!r} is unknown", f"use one of {', '.join(SOLVERS)}")
+            raise solver_error(
+                "bad-solver", f"solver {requested!r} is unknown", f"use one of {', '.join(SOLVERS)}"
             )
         name, self.reason = requested, "asked for"
         if requested == "auto":
@@ -197,13 +198,9 @@ class TangentSolver:
 
 def _choose(system: LinearSystem, expected_loads: int, memory_limit: float | None) -> tuple[str, str]:
     costs = estimate_newton_costs(system.size, system.mesh.n_vertices, expected_loads)
-    allowed = _allowed(memory_limit)
+    allowed = allowed_memory(memory_limit)
     reason = f"{system.size} unknowns, {NEWTON_STEPS * max(1, expected_loads)} solves: " + ", ".join(
         f"{name} about {cost.seconds:.2g} s and {cost.bytes / 1e6:.0f} MB" for name, cost in costs.items()
     )
     direct = costs["direct"].bytes <= allowed and costs["direct"].seconds <= costs["iterative"].seconds
     return ("direct" if direct else "iterative"), reason
-
-
-def _allowed(memory_limit: float | None) -> float:
-    return available_memory() if memory_limit is None else memory_limit

@@ -13,8 +13,7 @@ from fem_reference.finite_strain import FiniteStrainProblem
 from fem_reference.forces import traction_forces
 from fem_reference.linear import LinearProblem
 from fem_reference.plain_body import PlainBody
-from fem_reference.plain_finite_strain import PlainFiniteStrainProblem
-from fem_reference.plain_history import between
+from fem_reference.plain_finite_strain import PlainFiniteStrainProblem, between
 from fem_reference.plain_linear import PlainLinearProblem
 from fem_reference.solution import Solution, SolverError
 from fem_reference.springs import ElasticSupport

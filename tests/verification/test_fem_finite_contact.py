@@ -67,7 +67,7 @@ def test_a_small_indentation_is_the_linear_one(verified: Verified) -> None:
         b.surface[:, 2] == 1.0,
     ).solve([4e-3])
     finite = _problem(b).indent(indenter, _top(b), [4e-3])
-    assert finite.status[0].ok, finite.status
+    assert finite.solution.status[0].ok, finite.solution.status
     assert finite.inside[0] <= 1e-4
     verified.equal(
         "force, over that of the linear contact", -finite.force[0, 2] / linear.force[0], 1.0, atol=0.04
@@ -82,14 +82,15 @@ def test_force_is_the_slope_of_the_energy(verified: Verified) -> None:
     indenter = Indenter(Sphere(0.7), TIP, DOWN)
     depths = 0.1 * (np.polynomial.legendre.leggauss(6)[0] + 1.0)
     s = problem.indent(indenter, _top(b), [*depths, 0.2])
-    assert all(status.ok for status in s.status), s.status
+    assert all(status.ok for status in s.solution.status), s.solution.status
     work = 0.1 * np.polynomial.legendre.leggauss(6)[1] @ -s.force[:-1, 2]
     assert np.all(np.diff(-s.force[:, 2]) > 0.0)
     assert np.all(s.inside <= 0.01 * problem.mesh.mean_edge)
-    assert s.penalty_energy[-1] <= 0.02 * s.energy[-1]
-    stored = s.energy[-1] + s.penalty_energy[-1]
+    elastic = s.solution.energy[-1]
+    assert s.penalty_energy[-1] <= 0.02 * elastic
+    stored = elastic + s.penalty_energy[-1]
     verified.equal("work of a sphere over the stored energy, depth 0.2", work / stored, 1.0, atol=2e-3)
-    r = np.linalg.norm(b.surface + s.displacement[-1] - (0.5, 0.5, 1.0 + 0.7 - 0.2), axis=1)
+    r = np.linalg.norm(b.surface + s.solution.displacement[-1] - (0.5, 0.5, 1.0 + 0.7 - 0.2), axis=1)
     assert r[b.surface[:, 2] == 1.0].min() > 0.7 - 0.01
 
 
