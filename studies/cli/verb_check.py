@@ -11,7 +11,7 @@ from .studies import check_files, load, make_plan
 SUMMARY = "validate a study without running it"
 MORE = (
     "Validate a study without running it: its keys, and its scene on the surface of its mesh. A surface that is "
-    "not in the cache is meshed, which takes a second or two, unless it has more than 20,000 nodes. "
+    "not in the cache is meshed and kept there, which takes a second or two, unless it has more than 20,000 nodes. "
     "What cannot run ends with exit code 2; what is a matter of judgement is a warning."
 )
 

@@ -8,7 +8,7 @@ factor smaller.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -61,20 +61,16 @@ def estimate(plan: Plan, cases: Sequence[PlannedCase]) -> Estimate | None:
 
 
 def _estimate(plan: Plan, cases: Sequence[PlannedCase]) -> Estimate | None:
-    sizes: dict[str, Size] = {}
-    for key in dict.fromkeys(case.mesh for case in cases):
-        size = size_of(plan, plan.meshes[key])
-        if size is None:
-            return None
-        sizes[key] = size
-    seconds = dearest = disk = memory = 0.0
+    sizes = _sizes(plan, cases)
+    if sizes is None:
+        return None
+    seconds = dearest = memory = 0.0
     for body in bodies(plan, cases):
         solves = sum(len(asked.factors) for asked in body.asked)
         cost = _law(body.name, sizes[body.mesh].refined(body.level), solves)
         seconds += cost.setup + solves * cost.step
         dearest = max(dearest, cost.setup + cost.step)
         memory = max(memory, cost.bytes)
-        disk += 48.0 * solves * sizes[body.mesh].nodes + 2e3
     searches = [_search(case, sizes[case.mesh]) for case in cases]
     seconds += sum(search.seconds for search in searches)
     memory = max([memory, *(search.bytes for search in searches)])
@@ -83,18 +79,42 @@ def _estimate(plan: Plan, cases: Sequence[PlannedCase]) -> Estimate | None:
     seconds *= speed
     seconds += _START + sum(mesh_seconds(sizes[mesh.key]) for mesh in plan.missing_meshes(cases))
     for case in cases:
-        results, steps = len(case.wanted), len(case.study.load.history)
-        per_result = 48.0 * steps * sizes[case.mesh].nodes
-        nodes = sizes[case.mesh].nodes
+        nodes, steps = sizes[case.mesh].nodes, len(case.study.load.history)
         # files, report; metrics of one step, with the distances of surfaces; those of the other steps
-        seconds += 0.05 + 1e-6 * results * nodes * (15.0 + steps)
-        disk += results * (per_result + 2e4) + 5e4
-    disk += sum(
-        40.0 * sizes[mesh.key].tetrahedra + 80.0 * sizes[mesh.key].nodes
-        for mesh in plan.missing_meshes(cases)
-    )
+        seconds += 0.05 + 1e-6 * len(case.wanted) * nodes * (15.0 + steps)
     factor = FACTOR_MEASURED if weight >= _KNOWN else FACTOR_LAWS
+    disk = _disk_bytes(plan, cases, sizes)
     return Estimate(seconds if cases else 0.0, _PROCESS_BYTES + memory, disk, factor)
+
+
+def disk_bytes(plan: Plan, cases: Sequence[PlannedCase]) -> float:
+    """What the results of these cases and all that they need take on disk; 0 where a file cannot be meshed."""
+    sizes = _sizes(plan, cases)
+    return _disk_bytes(plan, cases, sizes) if sizes is not None else 0.0
+
+
+def _disk_bytes(plan: Plan, cases: Sequence[PlannedCase], sizes: Mapping[str, Size]) -> float:
+    solves = [
+        sizes[body.mesh].nodes * sum(len(asked.factors) for asked in body.asked)
+        for body in bodies(plan, cases)
+    ]
+    results = sum(
+        len(case.wanted) * (_PER_NODE * len(case.study.load.history) * sizes[case.mesh].nodes + 2e4) + 5e4
+        for case in cases
+    )
+    meshes = [sizes[mesh.key] for mesh in plan.missing_meshes(cases)]
+    return (
+        sum(_PER_NODE * nodes + 2e3 for nodes in solves)
+        + results
+        + sum(40.0 * size.tetrahedra + 80.0 * size.nodes for size in meshes)
+    )
+
+
+def _sizes(plan: Plan, cases: Sequence[PlannedCase]) -> dict[str, Size] | None:
+    """Mesh -> its size; None where a file cannot be meshed."""
+    found = {key: size_of(plan, plan.meshes[key]) for key in dict.fromkeys(case.mesh for case in cases)}
+    known = {key: size for key, size in found.items() if size is not None}
+    return known if len(known) == len(found) else None
 
 
 def case_bytes(case: PlannedCase, size: Size) -> float:

@@ -16,8 +16,6 @@ from .. import models
 from ..body.mesh import Mesh
 from ..body.mesh_cache import mesh_path
 from ..machine.sealed import is_sound
-from ..store.cases import case_state
-from ..store.run_directory import case_path
 from ..study.config import ResolvedCase, case_inputs, geometry_error, geometry_of
 from ..study.errors import MeshError
 from ..study.geometry_spec import (
@@ -148,6 +146,8 @@ class Plan:
     @cached_property
     def state(self) -> dict[str, str]:
         """Case hash -> "done", "stale", "failed", "damaged" or "missing"."""
+        from ..store.cases import case_state  # HDF5 is slow to load, and a check asks for no results
+
         return {case.hash: case_state(self.directory, case.hash, case.label) for case in self.cases}
 
     @cached_property
@@ -196,6 +196,8 @@ class Plan:
 
     def case_file(self, case: PlannedCase) -> Path:
         """Where the case is kept once it is done."""
+        from ..store.run_directory import case_path
+
         return case_path(self.directory, case.hash, case.label)
 
 

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import math
+from contextlib import suppress
 
 from ..body.mesh import Mesh
-from ..body.mesh_cache import mesh_path, read_mesh
+from ..body.mesh_cache import mesh_path, read_mesh, write_mesh
 from ..scene.measured_points import place_measured
 from ..scene.scene import Scene, SceneError, build_scene
 from ..scene.warnings import scene_warnings
 from ..study.config import geometry_error, resolved
 from ..study.errors import MeshError
+from ..study.geometry_spec import geometry_key
 from ..study.problems import Finding, Loc, Problem
 from .plan import Plan, PlannedCase
 
@@ -51,23 +53,30 @@ def _other_scenes(case: PlannedCase) -> list[PlannedCase]:
 
 def scene_of(plan: Plan, case: PlannedCase) -> Scene:
     """A case's scene on its surface, which is meshed however long that takes. Raises StudyError."""
-    mesh = _surface(plan, case, most=math.inf)
+    mesh = _surface(plan, case, most=math.inf, keep=False)
     assert mesh is not None
-    return _scene(plan, case, mesh)
+    return _scene(plan, case, mesh, checked=False)
 
 
-def _surface(plan: Plan, case: PlannedCase, most: float = MOST_NODES) -> Mesh | None:
+def _surface(plan: Plan, case: PlannedCase, most: float = MOST_NODES, *, keep: bool = True) -> Mesh | None:
     """The case's mesh, of one that is not there the surface alone; None where that would take long."""
     planned = plan.meshes[case.mesh]
     cached = read_mesh(mesh_path(plan.cache, planned.key))
     if cached is not None or planned.expected.nodes > most:
         return cached
-    from ..body.geometry import build_mesh  # gmsh is slow to load
-
     try:
-        return build_mesh(planned.geometry, volume=False)
+        path = mesh_path(plan.cache, geometry_key(planned.geometry, volume=False))
+        surface = read_mesh(path)
+        if surface is None:
+            from ..body.geometry import build_mesh  # gmsh is slow to load
+
+            surface = build_mesh(planned.geometry, volume=False)
+            if keep:
+                with suppress(OSError):  # a study can be checked where nothing can be written
+                    write_mesh(path, surface)
     except MeshError as error:
         raise geometry_error(plan.study, error) from error
+    return surface
 
 
 def _doubts(plan: Plan, case: PlannedCase, mesh: Mesh) -> list[Finding]:
@@ -80,10 +89,10 @@ def _doubts(plan: Plan, case: PlannedCase, mesh: Mesh) -> list[Finding]:
     return [(loc, _in_case(text, case)) for loc, text in found]
 
 
-def _scene(plan: Plan, case: PlannedCase, mesh: Mesh) -> Scene:
+def _scene(plan: Plan, case: PlannedCase, mesh: Mesh, *, checked: bool = True) -> Scene:
     try:
         place_measured(case.study, mesh)
-        return build_scene(case.study, mesh)
+        return build_scene(case.study, mesh, checked=checked)
     except (SceneError, MeshError) as error:
         place: Loc = error.place if isinstance(error, SceneError) else ("constraints",)
         finding = (place, _in_case(str(error), case))

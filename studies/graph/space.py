@@ -6,8 +6,8 @@ import shutil
 from collections.abc import Sequence
 from pathlib import Path
 
-from ..store.hdf5 import MAX_BYTES
-from .estimate import case_bytes, estimate, size_of
+from ..machine.safe_open import MAX_CASE_BYTES
+from .estimate import case_bytes, disk_bytes, size_of
 from .plan import Plan, PlannedCase
 
 DOUBT = 1.3  # expected numbers of a case over those that a file holds: the nodes of a mesh are expected, too
@@ -17,10 +17,10 @@ DISK_DOUBT = 2.0  # expected bytes over those that are free
 def without_room(plan: Plan, cases: Sequence[PlannedCase]) -> list[str]:
     """What will be refused of these cases because their results have no room in a case file or on the disk."""
     lines = list(dict.fromkeys(filter(None, (_beyond_a_file(plan, case) for case in cases))))
-    expected, free = estimate(plan, cases), free_bytes(plan.directory)
-    if expected is not None and expected.disk > DISK_DOUBT * free:
+    needed, free = disk_bytes(plan, cases), free_bytes(plan.directory)
+    if needed > DISK_DOUBT * free:
         lines.append(
-            f"the results would take about {expected.disk / 1e9:.3g} GB, and {plan.directory} has "
+            f"the results would take about {needed / 1e9:.3g} GB, and {plan.directory} has "
             f"{free / 1e9:.3g} GB of disk left; make room, or choose another --out"
         )
     return lines
@@ -31,12 +31,12 @@ def _beyond_a_file(plan: Plan, case: PlannedCase) -> str:
     if size is None:
         return ""
     needed = case_bytes(case, size)
-    if needed <= DOUBT * MAX_BYTES:
+    if needed <= DOUBT * MAX_CASE_BYTES:
         return ""
     return (
         f"{len(case.study.load.history):,} load steps on about {size.nodes:,.0f} surface nodes make results of "
-        f"{needed / 1e9:.1f} GB, more than the {MAX_BYTES / 1e9:.1f} GB of a case file; use fewer load steps, a "
-        "larger mesh_size or fewer models"
+        f"{needed / 1e9:.1f} GB, more than the {MAX_CASE_BYTES / 1e9:.1f} GB of a case file; use fewer load steps, "
+        "a larger mesh_size or fewer models"
     )
 
 

@@ -8,6 +8,7 @@ import stat
 from pathlib import Path
 
 MAX_TEXT_BYTES = 256 << 20  # of a stored text; a plan of 100,000 cases has 40 MB
+MAX_CASE_BYTES = 2 << 30  # of the results of a case
 _KINDS = {
     stat.S_IFLNK: "a link",
     stat.S_IFIFO: "a FIFO",

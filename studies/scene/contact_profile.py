@@ -49,6 +49,12 @@ def on_facets(profile: str, region: Region, mesh: Mesh, rule: tuple[Array, Array
     return np.asarray(np.linalg.solve(_products(barycentric) * weights, moments.T).T)
 
 
+def sampled(profile: str, region: Region, mesh: Mesh, barycentric: Array) -> Array:
+    """(F, Q) values of the profile at the places (Q, 3) of each facet."""
+    corners = mesh.surface_points[mesh.triangles].transpose(1, 0, 2)
+    return PROFILES[profile](profile_coordinate(region, mesh, _at(barycentric, corners))).T
+
+
 def _are_split(region: Region, mesh: Mesh, corners: Array) -> tuple[Mask, Mask]:
     """(C,) cells over which the profile is not smooth enough for the rule, and those over which it is.
 

@@ -15,9 +15,10 @@ from ..body.surface_measures import facet_area_vectors
 from ..study.errors import InputError
 from ..study.problems import Loc
 from ..study.schema import Constraint, Region
-from .contact_profile import on_facets
+from .contact_profile import on_facets, sampled
 
 _LEAST_RESULTANT = 1e-6  # of a contact, over the sum of its facets' forces: below it is rounding or chance
+_CLEAR_RESULTANT = 0.1  # the same, from which on samples of a profile tell that it has one
 
 
 class SceneError(InputError):
@@ -33,13 +34,17 @@ class SceneError(InputError):
 
 @dataclass(frozen=True)
 class PlacedConstraint:
-    """See `vdmbench.study.loads.Placed`; `place` is its own in the study, `region` in the mesh's coordinates."""
+    """See `vdmbench.study.loads.Placed`; `place` is its own in the study, `region` in the mesh's coordinates.
+
+    Where it is only `checked`, samples stand for the integrals of a smooth profile that clearly presses one way.
+    """
 
     constraint: Constraint
     place: Loc
     region: Region
     mesh: Mesh
     nodes: Mask
+    checked: bool = False
 
     @property
     def points(self) -> Array:
@@ -64,10 +69,7 @@ class PlacedConstraint:
 
     def resultant(self, pressure: Array) -> float:
         """Size of the resultant of a pressure, over its unit [m^2]."""
-        vectors = facet_area_vectors(self.points, self.triangles)
-        areas = pressure @ facet_quadrature()[1]
-        resultant = float(np.linalg.norm(areas @ vectors))
-        total = float(np.abs(areas) @ np.linalg.norm(vectors, axis=1))
+        resultant, total = self._resultant_and_total(pressure)
         if resultant < _LEAST_RESULTANT * total:
             raise self._error(
                 "presses from all sides, so that its pressures have no resultant to be given by force; give "
@@ -98,15 +100,25 @@ class PlacedConstraint:
             raise self._error("has no facet; enlarge its region or take a smaller mesh_size")
         return np.asarray(inside)
 
+    def _resultant_and_total(self, pressure: Array) -> tuple[float, float]:
+        vectors = facet_area_vectors(self.points, self.triangles)
+        areas = pressure @ facet_quadrature()[1]
+        return float(np.linalg.norm(areas @ vectors)), float(np.abs(areas) @ np.linalg.norm(vectors, axis=1))
+
     def _shape(self, profile: str | None) -> Array:
         barycentric, weights = facet_quadrature()
         if profile in (None, "uniform"):
             inside = np.all(self.nodes[self.triangles], axis=1)
             return np.repeat(inside[:, None].astype(float), len(weights), axis=1)
+        if self.checked:
+            samples = sampled(str(profile), self.region, self.mesh, barycentric)
+            resultant, total = self._resultant_and_total(samples)
+            if resultant > _CLEAR_RESULTANT * total:
+                return samples
         return on_facets(str(profile), self.region, self.mesh, (barycentric, weights))
 
     def _remembered(self, profile: str | None, work: Callable[[], Array]) -> Array:
-        asked = ("pressure", profile, self.region.model_dump_json(), self.nodes.tobytes())
+        asked = ("pressure", profile, self.checked, self.region.model_dump_json(), self.nodes.tobytes())
         return self.mesh.remembered(asked, work)
 
     def _error(self, text: str) -> SceneError:

@@ -182,11 +182,13 @@ def build_scene(
     mesh: Mesh,
     masks: Mapping[str, Mask] | None = None,
     inside: Mapping[str, Mask] | None = None,
+    *,
+    checked: bool = False,
 ) -> Scene:
     """Put a study's regions, constraints and loads on a mesh.
 
     `masks` gives the regions' nodes and `inside` the inclusions' tetrahedra where the mesh is a refinement, with
-    those of the coarse mesh.
+    those of the coarse mesh. Of a scene that is only `checked` the pressures are no answer, see `PlacedConstraint`.
 
     Raises
     ------
@@ -212,7 +214,7 @@ def build_scene(
             raise SceneError(
                 f"constraint {constraint.name!r} is of an unknown kind, {constraint.kind!r}", place
             )
-        on = PlacedConstraint(constraint, place, regions[constraint.region], mesh, mask)
+        on = PlacedConstraint(constraint, place, regions[constraint.region], mesh, mask, checked)
         acts = kind.act(constraint, on)
         if acts.needs_an_extra and kind.extra(constraint) not in EXTRAS:
             raise SceneError(f"the kind {kind.name!r} has to declare as `extra` what its models take", place)

@@ -23,9 +23,9 @@ import numpy as np
 from h5py import h5, h5a, h5d, h5ds, h5f, h5g, h5l, h5o, h5p, h5s, h5t, string_dtype
 from numpy.typing import NDArray
 
-from ..machine.safe_open import UnfitFileError, read_regular
+from ..machine.safe_open import MAX_CASE_BYTES, UnfitFileError, read_regular
 
-MAX_BYTES = 2 << 30
+MAX_BYTES = MAX_CASE_BYTES
 TRAILER = b"\nvdmbench-sha256 "
 TRAILER_BYTES = len(TRAILER) + 64 + 1
 _COMPRESS_FROM = 1 << 17  # bytes; of less, compressing takes longer than all else of a file

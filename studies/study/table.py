@@ -43,7 +43,9 @@ def as_path(value: Any, info: ValidationInfo) -> Path:
 class Table(BaseModel):
     """A table of a study file: unknown keys are errors, nothing is coerced, values do not change."""
 
-    model_config = ConfigDict(extra="forbid", strict=True, frozen=True, hide_input_in_errors=True)
+    model_config = ConfigDict(
+        extra="forbid", strict=True, frozen=True, hide_input_in_errors=True, defer_build=True
+    )
 
     @field_validator("*", mode="wrap")
     @classmethod

@@ -38,6 +38,11 @@ CASES: dict[str, tuple[list[tuple[str, str]], int, str]] = {
         2,
         "small.toml:25: constraints.finger: contact 'finger' covers",
     ),
+    "a contact that is smaller than a facet": (
+        [(FINGER, 'ball = { center = [0, 0, "50 mm"], radius = "1 mm" }'), ('"0.1 N"', '"1 mN"')],
+        0,
+        "small.toml: ok",
+    ),
     "a force that moves the body by its own size": (
         [('"0.1 N"', '"90 N"')],
         0,

@@ -52,7 +52,7 @@ def test_a_case_beyond_a_file_is_refused_before_it_runs(
 ) -> None:
     plan = _plan(tmp_path, load=LONG)
     assert summary(plan)["refused"] == []
-    monkeypatch.setattr(room, "MAX_BYTES", 1_000_000)
+    monkeypatch.setattr(room, "MAX_CASE_BYTES", 1_000_000)
     _refused(plan, "of a case file; use fewer")
 
 

@@ -264,6 +264,24 @@ def test_a_run_that_has_nothing_left_to_do_loads_no_solver_and_starts_no_process
     assert not {"scipy", "skfem", "pyamg", "vdm.model", "gmsh", "rich", "pebble"} & set(modules)
 
 
+def test_check_loads_neither_results_nor_mesher_nor_solvers_once_the_surface_is_known(tmp_path: Path) -> None:
+    study = write_study(tmp_path)
+    code = (
+        "import sys, contextlib\n"
+        "from vdmbench.cli.main import main\n"
+        "with contextlib.suppress(SystemExit): main(['check', 'small.toml'])\n"
+        "print(sorted(sys.modules), file=sys.stderr)\n"
+    )
+    for known in (False, True):
+        ended = subprocess.run(
+            [sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=study.parent
+        )
+        modules = set(ast.literal_eval(ended.stderr))
+        assert ended.stdout == "small.toml: ok, 1 case\n"
+        slow = {"gmsh", "scipy", "h5py", "pint", "vdmbench.store.cases", "vdmbench.cli.verb_run"}
+        assert bool(slow & modules) is not known, slow & modules
+
+
 def test_making_a_solid_starts_no_renderer() -> None:
     code = "import sys, vdmbench.body.geometry; print(sorted({name.split('.')[0] for name in sys.modules}))"
     result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
