@@ -3,20 +3,16 @@
 A file is built in memory, because HDF5 crashes the process on a full disk. Its last bytes hold the SHA-256 of all
 before them, checked before HDF5 sees the file.
 
-HDF5 takes some 50 microseconds for each object and attribute, and a case has fifty, of which only the numbers
-differ from those of the case before it. So the file without its numbers, the skeleton, is made once for all files
-of one structure, and the numbers are put where HDF5 says that they belong. For the same reason all of this is in
-h5py's low-level interface, which takes a quarter of the time of the other.
+It is all in h5py's low-level interface, which takes a third of the time of the other.
 """
 
 from __future__ import annotations
 
 import hashlib
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import lru_cache
 from pathlib import Path
-from types import TracebackType
 from typing import Any, Self
 
 import numpy as np
@@ -36,8 +32,6 @@ _TEXT = h5t.py_create(string_dtype("utf-8"), logical=True)  # in a file
 _STRING = h5t.py_create(string_dtype("utf-8"))  # in memory
 _SCALAR = h5s.create(h5s.SCALAR)
 _CREATION_ORDER = h5p.CRT_ORDER_TRACKED | h5p.CRT_ORDER_INDEXED
-_MOST_SKELETONS = 8
-_LARGEST_SKELETON = 8 << 20
 
 
 class StoreError(ValueError):
@@ -57,7 +51,7 @@ class OlderSchemaError(StoreError):
 
 @dataclass(frozen=True)
 class Group:
-    """A group; its members keep the order in which they are listed, the texts after the others.
+    """A group; its members keep the order in which they are listed.
 
     Attributes are texts, numbers or arrays of numbers; bytes are ASCII of a fixed length.
     """
@@ -92,113 +86,57 @@ Entry = Group | Data | Text
 
 def sealed(entries: Sequence[Entry]) -> bytes:
     """The bytes of a file: groups before what is in them."""
-    image = _image(entries)
+    file = h5f.create(b"case.h5", h5f.ACC_TRUNC, fapl=_in_memory())
+    for entry in entries:
+        _add(file, entry)
+    h5f.flush(file)
+    image: bytes = file.get_file_image()
+    file.close()
     return b"".join((image, TRAILER, hashlib.sha256(image).hexdigest().encode(), b"\n"))
 
 
-def _image(entries: Sequence[Entry]) -> bytearray:
-    arrays = [entry for entry in entries if isinstance(entry, Data)]
-    skeleton, places = _skeleton_of([entry for entry in entries if not isinstance(entry, Text)])
-    file = h5f.open(b"case.h5", h5f.ACC_RDWR, fapl=_in_memory(skeleton))
-    for entry in entries:
-        if isinstance(entry, Group):
-            group = h5g.open(file, entry.path.encode())
-            for name, value in entry.attributes.items():
-                _fill(h5a.open(group, name.encode()), value)
-        elif isinstance(entry, Text):
-            texts = np.array(entry.values, dtype=object)
-            space = h5s.create_simple(texts.shape) if texts.shape else _SCALAR
-            h5d.create(file, entry.path.encode(), _TEXT, space).write(h5s.ALL, h5s.ALL, texts, mtype=_STRING)
-    for entry, place in zip(arrays, places, strict=True):
-        if place is None and entry.values.size:
-            h5d.open(file, entry.path.encode()).write(h5s.ALL, h5s.ALL, np.ascontiguousarray(entry.values))
-    image = bytearray(_closed(file))
-    for entry, place in zip(arrays, places, strict=True):
-        if place is not None:
-            content = np.ascontiguousarray(entry.values).tobytes()
-            image[place : place + len(content)] = content
-    return image
-
-
-# structure -> a file without numbers and texts, and where the numbers of each array start (None: HDF5 knows)
-_skeletons: dict[tuple[Any, ...], tuple[bytes, list[int | None]]] = {}
-
-
-def _structure(entry: Group | Data) -> tuple[Any, ...]:
-    """What the skeleton has of an entry."""
+def _add(file: Any, entry: Entry) -> None:
+    path = entry.path.encode()
+    if isinstance(entry, Text):
+        texts = np.array(entry.values, dtype=object)
+        space = h5s.create_simple(texts.shape) if texts.shape else _SCALAR
+        h5d.create(file, path, _TEXT, space).write(h5s.ALL, h5s.ALL, texts, mtype=_STRING)
+        return
     if isinstance(entry, Group):
-        return (entry.path, *((name, _kind(value)) for name, value in entry.attributes.items()))
-    values = entry.values
-    attributes = tuple(entry.attributes.items())
-    return (entry.path, values.dtype, values.shape, _compressed(values), attributes, entry.labels)
-
-
-def _kind(value: Any) -> tuple[Any, ...]:
-    return () if isinstance(value, str) else (np.asarray(value).dtype.str, np.shape(value))
-
-
-def _compressed(values: NDArray[Any]) -> bool:
-    """Zeros shrink, the digits of a solution hardly do."""
-    return bool(values.nbytes > _COMPRESS_FROM and 2 * np.count_nonzero(values) < values.size)
-
-
-def _skeleton_of(entries: Sequence[Group | Data]) -> tuple[bytes, list[int | None]]:
-    structure = tuple(map(_structure, entries))
-    found = _skeletons.get(structure) or _skeleton(entries)
-    if len(found[0]) <= _LARGEST_SKELETON:  # the time for a large file is that of its numbers
-        while structure not in _skeletons and len(_skeletons) >= _MOST_SKELETONS:
-            del _skeletons[next(iter(_skeletons))]
-        _skeletons[structure] = found
-    return found
-
-
-def _skeleton(entries: Sequence[Group | Data]) -> tuple[bytes, list[int | None]]:
-    file = h5f.create(b"case.h5", h5f.ACC_TRUNC, fapl=_in_memory())
-    ordered = h5p.create(h5p.GROUP_CREATE)
-    ordered.set_link_creation_order(_CREATION_ORDER)
-    places: list[int | None] = []
-    for entry in entries:
-        if isinstance(entry, Group):
-            group = h5g.create(file, entry.path.encode(), gcpl=ordered)
-            for name, value in entry.attributes.items():
-                _attach(group, name, value)
-            continue
-        values = entry.values
-        how = h5p.create(h5p.DATASET_CREATE)
-        how.set_obj_track_times(False)  # one structure, one header, whoever writes it when
-        if _compressed(values):
-            how.set_chunk((min(len(values), _CHUNK), *values.shape[1:]))
-            how.set_shuffle()
-            how.set_deflate(1)
-        else:  # its bytes in one place, and all of them written
-            how.set_alloc_time(h5d.ALLOC_TIME_EARLY)
-            how.set_fill_time(h5d.FILL_TIME_NEVER)
-        kind = h5t.py_create(values.dtype, logical=True)
-        dataset = h5d.create(file, entry.path.encode(), kind, h5s.create_simple(values.shape), dcpl=how)
-        for name, value in entry.attributes.items():
-            _attach(dataset, name, value)
+        ordered = h5p.create(h5p.GROUP_CREATE)
+        ordered.set_link_creation_order(_CREATION_ORDER)
+        owner = h5g.create(file, path, gcpl=ordered)
+    else:
+        owner = _dataset(file, path, np.ascontiguousarray(entry.values))
         for axis, label in enumerate(entry.labels):
-            h5ds.set_label(dataset, axis, label.encode())
-        places.append(dataset.get_offset())
-    return _closed(file), places
+            h5ds.set_label(owner, axis, label.encode())
+    for name, value in entry.attributes.items():
+        _attach(owner, name.encode(), value)
 
 
-def _attach(owner: Any, name: str, value: Any) -> None:
+def _dataset(file: Any, path: bytes, values: NDArray[Any]) -> Any:
+    how = h5p.create(h5p.DATASET_CREATE)
+    how.set_obj_track_times(False)  # the same numbers, the same bytes, whoever writes them when
+    # zeros shrink, the digits of a solution hardly do
+    if values.nbytes > _COMPRESS_FROM and 2 * np.count_nonzero(values) < values.size:
+        how.set_chunk((min(len(values), _CHUNK), *values.shape[1:]))
+        how.set_shuffle()
+        how.set_deflate(1)
+    kind = h5t.py_create(values.dtype, logical=True)
+    dataset = h5d.create(file, path, kind, h5s.create_simple(values.shape), dcpl=how)
+    if values.size:
+        dataset.write(h5s.ALL, h5s.ALL, values)
+    return dataset
+
+
+def _attach(owner: Any, name: bytes, value: Any) -> None:
     if isinstance(value, str):
-        attribute = h5a.create(owner, name.encode(), _TEXT, _SCALAR)
-    else:
-        values = np.asarray(value)
-        kind = h5t.py_create(values.dtype, logical=True)
-        space = h5s.create_simple(values.shape) if values.shape else _SCALAR
-        attribute = h5a.create(owner, name.encode(), kind, space)
-    _fill(attribute, value)
-
-
-def _fill(attribute: Any, value: Any) -> None:
-    if isinstance(value, str):
-        attribute.write(np.array(value, dtype=object), mtype=_STRING)
-    else:
-        attribute.write(np.asarray(value))
+        text = np.array(value, dtype=object)
+        h5a.create(owner, name, _TEXT, _SCALAR).write(text, mtype=_STRING)
+        return
+    values = np.asarray(value)
+    space = h5s.create_simple(values.shape) if values.shape else _SCALAR
+    h5a.create(owner, name, h5t.py_create(values.dtype, logical=True), space).write(values)
 
 
 def _in_memory(image: bytes = b"") -> Any:
@@ -209,13 +147,6 @@ def _in_memory(image: bytes = b"") -> Any:
     if image:
         access.set_file_image(image)
     return access
-
-
-def _closed(file: Any) -> bytes:
-    h5f.flush(file)
-    image: bytes = file.get_file_image()
-    file.close()
-    return image
 
 
 # --- reading ---
@@ -237,23 +168,20 @@ class Stored:
         """
         self._file = _open(path)
         try:
-            self._objects = _objects(self._file, path)
+            self._objects = _objects(self._file)
             found = self._schema()
             if found > schema:
-                raise StoreError(
-                    f"{path}: schema {found} is newer than this program's {schema}; update vdmbench"
-                )
+                raise StoreError(f"schema {found} is newer than this program's {schema}; update vdmbench")
             if found < 1:
-                raise StoreError(f"{path}: not a result file (it has no schema); delete it and run again")
+                raise StoreError("not a result file (it has no schema); delete it and run again")
             if found < schema:
-                raise OlderSchemaError(
-                    f"{path}: schema {found} is older than this program's {schema}; run again"
-                )
-        except BaseException as error:
+                raise OlderSchemaError(f"schema {found} is older than this program's {schema}; run again")
+        except StoreError as error:
             self._file.close()
-            if isinstance(error, UNREADABLE) and not isinstance(error, StoreError):
-                raise StoreError(f"{path}: not readable ({error}); delete it and run again") from error
-            raise
+            raise type(error)(f"{path}: {error}") from None
+        except UNREADABLE as error:
+            self._file.close()
+            raise StoreError(f"{path}: not readable ({error}); delete it and run again") from error
 
     def _schema(self) -> int:
         """Its schema; 0 where it has none."""
@@ -265,13 +193,7 @@ class Stored:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
-
-    def close(self) -> None:
-        """Let go of the file."""
+    def __exit__(self, *_: object) -> None:
         self._file.close()
 
     def __contains__(self, path: str) -> bool:
@@ -296,9 +218,9 @@ class Stored:
 
     def table(self, path: str) -> dict[str, NDArray[np.float64]]:
         """The columns of a table of numbers by name."""
-        kind, stored = _columns(self._dataset(path).get_type().encode())
-        rows = self._read(path, kind, stored)
-        return {name: rows[name].astype(np.float64) for name in kind.names or ()}
+        stored = self._dataset(path).get_type()
+        rows = self._read(path, stored.dtype, stored)
+        return {name: rows[name].astype(np.float64) for name in rows.dtype.names or ()}
 
     def texts(self, path: str) -> Any:
         """A text, or nested lists of texts."""
@@ -333,13 +255,6 @@ class Stored:
         return found
 
 
-@lru_cache(maxsize=64)  # the types of two tables of the same columns are one
-def _columns(encoded: bytes) -> tuple[np.dtype[Any], Any]:
-    """A table's rows as numpy and HDF5 have them in memory, from the type in the file."""
-    kind = h5t.decode(encoded).dtype
-    return kind, h5t.py_create(kind)
-
-
 def _decoded(values: Any) -> Any:
     if isinstance(values, list):
         return [_decoded(value) for value in values]
@@ -363,7 +278,7 @@ def _open(path: Path) -> Any:
         raise StoreError(f"{path}: not an HDF5 file ({error}); delete it and run again") from error
 
 
-def _objects(file: Any, path: Path) -> dict[str, Any]:
+def _objects(file: Any) -> dict[str, Any]:
     """Everything in a file by its path. Raises StoreError for a link, followed by nobody, and for outside data."""
     names: list[bytes] = []
 
@@ -373,31 +288,20 @@ def _objects(file: Any, path: Path) -> dict[str, Any]:
 
     linked = file.links.visit(see, info=True)
     if linked is not None:
-        name = linked.decode(errors="replace")
-        raise StoreError(f"{path}: holds a link (/{name}), which a result file never does")
+        raise StoreError(f"holds a link (/{linked.decode(errors='replace')}), which a result file never does")
     objects = {name.decode(errors="replace"): h5o.open(file, name) for name in names}
-    whole = sum(_declared(item, path) for item in objects.values() if isinstance(item, h5d.DatasetID))
+    whole = sum(_declared(item) for item in objects.values() if isinstance(item, h5d.DatasetID))
     if whole > MAX_BYTES:
-        raise StoreError(f"{path}: says that it holds {whole} bytes, more than a result file can have")
-    for name, item in objects.items():
-        # what has a place in the file is not outside it
-        if isinstance(item, h5d.DatasetID) and item.get_offset() is None and _is_outside(item):
-            raise StoreError(f"{path}: /{name} is stored outside the file, which a result file never does")
+        raise StoreError(f"says that it holds {whole} bytes, more than a result file can have")
     return objects
 
 
-def _declared(dataset: Any, path: Path) -> int:
-    """Bytes that an array takes in memory. Raises StoreError where the file cannot hold as many."""
-    size = int(dataset.get_type().get_size())
-    for extent in dataset.shape:
-        size *= int(extent)
+def _declared(dataset: Any) -> int:
+    """Bytes that an array takes in memory. Raises StoreError where the file does not hold them."""
+    made = dataset.get_create_plist()
+    if made.get_external_count() or made.get_layout() == h5d.VIRTUAL:
+        raise StoreError("holds an array that is stored outside the file, which a result file never does")
+    size = math.prod(map(int, (*dataset.shape, dataset.get_type().get_size())))
     if size > _MOST_COMPRESSED * dataset.get_storage_size() + _CHUNK_BYTES:
-        raise StoreError(
-            f"{path}: says that it holds {size} bytes, which are not there; delete it and run again"
-        )
+        raise StoreError(f"says that it holds {size} bytes, which are not there; delete it and run again")
     return size
-
-
-def _is_outside(dataset: Any) -> bool:
-    stored = dataset.get_create_plist()
-    return bool(stored.get_external_count() or stored.get_layout() == h5d.VIRTUAL)

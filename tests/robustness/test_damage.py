@@ -50,7 +50,8 @@ def _reads(kind: str, path: Path) -> bool:
         if kind == "case":
             store.read_case(path, planned_hash(path))
         else:
-            Stored(path, store.SCHEMA).close()
+            with Stored(path, store.SCHEMA):
+                pass
     except StoreError as error:
         return str(path) not in str(error)
     return True

@@ -1,4 +1,4 @@
-"""A file filled into a skeleton is the file that plain h5py would read and would have written."""
+"""A file is what plain h5py would read and would have written."""
 
 from __future__ import annotations
 
@@ -17,11 +17,6 @@ from vdmbench.store import hdf5
 from vdmbench.store.hdf5 import Data, Entry, Group, Stored, StoreError, Text, sealed
 
 
-@pytest.fixture(autouse=True)
-def no_skeletons(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(hdf5, "_skeletons", {})
-
-
 def table(rng: np.random.Generator, rows: int) -> np.ndarray:
     """Columns of numbers; of zeros mostly, as a large array that is compressed has them."""
     values = np.zeros(rows, [("length", "f8"), ("of seed", "i8")])
@@ -29,8 +24,8 @@ def table(rng: np.random.Generator, rows: int) -> np.ndarray:
     return values
 
 
-def entries(seed: int, rows: int = 3, name: str = "first") -> list[Entry]:
-    """A tree with everything that a file can hold: its texts and numbers, of one structure for any seed."""
+def entries(seed: int, rows: int = 3) -> list[Entry]:
+    """A tree with everything that a file can hold."""
     rng = np.random.default_rng(seed)
     sparse = np.zeros((9000, 3))
     sparse[rng.integers(0, 9000, 50)] = rng.normal(size=(50, 3))
@@ -38,7 +33,7 @@ def entries(seed: int, rows: int = 3, name: str = "first") -> list[Entry]:
         Group("case", {"schema": 1, "hash": f"{seed}" * 5, "size": rng.normal(), "kind": b"Grid"}),
         Text("case/label", "long " * seed),
         Group("data", {"version": np.array([2, seed])}),
-        Data(f"data/{name}", rng.normal(size=rows), {"unit": "m", "definition": "|u|", "version": 3}),
+        Data("data/columns", rng.normal(size=rows), {"unit": "m", "definition": "|u|", "version": 3}),
         Data("data/dense", rng.normal(size=(3000, 3)), {"unit": "m"}),
         Data("data/sparse", sparse, {"unit": "N"}),
         Data("data/counts", rng.integers(0, 9, (2, rows)), {}, ("case", "step")),
@@ -69,15 +64,10 @@ def opened(content: bytes) -> h5py.File:
     return h5py.File(io.BytesIO(content[: -hdf5.TRAILER_BYTES]), "r")
 
 
-def in_file_order(wanted: Sequence[Entry]) -> list[Entry]:
-    """As listed, texts after the rest."""
-    return sorted(wanted, key=lambda entry: isinstance(entry, Text))
-
-
 def expected(wanted: Sequence[Entry]) -> dict[str, Any]:
     """The same tree written by h5py's own interface, entry by entry."""
     with h5py.File("plain.h5", "w", driver="core", backing_store=False) as file:
-        for entry in in_file_order(wanted):
+        for entry in wanted:
             if isinstance(entry, Text):
                 file.create_dataset(
                     entry.path, data=np.array(entry.values, dtype=object), dtype=h5py.string_dtype()
@@ -94,22 +84,9 @@ def expected(wanted: Sequence[Entry]) -> dict[str, Any]:
         return tree(file)
 
 
-def test_a_used_skeleton_gives_what_plain_h5py_writes() -> None:
-    """In turn with other structures, so that a skeleton is made, used again and dropped."""
-    for seed in (1, 2, 3):
-        for rows, name in ((3, "first"), (4, "first"), (3, "second")):
-            wanted = entries(seed, rows, name)
-            with opened(sealed(wanted)) as file:
-                assert tree(file) == expected(wanted)
-    assert len(hdf5._skeletons) == 3
-    for rows in range(5, 20):
-        sealed(entries(1, rows))
-    assert len(hdf5._skeletons) == hdf5._MOST_SKELETONS
-    with opened(sealed(entries(4))) as file:
-        assert tree(file) == expected(entries(4))
-    kept = dict(hdf5._skeletons)
-    sealed([Group("data"), Data("data/large", np.ones(hdf5._LARGEST_SKELETON // 8))])
-    assert hdf5._skeletons == kept, "memory is for what it saves time"
+def test_a_file_is_what_plain_h5py_writes() -> None:
+    with opened(sealed(entries(1))) as file:
+        assert tree(file) == expected(entries(1))
 
 
 def test_zeros_are_compressed_and_digits_are_not() -> None:
@@ -126,9 +103,7 @@ def test_what_is_read_is_what_was_listed(tmp_path: Path) -> None:
     path, wanted = tmp_path / "file.h5", entries(7)
     path.write_bytes(sealed(wanted))
     with Stored(path, schema=1) as stored:
-        assert stored.members("data") == [
-            e.path[5:] for e in in_file_order(wanted) if e.path.startswith("data/")
-        ]
+        assert stored.members("data") == [e.path[5:] for e in wanted if e.path.startswith("data/")]
         for entry in wanted:
             if isinstance(entry, Data):
                 if entry.values.dtype.names:
@@ -181,12 +156,6 @@ def test_a_newer_schema_is_refused(tmp_path: Path) -> None:
         Stored(path, schema=0)
     with pytest.raises(StoreError, match="older"):
         Stored(path, schema=2)
-
-
-def test_tables_that_differ_in_a_column_s_name_are_of_two_structures() -> None:
-    for name in ("a", "b"):
-        with opened(sealed([Data("table", np.ones(2, [(name, "f8")]))])) as file:
-            assert file["table"].dtype.names == (name,)
 
 
 def test_a_long_table_is_compressed_where_it_is_empty(tmp_path: Path) -> None:
