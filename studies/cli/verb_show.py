@@ -34,7 +34,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     """Mesh the surface, put the scene on it, draw it."""
     from ..machine.files import write_atomically
-    from ..report.scene_picture import scene_png
+    from ..report.scene_picture import Stage, scene_png
     from ..report.scene_window import has_display, scene_plotter
     from ..report.section_scene import outlines_of, parts_of, scene_words
 
@@ -50,10 +50,8 @@ def run(options: argparse.Namespace) -> int:
     title = f"{study.study.title}: {case.label}" if case.label else study.study.title
     told = [f"{what}: {value}" for what, value in words]
     parts = parts_of(case, [case])
-    outlines = outlines_of(case)
-    write_atomically(
-        path, scene_png(case.points, case.triangles, parts, told, title=title, outlines=outlines)
-    )
+    stage = Stage(case.points, case.triangles, parts, outlines_of(case))
+    write_atomically(path, scene_png(stage, told, title=title))
     if options.window:
         scene_plotter(case.points, case.triangles, parts, title=title).show()
     if options.json:

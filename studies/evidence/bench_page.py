@@ -20,9 +20,8 @@ from ..report.blocks import (
     Table,
     Text,
 )
-from ..report.document import encoded, html_document, written
-from ..report.plots import Plot, colour, marker, percent_axis, time_ticks
-from ..report.told import tell
+from ..report.document import encoded, html_document
+from ..report.plots import Plot, colour, draw, marker, percent_axis, time_ticks
 from ..verdict import palette
 from ..verdict.formatting import NOTHING, listed, short_percent
 from ..verdict.sentences import Answer
@@ -94,7 +93,7 @@ def bench_html(bench: Bench) -> str:
         verdict=[Answer(question, "", [f"{mesh}: {answer}." for mesh, answer in lead.items()])],
         counts=[(f"{len(bench.entries)} measurements", "")],
         models=legend,
-        sections=[written(section) for section in sections],
+        sections=sections,
     )
 
 
@@ -122,10 +121,7 @@ def pareto_plot(entries: Sequence[Entry], numbers: dict[str, int], salt: str) ->
             axes.plot(list(spread(e.frame_local)), [e.error] * 2, color=colour(k), linewidth=1.0)
             axes.plot([frame, recut], [e.error] * 2, ":", color=colour(k), linewidth=1.0)
             axes.plot([recut], [e.error], marker=marker(k), color=colour(k), markerfacecolor="none")
-            (point,) = axes.plot(
-                [frame], [e.error], marker=marker(k), color=colour(k), markersize=6.5, linestyle="none"
-            )
-            tell(point, e.model)
+            draw(axes, k, e.model, [frame], [e.error], markersize=6.5, linestyle="none")
         time_ticks(axes)
         percent_axis(axes, [e.error for e in usable])
     told = [f"{e.model} {seconds(median(e.frame_local))} at {short_percent(e.error)}" for e in usable]

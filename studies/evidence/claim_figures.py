@@ -8,8 +8,7 @@ from collections.abc import Iterable, Mapping, Sequence
 import numpy as np
 
 from ..report.blocks import Figure
-from ..report.plots import Plot, colour, line, log_axis, marker, percent_ticks
-from ..report.told import tell
+from ..report.plots import Plot, colour, draw, log_axis, percent_ticks
 from ..verdict.digest import Digest
 from ..verdict.formatting import listed, plain, short_percent
 from ..verdict.standing import series
@@ -35,9 +34,7 @@ def curves(
     plot = Plot(x_label, y_label, salt)
     with plot as axes:
         for model, x, y in drawable:
-            k = digest.colour(model)
-            (curve,) = axes.plot(x, y, line(k), marker=marker(k), color=colour(k))
-            tell(curve, model)
+            draw(axes, digest.colour(model), model, x, y)
         for which, wanted, column in (("x", log_x, 1), ("y", log_y, 2)):
             values = {value for item in drawable for value in item[column]}
             if wanted and len(values) > 1:  # one value spans no decade

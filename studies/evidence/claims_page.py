@@ -11,7 +11,7 @@ import numpy as np
 from ..machine.files import write_atomically
 from ..measures.case import Run
 from ..report.blocks import Block, Cell, Code, Column, Figures, Section, Table, Text
-from ..report.document import encoded, html_document, written
+from ..report.document import encoded, html_document
 from ..report.judgement import FAILS, HOLDS, OPEN, WITHIN_LIMITS, Claim, Judgement
 from ..verdict.digest import Digest
 from ..verdict.formatting import listed, plural
@@ -89,7 +89,7 @@ def claims_html(found: Sequence[Verdict]) -> str:
         verdict=[Answer("", "", [lead])],
         counts=[(plural(len(names), "study") if len(names) == 1 else f"{len(names)} studies", "")],
         models=[],
-        sections=[written(section) for section in sections],
+        sections=sections,
     )
 
 

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import ClassVar
 
 from markupsafe import Markup
+
+from ..measures.uncertainty import is_resolved
+from ..verdict.formatting import NOT_MEASURED, percent
 
 
 @dataclass(frozen=True)
@@ -32,6 +35,15 @@ class Cell:
     def exact(self) -> float | None:
         """The full number, None where there is none or it is not finite."""
         return self.value if self.value is not None and math.isfinite(self.value) else None
+
+
+def bar_detail(
+    value: float, bar: float, shown: Callable[[float], str] = percent, unknown: str = f"± {NOT_MEASURED}"
+) -> str:
+    """The detail of a cell: the error bar of its value, and whether the value stands out from it."""
+    if not math.isfinite(bar):
+        return unknown
+    return f"± {shown(bar)}" + ("" if is_resolved(value, bar) else "\nunresolved")
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,6 @@ import hashlib
 import json
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 
@@ -29,23 +28,6 @@ _JSON_ESCAPES = str.maketrans(
 )
 
 
-@dataclass(frozen=True)
-class Written:
-    """A section as HTML."""
-
-    id: str
-    title: str
-    html: Markup
-    has_viewer: bool
-
-
-def written(section: Section) -> Written:
-    """A section as HTML, to be put on a page; costs more than the page around it."""
-    html = Markup(_environment().get_template("section.html").render(section=section))
-    has_viewer = any(isinstance(block, Viewer) and block.payload for block in section.blocks)
-    return Written(section.id, section.title, html, has_viewer)
-
-
 def html_document(
     *,
     title: str,
@@ -54,7 +36,7 @@ def html_document(
     further: Sequence[Answer] = (),
     counts: Sequence[tuple[str, str]],
     models: Sequence[tuple[int, str, bool]],
-    sections: Sequence[Written],
+    sections: Sequence[Section],
     scene: Scene | None = None,
     cases: Sequence[str] = (),
 ) -> str:
@@ -62,7 +44,8 @@ def html_document(
 
     `further` answers come below the scene. `cases` are their names, which charts show under the pointer.
     """
-    scripts = _scripts() if any(section.has_viewer for section in sections) else _scripts()[:1]
+    viewed = any(isinstance(b, Viewer) and b.payload for section in sections for b in section.blocks)
+    scripts = _scripts() if viewed else _scripts()[:1]
     return (
         _environment()
         .get_template("page.html")

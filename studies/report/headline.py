@@ -9,12 +9,11 @@ import numpy as np
 
 from ..measures.case import Run
 from ..measures.metrics import DEFORMATION, VECTOR
-from ..measures.uncertainty import is_resolved
 from ..verdict.digest import Digest, ModelSummary, Spread
 from ..verdict.formatting import NOT_MEASURED, NOTHING, percent, plain, plural, quantity
 from ..verdict.measured import measured
 from ..verdict.motion import along_normals
-from .blocks import Cell, Column, Section, Table, Text
+from .blocks import Cell, Column, Section, Table, Text, bar_detail
 from .section_cost import time_notes
 
 _ERRORS = ("displacement", "change of shape")
@@ -164,6 +163,7 @@ def _table(digest: Digest) -> Table:
     columns += [Column("Set-up", unit="s"), Column("Per frame", unit="s"), Column("Memory", unit="B")]
     rows = []
     for summary in digest.summaries:
+        marks, how = _when_and_where(summary), ["iterative"] if summary.iterative else []
         row = [
             Cell(summary.name, "\n".join(filter(None, (_about_model(summary), _about_form(digest, summary)))))
         ]
@@ -172,13 +172,15 @@ def _table(digest: Digest) -> Table:
                 row += [_median(spread), _worst(spread)] if many else [_worst(spread)]
         row += [
             _drift(summary.drift),
-            Cell(quantity(summary.seconds_setup, "s"), _about_setup(summary), summary.seconds_setup),
-            Cell(quantity(summary.seconds_per_step, "s"), _about_frame(summary), summary.seconds_per_step),
+            Cell(quantity(summary.seconds_setup, "s"), "\n".join(marks), summary.seconds_setup),
+            Cell(
+                quantity(summary.seconds_per_step, "s"), "\n".join([*how, *marks]), summary.seconds_per_step
+            ),
             Cell(quantity(summary.peak_bytes, "B"), value=summary.peak_bytes),
         ]
         rows.append(row)
-    marks = [digest.colour(s.name) for s in digest.summaries]
-    return Table(name="headline", caption="", columns=columns, rows=rows, marks=marks)
+    colours = [digest.colour(s.name) for s in digest.summaries]
+    return Table(name="headline", caption="", columns=columns, rows=rows, marks=colours)
 
 
 def _about_model(summary: ModelSummary) -> str:
@@ -191,14 +193,6 @@ def _about_model(summary: ModelSummary) -> str:
 def _about_form(digest: Digest, summary: ModelSummary) -> str:
     told = _along_normals(digest, summary)
     return f"along normals: {told}" if told else ""
-
-
-def _about_setup(summary: ModelSummary) -> str:
-    return "\n".join(_when_and_where(summary))
-
-
-def _about_frame(summary: ModelSummary) -> str:
-    return "\n".join([*(["iterative"] if summary.iterative else []), *_when_and_where(summary)])
 
 
 def _when_and_where(summary: ModelSummary) -> list[str]:
@@ -215,13 +209,7 @@ def _worst(spread: Spread | None) -> Cell:
 
 
 def _with_bar(value: float, bar: float) -> Cell:
-    return Cell(percent(value), _bar(value, bar), value)
-
-
-def _bar(value: float, bar: float) -> str:
-    if not math.isfinite(bar):
-        return f"± {NOT_MEASURED}"
-    return f"± {percent(bar)}" if is_resolved(value, bar) else f"± {percent(bar)}\nunresolved"
+    return Cell(percent(value), bar_detail(value, bar), value)
 
 
 def _drift(spread: Spread | None) -> Cell:

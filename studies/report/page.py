@@ -17,7 +17,7 @@ from ..verdict.sentences import LEAD, answers
 from ..verdict.verdict import verdict
 from . import headline, picture
 from .blocks import Section
-from .document import SCRIPT_BYTES, Written, encoded, html_document, written
+from .document import SCRIPT_BYTES, encoded, html_document
 from .section_appendix import how_to_reproduce, provenance
 from .section_cases import case_table, failures
 from .section_convergence import mesh_convergence
@@ -121,10 +121,10 @@ def every_section(digest: Digest) -> list[Section]:
 def _page_html(digest: Digest, render: Renderer) -> str:
     run, told, drawn = digest.run, answers(verdict(digest)), scene(digest)
     before, after = (
-        [written(s) for make in part if (s := make(digest))] for part in (SECTIONS_BEFORE, _after())
+        [section for make in part if (section := make(digest))] for part in (SECTIONS_BEFORE, _after())
     )
 
-    def page(sections: list[Written]) -> str:
+    def page(sections: list[Section]) -> str:
         return html_document(
             title=str(run.study.get("title") or run.study.get("name", "study")),
             name=str(run.study.get("name", "")),
@@ -139,7 +139,7 @@ def _page_html(digest: Digest, render: Renderer) -> str:
 
     room = MOST_BYTES - len(encoded(page(before + after))) - SCRIPT_BYTES - _MARGIN
     view = surfaces(digest, room, render)
-    return page([*before, *([written(view)] if view else []), *after])
+    return page([*before, *([view] if view else []), *after])
 
 
 def _counts(run: Run) -> list[tuple[str, str]]:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from typing import Any
-from xml.sax.saxutils import escape as escape_xml
 
 import numpy as np
 from markupsafe import Markup
@@ -29,7 +28,7 @@ from ..verdict.formatting import plain, quantity
 from ..verdict.palette import COLOURS
 from .svg import GRID, INK, MODELS, STYLE, for_the_page, svg_of
 from .svg import REFERENCE as REFERENCE_COLOUR
-from .told import axes_for_script, name_curves
+from .told import axes_for_script, name_curves, tell
 
 _MOST_TICKS = 16
 MARKERS = ("o", "s", "^", "D", "v", "P", "X")
@@ -39,7 +38,6 @@ _WIDTH, _HEIGHT = 4.4, 3.0  # inches of 72 points: as wide as a phone, so that t
 _MARGINS = {"left": 0.19, "right": 0.97, "bottom": 0.155, "top": 0.98}
 _LABELS = 0.045, 0.066  # how far the axes' labels are from the left and from the bottom
 _BOTTOM_FOR_SLANTED_NAMES = 0.34
-_Y_LABEL = "\ue000"  # in a drawing, where the label of the y axis comes
 _STYLE: Any = {
     **STYLE,
     "axes.edgecolor": INK,
@@ -87,93 +85,61 @@ def shortened(text: str, most: int = 22) -> str:
     return text if len(text) <= most else f"{text[: most - 1]}…"
 
 
-class Sheet:
-    """What panels with the same axes are drawn on, one after the other: ticks are made once.
-
-    So is the drawing of axes that look alike but for the label of the y axis, which is left open.
-    """
-
-    def __init__(self) -> None:
-        self.canvas = Canvas(figsize=(_WIDTH, _HEIGHT))
-        self._axes: Axes | None = None
-        self._drawn_axes: dict[object, str] = {}  # what they look like -> their part of an SVG
-
-    def cleared(self) -> Axes:
-        """The axes without what was drawn on them; their scale follows what will be."""
-        if self._axes is None:
-            self.canvas.subplots_adjust(**_MARGINS)
-            self.canvas.patch.set_visible(False)
-            axes = self._axes = self.canvas.add_subplot()
-            axes.patch.set_visible(False)
-            # labels at the margins: to look for a place beside the ticks takes longer than to draw the curves
-            page = self.canvas.transFigure
-            axes.xaxis.set_label_coords(0.5, _LABELS[1], blended_transform_factory(axes.transAxes, page))
-            axes.yaxis.set_label_coords(_LABELS[0], 0.5, blended_transform_factory(page, axes.transAxes))
-        else:
-            for artist in (*self._axes.lines, *self._axes.collections, *self._axes.texts):
-                artist.remove()
-            self._axes.relim()
-            self._axes.autoscale()
-        return self._axes
-
-    def svg(self) -> str:
-        """What is on the sheet, with `_Y_LABEL` in the place of the y axis' label."""
-        axes = self.canvas.axes[0]
-        look = _look(axes)
-        known = self._drawn_axes.get(look)
-        for axis in (axes.xaxis, axes.yaxis):
-            axis.set_visible(known is None)
-        svg = svg_of(self.canvas)
-        if known is not None:
-            return svg.replace(_BEFORE_AXES, _BEFORE_AXES + known, 1)
-        start = svg.index(_BEFORE_AXES) + len(_BEFORE_AXES)
-        self._drawn_axes[look] = svg[start : svg.index(_AFTER_AXES, svg.index(_Y_LABEL)) + len(_AFTER_AXES)]
-        return svg
-
-
-_BEFORE_AXES, _AFTER_AXES = '<g id="axes_1">\n', "\n   </g>\n"
-
-
-def _look(axes: Axes) -> object:
-    """What decides how the axes are drawn, but for the label of the y axis."""
-    parts: list[object] = [axes.get_position().bounds, axes.get_xlabel()]
-    for axis in (axes.xaxis, axes.yaxis):
-        ticks = axis.get_majorticklocs()
-        names = axis.get_major_formatter().format_ticks(ticks.tolist())
-        parts += [axis.get_scale(), *axis.get_view_interval(), *ticks, *names]
-    return tuple(parts)
-
-
 class Plot:
-    """One panel: draw on its axes in the `with` block, then take `drawn`. Panels of a sheet share their axes."""
+    """One panel: draw on its axes in the `with` block, then take `drawn`."""
 
-    def __init__(self, x_label: str, y_label: str, salt: str, sheet: Sheet | None = None) -> None:
+    def __init__(self, x_label: str, y_label: str, salt: str) -> None:
         self.salt = salt
-        self._sheet = sheet or Sheet()
         self._svg, self._for_script = "", ""
         self._style = rc_context(_STYLE)
-        self._labels = (x_label, y_label)
+        self._labels = (shortened(x_label, 60), shortened(y_label, 40))
 
     def __enter__(self) -> Axes:
         self._style.__enter__()
-        self.axes = self._sheet.cleared()
-        self.axes.set_xlabel(shortened(self._labels[0], 60))
-        self.axes.set_ylabel(_Y_LABEL)
-        return self.axes
+        page = self._page = Canvas(figsize=(_WIDTH, _HEIGHT))
+        page.subplots_adjust(**_MARGINS)
+        page.patch.set_visible(False)
+        axes = self.axes = page.add_subplot()
+        axes.patch.set_visible(False)
+        # labels at the margins, where those of all panels line up
+        axes.xaxis.set_label_coords(
+            0.5, _LABELS[1], blended_transform_factory(axes.transAxes, page.transFigure)
+        )
+        axes.yaxis.set_label_coords(
+            _LABELS[0], 0.5, blended_transform_factory(page.transFigure, axes.transAxes)
+        )
+        axes.set(xlabel=self._labels[0], ylabel=self._labels[1])
+        return axes
 
     def __exit__(self, kind: type[BaseException] | None, *rest: object) -> None:
         try:
             if kind is None:
                 name_curves(self.axes)
                 self._for_script = axes_for_script(self.axes)
-                label = escape_xml(shortened(self._labels[1], 40))
-                self._svg = self._sheet.svg().replace(_Y_LABEL, label)
+                self._svg = svg_of(self._page)
         finally:
             self._style.__exit__(None, None, None)
 
     def drawn(self, alt: str) -> Markup:
         """The finished <svg> element; `alt` says in words what it shows. Matplotlib has escaped its texts."""
         return for_the_page(self._svg, alt, self.salt, self._for_script)
+
+
+def draw(
+    axes: Axes,
+    model: int,
+    name: str,
+    x: ArrayLike,
+    y: ArrayLike,
+    *,
+    cases: Sequence[int] | None = None,
+    named: bool = True,
+    **look: Any,
+) -> None:
+    """The points of a model, joined where `look` says nothing else, in its colour; see `told.tell`."""
+    style = {"color": colour(model), "marker": marker(model), "linestyle": line(model), **look}
+    (curve,) = axes.plot(x, y, **style)
+    tell(curve, name, cases, named=named)
 
 
 def percent_axis(axes: Axes, values: ArrayLike) -> None:
@@ -185,8 +151,6 @@ def percent_axis(axes: Axes, values: ArrayLike) -> None:
         axes.set_ylim(finite.min() / 1.5, 1.5 * finite.max())
         log_axis(axes, "y")
     else:
-        if axes.get_yscale() != "linear":
-            axes.set_yscale("linear")
         top = float(finite.max()) if len(finite) else 0.0
         axes.set_ylim(0.0, 1.08 * top if top > 0 else 1.0)
         axes.yaxis.set_major_locator(MaxNLocator(6))
@@ -206,12 +170,9 @@ def time_ticks(axes: Axes) -> None:
 
 def log_axis(axes: Axes, which: str) -> None:
     """Decades without minor clutter; steps between where there are fewer than three."""
-    if which == "x":
-        axes.set_xscale("log")
-    elif axes.get_yscale() != "log":
-        axes.set_yscale("log")
+    axes.set(**{f"{which}scale": "log"})
     axis = axes.xaxis if which == "x" else axes.yaxis
-    low, high = axes.get_xlim() if which == "x" else axes.get_ylim()
+    low, high = axis.get_view_interval()
     subdivisions = (1.0, 2.0, 5.0) if high < 30 * low else (1.0, 3.0) if high < 1000 * low else (1.0,)
     axis.set_major_locator(LogLocator(subs=subdivisions, numticks=8))
     axis.set_minor_locator(NullLocator())

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import fcntl
-from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
+from collections.abc import Callable
 from pathlib import Path
 
 from ..machine.locks import LockedError, lock
@@ -29,22 +28,16 @@ def rebuild(directory: Path, tell: Callable[[str], None]) -> tuple[Run, Path]:
 
     read_plan(directory)  # nothing is left in a directory that is none of ours
     report = directory / REPORT
-    with _report_lock(directory, tell):  # the last of several shards sees all
-        run = read_run(directory, damaged=True)
-        write_study(directory, run)
-        write_report(run, report)
-        write_crate(directory, run)  # last: it has the sizes of the others
+    try:
+        # the last of several shards sees all
+        with lock(directory / ".lock-report", fcntl.LOCK_EX, patience=_PATIENCE, tell=tell):
+            run = read_run(directory, damaged=True)
+            write_study(directory, run)
+            write_report(run, report)
+            write_crate(directory, run)  # last: it has the sizes of the others
+    except LockedError as error:
+        raise ReportError(
+            f"{directory}: {error} has locked the report for more than {_PATIENCE:g} s; the results are kept, "
+            f"vdmbench report {directory} writes it later"
+        ) from None
     return run, report
-
-
-@contextmanager
-def _report_lock(directory: Path, tell: Callable[[str], None]) -> Iterator[None]:
-    with ExitStack() as held:
-        try:
-            held.enter_context(lock(directory / ".lock-report", fcntl.LOCK_EX, patience=_PATIENCE, tell=tell))
-        except LockedError as error:
-            raise ReportError(
-                f"{directory}: {error} has locked the report for more than {_PATIENCE:g} s; the results are kept, "
-                f"vdmbench report {directory} writes it later"
-            ) from None
-        yield

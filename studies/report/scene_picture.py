@@ -77,65 +77,16 @@ class Outline:
     segments: np.ndarray
 
 
-def scene_figure(
-    points: Array,
-    triangles: np.ndarray,
-    parts: Sequence[Part],
-    lines: Sequence[str] = (),
-    *,
-    title: str = "",
-    outlines: Sequence[Outline] = (),
-) -> Figure:
-    """The scene as a matplotlib figure, from where its parts are seen best.
+class Stage:
+    """A scene with the camera that shows its parts best; the same arrays give the same drawing.
 
-    (N, 3) `points` [m], (F, 3) `triangles` that face outwards, `lines` of words below. Nodes of a part that are in
-    none of its whole facets show as dots; what lies on the far side has a dotted outline. The same arrays give the
-    same drawing.
+    Parameters
+    ----------
+    points : (N, 3) [m]
+    triangles : (F, 3), facing outwards
+    parts : regions with what acts on them
+    outlines : what is inside the body
     """
-    with rc_context(STYLE):
-        return _figure(_Stage(points, triangles, parts, outlines), lines, title)
-
-
-def scene_png(
-    points: Array,
-    triangles: np.ndarray,
-    parts: Sequence[Part],
-    lines: Sequence[str] = (),
-    *,
-    title: str = "",
-    dpi: int = 200,
-    outlines: Sequence[Outline] = (),
-) -> bytes:
-    """`scene_figure` as a PNG file on white ground."""
-    out = io.BytesIO()
-    with rc_context(STYLE), warnings.catch_warnings():
-        warnings.filterwarnings("ignore", "Glyph .* missing")  # such a letter is drawn as a box
-        figure = scene_figure(points, triangles, parts, lines, title=title, outlines=outlines)
-        figure.savefig(out, format="png", dpi=dpi, metadata={"Software": None})
-    return out.getvalue()
-
-
-def scene_svg(
-    points: Array,
-    triangles: np.ndarray,
-    parts: Sequence[Part],
-    *,
-    alt: str,
-    salt: str,
-    outlines: Sequence[Outline] = (),
-) -> Markup:
-    """`scene_figure` as an <svg> element in the colours of the page; `alt` tells it in words."""
-    with rc_context(STYLE):
-        return for_the_page(svg_of(scene_figure(points, triangles, parts, outlines=outlines)), alt, salt)
-
-
-def best_azimuth(points: Array, triangles: np.ndarray, parts: Sequence[Part]) -> float:
-    """Angle about z from which the scene's parts are seen best [rad]."""
-    return _Stage(points, triangles, parts).azimuth
-
-
-class _Stage:
-    """A scene with the camera that shows it best."""
 
     def __init__(
         self,
@@ -221,7 +172,27 @@ class _Stage:
         return everything.min(axis=0) - margin, everything.max(axis=0) + margin
 
 
-def _figure(stage: _Stage, lines: Sequence[str], title: str) -> Figure:
+def scene_png(stage: Stage, lines: Sequence[str] = (), *, title: str = "", dpi: int = 200) -> bytes:
+    """`scene_figure` as a PNG file on white ground."""
+    out = io.BytesIO()
+    with rc_context(STYLE), warnings.catch_warnings():
+        warnings.filterwarnings("ignore", "Glyph .* missing")  # such a letter is drawn as a box
+        scene_figure(stage, lines, title).savefig(out, format="png", dpi=dpi, metadata={"Software": None})
+    return out.getvalue()
+
+
+def scene_svg(stage: Stage, *, alt: str, salt: str) -> Markup:
+    """`scene_figure` as an <svg> element in the colours of the page; `alt` tells it in words."""
+    with rc_context(STYLE):
+        return for_the_page(svg_of(scene_figure(stage)), alt, salt)
+
+
+def scene_figure(stage: Stage, lines: Sequence[str] = (), title: str = "") -> Figure:
+    """The scene with `lines` of words below, to be drawn inside `rc_context(STYLE)`.
+
+    Nodes of a part that are in none of its whole facets show as dots. What lies on the far side has a dotted
+    outline.
+    """
     words = [row for line in lines for row in wrap(line, _LETTERS)]
     rows = -(-(len(stage.parts) + len(stage.outlines)) // 2)
     low, high = stage.frame
@@ -282,7 +253,7 @@ def _short(name: str) -> str:
     return name if len(name) <= 24 else f"{name[:23]}…"
 
 
-def _draw_body(axes: Axes, stage: _Stage) -> None:
+def _draw_body(axes: Axes, stage: Stage) -> None:
     low, high = stage.frame
     width, height = high - low
     n_rows = max(1, round(_PIXELS * height / width))
@@ -310,7 +281,7 @@ def _draw_body(axes: Axes, stage: _Stage) -> None:
     axes.set_ylim(low[1], high[1])
 
 
-def _draw_arrow(axes: Axes, stage: _Stage, tail: Array, tip: Array, part: Part) -> None:
+def _draw_arrow(axes: Axes, stage: Stage, tail: Array, tip: Array, part: Part) -> None:
     start, end = ((stage.axes @ place)[:2] for place in (tail, tip))
     _arrow(axes, start, end, "-|>", 1.8, _ARROWS.get(part.kind, INK))
     low, high = stage.frame

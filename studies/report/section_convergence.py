@@ -8,20 +8,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from ..measures.case import CaseResult
-from ..measures.uncertainty import (
-    CONVERGING,
-    DIVERGING,
-    TOO_SLOW,
-    ErrorEstimate,
-    estimate_limit,
-    is_resolved,
-)
+from ..measures.uncertainty import CONVERGING, DIVERGING, TOO_SLOW, ErrorEstimate, estimate_limit
 from ..verdict.digest import Digest
 from ..verdict.formatting import NOTHING, listed, percent, plain, quantity, short_percent
 from ..verdict.standing import at_full_load
-from .blocks import Cell, Column, Figure, Figures, Section, Table, Text
-from .plots import Plot, colour, line, log_axis, marker, percent_axis
-from .told import tell
+from .blocks import Cell, Column, Figure, Figures, Section, Table, Text, bar_detail
+from .plots import Plot, draw, log_axis, percent_axis
 
 MESH_SIZE = "geometry.mesh_size"
 WORK = "contact_work"
@@ -146,8 +138,7 @@ def _table(digest: Digest, found: Sequence[_Series], fixed: _Series | None) -> T
 def _against(s: _Series, fixed: _Series) -> Cell:
     difference = s.limit / fixed.limit - 1.0
     bar = (s.estimate.gci + fixed.estimate.gci) / abs(fixed.limit)
-    word = "" if is_resolved(difference, bar) else "\nunresolved"
-    return Cell(percent(difference, signed=True), f"± {percent(bar)}{word}", difference)
+    return Cell(percent(difference, signed=True), bar_detail(difference, bar), difference)
 
 
 def _figure(digest: Digest, found: Sequence[_Series], fixed: _Series | None) -> Figure:
@@ -157,12 +148,8 @@ def _figure(digest: Digest, found: Sequence[_Series], fixed: _Series | None) -> 
     plot = Plot("mesh size [mm]", label, "g0")
     with plot as axes:
         for s in found:
-            k = digest.colour(s.model)
             shares = [value / scale for value in s.values]
-            (curve,) = axes.plot(
-                [1e3 * h for h in s.sizes], shares, line(k), marker=marker(k), color=colour(k)
-            )
-            tell(curve, s.model)
+            draw(axes, digest.colour(s.model), s.model, [1e3 * h for h in s.sizes], shares)
             described.append(f"{s.model} from {short_percent(shares[-1])} to {short_percent(shares[0])}")
         percent_axis(axes, [value / scale for s in found for value in s.values])
         log_axis(axes, "x")

@@ -8,14 +8,12 @@ from collections.abc import Sequence
 from ..verdict.digest import REFERENCE, Digest, ModelSummary, Spread
 from ..verdict.formatting import listed, quantity, short_percent
 from .blocks import Block, Figure, Figures, Section, Text
-from .plots import Plot, Sheet, colour, marker, percent_axis, time_ticks
-from .told import tell
+from .plots import Plot, colour, draw, percent_axis, time_ticks
 
 
 def run_time_against_error(digest: Digest) -> Section | None:
     """Time per frame, and set-up as a hollow marker, against the median error; whiskers reach best and worst."""
     figures = []
-    sheet = Sheet()
     compared = [summary for summary in digest.summaries if summary.name in digest.compared]
     measures = (
         ("Displacement error", [summary.vector for summary in compared]),
@@ -29,7 +27,7 @@ def run_time_against_error(digest: Digest) -> Section | None:
         for height in (spread.best, spread.median, spread.worst)
     ]
     for k, (title, spreads) in enumerate(measures):
-        figure = _pareto(digest, compared, spreads, title, heights, f"c{k}", sheet)
+        figure = _pareto(digest, compared, spreads, title, heights, f"c{k}")
         figures += [figure] if figure else []
     if not figures:
         return None
@@ -73,7 +71,6 @@ def _pareto(
     title: str,
     heights: Sequence[float],
     salt: str,
-    sheet: Sheet,
 ) -> Figure | None:
     points = [
         (summary.name, summary.seconds_per_step, summary.seconds_setup, spread)
@@ -84,7 +81,7 @@ def _pareto(
         return None
     reference = next((s for s in digest.summaries if s.is_reference), None)
     many = len(digest.cases) > 1
-    plot = Plot("time", f"{title} (median)" if many else title, salt, sheet)
+    plot = Plot("time", f"{title} (median)" if many else title, salt)
     with plot as axes:
         for model, frame, setup, spread in points:
             k = digest.colour(model)
@@ -94,14 +91,18 @@ def _pareto(
                 )
             if setup > 0 and math.isfinite(setup):
                 axes.plot([frame, setup], [spread.median] * 2, ":", color=colour(k), linewidth=1.0)
-                (hollow,) = axes.plot(
-                    [setup], [spread.median], marker=marker(k), color=colour(k), markerfacecolor="none"
+                about = f"{model}, set-up"
+                draw(
+                    axes,
+                    k,
+                    about,
+                    [setup],
+                    [spread.median],
+                    named=False,
+                    markerfacecolor="none",
+                    linestyle="-",
                 )
-                tell(hollow, f"{model}, set-up", named=False)
-            (point,) = axes.plot(
-                [frame], [spread.median], marker=marker(k), color=colour(k), markersize=6.5, linestyle="none"
-            )
-            tell(point, model)
+            draw(axes, k, model, [frame], [spread.median], markersize=6.5, linestyle="none")
         if reference is not None and reference.seconds_per_step > 0:
             axes.axvline(reference.seconds_per_step, linestyle="--", color=colour(REFERENCE), linewidth=1.0)
         own = points[0][3].median_bar

@@ -15,18 +15,7 @@ from ..verdict.digest import REFERENCE, Digest
 from ..verdict.formatting import listed, parameter_name, scale_of, short_percent, swept_value
 from ..verdict.standing import reference_bar, series
 from .blocks import Block, Figure, Figures, Section, Text
-from .plots import (
-    Plot,
-    Sheet,
-    colour,
-    line,
-    log_axis,
-    marker,
-    name_ticks,
-    percent_axis,
-    place,
-)
-from .told import tell
+from .plots import Plot, colour, draw, line, log_axis, name_ticks, percent_axis, place
 
 QUANTITIES = ((VECTOR, "Displacement error"), (DEFORMATION, "Error in change of shape"))
 PARTS = (
@@ -49,16 +38,11 @@ def error_against_parameters(digest: Digest) -> Section | None:
     pairs = []
     for k, key in enumerate(digest.swept_keys):
         axis = _axis(digest.cases, key, alone=len(digest.swept_keys) == 1)
-        sheet = Sheet()
         for group, summary in ((QUANTITIES, ""), (PARTS, f"{_PARTS_OF} {axis.name}")):
             shown = [
                 figure
                 for j, (metric, title) in enumerate(group)
-                if (
-                    figure := _against_parameter(
-                        digest, axis, metric, title, group, f"p{k}{title[:2]}{j}", sheet
-                    )
-                )
+                if (figure := _against_parameter(digest, axis, metric, title, group, f"p{k}{title[:2]}{j}"))
             ]
             pairs += [Figures(shown, digest.legend, summary)] if shown else []
     if not pairs:
@@ -131,11 +115,10 @@ def _against_parameter(
     title: str,
     group: Sequence[tuple[str, str]],
     salt: str,
-    sheet: Sheet,
 ) -> Figure | None:
     """One measure against a parameter, on the scale that its group shares."""
     described = []
-    plot = Plot(axis.label, title, salt, sheet)
+    plot = Plot(axis.label, title, salt)
     with plot as axes:
         for rank, model in enumerate(digest.compared):
             errors = digest.full_loads(model, metric)[axis.cases].tolist()
@@ -194,20 +177,13 @@ def _draw_model(
         shift = aside if axis.kind in ("even", "names") else 0.0
         x, y, drawn = zip(*points[:: _stride(len(axis.cases))], strict=True)
         at = [position + shift for position in x]
-        (cloud,) = axes.plot(
-            at, y, linestyle="none", marker=marker(number), color=colour(number), markersize=2.6, alpha=0.45
-        )
-        tell(cloud, model, drawn, named=False)
+        faint = {"linestyle": "none", "markersize": 2.6, "alpha": 0.45}
+        draw(axes, number, model, at, y, cases=drawn, named=False, **faint)
     if style != "none" or axis.kind == "names":
         every = _every(style, medians)
-        (curve,) = axes.plot(
-            *zip(*medians, strict=True),
-            linestyle=style,
-            marker=marker(number),
-            markevery=every,
-            color=colour(number),
-        )
-        tell(curve, model, None if shared else [case for _, _, case in sorted(points)][::every])
+        cases = None if shared else [case for _, _, case in sorted(points)][::every]
+        x, y = zip(*medians, strict=True)
+        draw(axes, number, model, x, y, cases=cases, linestyle=style, markevery=every)
 
 
 def _every(style: str, points: Sequence[tuple[float, float]]) -> int:
@@ -232,9 +208,8 @@ def error_against_load(digest: Digest) -> Section | None:
     heights = [
         y for by_model in curves.values() for table in by_model.values() for ys in table.values() for y in ys
     ]
-    sheet = Sheet()
     figures = [
-        _against_load(digest, curves[metric], _own(digest, metric), title, heights, f"l{k}", sheet)
+        _against_load(digest, curves[metric], _own(digest, metric), title, heights, f"l{k}")
         for k, (metric, title) in enumerate(QUANTITIES)
         if any(len(table) > 1 for table in curves[metric].values())  # one load is no curve
     ]
@@ -276,10 +251,9 @@ def _against_load(
     title: str,
     heights: Sequence[float],
     salt: str,
-    sheet: Sheet,
 ) -> Figure:
     described = []
-    plot = Plot("load factor", title, salt, sheet)
+    plot = Plot("load factor", title, salt)
     with plot as axes:
         for model, table in curves.items():
             k = digest.colour(model)
@@ -287,8 +261,8 @@ def _against_load(
             low, middle, high = ([float(f(table[x])) for x in factors] for f in (min, np.median, max))
             if high != low:
                 axes.fill_between(factors, low, high, color=colour(k), alpha=0.14, linewidth=0)
-            (curve,) = axes.plot(factors, middle, line(k), marker=marker(k), color=colour(k))
-            tell(curve, model, [0] * len(factors) if len(digest.cases) == 1 else None)
+            cases = [0] * len(factors) if len(digest.cases) == 1 else None
+            draw(axes, k, model, factors, middle, cases=cases)
             ends = f"from {short_percent(middle[0])} to {short_percent(middle[-1])}"
             described.append(f"{model} {ends}")
         if own > 0.0:

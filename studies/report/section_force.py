@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
+from typing import Any
 
 import numpy as np
 
@@ -24,8 +25,7 @@ from ..verdict.loading import (
     weighs,
 )
 from .blocks import Block, Cell, Column, Figure, Figures, Section, Table, Text
-from .plots import Plot, Sheet, colour, line, marker
-from .told import tell
+from .plots import Plot, draw
 
 _CONTACT_NOTE = (
     "The force of a contact is given; the indentation is the answer. It is the largest displacement of a node in "
@@ -62,7 +62,6 @@ def force_against_indentation(digest: Digest) -> Section | None:
     figures: list[Figure] = []
     tables: list[Table] = []
     notes: dict[str, None] = {}
-    sheet = Sheet()
     for cases, title in _groups(digest):
         for push in _pushes(cases):
             curves = _curves(digest, push, cases)
@@ -72,7 +71,7 @@ def force_against_indentation(digest: Digest) -> Section | None:
             if _is_one_load(curves):
                 tables.append(_table(digest, push, curves, place, f"force-{len(tables)}"))
             else:
-                figures.append(_drawing(digest, push, curves, place, f"f{len(figures)}", sheet))
+                figures.append(_drawing(digest, push, curves, place, f"f{len(figures)}"))
             notes[push.note] = None
             if any(weighs(case) for case in cases):
                 notes[_WEIGHT_NOTE] = None
@@ -160,7 +159,7 @@ def _of_movement(_: Digest, case: CaseResult, name: str) -> Curves:
 
 
 def _of_indenter(_: Digest, case: CaseResult) -> Curves:
-    depths = [float(str(entry["depth"])) for entry in _indenters(case)]  # a study has one
+    depths = [float(entry["depth"]) for entry in _indenters(case)]  # a study has one
     return {
         name: (case.load_factors * depths[0], result.scalars["indenter_force"])
         for name, result in case.models.items()
@@ -168,7 +167,7 @@ def _of_indenter(_: Digest, case: CaseResult) -> Curves:
     }
 
 
-def _indenters(case: CaseResult) -> list[Mapping[str, object]]:
+def _indenters(case: CaseResult) -> list[Mapping[str, Any]]:
     return [entry for entry in constraints(case) if entry.get("kind") == "indenter"]
 
 
@@ -228,25 +227,24 @@ def _range(values: Array, unit: str) -> Cell:
     return Cell(" to ".join(ends), value=float(values[0]) if len(ends) == 1 else None)
 
 
-def _drawing(
-    digest: Digest, push: Push, curves: Mapping[str, _Curve], place: str, salt: str, sheet: Sheet
-) -> Figure:
+def _drawing(digest: Digest, push: Push, curves: Mapping[str, _Curve], place: str, salt: str) -> Figure:
     length, length_unit = scale_of("m", np.concatenate([curve.lengths for curve in curves.values()]))
     force, force_unit = scale_of(push.unit, np.concatenate([curve.loads for curve in curves.values()]))
     y_label = f"{push.y_label} [{force_unit}]" if force_unit else push.y_label
-    plot = Plot(f"{push.x_label} [{length_unit}]", y_label, salt, sheet)
+    plot = Plot(f"{push.x_label} [{length_unit}]", y_label, salt)
     told = []
     with plot as axes:
         for model, curve in curves.items():
-            k = digest.colour(model)
-            (drawn,) = axes.plot(
+            draw(
+                axes,
+                digest.colour(model),
+                model,
                 curve.lengths / length,
                 curve.loads / force,
-                linestyle=line(k) if curve.joined else "none",
-                marker=marker(k),
-                color=colour(k),
+                cases=curve.cases,
+                named=curve.joined,
+                **({} if curve.joined else {"linestyle": "none"}),
             )
-            tell(drawn, model, curve.cases, named=curve.joined)
             last = int(np.argmax(np.abs(curve.lengths)))
             load, at = float(curve.loads[last]), float(curve.lengths[last])
             told.append(f"{model} {quantity(load, push.unit)} at {quantity(at, 'm')}")

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
+from functools import partial
 
-from ..measures.case import Limit, ModelLimits
+from ..measures.case import Limit
 from ..measures.limits import CLOSE, LARGEST, MOST_STRAIN
-from ..measures.uncertainty import is_resolved
 from ..verdict.digest import Digest
-from ..verdict.formatting import NOT_MEASURED, NOTHING, listed, percent, quantity, short_percent
+from ..verdict.formatting import NOTHING, listed, percent, quantity, short_percent
 from ..verdict.growth import LINEAR, LimitRow, limit_rows, limits_in_words
-from .blocks import Block, Cell, Column, Section, Table, Text
+from .blocks import Block, Cell, Column, Section, Table, Text, bar_detail
 
 _WHY = {
     "unresolved": "unresolved: a finer mesh does not bear it out",
@@ -57,18 +58,19 @@ def _table(digest: Digest, rows: list[LimitRow]) -> Table:
         Column("Indentation", unit="m"),
         Column("Largest strain", unit="1"),
     ]
+    metres = partial(quantity, unit="m")
     cells = []
     for row in rows:
-        limit = row.limit
+        limit, error = row.limit, row.entry.structural_error
         cells.append(
             [
                 *([Cell(digest.case_name(row.case))] if many else []),
                 Cell(row.model),
-                _structural(row.entry),
+                Cell(percent(error), bar_detail(error, row.entry.structural_bar), error),
                 Cell(f"+ {short_percent(limit.threshold)}", value=limit.threshold),
                 _load(limit, row.unit),
-                _found(limit, limit.indentation, limit.indentation_bar, "m"),
-                _found(limit, limit.strain, limit.strain_bar, "%"),
+                _found(limit, limit.indentation, limit.indentation_bar, metres),
+                _found(limit, limit.strain, limit.strain_bar, percent),
             ]
         )
     marks = [digest.colour(row.model) for row in rows]
@@ -80,35 +82,13 @@ def _load(limit: Limit, unit: str) -> Cell:
         return Cell(NOTHING, _WHY[limit.state], tone="muted")
     text = quantity(limit.load, unit)
     if limit.state == "found":
-        return Cell(text, _bar(limit.bar), limit.load)
+        return Cell(text, bar_detail(1.0, limit.bar), limit.load)
     prefix = {"beyond": "≥ ", "unresolved": ""}.get(limit.state, "to ")
     return Cell(f"{prefix}{text}", _WHY[limit.state], limit.load, tone="muted")
 
 
-def _found(limit: Limit, value: float, bar: float, unit: str) -> Cell:
+def _found(limit: Limit, value: float, bar: float, shown: Callable[[float], str]) -> Cell:
     """An indentation or a strain with its bar; that of a limit not found has none."""
-
-    def text(number: float) -> str:
-        return percent(number) if unit == "%" else quantity(number, unit)
-
     if limit.state != "found" or not math.isfinite(value):
-        return Cell(text(value), value=value)
-    if not math.isfinite(bar):
-        return Cell(text(value), _bar(bar), value)
-    return Cell(
-        text(value), f"± {text(bar * abs(value))}" + ("" if is_resolved(1.0, bar) else "\nunresolved"), value
-    )
-
-
-def _bar(bar: float) -> str:
-    if math.isnan(bar):
-        return f"± {NOT_MEASURED}"
-    return f"± {percent(bar)}" if is_resolved(1.0, bar) else f"± {percent(bar)}\nunresolved"
-
-
-def _structural(entry: ModelLimits) -> Cell:
-    error, bar = entry.structural_error, entry.structural_bar
-    if not math.isfinite(bar):
-        return Cell(percent(error), f"± {NOT_MEASURED}", error)
-    detail = f"± {percent(bar)}" + ("" if is_resolved(error, bar) else "\nunresolved")
-    return Cell(percent(error), detail, error)
+        return Cell(shown(value), value=value)
+    return Cell(shown(value), bar_detail(value, bar * abs(value), shown), value)

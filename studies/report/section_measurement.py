@@ -14,9 +14,8 @@ from ..study.measured_file import AXES
 from ..verdict.digest import Digest
 from ..verdict.formatting import NOTHING, listed, plain, quantity, scale_of, short_percent
 from .blocks import Block, Cell, Column, Figure, Figures, Section, Table, Text
-from .plots import Plot, colour, line, marker, name_ticks
+from .plots import Plot, draw, name_ticks
 from .svg import INK
-from .told import tell
 
 _MOST_DRAWN = 40  # quantities of a figure
 _ON = 1e-9  # m: closer is rounding
@@ -171,12 +170,8 @@ def _figure(digest: Digest, case: CaseResult, found: Measurement, number: int) -
         for name in found.simulated:
             if name not in digest.models:
                 continue
-            k = digest.colour(name)
-            shift = gap * (1 + digest.models.index(name))
-            (points,) = axes.plot(
-                places + shift, 1e3 * found.simulated[name][drawn], marker(k), color=colour(k), markersize=4
-            )
-            tell(points, name, named=False)
+            x, y = places + gap * (1 + digest.models.index(name)), 1e3 * found.simulated[name][drawn]
+            draw(axes, digest.colour(name), name, x, y, named=False, linestyle="none", markersize=4)
             described.append(name)
         ticks = [(float(x), _named(found.quantities[k], case)) for x, k in zip(places, drawn, strict=True)]
         name_ticks(axes, ticks)
@@ -204,12 +199,8 @@ def _curves(digest: Digest, _: CaseResult, found: Measurement, number: int) -> l
             axes.vlines(depths / length, values - bars, values + bars, colors=INK, linewidth=2.2)
             axes.plot(depths / length, values, "_", color=INK, markersize=11)
             for model in (model for model in digest.models if model in found.simulated):
-                k = digest.colour(model)
                 simulated = found.simulated[model][mine] / force
-                (curve,) = axes.plot(
-                    depths / length, simulated, marker(k), linestyle=line(k), color=colour(k), markersize=4
-                )
-                tell(curve, model)
+                draw(axes, digest.colour(model), model, depths / length, simulated, markersize=4)
                 described.append(model)
             axes.set_xlim(left=0.0)
             axes.set_ylim(bottom=min(0.0, axes.get_ylim()[0]))

@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-import math
-
-from ..measures.uncertainty import is_resolved
 from ..verdict.digest import Digest, Spread
 from ..verdict.formatting import NOTHING, of_unit
-from .blocks import Cell, Column, Section, Table, Text
+from .blocks import Cell, Column, Section, Table, Text, bar_detail
 
 _IN_HEADLINE = frozenset({"volume_drift"})
 
@@ -46,14 +43,8 @@ def _cell(spread: Spread | None, unit: str, farthest: str) -> Cell:
     if spread is None:
         return Cell(NOTHING)
     extreme = f"\n{farthest} {of_unit(spread.worst, unit)}" if farthest else ""
-    return Cell(of_unit(spread.median, unit), f"{_bar(spread, unit)}{extreme}".strip(), spread.median)
-
-
-def _bar(spread: Spread, unit: str) -> str:
-    if not math.isfinite(spread.median_bar):
-        return ""
-    text = f"± {of_unit(spread.median_bar, unit)}"
-    return text if is_resolved(spread.median, spread.median_bar) else f"{text}\nunresolved"
+    bar = bar_detail(spread.median, spread.median_bar, lambda bar: of_unit(bar, unit), unknown="")
+    return Cell(of_unit(spread.median, unit), f"{bar}{extreme}".strip(), spread.median)
 
 
 def measure_name(metric: str) -> str:

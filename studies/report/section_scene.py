@@ -15,9 +15,9 @@ from ..body.surface_measures import facet_area_vectors
 from ..measures.case import CaseResult
 from ..verdict.digest import Digest
 from ..verdict.formatting import listed, plain, plural, scale_of
-from ..verdict.loading import kind_of
+from ..verdict.loading import constraints, kind_of, name_of
 from .blocks import Scene
-from .scene_picture import Outline, Part, scene_svg, style_of
+from .scene_picture import Outline, Part, Stage, scene_svg, style_of
 
 _ALL_ROUND = (
     0.05  # of the sum of its facets' forces: a contact whose resultant is smaller presses from all sides
@@ -31,18 +31,19 @@ def scene(digest: Digest) -> Scene | None:
     case = digest.key_cases[0][1]
     parts, words = parts_of(case, digest.cases), scene_words(case, digest.cases)
     alt = "The body at rest. " + "; ".join(f"{what}: {value}" for what, value in words)
-    svg = scene_svg(case.points, case.triangles, parts, alt=alt, salt="scene", outlines=outlines_of(case))
+    stage = Stage(case.points, case.triangles, parts, outlines_of(case))
+    svg = scene_svg(stage, alt=alt, salt="scene")
     same = all(np.array_equal(case.points, other.points) for other in digest.cases)
     return Scene(svg, words, "" if same else f"The picture shows {digest.case_name(case)}.")
 
 
 def parts_of(case: CaseResult, cases: Sequence[CaseResult]) -> list[Part]:
     """The regions of a case that something acts on; the labels tell the loads of all `cases`."""
-    constraints = [c for c in _constraints(case) if str(c.get("region")) in case.regions]
-    contacts = [c for c in constraints if c.get("kind") == "contact"]
+    acting = [c for c in constraints(case) if str(c.get("region")) in case.regions]
+    contacts = [c for c in acting if c.get("kind") == "contact"]
     parts = []
-    for constraint in constraints:
-        name, kind = _name(constraint), kind_of(constraint)
+    for constraint in acting:
+        name, kind = name_of(constraint), kind_of(constraint)
         nodes = case.regions[str(constraint.get("region"))]
         label = _load(name, cases)
         if kind == "contact" and len(contacts) > 1:
@@ -124,8 +125,8 @@ def scene_words(case: CaseResult, cases: Sequence[CaseResult]) -> list[tuple[str
     size = _over(cases, "geometry", "mesh_size", "m")
     nodes = _span([len(other.points) for other in cases], "1", 9)
     rows.append(("Mesh", f"{nodes} surface nodes" + (f", {size} apart" if size else "")))
-    for constraint in _constraints(case):
-        name, kind = _name(constraint), kind_of(constraint)
+    for constraint in constraints(case):
+        name, kind = name_of(constraint), kind_of(constraint)
         mask = case.regions.get(str(constraint.get("region")))
         if mask is not None:
             rows.append((style_of(kind)[0].capitalize(), _in_words(case, cases, name, constraint, mask)))
@@ -175,21 +176,13 @@ def _thrust(case: CaseResult, nodes: np.ndarray, constraint: Mapping[str, Any]) 
     return np.asarray(-total * math.copysign(1.0, size * case.load_factors[case.full_load]))
 
 
-def _constraints(case: CaseResult) -> list[Mapping[str, Any]]:
-    return list(case.resolved.get("constraints", ()))
-
-
-def _name(constraint: Mapping[str, Any]) -> str:
-    return str(constraint.get("name") or constraint.get("region"))
-
-
 def _load(name: str, cases: Iterable[CaseResult]) -> str:
     """The load of a constraint at full load over all cases: "0.1 to 0.4 N", "peak 800 Pa", "2 mm"."""
     found: dict[str, list[float]] = {}
     for case in cases:
         factor = float(case.load_factors[case.full_load])
-        for constraint in _constraints(case):
-            if _name(constraint) != name:
+        for constraint in constraints(case):
+            if name_of(constraint) != name:
                 continue
             if constraint.get("force") is not None:
                 found.setdefault("N", []).append(factor * constraint["force"])

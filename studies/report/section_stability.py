@@ -20,8 +20,7 @@ from ..verdict.ladders import (
     ladders,
 )
 from .blocks import Block, Cell, Column, Figure, Figures, Section, Table, Text
-from .plots import Plot, colour, line, log_axis, marker, name_ticks, place
-from .told import tell
+from .plots import Plot, colour, draw, log_axis, name_ticks, place
 
 ONE_AT_A_TIME, CLAIM = "one-at-a-time", 9
 _FLOOR = 1e-17  # what is smaller, or zero, is drawn here
@@ -224,8 +223,7 @@ def _figure(digest: Digest, ladder: Ladder, measure: str, salt: str) -> Figure |
             if not points:
                 continue
             k = digest.colour(model)
-            (curve,) = axes.plot(*zip(*points, strict=True), line(k), marker=marker(k), color=colour(k))
-            tell(curve, model)
+            draw(axes, k, model, *zip(*points, strict=True))
             told.append(f"{model} from {min(b for _, b in points):.1e} to {max(b for _, b in points):.1e}")
             broken = [a for a, r in zip(x, readings, strict=True) if r is not None and not r.ok]
             height = 0.98 - 0.035 * (rank % 12)

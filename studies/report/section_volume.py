@@ -8,8 +8,7 @@ from ..verdict.digest import Digest
 from ..verdict.formatting import listed, short_percent
 from ..verdict.standing import series
 from .blocks import Block, Figure, Figures, Section, Text
-from .plots import Plot, Sheet, colour, line, log_axis, marker, percent_ticks
-from .told import tell
+from .plots import Plot, draw, log_axis, percent_ticks
 
 _DRIFT_FLOOR = 1e-16  # below what double precision can tell from zero
 
@@ -26,11 +25,10 @@ def volume_drift(digest: Digest) -> Section | None:
             "Drift as a share of the displaced volume",
         ),
     )
-    sheet = Sheet()
     figures = [
         figure
         for k, (metric, label, title) in enumerate(quantities)
-        if (figure := _drift(digest, metric, label, title, f"v{k}", sheet)) is not None
+        if (figure := _drift(digest, metric, label, title, f"v{k}")) is not None
     ]
     if not figures:
         return None
@@ -41,7 +39,7 @@ def volume_drift(digest: Digest) -> Section | None:
     return Section("volume", "Volume drift against load", blocks)
 
 
-def _drift(digest: Digest, metric: str, label: str, title: str, salt: str, sheet: Sheet) -> Figure | None:
+def _drift(digest: Digest, metric: str, label: str, title: str, salt: str) -> Figure | None:
     curves: dict[str, dict[float, float]] = {}
     for model in digest.models:
         for case in digest.cases:
@@ -55,15 +53,11 @@ def _drift(digest: Digest, metric: str, label: str, title: str, salt: str, sheet
     if not any(len(curve) > 1 for curve in curves.values()):
         return None  # one load is no curve
     described = []
-    plot = Plot("load factor", label, salt, sheet)
+    plot = Plot("load factor", label, salt)
     with plot as axes:
         for model, curve in curves.items():
-            k = digest.colour(model)
             factors = sorted(curve)
-            (drawn,) = axes.plot(
-                factors, [curve[f] for f in factors], line(k), marker=marker(k), color=colour(k)
-            )
-            tell(drawn, model)
+            draw(axes, digest.colour(model), model, factors, [curve[f] for f in factors])
             described.append(f"{model} up to {short_percent(max(curve.values()))}")
         log_axis(axes, "y")
         percent_ticks(axes)

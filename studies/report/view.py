@@ -19,7 +19,7 @@ from solver_common.arrays import Array
 from ..measures.case import CaseResult
 from ..study.measured_file import AXES
 from ..verdict.digest import Digest
-from .scene_picture import KINDS, best_azimuth
+from .scene_picture import KINDS, Stage
 from .section_scene import parts_of
 
 _U16, _I16 = 65535, 32767
@@ -123,7 +123,7 @@ def colour_maps() -> dict[str, str]:
 
 def azimuth(case: CaseResult) -> float:
     """Angle about z from which the case's supports and loads are seen best [rad]."""
-    return best_azimuth(case.points, case.triangles, parts_of(case, [case]))
+    return Stage(case.points, case.triangles, parts_of(case, [case])).azimuth
 
 
 def displacement_scale(case: CaseResult) -> float:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +16,7 @@ from ..measures.pushed import along_movement, inward, resultant
 from .formatting import quantity
 
 
-def constraints(case: CaseResult) -> Sequence[Mapping[str, object]]:
+def constraints(case: CaseResult) -> Sequence[Mapping[str, Any]]:
     return case.resolved.get("constraints", ())
 
 
@@ -24,17 +25,17 @@ def weighs(case: CaseResult) -> bool:
     return isinstance(gravity, Mapping) and bool(np.any(gravity.get("acceleration", 0.0)))
 
 
-def name_of(constraint: Mapping[str, object]) -> str:
+def name_of(constraint: Mapping[str, Any]) -> str:
     return str(constraint.get("name") or constraint.get("region") or "")
 
 
-def kind_of(constraint: Mapping[str, object]) -> str:
+def kind_of(constraint: Mapping[str, Any]) -> str:
     """Its kind; what is moved by nothing is held."""
     kind = str(constraint.get("kind"))
     return "fixed" if kind == "constrained" and not np.any(_prescribed(constraint)) else kind
 
 
-def moved(case: CaseResult) -> dict[str, Mapping[str, object]]:
+def moved(case: CaseResult) -> dict[str, Mapping[str, Any]]:
     """Constraints that move their region: name -> constraint."""
     return {
         name_of(constraint): constraint
@@ -43,7 +44,7 @@ def moved(case: CaseResult) -> dict[str, Mapping[str, object]]:
     }
 
 
-def _prescribed(constraint: Mapping[str, object]) -> Array:
+def _prescribed(constraint: Mapping[str, Any]) -> Array:
     """(3,) displacement at load factor 1 [m], zero where none is given."""
     given = constraint.get("displacement")
     if not isinstance(given, Sequence) or len(given) != 3:

@@ -17,7 +17,7 @@ from vdmbench.body.refine import refined
 from vdmbench.body.topology import mesh_from_tetrahedra
 from vdmbench.graph.keys import case_hash, wanted
 from vdmbench.measures.reference import level_scene
-from vdmbench.report.scene_picture import Outline, scene_figure
+from vdmbench.report.scene_picture import Outline, Stage, scene_figure
 from vdmbench.report.section_scene import outlines_of
 from vdmbench.scene.inclusions import moduli
 from vdmbench.scene.result import ModelResult
@@ -217,7 +217,7 @@ def test_it_is_drawn_where_it_is() -> None:
     assert_allclose(np.linalg.norm(lump.segments - [0.1, 0.2, 0.3], axis=2), 0.2)
     assert len(upper.segments) == 12
     assert_allclose(upper.segments.reshape(-1, 3).max(axis=0), [2.0, 2.0, 2.0])
-    plain = scene_figure(case.points, case.triangles, [])
-    drawn = scene_figure(case.points, case.triangles, [], outlines=[Outline("lump", lump.segments)])
+    plain = scene_figure(Stage(case.points, case.triangles, []))
+    drawn = scene_figure(Stage(case.points, case.triangles, [], [Outline("lump", lump.segments)]))
     assert len(drawn.axes[0].collections) == len(plain.axes[0].collections) + 1
     assert [text.get_text() for text in drawn.legends[0].get_texts()] == ["inside: lump"]

@@ -10,7 +10,7 @@ from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 from PIL import Image
 
-from vdmbench.report.scene_picture import KINDS, Part, scene_figure, scene_png, scene_svg
+from vdmbench.report.scene_picture import KINDS, Part, Stage, scene_figure, scene_png, scene_svg
 
 from .report_runs import icosphere
 
@@ -22,6 +22,10 @@ SUPPORT = Part("base", "fixed", BELOW)
 
 def finger(*force: float) -> Part:
     return Part("finger", "contact", ON_TOP, np.array(force), "0.1 N")
+
+
+def stage(*parts: Part) -> Stage:
+    return Stage(POINTS, TRIANGLES, parts)
 
 
 def hued(pixels: np.ndarray, kind: str) -> np.ndarray:
@@ -38,17 +42,17 @@ def arrow_of(figure: Figure) -> tuple[np.ndarray, np.ndarray]:
 
 
 def test_parts_have_their_colours_where_they_are_and_every_run_draws_the_same() -> None:
-    png = scene_png(POINTS, TRIANGLES, [SUPPORT, finger(0, 0, -0.1)], ["E 5 kPa"], title="A ball", dpi=100)
-    assert png == scene_png(
-        POINTS, TRIANGLES, [SUPPORT, finger(0, 0, -0.1)], ["E 5 kPa"], title="A ball", dpi=100
+    png, again = (
+        scene_png(stage(SUPPORT, finger(0, 0, -0.1)), ["E 5 kPa"], title="A ball", dpi=100) for _ in range(2)
     )
+    assert png == again
     pixels = np.asarray(Image.open(io.BytesIO(png)).convert("RGB")).astype(float)
     drawing = pixels[: int(0.78 * len(pixels))]  # without the legend
     contact, support = hued(drawing, "contact"), hued(drawing, "fixed")
     assert contact.sum() > 500
     assert support.sum() > 100
     assert np.nonzero(contact)[0].max() < np.nonzero(support)[0].mean(), "the finger is above"
-    bare = scene_png(POINTS, TRIANGLES, [], dpi=100)
+    bare = scene_png(stage(), dpi=100)
     assert not hued(np.asarray(Image.open(io.BytesIO(bare)).convert("RGB")).astype(float), "contact").any()
 
 
@@ -56,7 +60,7 @@ def test_parts_have_their_colours_where_they_are_and_every_run_draws_the_same() 
 def test_the_arrow_has_the_direction_of_the_force_and_stays_outside(
     force: tuple[float, ...], outside: str
 ) -> None:
-    tail, head = arrow_of(scene_figure(POINTS, TRIANGLES, [SUPPORT, finger(*force)]))
+    tail, head = arrow_of(scene_figure(stage(SUPPORT, finger(*force))))
     assert np.sign(head[1] - tail[1]) == np.sign(force[2])
     assert abs(head[0] - tail[0]) < 1e-9
     assert (tail[1] if outside == "tail" else head[1]) > 0.055
@@ -67,7 +71,7 @@ def test_the_arrow_has_the_direction_of_the_force_and_stays_outside(
 
 @pytest.mark.parametrize("force", [(0, 0, -0.1), (0, 0, 0.1)])
 def test_the_load_stands_at_the_end_away_from_the_body(force: tuple[float, ...]) -> None:
-    figure = scene_figure(POINTS, TRIANGLES, [finger(*force)])
+    figure = scene_figure(stage(finger(*force)))
     label = next(text for text in figure.axes[0].texts if text.get_text() == "0.1 N")
     assert label.xy[1] > POINTS[:, 2].max()
 
@@ -75,25 +79,26 @@ def test_the_load_stands_at_the_end_away_from_the_body(force: tuple[float, ...])
 def test_the_camera_looks_at_a_part_on_any_side() -> None:
     for x, y in ((1, 0), (-1, 0), (0, 1), (0, -1)):
         side = POINTS @ [x, y, 0] > 0.04
-        svg = scene_svg(POINTS, TRIANGLES, [Part("side", "contact", side)], alt="", salt="s")
-        figure = scene_figure(POINTS, TRIANGLES, [Part("side", "contact", side)])
+        svg = scene_svg(stage(Part("side", "contact", side)), alt="", salt="s")
+        figure = scene_figure(stage(Part("side", "contact", side)))
         hidden, shown = figure.axes[0].collections
         assert len(shown.get_segments()) > 3 * len(hidden.get_segments()), (x, y)
-        assert svg == scene_svg(POINTS, TRIANGLES, [Part("side", "contact", side)], alt="", salt="s")
+        assert svg == scene_svg(stage(Part("side", "contact", side)), alt="", salt="s")
 
 
 def test_lone_nodes_show_as_dots() -> None:
     lone = np.zeros(len(POINTS), dtype=bool)
     lone[[5, 7]] = True
-    figure = scene_figure(POINTS, TRIANGLES, [Part("pins", "fixed", lone)])
+    figure = scene_figure(stage(Part("pins", "fixed", lone)))
     assert [len(line.get_xdata()) for line in figure.axes[0].lines] == [2]
-    whole = scene_figure(POINTS, TRIANGLES, [SUPPORT])
+    whole = scene_figure(stage(SUPPORT))
     assert [len(line.get_xdata()) for line in whole.axes[0].lines] == [0]
 
 
 def test_the_scale_bar_has_the_length_it_tells_and_the_legend_names_the_parts() -> None:
+    parts = [SUPPORT, finger(0, 0, -0.1)]
     for size, told in ((1.0, "20 mm"), (0.02, "500 µm")):
-        figure = scene_figure(size * POINTS, TRIANGLES, [SUPPORT, finger(0, 0, -0.1)], ["E 5 kPa, nu 0.49"])
+        figure = scene_figure(Stage(size * POINTS, TRIANGLES, parts), ["E 5 kPa, nu 0.49"])
         drawing, foot = figure.axes
         left, right = foot.lines[0].get_xdata()
         figure.draw_without_rendering()  # the aspect decides the drawing's width
@@ -110,7 +115,7 @@ def test_the_scale_bar_has_the_length_it_tells_and_the_legend_names_the_parts() 
 def test_a_flat_body_a_body_of_no_size_and_names_to_escape_are_drawn() -> None:
     odd = Part("$<b>", "constrained", BELOW, np.array([0.0, 0.0, 1e-3]), "$1 <mm")
     for scale in ([1, 1, 1e-3], [1e-3, 1e-3, 1], [0, 0, 0]):
-        svg = scene_svg(POINTS * scale, TRIANGLES, [odd], alt='"<', salt="s")
+        svg = scene_svg(Stage(POINTS * scale, TRIANGLES, [odd]), alt='"<', salt="s")
         assert "<b>" not in svg
         assert 'aria-label="&#34;&lt;"' in svg
         assert "var(--ink)" in svg
