@@ -61,15 +61,6 @@ def test_equal_to_the_linear_solve(body: Body, element: str, poisson_ratio: floa
     assert found.iterations.sum() == 0
 
 
-def test_without_density_there_are_no_columns_for_weight(body: Body) -> None:
-    linear = _linear(body)
-    model = CondensedProblem(linear, _upper(body))
-    assert model.matrix.shape[1] == len(model.pushed)
-    load = body.load(200.0 * body.facets_where(lambda x: x[:, 2] > 0.03), gravity=(0.0, 0.0, -9.81))
-    expected = linear.solve([load]).displacement
-    assert_allclose(model.solve([load]).displacement, expected, rtol=0, atol=1e-10 * np.abs(expected).max())
-
-
 def test_the_compliance_is_reciprocal(condensed: CondensedProblem, body: Body) -> None:
     """Betti: what force i moves at j, force j moves at i; weight included. Positive definite too."""
     surface, own = 3 * len(body.surface), len(condensed.pushed)

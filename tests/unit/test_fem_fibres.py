@@ -5,16 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
-from scipy.sparse import csr_array
-from skfem import Basis, BilinearForm, ElementTetP2, ElementVector
-from skfem.helpers import ddot, sym_grad
 
-from fem_reference.condensed import CondensedProblem
 from fem_reference.finite_strain import FiniteStrainProblem
 from fem_reference.linear import LinearProblem
-from fem_reference.mesh import TetMesh
-from fem_reference.solution import SolverError
-from tests.unit.fem_shapes import Body, cube, elasticity_matrix
+from tests.unit.fem_shapes import Body, cube
 
 TILT = (1.0, -2.0, 0.5)
 
@@ -39,7 +33,7 @@ def _tension(b: Body, contrast: float, axis: int, **options: object) -> tuple[np
 
 
 @pytest.mark.parametrize("solver", ["direct", "iterative"])
-@pytest.mark.parametrize("contrast", [1.0, 3.0, 20.0])
+@pytest.mark.parametrize("contrast", [1.0, 20.0])
 @pytest.mark.parametrize(("element", "nu"), [("P2-P1", 0.5), ("P2-P1", 0.3), ("P2", 0.3), ("P1", 0.3)])
 def test_tension_along_and_across_is_exact(
     block: Body, solver: str, contrast: float, element: str, nu: float
@@ -60,22 +54,6 @@ def test_tension_along_and_across_is_exact(
         assert_allclose(pressure, -1.0 / 3.0, rtol=0, atol=2e-7)
 
 
-@pytest.mark.parametrize("extra", [0.0, 1.0], ids=["fibres", "any tensor"])
-def test_the_fibre_term_equals_scikit_fem(extra: float) -> None:
-    mesh = TetMesh(*cube(2, distort=0.3).arrays, order=2)
-    basis = Basis(mesh.skfem_mesh, ElementVector(ElementTetP2()), intorder=2)
-    direction = np.array(TILT) / np.linalg.norm(TILT)
-    tensor = 2.0 * np.outer(direction, direction) + extra * np.diag([0.3, -0.2, 0.7])
-
-    def strain(u: object) -> np.ndarray:
-        return np.einsum("ij,ij...->...", tensor, sym_grad(u))
-
-    theirs = BilinearForm(lambda u, v, _: 2.0 * ddot(sym_grad(u), sym_grad(v)) + strain(u) * strain(v))
-    expected = csr_array(theirs.assemble(basis))
-    ours = csr_array(elasticity_matrix(mesh, 0.0, tensor))
-    assert abs(ours - expected).max() <= 1e-14 * abs(expected).max()
-
-
 def test_small_loads_of_the_finite_strain_law_are_linear(block: Body) -> None:
     fibres = {"fibre_direction": TILT, "contrast": 5.0}
     common = {"youngs_modulus": 1.0, "poisson_ratio": 0.4999, "held": _bottom(block)}
@@ -89,23 +67,3 @@ def test_small_loads_of_the_finite_strain_law_are_linear(block: Body) -> None:
     assert_allclose(finite.displacement, linear.displacement, rtol=0, atol=1e-5 * size)
     assert_allclose(finite.fluid_pressure, linear.fluid_pressure, rtol=1e-4, atol=0)
     assert_allclose(finite.energy, linear.energy, rtol=1e-4, atol=0)
-
-
-def test_the_condensed_problem_keeps_the_fibres(block: Body) -> None:
-    problem = block.problem(_bottom(block), poisson_ratio=0.45, fibre_direction=TILT, contrast=5.0)
-    top = block.surface[:, 2] > 1.0 - 1e-12
-    load = block.load(0.01 * block.facets_where(lambda x: x[:, 2] > 1.0 - 1e-12))
-    whole, condensed = problem.solve([load]), CondensedProblem(problem, top).solve([load])
-    for field in ("displacement", "reaction_force", "energy", "fluid_pressure"):
-        a, b = getattr(condensed, field), getattr(whole, field)
-        assert_allclose(a, b, rtol=0, atol=1e-8 * np.abs(b).max(), err_msg=field)
-
-
-def test_fibres_that_make_no_sense_are_refused(block: Body) -> None:
-    for options, words in (
-        ({"fibre_direction": TILT, "contrast": 0.5}, "contrast is 0.5; give 1 or more"),
-        ({"fibre_direction": (0.0, 0.0, 0.0), "contrast": 2.0}, "is no direction"),
-        ({"contrast": 2.0}, "has no fibres"),
-    ):
-        with pytest.raises(SolverError, match=words):
-            block.problem(_bottom(block), **options)

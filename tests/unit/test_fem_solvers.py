@@ -279,11 +279,6 @@ def test_auto_factorises_when_the_iterations_fail(monkeypatch: pytest.MonkeyPatc
     assert unsolved.residual[0] > tight.tolerance
 
 
-def test_an_unknown_solver_is_told() -> None:
-    with pytest.raises(SolverError, match="solver 'magic' is unknown; use one of auto, direct, iterative"):
-        choose_solver(_system(2), "magic", 1, None)
-
-
 def test_available_memory_is_plausible() -> None:
     assert 1e7 < available_memory() < 1e14
 
