@@ -7,7 +7,6 @@ import json
 from pathlib import Path
 
 import meshio
-import pytest
 
 from tests.command import vdmbench, write_study
 from tests.unit.report_runs import icosphere
@@ -25,32 +24,28 @@ def _surface(folder: Path) -> Path:
     return folder / "ball.obj"
 
 
-@pytest.mark.parametrize("how", ["option", "study", "sweep"])
-def test_no_stored_file_names_the_folder_of_a_surface(tmp_path: Path, how: str) -> None:
+def test_no_stored_file_names_the_folder_of_a_surface_of_the_study(tmp_path: Path) -> None:
     surface = _surface(tmp_path / "Jane-Doe" / "scans")
+    other = surface.with_name("other.obj")
+    other.write_bytes(surface.read_bytes() + b"\n")
     work = tmp_path / "work"
     work.mkdir()
     sphere = ('shape = "sphere"\nradius = "50 mm"', f"shape = 'file'\npath = '{surface}'")
-    own = {} if how == "option" else {"c": sphere}
-    if how == "sweep":
-        own["d"] = (
-            "[load]",
-            f"[sweep]\n\"geometry.path\" = ['{surface}', '{surface.with_name('other.obj')}']\n[load]",
-        )
-        surface.with_name("other.obj").write_bytes(surface.read_bytes() + b"\n")
-    write_study(work, a=MODELS, b=REFERENCE, **own)
-    extra = ["--surface", surface] if how == "option" else ["--allow-outside"]
-    result = vdmbench("run", "small.toml", *extra, cwd=work)
+    sweep = ("[load]", f"[sweep]\n\"geometry.path\" = ['{surface}', '{other}']\n[load]")
+    write_study(work, a=MODELS, b=REFERENCE, c=sphere, d=sweep)
+    result = vdmbench("run", "small.toml", "--allow-outside", cwd=work)
     assert result.returncode == 0, result.stderr
-    results = work / "results"
-    for path in (path for path in results.rglob("*") if path.is_file()):
-        assert b"Jane-Doe" not in path.read_bytes(), path
-    (directory,) = (results / "runs").iterdir()
-    run = store.read_run(directory)
-    case = run.cases[0]
+    _assert_nobody_is_named(work / "results")
+    (directory,) = (work / "results/runs").iterdir()
+    case = store.read_run(directory).cases[0]
     assert case.resolved["geometry"]["path"] == "ball.obj"
     assert case.provenance["geometry_file_hash"] == hashlib.sha256(surface.read_bytes()).hexdigest()
     assert vdmbench("report", directory, cwd=work).returncode == 0
+
+
+def _assert_nobody_is_named(*folders: Path) -> None:
+    for path in (path for folder in folders for path in folder.rglob("*") if path.is_file()):
+        assert b"Jane-Doe" not in path.read_bytes(), path
 
 
 def test_no_stored_file_names_a_folder_of_the_command(tmp_path: Path) -> None:
@@ -60,10 +55,7 @@ def test_no_stored_file_names_a_folder_of_the_command(tmp_path: Path) -> None:
     result = vdmbench("run", *words, cwd=tmp_path)
     assert result.returncode == 0, result.stderr
     out = tmp_path / "Jane-Doe" / "out"
-    for path in (
-        path for folder in (out, tmp_path / "results") for path in folder.rglob("*") if path.is_file()
-    ):
-        assert b"Jane-Doe" not in path.read_bytes(), path
+    _assert_nobody_is_named(out, tmp_path / "results")
     plan = json.loads((out / "plan.json").read_text())
     assert plan["command"] == ["run", "small.toml", "--surface", "ball.obj", "--out", "out"]
     assert plan["directory"] == "out"

@@ -5,14 +5,17 @@ The changes come from a seeded generator, so that a failure is found again by it
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from tests.in_process import clean_here
 from vdmbench.body.geometry import build_mesh
 from vdmbench.body.mesh import Mesh
 from vdmbench.body.read_apart import clean_surface_of, clean_tetrahedra_of
+from vdmbench.body.repair import CleanSurface, CleanTetrahedra
 from vdmbench.body.topology import mesh_from_tetrahedra, mesh_from_triangles
 from vdmbench.study.errors import MeshError
 from vdmbench.study.geometry_spec import VOLUME_SUFFIXES, Geometry
@@ -20,8 +23,6 @@ from vdmbench.study.geometry_spec import VOLUME_SUFFIXES, Geometry
 from .test_mesh_files import SUFFIXES, VOLUMES, write_named
 
 WORDS = (b"-1", b"0", b"9999999999", b"nan", b"1e999", b"4294967296", b"-9223372036854775808", b"\xff" * 8)
-FEW = ("a.stl", "a.vtp", "4.1-binary.msh")  # a process each takes a while
-SHORT, LONG = 2, 25  # changed files of each kind
 
 
 @pytest.fixture(scope="module")
@@ -50,15 +51,14 @@ def changed(data: bytes, rng: np.random.Generator) -> bytes:
     return data
 
 
-def read(path: Path) -> str:
+def read(path: Path, clean: Callable[[Path], CleanSurface | CleanTetrahedra]) -> str:
     """ "sound" where the file is read, and then checked, else the sentence that refuses it."""
     try:
-        if path.suffix in VOLUME_SUFFIXES:
-            body = clean_tetrahedra_of(path)
+        body = clean(path)
+        if isinstance(body, CleanTetrahedra):
             mesh = mesh_from_tetrahedra(body.points, body.tetrahedra, groups=body.groups)
         else:
-            surface = clean_surface_of(path)
-            mesh = mesh_from_triangles(surface.points, surface.triangles)
+            mesh = mesh_from_triangles(body.points, body.triangles)
     except MeshError as error:
         return str(error)
     assert np.isfinite(mesh.points).all()
@@ -66,28 +66,37 @@ def read(path: Path) -> str:
     return "sound"
 
 
-def try_changes(tmp_path: Path, ball: Mesh, name: str, numbers: range) -> None:
+def apart(path: Path) -> CleanSurface | CleanTetrahedra:
+    """As a study has it read."""
+    return clean_tetrahedra_of(path) if path.suffix in VOLUME_SUFFIXES else clean_surface_of(path)
+
+
+@pytest.mark.parametrize(
+    ("clean", "count"),
+    [(clean_here, 40), pytest.param(apart, 25, marks=pytest.mark.slow)],
+    ids=["here", "apart"],
+)
+@pytest.mark.parametrize("name", SUFFIXES + VOLUMES)
+@pytest.mark.filterwarnings(
+    "ignore:invalid value encountered in cast"
+)  # of a number that is none, and is refused
+def test_a_changed_mesh_file_is_read_or_refused(
+    tmp_path: Path,
+    ball: Mesh,
+    name: str,
+    clean: Callable[[Path], CleanSurface | CleanTetrahedra],
+    count: int,
+) -> None:
     whole = write_named(tmp_path / name, ball)
     data = whole.read_bytes()
-    assert read(whole) == "sound"
+    assert read(whole, clean) == "sound"
     answers = []
-    for number in numbers:
+    for number in range(count):
         path = tmp_path / f"changed-{name}"
         path.write_bytes(changed(data, np.random.default_rng(number)))
-        answer = read(path)
+        answer = read(path, clean)
         assert answer.isprintable(), number
         assert len(answer) < 300, number
         assert "takes more than" not in answer, number  # what a count asks for is known before it is taken
         answers.append(answer)
     assert any(answer != "sound" for answer in answers)
-
-
-@pytest.mark.parametrize("name", FEW)
-def test_a_changed_mesh_file_is_read_or_refused(tmp_path: Path, ball: Mesh, name: str) -> None:
-    try_changes(tmp_path, ball, name, range(SHORT))
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", SUFFIXES + VOLUMES)
-def test_many_changed_mesh_files_are_read_or_refused(tmp_path: Path, ball: Mesh, name: str) -> None:
-    try_changes(tmp_path, ball, name, range(LONG))

@@ -46,13 +46,20 @@ def _shell(
     )
 
 
+def _three_cases(directory: Path) -> None:
+    """A study that takes no longer than it must."""
+    sweep = '[sweep]\n"vdm.bulk_modulus" = [10, 20, 30]\n[vdm]\nconnectivity_modulus = 200\n[load]'
+    write_study(directory, a=('["vdm-paper", "fem-linear"]', '["vdm-paper"]'), b=('reference = "fem-linear"\n', ""),
+                c=("[load]", sweep))  # fmt: skip
+
+
 @pytest.mark.parametrize(
     "redirections",
     ["2>&1 | head -n 1", ">/dev/full 2>&1", "<&- >&- 2>&-"],
 )
 def test_a_run_is_done_whoever_reads(tmp_path: Path, redirections: str) -> None:
     """Three cases, after the first of which the reader is gone."""
-    write_study(tmp_path, a=("[load]", '[sweep]\n"tissue.poisson_ratio" = [0.3, 0.4, 0.49]\n[load]'))
+    _three_cases(tmp_path)
     result = _shell("run small.toml --jobs 1", redirections, tmp_path)
     assert result.returncode == 0, result.stderr
     assert len(store.read_run(tmp_path / RUN).cases) == 3
@@ -122,7 +129,7 @@ def test_a_file_s_name_that_is_no_text_is_told(finished: Path) -> None:
 
 def test_a_terminal_that_is_closed_while_the_bar_runs(tmp_path: Path) -> None:
     """Without its signal, as with nohup: what the bar draws has no place any more."""
-    write_study(tmp_path, a=("[load]", '[sweep]\n"tissue.poisson_ratio" = [0.3, 0.4, 0.49]\n[load]'))
+    _three_cases(tmp_path)
     ours, theirs = pty.openpty()
     with subprocess.Popen(
         [SCRIPT, "run", "small.toml", "--jobs", "1"],
