@@ -41,6 +41,8 @@ def model(**options) -> Model:
         ("contact_force", np.full((N, 3), -1e200), "contact_force has values beyond"),
         ("prescribed", np.full((N, 3), 1e200), "prescribed has values beyond"),
         ("prescribed", np.zeros((3, N)), "prescribed must have shape"),
+        ("contact_pressure", np.full(N, np.nan), "nan or inf"),
+        ("contact_force", np.zeros((N, 2)), "contact_force must have shape"),
         (
             "prescribed",
             np.full((N, 3), 1e-3),
@@ -53,6 +55,11 @@ def test_a_load_that_is_none(part, value, words, solver, monkeypatch):
     monkeypatch.setattr(body.solver, "step", lambda *_: pytest.fail("solved"))
     with pytest.raises(ConstraintError, match=words):
         body.solve([ZERO, replace(ZERO, **{part: value})])
+
+
+def test_constrained_nodes_need_a_displacement():
+    with pytest.raises(ConstraintError, match="prescribed displacement"):
+        model(constrained=PUSH > 0.0).solve([Load(PUSH)])
 
 
 def test_one_load_without_a_list():
@@ -80,7 +87,7 @@ def test_an_environment_without_a_pressure(value):
         model(environment_pressure=value)
 
 
-@pytest.mark.parametrize("value", ["stiff", 1.0 + 2.0j, [1.0, None], True])
+@pytest.mark.parametrize("value", ["stiff", 1.0 + 2.0j, [1.0, None], True, -1.0, np.nan])
 def test_a_modulus_that_is_no_number(value):
     with pytest.raises(ParameterError, match="bulk_modulus must be finite and not negative"):
         Parameters(bulk_modulus=value)

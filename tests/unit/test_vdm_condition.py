@@ -7,15 +7,10 @@ import pytest
 from numpy.testing import assert_allclose
 
 from solver_common.condition import estimated_norm, operator
-from tests.unit.vdm_shapes import icosphere
-from vdm import Load, Model, Parameters, SurfaceMesh
+from tests.unit.vdm_shapes import BASE, BODY, POINTS, TRIANGLES, WITH_MATRIX
+from vdm import Load, Model, Parameters
 from vdm.solvers import SOLVERS
 
-from .vdm_shapes import WITH_MATRIX
-
-POINTS, TRIANGLES = icosphere(2, (0.05, 0.06, 0.045))
-BODY = SurfaceMesh(POINTS, TRIANGLES)
-BASE = POINTS[:, 2] < -0.03
 PUSH = Load(np.where(POINTS[:, 2] > 0.035, 100.0, 0.0))
 PRINTED = ("lu", "bicg", "bicg-cold")
 SPARSE = ("paper", "consistent", "vector", "mass-spring")

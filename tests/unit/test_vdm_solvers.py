@@ -6,7 +6,18 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from tests.unit.vdm_shapes import halved, icosphere, octahedron, torus
+from tests.unit.vdm_shapes import (
+    BASE,
+    BODY,
+    POINTS,
+    TRIANGLES,
+    WITH_MATRIX,
+    halved,
+    icosphere,
+    model,
+    octahedron,
+    torus,
+)
 from vdm import Load, Model, Parameters, SolverError, SurfaceMesh
 from vdm.deformed import DeformableSurface
 from vdm.formulations.boundary import DenseFactor
@@ -15,12 +26,7 @@ from vdm.solvers.anderson import Anderson
 from vdm.solvers.krylov import KrylovSolver
 from vdm.solvers.quasi_linear import sherman_morrison
 
-from .vdm_shapes import WITH_MATRIX
-
-POINTS, TRIANGLES = icosphere(2, (0.05, 0.06, 0.045))
-BODY = SurfaceMesh(POINTS, TRIANGLES)
 DEFORMABLE = DeformableSurface(BODY)
-BASE = POINTS[:, 2] < -0.03
 TOP = (POINTS[TRIANGLES][:, :, 2] > 0.03).all(axis=1)
 PUSH = Load.from_facet_pressure(BODY, np.where(TOP, 100.0, 0.0))
 NAMES = WITH_MATRIX
@@ -28,11 +34,6 @@ VECTOR_FORMS = [
     Parameters(surface_tension=60.0, rotation="none"),
     Parameters(surface_tension=60.0, rotation="global", stretch_stiffness=10.0, foundation=1e3),
 ]
-
-
-def model(formulation: str, parameters: Parameters | None = None, **options) -> Model:
-    material = parameters or Parameters.from_tissue(5000.0, BODY, formulation)
-    return Model(POINTS, TRIANGLES, material, formulation=formulation, **{"fixed": BASE, **options})
 
 
 def drift(displacement) -> float:
@@ -46,9 +47,11 @@ def kept_drift(solver: Model, displacement) -> float:
     return kept / solver.surface.volume - 1.0
 
 
-@pytest.mark.parametrize("solver", ["bicg", "bicg-cold", "cg", "minres"])
+@pytest.mark.parametrize("solver", ["bicg", "bicg-cold", "cg", "minres", "single", "refined"])
 @pytest.mark.parametrize("formulation", NAMES)
 def test_iterative_solvers_equal_the_direct_one(formulation, solver):
+    if formulation == "boundary" and solver in ("single", "refined"):
+        pytest.skip("refused, with a test of its own")
     constrained = POINTS[:, 0] > 0.045
     moved = np.where(constrained[:, None], [1e-3, 0.0, 2e-3], 0.0)
     loads = [Load(s * PUSH.contact_pressure, s * PUSH.contact_force, s * moved) for s in (0.5, 1.0)]
@@ -61,12 +64,14 @@ def test_iterative_solvers_equal_the_direct_one(formulation, solver):
     solution = model(formulation, solver=solver, **options).solve(loads)
     assert all(status.ok for status in solution.status)
     # the factor at rest is the operator's own: CG is done in one or two, MINRES in few
-    fewest, most = {"cg": (1, 2), "minres": (1, 12)}.get(solver, (6, 10_000))
+    steps = {"cg": (1, 2), "minres": (1, 12), "single": (0, 0), "refined": (0, 10)}
+    fewest, most = steps.get(solver, (6, 10_000))
     assert np.all((fewest <= solution.iterations) & (solution.iterations <= most))
-    # residual 1e-10 times a condition of some 1e3
+    # residual 1e-10, or that of 32 bits, times a condition of some 1e3
+    tolerance = 1e-4 if solver == "single" else 1e-8
     size = np.abs(direct.displacement).max()
-    assert_allclose(solution.displacement, direct.displacement, rtol=0.0, atol=1e-8 * size)
-    assert_allclose(solution.fluid_pressure, direct.fluid_pressure, rtol=1e-7, atol=0.0)
+    assert_allclose(solution.displacement, direct.displacement, rtol=0.0, atol=tolerance * size)
+    assert_allclose(solution.fluid_pressure, direct.fluid_pressure, rtol=10 * tolerance, atol=0.0)
 
 
 @pytest.mark.parametrize("solver", ["bicg", "bicg-cold"])
@@ -360,14 +365,6 @@ def test_a_small_weight_gives_the_pressure_of_the_linear_model_at_the_same_datum
     assert_allclose(pressures[1], pressures[0], rtol=0.0, atol=1e-3 * height)
 
 
-def test_nonlinear_result_does_not_depend_on_the_path():
-    loads = [PUSH.scaled(s) for s in (1.0, 3.0, 2.0)]
-    solver = model("vector", solver="nonlinear")
-    history, direct = solver.solve(loads), solver.solve(loads[2:])
-    size = np.abs(direct.displacement).max()
-    assert_allclose(history.displacement[2], direct.displacement[0], rtol=0.0, atol=1e-6 * size)
-
-
 @pytest.mark.parametrize("formulation", NAMES)
 def test_nonlinear_prescribed_displacement_and_genus_one(formulation):
     points, triangles = torus()
@@ -392,40 +389,6 @@ def test_nonlinear_prescribed_displacement_and_genus_one(formulation):
     assert abs(kept_drift(body, solution.displacement[0])) < 1e-12
     # the support below pushes up what the tool above pushes down
     assert solution.reaction_force[0, top, 2].sum() < 0.0 < solution.reaction_force[0, base, 2].sum()
-
-
-@pytest.mark.parametrize("formulation", NAMES)
-def test_every_linear_solver_on_a_torus(formulation):
-    points, triangles = torus()
-    surface = SurfaceMesh(points, triangles)
-    assert surface.genus == 1
-    material = Parameters.from_tissue(5000.0, surface, formulation)
-    load = Load(np.where(points[:, 2] > 0.018, 1.0, 0.0))
-
-    def answer(solver):
-        body = Model(
-            points,
-            triangles,
-            material,
-            formulation=formulation,
-            fixed=points[:, 2] < -0.015,
-            solver=solver,
-        )
-        solution = body.solve([load])
-        assert solution.status[0].ok
-        return solution.displacement[0]
-
-    expected = answer("linear")
-    size = np.abs(expected).max()
-    for solver in SOLVERS:
-        # the nonlinear one has its own test on a torus; the printed matrix is not symmetric
-        if solver == "nonlinear" or (formulation, solver) == ("paper", "minres"):
-            continue
-        if formulation == "boundary" and solver in ("single", "refined"):  # dense
-            continue
-        # rounding, or the tolerance of an iteration, times the condition
-        tolerance = 1e-4 if solver == "single" else 1e-7
-        assert_allclose(answer(solver), expected, rtol=0.0, atol=tolerance * size, err_msg=solver)
 
 
 @pytest.mark.slow

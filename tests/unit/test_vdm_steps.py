@@ -9,20 +9,14 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from tests.unit.vdm_shapes import icosphere
-from vdm import FORMULATIONS, Load, Model, Parameters, SurfaceMesh
+from tests.unit.vdm_shapes import POINTS, icosphere, model
+from vdm import FORMULATIONS, Load, Model, Parameters
 from vdm.solvers.linear import LinearSolver
 
-POINTS, TRIANGLES = icosphere(2, (0.05, 0.06, 0.045))
-BASE, TOP = POINTS[:, 2] < -0.03, POINTS[:, 2] > 0.04
+TOP = POINTS[:, 2] > 0.04
 RANDOM = np.random.default_rng(5)
 FORMS = [*FORMULATIONS]
 PRODUCTS = ("apply", "internal_force", "nodal_force", "displacement")
-
-
-def model(form: str, **options) -> Model:
-    rule = Parameters.from_tissue(5000.0, SurfaceMesh(POINTS, TRIANGLES), form)
-    return Model(POINTS, TRIANGLES, rule, formulation=form, fixed=BASE, **options)
 
 
 def on_coarse_nodes() -> Model:

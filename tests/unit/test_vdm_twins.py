@@ -20,12 +20,9 @@ ALL = np.arange(len(POINTS))
 STILL = np.eye(3)
 TURN = np.linalg.qr(RANDOM.standard_normal((3, 3)))[0]
 TURN *= np.sign(np.linalg.det(TURN))
-# where the nodes go to, the order in which they come, and whether the facets turn inside out
-TWINS = {
-    "rotated": (TURN, ALL, False),
-    "mirrored": (np.diag([1.0, -1.0, 1.0]), ALL, True),
-    "renumbered": (STILL, RANDOM.permutation(len(POINTS)), False),
-}
+MIRROR = np.diag([1.0, -1.0, 1.0])
+# where the nodes go to, the order in which they come, and that the facets turn inside out
+TWIN = (TURN @ MIRROR, RANDOM.permutation(len(POINTS)), True)
 
 
 def answer(
@@ -55,11 +52,11 @@ def answer(
     return displacement, reaction, float(solution.fluid_pressure[0])
 
 
-@pytest.mark.parametrize("twin", TWINS)
 @pytest.mark.parametrize("solver", ["linear", "nonlinear"])
 @pytest.mark.parametrize("formulation", FORMULATIONS)
-def test_the_answer_does_not_depend_on_how_the_body_lies(formulation: str, solver: str, twin: str) -> None:
-    plain, other = answer(formulation, solver), answer(formulation, solver, *TWINS[twin])
+def test_the_answer_does_not_depend_on_how_the_body_lies(formulation: str, solver: str) -> None:
+    """Nor on the order of its nodes, nor on left and right."""
+    plain, other = answer(formulation, solver), answer(formulation, solver, *TWIN)
     # a nonlinear balance is found to 1e-8 of its forces, an answer to that times its condition
     tolerance = 1e-9 if solver == "linear" else 2e-6
     for a, b in zip(other, plain, strict=True):

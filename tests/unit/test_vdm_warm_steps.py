@@ -6,31 +6,23 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from tests.unit.vdm_shapes import icosphere
-from vdm import FORMULATIONS, Load, Model, Parameters, SurfaceMesh
+from tests.unit.vdm_shapes import BASE, BODY, POINTS, TRIANGLES, model
+from vdm import FORMULATIONS, Load, Model, Parameters
 from vdm.deformed import DeformableSurface
 from vdm.solvers.anderson import Anderson
 from vdm.solvers.nonlinear import _share
 
-POINTS, TRIANGLES = icosphere(2, (0.05, 0.06, 0.045))
-BODY = SurfaceMesh(POINTS, TRIANGLES)
-BASE = POINTS[:, 2] < -0.03
 TOP = (POINTS[TRIANGLES][:, :, 2] > 0.03).all(axis=1)
 SIDE = (POINTS[TRIANGLES][:, :, 0] > 0.03).all(axis=1)
 PUSH = Load.from_facet_pressure(BODY, np.where(TOP, 400.0, 0.0))
 NUDGE = Load.from_facet_pressure(BODY, np.where(SIDE, 400.0, 0.0))
 
 
-def model(formulation: str) -> Model:
-    material = Parameters.from_tissue(5000.0, BODY, formulation)
-    return Model(POINTS, TRIANGLES, material, formulation=formulation, fixed=BASE, solver="nonlinear")
-
-
 @pytest.mark.parametrize("formulation", list(FORMULATIONS))
 def test_warm_steps_equal_each_load_from_rest_in_fewer_iterations(formulation):
     # on, a turn back, the same again, another finger, and nothing
     loads = [PUSH.scaled(s) for s in (1.0, 1.1, 1.2, 1.3, 1.15, 1.15, 1.16)] + [NUDGE, PUSH.scaled(0.0)]
-    solver = model(formulation)
+    solver = model(formulation, solver="nonlinear")
     warm = solver.solve(loads)
     cold = [solver.solve([load]) for load in loads]
     assert all(status.ok for status in warm.status)
@@ -52,7 +44,7 @@ def test_warm_steps_equal_each_load_from_rest_in_fewer_iterations(formulation):
 
 
 def test_a_history_does_not_remember_the_one_before():
-    solver = model("vector")
+    solver = model("vector", solver="nonlinear")
     loads = [PUSH.scaled(s) for s in (1.0, 1.1, 1.2)]
     first = solver.solve(loads)
     solver.solve([NUDGE])
@@ -66,7 +58,7 @@ def test_a_tiny_load_is_solved_as_well_as_a_large_one(formulation):
     load = PUSH.scaled(1e-9)
     material = Parameters.from_tissue(5000.0, BODY, formulation)
     linear = Model(POINTS, TRIANGLES, material, formulation=formulation, fixed=BASE).solve([load])
-    found = model(formulation).solve([load])
+    found = model(formulation, solver="nonlinear").solve([load])
     size = np.abs(linear.displacement).max()
     assert 0.0 < size < 1e-10 * np.ptp(POINTS)
     # positions of 1e-16 of the body leave displacements of 1e-10 of it six digits

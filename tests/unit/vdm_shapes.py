@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
-from vdm import FORMULATIONS
+from vdm import FORMULATIONS, Model, Parameters, SurfaceMesh
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -94,6 +96,18 @@ def box(n: int = 4, size: tuple[float, float, float] = (1.0, 1.0, 1.0)) -> tuple
                     triangles += [(a, b, c), (a, c, d)]
     points = np.array(list(corners), dtype=np.float64) / n * np.array(size)
     return points, np.array(triangles)
+
+
+# a body of three axes of 162 nodes, and the nodes of its base
+POINTS, TRIANGLES = icosphere(2, (0.05, 0.06, 0.045))
+BODY = SurfaceMesh(POINTS, TRIANGLES)
+BASE = POINTS[:, 2] < -0.03
+
+
+def model(formulation: str, parameters: Parameters | None = None, **options: Any) -> Model:
+    """The body, its base held and its parameters by the rule unless told otherwise."""
+    rule = parameters or Parameters.from_tissue(5000.0, BODY, formulation)
+    return Model(POINTS, TRIANGLES, rule, formulation=formulation, **{"fixed": BASE, **options})
 
 
 # forms whose operator is a matrix, which every solver takes; the sparse form refuses others by name
