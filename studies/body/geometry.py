@@ -18,7 +18,6 @@ from ..study.geometry_spec import (
     MAX_NODES,
     Geometry,
     area_and_volume,
-    check_geometry,
     check_node_budget,
     extents,
 )
@@ -61,10 +60,9 @@ def build_mesh(geometry: Geometry, *, volume: bool = True, max_nodes: int = MAX_
     [m^3], area [m^2], `worst_sicn`, `seconds` and, for an imported mesh, what was repaired and how far the
     new surface is from the imported one [m].
 
-    Raises MeshError, in one sentence, for a geometry, a file or a mesh size that cannot be used; the number
-    of nodes is estimated against `max_nodes` before anything is meshed.
+    The geometry is one of a study, whose checks it has passed. Raises MeshError, in one sentence, for a file or
+    a mesh that cannot be used; the number of nodes is estimated against `max_nodes` before anything is meshed.
     """
-    check_geometry(geometry)
     started = time.perf_counter()
     if geometry.shape == FILE:
         with named(geometry):

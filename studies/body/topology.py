@@ -6,9 +6,8 @@ from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse import coo_array
-from scipy.sparse.csgraph import breadth_first_order, connected_components
+from scipy.sparse.csgraph import connected_components
 
 from solver_common.arrays import Array, Index, Mask
 
@@ -105,20 +104,20 @@ def consistent_orientation(points: Array, triangles: Index) -> tuple[Index, int]
     """
     first, second, same_way = facet_pairs(triangles)
     n_facets = len(triangles)
-    # Walk over the facets; each takes the side of the one it was reached from.
-    ones = np.ones(len(first))
-    graph = coo_array((ones, (first, second)), shape=(n_facets, n_facets)).tocsr()
-    pieces, labels = connected_components(graph, directed=False)
-    if pieces > 1:
-        sizes = ", ".join(str(size) for size in sorted(np.bincount(labels), reverse=True)[:5])
+    # every facet twice, as it is and turned over; of neighbours those sides are joined that agree
+    joined = np.concatenate([first, first + n_facets])
+    agreeing = np.concatenate([second + n_facets * same_way, second + n_facets * ~same_way])
+    graph = coo_array((np.ones(len(joined)), (joined, agreeing)), shape=(2 * n_facets, 2 * n_facets))
+    labels = connected_components(graph.tocsr(), directed=False)[1].reshape(2, n_facets)
+    _, sizes = np.unique(labels.min(axis=0), return_counts=True)
+    if len(sizes) > 1:
+        told = ", ".join(str(size) for size in sorted(sizes, reverse=True)[:5])
         raise MeshError(
-            f"the surface has {pieces} separate pieces ({sizes} facets); keep one closed piece and drop the rest"
+            f"the surface has {len(sizes)} separate pieces ({told} facets); keep one closed piece and drop the rest"
         )
-    order, parents = breadth_first_order(graph, 0, directed=False)
-    side = _signs_along_tree(order, parents, first, second, same_way, n_facets)
-    contradictions = int(np.count_nonzero((side[first] != side[second]) != same_way))
-    if contradictions:
+    if (labels[0] == labels[1]).any():
         raise MeshError("the surface is one-sided (it cannot be oriented); it bounds no solid")
+    side = labels[0] != labels[0, 0]
     turned = np.where(side[:, None], triangles[:, ::-1], triangles)
     scale = float(facet_areas(points, turned).sum()) ** 1.5
     volume = enclosed_volume(points, turned)
@@ -127,27 +126,6 @@ def consistent_orientation(points: Array, triangles: Index) -> tuple[Index, int]
     if volume < 0:
         turned, side = turned[:, ::-1], ~side
     return np.ascontiguousarray(turned), int(np.count_nonzero(side))
-
-
-def _signs_along_tree(
-    order: NDArray[np.int32],
-    parents: NDArray[np.int32],
-    first: Index,
-    second: Index,
-    same_way: Mask,
-    n_facets: int,
-) -> Mask:
-    """Whether each facet is to be turned for the first one to agree with all along the tree."""
-    key = np.minimum(first, second) * n_facets + np.maximum(first, second)
-    by_key = np.argsort(key, kind="stable")
-    child = order[1:].astype(np.int64)
-    parent = parents[child].astype(np.int64)
-    wanted = np.minimum(child, parent) * n_facets + np.maximum(child, parent)
-    differs = same_way[by_key[np.searchsorted(key[by_key], wanted)]]
-    side = np.zeros(n_facets, dtype=bool)
-    for facet, origin, flip in zip(child.tolist(), parent.tolist(), differs.tolist(), strict=True):
-        side[facet] = side[origin] ^ flip
-    return side
 
 
 def check_vertex_fans(triangles: Index) -> None:

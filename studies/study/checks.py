@@ -173,9 +173,9 @@ def _check_geometry(geometry: Geometry) -> Iterator[Finding]:
     if geometry.shape == "file" and suffix and suffix not in VOLUME_SUFFIXES and "mesh_size" not in present:
         missing.append("mesh_size")
     for key in missing:
-        yield ("geometry", key), f"is missing; a {geometry.shape} needs {listed(needed | {key})}"
+        yield ("geometry", key), f"is missing; {_a(geometry.shape)} needs {listed(needed | {key})}"
     for key in sorted(present - needed - allowed - set(DISTORTIONS)):
-        yield ("geometry", key), f"a {geometry.shape} has no {key}; it takes {listed(needed | allowed)}"
+        yield ("geometry", key), f"{_a(geometry.shape)} has no {key}; it takes {listed(needed | allowed)}"
     if "seed" in present and not present & {"slivers", "perturbation"}:
         yield ("geometry", "seed"), "decides nothing without slivers or perturbation; give one of them"
     if geometry.path is not None:
@@ -197,7 +197,7 @@ def _check_counts(geometry: Geometry) -> Iterator[Finding]:
         if value is not None and isinstance(value, tuple) != (count > 1):
             wanted = f"{count} lengths" if count > 1 else "one length"
             text = shape.parameters[key].help if shape else "its largest extent"
-            yield ("geometry", key), f"a {geometry.shape} takes {wanted}, {text}"
+            yield ("geometry", key), f"{_a(geometry.shape)} takes {wanted}, {text}"
 
 
 def _check_extent(geometry: Geometry) -> Iterator[Finding]:

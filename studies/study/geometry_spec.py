@@ -9,7 +9,7 @@ from importlib.metadata import version
 from pathlib import Path
 
 from .errors import MeshError
-from .shapes import FILE, SHAPES, ShapeKey, shape_names
+from .shapes import FILE, SHAPES
 from .shapes import VOLUME_SUFFIXES as VOLUME_SUFFIXES
 from .shapes import Geometry as Geometry
 
@@ -23,64 +23,6 @@ LARGEST_EXTENT = 10.0  # m
 
 DISTORTIONS = ("slivers", "perturbation", "seed")  # what any shape may have, see `vdmbench.body.distort`
 LEAST_SLIVERS, MOST_PERTURBATION = 2.0, 0.5
-_FILE_KEYS = {"path", "size", "scale"}
-
-
-def check_geometry(geometry: Geometry) -> None:
-    """Raise MeshError for an unknown shape or parameter, a missing one, or a value out of range."""
-    shape = geometry.shape
-    if shape not in shape_names():
-        raise MeshError(f"unknown shape {shape!r}; choose one of {', '.join(shape_names())}")
-    declared = {} if shape == FILE else SHAPES[shape].parameters
-    needed = {"path"} if shape == FILE else SHAPES[shape].needed
-    allowed = {*(_FILE_KEYS if shape == FILE else declared), *DISTORTIONS}
-    if missing := sorted(needed - set(geometry.parameters)):
-        raise MeshError(f"{shape}: {missing[0]} is missing", missing[0])
-    if unknown := sorted(set(geometry.parameters) - allowed):
-        told = f"{shape}: unknown parameter {unknown[0]!r}; it takes {', '.join(sorted(allowed))}"
-        raise MeshError(told, unknown[0])
-    for name in sorted(set(geometry.parameters) - {"path"}):
-        _check_value(geometry, name, declared.get(name, ShapeKey("")))
-    if shape == FILE:
-        _check_file_parameters(geometry)
-    else:
-        extent = max(extents(geometry))
-        remedy = f'lengths are in metres, so write "{extent:g} mm" if millimetres are meant'
-        check_extent(extent, remedy, extent_key(geometry))
-    if not geometry.has_own_tetrahedra:
-        if not (math.isfinite(geometry.mesh_size) and geometry.mesh_size > 0):
-            raise MeshError("mesh_size must be positive and finite", "mesh_size")
-        if shape != FILE:
-            check_mesh_size(geometry.mesh_size, min(extents(geometry)))
-
-
-def _check_value(geometry: Geometry, name: str, about: ShapeKey) -> None:
-    shape = geometry.shape
-    if about.choices:
-        if geometry.choice(name) not in about.choices:
-            words = ", ".join(sorted(about.choices)[:-1]) + f" or {max(about.choices)}"
-            raise MeshError(f"{shape}: {name} must be {words}, not {geometry.choice(name)!r}", name)
-        return
-    values = geometry.numbers(name)
-    if len(values) != about.count:
-        raise MeshError(f"{shape}: {name} must have {about.count} numbers, not {len(values)}", name)
-    if name != "seed" and not all(math.isfinite(v) and v > 0 for v in values):
-        raise MeshError(f"{shape}: {name} must be positive and finite", name)
-
-
-def _check_file_parameters(geometry: Geometry) -> None:
-    suffix = geometry.path.suffix.lower()
-    if suffix == ".geo":
-        raise MeshError(
-            f"{geometry.path.name}: .geo files are scripts and are not run; mesh it and give the .msh"
-        )
-    if suffix not in SURFACE_SUFFIXES + VOLUME_SUFFIXES:
-        raise MeshError(
-            f"{geometry.path.name}: unknown kind of file; give a surface ({', '.join(SURFACE_SUFFIXES)}) "
-            f"or tetrahedra ({', '.join(VOLUME_SUFFIXES)})"
-        )
-    if "size" in geometry.parameters and "scale" in geometry.parameters:
-        raise MeshError("file: give size or scale, not both", "scale")
 
 
 def extents(geometry: Geometry) -> tuple[float, float, float]:
@@ -165,7 +107,6 @@ def geometry_key(geometry: Geometry, *, volume: bool) -> str:
 
     A file counts by its content and kind, not by its path. Raises MeshError where the file cannot be read.
     """
-    check_geometry(geometry)
     inputs: dict[str, object] = {
         name: value if isinstance(value, str) else [v.hex() for v in geometry.numbers(name)]
         for name, value in geometry.parameters.items()

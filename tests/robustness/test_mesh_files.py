@@ -181,9 +181,8 @@ def test_scripts_are_not_run_whatever_they_are_called(tmp_path: Path, ball: Mesh
     """gmsh takes a .msh that is none for a script, and obeys an option file beside a mesh."""
     trace = tmp_path / "trace"
     script = f'SystemCall "touch {trace}";\n'
-    for name in ("a.msh", "b.geo"):
-        (tmp_path / name).write_text(script)
-        refused(tmp_path / name, "is not a mesh file of gmsh|scripts and are not run")
+    (tmp_path / "a.msh").write_text(script)
+    refused(tmp_path / "a.msh", "is not a mesh file of gmsh")
     path = write_named(tmp_path / "4.1-text.msh", ball)
     (tmp_path / "4.1-text.msh.opt").write_text(script)
     from_file(path)

@@ -27,7 +27,7 @@ from vdmbench.body.surface_measures import enclosed_volume, facet_area_vectors
 from vdmbench.body.topology import consistent_orientation, tetrahedron_sicn, tetrahedron_volumes
 from vdmbench.study import geometry_spec
 from vdmbench.study.errors import MeshError
-from vdmbench.study.geometry_spec import Geometry, area_and_volume, check_geometry, extents, geometry_key
+from vdmbench.study.geometry_spec import Geometry, area_and_volume, extents, geometry_key
 from vdmbench.study.shape_organ import liver_points
 
 pytestmark = pytest.mark.usefixtures("read_here")
@@ -321,36 +321,6 @@ def test_a_real_liver(liver: Path, nodes: int) -> None:
 # --- the specification and the cache -----------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    ("geometry", "words"),
-    [
-        (Geometry("torus", 0.01, {}), "unknown shape 'torus'; choose one of sphere"),
-        (Geometry("sphere", 0.01, {}), "radius is missing"),
-        (Geometry("file", 0.01, {}), "path is missing"),
-        (Geometry("sphere", 0.01, {"radius": 0.05, "diameter": 0.1}), "unknown parameter 'diameter'"),
-        (Geometry("sphere", 0.01, {"radius": -0.05}), "radius must be positive"),
-        (Geometry("sphere", 0.01, {"radius": float("nan")}), "radius must be positive and finite"),
-        (Geometry("sphere", 0.01, {"radius": "wide"}), "radius must be a number"),
-        (Geometry("box", 0.01, {"size": (0.1, 0.1)}), "size must have 3 numbers, not 2"),
-        (Geometry("sphere", 0.0, {"radius": 0.05}), "mesh_size must be positive"),
-        (Geometry("sphere", float("inf"), {"radius": 0.05}), "mesh_size must be positive and finite"),
-        (Geometry("cylinder", 0.01, {"radius": 0.05, "length": 0.1, "axis": "w"}), "axis must be x, y or z"),
-        (Geometry("sphere", 6.0, {"radius": 50.0}), "largest extent is 100 m, .* mixed-up unit"),
-        (Geometry("organ", 1e-5, {"size": 1.9e-4}), "mixed-up unit"),
-        (Geometry("box", 0.03, {"size": (0.1, 0.1, 0.05)}), "too large .* use at most 0.025 m"),
-        (Geometry("file", 0.01, {"path": "a.geo"}), "scripts and are not run"),
-        (Geometry("file", 0.01, {"path": "a.step"}), "unknown kind of file"),
-        (Geometry("file", 0.01, {"path": "a.stl", "size": 0.1, "scale": 1.0}), "size or scale, not both"),
-    ],
-)
-def test_specifications_that_cannot_be_used(geometry: Geometry, words: str) -> None:
-    with pytest.raises(MeshError, match=words) as caught:
-        check_geometry(geometry)
-    assert "\n" not in str(caught.value)
-    with pytest.raises(MeshError, match=words):
-        build_mesh(geometry)
-
-
 @pytest.mark.parametrize("geometry", SHAPES, ids=NAMES)
 def test_the_node_budget_is_checked_before_meshing_and_estimates_well(
     geometry: Geometry, monkeypatch: pytest.MonkeyPatch
@@ -364,26 +334,6 @@ def test_the_node_budget_is_checked_before_meshing_and_estimates_well(
         with pytest.raises(MeshError, match="nodes, more than the 100 allowed; use a larger mesh_size"):
             build_mesh(geometry, volume=volume, max_nodes=100)
         monkeypatch.undo()
-
-
-@pytest.mark.parametrize(
-    ("geometry", "key"),
-    [
-        (Geometry("sphere", 0.01, {}), "radius"),
-        (Geometry("sphere", 0.01, {"radius": -1.0}), "radius"),
-        (Geometry("sphere", 0.01, {"radius": 50.0}), "radius"),
-        (Geometry("sphere", -1.0, {"radius": 0.05}), "mesh_size"),
-        (Geometry("cylinder", 0.01, {"radius": 0.05, "length": 50.0}), "length"),
-        (Geometry("cylinder", 0.01, {"radius": 50.0, "length": 0.05}), "radius"),
-        (Geometry("cylinder", 0.01, {"radius": 0.05, "length": 0.05, "axis": "w"}), "axis"),
-        (Geometry("box", 0.01, {"size": (50.0, 1.0, 1.0)}), "size"),
-        (Geometry("ellipsoid", 0.01, {"semi_axes": (0.1, 0.1)}), "semi_axes"),
-    ],
-)
-def test_a_fault_of_a_solid_is_told_at_its_own_key(geometry: Geometry, key: str) -> None:
-    with pytest.raises(MeshError) as caught:
-        check_geometry(geometry)
-    assert caught.value.key == key
 
 
 def test_the_key_covers_what_decides_the_mesh(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -485,12 +435,3 @@ def test_a_damaged_cached_mesh_is_built_anew(tmp_path: Path, damage: str) -> Non
     assert read_mesh(path) is None
     assert mesh_from_cache(BOX, tmp_path).content_hash == built.content_hash
     assert read_mesh(path) is not None
-
-
-def test_specification_and_cache_import_no_mesher() -> None:
-    script = (
-        "import sys, vdmbench.body.mesh_cache;"
-        "print({'gmsh', 'meshio', 'pyvista', 'pyacvd'} & set(sys.modules))"
-    )
-    run = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
-    assert run.stdout.strip() == "set()"

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from vdmbench.models import model_names
-from vdmbench.study.config import StudyError, geometry_error, load_study
+from vdmbench.study.config import geometry_error, load_study
 from vdmbench.study.errors import MeshError
 
 from .study_texts import SMALL, problems
@@ -516,17 +516,26 @@ def test_regions_that_refer_to_themselves_or_grow_without_end_are_refused(tmp_pa
 
 
 @pytest.mark.parametrize(
-    ("radius", "length", "key"), [("50 mm", "50 m", "length"), ("50 m", "50 mm", "radius")]
+    ("body", "key", "message"),
+    [
+        ('"cylinder"\nlength = "50 m"\nradius = "50 mm"', "length", "a mixed-up unit"),
+        ('"cylinder"\nlength = "50 mm"\nradius = "50 m"', "radius", "a mixed-up unit"),
+        ('"cylinder"\nlength = 0.05\nradius = 0.05\naxis = "w"', "axis", "unknown choice"),
+        ('"box"\nsize = 0.1', "size", "a box takes 3 lengths"),
+        ('"organ"\nsize = [0.1, 0.1, 0.1]', "size", "an organ takes one length"),
+        ('"file"\npath = "a.geo"', "path", "scripts and are not run"),
+        ('"file"\npath = "a.step"', "path", "unknown kind of file"),
+        ('"file"\npath = "a.stl"\nsize = 0.1\nscale = 1', "scale", "size or scale, not both"),
+    ],
 )
-def test_a_cylinder_too_large_is_told_at_the_key_that_makes_it_so(
-    tmp_path: Path, radius: str, length: str, key: str
+def test_a_body_that_cannot_be_is_told_at_the_key_that_makes_it_so(
+    tmp_path: Path, body: str, key: str, message: str
 ) -> None:
-    cylinder = f'shape = "cylinder"\nlength = "{length}"\nradius = "{radius}"'
-    path = tmp_path / "study.toml"
-    path.write_text(SMALL.replace('shape = "sphere"\nradius = 0.05', cylinder))
-    with pytest.raises(StudyError, match="a mixed-up unit") as caught:
-        load_study(path)
-    assert [problem.key for problem in caught.value.problems] == [f"geometry.{key}"]
+    for name in ("a.geo", "a.step", "a.stl"):
+        (tmp_path / name).touch()
+    [(_, found, told)] = problems(tmp_path, SMALL.replace('"sphere"\nradius = 0.05', body))
+    assert found == f"geometry.{key}"
+    assert message in told
 
 
 def test_what_only_the_mesher_finds_is_told_of_a_solid_at_its_shape(tmp_path: Path) -> None:
