@@ -74,7 +74,7 @@ def _export_scene(options: argparse.Namespace, out: Path) -> int:
     from ..body.mesh_cache import mesh_from_cache
     from ..measures.metrics import full_load_step
     from ..scene.export import write_scene
-    from ..scene.handout import hand_out
+    from ..scene.handout import Handout
     from ..scene.scene import build_scene
 
     study, _ = load(options)
@@ -87,7 +87,7 @@ def _export_scene(options: argparse.Namespace, out: Path) -> int:
     factor = history[full_load_step(np.array(history))]
     name = f"{study.study.name}: {case.label}" if case.label else study.study.name
     scene = build_scene(case.study, mesh)
-    body = hand_out(scene, scene.load(factor), name, factor)
+    body = Handout(scene, scene.load(factor), " ".join(name.split()), factor)
     names, refused = write_scene(body, out)
     return _told(options, out, names, ["lengths in metres, forces in newtons", *refused])
 

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..scene.as_mjcf import FORCE_UNIT, TAKES, mjcf
-from ..scene.handout import Handout, cannot_express, hand_out
+from ..scene.handout import Handout, cannot_express
 from ..scene.scene import Scene, SurfaceLoad
 from ..study.registry import missing
 from . import costs
@@ -69,7 +69,7 @@ def _mujoco(scene: Scene, solver: str, name: str, n_loads: int) -> SetUp:  # noq
     text = mjcf(body, loaded=False)
 
     def solve(loads: Sequence[SurfaceLoad]) -> Solution:
-        parts = [hand_out(scene, load) for load in loads]
+        parts = [Handout(scene, load) for load in loads]
         force = np.array([part.force for part in parts]) / FORCE_UNIT
         moved = np.array([part.displacement for part in parts])
         found = call("mujoco", {"scene": np.array(text), "force": force, "displacement": moved})
@@ -80,22 +80,24 @@ def _mujoco(scene: Scene, solver: str, name: str, n_loads: int) -> SetUp:  # noq
 
 def _newton(scene: Scene, solver: str, name: str, n_loads: int) -> SetUp:  # noqa: ARG001
     body = _expressed(scene, name)
-    mu, lame = moduli_of(body.youngs_modulus, body.poisson_ratio)
+    mu, lame = moduli_of(body.tissue.youngs_modulus, body.tissue.poisson_ratio)
     edges = np.diff(body.mesh.points[body.mesh.tetrahedra[:, :2]], axis=1)
     # in which a wave of shear and stretch passes an edge
-    duration = np.linalg.norm(edges, axis=2).mean() * np.sqrt(body.density / body.youngs_modulus)
+    duration = np.linalg.norm(edges, axis=2).mean() * np.sqrt(
+        body.tissue.density / body.tissue.youngs_modulus
+    )
     given = {
         "points": body.mesh.points,
         "tetrahedra": body.mesh.tetrahedra,
         "held": body.held,
         "mu": np.array(mu),
         "lame": np.array(lame),
-        "density": np.array(body.density),
+        "density": np.array(body.tissue.density),
         "duration": np.array(duration),
     }
 
     def solve(loads: Sequence[SurfaceLoad]) -> Solution:
-        parts = [hand_out(scene, load) for load in loads]
+        parts = [Handout(scene, load) for load in loads]
         force = np.array([part.whole_force for part in parts])
         moved = np.array([part.displacement for part in parts])
         found = call("newton", {**given, "force": force, "displacement": moved})
@@ -107,7 +109,7 @@ def _newton(scene: Scene, solver: str, name: str, n_loads: int) -> SetUp:  # noq
 def _expressed(scene: Scene, name: str) -> Handout:
     """The body for an engine of linear tetrahedra. Raises SolverError without its wheel, else ValueError."""
     _require(name)
-    body = hand_out(scene, scene.load(1.0))
+    body = Handout(scene, scene.load(1.0))
     if why := cannot_express(body, TAKES):
         raise ValueError(f"{name}: {why}")
     return body
@@ -182,7 +184,7 @@ def _ngsolve(scene: Scene, solver: str, name: str, n_loads: int) -> SetUp:  # no
         from solver_common.solution import CONVERGED, Solution, Status
 
         forces = nodal_forces(mesh, fem_loads(loads, mesh), scene.tissue.density)
-        displacement = np.array([hand_out(scene, load).displacement for load in loads])
+        displacement = np.array([Handout(scene, load).displacement for load in loads])
         steps = {"force": forces[:, :n], "edge_force": forces[:, n:], "displacement": displacement}
         found = call("ngsolve", {**body, **steps})
         failed = Status("no-balance", "NGSolve's Newton iteration finds no balance", "take smaller loads")

@@ -38,8 +38,8 @@ def feb(body: Handout) -> str:
         '<Module type="solid"/>',
         _CONTROL,
         "<Globals><Constants><T>0</T><P>0</P><R>8.31446</R><Fc>96485.3</Fc></Constants></Globals>",
-        f'<Material><material id="1" name="tissue" type="neo-Hookean"><density>{body.density!r}</density>'
-        f"<E>{body.youngs_modulus!r}</E><v>{body.poisson_ratio!r}</v></material></Material>",
+        f'<Material><material id="1" name="tissue" type="neo-Hookean"><density>{body.tissue.density!r}</density>'
+        f"<E>{body.tissue.youngs_modulus!r}</E><v>{body.tissue.poisson_ratio!r}</v></material></Material>",
         "<Mesh>",
         '<Nodes name="body">',
         *(f'<node id="{k}">{_list(row)}</node>' for k, row in enumerate(body.mesh.points.tolist(), 1)),

@@ -31,7 +31,7 @@ _HEAD = (
 def mjcf(body: Handout, *, loaded: bool = True) -> str:
     """The scene as text; not `loaded`, without forces, and with moved points at rest on bodies without joints."""
     free = ~body.held | body.moved if loaded else ~body.held
-    masses = (body.mass / FORCE_UNIT).tolist()
+    tissue, masses = body.tissue, (body.mass / FORCE_UNIT).tolist()
     bodies = [
         _body(k, point, mass, free[k])
         for k, (point, mass) in enumerate(zip(body.mesh.points.tolist(), masses, strict=True))
@@ -41,7 +41,7 @@ def mjcf(body: Handout, *, loaded: bool = True) -> str:
         f"<!--\n{told}\n-->",
         '<mujoco model="vdmbench">',
         '<option timestep="1" integrator="discrete" tolerance="1e-8" iterations="10000"',
-        f'gravity="{_row(body.gravity.tolist())}">',
+        f'gravity="{_row(body.load.gravity.tolist())}">',
         '<flag contact="disable"/></option>',
         '<statistic meansize="0.01"/>',
         "<worldbody>",
@@ -51,7 +51,7 @@ def mjcf(body: Handout, *, loaded: bool = True) -> str:
         f'<flex name="{FLEX}" dim="3" radius="1e-6" body="{" ".join(f"p{k}" for k in range(len(bodies)))}"',
         f'element="{_row(body.mesh.tetrahedra.ravel().tolist())}">',
         '<contact selfcollide="none"/>',
-        f'<elasticity young="{body.youngs_modulus / FORCE_UNIT!r}" poisson="{body.poisson_ratio!r}"/>',
+        f'<elasticity young="{tissue.youngs_modulus / FORCE_UNIT!r}" poisson="{tissue.poisson_ratio!r}"/>',
         "</flex>",
         "</deformable>",
         *(_loads(body) if loaded else ()),

@@ -69,8 +69,8 @@ def sofa(body: Handout) -> str:
             f"    {k}: {force[k].tolist()}," for k in np.flatnonzero(force.any(axis=1)).tolist()
         ),
         moves="\n".join(f"    ({points.tolist()}, {way.tolist()})," for points, way in _moves(body)),
-        young=body.youngs_modulus,
-        poisson=body.poisson_ratio,
+        young=body.tissue.youngs_modulus,
+        poisson=body.tissue.poisson_ratio,
     )
 
 

@@ -27,11 +27,11 @@ def scene_json(body: Handout) -> str:
             "units": {"length": "m", "force": "N", "stress": "Pa", "density": "kg/m^3", "stiffness": "Pa/m"},
             "mesh": "mesh.vtu",
             "tissue": {
-                "youngs_modulus": body.youngs_modulus,
-                "poisson_ratio": body.poisson_ratio,
-                "density": body.density,
+                "youngs_modulus": body.tissue.youngs_modulus,
+                "poisson_ratio": body.tissue.poisson_ratio,
+                "density": body.tissue.density,
             },
-            "gravity": body.gravity,
+            "gravity": body.load.gravity,
             "load_factor": body.load_factor,
             "held": {"points": held, "displacement": body.displacement[held]},
             "forces": {"points": loaded, "force": body.force[loaded]},
@@ -45,7 +45,7 @@ def scene_json(body: Handout) -> str:
                     "stiffness": part.stiffness,
                     "direction": part.direction,
                 }
-                for part in body.springs
+                for part in body.scene.springs
             ],
             "inclusions": [
                 {
@@ -54,18 +54,18 @@ def scene_json(body: Handout) -> str:
                     "youngs_modulus": part.declared.youngs_modulus,
                     "poisson_ratio": part.declared.poisson_ratio,  # null: the tissue's
                 }
-                for part in body.inclusions
+                for part in body.scene.inclusions
             ],
             "left_out": left_out(body),
             "surface_points": surface,
-            "regions": {name: surface[mask] for name, mask in body.regions.items()},
+            "regions": {name: surface[mask] for name, mask in body.scene.regions.items()},
         }
     )
 
 
 def left_out(body: Handout) -> list[str]:
     """What the tables have no words for."""
-    return [*sorted(set(body.extras) - TAKES), *(["fibres"] if body.fibres else [])]
+    return [*sorted(set(body.scene.extras) - TAKES), *(["fibres"] if body.scene.anisotropy else [])]
 
 
 def supports_csv(body: Handout) -> str:

@@ -29,9 +29,11 @@ def write_scene(body: Handout, out: Path) -> tuple[list[str], list[str]]:
     """Write a scene into a directory. Gives the files' names, and a line for each that is not there. OSError."""
     out.mkdir(parents=True, exist_ok=True)
     mesh = body.mesh
-    on_facets = {name: np.all(mask[mesh.triangles], axis=1) for name, mask in body.regions.items()}
+    on_facets = {name: np.all(mask[mesh.triangles], axis=1) for name, mask in body.scene.regions.items()}
     numbers = body.surface_number
-    fields = {name: (mask[numbers] & (numbers >= 0)).astype(float) for name, mask in body.regions.items()}
+    fields = {
+        name: (mask[numbers] & (numbers >= 0)).astype(float) for name, mask in body.scene.regions.items()
+    }
     fields = {f"region.{name}": values for name, values in fields.items()}
     fields |= {"surface_node": numbers.astype(float), "held": body.held.astype(float)}
     fields |= {"prescribed": body.displacement, "force": body.force}

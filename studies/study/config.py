@@ -12,7 +12,7 @@ from typing import Any
 
 from .checks import fits_kind, geometry_spec
 from .errors import MeshError
-from .fields import FieldRow, field_table, targets
+from .fields import FieldRow, field_table, targets, value_at
 from .geometry_spec import Geometry as GeometrySpec
 from .inputs import as_written
 from .kinds import MAX_NAME, is_safe_name
@@ -176,7 +176,7 @@ def value_and_unit(study: Study, key: str) -> tuple[float, str]:
     """
     data = _plain(study)
     target = targets(data)[key]
-    value = _value_at(data, target.loc)
+    value = value_at(data, target.loc)
     if target.si is None or not isinstance(value, float):
         raise KeyError(key)
     return value, target.unit
@@ -231,7 +231,7 @@ def _loads(data: Mapping[str, Any]) -> dict[str, Loc]:
 
 def _loads_at_work(data: Mapping[str, Any]) -> dict[str, tuple[Loc, float]]:
     """Key -> place and value of every load in `data`, in SI, that is not zero."""
-    values = {key: (loc, _value_at(data, loc)) for key, loc in _loads(data).items()}
+    values = {key: (loc, value_at(data, loc)) for key, loc in _loads(data).items()}
     return {key: (loc, value) for key, (loc, value) in values.items() if isinstance(value, float) and value}
 
 
@@ -243,13 +243,6 @@ def _plain(study: Study) -> dict[str, Any]:
     data = study.model_dump(by_alias=True, exclude_none=True)
     for key in ("regions", "models"):
         data[key] = dict(sorted(data[key].items()))
-    return data
-
-
-def _value_at(data: Any, loc: Loc) -> Any:
-    """The value at a place, None where there is none."""
-    for part in loc:
-        data = data[part] if isinstance(part, int) or part in (data or ()) else None
     return data
 
 

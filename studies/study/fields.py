@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import types
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass
 from itertools import islice
 from typing import Any, Literal, NamedTuple, Union, get_args, get_origin
@@ -61,37 +61,38 @@ def type_of_field(field: FieldInfo) -> tuple[Any, SI | None]:
 
 
 def field_at(loc: Loc) -> FieldInfo | None:
-    """The field that a place in a study belongs to, None for one that no table has."""
+    """The field that a place in a study belongs to, None for an item of a list or a table of tables.
+
+    Raises
+    ------
+    LookupError
+        no table has such a place.
+    """
+    return _walk(loc)[0]
+
+
+def table_at(loc: Loc) -> type[Table]:
+    """The type of the table that is at a place in a study. Raises LookupError where there is none."""
+    annotation, _ = unwrapped(_walk(loc)[1])
+    if not _is_table(annotation):
+        raise LookupError(loc)
+    table: type[Table] = annotation
+    return table
+
+
+def _walk(loc: Loc) -> tuple[FieldInfo | None, Any]:
     annotation: Any = Study
     field = None
     for part in loc:
         annotation, _ = unwrapped(annotation)
         if _is_table(annotation):
-            field = keys_of(annotation).get(str(part))
-            annotation = field.annotation if field else None
+            field = keys_of(annotation)[str(part)]
+            annotation = field.annotation
         elif get_origin(annotation) in (dict, tuple):
             field, annotation = None, item_type(annotation, loc)
         else:
-            return None
-    return field
-
-
-def table_at(loc: Loc) -> type[Table]:
-    """The type of the table that is at a place in a study. Raises LookupError where there is none."""
-    annotation: Any = Study
-    for part in loc:
-        annotation, _ = unwrapped(annotation)
-        if _is_table(annotation):
-            annotation = keys_of(annotation)[str(part)].annotation
-        elif get_origin(annotation) in (dict, tuple):
-            annotation = item_type(annotation, loc)
-        else:
             raise LookupError(loc)
-    annotation, _ = unwrapped(annotation)
-    if not _is_table(annotation):
-        raise LookupError(loc)
-    table: type[Table] = annotation
-    return table
+    return field, annotation
 
 
 # --- what a sweep can vary ---
@@ -123,6 +124,39 @@ def targets(data: Mapping[str, Any]) -> dict[str, Target]:
             for key, target in _targets(*type_of_field(field), name, (name,), value):
                 found.setdefault(key, target)
     return found
+
+
+def value_at(data: Any, loc: Loc) -> Any:
+    """The value at a place in the data of a study, None where there is none."""
+    for part in loc:
+        try:
+            data = data[part]
+        except (LookupError, TypeError):
+            return None
+    return data
+
+
+class EntryError(ValueError):
+    """What is wrong with an entry of [sweep] or [inputs]; `inside` leads to the place in it."""
+
+    def __init__(self, message: str, *inside: str | int) -> None:
+        super().__init__(message)
+        self.inside = inside
+
+
+def entries(
+    table: Mapping[str, Any], known: Collection[str], own: set[str], loc: Loc, prefix: str = ""
+) -> Iterator[tuple[str, Loc, Any]]:
+    """(key, place, entry) of a table of dotted keys; `tissue.poisson_ratio = ...` is as good as with quotes.
+
+    An entry that is a table has one of the keys `own`; the others are tables around entries.
+    """
+    for name, value in table.items():
+        key, place = prefix + name, (*loc, name)
+        if isinstance(value, Mapping) and value and key not in known and not own & value.keys():
+            yield from entries(value, known, own, place, f"{key}.")
+        else:
+            yield key, place, value
 
 
 def _of_each_model(data: Mapping[str, Any]) -> dict[str, Any]:

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from .checks import fits_kind
-from .fields import NEVER_AN_INPUT, Target, targets
+from .fields import NEVER_AN_INPUT, EntryError, Target, entries, targets, value_at
 from .problems import MOST_TOLD, Finding, Loc
 from .units import type_name
 from .wording import unknown
@@ -82,18 +82,17 @@ def inputs_of(study: Study) -> list[Input]:
 
 def read_inputs(data: Mapping[str, Any]) -> tuple[list[Input], list[Finding]]:
     """The inputs in a study's data, with all defaults, and what is wrong with them."""
-    table = data.get("inputs")
-    if not isinstance(table, Mapping):
+    if not isinstance(data.get("inputs"), Mapping):
         return [], []
     known = {key: target for key, target in targets(data).items() if _can_vary(data, target)}
     found: dict[str, Input] = {}
     findings: list[Finding] = []
-    for key, loc, entry in entries({k: v for k, v in table.items() if k not in OWN_KEYS}, known):
+    for key, loc, entry in places(data, known):
         try:
             if key in found:
-                raise _InputError("is given twice")
+                raise EntryError("is given twice")
             found[key] = _input(data, key, entry, known)
-        except _InputError as error:
+        except EntryError as error:
             findings.append(((*loc, *error.inside), str(error)))
         if len(findings) > MOST_TOLD:
             break
@@ -111,59 +110,46 @@ def as_written(data: Mapping[str, Any]) -> dict[str, Any]:
     return own
 
 
-class _InputError(ValueError):
-    def __init__(self, message: str, *inside: str | int) -> None:
-        super().__init__(message)
-        self.inside = inside
-
-
 def _can_vary(data: Mapping[str, Any], target: Target) -> bool:
     return target.si is not None and target.loc[0] not in NEVER_AN_INPUT and fits_kind(data, target.loc)
 
 
-def entries(
-    table: Mapping[str, Any], known: Mapping[str, Target], prefix: str = "", loc: Loc = ("inputs",)
-) -> Iterator[tuple[str, Loc, Any]]:
-    """(key, place, entry); `tissue.youngs_modulus = ...` is as good as with quotes."""
-    for name, value in table.items():
-        key, place = prefix + name, (*loc, name)
-        inner = isinstance(value, Mapping) and bool(value) and not {"sd", "range"} & value.keys()
-        if inner and key not in known:
-            yield from entries(value, known, f"{key}.", place)
-        else:
-            yield key, place, value
+def places(data: Mapping[str, Any], known: Collection[str]) -> Iterator[tuple[str, Loc, Any]]:
+    """(key, place, entry) of the table [inputs]."""
+    table = {key: value for key, value in data["inputs"].items() if key not in OWN_KEYS}
+    return entries(table, known, {"sd", "range"}, ("inputs",))
 
 
 def _input(data: Mapping[str, Any], key: str, entry: Any, known: Mapping[str, Target]) -> Input:
     if key.partition(".")[0] == "geometry":
-        raise _InputError("is another body with other nodes, which cannot be held against this one; sweep it")
+        raise EntryError("is another body with other nodes, which cannot be held against this one; sweep it")
     if key not in known:
-        raise _InputError(unknown(key, list(known), "quantity", list_all=False))
+        raise EntryError(unknown(key, list(known), "quantity", list_all=False))
     if not isinstance(entry, Mapping):
-        raise _InputError(f"must be a table: {_FORMS}; not {type_name(entry)}")
+        raise EntryError(f"must be a table: {_FORMS}; not {type_name(entry)}")
     for name in entry:
         if name not in ("sd", "range"):
-            raise _InputError(unknown(name, ("sd", "range"), "key"), name)
+            raise EntryError(unknown(name, ("sd", "range"), "key"), name)
     if len(entry) != 1:
-        raise _InputError(f"{_FORMS}, one of them")
-    value = _value_at(data, known[key].loc)
-    if value is None:
-        raise _InputError("has no value in this study; give it one, or leave it out here")
+        raise EntryError(f"{_FORMS}, one of them")
+    value = value_at(data, known[key].loc)
+    if not isinstance(value, float):
+        raise EntryError("has no value in this study; give it one, or leave it out here")
     target = known[key]
     if "sd" in entry:
         deviation = _number(target, entry["sd"], "sd")
         if deviation <= 0:
-            raise _InputError(f"must be positive, not {deviation:g}", "sd")
+            raise EntryError(f"must be positive, not {deviation:g}", "sd")
         return Input(key, target.loc, target.unit, value, deviation, None)
     ends = entry["range"]
     if not isinstance(ends, list | tuple) or len(ends) != 2:
-        raise _InputError("must be a list of two values, the least and the most", "range")
+        raise EntryError("must be a list of two values, the least and the most", "range")
     low, high = (_number(target, end, "range") for end in ends)
     if not low < high:
-        raise _InputError("must begin with the smaller value, and end with another", "range")
+        raise EntryError("must begin with the smaller value, and end with another", "range")
     if not low <= value <= high:
         unit = "" if target.unit == "1" else f" {target.unit}"
-        raise _InputError(f"does not hold the study's own value, {value:g}{unit}", "range")
+        raise EntryError(f"does not hold the study's own value, {value:g}{unit}", "range")
     return Input(key, target.loc, target.unit, value, None, (low, high))
 
 
@@ -172,15 +158,6 @@ def _number(target: Target, value: Any, name: str) -> float:
     try:
         found = target.si.read(value)
     except ValueError as error:
-        raise _InputError(str(error), name) from None
+        raise EntryError(str(error), name) from None
     assert isinstance(found, float)
     return found
-
-
-def _value_at(data: Any, loc: Loc) -> float | None:
-    for part in loc:
-        try:
-            data = data[part]
-        except (LookupError, TypeError):
-            return None
-    return data if isinstance(data, float) else None

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 from .checks import fits_kind
-from .fields import Target, targets
+from .fields import EntryError, Target, entries, targets, value_at
 from .folders import GEOMETRY_PATH, short_path
 from .problems import MOST_TOLD, Finding, Loc, Source
 from .schema import Study
@@ -101,13 +101,13 @@ def read_axes(data: Mapping[str, Any]) -> tuple[list[Axis], list[Finding]]:
     sweep = data.get("sweep")
     if not isinstance(sweep, dict):
         return [], []
-    entries = {k: v for k, v in sweep.items() if k not in _OWN_KEYS}
-    known = targets(data) if entries else {}  # slow, and every case of a sweep is asked
+    given = {k: v for k, v in sweep.items() if k not in _OWN_KEYS}
+    known = targets(data) if given else {}  # slow, and every case of a sweep is asked
     fitting = [name for name, target in known.items() if fits_kind(data, target.loc)]
     sampled = sweep.get("mode") == "latin-hypercube"
     axes: dict[str, Axis] = {}
     findings: list[Finding] = []
-    for key, loc, value in _entries(entries, known):
+    for key, loc, value in entries(given, known, {"start", "stop"}, ("sweep",)):
         if key not in known:
             findings.append((loc, _unknown_key(key, fitting)))
         elif key in axes:
@@ -115,30 +115,12 @@ def read_axes(data: Mapping[str, Any]) -> tuple[list[Axis], list[Finding]]:
         else:
             try:
                 axes[key] = _axis(key, loc, known[key], value, sampled=sampled)
-            except _AxisError as error:
+            except EntryError as error:
                 findings.append(((*loc, *error.inside), str(error)))
         if len(findings) > MOST_TOLD:
             break  # the search for the key that was meant is slow
     findings += _check_mode(sweep, list(axes.values()), complete=not findings)
     return list(axes.values()), findings
-
-
-class _AxisError(ValueError):
-    def __init__(self, message: str, *inside: str | int) -> None:
-        super().__init__(message)
-        self.inside = inside
-
-
-def _entries(
-    table: Mapping[str, Any], known: Mapping[str, Target], prefix: str = "", loc: Loc = ("sweep",)
-) -> Iterator[tuple[str, Loc, Any]]:
-    """The axes of a sweep as (key, place, value); `tissue.poisson_ratio = ...` is as good as with quotes."""
-    for name, value in table.items():
-        key, place = prefix + name, (*loc, name)
-        if isinstance(value, dict) and value and key not in known and not {"start", "stop"} & value.keys():
-            yield from _entries(value, known, f"{key}.", place)
-        else:
-            yield key, place, value
 
 
 def _unknown_key(key: str, known: Sequence[str]) -> str:
@@ -152,56 +134,56 @@ def _axis(key: str, loc: Loc, target: Target, value: Any, *, sampled: bool) -> A
             return Axis(key, loc, target, (span.start, span.stop), span)
         return Axis(key, loc, target, tuple(span.at(i / (count - 1)) for i in range(count)))
     if not isinstance(value, list):
-        raise _AxisError(f"must be a list of values, or {{ start, stop, num }}, not {type_name(value)}")
+        raise EntryError(f"must be a list of values, or {{ start, stop, num }}, not {type_name(value)}")
     if sampled:
-        raise _AxisError("a latin-hypercube samples ranges: write { start, stop } instead of a list")
+        raise EntryError("a latin-hypercube samples ranges: write { start, stop } instead of a list")
     if not value:
-        raise _AxisError("has no values; list at least one")
+        raise EntryError("has no values; list at least one")
     return Axis(key, loc, target, tuple(_value(target, item, place) for place, item in enumerate(value)))
 
 
 def _value(target: Target, value: Any, *inside: str | int) -> Value:
-    """One value in SI. Raises _AxisError."""
+    """One value in SI. Raises EntryError."""
     if target.si is not None:
         try:
             number = target.si.read(value)
         except ValueError as error:
-            raise _AxisError(str(error), *inside) from None
+            raise EntryError(str(error), *inside) from None
         if isinstance(number, float):
             return number
     if isinstance(value, bool) or not isinstance(value, int | str):
-        raise _AxisError(f"must be a text or a whole number, not {type_name(value)}", *inside)
+        raise EntryError(f"must be a text or a whole number, not {type_name(value)}", *inside)
     return value
 
 
 def _span(target: Target, table: Mapping[str, Any], *, sampled: bool) -> tuple[Span, int | None]:
-    """A range and its number of values, None where it is sampled. Raises _AxisError."""
+    """A range and its number of values, None where it is sampled. Raises EntryError."""
     for name in table:
         if name not in _RANGE_KEYS:
-            raise _AxisError(unknown(name, _RANGE_KEYS, "key"), name)
+            raise EntryError(unknown(name, _RANGE_KEYS, "key"), name)
     if target.si is None:
-        raise _AxisError("has no range: list its values")
+        raise EntryError("has no range: list its values")
     for name in ("start", "stop"):
         if name not in table:
-            raise _AxisError(f"{name} is missing")
+            raise EntryError(f"{name} is missing")
     start, stop = (float(_value(target, table[name], name)) for name in ("start", "stop"))
     if start == stop:
-        raise _AxisError("start and stop are the same value")
+        raise EntryError("start and stop are the same value")
     if not math.isfinite(stop - start):
-        raise _AxisError("start and stop are too far apart")
+        raise EntryError("start and stop are too far apart")
     scale = table.get("scale", "linear")
     if scale not in ("linear", "log"):
-        raise _AxisError("must be linear or log", "scale")
+        raise EntryError("must be linear or log", "scale")
     if scale == "log" and min(start, stop) <= 0:
-        raise _AxisError("a log scale needs a positive start and stop")
+        raise EntryError("a log scale needs a positive start and stop")
     span = Span(start, stop, scale == "log")
     if sampled:
         if "num" in table:
-            raise _AxisError("a latin-hypercube has one number of samples for all axes: leave num out", "num")
+            raise EntryError("a latin-hypercube has one number of samples for all axes: leave num out", "num")
         return span, None
     count = table.get("num")
     if isinstance(count, bool) or not isinstance(count, int) or not 2 <= count <= _MOST_VALUES:
-        raise _AxisError(f"must be a whole number from 2 to {_MOST_VALUES}", "num")
+        raise EntryError(f"must be a whole number from 2 to {_MOST_VALUES}", "num")
     return span, count
 
 
@@ -288,14 +270,12 @@ def _star(data: dict[str, Any], axes: Sequence[Axis]) -> Iterator[Case]:
 
 def _as_written(data: Mapping[str, Any], axis: Axis) -> Value | None:
     """The study's own value of an axis' key, None where it has none that is sound."""
-    value: Any = data
-    if _is_absent(data, axis.target.loc):
+    value = value_at(data, axis.target.loc)
+    if value is None:
         return None
     try:
-        for part in axis.target.loc:
-            value = value[part]
         return _value(axis.target, value)
-    except (TypeError, _AxisError):
+    except EntryError:
         return None  # the study's own checks say what is wrong
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .fields import targets
-from .inputs import Input, entries, read_inputs
+from .inputs import Input, places, read_inputs
 from .problems import Finding, Loc
 from .sweep import substituted
 from .validation import validate
@@ -121,7 +121,7 @@ def variations(study: Study) -> tuple[list[Variation], list[Finding]]:
     except ImportError as error:
         return [], [(("inputs", "method"), str(error))]
     of_key = {one.key: one for one in inputs}
-    places = _places(data)
+    written = {key: loc for key, loc, _ in places(data, targets(data))}
     rest = {key: value for key, value in data.items() if key not in _NOT_VARIED}
     found: list[Variation] = []
     for changed in values:
@@ -130,7 +130,7 @@ def variations(study: Study) -> tuple[list[Variation], list[Finding]]:
             varied = substituted(varied, of_key[key].loc, value)
         other, faults = validate(varied, study._source)
         if other is None:
-            findings += _of_variation(faults, changed, of_key, places)
+            findings += _of_variation(faults, changed, of_key, written)
             if findings:
                 return [], findings
             continue
@@ -139,17 +139,13 @@ def variations(study: Study) -> tuple[list[Variation], list[Finding]]:
     return found, findings
 
 
-def _places(data: Mapping[str, Any]) -> dict[str, Loc]:
-    return {key: loc for key, loc, _ in entries(data["inputs"], targets(data))}
-
-
 def _of_variation(
     faults: Sequence[Finding],
     changed: Mapping[str, float],
     of_key: Mapping[str, Input],
-    places: Mapping[str, Loc],
+    written: Mapping[str, Loc],
 ) -> Iterator[Finding]:
     """The faults of a variation, at the place of the input that makes them."""
     for loc, text in faults[:1]:
         key = next((key for key in changed if of_key[key].loc == loc), next(iter(changed)))
-        yield places.get(key, ("inputs",)), f"at {changed[key]:g}: {text}; give a range that ends before"
+        yield written.get(key, ("inputs",)), f"at {changed[key]:g}: {text}; give a range that ends before"

@@ -20,7 +20,7 @@ from vdmbench.cli import verb_export
 from vdmbench.cli.arguments import parse
 from vdmbench.cli.output import UsageError
 from vdmbench.scene.export import write_scene
-from vdmbench.scene.handout import Handout, hand_out
+from vdmbench.scene.handout import Handout
 from vdmbench.scene.scene import build_scene
 from vdmbench.study.config import geometry_of
 from vdmbench.study.schema import Study
@@ -52,7 +52,7 @@ SPRINGS = {"kind": "elastic", "region": "back", "stiffness": 1e5}
 def handed(**tables: Any) -> Handout:
     study = Study.model_validate(STUDY | tables)
     scene = build_scene(study, build_mesh(geometry_of(study)))
-    return hand_out(scene, scene.load(2.0), "ball -- a case", 2.0)
+    return Handout(scene, scene.load(2.0), "ball -- a case", 2.0)
 
 
 @pytest.fixture(scope="module")
@@ -104,7 +104,7 @@ def test_meshes_hold_the_regions(body: Handout, out: Path) -> None:
         np.testing.assert_array_equal(read.cells_dict["tetra"], body.mesh.tetrahedra)
         np.testing.assert_array_equal(read.cells_dict["triangle"], numbers[body.mesh.triangles])
         if name == "mesh.vtu":
-            for region, mask in body.regions.items():
+            for region, mask in body.scene.regions.items():
                 np.testing.assert_array_equal(
                     np.flatnonzero(read.point_data[f"region.{region}"]), numbers[mask]
                 )
@@ -116,10 +116,10 @@ def test_meshes_hold_the_regions(body: Handout, out: Path) -> None:
             for number, part in parts.items():
                 inside = tags == number
                 expected = ~np.any(
-                    [m[body.mesh.triangles].all(axis=1) for m in body.regions.values()], axis=0
+                    [m[body.mesh.triangles].all(axis=1) for m in body.scene.regions.values()], axis=0
                 )
                 if part != "surface":
-                    expected = body.regions[part][body.mesh.triangles].all(axis=1)
+                    expected = body.scene.regions[part][body.mesh.triangles].all(axis=1)
                 np.testing.assert_array_equal(inside, expected, part)
 
 

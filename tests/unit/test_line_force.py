@@ -19,7 +19,7 @@ from vdmbench.body.refine import refined
 from vdmbench.graph.keys import wanted
 from vdmbench.measures.reference import level_scene
 from vdmbench.scene.export import SCENES, write_scene
-from vdmbench.scene.handout import hand_out
+from vdmbench.scene.handout import Handout
 from vdmbench.scene.result import ModelResult
 from vdmbench.scene.scene import SceneError, build_scene
 from vdmbench.study.config import geometry_of
@@ -168,7 +168,7 @@ def test_a_kind_that_acts_by_a_dead_force_declares_it(box: Mesh, monkeypatch: py
 
 def test_exports_write_it_as_forces(box: Mesh, tmp_path: Path) -> None:
     scene = build_scene(study(**TRACTION), box)
-    body = hand_out(scene, scene.load(1.0))
+    body = Handout(scene, scene.load(1.0))
     names, refused = write_scene(body, tmp_path)
     assert set(SCENES) <= set(names)
     assert not refused
