@@ -78,14 +78,6 @@ def test_the_figure_has_a_panel_for_each_body_and_names_its_models() -> None:
     assert {"ball, 800 nodes", "vdm-vector", "fem-condensed"} <= set(re.split(r"\n|[●■▲◆▼✚✖\u2003] ?", words))
 
 
-def test_the_page_says_where_its_numbers_come_from() -> None:
-    readme = performance.DOCUMENT.read_text()
-    assert "make evidence WHAT=performance" in readme
-    assert (performance.GALLERY / "performance.svg").exists()
-    section = marked.shown(performance.DOCUMENT, performance.PART)
-    assert re.search(r"\d cores, .*one thread; medians of \d rounds", section)
-
-
 def in_seconds(shown: str) -> float:
     number, unit = shown.split()
     return float(number) * {"s": 1.0, "ms": 1e-3, "µs": 1e-6}[unit]
@@ -144,15 +136,3 @@ def test_what_was_measured_stays_where_the_section_is_made_from_it_again(
         monkeypatch.setattr(performance, "vdmbench", None)  # from now on nothing is measured
     assert made[0] == made[1]
     assert performance.section(bench()) in made[0]
-
-
-def test_the_terminal_explains_its_signs(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setattr("vdmbench.evidence.bench.measure", lambda *_, **__: bench())
-    given = Namespace(study=None, surface=None, allow_outside=False, large=False, json=False, out=tmp_path)
-    assert bench_verb(given) == 0
-    told = capsys.readouterr().out
-    table, answered = (told.index(words) for words in ("~3 % ± 1 %", "Fastest frame"))
-    assert table < told.index("± that reference's own; ~ where this is more than a tenth") < answered
-    assert answered < told.index("Undecided: the reference's own error, ±, leaves open whether")

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import re
 
-from tools import marked
+import pytest
+
+from tools import marked, vdm_speed
 from tools.vdm_speed import HEAD, PART, README, README_HEAD, Sizes, report
 
 
@@ -14,8 +16,9 @@ def kind(what: str) -> str:
     return re.sub(r"[\d.e+]+ nodes", "nodes", without).strip()
 
 
-def test_a_small_benchmark_prints_one_table() -> None:
-    small = Sizes(levels=3, fine_levels=2, tori=((12, 8),), contact=5, repeats=3, slow_repeats=2)
+def test_a_small_benchmark_prints_one_table(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(vdm_speed, "MEMORY_BYTES", 1_000_000)
+    small = Sizes(levels=2, fine_levels=2, tori=((12, 8),), contact=5, repeats=3, slow_repeats=2)
     lines = list(report(small))
     table = [line for line in lines if line.startswith("|")]
     assert lines[-len(table) :] == table

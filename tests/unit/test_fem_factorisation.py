@@ -10,10 +10,9 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from fem_reference import costs, factorisation
+from fem_reference import costs
 from fem_reference.condensed import CondensedProblem
 from fem_reference.costs import direct_bytes, direct_seconds
-from fem_reference.factorisation import pivotable_triangle
 from fem_reference.finite_strain import FiniteStrainProblem
 from fem_reference.linear_algebra import DirectSolver, choose_solver
 from fem_reference.loads import held_nodes
@@ -108,26 +107,6 @@ def _system(n: int, poisson_ratio: float) -> LinearSystem:
     return build_system(
         mesh, held_nodes(mesh, b.surface[:, 2] < 1e-12), mixed=True, poisson_ratio=poisson_ratio
     )
-
-
-@pytest.mark.parametrize("precision", ["float32", "float64"])
-@pytest.mark.parametrize("poisson_ratio", [-0.5, 0.3, 0.4999, 0.5])
-def test_superlu_inverts_the_whole_matrix(
-    monkeypatch: pytest.MonkeyPatch, poisson_ratio: float, precision: str
-) -> None:
-    """From the lower triangle alone, one column or many."""
-    monkeypatch.setattr(costs, "rslab", None)
-    system = _system(3, poisson_ratio)
-    lower = pivotable_triangle(system)
-    whole = lower.toarray() + np.tril(lower.toarray(), -1).T
-    factor = factorisation.analyse(lower).factor(lower, precision)
-    assert isinstance(factor, factorisation.SuperLUFactor)
-    rhs = np.random.default_rng(0).standard_normal((system.size, 3))
-    exact = np.linalg.solve(whole, rhs)
-    atol = {"float32": 2e-3, "float64": 1e-10}[precision] * np.abs(exact).max()
-    assert_allclose(factor.solve_many(rhs), exact, rtol=0, atol=atol)
-    assert_allclose(factor.solve(rhs[:, 0]), exact[:, 0], rtol=0, atol=atol)
-    assert factor.solve(rhs[:, 0]).dtype == np.float64
 
 
 def test_superlu_is_taken_for_smaller_bodies_only(monkeypatch: pytest.MonkeyPatch) -> None:

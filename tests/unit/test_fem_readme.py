@@ -11,7 +11,6 @@ import pytest
 
 import fem_reference
 from fem_reference.linear import ELEMENTS
-from fem_reference.linear_algebra import SOLVERS
 
 FOLDER = Path(fem_reference.__file__).parent
 README = (FOLDER / "README.md").read_text(encoding="utf-8")
@@ -21,13 +20,6 @@ def test_examples_run() -> None:
     examples = re.findall(r"```python\n(.*?)```", README, flags=re.DOTALL)
     assert len(examples) == 2, "the second goes on from the first"
     exec(compile("".join(examples), "README.md", "exec"), {})
-
-
-def test_every_solver_path_has_a_row() -> None:
-    rows = set(
-        re.findall(r"^\| (\w+) \| .* \| .* \|$", README.split("## Which solver")[1], flags=re.MULTILINE)
-    )
-    assert set(SOLVERS) - {"auto"} <= rows
 
 
 def test_names_that_it_uses_exist() -> None:
