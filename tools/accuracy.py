@@ -19,13 +19,13 @@ import numpy as np
 
 from tests.command import vdmbench_process as vdmbench
 from tools import marked
+from vdmbench.measures.bars import at_full_load, reference_bar
 from vdmbench.measures.case import CaseResult, Run
 from vdmbench.measures.metrics import DEFORMATION, VECTOR
 from vdmbench.measures.uncertainty import is_resolved
 from vdmbench.store.cases import read_run
 from vdmbench.study.overrides import overridden
 from vdmbench.verdict.formatting import NOTHING
-from vdmbench.verdict.standing import at_full_load, reference_bar
 
 ROOT = Path(__file__).parents[1]
 DOCUMENT = ROOT / "docs" / "evidence" / "accuracy.md"

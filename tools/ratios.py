@@ -17,8 +17,8 @@ import numpy as np
 
 from tools import marked
 from tools.accuracy import CASES, DOCUMENT, MEASURES, STUDIES, as_per_cent, run_of
+from vdmbench.measures.bars import at_full_load, reference_bar
 from vdmbench.measures.case import CaseResult, Run
-from vdmbench.verdict.standing import at_full_load, reference_bar
 
 RATIOS = (0.3, 0.45, 0.49, 0.4999)
 FORM, ELEMENTS = "vdm-boundary", "fem-linear"

@@ -22,12 +22,12 @@ from tests.command import vdmbench_process as vdmbench
 from tests.unit import vdm_shapes
 from tools import marked
 from vdmbench.body.geometry import build_mesh
+from vdmbench.measures.bars import at_full_load, reference_bar
 from vdmbench.measures.case import CaseResult
 from vdmbench.measures.metrics import DEFORMATION, VECTOR
 from vdmbench.scene.warnings import scene_warnings
 from vdmbench.store.cases import read_run
 from vdmbench.study.shapes import Geometry
-from vdmbench.verdict.standing import at_full_load, reference_bar
 
 ROOT = Path(__file__).parents[1]
 DOCUMENT = ROOT / "docs" / "evidence" / "untuned.md"

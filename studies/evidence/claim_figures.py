@@ -7,11 +7,11 @@ from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 
+from ..measures.bars import series
 from ..report.blocks import Figure
 from ..report.plots import Plot, colour, draw, log_axis, percent_ticks
 from ..verdict.digest import Digest
 from ..verdict.formatting import listed, plain, short_percent
-from ..verdict.standing import series
 
 Line = tuple[str, Sequence[float], Sequence[float]]  # model, x, y
 

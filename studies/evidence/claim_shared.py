@@ -8,10 +8,10 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from ..body.surface_measures import weighted_norm
+from ..measures.bars import at_full_load, reference_bar
 from ..measures.case import CaseResult
 from ..verdict.digest import Digest
 from ..verdict.formatting import short_percent
-from ..verdict.standing import at_full_load, reference_bar
 
 PRINTED = "vdm-paper"
 EXACT = 1e-10  # relative volume drift that counts as none

@@ -6,6 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
+from ..measures.bars import at_full_load
 from ..measures.case import CaseResult
 from ..measures.metrics import VECTOR
 from ..report.blocks import Figure
@@ -23,7 +24,6 @@ from ..study.model_name import is_vdm
 from ..verdict.digest import Digest
 from ..verdict.formatting import listed, plain, short_percent
 from ..verdict.motion import ALONG_NORMALS, NORMAL
-from ..verdict.standing import at_full_load
 from .claim_figures import Line, curves
 from .claim_shared import CLOSE, DRAMATIC, KEPT, apart, floor_in_words, own_error
 

@@ -8,12 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from ..measures.bars import series
 from ..measures.case import CaseResult
 from ..report.judgement import FAILS, HOLDS, WITHIN_LIMITS, Judgement
 from ..study.model_name import is_linear, is_vdm, split
 from ..verdict.digest import Digest
 from ..verdict.formatting import percent, plain, short_percent
-from ..verdict.standing import series
 from .claim_figures import curves, histories
 from .claim_shared import EXACT, PRINTED, SMALL_DRIFT, SMALL_STRAIN, largest
 

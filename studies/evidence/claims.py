@@ -12,6 +12,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from ..measures.bars import at_full_load, series
 from ..measures.case import CaseResult, Limit
 from ..measures.metrics import VECTOR
 from ..report.blocks import Figure
@@ -32,7 +33,6 @@ from ..study.model_name import REFINED, is_linear, is_vdm, split
 from ..verdict.digest import Digest, failed_steps
 from ..verdict.formatting import listed, plain, plural, quantity, short_percent
 from ..verdict.growth import is_measured, strain_in_words, strain_range, strain_side
-from ..verdict.standing import at_full_load, series
 from .claim_figures import Line, bars, curves, histories
 from .claim_shared import CLOSE, FIT, KEPT, ORDER, SAME, floor_in_words, own_error
 from .claim_steps import SMALL_STEPS_RULE, WARM_START_RULE, small_steps, warm_start

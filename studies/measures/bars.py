@@ -1,13 +1,33 @@
-"""The error bars of a case's numbers, from what it stores of its reference's own error."""
+"""A case's numbers with their error bars, from what it stores of its reference's own error."""
 
 from __future__ import annotations
 
 import math
 
+from solver_common.arrays import Array
+
 from ..study.model_name import REFINED
+from . import uncertainty
 from .case import CaseResult
 from .metrics import VECTOR
-from .uncertainty import SIGNED, estimate_error, no_less, reference_bar
+from .uncertainty import SIGNED, estimate_error, no_less
+
+
+def series(case: CaseResult, model: str, metric: str) -> Array | None:
+    """(S,) values of a metric, None where the case has none."""
+    entry = case.metrics.get(model, {}).get(metric)
+    return None if entry is None else entry.values
+
+
+def at_full_load(case: CaseResult, model: str, metric: str) -> float:
+    """A metric at the step of the largest load; NaN where there is none."""
+    values = series(case, model, metric)
+    return math.nan if values is None or not len(values) else float(values[case.full_load])
+
+
+def reference_bar(case: CaseResult, metric: str = VECTOR) -> float:
+    """The reference's own part in a metric (GCI) at full load, NaN where not measured."""
+    return uncertainty.reference_bar(case.reference_error, metric)
 
 
 def value_bar(case: CaseResult, model: str, metric: str) -> float:
@@ -20,20 +40,17 @@ def value_bar(case: CaseResult, model: str, metric: str) -> float:
     bar = _measured_bar(case, model, metric)
     if not math.isfinite(bar) or metric not in SIGNED:
         return bar
-    series, step = case.metrics.get(model, {}), case.full_load
-    figures = {name: float(series[name].values[step]) for name in SIGNED if name in series}
-    return no_less(bar, metric, figures, reference_bar(case.reference_error, VECTOR))
+    figures = {name: at_full_load(case, model, name) for name in SIGNED}
+    return no_less(bar, metric, figures, reference_bar(case))
 
 
 def _measured_bar(case: CaseResult, model: str, metric: str) -> float:
     levels = case.reference_error.get("levels", 1.0)
     if model != case.reference or levels < 2.0:
-        return reference_bar(case.reference_error, metric)
+        return reference_bar(case, metric)
     if f"own_gci:{metric}" in case.reference_error:
         return case.reference_error[f"own_gci:{metric}"]
-    coarse = model.removesuffix(REFINED)
-    found = [case.metrics.get(name, {}).get(metric) for name in (model, coarse)]
-    values = [float(series.values[case.full_load]) for series in found if series is not None]
-    if len(values) < 2 or not all(map(math.isfinite, values)):
+    fine, coarse = (at_full_load(case, name, metric) for name in (model, model.removesuffix(REFINED)))
+    if not math.isfinite(coarse - fine):
         return math.nan
-    return estimate_error([values[1] - values[0]], 2.0 ** (levels - 1.0)).gci
+    return estimate_error([coarse - fine], 2.0 ** (levels - 1.0)).gci

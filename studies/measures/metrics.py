@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, wraps
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -63,12 +63,12 @@ class Metric:
     name: str
     unit: str
     definition: str
-    version: int
     function: Callable[..., Array]
     degree: int | None
-    needs_reference: bool
-    needs_contact: bool
+    version: int = 1
     sense: Sense = "error"
+    needs_reference: bool = True
+    needs_contact: bool = False
     needs_measurement: bool = False
     needs_inputs: bool = False
 
@@ -87,38 +87,19 @@ Function = Callable[..., Array]
 
 
 def metric(
-    unit: str,
-    definition: str,
-    *,
-    degree: int | None,
-    version: int = 1,
-    relative: bool = False,
-    needs_reference: bool = True,
-    needs_contact: bool = False,
-    needs_measurement: bool = False,
-    needs_inputs: bool = False,
-    sense: Sense = "error",
+    unit: str, definition: str, *, degree: int | None, relative: bool = False, **about: Any
 ) -> Callable[[Function], Function]:
-    """Register a function as a metric of its name; see `Metric`. Raises ValueError for a name that is taken."""
+    """Register a function as a metric of its name; `about` are further fields of `Metric`.
+
+    Raises ValueError for a name that is taken.
+    """
 
     def register(function: Function) -> Function:
         name = function.__name__
         if name in METRICS:
             raise ValueError(f"a metric {name!r} is registered already")
         function = _not_at_rest(function) if relative or degree == 0 else function
-        METRICS[name] = Metric(
-            name,
-            unit,
-            definition,
-            version,
-            function,
-            degree,
-            needs_reference,
-            needs_contact,
-            sense,
-            needs_measurement,
-            needs_inputs,
-        )
+        METRICS[name] = Metric(name, unit, definition, function, degree, **about)
         return function
 
     return register
@@ -338,24 +319,23 @@ def volume_drift_of_displaced(surface: Surface, model: History) -> Array:
     return ratio(volume_drift(surface, model) * surface.volume, displaced)
 
 
-def _mean_strain(surface: Surface, model: History, axis: int) -> Array:
-    """(S,) volume mean of du/dx along an axis: the integral of u n over the surface, u linear on each facet."""
-    return np.asarray(model.displacement[:, :, axis] @ surface.volume_gradient[:, axis] / surface.volume)
+def _mean_strain(axis: int) -> Function:
+    def measure(surface: Surface, model: History) -> Array:
+        """(S,) volume mean of du/dx along an axis: the integral of u n over the surface, u linear on each facet."""
+        return np.asarray(model.displacement[:, :, axis] @ surface.volume_gradient[:, axis] / surface.volume)
+
+    measure.__name__ = f"mean_strain_{'xyz'[axis]}"
+    return measure
 
 
-@metric("1", "mean of du_x/dx over the body's volume", degree=1, needs_reference=False, sense="descriptive")
-def mean_strain_x(surface: Surface, model: History) -> Array:
-    return _mean_strain(surface, model, 0)
-
-
-@metric("1", "mean of du_y/dy over the body's volume", degree=1, needs_reference=False, sense="descriptive")
-def mean_strain_y(surface: Surface, model: History) -> Array:
-    return _mean_strain(surface, model, 1)
-
-
-@metric("1", "mean of du_z/dz over the body's volume", degree=1, needs_reference=False, sense="descriptive")
-def mean_strain_z(surface: Surface, model: History) -> Array:
-    return _mean_strain(surface, model, 2)
+for _axis, _name in enumerate("xyz"):
+    metric(
+        "1",
+        f"mean of du_{_name}/d{_name} over the body's volume",
+        degree=1,
+        needs_reference=False,
+        sense="descriptive",
+    )(_mean_strain(_axis))
 
 
 @metric(

@@ -11,7 +11,6 @@ from ..measures.case import Run
 from ..measures.metrics import DEFORMATION, VECTOR
 from ..verdict.digest import Digest, ModelSummary, Spread
 from ..verdict.formatting import NOT_MEASURED, NOTHING, percent, plain, plural, quantity
-from ..verdict.measured import measured
 from ..verdict.motion import along_normals
 from .blocks import Cell, Column, Section, Table, Text, bar_detail
 from .section_cost import time_notes
@@ -35,8 +34,7 @@ def headline_rows(run: Run) -> list[dict[str, str]]:
             row["along normals"] = _along_normals(digest, summary)
         drift = _drift(summary.drift)
         row["volume drift"] = " ".join(filter(None, (drift.text, drift.detail)))
-        marks = measured(run, summary.name)
-        marked = f" ({', '.join(marks)})" if marks else ""
+        marked = f" ({', '.join(summary.marks)})" if summary.marks else ""
         row["set-up"] = quantity(summary.seconds_setup, "s") + marked
         row["per frame"] = quantity(summary.seconds_per_step, "s") + marked
         row["memory"] = quantity(summary.peak_bytes, "B")
@@ -76,11 +74,10 @@ def _terminal_errors(digest: Digest, summary: ModelSummary) -> dict[str, str]:
 
 
 def _terminal_notes(digest: Digest, summary: ModelSummary) -> list[str]:
-    marks = measured(digest.run, summary.name)
     notes = ["reference, own error"] if summary.is_reference else []
     notes += filter(None, [_about_form(digest, summary)])
     notes += [f"no answer in {plural(summary.failed_cases, 'case')}"] if summary.failed_cases else []
-    return notes + ([f"times: {', '.join(marks)}"] if marks else [])
+    return notes + ([f"times: {', '.join(summary.marks)}"] if summary.marks else [])
 
 
 def _along_normals(digest: Digest, summary: ModelSummary) -> str:
@@ -111,7 +108,7 @@ def headline_metrics(run: Run) -> dict[str, dict[str, dict[str, Any]]]:
             **{name: _numbers(value, unit=unit) for name, (value, unit) in single.items()},
         }
         for name in ("seconds_setup", "seconds_per_step"):
-            found[summary.name][name]["measured"] = measured(run, summary.name)
+            found[summary.name][name]["measured"] = list(summary.marks)
     return found
 
 
@@ -163,7 +160,8 @@ def _table(digest: Digest) -> Table:
     columns += [Column("Set-up", unit="s"), Column("Per frame", unit="s"), Column("Memory", unit="B")]
     rows = []
     for summary in digest.summaries:
-        marks, how = _when_and_where(summary), ["iterative"] if summary.iterative else []
+        marks = [mark.removesuffix(" run") for mark in summary.marks]
+        how = ["iterative"] if summary.iterative else []
         row = [
             Cell(summary.name, "\n".join(filter(None, (_about_model(summary), _about_form(digest, summary)))))
         ]
@@ -193,11 +191,6 @@ def _about_model(summary: ModelSummary) -> str:
 def _about_form(digest: Digest, summary: ModelSummary) -> str:
     told = _along_normals(digest, summary)
     return f"along normals: {told}" if told else ""
-
-
-def _when_and_where(summary: ModelSummary) -> list[str]:
-    marks = {"earlier": summary.earlier_cases, "another machine": summary.elsewhere_cases}
-    return [mark for mark, cases in marks.items() if cases]
 
 
 def _median(spread: Spread | None) -> Cell:
@@ -246,7 +239,7 @@ def _reading(digest: Digest) -> str:
         "alone. Times are medians. Memory is the most that a model added."
     )
     if digest.compared:
-        marked = any(s.earlier_cases or s.elsewhere_cases or s.iterative for s in digest.summaries)
+        marked = any(s.marks or s.iterative for s in digest.summaries)
         parts += ["Run time against error explains the marks below a time."] if marked else []
     else:
         parts += time_notes(digest.summaries)

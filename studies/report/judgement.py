@@ -6,10 +6,10 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
+from ..measures.bars import reference_bar
 from ..measures.case import CaseResult
 from ..verdict.digest import Digest
 from ..verdict.formatting import listed, short_percent
-from ..verdict.standing import reference_bar
 from .blocks import Figure
 
 HOLDS, WITHIN_LIMITS, FAILS, OPEN = "holds", "holds within limits", "fails", "not decided"

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import math
 
+from ..measures.bars import at_full_load, reference_bar
 from ..measures.case import CaseResult
 from ..measures.metrics import DEFORMATION, VECTOR
 from ..verdict.digest import Digest, failed_steps
 from ..verdict.formatting import NOTHING, listed, parameter_name, percent, plural, swept_value
-from ..verdict.standing import at_full_load, reference_bar
 from .blocks import Block, Cell, Column, Section, Table, Text
 
 _OPEN_ROWS = 12

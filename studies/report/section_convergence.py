@@ -7,11 +7,11 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from ..measures.bars import at_full_load
 from ..measures.case import CaseResult
 from ..measures.uncertainty import CONVERGING, DIVERGING, TOO_SLOW, ErrorEstimate, estimate_limit
 from ..verdict.digest import Digest
 from ..verdict.formatting import NOTHING, listed, percent, plain, quantity, short_percent
-from ..verdict.standing import at_full_load
 from .blocks import Cell, Column, Figure, Figures, Section, Table, Text, bar_detail
 from .plots import Plot, draw, log_axis, percent_axis
 

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 
 from ..verdict.digest import REFERENCE, Digest, ModelSummary, Spread
 from ..verdict.formatting import listed, quantity, short_percent
+from ..verdict.measured import EARLIER, ELSEWHERE
 from .blocks import Block, Figure, Figures, Section, Text
 from .plots import Plot, colour, draw, percent_axis, time_ticks
 
@@ -46,12 +47,12 @@ def run_time_against_error(digest: Digest) -> Section | None:
 def time_notes(summaries: Sequence[ModelSummary]) -> list[str]:
     """What times and memory of these models mean where they are not simply those of a solve in this run."""
     notes = []
-    if earlier := [s.name for s in summaries if s.earlier_cases]:
+    if earlier := [s.name for s in summaries if EARLIER in s.marks]:
         notes.append(
             f"Measured earlier: {listed(earlier)}. Results and times come from an earlier run; the machine may "
             "have been less busy then, or busier."
         )
-    if elsewhere := [s.name for s in summaries if s.elsewhere_cases]:
+    if elsewhere := [s.name for s in summaries if ELSEWHERE in s.marks]:
         notes.append(
             f"Measured on another machine than this page was made on: {listed(elsewhere)}. Compare these times "
             "with times of that machine only."

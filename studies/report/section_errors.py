@@ -9,11 +9,11 @@ from dataclasses import dataclass
 import numpy as np
 from matplotlib.axes import Axes
 
+from ..measures.bars import reference_bar, series
 from ..measures.case import CaseResult
 from ..measures.metrics import DEFORMATION, VECTOR
 from ..verdict.digest import REFERENCE, Digest
 from ..verdict.formatting import listed, parameter_name, scale_of, short_percent, swept_value
-from ..verdict.standing import reference_bar, series
 from .blocks import Block, Figure, Figures, Section, Text
 from .plots import Plot, colour, draw, line, log_axis, name_ticks, percent_axis, place
 

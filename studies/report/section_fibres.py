@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import math
 
+from ..measures.bars import at_full_load
 from ..measures.case import CaseResult
 from ..verdict.digest import Digest
 from ..verdict.formatting import percent, plain
-from ..verdict.standing import at_full_load
 from .blocks import Cell, Column, Section, Table, Text
 
 AXES = ("x", "y", "z")

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import math
 
+from ..measures.bars import at_full_load
 from ..measures.case import CaseResult
 from ..measures.input_spread import INDICES, InputSpread
 from ..measures.metrics import VECTOR
 from ..verdict.digest import Digest
 from ..verdict.formatting import NOTHING, listed, number, percent, plural, swept_value
 from ..verdict.inputs_known import input_name, inputs_in_words, inputs_known
-from ..verdict.standing import at_full_load
 from .blocks import Block, Cell, Column, Section, Table, Text
 
 _READING = (

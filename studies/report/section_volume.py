@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import math
 
+from ..measures.bars import series
 from ..verdict.digest import Digest
 from ..verdict.formatting import listed, short_percent
-from ..verdict.standing import series
 from .blocks import Block, Figure, Figures, Section, Text
 from .plots import Plot, draw, log_axis, percent_ticks
 

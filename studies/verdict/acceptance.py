@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -11,7 +11,7 @@ import numpy as np
 
 from solver_common.arrays import Array
 
-from ..measures import uncertainty
+from ..measures.bars import reference_bar, series
 from ..measures.case import CaseResult
 from ..measures.metrics import DEFORMATION, VECTOR, max_nodal_error
 
@@ -19,6 +19,8 @@ CLOSE = 0.10  # of both errors where a study says nothing: the "within 10 %" tha
 NODAL = max_nodal_error.__name__
 WITHIN, OPEN, BEYOND, LOST = "within", "open", "beyond", "lost"
 NOT_ASKED = ""  # of a limit that a case has nothing to hold against
+YES, IN_PART, UNDECIDED, NO = "Yes", "In part", "Undecided", "No"
+_WORDS = (YES, IN_PART, UNDECIDED, NO)  # the best first
 
 
 @dataclass(frozen=True)
@@ -111,7 +113,7 @@ def _error(key: str, name: str, metric: str, given: Mapping[str, Any]) -> Criter
         "1",
         True,
         lambda case, model: _series(case, model, metric),
-        lambda case: uncertainty.reference_bar(case.reference_error, metric),
+        lambda case: reference_bar(case, metric),
     )
 
 
@@ -124,14 +126,14 @@ def _largest_difference(most: float, region: str) -> Criterion:
         "m",
         True,
         lambda case, model: _differences(case, model, region) if region else _series(case, model, NODAL),
-        lambda case: uncertainty.reference_bar(case.reference_error, NODAL),
+        lambda case: reference_bar(case, NODAL),
         region,
     )
 
 
 def _series(case: CaseResult, model: str, metric: str) -> Array:
-    entry = case.metrics.get(model, {}).get(metric)
-    return _nothing(case) if entry is None or not len(entry.values) else entry.values
+    values = series(case, model, metric)
+    return _nothing(case) if values is None or not len(values) else values
 
 
 def _differences(case: CaseResult, model: str, region: str) -> Array:
@@ -154,3 +156,33 @@ def _frame_times(case: CaseResult, model: str) -> Array:
 
 def _nothing(case: CaseResult) -> Array:
     return np.full(len(case.load_factors), math.nan)
+
+
+# --- over all cases ---
+
+
+def word_of(states: Sequence[str]) -> str:
+    """The answer to "is it good enough?" from a form's state in each case: no, where most cases have no answer."""
+    count, within, left, lost = len(states), *map(states.count, (WITHIN, OPEN, LOST))
+    if within == count:
+        return YES
+    if 2 * lost > count:
+        return NO
+    if within:
+        return IN_PART
+    return UNDECIDED if left else NO
+
+
+def standing(cases: Sequence[CaseResult], model: str, limits: Acceptance) -> tuple[float, ...]:
+    """Sorts forms, the best first: by the answer, then by the median of the largest error over its limit.
+
+    Of equal ones, or where half the cases or more have no answer, by how many have one. So one more form in a study
+    never makes its answer a worse one.
+    """
+    states = [limits.state(case, model, case.full_load) for case in cases]
+    shares = np.array([limits.share(case, model) for case in cases])
+    known = shares[np.isfinite(shares)]
+    usual = float(np.median(known)) if len(known) else math.inf
+    word = word_of(states)
+    hopeless = word == UNDECIDED and bool({BEYOND, LOST} & set(states))
+    return _WORDS.index(word), hopeless, float(np.median(shares)), -len(known), usual

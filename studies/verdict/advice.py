@@ -9,11 +9,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..study.model_name import split
-from .acceptance import WITHIN
+from .acceptance import UNDECIDED, WITHIN, YES
 from .digest import Digest, ModelSummary
 from .formatting import quantity
 from .motion import mostly_rigid
-from .standing import UNDECIDED, YES
 from .why_not import COMPRESSIBILITY, MESH, MODEL, REFERENCE, SMALL_STRAIN, TIME, Reason, off
 
 CONDENSED = "fem-condensed"

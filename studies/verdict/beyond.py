@@ -6,11 +6,11 @@ import math
 
 import numpy as np
 
+from ..measures.bars import at_full_load
 from ..study.model_name import FINITE_STRAIN, split
 from .digest import Digest
 from .formatting import listed, short_percent
 from .loading import supports
-from .standing import at_full_load
 
 # shares of the body's smallest extent and of its volume: beyond them a small-strain reference judges nothing
 MOST_MOVED, MOST_DRIFT = 0.10, 0.05

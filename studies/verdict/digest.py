@@ -13,15 +13,14 @@ from solver_common.arrays import Array
 
 from ..body.surface_measures import Surface
 from ..measures import uncertainty
-from ..measures.bars import value_bar
+from ..measures.bars import at_full_load, reference_bar, series, value_bar
 from ..measures.case import CaseResult, Run
 from ..measures.metrics import DEFORMATION, VECTOR
 from ..scene.result import ModelResult
 from ..study.model_name import is_vdm
 from . import palette
-from .acceptance import Acceptance, acceptance
-from .measured import is_earlier, is_elsewhere, resumed
-from .standing import at_full_load, reference_bar, series, standing
+from .acceptance import Acceptance, acceptance, standing
+from .measured import measured
 
 # place of the reference in the palette; see `palette.places` for the others
 REFERENCE = -1
@@ -93,8 +92,7 @@ class ModelSummary:
     seconds_per_step: float  # median over cases and steps
     peak_bytes: float  # largest over cases
     failed_cases: int  # cases with a step that failed
-    earlier_cases: int  # cases whose result, and with it time and memory, is from an earlier run
-    elsewhere_cases: int  # cases in which it was measured on another machine than the page is made on
+    marks: tuple[str, ...]  # what stands beside its times, see `measured`
     iterative: bool  # whether an iterative solver was chosen in any case
 
 
@@ -184,35 +182,13 @@ class Digest:
             return case.label
         return "the only case" if len(self.cases) == 1 else f"case {case.hash[:8]}"
 
-    @cached_property
-    def _full_loads(self) -> dict[tuple[str, str], Array]:
-        """(model, metric) -> (C,) what `at_full_load` says of each case, of all that any case has."""
-        found: dict[tuple[str, str], Array] = {}
-        for k, case in enumerate(self.cases):
-            step = case.full_load
-            for model, metrics in case.metrics.items():
-                for metric, entry in metrics.items():
-                    if (model, metric) not in found:
-                        found[model, metric] = np.full(len(self.cases), math.nan)
-                    if len(entry.values):
-                        found[model, metric][k] = entry.values[step]
-        return found
-
     def full_loads(self, model: str, metric: str) -> Array:
         """(C,) a metric of every case at the step of the largest load; NaN where there is none."""
-        found = self._full_loads.get((model, metric))
-        return np.full(len(self.cases), math.nan) if found is None else found
-
-    @cached_property
-    def _bars(self) -> dict[str, Array]:
-        """Metric -> (C,) what `reference_bar` says of each case, of all metrics that any case has."""
-        metrics = dict.fromkeys(metric for _, metric in self._full_loads)
-        return {metric: np.array([reference_bar(case, metric) for case in self.cases]) for metric in metrics}
+        return np.array([at_full_load(case, model, metric) for case in self.cases])
 
     def bars(self, metric: str) -> Array:
         """(C,) the reference's own part in a metric of every case; NaN where there is none."""
-        found = self._bars.get(metric)
-        return np.full(len(self.cases), math.nan) if found is None else found
+        return np.array([reference_bar(case, metric) for case in self.cases])
 
     def spread(self, model: str, metric: str) -> Spread | None:
         """A metric at full load over all cases."""
@@ -253,8 +229,7 @@ class Digest:
         return tuple(self._summary(name) for name in self.models)
 
     def _summary(self, name: str) -> ModelSummary:
-        cases = [case for case in self.cases if name in case.models]
-        results, kept = [case.models[name] for case in cases], resumed(self.run)
+        results = [case.models[name] for case in self.cases if name in case.models]
         steps = [result.seconds_per_step for result in results]
         times = np.concatenate(steps) if steps else np.zeros(0)
         times = times[np.isfinite(times)]
@@ -269,8 +244,7 @@ class Digest:
             seconds_per_step=float(np.median(times)) if len(times) else math.nan,
             peak_bytes=float(max((r.peak_bytes for r in results if _has_answer(r)), default=math.nan)),
             failed_cases=sum(bool(failed_steps(result)) for result in results),
-            earlier_cases=sum(is_earlier(case, name, kept) for case in cases),
-            elsewhere_cases=sum(is_elsewhere(case, name) for case in cases),
+            marks=measured(self.run, name),
             iterative=any(result.parameters.get("solver") == "iterative" for result in results),
         )
 

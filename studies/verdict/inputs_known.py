@@ -7,12 +7,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..measures.bars import at_full_load, reference_bar
 from ..measures.case import CaseResult
 from ..measures.input_spread import STRAIGHT, ModelSpread
 from ..measures.metrics import VECTOR
 from .digest import Digest
 from .formatting import listed, parameter_name, plural, short_percent
-from .standing import at_full_load, reference_bar
 
 LARGER, SMALLER, ALIKE = "larger", "smaller", "alike"
 _LEAST = 0.1  # of the whole: an input that makes less is not named

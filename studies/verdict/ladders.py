@@ -10,12 +10,12 @@ import numpy as np
 
 from solver_common.arrays import Array
 
+from ..measures.bars import series
 from ..measures.case import CaseResult
 from ..scene.result import ModelResult
 from ..study.model_name import is_linear, split
 from .digest import Digest, failed_steps
 from .formatting import swept_value
-from .standing import series
 
 RESIDUAL = 1e-6  # relative; more is no solution of the system
 SINGLE_RESIDUAL = 1e-3  # the same where 32 bits were asked for: they leave 1e-4 at 10,000 nodes

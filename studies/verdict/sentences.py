@@ -6,10 +6,10 @@ import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
+from .acceptance import NO, UNDECIDED, YES
 from .formatting import listed, plural, quantity, short_percent
 from .inputs_known import inputs_in_words
 from .loading import load_in_words
-from .standing import NO, UNDECIDED, YES
 from .verdict import Limit, ModelErrors, Setting, Verdict
 from .why_not import exact_percent
 

@@ -15,7 +15,7 @@ import numpy as np
 
 from ..measures.case import CaseResult
 from ..study.model_name import FINITE_STRAIN, PARAMETERS, is_vdm, split
-from .acceptance import BEYOND, LOST, NOT_ASKED, OPEN, WITHIN, Criterion
+from .acceptance import BEYOND, LOST, NOT_ASKED, OPEN, WITHIN, Criterion, word_of
 from .advice import Advice, advice, by_interaction
 from .beyond import beyond_small_strain
 from .credibility import Evidence, credibility
@@ -26,9 +26,7 @@ from .formatting import listed, parameter_name, plural, short_percent, swept_val
 from .growth import limits_in_words
 from .inputs_known import InputsKnown, inputs_known
 from .ladders import reading
-from .measured import measured
 from .motion import motion_in_words
-from .standing import word_of
 from .up_to import UpTo, up_to
 from .why_not import Reason, reasons
 
@@ -186,7 +184,7 @@ def verdict(digest: Digest) -> Verdict:
 def _verdict(digest: Digest) -> Verdict:
     run = digest.run
     lost = len(run.failed) + len(run.missing)
-    costs = tuple(_cost(digest, summary) for summary in digest.summaries)
+    costs = tuple(_cost(summary) for summary in digest.summaries)
     about: dict[str, Any] = {"reference": digest.reference or "", "cases": len(digest.cases), "lost": lost}
     about |= {"costs": costs, "motion": motion_in_words(digest), "sureness": tuple(_gaps(digest))}
     about |= {"measured": measured_in_words(digest, ""), "inputs": inputs_known(digest, "")}
@@ -288,14 +286,14 @@ def _errors(digest: Digest) -> list[ModelErrors]:
     return sorted(found, key=lambda e: (e.model != digest.focus, max(e.displacement, e.deformation)))
 
 
-def _cost(digest: Digest, summary: ModelSummary) -> Cost:
+def _cost(summary: ModelSummary) -> Cost:
     return Cost(
         model=summary.name,
         set_up=summary.seconds_setup,
         frame=summary.seconds_per_step,
         memory=summary.peak_bytes,
         iterative=summary.iterative,
-        marks=tuple(measured(digest.run, summary.name)),
+        marks=summary.marks,
     )
 
 

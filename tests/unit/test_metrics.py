@@ -238,15 +238,6 @@ def test_volume_drift_of_a_uniform_scaling(surface: Surface) -> None:
     assert len(values) == 8, "the others need a reference"
 
 
-def test_reaction_error_compares_totals(surface: Surface, field: np.ndarray) -> None:
-    reaction = np.zeros((1, 6, 3))
-    reaction[0, 5] = [0, 0, 2.0]
-    spread = np.zeros((1, 6, 3))
-    spread[0, :, 2] = 0.25  # the same direction, 1.5 in total
-    values = evaluate(surface, history(field, reaction=spread), history(field, reaction=reaction))
-    assert_allclose(values["reaction_force_error"], 0.25, **ROUND)
-
-
 def test_indentation_is_the_work_of_the_contact_over_its_force(surface: Surface, field: np.ndarray) -> None:
     force = np.zeros((6, 3))
     force[4], force[0] = [0.0, 0.0, -3.0], [-1.0, 0.0, 0.0]
@@ -510,29 +501,3 @@ def to_facets(queries: np.ndarray, points: np.ndarray, triangles: np.ndarray) ->
     along = np.clip(np.einsum("qfki,fki->qfk", away, edges) / lengths, 0.0, 1.0)
     to_edges = np.linalg.norm(away - along[..., None] * edges, axis=3).min(axis=2)
     return np.minimum(to_planes, to_edges).min(axis=1)
-
-
-def test_distances_of_a_surface_with_facets_without_area() -> None:
-    """Their edges are those of their neighbours; displacements go beyond the facets of a node, too."""
-    surface, _ = bumpy(9)
-    generator = np.random.default_rng(2)
-    a, b = surface.triangles[0, :2]
-    facets = np.concatenate([surface.triangles, [[a, b, b], [a, a, a]]])
-    for triangles in (facets, facets[:, ::-1]):
-        for size in (1e-3, 0.03, 0.3):
-            moved = surface.points + size * generator.standard_normal((3, *surface.points.shape))
-            assert_distances(Surface(surface.points, triangles), moved[:2], moved[2])
-
-
-def test_distances_where_a_surface_comes_near_to_itself() -> None:
-    """Two sheets of a flattened ball, and one pushed through the other: a node's own facets are not the nearest."""
-    surface, _ = bumpy(9)
-    flat = surface.points * [1.0, 1.0, 0.02]
-    generator = np.random.default_rng(5)
-    for rest in (flat, surface.points):
-        body = Surface(rest, surface.triangles)
-        for size in (0.001, 0.03, 0.3):
-            moved = np.stack([rest + size * generator.standard_normal(rest.shape) for _ in range(3)])
-            assert_distances(body, moved[:2], moved[2])
-            assert_distances(body, moved[:2] + np.array([0.0, 0.0, 0.04]), moved[2])
-            assert_distances(body, moved[:2] + 5.0, moved[2] + 5.0)  # far away together

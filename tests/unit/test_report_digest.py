@@ -11,13 +11,12 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from vdmbench.measures.bars import value_bar
+from vdmbench.measures.bars import at_full_load, reference_bar, value_bar
 from vdmbench.measures.case import MetricSeries
 from vdmbench.report import headline
 from vdmbench.store.metrics_table import metrics_csv
 from vdmbench.verdict.digest import DEFORMATION, VECTOR, Digest, spread_of
 from vdmbench.verdict.sentences import answers
-from vdmbench.verdict.standing import at_full_load, reference_bar
 from vdmbench.verdict.verdict import verdict
 
 from .report_runs import REFERENCE, make_case, make_run, sweep_run
@@ -128,30 +127,6 @@ def test_metrics_csv_has_every_value_with_its_full_load_bar() -> None:
     assert {row[-1] for row in rows} == {"", "0.0125"}
 
 
-def test_tables_over_the_cases_have_what_each_case_says() -> None:
-    first = make_case({"m": 0.1, "n": 0.2}, label="a", steps=(0.5, 1.0, 0.5), subdivisions=0)
-    last = make_case(
-        {"m": 0.3, REFERENCE: 0.1},
-        label="c",
-        reference=f"{REFERENCE} refined",
-        reference_error={"levels": 2.0, f"gci:{VECTOR}": 0.01},
-        subdivisions=0,
-    )
-    cases = [first, make_case({"m": 0.1}, label="b", reference=None, subdivisions=0), last]
-    digest = Digest(make_run(cases))
-    found = {metric for case in cases for entries in case.metrics.values() for metric in entries}
-    assert {VECTOR, "volume_drift"} <= found
-    for metric in [*found, "no metric"]:
-        np.testing.assert_array_equal(digest.bars(metric), [reference_bar(case, metric) for case in cases])
-        for model in ("m", "n", REFERENCE, f"{REFERENCE} refined", "no model"):
-            values = [at_full_load(case, model, metric) for case in cases]
-            np.testing.assert_array_equal(digest.full_loads(model, metric), values)
-            own = np.array([value_bar(case, model, metric) for case in cases])
-            assert repr(digest.own_spread(metric, model)) == repr(spread_of(np.array(values), own))
-        own = np.array([[f(c, str(c.reference), metric) for c in cases] for f in (at_full_load, value_bar)])
-        assert repr(digest.own_spread(metric)) == repr(spread_of(*own))
-
-
 def test_cases_on_the_same_mesh_share_its_measures() -> None:
     cases = [make_case({"m": 0.1}, label=str(k), subdivisions=k % 2) for k in range(4)]
     turned = dataclasses.replace(cases[0], hash="turned", triangles=cases[0].triangles[:, [1, 2, 0]])
@@ -221,12 +196,6 @@ def test_only_what_varies_counts_as_swept() -> None:
         make_case({"m": 0.1}, label=str(k), swept={"a": 1.0, "b": float(k)}, subdivisions=0) for k in range(2)
     ]
     assert Digest(make_run(cases)).swept_keys == ["b"]
-
-
-def test_times_and_memory_of_a_model(digest: Digest) -> None:
-    summary = {s.name: s for s in digest.summaries}[REFERENCE]
-    assert (summary.seconds_setup, summary.seconds_per_step, summary.peak_bytes) == (2.5, 0.8, 350e6)
-    assert summary.is_reference
 
 
 def test_terminal_rows(digest: Digest) -> None:

@@ -71,11 +71,11 @@ def test_a_case_that_was_done_before_the_others_is_of_an_earlier_run() -> None:
     cases = [make_case({"vdm-m": 0.1}, label=label, subdivisions=1) for label in ("a", "b")]
     cases = [dataclasses.replace(case, hash=2 * str(k)) for k, case in enumerate(cases)]
 
-    def marks(*resumed: str) -> list[str]:
+    def marks(*resumed: str) -> tuple[str, ...]:
         return measured.measured(dataclasses.replace(make_run(cases), plan={"resumed": resumed}), "vdm-m")
 
-    assert marks("00") == marks("11") == ["earlier run"]
-    assert marks() == []
+    assert marks("00") == marks("11") == ("earlier run",)
+    assert marks() == ()
 
 
 def test_an_entire_case_that_is_resumed_says_so(tmp_path: Path) -> None:
@@ -104,4 +104,4 @@ def test_what_another_machine_has_measured_says_so_in_the_next_case(
     (case,) = run(plan_of(tmp_path, tmp_path / "cache", **changes | {"study": study}))
     found = {name: result.parameters.get("measured_on") for name, result in case.models.items()}
     assert found == {"vdm-vector": "Abacus 3", "vdm-paper": None, "fem-linear": "Abacus 3"}
-    assert measured.measured(make_run([case]), "vdm-vector") == ["earlier run", "another machine"]
+    assert measured.measured(make_run([case]), "vdm-vector") == ("earlier run", "another machine")

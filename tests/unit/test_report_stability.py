@@ -12,13 +12,13 @@ from numpy.testing import assert_allclose
 
 from tests.unit.report_runs import make_case, make_run
 from vdmbench.body.surface_measures import Surface
+from vdmbench.measures.bars import series
 from vdmbench.measures.case import CaseResult, MetricSeries
 from vdmbench.measures.metrics import History, evaluate
 from vdmbench.report.blocks import Figures, Section, Table, Text
 from vdmbench.report.section_stability import numerical_stability
 from vdmbench.verdict.digest import Digest
 from vdmbench.verdict.ladders import Ladder, ladders, reading, trusted
-from vdmbench.verdict.standing import series
 
 DIRECT, LU, NONLINEAR = "vdm-paper", "vdm-paper:lu", "vdm-paper:nonlinear"
 SLIVERS, NU = "geometry.slivers", "tissue.poisson_ratio"

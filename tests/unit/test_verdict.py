@@ -19,7 +19,7 @@ from vdmbench.verdict.digest import Digest
 from vdmbench.verdict.sentences import COST, DO, GOOD, LOAD, SURE, USE, WHY, WITH, answers
 from vdmbench.verdict.verdict import verdict
 
-from .report_runs import REFERENCE, make_case, make_run, sweep_run
+from .report_runs import REFERENCE, make_case, make_run
 
 LINEAR_REFERENCE = (
     "The reference is linear, so the errors of linear models do not grow with the load. Where small strain ends, "
@@ -45,36 +45,6 @@ def bars(vector: float, deformation: float | None = None) -> dict[str, float]:
 def with_parameters(case: CaseResult, model: str, **parameters: float | str) -> CaseResult:
     changed = dataclasses.replace(case.models[model], parameters=parameters)
     return dataclasses.replace(case, models={**case.models, model: changed})
-
-
-def test_a_sweep_in_words() -> None:
-    worst = "10 % allowed in the worst case (poisson_ratio = 0.4999, pressure = 800 Pa); 5 within and 1 undecided."
-    assert told(sweep_run()) == {
-        GOOD: "In part. vdm-vector, the closest of 2 VDM models, is within 10 % in 5 of 6 cases. "
-        f"Displacement error: in part, 10.6 % ± 0.68 % of {worst} "
-        f"Change of shape: in part, 10.6 % ± 0.74 % of {worst}",
-        WHY: "The model: it is 10.6 % off in displacement and 10.6 % in change of shape at any load, as both it "
-        "and the reference are linear. The reference: its own error is up to 0.68 % in displacement and 0.74 % in "
-        "change of shape, too wide to tell on which side of the limit it is.",
-        DO: "Take elements: fem-linear is what the others are held against.",
-        USE: "A contact that stays on one region: every linear model costs the same small product per frame. Take "
-        "elements condensed to that region. Add fem-condensed to the models to measure them. "
-        "Contacts that move, loads everywhere: of the surface models the closest is vdm-vector (7.8 % off in "
-        "displacement and 7.8 % in change of shape, 800 µs per frame after 40 ms of set-up). "
-        "Cutting, where the topology changes: each cut needs a new set-up. vdm-paper takes 20 ms and is 66 % off "
-        "in displacement and 66 % in change of shape; vdm-vector takes 40 ms and is 7.8 % off in displacement and "
-        "7.8 % in change of shape. "
-        "A few per cent needed: take elements; fem-linear on the model's mesh is not among the models compared.",
-        LOAD: "Within 10 % up to 0.125 N (0.5 mm of indentation). Beyond that it is undecided; tried: 0.125 to 1 "
-        f"N. {LINEAR_REFERENCE}",
-        WITH: "vdm-vector with B = 700 Pa, by rule from the tissue and the size of the body, not fitted. "
-        "Displacement errors of the others (medians): vdm-paper 66 %.",
-        COST: "A frame of vdm-vector takes 800 µs after 40 ms of set-up. A frame of fem-linear takes 800 ms after "
-        "2.5 s of set-up. These were not measured in turns, so their ratio is not told: vdmbench bench measures "
-        "that.",
-        SURE: "The reference is itself uncertain by 0.68 %. The difference is resolved in 4 of 6 cases. "
-        "These are differences between computations. Nothing here was compared with an experiment.",
-    }
 
 
 @pytest.mark.parametrize(
@@ -435,19 +405,6 @@ def test_a_sentence_on_limits_has_the_numbers_of_one_mesh(
     assert told in limits_of([("vdm-m", ModelLimits(0.17, bar, limits))])
 
 
-def test_limits_of_several_cases_are_a_range_with_bars() -> None:
-    def limit(state: str, load: float) -> ModelLimits:
-        bar = 0.1 if state == "found" else math.nan
-        return ModelLimits(load / 1e4, 0.01, (Limit(0.05, state, load, bar, 0.02, 0.5),))
-
-    entries = [("vdm-m", limit("found", load)) for load in (2e3, 1e3)] + [("vdm-m", limit("beyond", 4e3))]
-    assert (
-        "vdm-m is 10 % ± 1 % to 40 % ± 1 % off at small loads already; it is 5 % further off at 1.00 kPa ± 10 % to "
-        "2.00 kPa ± 10 % in 2 of 3 cases; it is less than 5 % further off up to 4.00 kPa in 1 of 3 cases on the "
-        "case's own mesh, as far as was looked."
-    ) in limits_of(entries)
-
-
 @pytest.mark.parametrize(
     ("states", "told"),
     [
@@ -565,11 +522,6 @@ def test_levels_that_give_no_order_are_named() -> None:
     several = told(make_run([case(0.001), case(0.004), case(0.0005)]))[SURE]
     assert "with a wide margin, as its mesh levels are diverging in 2 cases." in several
     assert "mesh levels are" not in told(make_run([case(0.004)]))[SURE]
-
-
-def test_the_others_are_named_unresolved_too() -> None:
-    run = make_run([make_case({"a": 0.1, "b": 0.2}, reference_error=bars(0.03), subdivisions=0)])
-    assert "the others: b 20 % (unresolved)." in told(run)[WITH]
 
 
 def test_what_is_not_in_the_numbers_is_said() -> None:
