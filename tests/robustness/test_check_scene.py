@@ -85,6 +85,9 @@ def test_a_scene_is_told_with_file_and_line(name: str, capsys: pytest.CaptureFix
     else:
         assert verb_check.run(options) == 0
         assert told in capsys.readouterr().out
+        assert verb_check.run(parse(["check", "small.toml", "--json"])) == 0
+        lines = [problem["line"] for problem in json.loads(capsys.readouterr().out)["warnings"]]
+        assert lines == [int(told.split(":")[2])] if told.startswith("warning") else lines == []
 
 
 def test_what_the_memory_does_not_do_is_no_study_to_run(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -221,13 +221,6 @@ def test_a_number_beyond_all_bounds_is_told(path: Path, radius: str, message: st
     assert message in found
 
 
-@pytest.mark.parametrize("size", [[0.1], [0.1, 0.1]])
-def test_three_numbers_are_three(path: Path, size: list[float]) -> None:
-    geometry = {"shape": "box", "size": size, "mesh_size": "6 mm"}
-    found = fails(path, tomli_w.dumps({**BASE, "geometry": geometry}))
-    assert found.endswith(f"geometry.size: must have 3 numbers, not {len(size)}")
-
-
 def test_a_deep_region_is_told(path: Path) -> None:
     text = tomli_w.dumps({**BASE, "sweep": {}}) + "[regions.deep]\nnot = "
     assert "made of more than" in fails(path, text + "{ not = " * 55 + "'base'" + " }" * 55)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import json
 from pathlib import Path
 from typing import Any
 
@@ -11,8 +10,6 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from tests.command import SMALL_STUDY, write_study
-from vdmbench.cli.main import main
 from vdmbench.report.page import write_report
 from vdmbench.scene.warnings import indentation, scene_warnings
 from vdmbench.verdict.digest import Digest
@@ -111,59 +108,7 @@ def test_the_mean_indentation_of_a_disc_is_that_of_the_half_space() -> None:
     assert_allclose(indentation(1.0, np.pi, 1.0, 0.0), 0.5403796, rtol=1e-6, atol=0.0)
 
 
-# --- where they are told ---
-
-LONE = ('below = { axis = "z", fraction = 0.2 }', 'ball = { center = [0, 0, "-50 mm"], radius = "4 mm" }')
-
-
-def test_the_small_study_is_without_doubt(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    write_study(tmp_path)
-    with pytest.raises(SystemExit) as ended:
-        main(["check", "small.toml"])
-    assert (ended.value.code, capsys.readouterr().out) == (0, "small.toml: ok, 1 case\n")
-
-
-def test_check_warns_with_file_and_line(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    write_study(tmp_path, a=('"16 mm"', '"5 mm"'), b=LONE, c=('"0.1 N"', '"12 N"'))
-    lines = (
-        write_study(tmp_path, a=('"16 mm"', '"5 mm"'), b=LONE, c=('"0.1 N"', '"12 N"'))
-        .read_text()
-        .splitlines()
-    )
-    with pytest.raises(SystemExit) as ended:
-        main(["check", "small.toml"])
-    assert ended.value.code == 0
-    told = capsys.readouterr().out.splitlines()
-    held = lines.index('region = "base"') + 1
-    assert any(f"warning: small.toml:{held}: constraints.base.region: holds " in line for line in told), told
-    with pytest.raises(SystemExit):
-        main(["check", "small.toml", "--json"])
-    warnings = json.loads(capsys.readouterr().out)["warnings"]
-    assert warnings[0]["line"] == held
-
-
-def test_check_tells_a_scene_that_cannot_be_put_on_its_mesh(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    finger = SMALL_STUDY.splitlines().index('name = "finger"') + 1
-    for old, new, words in (
-        ('"30 deg"', '"0.1 deg"', "constraints.finger: contact 'finger' loads no facet|selects no node"),
-        ('"30 deg"', '"179 deg"', "constraints.finger: contact 'finger' covers"),
-    ):
-        write_study(tmp_path, change=(old, new), profile=('"hertz"', '"uniform"'))
-        with pytest.raises(SystemExit) as ended:
-            main(["check", "small.toml"])
-        told = capsys.readouterr().err
-        assert ended.value.code == 2
-        assert any(word in told for word in words.split("|")), told
-        assert told.startswith(f"vdmbench: small.toml:{finger - 1}: "), told
+# --- where they are told; `vdmbench check` is in tests/robustness/test_check_scene.py ---
 
 
 def test_the_report_tells_them_too(tmp_path: Path) -> None:
