@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -49,6 +49,13 @@ class Body:
     def facets_where(self, on: Callable[[Array], NDArray[np.bool_]]) -> NDArray[np.bool_]:
         """(F,) facets whose three vertices all satisfy `on`."""
         return on(self.surface)[self.triangles].all(axis=1)
+
+    def held_at(self, *places: tuple[ArrayLike, Sequence[int]]) -> NDArray[np.bool_]:
+        """(N, 3) single components held at the nodes nearest to some points."""
+        held = np.zeros((len(self.surface_nodes), 3), dtype=bool)
+        for point, components in places:
+            held[np.argmin(np.linalg.norm(self.surface - np.asarray(point), axis=1)), list(components)] = True
+        return held
 
     def load(
         self, pressure: ArrayLike = 0.0, prescribed: ArrayLike = 0.0, gravity: ArrayLike = (0.0, 0.0, 0.0)
@@ -131,6 +138,12 @@ def octant_shell(inner: float, outer: float, layers: int, rows: int) -> Body:
     split = [(a, b, c, c + n), (a, b, b + n, c + n), (a, a + n, b + n, c + n)]
     single = np.concatenate([np.column_stack(parts) for parts in split])
     return body(points, np.concatenate([single + layer * n for layer in range(layers)]))
+
+
+def pressed_shell(n: int) -> tuple[Body, NDArray[np.bool_]]:
+    """Octant of the shell between radii 1 and 2 in n layers, and its inner facets."""
+    b = octant_shell(1.0, 2.0, n, 3 * n // 2)
+    return b, b.facets_where(lambda x: np.linalg.norm(x, axis=1) < 1.0 + 1e-9)
 
 
 def elasticity_matrix(mesh: TetMesh, divergence: float, fibres: Array | None = None) -> sparse.bsr_array:

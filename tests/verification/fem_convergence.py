@@ -1,12 +1,40 @@
-"""Records errors against mesh size and judges the observed order."""
+"""Errors against known answers; records them against mesh size and judges the observed order."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
 
+from tests.unit.fem_shapes import Array, Body
 from tests.verification.records import Verified
+
+# the least supports that stop the rigid motion of a ball of radius 1
+THREE_POINTS = (((1, 0, 0), (0, 1, 2)), ((0, 1, 0), (0, 2)), ((0, 0, 1), (1,)))
+
+
+def radial_error(b: Body, displacement: Array, exact: Callable[[Array], Array]) -> float:
+    """Of the radial displacement over the surface, the largest, in parts of the largest that is exact."""
+    r = np.linalg.norm(b.surface, axis=1)
+    true = exact(r)
+    return float(np.abs(np.einsum("ni,ni->n", displacement, b.surface) / r - true).max() / np.abs(true).max())
+
+
+def inner_error(b: Body, displacement: Array, exact: float) -> float:
+    """Of the radial displacement at radius 1, the largest, relative."""
+    at = np.linalg.norm(b.surface, axis=1) < 1.0 + 1e-9
+    return float(np.abs(np.einsum("ni,ni->n", displacement[at], b.surface[at]) / exact - 1.0).max())
+
+
+def relative_without_motion(found: Array, u: Array, points: Array) -> float:
+    """Relative L2 difference over the surface nodes, without rigid motion."""
+    modes = np.concatenate(
+        [np.tile(np.eye(3), (len(u), 1, 1)), np.stack([np.cross(e, points) for e in np.eye(3)], -1)], -1
+    ).reshape(-1, 6)
+    difference = (found - u).ravel()
+    difference -= modes @ np.linalg.lstsq(modes, difference, rcond=None)[0]
+    return float(np.linalg.norm(difference) / np.linalg.norm(u))
 
 
 @dataclass

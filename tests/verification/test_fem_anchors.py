@@ -15,8 +15,13 @@ from skfem import Basis, ElementTetP2, ElementVector, MeshTet
 
 from fem_reference.exact import IncompressibleBall, ThickCylinder, ThickSphere
 from solver_common.quadrature import facet_quadrature
-from tests.unit.fem_shapes import Body, ball, body, mapped_box, octant_shell
-from tests.verification.fem_convergence import Convergence
+from tests.unit.fem_shapes import Body, ball, body, mapped_box, pressed_shell
+from tests.verification.fem_convergence import (
+    THREE_POINTS,
+    Convergence,
+    inner_error,
+    relative_without_motion,
+)
 from tests.verification.records import Verified
 
 Array = np.ndarray
@@ -138,12 +143,9 @@ def test_thick_sphere(poisson_ratio: float, verified: Verified) -> None:
     exact = ThickSphere(1.0, 2.0, 1.0, poisson_ratio, 1.0)
     record = Convergence(f"u(a) on flat facets, nu = {poisson_ratio}", 2.0, 0.012, _GEOMETRY_SLACK)
     for n in (4, 8):
-        b = octant_shell(1.0, 2.0, n, 3 * n // 2)
-        inner = b.facets_where(lambda x: np.linalg.norm(x, axis=1) < 1.0 + 1e-9)
+        b, inner = pressed_shell(n)
         s = b.problem(b.surface == 0.0, poisson_ratio=poisson_ratio).solve([b.load(1.0 * inner)])
-        at = np.linalg.norm(b.surface, axis=1) < 1.0 + 1e-9
-        radial = _radial(b.surface[at], s.displacement[0][at])
-        record.add(1.0 / n, float(np.abs(radial / exact.radial_displacement(1.0) - 1.0).max()))
+        record.add(1.0 / n, inner_error(b, s.displacement[0], float(exact.radial_displacement(1.0))))
         assert_allclose(s.fluid_pressure, exact.mean_pressure, rtol=1e-10, atol=0)
     verified.equal(
         f"mean pressure, nu = {poisson_ratio}", s.fluid_pressure[0], exact.mean_pressure, rtol=1e-10
@@ -163,7 +165,7 @@ def test_thick_sphere_without_its_geometry_error(poisson_ratio: float, verified:
         return np.asarray(exact.radial_displacement(r)[..., None] * x / r[..., None])
 
     for n in (4, 8):
-        b = octant_shell(1.0, 2.0, n, 3 * n // 2)
+        b, _ = pressed_shell(n)
         problem = b.problem(np.ones(len(b.surface_nodes), dtype=bool), poisson_ratio=poisson_ratio)
         given = displacement(problem.mesh.node_points)
         fields = problem.solve_nodal(np.zeros((1, *given.shape)), given[None])
@@ -215,9 +217,7 @@ def _ball_solution(b: Body, degree: int) -> tuple[Array, Array]:
     exact = _exact_ball(degree)
     u = exact.displacement(b.surface)
     # The load balances itself: six components, the least that stops rigid motion, take no force.
-    held = np.zeros((len(b.surface_nodes), 3), dtype=bool)
-    for point, components in (((1, 0, 0), [0, 1, 2]), ((0, 1, 0), [0, 2]), ((0, 0, 1), [1])):
-        held[np.argmin(np.linalg.norm(b.surface - np.array(point), axis=1)), components] = True
+    held = b.held_at(*THREE_POINTS)
     q = b.quadrature_points
     traction = exact.surface_traction(q.reshape(-1, 3)).reshape(q.shape[:2])
     # On flat facets an odd traction has a small resultant; as a point force at a support it would leave a dent,
@@ -229,23 +229,14 @@ def _ball_solution(b: Body, degree: int) -> tuple[Array, Array]:
     return s.displacement[0], s.reaction_force[0]
 
 
-def _relative(found: Array, u: Array, points: Array) -> float:
-    """Relative L2 difference over the surface nodes, without rigid motion."""
-    modes = np.concatenate(
-        [np.tile(np.eye(3), (len(u), 1, 1)), np.stack([np.cross(e, points) for e in np.eye(3)], -1)], -1
-    ).reshape(-1, 6)
-    difference = (found - u).ravel()
-    difference -= modes @ np.linalg.lstsq(modes, difference, rcond=None)[0]
-    return float(np.linalg.norm(difference) / np.linalg.norm(u))
-
-
 def _check_ball(verified: Verified, degree: int, levels: tuple[int, ...], cap: float) -> None:
     record = Convergence(f"u at the surface on flat facets, n = {degree}", 2.0, cap, _GEOMETRY_SLACK)
     for refinements in levels:
         b = ball(refinements)
         found, reaction = _ball_solution(b, degree)
         record.add(
-            2.0**-refinements, _relative(found, _exact_ball(degree).displacement(b.surface), b.surface)
+            2.0**-refinements,
+            relative_without_motion(found, _exact_ball(degree).displacement(b.surface), b.surface),
         )
         # Facets are no exact sphere: what the odd loads leave unbalanced is of second order.
         assert np.abs(reaction).max() <= 0.5 * 4.0**-refinements
@@ -285,7 +276,7 @@ def _polyhedron_limit(refinements: int, splits: int) -> tuple[Body, list[Array],
         fields.append(u[coarse.surface_nodes])
     shrink = 8.0  # of a P2 displacement, where there is one step only
     if splits > 1:
-        shrink = _relative(fields[-3], fields[-2], coarse.surface) / _relative(
+        shrink = relative_without_motion(fields[-3], fields[-2], coarse.surface) / relative_without_motion(
             fields[-2], fields[-1], coarse.surface
         )
     return coarse, fields, fields[-1] + (fields[-1] - fields[-2]) / (shrink - 1.0)
@@ -296,8 +287,8 @@ def test_geometry_error_of_the_ball(verified: Verified) -> None:
     """On one flat-faceted polyhedron the discretisation error falls with its own levels and the rest stays."""
     coarse, fields, limit = _polyhedron_limit(1, 2)
     exact = _exact_ball(2).displacement(coarse.surface)
-    errors = [_relative(field, limit, coarse.surface) for field in fields]
-    total = [_relative(field, exact, coarse.surface) for field in fields]
+    errors = [relative_without_motion(field, limit, coarse.surface) for field in fields]
+    total = [relative_without_motion(field, exact, coarse.surface) for field in fields]
     verified.at_most(
         "polyhedron of 32 facets, n = 2: discretisation error on its second level", errors[1], 0.02
     )
@@ -320,7 +311,9 @@ def test_geometry_error_is_of_second_order(verified: Verified) -> None:
     for refinements, splits in ((2, 2), (3, 1)):
         coarse, fields, limit = _polyhedron_limit(refinements, splits)
         exact = _exact_ball(2).displacement(coarse.surface)
-        geometry, discretisation = (_relative(limit, other, coarse.surface) for other in (exact, fields[0]))
+        geometry, discretisation = (
+            relative_without_motion(limit, other, coarse.surface) for other in (exact, fields[0])
+        )
         record.add(2.0**-refinements, geometry)
         title = f"discretisation error over geometry error, level {refinements}, n = 2"
         verified.at_most(title, discretisation / geometry, 0.3)

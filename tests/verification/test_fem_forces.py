@@ -90,9 +90,7 @@ def _with(b: Body, forces: Array | None, **others: object):
 def test_simple_shear(poisson_ratio: float, verified: Verified) -> None:
     """Shear tractions t on four faces; three nodes hold the rigid motion: u_x = t z / G."""
     b = cube(3, distort=0.3)
-    held = np.zeros((len(b.surface), 3), dtype=bool)
-    for corner, components in (((0, 0, 0), (0, 1, 2)), ((1, 0, 0), (1, 2)), ((0, 1, 0), (2,))):
-        held[np.flatnonzero((b.surface == corner).all(axis=1))[0], list(components)] = True
+    held = b.held_at(((0, 0, 0), (0, 1, 2)), ((1, 0, 0), (1, 2)), ((0, 1, 0), (2,)))
     problem = b.problem(held, poisson_ratio=poisson_ratio)
     stress = np.zeros((3, 3))
     stress[0, 2] = stress[2, 0] = 0.1
@@ -111,11 +109,8 @@ def test_simple_shear(poisson_ratio: float, verified: Verified) -> None:
 def test_pure_bending_is_exact(verified: Verified) -> None:
     """A moment through the linear traction of bending: quadratic displacements, which P2 has."""
     b = mapped_box((6, 2, 2), lambda x: (x - [0.0, 0.5, 0.5]) * [4.0, 1.0, 1.0])
-    held = np.zeros((len(b.surface), 3), dtype=bool)
-    face = b.surface[:, 0] == 0.0
-    held[face, 0] = True
-    for point, components in (((0, 0, 0), (1, 2)), ((0, 0, 0.5), (1,))):
-        held[np.flatnonzero((np.abs(b.surface - point) < 1e-12).all(axis=1))[0], list(components)] = True
+    held = b.held_at(((0, 0, 0), (1, 2)), ((0, 0, 0.5), (1,)))
+    held[b.surface[:, 0] == 0.0, 0] = True
     problem = b.problem(held, poisson_ratio=0.3)
     end = b.facets_where(lambda x: x[:, 0] > 4.0 - 1e-9)
     s = problem.solve([_with(b, region_forces(problem.mesh, end, (0, 0, 0), (0.0, 0.01, 0.0)))])

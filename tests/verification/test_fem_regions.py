@@ -12,8 +12,8 @@ from fem_reference.exact_finite_strain import InflatedThickSphere
 from fem_reference.finite_strain import FiniteStrainProblem
 from fem_reference.linear import LinearProblem
 from fem_reference.solution import SolverError
-from tests.unit.fem_shapes import Body, cube, octant_shell
-from tests.verification.fem_convergence import Convergence
+from tests.unit.fem_shapes import Body, cube, pressed_shell
+from tests.verification.fem_convergence import Convergence, inner_error, radial_error
 from tests.verification.records import Verified
 
 Array = NDArray[np.float64]
@@ -127,7 +127,7 @@ def test_two_layer_sphere(layers: tuple[float, float, float, float], verified: V
     exact = LayeredSphere((1.0, 1.5, 2.0), (inner_young, outer_young), (inner_nu, outer_nu), 1.0)
     record = Convergence(f"E, nu = {layers}: u on flat facets", 2.0, 0.014, 0.3)
     for n in (4, 8):
-        b = octant_shell(1.0, 2.0, n, 3 * n // 2)
+        b, pressed = pressed_shell(n)
         inside = _inside(b)
         problem = b.problem(
             b.surface == 0.0,
@@ -135,13 +135,9 @@ def test_two_layer_sphere(layers: tuple[float, float, float, float], verified: V
             poisson_ratio=np.where(inside, inner_nu, outer_nu),
             parts=inside.astype(int),
         )
-        pressed = b.facets_where(lambda x: np.linalg.norm(x, axis=1) < 1.0 + 1e-9)
         s = problem.solve([b.load(1.0 * pressed)])
         assert s.status[0].ok
-        r = np.linalg.norm(b.surface, axis=1)
-        found = np.einsum("ni,ni->n", s.displacement[0], b.surface) / r
-        true = exact.radial_displacement(r)
-        record.add(1.0 / n, float(np.abs(found - true).max() / np.abs(true).max()))
+        record.add(1.0 / n, radial_error(b, s.displacement[0], exact.radial_displacement))
     record.check(verified)
 
 
@@ -153,7 +149,7 @@ def test_two_layer_sphere_at_finite_strain(verified: Verified) -> None:
     pressure = core.pressure + shell.pressure
     record = Convergence("u(a) on flat facets, l_a = 1.25", 2.0, 0.015, 0.35)
     for n in (4, 6):
-        b = octant_shell(1.0, 2.0, n, 3 * n // 2)
+        b, pressed = pressed_shell(n)
         inside = _inside(b)
         problem = FiniteStrainProblem(
             *b.arrays,
@@ -162,12 +158,9 @@ def test_two_layer_sphere_at_finite_strain(verified: Verified) -> None:
             poisson_ratio=0.5,
             parts=inside.astype(int),
         )
-        pressed = b.facets_where(lambda x: np.linalg.norm(x, axis=1) < 1.0 + 1e-9)
         s = problem.solve([b.load(pressure * pressed)])
         assert s.status[0].ok
-        at = np.linalg.norm(b.surface, axis=1) < 1.0 + 1e-9
-        u = np.einsum("ni,ni->n", s.displacement[0][at], b.surface[at])
-        record.add(1.0 / n, float(np.abs(u / 0.25 - 1.0).max()))
+        record.add(1.0 / n, inner_error(b, s.displacement[0], 0.25))
     record.check(verified)
     verified.equal("energy, l_a = 1.25", 8.0 * s.energy[0], core.energy + shell.energy, rtol=0.02)
 
