@@ -14,17 +14,16 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 from scipy.integrate import quad, solve_bvp
-from skfem import ElementTetP2
-from skfem.quadrature import get_quadrature
-from skfem.refdom import RefTet
+from skfem import FacetBasis, LinearForm
+from skfem.helpers import dot
 
 from fem_reference.exact import ThickSphere
 from fem_reference.exact_finite_strain import InflatedThickSphere
 from fem_reference.finite_strain import FiniteStrainProblem
-from fem_reference.mesh import TetMesh, triangle_p2
+from fem_reference.mesh import TetMesh
 from solver_common.quadrature import facet_quadrature
 from tests.unit.fem_shapes import Body, ball, cube, pressed_shell
-from tests.verification.fem_convergence import Convergence, inner_error
+from tests.verification.fem_convergence import Convergence, inner_error, relative_l2
 from tests.verification.records import Verified
 
 Array = np.ndarray
@@ -46,21 +45,9 @@ def _problem(b: Body, held: Array, **options: object) -> FiniteStrainProblem:
     return FiniteStrainProblem(*b.arrays, held=held, **options)  # type: ignore[arg-type]
 
 
-def _l2_errors(mesh: TetMesh, found: Array, exact: Callable[[Array], Array]) -> float:
-    """Relative L2 error over the body of nodal values, P2 or P1 by their number, against exact(points)."""
-    local, weights = get_quadrature(RefTet, 6)
-    barycentric = np.vstack([1.0 - local.sum(axis=0), local])
-    points = np.einsum("aq,mai->mqi", barycentric, mesh.points[mesh.tetrahedra])
-    if len(found) == mesh.n_nodes:
-        shape = np.array([ElementTetP2().lbasis(local, i)[0] for i in range(10)])
-        values = np.einsum("aq,ma...->mq...", shape, found[mesh.element_nodes])
-    else:
-        values = np.einsum("aq,ma...->mq...", barycentric, found[mesh.tetrahedra])
-    true = exact(points)
-    measure = 6.0 * mesh.volumes[:, None] * weights
-    axes = tuple(range(2, true.ndim))
-    error, size = (np.sum(np.sum(v**2, axis=axes) * measure) for v in (values - true, true))
-    return float(np.sqrt(error / size))
+def _components_first(f: Callable[[Array], Array]) -> Callable[[Array], Array]:
+    """A function of (..., 3) points as scikit-fem has them, (3, ...)."""
+    return lambda x: np.moveaxis(f(np.moveaxis(x, 0, -1)), -1, 0)
 
 
 # ---------------------------------------------------------------- thick sphere
@@ -152,7 +139,9 @@ def test_inflated_sphere_without_its_geometry_error(poisson_ratio: float, verifi
         problem = _problem(b, everywhere, youngs_modulus=1.0, poisson_ratio=poisson_ratio)
         given = displacement(problem.mesh.node_points)
         fields = problem.solve_nodal(np.zeros((1, *given.shape)), given[None])
-        record.add(1.0 / n, _l2_errors(problem.mesh, fields.displacement[0], displacement))
+        basis, _ = problem.mesh.bases(intorder=6)
+        found = fields.displacement[0].ravel()
+        record.add(1.0 / n, relative_l2(basis, found, _components_first(displacement)))
     record.check(verified)
 
 
@@ -222,25 +211,22 @@ class Manufactured:
         return out
 
 
-def _nodal_forces(mesh: TetMesh, case: Manufactured, loaded: Array) -> Array:
-    """Consistent nodal forces of the body force and of the traction on the loaded facets."""
-    local, weights = get_quadrature(RefTet, 8)
-    barycentric = np.vstack([1.0 - local.sum(axis=0), local])
-    shape = np.array([ElementTetP2().lbasis(local, i)[0] for i in range(10)])
-    points = np.einsum("aq,mai->mqi", barycentric, mesh.points[mesh.tetrahedra])
-    values = np.einsum(
-        "m,q,aq,mqi->mai", 6.0 * mesh.volumes, weights, shape, case.body_force(points), optimize=True
+def _nodal_forces(mesh: TetMesh, case: Manufactured) -> Array:
+    """Consistent nodal forces of the body force and of the traction on the top."""
+    basis, _ = mesh.bases(intorder=8)
+    points, weights = facet_quadrature()
+    top = FacetBasis(
+        mesh.skfem_mesh,
+        basis.elem,
+        facets=mesh.skfem_mesh.facets_satisfying(lambda x: x[2] > 1.0 - 1e-9),
+        quadrature=(points[:, 1:].T, 0.5 * weights),
     )
-    out = np.zeros((mesh.n_nodes, 3))
-    np.add.at(out, mesh.element_nodes, values)
-    b, w = facet_quadrature()
-    corners = mesh.points[mesh.surface_nodes[mesh.triangles[loaded]]]
-    stress = case.stress(np.einsum("qa,fai->fqi", b, corners))
-    values = np.einsum(
-        "q,qa,fqij,fj->fai", w, triangle_p2(b), stress, mesh.area_vectors[loaded], optimize=True
-    )
-    np.add.at(out, mesh.facet_nodes[loaded], values)
-    return out
+    stress = case.stress(np.moveaxis(np.asarray(top.global_coordinates()), 0, -1))
+    traction = np.einsum("fqij,jfq->ifq", stress, np.asarray(top.normals))
+    body_force = _components_first(case.body_force)(np.asarray(basis.global_coordinates()))
+    work = LinearForm(lambda v, w: dot(w.force, v))
+    force = work.assemble(basis, force=body_force) + work.assemble(top, force=traction)
+    return np.asarray(force).reshape(-1, 3)
 
 
 @pytest.mark.parametrize("poisson_ratio", [0.3, 0.4999, 0.5])
@@ -265,14 +251,12 @@ def _manufactured_errors(case: Manufactured, n: int) -> tuple[float, float]:
         b, held, youngs_modulus=2.0 * (1.0 + case.poisson_ratio), poisson_ratio=case.poisson_ratio
     )
     mesh = problem.mesh
-    loaded = np.flatnonzero(b.facets_where(lambda x: x[:, 2] == 1.0))
-    fields = problem.solve_nodal(
-        _nodal_forces(mesh, case, loaded)[None], case.displacement(mesh.node_points)[None]
-    )
+    fields = problem.solve_nodal(_nodal_forces(mesh, case)[None], case.displacement(mesh.node_points)[None])
     assert fields.residual[0] <= 1e-9
+    basis, pressures = mesh.bases(intorder=6)
     return (
-        _l2_errors(mesh, fields.displacement[0], case.displacement),
-        _l2_errors(mesh, fields.pressure[0], case.pressure),
+        relative_l2(basis, fields.displacement[0].ravel(), _components_first(case.displacement)),
+        relative_l2(pressures, fields.pressure[0], lambda x: case.pressure(np.moveaxis(x, 0, -1))),
     )
 
 

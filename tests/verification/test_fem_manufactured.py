@@ -12,13 +12,13 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
-from skfem import Basis, ElementTetP1, ElementTetP2, ElementVector, FacetBasis, LinearForm
+from skfem import ElementTetP1, FacetBasis, LinearForm
 from skfem.helpers import dot
 
 from fem_reference.linear import ELEMENTS
 from fem_reference.recovery import StrainRecovery
 from tests.unit.fem_shapes import Body, cube
-from tests.verification.fem_convergence import Convergence
+from tests.verification.fem_convergence import Convergence, relative_l2
 from tests.verification.records import Verified
 
 a_manufactured = pytest.mark.anchor(
@@ -103,29 +103,24 @@ def _solve(element: str, poisson_ratio: float, n: int) -> dict[str, float]:
     )
     problem = b.problem(~inside_free_face, poisson_ratio=poisson_ratio, element=element, solver="direct")
     mesh = problem.mesh
-    vector = ElementVector(ElementTetP2() if mesh.order == 2 else ElementTetP1())
-    basis = Basis(mesh.skfem_mesh, vector, intorder=4)
+    basis, _ = mesh.bases(intorder=4)
     free_face = mesh.skfem_mesh.facets_satisfying(lambda x: x[0] > 1.0 - 1e-9)
-    face = FacetBasis(mesh.skfem_mesh, vector, facets=free_face, intorder=6)
+    face = FacetBasis(mesh.skfem_mesh, basis.elem, facets=free_face, intorder=6)
     force = LinearForm(lambda v, w: dot(exact.body_force(w.x), v)).assemble(basis)
     force = force + LinearForm(lambda v, w: dot(exact.traction(w.x, w.n), v)).assemble(face)
     given = exact.displacement(mesh.node_points.T).T
     fields = problem.solve_nodal(force.reshape(1, -1, 3), given[None])
     assert fields.residual[0] <= 1e-9
 
-    x = np.asarray(basis.global_coordinates())
-    u = basis.interpolate(fields.displacement[0].ravel())
-    strain, strain_h = (0.5 * (g + np.swapaxes(g, 0, 1)) for g in (exact.gradient(x), u.grad))
-
-    def relative(found: np.ndarray, true: np.ndarray) -> float:
-        return float(np.sqrt(((found - true) ** 2 * basis.dx).sum() / (true**2 * basis.dx).sum()))
-
-    errors = {"displacement": relative(np.asarray(u), exact.displacement(x))}
-    errors["strain"] = relative(strain_h, strain)
+    u = fields.displacement[0].ravel()
+    x, gradient = np.asarray(basis.global_coordinates()), basis.interpolate(u).grad
+    strain, strain_h = (0.5 * (g + np.swapaxes(g, 0, 1)) for g in (exact.gradient(x), gradient))
+    wrong, size = (np.sqrt((e**2 * basis.dx).sum()) for e in (strain_h - strain, strain))
+    errors = {"displacement": relative_l2(basis, u, exact.displacement), "strain": float(wrong / size)}
     errors["estimate"] = StrainRecovery(mesh).relative_error(fields.displacement[0]) / errors["strain"]
     if problem.system.mixed:
-        p = basis.with_element(ElementTetP1()).interpolate(fields.pressure[0])
-        errors["pressure"] = relative(np.asarray(p), exact.pressure(x))
+        pressures = basis.with_element(ElementTetP1())
+        errors["pressure"] = relative_l2(pressures, fields.pressure[0], exact.pressure)
     return errors
 
 
