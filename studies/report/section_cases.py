@@ -90,9 +90,9 @@ def failures(digest: Digest) -> Section | None:
     if digest.run.failed:
         rows = [
             [
-                Cell(entry.get("label") or entry.get("hash", "")[:8], entry.get("code", "")),
-                Cell(entry.get("message", "")),
-                Cell(entry.get("remedy", "") or NOTHING),
+                Cell(entry["label"] or entry["hash"][:8], entry["code"]),
+                Cell(entry["message"]),
+                Cell(entry["remedy"] or NOTHING),
             ]
             for entry in digest.run.failed
         ]

@@ -97,55 +97,34 @@ def _groups(digest: Digest) -> list[tuple[Sequence[CaseResult], str]]:
 
 
 def _pushes(cases: Sequence[CaseResult]) -> list[Push]:
-    contacts = [c for c in constraints(cases[0]) if c.get("kind") == "contact"]
+    contacts = [c for c in constraints(cases[0]) if c["kind"] == "contact"]
     names, indenters = list(moved(cases[0])), _indenters(cases[0])
     # what pulls has no inwards; on an edge the normals of its nodes are no direction of it
-    pulls = any(c.get("kind") in ("line", "traction") for c in constraints(cases[0]))
+    pulls = any(c["kind"] in ("line", "traction") for c in constraints(cases[0]))
     found: list[Push] = []
-    how: tuple[str, str, Callable[[Digest, CaseResult], Curves]] | None
+    how: tuple[str, str, Callable[[CaseResult], float | None]] | None = None
     if any(contact_resultant(case) is not None for case in cases):
-        how = ("contact force", "N", _under_contact)
+        how = ("contact force", "N", contact_resultant)
     elif any(contact_pressure(case) is not None for case in cases):
-        how = ("contact pressure", "Pa", _under_pressure)
+        how = ("contact pressure", "Pa", contact_pressure)
     elif len(cases) == 1 and (contacts or not (names or indenters or pulls)):
-        how = ("load factor", "1", _under_load)
-    else:
-        how = None
+        how = ("load factor", "1", lambda _: 1.0)
     if how is not None:
-        y_label, unit, curves = how
-        place = listed(name_of(c) for c in contacts)
+        y_label, unit, load_of = how
+        place, curves = listed(name_of(c) for c in contacts), partial(_pushed_in, load_of=load_of)
         found.append(Push(place, "indentation", y_label, unit, _CONTACT_NOTE, curves))
     for indenter in indenters:
         place = name_of(indenter)
         found.append(Push(place, "depth", "indenter force", "N", _INDENTER_NOTE, _of_indenter))
     for name in names:
-        found.append(
-            Push(
-                name,
-                "prescribed displacement",
-                "reaction force",
-                "N",
-                _MOVED_NOTE,
-                partial(_of_movement, name=name),
-            )
-        )
+        curves = partial(_of_movement, name=name)
+        found.append(Push(name, "prescribed displacement", "reaction force", "N", _MOVED_NOTE, curves))
     return found
 
 
-def _under_contact(digest: Digest, case: CaseResult) -> Curves:
-    return _pushed_in(digest, case, contact_resultant(case))
-
-
-def _under_pressure(digest: Digest, case: CaseResult) -> Curves:
-    return _pushed_in(digest, case, contact_pressure(case))
-
-
-def _under_load(digest: Digest, case: CaseResult) -> Curves:
-    return _pushed_in(digest, case, 1.0)
-
-
-def _pushed_in(digest: Digest, case: CaseResult, load: float | None) -> Curves:
+def _pushed_in(digest: Digest, case: CaseResult, load_of: Callable[[CaseResult], float | None]) -> Curves:
     """Indentation under a load that is known at load factor 1."""
+    load = load_of(case)
     if load is None:
         return {}
     depths = indentation(case, case.models, digest.surfaces[case.hash].normals)
@@ -168,7 +147,7 @@ def _of_indenter(_: Digest, case: CaseResult) -> Curves:
 
 
 def _indenters(case: CaseResult) -> list[Mapping[str, Any]]:
-    return [entry for entry in constraints(case) if entry.get("kind") == "indenter"]
+    return [entry for entry in constraints(case) if entry["kind"] == "indenter"]
 
 
 @dataclass(frozen=True)

@@ -39,26 +39,23 @@ def scene(digest: Digest) -> Scene | None:
 
 def parts_of(case: CaseResult, cases: Sequence[CaseResult]) -> list[Part]:
     """The regions of a case that something acts on; the labels tell the loads of all `cases`."""
-    acting = [c for c in constraints(case) if str(c.get("region")) in case.regions]
-    contacts = [c for c in acting if c.get("kind") == "contact"]
+    several = sum(c["kind"] == "contact" for c in constraints(case)) > 1
     parts = []
-    for constraint in acting:
-        name, kind = name_of(constraint), kind_of(constraint)
-        nodes = case.regions[str(constraint.get("region"))]
+    for constraint in constraints(case):
+        name, kind, nodes = name_of(constraint), kind_of(constraint), case.regions[constraint["region"]]
         label = _load(name, cases)
-        if kind == "contact" and len(contacts) > 1:
+        if kind == "contact" and several:
             label = f"{name} {label}"
-        vector = None
-        if kind == "constrained" and constraint.get("displacement") is not None:
-            vector = np.array(constraint["displacement"], dtype=float)
-        elif kind in ("line", "traction"):
-            vector = np.array(constraint["resultant"], dtype=float)
-        elif kind == "indenter" and constraint.get("push") is not None:
-            vector = np.array(constraint["push"], dtype=float)
-        elif kind in ("contact", "indenter"):
-            vector = _thrust(case, nodes, constraint)
-        parts.append(Part(name, kind, nodes, vector, label))
+        parts.append(Part(name, kind, nodes, _direction(case, kind, constraint), label))
     return parts
+
+
+def _direction(case: CaseResult, kind: str, constraint: Mapping[str, Any]) -> Array | None:
+    """(3,) of what a constraint moves or pushes; None of a support, and of what pushes from all sides."""
+    key = {"constrained": "displacement", "line": "resultant", "traction": "resultant", "indenter": "push"}
+    if (given := constraint.get(key.get(kind, ""))) is not None:
+        return np.array(given, dtype=float)
+    return _thrust(case, constraint) if kind in ("contact", "indenter") else None
 
 
 def outlines_of(case: CaseResult) -> list[Outline]:
@@ -127,9 +124,8 @@ def scene_words(case: CaseResult, cases: Sequence[CaseResult]) -> list[tuple[str
     rows.append(("Mesh", f"{nodes} surface nodes" + (f", {size} apart" if size else "")))
     for constraint in constraints(case):
         name, kind = name_of(constraint), kind_of(constraint)
-        mask = case.regions.get(str(constraint.get("region")))
-        if mask is not None:
-            rows.append((style_of(kind)[0].capitalize(), _in_words(case, cases, name, constraint, mask)))
+        mask = case.regions[constraint["region"]]
+        rows.append((style_of(kind)[0].capitalize(), _in_words(case, cases, name, constraint, mask)))
     return [(what, value) for what, value in rows if value]
 
 
@@ -157,7 +153,7 @@ def _in_words(
     nodes = plural(int(mask.sum()), "node")
     profile = constraint.get("profile")
     load = _load(name, cases)
-    shape = f"{profile} pressure" if constraint.get("kind") == "contact" and profile else ""
+    shape = f"{profile} pressure" if constraint["kind"] == "contact" and profile else ""
     return ", ".join(filter(None, [name, load, shape, nodes, across]))
 
 
@@ -166,9 +162,10 @@ def _reach(points: Array) -> float:
     return float(np.linalg.norm(points - (points.min(axis=0) + points.max(axis=0)) / 2, axis=1).max())
 
 
-def _thrust(case: CaseResult, nodes: np.ndarray, constraint: Mapping[str, Any]) -> Array | None:
+def _thrust(case: CaseResult, constraint: Mapping[str, Any]) -> Array | None:
     """(3,) direction in which a contact pushes the body; None where it pushes from all sides."""
-    vectors = facet_area_vectors(case.points, case.triangles[nodes[case.triangles].all(axis=1)])
+    inside = case.regions[constraint["region"]][case.triangles].all(axis=1)
+    vectors = facet_area_vectors(case.points, case.triangles[inside])
     total, sizes = vectors.sum(axis=0), np.linalg.norm(vectors, axis=1).sum()
     if np.linalg.norm(total) <= _ALL_ROUND * sizes:
         return None

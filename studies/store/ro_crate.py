@@ -51,7 +51,7 @@ def crate(directory: Path, run: Run) -> Entity:
     dates = sorted(case.provenance["date"] for case in run.cases if "date" in case.provenance)
     last = dates[-1] if dates else datetime.now(UTC).isoformat(timespec="seconds")
     name = str(run.study.get("name", "study"))
-    command = [str(word) for word in run.plan.get("command") or ["run", name]]
+    command = run.plan.get("command") or ["run", name]
     done = not run.failed and not run.missing
     action: Entity = {
         "@id": "#run",

@@ -21,47 +21,46 @@ def constraints(case: CaseResult) -> Sequence[Mapping[str, Any]]:
 
 
 def weighs(case: CaseResult) -> bool:
-    gravity = case.resolved.get("gravity")
-    return isinstance(gravity, Mapping) and bool(np.any(gravity.get("acceleration", 0.0)))
+    gravity = case.resolved.get("gravity") or {}
+    return bool(np.any(gravity.get("acceleration", 0.0)))
 
 
 def name_of(constraint: Mapping[str, Any]) -> str:
-    return str(constraint.get("name") or constraint.get("region") or "")
+    return str(constraint.get("name") or constraint["region"])
 
 
 def kind_of(constraint: Mapping[str, Any]) -> str:
     """Its kind; what is moved by nothing is held."""
-    kind = str(constraint.get("kind"))
-    return "fixed" if kind == "constrained" and not np.any(_prescribed(constraint)) else kind
+    held = constraint["kind"] == "constrained" and not np.any(_prescribed(constraint))
+    return "fixed" if held else str(constraint["kind"])
 
 
 def moved(case: CaseResult) -> dict[str, Mapping[str, Any]]:
     """Constraints that move their region: name -> constraint."""
-    return {
-        name_of(constraint): constraint
-        for constraint in constraints(case)
-        if kind_of(constraint) == "constrained" and str(constraint.get("region")) in case.regions
-    }
+    return {name_of(c): c for c in constraints(case) if kind_of(c) == "constrained"}
 
 
 def _prescribed(constraint: Mapping[str, Any]) -> Array:
     """(3,) displacement at load factor 1 [m], zero where none is given."""
-    given = constraint.get("displacement")
-    if not isinstance(given, Sequence) or len(given) != 3:
-        return np.zeros(3)
-    return np.array(given, dtype=np.float64)
+    return np.array(constraint.get("displacement") or (0.0, 0.0, 0.0), dtype=np.float64)
 
 
 def supports(case: CaseResult) -> NDArray[np.bool_]:
     """(N,) nodes that a support holds or moves."""
+    return _nodes_of(case, "fixed", "constrained")
+
+
+def _nodes_of(case: CaseResult, *kinds: str) -> NDArray[np.bool_]:
+    """(N,) nodes of the regions of all constraints of these kinds."""
     mask = np.zeros(len(case.points), dtype=bool)
     for constraint in constraints(case):
-        if (
-            constraint.get("kind") in ("fixed", "constrained")
-            and str(constraint.get("region")) in case.regions
-        ):
-            mask |= case.regions[str(constraint.get("region"))]
+        if constraint["kind"] in kinds:
+            mask |= case.regions[constraint["region"]]
     return mask
+
+
+def _contacts(case: CaseResult) -> list[Mapping[str, Any]]:
+    return [c for c in constraints(case) if c["kind"] == "contact"]
 
 
 def contact_resultant(case: CaseResult) -> float | None:
@@ -69,28 +68,20 @@ def contact_resultant(case: CaseResult) -> float | None:
 
     Given as `force`, or the integral of a uniform pressure over the facets whose three nodes are in its region.
     """
-    contacts = [c for c in constraints(case) if c.get("kind") == "contact"]
-    if len(contacts) != 1:
+    if len(contacts := _contacts(case)) != 1:
         return None
-    contact = contacts[0]
-    if isinstance(force := contact.get("force"), int | float):
-        return float(force)
-    mask = case.regions.get(str(contact.get("region")))
-    pressure = contact.get("pressure")
-    if (
-        mask is None
-        or not isinstance(pressure, int | float)
-        or contact.get("profile", "uniform") != "uniform"
-    ):
+    (contact,) = contacts
+    if contact.get("force") is not None:
+        return float(contact["force"])
+    if contact.get("pressure") is None or contact.get("profile", "uniform") != "uniform":
         return None
-    return resultant(pressure, mask, case.points, case.triangles)
+    return resultant(contact["pressure"], case.regions[contact["region"]], case.points, case.triangles)
 
 
 def contact_pressure(case: CaseResult) -> float | None:
     """Pressure of a case's only contact at load factor 1 [Pa], whatever its profile; None where none is given."""
-    contacts = [c for c in constraints(case) if c.get("kind") == "contact"]
-    pressure = contacts[0].get("pressure") if len(contacts) == 1 else None
-    return float(pressure) if isinstance(pressure, int | float) else None
+    contacts = _contacts(case)
+    return contacts[0].get("pressure") if len(contacts) == 1 else None
 
 
 def indentation(case: CaseResult, models: Iterable[str], normals: Array) -> dict[str, Array]:
@@ -102,13 +93,7 @@ def indentation(case: CaseResult, models: Iterable[str], normals: Array) -> dict
     ----------
     normals : (N, 3) outward unit normals of the undeformed surface
     """
-    mask = np.zeros(len(case.points), dtype=bool)
-    for constraint in constraints(case):
-        if (
-            constraint.get("kind") in ("contact", "indenter")
-            and str(constraint.get("region")) in case.regions
-        ):
-            mask |= case.regions[str(constraint.get("region"))]
+    mask = _nodes_of(case, "contact", "indenter")
     nodes = np.flatnonzero(mask if mask.any() else ~mask)
     return {model: inward(case.models[model].displacement, nodes, normals) for model in models}
 
@@ -126,7 +111,7 @@ def movement_force(case: CaseResult, model: str, name: str) -> tuple[Array, Arra
     constraint = moved(case)[name]
     prescribed = _prescribed(constraint)
     length = float(np.linalg.norm(prescribed))
-    mask = case.regions[str(constraint.get("region"))]
+    mask = case.regions[constraint["region"]]
     force = along_movement(prescribed, case.models[model].reaction_force, mask)
     return case.load_factors * length, force
 
@@ -137,8 +122,7 @@ def load_unit(case: CaseResult) -> str:
         return "N"
     if contact_pressure(case) is not None:
         return "Pa"
-    has_contact = any(entry.get("kind") == "contact" for entry in constraints(case))
-    return "N" if len(moved(case)) == 1 and not has_contact and case.reference in case.models else ""
+    return "N" if len(moved(case)) == 1 and not _contacts(case) and case.reference in case.models else ""
 
 
 def loads_of(case: CaseResult, unit: str) -> Array:
@@ -168,7 +152,7 @@ def depths_of(case: CaseResult, normals: Array) -> Array:
     """(S,) how far the reference is pushed in, pulled out (negative) or moved [m]; NaN where it is not."""
     if case.reference is None or case.reference not in case.models:
         return np.full(len(case.load_factors), math.nan)
-    if any(entry.get("kind") == "contact" for entry in constraints(case)):
+    if _contacts(case):
         return indentation(case, [case.reference], normals)[case.reference]
     lengths = [movement_force(case, case.reference, name)[0] for name in moved(case)]
     return np.max(lengths, axis=0) if lengths else np.full(len(case.load_factors), math.nan)

@@ -311,9 +311,8 @@ def _settings(digest: Digest, model: str) -> list[Setting]:
 
 def _given(case: CaseResult, model: str) -> set[str]:
     """VDM parameters that the study sets for a model."""
-    own = case.resolved.get("models")
-    table = own.get(model) if isinstance(own, dict) else None
-    return {*(case.resolved.get("vdm") or {}), *(table or {})}
+    own = case.resolved.get("models") or {}
+    return {*(case.resolved.get("vdm") or {}), *own.get(model, {})}
 
 
 def _what_tells(digest: Digest, states: list[str]) -> str:
