@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from scipy.sparse import csc_array
 from threadpoolctl import threadpool_limits
 
-from fem_reference.costs import Estimate, estimate_costs
+from fem_reference.costs import Estimate, estimate_costs, faster_that_fits
 from fem_reference.factorisation import LIBRARY, analyse, pivotable_triangle
 from fem_reference.krylov import gmres, independent_columns
 from fem_reference.memory import allowed_memory, check_memory
@@ -271,10 +271,8 @@ def choose_solver(
         return IterativeSolver(system, memory_limit, "asked for")
     costs = _system_costs(system, max(1, expected_loads))
     allowed = allowed_memory(memory_limit)
-    reason = f"{system.size} unknowns, {expected_loads} loads: " + ", ".join(
-        f"{name} about {cost.seconds:.2g} s and {cost.bytes / 1e6:.0f} MB" for name, cost in costs.items()
-    )
-    if costs["direct"].bytes <= allowed and costs["direct"].seconds <= costs["iterative"].seconds:
+    name, reason = faster_that_fits(costs, f"{system.size} unknowns, {expected_loads} loads", allowed)
+    if name == "direct":
         try:
             return DirectSolver(system, memory_limit, reason, expected_loads)
         except SolverError as error:

@@ -16,7 +16,7 @@ from typing import Protocol
 
 import numpy as np
 
-from fem_reference.costs import NEWTON_STEPS, estimate_costs, estimate_newton_costs
+from fem_reference.costs import NEWTON_STEPS, estimate_costs, estimate_newton_costs, faster_that_fits
 from fem_reference.factorisation import LIBRARY, analyse, pivotable_triangle
 from fem_reference.krylov import gmres
 from fem_reference.linear_algebra import SOLVERS
@@ -148,7 +148,9 @@ class TangentSolver:
             )
         name, self.reason = requested, "asked for"
         if requested == "auto":
-            name, self.reason = _choose(system, expected_loads, memory_limit)
+            costs = estimate_newton_costs(system.size, system.mesh.n_vertices, expected_loads)
+            task = f"{system.size} unknowns, {NEWTON_STEPS * max(1, expected_loads)} solves"
+            name, self.reason = faster_that_fits(costs, task, allowed_memory(memory_limit))
         self.preconditioner: Preconditioner
         try:
             self.preconditioner = (
@@ -194,13 +196,3 @@ class TangentSolver:
         residual = float(np.linalg.norm(rhs - apply(x)))
         # Rounding of the recurrence may leave the true residual a little above the target.
         return x, residual <= 2.0 * tolerance * float(np.linalg.norm(rhs))
-
-
-def _choose(system: LinearSystem, expected_loads: int, memory_limit: float | None) -> tuple[str, str]:
-    costs = estimate_newton_costs(system.size, system.mesh.n_vertices, expected_loads)
-    allowed = allowed_memory(memory_limit)
-    reason = f"{system.size} unknowns, {NEWTON_STEPS * max(1, expected_loads)} solves: " + ", ".join(
-        f"{name} about {cost.seconds:.2g} s and {cost.bytes / 1e6:.0f} MB" for name, cost in costs.items()
-    )
-    direct = costs["direct"].bytes <= allowed and costs["direct"].seconds <= costs["iterative"].seconds
-    return ("direct" if direct else "iterative"), reason

@@ -20,7 +20,7 @@ from ..command import heed_ctrl_c
 
 RUN = Path("results/runs/small")
 CACHE = Path("results/cache")
-_PATH = os.pathsep.join(filter(None, (str(Path(__file__).parents[2]), os.environ.get("PYTHONPATH"))))
+PATH = os.pathsep.join(filter(None, (str(Path(__file__).parents[2]), os.environ.get("PYTHONPATH"))))
 
 
 def start(*arguments: str, cwd: Path, program: str = "runner") -> subprocess.Popen[str]:
@@ -28,7 +28,7 @@ def start(*arguments: str, cwd: Path, program: str = "runner") -> subprocess.Pop
     return subprocess.Popen(
         [sys.executable, "-m", f"tests.robustness.{program}", *arguments],
         cwd=cwd,
-        env={**os.environ, "OMP_NUM_THREADS": "1", "PYTHONPATH": _PATH},
+        env={**os.environ, "OMP_NUM_THREADS": "1", "PYTHONPATH": PATH},
         stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT,
         stdin=subprocess.DEVNULL,

@@ -12,9 +12,10 @@ from pathlib import Path
 
 import pytest
 
-from tests.command import SCRIPT, write_study
+from tests.command import SCRIPT, vdmbench, write_study
 from vdmbench.store import cases as store
 
+from . import processes
 from .processes import RUN
 
 LABEL = "größe ± λ"
@@ -26,16 +27,16 @@ def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A directory with a small study, run once; it has letters that ASCII lacks in what it prints."""
     directory = tmp_path_factory.mktemp("finished")
     write_study(directory, title=("A small sphere", f"{LABEL}: a small sphere"))
-    assert _shell("run small.toml", "", directory).returncode == 0
+    assert vdmbench("run", "small.toml", cwd=directory).returncode == 0
     return directory
 
 
 def _shell(
-    command: str, redirections: str, directory: Path, **environment: str
+    command: str, redirections: str, directory: Path, program: str = f"'{SCRIPT}'", **environment: str
 ) -> subprocess.CompletedProcess[str]:
     """A command as a shell runs it; the exit code is that of `vdmbench`, also in a pipe."""
     return subprocess.run(
-        ["bash", "-c", f"'{SCRIPT}' {command} {redirections}; exit ${{PIPESTATUS[0]}}"],
+        ["bash", "-c", f"{program} {command} {redirections}; exit ${{PIPESTATUS[0]}}"],
         cwd=directory,
         env={**os.environ, "OMP_NUM_THREADS": "1", **environment},
         capture_output=True,
@@ -60,7 +61,8 @@ def _three_cases(directory: Path) -> None:
 def test_a_run_is_done_whoever_reads(tmp_path: Path, redirections: str) -> None:
     """Three cases, after the first of which the reader is gone."""
     _three_cases(tmp_path)
-    result = _shell("run small.toml --jobs 1", redirections, tmp_path)
+    program = f"PYTHONPATH='{processes.PATH}' '{sys.executable}' -m tests.robustness.runner"
+    result = _shell("run small.toml --jobs 1", redirections, tmp_path, program)
     assert result.returncode == 0, result.stderr
     assert len(store.read_run(tmp_path / RUN).cases) == 3
     assert (tmp_path / RUN / "report.html").stat().st_size > 0
@@ -132,8 +134,9 @@ def test_a_terminal_that_is_closed_while_the_bar_runs(tmp_path: Path) -> None:
     _three_cases(tmp_path)
     ours, theirs = pty.openpty()
     with subprocess.Popen(
-        [SCRIPT, "run", "small.toml", "--jobs", "1"],
+        [sys.executable, "-m", "tests.robustness.runner", "run", "small.toml", "--jobs", "1"],
         cwd=tmp_path,
+        env={**os.environ, "PYTHONPATH": processes.PATH},
         stdout=subprocess.DEVNULL,
         stderr=theirs,
         start_new_session=True,

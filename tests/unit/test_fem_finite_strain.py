@@ -518,7 +518,7 @@ def test_auto_turns_to_multigrid_when_the_analysis_finds_too_much_fill(
         for solver in ("direct", "iterative")
     )
     assert iterative < direct
-    monkeypatch.setattr(tangent_solver, "_choose", lambda *_: ("direct", "hopeful"))
+    monkeypatch.setattr(tangent_solver, "faster_that_fits", lambda *_: ("direct", "hopeful"))
     problem = _problem(b, _bottom(b), memory_limit=0.5 * (iterative + direct))
     assert problem.solver.preconditioner.name == "iterative"
     assert problem.solver.reason == "hopeful; the analysis found that the factors need more"
