@@ -3,7 +3,7 @@
 # make verify    the long verification runs; their table goes to results/verification.md
 # make docs      the generated parts of the documents, and the site in build/site
 # make baselines REASON="why": accepts the accuracy of the gated studies as it is now
-# make evidence  WHAT=claims|stability|measured|league|calibrations|performance|accuracy|ratios|anchors|motion|untuned|candidates|error_bars|vdm_speed|fem_speed|mutants:
+# make evidence  WHAT=claims|stability|measured|league|calibrations|performance|accuracy|ratios|anchors|motion|untuned|error_bars|vdm_speed|fem_speed|mutants:
 #                measures anew what a documented table shows, in one thread, for minutes to hours
 # Each sets up what it needs: .venv, pinned packages, and the shared libraries of gmsh and VTK.
 
@@ -39,7 +39,7 @@ baselines: setup
 	  $(RUN)vdmbench run $$study && $(RUN)vdmbench accept results/runs/$$study --reason "$(REASON)" || exit 1; done
 	$(ONE_THREAD) $(RUN)python -m tests.regression.test_bench
 
-# ARGS are the program's own: a liver.obj for accuracy and candidates; --surface liver.obj or --bench FILE for performance
+# ARGS are the program's own: a liver.obj for accuracy; --surface liver.obj or --bench FILE for performance
 evidence: setup
 	@test -n "$(WHAT)" || { echo 'say what: make evidence WHAT=claims'; exit 2; }
 	$(if $(filter fem_speed,$(WHAT)),$(RUN)pip install --quiet --constraint constraints.txt --editable '.[benchmark]')

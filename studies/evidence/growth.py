@@ -91,10 +91,15 @@ def fill_and_flops(model: Model) -> tuple[int, int]:
     A column with c non-zeros costs c^2 operations: a multiplication and an addition for each entry of the triangle
     that it updates.
     """
-    form, free = model.formulation, model.problem.free
-    matrix = form.tension if isinstance(form, VectorFormulation) else form.stiffness()
-    block = sparse.csc_array(matrix[free][:, free])
+    block = factored(model)
     options = {"SymmetricMode": True}
     factor = linalg.splu(block, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options=options)
     columns = np.diff(factor.L.indptr).astype(np.int64)
     return int(columns.sum()), int((columns**2).sum())
+
+
+def factored(model: Model) -> sparse.csc_array:
+    """The matrix that a sparse model's solver factors: the vector form's three components share one."""
+    form, free = model.formulation, model.problem.free
+    matrix = form.tension if isinstance(form, VectorFormulation) else form.stiffness()
+    return sparse.csc_array(matrix[free][:, free])
