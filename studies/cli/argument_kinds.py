@@ -8,6 +8,9 @@ import re
 import stat
 from pathlib import Path
 
+from ..machine.places import results_directory
+from .output import UsageError
+
 _LEAST_MEMORY = 50_000_000
 
 
@@ -66,6 +69,29 @@ def run_directory(text: str) -> Path:
     if not any(map(os.path.exists, (path / "plan.json", path / "cases"))):
         raise argparse.ArgumentTypeError(f"{text}: not a run directory (it has no plan.json)")
     return path
+
+
+def given_run_directory(text: str) -> Path:
+    """The same of a word that may also be a study. Raises UsageError."""
+    try:
+        return run_directory(text)
+    except argparse.ArgumentTypeError as error:
+        raise UsageError(str(error)) from None
+
+
+def baseline_arguments(parser: argparse.ArgumentParser) -> None:
+    """A run, and the file of its baseline."""
+    parser.add_argument("directory", type=run_directory, metavar="DIR", help="run directory")
+    parser.add_argument(
+        "--baseline", type=output_file, metavar="FILE", help="baseline (default results/baselines/STUDY.json)"
+    )
+
+
+def baseline_of(options: argparse.Namespace, study: str) -> Path:
+    """The file that was named, or that of the study."""
+    from ..guard.gate import baseline_path
+
+    return options.baseline or baseline_path(results_directory(), study)
 
 
 def directory(text: str) -> Path:

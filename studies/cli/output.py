@@ -75,23 +75,15 @@ def print_run(run: Run, directory: Path, report: Path, as_json: bool) -> int:
 
 def taken(plan: Mapping[str, Any]) -> str:
     """What the last run took beside what its plan had expected; "" where that is not known."""
-    spent, expected = plan.get("taken"), plan.get("estimate")
-    if not isinstance(spent, dict) or not isinstance(expected, dict):
+    try:
+        spent, expected = plan["taken"], plan["estimate"]
+        return (
+            f"took {spent['seconds']:.0f} s with {count(spent['jobs'], 'job')}: "
+            f"{spent['processor_seconds']:.0f} s of processor; expected {expected['seconds']:.0f} s, "
+            f"within a factor of {expected['factor']:g}"
+        )
+    except (KeyError, TypeError, ValueError):
         return ""
-    numbers = (
-        spent.get("seconds"),
-        spent.get("processor_seconds"),
-        expected.get("seconds"),
-        expected.get("factor"),
-    )
-    jobs = spent.get("jobs")
-    if not (isinstance(jobs, int) and all(isinstance(number, float) for number in numbers)):
-        return ""
-    seconds, used, before, factor = numbers
-    return (
-        f"took {seconds:.0f} s with {count(jobs, 'job')}: {used:.0f} s of processor; expected {before:.0f} s, "
-        f"within a factor of {factor:g}"
-    )
 
 
 def print_answers(told: Iterable[Answer]) -> None:

@@ -1,18 +1,21 @@
-"""The study that a command line names, its plan and its files: for the verbs that take a study."""
+"""The study that a command line names, its plan, its cases and its run: for the verbs that take a study."""
 
 from __future__ import annotations
 
 import argparse
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from ..machine.places import cache_directory, results_directory
+from ..machine.processors import usable_processors
 from .output import UsageError
+from .progress import Progress
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from ..graph.plan import Plan, PlannedCase
+    from ..measures.case import Run
     from ..study.schema import Study
 
 
@@ -95,3 +98,33 @@ def check_files(plan: Plan, cases: Sequence[PlannedCase]) -> None:
             _ = mesh.expected
         except MeshError as error:
             raise geometry_error(plan.study, error) from error
+
+
+def run_missing(plan: Plan, text: str, options: argparse.Namespace, **how: Any) -> tuple[Run, Path]:
+    """Run what is missing of a plan and show how far it is: the run and its report.
+
+    Parameters
+    ----------
+    text : of the study's file
+    how : further `vdmbench.graph.run.Options`
+    """
+    from ..graph.run import Options, run_plan
+    from ..report.rebuild import rebuild
+
+    with Progress(plan.study.study.name, quiet=options.json) as progress:
+        chosen = Options(jobs=options.jobs or usable_processors(), **how)
+        return run_plan(plan, text, chosen, progress.show, rebuild)
+
+
+def only_case(plan: Plan, why: str) -> PlannedCase:
+    """The case of a study without a sweep. Raises UsageError with `why` where there are more."""
+    if len(plan.cases) > 1:
+        raise UsageError(f"{why} a study of one case; leave [sweep] out")
+    return plan.cases[0]
+
+
+def numbered_case(plan: Plan, number: int) -> PlannedCase:
+    """The case that --case names, from 1. Raises UsageError where there is none."""
+    if number > len(plan.cases):
+        raise UsageError(f"--case {number}: the study has {len(plan.cases)} cases")
+    return plan.cases[number - 1]

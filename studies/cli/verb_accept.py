@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 
-from .baselines import baseline_arguments, baseline_of
+from .argument_kinds import baseline_arguments, baseline_of
 from .output import OK, count, print_json
 
 SUMMARY = "make a run's accuracy the baseline"

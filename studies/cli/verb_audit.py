@@ -9,7 +9,6 @@ from pathlib import Path
 from statistics import median
 from typing import TYPE_CHECKING, Any
 
-from ..machine.processors import usable_processors
 from ..machine.streams import harmless
 from .argument_kinds import run_arguments, study_arguments
 from .output import (
@@ -23,13 +22,11 @@ from .output import (
     print_json,
     print_table,
 )
-from .progress import Progress
-from .studies import command_of, load, make_plan, require_own
+from .studies import command_of, load, make_plan, require_own, run_missing
 
 if TYPE_CHECKING:
     from ..evidence.audit import Audited
     from ..graph.plan import Plan
-    from ..measures.case import Run
 
 SUMMARY = "say whether a study's bars hold, by one more mesh level"
 MORE = (
@@ -64,7 +61,7 @@ def run(options: argparse.Namespace) -> int:
     )
     directory = Path(f"{plan.directory}-audit")
     finer = make_plan(finer_study, options, directory=directory, command=command_of("audit", options))
-    runs = [_run(each, words, options) for each, words in ((plan, text), (finer, finer_text))]
+    runs = [run_missing(each, words, options)[0] for each, words in ((plan, text), (finer, finer_text))]
     done, tried = ({case.hash: case for case in one.cases} for one in runs)
     cases = [
         audited(plan, case, done[case.hash], tried[other.hash])
@@ -80,16 +77,6 @@ def run(options: argparse.Namespace) -> int:
     if any(one.failed for one in runs):
         return DAMAGED if any(one.damaged for one in runs) else FAILED
     return OK if hold(cases) else REGRESSED
-
-
-def _run(plan: Plan, text: str, options: argparse.Namespace) -> Run:
-    from ..graph.run import Options, run_plan
-    from ..report.rebuild import rebuild
-
-    with Progress(plan.study.study.name, quiet=options.json) as progress:
-        how = Options(jobs=options.jobs or usable_processors())
-        found, _ = run_plan(plan, text, how, progress.show, rebuild)
-    return found
 
 
 def _data(cases: Sequence[Audited], plan: Plan, finer: Plan, levels: int) -> dict[str, Any]:

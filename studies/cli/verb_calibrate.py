@@ -6,11 +6,9 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from ..machine.processors import usable_processors
 from .argument_kinds import run_arguments, study_arguments
 from .output import FAILED, OK, UsageError, complain_of_failures, print_json, print_table
-from .progress import Progress
-from .studies import command_of, load, make_plan, require_own
+from .studies import command_of, load, make_plan, only_case, require_own, run_missing
 
 if TYPE_CHECKING:
     from ..graph.plan import Plan
@@ -95,9 +93,7 @@ def _fit_measured(plan: Plan, options: argparse.Namespace) -> int:
     from ..evidence.modulus import NothingMeasuredError, fit_modulus
     from ..verdict.formatting import percent, quantity
 
-    if len(plan.cases) > 1:
-        raise UsageError("--measured fits a study of one case; leave [sweep] out")
-    (case,) = plan.cases
+    case = only_case(plan, "--measured fits")
     if not case.study.measured:
         raise UsageError("the study has no [[measured]] table to fit")
     mesh = mesh_from_cache(plan.meshes[case.mesh].geometry, plan.cache)
@@ -107,32 +103,17 @@ def _fit_measured(plan: Plan, options: argparse.Namespace) -> int:
         raise UsageError(str(error)) from error
     if options.json:
         return print_json([asdict(fit) for fit in fits])
-    columns = (
-        "model",
-        "E fitted",
-        "± by u_D",
-        "rms E, fitted",
-        "rms E, held out",
-        "of rms D",
-        "with E as given",
-    )
     print_table(
         [
-            dict(
-                zip(
-                    columns,
-                    (
-                        fit.model,
-                        quantity(fit.modulus, "Pa"),
-                        quantity(fit.uncertainty, "Pa", 2),
-                        quantity(fit.trained, fit.unit),
-                        quantity(fit.held_out, fit.unit),
-                        percent(fit.held_out / fit.size) if fit.size > 0.0 else "–",
-                        quantity(fit.as_given, fit.unit),
-                    ),
-                    strict=True,
-                )
-            )
+            {
+                "model": fit.model,
+                "E fitted": quantity(fit.modulus, "Pa"),
+                "± by u_D": quantity(fit.uncertainty, "Pa", 2),
+                "rms E, fitted": quantity(fit.trained, fit.unit),
+                "rms E, held out": quantity(fit.held_out, fit.unit),
+                "of rms D": percent(fit.held_out / fit.size) if fit.size > 0.0 else "–",
+                "with E as given": quantity(fit.as_given, fit.unit),
+            }
             for fit in fits
         ]
     )
@@ -149,11 +130,6 @@ def _fit_measured(plan: Plan, options: argparse.Namespace) -> int:
 
 def _run_for_fit(plan: Plan, path: Path, options: argparse.Namespace) -> tuple[Plan, Run]:
     """Run what is missing of a study that parameters are fitted on, and say what failed."""
-    from ..graph.run import Options, run_plan
-    from ..report.rebuild import rebuild
-
-    with Progress(plan.study.study.name, quiet=options.json) as progress:
-        how = Options(jobs=options.jobs or usable_processors())
-        run, _ = run_plan(plan, path.read_text(), how, progress.show, rebuild)
+    run, _ = run_missing(plan, path.read_text(), options)
     complain_of_failures(run)
     return plan, run

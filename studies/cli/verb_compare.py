@@ -8,16 +8,12 @@ import os
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from ..machine.processors import usable_processors
 from ..machine.streams import harmless
-from .argument_kinds import file_arguments, run_arguments, run_directory
+from .argument_kinds import file_arguments, given_run_directory, run_arguments
 from .output import FAILED, OK, UsageError, complain_of_failures, print_json, print_run, tell
-from .progress import Progress
-from .studies import load, make_plan, require_own
+from .studies import load, make_plan, only_case, require_own, run_missing
 
 if TYPE_CHECKING:
-    from ..graph.plan import Plan
-    from ..measures.case import Run
     from ..measures.foreign import Foreign
 
 SUMMARY = (
@@ -64,10 +60,7 @@ def _side_by_side(options: argparse.Namespace) -> int:
     from ..guard.side_by_side import as_text, side_by_side
     from ..store.cases import read_run
 
-    try:
-        paths = [run_directory(text) for text in options.directories]
-    except argparse.ArgumentTypeError as error:
-        raise UsageError(str(error)) from None
+    paths = map(given_run_directory, options.directories)
     directories = {os.path.normpath(path): path for path in paths}
     if not 2 <= len(directories) <= MOST:
         raise UsageError(f"give 2 to {MOST} different run directories, not {len(directories)}")
@@ -113,14 +106,12 @@ def _judge(options: argparse.Namespace) -> int:
     study, path = load(options)
     plan = make_plan(study, options)
     require_own(plan, options)
-    if len(plan.cases) > 1:
-        raise UsageError("--result judges a study of one case; leave [sweep] out")
+    case = only_case(plan, "--result judges")
     if name in plan.study.study.models:
         raise UsageError(f"--name: {name} is a model of the study; give the program another name")
-    (case,) = plan.cases
     mesh = mesh_from_cache(plan.meshes[case.mesh].geometry, plan.cache)
     foreign = read_foreign(options.result, mesh, options.array)
-    found = _run(plan, path, options)
+    found, _ = run_missing(plan, path.read_text(), options)
     if not found.cases:
         complain_of_failures(found)
         return FAILED
@@ -130,16 +121,6 @@ def _judge(options: argparse.Namespace) -> int:
     if not options.json:
         tell(_mapping(foreign))
     return print_run(found, plan.directory, report, options.json)
-
-
-def _run(plan: Plan, path: Path, options: argparse.Namespace) -> Run:
-    from ..graph.run import Options, run_plan
-    from ..report.rebuild import rebuild
-
-    with Progress(plan.study.study.name, quiet=options.json) as progress:
-        how = Options(jobs=options.jobs or usable_processors())
-        found, _ = run_plan(plan, path.read_text(), how, progress.show, rebuild)
-    return found
 
 
 def _mapping(foreign: Foreign) -> str:

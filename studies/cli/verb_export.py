@@ -6,9 +6,9 @@ import argparse
 from pathlib import Path
 
 from ..machine.streams import harmless
-from .argument_kinds import directory, positive, run_directory, study_arguments
+from .argument_kinds import directory, given_run_directory, positive, study_arguments
 from .output import OK, UsageError, print_json
-from .studies import load, make_plan
+from .studies import load, make_plan, numbered_case
 
 SUMMARY = "write a run's tables, figures and meshes, or a study's scene for other programs"
 MORE = (
@@ -46,10 +46,7 @@ def _export_run(options: argparse.Namespace, out: Path) -> int:
     from ..report.export import exported
     from ..store.cases import read_run
 
-    try:
-        path = run_directory(options.study)
-    except argparse.ArgumentTypeError as error:
-        raise UsageError(str(error)) from None
+    path = given_run_directory(options.study)
     run = read_run(path)
     if not run.cases:
         raise UsageError(f"{path}: no case is finished, so there is nothing to export")
@@ -79,9 +76,7 @@ def _export_scene(options: argparse.Namespace, out: Path) -> int:
 
     study, _ = load(options)
     plan = make_plan(study, options)
-    if options.case > len(plan.cases):
-        raise UsageError(f"--case {options.case}: the study has {len(plan.cases)} cases")
-    case = plan.cases[options.case - 1]
+    case = numbered_case(plan, options.case)
     mesh = mesh_from_cache(plan.meshes[case.mesh].geometry, plan.cache)
     history = case.study.load.history
     factor = history[full_load_step(np.array(history))]

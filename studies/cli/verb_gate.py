@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import argparse
 
-from .argument_kinds import output_file
-from .baselines import baseline_arguments, baseline_of
+from .argument_kinds import baseline_arguments, baseline_of, output_file
 from .output import NOTHING_COMPARED, OK, REGRESSED, complain, print_json
 
 SUMMARY = "hold a run's accuracy against its baseline"

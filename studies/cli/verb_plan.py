@@ -21,9 +21,9 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Print what a run would do, and what it would cost."""
+    from ..graph.estimate import free_bytes
     from ..graph.explain import summary
     from ..graph.mermaid import mermaid
-    from ..graph.space import free_bytes
 
     study, _ = load(options)
     plan = make_plan(study, options)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 
-from ..machine.processors import usable_processors
 from .argument_kinds import (
     plan_arguments,
     positive_seconds,
@@ -12,8 +11,7 @@ from .argument_kinds import (
     size_in_bytes,
 )
 from .output import FAILED, complain, count, print_run
-from .progress import Progress
-from .studies import load, make_plan, require_own
+from .studies import load, make_plan, require_own, run_missing
 
 SUMMARY = "run what is missing and write the report"
 
@@ -50,26 +48,17 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Run what is missing, write the report, print the headline table."""
-    from ..graph.run import Options, lost_cases, run_plan
-    from ..report.rebuild import rebuild
+    from ..graph.run import lost_cases
 
     study, path = load(options)
     plan = make_plan(study, options)
     require_own(plan, options)
-    how = Options(
-        jobs=options.jobs or usable_processors(),
-        shard=options.shard,
-        timeout=options.timeout,
-        memory=options.memory,
-        fail_fast=options.fail_fast,
-        scheduler=options.scheduler,
-        insecure_scheduler=options.insecure_scheduler,
-    )
-    with Progress(study.study.name, quiet=options.json) as progress:
-        run, report = run_plan(plan, path.read_text(), how, progress.show, rebuild)
+    names = ("shard", "timeout", "memory", "fail_fast", "scheduler", "insecure_scheduler")
+    how = {name: getattr(options, name) for name in names}
+    run, report = run_missing(plan, path.read_text(), options, **how)
     code = print_run(run, plan.directory, report, options.json)
     stopped = options.fail_fast and run.failed  # before it came to all
-    if lost := [] if stopped else lost_cases(plan, how.shard, run):
+    if lost := [] if stopped else lost_cases(plan, options.shard, run):
         told = f"no longer in {plan.directory}: {count(len(lost), 'case')} of this run, first {lost[0]}"
         complain(f"{told}; run the same again", FAILED)
         return code or FAILED

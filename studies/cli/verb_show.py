@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING
 from ..machine.streams import harmless
 from .argument_kinds import output_file, positive, study_arguments
 from .output import OK, UsageError, print_json
-from .studies import load, make_plan
+from .studies import load, make_plan, numbered_case
 
 if TYPE_CHECKING:
-    from ..graph.plan import Plan
+    from ..graph.plan import Plan, PlannedCase
     from ..measures.case import CaseResult
 
 SUMMARY = "draw body, regions and loads of a study before anything is solved"
@@ -42,9 +42,7 @@ def run(options: argparse.Namespace) -> int:
         raise UsageError("--window: there is no display here; the picture of --save shows the same")
     study, _ = load(options)
     plan = make_plan(study, options)
-    if options.case > len(plan.cases):
-        raise UsageError(f"--case {options.case}: the study has {len(plan.cases)} cases")
-    case = _unsolved(plan, options.case - 1)
+    case = _unsolved(plan, numbered_case(plan, options.case))
     words = scene_words(case, [case])
     path = options.save or Path(f"{study.study.name}-scene.png")
     title = f"{study.study.title}: {case.label}" if case.label else study.study.title
@@ -62,13 +60,12 @@ def run(options: argparse.Namespace) -> int:
     return OK
 
 
-def _unsolved(plan: Plan, number: int) -> CaseResult:
+def _unsolved(plan: Plan, case: PlannedCase) -> CaseResult:
     """A case with its scene and no answer. Raises StudyError where the scene cannot be put on its mesh."""
     from ..graph.scene_check import scene_of
     from ..measures.case import CaseResult
     from ..study.config import resolved
 
-    case = plan.cases[number]
     scene = scene_of(plan, case)
     return CaseResult(
         hash=case.hash,

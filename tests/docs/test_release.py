@@ -11,7 +11,7 @@ import pytest
 import yaml
 
 from vdmbench.cli.arguments import VERBS, parse
-from vdmbench.cli.doctor import LIBRARIES
+from vdmbench.cli.verb_doctor import LIBRARIES
 
 ROOT = Path(__file__).parents[2]
 

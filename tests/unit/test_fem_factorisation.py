@@ -34,7 +34,7 @@ _ANSWER = """
 import json
 import warnings
 warnings.simplefilter("error")
-from vdmbench.cli.doctor import examine
+from vdmbench.cli.verb_doctor import examine
 from tests.unit.test_fem_factorisation import answers
 doctor = next(finding for finding in examine() if finding.what == "rslab")
 print(json.dumps([answers(), doctor]))

@@ -16,7 +16,7 @@ from tests.unit.report_runs import icosphere
 from vdm.material import Parameters
 from vdm.surface import SurfaceMesh
 from vdmbench import models
-from vdmbench.cli.doctor import LIBRARIES, PACKAGES
+from vdmbench.cli.verb_doctor import LIBRARIES, PACKAGES
 from vdmbench.models import costs
 from vdmbench.scene.result import ModelResult
 
