@@ -17,8 +17,8 @@ from typing import Any
 
 import numpy as np
 
-from tests.command import vdmbench_process as vdmbench
 from tools import marked
+from tools.runs import CASES, ROOT, finished
 from vdmbench.measures.bars import at_full_load, reference_bar
 from vdmbench.measures.case import CaseResult, Run
 from vdmbench.measures.metrics import DEFORMATION, VECTOR
@@ -27,9 +27,7 @@ from vdmbench.store.cases import read_run
 from vdmbench.study.overrides import overridden
 from vdmbench.verdict.formatting import NOTHING
 
-ROOT = Path(__file__).parents[1]
 DOCUMENT = ROOT / "docs" / "evidence" / "accuracy.md"
-CASES = ROOT / "studies" / "cases"
 STUDIES = ("sphere", "ellipsoid", "box", "cylinder", "organ")
 CHEAPEST = "box"
 # of the models in the studies, what the table calls them
@@ -138,9 +136,7 @@ def run_of(
     with tempfile.TemporaryDirectory() as name:
         path = Path(name) / "study.toml"
         path.write_text(overridden((CASES / f"{study}.toml").read_text(), changes(study)))
-        result = vdmbench("run", path, *given, "--out", out, "--json", cwd=cwd, seconds=7200)
-    if result.returncode:
-        raise RuntimeError(result.stderr)
+        finished("run", path, *given, "--out", out, "--json", cwd=cwd)
     return read_run(out)
 
 

@@ -18,8 +18,8 @@ from typing import Any
 
 import numpy as np
 
-from tests.command import vdmbench_process as vdmbench
 from tools import marked
+from tools.runs import CASES, ROOT, RUNS, finished
 from vdmbench.evidence.calibrate import body, worse_than_rule
 from vdmbench.evidence.fit import Errors, Trial, least_error
 from vdmbench.evidence.search import WIDEST
@@ -29,7 +29,6 @@ from vdmbench.report.rebuild import rebuild
 from vdmbench.study.config import expand, load_study
 from vdmbench.verdict.formatting import NOTHING, percent
 
-ROOT = Path(__file__).parents[1]
 DOCUMENT = ROOT / "results" / "calibrations.md"
 TABLES = ROOT / "results" / "calibrations"
 TISSUE = TABLES / "tissue.json"
@@ -62,13 +61,10 @@ def calibrated(study: str) -> dict[str, Any]:
         a study that did not finish.
     """
     others = [word for other in STUDIES if other != study for word in ("--transfer", other)]
-    result = vdmbench("calibrate", study, *others, "--json", cwd=ROOT, seconds=3600)
-    if result.returncode:
-        raise RuntimeError(result.stderr)
-    found: dict[str, Any] = json.loads(result.stdout)[study]
+    found: dict[str, Any] = json.loads(finished("calibrate", study, *others, "--json"))[study]
     TABLES.mkdir(exist_ok=True)
     for suffix in ("toml", "json"):
-        shutil.copy(ROOT / "results" / "runs" / study / f"calibration.{suffix}", TABLES / f"{study}.{suffix}")
+        shutil.copy(RUNS / study / f"calibration.{suffix}", TABLES / f"{study}.{suffix}")
     return found
 
 
@@ -77,7 +73,7 @@ def in_tissue(study: str, directory: Path, **tissue: str) -> dict[str, dict[str,
 
     The reference is that of the study's own mesh: half the work, and what differs is the tissue alone.
     """
-    text = (ROOT / "studies" / "cases" / f"{study}.toml").read_text()
+    text = (CASES / f"{study}.toml").read_text()
     text = text.replace("[uncertainty]\nlevels = 2\n", "")
     for key, value in tissue.items():
         text, changed = re.subn(rf"^{key} = .*$", f"{key} = {value}", text, flags=re.MULTILINE)

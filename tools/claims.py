@@ -7,17 +7,14 @@ The studies run in `results/runs`, where what is there already is kept; the page
 from __future__ import annotations
 
 import tomllib
-from pathlib import Path
 
-from tests.command import vdmbench_process as vdmbench
 from tools import gallery, marked
+from tools.runs import CASES, ROOT, RUNS, finished
 from vdmbench.evidence.claims_page import verdict_rows, write_claims
 from vdmbench.store.cases import read_run
 
-ROOT = Path(__file__).parents[1]
 DOCUMENT = ROOT / "docs" / "evidence" / "claims.md"
 PAGE = ROOT / "docs" / "gallery" / "claims.html"
-CASES = ROOT / "studies" / "cases"
 PART = "claims"
 _PICTURES = "claim pictures"
 
@@ -32,10 +29,8 @@ def main() -> None:
     """Run the studies one after another, in one process at a time so that times can be compared."""
     names = studies_on_trial()
     for name in names:
-        result = vdmbench("run", name, "--jobs", "1", cwd=ROOT, seconds=3600)
-        if result.returncode:
-            raise RuntimeError(f"{name}: {result.stderr}")
-    found = write_claims([read_run(ROOT / "results" / "runs" / name) for name in names], PAGE)
+        finished("run", name, "--jobs", "1")
+    found = write_claims([read_run(RUNS / name) for name in names], PAGE)
     rows = verdict_rows(found)
     marked.show(DOCUMENT, PART, marked.table(list(rows[0]), [list(row.values()) for row in rows]))
     marked.show(DOCUMENT, _PICTURES, gallery.as_markdown(gallery.write_claim_pictures(found)))

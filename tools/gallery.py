@@ -13,12 +13,12 @@ from markupsafe import escape
 from PIL import Image
 
 from tests.unit.browser import Browser, chromium
+from tools.runs import ROOT
 from vdmbench.evidence.claims_page import Verdict
 from vdmbench.report.blocks import Figure
 from vdmbench.report.plots import shape
 from vdmbench.verdict.palette import COLOURS
 
-ROOT = Path(__file__).parents[1]
 GALLERY = ROOT / "docs" / "gallery"
 _CSS = ROOT / "studies" / "report" / "templates" / "page.css"
 _COLUMNS = 3  # of pictures in a row

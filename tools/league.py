@@ -13,14 +13,13 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from importlib.metadata import version
 from importlib.util import find_spec
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from tests.command import vdmbench_process as vdmbench
 from tools import marked
 from tools.gallery import GALLERY, panels
+from tools.runs import ROOT, RUNS, finished
 from vdmbench.machine.processors import processor_name, usable_processors
 from vdmbench.measures.bars import value_bar
 from vdmbench.measures.case import Run
@@ -32,7 +31,6 @@ from vdmbench.study.registry import missing
 from vdmbench.verdict import palette
 from vdmbench.verdict.formatting import NOTHING, percent, quantity, short_percent
 
-ROOT = Path(__file__).parents[1]
 DOCUMENT = ROOT / "docs" / "evidence" / "league.md"
 PART = "league"
 MODELS = (
@@ -291,10 +289,8 @@ def main() -> None:
         for load in LOADS:
             path = studies / f"{body}-{load}.toml"
             path.write_text(study_text(body, load, models), encoding="utf-8")
-            out = ROOT / "results" / "runs" / f"league-{body}-{load}"
-            result = vdmbench("run", path, "--out", out, "--jobs", "1", cwd=ROOT, seconds=3600)
-            if result.returncode:
-                raise RuntimeError(result.stderr)
+            out = RUNS / f"league-{body}-{load}"
+            finished("run", path, "--out", out, "--jobs", "1")
             found += entries(read_run(out), models)
     (GALLERY / "league.svg").write_text(picture(found), encoding="utf-8")
     marked.show(DOCUMENT, PART, section(found, left_out))

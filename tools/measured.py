@@ -12,8 +12,8 @@ import shutil
 from pathlib import Path
 from typing import Any
 
-from tests.command import vdmbench_process as vdmbench
 from tools import marked
+from tools.runs import ROOT, RUNS, finished
 from vdmbench.measures.case import Run
 from vdmbench.report.blocks import Table
 from vdmbench.report.section_measurement import against_measurement
@@ -24,7 +24,6 @@ from vdmbench.study.shipped import study_path
 from vdmbench.verdict.digest import Digest
 from vdmbench.verdict.formatting import NOTHING, percent, quantity
 
-ROOT = Path(__file__).parents[1]
 DOCUMENT = ROOT / "docs" / "evidence" / "measured.md"
 STUDIES = ("phantom-beam", "phantom-cylinder")
 # beside the study's own models; linear answers of others are those of ours
@@ -84,20 +83,13 @@ def with_peers(name: str, folder: Path) -> Path:
     return path
 
 
-def _done(*arguments: str | Path) -> str:
-    result = vdmbench(*arguments, cwd=ROOT, seconds=7200)
-    if result.returncode:
-        raise RuntimeError(result.stderr)
-    return result.stdout
-
-
 def main() -> None:
     """Run and fit both, and write the page's tables."""
     for study in STUDIES:
-        out = ROOT / "results" / "runs" / f"{study}-peers"
-        _done("run", with_peers(study, ROOT / "build" / "measured"), "--out", out)
+        out = RUNS / f"{study}-peers"
+        finished("run", with_peers(study, ROOT / "build" / "measured"), "--out", out)
         marked.show(DOCUMENT, study, table(read_run(out)))
-        fitted = json.loads(_done("calibrate", study, "--measured", "--json"))
+        fitted = json.loads(finished("calibrate", study, "--measured", "--json"))
         marked.show(DOCUMENT, f"{study}-fit", fits(fitted))
 
 

@@ -10,7 +10,8 @@ from pathlib import Path
 import numpy as np
 
 from tools import marked
-from tools.accuracy import CASES, DOCUMENT, as_per_cent
+from tools.accuracy import DOCUMENT, as_per_cent
+from tools.runs import CASES
 from vdmbench import models
 from vdmbench.body.geometry import build_mesh
 from vdmbench.body.surface_measures import Surface

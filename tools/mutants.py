@@ -18,8 +18,8 @@ from queue import Queue
 from typing import NamedTuple
 
 from tools import marked
+from tools.runs import ROOT
 
-ROOT = Path(__file__).parents[1]
 DOCUMENT, PART = ROOT / "docs" / "evidence" / "mutants.md", "mutants"
 SURVIVES = "**survives**"
 COPIED = ("vdm", "fem_reference", "studies", "tests", "tools", "docs", "pyproject.toml")

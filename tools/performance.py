@@ -12,9 +12,9 @@ from pathlib import Path
 
 import numpy as np
 
-from tests.command import vdmbench_process as vdmbench
 from tools import marked
-from tools.gallery import panels
+from tools.gallery import GALLERY, panels
+from tools.runs import ROOT, finished
 from vdmbench.evidence.bench_data import (
     FAR_OFF,
     YARDSTICK,
@@ -31,9 +31,7 @@ from vdmbench.evidence.bench_page import pareto_plot, write_bench_page
 from vdmbench.evidence.bench_store import read_bench
 from vdmbench.verdict import palette
 
-ROOT = Path(__file__).parents[1]
 DOCUMENT = ROOT / "docs" / "evidence" / "performance.md"
-GALLERY = ROOT / "docs" / "gallery"
 MEASURED = ROOT / "results" / "bench" / "bench.h5"
 PART = "performance"
 # models that stand for their kind; the others differ from them by their solver, and are in the whole table
@@ -188,9 +186,7 @@ def main() -> None:
     if not given.bench:
         third = ["--surface", given.surface.absolute()] if given.surface else []
         command = ["bench", "--large", *third, "--out", MEASURED.parent]
-        result = vdmbench(*command, cwd=ROOT, seconds=3600, OPENBLAS_NUM_THREADS="1")
-        if result.returncode:
-            raise RuntimeError(result.stderr)
+        finished(*command, OPENBLAS_NUM_THREADS="1")
     bench = read_bench(given.bench or MEASURED)
     (GALLERY / "performance.svg").write_text(picture(bench), encoding="utf-8")
     write_bench_page(bench, GALLERY / "bench.html")

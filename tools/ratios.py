@@ -16,7 +16,8 @@ from typing import Any
 import numpy as np
 
 from tools import marked
-from tools.accuracy import CASES, DOCUMENT, MEASURES, STUDIES, as_per_cent, run_of
+from tools.accuracy import DOCUMENT, MEASURES, STUDIES, as_per_cent, run_of
+from tools.runs import CASES
 from vdmbench.measures.bars import at_full_load, reference_bar
 from vdmbench.measures.case import CaseResult, Run
 

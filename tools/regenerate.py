@@ -12,11 +12,10 @@ import sys
 import tempfile
 from pathlib import Path
 
-from tests.command import vdmbench_process as vdmbench
 from tools import gallery, marked
+from tools.runs import ROOT, finished
 from vdmbench.study.fields import field_table
 
-ROOT = Path(__file__).parents[1]
 README = ROOT / "README.md"
 STUDY_KEYS = ROOT / "studies" / "STUDY.md"
 PICTURE = gallery.GALLERY / "liver-palpation.png"
@@ -30,10 +29,7 @@ NOTEBOOK = ROOT / "docs" / "reference" / "quickstart.ipynb"
 
 def headline_table(directory: Path) -> str:
     """The errors of the quickstart as Markdown, and the floor of forms along normals, run in `directory`."""
-    result = vdmbench("run", "quickstart", "--json", cwd=directory)
-    if result.returncode:
-        raise RuntimeError(result.stderr)
-    rows = json.loads(result.stdout)["headline"]
+    rows = json.loads(finished("run", "quickstart", "--json", cwd=directory))["headline"]
     rated = [row for row in rows if row["displacement error"] != "–"]
     table = marked.table(COLUMNS, ([row[column] for column in COLUMNS] for row in rated))
     floors = (f"{row['model']} {row['along normals']}" for row in rated if row["along normals"])
@@ -62,10 +58,8 @@ def notebook() -> str:
 
 def graph_of_quickstart(directory: Path) -> str:
     """The quickstart's graph for Mermaid, as nothing of it was done."""
-    result = vdmbench("plan", "quickstart", "--graph", "--fresh", cwd=directory)
-    if result.returncode:
-        raise RuntimeError(result.stderr)
-    return f"```mermaid\n{result.stdout}```\n"
+    told = finished("plan", "quickstart", "--graph", "--fresh", cwd=directory)
+    return f"```mermaid\n{told}```\n"
 
 
 def study_keys() -> str:
@@ -92,10 +86,8 @@ def main() -> None:
         marked.show(ARCHITECTURE, GRAPH, graph_of_quickstart(Path(name)))
         STUDY_KEYS.write_text(study_keys())
         NOTEBOOK.write_text(notebook())
-        vdmbench("run", "liver-palpation", *surface, "--out", "liver", cwd=Path(name))
-        result = vdmbench("report", "liver", "--picture", "liver.png", cwd=Path(name))
-        if result.returncode:
-            raise RuntimeError(result.stderr)
+        finished("run", "liver-palpation", *surface, "--out", "liver", cwd=Path(name))
+        finished("report", "liver", "--picture", "liver.png", cwd=Path(name))
         PICTURE.parent.mkdir(exist_ok=True)
         shutil.copy(Path(name) / "liver.png", PICTURE)
         gallery.report_picture(Path(name) / "results" / "runs" / "quickstart" / "report.html", REPORT)

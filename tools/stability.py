@@ -10,16 +10,14 @@ from pathlib import Path
 
 import numpy as np
 
-from tests.command import vdmbench_process as vdmbench
 from tools import marked
+from tools.runs import CASES, ROOT, RUNS, finished
 from vdmbench.store.cases import Run, read_run
 from vdmbench.verdict.digest import Digest
 from vdmbench.verdict.formatting import parameter_name
 from vdmbench.verdict.ladders import Ladder, alike, ladders
 
-ROOT = Path(__file__).parents[1]
 DOCUMENT = ROOT / "docs" / "evidence" / "stability.md"
-CASES = ROOT / "studies" / "cases"
 HEADING = ["study", "parameter", "range", "stand it all", "break down at"]
 PART = "stability"
 
@@ -78,10 +76,8 @@ def main() -> None:
     """Run the studies one after another and write the table."""
     names = stability_studies()
     for name in names:
-        result = vdmbench("run", name, cwd=ROOT, seconds=7200)
-        if result.returncode not in (0, 3):
-            raise RuntimeError(f"{name}: {result.stderr}")
-    write([ROOT / "results" / "runs" / name for name in names])
+        finished("run", name, codes=(0, 3))
+    write([RUNS / name for name in names])
 
 
 if __name__ == "__main__":

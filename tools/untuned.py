@@ -18,9 +18,11 @@ import meshio
 import numpy as np
 from numpy.typing import NDArray
 
-from tests.command import vdmbench_process as vdmbench
 from tests.unit import vdm_shapes
 from tools import marked
+from tools.accuracy import as_per_cent
+from tools.ratios import RATIOS
+from tools.runs import ROOT, finished
 from vdmbench.body.geometry import build_mesh
 from vdmbench.measures.bars import at_full_load, reference_bar
 from vdmbench.measures.case import CaseResult
@@ -29,11 +31,9 @@ from vdmbench.scene.warnings import scene_warnings
 from vdmbench.store.cases import read_run
 from vdmbench.study.shapes import Geometry
 
-ROOT = Path(__file__).parents[1]
 DOCUMENT = ROOT / "docs" / "evidence" / "untuned.md"
 RUNS = ROOT / "build" / "untuned"  # what is there is not done again
 FORM, ELEMENTS = "vdm-boundary", "fem-linear"
-RATIOS = (0.3, 0.45, 0.49, 0.4999)
 ENOUGH = 0.1
 
 Array = NDArray[np.float64]
@@ -221,9 +221,7 @@ def solved(name: str, body: Body, directory: Path) -> Iterable[Row]:
         )
         (directory / "untuned.toml").write_text(study)
         out = load.replace(" ", "-")
-        result = vdmbench("run", "untuned.toml", "--out", out, cwd=directory, seconds=7200)
-        if result.returncode:
-            raise RuntimeError(result.stderr)
+        finished("run", "untuned.toml", "--out", out, cwd=directory)
         yield from (_row(name, load, case) for case in read_run(directory / out).cases)
 
 
@@ -249,25 +247,21 @@ def written(rows: Sequence[Row]) -> tuple[str, str]:
         own = [row for row in rows if (row.body, row.load) == (body, load)]
         bars = max(own, key=lambda row: row.own[0]).own
         told = max(own, key=lambda row: (bool(row.told), row.worst)).told
-        cells = [" / ".join(_per_cent(e) for e in row.errors[FORM]) for row in own]
+        cells = [" / ".join(as_per_cent(e) for e in row.errors[FORM]) for row in own]
         elements = max(row.errors[ELEMENTS] for row in own)
-        shown = (" / ".join(map(_per_cent, pair)) for pair in (elements, bars))
+        shown = (" / ".join(map(as_per_cent, pair)) for pair in (elements, bars))
         lines.append([body, str(own[0].nodes), load, *cells, *shown, told or "nothing"])
     head = ["body", "nodes", "load", *(f"nu {ratio}" for ratio in RATIOS), "elements, at worst", "±", "told"]
     within = sum(row.worst <= ENOUGH for row in rows)
     silent = [row for row in rows if row.worst > ENOUGH and not row.told]
     medians = [median(row.errors[model][k] for row in rows) for model in (FORM, ELEMENTS) for k in range(2)]
-    form, elements = (" / ".join(map(_per_cent, pair)) for pair in (medians[:2], medians[2:]))
+    form, elements = (" / ".join(map(as_per_cent, pair)) for pair in (medians[:2], medians[2:]))
     rest = len(rows) - within
     told = (
-        f"{within} of {len(rows)} cases are within {_per_cent(ENOUGH)} % in both errors. Of the other {rest} the "
+        f"{within} of {len(rows)} cases are within {as_per_cent(ENOUGH)} % in both errors. Of the other {rest} the "
         f"tool gives {len(silent)} without a reservation.\nMedians: {form} %, of the elements {elements} %.\n"
     )
     return marked.table(head, lines), told
-
-
-def _per_cent(share: float) -> str:
-    return f"{100 * share:.0f}" if share >= 0.0995 else f"{100 * share:.1f}"
 
 
 def main() -> None:

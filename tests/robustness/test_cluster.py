@@ -22,7 +22,7 @@ import pytest
 import trustme
 
 from tests.command import SCRIPT, heed_ctrl_c, vdmbench, vdmbench_process, write_study
-from tools.site import ROOT
+from tools.runs import ROOT
 from vdmbench.graph.cluster import LOOPBACK, AddressError, checked_address, refusal
 from vdmbench.store.cases import read_case
 

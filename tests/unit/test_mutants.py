@@ -5,7 +5,8 @@ from __future__ import annotations
 import pytest
 
 from tools import marked
-from tools.mutants import DOCUMENT, MUTANTS, PART, ROOT, SURVIVES, Mutant, caught_of, changed, table_of
+from tools.mutants import DOCUMENT, MUTANTS, PART, SURVIVES, Mutant, caught_of, changed, table_of
+from tools.runs import ROOT
 
 
 @pytest.mark.parametrize("mutant", MUTANTS, ids=lambda mutant: mutant.old[:30])
