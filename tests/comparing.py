@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from vdmbench.graph import work
+from vdmbench.graph import case
 from vdmbench.measures.case import MetricSeries
 from vdmbench.scene.result import ModelResult
 from vdmbench.scene.scene import Scene
@@ -14,5 +14,5 @@ def compare(
     scene: Scene, results: Mapping[str, ModelResult], reference: str | None
 ) -> dict[str, dict[str, MetricSeries]]:
     """Against the reference; without one each by itself."""
-    surface = work._Block(scene.mesh).surface(scene)
-    return work.compare(surface, results, scene.load_factors, reference)
+    surface = case.Block(scene.mesh).surface(scene)
+    return case.compare(surface, results, scene.load_factors, reference)

@@ -9,8 +9,8 @@ import numpy as np
 from solver_common.solution import Status
 
 from ..body.mesh import Mesh
-from ..body.surface_measures import Surface, enclosed_volumes
-from ..graph.work import compare
+from ..body.surface_measures import enclosed_volumes
+from ..graph.case import Block, compare
 from ..measures.case import CaseResult, Run
 from ..measures.foreign import Foreign
 from ..measures.measurement import hold_against
@@ -34,8 +34,7 @@ def judged(run: Run, study: Study, mesh: Mesh, name: str, foreign: Foreign) -> R
     (case,) = run.cases
     result = _as_result(case, mesh, foreign)
     scene = build_scene(study, mesh)
-    surface = Surface(points=mesh.surface_points, triangles=mesh.triangles)
-    surface = surface.under(scene.contact, scene.contact_force, weighs=bool(scene.gravity.any()))
+    surface = Block(mesh).surface(scene)
     results = {name: result}
     if case.reference is not None:
         results[case.reference] = case.models[case.reference]

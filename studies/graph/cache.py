@@ -1,4 +1,4 @@
-"""What a model answers to one load on one body, as a sealed file under its key; and results made from answers."""
+"""The cache: answers and small-strain limits as sealed files under their keys; and results made from answers."""
 
 from __future__ import annotations
 
@@ -16,6 +16,7 @@ from ..body.mesh import Mesh
 from ..body.surface_measures import enclosed_volumes
 from ..machine.processors import processor_name
 from ..machine.sealed import read_arrays, write_arrays
+from ..measures.case import Limit, ModelLimits, SmallStrainLimits
 from ..scene.result import ModelResult
 
 _ARRAYS = (
@@ -130,3 +131,30 @@ def combined(
             if all(name in answer.scalars for answer in answers)
         },
     )
+
+
+def limits_path(cache: Path, key: str) -> Path:
+    """Where the cache keeps the small-strain limits of a case."""
+    return cache / "limits" / f"{key}.npz"
+
+
+def write_limits(path: Path, found: SmallStrainLimits) -> None:
+    """Store limits under their key. Raises OSError."""
+    write_arrays(path, {"limits": np.array(json.dumps(dataclasses.asdict(found)))})
+
+
+def read_limits(path: Path) -> SmallStrainLimits | None:
+    """The limits stored at `path`; None where there are none, or they are damaged."""
+    stored = read_arrays(path)
+    if stored is None:
+        return None
+    data = json.loads(str(stored["limits"]))
+    entries = {
+        name: ModelLimits(
+            entry["structural_error"],
+            entry["structural_bar"],
+            tuple(Limit(**limit) for limit in entry["limits"]),
+        )
+        for name, entry in data["models"].items()
+    }
+    return SmallStrainLimits(data["along"], data["unit"], entries)

@@ -16,14 +16,11 @@ from ..study.folders import swept_without_folders, told_directory
 from ..study.geometry_spec import fewer_nodes
 from ..study.model_name import DISPLACEMENT_ELEMENTS, split
 from ..study.problems import Finding
-from ..study.registry import Size, lacks
-from .answers import answer_path
-from .estimate import FACTOR_LAWS, estimate, known_of, largest_solve, size_of
+from ..study.registry import lacks
+from .cache import answer_path
+from .estimate import DOUBT, FACTOR, estimate, expected_mesh, largest_solve, without_room
 from .nodes import Body, bodies
-from .plan import Expected, Plan, PlannedCase
-from .space import without_room
-
-DOUBT = 1.3  # expected surface nodes of a mesh over those that it may have
+from .plan import Plan, PlannedCase
 
 
 def summary(plan: Plan) -> dict[str, Any]:
@@ -174,12 +171,13 @@ def refused(plan: Plan, cases: Sequence[PlannedCase], work: Sequence[Body]) -> l
         return lines
     missing = plan.missing_meshes(cases)
     for mesh in {case.mesh: plan.meshes[case.mesh] for case in cases}.values():
-        size, counted = size_of(plan, mesh), mesh.geometry.has_own_tetrahedra or mesh not in missing
+        known, counted = expected_mesh(plan, mesh), mesh.geometry.has_own_tetrahedra or mesh not in missing
+        nodes = known.size.nodes if known is not None else 0.0
         lines += [
-            f"{name} on a mesh of {'' if counted else 'about '}{size.nodes:,.0f} surface nodes, more than its "
+            f"{name} on a mesh of {'' if counted else 'about '}{nodes:,.0f} surface nodes, more than its "
             f"{most:,}; use a larger mesh_size, or leave the model out"
             for name, most in limits.items()
-            if size is not None and size.nodes > most * (1.0 if counted else DOUBT)
+            if nodes > most * (1.0 if counted else DOUBT)
         ]
     return lines
 
@@ -204,11 +202,12 @@ def beyond_memory(plan: Plan, work: Sequence[Body]) -> dict[str, str]:
             on_mesh.setdefault(part.mesh, []).append(part)
     lines = {}
     for key, parts in on_mesh.items():
-        mesh, body = plan.meshes[key], _body(plan, key)
+        mesh = plan.meshes[key]
+        body = expected_mesh(plan, mesh)
         if body is None:
             continue
-        needed, name = largest_solve(Size(body.nodes, body.tetrahedra), parts)
-        if needed > FACTOR_LAWS * there:
+        needed, name = largest_solve(body.size, parts)
+        if needed > FACTOR * there:
             remedy = fewer_nodes(mesh.geometry, float((body.high - body.low).max()))
             lines[key] = (
                 f"{name} on a {mesh.label} would take about {needed / 1e9:,.0f} GB, and this machine has "
@@ -217,20 +216,13 @@ def beyond_memory(plan: Plan, work: Sequence[Body]) -> dict[str, str]:
     return lines
 
 
-def _body(plan: Plan, key: str) -> Expected | None:
-    """What a mesh is expected to be; None where its file cannot be meshed."""
-    mesh = plan.meshes[key]  # of a file read it, where it is there: that is quicker than the file
-    return known_of(plan, mesh) if mesh.geometry.shape == "file" else mesh.expected
-
-
 def _off_the_body(plan: Plan, cases: Sequence[PlannedCase]) -> list[Finding]:
     """The regions of constraints that lie off their body; a mesh may reach an edge further."""
-    known = {key: _body(plan, key) for key in dict.fromkeys(case.mesh for case in cases)}
     return [
         (("regions", name), f"region {name!r} lies off the body: {body_extent(low, high)}")
         for case in cases
         for name in dict.fromkeys(constraint.region for constraint in case.study.constraints)
-        if (body := known[case.mesh]) is not None
+        if (body := expected_mesh(plan, plan.meshes[case.mesh])) is not None
         for start in [origin(case.study, body.centre.tolist())]
         for low, high in [(body.low - start, body.high - start)]
         if lies_outside(case.study.regions[name], low - body.reach, high + body.reach)

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ..body.mesh_cache import mesh_path
 from ..study.config import resolved
-from .answers import answer_path
-from .keys import Wanted, level_key
+from .cache import answer_path, limits_path
+from .keys import Wanted, has_weight, level_key
 
 if TYPE_CHECKING:
     from .plan import Plan, PlannedCase
@@ -66,11 +65,6 @@ class Body:
     def superposes(self) -> bool:
         """Whether its answers are of one load each, and not load paths."""
         return len(self.asked[0].factors) == 1 and bool(self.asked[0].case.want(self.name, self.level).scales)
-
-
-def limits_path(cache: Path, key: str) -> Path:
-    """Where the cache keeps the small-strain limits of a case."""
-    return cache / "limits" / f"{key}.npz"
 
 
 def bodies(plan: Plan, cases: Sequence[PlannedCase]) -> list[Body]:
@@ -214,11 +208,7 @@ def _factors(case: PlannedCase, want: Wanted) -> Iterator[tuple[str, tuple[float
         return
     for key, factor, scale in zip(want.answers, history, want.scales, strict=True):
         if scale or not any(want.scales):  # a step without load is no times another
-            yield key, (factor / scale if scale and not _weighs(case) else factor,)
-
-
-def _weighs(case: PlannedCase) -> bool:
-    return case.study.gravity is not None and any(case.study.gravity.acceleration)
+            yield key, (factor / scale if scale and not has_weight(case.study) else factor,)
 
 
 def _answers_label(body: Body) -> str:

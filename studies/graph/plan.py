@@ -29,6 +29,7 @@ from ..study.geometry_spec import (
     file_digest,
     geometry_key,
 )
+from ..study.registry import Size
 from ..study.schema import Study
 from ..study.variations import variations
 from .keys import Wanted, case_hash, goes_with_modulus, limits_key, wanted
@@ -65,11 +66,9 @@ class PlannedCase:
 
 @dataclass(frozen=True)
 class Expected:
-    """A mesh's surface nodes and tetrahedra, its body's box (3,) (3,) [m], how far it may reach beyond [m], and
-    the mesh's centre (3,) [m]."""
+    """A mesh's size, its body's box (3,) (3,) [m], how far it may reach beyond [m], and its centre (3,) [m]."""
 
-    nodes: float
-    tetrahedra: float
+    size: Size
     low: Array
     high: Array
     reach: float
@@ -81,8 +80,8 @@ class Expected:
         points = mesh.surface_points
         corners = points[mesh.triangles]
         reach = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max()
-        size = float(len(points)), float(len(mesh.tetrahedra) if volume else 0)
-        return cls(*size, points.min(axis=0), points.max(axis=0), float(reach), np.array(mesh.centre))
+        size = Size(float(len(points)), float(len(mesh.tetrahedra) if volume else 0))
+        return cls(size, points.min(axis=0), points.max(axis=0), float(reach), np.array(mesh.centre))
 
 
 @dataclass(frozen=True)
@@ -127,8 +126,8 @@ class PlannedMesh:
                 surface = imported_surface(geometry, volume=self.volume, max_nodes=MAX_NODES)
             area, inside = surface.area, surface.volume
             high, centre = surface.points.max(axis=0), surface.centre
-        size = expected_size(area, inside if self.volume else 0.0, geometry.mesh_size)
-        return Expected(*size, centre - high, centre + high, geometry.mesh_size, centre)
+        size = Size(*expected_size(area, inside if self.volume else 0.0, geometry.mesh_size))
+        return Expected(size, centre - high, centre + high, geometry.mesh_size, centre)
 
 
 @dataclass(frozen=True)

@@ -34,11 +34,10 @@ from ..study.errors import MeshError
 from ..study.folders import text_without_folders, without_folders
 from ..study.units import shown
 from .engine import Outcome, Places, run_nodes
-from .estimate import estimate
+from .estimate import estimate, without_room
 from .explain import beyond_memory, summary
 from .nodes import bodies, graph
 from .plan import Plan, PlannedCase
-from .space import without_room
 
 
 class RunError(ValueError):
@@ -252,19 +251,13 @@ def _locked(directory: Path, shard: tuple[int, int]) -> Iterator[None]:
 
     Shards share the directory with each other, not with a run of the whole study.
     """
-    with ExitStack() as held:
-        whole = shard == (1, 1)
-        held.enter_context(_lock(directory, ".lock", fcntl.LOCK_EX if whole else fcntl.LOCK_SH))
-        if not whole:
-            held.enter_context(_lock(directory, f".lock-{shard[0]}-of-{shard[1]}", fcntl.LOCK_EX))
-        yield
-
-
-@contextmanager
-def _lock(directory: Path, name: str, kind: int) -> Iterator[None]:
+    whole = shard == (1, 1)
     with ExitStack() as held:
         try:
-            held.enter_context(lock(directory / name, kind))
+            held.enter_context(lock(directory / ".lock", fcntl.LOCK_EX if whole else fcntl.LOCK_SH))
+            if not whole:
+                own = directory / f".lock-{shard[0]}-of-{shard[1]}"
+                held.enter_context(lock(own, fcntl.LOCK_EX))
         except LockedError as error:
             raise RunError(
                 f"{directory}: another run is at work here ({error}); wait for it or choose another --out"

@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import asdict
 from functools import partial
-from pathlib import Path
 
 import numpy as np
 
@@ -17,8 +14,7 @@ from .. import models
 from ..body.mesh import Mesh
 from ..body.refine import refined
 from ..body.surface_measures import Surface, relative_l2
-from ..machine.sealed import read_arrays, write_arrays
-from ..measures.case import Limit, ModelLimits, SmallStrainLimits
+from ..measures.case import SmallStrainLimits
 from ..measures.limits import SMALL, LoadPath, LoadPoint, model_limits, on_finer_mesh
 from ..measures.metrics import mean_indentation
 from ..scene.result import ModelResult
@@ -135,25 +131,3 @@ class _Errors(dict[str, float]):
 
 def _solved(result: ModelResult) -> bool:
     return all(status.ok for status in result.status) and bool(np.isfinite(result.displacement[-1]).all())
-
-
-def write_limits(path: Path, found: SmallStrainLimits) -> None:
-    """Store limits under their key. Raises OSError."""
-    write_arrays(path, {"limits": np.array(json.dumps(asdict(found)))})
-
-
-def read_limits(path: Path) -> SmallStrainLimits | None:
-    """The limits stored at `path`; None where there are none, or they are damaged."""
-    stored = read_arrays(path)
-    if stored is None:
-        return None
-    data = json.loads(str(stored["limits"]))
-    entries = {
-        name: ModelLimits(
-            entry["structural_error"],
-            entry["structural_bar"],
-            tuple(Limit(**limit) for limit in entry["limits"]),
-        )
-        for name, entry in data["models"].items()
-    }
-    return SmallStrainLimits(data["along"], data["unit"], entries)

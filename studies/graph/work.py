@@ -11,38 +11,24 @@ import time
 import traceback
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
-from functools import lru_cache, partial
+from functools import cache, lru_cache, partial
 from pathlib import Path
 from typing import Any
 
-from solver_common.arrays import Array
-
-from ..body.mesh import Mesh
 from ..body.mesh_cache import mesh_from_cache, mesh_path, read_level, read_mesh, write_level
 from ..body.refine import Hierarchy, refine, refined
-from ..body.surface_measures import Surface
 from ..machine.memory import OUT_OF_MEMORY, memory_limits
 from ..machine.safe_open import open_regular
-from ..measures.case import CaseResult, MetricSeries, SmallStrainLimits
-from ..measures.input_spread import InputSpread
-from ..measures.measurement import Measurement, hold_against, step_rms
-from ..measures.metrics import METRICS, History, evaluate_all, full_load_step
-from ..measures.reference import level_scene, own_error, require_converged, restricted
-from ..models import Prepared, find
-from ..scene.result import ModelResult
+from ..measures.reference import level_scene, restricted
+from ..models import Prepared
 from ..scene.scene import Scene, build_scene
-from ..store.cases import write_case
 from ..study.config import geometry_of
 from ..study.errors import InputError
-from ..study.folders import swept_without_folders, without_folders
-from ..study.model_name import REFINED
 from ..study.schema import Study
-from .answers import answer_path, combined, one_step, stored_answer, write_answer
-from .keys import Wanted, level_key
-from .nodes import limits_path
-from .provenance import provenance
-from .small_strain import read_limits, small_strain_limits, write_limits
-from .varied import Varied
+from .cache import answer_path, limits_path, one_step, write_answer, write_limits
+from .case import Block, make_case
+from .keys import level_key
+from .small_strain import small_strain_limits
 
 ATTEMPTS = 3  # of a node whose process dies
 
@@ -155,12 +141,13 @@ def _limits(payload: Payload, node: str) -> Iterator[Said]:
 
 def _cases(payload: Payload, _: str) -> Iterator[Said]:
     """Some cases on one mesh: results from answers, metrics, one file each."""
-    block: list[_Block] = []  # made by the first case, whose failure it is if it fails
+
+    @cache
+    def block() -> Block:  # made by the first case, whose failure it is if it fails
+        return Block(_meshes(payload, 0).finest)
 
     def work(item: Payload) -> None:
-        if not block:
-            block.append(_Block(_meshes(payload, 0).finest))
-        _case({**payload, **item}, block[0])
+        make_case({**payload, **item}, block())
 
     for item in payload["items"]:
         yield _attempt(item["id"], partial(work, item))
@@ -198,163 +185,6 @@ def _stored_meshes(cache: str, key: str, level: int) -> Hierarchy | None:
     if coarser is None or found is None:
         return None
     return Hierarchy((*coarser.meshes, found[0]), (*coarser.parents, found[1]))
-
-
-class _Block:
-    """What cases on one mesh read and measure once."""
-
-    def __init__(self, mesh: Mesh) -> None:
-        self.mesh = mesh
-        self.plain = Surface(points=mesh.surface_points, triangles=mesh.triangles)
-        self.answers: dict[str, ModelResult] = {}
-
-    def surface(self, scene: Scene) -> Surface:
-        """The surface under a scene's loads."""
-        return self.plain.under(scene.contact, scene.contact_force, weighs=bool(scene.gravity.any()))
-
-
-def _case(payload: Payload, block: _Block) -> None:
-    """One case from the answers of its models.
-
-    Raises
-    ------
-    FailedReferenceError
-        the reference failed, so that there is nothing to compare with.
-    """
-    study = Study.model_validate(payload["study"])
-    mesh = block.mesh
-    scene, reference = build_scene(study, mesh), study.study.reference
-    surface = block.surface(scene)
-    results: dict[str, ModelResult] = {}
-    levels: list[ModelResult] = []
-    for wanted in (Wanted(**entry) for entry in payload["wanted"]):
-        result = _result(wanted, scene, payload, block.answers)
-        if wanted.level == 0:
-            results[wanted.name] = result
-        if wanted.name == reference:
-            require_converged(
-                wanted.name if wanted.level == 0 else f"{wanted.name} on the refined mesh", result
-            )
-            levels.append(result)
-    if reference is not None and len(levels) > 1:
-        reference += REFINED
-        results[reference] = levels[-1]
-    varied = Varied(payload, study, results)
-    spread = varied.spread(surface, full_load_step(scene.load_factors))
-    measurement = _measurement(payload, study, mesh, results, levels, varied)
-    metrics = compare(surface, results, scene.load_factors, reference, measurement, spread)
-    found = payload["file_hash"]
-    write_case(
-        Path(payload["path"]),
-        CaseResult(
-            hash=payload["id"],
-            label=payload["label"],
-            swept=swept_without_folders(payload["swept"]),
-            swept_units=payload["swept_units"],
-            resolved=without_folders(payload["study"]),
-            provenance=provenance(mesh) | ({"geometry_file_hash": found} if found else {}),
-            points=mesh.surface_points,
-            triangles=mesh.triangles,
-            load_factors=scene.load_factors,
-            regions=scene.regions,
-            models=results,
-            metrics=metrics,
-            reference=reference,
-            reference_error=_reference_error(
-                surface, scene, levels, metrics.get(study.study.reference or "", {})
-            ),
-            small_strain=_small_strain(payload),
-            measurement=measurement,
-            inputs=spread,
-            mesh_quality={
-                **mesh.quality,
-                "tetrahedra": len(mesh.tetrahedra),
-                "surface_nodes": len(mesh.surface_nodes),
-            },
-        ),
-    )
-
-
-def _result(wanted: Wanted, scene: Scene, payload: Payload, known: dict[str, ModelResult]) -> ModelResult:
-    """A model's result in a case. Raises OSError where an answer is gone that was there."""
-    for key in wanted.answers:
-        if key not in known:
-            known[key] = stored_answer(Path(payload["cache"]), key, payload["run"])
-    answers = [known[key] for key in wanted.answers]
-    if not wanted.scales:
-        return answers[0]
-    volumetric = find(wanted.name)[0].volumetric
-    datum = 0.0 if volumetric else scene.environment_pressure
-    return combined(answers, wanted.scales, scene.mesh, datum)
-
-
-def _measurement(
-    payload: Payload,
-    study: Study,
-    mesh: Mesh,
-    results: Mapping[str, ModelResult],
-    levels: list[ModelResult],
-    varied: Varied,
-) -> Measurement | None:
-    """The case's models, and its reference level by level, against what was measured on it."""
-    names = {id(result): name for name, result in results.items()}
-    return hold_against(
-        study,
-        mesh,
-        payload["swept"],
-        payload["swept_units"],
-        {name: varied.answer(name, result) for name, result in results.items()},
-        [(names.get(id(level), ""), varied.answer(str(study.study.reference), level)) for level in levels],
-        varied.rules(),
-    )
-
-
-def _small_strain(payload: Payload) -> SmallStrainLimits | None:
-    if payload["limits"] is None:
-        return None
-    return read_limits(limits_path(Path(payload["cache"]), payload["limits"]))
-
-
-def compare(
-    surface: Surface,
-    results: Mapping[str, ModelResult],
-    load_factors: Array,
-    reference: str | None,
-    measurement: Measurement | None = None,
-    spread: InputSpread | None = None,
-) -> dict[str, dict[str, MetricSeries]]:
-    """Every metric of every model; the reference itself gets those that need no comparison."""
-    histories = {
-        name: History(
-            result.displacement,
-            result.reaction_force,
-            load_factors,
-            volume=result.volume,
-            measurement=step_rms(measurement, name, len(load_factors)) if measurement else None,
-            inputs=(spread.models[name].displacement, spread.models[name].deformation) if spread else None,
-        )
-        for name, result in results.items()
-    }
-    return {
-        name: {
-            metric: MetricSeries(
-                values, METRICS[metric].unit, METRICS[metric].definition, METRICS[metric].version
-            )
-            for metric, values in series.items()
-        }
-        for name, series in evaluate_all(surface, histories, reference).items()
-    }
-
-
-def _reference_error(
-    surface: Surface, scene: Scene, levels: list[ModelResult], coarsest: Mapping[str, MetricSeries]
-) -> dict[str, float]:
-    """The reference's own error from its levels, coarse first; `coarsest` are the metrics of the first."""
-    if len(levels) < 2:
-        return {}
-    is_pair = len(levels) == 2 and len(scene.load_factors) == 1  # compared already
-    found = {name: series.values for name, series in coarsest.items()} if is_pair and coarsest else None
-    return own_error(surface, levels[::-1], scene.load_factors, found)
 
 
 # --- one piece of work ---

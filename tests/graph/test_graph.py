@@ -19,11 +19,11 @@ from tests.in_process import HerePlaces, outcomes_of
 from vdmbench import models
 from vdmbench.graph import estimate, nodes
 from vdmbench.graph.engine import run_nodes
+from vdmbench.graph.estimate import without_room
 from vdmbench.graph.explain import summary
 from vdmbench.graph.local import local_places
 from vdmbench.graph.nodes import bodies, graph
 from vdmbench.graph.run import Event, Options, _run_missing
-from vdmbench.graph.space import without_room
 from vdmbench.measures import metrics
 from vdmbench.store.cases import read_case
 

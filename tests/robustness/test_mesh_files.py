@@ -133,7 +133,10 @@ def test_the_size_of_a_mesh_is_known_before_it_is_made(tmp_path: Path, ball: Mes
         counted = [len(mesh.surface_nodes), len(mesh.tetrahedra)]
         expected = PlannedMesh("", geometry, volume).expected
         assert_allclose(
-            [expected.nodes, expected.tetrahedra], counted, rtol=0.0 if suffix == ".msh" else 0.25, atol=0.0
+            [expected.size.nodes, expected.size.tetrahedra],
+            counted,
+            rtol=0.0 if suffix == ".msh" else 0.25,
+            atol=0.0,
         )
         assert (mesh.surface_points >= expected.low - expected.reach).all()
         assert (mesh.surface_points <= expected.high + expected.reach).all()

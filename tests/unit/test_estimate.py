@@ -2,24 +2,17 @@
 
 from __future__ import annotations
 
-import dataclasses
-from collections import Counter
-from collections.abc import Mapping
 from pathlib import Path
 
-import numpy as np
 import pytest
-from numpy.testing import assert_allclose
 
 from tests.graph import shared_work
 from tests.graph.shared_work import TABLES, plan_of, run
-from vdmbench.graph.estimate import _PROCESS_BYTES, FACTOR_MEASURED, _law
+from vdmbench.graph.estimate import _PROCESS_BYTES, _law
 from vdmbench.graph.explain import summary
 from vdmbench.graph.plan import make_plan
 from vdmbench.models import costs
-from vdmbench.store.cases import write_case
 from vdmbench.study.config import expand, load_study
-from vdmbench.study.model_name import REFINED
 from vdmbench.study.registry import Size
 from vdmbench.study.shipped import SHIPPED
 
@@ -46,67 +39,6 @@ def test_what_a_plan_expects_grows_with_the_work(tmp_path: Path) -> None:
     again = plan_of(tmp_path / "a", cache, load={"factors": [0.5, 1.0, 2.0]})
     assert summary(plan_of(tmp_path / "a", cache))["estimate"]["seconds"] == 0
     assert summary(again)["estimate"]["seconds"] > 0
-
-
-def test_a_plan_knows_the_speed_of_the_machine_from_cases_that_are_done(tmp_path: Path, cache: Path) -> None:
-    """Seconds in the case files that are so many times as long are expected of the other cases too."""
-
-    def expected() -> Mapping[str, float]:
-        sweep = {"constraints.finger.force": [0.1, 0.3], "regions.finger.cap.direction.0": [0.0, 0.4, 0.8]}
-        plan = plan_of(tmp_path, cache, sweep=sweep)
-        assert Counter(plan.state.values()) == {"done": 4, "missing": 2}
-        return summary(plan)["estimate"]
-
-    plan = plan_of(tmp_path, cache)
-    cases = run(plan)
-    seconds = [expected()["seconds"]]
-    for times in (100.0, 300.0):
-        for planned, case in zip(plan.cases, cases, strict=True):
-            slow = {
-                name: dataclasses.replace(
-                    result,
-                    seconds_setup=times * result.seconds_setup,
-                    seconds_per_step=times * result.seconds_per_step,
-                )
-                for name, result in case.models.items()
-            }
-            write_case(plan.case_file(planned), dataclasses.replace(case, models=slow))
-        seconds.append(expected()["seconds"])
-    assert expected()["factor"] == 3
-    assert seconds[1] > seconds[0]
-    assert_allclose((seconds[2] - seconds[0]) / (seconds[1] - seconds[0]), 299 / 99, rtol=1e-6, atol=0)
-
-
-@pytest.mark.parametrize(
-    ("refined", "mesh_size", "least", "most", "factor"),
-    [
-        (1.0, 0.02, 1.0, 1.5, 3),  # what small solves take beyond the laws says little of larger ones
-        (1.0, 0.006, 1.0, 1.5, 5),
-        (30.0, 0.02, 3.0, 30.0, 3),  # a slow machine
-        (30.0, 0.006, 1.3, 3.0, 5),  # is one as far as it is known, and what is known is told
-    ],
-)
-def test_measured_seconds_tell_of_work_of_their_own_size(
-    tmp_path: Path, cache: Path, refined: float, mesh_size: float, least: float, most: float, factor: float
-) -> None:
-    """All on the case's mesh takes 30 times what the laws say, what is on the refined one so many times."""
-
-    def expected(directory: Path, *sizes: float) -> Mapping[str, float]:
-        return summary(plan_of(directory, tmp_path, sweep={"geometry.mesh_size": list(sizes)}))["estimate"]
-
-    plan = plan_of(tmp_path / "a", cache, sweep={"geometry.mesh_size": [0.022]})
-    (planned,), (case,) = plan.cases, run(plan)
-    size = Size(len(case.points), case.mesh_quality["tetrahedra"])
-    models = {}
-    for name, result in case.models.items():
-        model, times = name.removesuffix(REFINED), refined if name.endswith(REFINED) else 30.0
-        law = _law(model, size if name == model else size.refined(1), 1)
-        steps = np.full(len(result.seconds_per_step), times * law.step)
-        models[name] = dataclasses.replace(result, seconds_setup=times * law.setup, seconds_per_step=steps)
-    write_case(plan.case_file(planned), dataclasses.replace(case, models=models))
-    known, unknown = expected(tmp_path / "a", 0.022, mesh_size), expected(tmp_path / "b", mesh_size)
-    assert (known["factor"], unknown["factor"]) == (factor, 5)
-    assert least < known["seconds"] / unknown["seconds"] < most
 
 
 def test_a_plan_expects_the_search_for_limits_to_cost_many_loads(tmp_path: Path) -> None:
@@ -157,7 +89,7 @@ def test_the_shipped_search_for_limits_is_expected_to_take_what_it_takes(cache: 
 def test_finite_strain_on_a_refined_mesh_is_expected_to_take_its_cheaper_path() -> None:
     """Three load steps of the shipped thigh, refined once, took some 45 s of a core; with factors, 290 and more."""
     law = _law("fem", Size(2540.0, 31944.0), 3)
-    assert 45.0 / FACTOR_MEASURED < law.setup + 3 * law.step < 45.0 * FACTOR_MEASURED
+    assert 45.0 / 3.0 < law.setup + 3 * law.step < 45.0 * 3.0
 
 
 def test_the_coarse_elements_take_the_time_of_their_own_mesh_too() -> None:

@@ -11,7 +11,7 @@ from numpy.testing import assert_allclose
 from tests.unit.report_runs import REFERENCE, make_case, make_run
 from tests.unit.vdm_shapes import icosphere
 from vdmbench.body.surface_measures import Surface, weighted_norm
-from vdmbench.graph.work import compare
+from vdmbench.graph.case import compare
 from vdmbench.measures.case import Run
 from vdmbench.measures.metrics import METRICS, History
 from vdmbench.report import headline

@@ -41,7 +41,7 @@ def test_a_model_that_will_refuse_a_mesh_is_named(
     study = TABLES["study"] | {"models": ["mass-spring", "fem-linear"]}
     plan = plan_of(tmp_path, cache if known else tmp_path, study=study)
     (mesh,) = plan.meshes.values()
-    nodes = mesh.expected.nodes
+    nodes = mesh.expected.size.nodes
     if known:
         nodes = len(mesh_from_cache(mesh.geometry, cache).surface_nodes)
     found = models.all_models()["mass-spring"]

@@ -12,7 +12,8 @@ import pytest
 
 from tests.command import vdmbench, write_study
 from tests.graph.shared_work import ALONE, plan_of, run
-from vdmbench.graph import answers, provenance
+from vdmbench.graph import cache as answers
+from vdmbench.graph import provenance
 from vdmbench.machine.processors import processor_name
 from vdmbench.measures.case import CaseResult
 from vdmbench.report.headline import _table, headline_metrics, headline_rows

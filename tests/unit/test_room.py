@@ -9,7 +9,7 @@ import pytest
 from tests.command import write_study
 from tests.graph.shared_work import plan_of
 from vdmbench.cli.main import main
-from vdmbench.graph import space as room
+from vdmbench.graph import estimate as room
 from vdmbench.graph.estimate import case_bytes, estimate
 from vdmbench.graph.explain import summary
 from vdmbench.graph.plan import Plan
@@ -35,9 +35,9 @@ def test_the_load_history_counts_in_the_memory_of_a_worker(tmp_path: Path) -> No
     few, many = (estimate(plan, plan.cases) for plan in (short, long))
     assert few is not None
     assert many is not None
-    size = room.size_of(long, next(iter(long.meshes.values())))
-    assert size is not None
-    assert many.memory - few.memory > 2 * case_bytes(long.cases[0], size)
+    known = room.expected_mesh(long, next(iter(long.meshes.values())))
+    assert known is not None
+    assert many.memory - few.memory > 2 * case_bytes(long.cases[0], known.size)
 
 
 def _refused(plan: Plan, words: str) -> None:

@@ -11,7 +11,7 @@ import pytest
 
 from tests.graph.shared_work import TABLES, plan_of, run
 from vdmbench import models
-from vdmbench.graph.answers import answer_path, read_answer, write_answer
+from vdmbench.graph.cache import answer_path, read_answer, write_answer
 
 from .example_case import model_result
 from .test_store import assert_same

@@ -1,0 +1,203 @@
+"""One case from the answers of its models: results, metrics, error bars and what was measured, in one file."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from solver_common.arrays import Array
+
+from ..body.mesh import Mesh
+from ..body.surface_measures import Surface
+from ..measures.case import CaseResult, MetricSeries, SmallStrainLimits
+from ..measures.input_spread import InputSpread, Propagation, input_spread
+from ..measures.measurement import Measurement, hold_against, step_rms
+from ..measures.metrics import METRICS, History, evaluate_all, full_load_step
+from ..measures.pushed import INDENTER_FORCE, Answer
+from ..measures.reference import own_error, require_converged
+from ..models import find
+from ..scene.result import ModelResult
+from ..scene.scene import Scene, build_scene
+from ..store.cases import write_case
+from ..study.folders import swept_without_folders, without_folders
+from ..study.model_name import REFINED
+from ..study.schema import Study
+from .cache import combined, limits_path, read_limits, stored_answer
+from .keys import Wanted
+from .provenance import provenance
+
+Payload = Mapping[str, Any]
+
+
+class Block:
+    """What cases on one mesh read and measure once."""
+
+    def __init__(self, mesh: Mesh) -> None:
+        self.mesh = mesh
+        self._plain = Surface(points=mesh.surface_points, triangles=mesh.triangles)
+        self.answers: dict[str, ModelResult] = {}
+
+    def surface(self, scene: Scene) -> Surface:
+        """The surface under a scene's loads."""
+        return self._plain.under(scene.contact, scene.contact_force, weighs=bool(scene.gravity.any()))
+
+
+def make_case(payload: Payload, block: Block) -> None:
+    """Write one case, as `vdmbench.graph.nodes` describes it.
+
+    Raises
+    ------
+    FailedReferenceError
+        the reference failed, so that there is nothing to compare with.
+    OSError
+        an answer is gone that was there; disk full or read-only.
+    """
+    study = Study.model_validate(payload["study"])
+    mesh, scene = block.mesh, build_scene(study, block.mesh)
+    surface = block.surface(scene)
+    wanted = [Wanted(**entry) for entry in payload["wanted"]]
+    found = [(want, _result(want, scene, payload, block.answers)) for want in wanted]
+    results = {want.name: result for want, result in found if want.level == 0}
+    coarse = reference = study.study.reference
+    levels = [result for want, result in found if want.name == reference]
+    for level, result in enumerate(levels):
+        require_converged(f"{reference} on the refined mesh" if level else str(reference), result)
+    if reference is not None and len(levels) > 1:
+        reference += REFINED
+        results[reference] = levels[-1]
+
+    linear = {want.name for want in wanted if want.scales}
+    answers = {name: _answer(name, result, linear) for name, result in results.items()}
+    names = {id(result): name for name, result in results.items()}
+    of_levels = [(names.get(id(level), ""), _answer(str(coarse), level, linear)) for level in levels]
+    varied, spread, rules = partial(_varied, payload), None, {}
+    if study.inputs is not None:
+        step = full_load_step(scene.load_factors)
+        own = {name: result.displacement[step] for name, result in results.items()}
+        spread = input_spread(
+            study, surface, own, lambda name: [one.displacement[step] for one in varied(name)]
+        )
+        rules = {name: (Propagation(study), partial(varied, name)) for name in results}
+    swept, units = payload["swept"], payload["swept_units"]
+    measurement = hold_against(study, mesh, swept, units, answers, of_levels, rules)
+    metrics = compare(surface, results, scene.load_factors, reference, measurement, spread)
+    file_hash = payload["file_hash"]
+    write_case(
+        Path(payload["path"]),
+        CaseResult(
+            hash=payload["id"],
+            label=payload["label"],
+            swept=swept_without_folders(swept),
+            swept_units=units,
+            resolved=without_folders(payload["study"]),
+            provenance=provenance(mesh) | ({"geometry_file_hash": file_hash} if file_hash else {}),
+            points=mesh.surface_points,
+            triangles=mesh.triangles,
+            load_factors=scene.load_factors,
+            regions=scene.regions,
+            models=results,
+            metrics=metrics,
+            reference=reference,
+            reference_error=_reference_error(surface, scene, levels, metrics.get(coarse or "", {})),
+            small_strain=_small_strain(payload),
+            measurement=measurement,
+            inputs=spread,
+            mesh_quality={
+                **mesh.quality,
+                "tetrahedra": len(mesh.tetrahedra),
+                "surface_nodes": len(mesh.surface_nodes),
+            },
+        ),
+    )
+
+
+def _result(wanted: Wanted, scene: Scene, payload: Payload, known: dict[str, ModelResult]) -> ModelResult:
+    for key in wanted.answers:
+        if key not in known:
+            known[key] = stored_answer(Path(payload["cache"]), key, payload["run"])
+    answers = [known[key] for key in wanted.answers]
+    if not wanted.scales:
+        return answers[0]
+    datum = 0.0 if find(wanted.name)[0].volumetric else scene.environment_pressure
+    return combined(answers, wanted.scales, scene.mesh, datum)
+
+
+def _answer(name: str, result: ModelResult, linear: set[str]) -> Answer:
+    force = result.scalars.get(INDENTER_FORCE)
+    is_linear = name.removesuffix(REFINED) in linear
+    return Answer(result.displacement, result.reaction_force, is_linear, indenter_force=force)
+
+
+def _varied(payload: Payload, name: str) -> list[Answer]:
+    """What a model answers to each variation of the inputs; the refined reference as on the case's own mesh."""
+    parts = [one for entry in payload["variations"] for one in entry]
+    return [
+        _varied_answer(payload, Wanted(**one["wanted"]), one["times"], one["values"])
+        for one in parts
+        if one["wanted"]["name"] == name.removesuffix(REFINED)
+    ]
+
+
+def _varied_answer(payload: Payload, want: Wanted, times: float, values: Mapping[str, float]) -> Answer:
+    cache, run = Path(payload["cache"]), payload["run"]
+    found = {key: stored_answer(cache, key, run) for key in dict.fromkeys(want.answers)}
+    if not want.scales:
+        only = found[want.answers[0]]
+        force = only.scalars.get(INDENTER_FORCE)
+        return Answer(only.displacement, only.reaction_force, values=values, indenter_force=force)
+    steps = [(scale, found[key]) for key, scale in zip(want.answers, want.scales, strict=True)]
+    displacement = np.concatenate([times * scale * one.displacement for scale, one in steps])
+    reaction = np.concatenate([scale * one.reaction_force for scale, one in steps])
+    return Answer(displacement, reaction, linear=True, values=values)
+
+
+def _small_strain(payload: Payload) -> SmallStrainLimits | None:
+    if payload["limits"] is None:
+        return None
+    return read_limits(limits_path(Path(payload["cache"]), payload["limits"]))
+
+
+def compare(
+    surface: Surface,
+    results: Mapping[str, ModelResult],
+    load_factors: Array,
+    reference: str | None,
+    measurement: Measurement | None = None,
+    spread: InputSpread | None = None,
+) -> dict[str, dict[str, MetricSeries]]:
+    """Every metric of every model; the reference itself gets those that need no comparison."""
+    histories = {
+        name: History(
+            result.displacement,
+            result.reaction_force,
+            load_factors,
+            volume=result.volume,
+            measurement=step_rms(measurement, name, len(load_factors)) if measurement else None,
+            inputs=(spread.models[name].displacement, spread.models[name].deformation) if spread else None,
+        )
+        for name, result in results.items()
+    }
+    return {
+        name: {
+            metric: MetricSeries(
+                values, METRICS[metric].unit, METRICS[metric].definition, METRICS[metric].version
+            )
+            for metric, values in series.items()
+        }
+        for name, series in evaluate_all(surface, histories, reference).items()
+    }
+
+
+def _reference_error(
+    surface: Surface, scene: Scene, levels: Sequence[ModelResult], coarsest: Mapping[str, MetricSeries]
+) -> dict[str, float]:
+    """The reference's own error from its levels, coarse first; `coarsest` are the metrics of the first."""
+    if len(levels) < 2:
+        return {}
+    is_pair = len(levels) == 2 and len(scene.load_factors) == 1  # compared already
+    found = {name: series.values for name, series in coarsest.items()} if is_pair and coarsest else None
+    return own_error(surface, levels[::-1], scene.load_factors, found)
