@@ -151,10 +151,10 @@ def _beyond_a_file(plan: Plan, case: PlannedCase) -> str:
     needed = case_bytes(case, known.size) if known is not None else 0.0
     if known is None or needed <= DOUBT * MAX_CASE_BYTES:
         return ""
+    steps, most, gigabytes = len(case.study.load.history), MAX_CASE_BYTES / 1e9, needed / 1e9
     return (
-        f"{len(case.study.load.history):,} load steps on about {known.size.nodes:,.0f} surface nodes make results "
-        f"of {needed / 1e9:.1f} GB, more than the {MAX_CASE_BYTES / 1e9:.1f} GB of a case file; use fewer load steps, a "
-        "larger mesh_size or fewer models"
+        f"{steps:,} load steps on about {known.size.nodes:,.0f} surface nodes make results of {gigabytes:.1f} GB, "
+        f"more than the {most:.1f} GB of a case file; use fewer load steps, a larger mesh_size or fewer models"
     )
 
 

@@ -12,7 +12,6 @@ import numpy as np
 from solver_common.arrays import Array
 from vdm.solvers import SOLVERS
 
-from ..body.mesh import Mesh
 from ..body.surface_measures import facet_area_vectors
 from ..scene.scene import Scene, SurfaceLoad
 from ..study.model_name import split, takes_fluid
@@ -37,8 +36,8 @@ def prepare_surface(scene: Scene, solver: str, name: str, n_loads: int) -> SetUp
     from vdm.model import Model
     from vdm.solvers.linear import LinearSolver
 
-    model = _model(**_inputs(scene, name))
     springs = _springs(scene)
+    model = _model(scene, name, springs)
 
     def solve(loads: Sequence[SurfaceLoad]) -> Solution:
         steps = [
@@ -105,78 +104,60 @@ def _apart(solution: Solution, springs: sparse.csr_array, formulation: Formulati
     )
 
 
-def _inputs(scene: Scene, name: str) -> dict[str, Any]:
-    """What decides a set-up. Parameters that the study does not set follow a rule from the tissue."""
-    base, solver = split(name)
-    fibres = scene.anisotropy
-    fluid = takes_fluid(solver, scene.parameters.get("compressibility"))
-    own = base in ("vdm-boundary", "vdm-sparse") and not fluid
-    return {
-        "mesh": scene.mesh,
-        "youngs_modulus": scene.tissue.youngs_modulus,
-        "density": scene.tissue.density if scene.gravity.any() else 0.0,
-        "poisson_ratio": scene.tissue.poisson_ratio if own else 0.5,
-        "given": dict(scene.parameters),
-        "fibres": (fibres.fibre_direction, fibres.contrast) if fibres else None,
-        "formulation": base.removeprefix("vdm-"),
-        "solver": solver,
-        "fixed": scene.fixed,
-        "constrained": scene.constrained,
-        "gravity": scene.gravity,
-        "environment_pressure": scene.environment_pressure,
-        "springs": _springs(scene),
-    }
-
-
-def _model(
-    *,
-    mesh: Mesh,
-    youngs_modulus: float,
-    poisson_ratio: float,
-    given: dict[str, Any],
-    fibres: tuple[tuple[float, ...], float] | None,
-    formulation: str,
-    solver: str,
-    springs: sparse.csr_array | None,
-    **options: Any,
-) -> Model | IncrementalModel:
-    """The model of a tissue of E and nu with the parameters `given`; `options` are the model's own."""
+def _model(scene: Scene, name: str, springs: sparse.csr_array | None) -> Model | IncrementalModel:
+    """The model of the scene's tissue; parameters that the study does not set follow a rule from it."""
     from vdm.incremental import IncrementalModel
     from vdm.material import Parameters
     from vdm.model import Model
 
-    penalty = given.get("penalty")
-    chosen = {name: value for name, value in given.items() if name not in _NOT_OF_THE_MATERIAL}
-    rotation: Any = chosen.get("rotation", "global")
-    held = options["fixed"] | options["constrained"]
+    base, solver = split(name)
+    formulation, mesh, fibres, given = (
+        base.removeprefix("vdm-"),
+        scene.mesh,
+        scene.anisotropy,
+        scene.parameters,
+    )
+    own_ratio = base in ("vdm-boundary", "vdm-sparse") and not takes_fluid(
+        solver, given.get("compressibility")
+    )
+    chosen: dict[str, Any] = {
+        name: value for name, value in given.items() if name not in _NOT_OF_THE_MATERIAL
+    }
 
     def parameters(surface: SurfaceMesh) -> Parameters:
-        rule = Parameters.from_tissue(youngs_modulus, surface, formulation, rotation, held, poisson_ratio)
+        rule = Parameters.from_tissue(
+            scene.tissue.youngs_modulus,
+            surface,
+            formulation,
+            chosen.get("rotation", "global"),
+            scene.held,
+            scene.tissue.poisson_ratio if own_ratio else 0.5,
+        )
         whole = dataclasses.replace(rule, **chosen)
         if isinstance(rule.surface_tension, np.ndarray) and "surface_tension" in chosen:
             # a T of the study is the mean over the edges of one that grows from the support
             grown = chosen["surface_tension"] * (rule.surface_tension / rule.surface_tension.mean())
             whole = dataclasses.replace(whole, surface_tension=grown)
-        whole = whole if fibres is None else whole.anisotropic(surface, *fibres)
+        if fibres is not None:
+            whole = whole.anisotropic(surface, fibres.fibre_direction, fibres.contrast)
         return whole if springs is None else _on_springs(whole, springs, surface, formulation)
 
-    if penalty is not None:
-        options |= {"constraint_method": "penalty-replaced", "penalty": penalty}  # (25) and (26) as printed
+    options: dict[str, Any] = {
+        "formulation": formulation,
+        "density": scene.tissue.density if scene.gravity.any() else 0.0,
+        "fixed": scene.fixed,
+        "constrained": scene.constrained,
+        "gravity": scene.gravity,
+        "environment_pressure": scene.environment_pressure,
+    }
+    if "penalty" in given:  # (25) and (26) as printed
+        options |= {"constraint_method": "penalty-replaced", "penalty": given["penalty"]}
         solver = "lu" if solver == "linear" else solver  # lu solves the same problem; any other refuses
     if "tolerance" in given:
         options["tolerance"] = given["tolerance"]
     if solver == INCREMENTAL:
-        return IncrementalModel(
-            mesh.surface_points, mesh.triangles, parameters, formulation=formulation, **options
-        )
-    return Model(
-        mesh.surface_points,
-        mesh.triangles,
-        parameters,
-        formulation=formulation,
-        solver=solver,
-        **options,
-    )
+        return IncrementalModel(mesh.surface_points, mesh.triangles, parameters, **options)
+    return Model(mesh.surface_points, mesh.triangles, parameters, solver=solver, **options)
 
 
 def _on_springs(
