@@ -50,16 +50,19 @@ def claim_picture(verdict: Verdict) -> str | None:
         for k, line in enumerate(legend)
     ]
     told = re.search(r'aria-label="([^"]*)"', body)
-    width = _WIDTH + 2 * _SIDE
+    parts = [*texts, body, *below]
+    return _picture(_WIDTH + 2 * _SIDE, height, told.group(1) if told else "", parts)
+
+
+def _picture(width: float, height: float, told: str, parts: Sequence[str]) -> str:
+    """An SVG of these parts, for light and dark; `told` says in words what is shown."""
     return "\n".join(
         [
-            f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {width:g} {height:g}" '
-            f'width="{width:g}" height="{height:g}" role="img" aria-label="{told.group(1) if told else ""}">',
+            f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {width:g} {height:g}" width="{width:g}" '
+            f'height="{height:g}" role="img" aria-label="{told}">',
             f"<style>{figure_style()}</style>",
             f'<rect width="{width:g}" height="{height:g}" fill="var(--paper)"/>',
-            *texts,
-            body,
-            *below,
+            *parts,
             "</svg>\n",
         ]
     )
@@ -100,12 +103,7 @@ def panels(drawn: Sequence[tuple[str, str]], models: dict[str, int], told: str) 
     rows = [names[k : k + _IN_A_LINE] for k in range(0, len(names), _IN_A_LINE)]
     width = len(drawn) * (_WIDTH + _GAP)
     height = _HEIGHT + _LINE * (len(rows) + 2.4)
-    parts = [
-        f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {width:g} {height:g}" width="{width:g}" '
-        f'height="{height:g}" role="img" aria-label="{escape(told)}">',
-        f"<style>{figure_style()}</style>",
-        f'<rect width="{width:g}" height="{height:g}" fill="var(--paper)"/>',
-    ]
+    parts = []
     for k, (title, svg) in enumerate(drawn):
         left = k * (_WIDTH + _GAP) + _GAP / 2
         parts.append(f'<text class="claim" x="{left + 60:g}" y="{_LINE:g}">{escape(title)}</text>')
@@ -118,7 +116,7 @@ def panels(drawn: Sequence[tuple[str, str]], models: dict[str, int], told: str) 
             for name in row
         )
         parts.append(f'<text x="{_GAP:g}" y="{_HEIGHT + _LINE * (k + 2.6):g}">{words}</text>')
-    return "\n".join([*parts, "</svg>\n"])
+    return _picture(width, height, escape(told), parts)
 
 
 def _dashed(number: int) -> str:

@@ -42,7 +42,7 @@ from ..scene.scene import Scene, build_scene
 from ..study.config import expand, geometry_of, with_mesh_size
 from ..study.errors import InputError
 from ..study.schema import Study
-from .bench_data import LEAST_SIZES, YARDSTICK, Bench, Entry, Growth
+from .bench_data import LEAST_SIZES, TIMES, YARDSTICK, Bench, Entry, Growth
 from .contact import Problem, contact_frame
 from .growth import growths
 from .timing import LONG, SAMPLES, calls_of_a_sample, median_of_samples, median_seconds
@@ -69,14 +69,14 @@ COUNTS = ("dofs", "tetrahedra", "columns", "matrix_bytes", "coarse_tetrahedra")
 class _Tally:
     """What one model has been measured to take so far."""
 
-    setup: list[float] = field(default_factory=list)
-    frame_all: list[float] = field(default_factory=list)
-    frame_local: list[float] = field(default_factory=list)
-    columns: list[float] = field(default_factory=list)
-    recut: list[float] = field(default_factory=list)
+    times: list[dict[str, float]] = field(default_factory=list)  # of each round, by the names of `TIMES`
     peak: list[float] = field(default_factory=list)
     spent: float = 0.0
     result: ModelResult | None = None
+
+    def series(self) -> dict[str, Array]:
+        """The times as (R,) arrays."""
+        return {name: np.array([times.get(name, np.nan) for times in self.times]) for name in TIMES}
 
 
 def measure(
@@ -228,8 +228,7 @@ def _on_mesh(body: str, study: Study, scene: Scene, names: Sequence[str], rounds
                 _once(contact, everywhere, name, tally)
                 tally.spent += time.perf_counter() - start
             else:
-                for values in (tally.setup, tally.frame_all, tally.frame_local, tally.columns, tally.recut):
-                    values.append(np.nan)
+                tally.times.append({})
     yard = tallies.get(YARDSTICK)
     return [
         _entry(name, tally, yard, scene, body, surface, reference, bars["gci:relative_l2_displacement_error"])
@@ -258,7 +257,6 @@ def _once(contact: Scene, everywhere: Scene, name: str, tally: _Tally) -> None:
     gc.collect()
     prepared = models.Prepared(contact, name, len(contact.load_factors))
     result = prepared.answer(contact.loads)
-    tally.setup.append(result.seconds_setup)
     tally.peak.append(float(result.peak_bytes))
     direct, everything = _frame(contact, prepared, result), np.nan
     if name != "fem-condensed":
@@ -270,10 +268,15 @@ def _once(contact: Scene, everywhere: Scene, name: str, tally: _Tally) -> None:
     problem = prepared.set_up.problem if prepared.set_up is not None else None
     if problem is not None and result.status[0].ok and models.superposes(name):
         columns, product = _by_columns(problem, contact)
-    tally.frame_local.append(min(direct, product))
-    tally.frame_all.append(everything)
-    tally.columns.append(columns if product < direct else np.nan)
-    tally.recut.append(result.seconds_setup + direct)
+    tally.times.append(
+        {
+            "setup": result.seconds_setup,
+            "frame_all": everything,
+            "frame_local": min(direct, product),
+            "columns": columns if product < direct else np.nan,
+            "recut": result.seconds_setup + direct,
+        }
+    )
     tally.result = result
 
 
@@ -316,21 +319,16 @@ def _entry(
     if not failed:
         found = evaluate(surface, History(result.displacement, result.reaction_force, FRAMES), reference)
         errors = {metric: float(values[-1]) for metric, values in found.items()}
-    setup, local = np.array(tally.setup), np.array(tally.frame_local)
-    nothing = np.full(len(setup), np.nan)
+    times, yardstick = tally.series(), (yard or _Tally([{}] * len(tally.times))).series()
     counts = {key: float(result.parameters[key]) for key in COUNTS if key in result.parameters}
     return Entry(
         body=body,
         model=name,
         nodes=len(scene.fixed),
         tetrahedra=len(scene.mesh.tetrahedra),
-        setup=setup,
-        frame_all=np.array(tally.frame_all),
-        frame_local=local,
-        columns=np.array(tally.columns),
-        recut=np.array(tally.recut),
-        ratio_setup=setup / np.array(yard.setup) if yard else nothing,
-        ratio_frame=local / np.array(yard.frame_local) if yard else nothing,
+        **times,
+        ratio_setup=times["setup"] / yardstick["setup"],
+        ratio_frame=times["frame_local"] / yardstick["frame_local"],
         peak_bytes=float(np.median(tally.peak)),
         error=errors.get(VECTOR, np.nan),
         deformation_error=errors.get(DEFORMATION, np.nan),

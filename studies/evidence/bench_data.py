@@ -18,6 +18,7 @@ LEAST_SIZES = 4  # of a mesh, for an exponent
 SAME = 1.5  # times up to which two costs count as the same: runs differ by as much
 FAR_OFF = 0.5  # error from which on an answer is no answer: that of a body that does not move is 1
 _DIGITS = 1e-4  # relative difference of errors that are the same answer's
+TIMES = ("setup", "frame_all", "frame_local", "columns", "recut")  # (R,) of an entry [s]
 YARDSTICK = "fem-linear"  # ratios are over its time in the same round
 
 

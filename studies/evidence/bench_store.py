@@ -11,10 +11,9 @@ import numpy as np
 from ..machine.files import write_atomically
 from ..store.hdf5 import Data, Group, Stored, StoreError, Text, sealed
 from ..store.hdf5 import Entry as StoredEntry
-from .bench_data import Bench, Entry, Growth
+from .bench_data import TIMES, Bench, Entry, Growth
 
 SCHEMA = 2  # of 1, re-cuts counted the columns and elements had none
-_SERIES = ("setup", "frame_all", "frame_local", "columns", "recut")  # (rounds,) [s]
 _RATIOS = ("ratio_setup", "ratio_frame")
 _NUMBERS = {
     "nodes": "1",
@@ -40,7 +39,7 @@ def write_bench(path: Path, bench: Bench) -> None:
 
 
 def _stored(bench: Bench) -> list[StoredEntry]:
-    columns = dict.fromkeys(_SERIES, "s") | dict.fromkeys(_RATIOS, "1") | _NUMBERS
+    columns = dict.fromkeys(TIMES, "s") | dict.fromkeys(_RATIOS, "1") | _NUMBERS
     out: list[StoredEntry] = [
         Group("case", {"schema": SCHEMA, "machine": json.dumps(dict(bench.machine))}),
         Group("entries"),
@@ -78,11 +77,11 @@ def read_bench(path: Path) -> Bench:
 
 def _read(file: Stored) -> Bench:
     texts = {name: file.texts(f"entries/{name}") for name in (*_TEXTS, "counts")}
-    stored = {name: file.floats(f"entries/{name}") for name in (*_SERIES, *_RATIOS, *_NUMBERS)}
+    stored = {name: file.floats(f"entries/{name}") for name in (*TIMES, *_RATIOS, *_NUMBERS)}
     entries = []
     for row in range(len(texts["model"])):
         fields: dict[str, Any] = {name: texts[name][row] for name in _TEXTS}
-        fields |= {name: stored[name][row] for name in (*_SERIES, *_RATIOS)}
+        fields |= {name: stored[name][row] for name in (*TIMES, *_RATIOS)}
         fields |= {name: float(stored[name][row]) for name in _NUMBERS}
         fields |= {name: int(fields[name]) for name in ("nodes", "tetrahedra")}
         entries.append(Entry(**fields, counts=json.loads(texts["counts"][row])))

@@ -50,6 +50,9 @@ class Sample:
     reference: Array  # (N, 3) m
     bars: Mapping[str, float]  # metric -> the reference's own error, NaN where not measured
     place: int  # of the load among the study's, from 0
+    bodies: Mapping[str, str] = field(
+        default_factory=dict
+    )  # model -> key of its set-up; none where all share one
 
     @cached_property
     def surface(self) -> Surface:
@@ -110,6 +113,7 @@ def samples_of(plan: Plan, run: Run) -> list[Sample]:
                 case.models[case.reference].displacement[step],
                 {metric: reference_bar(case.reference_error, metric) for metric in (VECTOR, DEFORMATION)},
                 places[case.hash],
+                {want.name: want.body for want in found.wanted if not want.level},
             )
         )
     if not samples:
@@ -208,7 +212,10 @@ class Trial:
         self.samples = tuple(samples)
         first = samples[0].scene
         self.names = to_fit(name, first.parameters, first.overrides, asked)
-        self._bodies = _alike(self.samples)
+        alike: dict[str, list[int]] = {}  # places of the loads on one body
+        for place, sample in enumerate(self.samples):
+            alike.setdefault(sample.bodies.get(name, ""), []).append(place)
+        self._bodies = list(alike.values())
         self.rules = [self._rule(result) for result in self._run(None)]
 
     def values(self, multiples: Array) -> dict[str, float]:
@@ -261,41 +268,6 @@ class Trial:
                     )
                 found[place] = result
         return [found[place] for place in range(len(self.samples))]
-
-
-def _alike(samples: Sequence[Sample]) -> list[list[int]]:
-    """Places of the samples, those together whose scenes differ in their loads only."""
-    bodies: list[list[int]] = []
-    for place, sample in enumerate(samples):
-        for body in bodies:
-            if _same_body(samples[body[0]].scene, sample.scene):
-                body.append(place)
-                break
-        else:
-            bodies.append([place])
-    return bodies
-
-
-def _same_body(one: Scene, other: Scene) -> bool:
-    return (
-        one.mesh.content_hash == other.mesh.content_hash
-        and one.tissue == other.tissue
-        and one.anisotropy == other.anisotropy
-        and one.parameters == other.parameters
-        and one.overrides == other.overrides
-        and one.environment_pressure == other.environment_pressure
-        and _inner(one) == _inner(other)
-        and all(
-            np.array_equal(getattr(one, name), getattr(other, name))
-            for name in ("fixed", "constrained", "gravity")
-        )
-    )
-
-
-def _inner(scene: Scene) -> list[tuple[object, ...]]:
-    """Springs and inclusions, to be compared."""
-    springs = [(part.stiffness, part.direction, part.facets.tobytes()) for part in scene.springs]
-    return [*springs, *((part.declared, part.inside.tobytes()) for part in scene.inclusions)]
 
 
 def fit(

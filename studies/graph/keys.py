@@ -66,8 +66,10 @@ def case_hash(study: Study, mesh_key: str, inputs: Mapping[str, Any] | None = No
             "kinds": [KINDS[part.kind].versions(part.model_dump()) for part in study.constraints],
             "reference": study.study.reference,
         }
-        | _outputs(study)
-        | _homogeneous(study)
+        | _where_there_are(
+            condition=study.study.condition,
+            homogeneous=sorted(study.study.homogeneous),  # which answer without the inclusions
+        )
     )
 
 
@@ -174,14 +176,9 @@ def has_penalty(study: Study, name: str) -> bool:
     return "penalty" in given and "penalty" in models.find(name)[0].parameters
 
 
-def _outputs(study: Study) -> dict[str, bool]:
-    """What the models are asked for beyond the usual; nothing where they are not."""
-    return {"condition": True} if study.study.condition else {}
-
-
-def _homogeneous(study: Study) -> dict[str, list[str]]:
-    """The models that answer without the inclusions; nothing where there are none."""
-    return {"homogeneous": sorted(study.study.homogeneous)} if study.study.homogeneous else {}
+def _where_there_are(**extras: Any) -> dict[str, Any]:
+    """What most studies have not, and whose keys were made before there was such a thing."""
+    return {key: value for key, value in extras.items() if value}
 
 
 def _body(study: Study, inputs: Mapping[str, Any], name: str) -> dict[str, Any]:
@@ -200,38 +197,28 @@ def _body(study: Study, inputs: Mapping[str, Any], name: str) -> dict[str, Any]:
             for part in inputs["constraints"]
             if part["kind"] in KINDS and KINDS[part["kind"]].holds
         ],
-        **_supports(inputs),
-        **_inclusions(study, inputs, name),
-        **_refusal(study, name),
         "gravity": gravity if weighs else None,
         "anisotropy": inputs.get("anisotropy"),
         "parameters": {key: value for key, value in parameters.items() if key in model.parameters},
         "environment": None if model.volumetric else inputs.get("environment"),
         "touched": _touched(inputs) if model.contact_in_setup else None,
-    } | _outputs(study)
+    } | _where_there_are(
+        supports=_supports(inputs),
+        inclusions=None if name in study.study.homogeneous else inputs.get("inclusions"),
+        lacks=lacks(name, extras_for(name, study)),  # a stored refusal ends when the model learns
+        condition=study.study.condition,
+    )
 
 
-def _inclusions(study: Study, inputs: Mapping[str, Any], name: str) -> dict[str, Any]:
-    """The inclusions that a model knows; nothing where there is none, or it answers without them."""
-    found = [] if name in study.study.homogeneous else inputs.get("inclusions") or []
-    return {"inclusions": found} if found else {}
-
-
-def _refusal(study: Study, name: str) -> dict[str, Any]:
-    """Why a model refuses the study: a stored refusal ends when the model learns. Nothing where it does not."""
-    lacking = lacks(name, extras_for(name, study))
-    return {"lacks": lacking} if lacking else {}
-
-
-def _supports(inputs: Mapping[str, Any]) -> dict[str, Any]:
-    """What resists without holding, with its keys; nothing where there is none."""
+def _supports(inputs: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """What resists without holding, with its keys."""
     found = []
     for part in inputs["constraints"]:
         kind = KINDS.get(part["kind"])
         if kind is not None and kind.supports:
             own = {key: part.get(key) for key in ("kind", *kind.keys)}
             found.append(own | _held(part, inputs) | {"versions": kind.versions(part)})
-    return {"supports": found} if found else {}
+    return found
 
 
 def _held(constraint: Mapping[str, Any], inputs: Mapping[str, Any]) -> dict[str, Any]:

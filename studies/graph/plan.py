@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Hashable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cache, cached_property
 from pathlib import Path
 from typing import Any, TypeVar
@@ -48,7 +48,7 @@ class PlannedCase:
     study: Study
     mesh: str  # key of its mesh
     wanted: tuple[Wanted, ...]  # of every model, and of the reference on every level
-    limits: str | None  # key of its small-strain limits
+    limits: str | None = None  # key of its small-strain limits
     # where its inputs are not known: other values of them, each with some of the models; see `_varied`
     variations: tuple[tuple[PlannedCase, ...], ...] = ()
     values: Mapping[str, float] = field(default_factory=dict)  # of a variation: key -> value
@@ -240,19 +240,22 @@ def _planned_mesh(geometry: Geometry, volume: bool) -> PlannedMesh:
 
 
 def _planned(case: ResolvedCase, mesh_key: str) -> PlannedCase:
-    study = case.study
+    whole = _work_of(case, case.study, mesh_key, case.label)
+    limits = limits_key(case.study, whole.hash)
+    return replace(whole, limits=limits, variations=_varied(case, mesh_key))
+
+
+def _work_of(case: ResolvedCase, study: Study, mesh_key: str, label: str) -> PlannedCase:
+    """A case of the sweep, with its own study or with a varied one; without limits and variations."""
     inputs = case_inputs(study)
-    hashed = case_hash(study, mesh_key, inputs)
     return PlannedCase(
-        hash=hashed,
-        label=case.label,
+        hash=case_hash(study, mesh_key, inputs),
+        label=label,
         swept=case.swept,
         swept_units=case.swept_units,
         study=study,
         mesh=mesh_key,
         wanted=tuple(wanted(study, mesh_key, inputs)),
-        limits=limits_key(study, hashed),
-        variations=_varied(case, mesh_key),
     )
 
 
@@ -264,45 +267,25 @@ def _varied(case: ResolvedCase, mesh_key: str) -> tuple[tuple[PlannedCase, ...],
     study = case.study
     if study.inputs is None:
         return ()
-    found = []
+    names, own, found = set(study.study.models), study.tissue.youngs_modulus, []
     for varied in variations(study)[0]:
-        names = set(study.study.models)
-        free = (
-            {name for name in names if goes_with_modulus(study, name)} if _MODULUS in varied.values else set()
-        )
-        own = study.tissue.youngs_modulus
-        same = varied.study.model_copy(
-            update={"tissue": varied.study.tissue.model_copy(update={"youngs_modulus": own})}
-        )
-        parts = [(varied.study, names - free, 1.0), (same, free, own / varied.values.get(_MODULUS, own))]
-        found.append(tuple(_variation(case, mesh_key, varied.values, *part) for part in parts if part[1]))
+        moved = _MODULUS in varied.values
+        free = {name for name in names if moved and goes_with_modulus(study, name)}
+        tissue = varied.study.tissue.model_copy(update={"youngs_modulus": own})
+        same = varied.study.model_copy(update={"tissue": tissue})
+        told = ", ".join(f"{key} = {value:.6g}" for key, value in varied.values.items())
+        label = ", ".join(filter(None, (case.label, told)))
+        parts = []
+        for of, some, times in (
+            (varied.study, names - free, 1.0),
+            (same, free, own / varied.values.get(_MODULUS, own)),
+        ):
+            if some:
+                whole = _work_of(case, of, mesh_key, label)
+                chosen = tuple(want for want in whole.wanted if want.name in some and want.level == 0)
+                parts.append(replace(whole, wanted=chosen, values=varied.values, times=times))
+        found.append(tuple(parts))
     return tuple(found)
-
-
-def _variation(
-    case: ResolvedCase,
-    mesh_key: str,
-    values: Mapping[str, float],
-    study: Study,
-    names: set[str],
-    times: float,
-) -> PlannedCase:
-    inputs = case_inputs(study)
-    label = ", ".join(f"{key} = {value:.6g}" for key, value in values.items())
-    return PlannedCase(
-        hash=case_hash(study, mesh_key, inputs),
-        label=", ".join(filter(None, (case.label, label))),
-        swept=case.swept,
-        swept_units=case.swept_units,
-        study=study,
-        mesh=mesh_key,
-        wanted=tuple(
-            want for want in wanted(study, mesh_key, inputs) if want.name in names and want.level == 0
-        ),
-        limits=None,
-        values=values,
-        times=times,
-    )
 
 
 def needs_volume(study: Study) -> bool:

@@ -7,13 +7,13 @@ import xml.etree.ElementTree as ET
 from argparse import Namespace
 from dataclasses import replace
 from pathlib import Path
-from subprocess import CompletedProcess
 
 import numpy as np
 import pytest
 
 from tests.unit.test_bench import CONDENSED, LINEAR, VECTOR
 from tools import marked, performance
+from tools.runs import ROOT
 from vdmbench.cli.verb_bench import run as bench_verb
 from vdmbench.evidence.bench_data import YARDSTICK, Bench, Growth
 
@@ -114,25 +114,25 @@ def test_what_was_measured_stays_where_the_section_is_made_from_it_again(
 ) -> None:
     """The command runs for an hour: here its verb, with the measurement in place of measuring."""
 
-    def command(*words: str | Path, **_: object) -> CompletedProcess[str]:
+    def command(*words: str | Path, **_: object) -> None:
         given = Namespace(study=None, surface=None, allow_outside=False, large=True, json=False, out=None)
         given.out = words[words.index("--out") + 1]
-        return CompletedProcess(words, bench_verb(given), "", "")
+        assert bench_verb(given) == 0
 
     kept = "results/bench/bench.h5"
     assert f"--bench {kept}" in performance.DOCUMENT.read_text()
     monkeypatch.setattr("vdmbench.evidence.bench.measure", lambda *_, **__: bench())
-    monkeypatch.setattr(performance, "vdmbench", command)
+    monkeypatch.setattr(performance, "finished", command)
     monkeypatch.setattr(performance, "DOCUMENT", tmp_path / "README.md")
     monkeypatch.setattr(performance, "GALLERY", tmp_path)
     monkeypatch.setattr(performance, "MEASURED", tmp_path / kept)
-    assert "results/bench/" in (performance.ROOT / ".gitignore").read_text().splitlines()
+    assert "results/bench/" in (ROOT / ".gitignore").read_text().splitlines()
     made = []
     for options in ([], ["--bench", str(tmp_path / kept)]):
         (tmp_path / "README.md").write_text("<!-- performance -->\n<!-- /performance -->\n")
         monkeypatch.setattr("sys.argv", ["performance", *options])
         performance.main()
         made.append((tmp_path / "README.md").read_text())
-        monkeypatch.setattr(performance, "vdmbench", None)  # from now on nothing is measured
+        monkeypatch.setattr(performance, "finished", None)  # from now on nothing is measured
     assert made[0] == made[1]
     assert performance.section(bench()) in made[0]

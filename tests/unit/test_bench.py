@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from tests.command import vdmbench
 from vdm import Model, Parameters, SurfaceMesh
 from vdmbench.cli.verb_bench import bodies_to_measure
 from vdmbench.evidence import bench
@@ -338,17 +337,6 @@ def test_a_surface_called_like_a_built_in_body_is_measured_beside_it() -> None:
         assert bodies.items() > built_in.items()
         assert [path for _, path in bodies.values() if path is not None] == [Path(name)]
     assert set(bodies_to_measure(None, Path("liver.stl"))) == {"sphere", "organ", "liver"}
-
-
-def test_help_says_how_long_it_takes_and_what_a_study_does(tmp_path: Path) -> None:
-    told = " ".join(vdmbench("bench", "--help", cwd=tmp_path).stdout.split())
-    assert "about five minutes a body" in told
-    assert (
-        "its body and its models, in place of every model on a sphere, an organ and the --surface given"
-        in told
-    )
-    check = " ".join(vdmbench("check", "--help", cwd=tmp_path).stdout.split())
-    assert "path of a study file, or a shipped study's name options:" in check
 
 
 def test_growth_of_elements_and_the_dense_form_on_finer_meshes(
