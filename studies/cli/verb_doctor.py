@@ -25,36 +25,19 @@ LIBRARIES = {
     "libXinerama.so.1": "libxinerama1",
     "libGL.so.1": "libgl1",
 }
-# what the project requires, and a module of each that needs all of it
-PACKAGES = {
-    "numpy": "numpy",
-    "scipy": "scipy",
+# of what the project requires, a module that needs all of the package, where it is not called like this
+_MODULES = {
     "scikit-fem": "skfem",
-    "gmsh": "gmsh",
-    "meshio": "meshio",
-    "pyvista": "pyvista",
     "vtk": "vtkmodules.vtkIOXML",
-    "h5py": "h5py",
-    "pyacvd": "pyacvd",
-    "cholespy": "cholespy",
-    "numba": "numba",
-    "pyamg": "pyamg",
-    "rslab": "rslab",
-    "pint": "pint",
-    "pydantic": "pydantic",
-    "jinja2": "jinja2",
     "matplotlib": "matplotlib.figure",
-    "rich": "rich",
     "tomli-w": "tomli_w",
-    "threadpoolctl": "threadpoolctl",
-    "pebble": "pebble",
 }
 # packages that are not needed, and what is done without them
 _FALLBACKS = {"rslab": "finite elements factorise with SciPy's SuperLU instead, slower and in more memory"}
 
 
 class Finding(NamedTuple):
-    """One thing looked at. What is not `needed` only costs a convenience."""
+    """One thing looked at, and what to do where it is not `ok`. What is not `needed` costs a convenience."""
 
     what: str
     ok: bool
@@ -76,49 +59,30 @@ def run(options: argparse.Namespace) -> int:
     else:
         for finding in findings:
             print(f"{'ok  ' if finding.ok else 'LACKS'} {finding.what}: {finding.detail}")
-            if not finding.ok and finding.remedy:
+            if not finding.ok:
                 print(f"      {finding.remedy}")
     return OK if all(finding.ok or not finding.needed for finding in findings) else MACHINE
 
 
 def examine() -> list[Finding]:
     """Look at Python, shared libraries, packages, cores, memory and the place for results."""
-    findings = [
-        Finding(
-            "python",
-            sys.version_info >= (3, 11),
-            True,
-            sys.version.split()[0],
-            "vdmbench needs Python 3.11 or newer",
-        )
-    ]
     missing = [name for name in LIBRARIES if not _loads(name)]
     line = f"apt-get install {' '.join(LIBRARIES[name] for name in missing)}"
-    findings.append(
-        Finding(
-            "shared libraries",
-            not missing,
-            True,
-            ", ".join(missing) or "all there",
-            line if missing else "",
-        )
-    )
-    findings += [_package(name, module) for name, module in PACKAGES.items()]
-    findings.append(Finding("cores", True, False, _cores(), ""))
-    findings.append(_memory())
+    required = (text for text in importlib.metadata.requires("vdmbench") or () if "extra ==" not in text)
+    memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
     directory = Path()
-    free = shutil.disk_usage(directory).free
-    writable = os.access(directory, os.W_OK)
-    findings.append(
-        Finding(
-            "disk",
-            writable and free > 200e6,
-            True,
-            f"{free / 1e9:.1f} GB free" + ("" if writable else f", {directory.resolve()} is read-only"),
-            "" if writable and free > 200e6 else "free some space, or run in another folder",
-        )
-    )
-    return findings
+    free, writable = shutil.disk_usage(directory).free, os.access(directory, os.W_OK)
+    told = f"{free / 1e9:.1f} GB free" + ("" if writable else f", {directory.resolve()} is read-only")
+    newer, coarser = "vdmbench needs Python 3.11 or newer", "use coarse meshes"
+    findings = [
+        Finding("python", sys.version_info >= (3, 11), True, sys.version.split()[0], newer),
+        Finding("shared libraries", not missing, True, ", ".join(missing) or "all there", line),
+        *(_package(text.split(">=")[0]) for text in required),
+        Finding("cores", True, False, _cores(), ""),
+        Finding("memory", memory > 2e9, False, f"{memory / 1e9:.1f} GB", coarser),
+        Finding("disk", writable and free > 200e6, True, told, "free some space, or run in another folder"),
+    ]
+    return [finding._replace(remedy="") if finding.ok else finding for finding in findings]
 
 
 def _cores() -> str:
@@ -126,7 +90,7 @@ def _cores() -> str:
     return str(there) if usable == there else f"{usable} of {there} may be used"
 
 
-def _package(name: str, module: str) -> Finding:
+def _package(name: str) -> Finding:
     remedy = f"pip install --constraint constraints.txt {name}"
     needed = name not in _FALLBACKS
     without = "" if needed else f": {_FALLBACKS[name]}"
@@ -135,17 +99,10 @@ def _package(name: str, module: str) -> Finding:
     except importlib.metadata.PackageNotFoundError:
         return Finding(name, False, needed, f"not installed{without}", remedy)
     try:
-        importlib.import_module(module)
+        importlib.import_module(_MODULES.get(name, name))
     except (ImportError, OSError) as error:  # a wheel whose shared library is missing raises OSError
         return Finding(name, False, needed, f"{version}, but it cannot be loaded ({error}){without}", remedy)
     return Finding(name, True, needed, version, "")
-
-
-def _memory() -> Finding:
-    total = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
-    return Finding(
-        "memory", total > 2e9, False, f"{total / 1e9:.1f} GB", "" if total > 2e9 else "use coarse meshes"
-    )
 
 
 def _loads(library: str) -> bool:

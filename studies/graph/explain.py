@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 from .. import models
@@ -135,51 +135,40 @@ def _skipped(plan: Plan, todo: Sequence[PlannedCase]) -> list[str]:
 
 
 def refused(plan: Plan, cases: Sequence[PlannedCase], work: Sequence[Body]) -> list[str]:
-    """What will be refused of these cases, with their work, so far as that is beyond doubt: a region that lies off
-    the body, a solve that this machine has no memory for, and models: without their wheel, elements that nothing
-    holds, an incompressible body, fibres, and a mesh of more surface nodes than a model takes."""
-    names = plan.study.study.models
-    limits = {name: most for name in names if (most := models.find(name)[0].most_nodes) is not None}
-    free = any(holds_nothing(case.study) for case in cases)
-    lines = [
-        *(f"{name}: {'; '.join(lack)}" for name in names if (lack := models.missing(name)) is not None),
-        *(text for _, text in blockers(plan, cases, work)),
-        *without_room(plan, cases),
-        *(
-            f"{name}: nothing is held; hold a region, by kind fixed or constrained"
-            for name in names
-            if free and models.find(name)[0].volumetric
-        ),
-    ]
-    if any(case.study.tissue.poisson_ratio == 0.5 for case in cases):
-        lines += [
-            f"{name} at a Poisson ratio of 0.5: a displacement element cannot be incompressible; use fem-linear, "
-            "or a ratio below 0.5"
-            for name in names
-            if split(name)[0] in DISPLACEMENT_ELEMENTS
-        ]
-    if any(case.study.anisotropy for case in cases):
-        lines += [
-            f"{name}: it is isotropic; use another model for fibres"
-            for name in names
-            if not models.find(name)[0].fibres
-        ]
-    lines += dict.fromkeys(
-        told for name in names for case in cases for told in lacks(name, extras_for(name, case.study))
-    )
-    if not limits:
-        return lines
+    """What will be refused of these cases, with their work, so far as that is beyond doubt."""
+    lines = [text for _, text in blockers(plan, cases, work)] + without_room(plan, cases)
+    for name in plan.study.study.models:
+        lines += dict.fromkeys(f"{name}{told}" for told in _refusals(plan, cases, name))
+    return lines
+
+
+def _refusals(plan: Plan, cases: Sequence[PlannedCase], name: str) -> Iterator[str]:
+    """Why a model refuses some of these cases, behind its name."""
+    model, studies = models.find(name)[0], [case.study for case in cases]
+    if (lack := models.missing(name)) is not None:
+        yield f": {'; '.join(lack)}"
+    if model.volumetric and any(map(holds_nothing, studies)):
+        yield ": nothing is held; hold a region, by kind fixed or constrained"
+    if split(name)[0] in DISPLACEMENT_ELEMENTS and any(each.tissue.poisson_ratio == 0.5 for each in studies):
+        yield (
+            " at a Poisson ratio of 0.5: a displacement element cannot be incompressible; use fem-linear, or a "
+            "ratio below 0.5"
+        )
+    if not model.fibres and any(each.anisotropy for each in studies):
+        yield ": it is isotropic; use another model for fibres"
+    for study in studies:
+        yield from (told.removeprefix(name) for told in lacks(name, extras_for(name, study)))
+    if model.most_nodes is None:
+        return
     missing = plan.missing_meshes(cases)
     for mesh in {case.mesh: plan.meshes[case.mesh] for case in cases}.values():
         known, counted = expected_mesh(plan, mesh), mesh.geometry.has_own_tetrahedra or mesh not in missing
         nodes = known.size.nodes if known is not None else 0.0
-        lines += [
-            f"{name} on a mesh of {'' if counted else 'about '}{nodes:,.0f} surface nodes, more than its "
-            f"{most:,}; use a larger mesh_size, or leave the model out"
-            for name, most in limits.items()
-            if nodes > most * (1.0 if counted else DOUBT)
-        ]
-    return lines
+        if nodes > model.most_nodes * (1.0 if counted else DOUBT):
+            yield (
+                f" on a mesh of {'' if counted else 'about '}{nodes:,.0f} surface nodes, more than its "
+                f"{model.most_nodes:,}; use a larger mesh_size, or leave the model out"
+            )
 
 
 def blockers(plan: Plan, cases: Sequence[PlannedCase], work: Sequence[Body]) -> list[Finding]:
