@@ -43,7 +43,7 @@ NORMAL = "relative_l2_normal_error"
 MEASURES = (VECTOR, DEFORMATION)
 HEAD = ("body", "nodes", "loads", "rigid", "reference's own", "least along normals", *COLUMNS.values())
 STEP = 1e-3  # m, by which a patch is moved; the models are linear, so that any other gives the same errors
-_PART = "accuracy"
+PART = "accuracy"
 
 
 @dataclass(frozen=True)
@@ -175,11 +175,6 @@ def as_per_cent(share: np.floating[Any] | float) -> str:
     return f"{per_cent:.0f}" if per_cent >= 9.95 else f"{per_cent:.1f}"
 
 
-def rows_in_document() -> dict[str, list[str]]:
-    """The rows that the page shows now, by body."""
-    return {row[0]: row for row in marked.cells(marked.shown(DOCUMENT, _PART))[1:]}
-
-
 def written(rows: Mapping[str, Sequence[str]]) -> str:
     """The table as Markdown."""
     return marked.table(HEAD, rows.values())
@@ -196,8 +191,8 @@ def main() -> None:
         for variant in (PRESSED, MOVED):
             row = row_of(surface.stem, variant, surface=surface)
             found[row[0]] = row
-    there = {name: row for name, row in rows_in_document().items() if len(row) == len(HEAD)}
-    marked.show(DOCUMENT, _PART, written(found | {k: v for k, v in there.items() if k not in found}))
+    there = {row[0]: row for row in marked.rows(DOCUMENT, PART) if len(row) == len(HEAD)}
+    marked.show(DOCUMENT, PART, written(found | {k: v for k, v in there.items() if k not in found}))
 
 
 if __name__ == "__main__":

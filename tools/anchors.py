@@ -121,11 +121,6 @@ def rows_of(anchor: Anchor) -> Iterator[list[str]]:
         yield [anchor.name, f"{anchor.poisson_ratio:g}", str(nodes), *cells]
 
 
-def rows_in_document() -> list[list[str]]:
-    """The rows that the page shows now."""
-    return marked.cells(marked.shown(DOCUMENT, PART))[1:]
-
-
 def main() -> None:
     """Solve all and write the table."""
     rows = [row for anchor in ANCHORS for row in rows_of(anchor)]

@@ -30,6 +30,11 @@ def cells(text: str) -> list[list[str]]:
     return [[cell.strip() for cell in line.split(" | ")] for line in lines[:1] + lines[2:]]
 
 
+def rows(document: Path, name: str) -> list[list[str]]:
+    """The rows of the table that a part of a document shows, without its head."""
+    return cells(shown(document, name))[1:]
+
+
 def _found(text: str, document: Path, name: str) -> re.Match[str]:
     found = re.search(rf"<!-- {name} -->\n(.*?)<!-- /{name} -->", text, re.DOTALL)
     if found is None:

@@ -40,11 +40,6 @@ def row_of(path: Path) -> list[str] | None:
     return [path.stem, *(as_per_cent(METRICS[name].function(surface, history)[0]) for name in SHARES)]
 
 
-def rows_in_document() -> list[list[str]]:
-    """The rows that the page shows now."""
-    return marked.cells(marked.shown(DOCUMENT, PART))[1:]
-
-
 def main() -> None:
     """Solve all of them and write the table."""
     rows = filter(None, map(row_of, sorted(CASES.glob("*.toml"))))

@@ -112,11 +112,6 @@ def _over_bodies(cells: Sequence[str]) -> str:
     return f"{means} ({worst})"
 
 
-def rows_in_document() -> list[list[str]]:
-    """The rows that the page shows now."""
-    return marked.cells(marked.shown(DOCUMENT, PART))[1:]
-
-
 def written(rows: Iterable[Sequence[str]]) -> str:
     """The table as Markdown, rows of all bodies at its end."""
     rows = list(rows)
@@ -132,7 +127,9 @@ def main() -> None:
         print(marked.table(HEAD, found), flush=True)
     named = {row[0] for row in found} | {ALL}
     marked.show(
-        DOCUMENT, PART, written([*found, *(row for row in rows_in_document() if row[0] not in named)])
+        DOCUMENT,
+        PART,
+        written([*found, *(row for row in marked.rows(DOCUMENT, PART) if row[0] not in named)]),
     )
 
 

@@ -6,6 +6,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from tools import anchors as table
+from tools import marked
 
 
 @pytest.mark.parametrize(
@@ -14,14 +15,14 @@ from tools import anchors as table
 def test_the_coarsest_mesh_of_an_anchor_gives_its_row(anchor: table.Anchor) -> None:
     nodes, error = table.errors(anchor, anchor.meshes[0])
     key = [anchor.name, f"{anchor.poisson_ratio:g}", str(nodes)]
-    (row,) = (row for row in table.rows_in_document() if row[:3] == key)
+    (row,) = (row for row in marked.rows(table.DOCUMENT, table.PART) if row[:3] == key)
     for found, shown in zip(error, (row[3], row[5]), strict=True):
         # two digits
         assert_allclose(100.0 * found, [float(part) for part in shown.split(" / ")], rtol=0.05, atol=0)
 
 
 def test_every_anchor_has_three_meshes_and_second_order_in_the_form() -> None:
-    rows = table.rows_in_document()
+    rows = marked.rows(table.DOCUMENT, table.PART)
     for anchor in table.ANCHORS:
         own = [row for row in rows if row[:2] == [anchor.name, f"{anchor.poisson_ratio:g}"]]
         assert len(own) == len(anchor.meshes) == 3

@@ -11,7 +11,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from tests.unit.example_case import example_case
-from tools import accuracy, ratios
+from tools import accuracy, marked, ratios
 from vdmbench.measures.case import MetricSeries
 from vdmbench.measures.metrics import DEFORMATION, VECTOR
 from vdmbench.study.config import expand, load_study
@@ -63,7 +63,7 @@ def test_the_last_rows_are_means_of_means_and_worst_of_worst() -> None:
 
 
 def test_the_page_shows_every_body_at_every_ratio_and_its_sums() -> None:
-    rows = [row for row in ratios.rows_in_document() if row[0] != ratios.ALL]
+    rows = [row for row in marked.rows(ratios.DOCUMENT, ratios.PART) if row[0] != ratios.ALL]
     assert {(body, str(ratio)) for body, ratio in product(accuracy.STUDIES, ratios.RATIOS)} <= {
         (row[0], row[1]) for row in rows
     }

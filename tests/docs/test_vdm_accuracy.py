@@ -10,17 +10,21 @@ import pytest
 from numpy.testing import assert_allclose
 
 from tools import accuracy as table
-from tools import motion
+from tools import marked, motion
 from vdmbench.study.config import expand, load_study
 from vdmbench.study.model_name import is_vdm
 from vdmbench.study.overrides import overridden
+
+
+def shown_rows() -> dict[str, list[str]]:
+    return {row[0]: row for row in marked.rows(table.DOCUMENT, table.PART)}
 
 
 @pytest.mark.slow
 def test_the_cheapest_row_is_what_its_study_gives(tmp_path: Path) -> None:
     name = table.CHEAPEST
     found = table.row_of(name, cwd=tmp_path)
-    shown = table.rows_in_document()[name]
+    shown = shown_rows()[name]
     assert len(found) == len(shown) == len(table.HEAD)
     for column, new, old in zip(table.HEAD, found, shown, strict=True):
         assert re.sub(r"[\d.]+", "0", new) == re.sub(r"[\d.]+", "0", old), f"{column}: {new}, not {old}"
@@ -31,7 +35,7 @@ def test_the_cheapest_row_is_what_its_study_gives(tmp_path: Path) -> None:
 
 
 def test_the_table_has_a_row_for_every_study_and_a_column_for_every_model() -> None:
-    rows = table.rows_in_document()
+    rows = shown_rows()
     wanted = {body + variant.words for body, variants in table.VARIANTS.items() for variant in variants}
     assert wanted <= set(rows)
     assert all(len(row) == len(table.HEAD) for row in rows.values())
@@ -40,7 +44,7 @@ def test_the_table_has_a_row_for_every_study_and_a_column_for_every_model() -> N
 
 
 def test_writing_keeps_what_was_read() -> None:
-    rows = table.rows_in_document()
+    rows = shown_rows()
     assert table.written(rows) in table.DOCUMENT.read_text(encoding="utf-8")
 
 
@@ -73,7 +77,7 @@ def test_a_variant_moves_the_patch_inward_or_deepens_the_bed_and_leaves_the_rest
 
 def test_the_motion_of_the_reference_is_that_of_the_shipped_studies() -> None:
     """The cheapest row is what a solve gives, and a row is of a study that has elements for a reference."""
-    shown = {row[0]: row for row in motion.rows_in_document()}
+    shown = {row[0]: row for row in marked.rows(table.DOCUMENT, motion.PART)}
     studies = {path.stem: load_study(path).study for path in table.CASES.glob("*.toml")}
     with_elements = {name for name, s in studies.items() if s.reference and not is_vdm(s.reference)}
     assert set(shown) <= with_elements
