@@ -479,20 +479,6 @@ def test_nodal_fields_are_those_of_the_surface_and_none_beyond_reach(block: Body
 # ---------------------------------------------------------------- refusals
 
 
-def test_parameters_say_what_was_solved(block: Body) -> None:
-    s = _problem(block, _bottom(block), **FIBRES).solve([block.load(0.05 * _top(block))])
-    for name, value in {
-        "material": "transversely-isotropic",
-        "contrast": 5.0,
-        "pressure": "follower",
-    }.items():
-        assert s.parameters[name] == value
-    assert s.parameters["factorisations"] >= 1.0
-    assert s.parameters["linear_iterations"] >= s.iterations.sum()
-    assert s.seconds_setup > 0.0
-    assert np.all(s.seconds_per_step > 0.0)
-
-
 def test_options_that_make_no_sense_are_refused(block: Body) -> None:
     for options, words in (
         ({"pressure": "wind"}, "pressure 'wind' is unknown; use one of follower, dead"),

@@ -33,19 +33,6 @@ def test_the_block_is_factored_once_for_a_whole_history(formulation, solver, mon
     assert made[0] == (FORMULATIONS[formulation].__name__, np.count_nonzero(~BASE))
 
 
-@pytest.mark.parametrize("solver", ["linear", "nonlinear"])
-@pytest.mark.parametrize("weightless", [{"density": 0.0, "gravity": (0.0, 0.0, -9.81)}, {"density": 1060.0}])
-def test_without_gravity_no_hydrostatic_pressure_is_assembled(solver, weightless, monkeypatch):
-    body = model("vector", solver=solver, **weightless)
-    monkeypatch.setattr(
-        FORMULATIONS["vector"], "pressure_force", lambda *_: pytest.fail("hydrostatic assembly")
-    )
-    assert body.problem.support.hydrostatic is None
-    assert np.array_equal(
-        body.solve([FINGER]).displacement, model("vector", solver=solver).solve([FINGER]).displacement
-    )
-
-
 def test_a_rule_for_the_parameters_is_a_part_of_the_set_up():
     seen: list[SurfaceMesh] = []
 

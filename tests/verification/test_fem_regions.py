@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 from fem_reference.exact import LayeredSphere, ThickSphere
 from fem_reference.exact_finite_strain import InflatedThickSphere
 from fem_reference.finite_strain import FiniteStrainProblem
-from fem_reference.linear import LinearProblem
 from fem_reference.solution import SolverError
 from tests.unit.fem_shapes import Body, cube, pressed_shell
 from tests.verification.fem_convergence import Convergence, inner_error, radial_error
@@ -27,7 +26,6 @@ a_sphere = pytest.mark.anchor(
 a_large_sphere = pytest.mark.anchor(
     "two-layer sphere, finite strain", "Ogden 1984, Non-Linear Elastic Deformations, section 5.3.2"
 )
-EVERY_OUTPUT = frozenset({"compliance", "volume", "max_principal_strain"})
 
 
 def _upper(b: Body) -> NDArray[np.bool_]:
@@ -55,48 +53,6 @@ def test_bar_of_two_materials(solver: str, verified: Verified) -> None:
     verified.equal(
         f"{solver}: energy", s.energy[0], 0.5 * 0.2**2 * 0.5 * (1.0 + 1.0 / 1.8), rtol=10.0 * limit
     )
-
-
-def test_a_pressure_that_cannot_jump_misses_the_bar() -> None:
-    """What `parts` is for: with one continuous pressure the same bar is off by some percent."""
-    b = cube(4)
-    upper = _upper(b)
-    young, nu = np.where(upper, 1.8, 1.0), np.where(upper, 0.45, 0.25)
-    end = b.facets_where(lambda x: x[:, 2] > 1.0 - 1e-9)
-    found = [
-        b.problem(b.surface < 1e-12, youngs_modulus=young, poisson_ratio=nu, parts=parts)
-        .solve([b.load(0.2 * end)])
-        .displacement
-        for parts in (None, upper.astype(int))
-    ]
-    gap = np.abs(found[0] - found[1]).max() / np.abs(found[1]).max()
-    assert 1e-3 < gap < 0.05
-
-
-@pytest.mark.parametrize("poisson_ratio", [0.3, 0.4999, 0.5])
-@pytest.mark.parametrize("solver", ["direct", "iterative"])
-def test_equal_moduli_in_every_tetrahedron_are_one_modulus(poisson_ratio: float, solver: str) -> None:
-    b = cube(2, distort=0.25)
-    each = np.ones(len(b.tetrahedra))
-    held, top = b.surface[:, 2] == 0.0, b.facets_where(lambda x: x[:, 2] == 1.0)
-    load = b.load(300.0 * top, gravity=(0.0, 1.0, -9.0))
-    common = {"held": held, "density": 40.0, "solver": solver}
-    for make in (LinearProblem, FiniteStrainProblem):
-        outputs = EVERY_OUTPUT - ({"compliance"} if make is FiniteStrainProblem else set())
-        one = make(*b.arrays, youngs_modulus=4e3, poisson_ratio=poisson_ratio, **common).solve(
-            [load], outputs
-        )
-        many = make(*b.arrays, youngs_modulus=4e3 * each, poisson_ratio=poisson_ratio * each, **common).solve(
-            [load], outputs
-        )
-        tolerance = 1e-11 if solver == "direct" and make is LinearProblem else 1e-7
-        for name in ("displacement", "fluid_pressure", "reaction_force", "energy"):
-            expected = getattr(one, name)
-            assert_allclose(
-                getattr(many, name), expected, rtol=0, atol=tolerance * np.abs(expected).max(), err_msg=name
-            )
-        for name in outputs:
-            assert_allclose(many.scalars[name], one.scalars[name], rtol=tolerance, atol=0)
 
 
 # ---------------------------------------------------------------- spheres of two layers
