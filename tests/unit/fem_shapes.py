@@ -7,12 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy import sparse
 from skfem import MeshTet
 
-from fem_reference import assembly
 from fem_reference.linear import LinearProblem, Load
-from fem_reference.mesh import TetMesh
 from solver_common.quadrature import facet_quadrature
 
 Array = NDArray[np.float64]
@@ -144,20 +141,3 @@ def pressed_shell(n: int) -> tuple[Body, NDArray[np.bool_]]:
     """Octant of the shell between radii 1 and 2 in n layers, and its inner facets."""
     b = octant_shell(1.0, 2.0, n, 3 * n // 2)
     return b, b.facets_where(lambda x: np.linalg.norm(x, axis=1) < 1.0 + 1e-9)
-
-
-def elasticity_matrix(mesh: TetMesh, divergence: float, fibres: Array | None = None) -> sparse.bsr_array:
-    """The whole (3 n_nodes, 3 n_nodes) matrix of `elasticity_blocks`, displacement components interleaved."""
-    pattern = assembly.scalar_pattern(mesh)
-    blocks = assembly.elasticity_blocks(mesh, pattern, divergence, fibres)
-    size = 3 * mesh.n_nodes
-    return sparse.bsr_array((blocks, pattern.indices, pattern.indptr), shape=(size, size))
-
-
-def divergence_matrix(mesh: TetMesh) -> sparse.bsr_array:
-    """The whole (n, 3 n_nodes) matrix of `divergence_blocks`."""
-    pattern = assembly.scalar_pattern(mesh)
-    coupling = assembly.coupling_pattern(mesh, pattern)
-    blocks = assembly.divergence_blocks(mesh, coupling)
-    shape = (mesh.n_pressures, 3 * mesh.n_nodes)
-    return sparse.bsr_array((blocks, coupling.indices, coupling.indptr), shape=shape)
