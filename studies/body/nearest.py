@@ -27,21 +27,20 @@ def nearest_on_surface(queries: Array, points: Array, triangles: Index) -> tuple
     return np.linalg.norm(nearest - queries, axis=1), facet, np.stack([1.0 - s - t, s, t], axis=1)
 
 
-def distances_and_farthest(copies: Array, other: Array, triangles: Index) -> tuple[Array, Array]:
-    """How far B displaced copies (B, N, 3) of a surface are from another copy (N, 3).
+def distances_and_farthest(points: Array, other: Array, triangles: Index) -> tuple[Array, float]:
+    """How far a displaced copy (N, 3) of a surface is from another copy (N, 3).
 
     Returns
     -------
-    distance : (B, N) of their nodes to the other surface [m]
-    farthest : (B,) the largest of these and of the distances of the other's nodes to each [m]
+    distance : (N,) of its nodes to the other surface [m]
+    farthest : the largest of these and of the distances of the other's nodes to it [m]
     """
-    there = np.stack([_distances(points, other, triangles) for points in copies])
-    farthest = there.max(axis=1)
-    for place, points in enumerate(copies):
-        # a node of the other surface is no further from this one than from the node that it corresponds to
-        doubtful = np.linalg.norm(points - other, axis=1) > farthest[place]
-        if doubtful.any():
-            farthest[place] = max(farthest[place], _distances(other[doubtful], points, triangles).max())
+    there = _distances(points, other, triangles)
+    farthest = float(there.max())
+    # a node of the other surface is no further from this one than from the node that it corresponds to
+    doubtful = np.linalg.norm(points - other, axis=1) > farthest
+    if doubtful.any():
+        farthest = max(farthest, float(_distances(other[doubtful], points, triangles).max()))
     return there, farthest
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -102,7 +102,8 @@ def make_case(payload: Payload, block: Block) -> None:
             models=results,
             metrics=metrics,
             reference=reference,
-            reference_error=_reference_error(surface, scene, levels, metrics.get(coarse or "", {})),
+            # of mesh levels, the finest first
+            reference_error=own_error(surface, levels[::-1], scene.load_factors) if len(levels) > 1 else {},
             small_strain=_small_strain(payload),
             measurement=measurement,
             inputs=spread,
@@ -190,14 +191,3 @@ def compare(
         }
         for name, series in evaluate_all(surface, histories, reference).items()
     }
-
-
-def _reference_error(
-    surface: Surface, scene: Scene, levels: Sequence[ModelResult], coarsest: Mapping[str, MetricSeries]
-) -> dict[str, float]:
-    """The reference's own error from its levels, coarse first; `coarsest` are the metrics of the first."""
-    if len(levels) < 2:
-        return {}
-    is_pair = len(levels) == 2 and len(scene.load_factors) == 1  # compared already
-    found = {name: series.values for name, series in coarsest.items()} if is_pair and coarsest else None
-    return own_error(surface, levels[::-1], scene.load_factors, found)

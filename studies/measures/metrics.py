@@ -7,7 +7,7 @@ depend on how the mesh spreads its nodes. Adding a metric is one decorated funct
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property, wraps
 from typing import Any, Literal
@@ -39,7 +39,7 @@ class History:
     displacement: Array  # (S, N, 3)
     reaction_force: Array  # (S, N, 3)
     load_factors: Array  # (S,)
-    # at full load: (N,) from the nodes to the reference's surface, and the largest either way; see `evaluate_all`
+    # at full load: (N,) from the nodes to the reference's surface, and the largest either way; see `evaluate`
     distances: tuple[Array, float] | None = None
     volume: Array | None = None  # (S,) enclosed volumes [m^3], where they are known
     measurement: tuple[Array, Array] | None = None  # (S,) rms of E and of D, see `measurement.step_rms`
@@ -232,31 +232,21 @@ def hausdorff_distance(surface: Surface, model: History, reference: History) -> 
 def _of_distances(
     surface: Surface, model: History, reference: History, measure: Callable[[Array, float], float]
 ) -> Array:
-    """(S,) NaN but at the step of the largest load."""
+    """(S,) NaN but at the step of the largest load, and there where a result failed."""
+    step = full_load_step(model.load_factors)
     out = np.full(len(model.load_factors), np.nan)
-    if model.distances is None:
-        (model,) = _with_distances(surface, [model], reference)
-    if model.distances is not None:
-        out[full_load_step(model.load_factors)] = measure(*model.distances)
+    if found := model.distances or _distances(surface, model, reference):
+        out[step] = measure(*found)
     return out
 
 
-def _with_distances(surface: Surface, models: Sequence[History], reference: History) -> list[History]:
-    """The models with their distances from the reference, found in one pass; None where either's step failed."""
-    step = full_load_step(reference.load_factors)
-    r = reference.displacement[step]
-    found = list(models)
-    usable = [
-        place
-        for place, model in enumerate(models)
-        if np.isfinite(model.displacement[step]).all() and np.isfinite(r).all()
-    ]
-    if usable:
-        deformed = surface.points + np.stack([models[place].displacement[step] for place in usable])
-        there, farthest = distances_and_farthest(deformed, surface.points + r, surface.triangles)
-        for place, distance, most in zip(usable, there, farthest, strict=True):
-            found[place] = replace(models[place], distances=(distance, float(most)))
-    return found
+def _distances(surface: Surface, model: History, reference: History) -> tuple[Array, float] | None:
+    """See `History.distances`; None where either's step failed."""
+    step = full_load_step(model.load_factors)
+    u, r = model.displacement[step], reference.displacement[step]
+    if not np.isfinite(u).all() or not np.isfinite(r).all():
+        return None
+    return distances_and_farthest(surface.points + u, surface.points + r, surface.triangles)
 
 
 @metric(
@@ -365,6 +355,8 @@ def mean_indentation(surface: Surface, displacement: Array) -> Array:
 
 def evaluate(surface: Surface, model: History, reference: History | None) -> dict[str, Array]:
     """Every metric that has what it needs: name -> (S,) values."""
+    if reference is not None:  # once for all metrics that read them
+        model = replace(model, distances=_distances(surface, model, reference))
     out = {}
     for one in METRICS.values():
         if (
@@ -384,13 +376,9 @@ def evaluate_all(
     surface: Surface, models: Mapping[str, History], reference: str | None
 ) -> dict[str, dict[str, Array]]:
     """`evaluate` of each model against one of them, which is itself compared with nothing."""
-    if reference is None:
-        return {name: evaluate(surface, model, None) for name, model in models.items()}
-    others = [name for name in models if name != reference]
-    measured = _with_distances(surface, [models[name] for name in others], models[reference])
-    ready = dict(zip(others, measured, strict=True))
+    held_against = models[reference] if reference is not None else None
     return {
-        name: evaluate(surface, ready.get(name, model), models[reference] if name in ready else None)
+        name: evaluate(surface, model, held_against if name != reference else None)
         for name, model in models.items()
     }
 

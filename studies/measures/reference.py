@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -19,7 +19,7 @@ from ..scene.result import REFUSED, ModelResult
 from ..scene.scene import Scene, build_scene
 from ..study.errors import InputError
 from ..study.schema import Study
-from .metrics import METRICS, History, evaluate, evaluate_all, full_load_step
+from .metrics import METRICS, History, evaluate, full_load_step
 from .uncertainty import estimate_error, estimate_limit
 
 
@@ -31,18 +31,12 @@ class FailedReferenceError(ValueError):
         self.remedy = remedy
 
 
-def own_error(
-    surface: Surface,
-    levels: Sequence[ModelResult],
-    load_factors: Array,
-    found: Mapping[str, Array] | None = None,
-) -> dict[str, float]:
+def own_error(surface: Surface, levels: Sequence[ModelResult], load_factors: Array) -> dict[str, float]:
     """The error of the finest of S-step results on one surface, at the largest load.
 
     Parameters
     ----------
     levels : the finest first, each refined once from the next
-    found : every metric of the second level against the finest; only where S is 1, else they are computed
 
     Returns
     -------
@@ -78,12 +72,10 @@ def own_error(
         )
         for level in levels
     ]
-    if found is None:
-        finest, second = histories[:2]
-        found = evaluate_all(surface, {"second": second, "finest": finest}, "finest")["second"]
+    finest, second = histories[:2]
     error |= {
         f"gci:{metric}": margin * abs(float(value[-1]))
-        for metric, value in found.items()
+        for metric, value in evaluate(surface, second, finest).items()
         if METRICS[metric].needs_reference
     }
     error["gci:relative_l2_deformation_error"] = deformation.gci

@@ -10,6 +10,7 @@ from functools import cache
 from html import escape
 
 from ..measures.case import Run
+from ..store.metrics_table import no_formula
 from ..verdict.digest import Digest
 from ..verdict.formatting import NOTHING
 from ..verdict.palette import COLOURS
@@ -67,7 +68,7 @@ def table_csv(table: Table) -> str:
     for row in table.rows:
         writer.writerow(
             [
-                repr(cell.exact) if cell.exact is not None else _safe(_words(cell).strip(NOTHING))
+                repr(cell.exact) if cell.exact is not None else no_formula(_words(cell).strip(NOTHING))
                 for cell in row
             ]
         )
@@ -91,16 +92,11 @@ def table_latex(table: Table, caption: str) -> str:
 
 def _head(column: Column) -> str:
     words = " ".join(filter(None, (column.title, column.detail)))
-    return _safe(f"{words} [{column.unit}]" if column.unit else words)
+    return no_formula(f"{words} [{column.unit}]" if column.unit else words)
 
 
 def _words(cell: Cell) -> str:
     return " ".join(filter(None, (cell.text, cell.detail)))
-
-
-def _safe(text: str) -> str:
-    """A text that a spreadsheet would run as a formula gets a quote in front."""
-    return f"'{text}" if text.startswith(("=", "+", "-", "@", "\t", "\r")) else text
 
 
 def _latex_row(cells: Sequence[str]) -> str:

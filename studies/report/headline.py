@@ -177,8 +177,7 @@ def _table(digest: Digest) -> Table:
             Cell(quantity(summary.peak_bytes, "B"), value=summary.peak_bytes),
         ]
         rows.append(row)
-    colours = [digest.colour(s.name) for s in digest.summaries]
-    return Table(name="headline", caption="", columns=columns, rows=rows, marks=colours)
+    return Table("headline", "", columns, rows, digest.marks(digest.models))
 
 
 def _about_model(summary: ModelSummary) -> str:

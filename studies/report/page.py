@@ -30,7 +30,7 @@ from .section_limits import small_strain_limits
 from .section_measures import all_measures
 from .section_scene import scene
 from .section_stability import numerical_stability
-from .section_view import Renderer, heading, still, surfaces
+from .section_view import heading, still, surfaces
 from .section_volume import volume_drift
 
 
@@ -101,14 +101,14 @@ def write_report(run: Run, path: Path) -> None:
     OSError
         disk full or read-only.
     """
-    write_atomically(path, encoded(page_html(run, picture.render)))
+    write_atomically(path, encoded(page_html(run)))
 
 
-def page_html(run: Run, render: Renderer) -> str:
-    """The page as text. `render` makes the still pictures of the surface."""
+def page_html(run: Run, *, stills: bool = True) -> str:
+    """The page as text, with still pictures of the surface or without."""
     # overflow is no surprise in what a model that broke down left behind; its numbers are shown as not finite
     with np.errstate(all="ignore"):
-        return _page_html(Digest(run), render)
+        return _page_html(Digest(run), stills=stills)
 
 
 def every_section(digest: Digest) -> list[Section]:
@@ -118,7 +118,7 @@ def every_section(digest: Digest) -> list[Section]:
         return [section for make in makers if (section := make(digest))]
 
 
-def _page_html(digest: Digest, render: Renderer) -> str:
+def _page_html(digest: Digest, *, stills: bool) -> str:
     run, told, drawn = digest.run, answers(verdict(digest)), scene(digest)
     before, after = (
         [section for make in part if (section := make(digest))] for part in (SECTIONS_BEFORE, _after())
@@ -138,7 +138,7 @@ def _page_html(digest: Digest, render: Renderer) -> str:
         )
 
     room = MOST_BYTES - len(encoded(page(before + after))) - SCRIPT_BYTES - _MARGIN
-    view = surfaces(digest, room, render)
+    view = surfaces(digest, room, stills=stills)
     return page([*before, *([view] if view else []), *after])
 
 

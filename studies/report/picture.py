@@ -17,8 +17,6 @@ from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from matplotlib.image import imsave
 
-from solver_common.arrays import Array
-
 from ..verdict.formatting import scale_of
 from . import raster
 
@@ -45,9 +43,12 @@ class Panel:
     top: float = 1.0  # what the value 1 stands for [m]
 
 
-def render(pictures: Sequence[Sequence[Panel]]) -> list[bytes]:
-    """PNG files on a transparent ground, one per picture of panels side by side, all to one scale."""
-    return [_png(panels) for panels in pictures]
+def png(panels: Sequence[Panel]) -> bytes:
+    """PNG file of panels side by side, all to one scale, on a transparent ground."""
+    out = io.BytesIO()
+    pixels = np.concatenate(_drawings(panels), axis=1)
+    imsave(out, pixels, format="png", metadata=_NO_METADATA, pil_kwargs=_QUICK)
+    return out.getvalue()
 
 
 def labelled(panels: Sequence[Panel], heading: Sequence[str]) -> bytes:
@@ -77,13 +78,6 @@ def _figure(panels: Sequence[Panel], heading: Sequence[str]) -> Figure:
     return figure
 
 
-def _png(panels: Sequence[Panel]) -> bytes:
-    out = io.BytesIO()
-    pixels = np.concatenate(_drawings(panels), axis=1)
-    imsave(out, pixels, format="png", metadata=_NO_METADATA, pil_kwargs=_QUICK)
-    return out.getvalue()
-
-
 def _drawings(panels: Sequence[Panel]) -> list[np.ndarray]:
     """(height, width, 4) pixels of each panel, all to one scale."""
     everything = np.concatenate([panel.points for panel in panels])
@@ -94,10 +88,9 @@ def _drawings(panels: Sequence[Panel]) -> list[np.ndarray]:
     fine = raster.FINER * np.array([_PANEL, height])
     scale = float(0.5 * np.min(fine / [half_width, half_height]))  # pixels per metre
     shift = fine / 2 - scale * (low + high)[:2] / 2
-    return [_drawn(panel, axes, scale, shift, _PANEL, height) for panel in panels]
-
-
-def _drawn(panel: Panel, axes: Array, scale: float, shift: Array, width: int, height: int) -> np.ndarray:
-    """(height, width, 4) pixels of a panel."""
-    colours = colormaps[panel.colour_map](np.clip(panel.values, 0.0, 1.0))[panel.triangles]
-    return raster.drawn(panel.points @ axes.T, panel.triangles, colours, scale, shift, width, height)
+    pictures = []
+    for panel in panels:
+        colours = colormaps[panel.colour_map](np.clip(panel.values, 0.0, 1.0))[panel.triangles]
+        seen = panel.points @ axes.T
+        pictures.append(raster.drawn(seen, panel.triangles, colours, scale, shift, _PANEL, height))
+    return pictures

@@ -132,7 +132,7 @@ def _table(digest: Digest, found: Sequence[_Series], fixed: _Series | None) -> T
         if fixed is not None:
             last = _against(s, fixed) if converging and s is not fixed else Cell(NOTHING)
         rows.append([Cell(s.model), *works, order, limit, last])
-    return Table("convergence", "", columns, rows, marks=[digest.colour(s.model) for s in found])
+    return Table("convergence", "", columns, rows, marks=digest.marks(s.model for s in found))
 
 
 def _against(s: _Series, fixed: _Series) -> Cell:

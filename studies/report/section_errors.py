@@ -204,7 +204,7 @@ def error_against_load(digest: Digest) -> Section | None:
     """Median over cases and their range, step by step; full vector and deformation on the same scale."""
     if not digest.compared or not digest.has_steps:
         return None
-    curves = {metric: _load_curves(digest, metric) for metric, _ in QUANTITIES}
+    curves = {metric: over_load(digest, digest.compared, metric) for metric, _ in QUANTITIES}
     heights = [
         y for by_model in curves.values() for table in by_model.values() for ys in table.values() for y in ys
     ]
@@ -224,15 +224,13 @@ def error_against_load(digest: Digest) -> Section | None:
     return Section("load", "Error against load", [*blocks, Figures(figures, digest.legend)])
 
 
-def _load_curves(digest: Digest, metric: str) -> dict[str, dict[float, list[float]]]:
-    """Model -> load factor -> the finite values over the cases."""
+def over_load(digest: Digest, models: Iterable[str], metric: str) -> dict[str, dict[float, list[float]]]:
+    """Model -> load factor -> the finite values over the cases, of the models that have any."""
     curves: dict[str, dict[float, list[float]]] = {}
-    for model in digest.compared:
+    for model in models:
         for case in digest.cases:
             values = series(case, model, metric)
-            for factor, value in zip(
-                case.load_factors, [] if values is None else values, strict=values is not None
-            ):
+            for factor, value in zip(case.load_factors, () if values is None else values, strict=False):
                 if math.isfinite(value):
                     curves.setdefault(model, {}).setdefault(float(factor), []).append(float(value))
     return curves

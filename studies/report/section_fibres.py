@@ -16,13 +16,13 @@ AXES = ("x", "y", "z")
 def anisotropy_of_the_response(digest: Digest) -> Section | None:
     """Mean strains at full load of every case with fibres; None where no case has any."""
     cases = [case for case in digest.cases if case.resolved.get("anisotropy")]
-    rows, marks = [], []
+    rows, names = [], []
     for case in cases:
         for model in digest.models:
             strains = [at_full_load(case, model, f"mean_strain_{axis}") for axis in AXES]
             if all(map(math.isfinite, strains)):
                 rows.append(_row(digest, case, model, strains))
-                marks.append(digest.colour(model))
+                names.append(model)
     if not rows:
         return None
     note = (
@@ -36,7 +36,7 @@ def anisotropy_of_the_response(digest: Digest) -> Section | None:
         *(Column(f"Mean strain {axis}", unit="1") for axis in AXES),
         Column("x over y", unit="1"),
     ]
-    table = Table("anisotropy", "", columns, rows, marks)
+    table = Table("anisotropy", "", columns, rows, digest.marks(names))
     return Section("anisotropy", "Anisotropy of the response", [table, Text(note, kind="note")])
 
 

@@ -197,7 +197,7 @@ def _table(digest: Digest, push: Push, curves: Mapping[str, _Curve], place: str,
         [Cell(model), _range(curve.lengths, "m"), _range(curve.loads, push.unit)]
         for model, curve in curves.items()
     ]
-    return Table(name, place, columns, rows, marks=[digest.colour(model) for model in curves])
+    return Table(name, place, columns, rows, marks=digest.marks(curves))
 
 
 def _range(values: Array, unit: str) -> Cell:

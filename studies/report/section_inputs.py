@@ -38,7 +38,8 @@ def inputs(digest: Digest) -> Section | None:
     for k, (case, spread) in enumerate(shown):
         name = digest.case_name(case) if len(digest.cases) > 1 else ""
         blocks.append(_table(digest, case, spread, f"inputs-{k}", name))
-        blocks += [_indices(digest, spread, f"input-indices-{k}")] if _has_indices(spread) else []
+        if any(model.indices for model in spread.models.values()):
+            blocks.append(_indices(digest, spread, f"input-indices-{k}"))
     method, variations = cases[0][1].method, cases[0][1].variations
     how = f"{_HOW.get(method, '')} {plural(variations, 'variation')} of each case were computed."
     blocks.append(Text(_READING.format(how=how), kind="note"))
@@ -87,16 +88,11 @@ def _table(digest: Digest, case: CaseResult, spread: InputSpread, name: str, cap
                 Cell(percent(error), "below what is not known" if lost else "", error),
             ]
         )
-    marks = [digest.colour(model) if model in digest.models else None for model in spread.models]
-    return Table(name, caption, columns, rows, marks=marks)
+    return Table(name, caption, columns, rows, marks=digest.marks(spread.models))
 
 
 def _share(value: float) -> Cell:
     return Cell(percent(value) if math.isfinite(value) else NOTHING, value=value)
-
-
-def _has_indices(spread: InputSpread) -> bool:
-    return any(model.indices for model in spread.models.values())
 
 
 def _indices(digest: Digest, spread: InputSpread, name: str) -> Table:
@@ -116,8 +112,7 @@ def _indices(digest: Digest, spread: InputSpread, name: str) -> Table:
         ]
         for model, found in spread.models.items()
     ]
-    marks = [digest.colour(model) if model in digest.models else None for model in spread.models]
-    return Table(name, "", columns, rows, marks=marks)
+    return Table(name, "", columns, rows, marks=digest.marks(spread.models))
 
 
 SECTIONS_FIRST = (inputs,)

@@ -73,8 +73,7 @@ def _table(digest: Digest, rows: list[LimitRow]) -> Table:
                 _found(limit, limit.strain, limit.strain_bar, percent),
             ]
         )
-    marks = [digest.colour(row.model) for row in rows]
-    return Table(name="limits", caption="", columns=columns, rows=cells, marks=marks)
+    return Table("limits", "", columns, cells, marks=digest.marks(row.model for row in rows))
 
 
 def _load(limit: Limit, unit: str) -> Cell:

@@ -64,10 +64,6 @@ def _sentence(found: Measurement, name: str) -> str:
     return f"{name + ': ' if name else ''}Measured by {sources}.{mapped}"
 
 
-def _marks(digest: Digest, names: list[str]) -> list[int | None]:
-    return [digest.colour(name) if name in digest.models else None for name in names]
-
-
 def _units(found: Measurement) -> list[str]:
     return list(dict.fromkeys(one.unit for one in found.quantities))
 
@@ -85,7 +81,7 @@ def _summary(digest: Digest, case: CaseResult, found: Measurement, number: int, 
     names = list(found.simulated)
     rows = [_summary_row(case, found, name, unit) for name in names]
     suffix = f"-{unit}" if unit != "m" else ""
-    return Table(f"measured-{number}{suffix}", "", columns, rows, marks=_marks(digest, names))
+    return Table(f"measured-{number}{suffix}", "", columns, rows, marks=digest.marks(names))
 
 
 def _summary_row(case: CaseResult, found: Measurement, name: str, unit: str) -> list[Cell]:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import base64
 import json
-from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -14,26 +13,18 @@ from ..measures.case import CaseResult
 from ..verdict.digest import Digest
 from ..verdict.formatting import listed, plain, quantity
 from .blocks import Section, Still, Text, Viewer
-from .picture import COLOUR_MAPS, Panel
+from .picture import COLOUR_MAPS, Panel, png
 from .view import azimuth, candidates, displacement_scale, payload
 
-Renderer = Callable[[Sequence[Sequence[Panel]]], list[bytes]]
 
-
-def surfaces(digest: Digest, room: int, render: Renderer) -> Section | None:
-    """The viewer with as many cases and steps as `room` bytes hold; `render` makes the still pictures."""
+def surfaces(digest: Digest, room: int, *, stills: bool) -> Section | None:
+    """The viewer with as many cases and steps as `room` bytes hold, and its still pictures."""
     if not digest.cases or digest.focus is None:
         return None
     notes: list[str] = []
-    pictures: list[Still] = []
-    stills = [(_title(digest, role, case), *still(digest, case)) for role, case in digest.key_cases]
-    stills = [still for still in stills if still[1]]
-    files = render([panels for _, panels, _ in stills])
-    for (title, panels, words), file in zip(stills, files, strict=False):
-        url = "data:image/png;base64," + base64.b64encode(file).decode("ascii")
-        room -= len(url)
-        shown = [(panel.title, panel.colour_map, quantity(panel.top, "m")) for panel in panels]
-        pictures.append(Still(title, url, words, shown))
+    pictures = [_still(digest, role, case) for role, case in digest.key_cases] if stills else []
+    shown = [picture for picture in pictures if picture is not None]
+    room -= sum(len(picture.url) for picture in shown)
     chosen: dict[str, object] | None = None
     for view, note in candidates(digest):
         data = payload(view, digest)
@@ -47,8 +38,17 @@ def surfaces(digest: Digest, room: int, render: Renderer) -> Section | None:
         )
     intro = _introduction(digest)
     return Section(
-        "surface", "Where on the surface", [Text(intro, kind="note"), Viewer(chosen, pictures, notes)]
+        "surface", "Where on the surface", [Text(intro, kind="note"), Viewer(chosen, shown, notes)]
     )
+
+
+def _still(digest: Digest, role: str, case: CaseResult) -> Still | None:
+    panels, words = still(digest, case)
+    if not panels:
+        return None
+    url = "data:image/png;base64," + base64.b64encode(png(panels)).decode("ascii")
+    shown = [(panel.title, panel.colour_map, quantity(panel.top, "m")) for panel in panels]
+    return Still(digest.title(role, case), url, words, shown)
 
 
 def _introduction(digest: Digest) -> str:
@@ -63,12 +63,7 @@ def heading(digest: Digest, role: str, case: CaseResult) -> tuple[str, str]:
     """What a picture of one case shows: the study; the case and the scale."""
     study = str(digest.run.study.get("title") or digest.run.study.get("name", ""))
     scale = plain(displacement_scale(case))
-    return study, f"{_title(digest, role, case)}, drawn with {scale} times the displacement"
-
-
-def _title(digest: Digest, role: str, case: CaseResult) -> str:
-    name = digest.case_name(case)
-    return f"{role[:1].upper()}{role[1:]}: {name}" if role else name
+    return study, f"{digest.title(role, case)}, drawn with {scale} times the displacement"
 
 
 def still(digest: Digest, case: CaseResult) -> tuple[list[Panel], str]:

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import math
-
-from ..measures.bars import series
 from ..verdict.digest import Digest
 from ..verdict.formatting import listed, short_percent
 from .blocks import Block, Figure, Figures, Section, Text
 from .plots import Plot, draw, log_axis, percent_ticks
+from .section_errors import over_load
 
 _DRIFT_FLOOR = 1e-16  # below what double precision can tell from zero
 
@@ -40,16 +38,7 @@ def volume_drift(digest: Digest) -> Section | None:
 
 
 def _drift(digest: Digest, metric: str, label: str, title: str, salt: str) -> Figure | None:
-    curves: dict[str, dict[float, float]] = {}
-    for model in digest.models:
-        for case in digest.cases:
-            values = series(case, model, metric)
-            for factor, value in zip(
-                case.load_factors, () if values is None else values, strict=values is not None
-            ):
-                if math.isfinite(value):
-                    curve = curves.setdefault(model, {})
-                    curve[float(factor)] = max(curve.get(float(factor), _DRIFT_FLOOR), abs(float(value)))
+    curves = over_load(digest, digest.models, metric)
     if not any(len(curve) > 1 for curve in curves.values()):
         return None  # one load is no curve
     described = []
@@ -57,8 +46,9 @@ def _drift(digest: Digest, metric: str, label: str, title: str, salt: str) -> Fi
     with plot as axes:
         for model, curve in curves.items():
             factors = sorted(curve)
-            draw(axes, digest.colour(model), model, factors, [curve[f] for f in factors])
-            described.append(f"{model} up to {short_percent(max(curve.values()))}")
+            drifts = [max(_DRIFT_FLOOR, *map(abs, curve[factor])) for factor in factors]
+            draw(axes, digest.colour(model), model, factors, drifts)
+            described.append(f"{model} up to {short_percent(max(drifts))}")
         log_axis(axes, "y")
         percent_ticks(axes)
         axes.set_xlim(left=min(0.0, axes.get_xlim()[0]))

@@ -89,9 +89,7 @@ def payload(view: View, digest: Digest) -> dict[str, object]:
         names = [name for name in view.models if name in case.models]
         cases.append(
             {
-                "title": f"{role[:1].upper()}{role[1:]}: {digest.case_name(case)}"
-                if role
-                else digest.case_name(case),
+                "title": digest.title(role, case),
                 "name": case.label,
                 "geometry": surfaces[key],
                 "reference": case.reference if case.reference in names else None,

@@ -154,11 +154,9 @@ def read_run(directory: Path, *, damaged: bool = False) -> Run:
     for planned in plan["cases"]:
         label = planned["label"] or plan["study"]["name"]
         path = case_path(directory, planned["hash"], planned["label"])
-        # reading it says the rest
-        state = "done" if os.path.lexists(path) else case_state(directory, planned["hash"], planned["label"])
         # the swept values and the label belong to the study, not to the case: another study may share it
         names = {key: planned[key] for key in ("label", "swept", "swept_units")}
-        if state == "done":
+        if os.path.lexists(path):
             try:
                 case = read_case(path, planned["hash"])
             except StoreError as error:
@@ -169,7 +167,7 @@ def read_run(directory: Path, *, damaged: bool = False) -> Run:
                 continue
             check_swept(directory, planned, case)
             cases.append(dataclasses.replace(case, **names))
-        elif state == "failed":
+        elif has_failed(directory, planned["hash"], planned["label"]):
             failed.append(read_failure(directory, planned["hash"], label))
         else:
             missing.append(planned["label"])

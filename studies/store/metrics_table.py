@@ -28,23 +28,21 @@ def metrics_csv(run: Run) -> str:
     writer.writerow(
         ["case", *map(_cell, keys), "model", "load_factor", "metric", "value", "unit", "reference_error"]
     )
-    for case in run.cases:
-        start = [case.hash[:12], *(_cell(case.swept.get(key, "")) for key in keys)]
-        factors = [repr(factor) for factor in case.load_factors.tolist()]
-        full_load = case.full_load
-        for model, metrics in case.metrics.items():
-            for metric, series in metrics.items():
-                metric_name, unit = _cell(metric), _cell(series.unit)
-                bar, values = value_bar(case, model, metric), series.values.tolist()
-                error = repr(bar) if math.isfinite(bar) else ""
-                for step, (factor, value) in enumerate(zip(factors, values, strict=True)):
-                    own = error if step == full_load else ""  # measured at full load only
-                    writer.writerow([*start, _cell(model), factor, metric_name, repr(value), unit, own])
+    for case, model, metric, series in metric_rows(run):
+        start = [case.hash[:12], *(case.swept.get(key, "") for key in keys), model]
+        bar = value_bar(case, model, metric)
+        steps = zip(case.load_factors.tolist(), series.values.tolist(), strict=True)
+        for step, (factor, value) in enumerate(steps):
+            known = step == case.full_load and math.isfinite(bar)  # measured at full load only
+            row = [*start, factor, metric, value, series.unit, bar if known else ""]
+            writer.writerow(map(_cell, row))
     return out.getvalue()
 
 
 def _cell(value: float | str) -> str:
+    return no_formula(value) if isinstance(value, str) else repr(value)
+
+
+def no_formula(text: str) -> str:
     """A text that a spreadsheet would run as a formula gets a quote in front."""
-    if isinstance(value, str):
-        return f"'{value}" if value.startswith(("=", "+", "-", "@", "\t", "\r")) else value
-    return repr(value)
+    return f"'{text}" if text.startswith(("=", "+", "-", "@", "\t", "\r")) else text

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -181,6 +181,14 @@ class Digest:
         if case.label:
             return case.label
         return "the only case" if len(self.cases) == 1 else f"case {case.hash[:8]}"
+
+    def title(self, role: str, case: CaseResult) -> str:
+        """A key case with its role."""
+        return f"{role.capitalize()}: {self.case_name(case)}" if role else self.case_name(case)
+
+    def marks(self, names: Iterable[str]) -> list[int | None]:
+        """The place in the palette of each name, None of what is no model of the run."""
+        return [self.colour(name) if name in self.models else None for name in names]
 
     def full_loads(self, model: str, metric: str) -> Array:
         """(C,) a metric of every case at the step of the largest load; NaN where there is none."""

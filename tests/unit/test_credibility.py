@@ -17,7 +17,6 @@ from vdmbench.verdict.digest import Digest
 
 from .report_runs import REFERENCE, make_case, make_run
 from .test_inputs import known
-from .test_report_page import no_pictures
 
 CODE, CALCULATION, INPUTS, CALIBRATION, MEASURED, APPLICABLE = (
     "Code verification",
@@ -137,6 +136,6 @@ def test_the_section_is_folded() -> None:
     assert section is not None
     facts = section.blocks[-1]
     assert facts.summary == "Evidence: 1 partly, 1 shown, 4 not"
-    page = page_html(run, no_pictures)
+    page = page_html(run, stills=False)
     start = page.index('id="credibility"')
     assert page.index("<details", start) < page.index("Calculation verification", start)

@@ -25,10 +25,6 @@ from vdmbench.store.metrics_table import metrics_csv
 STUDY = {"name": "s", "title": "t", "models": ["vdm-paper", "fem:direct"], "reference": "fem:direct"}
 
 
-def _no_pictures(_: object) -> list[bytes]:
-    return []
-
-
 @pytest.fixture
 def path(tmp_path: Path) -> Path:
     path = tmp_path / "case.vtkhdf"
@@ -90,7 +86,7 @@ def test_texts_of_another_shape_are_refused_or_read(path: Path, new: Any, start:
         except StoreError:
             continue
         if place[0] == "resolved":
-            page_html(Run(STUDY, "", [case], [], [], {}), _no_pictures)
+            page_html(Run(STUDY, "", [case], [], [], {}), stills=False)
 
 
 def test_a_case_that_would_not_be_read_is_not_written(

@@ -20,7 +20,6 @@ from vdmbench.verdict.digest import Digest
 
 from .browser import Browser, chromium
 from .report_runs import RADIUS, make_case, make_run
-from .test_report_page import no_pictures
 
 WEIGHTS = (0.5, 0.25, 0.25)
 
@@ -67,7 +66,7 @@ def test_a_leaner_view_has_the_points_of_the_steps_that_it_keeps() -> None:
 @pytest.mark.skipif(chromium() is None, reason="chromium is not installed")
 def test_points_are_drawn_told_and_can_be_hidden(tmp_path: Path) -> None:
     path = tmp_path / "report.html"
-    path.write_text(page_html(make_run([measured_case()]), no_pictures))
+    path.write_text(page_html(make_run([measured_case()]), stills=False))
     tick = "document.querySelector('[data-control=measured]')"
     told = "document.querySelector('.told').textContent"
 
@@ -86,7 +85,7 @@ def test_points_are_drawn_told_and_can_be_hidden(tmp_path: Path) -> None:
         browser.evaluate(f"{tick}.click()")
         assert marked(browser) == 0
         assert browser.complaints() == []
-        path.write_text(page_html(make_run([make_case({"vdm-paper": 0.4})]), no_pictures))
+        path.write_text(page_html(make_run([make_case({"vdm-paper": 0.4})]), stills=False))
         browser.open(path, 1300)
         assert browser.evaluate(f"{tick}.closest('label').hidden") is True
         assert "measured" not in browser.evaluate(told)

@@ -44,7 +44,7 @@ def test_page_terminal_and_json_say_the_same(make: Any, capsys: pytest.CaptureFi
     run = make()
     found = verdict(Digest(run))
     told = answers(found)
-    page = flat(html.unescape(re.sub(r"<[^>]*>", " ", page_html(run, lambda *_: []))))
+    page = flat(html.unescape(re.sub(r"<[^>]*>", " ", page_html(run, stills=False))))
     terminal = flat(printed(run, capsys, as_json=False))
     data = json.loads(printed(run, capsys, as_json=True))["verdict"]
     assert f" {found.word}. " in page

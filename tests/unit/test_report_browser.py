@@ -21,15 +21,10 @@ from vdmbench.report.page import page_html
 
 from .browser import Browser, chromium
 from .report_runs import REFERENCE, cheap_run, make_case, make_run, sweep_run
-from .test_report_page import no_pictures
 from .test_verdict import bars
 
 pytestmark = pytest.mark.skipif(chromium() is None, reason="chromium is not installed")
 
-SMALL_PNG = (
-    b"\x89PNG\r\n\x1a\n\x00\x00\x00\rIHDR\x00\x00\x00\x01\x00\x00\x00\x01\x08\x06\x00\x00\x00\x1f\x15\xc4\x89"
-    b"\x00\x00\x00\rIDATx\x9cc\xf8\xcf\xc0\xf0\x1f\x00\x05\x00\x01\xff\x89\x99=\x1d\x00\x00\x00\x00IEND\xaeB`\x82"
-)
 VIEWER = "document.querySelector('.viewer')"
 
 
@@ -47,7 +42,7 @@ def run() -> Run:
 @pytest.fixture(scope="module")
 def page(run: Run, tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("report") / "report.html"
-    path.write_text(page_html(run, lambda pictures: [SMALL_PNG] * len(pictures)))
+    path.write_text(page_html(run))
     return path
 
 
@@ -137,7 +132,7 @@ def test_the_headline_is_whole_on_a_wide_window_however_much_is_marked(
         models = {n: dataclasses.replace(m, parameters=marks) for n, m in case.models.items()}
         cases.append(dataclasses.replace(case, models=models))
     path = tmp_path / "marked.html"
-    path.write_text(page_html(make_run(cases), no_pictures))
+    path.write_text(page_html(make_run(cases), stills=False))
     browser.open(path, 1400)
     table = "document.querySelector('#headline .scroll')"
     assert browser.evaluate(f"{table}.scrollWidth") <= browser.evaluate(f"{table}.clientWidth")
@@ -145,7 +140,7 @@ def test_the_headline_is_whole_on_a_wide_window_however_much_is_marked(
 
 def test_three_hundred_cases_fit_a_phone(browser: Browser, tmp_path: Path) -> None:
     path = tmp_path / "many.html"
-    path.write_text(page_html(cheap_run(300), no_pictures))
+    path.write_text(page_html(cheap_run(300), stills=False))
     browser.open(path, 400)
     assert browser.complaints() == []
     assert browser.evaluate("document.documentElement.scrollWidth") <= 400
@@ -222,7 +217,7 @@ def test_csv_neutralises_text_that_a_spreadsheet_would_run(browser: Browser, tmp
         make_case({"m": 0.1 * (k + 1)}, label=t, swept={"k": t}, subdivisions=0) for k, t in enumerate(texts)
     ]
     path = tmp_path / "hostile.html"
-    path.write_text(page_html(make_run(cases), no_pictures))
+    path.write_text(page_html(make_run(cases), stills=False))
     browser.open(path, 1000)
     head, *rows = csv_of(browser, "cases")
     assert {row[1] for row in rows} == {"'=cmd()", "'+1", "'-1", "'@x", 'a "b", c', "plain"}
@@ -443,7 +438,7 @@ def test_a_click_picks_the_node_in_front(browser: Browser, page: Path, run: Run)
 def test_a_step_that_failed_says_so(browser: Browser, tmp_path: Path) -> None:
     path = tmp_path / "stopped.html"
     path.write_text(
-        page_html(make_run([make_case({"m": 0.1}, stopped={"m": 2}, subdivisions=1)]), no_pictures)
+        page_html(make_run([make_case({"m": 0.1}, stopped={"m": 2}, subdivisions=1)]), stills=False)
     )
     browser.open(path, 1000)
     note = f"{VIEWER}.querySelector('.told').textContent"

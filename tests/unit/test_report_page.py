@@ -8,7 +8,6 @@ import hashlib
 import json
 import math
 import re
-from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -21,7 +20,6 @@ from vdmbench.report import page as page_module
 from vdmbench.report.blocks import Figures
 from vdmbench.report.document import script_json
 from vdmbench.report.page import MOST_BYTES, page_html, write_report
-from vdmbench.report.picture import Panel
 from vdmbench.report.plots import place
 from vdmbench.report.section_errors import error_against_parameters
 from vdmbench.report.view import View, candidates, displacement_scale, payload
@@ -29,10 +27,6 @@ from vdmbench.verdict.digest import Digest
 from vdmbench.verdict.formatting import parameter_name, percent
 
 from .report_runs import REFERENCE, cheap_run, make_case, make_run, sweep_run
-
-
-def no_pictures(_: Sequence[Sequence[Panel]]) -> list[bytes]:
-    return []
 
 
 def section(html: str, name: str) -> str:
@@ -64,7 +58,7 @@ def html() -> str:
             "remedy": "raise it",
         }
     ]
-    return page_html(dataclasses.replace(sweep_run(), failed=failed, missing=["nu = 0.2"]), no_pictures)
+    return page_html(dataclasses.replace(sweep_run(), failed=failed, missing=["nu = 0.2"]), stills=False)
 
 
 # --- what stands in it ---
@@ -111,7 +105,7 @@ def test_small_strain_limits_say_what_was_found_and_what_not() -> None:
             ),
         },
     )
-    html = page_html(make_run([dataclasses.replace(case, small_strain=limits)]), no_pictures)
+    html = page_html(make_run([dataclasses.replace(case, small_strain=limits)]), stills=False)
     text = words(section(html, "limits"))
     assert (
         "vdm-vector 8.00 % ± 0.50 % + 5 % 350 Pa ± 4.00 % 4.00 mm ± 200 µm 30.0 % ± 6.00 % unresolved" in text
@@ -127,8 +121,8 @@ def test_an_unresolved_difference_is_called_so() -> None:
     run = make_run(
         [make_case({"m": 0.05}, reference_error={"gci:relative_l2_displacement_error": 0.01}, subdivisions=0)]
     )
-    assert "5.00 % ± 1.00 % unresolved ± not measured" not in words(page_html(run, no_pictures))
-    assert "5.00 % ± 1.00 % unresolved 5.00 % ± not measured" in words(page_html(run, no_pictures))
+    assert "5.00 % ± 1.00 % unresolved ± not measured" not in words(page_html(run, stills=False))
+    assert "5.00 % ± 1.00 % unresolved 5.00 % ± not measured" in words(page_html(run, stills=False))
 
 
 def test_every_section_is_there_and_linked(html: str) -> None:
@@ -197,7 +191,7 @@ def test_a_model_that_stopped_is_listed_once_with_where_and_why() -> None:
         )
         for k in range(3)
     ]
-    html = page_html(make_run(cases), no_pictures)
+    html = page_html(make_run(cases), stills=False)
     text = words(section(html, "failures"))
     assert (
         "b k = 0, load factor 0.75, and in 2 other cases the volume could not be held take smaller load steps"
@@ -219,7 +213,7 @@ def test_a_usable_step_with_a_message_is_listed_as_a_reservation() -> None:
         plain = case.models["b"]
         assert isinstance(case.models, dict)
         case.models["b"] = dataclasses.replace(plain, status=(noted, noted, *plain.status[2:]))
-    text = words(section(page_html(make_run(cases), no_pictures), "failures"))
+    text = words(section(page_html(make_run(cases), stills=False), "failures"))
     assert "Results that their model warns about" in text
     assert (
         "b k = 0, load factor 0.5, and in 1 other case the load steps move the answer by 2e-3 take smaller load"
@@ -235,7 +229,7 @@ def test_measures_that_need_no_comparison_stand_beside_the_references_own() -> N
     ]
     strains = [[c.metrics[name]["mean_strain_z"].values[-1] for c in cases] for name in ("m", "fem-linear")]
     assert_allclose(strains[0], 1.1 * np.array(strains[1]), rtol=1e-9, atol=0)
-    text = words(section(page_html(make_run(cases), no_pictures), "measures"))
+    text = words(section(page_html(make_run(cases), stills=False), "measures"))
     model, own = (f"{percent(s[1])} largest {percent(s[2])}" for s in strains)
     assert "Measure m median fem-linear reference" in text
     assert f"Mean strain z mean of du_z/dz over the body&#39;s volume {model} {own} " in text
@@ -248,7 +242,7 @@ def test_reproduce_shows_the_command_as_it_was_given() -> None:
     text = section(
         page_html(
             dataclasses.replace(run, plan={**run.plan, "command": words, "directory": "elsewhere"}),
-            no_pictures,
+            stills=False,
         ),
         "reproduce",
     )
@@ -277,7 +271,7 @@ def test_parameters_come_with_their_units() -> None:
     }
     changed = {name: dataclasses.replace(case.models[name], parameters=used[name]) for name in used}
     run = make_run([dataclasses.replace(case, models=changed)])
-    text = words(section(page_html(run, no_pictures), "provenance"))
+    text = words(section(page_html(run, stills=False), "provenance"))
     assert "foundation 44039.8 Pa/m surface_tension 34.25 N/m solver linear" in text
     assert "youngs_modulus 5000 Pa poisson_ratio 0.45 density 1060 kg/m³ dofs 15699" in text
 
@@ -290,7 +284,7 @@ def test_without_a_reference_no_error_is_claimed() -> None:
         make_case({"m": 0.1 * k}, label=str(k), swept={"k": float(k)}, reference=None, subdivisions=0)
         for k in (1, 2)
     ]
-    html = page_html(make_run(cases), no_pictures)
+    html = page_html(make_run(cases), stills=False)
     names = re.findall(r'<section id="(\w+)"', html)
     # of an icosahedron the support is a lone node
     before = ["headline", "surface", "force", "volume", "credibility"]
@@ -300,14 +294,14 @@ def test_without_a_reference_no_error_is_claimed() -> None:
 
 def test_nothing_finished() -> None:
     failed = [{"hash": "ab" * 32, "label": "", "code": "crash", "message": "killed", "remedy": ""}]
-    html = page_html(dataclasses.replace(make_run([]), failed=failed, missing=["k = 1"]), no_pictures)
+    html = page_html(dataclasses.replace(make_run([]), failed=failed, missing=["k = 1"]), stills=False)
     assert "No case has a result yet, so there is nothing to compare." in html
     assert "abababab crash killed –" in words(section(html, "failures"))
     assert "viewer-data" not in html.split("</style>")[1]
 
 
 def test_a_single_case_has_no_medians() -> None:
-    html = page_html(make_run([make_case({"m": 0.25}, subdivisions=0)]), no_pictures)
+    html = page_html(make_run([make_case({"m": 0.25}, subdivisions=0)]), stills=False)
     text = words(html[html.index("<body>") : html.index("<script")])
     assert "Displacement error: no, 25 % of 10 % allowed." in text
     assert "Its ± covers the compression alone. Times are medians" in text
@@ -318,17 +312,14 @@ def test_models_and_metrics_may_be_missing_in_a_case() -> None:
     whole = make_case({"a": 0.1, "b": 0.2}, label="k = 0", swept={"k": 0.0}, subdivisions=0)
     partly = make_case({"a": 0.3}, label="k = 1", swept={"k": 1.0}, subdivisions=0)
     bare = dataclasses.replace(partly, label="k = 2", hash="c" * 64, swept={"k": 2.0}, metrics={})
-    html = page_html(make_run([whole, partly, bare]), no_pictures)
+    html = page_html(make_run([whole, partly, bare]), stills=False)
     assert "20.0 %" in words(section(html, "headline"))
 
 
 # --- bytes ---
 
 
-def test_same_run_same_bytes_and_unique_ids(
-    html: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(page_module.picture, "render", no_pictures)
+def test_same_run_same_bytes_and_unique_ids(html: str, tmp_path: Path) -> None:
     run = make_run([make_case({"m": e}, label=str(e), swept={"k": e}, subdivisions=0) for e in (0.1, 0.2)])
     for name in ("a.html", "b.html"):
         write_report(run, tmp_path / name)
@@ -384,7 +375,7 @@ def test_a_line_marks_some_of_many_values_and_names_are_marked_each(named: bool,
 
 
 def test_thousands_of_cases_are_cut_and_say_so() -> None:
-    html = page_html(cheap_run(1200), no_pictures)
+    html = page_html(cheap_run(1200), stills=False)
     assert len(html.encode()) < MOST_BYTES
     assert "of 1200 are listed" in words(section(html, "cases"))
     assert "is drawn, to keep the page small" in words(section(html, "parameters"))
@@ -469,9 +460,9 @@ def test_kept_steps_always_hold_full_load() -> None:
 
 def test_a_surface_too_large_for_the_page_is_left_to_other_tools(monkeypatch: pytest.MonkeyPatch) -> None:
     run = make_run([make_case({"m": 0.1}, subdivisions=3)])
-    whole = len(page_html(run, no_pictures).encode())
+    whole = len(page_html(run, stills=False).encode())
     monkeypatch.setattr(page_module, "MOST_BYTES", 140_000)
-    html = page_html(run, no_pictures)
+    html = page_html(run, stills=False)
     assert len(html.encode()) < 140_000 < whole
     assert "too many nodes for a viewer" in html
 

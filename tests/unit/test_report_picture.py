@@ -12,7 +12,7 @@ from PIL import Image
 
 from vdmbench.report import picture, raster
 from vdmbench.report.page import page_html, write_picture
-from vdmbench.report.picture import Panel, labelled, render
+from vdmbench.report.picture import Panel, labelled, png
 from vdmbench.report.section_view import heading, still
 from vdmbench.verdict.digest import Digest
 
@@ -25,13 +25,13 @@ def ball(azimuth: float = -1.0) -> Panel:
 
 
 def drawn(*panels: Panel) -> np.ndarray:
-    return np.asarray(Image.open(io.BytesIO(render([panels])[0])))
+    return np.asarray(Image.open(io.BytesIO(png(panels))))
 
 
 def test_panels_side_by_side_on_nothing() -> None:
-    png, again = render([[ball(), ball()]] * 2)
-    assert png == again
-    pixels = np.asarray(Image.open(io.BytesIO(png)))
+    pictures = [png([ball(), ball()]) for _ in range(2)]
+    assert pictures[0] == pictures[1]
+    pixels = np.asarray(Image.open(io.BytesIO(pictures[0])))
     height, width, channels = pixels.shape
     assert channels == 4
     assert abs(width / height - 2) < 0.05
@@ -90,7 +90,7 @@ def test_a_flat_body_has_a_flat_picture() -> None:
 
 
 def test_page_has_a_picture_of_each_key_case_in_words_too() -> None:
-    html = page_html(make_run([make_case({"m": 0.5}, subdivisions=2)]), render)
+    html = page_html(make_run([make_case({"m": 0.5}, subdivisions=2)]))
     assert html.count('<img src="data:image/png;base64,') == 1
     sizes = ("m moves by up to 3.00 mm", "the reference moves by up to 2.00 mm")
     assert f'alt="Left to right: {"; ".join(sizes)}; they differ by up to 1.00 mm.' in html

@@ -14,7 +14,6 @@ from vdmbench.report.section_scene import parts_of, scene, scene_words
 from vdmbench.verdict.digest import Digest
 
 from .report_runs import make_case, make_run
-from .test_report_page import no_pictures
 
 
 def told(label: str, nu: float, force: float, **more: Any) -> CaseResult:
@@ -87,7 +86,7 @@ def test_a_region_that_is_moved_by_nothing_is_a_support() -> None:
 
 
 def test_the_page_shows_the_scene_right_below_the_verdict() -> None:
-    html = page_html(make_run([told("a", 0.45, 0.05)]), no_pictures)
+    html = page_html(make_run([told("a", 0.45, 0.05)]), stills=False)
     at = html.index('<figure class="scene">')
     assert html.index('class="verdict"') < at < html.index("<nav")
     assert 'aria-label="The body at rest. Tissue: Young' in html
