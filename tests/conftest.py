@@ -13,8 +13,8 @@ import pytest
 import vdmbench
 from tests.command import own_signals
 from tests.command import vdmbench as command
-from tests.in_process import clean_here
 from vdmbench.body import imported
+from vdmbench.body.read_apart import read_clean
 from vdmbench.machine.locks import lock
 
 ROOT = Path(__file__).parents[1]
@@ -41,8 +41,7 @@ def _own_signals() -> Iterator[None]:
 @pytest.fixture
 def read_here(monkeypatch: pytest.MonkeyPatch) -> None:
     """Mesh files are read in this process; `test_mesh_reading` reads them apart."""
-    for name in ("clean_surface_of", "clean_tetrahedra_of"):
-        monkeypatch.setattr(imported, name, clean_here)
+    monkeypatch.setattr(imported, "clean_of", read_clean)
 
 
 @pytest.fixture(scope="session")

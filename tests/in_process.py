@@ -1,4 +1,4 @@
-"""What processes of their own do, done in this one: the nodes of a plan, the reading of a mesh file."""
+"""What processes of their own do, done in this one: the nodes of a plan."""
 
 from __future__ import annotations
 
@@ -6,20 +6,11 @@ from collections.abc import Sequence
 from concurrent.futures import Future
 from pathlib import Path
 
-from vdmbench.body.mesh_file import check_readable
-from vdmbench.body.read_apart import read_clean
-from vdmbench.body.repair import CleanSurface, CleanTetrahedra
 from vdmbench.graph.engine import Outcome, run_nodes
 from vdmbench.graph.local import told
 from vdmbench.graph.nodes import graph
 from vdmbench.graph.plan import Plan, PlannedCase
 from vdmbench.graph.work import Said, run_node
-
-
-def clean_here(path: Path) -> CleanSurface | CleanTetrahedra:
-    """The body of a mesh file, read in this process, which saves half a second."""
-    check_readable(path)
-    return read_clean(path)
 
 
 class HerePlaces:

@@ -23,7 +23,7 @@ from ..study.geometry_spec import (
 )
 from .mesh import Mesh
 from .mesh_file import check_readable
-from .read_apart import clean_surface_of, clean_tetrahedra_of
+from .read_apart import clean_of
 from .repair import CleanSurface, CleanTetrahedra
 from .surface_measures import enclosed_volume, facet_areas
 from .topology import mesh_from_tetrahedra
@@ -47,7 +47,8 @@ class ImportedSurface:
 def imported_surface(geometry: Geometry, *, volume: bool, max_nodes: int) -> ImportedSurface:
     """The surface of a file, fit to be meshed as asked. Raises MeshError."""
     check_readable(geometry.path)
-    clean = _clean_surface(geometry.path, file_digest(geometry.path))
+    clean = _clean(geometry.path, file_digest(geometry.path))
+    assert isinstance(clean, CleanSurface)
     points, centre, scale = _in_metres(clean.points, geometry)
     check_mesh_size(geometry.mesh_size, float(np.ptp(points, axis=0).min()))
     area = float(facet_areas(points, clean.triangles).sum())
@@ -66,20 +67,16 @@ def imported_surface(geometry: Geometry, *, volume: bool, max_nodes: int) -> Imp
 
 
 @lru_cache(maxsize=1)
-def _clean_surface(path: Path, digest: str) -> CleanSurface:  # noqa: ARG001
-    """The facets of the file with these bytes, which a study of several mesh sizes asks for again and again."""
-    return clean_surface_of(path)
-
-
-@lru_cache(maxsize=1)
-def _clean_tetrahedra(path: Path, digest: str) -> CleanTetrahedra:  # noqa: ARG001
-    return clean_tetrahedra_of(path)
+def _clean(path: Path, digest: str) -> CleanSurface | CleanTetrahedra:  # noqa: ARG001
+    """What is in the file with these bytes, which a study of several mesh sizes asks for again and again."""
+    return clean_of(path)
 
 
 def imported_tetrahedra(geometry: Geometry, *, max_nodes: int) -> Mesh:
     """The tetrahedra of a file, used as they are. Raises MeshError."""
     check_readable(geometry.path)
-    clean = _clean_tetrahedra(geometry.path, file_digest(geometry.path))
+    clean = _clean(geometry.path, file_digest(geometry.path))
+    assert isinstance(clean, CleanTetrahedra)
     if len(clean.points) > max_nodes:
         raise MeshError(f"has {len(clean.points)} nodes, more than the {max_nodes} allowed; coarsen it")
     points, centre, scale = _in_metres(clean.points, geometry)

@@ -51,9 +51,8 @@ _FLAT_CELLS = {"vertex": 1, "line": 2, "triangle": 3, "quad": 4}
 def read_surface(path: Path) -> tuple[Array, Index]:
     """Points (n, 3) and triangles (F, 3) of an STL, OBJ, PLY or VTP file; polygons are cut into triangles.
 
-    Raises MeshError for a missing, unreadable or truncated file and one without facets.
+    Raises MeshError for a damaged or truncated file and one without facets.
     """
-    check_readable(path)
     suffix = path.suffix.lower()
     if suffix == ".ply":
         points, triangles = read_ply(path)
@@ -76,10 +75,9 @@ def read_surface(path: Path) -> tuple[Array, Index]:
 def read_tetrahedra(path: Path) -> tuple[Array, Index]:
     """Points (n, 3) and tetrahedra (m, 4) of a VTU or legacy VTK file, as they stand in it.
 
-    Raises MeshError for a missing, unreadable or truncated file and for other cells than four-node
+    Raises MeshError for a damaged or truncated file and for other cells than four-node
     tetrahedra (facets, lines and vertices beside them are passed over).
     """
-    check_readable(path)
     legacy = path.suffix.lower() == ".vtk"
     if legacy:
         _check_legacy_header(path)
@@ -103,7 +101,7 @@ def read_tetrahedra(path: Path) -> tuple[Array, Index]:
 def read_point_fields(path: Path) -> tuple[Array, dict[str, Array]]:
     """Points (n, 3) of a VTU or legacy VTK file, and what it tells of each as a vector: name -> (n, 3).
 
-    Raises MeshError as `read_tetrahedra`; its cells do not matter.
+    Raises MeshError for a missing, unreadable or damaged file; its cells do not matter.
     """
     check_readable(path)
     if path.suffix.lower() == ".vtk":

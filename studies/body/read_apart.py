@@ -12,15 +12,13 @@ import subprocess
 import sys
 from dataclasses import fields
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 
 from ..study.errors import MeshError
 from ..study.geometry_spec import VOLUME_SUFFIXES
 from .repair import CleanSurface, CleanTetrahedra
-
-Clean = TypeVar("Clean", CleanSurface, CleanTetrahedra)
 
 # a sound file takes a tenth of it: text is the worst, with 100 bytes for a number of 2
 MEMORY, MEMORY_PER_BYTE = 1_000_000_000, 100
@@ -29,20 +27,8 @@ SECONDS, SECONDS_PER_BYTE = 60.0, 3e-6
 _DAMAGED = "it is damaged or of another kind"
 
 
-def clean_surface_of(path: Path) -> CleanSurface:
-    """The closed surface in a file. Raises MeshError."""
-    return _read_apart(path, CleanSurface)
-
-
-def clean_tetrahedra_of(path: Path) -> CleanTetrahedra:
-    """The tetrahedra in a file. Raises MeshError."""
-    return _read_apart(path, CleanTetrahedra)
-
-
-def _read_apart(path: Path, kind: type[Clean]) -> Clean:
-    from .mesh_file import check_readable
-
-    check_readable(path)
+def clean_of(path: Path) -> CleanSurface | CleanTetrahedra:
+    """The closed surface or, of a kind of file that has them, the tetrahedra in a file. Raises MeshError."""
     size = path.stat().st_size
     memory, seconds = MEMORY + MEMORY_PER_BYTE * size, SECONDS + SECONDS_PER_BYTE * size
     command = [sys.executable, "-P", "-m", "vdmbench.body.read_apart", str(path), str(memory)]
@@ -64,7 +50,7 @@ def _read_apart(path: Path, kind: type[Clean]) -> Clean:
         raise MeshError(f"ends its reader with signal {-ended.returncode}; {_DAMAGED}")
     if ended.returncode > 0 or not ended.stdout:
         raise MeshError(f"cannot be read; {_DAMAGED}")
-    return _unpacked(ended.stdout, kind)
+    return _unpacked(ended.stdout)
 
 
 def _packed(clean: CleanSurface | CleanTetrahedra) -> bytes:
@@ -78,7 +64,7 @@ def _packed(clean: CleanSurface | CleanTetrahedra) -> bytes:
     return file.getvalue()
 
 
-def _unpacked(data: bytes, kind: type[Clean]) -> Clean:
+def _unpacked(data: bytes) -> CleanSurface | CleanTetrahedra:
     with np.load(io.BytesIO(data), allow_pickle=False) as stored:
         if "error" in stored:
             raise MeshError(str(stored["error"]))
@@ -86,9 +72,10 @@ def _unpacked(data: bytes, kind: type[Clean]) -> Clean:
         for name, value in values.items():
             if value.ndim == 0:
                 values[name] = int(value)
-        if kind is CleanTetrahedra:
-            values["groups"] = dict(zip(json.loads(str(stored["names"])), stored["masks"], strict=True))
-    return kind(**values)
+        if "tetrahedra" not in values:
+            return CleanSurface(**values)
+        groups = dict(zip(json.loads(str(stored["names"])), stored["masks"], strict=True))
+    return CleanTetrahedra(**values, groups=groups)
 
 
 def read_clean(path: Path) -> CleanSurface | CleanTetrahedra:

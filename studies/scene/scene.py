@@ -17,7 +17,7 @@ from ..study.extras import extras_of
 from ..study.loads import KINDS, Springs
 from ..study.problems import Loc
 from ..study.registry import EXTRAS
-from ..study.schema import Anisotropy, Constraint, Study
+from ..study.schema import Anisotropy, Study
 from ..study.tissue_table import Tissue
 from .coordinates import in_mesh_coordinates, origin
 from .inclusions import PlacedInclusion, place_inclusions
@@ -198,107 +198,112 @@ def build_scene(
     regions = in_mesh_coordinates(study, mesh)
     if masks is None:
         masks = {name: select(region, mesh, regions) for name, region in regions.items()}
-    n_nodes = len(mesh.surface_nodes)
-    fixed, constrained = np.zeros(n_nodes, dtype=bool), np.zeros(n_nodes, dtype=bool)
-    prescribed = np.zeros((n_nodes, 3))
-    pressure = np.zeros((len(mesh.triangles), len(facet_quadrature()[1])))
-    dead: list[tuple[Index, Array]] = []
-    springs: list[Springs] = []
-    indenter: PlacedIndenter | None = None
-    for constraint in study.constraints:
-        mask = masks[constraint.region]
-        if not mask.any():
-            raise SceneError(_selects_nothing(constraint.region, study, mesh), ("regions", constraint.region))
-        kind, place = KINDS.get(constraint.kind), _place(study, constraint)
-        if kind is None:
-            raise SceneError(
-                f"constraint {constraint.name!r} is of an unknown kind, {constraint.kind!r}", place
-            )
-        on = PlacedConstraint(constraint, place, regions[constraint.region], mesh, mask, checked)
-        acts = kind.act(constraint, on)
-        if acts.needs_an_extra and kind.extra(constraint) not in EXTRAS:
-            raise SceneError(f"the kind {kind.name!r} has to declare as `extra` what its models take", place)
-        if acts.displacement is not None:
-            moved = np.broadcast_to(acts.displacement, prescribed.shape)
-            both = constrained & mask & (prescribed != moved).any(axis=1)
-            if both.any():
-                raise SceneError(
-                    f"{constraint.name!r} moves {both.sum()} nodes that another constraint moves differently",
-                    place,
-                )
-            constrained |= mask
-            prescribed[mask] = moved[mask]
-        elif kind.holds:
-            fixed |= mask
-        if acts.pressure is not None:
-            pressure += acts.pressure
-        if acts.dead is not None:
-            parts, force = acts.dead
-            dead.append((parts, np.array(force)))
-        if acts.springs is not None:
-            springs.append(acts.springs)
-        if acts.pushed is not None:
-            indenter = place_indenter(acts.pushed, mesh, place)
-    _check_apart(study, masks)
-    judged = study.acceptance.region
-    if judged is not None and not masks[judged].any():
-        raise SceneError(_selects_nothing(judged, study, mesh), ("acceptance", "region"))
-    for constraint in study.constraints:
-        overlap = masks[constraint.region] & (fixed | constrained)
-        if KINDS[constraint.kind].supports:
-            shared = int(overlap[mesh.triangles].all(axis=1).sum())
-            if shared:
-                raise SceneError(
-                    f"{constraint.kind} {constraint.name!r} has {shared} facets that are fixed or constrained; "
-                    "keep the regions apart",
-                    _place(study, constraint),
-                )
-        elif not KINDS[constraint.kind].holds and overlap.any():
-            raise SceneError(
-                f"{constraint.kind} {constraint.name!r} covers {overlap.sum()} nodes that are fixed or "
-                "constrained; keep the regions apart",
-                _place(study, constraint),
-            )
+    acting = _Acting(mesh)
+    for number, constraint in enumerate(study.constraints):
+        place, name = ("constraints", number), constraint.region
+        _require_nodes(name, study, mesh, masks, ("regions", name))
+        acting.add(PlacedConstraint(constraint, place, regions[name], mesh, masks[name], checked))
+    if study.acceptance.region is not None:
+        _require_nodes(study.acceptance.region, study, mesh, masks, ("acceptance", "region"))
+    _check_apart(study, masks, acting)
     return Scene(
         mesh=mesh,
         tissue=study.tissue,
         parameters=study.vdm_parameters(),
         overrides=study.model_parameters(),
         regions=masks,
-        fixed=fixed,
-        constrained=constrained,
-        prescribed=prescribed,
-        facet_pressure=pressure,
+        fixed=acting.fixed,
+        constrained=acting.constrained,
+        prescribed=acting.prescribed,
+        facet_pressure=acting.pressure,
         gravity=np.array(study.gravity.acceleration if study.gravity else (0.0, 0.0, 0.0)),
         environment_pressure=study.environment.pressure if study.environment else 0.0,
         load_factors=np.array(study.load.history),
         anisotropy=study.anisotropy,
         condition=study.study.condition,
-        dead=tuple(dead),
-        springs=tuple(springs),
+        dead=tuple(acting.dead),
+        springs=tuple(acting.springs),
         extras=extras_of(study),
         inclusions=place_inclusions(study, mesh, inside),
         homogeneous=frozenset(study.study.homogeneous),
-        indenter=indenter,
+        indenter=acting.indenter,
     )
 
 
-def _place(study: Study, constraint: Constraint) -> Loc:
-    """The place of this very constraint: another one may be equal to it."""
-    return ("constraints", next(k for k, other in enumerate(study.constraints) if other is constraint))
+class _Acting:
+    """What constraints do together on a mesh; the fields are those of `Scene`."""
+
+    def __init__(self, mesh: Mesh) -> None:
+        n_nodes, self.triangles = len(mesh.surface_nodes), mesh.triangles
+        self.fixed, self.constrained = np.zeros(n_nodes, dtype=bool), np.zeros(n_nodes, dtype=bool)
+        self.prescribed = np.zeros((n_nodes, 3))
+        self.pressure = np.zeros((len(mesh.triangles), len(facet_quadrature()[1])))
+        self.dead: list[tuple[Index, Array]] = []
+        self.springs: list[Springs] = []
+        self.indenter: PlacedIndenter | None = None
+
+    def add(self, on: PlacedConstraint) -> None:
+        """One more of them."""
+        kind = KINDS[on.constraint.kind]
+        acts = kind.act(on.constraint, on)
+        if acts.needs_an_extra and kind.extra(on.constraint) not in EXTRAS:
+            raise SceneError(
+                f"the kind {kind.name!r} has to declare as `extra` what its models take", on.place
+            )
+        if acts.displacement is not None:
+            self._move(on, acts.displacement)
+        elif kind.holds:
+            self.fixed |= on.nodes
+        if acts.pressure is not None:
+            self.pressure += acts.pressure
+        if acts.dead is not None:
+            parts, force = acts.dead
+            self.dead.append((parts, np.array(force)))
+        if acts.springs is not None:
+            self.springs.append(acts.springs)
+        if acts.pushed is not None:
+            self.indenter = place_indenter(acts.pushed, on.mesh, on.place)
+
+    def _move(self, on: PlacedConstraint, displacement: Array) -> None:
+        moved = np.broadcast_to(displacement, self.prescribed.shape)
+        both = self.constrained & on.nodes & (self.prescribed != moved).any(axis=1)
+        if both.any():
+            raise SceneError(
+                f"{on.constraint.name!r} moves {both.sum()} nodes that another constraint moves differently",
+                on.place,
+            )
+        self.constrained |= on.nodes
+        self.prescribed[on.nodes] = moved[on.nodes]
 
 
-def _check_apart(study: Study, masks: Mapping[str, Mask]) -> None:
-    """Refuses nodes that a constraint holds at rest and another one moves."""
-    holding = [part for part in study.constraints if KINDS[part.kind].holds]
-    for held in (part for part in holding if not KINDS[part.kind].loads):
-        for moved in (part for part in holding if KINDS[part.kind].loads):
-            if (count := (masks[held.region] & masks[moved.region]).sum()) > 0:
-                raise SceneError(
-                    f"{count} nodes are fixed by {held.name!r} and constrained by {moved.name!r}; "
-                    "keep the regions apart",
-                    _place(study, moved),
-                )
+def _require_nodes(name: str, study: Study, mesh: Mesh, masks: Mapping[str, Mask], place: Loc) -> None:
+    if masks[name].any():
+        return
+    told = f"region {name!r} selects no node of the mesh"
+    points = mesh.surface_points - origin(study, mesh.centre)
+    low, high = points.min(axis=0), points.max(axis=0)
+    if not lies_outside(study.regions[name], low, high):
+        raise SceneError(f"{told}; enlarge it or take a smaller mesh_size", place)
+    raise SceneError(f"{told}: {body_extent(low, high)}", place)
+
+
+def _check_apart(study: Study, masks: Mapping[str, Mask], acting: _Acting) -> None:
+    """Refuses what moves, loads or supports a part of the body that is held otherwise."""
+    for number, part in enumerate(study.constraints):
+        kind, mask = KINDS[part.kind], masks[part.region]
+        if kind.holds:  # what another one holds at rest
+            covered = int((mask & acting.fixed).sum()) if kind.loads else 0
+            told = f"moves {covered} nodes that are fixed"
+        elif kind.supports:
+            held = mask & (acting.fixed | acting.constrained)
+            covered = int(held[acting.triangles].all(axis=1).sum())
+            told = f"has {covered} facets that are fixed or constrained"
+        else:
+            covered = int((mask & (acting.fixed | acting.constrained)).sum())
+            told = f"covers {covered} nodes that are fixed or constrained"
+        if covered:
+            place = ("constraints", number)
+            raise SceneError(f"{part.kind} {part.name!r} {told}; keep the regions apart", place)
 
 
 def _facet_measures(mesh: Mesh) -> tuple[Array, Array, Array]:
@@ -306,12 +311,3 @@ def _facet_measures(mesh: Mesh) -> tuple[Array, Array, Array]:
     vectors = facet_area_vectors(mesh.surface_points, mesh.triangles)
     areas = np.linalg.norm(vectors, axis=1)
     return vectors / areas[:, None], areas, nodal_sum(areas, mesh.triangles, len(mesh.surface_points))
-
-
-def _selects_nothing(name: str, study: Study, mesh: Mesh) -> str:
-    told = f"region {name!r} selects no node of the mesh"
-    points = mesh.surface_points - origin(study, mesh.centre)
-    low, high = points.min(axis=0), points.max(axis=0)
-    if not lies_outside(study.regions[name], low, high):
-        return f"{told}; enlarge it or take a smaller mesh_size"
-    return f"{told}: {body_extent(low, high)}"

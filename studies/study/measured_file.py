@@ -68,7 +68,7 @@ def _parsed(path: Path, data: bytes) -> dict[str, Any]:
     table.check_measured()
     if table.is_force:
         return {"forces": table.forces()}
-    return {"surface": table.positions()} if table.is_surface else {"points": table.points()}
+    return {"surface": table.columns(DEFORMED).tolist()} if table.is_surface else {"points": table.points()}
 
 
 class CsvTable:
@@ -118,13 +118,7 @@ class CsvTable:
 
     def forces(self) -> list[Row]:
         """The rows as a study's `forces`."""
-        found = []
-        for line, cells in self._cells():
-            for key in FORCES:
-                if key not in cells:
-                    raise self.error(line, f"has no {key}")
-            found.append({"line": line, **cells})
-        return found
+        return [{"line": line, **cells} for line, cells in self._cells(FORCES)]
 
     def error(self, line: int, text: str) -> MeasuredFileError:
         return MeasuredFileError(f"{self._name}:{line}: {text}")
@@ -132,7 +126,7 @@ class CsvTable:
     def points(self) -> list[Row]:
         """The rows as a study's `points`; of a cell without a number there is no key."""
         found = []
-        for line, cells in self._cells():
+        for line, cells in self._cells(AXES):
             point: Row = {"line": line}
             for key, value in cells.items():
                 other, _, inner = key.rpartition(".")
@@ -140,9 +134,6 @@ class CsvTable:
                     point.setdefault("others", {}).setdefault(other, {})[inner] = value
                 else:
                     point["name" if key == "point" else key] = value
-            for key in AXES:
-                if key not in point:
-                    raise self.error(line, f"has no {key}")
             if {*DISPLACEMENT}.isdisjoint(point):
                 raise self.error(line, "has no displacement")
             found.append(point)
@@ -153,24 +144,10 @@ class CsvTable:
         for key in keys:
             if key not in self.keys:
                 raise self.error(self._header_line, f"has no column {shown(key)}")
-        rows = []
-        for line, cells in self._cells():
-            empty = next((key for key in keys if key not in cells), None)
-            if empty is not None:
-                raise self.error(line, f"has no {empty}")
-            rows.append([cells[key] for key in keys])
-        return np.array(rows, dtype=float)
+        return np.array([[cells[key] for key in keys] for _, cells in self._cells(keys)], dtype=float)
 
-    def positions(self) -> list[list[float]]:
-        """The rows as positions on a deformed surface."""
-        found = []
-        for line, cells in self._cells():
-            if len(cells) < len(DEFORMED):
-                raise self.error(line, "has an empty cell")
-            found.append([cells[key] for key in DEFORMED])
-        return found
-
-    def _cells(self) -> list[tuple[int, Row]]:
+    def _cells(self, needed: tuple[str, ...]) -> list[tuple[int, Row]]:
+        """(line, values by key) of each row, which has a value of each key that is needed."""
         found = []
         for line, row in self._rows:
             if len(row) != len(self._columns):
@@ -180,6 +157,8 @@ class CsvTable:
                 if not cell.strip():
                     continue
                 cells[key] = cell.strip() if key == "point" else self._number(line, key, unit, cell.strip())
+            if missing := [key for key in needed if key not in cells]:
+                raise self.error(line, f"has no {missing[0]}")
             found.append((line, cells))
         return found
 

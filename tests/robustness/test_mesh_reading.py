@@ -11,9 +11,8 @@ import pytest
 import pyvista as pv
 
 from tests.command import write_study
-from tests.in_process import clean_here
 from vdmbench.body import read_apart
-from vdmbench.body.read_apart import clean_surface_of, read_clean
+from vdmbench.body.read_apart import clean_of, read_clean
 from vdmbench.cli.main import main
 from vdmbench.study.errors import MeshError
 
@@ -110,7 +109,7 @@ def test_what_would_break_a_reader_is_refused(tmp_path: Path, name: str, content
     path = tmp_path / name
     path.write_bytes(content)
     with pytest.raises(MeshError, match=words) as caught:
-        clean_here(path)
+        read_clean(path)
     assert "\n" not in str(caught.value)
 
 
@@ -140,7 +139,7 @@ def ball(tmp_path: Path) -> Path:
 
 
 def test_a_sound_file_is_read_apart_as_it_is_here(ball: Path) -> None:
-    apart, here = clean_surface_of(ball), read_clean(ball)
+    apart, here = clean_of(ball), read_clean(ball)
     assert vars(apart).keys() == vars(here).keys()
     for name, value in vars(here).items():
         np.testing.assert_array_equal(getattr(apart, name), value, err_msg=name, strict=True)
@@ -149,7 +148,7 @@ def test_a_sound_file_is_read_apart_as_it_is_here(ball: Path) -> None:
 def test_reading_has_an_end(ball: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(read_apart, "SECONDS", 0.01)
     with pytest.raises(MeshError, match="takes more than 0 s to read; it is damaged or of another kind"):
-        clean_surface_of(ball)
+        clean_of(ball)
 
 
 def test_reading_has_a_limit_of_memory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -163,11 +162,11 @@ def test_reading_has_a_limit_of_memory(tmp_path: Path, monkeypatch: pytest.Monke
     monkeypatch.setattr(read_apart, "MEMORY", 20_000_000)
     monkeypatch.setattr(read_apart, "MEMORY_PER_BYTE", 0)
     with pytest.raises(MeshError, match=r"takes more than 0\.0 GB of memory to read"):
-        clean_surface_of(path)
+        clean_of(path)
     assert resource.getrlimit(resource.RLIMIT_DATA) == before
     monkeypatch.setattr(read_apart, "MEMORY", 1_000_000_000)
     with pytest.raises(MeshError, match="holds no facets"):
-        clean_surface_of(path)
+        clean_of(path)
 
 
 def test_a_reader_that_ends_with_a_word_of_its_own_is_told(
@@ -176,4 +175,4 @@ def test_a_reader_that_ends_with_a_word_of_its_own_is_told(
     """meshio raises SystemExit; whatever does not answer has not read the file."""
     monkeypatch.setattr(read_apart.sys, "executable", "/bin/true")
     with pytest.raises(MeshError, match="cannot be read; it is damaged"):
-        clean_surface_of(ball)
+        clean_of(ball)

@@ -11,14 +11,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.in_process import clean_here
 from vdmbench.body.geometry import build_mesh
 from vdmbench.body.mesh import Mesh
-from vdmbench.body.read_apart import clean_surface_of, clean_tetrahedra_of
+from vdmbench.body.read_apart import clean_of, read_clean
 from vdmbench.body.repair import CleanSurface, CleanTetrahedra
 from vdmbench.body.topology import mesh_from_tetrahedra, mesh_from_triangles
 from vdmbench.study.errors import MeshError
-from vdmbench.study.geometry_spec import VOLUME_SUFFIXES, Geometry
+from vdmbench.study.geometry_spec import Geometry
 
 from .test_mesh_files import SUFFIXES, VOLUMES, write_named
 
@@ -66,14 +65,9 @@ def read(path: Path, clean: Callable[[Path], CleanSurface | CleanTetrahedra]) ->
     return "sound"
 
 
-def apart(path: Path) -> CleanSurface | CleanTetrahedra:
-    """As a study has it read."""
-    return clean_tetrahedra_of(path) if path.suffix in VOLUME_SUFFIXES else clean_surface_of(path)
-
-
 @pytest.mark.parametrize(
     ("clean", "count"),
-    [(clean_here, 40), pytest.param(apart, 25, marks=pytest.mark.slow)],
+    [(read_clean, 40), pytest.param(clean_of, 25, marks=pytest.mark.slow)],
     ids=["here", "apart"],
 )
 @pytest.mark.parametrize("name", SUFFIXES + VOLUMES)

@@ -20,9 +20,9 @@ from vdmbench.body.imported import imported_surface
 from vdmbench.body.intersections import intersecting_facets
 from vdmbench.body.mesh import Mesh
 from vdmbench.body.mesh_cache import mesh_from_cache, read_mesh, write_mesh
-from vdmbench.body.read_apart import clean_surface_of
+from vdmbench.body.read_apart import clean_of
 from vdmbench.body.remesh import subdivided, surface_distance, uniform_surface, unit_sphere
-from vdmbench.body.repair import CleanSurface
+from vdmbench.body.repair import CleanSurface, CleanTetrahedra
 from vdmbench.body.surface_measures import enclosed_volume, facet_area_vectors
 from vdmbench.body.topology import consistent_orientation, tetrahedron_sicn, tetrahedron_volumes
 from vdmbench.study import geometry_spec
@@ -376,11 +376,11 @@ def test_a_file_is_read_once_for_several_mesh_sizes(tmp_path: Path, monkeypatch:
     """As long as its bytes are the same, whatever its path says."""
     reads: list[Path] = []
 
-    def reading(path: Path) -> CleanSurface:
+    def reading(path: Path) -> CleanSurface | CleanTetrahedra:
         reads.append(path)
-        return clean_surface_of(path)
+        return clean_of(path)
 
-    monkeypatch.setattr("vdmbench.body.imported.clean_surface_of", reading)
+    monkeypatch.setattr("vdmbench.body.imported.clean_of", reading)
     path = surface_file(tmp_path / "body.stl", build_mesh(SPHERE, volume=False))
 
     def areas() -> list[float]:

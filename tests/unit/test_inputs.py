@@ -99,15 +99,6 @@ def test_a_bad_table_is_told_by_its_line(tmp_path: Path, line: str, told: str) -
     assert caught.value.problems[0].line >= STUDY.count("\n") + 1
 
 
-def test_check_ends_with_2_and_one_line(tmp_path: Path) -> None:
-    (tmp_path / "tips.csv").write_text(GOOD)
-    (tmp_path / "tips.toml").write_text(f'{STUDY}[inputs]\n"tissue.poisson_ratio" = {{ sd = 0.1 }}\n')
-    result = vdmbench("check", "tips.toml", cwd=tmp_path)
-    assert result.returncode == 2
-    (line,) = result.stderr.strip().splitlines()
-    assert f"tips.toml:{STUDY.count(chr(10)) + 2}: " in line
-
-
 def test_a_case_of_a_sweep_is_told_too(tmp_path: Path) -> None:
     (tmp_path / "tips.csv").write_text(GOOD)
     sweep = (

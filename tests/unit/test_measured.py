@@ -106,7 +106,7 @@ def test_the_resolved_study_carries_the_values_and_no_file(tmp_path: Path) -> No
         (GOOD, "# nothing\n", "tips.csv:1: holds no table"),
         (GOOD, "x,y,z,displacement_x\n", "tips.csv:1: has a header and no row below it"),
         (GOOD, "deformed_x,deformed_y,deformed_z,x\n1,2,3,4\n", "tips.csv:1: a measured surface has"),
-        (GOOD, "deformed_x,deformed_y,deformed_z\n1,,3\n", "tips.csv:2: has an empty cell"),
+        (GOOD, "deformed_x,deformed_y,deformed_z\n1,,3\n", "tips.csv:2: has no deformed_y"),
     ],
 )
 def test_a_bad_table_is_told_by_file_and_line(tmp_path: Path, wrong: str, right: str, told: str) -> None:
