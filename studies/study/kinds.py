@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from decimal import Decimal
 from typing import Annotated, Any, Literal, TypeGuard
 
-from pydantic import AfterValidator, BeforeValidator, GetCoreSchemaHandler
+from pydantic import AfterValidator, BeforeValidator, GetCoreSchemaHandler, GetJsonSchemaHandler
 from pydantic_core import CoreSchema, core_schema
 
 from .units import NUMBER, QuantityError, shown, to_si, type_name
@@ -31,6 +31,18 @@ class SI:
 
     def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
         return core_schema.no_info_plain_validator_function(self.read)
+
+    def __get_pydantic_json_schema__(self, _: CoreSchema, __: GetJsonSchemaHandler) -> dict[str, Any]:
+        kinds = [self._quantities(count) for count in self.counts]
+        return kinds[0] if len(kinds) == 1 else {"anyOf": kinds}
+
+    @staticmethod
+    def _quantities(count: int) -> dict[str, Any]:
+        """A number in SI units or a text with a unit; several of them, or any number of them (0)."""
+        one = {"type": ["number", "string"]}
+        if count == 1:
+            return one
+        return {"type": "array", "items": one} | ({"minItems": count, "maxItems": count} if count else {})
 
     def read(self, value: Any) -> float | tuple[float, ...]:
         """Convert a value of a study file. Raises QuantityError."""
