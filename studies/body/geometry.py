@@ -22,9 +22,7 @@ from ..study.geometry_spec import (
     extents,
 )
 from ..study.shapes import FILE, SHAPES
-from .distort import distorted
 from .imported import centred, imported_surface, imported_tetrahedra, named, placed
-from .intersections import without_intersections
 from .mesh import Mesh
 from .surface_measures import enclosed_volume
 from .topology import mesh_from_tetrahedra, mesh_from_triangles, surface_only
@@ -74,6 +72,8 @@ def build_mesh(geometry: Geometry, *, volume: bool = True, max_nodes: int = MAX_
         mesh = _solid(geometry, volume) if SHAPES[geometry.shape].add else _of_sphere(geometry, volume)
     given = {name: geometry.number(name) for name in DISTORTIONS if name in geometry.parameters}
     if given:
+        from .distort import distorted  # SciPy is slow to load
+
         mesh = distorted(
             mesh,
             slivers=given.get("slivers"),
@@ -111,6 +111,7 @@ def _tetrahedra_of_file(geometry: Geometry, volume: bool, max_nodes: int) -> Mes
 
 def fill_surface(points: Array, triangles: Index, mesh_size: float, volume: bool = True) -> Mesh:
     """Remesh a closed surface [m] uniformly, free it of intersections and fill it with tetrahedra."""
+    from .intersections import without_intersections
     from .remesh import surface_distance, uniform_surface
 
     nodes, facets = uniform_surface(points, triangles, mesh_size)

@@ -6,8 +6,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 from solver_common.arrays import Array, Index, Mask
 
@@ -17,6 +15,7 @@ from .topology import (
     check_vertex_fans,
     consistent_orientation,
     half_edges,
+    pieces,
     tetrahedron_volumes,
 )
 
@@ -116,10 +115,7 @@ def _merge_targets(points: Array, tolerance: float) -> Index:
     from scipy.spatial import KDTree  # slow to load: only where a file is read
 
     pairs = KDTree(points).query_pairs(tolerance, output_type="ndarray")
-    graph = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(len(points),) * 2)
-    _, labels = connected_components(graph.tocsr(), directed=False)
-    _, first = np.unique(labels, return_index=True)
-    return np.asarray(first[labels], dtype=np.int64)
+    return pieces(len(points), pairs[:, 0], pairs[:, 1])
 
 
 def _without_repeats(faces: Index) -> Index:
