@@ -78,13 +78,8 @@ def read_tetrahedra(path: Path) -> tuple[Array, Index]:
     Raises MeshError for a damaged or truncated file and for other cells than four-node
     tetrahedra (facets, lines and vertices beside them are passed over).
     """
-    legacy = path.suffix.lower() == ".vtk"
-    if legacy:
-        _check_legacy_header(path)
-    else:
-        _check_xml(path, b"UnstructuredGrid")
-    mesh = _read(path)
-    if legacy:
+    mesh = _read_grid(path)
+    if path.suffix.lower() == ".vtk":
         _check_legacy_vtk(path, sum(len(block.data) for block in mesh.cells))
     nodes = {"tetra": 4, **_FLAT_CELLS}
     wrong = sorted({block.type for block in mesh.cells} - set(nodes))
@@ -104,11 +99,7 @@ def read_point_fields(path: Path) -> tuple[Array, dict[str, Array]]:
     Raises MeshError for a missing, unreadable or damaged file; its cells do not matter.
     """
     check_readable(path)
-    if path.suffix.lower() == ".vtk":
-        _check_legacy_header(path)
-    else:
-        _check_xml(path, b"UnstructuredGrid")
-    mesh = _read(path)
+    mesh = _read_grid(path)
     points = _coordinates(mesh.points)
     found = {name: np.asarray(values) for name, values in mesh.point_data.items()}
     vectors = {
@@ -165,6 +156,14 @@ def check_readable(path: Path) -> None:
         raise MeshError(f"cannot be read ({error.strerror})") from error
     if not head:
         raise MeshError("is empty")
+
+
+def _read_grid(path: Path) -> meshio.Mesh:
+    if path.suffix.lower() == ".vtk":
+        _check_legacy_header(path)
+    else:
+        _check_xml(path, b"UnstructuredGrid")
+    return _read(path)
 
 
 def _read(path: Path) -> meshio.Mesh:

@@ -41,7 +41,7 @@ from .schema import (
 from .shapes import SHAPES
 from .table import Table
 from .units import shown
-from .wording import given, listed, unknown
+from .wording import given, listed, named_twice, unknown
 
 SHAPE_KEYS: dict[str, tuple[set[str], set[str]]] = {  # shape -> keys that it needs, keys that it may have
     **{
@@ -247,20 +247,11 @@ def geometry_spec(geometry: Geometry) -> GeometrySpec:
 
 
 def _check_constraints(study: Study) -> Iterator[Finding]:
-    first: dict[str, int] = {}
+    yield from named_twice("constraints", study.constraints or (), "constraint")
     for place, constraint in enumerate(study.constraints or ()):
-        loc = ("constraints", place)
-        if (
-            constraint.region is not None
-            and study.regions is not None
-            and constraint.region not in study.regions
-        ):
-            yield (*loc, "region"), unknown(constraint.region, list(study.regions), "region")
-        if constraint.name and first.setdefault(constraint.name, place) != place:
-            yield (
-                (*loc, "name"),
-                f"{shown(constraint.name)} is the name of another constraint; give each its own name",
-            )
+        loc, region = ("constraints", place), constraint.region
+        if region is not None and study.regions is not None and region not in study.regions:
+            yield (*loc, "region"), unknown(region, list(study.regions), "region")
         if constraint.kind is not None:
             yield from _check_kind(constraint, loc, study.regions or {})
 

@@ -7,18 +7,14 @@ from collections.abc import Iterator
 from .problems import Finding, Loc
 from .schema import Box, Inclusion, Study
 from .units import shown
-from .wording import given, listed, unknown
+from .wording import given, listed, named_twice, unknown
 
 
 def check_inclusions(study: Study) -> Iterator[Finding]:
     """Everything that is wrong with the inclusions, and with the models that may leave them out."""
-    names: set[str] = set()
+    yield from named_twice("inclusions", study.inclusions or (), "inclusion")
     for place, part in enumerate(study.inclusions or ()):
         loc: Loc = ("inclusions", place)
-        if part.name and part.name in names:
-            told = f"{shown(part.name)} is the name of another inclusion; give each its own name"
-            yield (*loc, "name"), told
-        names.add(part.name)
         yield from _check_place(part, loc)
         ratios = [part.poisson_ratio, study.tissue.poisson_ratio if study.tissue is not None else None]
         if part.poisson_ratio is not None and any(ratio is not None and ratio <= 0.0 for ratio in ratios):

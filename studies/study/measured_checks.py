@@ -9,12 +9,12 @@ from .measured_table import Measured, same_load
 from .problems import Finding, Loc
 from .schema import Study
 from .units import shown
-from .wording import unknown
+from .wording import named_twice, unknown
 
 
 def check_measured(study: Study) -> Iterator[Finding]:
     """What is wrong with the measured tables, each with the rest of the study."""
-    seen: set[str] = set()
+    yield from named_twice("measured", study.measured or (), "table")
     for place, table in enumerate(study.measured or ()):
         loc = ("measured", place)
         kinds = [name for name in ("points", "surface", "forces") if getattr(table, name)]
@@ -22,16 +22,8 @@ def check_measured(study: Study) -> Iterator[Finding]:
             yield loc, "has no values: give path, points, surface or forces"
         if len(kinds) > 1:
             yield loc, f"has {' and '.join(kinds)}; give a table to each"
-        if table.name in seen:
-            yield (*loc, "name"), f"{shown(table.name)} is the name of another table; give each its own name"
-        seen.add(table.name)
-        bare = next((point for point in table.points if point.uncertainty is None), None)
-        if table.uncertainty is None and (bare is not None or table.surface):
-            where = f" (line {bare.line})" if bare is not None and bare.line else ""
-            yield (
-                (*loc, "uncertainty"),
-                f"is missing{where}: without u_D nobody can tell an error from noise; give a standard uncertainty",
-            )
+        own: Sequence[Any] = table.points or [table] * bool(table.surface)
+        yield from _check_uncertainty("uncertainty", table.uncertainty, own, loc)
         if table.forces:
             yield from _check_forces(study, table, loc)
         if (table.swept is None) != (table.at is None):
@@ -50,13 +42,7 @@ def pushing(study: Study) -> list[str]:
 
 
 def _check_forces(study: Study, table: Measured, loc: Loc) -> Iterator[Finding]:
-    bare = next((one for one in table.forces if one.uncertainty is None), None)
-    if table.force_uncertainty is None and bare is not None:
-        where = f" (line {bare.line})" if bare.line else ""
-        text = (
-            f"is missing{where}: without u_D nobody can tell an error from noise; give a standard uncertainty"
-        )
-        yield (*loc, "force_uncertainty"), text
+    yield from _check_uncertainty("force_uncertainty", table.force_uncertainty, table.forces, loc)
     names = pushing(study)
     if table.constraint is not None and table.constraint not in names:
         yield (*loc, "constraint"), unknown(table.constraint, names, "contact, indenter or movement")
@@ -72,6 +58,16 @@ def _check_forces(study: Study, table: Measured, loc: Loc) -> Iterator[Finding]:
             (*loc, "constraint"),
             f"{shown(name)} has a pressure of a {part.profile} profile; give its force instead",
         )
+
+
+def _check_uncertainty(key: str, given: float | None, rows: Sequence[Any], loc: Loc) -> Iterator[Finding]:
+    bare = next((row for row in rows if row.uncertainty is None), None)
+    if given is None and bare is not None:
+        where = f" (line {bare.line})" if getattr(bare, "line", None) else ""
+        text = (
+            f"is missing{where}: without u_D nobody can tell an error from noise; give a standard uncertainty"
+        )
+        yield (*loc, key), text
 
 
 def check_measured_cases(study: Study, axes: Mapping[str, tuple[Sequence[Any], str]]) -> Iterator[Finding]:

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import difflib
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from typing import Any
 
+from .problems import Finding
 from .table import Table
 from .units import shown
 
@@ -26,3 +28,12 @@ def given(table: Table) -> set[str]:
 def listed(keys: set[str]) -> str:
     """Keys in a sentence, sorted."""
     return " and ".join(sorted(keys)) if len(keys) < 3 else ", ".join(sorted(keys))
+
+
+def named_twice(table: str, entries: Sequence[Any], what: str) -> Iterator[Finding]:
+    """Entries of an array of tables that have the name of an earlier one."""
+    names = [entry.name for entry in entries]
+    for place, name in enumerate(names):
+        if name and name in names[:place]:
+            text = f"{shown(name)} is the name of another {what}; give each its own name"
+            yield (table, place, "name"), text
