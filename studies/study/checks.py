@@ -23,13 +23,12 @@ from .geometry_spec import (
 )
 from .geometry_spec import Geometry as GeometrySpec
 from .geometry_table import Geometry
-from .inclusion_checks import check_inclusions
 from .laws import check_law
 from .loads import KINDS
 from .measured_checks import check_measured
 from .model_name import DISPLACEMENT_ELEMENTS, is_vdm, split
 from .problems import Finding, Loc
-from .region_checks import check_regions
+from .region_checks import check_inclusions, check_regions
 from .registry import all_models, reads
 from .schema import (
     MOST_STEPS,
