@@ -6,16 +6,13 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from tests.unit.vdm_shapes import icosphere
-from vdm import FORMULATIONS, Load, Model, Parameters, SurfaceMesh
+from tests.unit.vdm_shapes import BASE, BODY, POINTS, TRIANGLES
+from vdm import FORMULATIONS, Load, Model, Parameters
 from vdm.formulations.border import Columns, DenseColumns, TurningColumns
 from vdm.formulations.vector import VectorFormulation
 from vdm.problem import Problem
 from vdm.solvers.linear import BorderedFactor
 
-POINTS, TRIANGLES = icosphere(2, (0.05, 0.06, 0.045))
-BODY = SurfaceMesh(POINTS, TRIANGLES)
-BASE = POINTS[:, 2] < -0.03
 RULE = Parameters.from_tissue(5000.0, BODY, "vector")
 RNG = np.random.default_rng(3)
 

@@ -6,13 +6,11 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from tests.unit.vdm_shapes import icosphere
+from tests.unit.vdm_shapes import BASE, POINTS, TRIANGLES
 from vdm import FORMULATIONS, ConstraintError, Load, Model, Parameters, SolverError, SurfaceMesh
 from vdm.solvers.changed import ChangedSupport
 from vdm.solvers.linear import LinearSolver
 
-POINTS, TRIANGLES = icosphere(2, (0.05, 0.06, 0.045))
-BASE = POINTS[:, 2] < -0.03
 FEWER = BASE & (POINTS[:, 0] > -0.01)
 SIDE = POINTS[:, 1] > 0.05
 NOBODY = np.zeros(len(POINTS), dtype=np.bool_)

@@ -9,15 +9,12 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy import sparse
 
-from tests.unit.vdm_shapes import icosphere
-from vdm import FORMULATIONS, Load, Model, ParameterError, Parameters, SurfaceMesh
+from tests.unit.vdm_shapes import BASE, BODY, POINTS, TRIANGLES
+from vdm import FORMULATIONS, Load, Model, ParameterError, Parameters
 from vdm.deformed import DeformableSurface
 from vdm.formulations.base import Formulation
 
-POINTS, TRIANGLES = icosphere(2, (0.05, 0.06, 0.045))
-BODY = SurfaceMesh(POINTS, TRIANGLES)
 DEFORMABLE = DeformableSurface(BODY)
-BASE = POINTS[:, 2] < -0.03
 # off the axis: the body dents and leans
 SIDE = Load(np.where(POINTS @ [0.7, 0.2, 0.6] > 0.035, 300.0, 0.0))
 TISSUE = {name: Parameters.from_tissue(5000.0, BODY, name, held=BASE) for name in FORMULATIONS}

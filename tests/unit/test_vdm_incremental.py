@@ -6,14 +6,12 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from tests.unit.vdm_shapes import icosphere
+from tests.unit.vdm_shapes import BASE, BODY, POINTS, TRIANGLES
 from vdm import ConstraintError, Load, Model, ParameterError, Parameters, SurfaceMesh
 from vdm.incremental import IncrementalModel
 
-POINTS, TRIANGLES = icosphere(2, (0.05, 0.06, 0.045))
-BODY = SurfaceMesh(POINTS, TRIANGLES)
 MATERIAL = Parameters.from_tissue(5000.0, BODY, "paper")
-BASE, SIDE = POINTS[:, 2] < -0.03, POINTS[:, 0] > 0.045
+SIDE = POINTS[:, 0] > 0.045
 PUSH = Load(np.where(POINTS[:, 2] > 0.03, 800.0, 0.0))
 
 

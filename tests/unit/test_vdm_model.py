@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from tests.unit.vdm_shapes import box, icosphere, torus
+from tests.unit.vdm_shapes import BASE, BODY, POINTS, TRIANGLES, box, icosphere, model, torus
 from tests.verification.records import Verified
 from vdm import (
     FORMULATIONS,
@@ -25,16 +25,8 @@ from vdm.material import ROTATIONS, ball_compliance
 from vdm.solvers import SOLVERS
 from vdm.solvers.compliance import ContactCompliance
 
-POINTS, TRIANGLES = icosphere(2, (0.05, 0.06, 0.045))
-BODY = SurfaceMesh(POINTS, TRIANGLES)
-BASE = POINTS[:, 2] < -0.03
 FINGER = Load(np.where(POINTS[:, 2] > 0.035, 200.0, 0.0))
 NAMES = list(FORMULATIONS)
-
-
-def model(formulation: str, **options) -> Model:
-    parameters = options.pop("parameters", None) or Parameters.from_tissue(5000.0, BODY, formulation)
-    return Model(POINTS, TRIANGLES, parameters, formulation=formulation, **options)
 
 
 SHAPES = {"ellipsoid": lambda: (POINTS, TRIANGLES), "torus": torus, "box": lambda: box(4, (0.1, 0.1, 0.05))}
@@ -59,20 +51,20 @@ def test_fluid_pressure_of_a_free_body_is_the_mean_contact_pressure(shape, links
 
 @pytest.mark.parametrize("formulation", NAMES)
 def test_a_push_dents_and_the_printed_sign_bulges(formulation):
-    inward = model(formulation, fixed=BASE).solve([FINGER])
-    printed = model(formulation, fixed=BASE, contact_sign="printed").solve([FINGER])
+    inward = model(formulation).solve([FINGER])
+    printed = model(formulation, contact_sign="printed").solve([FINGER])
     top = np.argmax(POINTS[:, 2])
     assert inward.displacement[0, top, 2] < -1e-4
     assert_allclose(printed.displacement, -inward.displacement, rtol=0.0, atol=1e-17)
     # an environment's pressure only shifts the fluid's
-    shifted = model(formulation, fixed=BASE, environment_pressure=1e3).solve([FINGER])
+    shifted = model(formulation, environment_pressure=1e3).solve([FINGER])
     assert_allclose(shifted.fluid_pressure, inward.fluid_pressure + 1e3, rtol=1e-14, atol=0.0)
     assert_allclose(shifted.displacement, inward.displacement, rtol=0.0, atol=0.0)
 
 
 @pytest.mark.parametrize("formulation", NAMES)
 def test_linear_solutions_scale_and_superpose(formulation):
-    solver = model(formulation, fixed=BASE)
+    solver = model(formulation)
     other = Load(np.where(POINTS[:, 0] > 0.035, 90.0, 0.0))
     both = Load(2.0 * FINGER.contact_pressure - 0.5 * other.contact_pressure)
     solution = solver.solve([FINGER, other, both])
@@ -87,7 +79,7 @@ def test_linear_solutions_scale_and_superpose(formulation):
 
 @pytest.mark.parametrize("formulation", NAMES)
 def test_compliance_columns_equal_the_full_solve(formulation):
-    solver = model(formulation, fixed=BASE)
+    solver = model(formulation)
     compliance = ContactCompliance(solver.problem, single_precision=False)
     nodes = np.flatnonzero(FINGER.contact_pressure)
     unknown, pressure = compliance.frame(nodes, FINGER.contact_pressure[nodes])
@@ -106,8 +98,8 @@ def test_compliance_columns_equal_the_full_solve(formulation):
 def test_one_scalar_factor_equals_the_full_vector_factor():
     # a foundation too weak to matter forces the 3N x 3N factor
     parameters = Parameters(surface_tension=60.0)
-    shared = model("vector", fixed=BASE, parameters=parameters)
-    whole = model("vector", fixed=BASE, parameters=replace(parameters, foundation=1e-12))
+    shared = model("vector", parameters=parameters)
+    whole = model("vector", parameters=replace(parameters, foundation=1e-12))
     assert shared.formulation.coupling is None
     assert whole.formulation.coupling is not None
     first, second = (m.solve([FINGER]).displacement for m in (shared, whole))
@@ -135,13 +127,13 @@ def test_gravity_datum_changes_the_pressure_only(formulation):
     assert_allclose(high.fluid_pressure, low.fluid_pressure, rtol=1e-9, atol=0.0)
     # delta_i as a further contact: a datum 1 m higher adds rho g to every delta and takes it from dP
     depth = POINTS[:, 2].max() - POINTS[:, 2]
-    by_hand = model(formulation, fixed=BASE).solve([Load(-1060.0 * 9.81 * (depth + 1.0))])
+    by_hand = model(formulation).solve([Load(-1060.0 * 9.81 * (depth + 1.0))])
     assert_allclose(by_hand.displacement, low.displacement, rtol=0.0, atol=1e-9 * size)
     assert_allclose(by_hand.fluid_pressure, low.fluid_pressure - 1060.0 * 9.81, rtol=1e-10, atol=0.0)
 
 
 def test_vector_reactions_balance_load_and_weight():
-    solution = model("vector", fixed=BASE, density=1060.0, gravity=(1.0, 0.0, -9.81)).solve([FINGER])
+    solution = model("vector", density=1060.0, gravity=(1.0, 0.0, -9.81)).solve([FINGER])
     weight = 1060.0 * BODY.volume * np.array([1.0, 0.0, -9.81])
     load = -(BODY.area_vectors * FINGER.contact_pressure[:, None]).sum(axis=0)
     total = solution.reaction_force[0].sum(axis=0)
@@ -149,7 +141,7 @@ def test_vector_reactions_balance_load_and_weight():
     # off the axis, so that there is a torque to balance; the fluid's pressure has none about any point
     pressure = np.where((POINTS[:, 0] > 0.02) & (POINTS[:, 1] > 0.02), 200.0, 0.0)
     torque = np.cross(BODY.points, -pressure[:, None] * BODY.area_vectors).sum(axis=0)
-    reaction = model("vector", fixed=BASE).solve([Load(pressure)]).reaction_force[0]
+    reaction = model("vector").solve([Load(pressure)]).reaction_force[0]
     size = np.linalg.norm(torque)
     assert size > 1e-3
     assert_allclose(np.cross(BODY.points, reaction).sum(axis=0), -torque, rtol=0.0, atol=1e-11 * size)
@@ -157,7 +149,7 @@ def test_vector_reactions_balance_load_and_weight():
 
 @pytest.mark.parametrize("formulation", NAMES)
 def test_energy_is_the_work_done_and_shrinks_as_the_load_goes(formulation):
-    solution = model(formulation, fixed=BASE).solve([FINGER.scaled(s) for s in (1.0, 0.7, 0.2, 0.0)])
+    solution = model(formulation).solve([FINGER.scaled(s) for s in (1.0, 0.7, 0.2, 0.0)])
     assert np.all(np.diff(solution.energy) < 0.0)
     assert_allclose(
         solution.energy[1:], solution.energy[0] * np.array([0.49, 0.04, 0.0]), rtol=1e-10, atol=1e-25
@@ -170,16 +162,16 @@ def test_energy_is_the_work_done_and_shrinks_as_the_load_goes(formulation):
 
 @pytest.mark.parametrize("formulation", NAMES)
 def test_normal_traction_balances_fluid_and_contact(formulation):
-    solver = model(formulation, fixed=BASE, outputs=("normal_traction",))
+    solver = model(formulation, outputs=("normal_traction",))
     solution = solver.solve([FINGER])
     expected = solution.fluid_pressure[0] - FINGER.contact_pressure
     assert_allclose(solution.point_fields["normal_traction"][0][~BASE], expected[~BASE], rtol=0.0, atol=1e-8)
     assert solver.solve([]).displacement.shape == (0, len(POINTS), 3)
-    assert not model(formulation, fixed=BASE).solve([FINGER]).point_fields
+    assert not model(formulation).solve([FINGER]).point_fields
 
 
 def test_nodal_stress_is_given_when_asked():
-    solver = model("paper", fixed=BASE, outputs=("nodal_stress",))
+    solver = model("paper", outputs=("nodal_stress",))
     solution = solver.solve([FINGER])
     normal = np.einsum("ic,ic->i", solution.displacement[0], BODY.normals)
     change = BODY.nodal_areas * normal
@@ -193,7 +185,7 @@ def test_nodal_stress_is_given_when_asked():
 def test_penalty_error_falls_as_one_over_alpha():
     constrained = POINTS[:, 0] > 0.045
     load = Load(FINGER.contact_pressure, None, np.where(constrained[:, None], [1e-3, 0.0, 0.0], 0.0))
-    options = {"fixed": BASE, "constrained": constrained}
+    options = {"constrained": constrained}
     exact = model("paper", **options).solve([load]).displacement
     for method in ("penalty-added", "penalty-replaced"):
         errors = [
@@ -293,7 +285,7 @@ def test_anisotropy_follows_the_fibre():
 @pytest.mark.parametrize("formulation", NAMES)
 def test_linear_volume_drift_is_of_second_order(formulation):
     body = DeformableSurface(BODY)
-    solution = model(formulation, fixed=BASE).solve([FINGER.scaled(s) for s in (0.01, 0.1, 1.0)])
+    solution = model(formulation).solve([FINGER.scaled(s) for s in (0.01, 0.1, 1.0)])
     drift = np.array([body.at(u).volume / BODY.volume - 1.0 for u in solution.displacement])
     if formulation == "paper":
         # A_i is not |g_i|: a first-order drift, small on a smooth body
@@ -397,11 +389,11 @@ def test_just_enough_held(formulation, parameters):
 def test_a_foundation_needs_nothing_held(formulation, solver):
     if (formulation, solver) == ("paper", "minres"):
         with pytest.raises(SolverError, match="MINRES needs a symmetric state matrix"):
-            model(formulation, solver=solver)
+            model(formulation, solver=solver, fixed=None)
         return
-    free = model(formulation, solver=solver).solve([FINGER])
+    free = model(formulation, solver=solver, fixed=None).solve([FINGER])
     assert free.status[0].code == "converged"
-    direct = model(formulation).solve([FINGER]).displacement
+    direct = model(formulation, fixed=None).solve([FINGER]).displacement
     tolerance = 0.2 if solver == "nonlinear" else 1e-3 if solver == "quasi-linear" else 1e-6
     assert_allclose(free.displacement, direct, rtol=0.0, atol=tolerance * np.abs(direct).max())
 
@@ -422,14 +414,14 @@ def test_moduli_without_meaning_are_refused_by_every_form(formulation):
     for name in MODULI[formulation]:
         for value in (-1.0, np.nan, np.inf, None):
             with pytest.raises(ParameterError, match=name):
-                model(formulation, parameters=replace(rule, **{name: value}), fixed=BASE)
+                model(formulation, parameters=replace(rule, **{name: value}))
     with pytest.raises(ParameterError, match=f"{MODULI[formulation][-1]}.*positive"):
-        model(formulation, parameters=replace(rule, **dict.fromkeys(MODULI[formulation], 0.0)), fixed=BASE)
+        model(formulation, parameters=replace(rule, **dict.fromkeys(MODULI[formulation], 0.0)))
 
 
 def test_one_frame_is_spent_before_any_is_measured(monkeypatch: pytest.MonkeyPatch) -> None:
     """Once for each set-up: the first is slower than those after it."""
-    body = model("paper", fixed=BASE)
+    body = model("paper")
     seen: list[Load] = []
     step = body.solver.step
 

@@ -6,13 +6,11 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from tests.unit.vdm_shapes import icosphere
+from tests.unit.vdm_shapes import BODY, POINTS, TRIANGLES, icosphere
 from vdm import Load, Model, Parameters, SurfaceMesh, printed
 from vdm.deformed import DeformableSurface
 from vdm.solvers.krylov import KrylovSolver
 
-POINTS, TRIANGLES = icosphere(2, (0.05, 0.06, 0.045))
-BODY = SurfaceMesh(POINTS, TRIANGLES)
 PUSHED = POINTS[:, 2] > 0.03
 PUSH = Load(np.where(PUSHED, 200.0, 0.0))
 MATERIAL = Parameters.from_tissue(5000.0, BODY, "paper")
