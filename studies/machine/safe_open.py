@@ -9,17 +9,10 @@ from pathlib import Path
 
 MAX_TEXT_BYTES = 256 << 20  # of a stored text; a plan of 100,000 cases has 40 MB
 MAX_CASE_BYTES = 2 << 30  # of the results of a case
-_KINDS = {
-    stat.S_IFLNK: "a link",
-    stat.S_IFIFO: "a FIFO",
-    stat.S_IFSOCK: "a socket",
-    stat.S_IFCHR: "a device",
-    stat.S_IFBLK: "a device",
-}
 
 
 class UnfitFileError(OSError):
-    """Something else than a regular file of a fit size is in a file's place; the message says what it is."""
+    """Something else than a regular file of a fit size is in a file's place."""
 
 
 def open_regular(path: Path, flags: int = os.O_RDONLY) -> int:
@@ -81,7 +74,7 @@ def _require_regular(path: Path, found: os.stat_result, flags: int = os.O_RDONLY
     if stat.S_ISDIR(found.st_mode):
         raise IsADirectoryError(errno.EISDIR, "a directory is in a file's place; remove it", str(path))
     if not stat.S_ISREG(found.st_mode):
-        what = _KINDS.get(stat.S_IFMT(found.st_mode), "no regular file")
-        raise UnfitFileError(errno.EINVAL, f"{what} is in a file's place; remove it", str(path))
+        what = "a link, a device or the like is in a file's place; remove it"
+        raise UnfitFileError(errno.EINVAL, what, str(path))
     if flags & (os.O_RDWR | os.O_WRONLY) and found.st_nlink > 1:
         raise UnfitFileError(errno.EINVAL, "has a second name (a hard link); remove it", str(path))

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, Protocol, get_args
 
 from pydantic import Field
 
-from .kinds import SI, Force, Name, Position, Pressure, Vector3, positive
+from .kinds import SI, Force, Name, Position, Pressure, positive
 from .modules import load_all
 from .profiles import PROFILES, VERSIONS, Profile
 from .table import Table
@@ -29,19 +29,9 @@ class AnyConstraint(Table):
 
     kind: str
     if TYPE_CHECKING:
-        pressure: float | None
-        force: float | None
-        profile: str | None
-        displacement: Vector3 | None
-        resultant: Vector3 | None
-        stiffness: float | None
-        direction: str | None
-        depth: float | None
-        shape: str | None
-        radius: float | None
-        length: float | None
-        along: Vector3 | None
-        push: Vector3 | None
+
+        def __getattr__(self, name: str) -> Any: ...
+
     region: str = Field(description="name of the region")
     name: Name = Field("", description="names it in sweeps and reports; the region's name where left out")
 

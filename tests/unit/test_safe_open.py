@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import fcntl
 import os
 import stat
 from collections.abc import Callable, Iterator
@@ -10,8 +11,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from vdmbench.graph.run import _lock
 from vdmbench.machine.files import clear_abandoned, write_atomically
+from vdmbench.machine.locks import lock
 from vdmbench.machine.safe_open import UnfitFileError, open_regular, read_regular
 from vdmbench.machine.sealed import read_arrays, write_arrays
 from vdmbench.store.cases import case_state, read_run, run_state
@@ -64,7 +65,7 @@ def test_a_file_beyond_the_bound_is_not_read(tmp_path: Path) -> None:
 @pytest.mark.parametrize("name", [".lock", ".lock-report"])
 def test_a_lock_is_no_way_to_another_s_file(tmp_path: Path, what: str, name: str) -> None:
     OTHERS[what](tmp_path / name)
-    with pytest.raises(UnfitFileError), _lock(tmp_path, name, 2):
+    with pytest.raises(UnfitFileError), lock(tmp_path / name, fcntl.LOCK_EX):
         pass
 
 
@@ -113,7 +114,7 @@ def test_new_files_have_the_permissions_that_the_umask_leaves(tmp_path: Path, ma
     before = os.umask(mask)
     try:
         write_atomically(tmp_path / "made" / "stored", b"")
-        with _lock(tmp_path, ".lock", 2):
+        with lock(tmp_path / ".lock", fcntl.LOCK_EX):
             pass
     finally:
         os.umask(before)
@@ -122,7 +123,7 @@ def test_new_files_have_the_permissions_that_the_umask_leaves(tmp_path: Path, ma
 
 
 def test_devices_are_refused() -> None:
-    with pytest.raises(UnfitFileError, match="a device is in a file's place"):
+    with pytest.raises(UnfitFileError, match="a device or the like is in a file's place"):
         read_regular(Path("/dev/zero"))
 
 
