@@ -8,7 +8,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
-from skfem import ElementTetP1, ElementTetP2, ElementVector, FacetBasis, LinearForm
 
 from fem_reference.forces import traction_forces
 from tests.unit.fem_shapes import Body, ball, cube, mapped_box
@@ -73,48 +72,47 @@ def test_without_volume_coupling_the_mixed_element_is_p2() -> None:
     assert_allclose(_compliance(b, "P2-P1", 0.0), _compliance(b, "P2", 0.0), rtol=1e-11, atol=0)
 
 
-def _cook(n: int, element: str, poisson_ratio: float) -> float:
-    """Rise of the upper corner of Cook's membrane in plane strain: one slice between rollers, E = 250."""
+def _cooks_membrane(
+    n: int, graded: Callable[[np.ndarray], np.ndarray], traction: float, **tissue: object
+) -> tuple[np.ndarray, np.ndarray]:
+    """Nodes of Cook's membrane in plane strain, one slice between rollers, and their rise under a traction.
+
+    Its cells are those of a unit square that is `graded`, (2, k) to (2, k).
+    """
 
     def shape(p: np.ndarray) -> np.ndarray:
-        low = 44.0 * p[:, 0]
-        height = 44.0 - 28.0 * p[:, 0]
-        return np.column_stack([48.0 * p[:, 0], low + height * p[:, 1], 48.0 / n * p[:, 2]])
+        along, up = graded(p[:, :2].T)
+        return np.column_stack([48.0 * along, 44.0 * along + (44.0 - 28.0 * along) * up, 48.0 / n * p[:, 2]])
 
     b = mapped_box((n, n, 1), shape)
-    held = np.zeros((len(b.surface_nodes), 3), dtype=bool)
+    held = np.repeat(b.surface[:, :1] < 1e-9, 3, axis=1)
     held[:, 2] = True
-    held[b.surface[:, 0] < 1e-9] = True
-    problem = b.problem(held, youngs_modulus=250.0, poisson_ratio=poisson_ratio, element=element)
-    mesh = problem.mesh
-    vector = ElementVector(ElementTetP2() if mesh.order == 2 else ElementTetP1())
-    end = mesh.skfem_mesh.facets_satisfying(lambda x: x[0] > 48.0 - 1e-9)
-    face = FacetBasis(mesh.skfem_mesh, vector, facets=end, intorder=2)
-    shear = LinearForm(lambda v, _: 6.25 * v[1]).assemble(face).reshape(1, -1, 3)
-    fields = problem.solve_nodal(shear, np.zeros_like(shear))
-    corner = np.argmin(np.linalg.norm(mesh.node_points - np.array([48.0, 60.0, 0.0]), axis=1))
-    return float(fields.displacement[0, corner, 1])
+    problem = b.problem(held, **tissue)
+    end = b.facets_where(lambda x: x[:, 0] > 48.0 - 1e-9)
+    shear = traction_forces(problem.mesh, np.where(end[:, None, None], (0.0, traction, 0.0), 0.0))
+    rise = problem.fields(replace(b.load(), forces=shear)).displacement[0, :, 1]
+    return problem.mesh.node_points, rise
+
+
+def _cook(n: int, element: str, poisson_ratio: float) -> float:
+    """Rise of the upper corner, E = 250."""
+    tissue = {"youngs_modulus": 250.0, "poisson_ratio": poisson_ratio, "element": element}
+    points, rise = _cooks_membrane(n, lambda p: p, 6.25, **tissue)
+    return float(rise[np.argmin(np.linalg.norm(points - np.array([48.0, 60.0, 0.0]), axis=1))])
 
 
 def _cook_middle(n: int) -> float:
     """Rise of the middle of its free end under a unit force, nu = 1/2, G = 3/8, cells drawn to the held corner."""
-
-    def shape(p: np.ndarray) -> np.ndarray:
-        along, up = p[:, 0] ** 2, 1.0 - (1.0 - p[:, 1]) ** 2
-        return np.column_stack([48.0 * along, 44.0 * along + (44.0 - 28.0 * along) * up, 48.0 / n * p[:, 2]])
-
-    b = mapped_box((n, n, 1), shape)
-    held = np.zeros((len(b.surface_nodes), 3), dtype=bool)
-    held[:, 2] = True
-    held[b.surface[:, 0] < 1e-9] = True
-    problem = b.problem(held, youngs_modulus=1.125, poisson_ratio=0.5)
-    end = b.facets_where(lambda x: x[:, 0] > 48.0 - 1e-9)
-    shear = traction_forces(problem.mesh, np.where(end[:, None, None], (0.0, 1.0 / 16.0, 0.0), 0.0))
-    rise = problem.fields(replace(b.load(), forces=shear)).displacement[0, :, 1]
-    x, y, _ = problem.mesh.node_points.T
-    on_end = np.flatnonzero(x > 48.0 - 1e-9)
-    order = on_end[np.argsort(y[on_end])]
-    return float(np.interp(52.0, y[order], rise[order]))
+    points, rise = _cooks_membrane(
+        n,
+        lambda p: np.stack([p[0] ** 2, 1.0 - (1.0 - p[1]) ** 2]),
+        1.0 / 16.0,
+        youngs_modulus=1.125,
+        poisson_ratio=0.5,
+    )
+    on_end = np.flatnonzero(points[:, 0] > 48.0 - 1e-9)
+    order = on_end[np.argsort(points[on_end, 1])]
+    return float(np.interp(52.0, points[order, 1], rise[order]))
 
 
 @a_membrane
