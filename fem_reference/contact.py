@@ -26,6 +26,7 @@ from scipy.sparse import csr_array
 from fem_reference.indenter import Indenter
 from fem_reference.linear import LinearProblem, Load
 from fem_reference.linear_algebra import BATCH
+from fem_reference.loads import loads_at
 from fem_reference.solution import Solution, Status
 from solver_common.arrays import Array
 from solver_common.quadrature import facet_quadrature
@@ -136,17 +137,8 @@ class ContactProblem:
         SolverError
             For a depth that is not finite, and a load that the body refuses.
         """
-        if not len(depths) or not np.isfinite(depths).all():
-            raise _bad_contact(f"the depths are {list(depths)}", "give one finite number of metres or more")
         mesh = self.problem.mesh
-        nothing = Load(
-            np.zeros((len(mesh.triangles), len(facet_quadrature()[1]))),
-            np.zeros((len(mesh.surface_nodes), 3)),
-            np.zeros(3),
-        )
-        bases = [load or nothing] * len(depths) if load is None or isinstance(load, Load) else list(load)
-        if len(bases) != len(depths):
-            raise _bad_contact(f"{len(bases)} loads go with {len(depths)} depths", "give one for each depth")
+        bases = loads_at(mesh, depths, load)
         lifted = self._lifted(bases)
         pressures = np.zeros((len(depths), len(self.vertices)))
         changes, settled = np.zeros(len(depths), dtype=np.int64), np.zeros(len(depths), dtype=bool)

@@ -30,6 +30,7 @@ from fem_reference.loads import (
     check_loads,
     check_nodal,
     held_nodes,
+    loads_at,
     nodal_forces,
     prescribed_nodes,
 )
@@ -261,19 +262,15 @@ class FiniteStrainProblem:
         SolverError
             For an indenter that is none for this body, depths that are not finite, and a load that is refused.
         """
-        if not len(depths) or not np.isfinite(depths).all():
-            raise _bad_option(f"the depths are {list(depths)}", "give one finite number of metres or more")
         check_outputs(outputs, OUTPUTS.keys() - {"condition_estimate"})
         mesh, length = self.mesh, self.mesh.mean_edge
+        loads = loads_at(mesh, depths, load)
+        check_loads(mesh, loads)
         contact = RigidContact(mesh, self._pattern, indenter, facets)
-        loads = [] if load is None else [load] * len(depths) if isinstance(load, Load) else list(load)
-        if loads and len(loads) != len(depths):
-            raise _bad_option(f"{len(loads)} loads go with {len(depths)} depths", "give one for each depth")
-        if loads:
-            check_loads(mesh, loads)
-        bases = [self._scaled(one) for one in loads] or [self._newton.rest.load] * len(depths)
         points = mesh.node_points / length
-        scaled = [replace(b, depth=float(d) / length) for b, d in zip(bases, depths, strict=True)]
+        scaled = [
+            replace(self._scaled(b), depth=float(d) / length) for b, d in zip(loads, depths, strict=True)
+        ]
         record = Record(
             self.system, self._assembly, self.shear_modulus, len(depths), outputs, self._newton.rest
         )

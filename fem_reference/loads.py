@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +18,9 @@ from solver_common.arrays import Array, Mask
 from solver_common.quadrature import facet_quadrature
 from solver_common.solution import solver_error
 
+_bad_load = partial(solver_error, "bad-load")
+_bad_support = partial(solver_error, "bad-support")
+_not_held = partial(solver_error, "not-held")
 # what a load may differ from a combination of others, of its norm
 _DEPENDENT = 1e-13
 # what a load may differ from a multiple of another, of its largest value: rounding, and no more
@@ -46,7 +50,7 @@ class Load:
 def check_loads(mesh: TetMesh, loads: Sequence[Load]) -> None:
     """Raise a `SolverError` for a load of the wrong shape or with values that are not finite."""
     if not loads:
-        raise solver_error("bad-load", "there is no load step", "give at least one load")
+        raise _bad_load("there is no load step", "give at least one load")
     shapes = {
         "facet_pressure": (len(mesh.triangles), len(facet_quadrature()[1])),
         "prescribed": (len(mesh.surface_nodes), 3),
@@ -57,16 +61,29 @@ def check_loads(mesh: TetMesh, loads: Sequence[Load]) -> None:
         for name, shape in shapes.items():
             if name == "forces" and load.forces is None:
                 continue
-            value = np.asarray(getattr(load, name))
+            value, what = np.asarray(getattr(load, name)), f"{name} of load step {step} has"
             if value.shape != shape:
-                message = f"{name} of load step {step} has shape {value.shape}"
-                raise solver_error("bad-load", message, f"give shape {shape}")
+                raise _bad_load(f"{what} shape {value.shape}", f"give shape {shape}")
             if not np.isfinite(value).all():
-                message = f"{name} of load step {step} has values that are not finite"
-                raise solver_error("bad-load", message, "give finite numbers")
+                raise _bad_load(f"{what} values that are not finite", "give finite numbers")
             if np.abs(value).max(initial=0.0) > _LARGEST:
-                message = f"{name} of load step {step} has values beyond {_LARGEST:.0e}"
-                raise solver_error("bad-load", message, "give a load that a body can carry")
+                raise _bad_load(f"{what} values beyond {_LARGEST:.0e}", "give a load that a body can carry")
+
+
+def loads_at(mesh: TetMesh, depths: Sequence[float], load: Load | Sequence[Load] | None) -> list[Load]:
+    """What else acts at each depth of an indenter: nothing, one load at all of them, or one for each.
+
+    Raises a `SolverError` for depths that are none or not finite, and for more loads or fewer.
+    """
+    if not len(depths) or not np.isfinite(depths).all():
+        raise _bad_load(f"the depths are {list(depths)}", "give one finite number of metres or more")
+    if load is None:
+        pressure = np.zeros((len(mesh.triangles), len(facet_quadrature()[1])))
+        load = Load(pressure, np.zeros((len(mesh.surface_nodes), 3)), np.zeros(3))
+    loads = [load] * len(depths) if isinstance(load, Load) else list(load)
+    if len(loads) != len(depths):
+        raise _bad_load(f"{len(loads)} loads go with {len(depths)} depths", "give one for each depth")
+    return loads
 
 
 def check_nodal(mesh: TetMesh, forces: Array, prescribed: Array) -> None:
@@ -74,13 +91,10 @@ def check_nodal(mesh: TetMesh, forces: Array, prescribed: Array) -> None:
     shape = (len(forces), mesh.n_nodes, 3)
     for name, value in (("forces", forces), ("prescribed", prescribed)):
         if not len(forces) or value.shape != shape:
-            message = f"{name} at the nodes has shape {value.shape}"
-            raise solver_error(
-                "bad-load", message, f"give shape (load steps, {mesh.n_nodes}, 3) for both arrays"
-            )
+            remedy = f"give shape (load steps, {mesh.n_nodes}, 3) for both arrays"
+            raise _bad_load(f"{name} at the nodes has shape {value.shape}", remedy)
         if not np.isfinite(value).all():
-            message = f"{name} at the nodes has values that are not finite"
-            raise solver_error("bad-load", message, "give finite numbers")
+            raise _bad_load(f"{name} at the nodes has values that are not finite", "give finite numbers")
 
 
 def nodal_forces(mesh: TetMesh, loads: Sequence[Load], density: float) -> Array:
@@ -119,16 +133,12 @@ def held_nodes(mesh: TetMesh, held: Mask, springs: Springs | None = None) -> Mas
     count = len(mesh.surface_nodes)
     given = np.asarray(held)
     if given.dtype != bool:
-        raise solver_error(
-            "bad-support", f"held is an array of {given.dtype}, not of true and false", "give a mask"
-        )
+        raise _bad_support(f"held is an array of {given.dtype}, not of true and false", "give a mask")
     mask = given
     if mask.shape == (count,):
         mask = np.repeat(mask[:, None], 3, axis=1)
     if mask.shape != (count, 3):
-        raise solver_error(
-            "bad-support", f"held has shape {mask.shape}", f"give shape ({count},) or ({count}, 3)"
-        )
+        raise _bad_support(f"held has shape {mask.shape}", f"give shape ({count},) or ({count}, 3)")
     out = np.zeros((mesh.n_nodes, 3), dtype=bool)
     out[mesh.surface_nodes] = mask
     _check_rigid_motion(mesh, out, springs)
@@ -232,16 +242,13 @@ def _check_rigid_motion(mesh: TetMesh, held: Mask, springs: Springs | None) -> N
         sprung, directions = springs.rigid_rows(mesh)
         vertices, rows = np.concatenate([vertices, sprung]), np.concatenate([rows, directions])
     if not len(vertices):
-        raise solver_error(
-            "not-held", "nothing is held, so the body can move freely", "hold a part of the surface"
-        )
+        raise _not_held("nothing is held, so the body can move freely", "hold a part of the surface")
     count, label = mesh.components
     for body in range(count):
         mine = label[vertices] == body
         if _rigid_rank(mesh.points[vertices[mine]], rows[mine]) < 6:
             name = "the body" if count == 1 else f"body {body} of {count}"
-            raise solver_error(
-                "not-held",
+            raise _not_held(
                 f"too little is held: {name} can still move or turn freely",
                 "hold an area of the surface, the nodes of some of its facets",
             )
