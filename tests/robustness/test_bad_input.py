@@ -14,7 +14,7 @@ import shutil
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from types import ModuleType, SimpleNamespace
+from types import ModuleType
 from typing import Any
 
 import h5py
@@ -23,9 +23,8 @@ import pytest
 from tests.command import write_study
 from tests.in_process import HerePlaces
 from tests.unit.test_store import _reseal
-from vdmbench.cli import doctor
 from vdmbench.cli.main import main
-from vdmbench.graph import run, work
+from vdmbench.graph import run
 from vdmbench.guard.gate import SEALED_AS
 from vdmbench.machine import files
 from vdmbench.machine.stored_json import sealed
@@ -246,7 +245,7 @@ def test_a_missing_library_is_told_with_the_line_that_mends_it(
             raise OSError("libGLU.so.1: cannot open shared object file: No such file or directory")
         return None
 
-    monkeypatch.setattr(doctor, "ctypes", SimpleNamespace(CDLL=load))
+    monkeypatch.setattr("ctypes.CDLL", load)
     assert "apt-get install libglu1-mesa\n" in said(["doctor"], 4, capsys)
 
 
@@ -276,7 +275,7 @@ def test_a_full_disk_is_told(
     assert [path for path in (tmp_path / "results").rglob("*") if path.is_file()] == [
         tmp_path / RUN / ".lock"
     ]
-    monkeypatch.setattr(work, "write_case", no_room)
+    monkeypatch.setattr("vdmbench.graph.case.write_case", no_room)
     told = said(arguments, 3, capsys)
     assert "No space left on device" in told
     assert "; check free space and permissions" in told
