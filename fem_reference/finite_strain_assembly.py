@@ -41,25 +41,22 @@ class Forces:
     least_determinant: float
 
 
+@dataclass(eq=False)
 class ElementAssembly:
     """Internal forces and their derivative on one mesh, for one law in units of the shear modulus.
 
     `stiffness` is an (m,) factor of each tetrahedron: its energy is that much of the law's.
     """
 
-    def __init__(
-        self,
-        mesh: TetMesh,
-        pattern: Pattern,
-        coupling: Pattern,
-        law: Law,
-        stiffness: Array | None = None,
-    ) -> None:
-        self.mesh = mesh
-        self._pattern = pattern
-        self._coupling = coupling
-        self._stiffness = np.ones(len(mesh.volumes)) if stiffness is None else stiffness
-        self._law = law
+    mesh: TetMesh
+    pattern: Pattern
+    coupling: Pattern
+    law: Law
+    stiffness: Array | None = None
+
+    def __post_init__(self) -> None:
+        mesh = self.mesh
+        self._stiffness = np.ones(len(mesh.volumes)) if self.stiffness is None else self.stiffness
         points, weights = get_quadrature(RefTet, _DEGREE)
         self._barycentric = np.vstack([1.0 - points.sum(axis=0), points]).T
         self._reference = reference_gradients(mesh.order, self._barycentric)
@@ -84,7 +81,7 @@ class ElementAssembly:
                 return Forces(nodal, volume, least)
             weights = self._weights[part]
             factor = weights * self._stiffness[part, None]
-            stress = self._law.stress(k, self._at_points(part, pressure)) * factor[..., None, None]
+            stress = self.law.stress(k, self._at_points(part, pressure)) * factor[..., None, None]
             # P : grad N = (P G^T) : reference gradient, G the constant barycentric gradients
             pulled = stress @ np.swapaxes(self._barycentric_gradients[part], 1, 2)[:, None]
             count = len(weights)
@@ -105,7 +102,7 @@ class ElementAssembly:
         divergence : (coupling.size, 1, 3) blocks: integral of N J F^-T : grad v.
             Its negative transpose is the derivative of the nodal forces with respect to p.
         """
-        pattern, coupling = self._pattern, self._coupling
+        pattern, coupling = self.pattern, self.coupling
         stiffness = np.zeros((pattern.size, 3, 3))
         divergence = np.zeros((coupling.size, 1, 3))
         parts = self._parts()
@@ -131,7 +128,7 @@ class ElementAssembly:
     def strain_energy(self, displacement: Array) -> float:
         """Integral of W."""
         return self._integral(
-            lambda part: self._law.energy(self._kinematics(part, displacement)) * self._stiffness[part, None]
+            lambda part: self.law.energy(self._kinematics(part, displacement)) * self._stiffness[part, None]
         )
 
     def pressure_integral(self, displacement: Array, pressure: Array) -> float:
@@ -139,7 +136,7 @@ class ElementAssembly:
 
         def trace(part: slice) -> Array:
             k = self._kinematics(part, displacement)
-            stress = self._law.stress(k, self._at_points(part, pressure))
+            stress = self.law.stress(k, self._at_points(part, pressure))
             work = np.einsum("eqij,eqij->eq", stress, k.deformation_gradient)
             return work * self._stiffness[part, None] / -3.0
 
@@ -161,7 +158,7 @@ class ElementAssembly:
     def _element_matrices(self, part: slice, displacement: Array, pressure: Array) -> tuple[Array, Array]:
         """(e, 3, n, 3, n) stiffness and (e, 4, 3, n) divergence of the elements of one pass."""
         k = self._kinematics(part, displacement)
-        tangent = self._law.tangent(k, self._at_points(part, pressure))
+        tangent = self.law.tangent(k, self._at_points(part, pressure))
         weights = self._weights[part] * self._stiffness[part, None]
         count, points = weights.shape
         width = self._reference.shape[1]
@@ -173,8 +170,8 @@ class ElementAssembly:
         crossed = _gram(spatial, weights * tangent.crossed).reshape(shape)
         out = _gram(spatial, weights * tangent.dilational).reshape(shape)
         out += np.swapaxes(crossed, 1, 3)
-        if tangent.along is not None and self._law.fibre is not None:
-            fibre = self._law.fibre
+        if tangent.along is not None and self.law.fibre is not None:
+            fibre = self.law.fibre
             stretched = k.deformation_gradient @ fibre
             along = stretched[..., None] * (fibre @ gradients)[:, :, None]
             out += _gram(along.reshape(count, points, -1), weights * tangent.along).reshape(shape)

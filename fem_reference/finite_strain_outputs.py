@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -36,10 +37,11 @@ _TOO_SMALL = Status(
 )
 
 
+@dataclass(eq=False)
 class Record:
     """The outcome of a load history so far.
 
-    Parameters
+    Attributes
     ----------
     system : that of the undeformed body
     assembly : for integrals over the deformed body
@@ -49,20 +51,16 @@ class Record:
     rest : the undeformed body
     """
 
-    def __init__(
-        self,
-        system: LinearSystem,
-        assembly: ElementAssembly,
-        shear_modulus: float,
-        steps: int,
-        outputs: frozenset[str],
-        rest: Substep,
-    ) -> None:
-        mesh = self._mesh = system.mesh
-        self._system = system
-        self._assembly = assembly
-        self._shear_modulus = shear_modulus
-        self._outputs = outputs
+    system: LinearSystem
+    assembly: ElementAssembly
+    shear_modulus: float
+    steps: int
+    outputs: frozenset[str]
+    rest: Substep
+
+    def __post_init__(self) -> None:
+        steps, outputs = self.steps, self.outputs
+        mesh = self._mesh = self.system.mesh
         self._recovery = StrainRecovery(mesh, finite=True) if "discretisation_error" in outputs else None
         nodes = len(mesh.surface_nodes)
         self._displacement = np.full((steps, nodes, 3), np.nan)
@@ -77,10 +75,9 @@ class Record:
         self._iterations = np.zeros(steps, dtype=np.int64)
         self._seconds = np.zeros(steps)
         self._status = [Status("not-reached", "an earlier load step failed", "see that step")] * steps
-        self._converged = rest  # the last one, of any step
-        self._open: tuple[int, float, Substep] | None = (
-            None  # a step under way: number, load factor, last attempt
-        )
+        self._converged = self.rest  # the last one, of any step
+        # a step under way: number, load factor, last attempt
+        self._open: tuple[int, float, Substep] | None = None
         self._clock = time.perf_counter()
 
     def add(self, number: int, attempt: Substep) -> None:
@@ -124,7 +121,7 @@ class Record:
         self._status[number] = status
         self._scalars["load_factor"][number] = reached
         self._scalars["relative_residual"][number] = self._converged.residuals[-1]
-        if "condition_estimate" in self._outputs:
+        if "condition_estimate" in self.outputs:
             self.states[number] = self._converged
         self._store(number, self._converged)
         self._open = None
@@ -135,19 +132,19 @@ class Record:
     def _store(self, number: int, substep: Substep) -> None:
         mesh, length = self._mesh, self._mesh.mean_edge
         u, q = substep.state.displacement, substep.state.pressure
-        p = self._system.pressure_scale * q
+        p = self.system.pressure_scale * q
         self._displacement[number] = u[mesh.surface_nodes] * length
-        force_unit = self._shear_modulus * length**2
+        force_unit = self.shear_modulus * length**2
         self._reaction[number] = gather_to_vertices(mesh, substep.reaction[None])[0] * force_unit
-        volume = self._assembly.volume(u)
-        self._fluid_pressure[number] = self._shear_modulus * self._assembly.pressure_integral(u, p) / volume
+        volume = self.assembly.volume(u)
+        self._fluid_pressure[number] = self.shear_modulus * self.assembly.pressure_integral(u, p) / volume
         # p^2 / (2 lambda) = c q^2 / 2, the energy of the volume change
-        energy = self._assembly.strain_energy(u)
-        if self._system.compliance is not None:
-            energy += 0.5 * float(q @ (self._system.compliance @ q))
-        self._energy[number] = energy * self._shear_modulus * length**3
-        local = self._outputs & {"max_det_f_deviation", "max_principal_strain"}
-        deviation, strain = self._assembly.largest(u) if local else (np.nan, np.nan)
+        energy = self.assembly.strain_energy(u)
+        if self.system.compliance is not None:
+            energy += 0.5 * float(q @ (self.system.compliance @ q))
+        self._energy[number] = energy * self.shear_modulus * length**3
+        local = self.outputs & {"max_det_f_deviation", "max_principal_strain"}
+        deviation, strain = self.assembly.largest(u) if local else (np.nan, np.nan)
         error = self._recovery.relative_error(u * length) if self._recovery else np.nan
         values = {
             "discretisation_error": error,
@@ -155,7 +152,7 @@ class Record:
             "max_principal_strain": strain,
             "volume": volume * length**3,
         }
-        for name in self._outputs & values.keys():
+        for name in self.outputs & values.keys():
             self._scalars[name][number] = values[name]
 
 

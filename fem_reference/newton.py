@@ -8,7 +8,7 @@ linear. Source: Bonet and Wood, 2nd ed., chapter 9; forcing after Eisenstat and 
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -122,18 +122,11 @@ class _Residual:
     least_determinant: float
 
 
-@dataclass(frozen=True)
-class _Tangent:
-    """A tangent, and its product with a displacement of all nodes, held ones included."""
-
-    matrices: TangentSystem
-    action: Callable[[Array], Array]
-
-
+@dataclass(eq=False)
 class Newton:
     """Equilibrium of one body under changing loads.
 
-    Parameters
+    Attributes
     ----------
     system : the linear system of the undeformed body, whose numbering and pressure scale are used
     pattern, coupling : the scalar pattern of its mesh, and that of its pressures
@@ -142,37 +135,29 @@ class Newton:
     solver : of the linear systems
     max_newton : iterations after which a substep has failed
     tolerance : of the residual, relative to the internal forces
+    contact : of an indenter, while there is one
     """
 
-    def __init__(
-        self,
-        system: LinearSystem,
-        pattern: Pattern,
-        coupling: Pattern,
-        assembly: ElementAssembly,
-        follower: FollowerPressure,
-        solver: TangentSolver,
-        max_newton: int,
-        tolerance: float,
-    ) -> None:
-        self._system = system
-        self._pattern = pattern
-        self._coupling = coupling
-        self._assembly = assembly
-        self._follower = follower
-        self._solver = solver
-        self._max_newton = max_newton
-        self._tolerance = tolerance
-        mesh = system.mesh
+    system: LinearSystem
+    pattern: Pattern
+    coupling: Pattern
+    assembly: ElementAssembly
+    follower: FollowerPressure
+    solver: TangentSolver
+    max_newton: int
+    tolerance: float
+    contact: RigidContact | None = None
+
+    def __post_init__(self) -> None:
+        mesh, kept = self.system.mesh, self.system.kept
         self._points = mesh.node_points / mesh.mean_edge
-        self.contact: RigidContact | None = None  # of an indenter, while there is one
-        self._inner = pattern.numbered[system.kept][:, system.kept]
-        self._inner_divergence = coupling.numbered[:, system.kept]
+        self._inner = self.pattern.numbered[kept][:, kept]
+        self._inner_divergence = self.coupling.numbered[:, kept]
 
     @property
     def rest(self) -> Substep:
         """The undeformed body under no load."""
-        mesh = self._system.mesh
+        mesh = self.system.mesh
         nothing = np.zeros((mesh.n_nodes, 3))
         unloaded = ScaledLoad(np.zeros((len(mesh.triangles), len(facet_quadrature()[1]))), nothing, nothing)
         state = State(nothing, np.zeros(mesh.n_pressures))
@@ -210,20 +195,20 @@ class Newton:
         def outcome(reached: State, code: str) -> Substep:
             return Substep(load_factor, load, reached, found.reaction, found.external, tuple(residuals), code)
 
-        tangent: _Tangent | None = None
+        tangent: TangentSystem | None = None
         while True:
-            step = np.where(self._system.held, load.given - u, 0.0)
-            if found.relative <= self._tolerance and not step.any():
+            step = np.where(self.system.held, load.given - u, 0.0)
+            if found.relative <= self.tolerance and not step.any():
                 # A load that acts must not be lost; what is left of one that was taken off is nothing.
                 lost = float(np.abs(found.vector).max()) > _LEFT * max(found.scale, largest)
                 if lost and found.external.any():
                     return outcome(state, "too-small")
                 return outcome(State(u, q), "converged")
             rises = sum(b > a for a, b in itertools.pairwise(residuals[1:]))
-            if len(residuals) > self._max_newton or rises > _MOST_RISES or not np.isfinite(found.relative):
+            if len(residuals) > self.max_newton or rises > _MOST_RISES or not np.isfinite(found.relative):
                 return outcome(state, "not-converged")
             if tangent is None or not self._good_enough(residuals):
-                tangent = self._tangent(u, q, load)
+                tangent = self.tangent(State(u, q), load)
             update = self._update(tangent, step, found)
             if update is None:
                 return outcome(state, "linear-solver")
@@ -239,29 +224,29 @@ class Newton:
 
     def _good_enough(self, residuals: list[float]) -> bool:
         """Whether the last tangent will do once more: it gains at least what the last step did."""
-        return len(residuals) > 2 and residuals[-1] ** 2 <= 0.1 * self._tolerance * residuals[-2]
+        return len(residuals) > 2 and residuals[-1] ** 2 <= 0.1 * self.tolerance * residuals[-2]
 
-    def _update(self, tangent: _Tangent, step: Array, found: _Residual) -> tuple[Array, Array] | None:
+    def _update(self, tangent: TangentSystem, step: Array, found: _Residual) -> tuple[Array, Array] | None:
         """The Newton update that also moves held components by `step`; None if it cannot be computed."""
         forcing = _MOST_FORCING
         if not step.any():
-            wanted = max(0.1 * found.relative, 0.1 * self._tolerance / found.relative)
+            wanted = max(0.1 * found.relative, 0.1 * self.tolerance / found.relative)
             forcing = float(np.clip(wanted, _LEAST_FORCING, _MOST_FORCING))
         rhs = -found.vector - tangent.action(step)
-        x, solved = self._solver.solve(tangent.matrices, rhs, forcing)
+        x, solved = self.solver.solve(tangent, rhs, forcing)
         if not solved:
             return None
-        n = self._system.n_displacements
+        n = self.system.n_displacements
         du = step.copy()
         # An iterative solver leaves rounding at held components, which must arrive exactly.
-        kept = self._system.kept
-        du[kept] += np.where(self._system.held[kept], 0.0, x[:n].reshape(-1, 3))
+        kept = self.system.kept
+        du[kept] += np.where(self.system.held[kept], 0.0, x[:n].reshape(-1, 3))
         return du, x[n:]
 
     def _residual(self, u: Array, q: Array, load: ScaledLoad) -> _Residual:
-        system = self._system
-        internal = self._assembly.forces(u, system.pressure_scale * q)
-        external = load.forces + self._follower.forces(self._points + u, load.pressure)
+        system = self.system
+        internal = self.assembly.forces(u, system.pressure_scale * q)
+        external = load.forces + self.follower.forces(self._points + u, load.pressure)
         if self.contact is not None:
             external = external + self.contact.forces(self._points + u, load.depth)
         unbalanced = internal.nodal - external
@@ -275,7 +260,7 @@ class Newton:
         scale = max(float(np.linalg.norm(a)) for a in (internal.nodal, external))
         return _Residual(
             vector,
-            float(np.linalg.norm(vector)) / max(scale, noise / self._tolerance),
+            float(np.linalg.norm(vector)) / max(scale, noise / self.tolerance),
             scale,
             np.where(system.held, unbalanced, 0.0) + pulled,
             external,
@@ -284,17 +269,15 @@ class Newton:
 
     def _vector(self, nodal: Array, volume: Array) -> Array:
         """The rows of the system from nodal forces and volume changes."""
-        system = self._system
+        system = self.system
         top = np.where(system.held, 0.0, nodal)[system.kept].ravel()
         return np.concatenate([top, -system.pressure_scale * volume])
 
     def tangent(self, state: State, load: ScaledLoad) -> TangentSystem:
         """The tangent in a state."""
-        return self._tangent(state.displacement, state.pressure, load).matrices
-
-    def _tangent(self, u: Array, q: Array, load: ScaledLoad) -> _Tangent:
-        system, pattern, coupling = self._system, self._pattern, self._coupling
-        blocks, volumes = self._assembly.tangent(u, system.pressure_scale * q)
+        system, pattern, coupling = self.system, self.pattern, self.coupling
+        u, q = state.displacement, state.pressure
+        blocks, volumes = self.assembly.tangent(u, system.pressure_scale * q)
         divergence = self._divergence(volumes)
         if system.springs is not None:
             system.springs.add_to(blocks, system.mesh, pattern)
@@ -302,7 +285,7 @@ class Newton:
             self.contact.add_stiffness(blocks, self._points + u, load.depth)
         symmetric = blocks
         if load.pressure.any():
-            places, pressed = self._follower.stiffness(self._points + u, load.pressure)
+            places, pressed = self.follower.stiffness(self._points + u, load.pressure)
             symmetric = blocks.copy()
             symmetric[places] += 0.5 * pressed
             symmetric[pattern.mirror[places]] += 0.5 * np.swapaxes(pressed, 1, 2)
@@ -320,18 +303,18 @@ class Newton:
             volume = bsr_array((volumes, coupling.indices, coupling.indptr), shape=(rows, size)) @ flat
             return self._vector(nodal.reshape(-1, 3), volume)
 
-        return _Tangent(TangentSystem(true, half), action)
+        return TangentSystem(true, half, action)
 
     def _stiffness(self, blocks: Array) -> bsr_array:
-        inner, held = self._inner, self._system.held[self._system.kept]
-        size = self._system.n_displacements
+        inner, held = self._inner, self.system.held[self.system.kept]
+        size = self.system.n_displacements
         matrix = bsr_array((blocks[inner.data], inner.indices, inner.indptr), shape=(size, size))
         hold_components(matrix, held)
         return matrix
 
     def _divergence(self, volumes: Array) -> csr_array:
-        inner, held = self._inner_divergence, self._system.held[self._system.kept]
-        data = self._system.pressure_scale * volumes[inner.data]
+        inner, held = self._inner_divergence, self.system.held[self.system.kept]
+        data = self.system.pressure_scale * volumes[inner.data]
         data[held[inner.indices][:, None, :]] = 0.0
-        shape = (self._system.mesh.n_pressures, self._system.n_displacements)
+        shape = (self.system.mesh.n_pressures, self.system.n_displacements)
         return csr_array(bsr_array((data, inner.indices, inner.indptr), shape=shape))

@@ -32,10 +32,11 @@ Operator = Callable[[Array], Array]
 
 @dataclass(frozen=True)
 class TangentSystem:
-    """A tangent, and its symmetric part, from which a preconditioner is made."""
+    """A tangent, its symmetric part, from which a preconditioner is made, and its product with all nodes' moves."""
 
     true: LinearSystem
     symmetric: LinearSystem
+    action: Operator
 
 
 class Preconditioner(Protocol):
