@@ -16,7 +16,6 @@ from vdmbench.study.problems import StudyError
 BASE, FINGER = 'below = { axis = "z", fraction = 0.2 }', 'cap = { direction = [0, 0, 1], angle = "30 deg" }'
 THIN = 'shape = "box"\nsize = ["100 mm", "100 mm", "20 mm"]'
 BALL = ('shape = "sphere"\nradius = "50 mm"', THIN)
-UNIFORM = ('profile = "hertz"', 'profile = "uniform"')
 CASES: dict[str, tuple[list[tuple[str, str]], int, str]] = {
     "a region off the body": (
         [(FINGER, 'ball = { center = [0, 0, 1], radius = "20 mm" }')],

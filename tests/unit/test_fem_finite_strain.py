@@ -23,7 +23,6 @@ from tests.verification.records import Verified
 
 Array = np.ndarray
 
-RATIOS = pytest.mark.parametrize("poisson_ratio", [-0.3, 0.0, 0.3, 0.45, 0.4999, 0.5])
 EVERYTHING = frozenset(OUTPUTS)
 TILT = (0.3, -0.2, 1.0)
 FIBRES = {"material": "transversely-isotropic", "fibre_direction": TILT, "contrast": 5.0}
@@ -197,7 +196,7 @@ def test_patch_test_with_the_whole_surface_given(
     verified.equal(f"{title}: energy", s.energy[0], energy, rtol=1e-8)
 
 
-@RATIOS
+@pytest.mark.parametrize("poisson_ratio", [-0.3, 0.0, 0.45, 0.5])
 @pytest.mark.parametrize("stretch", [0.6, 1.7])
 def test_uniaxial_stretch_on_rollers(block: Body, poisson_ratio: float, stretch: float) -> None:
     """Free sides: the lateral stretch, the force, the energy and the pressure follow from the law."""

@@ -13,7 +13,6 @@ from vdm.solvers import SOLVERS
 
 PUSH = Load(np.where(POINTS[:, 2] > 0.035, 100.0, 0.0))
 PRINTED = ("lu", "bicg", "bicg-cold")
-SPARSE = ("paper", "consistent", "vector", "mass-spring")
 
 
 def model(formulation: str, rotation: str = "global", **options) -> Model:

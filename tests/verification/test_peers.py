@@ -44,7 +44,6 @@ STUDY: dict[str, Any] = {
     "gravity": {"acceleration": [0.0, 0.0, -2.0]},
 }
 TOOL = {"kind": "constrained", "region": "tool", "displacement": [0.0, 0.002, -0.001]}
-PRESS = {"kind": "contact", "region": "top", "pressure": 20.0}
 
 
 @pytest.fixture(scope="module")
