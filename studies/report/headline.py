@@ -5,8 +5,6 @@ from __future__ import annotations
 import math
 from typing import Any
 
-import numpy as np
-
 from ..measures.case import Run
 from ..measures.metrics import DEFORMATION, VECTOR
 from ..verdict.digest import Digest, ModelSummary, Spread
@@ -67,9 +65,7 @@ def _terminal_errors(digest: Digest, summary: ModelSummary) -> dict[str, str]:
     spreads: tuple[Spread | None, ...] = (summary.vector, summary.deformation)
     texts = [percent(spread.median) if spread else NOTHING for spread in spreads]
     if summary.is_reference:
-        bars = [digest.bars(metric) for metric in (VECTOR, DEFORMATION)]
-        known = [bar[np.isfinite(bar)] for bar in bars]
-        texts = [f"± {percent(float(np.median(bar)))}" if len(bar) else f"± {NOTHING}" for bar in known]
+        texts = [f"± {percent(digest.own_error(metric))}" for metric in (VECTOR, DEFORMATION)]
     return dict(zip(_ERRORS, texts, strict=True))
 
 

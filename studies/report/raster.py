@@ -59,17 +59,10 @@ def drawn(
 
 
 def averaged(drawn: np.ndarray) -> np.ndarray:
-    """Blocks of pixels as one; what is transparent has no colour to give."""
-    rows = drawn[::FINER].astype(np.uint16) + drawn[1::FINER]
-    pixels = rows.view(np.uint64)  # the four sums of a pixel as one number: none of them carries
-    total = (pixels[:, ::FINER] + pixels[:, 1::FINER]).view(np.uint16)
-    out = ((total + FINER**2 // 2) // FINER**2).astype(np.uint8)
-    # at the outline, where pixels of a block differ in alpha, it weighs their colours
-    alpha = total[:, :, 3]
-    height, width = alpha.shape
-    outline = (alpha > 0) & (alpha < 255 * FINER**2)
-    blocks = drawn.reshape(height, FINER, width, FINER, 4).swapaxes(1, 2)[outline].astype(np.float32)
-    weights = blocks[..., 3:]
-    weighed = (blocks[..., :3] * weights).sum(axis=(1, 2)) / weights.sum(axis=(1, 2))
-    out[outline, :3] = weighed.round().astype(np.uint8)
-    return out
+    """Blocks of pixels as one, their colours weighed by their alpha: what is transparent has no colour to give."""
+    height, width, _ = drawn.shape
+    blocks = drawn.reshape(height // FINER, FINER, width // FINER, FINER, 4).astype(np.float32)
+    alpha = blocks[..., 3:]
+    colours = (blocks[..., :3] * alpha).sum(axis=(1, 3)) / np.maximum(alpha.sum(axis=(1, 3)), 1.0)
+    pixels = np.concatenate([colours, alpha.mean(axis=(1, 3))], axis=2)
+    return np.floor(pixels + 0.5).astype(np.uint8)

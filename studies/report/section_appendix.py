@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shlex
+from collections.abc import Sequence
 from pathlib import Path
 
 from ..study.model_name import PARAMETERS
@@ -56,21 +57,15 @@ def provenance(digest: Digest) -> Section | None:
     """Packages, machine, meshes and the models' parameters."""
     if not digest.cases:
         return None
+    files = _geometry_files(digest)
+    rows = [("geometry file", listed(files))] if files else []
+    rows.append(("surface nodes", _range([len(case.points) for case in digest.cases], "")))
+    measured = dict.fromkeys(key for case in digest.cases for key in case.mesh_quality)
+    for key in (key for key in measured if key != "surface_nodes"):
+        values = [case.mesh_quality[key] for case in digest.cases if key in case.mesh_quality]
+        rows.append((f"mesh: {key.replace('_', ' ')}", _range(values, _MESH_UNITS.get(key, ""))))
     keys = dict.fromkeys(key for case in digest.cases for key in case.provenance)
-    rows = [(key.removeprefix("package.").replace("_", " "), _over_cases(digest, key)) for key in keys]
-    nodes = sorted({len(case.points) for case in digest.cases})
-    meshes = f"{nodes[0]}" if len(nodes) == 1 else f"{nodes[0]} to {nodes[-1]}"
-    rows.insert(0, ("surface nodes", meshes))
-    quality = {
-        key: [c.mesh_quality[key] for c in digest.cases if key in c.mesh_quality]
-        for key in _quality_keys(digest)
-    }
-    rows[1:1] = [
-        (f"mesh: {key.replace('_', ' ')}", _range(values, _MESH_UNITS.get(key, "")))
-        for key, values in quality.items()
-    ]
-    if files := _geometry_files(digest):
-        rows.insert(0, ("geometry file", listed(files)))
+    rows += [(key.removeprefix("package.").replace("_", " "), _over_cases(digest, key)) for key in keys]
     blocks: list[Block] = [Facts(rows)]
     for model in digest.models:
         case = next((case for case in digest.cases if model in case.models), None)
@@ -93,13 +88,7 @@ def _geometry_files(digest: Digest) -> list[str]:
     return [Path(path).name for path in dict.fromkeys(paths)]
 
 
-def _quality_keys(digest: Digest) -> list[str]:
-    return list(
-        dict.fromkeys(key for case in digest.cases for key in case.mesh_quality if key != "surface_nodes")
-    )
-
-
-def _range(values: list[float], unit: str) -> str:
+def _range(values: Sequence[float], unit: str) -> str:
     low, high = (plain(float(f(values)), 6 if float(f(values)).is_integer() else 3) for f in (min, max))
     return f"{low if low == high else f'{low} to {high}'} {unit}".strip()
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from matplotlib.axes import Axes
 
-from ..measures.bars import reference_bar, series
+from ..measures.bars import series
 from ..measures.case import CaseResult
 from ..measures.metrics import DEFORMATION, VECTOR
 from ..verdict.digest import REFERENCE, Digest
@@ -52,7 +52,7 @@ def error_against_parameters(digest: Digest) -> Section | None:
         notes.append(
             "Each point is one case at full load. Lines join the medians of the cases that share a value."
         )
-    if any(math.isfinite(reference_bar(case)) for case in digest.cases):
+    if math.isfinite(digest.own_error(VECTOR)):
         notes.append("Dashed grey is the error of the reference itself.")
     if (step := _stride(len(digest.cases))) > 1:
         notes.append(f"One case in {step} is drawn, to keep the page small.")
@@ -209,7 +209,7 @@ def error_against_load(digest: Digest) -> Section | None:
         y for by_model in curves.values() for table in by_model.values() for ys in table.values() for y in ys
     ]
     figures = [
-        _against_load(digest, curves[metric], _own(digest, metric), title, heights, f"l{k}")
+        _against_load(digest, curves[metric], digest.own_error(metric), title, heights, f"l{k}")
         for k, (metric, title) in enumerate(QUANTITIES)
         if any(len(table) > 1 for table in curves[metric].values())  # one load is no curve
     ]
@@ -218,7 +218,7 @@ def error_against_load(digest: Digest) -> Section | None:
     notes = []
     if len(digest.cases) > 1:
         notes.append("Lines are medians over the cases. Bands reach from the best case to the worst.")
-    if any(math.isfinite(reference_bar(case)) for case in digest.cases):
+    if math.isfinite(digest.own_error(VECTOR)):
         notes.append("Dashed grey is the error of the reference itself, at full load.")
     blocks: list[Block] = [Text(" ".join(notes), kind="note")] if notes else []
     return Section("load", "Error against load", [*blocks, Figures(figures, digest.legend)])
@@ -234,12 +234,6 @@ def over_load(digest: Digest, models: Iterable[str], metric: str) -> dict[str, d
                 if math.isfinite(value):
                     curves.setdefault(model, {}).setdefault(float(factor), []).append(float(value))
     return curves
-
-
-def _own(digest: Digest, metric: str) -> float:
-    """Median over the cases of the reference's own error, NaN where none was measured."""
-    bars = [bar for case in digest.cases if math.isfinite(bar := reference_bar(case, metric))]
-    return float(np.median(bars)) if bars else math.nan
 
 
 def _against_load(

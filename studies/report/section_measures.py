@@ -23,7 +23,7 @@ def all_measures(digest: Digest) -> Section | None:
     for name, (unit, definition) in first.items():
         if name in _IN_HEADLINE:
             continue
-        own = digest.own_spread(name)
+        own = digest.spread(None, name)
         farthest = "" if not many else "worst" if own is None else "largest"
         spreads = [*(digest.spread(model, name) for model in digest.compared), own]
         rows.append([Cell(measure_name(name), definition), *(_cell(s, unit, farthest) for s in spreads)])

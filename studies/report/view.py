@@ -9,6 +9,7 @@ from __future__ import annotations
 import base64
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from matplotlib import colormaps
@@ -145,26 +146,20 @@ def _regions(case: CaseResult) -> list[dict[str, object]]:
 
 def _measured(case: CaseResult, steps: list[int]) -> list[dict[str, object]]:
     """The measured points: where they are, and of the kept steps their displacement, null where unknown."""
-    points: dict[tuple[str, str, int], dict[str, object]] = {}
+    points: dict[tuple[str, str, int], dict[str, Any]] = {}
     for one in case.measurement.quantities if case.measurement is not None else ():
         if one.facet < 0 or one.component not in AXES or one.step not in steps:
             continue
-        name = (one.table, one.point, steps.index(one.step))
-        nothing: list[float | None] = [None, None, None]
-        point = points.setdefault(
-            name,
-            {
-                "name": one.point,
-                "step": name[2],
-                "nodes": [int(node) for node in case.triangles[one.facet]],
-                "weights": list(one.weights),
-                "value": list(nothing),
-                "uncertainty": one.uncertainty,
-            },
-        )
-        value = point["value"]
-        assert isinstance(value, list)
-        value[AXES.index(one.component)] = one.value
+        about = {
+            "name": one.point,
+            "step": steps.index(one.step),
+            "nodes": case.triangles[one.facet].tolist(),
+            "weights": list(one.weights),
+            "value": [None, None, None],
+            "uncertainty": one.uncertainty,
+        }
+        point = points.setdefault((one.table, one.point, one.step), about)
+        point["value"][AXES.index(one.component)] = one.value
     return list(points.values())[:_MOST_MEASURED]
 
 

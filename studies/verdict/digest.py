@@ -198,21 +198,17 @@ class Digest:
         """(C,) the reference's own part in a metric of every case; NaN where there is none."""
         return np.array([reference_bar(case, metric) for case in self.cases])
 
-    def spread(self, model: str, metric: str) -> Spread | None:
-        """A metric at full load over all cases."""
-        if metric == uncertainty.INDENTATION_FORCE:  # whose bar goes with the value
-            return self.own_spread(metric, model)
-        return spread_of(self.full_loads(model, metric), self.bars(metric))
+    def own_error(self, metric: str) -> float:
+        """Median over the cases of the reference's own part in a metric; NaN where none was measured."""
+        bars = self.bars(metric)
+        known = bars[np.isfinite(bars)]
+        return float(np.median(known)) if len(known) else math.nan
 
-    def own_spread(self, metric: str, model: str | None = None) -> Spread | None:
-        """A metric of a model, else of each case's reference, at full load, with the bars of its own value."""
-        values, bars = np.full((2, len(self.cases)), math.nan)
-        for k, case in enumerate(self.cases):
-            name = model or str(case.reference)
-            values[k] = at_full_load(case, name, metric)
-            if math.isfinite(values[k]):
-                bars[k] = value_bar(case, name, metric)
-        return spread_of(values, bars)
+    def spread(self, model: str | None, metric: str) -> Spread | None:
+        """A metric of a model at full load over all cases; of each case's own reference where that is None."""
+        found = [(case, model or str(case.reference)) for case in self.cases]
+        values = np.array([at_full_load(case, name, metric) for case, name in found])
+        return spread_of(values, np.array([value_bar(case, name, metric) for case, name in found]))
 
     @cached_property
     def unusual_levels(self) -> dict[str, int]:
@@ -247,7 +243,7 @@ class Digest:
             is_reference=name == self.reference,
             vector=self.spread(name, VECTOR),
             deformation=self.spread(name, DEFORMATION),
-            drift=self.own_spread("volume_drift", name),
+            drift=self.spread(name, "volume_drift"),
             seconds_setup=float(np.median(setups)) if setups else math.nan,
             seconds_per_step=float(np.median(times)) if len(times) else math.nan,
             peak_bytes=float(max((r.peak_bytes for r in results if _has_answer(r)), default=math.nan)),

@@ -126,16 +126,6 @@ def test_the_graph_is_that_of_the_quickstart(tmp_path: Path) -> None:
     ), "run `make docs`"
 
 
-def test_make_targets_exist() -> None:
-    makefile = (regenerate.ROOT / "Makefile").read_text()
-    for target in re.findall(r"\bmake (\w+)", TEXT):
-        if target not in {"demo", "test", "verify", "docs"}:
-            continue
-        assert re.search(rf"^{target}:", makefile, flags=re.MULTILINE), target
-    assert "make demo" in TEXT
-    assert "make test" in TEXT
-
-
 @pytest.mark.parametrize("path", DOCUMENTS, ids=lambda path: str(path.relative_to(regenerate.ROOT)))
 def test_links_lead_somewhere(path: Path) -> None:
     for target in re.findall(r"\]\(([^)#]+)\)", path.read_text()):
