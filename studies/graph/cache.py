@@ -6,7 +6,7 @@ import dataclasses
 import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -16,8 +16,10 @@ from ..body.mesh import Mesh
 from ..body.surface_measures import enclosed_volumes
 from ..machine.processors import processor_name
 from ..machine.sealed import read_arrays, write_arrays
-from ..measures.case import Limit, ModelLimits, SmallStrainLimits
 from ..scene.result import ModelResult
+
+if TYPE_CHECKING:
+    from ..measures.case import SmallStrainLimits
 
 _ARRAYS = (
     "displacement",
@@ -145,6 +147,8 @@ def write_limits(path: Path, found: SmallStrainLimits) -> None:
 
 def read_limits(path: Path) -> SmallStrainLimits | None:
     """The limits stored at `path`; None where there are none, or they are damaged."""
+    from ..measures.case import Limit, ModelLimits, SmallStrainLimits  # a check asks for the paths alone
+
     stored = read_arrays(path)
     if stored is None:
         return None
