@@ -6,11 +6,13 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.testing import assert_allclose
 from numpy.typing import ArrayLike, NDArray
 from skfem import MeshTet
 
 from fem_reference.linear import LinearProblem, Load
 from solver_common.quadrature import facet_quadrature
+from solver_common.solution import Solution
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -71,6 +73,18 @@ class Body:
         """A problem with E = 1 and nu = 0.3 unless told otherwise."""
         settings: dict[str, object] = {"youngs_modulus": 1.0, "poisson_ratio": 0.3, **options}
         return LinearProblem(*self.arrays, held=held, **settings)  # type: ignore[arg-type]
+
+
+FIELDS = ("displacement", "reaction_force", "fluid_pressure", "energy")
+
+
+def assert_same(found: Solution, expected: Solution, tolerance: float) -> None:
+    """Outcomes and all fields, each to a share of its largest value."""
+    assert [status.code for status in found.status] == [status.code for status in expected.status]
+    for name in FIELDS:
+        value = getattr(expected, name)
+        atol = tolerance * np.abs(value).max()
+        assert_allclose(getattr(found, name), value, rtol=0, atol=atol, err_msg=name)
 
 
 def body(points: ArrayLike, tetrahedra: ArrayLike) -> Body:

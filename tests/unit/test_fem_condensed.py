@@ -11,7 +11,7 @@ from numpy.testing import assert_allclose
 from fem_reference.condensed import CondensedProblem
 from fem_reference.linear import LinearProblem
 from fem_reference.solution import SolverError
-from tests.unit.fem_shapes import Body, ball, cube
+from tests.unit.fem_shapes import FIELDS, Body, assert_same, ball, cube
 
 
 @pytest.fixture(scope="module")
@@ -53,9 +53,7 @@ def test_equal_to_the_linear_solve(body: Body, element: str, poisson_ratio: floa
         for _ in range(3)
     ]
     expected, found = linear.solve(loads, frozenset({"compliance"})), model.solve(loads)
-    for name in ("displacement", "reaction_force", "fluid_pressure", "energy"):
-        value = getattr(expected, name)
-        assert_allclose(getattr(found, name), value, rtol=0, atol=1e-10 * np.abs(value).max(), err_msg=name)
+    assert_same(found, expected, 1e-10)
     assert_allclose(found.scalars["compliance"], expected.scalars["compliance"], rtol=1e-10, atol=0)
     assert all(s.ok for s in found.status)
     assert found.iterations.sum() == 0
@@ -164,9 +162,7 @@ def test_held_nodes_that_move_are_equal_to_the_linear_solve(body: Body, element:
         for pressed, a, b in ((1.0, 0.5, -2.0), (0.0, 3.0, 0.0), (1.0, 0.0, 0.0))
     ]
     expected, found = linear.solve(loads, frozenset({"compliance"})), model.solve(loads)
-    for name in ("displacement", "reaction_force", "fluid_pressure", "energy"):
-        value = getattr(expected, name)
-        assert_allclose(getattr(found, name), value, rtol=0, atol=1e-10 * np.abs(value).max(), err_msg=name)
+    assert_same(found, expected, 1e-10)
     work = expected.scalars["compliance"]
     assert_allclose(found.scalars["compliance"], work, rtol=0, atol=1e-10 * np.abs(work).max())
     reactions = model.matrix[-2:, -2:]
@@ -186,9 +182,7 @@ def test_a_body_that_is_only_moved_needs_no_contact(body: Body) -> None:
     model = CondensedProblem(linear, np.zeros(len(body.surface), dtype=bool), motions=down)
     load = body.load(0.0, prescribed=0.002 * down[0])
     expected, found = linear.solve([load]), model.solve([load])
-    for name in ("displacement", "reaction_force", "energy"):
-        value = getattr(expected, name)
-        assert_allclose(getattr(found, name), value, rtol=0, atol=1e-10 * np.abs(value).max(), err_msg=name)
+    assert_same(found, expected, 1e-10)
 
 
 @pytest.mark.parametrize("density", [0.0, 1e3])
@@ -198,9 +192,8 @@ def test_a_body_without_contact_has_its_weight_or_stays_at_rest(body: Body, dens
     loads = [body.load(0.0), body.load(0.0, gravity=(1.0, 2.0, -9.81))]
     expected, found = linear.solve(loads), model.solve(loads)
     assert all(status.ok for status in found.status)
-    for name in ("displacement", "reaction_force", "fluid_pressure", "energy"):
-        value = getattr(expected, name)
-        assert_allclose(getattr(found, name), value, rtol=0, atol=1e-10 * np.abs(value).max(), err_msg=name)
+    assert_same(found, expected, 1e-10)
+    for name in FIELDS:
         assert not getattr(found, name)[0].any()
         assert bool(density) == getattr(found, name)[1].any()
 

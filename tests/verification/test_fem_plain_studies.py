@@ -8,7 +8,7 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 
-from tests.unit.test_fem_plain import FIELDS
+from tests.unit.fem_shapes import FIELDS
 from tests.unit.test_shipped_studies import NAMES, shipped
 from vdmbench import models
 from vdmbench.body.geometry import build_mesh
