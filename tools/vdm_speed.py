@@ -121,9 +121,12 @@ def two_readings(model: Model, repeats: int) -> float:
 
 
 def linear_rows(formulation: str, sizes: Sizes, levels: int, repeats: int) -> Iterator[Row]:
-    """Set-up, every node loaded, and the triangular solves in it."""
+    """Set-up with its memory, every node loaded, and the triangular solves in it."""
     points, triangles = icosphere(levels, (RADIUS, RADIUS, RADIUS))
+    ball(formulation, 2)  # what is loaded on first use is not the model's
+    before = reset_peak()
     model = set_up_on(points, triangles, formulation)
+    peak = peak_bytes_since(before) / 1e9
     solver = model.solver
     assert isinstance(solver, LinearSolver)
     nodes, free = model.surface.n_nodes, model.problem.free
@@ -138,7 +141,10 @@ def linear_rows(formulation: str, sizes: Sizes, levels: int, repeats: int) -> It
 
     steps = [solver.step(load) for _ in range(repeats)]  # an audit is of a new step
     for what, seconds in (
-        ("set-up", timed(partial(set_up_on, points, triangles, formulation), slow)),
+        (
+            f"set-up, {peak:.3f} GB at its peak",
+            timed(partial(set_up_on, points, triangles, formulation), slow),
+        ),
         ("of it one factor", timed(partial(Cholesky, block), slow)),
         (
             "of it the rule for the parameters",

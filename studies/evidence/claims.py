@@ -130,20 +130,17 @@ def _cost(digests: Sequence[Digest]) -> Judgement | None:
     reached = [ratio >= ORDER for ratio in typical.values()]
     verdict = HOLDS if all(reached) else WITHIN_LIMITS if any(reached) else FAILS
     reason = (
-        f"On the same mesh a frame of vdm-paper is {plain(typical['frame'], 2)} times cheaper than a "
-        f"solve of linear "
-        f"elements and its set-up {plain(typical['set-up'], 2)} times (medians)."
+        f"On the same mesh a frame of vdm-paper is {plain(typical['frame'], 2)} times cheaper than a solve of "
+        f"linear elements and its set-up {plain(typical['set-up'], 2)} times (medians)."
     )
     if len(kept) < len(cases):
         reason += (
             f" {plural(len(cases) - len(kept), 'case')} in which these were solved iteratively left out."
         )
     if "condensed frame" in typical:
-        ratio = typical["condensed frame"]
         reason += (
-            f" Once elements are condensed to the contact's surface, a frame of theirs costs "
-            f"{plain(ratio, 2)} times "
-            "that of vdm-paper, at the accuracy of elements."
+            " Once elements are condensed to the contact's surface, a frame of theirs costs "
+            f"{plain(typical['condensed frame'], 2)} times that of vdm-paper, at the accuracy of elements."
         )
     digest = digests[0]
     here = [s for s in digest.summaries if not s.name.endswith(REFINED)]  # on the mesh that all models share
@@ -159,9 +156,8 @@ _claim(5, "Starting from the last solution gives dramatic gains in speed.", WARM
 @_claim(
     6,
     "Density and bulk modulus of blood suffice as parameters.",
-    f"Holds where the bulk modulus of blood moves the surface by within {FIT:g} times of the reference; "
-    f"fails where it "
-    "does not.",
+    f"Holds where the bulk modulus of blood moves the surface by within {FIT:g} times of the reference; fails "
+    "where it does not.",
 )
 def _blood(digests: Sequence[Digest]) -> Judgement | None:
     points: list[tuple[float, float]] = []
@@ -183,11 +179,9 @@ def _blood(digests: Sequence[Digest]) -> Judgement | None:
     verdict = HOLDS if 1 / FIT <= ratio <= FIT else FAILS
     best = min(points, key=lambda point: abs(math.log(point[1])))
     reason = (
-        f"With {quantity(modulus, 'Pa')} the largest displacement is {plain(ratio, 2)} of the "
-        f"reference's. It comes closest, "
-        f"{plain(best[1], 2)} of it, at {quantity(best[0], 'Pa')}: the modulus that matters is of the "
-        f"order of the shear "
-        "modulus of the tissue, which the fluid's compressibility says nothing about."
+        f"With {quantity(modulus, 'Pa')} the largest displacement is {plain(ratio, 2)} of the reference's. It "
+        f"comes closest, {plain(best[1], 2)} of it, at {quantity(best[0], 'Pa')}: the modulus that matters is of "
+        "the order of the shear modulus of the tissue, which the fluid's compressibility says nothing about."
     )
     line = ("vdm-paper", [p for p, _ in points], [r for _, r in points])
     figure = curves(

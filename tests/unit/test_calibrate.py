@@ -115,39 +115,6 @@ def test_the_parameters_behind_an_answer_are_found(
     assert_allclose(found, multiples, rtol=5e-3 if len(asked) > 2 else 5e-4, atol=0)
 
 
-def test_one_modulus_is_exact_without_a_search(samples: list[Sample]) -> None:
-    known = answered(samples, "vdm-vector", [2.0], ["surface_tension"])
-    noisy = [
-        dataclasses.replace(
-            s, reference=s.reference + 1e-5 * np.sin(np.arange(s.reference.size)).reshape(-1, 3)
-        )
-        for s in known
-    ]
-    trial = Trial("vdm-vector", noisy, None)
-    best = least_error(trial).multiples
-
-    def loss(multiple: float) -> float:
-        return sum(
-            float(s.surface.areas @ ((u - s.reference) ** 2).sum(axis=1))
-            / float(s.surface.areas @ (s.reference**2).sum(axis=1))
-            for s, u in zip(noisy, trial.answers(np.array([multiple])), strict=True)
-        )
-
-    assert loss(best[0]) < min(loss(best[0] * 1.001), loss(best[0] / 1.001))
-
-
-def test_held_out_loads_do_not_move_the_fit(samples: list[Sample]) -> None:
-    known = answered(samples, "vdm-vector", [1.3], ["surface_tension"])
-    spoilt = dataclasses.replace(known[3], reference=2.0 * known[3].reference)
-    found = fit("vdm-vector", known[:3], [spoilt])
-    assert_allclose(found.multiples["surface_tension"], 1.3, rtol=1e-9, atol=0)
-    assert_allclose(found.training.vector, 0.0, rtol=0, atol=1e-9)
-    assert_allclose([found.held_out.vector, found.held_out.deformation], 0.5, rtol=1e-9, atol=0)
-    # the rule's answer is 1.3 times the fitted one, held against twice the fitted one
-    assert_allclose(found.by_rule.vector, 0.35, rtol=1e-9, atol=0)
-    assert np.isnan(found.held_out.bar)
-
-
 def test_a_fit_is_carried_to_another_body_as_a_multiple_of_its_rule(samples: list[Sample]) -> None:
     known = answered(samples, "vdm-vector", [1.3], ["surface_tension"])
     stiff = [
@@ -306,11 +273,6 @@ def test_what_cannot_be_fitted_says_why(samples: list[Sample]) -> None:
     ]
     with pytest.raises(CalibrationError, match="against the reference"):
         least_error(Trial("vdm-vector", upside_down))
-
-
-def test_half_of_the_loads_train_by_default(samples: list[Sample]) -> None:
-    training, held_out = split(samples[:3], 3, None)
-    assert (len(training), len(held_out)) == (2, 1)
 
 
 def test_a_load_that_fails_moves_no_other_to_the_other_side(tmp_path: Path) -> None:

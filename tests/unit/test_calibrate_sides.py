@@ -48,6 +48,8 @@ def test_errors_are_those_on_the_held_out_loads_of_each_body_and_mesh(four_loads
     assert_allclose(entry.fit.multiples["surface_tension"], MULTIPLE, rtol=1e-9, atol=0)
     assert_errors(entry.fit.training, 1.0)
     assert_errors(entry.fit.held_out, 2.0)
+    # the rule's answer is 1.3 times the fitted one
+    assert_allclose(entry.fit.by_rule.vector, 1.0 - MULTIPLE / 2.0, rtol=1e-9, atol=0)
     assert_errors(entry.on_finer, 5.0)
     assert_errors(entry.transfer["other"], 10.0)
     assert entry.finer is not None, "fitted to the finer mesh's own training loads: four times as soft"
