@@ -14,6 +14,7 @@ import numpy as np
 
 from ..body.mesh_cache import mesh_from_cache
 from ..body.surface_measures import Surface, weighted_norm
+from ..graph.case import Block
 from ..graph.plan import Plan, PlannedCase
 from ..measures.bars import value_bar
 from ..measures.case import CaseResult
@@ -80,9 +81,7 @@ def audited(plan: Plan, case: PlannedCase, found: CaseResult, finer: CaseResult)
     """The bars of a finished case tried by the same case with one more level."""
     reference = str(plan.study.study.reference)
     mesh = mesh_from_cache(plan.meshes[case.mesh].geometry, plan.cache, volume=plan.meshes[case.mesh].volume)
-    scene = build_scene(case.study, mesh)
-    points, triangles, weighs = mesh.surface_points, mesh.triangles, bool(scene.gravity.any())
-    surface = Surface(points, triangles, scene.contact, scene.contact_force, weighs)
+    surface = Block(mesh).surface(build_scene(case.study, mesh))
     levels = [
         found.models[reference],
         found.models[reference + REFINED],

@@ -15,8 +15,7 @@ from solver_common.arrays import Array, Mask
 from .. import models
 from ..body.mesh import Mesh
 from ..measures.measurement import Measurement, Quantity, hold_against
-from ..measures.pushed import INDENTER_FORCE, Answer
-from ..scene.result import ModelResult
+from ..measures.pushed import Answer
 from ..scene.scene import build_scene
 from ..study.schema import Study
 from ..verdict.formatting import short_percent
@@ -84,9 +83,8 @@ def fit_modulus(study: Study, mesh: Mesh, name: str) -> Fit:
         tissue = study.tissue.model_copy(update={"youngs_modulus": modulus, "poisson_ratio": ratio})
         scene = build_scene(study.model_copy(update={"tissue": tissue}), mesh)
         linear = models.superposes(name) and scene.indenter is None
-        found = hold_against(
-            study, mesh, {}, {}, {name: _answer(models.run_model(scene, name), linear=linear)}
-        )
+        result = Answer.of(models.run_model(scene, name), linear=linear)
+        found = hold_against(study, mesh, {}, {}, {name: result})
         if found is None:
             raise NothingMeasuredError("the study has no [[measured]] table of its case")
         return found
@@ -95,11 +93,6 @@ def fit_modulus(study: Study, mesh: Mesh, name: str) -> Fit:
         return answer(modulus, study.tissue.poisson_ratio - RATIO_STEP)
 
     return fit(answer, study.tissue.youngs_modulus, name, softer)
-
-
-def _answer(result: ModelResult, *, linear: bool) -> Answer:
-    force = result.scalars.get(INDENTER_FORCE)
-    return Answer(result.displacement, result.reaction_force, linear, indenter_force=force)
 
 
 def fit(

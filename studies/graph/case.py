@@ -17,7 +17,7 @@ from ..measures.case import CaseResult, MetricSeries, SmallStrainLimits
 from ..measures.input_spread import InputSpread, Propagation, input_spread
 from ..measures.measurement import Measurement, hold_against, step_rms
 from ..measures.metrics import METRICS, History, evaluate_all, full_load_step
-from ..measures.pushed import INDENTER_FORCE, Answer
+from ..measures.pushed import Answer
 from ..measures.reference import own_error, require_converged
 from ..models import find
 from ..scene.result import ModelResult
@@ -71,9 +71,12 @@ def make_case(payload: Payload, block: Block) -> None:
         results[reference] = levels[-1]
 
     linear = {want.name for want in wanted if want.scales}
-    answers = {name: _answer(name, result, linear) for name, result in results.items()}
+    answers = {
+        name: Answer.of(result, linear=name.removesuffix(REFINED) in linear)
+        for name, result in results.items()
+    }
     names = {id(result): name for name, result in results.items()}
-    of_levels = [(names.get(id(level), ""), _answer(str(coarse), level, linear)) for level in levels]
+    of_levels = [(names.get(id(one), ""), Answer.of(one, linear=coarse in linear)) for one in levels]
     varied, spread, rules = partial(_varied, payload), None, {}
     if study.inputs is not None:
         step = full_load_step(scene.load_factors)
@@ -127,12 +130,6 @@ def _result(wanted: Wanted, scene: Scene, payload: Payload, known: dict[str, Mod
     return combined(answers, wanted.scales, scene.mesh, datum)
 
 
-def _answer(name: str, result: ModelResult, linear: set[str]) -> Answer:
-    force = result.scalars.get(INDENTER_FORCE)
-    is_linear = name.removesuffix(REFINED) in linear
-    return Answer(result.displacement, result.reaction_force, is_linear, indenter_force=force)
-
-
 def _varied(payload: Payload, name: str) -> list[Answer]:
     """What a model answers to each variation of the inputs; the refined reference as on the case's own mesh."""
     parts = [one for entry in payload["variations"] for one in entry]
@@ -147,9 +144,7 @@ def _varied_answer(payload: Payload, want: Wanted, times: float, values: Mapping
     cache, run = Path(payload["cache"]), payload["run"]
     found = {key: stored_answer(cache, key, run) for key in dict.fromkeys(want.answers)}
     if not want.scales:
-        only = found[want.answers[0]]
-        force = only.scalars.get(INDENTER_FORCE)
-        return Answer(only.displacement, only.reaction_force, values=values, indenter_force=force)
+        return Answer.of(found[want.answers[0]], values=values)
     steps = [(scale, found[key]) for key, scale in zip(want.answers, want.scales, strict=True)]
     displacement = np.concatenate([times * scale * one.displacement for scale, one in steps])
     reaction = np.concatenate([scale * one.reaction_force for scale, one in steps])

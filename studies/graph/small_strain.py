@@ -3,20 +3,21 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from functools import partial
 
 import numpy as np
 
-from solver_common.arrays import Array, Mask
+from solver_common.arrays import Array
 
 from .. import models
 from ..body.mesh import Mesh
-from ..body.refine import refined
+from ..body.refine import Hierarchy, refined
 from ..body.surface_measures import Surface, relative_l2
 from ..measures.case import SmallStrainLimits
 from ..measures.limits import SMALL, LoadPath, LoadPoint, model_limits, on_finer_mesh
 from ..measures.metrics import mean_indentation
+from ..measures.reference import level_scene
 from ..scene.result import ModelResult
 from ..scene.scene import Scene, build_scene
 from ..study.config import raised, start_of
@@ -26,7 +27,7 @@ STRAIN = "max_principal_strain"
 EXPECTED_LOADS = 30  # that a search tries
 
 
-def small_strain_limits(study: Study, scene: Scene) -> SmallStrainLimits:
+def small_strain_limits(study: Study, mesh: Mesh) -> SmallStrainLimits:
     """Structural error and growth limits of every compared model of a study with [limits].
 
     Where the study has [uncertainty], a small load and that of each limit are solved again with every tetrahedron
@@ -38,10 +39,10 @@ def small_strain_limits(study: Study, scene: Scene) -> SmallStrainLimits:
         raise ValueError("a search for small-strain limits needs [limits] and a reference")
     names = [name for name in study.study.models if name != reference]
     start, unit = start_of(study, asked.along)
-    path = LoadPath(_Evaluator(study, asked.along, scene, reference), start)
+    path = LoadPath(_Evaluator(study, asked.along, Hierarchy((mesh,)), reference), start)
     found = {name: model_limits(path, name, asked.thresholds) for name in names}
     if study.uncertainty is not None:
-        fine = LoadPath(_Evaluator(study, asked.along, scene, reference, _refined(scene)), start)
+        fine = LoadPath(_Evaluator(study, asked.along, refined(mesh, 1), reference), start)
         limits = [limit for entry in found.values() for limit in entry.limits if limit.state == "found"]
         for factor in sorted({SMALL, *(path.factor_of(limit.load) for limit in limits)}):
             fine.at(factor)  # rising: from each the reference goes on to the next
@@ -49,43 +50,20 @@ def small_strain_limits(study: Study, scene: Scene) -> SmallStrainLimits:
     return SmallStrainLimits(asked.along, unit, found)
 
 
-# a mesh, the regions' nodes and the inclusions' tetrahedra on it
-Level = tuple[Mesh, Mapping[str, Mask], Mapping[str, Mask]]
-
-
-def _refined(scene: Scene) -> Level:
-    finer = refined(scene.mesh, 1)
-    inside = {part.declared.name: finer.inherit_inside(part.inside) for part in scene.inclusions}
-    return finer.finest, {name: finer.inherit(mask) for name, mask in scene.regions.items()}, inside
-
-
 class _Evaluator:
-    """Runs the reference of one case at a value of the raised load, on `level` if given, and the other models."""
+    """Runs the reference of one case at a value of the raised load, on the finest mesh, and the other models."""
 
-    def __init__(
-        self,
-        study: Study,
-        along: str,
-        scene: Scene,
-        reference: str,
-        level: Level | None = None,
-    ) -> None:
-        self._study, self._along = study, along
-        self._own: Level = (
-            scene.mesh,
-            scene.regions,
-            {part.declared.name: part.inside for part in scene.inclusions},
-        )
-        self._level = level or self._own
-        self._reference = reference
+    def __init__(self, study: Study, along: str, meshes: Hierarchy, reference: str) -> None:
+        self._study, self._along, self._meshes, self._reference = study, along, meshes, reference
         self._set_up: dict[str, models.Prepared] = {}
-        self._areas = Surface(scene.mesh.surface_points, scene.mesh.triangles).areas
+        coarsest = meshes.meshes[0]
+        self._areas = Surface(coarsest.surface_points, coarsest.triangles).areas
 
     def __call__(self, load: float) -> LoadPoint | None:
-        """Every model at one load, volumetric ones on the level; None where the reference has no solution there."""
+        """Every model at one load, volumetric ones on the finest mesh; None where the reference has no solution."""
         raised_study = raised(self._study, self._along, load)
-        own = build_scene(raised_study, *self._own)
-        inside = own if self._level is self._own else build_scene(raised_study, *self._level)
+        own = build_scene(raised_study, self._meshes.meshes[0])
+        inside = level_scene(raised_study, self._meshes) if self._meshes.parents else own
         reference = self._answer(inside, self._reference)
         if not _solved(reference):
             return None

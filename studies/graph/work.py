@@ -21,7 +21,7 @@ from ..machine.memory import OUT_OF_MEMORY, memory_limits
 from ..machine.safe_open import open_regular
 from ..measures.reference import level_scene, restricted
 from ..models import Prepared
-from ..scene.scene import Scene, build_scene
+from ..scene.scene import Scene
 from ..study.config import geometry_of
 from ..study.errors import InputError
 from ..study.schema import Study
@@ -133,7 +133,7 @@ def _limits(payload: Payload, node: str) -> Iterator[Said]:
 
     def search() -> None:
         study = Study.model_validate(payload["study"])
-        found = small_strain_limits(study, build_scene(study, _meshes(payload, 0).finest))
+        found = small_strain_limits(study, _meshes(payload, 0).finest)
         write_limits(limits_path(Path(payload["cache"]), payload["limits"]), found)
 
     yield _attempt(node, search)

@@ -14,9 +14,9 @@ from ..body.mesh import Mesh
 from ..body.surface_measures import Surface, facet_area_vectors
 from ..scene.coordinates import in_mesh_coordinates
 from ..scene.regions import select
+from ..scene.result import ModelResult
 from ..study.schema import Constraint, Study
 
-INDENTER_FORCE = "indenter_force"  # scalar of a result
 _BEYOND = 1e-9  # of the largest depth: as far beyond it is rounding
 
 
@@ -38,6 +38,14 @@ class Answer:
     linear: bool = False
     values: Mapping[str, float] | None = None
     indenter_force: Array | None = None
+
+    @classmethod
+    def of(
+        cls, result: ModelResult, *, linear: bool = False, values: Mapping[str, float] | None = None
+    ) -> Answer:
+        """A result as what it answers."""
+        force = result.scalars.get("indenter_force")
+        return cls(result.displacement, result.reaction_force, linear, values, force)
 
 
 def inward(displacement: Array, nodes: Index, normals: Array) -> Array:

@@ -82,7 +82,7 @@ def found(tmp_path_factory: pytest.TempPathFactory, runs: Runs) -> Found:
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(models.Prepared, "answer", watched)
-        return study, scene, small_strain_limits(study, scene)
+        return study, scene, small_strain_limits(study, scene.mesh)
 
 
 def grown(
@@ -113,7 +113,7 @@ def grown(
 
 def test_the_error_has_grown_by_the_threshold_at_the_load_that_was_found(found: Found) -> None:
     study, scene, _ = found
-    own = small_strain_limits(study.model_copy(update={"uncertainty": None}), scene)
+    own = small_strain_limits(study.model_copy(update={"uncertainty": None}), scene.mesh)
     assert own.along == "constraints.tool.pressure"
     assert own.unit == "Pa"
     for name, entry in own.models.items():
@@ -158,7 +158,7 @@ def test_the_short_way_to_each_load_gives_the_limits_of_the_long_one(
     study, scene, short = found
     if not bars:
         study = study.model_copy(update={"uncertainty": None})
-        short = small_strain_limits(study, scene)
+        short = small_strain_limits(study, scene.mesh)
     monkeypatch.setitem(models.all_models(), "fem", replace(models.all_models()["fem"], continues=None))
 
     class Long(LoadPath):
@@ -167,7 +167,7 @@ def test_the_short_way_to_each_load_gives_the_limits_of_the_long_one(
             return replace(point, error={name: point.error[name] for name in short.models}) if point else None
 
     monkeypatch.setattr(small_strain, "LoadPath", Long)
-    long = small_strain_limits(study, scene)
+    long = small_strain_limits(study, scene.mesh)
     for name, wanted in long.models.items():
         got = short.models[name]
         for one, other in zip((got, *got.limits), (wanted, *wanted.limits), strict=True):
@@ -221,7 +221,7 @@ def limits_along(directory: Path, along: str, more: str = "") -> tuple[Study, Sc
     path.write_text(path.read_text().replace("constraints.tool.pressure", along))
     study = load_study(path)
     scene = build_scene(study, mesh_from_cache(geometry_of(study), directory / "cache", volume=True))
-    return study, scene, small_strain_limits(study, scene)
+    return study, scene, small_strain_limits(study, scene.mesh)
 
 
 def test_loads_are_raised_together(tmp_path: Path) -> None:
