@@ -23,9 +23,6 @@ from .svg import MARKER_PATHS
 
 _STOPS = 12  # of a colour map where it is a gradient
 _TEMPLATES = Path(__file__).parent / "templates"
-_JSON_ESCAPES = str.maketrans(
-    {"<": "\\u003c", ">": "\\u003e", "&": "\\u0026", "\u2028": "\\u2028", "\u2029": "\\u2029"}
-)
 
 
 def html_document(
@@ -105,7 +102,7 @@ def _environment() -> Environment:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    environment.filters["json"] = script_json
+    environment.policies["json.dumps_kwargs"] = {"allow_nan": False, "separators": (",", ":")}
     environment.filters["shape"] = shape
     environment.globals["marker_paths"] = MARKER_PATHS
     environment.globals["ramps"] = {
@@ -118,12 +115,6 @@ def _environment() -> Environment:
 def asset(name: str) -> Markup:
     """A script or style sheet of ours, as it is."""
     return Markup((_TEMPLATES / name).read_text(encoding="utf-8"))
-
-
-def script_json(value: object) -> Markup:
-    """JSON that can stand inside a <script> element: nothing in it can end the element or start another."""
-    text = json.dumps(value, allow_nan=False, separators=(",", ":"))
-    return Markup(text.translate(_JSON_ESCAPES))
 
 
 SCRIPT_BYTES = len("".join(_scripts()).encode())
