@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import stat
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import gmsh
 import meshio
@@ -87,22 +89,29 @@ def write_named(path: Path, ball: Mesh) -> Path:
     return path
 
 
+@contextlib.contextmanager
+def gmsh_model(path: Path, **mesh_options: float) -> Iterator[Any]:
+    """gmsh's model, to be filled; it is written at the end."""
+    gmsh.initialize([], readConfigFiles=False, run=False, interruptible=False)
+    try:
+        gmsh.option.setNumber("General.Terminal", 0)
+        for name, value in mesh_options.items():
+            gmsh.option.setNumber(f"Mesh.{name}", value)
+        yield gmsh.model
+        gmsh.write(str(path))
+    finally:
+        gmsh.finalize()
+
+
 def write_msh(
     path: Path, points: Array, cells: dict[int, Index], *, version: float = 4.1, binary: bool = False
 ) -> Path:
     """Elements by gmsh's type number, written by gmsh."""
-    gmsh.initialize([], readConfigFiles=False, run=False, interruptible=False)
-    try:
-        gmsh.option.setNumber("General.Terminal", 0)
-        gmsh.option.setNumber("Mesh.MshFileVersion", version)
-        gmsh.option.setNumber("Mesh.Binary", int(binary))
-        entity = gmsh.model.addDiscreteEntity(3)
-        gmsh.model.mesh.addNodes(3, entity, np.arange(1, len(points) + 1), points.ravel())
+    with gmsh_model(path, MshFileVersion=version, Binary=binary) as model:
+        entity = model.addDiscreteEntity(3)
+        model.mesh.addNodes(3, entity, np.arange(1, len(points) + 1), points.ravel())
         for kind, elements in cells.items():
-            gmsh.model.mesh.addElementsByType(entity, kind, [], (elements + 1).ravel())
-        gmsh.write(str(path))
-    finally:
-        gmsh.finalize()
+            model.mesh.addElementsByType(entity, kind, [], (elements + 1).ravel())
     return path
 
 
@@ -429,21 +438,15 @@ def test_ply_headers(tmp_path: Path, change: tuple[str, str], words: str) -> Non
 
 def two_boxes(path: Path, version: float, binary: bool, save_all: bool) -> int:
     """Two unit boxes side by side with named, unnamed and overlapping groups; the number of tetrahedra."""
-    gmsh.initialize([], readConfigFiles=False, run=False, interruptible=False)
-    try:
-        gmsh.option.setNumber("General.Terminal", 0)
-        occ, model = gmsh.model.occ, gmsh.model
+    options = {"MshFileVersion": version, "Binary": binary, "SaveAll": save_all, "MeshSizeMax": 0.5}
+    with gmsh_model(path, **options) as model:
+        occ = model.occ
         occ.fragment([(3, occ.addBox(0, 0, 0, 1, 1, 1))], [(3, occ.addBox(1, 0, 0, 1, 1, 1))])
         occ.synchronize()
-        gmsh.option.setNumber("Mesh.MeshSizeMax", 0.5)
 
         def inside(x0: float, x1: float, y1: float) -> list[int]:
-            return [
-                tag
-                for _, tag in model.getEntitiesInBoundingBox(
-                    x0 - 0.01, -0.01, -0.01, x1 + 0.01, y1 + 0.01, 1.01, 2
-                )
-            ]
+            corners = (x0 - 0.01, -0.01, -0.01, x1 + 0.01, y1 + 0.01, 1.01)
+            return [tag for _, tag in model.getEntitiesInBoundingBox(*corners, 2)]
 
         left, front = inside(0, 0, 1), inside(0, 2, 0)
         for dim, members, name in (
@@ -456,13 +459,7 @@ def two_boxes(path: Path, version: float, binary: bool, save_all: bool) -> int:
         ):
             model.setPhysicalName(dim, model.addPhysicalGroup(dim, members), name)
         model.mesh.generate(3)
-        gmsh.option.setNumber("Mesh.MshFileVersion", version)
-        gmsh.option.setNumber("Mesh.Binary", int(binary))
-        gmsh.option.setNumber("Mesh.SaveAll", int(save_all))
-        gmsh.write(str(path))
         return len(model.mesh.getElementsByType(4)[0])
-    finally:
-        gmsh.finalize()
 
 
 @pytest.mark.parametrize(
@@ -500,18 +497,12 @@ def test_groups_keep_their_nodes_where_others_are_dropped(tmp_path: Path, ball: 
     upper = np.flatnonzero(ball.points[:, 2] > 0.02)
     points, tetrahedra = np.concatenate([[[0.0, 0.0, 1.0]], ball.points]), ball.tetrahedra + 1
     path = tmp_path / "groups.msh"
-    gmsh.initialize([], readConfigFiles=False, run=False, interruptible=False)
-    try:
-        gmsh.option.setNumber("General.Terminal", 0)
-        gmsh.option.setNumber("Mesh.SaveAll", 1)
-        body, part = gmsh.model.addDiscreteEntity(3), gmsh.model.addDiscreteEntity(0)
-        gmsh.model.mesh.addNodes(3, body, np.arange(1, len(points) + 1), points.ravel())
-        gmsh.model.mesh.addElementsByType(body, 4, [], (tetrahedra + 1).ravel())
-        gmsh.model.mesh.addElementsByType(part, 15, [], upper + 2)
-        gmsh.model.setPhysicalName(0, gmsh.model.addPhysicalGroup(0, [part]), "upper")
-        gmsh.write(str(path))
-    finally:
-        gmsh.finalize()
+    with gmsh_model(path, SaveAll=1) as model:
+        body, part = model.addDiscreteEntity(3), model.addDiscreteEntity(0)
+        model.mesh.addNodes(3, body, np.arange(1, len(points) + 1), points.ravel())
+        model.mesh.addElementsByType(body, 4, [], (tetrahedra + 1).ravel())
+        model.mesh.addElementsByType(part, 15, [], upper + 2)
+        model.setPhysicalName(0, model.addPhysicalGroup(0, [part]), "upper")
     mesh = from_file(path)
     assert mesh.quality["points_dropped"] == 1
     low, high = ball.points.min(axis=0), ball.points.max(axis=0)
