@@ -7,7 +7,6 @@ import os
 import re
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +15,7 @@ from numpy.testing import assert_allclose
 from vdmbench.machine.sealed import read_arrays
 from vdmbench.store import cases as store
 
-from ..command import heed_ctrl_c
+from ..command import heed_ctrl_c, wait_for
 
 RUN = Path("results/runs/small")
 CACHE = Path("results/cache")
@@ -68,10 +67,7 @@ def workers(runner: int) -> list[int]:
 
 def wait_until_gone(processes: list[int], seconds: float = 30) -> None:
     """A killed runner's workers end by themselves."""
-    deadline = time.monotonic() + seconds
-    while any(Path(f"/proc/{process}/exe").exists() for process in processes):
-        assert time.monotonic() < deadline, "workers outlive their runner"
-        time.sleep(0.01)
+    wait_for(lambda: not any(Path(f"/proc/{process}/exe").exists() for process in processes), seconds)
 
 
 def planned_hash(case: Path) -> str:

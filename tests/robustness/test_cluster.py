@@ -9,8 +9,7 @@ import shlex
 import signal
 import socket
 import subprocess
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -21,7 +20,7 @@ import psutil
 import pytest
 import trustme
 
-from tests.command import SCRIPT, heed_ctrl_c, vdmbench, vdmbench_process, write_study
+from tests.command import SCRIPT, heed_ctrl_c, vdmbench, vdmbench_process, wait_for, write_study
 from tools.runs import ROOT
 from vdmbench.graph.cluster import LOOPBACK, AddressError, checked_address, refusal
 from vdmbench.store.cases import read_case
@@ -51,7 +50,7 @@ def _cluster(
     quiet["env"] = os.environ | environment
     start = [*_documented("dask scheduler", "878[67]", "0"), "--scheduler-file", str(contact)]
     with subprocess.Popen([*start, *options], **quiet) as head:
-        _wait_for(lambda: contact.exists() and contact.read_text().endswith("}"))
+        wait_for(lambda: contact.exists() and contact.read_text().endswith("}"))
         address = json.loads(contact.read_text())["address"]
         work = _documented("dask worker", "tcp://127.0.0.1:8786", address)
         if open_to_all:
@@ -84,14 +83,6 @@ def _documented(command: str, old: str, new: str) -> list[str]:
     (line,) = (line for line in CLUSTER.read_text().splitlines() if line.startswith(f".venv/bin/{command} "))
     words = shlex.split(re.sub(old, new, line.removesuffix("&")))
     return [str(SCRIPT.parent / Path(words[0]).name), *words[1:]]
-
-
-def _wait_for(what: Callable[[], Any], seconds: float = 300.0) -> Any:
-    end = time.monotonic() + seconds
-    while not (found := what()):
-        assert time.monotonic() < end, "waited in vain"
-        time.sleep(0.02)
-    return found
 
 
 def _study(directory: Path) -> Path:
@@ -203,7 +194,7 @@ def test_a_cluster_that_other_machines_reach_is_told(tmp_path: Path) -> None:
 def test_a_killed_worker_costs_a_retry_only(tmp_path: Path, scheduler: str, local_run: Path) -> None:
     run = tmp_path / "run"
     with _start(_study(tmp_path), "--scheduler", scheduler) as command:
-        (victim, *_) = _wait_for(lambda: _at_work(run))
+        (victim, *_) = wait_for(lambda: _at_work(run))
         os.kill(victim, signal.SIGKILL)
         _, said = command.communicate(timeout=300)
     assert command.returncode == 0, said
@@ -215,12 +206,12 @@ def test_ctrl_c_stops_what_runs_and_keeps_what_is_done(
 ) -> None:
     run, study = tmp_path / "run", _study(tmp_path)
     with _start(study, "--scheduler", scheduler) as command:
-        _wait_for(lambda: list(run.glob(COMPLETE)))
+        wait_for(lambda: list(run.glob(COMPLETE)))
         command.send_signal(signal.SIGINT)
         _, said = command.communicate(timeout=300)
     assert command.returncode == 130
     assert "Traceback" not in said
-    _wait_for(lambda: not _at_work(run))
+    wait_for(lambda: not _at_work(run))
     assert not list(run.glob(".cluster*"))
     kept = {path: path.stat().st_mtime_ns for path in run.glob(COMPLETE)}
     assert kept

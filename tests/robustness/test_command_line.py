@@ -16,7 +16,7 @@ import meshio
 import numpy as np
 import pytest
 
-from tests.command import SCRIPT, heed_ctrl_c, vdmbench, vdmbench_process, write_study
+from tests.command import SCRIPT, heed_ctrl_c, vdmbench, vdmbench_process, wait_for, write_study
 from tests.unit.report_runs import icosphere
 from vdmbench.measures.metrics import METRICS
 from vdmbench.store import cases as store
@@ -399,10 +399,7 @@ def test_an_interrupted_run_goes_on(tmp_path: Path, number: signal.Signals) -> N
         preexec_fn=heed_ctrl_c,
     )
     cases = tmp_path / RUN / "cases"
-    deadline = time.monotonic() + 120
-    while not (cases.exists() and list(cases.glob("*.vtkhdf"))):
-        assert time.monotonic() < deadline
-        time.sleep(0.05)
+    wait_for(lambda: list(cases.glob("*.vtkhdf")))
     process.send_signal(number)
     _, stderr = process.communicate(timeout=60)
     assert process.returncode == 130
@@ -431,9 +428,7 @@ def test_ctrl_c_and_the_end_of_a_terminal_while_libraries_load(
         start_new_session=True,
         preexec_fn=heed_ctrl_c,
     )
-    while not processes.children(process.pid):  # the server of workers
-        assert process.poll() is None
-        time.sleep(0.01)
+    wait_for(lambda: processes.children(process.pid))  # the server of workers
     time.sleep(moment)
     os.killpg(process.pid, number)
     output, _ = process.communicate(timeout=60)

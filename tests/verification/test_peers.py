@@ -8,8 +8,6 @@ import json
 import shutil
 import subprocess
 import sys
-import time
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +15,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from tests.command import SMALL_STUDY, vdmbench
+from tests.command import SMALL_STUDY, vdmbench, wait_for
 from vdmbench import models
 from vdmbench.body.geometry import build_mesh
 from vdmbench.graph.explain import refused
@@ -227,10 +225,3 @@ def test_an_engine_ends_with_the_process_that_started_it(tmp_path: Path) -> None
             starter.kill()
     engine = Path("/proc") / said.read_text()
     wait_for(lambda: not engine.exists() or "Z" in (engine / "stat").read_text().rsplit(")", 1)[1].split()[0])
-
-
-def wait_for(what: Callable[[], bool]) -> None:
-    deadline = time.monotonic() + 60.0
-    while not what():
-        assert time.monotonic() < deadline
-        time.sleep(0.02)
