@@ -40,8 +40,9 @@ def wait_for(what: Callable[[], Any], seconds: float = 300.0) -> Any:
 
 
 def heed_ctrl_c() -> None:
-    """Run in a child before its program: what runs in the background of a script is born deaf to SIGINT."""
-    signal.signal(signal.SIGINT, signal.SIG_DFL)
+    """Run in a child before its program: in the background of a script it is born deaf to SIGINT, or to SIGHUP."""
+    for number in (signal.SIGINT, signal.SIGHUP):
+        signal.signal(number, signal.SIG_DFL)
 
 
 SMALL_STUDY = """
