@@ -8,6 +8,7 @@ fraction of a second. A timeout, memory that runs out and a read-only directory 
 from __future__ import annotations
 
 import contextlib
+import ctypes
 import errno
 import json
 import shutil
@@ -240,12 +241,14 @@ def test_half_a_study_does_not_pass_the_gate(
 def test_a_missing_library_is_told_with_the_line_that_mends_it(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    def load(name: str | None, *_: Any, **__: Any) -> Any:
+    real = ctypes.CDLL
+
+    def load(name: str | None, *rest: Any, **options: Any) -> Any:
         if name == "libGLU.so.1":
             raise OSError("libGLU.so.1: cannot open shared object file: No such file or directory")
-        return None
+        return real(name, *rest, **options)  # the packages that doctor loads need theirs
 
-    monkeypatch.setattr("ctypes.CDLL", load)
+    monkeypatch.setattr(ctypes, "CDLL", load)
     assert "apt-get install libglu1-mesa\n" in said(["doctor"], 4, capsys)
 
 
