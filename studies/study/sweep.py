@@ -19,6 +19,8 @@ from .validation import validate
 from .wording import unknown
 
 Value = float | str
+# label, swept values by key, the data of a study with them
+Case = tuple[str, dict[str, Value], dict[str, Any]]
 
 _OWN_KEYS = ("mode", "samples", "seed")
 _STAR = "one-at-a-time"
@@ -65,14 +67,6 @@ class Axis:
             "stop": self.span.stop,
             "scale": "log" if self.span.log else "linear",
         }
-
-
-class Case(NamedTuple):
-    """One case of a sweep: its label, the swept values by key, and the study's data with them."""
-
-    label: str
-    swept: dict[str, Value]
-    data: dict[str, Any]
 
 
 @dataclass(frozen=True)
@@ -234,7 +228,7 @@ def cases(data: Mapping[str, Any], axes: Sequence[Axis]) -> Iterator[Case]:
         for axis, value in zip(axes, values, strict=True):
             case = substituted(case, axis.target.loc, value)
         swept = dict(zip((axis.key for axis in axes), values, strict=True))
-        yield Case(_label(axes, values), swept, case)
+        yield _label(axes, values), swept, case
 
 
 def _combinations(sweep: Mapping[str, Any], axes: Sequence[Axis]) -> Iterator[tuple[Value, ...]]:
@@ -260,12 +254,12 @@ def _combinations(sweep: Mapping[str, Any], axes: Sequence[Axis]) -> Iterator[tu
 def _star(data: dict[str, Any], axes: Sequence[Axis]) -> Iterator[Case]:
     """The study as it is written, then each axis alone; a key that the file leaves out has no value in the base."""
     written = {axis.key: value for axis in axes if (value := _as_written(data, axis)) is not None}
-    yield Case(_BASE, written, data)
+    yield _BASE, written, data
     names = _names(axes)
     for axis in axes:
         for value in _off_base(axis, written.get(axis.key)):
             label = _named_value(names[axis.key], axis, value)
-            yield Case(label, {**written, axis.key: value}, substituted(data, axis.target.loc, value))
+            yield label, {**written, axis.key: value}, substituted(data, axis.target.loc, value)
 
 
 def _as_written(data: Mapping[str, Any], axis: Axis) -> Value | None:
