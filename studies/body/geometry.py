@@ -15,10 +15,7 @@ from solver_common.arrays import Array, Index
 from ..study.errors import MeshError
 from ..study.geometry_spec import (
     DISTORTIONS,
-    MAX_NODES,
     Geometry,
-    area_and_volume,
-    check_node_budget,
     extents,
 )
 from ..study.shapes import FILE, SHAPES
@@ -49,7 +46,7 @@ _OPTIONS = {
 }
 
 
-def build_mesh(geometry: Geometry, *, volume: bool = True, max_nodes: int = MAX_NODES) -> Mesh:
+def build_mesh(geometry: Geometry, *, volume: bool = True) -> Mesh:
     """Mesh a geometry: tetrahedra and their boundary, or with `volume=False` the same surface alone.
 
     Slivers and perturbed nodes, where asked for, are those that the tetrahedra stand, where there are any.
@@ -58,17 +55,15 @@ def build_mesh(geometry: Geometry, *, volume: bool = True, max_nodes: int = MAX_
     [m^3], area [m^2], `worst_sicn`, `seconds` and, for an imported mesh, what was repaired and how far the
     new surface is from the imported one [m].
 
-    The geometry is one of a study, whose checks it has passed. Raises MeshError, in one sentence, for a file or
-    a mesh that cannot be used; the number of nodes is estimated against `max_nodes` before anything is meshed.
+    The geometry is one of a study and its plan, whose checks it has passed. Raises MeshError, in one sentence, for
+    a file or a mesh that cannot be used.
     """
     started = time.perf_counter()
     if geometry.shape == FILE:
         with named(geometry):
             build = _tetrahedra_of_file if geometry.has_own_tetrahedra else _fill_surface_of_file
-            mesh = build(geometry, volume, max_nodes)
+            mesh = build(geometry, volume)
     else:
-        area, inside = area_and_volume(geometry)
-        check_node_budget(area, inside if volume else 0.0, geometry.mesh_size, max_nodes)
         mesh = _solid(geometry, volume) if SHAPES[geometry.shape].add else _of_sphere(geometry, volume)
     given = {name: geometry.number(name) for name in DISTORTIONS if name in geometry.parameters}
     if given:
@@ -98,14 +93,14 @@ def _of_sphere(geometry: Geometry, volume: bool) -> Mesh:
     return fill_surface(points, triangles, geometry.mesh_size, volume)
 
 
-def _fill_surface_of_file(geometry: Geometry, volume: bool, max_nodes: int) -> Mesh:
-    given = imported_surface(geometry, volume=volume, max_nodes=max_nodes)
+def _fill_surface_of_file(geometry: Geometry, volume: bool) -> Mesh:
+    given = imported_surface(geometry, volume=volume)
     mesh = fill_surface(given.points, given.triangles, geometry.mesh_size, volume)
     return placed(replace(mesh, quality={**mesh.quality, **given.repairs}), given.centre)
 
 
-def _tetrahedra_of_file(geometry: Geometry, volume: bool, max_nodes: int) -> Mesh:
-    mesh = imported_tetrahedra(geometry, max_nodes=max_nodes)
+def _tetrahedra_of_file(geometry: Geometry, volume: bool) -> Mesh:
+    mesh = imported_tetrahedra(geometry)
     return mesh if volume else surface_only(mesh)
 
 

@@ -14,6 +14,7 @@ from solver_common.arrays import Array, Index
 
 from ..study.errors import MeshError
 from ..study.geometry_spec import (
+    MAX_NODES,
     Geometry,
     check_extent,
     check_mesh_size,
@@ -44,7 +45,7 @@ class ImportedSurface:
     repairs: dict[str, float]
 
 
-def imported_surface(geometry: Geometry, *, volume: bool, max_nodes: int) -> ImportedSurface:
+def imported_surface(geometry: Geometry, *, volume: bool) -> ImportedSurface:
     """The surface of a file, fit to be meshed as asked. Raises MeshError."""
     check_readable(geometry.path)
     clean = _clean(geometry.path, file_digest(geometry.path))
@@ -54,7 +55,7 @@ def imported_surface(geometry: Geometry, *, volume: bool, max_nodes: int) -> Imp
     area = float(facet_areas(points, clean.triangles).sum())
     inside = enclosed_volume(points, clean.triangles)
     remedy = fewer_nodes(geometry, float(np.ptp(points, axis=0).max()))
-    check_node_budget(area, inside if volume else 0.0, geometry.mesh_size, max_nodes, remedy)
+    check_node_budget(area, inside if volume else 0.0, geometry.mesh_size, remedy)
     repairs = {
         "scale": scale,
         "imported_points": float(len(clean.points)),
@@ -72,13 +73,13 @@ def _clean(path: Path, digest: str) -> CleanSurface | CleanTetrahedra:  # noqa: 
     return clean_of(path)
 
 
-def imported_tetrahedra(geometry: Geometry, *, max_nodes: int) -> Mesh:
+def imported_tetrahedra(geometry: Geometry) -> Mesh:
     """The tetrahedra of a file, used as they are. Raises MeshError."""
     check_readable(geometry.path)
     clean = _clean(geometry.path, file_digest(geometry.path))
     assert isinstance(clean, CleanTetrahedra)
-    if len(clean.points) > max_nodes:
-        raise MeshError(f"has {len(clean.points)} nodes, more than the {max_nodes} allowed; coarsen it")
+    if len(clean.points) > MAX_NODES:
+        raise MeshError(f"has {len(clean.points)} nodes, more than the {MAX_NODES} allowed; coarsen it")
     points, centre, scale = _in_metres(clean.points, geometry)
     repairs = {
         "scale": scale,

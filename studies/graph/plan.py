@@ -20,7 +20,6 @@ from ..study.config import ResolvedCase, case_inputs, geometry_error, geometry_o
 from ..study.errors import MeshError
 from ..study.geometry_spec import (
     DISTORTIONS,
-    MAX_NODES,
     Geometry,
     area_and_volume,
     check_node_budget,
@@ -121,9 +120,9 @@ class PlannedMesh:
 
             with named(geometry):
                 if geometry.has_own_tetrahedra:
-                    mesh = imported_tetrahedra(geometry, max_nodes=MAX_NODES)
+                    mesh = imported_tetrahedra(geometry)
                     return Expected.of_mesh(mesh, volume=self.volume)
-                surface = imported_surface(geometry, volume=self.volume, max_nodes=MAX_NODES)
+                surface = imported_surface(geometry, volume=self.volume)
             area, inside = surface.area, surface.volume
             high, centre = surface.points.max(axis=0), surface.centre
         size = Size(*expected_size(area, inside if self.volume else 0.0, geometry.mesh_size))
@@ -234,7 +233,7 @@ def make_plan(
 def _planned_mesh(geometry: Geometry, volume: bool) -> PlannedMesh:
     if geometry.shape != "file":  # whose size is known only once it is read
         area, inside = area_and_volume(geometry)
-        check_node_budget(area, inside if volume else 0.0, geometry.mesh_size, MAX_NODES)
+        check_node_budget(area, inside if volume else 0.0, geometry.mesh_size)
     file_hash = file_digest(geometry.path) if geometry.shape == "file" else ""
     return PlannedMesh(geometry_key(geometry, volume=volume), geometry, volume, file_hash)
 

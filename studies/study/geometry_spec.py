@@ -80,13 +80,13 @@ def expected_size(area: float, volume: float, mesh_size: float) -> tuple[float, 
 
 
 def check_node_budget(
-    area: float, volume: float, mesh_size: float, max_nodes: int, remedy: str = "use a larger mesh_size"
+    area: float, volume: float, mesh_size: float, remedy: str = "use a larger mesh_size"
 ) -> None:
-    """Raise MeshError where the estimated number of nodes exceeds `max_nodes`."""
+    """Raise MeshError where the estimated number of nodes exceeds `MAX_NODES`."""
     nodes = estimated_nodes(area, volume, mesh_size)
-    if nodes > max_nodes:
+    if nodes > MAX_NODES:
         raise MeshError(
-            f"mesh_size {mesh_size:g} m would give about {nodes:.2g} nodes, more than the {max_nodes} allowed; "
+            f"mesh_size {mesh_size:g} m would give about {nodes:.2g} nodes, more than the {MAX_NODES} allowed; "
             f"{remedy}",
             "mesh_size",
         )

@@ -69,7 +69,7 @@ def test_a_finer_mesh_of_too_many_nodes_says_so(
     """The mesh_size that is refused is none that the study's author wrote."""
     (tmp_path / "fit.toml").write_text(TEXT)
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("vdmbench.graph.plan.MAX_NODES", 100)
+    monkeypatch.setattr("vdmbench.study.geometry_spec.MAX_NODES", 100)
     with pytest.raises(SystemExit) as ended:
         cli.main(["calibrate", "fit.toml"])
     assert ended.value.code == 0
