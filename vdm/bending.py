@@ -20,7 +20,6 @@ from itertools import permutations
 import numpy as np
 
 from solver_common.arrays import Array
-from vdm.constraints import Load
 from vdm.formulations.base import rigid_motions
 from vdm.problem import Problem
 from vdm.solvers.linear import BorderedFactor
@@ -33,17 +32,17 @@ def bending_error(problem: Problem, factor: BorderedFactor) -> float:
     NaN where the parameters do not tell the tissue's stiffness.
     """
     form, surface = problem.formulation, problem.formulation.surface
+    n = surface.n_nodes
     modulus = form.parameters.tissue_modulus
     if modulus is None or form.parameters.ground is not None:
         return np.nan  # the known bendings are those of a body that is held or free
-    exact, forces = bendings(surface, form.parameters.poisson_ratio)
+    exact, forces = bendings(form.resolved, form.parameters.poisson_ratio)
     error = size = 0.0
     areas = surface.nodal_areas[:, None]
-    rigid = np.linalg.qr(rigid_motions(surface, np.ones(surface.n_nodes, np.bool_)).reshape(-1, 6))[0]
-    for u, force in zip(exact, modulus * forces, strict=True):
-        pressure = -np.einsum("ic,ic->i", force, surface.normals) / surface.nodal_areas
+    rigid = np.linalg.qr(rigid_motions(surface, np.ones(n, np.bool_)).reshape(-1, 6))[0]
+    for u, force in zip(exact[:, :n], modulus * forces, strict=True):
         x = np.where(problem.free[:, None], 0.0, form.unknown(u))
-        left = (form.contact_force(Load(pressure, force)) - form.apply(x)).reshape(-1)[factor.unknowns]
+        left = (form.carried(force) - form.apply(x)).reshape(-1)[factor.unknowns]
         x.reshape(-1)[factor.unknowns] = factor.solve(left, -form.rows.dotted(x.reshape(-1)))[0]
         deformed = u.reshape(-1) - rigid @ (rigid.T @ u.reshape(-1))
         error += float((areas * (form.displacement(x) - u) ** 2).sum())

@@ -32,7 +32,7 @@ class MeshError:
         self._fine = LinearSolver(problem, factor=factor)
         self._coarse: LinearSolver | None = None
         try:
-            coarse = HalvedFormulation(form)
+            coarse = HalvedFormulation(form, problem.support.held)
             self._ratio = form.n_coarse / coarse.n_coarse
             if self._ratio > 1.0:
                 self._coarse = LinearSolver(replace(problem, formulation=coarse))

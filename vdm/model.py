@@ -138,7 +138,7 @@ class Model:
         compiling = time.perf_counter()
         form.compile(self.surface, parameters)
         start += time.perf_counter() - compiling
-        self.formulation = form(self.surface, parameters)
+        self.formulation = form.supported(self.surface, parameters, support.held)
         self.problem = Problem(self.formulation, support)
         self.outputs = tuple(outputs)
         self.solver_name = solver

@@ -8,7 +8,7 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse import csgraph
 
-from solver_common.arrays import Array, Index
+from solver_common.arrays import Array, Index, Mask
 from vdm.boundary.spacing import evenly_spaced
 from vdm.surface import SurfaceMesh, cross
 
@@ -33,7 +33,7 @@ class CoarseSurface:
     shares: Array
 
 
-def coarsened(surface: SurfaceMesh, count: int) -> CoarseSurface:
+def coarsened(surface: SurfaceMesh, count: int, held: Mask | None = None) -> CoarseSurface:
     """A surface on about `count` points of the given one, or on more where its shape allows no further collapse.
 
     A node is moved onto a neighbour if the two share just two neighbours (which keeps the topology), no facet
@@ -42,7 +42,7 @@ def coarsened(surface: SurfaceMesh, count: int) -> CoarseSurface:
     Lengths are in units of the mesh size around: where the mesh is fine, so is the coarse one.
     """
     order = node_order(surface)
-    sizes = np.sqrt(surface.nodal_areas[order])
+    sizes = _sizes(surface, count, held)[order]
     scale = 1.0 / sizes.mean()
     sizes = scale * sizes
     points = scale * (surface.points[order] - surface.points.mean(axis=0))
@@ -85,6 +85,23 @@ def nearest(surface: SurfaceMesh, coarse: CoarseSurface) -> Index:
         graph, directed=False, indices=n + np.arange(count), min_only=True, return_predecessors=True
     )
     return np.asarray(sources[:n] - n, np.int64)
+
+
+def _sizes(surface: SurfaceMesh, count: int, held: Mask | None) -> Array:
+    sizes = np.sqrt(surface.nodal_areas)
+    if held is None:
+        return sizes
+    i, j = surface.edges.T
+    rim = np.zeros_like(held)
+    crossing = held[i] != held[j]
+    rim[i[crossing]] = rim[j[crossing]] = True
+    if not rim.any():
+        return sizes
+    lengths = np.linalg.norm(surface.points[i] - surface.points[j], axis=1)
+    lengths /= 0.5 * (sizes[i] + sizes[j]) * np.sqrt(surface.n_nodes / count)
+    graph = sparse.csr_array((lengths, (i, j)), shape=(surface.n_nodes,) * 2)
+    distance = csgraph.dijkstra(graph, directed=False, indices=np.flatnonzero(rim), min_only=True)
+    return sizes * np.sqrt(np.clip(distance, 0.25, 1.0))
 
 
 def node_order(surface: SurfaceMesh) -> Index:

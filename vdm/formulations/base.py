@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-from typing import ClassVar, Protocol, runtime_checkable
+from typing import ClassVar, Protocol, Self, runtime_checkable
 
 import numpy as np
 from scipy import sparse
@@ -73,6 +73,11 @@ class Formulation(ABC):
     def __init__(self, surface: SurfaceMesh, parameters: Parameters) -> None:
         self.surface = surface
         self.parameters = parameters
+
+    @classmethod
+    def supported(cls, surface: SurfaceMesh, parameters: Parameters, held: Mask) -> Self:  # noqa: ARG003
+        """The form of a body that is held at some nodes (N,); most forms do not depend on these."""
+        return cls(surface, parameters)
 
     @classmethod
     def free_motions(cls, surface: SurfaceMesh, parameters: Parameters, nodes: Mask) -> Array:  # noqa: ARG003
@@ -172,6 +177,16 @@ class Formulation(ABC):
     @abstractmethod
     def deformed_contact_force(self, load: Load, state: DeformedSurface) -> Array:
         """Generalised force (N, d) of a contact that follows the surface."""
+
+    @property
+    def resolved(self) -> SurfaceMesh:
+        """The surface that forces may be given on: N nodes, and after them those that the form adds."""
+        return self.surface
+
+    def carried(self, force: Array) -> Array:
+        """(N, d) generalised force of forces (N + k, 3) on the nodes of `resolved`."""
+        pressure = -np.einsum("ic,ic->i", force, self.surface.normals) / self.surface.nodal_areas
+        return self.contact_force(Load(pressure, force))
 
     def pressure_force(self, pressure: Array) -> Array:
         """Generalised force (N, d) of a pressure (N,) that pushes outward from inside."""

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from typing import Self
+
 import numpy as np
 from scipy import linalg, sparse
 from scipy.linalg import blas, lapack
 
 from solver_common.arrays import Array, Mask
+from vdm.boundary.rims import Rims
 from vdm.deformed import DeformedSurface
 from vdm.formulations.base import DisplacementFormulation, Factor, Factorise, rigid_motions
 from vdm.formulations.border import DenseColumns
@@ -39,6 +42,9 @@ class BoundaryFormulation(DisplacementFormulation):
     keeps the volume, and dP is its pressure, the null vector of the single layer. A solid of a smaller ratio has
     no such constraint; dP is then its mean pressure, `-kappa (sum g_i.u_i) / V`.
 
+    Facets at the rim of the held nodes are cut inside (`vdm.boundary.rims`). Other nodes may be held later, at the
+    mesh's own resolution.
+
     Dense, (3N)^2 numbers and a set-up of order N^3, on up to `MAX_NODES` nodes.
 
     At large displacements, of an incompressible body, S turns with the rotation Q that best fits the surface:
@@ -57,15 +63,16 @@ class BoundaryFormulation(DisplacementFormulation):
     name = "boundary"
     turns_as_one = True
     matrix: Array
+    _rims: Rims
 
-    def __init__(self, surface: SurfaceMesh, parameters: Parameters) -> None:
+    def __init__(self, surface: SurfaceMesh, parameters: Parameters, held: Mask | None = None) -> None:
         super().__init__(surface, parameters)
         modulus = parameters.shear_modulus
         if modulus is None or np.ndim(modulus) != 0 or not modulus > 0.0:
             raise ParameterError(f"the {self.name} formulation needs shear_modulus, one positive number")
         self.shear_modulus = float(modulus)
         self.poisson_ratio = 0.5 if parameters.is_filled else parameters.poisson_ratio
-        self._assemble()
+        self._assemble(np.zeros(surface.n_nodes, np.bool_) if held is None else held)
         pressed = surface.area_vectors[:, :, None]
         if self.is_incompressible:
             self.columns = self.rows = DenseColumns(pressed)
@@ -76,15 +83,25 @@ class BoundaryFormulation(DisplacementFormulation):
             self.corner = np.ones((1, 1))
 
     @classmethod
+    def supported(cls, surface: SurfaceMesh, parameters: Parameters, held: Mask) -> Self:
+        return cls(surface, parameters, held)
+
+    @classmethod
     def compile(cls, surface: SurfaceMesh, parameters: Parameters) -> None:  # noqa: ARG003
         from vdm.boundary.operators import compile_for
 
         compile_for(surface.n_nodes)
 
-    def _assemble(self) -> None:
+    def _assemble(self, held: Mask) -> None:
         if self.surface.n_nodes > MAX_NODES:
             raise SolverError(too_large(self.surface.n_nodes))
-        self.matrix = self._dense(self.surface)
+        self.matrix = self._refined(held)
+
+    def _refined(self, held: Mask) -> Array:
+        """(3N, 3N) S of the surface, cut along the rims of what is held."""
+        rims = Rims.of(self.surface, held)
+        matrix, self._rims = rims.condensed(self._dense(rims.surface), self.is_incompressible)
+        return matrix
 
     def _dense(self, surface: SurfaceMesh) -> Array:
         """(3n, 3n) S of a surface."""
@@ -149,6 +166,13 @@ class BoundaryFormulation(DisplacementFormulation):
             block[springs.coords] += springs.data  # one entry a place: a sum of two would be lost
         return block
 
+    @property
+    def resolved(self) -> SurfaceMesh:
+        return self._rims.surface
+
+    def carried(self, force: Array) -> Array:
+        return self._rims.carried(force)
+
     def pressure_force(self, pressure: Array) -> Array:
         """Force (N, 3) of weight, given as the hydrostatic pressure (N,) that would carry it.
 
@@ -156,7 +180,9 @@ class BoundaryFormulation(DisplacementFormulation):
         the displacement `-((b . x) x - b |x|^2 / 2) / (3 kappa)`, a strain -p I / (3 kappa): what is left to find
         is a field without a force inside, whose nodal forces are those of p and those of that displacement.
         """
-        force: Array = self.surface.area_vectors * pressure[:, None]
+        # linear, also along the edges that are cut
+        everywhere = np.asarray(self._rims.shares @ pressure)
+        force = self.carried(self.resolved.area_vectors * everywhere[:, None])
         if self.is_incompressible:
             return force
         arms = self.surface.points - self.surface.points.mean(axis=0)

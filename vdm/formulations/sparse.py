@@ -9,6 +9,7 @@ from scipy import linalg, sparse
 from scipy.linalg import blas
 
 from solver_common.arrays import Array, Mask
+from vdm.boundary.rims import Rims
 from vdm.formulations.base import Factor, Factorise
 from vdm.formulations.boundary import INDEFINITE, BoundaryFormulation, DenseFactor
 from vdm.material import COARSE_NODES, ParameterError, Parameters
@@ -21,6 +22,8 @@ if TYPE_CHECKING:
     from vdm.boundary.interpolation import Interpolation
 
 # fine nodes that are multiplied with a dense matrix of the coarse body at once: bounds the temporary arrays
+import os
+GRADED='GRADED' in os.environ
 ROWS = 4096
 # largest change of a random load by the factor and back, of itself
 LARGEST_LOSS = 1e-6
@@ -60,7 +63,7 @@ class SparseFormulation(BoundaryFormulation):
 
         compile_for(min(surface.n_nodes, parameters.coarse_nodes or COARSE_NODES))
 
-    def _assemble(self) -> None:
+    def _assemble(self, held: Mask) -> None:
         from vdm.boundary.coarsening import coarsened
         from vdm.boundary.interpolation import identity, interpolation
 
@@ -69,11 +72,12 @@ class SparseFormulation(BoundaryFormulation):
                 "the sparse formulation takes no springs to the ground; use the boundary one"
             )
         surface, count = self.surface, self.parameters.coarse_nodes or COARSE_NODES
-        body, spread = surface, identity(surface.n_nodes)
-        if surface.n_nodes > count:
-            coarse = coarsened(surface, count)
-            body, spread = coarse.surface, interpolation(surface, coarse)
-        self._stand_on(body, spread, self._dense(body))
+        if surface.n_nodes <= count:
+            self._stand_on(surface, identity(surface.n_nodes), self._refined(held))
+            return
+        self._rims = Rims.of(surface, np.zeros_like(held))
+        coarse = coarsened(surface, count, held)
+        self._stand_on(coarse.surface, interpolation(surface, coarse), self._dense(coarse.surface))
 
     def _stand_on(self, body: SurfaceMesh, spread: Interpolation, stiffness: Array) -> None:
         """Take the coarse body (n nodes), what spreads it over the surface, and its stiffness (3n, 3n)."""
@@ -139,20 +143,21 @@ class SparseFormulation(BoundaryFormulation):
 class HalvedFormulation(SparseFormulation):
     """A form of boundary integrals on about half of its nodes, without an integral of its own: S is P^T S P."""
 
-    def __init__(self, form: BoundaryFormulation) -> None:
+    def __init__(self, form: BoundaryFormulation, held: Mask) -> None:
         self._whole = form
-        super().__init__(form.surface, form.parameters)
+        super().__init__(form.surface, form.parameters, held)
 
-    def _assemble(self) -> None:
+    def _assemble(self, held: Mask) -> None:  # noqa: ARG002 - as the whole form
         from vdm.boundary.coarsening import coarsened
         from vdm.boundary.interpolation import Interpolation, interpolation
 
         whole = self._whole
+        self._rims = whole._rims
         if isinstance(whole, SparseFormulation):
             body, matrix = whole.coarse, whole.body
         else:
             body, matrix = whole.surface, whole.matrix
-        coarse = coarsened(body, body.n_nodes // 2)
+        coarse = coarsened(body, body.n_nodes // 2, held if GRADED and body is whole.surface else None)
         spread = interpolation(body, coarse)
         each = sparse.csr_array(sparse.kron(spread.weights.T, sparse.eye_array(3)))
         stiffness = np.asarray(each @ (each @ matrix).T)

@@ -1,0 +1,102 @@
+"""Facets cut along the rim of what is held, by nodes of their own that are eliminated.
+
+There displacements grow as the root of the distance r to what is held, tractions as its inverse or nearly so, and
+there most of a uniform mesh's error is made. Every edge from a held node to a free one gets a node at a quarter of
+its length: between the places r = 0, 1/4 and 1 a root is linear in the root of r (quarter points: Henshell and Shaw
+1975; Barsoum 1976). Across the rim the mesh is as fine as a root needs; along it it stays as it is.
+
+Of a new node's motion the part w beyond that of its edge is unknown (a hierarchical basis: Yserentant 1986),
+
+`u_new = 3/4 u_held + 1/4 u_free + w`,
+
+and follows from the nodes that there were, without a force of its own: `w = -A S_wb u`, `A = S_ww^-1`. What is left,
+`S_bb - S_bw A S_wb`, has their size (Guyan 1965). Where a fluid keeps the volume it keeps that between these nodes,
+and the new ones add nothing to it: with a their area vectors, `a . w = 0`, so that
+`A = S_ww^-1 - S_ww^-1 a a^T S_ww^-1 / (a . S_ww^-1 a)`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy import linalg, sparse
+
+from solver_common.arrays import Array, Index, Mask
+from vdm.surface import SurfaceMesh
+
+# of the way from the held end of an edge to its free one
+PLACE = 0.25
+
+
+@dataclass(frozen=True)
+class Rims:
+    """A surface of N nodes, cut along the rims of what is held.
+
+    Attributes
+    ----------
+    surface : of N + k nodes, the new ones last
+    shares : (N + k, N) of the nodes that there were, in the place of each
+    follows : (3k, 3N) A S_wb, zero until a stiffness was condensed
+    """
+
+    surface: SurfaceMesh
+    shares: sparse.csr_array
+    follows: Array
+
+    @classmethod
+    def of(cls, surface: SurfaceMesh, held: Mask) -> Rims:
+        """The surface with its facets between held nodes (N,) and free ones cut in three."""
+        n = surface.n_nodes
+        edges = surface.edges
+        is_cut = held[edges[:, 0]] != held[edges[:, 1]]
+        ends = np.where(held[edges[is_cut, :1]], edges[is_cut], edges[is_cut, ::-1])
+        k = len(ends)
+        places = sparse.csr_array(
+            (np.tile([1.0 - PLACE, PLACE], k), ends.reshape(-1), np.arange(0, 2 * k + 1, 2)), shape=(k, n)
+        )
+        shares = sparse.csr_array(sparse.vstack([sparse.eye_array(n), places]))
+        follows = np.zeros((3 * k, 3 * n))
+        if not k:
+            return cls(surface, shares, follows)
+        new = np.full(len(edges), -1)
+        new[is_cut] = n + np.arange(k)
+        points = np.asarray(shares @ surface.points)
+        return cls(
+            SurfaceMesh(points, _cut(surface.triangles, new[surface.facet_edges], points)), shares, follows
+        )
+
+    def condensed(self, matrix: Array, keeps_volume: bool) -> tuple[Array, Rims]:
+        """(3N, 3N) stiffness of one (3(N + k), 3(N + k)), and how the new nodes follow."""
+        all_nodes, old = self.shares.shape
+        if all_nodes == old:
+            return matrix, self
+        each = sparse.csr_array(sparse.kron(self.shares, sparse.eye_array(3)).T)
+        coupling = np.asarray(each @ matrix[:, 3 * old :]).T
+        carried = np.asarray(each @ (each @ matrix).T)
+        factor = linalg.cho_factor(matrix[3 * old :, 3 * old :], check_finite=False)
+        follows = linalg.cho_solve(factor, coupling, check_finite=False)
+        if keeps_volume:
+            areas = self.surface.area_vectors[old:].reshape(-1)
+            pressed = linalg.cho_solve(factor, areas, check_finite=False)
+            follows -= np.outer(pressed, areas @ follows / (areas @ pressed))
+        return carried - coupling.T @ follows, replace(self, follows=follows)
+
+    def carried(self, force: Array) -> Array:
+        """(N, 3) forces at the nodes that there were, with the answer of forces (N + k, 3) at all of them."""
+        own = force[self.shares.shape[1] :].reshape(-1)
+        carried: Array = np.asarray(self.shares.T @ force) - (own @ self.follows).reshape(-1, 3)
+        return carried
+
+
+def _cut(triangles: Index, new: Index, points: Array) -> Index:
+    """The facets, those with new nodes on two sides (F, 3; -1 is none) in three: a corner, and two of what is left."""
+    is_cut = (new >= 0).any(axis=1)
+    # the corner between the two sides, side 0 being after corner 0, comes first
+    turned = (np.argmin(new[is_cut], axis=1)[:, None] + 2 + np.arange(3)) % 3
+    a, b, c = np.take_along_axis(triangles[is_cut], turned, axis=1).T
+    ab, _, ca = np.take_along_axis(new[is_cut], turned, axis=1).T
+    corner = np.stack([a, ab, ca], axis=1)
+    first = np.linalg.norm(points[ab] - points[c], axis=1) < np.linalg.norm(points[b] - points[ca], axis=1)
+    left = np.where(first[:, None], np.stack([ab, b, c, ab, c, ca], axis=1), np.stack([b, c, ca, b, ca, ab], axis=1))
+    return np.concatenate([triangles[~is_cut], corner, left.reshape(-1, 3)])
