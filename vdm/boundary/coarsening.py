@@ -39,10 +39,14 @@ def coarsened(surface: SurfaceMesh, count: int, held: Mask | None = None) -> Coa
     A node is moved onto a neighbour if the two share just two neighbours (which keeps the topology), no facet
     turns over or degenerates and the new edges are the shortest to be had. Each round takes nodes whose
     neighbourhoods do not touch, all at once. What is left slides over the surface until it is evenly spaced.
-    Lengths are in units of the mesh size around: where the mesh is fine, so is the coarse one.
+    Lengths are in units of the mesh size around: where the mesh is fine, so is the coarse one. At the rim of the
+    nodes that are `held` (N,) it is finer, up to half as coarse.
     """
     order = node_order(surface)
-    sizes = _sizes(surface, count, held)[order]
+    sizes = np.sqrt(surface.nodal_areas)
+    if held is not None:
+        sizes = sizes * _grading(surface, count, held)
+    sizes = sizes[order]
     scale = 1.0 / sizes.mean()
     sizes = scale * sizes
     points = scale * (surface.points[order] - surface.points.mean(axis=0))
@@ -87,21 +91,21 @@ def nearest(surface: SurfaceMesh, coarse: CoarseSurface) -> Index:
     return np.asarray(sources[:n] - n, np.int64)
 
 
-def _sizes(surface: SurfaceMesh, count: int, held: Mask | None) -> Array:
-    sizes = np.sqrt(surface.nodal_areas)
-    if held is None:
-        return sizes
+def _grading(surface: SurfaceMesh, count: int, held: Mask) -> Array:
+    """(N,) mesh sizes over those of a uniform coarse mesh of `count` nodes: the root of the distance to the rim.
+
+    A field that grows as this root is evenly resolved so (`vdm.boundary.rims`). The distance is in coarse mesh
+    sizes; beyond one the mesh is uniform, below a quarter the first node is reached.
+    """
     i, j = surface.edges.T
-    rim = np.zeros_like(held)
-    crossing = held[i] != held[j]
-    rim[i[crossing]] = rim[j[crossing]] = True
-    if not rim.any():
-        return sizes
-    lengths = np.linalg.norm(surface.points[i] - surface.points[j], axis=1)
-    lengths /= 0.5 * (sizes[i] + sizes[j]) * np.sqrt(surface.n_nodes / count)
-    graph = sparse.csr_array((lengths, (i, j)), shape=(surface.n_nodes,) * 2)
-    distance = csgraph.dijkstra(graph, directed=False, indices=np.flatnonzero(rim), min_only=True)
-    return sizes * np.sqrt(np.clip(distance, 0.25, 1.0))
+    rim = np.unique(surface.edges[held[i] != held[j]])
+    if not len(rim):
+        return np.ones(surface.n_nodes)
+    sizes = np.sqrt(surface.nodal_areas * surface.n_nodes / count)
+    lengths = 2.0 * np.linalg.norm(surface.points[i] - surface.points[j], axis=1) / (sizes[i] + sizes[j])
+    graph = sparse.csr_array((lengths, (i, j)), shape=(surface.n_nodes, surface.n_nodes))
+    distance = csgraph.dijkstra(graph, directed=False, indices=rim, min_only=True)
+    return np.asarray(np.sqrt(np.clip(distance, 0.25, 1.0)))
 
 
 def node_order(surface: SurfaceMesh) -> Index:

@@ -9,9 +9,9 @@ Of a new node's motion the part w beyond that of its edge is unknown (a hierarch
 
 `u_new = 3/4 u_held + 1/4 u_free + w`,
 
-and follows from the nodes that there were, without a force of its own: `w = -A S_wb u`, `A = S_ww^-1`. What is left,
-`S_bb - S_bw A S_wb`, has their size (Guyan 1965). Where a fluid keeps the volume it keeps that between these nodes,
-and the new ones add nothing to it: with a their area vectors, `a . w = 0`, so that
+and follows from the nodes that there were, without a force of its own: `w = -A S_wb u`, `A = S_ww^-1`. What is
+left, `S_bb - S_bw A S_wb`, has their size (Guyan 1965). Where a fluid keeps the volume it keeps that between these
+nodes, and the new ones add nothing to it: with a their area vectors, `a . w = 0`, so that
 `A = S_ww^-1 - S_ww^-1 a a^T S_ww^-1 / (a . S_ww^-1 a)`.
 """
 
@@ -61,10 +61,8 @@ class Rims:
             return cls(surface, shares, follows)
         new = np.full(len(edges), -1)
         new[is_cut] = n + np.arange(k)
-        points = np.asarray(shares @ surface.points)
-        return cls(
-            SurfaceMesh(points, _cut(surface.triangles, new[surface.facet_edges], points)), shares, follows
-        )
+        cut = _cut(surface.triangles, new[surface.facet_edges])
+        return cls(SurfaceMesh(shares @ surface.points, cut), shares, follows)
 
     def condensed(self, matrix: Array, keeps_volume: bool) -> tuple[Array, Rims]:
         """(3N, 3N) stiffness of one (3(N + k), 3(N + k)), and how the new nodes follow."""
@@ -89,14 +87,12 @@ class Rims:
         return carried
 
 
-def _cut(triangles: Index, new: Index, points: Array) -> Index:
-    """The facets, those with new nodes on two sides (F, 3; -1 is none) in three: a corner, and two of what is left."""
+def _cut(triangles: Index, new: Index) -> Index:
+    """The facets, those with new nodes on two sides (F, 3; -1 for none) in three: a corner and the rest."""
     is_cut = (new >= 0).any(axis=1)
-    # the corner between the two sides, side 0 being after corner 0, comes first
+    # side 0 is after corner 0; the corner between the two sides comes first
     turned = (np.argmin(new[is_cut], axis=1)[:, None] + 2 + np.arange(3)) % 3
     a, b, c = np.take_along_axis(triangles[is_cut], turned, axis=1).T
     ab, _, ca = np.take_along_axis(new[is_cut], turned, axis=1).T
-    corner = np.stack([a, ab, ca], axis=1)
-    first = np.linalg.norm(points[ab] - points[c], axis=1) < np.linalg.norm(points[b] - points[ca], axis=1)
-    left = np.where(first[:, None], np.stack([ab, b, c, ab, c, ca], axis=1), np.stack([b, c, ca, b, ca, ab], axis=1))
-    return np.concatenate([triangles[~is_cut], corner, left.reshape(-1, 3)])
+    thirds = [(a, ab, ca), (ab, b, c), (ab, c, ca)]
+    return np.concatenate([triangles[~is_cut], *(np.stack(third, axis=1) for third in thirds)])

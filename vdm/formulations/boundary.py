@@ -180,11 +180,11 @@ class BoundaryFormulation(DisplacementFormulation):
         the displacement `-((b . x) x - b |x|^2 / 2) / (3 kappa)`, a strain -p I / (3 kappa): what is left to find
         is a field without a force inside, whose nodal forces are those of p and those of that displacement.
         """
+        if self.is_incompressible:
+            return super().pressure_force(pressure)
         # linear, also along the edges that are cut
         everywhere = np.asarray(self._rims.shares @ pressure)
         force = self.carried(self.resolved.area_vectors * everywhere[:, None])
-        if self.is_incompressible:
-            return force
         arms = self.surface.points - self.surface.points.mean(axis=0)
         fitted = np.linalg.lstsq(np.column_stack([arms, np.ones(len(arms))]), pressure, rcond=None)[0]
         slope, mean = fitted[:3], fitted[3]

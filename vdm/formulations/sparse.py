@@ -22,8 +22,6 @@ if TYPE_CHECKING:
     from vdm.boundary.interpolation import Interpolation
 
 # fine nodes that are multiplied with a dense matrix of the coarse body at once: bounds the temporary arrays
-import os
-GRADED='GRADED' in os.environ
 ROWS = 4096
 # largest change of a random load by the factor and back, of itself
 LARGEST_LOSS = 1e-6
@@ -42,7 +40,8 @@ class SparseFormulation(BoundaryFormulation):
     Springs D answer for the rest, which varies within a coarse facet. A half-space answers a wave of wave number k
     by mu |k| / (1 - nu) per area. Over all waves from the coarse mesh's shortest, pi / h, to the fine one's, under
     loads of one size, the mean compliance is that of the mean of the two wave numbers: the springs take it. h is
-    the mesh size around, so that a graded mesh has graded springs. Nothing is fitted.
+    the mesh size around, so that a graded mesh has graded springs. The coarse body is finer at the rims of what is
+    held (`vdm.boundary.coarsening`). Nothing is fitted.
 
     Both parts are positive on every mesh, and rigid motions cost nothing. With all nodes in the coarse body it is
     the boundary form itself. Held nodes are held where they are, at the resolution of the fine surface.
@@ -147,7 +146,7 @@ class HalvedFormulation(SparseFormulation):
         self._whole = form
         super().__init__(form.surface, form.parameters, held)
 
-    def _assemble(self, held: Mask) -> None:  # noqa: ARG002 - as the whole form
+    def _assemble(self, held: Mask) -> None:
         from vdm.boundary.coarsening import coarsened
         from vdm.boundary.interpolation import Interpolation, interpolation
 
@@ -157,7 +156,9 @@ class HalvedFormulation(SparseFormulation):
             body, matrix = whole.coarse, whole.body
         else:
             body, matrix = whole.surface, whole.matrix
-        coarse = coarsened(body, body.n_nodes // 2, held if GRADED and body is whole.surface else None)
+        # the coarse body of a sparse form is graded itself
+        rims = None if isinstance(whole, SparseFormulation) else held
+        coarse = coarsened(body, body.n_nodes // 2, rims)
         spread = interpolation(body, coarse)
         each = sparse.csr_array(sparse.kron(spread.weights.T, sparse.eye_array(3)))
         stiffness = np.asarray(each @ (each @ matrix).T)
