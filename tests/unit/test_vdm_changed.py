@@ -1,6 +1,8 @@
-"""Supports that change without a new set-up: the same answers as a model that is set up with them."""
+"""Supports that change without a new set-up: the same answers as a new factor of the same form."""
 
 from __future__ import annotations
+
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -38,12 +40,13 @@ def test_a_changed_support_answers_as_the_long_way(formulation, fixed, moved):
     assert isinstance(solver, LinearSolver)
     load = Load(PUSH.contact_pressure, None, PULL) if moved.any() else PUSH
     step = ChangedSupport(solver, fixed, moved).step(load)
-    right = model(formulation, fixed, moved).solve([load])
+    support = replace(solver.problem.support, fixed=fixed, constrained=moved)
+    right = LinearSolver(replace(solver.problem, support=support)).step(load)
     for found, expected in (
-        (step.displacement, right.displacement[0]),
-        (step.reaction_force, right.reaction_force[0]),
-        (step.pressure_change, right.fluid_pressure[0]),
-        (step.energy, right.energy[0]),
+        (step.displacement, right.displacement),
+        (step.reaction_force, right.reaction_force),
+        (step.pressure_change, right.pressure_change),
+        (step.energy, right.energy),
     ):
         # two ways to the same numbers: rounding, and what the conditions of the two systems make of it
         assert_allclose(found, expected, rtol=1e-9, atol=1e-9 * np.abs(expected).max())
