@@ -85,7 +85,7 @@ def test_bodies_thick_enough_for_their_mesh_have_no_reservation() -> None:
 def test_a_rod_thinner_than_its_mesh_is_coarse_has_one() -> None:
     model = held_at_one_end(*icosphere(2, THIN))
     message, remedy = told(model)
-    assert 0.9 < model.bending_error < 1.1
+    assert 0.8 < model.bending_error < 1.1
     assert f"a known bending comes out {model.bending_error:.0%} wrong" in message
     assert remedy == "refine the surface, above all where it is thin, to about 1,600 nodes"
     assert held_at_one_end(*icosphere(2, THIN), solver="nonlinear").bending_error == model.bending_error

@@ -9,10 +9,11 @@ Of a new node's motion the part w beyond that of its edge is unknown (a hierarch
 
 `u_new = 3/4 u_held + 1/4 u_free + w`,
 
-and follows from the nodes that there were, without a force of its own: `w = -A S_wb u`, `A = S_ww^-1`. What is
-left, `S_bb - S_bw A S_wb`, has their size (Guyan 1965). Where a fluid keeps the volume it keeps that between these
-nodes, and the new ones add nothing to it: with a their area vectors, `a . w = 0`, so that
-`A = S_ww^-1 - S_ww^-1 a a^T S_ww^-1 / (a . S_ww^-1 a)`.
+and follows from the nodes that there were, without a force of its own: `w = -A S_wb u`. What is left,
+`S_bb - S_bw A S_wb`, has their size (Guyan 1965). The volume stays that between these nodes, to which the new ones
+add nothing in sum: with a their area vectors, `a . w = 0`, so that
+`A = S_ww^-1 - S_ww^-1 a a^T S_ww^-1 / (a . S_ww^-1 a)`. A rim that bulges all around, as under weight, stays as
+stiff as its mesh without cuts.
 """
 
 from __future__ import annotations
@@ -27,6 +28,8 @@ from vdm.surface import SurfaceMesh
 
 # of the way from the held end of an edge to its free one
 PLACE = 0.25
+# one length over another that is the same to rounding
+SHORTER = 1.0 - 1e-9
 
 
 @dataclass(frozen=True)
@@ -61,10 +64,11 @@ class Rims:
             return cls(surface, shares, follows)
         new = np.full(len(edges), -1)
         new[is_cut] = n + np.arange(k)
-        cut = _cut(surface.triangles, new[surface.facet_edges])
-        return cls(SurfaceMesh(shares @ surface.points, cut), shares, follows)
+        points = np.asarray(shares @ surface.points)
+        cut = _cut(surface.triangles, new[surface.facet_edges], points)
+        return cls(SurfaceMesh(points, cut), shares, follows)
 
-    def condensed(self, matrix: Array, keeps_volume: bool) -> tuple[Array, Rims]:
+    def condensed(self, matrix: Array) -> tuple[Array, Rims]:
         """(3N, 3N) stiffness of one (3(N + k), 3(N + k)), and how the new nodes follow."""
         all_nodes, old = self.shares.shape
         if all_nodes == old:
@@ -74,10 +78,9 @@ class Rims:
         carried = np.asarray(each @ (each @ matrix).T)
         factor = linalg.cho_factor(matrix[3 * old :, 3 * old :], check_finite=False)
         follows = linalg.cho_solve(factor, coupling, check_finite=False)
-        if keeps_volume:
-            areas = self.surface.area_vectors[old:].reshape(-1)
-            pressed = linalg.cho_solve(factor, areas, check_finite=False)
-            follows -= np.outer(pressed, areas @ follows / (areas @ pressed))
+        areas = self.surface.area_vectors[old:].reshape(-1)
+        pressed = linalg.cho_solve(factor, areas, check_finite=False)
+        follows -= np.outer(pressed, areas @ follows / (areas @ pressed))
         return carried - coupling.T @ follows, replace(self, follows=follows)
 
     def carried(self, force: Array) -> Array:
@@ -87,12 +90,15 @@ class Rims:
         return carried
 
 
-def _cut(triangles: Index, new: Index) -> Index:
+def _cut(triangles: Index, new: Index, points: Array) -> Index:
     """The facets, those with new nodes on two sides (F, 3; -1 for none) in three: a corner and the rest."""
     is_cut = (new >= 0).any(axis=1)
     # side 0 is after corner 0; the corner between the two sides comes first
     turned = (np.argmin(new[is_cut], axis=1)[:, None] + 2 + np.arange(3)) % 3
     a, b, c = np.take_along_axis(triangles[is_cut], turned, axis=1).T
     ab, _, ca = np.take_along_axis(new[is_cut], turned, axis=1).T
-    thirds = [(a, ab, ca), (ab, b, c), (ab, c, ca)]
-    return np.concatenate([triangles[~is_cut], *(np.stack(third, axis=1) for third in thirds)])
+    # the shorter diagonal of what is left; rounding does not decide between equal ones
+    lengths = np.linalg.norm(points[[ab, b]] - points[[c, ca]], axis=2)
+    third, second = np.where(lengths[0] < SHORTER * lengths[1], [ab, c], [b, ca])
+    thirds = [(a, ab, ca), (ab, b, second), (third, c, ca)]
+    return np.concatenate([triangles[~is_cut], *(np.stack(part, axis=1) for part in thirds)])

@@ -100,7 +100,7 @@ class BoundaryFormulation(DisplacementFormulation):
     def _refined(self, held: Mask) -> Array:
         """(3N, 3N) S of the surface, cut along the rims of what is held."""
         rims = Rims.of(self.surface, held)
-        matrix, self._rims = rims.condensed(self._dense(rims.surface), self.is_incompressible)
+        matrix, self._rims = rims.condensed(self._dense(rims.surface))
         return matrix
 
     def _dense(self, surface: SurfaceMesh) -> Array:
@@ -180,11 +180,9 @@ class BoundaryFormulation(DisplacementFormulation):
         the displacement `-((b . x) x - b |x|^2 / 2) / (3 kappa)`, a strain -p I / (3 kappa): what is left to find
         is a field without a force inside, whose nodal forces are those of p and those of that displacement.
         """
+        force: Array = self.surface.area_vectors * pressure[:, None]
         if self.is_incompressible:
-            return super().pressure_force(pressure)
-        # linear, also along the edges that are cut
-        everywhere = np.asarray(self._rims.shares @ pressure)
-        force = self.carried(self.resolved.area_vectors * everywhere[:, None])
+            return force
         arms = self.surface.points - self.surface.points.mean(axis=0)
         fitted = np.linalg.lstsq(np.column_stack([arms, np.ones(len(arms))]), pressure, rcond=None)[0]
         slope, mean = fitted[:3], fitted[3]
