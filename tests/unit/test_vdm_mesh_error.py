@@ -42,11 +42,11 @@ def standing(n: int, load: str, **options: Any) -> tuple[Model, Load]:
     return model, Load.from_facet_pressure(model.surface, np.where(on_half, 10.0, 0.0))
 
 
-@pytest.mark.parametrize(("load", "most"), [("pressed", 1.2), ("moved", 3.6), ("weight", 1.2)])
+@pytest.mark.parametrize(("load", "most"), [("pressed", 1.2), ("moved", 2.7), ("weight", 1.4)])
 def test_it_is_as_large_as_the_distance_to_a_finer_mesh(load: str, most: float) -> None:
-    """Half of it to all of it; nested cubes, so that the nodes of one are those of the other.
+    """Half of it and more; nested cubes, so that the nodes of one are those of the other.
 
-    Held at foot and top, the mesh of half the nodes has too few between the two: too much is told of 1.4 %.
+    Held at foot and top, half of the nodes do not know the two rims: too much is told of 1.4 %.
     """
     (coarse, push), (fine, finer_push) = standing(4, load), standing(8, load)
     solution = coarse.solve([push])
@@ -75,7 +75,7 @@ def test_the_coarse_body_of_the_sparse_form_is_what_is_halved() -> None:
     material = Parameters(shear_modulus=1667.0, coarse_nodes=200)
     model, push = standing(8, "pressed", formulation="sparse", parameters=material)
     dense, same = standing(8, "pressed")
-    assert HalvedFormulation(model.formulation, model.problem.support.held).n_coarse == 100  # type: ignore[arg-type]
+    assert HalvedFormulation(model.formulation).n_coarse == 100  # type: ignore[arg-type]
     on_coarse = model.solve([push]).scalars["mesh_error"][0]
     assert dense.solve([same]).scalars["mesh_error"][0] < on_coarse < 1.0
 
@@ -117,8 +117,8 @@ def test_the_remedy_names_the_nodes_that_bring_it_to_a_tenth() -> None:
     assert status.message == "the mesh leaves about 25% of the displacement open"
     assert f"to about {100 * int(np.ceil(0.025 * nodes))} nodes" in status.remedy
     assert "finite elements" in reserved(CONVERGED, 0.0, 9.0, form).remedy  # more than the form takes
-    points, triangles = icosphere(1, (0.05, 0.05, 0.05))
-    foot, top = points[:, 2] < -0.04, points[:, 0] > 0.03
+    points, triangles = icosphere(1, (0.07, 0.05, 0.05))
+    foot, top = points[:, 0] < -0.055, points[:, 2] > 0.03
     own = Model(points, triangles, form.parameters, formulation="boundary", fixed=foot).solve(
         [Load(1.0 * top)]
     )

@@ -142,11 +142,11 @@ class SparseFormulation(BoundaryFormulation):
 class HalvedFormulation(SparseFormulation):
     """A form of boundary integrals on about half of its nodes, without an integral of its own: S is P^T S P."""
 
-    def __init__(self, form: BoundaryFormulation, held: Mask) -> None:
+    def __init__(self, form: BoundaryFormulation) -> None:
         self._whole = form
-        super().__init__(form.surface, form.parameters, held)
+        super().__init__(form.surface, form.parameters)
 
-    def _assemble(self, held: Mask) -> None:
+    def _assemble(self, held: Mask) -> None:  # noqa: ARG002 - a form of its own has no rims
         from vdm.boundary.coarsening import coarsened
         from vdm.boundary.interpolation import Interpolation, interpolation
 
@@ -156,9 +156,7 @@ class HalvedFormulation(SparseFormulation):
             body, matrix = whole.coarse, whole.body
         else:
             body, matrix = whole.surface, whole.matrix
-        # the coarse body of a sparse form is graded itself
-        rims = None if isinstance(whole, SparseFormulation) else held
-        coarse = coarsened(body, body.n_nodes // 2, rims)
+        coarse = coarsened(body, body.n_nodes // 2)
         spread = interpolation(body, coarse)
         each = sparse.csr_array(sparse.kron(spread.weights.T, sparse.eye_array(3)))
         stiffness = np.asarray(each @ (each @ matrix).T)
