@@ -82,8 +82,9 @@ def main() -> None:
     """Write all of them; a liver surface may be named as argument, else the procedural organ is drawn."""
     surface = ["--surface", str(Path(sys.argv[1]).resolve())] if len(sys.argv) > 1 else []
     with tempfile.TemporaryDirectory() as name:
-        marked.show(README, PART, headline_table(Path(name)))
+        # before its meshes are there
         marked.show(ARCHITECTURE, GRAPH, graph_of_quickstart(Path(name)))
+        marked.show(README, PART, headline_table(Path(name)))
         STUDY_KEYS.write_text(study_keys())
         NOTEBOOK.write_text(notebook())
         finished("run", "liver-palpation", *surface, "--out", "liver", cwd=Path(name))
