@@ -100,7 +100,10 @@ class BoundaryFormulation(DisplacementFormulation):
     def _refined(self, held: Mask) -> Array:
         """(3N, 3N) S of the surface, cut along the rims of what is held."""
         rims = Rims.of(self.surface, held)
-        matrix, self._rims = rims.condensed(self._dense(rims.surface))
+        try:
+            matrix, self._rims = rims.condensed(self._dense(rims.surface))
+        except linalg.LinAlgError as error:
+            raise SolverError(INDEFINITE) from error
         return matrix
 
     def _dense(self, surface: SurfaceMesh) -> Array:
