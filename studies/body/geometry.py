@@ -16,6 +16,9 @@ from ..study.errors import MeshError
 from ..study.geometry_spec import (
     DISTORTIONS,
     Geometry,
+    area_and_volume,
+    check_mesh_size,
+    check_node_budget,
     extents,
 )
 from ..study.shapes import FILE, SHAPES
@@ -55,8 +58,7 @@ def build_mesh(geometry: Geometry, *, volume: bool = True) -> Mesh:
     [m^3], area [m^2], `worst_sicn`, `seconds` and, for an imported mesh, what was repaired and how far the
     new surface is from the imported one [m].
 
-    The geometry is one of a study and its plan, whose checks it has passed. Raises MeshError, in one sentence, for
-    a file or a mesh that cannot be used.
+    Raises MeshError, in one sentence, for a file, a mesh size or a mesh that cannot be used.
     """
     started = time.perf_counter()
     if geometry.shape == FILE:
@@ -64,6 +66,9 @@ def build_mesh(geometry: Geometry, *, volume: bool = True) -> Mesh:
             build = _tetrahedra_of_file if geometry.has_own_tetrahedra else _fill_surface_of_file
             mesh = build(geometry, volume)
     else:
+        check_mesh_size(geometry.mesh_size, min(extents(geometry)))
+        area, inside = area_and_volume(geometry)
+        check_node_budget(area, inside if volume else 0.0, geometry.mesh_size)
         mesh = _solid(geometry, volume) if SHAPES[geometry.shape].add else _of_sphere(geometry, volume)
     given = {name: geometry.number(name) for name in DISTORTIONS if name in geometry.parameters}
     if given:

@@ -41,9 +41,7 @@ from ..scene.result import ModelResult
 from ..scene.scene import Scene, build_scene
 from ..study.config import expand, geometry_of, with_mesh_size
 from ..study.errors import InputError
-from ..study.geometry_spec import check_mesh_size, extents
 from ..study.schema import Study
-from ..study.shapes import FILE
 from .bench_data import LEAST_SIZES, TIMES, YARDSTICK, Bench, Entry, Growth
 from .contact import Problem, contact_frame
 from .growth import growths
@@ -112,10 +110,7 @@ def measure(
     left_out: list[str] = []
 
     def measured(body: str, study: Study, place: str = "") -> list[Entry]:
-        geometry = geometry_of(study)
-        if geometry.shape != FILE:  # whose size the study's own checks have not seen
-            check_mesh_size(geometry.mesh_size, min(extents(geometry)))
-        mesh = mesh_from_cache(geometry, cache)
+        mesh = mesh_from_cache(geometry_of(study), cache)
         if not about:
             about.update(provenance(mesh))
         watch(f"measuring {body}, {len(mesh.surface_nodes)} nodes{place}")
