@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from solver_common.arrays import Mask
 from tests.unit.vdm_shapes import box, icosphere
 from vdm import Load, Model, Parameters, SurfaceMesh
+from vdm.boundary import operators
 from vdm.boundary.coarsening import coarsened
 from vdm.boundary.rims import Rims
 from vdm.constraints import Support
@@ -120,6 +121,25 @@ def test_coarse_bodies_are_finer_at_the_rim() -> None:
     assert np.median(sizes[near[1]]) < 0.5 * np.median(sizes[~near[1]])
     free = coarsened(surface, 300, np.zeros_like(held))
     assert_allclose(free.surface.points, even.surface.points, rtol=0.0, atol=0.0)
+
+
+@pytest.mark.parametrize("formulation", ["boundary", "sparse"])
+def test_cuts_do_not_change_the_precision_that_was_compiled(
+    formulation: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """490 nodes are in double precision, also where the cut surface has more than 500."""
+    body = coarsened(SurfaceMesh(*icosphere(3, (0.05, 0.05, 0.05))), 490).surface
+    assemble, used = operators.assembled, []
+
+    def spied(facets: operators.Facets, nu: float, dtype: type) -> operators.Operators:
+        used.append((len(facets.points), dtype))
+        return assemble(facets, nu, dtype)
+
+    monkeypatch.setattr(operators, "assembled", spied)
+    Model(body.points, body.triangles, soft(0.5), formulation=formulation, fixed=body.points[:, 2] < 0.0)
+    (_, compiled), (inside, dtype) = used
+    assert inside > operators.DOUBLE_NODES > body.n_nodes
+    assert dtype is compiled is np.float64
 
 
 @pytest.mark.parametrize("formulation", ["boundary", "sparse"])

@@ -72,7 +72,10 @@ class BoundaryFormulation(DisplacementFormulation):
             raise ParameterError(f"the {self.name} formulation needs shear_modulus, one positive number")
         self.shear_modulus = float(modulus)
         self.poisson_ratio = 0.5 if parameters.is_filled else parameters.poisson_ratio
-        self._assemble(np.zeros(surface.n_nodes, np.bool_) if held is None else held)
+        try:
+            self._assemble(np.zeros(surface.n_nodes, np.bool_) if held is None else held)
+        except linalg.LinAlgError as error:
+            raise SolverError(INDEFINITE) from error
         pressed = surface.area_vectors[:, :, None]
         if self.is_incompressible:
             self.columns = self.rows = DenseColumns(pressed)
@@ -100,22 +103,16 @@ class BoundaryFormulation(DisplacementFormulation):
     def _refined(self, held: Mask) -> Array:
         """(3N, 3N) S of the surface, cut along the rims of what is held."""
         rims = Rims.of(self.surface, held)
-        try:
-            matrix, self._rims = rims.condensed(self._dense(rims.surface))
-        except linalg.LinAlgError as error:
-            raise SolverError(INDEFINITE) from error
+        matrix, self._rims = rims.condensed(self._dense(rims.surface, self.surface.n_nodes))
         return matrix
 
-    def _dense(self, surface: SurfaceMesh) -> Array:
-        """(3n, 3n) S of a surface."""
+    def _dense(self, surface: SurfaceMesh, n_nodes: int) -> Array:
+        """(3n, 3n) S of a surface, in the precision of `n_nodes`: those without cuts, which `compile` knows."""
         # numba takes a third of a second to import
-        from vdm.boundary.operators import Facets, surface_stiffness
+        from vdm.boundary.operators import Facets, precision, surface_stiffness
 
         facets = Facets.of(surface.points, surface.triangles)
-        try:
-            matrix = surface_stiffness(facets, self.poisson_ratio)
-        except linalg.LinAlgError as error:
-            raise SolverError(INDEFINITE) from error
+        matrix = surface_stiffness(facets, self.poisson_ratio, precision(n_nodes))
         _without_rigid_motions(matrix, rigid_basis(surface))
         matrix *= self.shear_modulus
         return matrix

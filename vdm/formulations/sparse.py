@@ -76,7 +76,8 @@ class SparseFormulation(BoundaryFormulation):
             return
         self._rims = Rims.of(surface, np.zeros_like(held))
         coarse = coarsened(surface, count, held)
-        self._stand_on(coarse.surface, interpolation(surface, coarse), self._dense(coarse.surface))
+        stiffness = self._dense(coarse.surface, coarse.surface.n_nodes)
+        self._stand_on(coarse.surface, interpolation(surface, coarse), stiffness)
 
     def _stand_on(self, body: SurfaceMesh, spread: Interpolation, stiffness: Array) -> None:
         """Take the coarse body (n nodes), what spreads it over the surface, and its stiffness (3n, 3n)."""
