@@ -22,7 +22,6 @@ from vdm.boundary.operators import Facets, assembled, layers, surface_stiffness
 from vdm.boundary.quadrature import sixteen_points, three_points, touching
 
 Array = NDArray[np.float64]
-LEVI_CIVITA = np.cross(np.eye(3)[:, None], np.eye(3))  # [i, j, k] = e_ijk
 RATIOS = (-0.5, 0.0, 0.3, 0.4999, 0.5)
 ROOT = Path(__file__).parents[2]
 
@@ -32,20 +31,9 @@ def body(level: int = 1) -> Facets:
 
 
 def equations(facets: Facets, nu: float) -> tuple[Array, Array, Array]:
-    """V (3F, 3F), J = M/2 + K (3F, 3N) and D (3N, 3N) of `V t = J u`, `f = D u + J^T t`: from V, B and C."""
+    """V (3F, 3F), J = M/2 + K (3F, 3N) and D (3N, 3N) of `V t = J u`, `f = D u + J^T t`."""
     parts = assembled(facets, nu)
-    single = np.tril(parts.single) + np.tril(parts.single, -1).T
-    corners = facets.points[facets.triangles]
-    # n x grad of a corner's shape function is the edge opposite to it over twice the area; M_ij = -e_ijk c_k
-    curls = (np.roll(corners, 1, axis=1) - np.roll(corners, -1, axis=1)) / (2.0 * facets.areas[:, None, None])
-    guenter = np.zeros((len(corners), 3, len(facets.points), 3))
-    for a in range(3):
-        at = facets.triangles[:, a]
-        guenter[np.arange(len(at)), :, at] -= np.einsum("ijk,fk->fij", LEVI_CIVITA, curls[:, a])
-    turned = guenter.reshape(parts.moved.shape)
-    pulled = single @ turned
-    mixed = parts.moved.T @ turned
-    return single, parts.moved - 2.0 * pulled, parts.rest + 2.0 * (mixed + mixed.T) - 4.0 * turned.T @ pulled
+    return parts.single, parts.jump, parts.hypersingular
 
 
 def rigid(points: Array) -> Array:
@@ -82,9 +70,8 @@ def test_every_rule_agrees_with_a_finer_one(shape: tuple[Array, NDArray[np.int64
     cut = np.stack([[a, ab, ca], [ab, b, bc], [ca, bc, c], [ab, bc, ca]]).transpose(2, 0, 1, 3)
     nodes, numbers = np.unique(cut.reshape(-1, 3).round(12), axis=0, return_inverse=True)
     finer = Facets.of(nodes, numbers.reshape(-1, 3))
-    below, _, double = layers(facets, 0.3)
-    below_parts, _, double_parts = layers(finer, 0.3)
-    whole, parts = (np.tril(part) + np.tril(part, -1).T for part in (below, below_parts))
+    whole, *_, double = layers(facets, 0.3)
+    parts, *_, double_parts = layers(finer, 0.3)
     n = len(triangles)
     summed = parts.reshape(n, 4, 3, n, 4, 3).sum(axis=(1, 4)).reshape(3 * n, 3 * n)
     # 3e-4 where facets touch, 1e-3 where they face each other closer than they are wide
@@ -146,8 +133,9 @@ def test_a_shear_strain_is_answered_by_its_tractions(nu: float) -> None:
 def test_the_stiffness_is_symmetric_and_semi_definite_as_it_stands() -> None:
     for nu in RATIOS:
         facets = body()
-        rest = assembled(facets, nu).rest
-        assert np.abs(rest - rest.T).max() < 1e-14 * np.abs(rest).max()
+        parts = assembled(facets, nu)
+        for matrix in (parts.single, parts.hypersingular):
+            assert np.abs(matrix - matrix.T).max() < 1e-14 * np.abs(matrix).max()
         stiffness = surface_stiffness(facets, nu)
         assert_allclose(stiffness, stiffness.T, rtol=0.0, atol=0.0)
         values = np.linalg.eigvalsh(stiffness)
@@ -191,7 +179,7 @@ def test_single_precision_is_not_seen_in_an_answer(
         stiffness -= left @ motions.T + motions @ left.T
         answers.append(np.linalg.solve(stiffness[np.ix_(free, free)], force.reshape(-1)[free]))
     exact, found = answers
-    assert np.linalg.norm(found - exact) < (2e-6 if flat == 1.0 else 2e-5) * np.linalg.norm(exact)
+    assert np.linalg.norm(found - exact) < (2e-6 if flat == 1.0 else 5e-5) * np.linalg.norm(exact)
     assert not np.array_equal(found, exact)
 
 
@@ -206,7 +194,7 @@ CHILD = """
 import numpy as np
 from vdm.boundary.operators import Facets, layers
 points = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]])
-print(np.tril(layers(Facets.of(points, [[0, 2, 1], [0, 1, 3], [1, 2, 3], [2, 0, 3]]), 0.3)[0]).sum())
+print(layers(Facets.of(points, [[0, 2, 1], [0, 1, 3], [1, 2, 3], [2, 0, 3]]), 0.3)[0].sum())
 """
 
 
@@ -230,7 +218,13 @@ def test_several_processes_compile_and_keep_the_same_code_at_once(tmp_path: Path
 def test_what_is_compiled_once_is_compiled_before_it_is_timed(n_nodes: int) -> None:
     """After `compile_for` a set-up in that precision finds every loop as machine code."""
     operators.compile_for(n_nodes)
-    loops = (kernels.all_pairs, kernels.mirror, kernels.interleave, kernels.add_square)
+    loops = (
+        kernels.all_pairs,
+        kernels.mirror,
+        kernels.add_layers,
+        kernels.add_transposed,
+        kernels.add_own_transposed,
+    )
     known = [len(loop.signatures) for loop in loops]
     for nu in (0.3, 0.5):
         surface_stiffness(body(), nu, operators.precision(n_nodes))

@@ -24,6 +24,8 @@ FAR, MIDDLE, NEAR = 4.0, 2.0, 1.15
 SLENDER = 3.0
 # the twelve integrals of a pair: xx, yy, zz, xy, xz, yz of B, k of g by its corners, k of f by its corners
 COUNT = 12
+# of which a product has the columns at once, so that what they are added to stays in a cache: 2 MB
+FACETS = 32
 
 
 def rules() -> tuple[Array, Index, Array, Array]:
@@ -178,15 +180,24 @@ def _space():
 
 
 @compiled
-def all_pairs(mesh, points, rules, of_identity, of_kelvin, single, laplace, double):
-    """Fill V = `of_identity` tr(B) I + `of_kelvin` B and tr(B) below the diagonal; add Laplace's K to `double`.
+def all_pairs(mesh, points, rules, factors, curls, tractions, sums, laplace, double):
+    """Add up V, tr(B) and Laplace's K over all pairs of facets, each once, for tractions P and forms M.
 
-    V (3F, 3F), tr(B) (F, F), K (F, N). `points` (3, 3, F) are those of `vdm.boundary.far`.
+    V = `factors[0]` tr(B) I + `factors[1]` B, as X of V = X + X^T, is nowhere kept: `sums` are P^T X P (3P, 3P),
+    P^T X M (3P, 3N), M^T X P and M^T X M, all of zeros at first. P makes the traction of each facet of those that
+    it shares, by the `tractions` of `vdm.boundary.operators.Facets`; M^T makes v x c of a vector v of a facet, at
+    each corner, with the `curls` c (F, 3, 3). tr(B) (F, F) is below the diagonal; Laplace's K is (F, N). `points`
+    (3, 3, F) are those of `vdm.boundary.far`.
     """
     _, triangles, normals, areas, centres, radii, _ = mesh
+    of_identity, of_kelvin = factors
     across = np.ascontiguousarray(normals.T)
     totals = np.zeros((COUNT, len(triangles)))
     space = _space()
+    # a row of facets, and what it is for tractions and forms
+    row = np.zeros((len(triangles), 6), sums[0].dtype)
+    pushed = np.zeros((sums[1].shape[0], 3), sums[0].dtype)
+    turned = np.zeros((sums[1].shape[1], 3), sums[0].dtype)
     for f in range(len(triangles)):
         far_row(f, points, across, totals)
         x, y, z = centres[f, 0], centres[f, 1], centres[f, 2]
@@ -201,23 +212,113 @@ def all_pairs(mesh, points, rules, of_identity, of_kelvin, single, laplace, doub
             both = areas[f] * areas[g]
             trace = both * (totals[0, g] + totals[1, g] + totals[2, g])
             laplace[f, g] = trace
+            if f == g:
+                trace, both = 0.5 * trace, 0.5 * both
             trace *= of_identity
             both *= of_kelvin
-            xy, xz, yz = both * totals[3, g], both * totals[4, g], both * totals[5, g]
-            single[3 * f, 3 * g] = trace + both * totals[0, g]
-            single[3 * f, 3 * g + 1] = xy
-            single[3 * f, 3 * g + 2] = xz
-            single[3 * f + 1, 3 * g] = xy
-            single[3 * f + 1, 3 * g + 1] = trace + both * totals[1, g]
-            single[3 * f + 1, 3 * g + 2] = yz
-            single[3 * f + 2, 3 * g] = xz
-            single[3 * f + 2, 3 * g + 1] = yz
-            single[3 * f + 2, 3 * g + 2] = trace + both * totals[2, g]
+            row[g, 0] = trace + both * totals[0, g]
+            row[g, 1] = trace + both * totals[1, g]
+            row[g, 2] = trace + both * totals[2, g]
+            row[g, 3], row[g, 4], row[g, 5] = both * totals[3, g], both * totals[4, g], both * totals[5, g]
+        add_row(row[: f + 1], triangles, curls, tractions, pushed, turned)
+        spread_row(pushed.T.copy(), turned.T.copy(), f, triangles[f], curls[f], tractions, sums)
         for g in range(f):
             both = areas[f] * areas[g]
             for a in range(3):
                 double[f, triangles[g, a]] += both * totals[6 + a, g]
                 double[g, triangles[f, a]] += both * totals[9 + a, g]
+
+
+@compiled
+def add_row(row, triangles, curls, tractions, pushed, turned):
+    """The row V_fg (m, 6: xx, yy, zz, xy, xz, yz) times P, to `pushed` (3P, 3), and M, to `turned` (3N, 3)."""
+    numbers, axes, tilts = tractions
+    pushed[:] = 0.0
+    turned[:] = 0.0
+    for g in range(len(row)):
+        xx, yy, zz, xy, xz, yz = row[g, 0], row[g, 1], row[g, 2], row[g, 3], row[g, 4], row[g, 5]
+        x, y, z = tilts[g, 0], tilts[g, 1], tilts[g, 2]
+        a, b, c = xx * x + xy * y + xz * z, xy * x + yy * y + yz * z, xz * x + yz * y + zz * z
+        x, y, z = axes[g, 0], axes[g, 1], axes[g, 2]
+        p = 3 * numbers[g]
+        pushed[p, 0] += xx + x * a
+        pushed[p, 1] += xy + x * b
+        pushed[p, 2] += xz + x * c
+        pushed[p + 1, 0] += xy + y * a
+        pushed[p + 1, 1] += yy + y * b
+        pushed[p + 1, 2] += yz + y * c
+        pushed[p + 2, 0] += xz + z * a
+        pushed[p + 2, 1] += yz + z * b
+        pushed[p + 2, 2] += zz + z * c
+        for a in range(3):
+            n = 3 * triangles[g, a]
+            x, y, z = curls[g, a, 0], curls[g, a, 1], curls[g, a, 2]
+            turned[n, 0] += xy * z - xz * y
+            turned[n, 1] += yy * z - yz * y
+            turned[n, 2] += yz * z - zz * y
+            turned[n + 1, 0] += xz * x - xx * z
+            turned[n + 1, 1] += yz * x - xy * z
+            turned[n + 1, 2] += zz * x - xz * z
+            turned[n + 2, 0] += xx * y - xy * x
+            turned[n + 2, 1] += xy * y - yy * x
+            turned[n + 2, 2] += xz * y - yz * x
+
+
+@compiled
+def spread_row(pushed, turned, f, triangle, curls, tractions, sums):
+    """Add the row of facet f, for tractions (3, 3P) and forms (3, 3N), to the rows of its traction and corners."""
+    of_tractions, pulled, of_forms, smooth = sums
+    numbers, axes, tilts = tractions
+    for i in range(3):
+        p = 3 * numbers[f] + i
+        add_tilted(pushed, i, axes[f, i], tilts[f], of_tractions[p])
+        add_tilted(turned, i, axes[f, i], tilts[f], pulled[p])
+    for a in range(3):
+        n = 3 * triangle[a]
+        add_turned(pushed, curls[a], of_forms[n], of_forms[n + 1], of_forms[n + 2])
+        add_turned(turned, curls[a], smooth[n], smooth[n + 1], smooth[n + 2])
+
+
+@compiled
+def add_tilted(vectors, i, axis, tilt, total):
+    """Add vector i of three (3, n), and `axis` times their product with a tilt (3,), to `total` (n,)."""
+    own, u, v, w = vectors[i], vectors[0], vectors[1], vectors[2]
+    a, b, c = axis * tilt[0], axis * tilt[1], axis * tilt[2]
+    for m in range(len(own)):
+        total[m] += own[m] + a * u[m] + b * v[m] + c * w[m]
+
+
+@compiled
+def add_turned(vectors, c, x, y, z):
+    """Add the cross products of `vectors` (3, n) with c (3,) to the three rows x, y, z (n,)."""
+    u, v, w = vectors[0], vectors[1], vectors[2]
+    c0, c1, c2 = c[0], c[1], c[2]
+    for m in range(len(u)):
+        x[m] += v[m] * c2 - w[m] * c1
+        y[m] += w[m] * c0 - u[m] * c2
+        z[m] += u[m] * c1 - v[m] * c0
+
+
+@compiled
+def add_transposed(matrix, other):
+    """Add the transpose of `other` (m, n) to a matrix (n, m)."""
+    size = 64
+    for top in range(0, matrix.shape[0], size):
+        for left in range(0, matrix.shape[1], size):
+            for i in range(top, min(top + size, matrix.shape[0])):
+                for j in range(left, min(left + size, matrix.shape[1])):
+                    matrix[i, j] += other[j, i]
+
+
+@compiled
+def add_own_transposed(matrix):
+    """Add the transpose of a matrix (n, n) to it."""
+    n, size = len(matrix), 64
+    for top in range(0, n, size):
+        for left in range(0, top + 1, size):
+            for i in range(top, min(top + size, n)):
+                for j in range(left, min(left + size, i + 1)):
+                    matrix[i, j] = matrix[j, i] = matrix[i, j] + matrix[j, i]
 
 
 @compiled
@@ -232,28 +333,25 @@ def mirror(matrix, into):
 
 
 @compiled
-def add_square(matrix, vector):
-    """Add v v^T (n,) to a matrix (n, n), below the diagonal."""
-    for i in range(len(vector)):
-        for j in range(i + 1):
-            matrix[i, j] += vector[i] * vector[j]
-
-
-@compiled
-def interleave(double, smooth, matrix):
-    """Fill B (F, 3, N, 3) = K I - e_ijk s_k / (4 pi) of K (F, N) and three s_k (F, N)."""
-    n_facets, n_nodes = double.shape
+def add_layers(double, smooth, tractions, matrix):
+    """Add P^T (K I - e_ijk s_k / (4 pi)) to a matrix (3P, 3N), of K (F, N) and three s_k (F, N)."""
+    numbers, axes, tilts = tractions
     share = 0.25 / np.pi
     x, y, z = smooth
-    for f in range(n_facets):
-        for n in range(n_nodes):
+    for f in range(double.shape[0]):
+        p, axis, d = 3 * numbers[f], axes[f], tilts[f]
+        first, second, third = matrix[p], matrix[p + 1], matrix[p + 2]
+        for n in range(double.shape[1]):
             own, a, b, c = double[f, n], share * x[f, n], share * y[f, n], share * z[f, n]
-            matrix[f, 0, n, 0] = own
-            matrix[f, 0, n, 1] = -c
-            matrix[f, 0, n, 2] = b
-            matrix[f, 1, n, 0] = c
-            matrix[f, 1, n, 1] = own
-            matrix[f, 1, n, 2] = -a
-            matrix[f, 2, n, 0] = -b
-            matrix[f, 2, n, 1] = a
-            matrix[f, 2, n, 2] = own
+            u = d[0] * own + d[1] * c - d[2] * b
+            v = d[1] * own + d[2] * a - d[0] * c
+            w = d[2] * own + d[0] * b - d[1] * a
+            first[3 * n] += own + axis[0] * u
+            first[3 * n + 1] += axis[0] * v - c
+            first[3 * n + 2] += axis[0] * w + b
+            second[3 * n] += axis[1] * u + c
+            second[3 * n + 1] += own + axis[1] * v
+            second[3 * n + 2] += axis[1] * w - a
+            third[3 * n] += axis[2] * u - b
+            third[3 * n + 1] += axis[2] * v + a
+            third[3 * n + 2] += own + axis[2] * w

@@ -30,6 +30,8 @@ from vdm.surface import SurfaceMesh
 PLACE = 0.25
 # one length over another that is the same to rounding
 SHORTER = 1.0 - 1e-9
+# of a large matrix, at once
+ROWS = 256
 
 
 @dataclass(frozen=True)
@@ -69,19 +71,30 @@ class Rims:
         return cls(SurfaceMesh(points, cut), shares, follows)
 
     def condensed(self, matrix: Array) -> tuple[Array, Rims]:
-        """(3N, 3N) stiffness of one (3(N + k), 3(N + k)), and how the new nodes follow."""
+        """(3N, 3N) stiffness of one (3(N + k), 3(N + k)), which is used up, and how the new nodes follow."""
         all_nodes, old = self.shares.shape
         if all_nodes == old:
             return matrix, self
-        each = sparse.csr_array(sparse.kron(self.shares, sparse.eye_array(3)).T)
-        coupling = np.asarray(each @ matrix[:, 3 * old :]).T
-        carried = np.asarray(each @ (each @ matrix).T)
-        factor = linalg.cho_factor(matrix[3 * old :, 3 * old :], check_finite=False)
-        follows = linalg.cho_solve(factor, coupling, check_finite=False)
-        areas = self.surface.area_vectors[old:].reshape(-1)
-        pressed = linalg.cho_solve(factor, areas, check_finite=False)
-        follows -= np.outer(pressed, areas @ follows / (areas @ pressed))
-        return carried - coupling.T @ follows, replace(self, follows=follows)
+        # a new node's place in its edge, for the few nodes that have a cut edge
+        ends = np.unique(self.shares.indices[self.shares.indptr[old] :])
+        shares = sparse.csr_array(sparse.kron(self.shares[old:][:, ends].T, np.eye(3)))
+        dofs, old = (3 * ends[:, None] + np.arange(3)).reshape(-1), 3 * old
+        carried, coupling = matrix[:old, :old], matrix[old:, :old]
+        moved = shares @ coupling
+        coupling[:, dofs] += (shares @ matrix[old:, old:]).T
+        carried[dofs] += shares @ coupling
+        carried[:, dofs] += moved.T
+        factor = linalg.cholesky(matrix[old:, old:], lower=True, check_finite=False)
+        half, pressed = (
+            linalg.solve_triangular(factor, part, lower=True, check_finite=False)
+            for part in (coupling, self.surface.area_vectors[old // 3 :].reshape(-1))
+        )
+        half -= np.outer(pressed, pressed @ half / (pressed @ pressed))
+        for start in range(0, old, ROWS):
+            rows = slice(start, start + ROWS)
+            carried[rows] -= half[:, rows].T @ half
+        follows = linalg.solve_triangular(factor, half, lower=True, trans=1, check_finite=False)
+        return np.ascontiguousarray(carried), replace(self, follows=follows)
 
     def carried(self, force: Array) -> Array:
         """(N, 3) forces at the nodes that there were, with the answer of forces (N + k, 3) at all of them."""

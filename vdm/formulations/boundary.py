@@ -103,15 +103,20 @@ class BoundaryFormulation(DisplacementFormulation):
     def _refined(self, held: Mask) -> Array:
         """(3N, 3N) S of the surface, cut along the rims of what is held."""
         rims = Rims.of(self.surface, held)
-        matrix, self._rims = rims.condensed(self._dense(rims.surface, self.surface.n_nodes))
+        near = np.concatenate([held, np.zeros(rims.surface.n_nodes - len(held), np.bool_)])
+        matrix, self._rims = rims.condensed(self._dense(rims.surface, near, self.surface.n_nodes))
         return matrix
 
-    def _dense(self, surface: SurfaceMesh, n_nodes: int) -> Array:
-        """(3n, 3n) S of a surface, in the precision of `n_nodes`: those without cuts, which `compile` knows."""
+    def _dense(self, surface: SurfaceMesh, held: Mask, n_nodes: int) -> Array:
+        """(3n, 3n) S of a surface, in the precision of `n_nodes`: those without cuts, which `compile` knows.
+
+        Facets that have none of these held nodes (n,) share tractions.
+        """
         # numba takes a third of a second to import
         from vdm.boundary.operators import Facets, precision, surface_stiffness
+        from vdm.boundary.tractions import shared
 
-        facets = Facets.of(surface.points, surface.triangles)
+        facets = Facets.of(surface.points, surface.triangles, shared(surface, held))
         matrix = surface_stiffness(facets, self.poisson_ratio, precision(n_nodes))
         _without_rigid_motions(matrix, rigid_basis(surface))
         matrix *= self.shear_modulus

@@ -1,0 +1,121 @@
+"""Facets that share a traction: which do, the operators of the long way, and what it costs in accuracy."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+from numpy.typing import NDArray
+
+from tests.unit.vdm_shapes import box, icosphere
+from vdm import Load, Model, Parameters, SurfaceMesh
+from vdm.boundary import tractions
+from vdm.boundary.operators import Facets, assembled
+from vdm.boundary.tractions import shared
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+
+
+def rough(level: int = 2) -> tuple[Array, Index]:
+    """An ellipsoid whose facets are all unlike."""
+    points, triangles = icosphere(level, (0.05, 0.04, 0.03))
+    return points + 1e-3 * np.random.default_rng(0).standard_normal(points.shape), triangles
+
+
+def members(numbers: Index) -> list[Index]:
+    return [np.flatnonzero(numbers == number) for number in range(numbers.max() + 1)]
+
+
+@pytest.mark.parametrize("shape", [rough(), box(8, (0.04, 0.04, 0.04))], ids=["rough", "box"])
+def test_neighbours_share_a_traction_but_at_the_rim(shape: tuple[Array, Index]) -> None:
+    points, triangles = shape
+    surface, held = SurfaceMesh(points, triangles), points[:, 2] < np.median(points[:, 2]) - 0.01
+    numbers = shared(surface, held)
+    i, j = surface.edges.T
+    at_rim = np.isin(triangles, surface.edges[held[i] != held[j]]).any(axis=1)
+    alone = 0
+    for facets in members(numbers):
+        if len(facets) == 1:
+            alone += not at_rim[facets[0]]
+        else:
+            first, second = facets
+            assert len(set(triangles[first]) & set(triangles[second])) == 2
+            assert not at_rim[facets].any()
+    assert at_rim.any()
+    assert alone < 0.16 * (~at_rim).sum()
+    # a box has no pair over an edge: none is as well shaped
+    assert shape[0] is points
+    if len(np.unique(surface.normals.round(6), axis=0)) < 30:
+        normals = Facets.of(points, triangles).normals
+        folds = [normals[facets[0]] @ normals[facets[1]] for facets in members(numbers) if len(facets) == 2]
+        assert np.mean(np.array(folds) > 0.99) > 0.95
+
+
+def test_pairs_belong_to_the_body_not_to_numbers_or_axes() -> None:
+    points, triangles = rough()
+    held = points[:, 0] < -0.02
+    random = np.random.default_rng(2)
+    nodes, facets = random.permutation(len(points)), random.permutation(len(triangles))
+    turn = np.linalg.qr(random.standard_normal((3, 3)))[0]
+    turn *= np.linalg.det(turn)
+    place = np.argsort(nodes)
+    first = shared(SurfaceMesh(points, triangles), held)
+    other = SurfaceMesh(1e3 * points[nodes] @ turn.T + 7.0, np.roll(place[triangles[facets]], 1, axis=1))
+    second = np.empty_like(first)
+    second[facets] = shared(other, held[nodes])
+    assert {tuple(pair) for pair in members(first)} == {tuple(pair) for pair in members(second)}
+
+
+@pytest.mark.parametrize("nu", [0.3, 0.4999, 0.5])
+def test_the_operators_are_those_of_all_tractions_summed_up(nu: float) -> None:
+    points, triangles = rough(1)
+    numbers = shared(SurfaceMesh(points, triangles), points[:, 0] < -0.03)
+    own, few = Facets.of(points, triangles), Facets.of(points, triangles, numbers)
+    spread = np.zeros((len(triangles), 3, few.n_tractions, 3))
+    for f, number in enumerate(numbers):
+        mean = (own.areas[:, None] * own.normals)[numbers == number].sum(axis=0)
+        mean /= np.linalg.norm(mean)
+        spread[f, :, number] = np.eye(3) + np.outer(own.normals[f] - mean, mean)
+    spread = spread.reshape(3 * len(triangles), -1)
+    whole, parts = assembled(own, nu), assembled(few, nu)
+    for found, expected in (
+        (parts.single, spread.T @ whole.single @ spread),
+        (parts.jump, spread.T @ whole.jump),
+        (parts.hypersingular, whole.hypersingular),
+    ):
+        assert_allclose(found, expected, rtol=0.0, atol=1e-13 * np.abs(expected).max())
+
+
+def test_a_uniform_pressure_stays_among_the_tractions() -> None:
+    points, triangles = rough(1)
+    surface = SurfaceMesh(points, triangles)
+    facets = Facets.of(points, triangles, shared(surface, np.zeros(len(points), np.bool_)))
+    assert facets.n_tractions < 0.6 * len(triangles)
+    pressure = np.zeros((facets.n_tractions, 3))
+    pressure[facets.numbers] = facets.axes
+    parts = assembled(facets, 0.5)
+    moved = parts.single @ pressure.reshape(-1)
+    assert np.abs(moved).max() < 1e-3 * np.abs(parts.single).max()  # quadrature
+    # its work is the change of volume
+    assert_allclose(
+        parts.jump.T @ pressure.reshape(-1),
+        surface.area_vectors.reshape(-1),
+        rtol=0.0,
+        atol=1e-3 * np.abs(surface.area_vectors).max(),
+    )
+
+
+@pytest.mark.parametrize("nu", [0.3, 0.5])
+def test_sharing_costs_an_answer_less_than_its_mesh_does(nu: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    def solved(level: int) -> Array:
+        points, triangles = icosphere(level, (0.05, 0.05, 0.05))
+        parameters = Parameters(shear_modulus=1e3, poisson_ratio=nu)
+        model = Model(points, triangles, parameters, formulation="boundary", fixed=points[:, 2] < -0.03)
+        pressure = 10.0 * np.clip(points[:, 2] / 0.05, 0.0, 1.0)
+        return np.asarray(model.solve([Load(pressure)]).displacement[0][:162])
+
+    shared_by_two = solved(2)
+    monkeypatch.setattr(tractions, "shared", lambda surface, _: np.arange(len(surface.triangles)))
+    each, finer = solved(2), solved(3)
+    assert 0.0 < np.linalg.norm(shared_by_two - each) < 0.3 * np.linalg.norm(each - finer)

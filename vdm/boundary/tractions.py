@@ -1,0 +1,41 @@
+"""Facets in pairs that share a traction: half the unknowns of what takes most of a set-up.
+
+Away from the rim of what is held tractions are as smooth as the load, and two neighbours share one. At the rim
+they grow as the inverse root of the distance or nearly so, and each facet keeps its own. A Galerkin method stays
+one with fewer tractions: S is symmetric, and displacements keep all their nodes.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from solver_common.arrays import Index, Mask
+from vdm.boundary.coarsening import DECIMALS, node_order
+from vdm.surface import SurfaceMesh
+
+
+def shared(surface: SurfaceMesh, held: Mask) -> Index:
+    """(F,) number of each facet's traction: pairs but at the rim of held nodes (N,), the best shaped first.
+
+    A pair is the better, the larger its area vector is beside the squares of its four sides: 1/4 for a plane
+    square, less for what is slender or folded. Among equal ones the shape of the body decides, no number of a node.
+    """
+    triangles, points = surface.triangles, surface.points
+    # the facets of each edge, one after the other
+    facets = np.argsort(surface.facet_edges.reshape(-1), kind="stable").reshape(-1, 2) // 3
+    sides = np.square(points[triangles] - points[np.roll(triangles, -1, axis=1)]).sum(axis=(1, 2))
+    across = np.square(points[surface.edges[:, 0]] - points[surface.edges[:, 1]]).sum(axis=1)
+    areas = np.linalg.norm(surface.facet_vectors[facets].sum(axis=1), axis=1)
+    quality = areas / (sides[facets].sum(axis=1) - 2.0 * across)
+    places = np.sort(np.argsort(node_order(surface))[surface.edges], axis=1)
+    best_first = np.lexsort((*places.T, -np.round(quality, DECIMALS)))
+    start, end = surface.edges.T
+    at_rim = np.zeros(surface.n_nodes, np.bool_)
+    at_rim[surface.edges[held[start] != held[end]]] = True
+    alone = ~at_rim[triangles].any(axis=1)
+    numbers = np.arange(len(triangles))
+    for first, second in facets[best_first]:
+        if alone[first] and alone[second]:
+            alone[first] = alone[second] = False
+            numbers[second] = first
+    return np.unique(numbers, return_inverse=True)[1]
