@@ -17,8 +17,8 @@ singular integral (Kupradze 1979; Han, Numer. Math. 68, 1994). With `M_ij = n_j 
 `D_ij = delta_ij tr(G) / pi - G_ji / (2 pi) - G_ij / (4 pi) - 4 (M^T V M)_ij`, `G_kl = c_k^T V_0 c_l`
 
 These hold at nu = 1/2 too, where V has the field of normals in its null space: a uniform pressure moves nothing.
-With P tractions and N nodes the factor of V and the products after it take `9 P^3 + 27 P^2 N + 27 P N^2` operations:
-half of the time.
+With P tractions and N nodes the factor of V and the products after it, half of the time, take
+`9 P^3 + 27 P^2 N + 27 P N^2` operations.
 """
 
 from __future__ import annotations

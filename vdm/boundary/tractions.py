@@ -32,7 +32,7 @@ def shared(surface: SurfaceMesh, held: Mask) -> Index:
     start, end = surface.edges.T
     at_rim = np.zeros(surface.n_nodes, np.bool_)
     at_rim[surface.edges[held[start] != held[end]]] = True
-    alone = ~at_rim[triangles].any(axis=1)
+    alone = ~np.asarray(at_rim[triangles].any(axis=1))
     numbers = np.arange(len(triangles))
     for first, second in facets[best_first]:
         if alone[first] and alone[second]:

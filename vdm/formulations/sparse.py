@@ -76,7 +76,7 @@ class SparseFormulation(BoundaryFormulation):
             return
         self._rims = Rims.of(surface, np.zeros_like(held))
         coarse = coarsened(surface, count, held)
-        near = ((coarse.shares > 0.0) & held[coarse.corners]).any(axis=1)
+        near = np.asarray(((coarse.shares > 0.0) & held[coarse.corners]).any(axis=1))
         stiffness = self._dense(coarse.surface, near, coarse.surface.n_nodes)
         self._stand_on(coarse.surface, interpolation(surface, coarse), stiffness)
 
