@@ -8,13 +8,11 @@ import numpy as np
 
 from solver_common.arrays import Array, Index
 
-# radii of the contact from its middle, beyond which the columns of its nodes look alike
-FAR = 4.0
+# radii of the contact from its middle, beyond which the columns of its nodes may be taken to look alike
+REACHES = np.arange(2.0, 9.0)
 # what may be left out there, of the largest answer to contact pressures of the same size, where the form that the
 # columns are of says no other
 LEFT_OUT = 1e-7
-# the share of the nodes that must be far for a shorter basis to be worth its making
-WORTH = 0.25
 
 
 @dataclass(frozen=True)
@@ -88,26 +86,37 @@ class ContactColumns:
         return answer[:-1].reshape(-1, len(self._points)).T, float(answer[-1])
 
     def _shortened(self) -> _Shortened | None:
-        """The columns with a shorter basis for all nodes far from the contact, None where a frame reads no less."""
-        columns, components = self.columns, (len(self.columns) - 1) // len(self._points)
+        """The columns with a shorter basis for all nodes far from the contact, None where a frame reads no less.
+
+        The nearer far begins, the fewer rows stay whole, and the more directions the others have: the reach with
+        the fewest bytes is taken.
+        """
+        columns, (n, k) = self.columns, (len(self._points), self.columns.shape[1])
         contact = self._points[self._nodes]
         middle = contact.mean(axis=0)
-        reach = FAR * float(np.linalg.norm(contact - middle, axis=1).max())
-        near = np.linalg.norm(self._points - middle, axis=1) <= reach
-        if np.mean(~near) < WORTH:
-            return None
+        reach = float(np.linalg.norm(contact - middle, axis=1).max())
+        rings = np.searchsorted(reach * REACHES, np.linalg.norm(self._points - middle, axis=1))
+        parts = [np.asarray(part, np.float64) for part in np.split(columns[:-1], len(columns) // n)]
+        squares = np.array(
+            [[p[rings == ring].T @ p[rings == ring] for p in parts] for ring in range(len(REACHES) + 1)]
+        )
+        bound = self._left_out * np.sqrt(np.linalg.eigvalsh(squares.sum(axis=(0, 1)))[-1])
+        # of all beyond each reach
+        beyond = np.cumsum(squares[:0:-1], axis=0)[::-1]
+        values, directions = np.linalg.eigh(beyond)
+        kept = np.sqrt(np.cumsum(np.maximum(values, 0.0), axis=-1)) > bound
+        near = np.array([(rings <= ring).sum() for ring in range(len(REACHES))])
+        numbers = kept.sum(axis=(1, 2)) * (n + k) + near * len(parts) * k
+        best = int(np.argmin(numbers))
+        far = rings > best
+        bases = [
+            (np.where(far[:, None], part, 0.0) @ directions[best, c][:, kept[best, c]]).astype(
+                columns.dtype, order="F"
+            )
+            for c, part in enumerate(parts)
+        ]
+        mix = np.concatenate([directions[best, c][:, kept[best, c]].T for c in range(len(parts))])
         # dP, in the last row, is not a displacement and is kept as it is
-        rows = np.append(np.flatnonzero(np.tile(near, components)), len(columns) - 1)
-        far = columns.astype(np.float64)
-        largest = np.sqrt(np.linalg.eigvalsh(far[:-1].T @ far[:-1])[-1])
-        far[rows] = 0.0
-        bases: list[Array] = []
-        mixes: list[Array] = []
-        for part in np.split(far[:-1], components):
-            squares, directions = np.linalg.eigh(part.T @ part)
-            kept = np.sqrt(np.cumsum(np.maximum(squares, 0.0))) > self._left_out * largest
-            bases.append((part @ directions[:, kept]).astype(columns.dtype, order="F"))
-            mixes.append(directions[:, kept].T)
-        mix: Array = np.asarray(np.concatenate(mixes), dtype=columns.dtype)
-        short = _Shortened(tuple(bases), mix, rows, np.asfortranarray(columns[rows]))
+        rows = np.append(np.flatnonzero(np.tile(~far, len(parts))), len(columns) - 1)
+        short = _Shortened(tuple(bases), mix.astype(columns.dtype), rows, np.asfortranarray(columns[rows]))
         return short if short.nbytes < columns.nbytes else None
