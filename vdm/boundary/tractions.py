@@ -18,17 +18,21 @@ def shared(surface: SurfaceMesh, held: Mask) -> Index:
     """(F,) number of each facet's traction: pairs but at the rim of held nodes (N,), the best shaped first.
 
     A pair is the better, the larger its area vector is beside the squares of its four sides: 1/4 for a plane
-    square, less for what is slender or folded. Among equal ones the shape of the body decides, no number of a node.
+    square, less for what is slender or folded. Facets at a right angle or more are no pair. Among equal ones the
+    shape of the body decides, no number of a node.
     """
     triangles, points = surface.triangles, surface.points
     # the facets of each edge, one after the other
     facets = np.argsort(surface.facet_edges.reshape(-1), kind="stable").reshape(-1, 2) // 3
     sides = np.square(points[triangles] - points[np.roll(triangles, -1, axis=1)]).sum(axis=(1, 2))
     across = np.square(points[surface.edges[:, 0]] - points[surface.edges[:, 1]]).sum(axis=1)
-    areas = np.linalg.norm(surface.facet_vectors[facets].sum(axis=1), axis=1)
+    vectors = surface.facet_vectors[facets]
+    areas = np.linalg.norm(vectors.sum(axis=1), axis=1)
     quality = areas / (sides[facets].sum(axis=1) - 2.0 * across)
     places = np.sort(np.argsort(node_order(surface))[surface.edges], axis=1)
     best_first = np.lexsort((*places.T, -np.round(quality, DECIMALS)))
+    cosines = np.einsum("ei,ei->e", *vectors.transpose(1, 0, 2)) / surface.facet_areas[facets].prod(axis=1)
+    best_first = best_first[np.round(cosines[best_first], DECIMALS) > 0.0]
     start, end = surface.edges.T
     at_rim = np.zeros(surface.n_nodes, np.bool_)
     at_rim[surface.edges[held[start] != held[end]]] = True
