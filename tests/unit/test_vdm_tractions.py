@@ -7,6 +7,7 @@ import pytest
 from numpy.testing import assert_allclose
 from numpy.typing import NDArray
 
+from solver_common.arrays import Mask
 from tests.unit.vdm_shapes import box, icosphere
 from vdm import Load, Model, Parameters, SurfaceMesh
 from vdm.boundary import tractions
@@ -74,6 +75,25 @@ def test_pairs_belong_to_the_body_not_to_numbers_or_axes() -> None:
     second = np.empty_like(first)
     second[facets] = shared(other, held[nodes])
     assert {tuple(pair) for pair in members(first)} == {tuple(pair) for pair in members(second)}
+
+
+def test_a_coarse_body_has_its_rim_where_the_fine_one_is_held(monkeypatch: pytest.MonkeyPatch) -> None:
+    points, triangles = icosphere(3, (0.05, 0.05, 0.05))
+    seen: list[tuple[SurfaceMesh, Mask]] = []
+
+    def spied(surface: SurfaceMesh, held: Mask) -> Index:
+        seen.append((surface, held))
+        return shared(surface, held)
+
+    monkeypatch.setattr(tractions, "shared", spied)
+    fixed = points[:, 2] < -0.02
+    parameters = Parameters(shear_modulus=1e3, coarse_nodes=300)
+    Model(points, triangles, parameters, formulation="sparse", fixed=fixed)
+    ((coarse, held),) = seen
+    assert coarse.n_nodes < 350
+    # within a fine facet of its edge
+    assert held[coarse.points[:, 2] < -0.03].all()
+    assert not held[coarse.points[:, 2] > -0.01].any()
 
 
 @pytest.mark.parametrize("nu", [0.3, 0.4999, 0.5])

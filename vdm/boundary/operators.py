@@ -240,11 +240,9 @@ def surface_stiffness(facets: Facets, nu: float, dtype: type[np.floating[Any]] |
 
 
 def _stiffen(single: Array, facets: Facets) -> None:
-    """Let S grow by the square of a change of volume: V by a a^T, with a that of a pressure, `V a = 0`."""
-    numbers, axes, tilts = facets.tractions(np.float64)
+    """Let V grow by a a^T, with a about the pressure that V does not see: S then sees a change of volume."""
     pressure = np.zeros((facets.n_tractions, 3))
-    along = np.einsum("fi,fi->f", tilts, facets.normals)[:, None]
-    np.add.at(pressure, numbers, facets.areas[:, None] * (facets.normals + axes * along))
+    np.add.at(pressure, facets.numbers, facets.areas[:, None] * facets.normals)
     pressure *= np.sqrt(np.trace(single) / pressure.size) / np.linalg.norm(pressure)
     pushes = pressure.reshape(-1).astype(single.dtype)
     ger = blas.get_blas_funcs("ger", (single,))
