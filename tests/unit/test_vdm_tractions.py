@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from solver_common.arrays import Mask
 from tests.unit.vdm_shapes import box, icosphere
 from vdm import Load, Model, Parameters, SurfaceMesh
-from vdm.boundary import tractions
+from vdm.boundary import operators, tractions
 from vdm.boundary.operators import Facets, assembled
 from vdm.boundary.tractions import shared
 
@@ -85,6 +85,7 @@ def test_a_coarse_body_has_its_rim_where_the_fine_one_is_held(monkeypatch: pytes
         seen.append((surface, held))
         return shared(surface, held)
 
+    monkeypatch.setattr(operators, "DOUBLE_NODES", 0)
     monkeypatch.setattr(tractions, "shared", spied)
     fixed = points[:, 2] < -0.02
     parameters = Parameters(shear_modulus=1e3, coarse_nodes=300)
@@ -144,7 +145,23 @@ def test_sharing_costs_an_answer_less_than_its_mesh_does(nu: float, monkeypatch:
         pressure = 10.0 * np.clip(points[:, 2] / 0.05, 0.0, 1.0)
         return np.asarray(model.solve([Load(pressure)]).displacement[0][:162])
 
+    each = solved(2)
+    monkeypatch.setattr(operators, "DOUBLE_NODES", 1000)
+    assert_allclose(solved(2), each, rtol=0.0, atol=0.0)  # few nodes: each facet has its own
+    finer = solved(3)
+    monkeypatch.setattr(operators, "DOUBLE_NODES", 0)
     shared_by_two = solved(2)
-    monkeypatch.setattr(tractions, "shared", lambda surface, _: np.arange(len(surface.triangles)))
-    each, finer = solved(2), solved(3)
     assert 0.0 < np.linalg.norm(shared_by_two - each) < 0.3 * np.linalg.norm(each - finer)
+
+
+def test_a_solid_next_to_incompressible_keeps_its_volume(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Without a uniform pressure among the shared tractions it loses its bulk modulus."""
+    monkeypatch.setattr(operators, "DOUBLE_NODES", 0)
+    points, triangles = rough()
+    load = Load(np.where(points[:, 2] > 0.02, 10.0, 0.0))
+    answers = []
+    for nu in (0.4997, 0.5):
+        parameters = Parameters(shear_modulus=1e3, poisson_ratio=nu)
+        model = Model(points, triangles, parameters, formulation="boundary", fixed=points[:, 2] < -0.02)
+        answers.append(model.solve([load]).displacement[0])
+    assert np.linalg.norm(answers[0] - answers[1]) < 3e-3 * np.linalg.norm(answers[1])

@@ -50,8 +50,9 @@ from vdm.boundary.refinement import (
     wide_transposed_product,
 )
 
-# Nodes up to which all is in double precision. Single halves the time and the memory of more; what it leaves in
-# smooth displacements is taken out (`vdm.boundary.refinement`).
+# Nodes up to which nothing is spared: all is in double precision, and each facet has its own traction. Of more,
+# single precision halves time and memory; what it leaves in smooth displacements is taken out
+# (`vdm.boundary.refinement`).
 DOUBLE_NODES = 500
 
 

@@ -110,14 +110,17 @@ class BoundaryFormulation(DisplacementFormulation):
     def _dense(self, surface: SurfaceMesh, held: Mask, n_nodes: int) -> Array:
         """(3n, 3n) S of a surface, in the precision of `n_nodes`: those without cuts, which `compile` knows.
 
-        Facets that have none of these held nodes (n,) share tractions.
+        In single precision facets share tractions, but at the rim of these held nodes (n,).
         """
         # numba takes a third of a second to import
         from vdm.boundary.operators import Facets, precision, surface_stiffness
         from vdm.boundary.tractions import shared
 
-        facets = Facets.of(surface.points, surface.triangles, shared(surface, held))
-        matrix = surface_stiffness(facets, self.poisson_ratio, precision(n_nodes))
+        dtype = precision(n_nodes)
+        tractions = shared(surface, held) if dtype is np.float32 else None
+        matrix = surface_stiffness(
+            Facets.of(surface.points, surface.triangles, tractions), self.poisson_ratio, dtype
+        )
         _without_rigid_motions(matrix, rigid_basis(surface))
         matrix *= self.shear_modulus
         return matrix
