@@ -184,7 +184,7 @@ def test_single_precision_is_not_seen_in_an_answer(
 
 
 def test_the_table_of_rules_is_that_of_the_rules() -> None:
-    table, starts, _, _ = rules()
+    table, starts, *_ = rules()
     assert starts[-1] == table.shape[1]
     sums = [table[4, a:b].sum() for a, b in pairwise(starts)]
     assert_allclose(sums, 1.0, rtol=1e-13, atol=0.0)

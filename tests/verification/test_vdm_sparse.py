@@ -176,8 +176,8 @@ def errors(surface: SurfaceMesh, counts: list[int], width: float) -> list[float]
 @pytest.mark.parametrize("ratio", [1.0, 2.5], ids=["even", "fine at its support"])
 def test_more_coarse_nodes_are_never_worse_also_on_a_graded_mesh(ratio):
     found = errors(graded(3, ratio), [200, 300, 450, 640, 642], width=0.03)
-    # how the coarse mesh falls counts for a tenth of so small an error
-    assert all(fewer > 0.9 * more for fewer, more in pairwise(found))
+    # how the coarse mesh and its shared tractions fall counts for a sixth of so small an error
+    assert all(fewer > 0.83 * more for fewer, more in pairwise(found))
     assert found[-1] < 0.5 * found[0]
     assert found[0] < 0.11
     assert found[1] < 0.08

@@ -20,6 +20,9 @@ from vdm.boundary.quadrature import Rule, sixteen_points, three_points, touching
 
 # distance of two facets' centres over the sum of their radii, from which a product of two rules is enough
 FAR, MIDDLE, NEAR = 4.0, 2.0, 1.15
+# the same, from which 16 even points beside a facet in closed form are closer than 75 that crowd at the edges, for
+# facets that do not touch
+CLOSE = 0.8
 # longest edge over its height, up to which the maps of facets that touch have points enough
 SLENDER = 3.0
 # the twelve integrals of a pair: xx, yy, zz, xy, xz, yz of B, k of g by its corners, k of f by its corners
@@ -28,10 +31,11 @@ COUNT = 12
 FACETS = 32
 
 
-def rules() -> tuple[Array, Index, Array, Array]:
+def rules() -> tuple[Array, Index, Array, Array, Array, Array]:
     """All rules as one table (5, n) of two coordinates of x, two of y and the weight, and each rule's start (7,).
 
-    Last the points and weights of `vdm.boundary.plane.graded`.
+    Last the points and weights beside which one of two near facets is in closed form: those of
+    `vdm.boundary.plane.graded` where they touch or are close, else 16 even ones.
 
     In the order: one vertex, one edge, the same facet, then far, middle and near facets that do not touch.
     """
@@ -41,7 +45,7 @@ def rules() -> tuple[Array, Index, Array, Array]:
     ]
     table = np.concatenate([np.stack([*x.T[1:], *y.T[1:], w]) for x, y, w in parts], axis=1)
     starts = np.cumsum([0, *(len(part[2]) for part in parts)])
-    return np.ascontiguousarray(table), starts.astype(np.int64), *graded()
+    return np.ascontiguousarray(table), starts.astype(np.int64), *graded(), *sixteen_points()
 
 
 def _product(points: Array, weights: Array) -> Rule:
@@ -153,7 +157,7 @@ def integrate_pair(mesh, f, g, rules, space):
     (F,); `rules` what the function of that name gives.
     """
     corners, triangles, normals, areas, centres, radii, slender = mesh
-    table, starts, points, weights = rules
+    table, starts, graded_points, graded_weights, even_points, even_weights = rules
     i, j, both, total = space
     p, q, m, n = corners[f], corners[g], normals[f], normals[g]
     total[:] = 0.0
@@ -168,7 +172,10 @@ def integrate_pair(mesh, f, g, rules, space):
         add_rule(table, starts[shared - 1], starts[shared], p, q, m, n, i, j, total)
     else:
         both[0], both[1] = areas[f], areas[g]
-        add_near(p, q, m, n, both, points, weights, total)
+        if shared or ratio < CLOSE:
+            add_near(p, q, m, n, both, graded_points, graded_weights, total)
+        else:
+            add_near(p, q, m, n, both, even_points, even_weights, total)
     if f == g:  # a plane facet does not see its own normal
         total[6:] = 0.0
 
