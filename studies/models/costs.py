@@ -38,7 +38,7 @@ def boundary(size: Size, solver: str, _: int) -> Cost:
     if n > _DENSE_NODES:
         return Cost(1e-2, 0.0, 6e3 * n)
     step = (3e-7 if solver == "nonlinear" else 3e-8) * n**2
-    return Cost(0.1 + 1e-6 * n**2 + 2.5e-9 * n**3, step, 700.0 * n**2)
+    return Cost(0.1 + 1.3e-6 * n**2 + 1.3e-9 * n**3, step, 300.0 * n**2)
 
 
 def sparse_boundary(size: Size, solver: str, _: int) -> Cost:
