@@ -26,7 +26,7 @@ test: setup
 	wait $$types || { echo 'mypy found errors: see above'; exit 1; }; exit $$tests
 
 verify: setup
-	$(PYTEST) --verification
+	$(PYTEST) --verification -m anchor
 
 # SURFACE=liver.obj draws the front page's picture with a real liver
 docs: setup
