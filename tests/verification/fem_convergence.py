@@ -84,4 +84,5 @@ class Convergence:
         h, error = self.rows[-1]
         verified.at_most(f"{self.name}: error at h = {h:.4g}", error, self.cap)
         if error > self.rounding:
-            verified.equal(f"{self.name}: observed order", self.order, self.expected, atol=self.slack)
+            quantity = f"{self.name}: observed order to h = {h:.4g}"
+            verified.equal(quantity, self.order, self.expected, atol=self.slack)
