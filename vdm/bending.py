@@ -20,10 +20,9 @@ from itertools import permutations
 import numpy as np
 
 from solver_common.arrays import Array
-from vdm.formulations.base import rigid_motions
 from vdm.problem import Problem
 from vdm.solvers.linear import BorderedFactor
-from vdm.surface import SurfaceMesh
+from vdm.surface import SurfaceMesh, rigid_basis
 
 
 def bending_error(problem: Problem, factor: BorderedFactor) -> float:
@@ -39,7 +38,7 @@ def bending_error(problem: Problem, factor: BorderedFactor) -> float:
     exact, forces = bendings(form.resolved, form.parameters.poisson_ratio)
     error = size = 0.0
     areas = surface.nodal_areas[:, None]
-    rigid = np.linalg.qr(rigid_motions(surface, np.ones(n, np.bool_)).reshape(-1, 6))[0]
+    rigid = rigid_basis(surface)
     for u, force in zip(exact[:, :n], modulus * forces, strict=True):
         x = np.where(problem.free[:, None], 0.0, form.unknown(u))
         left = (form.carried(force) - form.apply(x)).reshape(-1)[factor.unknowns]

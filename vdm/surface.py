@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 
-from solver_common.arrays import Array, Index
+from solver_common.arrays import Array, Index, Mask
 
 # A facet whose height is below this share of its longest edge has no usable normal in double precision.
 FLAT_FACET = 1e-12
@@ -169,6 +169,23 @@ class SurfaceMesh:
     def _to_nodes(self, facet_values: Array) -> Array:
         sums = np.bincount(self.triangles.ravel(), np.repeat(facet_values, 3), self.n_nodes)
         return np.asarray(sums, dtype=np.float64)
+
+
+def rigid_motions(surface: SurfaceMesh, nodes: Mask) -> Array:
+    """(n, 3, 6) at `nodes` (N,): unit translations, and rotations about the centroid over the body's radius."""
+    arms = (surface.points[nodes] - surface.points.mean(axis=0)) / surface.equivalent_radius
+    motions = np.empty((len(arms), 3, 6))
+    motions[:, :, :3] = np.eye(3)
+    # column k is e_k x arm
+    motions[:, :, 3:] = np.cross(np.eye(3), arms[:, None]).transpose(0, 2, 1)
+    return motions
+
+
+def rigid_basis(surface: SurfaceMesh) -> Array:
+    """(3N, 6) orthonormal basis of the infinitesimal rigid motions."""
+    motions = rigid_motions(surface, np.ones(surface.n_nodes, np.bool_))
+    basis: Array = np.linalg.qr(motions.reshape(-1, 6))[0]
+    return basis
 
 
 def _triangle_array(triangles: ArrayLike) -> Index:

@@ -227,7 +227,7 @@ for _registered in (
         benched=("nonlinear",),
         cost=costs.boundary,
         takes=dict.fromkeys((SPRINGS, FULL, DEAD), ("linear", "nonlinear")),
-        version="20",
+        version="21",
         solvers=("linear", "nonlinear"),
         tissue=("youngs_modulus", "poisson_ratio"),
         parameters=("shear_modulus", "compressibility", "penalty"),
@@ -238,7 +238,7 @@ for _registered in (
     _surface(
         name="vdm-sparse",
         cost=costs.sparse_boundary,
-        version="9",
+        version="10",
         solvers=("linear", "single", "nonlinear"),
         tissue=("youngs_modulus", "poisson_ratio"),
         parameters=("shear_modulus", "coarse_nodes", "compressibility"),

@@ -53,9 +53,8 @@ def test_a_cut_surface_is_the_same_body() -> None:
 def test_the_eliminated_nodes_leave_the_answer_of_the_cut_surface(nu: float) -> None:
     """Forces at all its nodes, the new ones adding nothing to the volume: one system with a multiplier for that."""
     form = BoundaryFormulation(BODY, soft(nu), BASE)
-    on_all = form._dense(
-        form.resolved, np.append(BASE, np.zeros(form.resolved.n_nodes - BODY.n_nodes, bool)), 0
-    )
+    none = np.zeros(form.resolved.n_nodes, np.bool_)
+    on_all = form._dense(Rims.of(form.resolved, none), none)
     force = np.random.default_rng(0).standard_normal(form.resolved.points.shape)
     n, shares = BODY.n_nodes, Rims.of(BODY, BASE).shares
     # sum of a . (u_new - shares of the ends)
@@ -82,6 +81,23 @@ def test_the_fluid_keeps_the_volume_between_the_nodes_that_there_were() -> None:
     # a uniform pressure does no work on the nodes of the rim
     uniform = form.carried(form.resolved.area_vectors)
     assert_allclose(uniform, BODY.area_vectors, rtol=0.0, atol=1e-12 * BODY.area)
+
+
+@pytest.mark.parametrize("nu", [0.3, 0.5])
+def test_single_precision_is_not_seen_where_nodes_are_eliminated(nu: float) -> None:
+    force = np.random.default_rng(1).standard_normal(Rims.of(BODY, BASE).surface.points.shape)
+    rigid, free = rigid_motions(BODY, np.ones_like(BASE)).reshape(-1, 6), np.repeat(~BASE, 3)
+    answers = []
+    for dtype in (np.float64, np.float32):
+        rims = Rims.of(BODY, BASE)
+        facets = operators.Facets.of(rims.surface.points, rims.surface.triangles)
+        matrix = operators.surface_stiffness(facets, nu, dtype, rims)
+        carried = rims.carried(force)
+        assert_allclose(matrix @ rigid, 0.0, rtol=0.0, atol=1e-13 * np.abs(matrix).max())
+        assert_allclose(carried.sum(axis=0), force.sum(axis=0), rtol=0.0, atol=1e-12)
+        answers.append(np.linalg.solve(matrix[np.ix_(free, free)], carried.reshape(-1)[free]))
+    exact, found = answers
+    assert 0.0 < np.linalg.norm(found - exact) < 2e-6 * np.linalg.norm(exact)
 
 
 def on_a_patch(n: int) -> tuple[SurfaceMesh, Mask, Load]:

@@ -13,9 +13,10 @@ from tests.unit.vdm_shapes import box, icosphere, torus
 from vdm import Load, Model, ParameterError, Parameters, SolverError, SurfaceMesh
 from vdm.boundary.coarsening import coarsened
 from vdm.boundary.interpolation import interpolation
-from vdm.formulations.boundary import BoundaryFormulation, DenseFactor, rigid_basis
+from vdm.formulations.boundary import BoundaryFormulation, DenseFactor
 from vdm.formulations.sparse import SparseFormulation
 from vdm.solvers.single import SingleFactor
+from vdm.surface import rigid_basis
 
 Array = NDArray[np.float64]
 SHAPES = [icosphere(3), torus(n=40, m=20), box(8, (1.0, 0.8, 0.5))]

@@ -27,8 +27,6 @@ CLOSE = 0.8
 SLENDER = 3.0
 # the twelve integrals of a pair: xx, yy, zz, xy, xz, yz of B, k of g by its corners, k of f by its corners
 COUNT = 12
-# of which a product has the columns at once, so that what they are added to stays in a cache: 2 MB
-FACETS = 32
 
 
 def rules() -> tuple[Array, Index, Array, Array, Array, Array]:
@@ -54,18 +52,21 @@ def _product(points: Array, weights: Array) -> Rule:
 
 
 @compiled
-def add_rule(table, lower, upper, p, q, m, n, i, j, total):
-    """Add to `total` (12,) the integrals over the triangles p and q (3, 3), whose normals are m and n.
+def add_rule(table, lower, upper, corners, normals, f, g, i, j, total):
+    """Add to `total` (12,) the integrals over facets f and g, of corners (F, 3, 3) and normals (F, 3).
 
     The rule's first to third corners are those of numbers i and j (3,).
     """
     # r = s + y1 c + y2 d - x1 a - x2 b
-    ax, ay, az = p[i[1], 0] - p[i[0], 0], p[i[1], 1] - p[i[0], 1], p[i[1], 2] - p[i[0], 2]
-    bx, by, bz = p[i[2], 0] - p[i[0], 0], p[i[2], 1] - p[i[0], 1], p[i[2], 2] - p[i[0], 2]
-    cx, cy, cz = q[j[1], 0] - q[j[0], 0], q[j[1], 1] - q[j[0], 1], q[j[1], 2] - q[j[0], 2]
-    dx, dy, dz = q[j[2], 0] - q[j[0], 0], q[j[2], 1] - q[j[0], 1], q[j[2], 2] - q[j[0], 2]
-    sx, sy, sz = q[j[0], 0] - p[i[0], 0], q[j[0], 1] - p[i[0], 1], q[j[0], 2] - p[i[0], 2]
-    nx, ny, nz, mx, my, mz = n[0], n[1], n[2], m[0], m[1], m[2]
+    px, py, pz = corners[f, i[0], 0], corners[f, i[0], 1], corners[f, i[0], 2]
+    qx, qy, qz = corners[g, j[0], 0], corners[g, j[0], 1], corners[g, j[0], 2]
+    ax, ay, az = corners[f, i[1], 0] - px, corners[f, i[1], 1] - py, corners[f, i[1], 2] - pz
+    bx, by, bz = corners[f, i[2], 0] - px, corners[f, i[2], 1] - py, corners[f, i[2], 2] - pz
+    cx, cy, cz = corners[g, j[1], 0] - qx, corners[g, j[1], 1] - qy, corners[g, j[1], 2] - qz
+    dx, dy, dz = corners[g, j[2], 0] - qx, corners[g, j[2], 1] - qy, corners[g, j[2], 2] - qz
+    sx, sy, sz = qx - px, qy - py, qz - pz
+    mx, my, mz = normals[f, 0], normals[f, 1], normals[f, 2]
+    nx, ny, nz = normals[g, 0], normals[g, 1], normals[g, 2]
     xx = yy = zz = xy = xz = yz = g0 = g1 = g2 = f0 = f1 = f2 = 0.0
     # contiguous parts, counted from zero: else the compiler does not take several points at once
     first, second, third = table[0][lower:upper], table[1][lower:upper], table[2][lower:upper]
@@ -83,14 +84,14 @@ def add_rule(table, lower, upper, p, q, m, n, i, j, total):
         xy += w * rx * ry
         xz += w * rx * rz
         yz += w * ry * rz
-        g = w * (rx * nx + ry * ny + rz * nz)
-        f = w * (rx * mx + ry * my + rz * mz)
-        g0 += g
-        g1 += g * y1
-        g2 += g * y2
-        f0 += f
-        f1 += f * x1
-        f2 += f * x2
+        n = w * (rx * nx + ry * ny + rz * nz)
+        m = w * (rx * mx + ry * my + rz * mz)
+        g0 += n
+        g1 += n * y1
+        g2 += n * y2
+        f0 += m
+        f1 += m * x1
+        f2 += m * x2
     total[0] += xx
     total[1] += yy
     total[2] += zz
@@ -113,6 +114,18 @@ def _square(x, y):
 
 
 @compiled
+def _add_others(i, n):
+    """Let those of the corners 0, 1, 2 that are not among the first n of i (3,) follow them."""
+    for c in range(3):
+        is_other = True
+        for a in range(min(n, 3)):
+            is_other = is_other and i[a] != c
+        if is_other:
+            i[n] = c
+            n += 1
+
+
+@compiled
 def _shared_first(t, v, p, q, i, j):
     """Number of nodes that facets of nodes t and v (3,) share; i, j (3,) become their corners, shared ones first.
 
@@ -124,14 +137,8 @@ def _shared_first(t, v, p, q, i, j):
             if t[a] == v[b]:
                 i[shared], j[shared] = a, b
                 shared += 1
-    k = n = shared
-    for c in range(3):
-        if k < 3 and not (i[:shared] == c).any():
-            i[k] = c
-            k += 1
-        if n < 3 and not (j[:shared] == c).any():
-            j[n] = c
-            n += 1
+    _add_others(i, shared)
+    _add_others(j, shared)
     # distance from the corners that are not shared, of one facet with itself from both others
     far = np.zeros(3)
     if shared == 2:
@@ -159,18 +166,18 @@ def integrate_pair(mesh, f, g, rules, space):
     corners, triangles, normals, areas, centres, radii, slender = mesh
     table, starts, graded_points, graded_weights, even_points, even_weights = rules
     i, j, both, total = space
-    p, q, m, n = corners[f], corners[g], normals[f], normals[g]
     total[:] = 0.0
     ratio = np.sqrt(_square(centres[f], centres[g])) / (radii[f] + radii[g])
-    shared = 0 if ratio > NEAR else _shared_first(triangles[f], triangles[g], p, q, i, j)
+    shared = 0 if ratio > NEAR else _shared_first(triangles[f], triangles[g], corners[f], corners[g], i, j)
     if ratio > NEAR:
         for a in range(3):
             i[a] = j[a] = a
         k = 3 if ratio > FAR else (4 if ratio > MIDDLE else 5)
-        add_rule(table, starts[k], starts[k + 1], p, q, m, n, i, j, total)
+        add_rule(table, starts[k], starts[k + 1], corners, normals, f, g, i, j, total)
     elif shared and max(slender[f], slender[g]) < SLENDER:
-        add_rule(table, starts[shared - 1], starts[shared], p, q, m, n, i, j, total)
+        add_rule(table, starts[shared - 1], starts[shared], corners, normals, f, g, i, j, total)
     else:
+        p, q, m, n = corners[f], corners[g], normals[f], normals[g]
         both[0], both[1] = areas[f], areas[g]
         if shared or ratio < CLOSE:
             add_near(p, q, m, n, both, graded_points, graded_weights, total)
@@ -205,6 +212,8 @@ def all_pairs(mesh, points, rules, factors, curls, tractions, sums, laplace, dou
     row = np.zeros((len(triangles), 6), sums[0].dtype)
     pushed = np.zeros((sums[1].shape[0], 3), sums[0].dtype)
     turned = np.zeros((sums[1].shape[1], 3), sums[0].dtype)
+    # what facets are of so far: neither tractions nor nodes beyond
+    n_tractions = n_nodes = 0
     for f in range(len(triangles)):
         far_row(f, points, across, totals)
         x, y, z = centres[f, 0], centres[f, 1], centres[f, 2]
@@ -227,8 +236,11 @@ def all_pairs(mesh, points, rules, factors, curls, tractions, sums, laplace, dou
             row[g, 1] = trace + both * totals[1, g]
             row[g, 2] = trace + both * totals[2, g]
             row[g, 3], row[g, 4], row[g, 5] = both * totals[3, g], both * totals[4, g], both * totals[5, g]
-        add_row(row[: f + 1], triangles, curls, tractions, pushed, turned)
-        spread_row(pushed.T.copy(), turned.T.copy(), f, triangles[f], curls[f], tractions, sums)
+        n_tractions = max(n_tractions, tractions[0][f] + 1)
+        n_nodes = max(n_nodes, triangles[f].max() + 1)
+        known, moved = pushed[: 3 * n_tractions], turned[: 3 * n_nodes]
+        add_row(row[: f + 1], triangles, curls, tractions, known, moved)
+        spread_row(known.T.copy(), moved.T.copy(), f, triangles[f], curls[f], tractions, sums)
         for g in range(f):
             both = areas[f] * areas[g]
             for a in range(3):
@@ -238,7 +250,7 @@ def all_pairs(mesh, points, rules, factors, curls, tractions, sums, laplace, dou
 
 @compiled
 def add_row(row, triangles, curls, tractions, pushed, turned):
-    """The row V_fg (m, 6: xx, yy, zz, xy, xz, yz) times P, to `pushed` (3P, 3), and M, to `turned` (3N, 3)."""
+    """The row V_fg (m, 6: xx, yy, zz, xy, xz, yz) times P, as `pushed` (3P, 3), and M, as `turned` (3N, 3)."""
     numbers, axes, tilts = tractions
     pushed[:] = 0.0
     turned[:] = 0.0
@@ -329,14 +341,14 @@ def add_own_transposed(matrix):
 
 
 @compiled
-def mirror(matrix, into):
-    """Write a symmetric matrix (n, n), given on and below its diagonal, to `into`, which may be itself."""
+def mirror(matrix):
+    """Write what a matrix (n, n) has below its diagonal to above it."""
     n, size = len(matrix), 64
     for top in range(0, n, size):
         for left in range(0, top + 1, size):
             for i in range(top, min(top + size, n)):
-                for j in range(left, min(left + size, i + 1)):
-                    into[i, j] = into[j, i] = matrix[i, j]
+                for j in range(left, min(left + size, i)):
+                    matrix[j, i] = matrix[i, j]
 
 
 @compiled

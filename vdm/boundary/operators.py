@@ -49,6 +49,7 @@ from vdm.boundary.refinement import (
     wide_product,
     wide_transposed_product,
 )
+from vdm.boundary.rims import Rims
 
 # Nodes up to which nothing is spared: all is in double precision, and each facet has its own traction. Of more,
 # single precision halves time and memory; what it leaves in smooth displacements is taken out
@@ -154,7 +155,7 @@ def layers(
     add_own_transposed(single)
     add_transposed(pulled, pulled_back)
     add_own_transposed(turned)
-    mirror(laplace, laplace)
+    mirror(laplace)
     return single, pulled, turned, laplace, double
 
 
@@ -205,10 +206,14 @@ def compile_for(n_nodes: int) -> None:
     )
 
 
-def surface_stiffness(facets: Facets, nu: float, dtype: type[np.floating[Any]] | None = None) -> Array:
+def surface_stiffness(
+    facets: Facets, nu: float, dtype: type[np.floating[Any]] | None = None, rims: Rims | None = None
+) -> Array:
     """(3N, 3N) symmetric S [m] for mu = 1: nodal forces, the work of the tractions, of displacements.
 
-    The operators are of the `precision` of as many nodes where no dtype is given.
+    The operators are of the `precision` of as many nodes where no dtype is given. With `rims`, whose cut surface
+    the facets are of, S has the nodes of the body that it was, and no forces of rigid motions, which quadrature
+    leaves, 1e-5 of S: a body that its supports carry far would be pushed, and its reactions not balance its load.
 
     At nu = 1/2 a change of volume has no finite stiffness: it is left to a constraint. Here it only must not be
     free, and gets a stiffness of the size of the others.
@@ -227,16 +232,17 @@ def surface_stiffness(facets: Facets, nu: float, dtype: type[np.floating[Any]] |
     if failed:
         raise linalg.LinAlgError("the single layer is not positive definite")
     if refined:
-        basis = smooth_displacements(facets.points)
+        basis = smooth_displacements(rims.body.points if rims else facets.points)
+        moved = rims.spread(basis) if rims else basis
         solve = partial(potrs, factor, lower=0)
-        pushes = solved(solve, single, diagonal, wide_product(jump, basis))
-        forces = wide_product(rest, basis) + wide_transposed_product(jump, pushes)
+        pushes = solved(solve, single, diagonal, wide_product(jump, moved))
+        forces = wide_product(rest, moved) + wide_transposed_product(jump, pushes)
     half = trsm(1.0, factor, jump.T, side=1, lower=0, overwrite_b=1)
-    work = syrk(1.0, half, beta=1.0, c=rest.T, lower=0, overwrite_c=1)
-    stiffness = np.empty(work.shape)
-    mirror(work.T, stiffness)
+    work = syrk(1.0, half, beta=1.0, c=rest.T, lower=0, overwrite_c=1).T
+    mirror(work)
+    stiffness = rims.condensed(work) if rims else work.astype(np.float64)
     if refined:
-        take_over(stiffness, basis, forces)
+        take_over(stiffness, basis, rims.smooth(basis, forces) if rims else forces)
     return stiffness
 
 

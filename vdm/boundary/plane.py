@@ -4,9 +4,10 @@ With r = y - x, d the height of the facet over x, and for each edge its directio
 plane, its distance t and its ends at l-, l+ along s and R-, R+ from x (Wilton et al. 1984, IEEE Trans. Antennas
 Propag. 32):
 
-`f = ln (R+ + l+) / (R- + l-)`, `omega = sign(d) sum (atan t l+ / (t^2 + d^2 + |d| R+) - the same of l-, R-)`
-`int 1/r = sum t f - d omega`, `int r/r^3 = omega n - sum f m` and by parts
-`int r r/r^3 = int 1/r (I - n n) - sum (t f m m + (R+ - R-) sym(m s)) - d sum f (m n + n m) + d omega n n`.
+`f = ln (R+ + l+) / (R- + l-)`, `int 1/r = sum t f - d omega`, `int r/r^3 = omega n - sum f m` and by parts
+`int r r/r^3 = int 1/r (I - n n) - sum (t f m m + (R+ - R-) sym(m s)) - d sum f (m n + n m) + d omega n n`,
+with the solid angle omega of corners at r1, r2, r3 from x by (van Oosterom and Strackee 1983, IEEE Trans. Biomed.
+Eng. 30) `tan(omega / 2) = r1 . r2 x r3 / (R1 R2 R3 + r1 . r2 R3 + r2 . r3 R1 + r3 . r1 R2)`.
 """
 
 from __future__ import annotations
@@ -43,11 +44,12 @@ def add_plane(x, y, z, q, n, weight, at, total):
     """
     d = (q[0, 0] - x) * n[0] + (q[0, 1] - y) * n[1] + (q[0, 2] - z) * n[2]
     height = abs(d)
-    inverse = angle = fx = fy = fz = xx = yy = zz = xy = xz = yz = twice = 0.0
+    inverse = inner = fx = fy = fz = xx = yy = zz = xy = xz = yz = twice = 0.0
     for a in range(3):
-        b = (a + 1) % 3
+        b, c = (a + 1) % 3, (a + 2) % 3
         ux, uy, uz = q[a, 0] - x, q[a, 1] - y, q[a, 2] - z
         vx, vy, vz = q[b, 0] - x, q[b, 1] - y, q[b, 2] - z
+        wx, wy, wz = q[c, 0] - x, q[c, 1] - y, q[c, 2] - z
         sx, sy, sz = q[b, 0] - q[a, 0], q[b, 1] - q[a, 1], q[b, 2] - q[a, 2]
         length = np.sqrt(sx * sx + sy * sy + sz * sz)
         sx, sy, sz = sx / length, sy / length, sz / length
@@ -56,6 +58,8 @@ def add_plane(x, y, z, q, n, weight, at, total):
         start = sx * ux + sy * uy + sz * uz
         end = start + length
         near, far = np.sqrt(ux * ux + uy * uy + uz * uz), np.sqrt(vx * vx + vy * vy + vz * vz)
+        # a third of R1 R2 R3 at each edge
+        inner += (near * far / 3.0 + ux * vx + uy * vy + uz * vz) * np.sqrt(wx * wx + wy * wy + wz * wz)
         square = t * t + d * d
         if square < ON_LINE * length * length:
             f = 0.0 if start < 0.0 < end else abs(np.log(far / near))
@@ -65,7 +69,6 @@ def add_plane(x, y, z, q, n, weight, at, total):
             f = np.log((near - start) / (far - end))
         else:
             f = np.log((far + end) * (near - start) / square)
-        angle += np.arctan2(t * end, square + height * far) - np.arctan2(t * start, square + height * near)
         inverse += t * f
         fx, fy, fz = fx + f * mx, fy + f * my, fz + f * mz
         g, h = t * f, 0.5 * (far - near)
@@ -76,6 +79,7 @@ def add_plane(x, y, z, q, n, weight, at, total):
         xz += g * mx * mz + h * (mx * sz + mz * sx)
         yz += g * my * mz + h * (my * sz + mz * sy)
         twice += length * t  # twice the area, by the triangles that x makes with the edges
+    angle = 2.0 * np.arctan2(height * twice, inner)
     inverse -= height * angle
     omega = np.copysign(angle, d)
     # what n n has in B: its own part, and the identity's

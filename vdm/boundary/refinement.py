@@ -13,6 +13,7 @@ from collections.abc import Callable, Iterator
 from itertools import product
 
 import numpy as np
+from scipy.linalg import blas
 
 from solver_common.arrays import Array
 
@@ -90,6 +91,7 @@ def take_over(stiffness: Array, basis: Array, forces: Array) -> None:
     """Let a symmetric S (n, n) have these forces (n, k) under an orthonormal basis (n, k), in place."""
     lacking = forces - stiffness @ basis
     lacking -= 0.5 * basis @ (basis.T @ lacking)
-    left, right = np.hstack([lacking, basis]), np.hstack([basis, lacking]).T
-    for a in range(0, len(stiffness), TILE):
-        stiffness[a : a + TILE] += left[a : a + TILE] @ right
+    left, right = np.hstack([lacking, basis]), np.hstack([basis, lacking])
+    # in place; rows are columns to BLAS
+    gemm = blas.get_blas_funcs("gemm", (stiffness,))
+    gemm(1.0, right, left, beta=1.0, c=stiffness.T, trans_b=1, overwrite_c=1)

@@ -18,13 +18,15 @@ stiff as its mesh without cuts.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from scipy import linalg, sparse
+from scipy.linalg import blas
 
 from solver_common.arrays import Array, Index, Mask
-from vdm.surface import SurfaceMesh
+from vdm.boundary.refinement import take_over
+from vdm.surface import SurfaceMesh, rigid_basis
 
 # of the way from the held end of an edge to its free one
 PLACE = 0.25
@@ -40,11 +42,13 @@ class Rims:
 
     Attributes
     ----------
+    body : as it was
     surface : of N + k nodes, the new ones last
     shares : (N + k, N) of the nodes that there were, in the place of each
-    follows : (3k, 3N) A S_wb, zero until a stiffness was condensed
+    follows : (3k, 3N) A S_wb, zero until a stiffness is condensed
     """
 
+    body: SurfaceMesh
     surface: SurfaceMesh
     shares: sparse.csr_array
     follows: Array
@@ -63,44 +67,75 @@ class Rims:
         shares = sparse.csr_array(sparse.vstack([sparse.eye_array(n), places]))
         follows = np.zeros((3 * k, 3 * n))
         if not k:
-            return cls(surface, shares, follows)
+            return cls(surface, surface, shares, follows)
         new = np.full(len(edges), -1)
         new[is_cut] = n + np.arange(k)
         points = np.asarray(shares @ surface.points)
         cut = _cut(surface.triangles, new[surface.facet_edges], points)
-        return cls(SurfaceMesh(points, cut), shares, follows)
+        return cls(surface, SurfaceMesh(points, cut), shares, follows)
 
-    def condensed(self, matrix: Array) -> tuple[Array, Rims]:
-        """(3N, 3N) stiffness of one (3(N + k), 3(N + k)), which is used up, and how the new nodes follow."""
-        all_nodes, old = self.shares.shape
-        if all_nodes == old:
-            return matrix, self
-        # a new node's place in its edge, for the few nodes that have a cut edge
-        ends = np.unique(self.shares.indices[self.shares.indptr[old] :])
-        shares = sparse.csr_array(sparse.kron(self.shares[old:][:, ends].T, np.eye(3)))
-        dofs, old = (3 * ends[:, None] + np.arange(3)).reshape(-1), 3 * old
-        carried, coupling = matrix[:old, :old], matrix[old:, :old]
-        moved = shares @ coupling
-        coupling[:, dofs] += (shares @ matrix[old:, old:]).T
-        carried[dofs] += shares @ coupling
-        carried[:, dofs] += moved.T
-        factor = linalg.cholesky(matrix[old:, old:], lower=True, check_finite=False)
-        half, pressed = (
-            linalg.solve_triangular(factor, part, lower=True, check_finite=False)
-            for part in (coupling, self.surface.area_vectors[old // 3 :].reshape(-1))
-        )
-        half -= np.outer(pressed, pressed @ half / (pressed @ pressed))
-        for start in range(0, old, ROWS):
-            rows = slice(start, start + ROWS)
-            carried[rows] -= half[:, rows].T @ half
-        follows = linalg.solve_triangular(factor, half, lower=True, trans=1, check_finite=False)
-        return np.ascontiguousarray(carried), replace(self, follows=follows)
+    def condensed(self, matrix: Array) -> Array:
+        """(3N, 3N) stiffness in 64 bits of one (3(N + k), 3(N + k)), which is used up; new nodes then follow.
+
+        Without forces of rigid motions, to the rounding of the matrix that there was.
+        """
+        n = self.body.n_nodes
+        rigid = rigid_basis(self.surface).astype(matrix.dtype)
+        take_over(matrix, rigid, np.zeros_like(rigid))
+        carried, coupling = np.vsplit(matrix[:, : 3 * n], [3 * n])
+        own = matrix[3 * n :, 3 * n :]
+        if len(own):
+            # a new node's place in its edge, for the few nodes that have a cut edge
+            ends = np.unique(self.shares.indices[self.shares.indptr[n] :])
+            shares = sparse.csr_array(sparse.kron(self.shares[n:][:, ends].T, np.eye(3))).astype(matrix.dtype)
+            dofs = (3 * ends[:, None] + np.arange(3)).reshape(-1)
+            moved = shares @ coupling
+            coupling[:, dofs] += (shares @ own).T
+            carried[dofs] += shares @ coupling
+            carried[:, dofs] += moved.T
+            coupling = _without(coupling.astype(np.float64).T, rigid_basis(self.body)).T
+            factor = linalg.cholesky(own.astype(np.float64), lower=True, check_finite=False)
+            pressed = self.surface.area_vectors[n:].reshape(-1)
+            pressed = linalg.solve_triangular(factor, pressed, lower=True, check_finite=False)
+            half = blas.dtrsm(1.0, factor, coupling.T, side=1, lower=1, trans_a=1, overwrite_b=1).T
+            half -= np.outer(pressed, pressed @ half / (pressed @ pressed))
+            self.follows[:] = blas.dtrsm(1.0, factor, half.T, side=1, lower=1).T
+            half = half.astype(matrix.dtype)
+        whole = np.empty((3 * n, 3 * n))
+        for start in range(0, 3 * n, ROWS):
+            end = min(start + ROWS, 3 * n)
+            rows, square = whole[start:end], whole[start:end, start:end]
+            rows[:, :end] = carried[start:end, :end]
+            if len(own):
+                rows[:, :end] -= half[:, start:end].T @ half[:, :end]
+            square[:] = 0.5 * (square + square.T)
+            whole[:start, start:end] = rows[:, :start].T
+        return whole
+
+    def spread(self, displacements: Array) -> Array:
+        """(3(N + k), m) displacements, linear along the cut edges, of (3N, m)."""
+        m = displacements.shape[1]
+        return np.asarray(self.shares @ displacements.reshape(-1, 3 * m)).reshape(-1, m)
+
+    def smooth(self, basis: Array, forces: Array) -> Array:
+        """(3N, m) forces under an orthonormal basis (3N, m), of (3(N + k), m) ones; none of rigid motions."""
+        m = basis.shape[1]
+        rigid = rigid_basis(self.body)
+        carried = self.carried(forces.reshape(-1, 3, m)).reshape(-1, m)
+        return _without(_without(carried, rigid).T, basis.T @ rigid).T
 
     def carried(self, force: Array) -> Array:
-        """(N, 3) forces at the nodes that there were, with the answer of forces (N + k, 3) at all of them."""
-        own = force[self.shares.shape[1] :].reshape(-1)
-        carried: Array = np.asarray(self.shares.T @ force) - (own @ self.follows).reshape(-1, 3)
+        """(N, 3, ...) forces at the nodes that there were, with the answer of (N + k, 3, ...) at all of them."""
+        shape = (self.body.n_nodes, *force.shape[1:])
+        own = force[shape[0] :].reshape(len(self.follows), *force.shape[2:])
+        moved = np.asarray(self.shares.T @ force.reshape(len(force), -1))
+        carried: Array = moved.reshape(shape) - (self.follows.T @ own).reshape(shape)
         return carried
+
+
+def _without(vectors: Array, basis: Array) -> Array:
+    """Vectors (n, m) less what they have of an orthonormal basis (n, k)."""
+    return vectors - basis @ (basis.T @ vectors)
 
 
 def _cut(triangles: Index, new: Index, points: Array) -> Index:

@@ -1,8 +1,8 @@
 """Facets in pairs that share a traction: half the unknowns of what takes most of a set-up.
 
 Away from the rim of what is held tractions are as smooth as the load, and two neighbours share one. At the rim
-they grow as the inverse root of the distance or nearly so, and each facet keeps its own. A Galerkin method stays
-one with fewer tractions: S is symmetric, and displacements keep all their nodes.
+they grow as the inverse root of the distance or nearly so, and each facet that has one of its held nodes keeps its
+own. A Galerkin method stays one with fewer tractions: S is symmetric, and displacements keep all their nodes.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ def shared(surface: SurfaceMesh, held: Mask) -> Index:
     start, end = surface.edges.T
     at_rim = np.zeros(surface.n_nodes, np.bool_)
     at_rim[surface.edges[held[start] != held[end]]] = True
-    alone = ~np.asarray(at_rim[triangles].any(axis=1))
+    alone = ~np.asarray((at_rim & held)[triangles].any(axis=1))
     numbers = np.arange(len(triangles))
     for first, second in facets[best_first]:
         if alone[first] and alone[second]:

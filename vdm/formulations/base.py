@@ -12,11 +12,11 @@ from scipy import sparse
 from solver_common.arrays import Array, Mask
 from vdm.constraints import Load
 from vdm.deformed import DeformedSurface, follow
-from vdm.formulations.border import LEVI_CIVITA, Columns, DenseColumns
+from vdm.formulations.border import Columns, DenseColumns
 from vdm.material import Parameters
 from vdm.solvers.cholesky import Cholesky
 from vdm.solvers.columns import LEFT_OUT
-from vdm.surface import SurfaceMesh
+from vdm.surface import SurfaceMesh, rigid_motions
 
 
 class Factor(Protocol):
@@ -202,16 +202,6 @@ class Formulation(ABC):
         if len(border) > 1:
             force = force - self.columns.times(np.append(0.0, border[1:]))
         return force
-
-
-def rigid_motions(surface: SurfaceMesh, nodes: Mask) -> Array:
-    """(n, 3, 6) at `nodes` (N,): unit translations, and rotations about the centroid over the body's radius."""
-    arms = (surface.points[nodes] - surface.points.mean(axis=0)) / surface.equivalent_radius
-    motions = np.empty((len(arms), 3, 6))
-    motions[:, :, :3] = np.eye(3)
-    # column k is e_k x arm
-    motions[:, :, 3:] = (arms @ LEVI_CIVITA.reshape(9, 3).T).reshape(-1, 3, 3)
-    return motions
 
 
 class ScalarFormulation(Formulation):

@@ -11,7 +11,7 @@ from scipy.linalg import blas, lapack
 from solver_common.arrays import Array, Mask
 from vdm.boundary.rims import Rims
 from vdm.deformed import DeformedSurface
-from vdm.formulations.base import DisplacementFormulation, Factor, Factorise, rigid_motions
+from vdm.formulations.base import DisplacementFormulation, Factor, Factorise
 from vdm.formulations.border import DenseColumns
 from vdm.material import ParameterError, Parameters
 from vdm.solution import SolverError, Status
@@ -102,26 +102,24 @@ class BoundaryFormulation(DisplacementFormulation):
 
     def _refined(self, held: Mask) -> Array:
         """(3N, 3N) S of the surface, cut along the rims of what is held."""
-        rims = Rims.of(self.surface, held)
-        near = np.concatenate([held, np.zeros(rims.surface.n_nodes - len(held), np.bool_)])
-        matrix, self._rims = rims.condensed(self._dense(rims.surface, near, self.surface.n_nodes))
-        return matrix
+        self._rims = Rims.of(self.surface, held)
+        near = np.concatenate([held, np.zeros(self.resolved.n_nodes - len(held), np.bool_)])
+        return self._dense(self._rims, near)
 
-    def _dense(self, surface: SurfaceMesh, held: Mask, n_nodes: int) -> Array:
-        """(3n, 3n) S of a surface, in the precision of `n_nodes`: those without cuts, which `compile` knows.
+    def _dense(self, rims: Rims, held: Mask) -> Array:
+        """(3N, 3N) S of a surface of N nodes, cut along its rims.
 
-        In single precision facets share tractions, but at the rim of these held nodes (n,).
+        In single precision facets share tractions, but at the rim of these held nodes of the cut surface.
         """
         # numba takes a third of a second to import
         from vdm.boundary.operators import Facets, precision, surface_stiffness
         from vdm.boundary.tractions import shared
 
-        dtype = precision(n_nodes)
-        tractions = shared(surface, held) if dtype is np.float32 else None
+        cut, dtype = rims.surface, precision(rims.body.n_nodes)
+        tractions = shared(cut, held) if dtype is np.float32 else None
         matrix = surface_stiffness(
-            Facets.of(surface.points, surface.triangles, tractions), self.poisson_ratio, dtype
+            Facets.of(cut.points, cut.triangles, tractions), self.poisson_ratio, dtype, rims
         )
-        _without_rigid_motions(matrix, rigid_basis(surface))
         matrix *= self.shear_modulus
         return matrix
 
@@ -276,23 +274,3 @@ class DenseFactor:
         # LAPACK's own takes a single right-hand side for a matrix: half as fast
         half = blas.dtrsv(self._factor, right_hand_side, lower=1)
         return np.asarray(blas.dtrsv(self._factor, half, lower=1, trans=1, overwrite_x=1))
-
-
-def _without_rigid_motions(matrix: Array, rigid: Array) -> None:
-    """Take off in place what quadrature leaves of rigid motions, 1e-5 of the matrix.
-
-    A body that its supports carry far would be pushed by it, and its reactions would not balance its load.
-    """
-    force = matrix @ rigid
-    force -= 0.5 * rigid @ (rigid.T @ force)
-    for start in range(0, len(matrix), 256):
-        rows = slice(start, start + 256)
-        matrix[rows] -= rigid[rows] @ force.T + force[rows] @ rigid.T
-
-
-def rigid_basis(surface: SurfaceMesh) -> Array:
-    """(3N, 6) orthonormal basis of the infinitesimal rigid motions."""
-    basis: Array = np.linalg.qr(
-        rigid_motions(surface, np.ones(surface.n_nodes, dtype=np.bool_)).reshape(-1, 6)
-    )[0]
-    return basis

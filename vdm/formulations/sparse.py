@@ -77,7 +77,7 @@ class SparseFormulation(BoundaryFormulation):
         self._rims = Rims.of(surface, np.zeros_like(held))
         coarse = coarsened(surface, count, held)
         near = np.asarray(((coarse.shares > 0.0) & held[coarse.corners]).any(axis=1))
-        stiffness = self._dense(coarse.surface, near, coarse.surface.n_nodes)
+        stiffness = self._dense(Rims.of(coarse.surface, np.zeros_like(near)), near)
         self._stand_on(coarse.surface, interpolation(surface, coarse), stiffness)
 
     def _stand_on(self, body: SurfaceMesh, spread: Interpolation, stiffness: Array) -> None:
