@@ -237,7 +237,8 @@ def all_pairs(mesh, points, rules, factors, curls, tractions, sums, laplace, dou
             row[g, 2] = trace + both * totals[2, g]
             row[g, 3], row[g, 4], row[g, 5] = both * totals[3, g], both * totals[4, g], both * totals[5, g]
         n_tractions = max(n_tractions, tractions[0][f] + 1)
-        n_nodes = max(n_nodes, triangles[f].max() + 1)
+        for a in range(3):
+            n_nodes = max(n_nodes, triangles[f, a] + 1)
         known, moved = pushed[: 3 * n_tractions], turned[: 3 * n_nodes]
         add_row(row[: f + 1], triangles, curls, tractions, known, moved)
         spread_row(known.T.copy(), moved.T.copy(), f, triangles[f], curls[f], tractions, sums)
