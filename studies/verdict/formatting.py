@@ -61,15 +61,15 @@ def short_percent(ratio: float) -> str:
     return f"{plain(ratio * 100.0, 2 if abs(ratio) < 1.0 else 3)} %"
 
 
-def scale_of(unit: str, values: Iterable[float]) -> tuple[float, str]:
-    """(factor, shown unit) that suits the largest of some SI values: shown = SI / factor."""
+def scale_of(unit: str, values: Iterable[float], digits: int = 3) -> tuple[float, str]:
+    """(factor, shown unit) that suits the largest of some SI values to some digits: shown = SI / factor."""
     largest = max((abs(v) for v in values if math.isfinite(v)), default=0.0)
     scales = _SCALES.get(unit)
     if scales is None or largest == 0.0:
         return 1.0, "" if unit == "1" else unit
     if unit == "m" and 1e-3 <= largest < _LARGEST_LENGTH:
         return 1e-3, "mm"
-    return next(((f, u) for f, u in scales if largest >= f * 0.9995), scales[-1])
+    return next(((f, u) for f, u in scales if largest >= f * (1.0 - 0.5 * 0.1**digits)), scales[-1])
 
 
 def quantity(value: float, unit: str, digits: int = 3) -> str:
@@ -78,7 +78,7 @@ def quantity(value: float, unit: str, digits: int = 3) -> str:
         return NOTHING
     if unit == "1":
         return number(value, digits)
-    factor, shown = scale_of(unit, [value])
+    factor, shown = scale_of(unit, [value], digits)
     return f"{number(value / factor, digits)} {shown}"
 
 

@@ -77,6 +77,11 @@ def test_quantity_takes_the_prefix_that_fits(value: float, unit: str, text: str)
     assert quantity(value, unit) == text
 
 
+@pytest.mark.parametrize(("digits", "text"), [(1, "1 ms"), (2, "1.0 ms"), (3, "997 µs")])
+def test_the_prefix_fits_the_number_as_it_is_rounded(digits: int, text: str) -> None:
+    assert quantity(997e-6, "s", digits) == text
+
+
 def test_one_scale_for_all_values() -> None:
     assert scale_of("Pa", [50.0, 800.0]) == (1.0, "Pa")
     assert scale_of("Pa", [50.0, 8000.0, math.nan]) == (1e3, "kPa")
