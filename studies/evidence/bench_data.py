@@ -12,7 +12,7 @@ import numpy as np
 from solver_common.arrays import Array
 
 from ..measures.uncertainty import is_resolved
-from ..verdict.formatting import quantity
+from ..verdict.formatting import NOTHING, quantity, scale_of
 
 LEAST_SIZES = 4  # of a mesh, for an exponent
 SAME = 1.5  # times up to which two costs count as the same: runs differ by as much
@@ -263,10 +263,10 @@ def pareto(entries: Iterable[Entry]) -> list[Entry]:
 
 def seconds(value: float) -> str:
     """A time with the unit that suits it."""
-    for factor, unit in ((1.0, "s"), (1e-3, "ms"), (1e-6, "µs")):
-        if value >= factor or unit == "µs":
-            return "–" if math.isnan(value) else f"{value / factor:.3g} {unit}"
-    return "–"
+    if math.isnan(value):
+        return NOTHING
+    factor, unit = scale_of("s", [value])
+    return f"{value / factor:.3g} {unit}"
 
 
 def amount(value: float, unit: str) -> str:
