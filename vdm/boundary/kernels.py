@@ -118,7 +118,7 @@ def _add_others(i, n):
     """Let those of the corners 0, 1, 2 that are not among the first n of i (3,) follow them."""
     for c in range(3):
         is_other = True
-        for a in range(min(n, 3)):
+        for a in range(n):
             is_other = is_other and i[a] != c
         if is_other:
             i[n] = c
