@@ -35,7 +35,7 @@ COLUMNS = {
     "vdm-paper": "paper",
     "vdm-consistent": "consistent",
     "vdm-vector": "vector",
-    "vdm-boundary": "boundary",
+    "bem": "bem",
     "fem-linear": "FEM, this mesh",
 }
 ALONG_NORMALS = ("vdm-paper", "vdm-consistent")  # the models that move nodes along normals only

@@ -23,7 +23,7 @@ from vdm import Load as SurfaceLoad
 from vdm import Model, Parameters, SurfaceMesh
 from vdmbench.body.surface_measures import relative_l2, rigid_motion_removed
 
-HEAD = ("exact answer", "nu", "nodes", "boundary", "order", "FEM, this mesh", "order")
+HEAD = ("exact answer", "nu", "nodes", "bem", "order", "FEM, this mesh", "order")
 PART = "anchors"
 SHEAR_MODULUS = 1.0
 SIDES = np.array([4.0, 1.0, 1.0])
@@ -82,7 +82,7 @@ def boundary(anchor: Anchor, body: Body, pressure: Array) -> Array:
     force = np.zeros_like(surface.points)
     np.add.at(force, body.triangles, -shares[:, :, None] * body.area_vectors[:, None])
     material = Parameters(shear_modulus=SHEAR_MODULUS, poisson_ratio=anchor.poisson_ratio)
-    model = Model(surface.points, body.triangles, material, formulation="boundary", constrained=held)
+    model = Model(surface.points, body.triangles, material, formulation="bem", constrained=held)
     given = anchor.displacement(body.surface) * held[:, None]
     return model.solve([SurfaceLoad(np.zeros(len(held)), force, given)]).displacement[0]
 

@@ -36,8 +36,8 @@ PART = "league"
 MODELS = (
     "vdm-paper",
     "vdm-vector",
-    "vdm-boundary",
-    "vdm-boundary:nonlinear",
+    "bem",
+    "bem:nonlinear",
     "mass-spring",
     "fem-p1",
     "fem-coarse",

@@ -27,7 +27,7 @@ from vdmbench.verdict.formatting import NOTHING, percent, quantity
 DOCUMENT = ROOT / "docs" / "evidence" / "measured.md"
 STUDIES = ("phantom-beam", "phantom-cylinder")
 # beside the study's own models; linear answers of others are those of ours
-BESIDE = ("vdm-boundary:nonlinear", "mujoco-flex", "ngsolve-p2p1:nonlinear")
+BESIDE = ("bem:nonlinear", "mujoco-flex", "ngsolve-p2p1:nonlinear")
 HEAD = [
     *("model", "within u_val", "rms of E", "of rms of D"),
     *("u_num", "u_input", "u_D", "remains", "per frame", "set-up"),

@@ -41,7 +41,7 @@ SHOWN = (
     "vdm-consistent",
     "vdm-vector",
     "vdm-vector:nonlinear",
-    "vdm-boundary",
+    "bem",
     "fem-coarse",
     "fem-p1",
     "fem-condensed",
@@ -52,14 +52,14 @@ DRAWN = (
     "mass-spring",
     "vdm-paper",
     "vdm-vector",
-    "vdm-boundary",
+    "bem",
     "fem-coarse",
     "fem-condensed",
     "fem-linear",
 )
 COMPARED = (
     "vdm-vector",
-    "vdm-boundary",
+    "bem",
     "fem-coarse",
     "fem-condensed",
 )  # with linear elements, in one line each

@@ -22,7 +22,7 @@ from vdmbench.measures.bars import at_full_load, reference_bar
 from vdmbench.measures.case import CaseResult, Run
 
 RATIOS = (0.3, 0.45, 0.49, 0.4999)
-FORM, ELEMENTS = "vdm-boundary", "fem-linear"
+FORM, ELEMENTS = "bem", "fem-linear"
 FILLED = f"models.{FORM}.compressibility"
 RATIO = "tissue.poisson_ratio"
 INSIDE = ("tissue", "fluid")

@@ -33,7 +33,7 @@ from vdmbench.study.shapes import Geometry
 
 DOCUMENT = ROOT / "docs" / "evidence" / "untuned.md"
 RUNS = ROOT / "build" / "untuned"  # what is there is not done again
-FORM, ELEMENTS = "vdm-boundary", "fem-linear"
+FORM, ELEMENTS = "bem", "fem-linear"
 ENOUGH = 0.1
 
 Array = NDArray[np.float64]

@@ -222,8 +222,8 @@ def history_rows(sizes: Sizes) -> Iterator[Row]:
 def boundary_rows(sizes: Sizes) -> Iterator[Row]:
     """The dense form on tori, the sparse form on a ball."""
     for n, m in sizes.tori:
-        yield from rows_of_integrals("boundary", sizes, *torus(n=n, m=m))
-    yield from rows_of_integrals("sparse", sizes, *icosphere(sizes.levels, (RADIUS, RADIUS, RADIUS)))
+        yield from rows_of_integrals("bem", sizes, *torus(n=n, m=m))
+    yield from rows_of_integrals("bem-sparse", sizes, *icosphere(sizes.levels, (RADIUS, RADIUS, RADIUS)))
 
 
 def rows_of_integrals(formulation: str, sizes: Sizes, points: Array, triangles: Index) -> Iterator[Row]:
@@ -238,7 +238,7 @@ def rows_of_integrals(formulation: str, sizes: Sizes, points: Array, triangles: 
     assert isinstance(form, BoundaryFormulation)
     # of a matrix one half is read: of an inverse once, of a factor twice
     size = 3 * form.n_coarse
-    readings = 1 if formulation == "sparse" or size <= INVERTED else 2
+    readings = 1 if formulation == "bem-sparse" or size <= INVERTED else 2
     bound = readings * reading_seconds(BYTES_PER_NONZERO * size * size // 2, sizes.repeats)
     load = Load(100.0 * np.random.default_rng(3).random(len(points)))
     frame = timed(partial(model.solver.step, load), sizes.repeats)

@@ -41,7 +41,7 @@ COARSE_NODES = 1000
 NODE_MODULI = ("bulk_modulus", "foundation")
 EDGE_MODULI = ("connectivity_modulus", "surface_tension", "stretch_stiffness")
 MODULI = (*NODE_MODULI, *EDGE_MODULI, "shear_modulus")
-ISOTROPIC = ("boundary", "sparse", "mass-spring")  # formulations that know no fibres
+ISOTROPIC = ("bem", "bem-sparse", "mass-spring")  # formulations that know no fibres
 
 
 class ParameterError(ValueError):
@@ -149,7 +149,7 @@ class Parameters:
         ----------
         youngs_modulus : E [Pa]
         surface : the body's surface
-        formulation : "paper", "consistent", "vector", "boundary", "sparse" or "mass-spring"
+        formulation : "paper", "consistent", "vector", "bem", "bem-sparse" or "mass-spring"
         rotation : of the vector form
         held : (N,) mask of the nodes that are fixed or moved, for the vector form
         poisson_ratio : nu of the body inside, for the boundary form; 1/2 is the fluid that keeps the volume
@@ -178,7 +178,7 @@ class Parameters:
                 return told(surface_tension=VECTOR_TENSION * mu * radius, rotation=rotation)
             grown = mu * np.sqrt(radius * distance_from_support(surface, held))
             return told(surface_tension=SUPPORTED_TENSION * grown, rotation=rotation)
-        if formulation in ("boundary", "sparse"):
+        if formulation in ("bem", "bem-sparse"):
             return cls(
                 shear_modulus=youngs_modulus / (2.0 * (1.0 + poisson_ratio)), poisson_ratio=poisson_ratio
             )

@@ -50,7 +50,7 @@ from .timing import LONG, SAMPLES, calls_of_a_sample, median_of_samples, median_
 SIZES = (2.6, 2.0, 1.6, 1.3)  # mesh sizes over that of the study: four, for the exponents of growth
 FINER = (1.3, 1.0, 0.7, 0.5)  # the same for the growth of the models below: some 300 to 1,900 nodes
 GROWN = (
-    "vdm-boundary",
+    "bem",
     "fem-coarse",
     "fem-linear",
     "fem",

@@ -14,6 +14,7 @@ from ..scene.inclusions import moduli
 from ..scene.scene import Scene, SurfaceLoad
 from ..study.laws import LAW_KEYS, LAWS, NEO_HOOKEAN, parameters_of
 from ..study.model_name import split
+from ..study.registry import Family
 from . import costs, indented
 from .model import Model, SetUp, register
 
@@ -179,6 +180,7 @@ def _takes(solvers: tuple[str, ...], *more: str) -> dict[str, tuple[str, ...]]:
 
 _elements = partial(
     Model,
+    family=Family.ELEMENTS,
     volumetric=True,
     solvers=("linear",),
     superposes=("linear",),

@@ -15,6 +15,7 @@ from vdm.solvers import SOLVERS
 from ..body.surface_measures import facet_area_vectors
 from ..scene.scene import Scene, SurfaceLoad
 from ..study.model_name import split, takes_fluid
+from ..study.registry import Family
 from . import costs
 from .model import Model as Registered
 from .model import SetUp, register
@@ -117,9 +118,7 @@ def _model(scene: Scene, name: str, springs: sparse.csr_array | None) -> Model |
         scene.anisotropy,
         scene.parameters,
     )
-    own_ratio = base in ("vdm-boundary", "vdm-sparse") and not takes_fluid(
-        solver, given.get("compressibility")
-    )
+    own_ratio = base in ("bem", "bem-sparse") and not takes_fluid(solver, given.get("compressibility"))
     chosen: dict[str, Any] = {
         name: value for name, value in given.items() if name not in _NOT_OF_THE_MATERIAL
     }
@@ -192,6 +191,7 @@ _NOT_OF_THE_MATERIAL = ("penalty", "compressibility", "tolerance")
 for _registered in (
     _surface(
         name="vdm-paper",
+        family=Family.PRINTED,
         benched=("quasi-linear", "nonlinear", "bicg"),
         version="5",
         # MINRES needs a symmetric matrix, which the printed form has not
@@ -204,6 +204,7 @@ for _registered in (
     ),
     _surface(
         name="vdm-consistent",
+        family=Family.DERIVED,
         benched=("nonlinear", "cg"),
         version="6",
         solvers=SOLVERS,
@@ -214,6 +215,7 @@ for _registered in (
     ),
     _surface(
         name="vdm-vector",
+        family=Family.DERIVED,
         benched=("quasi-linear", "nonlinear"),
         version="9",
         solvers=SOLVERS,
@@ -223,7 +225,8 @@ for _registered in (
         fibres=True,
     ),
     _surface(
-        name="vdm-boundary",
+        name="bem",
+        family=Family.PEERS,
         benched=("nonlinear",),
         cost=costs.boundary,
         takes=dict.fromkeys((SPRINGS, FULL, DEAD), ("linear", "nonlinear")),
@@ -236,7 +239,8 @@ for _registered in (
         fibres=False,
     ),
     _surface(
-        name="vdm-sparse",
+        name="bem-sparse",
+        family=Family.PEERS,
         cost=costs.sparse_boundary,
         version="10",
         solvers=("linear", "single", "nonlinear"),
@@ -248,6 +252,7 @@ for _registered in (
     ),
     _surface(
         name="mass-spring",
+        family=Family.PEERS,
         cost=costs.mass_spring,
         takes=dict.fromkeys((SPRINGS, FULL, DEAD), SOLVERS),
         version="7",

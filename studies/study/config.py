@@ -20,7 +20,7 @@ from .loads import KINDS, LOAD_KEYS
 from .measured_checks import check_measured_cases
 from .model_name import FINITE_STRAIN, split
 from .problems import MOST_TOLD, Finding, Loc, Problem, Source, StudyError, file_fault
-from .registry import find, model_names
+from .registry import RENAMED, find, model_names
 from .schema import Constraint, Region, Study
 from .sweep import Axis, ResolvedCase, check_cases, first_case, read_axes, substituted
 from .tissue_table import Tissue
@@ -332,7 +332,11 @@ def _check_model_names(data: Mapping[str, Any]) -> Iterator[Finding]:
     names = study.get("models") if isinstance(study, dict) else None
     for place, name in enumerate(names if isinstance(names, list) else []):
         if isinstance(name, str) and name not in known:
-            yield ("study", "models", place), unknown(name, known, "model")
+            base, colon, solver = name.partition(":")
+            if base in RENAMED:
+                yield ("study", "models", place), f"{name} is now {RENAMED[base]}{colon}{solver}"
+            else:
+                yield ("study", "models", place), unknown(name, known, "model")
 
 
 def holds_nothing(study: Study) -> bool:

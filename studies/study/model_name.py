@@ -30,7 +30,7 @@ def takes_fluid(solver: str, compressibility: object) -> bool:
 
 def is_vdm(name: str) -> bool:
     """Whether a model is one of the surface models of VDM, whose parameters a calibration fits."""
-    return name.startswith("vdm-")
+    return name.startswith(("vdm-", "bem"))
 
 
 def split(name: str) -> tuple[str, str]:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field
+from enum import StrEnum
 from functools import cache
 from importlib import import_module
 from importlib.metadata import entry_points
@@ -25,6 +26,24 @@ EXTRAS = {  # what a study has that not every model takes -> what is said of one
     "law": "has no such law of large strain; leave out tissue.law, or the model",
 }
 ENTRY_POINT = "vdmbench.models"
+RENAMED = {"vdm-boundary": "bem", "vdm-sparse": "bem-sparse"}  # model names of earlier versions
+
+
+class Family(StrEnum):
+    """What a model stands for; each family gets a verdict of its own, in this order."""
+
+    PRINTED = "vdm-printed"
+    """Equations (1)-(38) of the paper, nothing added."""
+    DERIVED = "vdm-derived"
+    """Pascal's principle and one volume row on a better skin."""
+    PEERS = "surface-peers"
+    """Other models that need the surface alone."""
+    ELEMENTS = "elements"
+    """What one would take without the paper."""
+    ENGINES = "engines"
+    """Other people's programs: plug-ins and foreign results."""
+
+
 _FAMILIES = ("vdmbench.models.surface", "vdmbench.models.elements", "vdmbench.models.peers")
 
 
@@ -72,6 +91,7 @@ class Declared:
     Attributes
     ----------
     name : what a study writes, without the solver
+    family : what it stands for
     version : raised whenever its numbers change; part of every key
     volumetric : whether it needs tetrahedra
     solvers : the solvers it offers, the default first
@@ -109,6 +129,7 @@ class Declared:
     benched: tuple[str, ...] = ()
     one_over_modulus: bool = False
     needs: str = ""
+    family: Family = Family.ENGINES
 
 
 MODELS: dict[str, Declared] = {}  # filled by `vdmbench.models.register` of the families, see `all_models`

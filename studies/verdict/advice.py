@@ -23,7 +23,7 @@ RESTING, MOVING, CUTTING, EXACT = (
     "a few per cent needed",
 )
 _SURFACE = ("vdm-", "mass-spring")
-_TURN_AS_ONE = ("vdm-boundary", "vdm-sparse")  # whose nonlinear solver has one rotation of the whole body
+_TURN_AS_ONE = ("bem", "bem-sparse")  # whose nonlinear solver has one rotation of the whole body
 
 
 @dataclass(frozen=True)

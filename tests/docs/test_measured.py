@@ -59,6 +59,6 @@ def test_engines_of_others_run_beside_the_models(tmp_path: Path, monkeypatch: py
     monkeypatch.setattr(registry, "find_spec", lambda wheel: None if wheel == "mujoco" else "there")
     path = with_peers("phantom-beam", tmp_path / "new")
     found, own = load_study(path), load_study(study_path("phantom-beam"))
-    beside = ("vdm-boundary:nonlinear", "ngsolve-p2p1:nonlinear")
+    beside = ("bem:nonlinear", "ngsolve-p2p1:nonlinear")
     assert found.study.models == (*own.study.models, *beside), "all but the one whose wheel is not there"
     assert found.measured == own.measured

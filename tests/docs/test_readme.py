@@ -76,11 +76,11 @@ def test_the_first_study_and_its_commands(tmp_path: Path) -> None:
     assert list(found["metrics"]) == [
         "vdm-paper",
         "vdm-vector",
-        "vdm-boundary",
+        "bem",
         "fem-linear",
         "fem-linear refined",
     ]
-    error = found["metrics"]["vdm-boundary"]["relative_l2_displacement_error"]
+    error = found["metrics"]["bem"]["relative_l2_displacement_error"]
     assert 0 < error["bar"] < error["value"] < 0.1, "a usable model, and an error bar that tells so"
 
 

@@ -293,13 +293,13 @@ def test_one_two_and_three_places_give_the_same_numbers(tmp_path: Path) -> None:
 
 
 def test_a_model_is_given_what_it_reads(tmp_path: Path, cache: Path) -> None:
-    names = ("vdm-paper", "vdm-vector", "vdm-boundary")
+    names = ("vdm-paper", "vdm-vector", "bem")
     study = {"name": "test", "models": list(names)}
     given = {"surface_tension": 30.0, "shear_modulus": 1500.0}
     plan = plan_of(tmp_path, cache, study=study, vdm=given, uncertainty=None)
     case = run(plan)[0]
     found = {name: given.keys() & case.models[name].parameters.keys() for name in names}
-    assert found == {"vdm-paper": set(), "vdm-vector": {"surface_tension"}, "vdm-boundary": {"shear_modulus"}}
+    assert found == {"vdm-paper": set(), "vdm-vector": {"surface_tension"}, "bem": {"shear_modulus"}}
     without = plan_of(tmp_path, cache, study=study, uncertainty=None)
     assert plan.cases[0].want("vdm-paper") == without.cases[0].want("vdm-paper")
 

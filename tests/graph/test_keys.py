@@ -187,14 +187,14 @@ def test_what_is_set_up_for_a_contact_is_set_up_for_its_place() -> None:
 
 
 def test_a_refusal_ends_when_the_model_learns(monkeypatch: pytest.MonkeyPatch) -> None:
-    names = {"name": "keys", "models": ["vdm-boundary", "fem-linear"], "reference": "fem-linear"}
+    names = {"name": "keys", "models": ["bem", "fem-linear"], "reference": "fem-linear"}
     lump = {"name": "lump", "ball": {"center": [0.0, 0.0, 0.0], "radius": 0.01}, "youngs_modulus": 5e4}
     rest = {key: STUDY[key] for key in ("geometry", "tissue", "regions", "constraints")}
     one = Study.model_validate({**rest, "study": names, "inclusions": [lump]})
     before = {name: want.body for (name, level), want in answers(one).items() if not level}
-    model, _ = find("vdm-boundary")
+    model, _ = find("bem")
     taught = dataclasses.replace(model, takes={**model.takes, "inclusions": model.solvers})
-    monkeypatch.setitem(all_models(), "vdm-boundary", taught)
+    monkeypatch.setitem(all_models(), "bem", taught)
     after = {name: want.body for (name, level), want in answers(one).items() if not level}
-    assert before["vdm-boundary"] != after["vdm-boundary"]
+    assert before["bem"] != after["bem"]
     assert before["fem-linear"] == after["fem-linear"]

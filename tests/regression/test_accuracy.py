@@ -68,7 +68,7 @@ def test_a_model_made_worse_by_a_tenth_turns_the_gate_red(
     assert gate.regressed(findings)
     hit = {f.model for f in findings if f.outcome in gate.REGRESSED}
     assert "vdm-vector" in hit
-    assert not {model for model in hit if model.startswith(("fem", "vdm-boundary"))}
+    assert not {model for model in hit if model.startswith(("fem", "bem"))}
 
 
 def test_rounding_is_far_within_the_tolerance() -> None:

@@ -89,7 +89,7 @@ def test_the_bulge_turns_with_the_fibres(mesh: Mesh, model: str) -> None:
 
 
 def test_a_model_without_fibres_is_refused_by_itself(mesh: Mesh) -> None:
-    boundary = run(mesh, "vdm-boundary", {"fibre_direction": Z, "contrast": 2})
+    boundary = run(mesh, "bem", {"fibre_direction": Z, "contrast": 2})
     assert boundary.status[0].code == models.REFUSED
     assert "isotropic; use another model for fibres" in boundary.status[0].message
     assert np.isnan(boundary.displacement).all()
@@ -114,7 +114,7 @@ def test_a_plan_names_the_models_that_refuse_fibres(
         assert told == {
             name for name in names if run(mesh, name, anisotropy).status[0].code == models.REFUSED
         }
-    assert told == ({"vdm-boundary", "vdm-sparse", "mass-spring"} if anisotropy else set())
+    assert told == ({"bem", "bem-sparse", "mass-spring"} if anisotropy else set())
 
 
 @pytest.mark.parametrize("contrast", [0.3, 3.0, 30.0])

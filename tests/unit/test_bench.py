@@ -149,7 +149,7 @@ def test_what_the_reference_leaves_open_is_undecided() -> None:
     """± 4 %: 5 % is surely within 10 %, 8 % and 13.5 % perhaps, 14.5 % not; and 5 % is not surely less than 8 %."""
     columns = np.full(3, 1e-3)
     linear = entry("fem-linear", 0.1, 1e-4, 0.05, bar=0.04, columns=columns)
-    boundary = entry("vdm-boundary", 0.14, 1e-5, 0.08, bar=0.04, columns=columns)
+    boundary = entry("bem", 0.14, 1e-5, 0.08, bar=0.04, columns=columns)
     vector = entry("vdm-vector", 0.01, 2e-5, 0.135, bar=0.04, columns=columns)
     spring = entry("mass-spring", 0.001, 1e-5, 0.145, bar=0.04, columns=columns)
     slow = entry("fem", 0.2, 0.1, 0.09, bar=0.04)  # half as slow again as the sure answer, and more: not told
@@ -159,23 +159,21 @@ def test_what_the_reference_leaves_open_is_undecided() -> None:
 
     found = told(linear, boundary, vector, spring, slow)
     fastest = "Fastest frame of a contact at an error of at most 10 %"
-    assert found[fastest] == "fem-linear, 100 µs; undecided: vdm-boundary, vdm-vector"
+    assert found[fastest] == "fem-linear, 100 µs; undecided: bem, vdm-vector"
     assert (
         found["Fastest re-cut at an error of at most 10 %"]
-        == "fem-linear, 100 ms; undecided: vdm-vector, vdm-boundary"
+        == "fem-linear, 100 ms; undecided: vdm-vector, bem"
     )
-    assert (
-        found["Fastest frame of a contact at an error of at most 25 %"] == "mass-spring, vdm-boundary, 10 µs"
-    )
+    assert found["Fastest frame of a contact at an error of at most 25 %"] == "bem, mass-spring, 10 µs"
     page = bench_html(Bench({}, [linear, boundary, vector, spring, slow], []))
-    assert "<p>ball, 100 nodes: fem-linear, 100 µs; undecided: vdm-boundary, vdm-vector.</p>" in page.replace(
+    assert "<p>ball, 100 nodes: fem-linear, 100 µs; undecided: bem, vdm-vector.</p>" in page.replace(
         "\u00a0", " "
     )
-    assert told(boundary, spring)[fastest] == "undecided: vdm-boundary", "none is surely within"
+    assert told(boundary, spring)[fastest] == "undecided: bem", "none is surely within"
     assert told(spring)[fastest] == "none"
 
     most = "Most accurate at 1 ms a frame of a contact"
-    assert found[most] == "undecided: fem-linear, vdm-boundary, ~5 % ± 4 % at best"
+    assert found[most] == "undecided: fem-linear, bem, ~5 % ± 4 % at best"
     assert told(linear, vector)[most] == "fem-linear, ~5 % ± 4 %"
     assert told(replace(linear, bar=0.005))[most] == "fem-linear, 5 % ± 0.5 %", "a tenth is resolved"
 
@@ -183,16 +181,16 @@ def test_what_the_reference_leaves_open_is_undecided() -> None:
     # elements 3 % closer in the time of the boundary form; none in that of the others
     assert (
         found[unmatched]
-        == "vdm-vector (~13.5 % ± 4 %, 10 ms), mass-spring (~14.5 % ± 4 %, 1 ms); undecided: vdm-boundary"
+        == "vdm-vector (~13.5 % ± 4 %, 10 ms), mass-spring (~14.5 % ± 4 %, 1 ms); undecided: bem"
     )
     assert told(replace(linear, error=0.039), boundary)[unmatched] == "none", "closer by the bar"
-    assert told(replace(linear, error=0.121), boundary)[unmatched] == "vdm-boundary (~8 % ± 4 %, 140 ms)"
-    assert told(replace(linear, error=0.11), boundary)[unmatched] == "undecided: vdm-boundary"
+    assert told(replace(linear, error=0.121), boundary)[unmatched] == "bem (~8 % ± 4 %, 140 ms)"
+    assert told(replace(linear, error=0.11), boundary)[unmatched] == "undecided: bem"
 
     unknown = [replace(e, bar=math.nan) for e in (linear, boundary)]
-    assert told(*unknown)[fastest] == "undecided: vdm-boundary, fem-linear"
-    assert told(*unknown)[unmatched] == "undecided: vdm-boundary"
-    assert told(*unknown)[most] == "undecided: fem-linear, vdm-boundary, ~5 % ± nan % at best"
+    assert told(*unknown)[fastest] == "undecided: bem, fem-linear"
+    assert told(*unknown)[unmatched] == "undecided: bem"
+    assert told(*unknown)[most] == "undecided: fem-linear, bem, ~5 % ± nan % at best"
 
 
 def test_a_round_that_was_left_out_counts_nothing() -> None:
@@ -348,12 +346,10 @@ def test_growth_of_elements_and_the_dense_form_on_finer_meshes(
     monkeypatch.setattr(bench, "growths", lambda *_, **__: [])
     study, told = load_study(path), list[str]()
     given = {"cache": tmp_path, "sizes": (1.0,), "rounds": 1, "large": True, "watch": told.append}
-    names = ["vdm-boundary", "vdm-vector", "fem-linear"]
+    names = ["bem", "vdm-vector", "fem-linear"]
     found = bench.measure({"ball": study}, names=names, **given)
     assert [g.what for g in found.growths] == [
-        f"{model} {what}"
-        for model in ("fem-linear", "vdm-boundary")
-        for what in ("set-up", "frame", "memory")
+        f"{model} {what}" for model in ("fem-linear", "bem") for what in ("set-up", "frame", "memory")
     ]
     for growth in found.growths:
         assert growth.nodes[0] == found.entries[0].nodes

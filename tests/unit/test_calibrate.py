@@ -93,7 +93,7 @@ def answered(samples: list[Sample], model: str, multiples: list[float], asked: l
     ("model", "asked", "multiples"),
     [
         ("vdm-vector", ["surface_tension"], [1.7]),
-        ("vdm-boundary", ["shear_modulus"], [0.4]),
+        ("bem", ["shear_modulus"], [0.4]),
         ("vdm-paper", ["bulk_modulus", "connectivity_modulus"], [0.3, 2.5]),
         ("vdm-consistent", ["foundation", "surface_tension"], [3.0, 0.6]),
         ("vdm-vector", ["surface_tension", "stretch_stiffness"], [0.8, 0.5]),
@@ -198,11 +198,11 @@ def test_a_fit_that_is_worse_than_the_rule_says_so() -> None:
     ("reference", "models", "told"),
     [
         (
-            "vdm-boundary",
+            "bem",
             ("vdm-vector", "vdm-vector:nonlinear"),
             {"vdm-vector": 1, "vdm-vector:nonlinear": 0},
         ),
-        ("vdm-boundary:nonlinear", ("vdm-vector",), {"vdm-vector": 0}),
+        ("bem:nonlinear", ("vdm-vector",), {"vdm-vector": 0}),
     ],
 )
 def test_held_out_multiples_of_training_loads_are_told(
@@ -223,7 +223,7 @@ def test_held_out_multiples_of_training_loads_are_told(
         assert ("1 no test" in row["held out, fitted"]) is repeated
         note = "# of the loads held out 1 are multiples of training loads, by load or by tissue, and test nothing"
         assert as_toml([entry]).startswith(note) is repeated
-    if "vdm-vector" in models and reference == "vdm-boundary":
+    if "vdm-vector" in models and reference == "bem":
         (label,) = as_json([entries["vdm-vector"]])["vdm-vector"]["repeated"]  # type: ignore[misc]
         assert "80 Pa" in label
 
@@ -333,7 +333,7 @@ def test_the_command_writes_a_table_to_paste(tmp_path: Path) -> None:
 
 
 def test_a_fit_to_another_surface_is_tried_on_the_study_as_it_is(tmp_path: Path) -> None:
-    text = STUDY.replace('"fem-linear"', '"vdm-boundary"')
+    text = STUDY.replace('"fem-linear"', '"bem"')
     (tmp_path / "fit.toml").write_text(text)
     (tmp_path / "mine.toml").write_text(text.replace('"fit"', '"mine"').replace('"vdm-paper", ', ""))
     points, triangles = icosphere(2)
@@ -361,7 +361,7 @@ def test_a_history_that_does_not_end_at_factor_one_gives_the_same_fit(tmp_path: 
     fits = []
     for history in ("[1.0]", "[0.5]", "[2.0, 0.25]"):
         name = f"history-{len(fits)}"
-        text = STUDY.replace('"fem-linear"', '"vdm-boundary"').replace('"fit"', f'"{name}"')
+        text = STUDY.replace('"fem-linear"', '"bem"').replace('"fit"', f'"{name}"')
         (tmp_path / name).mkdir()
         run, plan = finished(f"{text}[load]\nfactors = {history}\n", tmp_path / name)
         found = samples_of(plan, run)

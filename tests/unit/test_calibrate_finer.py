@@ -24,7 +24,7 @@ from . import test_calibrate
 from .test_calibrate import STUDY, answered, finished
 
 four_loads = test_calibrate.samples  # the fixture
-TEXT = STUDY.replace('"vdm-paper", ', "").replace('"fem-linear"', '"vdm-boundary"')
+TEXT = STUDY.replace('"vdm-paper", ', "").replace('"fem-linear"', '"bem"')
 SWEPT = '"geometry.mesh_size" = ["16 mm", "18 mm"]\n'
 OWN = TEXT.replace(
     'shape = "ellipsoid"\nsemi_axes = ["40 mm", "30 mm", "25 mm"]', 'shape = "file"\npath = "own.vtu"'

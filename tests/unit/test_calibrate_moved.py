@@ -54,7 +54,7 @@ def loss(trial: Trial, multiples: np.ndarray) -> float:
     [
         ("vdm-vector", ["surface_tension"], [1.7]),
         ("vdm-vector", ["surface_tension"], [20.0]),
-        ("vdm-boundary", ["shear_modulus"], [0.4]),
+        ("bem", ["shear_modulus"], [0.4]),
         ("vdm-paper", ["bulk_modulus", "connectivity_modulus"], [0.3, 2.5]),
         ("vdm-vector:nonlinear", ["surface_tension"], [1.7]),
     ],
@@ -80,14 +80,14 @@ def test_no_multiple_beside_the_fit_has_a_smaller_error(
         dataclasses.replace(s, scene=dataclasses.replace(s.scene, parameters={"foundation": foundation}))
         for s in loads
     ]
-    known = answered(loads, "vdm-boundary", [1.0], ["shear_modulus"])  # which the vector form cannot match
+    known = answered(loads, "bem", [1.0], ["shear_modulus"])  # which the vector form cannot match
     trial = Trial(model, known, ["surface_tension"])
     best = least_error(trial).multiples
     assert loss(trial, best) < min(loss(trial, best * 1.003), loss(trial, best / 1.003))
     assert loss(trial, best) <= loss(trial, np.ones(1))
 
 
-@pytest.mark.parametrize("model", ["vdm-vector", "vdm-boundary"])
+@pytest.mark.parametrize("model", ["vdm-vector", "bem"])
 def test_a_modulus_stays_at_its_rule_where_all_loads_are_movements(
     four_loads: list[Sample], model: str
 ) -> None:

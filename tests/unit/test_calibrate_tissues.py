@@ -19,7 +19,7 @@ from .test_calibrate import STUDY, answered, finished
 from .test_calibrate_moved import moved
 
 four_loads = test_calibrate.samples  # the fixture
-TEXT = STUDY.replace('"fem-linear"', '"vdm-boundary"').replace('"vdm-paper", ', "")
+TEXT = STUDY.replace('"fem-linear"', '"bem"').replace('"vdm-paper", ', "")
 PLACES = '"regions.tip.cap.direction.0" = [0.0, 0.4, -0.5, 0.8]'
 STIFFER = 4.0
 
@@ -89,7 +89,6 @@ def test_another_tissue_is_a_test_where_movements_and_forces_act_together(
         for s in loads
     ]
     trials = [
-        Trial("vdm-vector", answered(side, "vdm-boundary", [1.0], ["shear_modulus"]))
-        for side in (loads, stiffer)
+        Trial("vdm-vector", answered(side, "bem", [1.0], ["shear_modulus"])) for side in (loads, stiffer)
     ]
     assert repeats(trials[0], trials[1], np.array([1.3])) == (["stiffer"] if repeated else [])

@@ -349,7 +349,7 @@ def growing(errors: Mapping[str, tuple[float, float]], stopped: str = "") -> Cas
     return dataclasses.replace(case, metrics=metrics)
 
 
-A, B = "vdm-vector:nonlinear", "vdm-boundary:nonlinear"
+A, B = "vdm-vector:nonlinear", "bem:nonlinear"
 
 
 @pytest.mark.parametrize(

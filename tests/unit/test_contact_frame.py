@@ -56,7 +56,7 @@ def problem_of(scene: Scene, name: str) -> models.PressureProblem | None:
         "vdm-paper",
         "vdm-consistent",
         "vdm-vector",
-        "vdm-boundary",
+        "bem",
         "mass-spring",
         "fem-linear",
         "fem-condensed",

@@ -85,7 +85,7 @@ def test_the_same_regions_by_the_file_and_by_the_middle(tmp_path: Path, ball: Me
 
 
 def test_no_answer_depends_on_the_place_of_the_body(tmp_path: Path, ball: Mesh) -> None:
-    models = ["vdm-paper", "vdm-vector", "vdm-boundary", "fem-linear"]
+    models = ["vdm-paper", "vdm-vector", "bem", "fem-linear"]
     study = {**TABLES["study"], "models": models, "reference": "fem-linear"}
     answers = []
     for place in (np.zeros(3), PLACE):

@@ -46,7 +46,7 @@ BASE: dict[str, Any] = {
 SAME = [f"{model.name}:{model.solvers[0]}" for model in models.all_models().values()]
 SCALAR = ["vdm-paper", "vdm-consistent"]  # whose nodes move along normals only
 FULL = [
-    *("vdm-vector", "vdm-boundary", "mass-spring"),
+    *("vdm-vector", "bem", "mass-spring"),
     *("fem-linear", "fem-linear:plain", "fem-condensed", "fem-coarse", "fem"),
 ]
 # the tension of the one and the mesh of the other go with what is held
@@ -105,12 +105,12 @@ def test_every_model_balances_it_or_refuses_it_by_name(box: Mesh, name: str, dir
 
 def test_stiff_springs_tend_to_a_fixed_region_of_the_boundary_form_but_for_its_rim(box: Mesh) -> None:
     """Facets are cut along what is held, not along springs: what is left is an error of this mesh, 4.4 %."""
-    fixed = answer(box, "vdm-boundary", {"kind": "fixed", "region": "bottom"}).displacement
-    stiff = answer(box, "vdm-boundary", BED | {"stiffness": 1e10, "direction": "full"}).displacement
+    fixed = answer(box, "bem", {"kind": "fixed", "region": "bottom"}).displacement
+    stiff = answer(box, "bem", BED | {"stiffness": 1e10, "direction": "full"}).displacement
     assert 0.0 < np.abs(stiff - fixed).max() < 0.06 * np.abs(fixed).max()
 
 
-@pytest.mark.parametrize("name", [*SCALAR, *(n for n in FULL if n not in (*OTHERWISE, "vdm-boundary"))])
+@pytest.mark.parametrize("name", [*SCALAR, *(n for n in FULL if n not in (*OTHERWISE, "bem"))])
 def test_stiff_springs_tend_to_a_fixed_region(box: Mesh, name: str) -> None:
     fixed = answer(box, name, {"kind": "fixed", "region": "bottom"})
     assert falls_tenfold(box, name, fixed, (1e9, 1e10))
@@ -159,7 +159,7 @@ def test_a_bed_alone_holds_a_body(box: Mesh) -> None:
 
 
 @pytest.mark.parametrize("direction", ["normal", "full"])
-@pytest.mark.parametrize("name", ["vdm-vector", "vdm-boundary", "mass-spring", "fem-linear"])
+@pytest.mark.parametrize("name", ["vdm-vector", "bem", "mass-spring", "fem-linear"])
 def test_a_stiff_ball_turns_in_its_bed_as_a_rigid_one_would(ball: Mesh, name: str, direction: str) -> None:
     """Springs along the normals of flat facets hold a turn in a round bed by what the facets are off the ball."""
     given = study(

@@ -36,7 +36,7 @@ UPPER: dict[str, Any] = {
     "youngs_modulus": 1800.0,
 }
 BASE: dict[str, Any] = {
-    "study": {"name": "test", "models": ["vdm-boundary", "fem-linear"], "reference": "fem-linear"},
+    "study": {"name": "test", "models": ["bem", "fem-linear"], "reference": "fem-linear"},
     "geometry": {"shape": "box", "size": [1.0, 1.0, 1.0], "mesh_size": 0.5},
     "tissue": {"youngs_modulus": 1000.0, "poisson_ratio": 0.0},
     "inclusions": [UPPER],
@@ -167,7 +167,7 @@ def test_a_group_of_tetrahedra_is_kept_with_the_mesh(bar: Mesh, tmp_path: Path) 
 
 def test_keys_have_what_a_model_knows() -> None:
     """Another modulus inside is another body for elements, and the same for a model that leaves it out."""
-    homogeneous = BASE["study"] | {"homogeneous": ["vdm-boundary"]}
+    homogeneous = BASE["study"] | {"homogeneous": ["bem"]}
     tables: dict[str, dict[str, Any]] = {
         "base": {"study": homogeneous},
         "stiffer": {"study": homogeneous, "inclusions": [UPPER | {"youngs_modulus": 2e3}]},
@@ -197,8 +197,8 @@ def test_keys_have_what_a_model_knows() -> None:
         ),
         ({"inclusions": [{"name": "a", "group": "a", "youngs_modulus": 1e3}]}, "only a MSH file has named"),
         ({"study": BASE["study"] | {"homogeneous": ["fem-linear"]}}, "the reference, which has to know"),
-        ({"study": BASE["study"] | {"homogeneous": ["vdm-bound"]}}, 'did you mean "vdm-boundary"'),
-        ({"study": BASE["study"] | {"homogeneous": ["vdm-boundary"]}, "inclusions": []}, "decides nothing"),
+        ({"study": BASE["study"] | {"homogeneous": ["vdm-bound"]}}, 'did you mean "bem"'),
+        ({"study": BASE["study"] | {"homogeneous": ["bem"]}, "inclusions": []}, "decides nothing"),
     ],
 )
 def test_mistakes_are_told(tables: dict[str, Any], told: str) -> None:

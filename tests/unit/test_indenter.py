@@ -35,7 +35,7 @@ TOUCH: dict[str, Any] = {
     "depth": 0.002,
 }
 BASE: dict[str, Any] = {
-    "study": {"name": "test", "models": ["vdm-boundary", "fem-linear"], "reference": "fem-linear"},
+    "study": {"name": "test", "models": ["bem", "fem-linear"], "reference": "fem-linear"},
     "geometry": {"shape": "box", "size": [0.04, 0.04, 0.02], "mesh_size": 0.008},
     "tissue": {"youngs_modulus": 5000.0, "poisson_ratio": 0.45},
     "regions": {

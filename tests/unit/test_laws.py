@@ -24,7 +24,7 @@ from vdmbench.study.validation import validate
 
 PLAIN = {"youngs_modulus": 1000.0, "poisson_ratio": 0.5}
 BASE: dict[str, Any] = {
-    "study": {"name": "test", "models": ["vdm-boundary", "fem"], "reference": "fem"},
+    "study": {"name": "test", "models": ["bem", "fem"], "reference": "fem"},
     "geometry": {"shape": "box", "size": [1.0, 1.0, 1.0], "mesh_size": 0.5},
     "tissue": PLAIN,
     "regions": {

@@ -31,7 +31,7 @@ from vdmbench.study.validation import validate
 
 PULL = np.array([1e-3, 2e-3, -5e-3])  # N: moves the tip by 0.01 of its width
 BASE: dict[str, Any] = {
-    "study": {"name": "test", "models": ["vdm-boundary", "fem-linear"], "reference": "fem-linear"},
+    "study": {"name": "test", "models": ["bem", "fem-linear"], "reference": "fem-linear"},
     "geometry": {"shape": "box", "size": [0.06, 0.03, 0.03], "mesh_size": 0.012},
     "tissue": {"youngs_modulus": 5000.0, "poisson_ratio": 0.49},
     "regions": {

@@ -29,7 +29,7 @@ from .report_runs import icosphere, make_case, make_run
 STUDY = """\
 [study]
 name = "tips"
-models = ["vdm-boundary"]
+models = ["bem"]
 [geometry]
 shape = "sphere"
 radius = 1

@@ -144,7 +144,7 @@ def test_forces_of_a_movement_are_reactions(tmp_path: Path) -> None:
 
 def test_forces_of_an_indenter_are_its_own(tmp_path: Path) -> None:
     """Its way is the depth: 25, 50 and 100 mm at 1, 3 and 9 N; a model that it does not touch has no answer."""
-    pushed = PRESSED.replace("vdm-boundary", "fem-p1").replace('kind = "contact"', 'kind = "indenter"')
+    pushed = PRESSED.replace("bem", "fem-p1").replace('kind = "contact"', 'kind = "indenter"')
     pushed = pushed.replace("force = 8", 'depth = 0.1\nshape = "sphere"\nradius = 0.5')
     study = load(tmp_path, CURVE, pushed)
     still = np.zeros((3, 162, 3))

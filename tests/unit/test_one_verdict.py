@@ -91,7 +91,7 @@ def test_every_limit_has_its_word_and_its_number() -> None:
 
 
 def test_no_line_of_the_terminal_is_wider_than_it(capsys: pytest.CaptureFixture[str]) -> None:
-    names = {"vdm-consistent:nonlinear": 0.05, "vdm-boundary:quasi-linear": 0.06, "fem-linear": 0.02}
+    names = {"vdm-consistent:nonlinear": 0.05, "bem:quasi-linear": 0.06, "fem-linear": 0.02}
     cases = [
         make_case(names, reference="fem-linear refined", swept={"k": k}, label=f"k = {k}", subdivisions=0)
         for k in (1.0, 2.0)

@@ -117,7 +117,7 @@ def test_opens_without_complaint_and_fits(browser: Browser, page: Path, width: i
 def test_the_headline_is_whole_on_a_wide_window_however_much_is_marked(
     browser: Browser, tmp_path: Path
 ) -> None:
-    names = ("vdm-paper", "vdm-consistent", "vdm-vector", "vdm-boundary", "fem-condensed")
+    names = ("vdm-paper", "vdm-consistent", "vdm-vector", "bem", "fem-condensed")
     marks: dict[str, float | str] = {"measured_earlier": "yes", "solver": "iterative"}
     cases = []
     for k in range(2):

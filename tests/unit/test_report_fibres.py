@@ -15,7 +15,7 @@ from .report_runs import make_case, make_run
 
 def fibrous(strains: dict[str, tuple[float, float, float]]) -> CaseResult:
     """A case with fibres whose models have these mean strains at full load."""
-    case = make_case({"vdm-paper": 0.5, "vdm-boundary": 0.1}, steps=(0.5, 1.0))
+    case = make_case({"vdm-paper": 0.5, "bem": 0.1}, steps=(0.5, 1.0))
     metrics = {
         name: {
             **case.metrics[name],
@@ -35,7 +35,7 @@ def test_strains_and_their_ratio() -> None:
         {
             "vdm-paper": (0.012, 0.024, -0.036),
             "fem-linear": (0.01, 0.04, -0.05),
-            "vdm-boundary": (np.nan, np.nan, np.nan),
+            "bem": (np.nan, np.nan, np.nan),
         }
     )
     section = anisotropy_of_the_response(Digest(make_run([case])))

@@ -21,11 +21,9 @@ def _run(errors: dict[str, float], **case: object) -> Run:
 
 @pytest.fixture(scope="module")
 def runs() -> dict[str, Run]:
-    first = {"vdm-paper": 0.2, "vdm-vector": 0.1, "vdm-boundary": 0.05}
+    first = {"vdm-paper": 0.2, "vdm-vector": 0.1, "bem": 0.05}
     found = {"runs/first": _run(first)}
-    found["runs/second"] = _run(
-        {"vdm-paper": 0.4, "vdm-vector": 0.02, "vdm-boundary": 0.05}, stopped={"vdm-boundary": 3}
-    )
+    found["runs/second"] = _run({"vdm-paper": 0.4, "vdm-vector": 0.02, "bem": 0.05}, stopped={"bem": 3})
     other = _run(first)
     case = dataclasses.replace(other.cases[0], resolved={"tissue": {"poisson_ratio": 0.3}})
     found["runs/of another tissue"] = dataclasses.replace(other, cases=[case])
@@ -50,14 +48,14 @@ def test_what_became_of_each_is_told(runs: dict[str, Run]) -> None:
         "                        A                 B                 C",
         "vdm-paper               20.0 %            40.0 % worse      20.0 % ?",
         "vdm-vector              10.0 %            2.00 % better     10.0 % ?",
-        "vdm-boundary            5.00 %            – fails           5.00 % ?",
+        "bem            5.00 %            – fails           5.00 % ?",
         "",
         "displacement error",
         "                        D",
         "vdm-paper               20.0 %",
         "vdm-vector              10.0 %",
     ]
-    assert lines[start + 10] == "vdm-boundary            – gone"
+    assert lines[start + 10] == "bem            – gone"
     assert "C against A: 1 not comparable" in lines
     assert "   the inputs of the case have changed" in lines
 
@@ -73,9 +71,7 @@ def test_json_has_every_metric_and_the_findings(
     options = parse(["compare", *found, "--json"])
     assert verb_compare.run(options) == 0
     told = json.loads(capsys.readouterr().out)
-    row = next(
-        row for row in told["rows"] if (row["metric"], row["model"]) == ("hausdorff_distance", "vdm-boundary")
-    )
+    row = next(row for row in told["rows"] if (row["metric"], row["model"]) == ("hausdorff_distance", "bem"))
     assert row["outcomes"] == ["first", "newly failing"]
     assert row["values"][0] > 0
     assert row["values"][1] is None

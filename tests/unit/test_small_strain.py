@@ -27,7 +27,7 @@ from vdmbench.study.schema import Study
 STUDY = """
 [study]
 name = "limits"
-models = ["vdm-boundary", "fem-linear", "fem"]
+models = ["bem", "fem-linear", "fem"]
 reference = "fem"
 [geometry]
 shape = "box"
@@ -194,7 +194,7 @@ def test_a_search_tries_a_model_only_where_its_limit_may_be(found: Found, runs: 
 def test_linear_elements_have_no_structural_error_and_a_surface_model_has(found: Found) -> None:
     _, _, limits = found
     assert limits.models["fem-linear"].structural_error < 1e-3  # what is left is the small load's own square
-    assert limits.models["vdm-boundary"].structural_error > 0.01
+    assert limits.models["bem"].structural_error > 0.01
     small, large = limits.models["fem-linear"].limits
     assert small.state == large.state == "found"
     assert small.load < large.load

@@ -290,6 +290,13 @@ CASES = {
         "study.models[0]",
         'did you mean "vdm-paper"?',
     ),
+    "former model": (
+        '["vdm-paper"]',
+        '["vdm-boundary:nonlinear"]',
+        "models",
+        "study.models[0]",
+        "is now bem:nonlinear",
+    ),
     "unknown solver": ('["vdm-paper"]', '["vdm-paper:minres"]', "models", "study.models[0]", "unknown model"),
     "reference left out": (
         "[geometry]",

@@ -17,7 +17,7 @@ from vdm import Load, Model, Parameters, SurfaceMesh
 POINTS, TRIANGLES = icosphere(2, (0.05, 0.06, 0.045))
 SURFACE = SurfaceMesh(POINTS, TRIANGLES)
 BASE, TOP = POINTS[:, 2] < -0.03, POINTS[:, 2] > 0.035
-NONLINEAR = ("paper", "consistent", "vector", "boundary", "mass-spring")
+NONLINEAR = ("paper", "consistent", "vector", "bem", "mass-spring")
 
 BODY = ball(1)
 HELD = BODY.surface[:, 2] < -0.6
@@ -65,7 +65,7 @@ def test_a_load_that_is_taken_off_is_not_too_small() -> None:
     assert nonlinear.solve([Load(np.where(TOP, 1e-15, 0.0))]).status[0].code == "too-small"
 
 
-@pytest.mark.parametrize("formulation", ["vector", "mass-spring", "boundary"])
+@pytest.mark.parametrize("formulation", ["vector", "mass-spring", "bem"])
 def test_held_nodes_that_move_by_less_than_rounding(formulation: str) -> None:
     rule = Parameters.from_tissue(5000.0, SURFACE, formulation, held=BASE)
     model = Model(POINTS, TRIANGLES, rule, formulation=formulation, solver="nonlinear", constrained=BASE)

@@ -121,7 +121,7 @@ def test_slivers(formulation: str) -> None:
             points[a] = points[b] + (points[a] - points[b]) / ratio
         model = made(points, formulation, BASE)
         if isinstance(model, str):
-            assert formulation == "boundary", model
+            assert formulation == "bem", model
             assert "slivers" in model
         else:
             assert held_to_the_truth(model, FINGER, 1e-6) == "converged"
@@ -242,10 +242,10 @@ def test_three_held_nodes_nearly_on_one_line(solver: str) -> None:
 
 
 @pytest.mark.parametrize("solver", ["linear", "single", "refined", "lu", "cg", "minres"])
-@pytest.mark.parametrize("formulation", ["vector", "mass-spring", "boundary"])
+@pytest.mark.parametrize("formulation", ["vector", "mass-spring", "bem"])
 def test_a_body_that_its_support_carries_along_is_right(formulation: str, solver: str) -> None:
     """No force is left but rounding, of which nothing can be lacking."""
-    if formulation == "boundary" and solver in ("single", "refined"):
+    if formulation == "bem" and solver in ("single", "refined"):
         return
     rule = Parameters.from_tissue(5000.0, BODY, formulation)
     model = Model(POINTS, TRIANGLES, rule, formulation=formulation, constrained=BASE, solver=solver)

@@ -24,7 +24,7 @@ def held_at_one_end(points: Array, triangles: Index, **options: Any) -> Model:
     x = points[:, 0]
     parameters = Parameters(shear_modulus=1667.0)
     fixed = x < x.min() + 0.15 * np.ptp(x)
-    return Model(points, triangles, parameters, formulation="boundary", fixed=fixed, **options)
+    return Model(points, triangles, parameters, formulation="bem", fixed=fixed, **options)
 
 
 def told(model: Model) -> tuple[str, str]:
@@ -73,7 +73,7 @@ def test_the_error_belongs_to_the_body_not_to_axes_or_moduli() -> None:
     turn = np.linalg.qr(random.standard_normal((3, 3)))[0]
     turn *= np.linalg.det(turn)
     errors = [
-        Model(p, triangles, Parameters(shear_modulus=mu), formulation="boundary", fixed=fixed).bending_error
+        Model(p, triangles, Parameters(shear_modulus=mu), formulation="bem", fixed=fixed).bending_error
         for p, mu in ((points, 1.0), (1e3 * points @ turn.T + 5.0, 3e4))
     ]
     assert_allclose(errors[1], errors[0], rtol=1e-6, atol=0.0)
@@ -103,9 +103,7 @@ def test_a_form_that_does_not_know_the_inside_says_how_wrong_it_is(formulation: 
     surface, fixed = SurfaceMesh(points, triangles), points[:, 0] < -0.07
     parameters = Parameters.from_tissue(5000.0, surface, formulation, held=fixed)
     model = Model(points, triangles, parameters, formulation=formulation, solver=solver, fixed=fixed)
-    right = Model(
-        points, triangles, Parameters(shear_modulus=5000.0 / 3.0), formulation="boundary", fixed=fixed
-    )
+    right = Model(points, triangles, Parameters(shear_modulus=5000.0 / 3.0), formulation="bem", fixed=fixed)
     push = Load(np.where((points[:, 2] > 0.0) & (points[:, 0] > 0.0), 10.0, 0.0))
     found, expected = (m.solve([push]).displacement[0] for m in (model, right))
     error = np.linalg.norm(found - expected) / np.linalg.norm(expected)
@@ -125,7 +123,7 @@ def test_the_error_is_that_of_the_tissue_that_the_parameters_stand_for() -> None
             points,
             triangles,
             Parameters(shear_modulus=1.0, youngs_modulus=e),
-            formulation="boundary",
+            formulation="bem",
             fixed=few,
         ).bending_error
         for e in (3.0, 4.5, 6.0)

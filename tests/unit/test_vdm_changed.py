@@ -57,7 +57,7 @@ def test_a_changed_support_answers_as_the_long_way(formulation, fixed, moved):
 
 
 def test_supports_that_let_the_body_go_are_refused():
-    solver = model("boundary", BASE).solver
+    solver = model("bem", BASE).solver
     with pytest.raises(SolverError, match="leave the body free to move"):
         ChangedSupport(solver, NOBODY)
     with pytest.raises(ConstraintError, match="mask of 162 booleans"):

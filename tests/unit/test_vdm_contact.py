@@ -117,7 +117,11 @@ def test_a_contact_that_wanders_keeps_the_latest_columns_only(solver, monkeypatc
 def test_the_sparse_form_leaves_out_what_its_own_error_hides():
     """Its columns look alike only but for their interpolation, 1e-4 of them."""
     body = Model(
-        POINTS, TRIANGLES, Parameters(shear_modulus=2e3, coarse_nodes=400), formulation="sparse", fixed=BASE
+        POINTS,
+        TRIANGLES,
+        Parameters(shear_modulus=2e3, coarse_nodes=400),
+        formulation="bem-sparse",
+        fixed=BASE,
     )
     contact, pressure = ContactCompliance(body.problem), np.random.default_rng(7).random(50)
     contact.frame(PATCH, pressure)

@@ -31,7 +31,7 @@ def standing(n: int, load: str, **options: Any) -> tuple[Model, Load]:
         prescribed = np.where(top[:, None], [0.001, 0.0, 0.0], 0.0)
     if load == "weight":
         options |= {"density": 1000.0, "gravity": np.array([5.0, 0.0, 0.0])}
-    given = {"formulation": "boundary"} | options
+    given = {"formulation": "bem"} | options
     material = given.pop("parameters", Parameters(shear_modulus=1667.0))
     model = Model(points, triangles, material, fixed=fixed, **given)
     if load != "pressed":
@@ -73,7 +73,7 @@ def test_it_falls_with_refinement_and_does_not_depend_on_the_size_of_the_load() 
 def test_the_coarse_body_of_the_sparse_form_is_what_is_halved() -> None:
     """The sparse form halves its coarse body: its estimate is larger than that of a body on all nodes."""
     material = Parameters(shear_modulus=1667.0, coarse_nodes=200)
-    model, push = standing(8, "pressed", formulation="sparse", parameters=material)
+    model, push = standing(8, "pressed", formulation="bem-sparse", parameters=material)
     dense, same = standing(8, "pressed")
     assert HalvedFormulation(model.formulation).n_coarse == 100  # type: ignore[arg-type]
     on_coarse = model.solve([push]).scalars["mesh_error"][0]
@@ -94,8 +94,8 @@ def test_no_other_form_has_one_nor_a_body_on_springs_nor_a_load_of_nothing() -> 
     vector = Model(points, triangles, Parameters(surface_tension=1.0), formulation="vector", fixed=foot)
     bed = sparse.csr_array(sparse.diags_array(np.repeat(np.where(foot, 1.0, 0.0), 3)))
     springs = Parameters(shear_modulus=1.0, ground=bed)
-    ground = Model(points, triangles, springs, formulation="boundary")
-    held = Model(points, triangles, Parameters(shear_modulus=1.0), formulation="boundary", fixed=foot)
+    ground = Model(points, triangles, springs, formulation="bem")
+    held = Model(points, triangles, Parameters(shear_modulus=1.0), formulation="bem", fixed=foot)
     for model in (vector, ground, held):
         solution = model.solve([nothing])
         assert "mesh_error" not in solution.scalars
@@ -119,8 +119,6 @@ def test_the_remedy_names_the_nodes_that_bring_it_to_a_tenth() -> None:
     assert "finite elements" in reserved(CONVERGED, 0.0, 9.0, form).remedy  # more than the form takes
     points, triangles = icosphere(1, (0.07, 0.05, 0.05))
     foot, top = points[:, 0] < -0.055, points[:, 2] > 0.03
-    own = Model(points, triangles, form.parameters, formulation="boundary", fixed=foot).solve(
-        [Load(1.0 * top)]
-    )
+    own = Model(points, triangles, form.parameters, formulation="bem", fixed=foot).solve([Load(1.0 * top)])
     assert own.scalars["mesh_error"][0] > LIMIT
     assert f"leaves about {own.scalars['mesh_error'][0]:.0%}" in own.status[0].message

@@ -352,8 +352,8 @@ SINGULAR = [
     ("vector", Parameters(surface_tension=1.0, rotation="none"), [], AREA),
     ("vector", Parameters(surface_tension=1.0, rotation="global"), [0], AREA),
     ("vector", Parameters(surface_tension=0.0, stretch_stiffness=1.0, rotation="none"), LINE, AREA),
-    ("boundary", None, [], AREA),
-    ("boundary", None, LINE, AREA),
+    ("bem", None, [], AREA),
+    ("bem", None, LINE, AREA),
     ("mass-spring", None, [], AREA),
     ("mass-spring", None, LINE, AREA),
     ("paper", Parameters(bulk_modulus=0.0, connectivity_modulus=1.0), [], "hold a node"),
@@ -402,8 +402,8 @@ MODULI = {
     "paper": ("bulk_modulus", "connectivity_modulus"),
     "consistent": ("foundation", "surface_tension"),
     "vector": ("surface_tension",),
-    "boundary": ("shear_modulus",),
-    "sparse": ("shear_modulus",),
+    "bem": ("shear_modulus",),
+    "bem-sparse": ("shear_modulus",),
     "mass-spring": ("shear_modulus",),
 }
 

@@ -141,7 +141,7 @@ def test_coarse_bodies_are_finer_at_the_rim() -> None:
     assert_allclose(free.surface.points, even.surface.points, rtol=0.0, atol=0.0)
 
 
-@pytest.mark.parametrize("formulation", ["boundary", "sparse"])
+@pytest.mark.parametrize("formulation", ["bem", "bem-sparse"])
 def test_cuts_do_not_change_the_precision_that_was_compiled(
     formulation: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -160,7 +160,7 @@ def test_cuts_do_not_change_the_precision_that_was_compiled(
     assert dtype is compiled is np.float64
 
 
-@pytest.mark.parametrize("formulation", ["boundary", "sparse"])
+@pytest.mark.parametrize("formulation", ["bem", "bem-sparse"])
 def test_a_model_cuts_along_all_that_it_holds_and_moves(formulation: str) -> None:
     top = POINTS[:, 2] > 0.03
     model = Model(POINTS, TRIANGLES, soft(0.5), formulation=formulation, fixed=BASE, constrained=top)

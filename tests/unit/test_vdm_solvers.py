@@ -50,7 +50,7 @@ def kept_drift(solver: Model, displacement) -> float:
 @pytest.mark.parametrize("solver", ["bicg", "bicg-cold", "cg", "minres", "single", "refined"])
 @pytest.mark.parametrize("formulation", NAMES)
 def test_iterative_solvers_equal_the_direct_one(formulation, solver):
-    if formulation == "boundary" and solver in ("single", "refined"):
+    if formulation == "bem" and solver in ("single", "refined"):
         pytest.skip("refused, with a test of its own")
     constrained = POINTS[:, 0] > 0.045
     moved = np.where(constrained[:, None], [1e-3, 0.0, 2e-3], 0.0)
@@ -111,7 +111,7 @@ def test_bicg_does_not_depend_on_the_units(formulation):
 def test_a_pressure_from_all_sides_moves_nothing_and_is_no_failure(formulation, solver):
     """The answer is the rounding of what cancels, and that is what it is measured by."""
     if (formulation, solver) == ("paper", "minres") or (
-        formulation == "boundary" and solver in ("single", "refined")
+        formulation == "bem" and solver in ("single", "refined")
     ):
         pytest.skip("refused, with a test of its own")
     loads = [Load.from_facet_pressure(BODY, np.full(len(TRIANGLES), p)) for p in (100.0, 200.0)]
@@ -353,7 +353,7 @@ def test_nonlinear_follower_pressure_balances_in_the_deformed_state():
     assert_allclose(torque, 0.0, rtol=0.0, atol=1e-6 * np.abs(np.cross(positions, applied)).sum())
 
 
-@pytest.mark.parametrize("formulation", ["consistent", "vector", "boundary", "mass-spring"])
+@pytest.mark.parametrize("formulation", ["consistent", "vector", "bem", "mass-spring"])
 def test_a_small_weight_gives_the_pressure_of_the_linear_model_at_the_same_datum(formulation):
     # one thousandth of a weight: the body hardly moves, and what is left is where the pressure is measured
     weight = {"density": 1.0, "gravity": (3.0, 0.0, -9.81)}

@@ -90,7 +90,7 @@ def test_a_coarse_body_has_its_rim_where_the_fine_one_is_held(monkeypatch: pytes
     monkeypatch.setattr(tractions, "shared", spied)
     fixed = points[:, 2] < -0.02
     parameters = Parameters(shear_modulus=1e3, coarse_nodes=300)
-    Model(points, triangles, parameters, formulation="sparse", fixed=fixed)
+    Model(points, triangles, parameters, formulation="bem-sparse", fixed=fixed)
     ((coarse, held),) = seen
     assert coarse.n_nodes < 350
     # within a fine facet of its edge
@@ -142,7 +142,7 @@ def test_sharing_costs_an_answer_less_than_its_mesh_does(nu: float, monkeypatch:
     def solved(level: int) -> Array:
         points, triangles = icosphere(level, (0.05, 0.05, 0.05))
         parameters = Parameters(shear_modulus=1e3, poisson_ratio=nu)
-        model = Model(points, triangles, parameters, formulation="boundary", fixed=points[:, 2] < -0.03)
+        model = Model(points, triangles, parameters, formulation="bem", fixed=points[:, 2] < -0.03)
         pressure = 10.0 * np.clip(points[:, 2] / 0.05, 0.0, 1.0)
         return np.asarray(model.solve([Load(pressure)]).displacement[0][:162])
 
@@ -163,6 +163,6 @@ def test_a_solid_next_to_incompressible_keeps_its_volume(monkeypatch: pytest.Mon
     answers = []
     for nu in (0.4997, 0.5):
         parameters = Parameters(shear_modulus=1e3, poisson_ratio=nu)
-        model = Model(points, triangles, parameters, formulation="boundary", fixed=points[:, 2] < -0.02)
+        model = Model(points, triangles, parameters, formulation="bem", fixed=points[:, 2] < -0.02)
         answers.append(model.solve([load]).displacement[0])
     assert np.linalg.norm(answers[0] - answers[1]) < 3e-3 * np.linalg.norm(answers[1])

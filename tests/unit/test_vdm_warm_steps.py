@@ -53,7 +53,7 @@ def test_a_history_does_not_remember_the_one_before():
     assert np.array_equal(first.iterations, again.iterations)
 
 
-@pytest.mark.parametrize("formulation", ["consistent", "vector", "boundary"])
+@pytest.mark.parametrize("formulation", ["consistent", "vector", "bem"])
 def test_a_tiny_load_is_solved_as_well_as_a_large_one(formulation):
     load = PUSH.scaled(1e-9)
     material = Parameters.from_tissue(5000.0, BODY, formulation)

@@ -445,19 +445,19 @@ def limits_of(entries: Sequence[tuple[str, ModelLimits]], focus: ModelLimits | N
 
 def test_parameters_that_a_formulation_does_not_read_are_not_told() -> None:
     case = with_parameters(
-        make_case({"vdm-boundary": 0.05}),
-        "vdm-boundary",
-        formulation="boundary",
+        make_case({"bem": 0.05}),
+        "bem",
+        formulation="bem",
         shear_modulus=1667.0,
     )
     given = {**case.resolved, "vdm": {"bulk_modulus": 700.0}}
     text = told(make_run([dataclasses.replace(case, resolved=given)]))[WITH]
     assert text == (
-        "vdm-boundary with shear modulus = 1.67 kPa, by rule from the tissue and the size of the body, not fitted."
+        "bem with shear modulus = 1.67 kPa, by rule from the tissue and the size of the body, not fitted."
     )
-    own = {**case.resolved, "models": {"vdm-boundary": {"shear_modulus": 1667.0}}}
+    own = {**case.resolved, "models": {"bem": {"shear_modulus": 1667.0}}}
     text = told(make_run([dataclasses.replace(case, resolved=own)]))[WITH]
-    assert text == "vdm-boundary with shear modulus = 1.67 kPa; the study sets shear modulus."
+    assert text == "bem with shear modulus = 1.67 kPa; the study sets shear modulus."
 
 
 def test_every_number_that_a_study_can_give_has_a_name_and_its_unit() -> None:

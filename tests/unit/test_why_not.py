@@ -199,7 +199,7 @@ def test_what_the_mesh_takes_of_linear_elements_is_not_small_strain() -> None:
 
 
 def test_a_body_that_swings_on_its_support_is_not_sent_to_a_solver_with_one_rotation() -> None:
-    case = growing({"vdm-boundary": (0.02, 0.06, 0.123), "fem-linear": (0.001, 0.05, 0.114)})
+    case = growing({"bem": (0.02, 0.06, 0.123), "fem-linear": (0.001, 0.05, 0.114)})
     for share, word in ((0.5, "Add"), (0.98, "Take elements that follow large displacements")):
         own = case.metrics["fem"]
         rigid = dataclasses.replace(own["rigid_share"], values=np.full(3, share))

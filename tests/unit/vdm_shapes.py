@@ -111,4 +111,4 @@ def model(formulation: str, parameters: Parameters | None = None, **options: Any
 
 
 # forms whose operator is a matrix, which every solver takes; the sparse form refuses others by name
-WITH_MATRIX = [name for name in FORMULATIONS if name != "sparse"]
+WITH_MATRIX = [name for name in FORMULATIONS if name != "bem-sparse"]

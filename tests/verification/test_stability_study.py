@@ -36,7 +36,7 @@ SMALL: dict[str, tuple[tuple[tuple[str, str], ...], int]] = {
         1,
     ),
     "stability-size": (
-        (('"2.5 mm", "1.25 mm", "0.65 mm", "0.385 mm"', '"2.5 mm"'), ('    "vdm-boundary",\n', "")),
+        (('"2.5 mm", "1.25 mm", "0.65 mm", "0.385 mm"', '"2.5 mm"'), ('    "bem",\n', "")),
         1,
     ),
     "stability-size-volume": ((('"10 mm", "7 mm", "5 mm"]', '"12 mm"]'),), 1),

@@ -111,7 +111,7 @@ def block_error(n: int, nu: float) -> tuple[int, float]:
         surface.points,
         triangles,
         Parameters(shear_modulus=1.0, poisson_ratio=nu),
-        formulation="boundary",
+        formulation="bem",
         constrained=base,
     )
     found = model.solve([Load(np.zeros(len(points)), force, exact * base[:, None])]).displacement[0]
@@ -151,7 +151,7 @@ def test_weight_stretches_a_hanging_block(nu: float):
             points,
             triangles,
             Parameters(shear_modulus=1.0, poisson_ratio=nu),
-            formulation="boundary",
+            formulation="bem",
             constrained=top,
             density=1.0,
             gravity=(0.0, 0.0, -weight),
@@ -172,10 +172,8 @@ def test_a_ratio_next_to_a_half_is_taken_as_a_half_and_less_has_a_mean_pressure(
     load = Load(np.where(points[:, 2] > 0.03, 100.0, 0.0))
 
     def solved(nu: float):
-        parameters = Parameters.from_tissue(
-            3000.0, SurfaceMesh(points, triangles), "boundary", poisson_ratio=nu
-        )
-        model = Model(points, triangles, parameters, formulation="boundary", fixed=fixed)
+        parameters = Parameters.from_tissue(3000.0, SurfaceMesh(points, triangles), "bem", poisson_ratio=nu)
+        model = Model(points, triangles, parameters, formulation="bem", fixed=fixed)
         return model.solve([load])
 
     fluid, next_to_it, less, far = (solved(nu) for nu in (0.5, 0.4999, 0.4997, 0.3))
@@ -191,9 +189,7 @@ def test_more_nodes_than_a_dense_matrix_takes_are_refused_by_name_and_size():
     points, triangles = icosphere(4)
     assert len(points) > MAX_NODES
     with pytest.raises(SolverError, match=f"2,562 nodes are more than the {MAX_NODES:,}"):
-        Model(
-            points, triangles, Parameters(shear_modulus=1.0), formulation="boundary", fixed=points[:, 2] < 0.0
-        )
+        Model(points, triangles, Parameters(shear_modulus=1.0), formulation="bem", fixed=points[:, 2] < 0.0)
 
 
 def test_a_compressible_body_at_large_displacements_is_refused():
@@ -203,7 +199,7 @@ def test_a_compressible_body_at_large_displacements_is_refused():
             points,
             triangles,
             Parameters(shear_modulus=1.0, poisson_ratio=0.3),
-            formulation="boundary",
+            formulation="bem",
             solver="nonlinear",
             fixed=points[:, 2] < 0.0,
         )
@@ -212,7 +208,7 @@ def test_a_compressible_body_at_large_displacements_is_refused():
 def test_bad_parameters_and_sizes():
     points, triangles = icosphere(1)
     fixed = points[:, 2] < -0.8
-    options = {"formulation": "boundary", "fixed": fixed}
+    options = {"formulation": "bem", "fixed": fixed}
     for ratio in (-1.0, 0.51, np.nan):
         with pytest.raises(ParameterError, match="poisson_ratio must be above -1 and at most 1/2"):
             Parameters(shear_modulus=1.0, poisson_ratio=ratio)
@@ -220,7 +216,7 @@ def test_bad_parameters_and_sizes():
         with pytest.raises(ParameterError, match="shear_modulus"):
             Model(points, triangles, parameters, **options)
     with pytest.raises(SolverError, match="hold an area of the surface"):
-        Model(points, triangles, Parameters(shear_modulus=1.0), formulation="boundary")
+        Model(points, triangles, Parameters(shear_modulus=1.0), formulation="bem")
     with pytest.raises(ParameterError, match="isotropic"):
         Parameters(shear_modulus=1.0).anisotropic(SurfaceMesh(points, triangles), (0, 0, 1), 2.0)
 
@@ -241,8 +237,8 @@ def test_held_patches_against_mixed_finite_elements(shape):
     soft = Model(
         surface.points,
         mesh.triangles,
-        Parameters.from_tissue(5000.0, surface, "boundary"),
-        formulation="boundary",
+        Parameters.from_tissue(5000.0, surface, "bem"),
+        formulation="bem",
         fixed=base,
     ).solve([load])
     problem = LinearProblem(

@@ -16,7 +16,7 @@ from vdmbench.study.geometry_spec import Geometry
 
 FACTORS = (0.8, 0.9, 1.0, 1.1, 0.95)
 # a palpating pressure [Pa] that moves the surface by 6 to 13 mm of its 190
-PRESSURE = {"consistent": 1000.0, "vector": 1000.0, "boundary": 700.0}
+PRESSURE = {"consistent": 1000.0, "vector": 1000.0, "bem": 700.0}
 
 pytestmark = pytest.mark.liver
 
@@ -56,7 +56,7 @@ def test_energy_is_the_work_of_the_load(palpated):
     model, loads, solution = palpated
     # the trapezes err with the square of the steps, here 5e-5 and 4e-4; the boundary form's force leaves out how
     # the best-fit rotation turns with the displacement, 1.6e-2 at 13 mm whatever the steps
-    tolerance = {"consistent": 2e-4, "vector": 1e-3, "boundary": 2e-2}[model.formulation.name]
+    tolerance = {"consistent": 2e-4, "vector": 1e-3, "bem": 2e-2}[model.formulation.name]
     body = DeformableSurface(model.surface)
     assert np.all(solution.energy > 0.0)
     forces = [

@@ -147,7 +147,7 @@ def test_with_all_nodes_in_the_coarse_body_it_is_the_boundary_form(nu):
     parameters = Parameters(shear_modulus=1667.0, poisson_ratio=nu)
     whole, boundary = (
         Model(points, triangles, parameters, formulation=name, fixed=points[:, 2] < -0.03).solve([load])
-        for name in ("sparse", "boundary")
+        for name in ("bem-sparse", "bem")
     )
     for field in ("displacement", "reaction_force", "fluid_pressure", "energy"):
         right = getattr(boundary, field)
@@ -165,7 +165,7 @@ def errors(surface: SurfaceMesh, counts: list[int], width: float) -> list[float]
     for count in counts:
         coarse = count < surface.n_nodes
         parameters = Parameters(shear_modulus=1667.0, coarse_nodes=count if coarse else None)
-        form = "sparse" if coarse else "boundary"
+        form = "bem-sparse" if coarse else "bem"
         model = Model(x, surface.triangles, parameters, formulation=form, fixed=fixed)
         answers.append(model.solve([patch]).displacement[0])
     right = answers[-1]

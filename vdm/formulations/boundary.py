@@ -60,7 +60,7 @@ class BoundaryFormulation(DisplacementFormulation):
         more than `MAX_NODES` nodes.
     """
 
-    name = "boundary"
+    name = "bem"
     turns_as_one = True
     matrix: Array
     _rims: Rims

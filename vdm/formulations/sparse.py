@@ -51,7 +51,7 @@ class SparseFormulation(BoundaryFormulation):
     dense symmetric matrix of the coarse body between two sparse ones.
     """
 
-    name = "sparse"
+    name = "bem-sparse"
     has_matrix = False
     # the interpolation makes columns unlike that are alike; a thousandth of the form's own error
     left_out_far = 1e-4
