@@ -212,6 +212,12 @@ def lacks(name: str, extras: Collection[str]) -> list[str]:
     return [f"{name} {EXTRAS[extra]}" for extra in wanted]
 
 
+def family_of(name: str) -> Family:
+    """What a model, or a refined level of it, stands for; what is not registered here is another's engine."""
+    model = all_models().get(name.partition(" ")[0].partition(":")[0])
+    return model.family if model is not None else Family.ENGINES
+
+
 def reads(name: str) -> tuple[str, ...]:
     """Keys of [vdm] that a model reads, whatever its solver; none where it is unknown."""
     model = all_models().get(name.partition(" ")[0].partition(":")[0])
