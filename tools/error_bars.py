@@ -1,4 +1,4 @@
-"""Tries the error bars of two mesh levels on a third, as `vdmbench audit` does, on cases of shipped studies.
+"""Tries the error bars of two mesh levels on a third on cases of shipped studies.
 
 Studies may be named as arguments: rows of others stay as they are.
 
@@ -21,8 +21,8 @@ import numpy as np
 
 from tools import marked
 from tools.runs import CASES, ROOT
+from tools.third_level import HEADLINE, audited
 from vdmbench.body.surface_measures import Surface, weighted_norms, without_motions
-from vdmbench.evidence.audit import HEADLINE, audited
 from vdmbench.graph.plan import make_plan
 from vdmbench.graph.run import Options, run_plan
 from vdmbench.measures.metrics import METRICS, VECTOR

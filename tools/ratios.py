@@ -33,7 +33,7 @@ HEAD = (
     "nu",
     "reference's own",
     "its volume",
-    *(f"boundary, {what}" for what in INSIDE),
+    *(f"bem, {what}" for what in INSIDE),
     "FEM, this mesh",
 )
 PART, ALL = "ratios", "all"

@@ -20,7 +20,6 @@ VERBS = (  # in the order in which they are told
     "calibrate",
     "status",
     "report",
-    "audit",
     "compare",
     "export",
     "gate",

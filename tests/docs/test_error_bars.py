@@ -21,7 +21,7 @@ from tools.error_bars import (
     held,
     tried_on_a_third_level,
 )
-from vdmbench.evidence.audit import Bar
+from tools.third_level import Bar
 from vdmbench.measures.uncertainty import SIGNED
 from vdmbench.study.config import load_study
 

@@ -183,5 +183,7 @@ def test_every_model_is_in_the_table() -> None:
 
     text = (DOCS / "reference" / "models.md").read_text()
     assert set(
-        re.findall(r"^\| `((?:vdm|fem|mass|mujoco|newton|ngsolve)[a-z0-9-]*)` \|", text, flags=re.MULTILINE)
+        re.findall(
+            r"^\| `((?:vdm|bem|fem|mass|mujoco|newton|ngsolve)[a-z0-9-]*)` \|", text, flags=re.MULTILINE
+        )
     ) == set(all_models())

@@ -12,18 +12,18 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..body.mesh_cache import mesh_from_cache
-from ..body.surface_measures import Surface, weighted_norm
-from ..graph.case import Block
-from ..graph.plan import Plan, PlannedCase
-from ..measures.bars import value_bar
-from ..measures.case import CaseResult
-from ..measures.metrics import DEFORMATION, METRICS, VECTOR, History, evaluate_all, full_load_step
-from ..measures.uncertainty import REASONABLE_ORDERS, estimate_error
-from ..scene.result import ModelResult
-from ..scene.scene import build_scene
-from ..study.model_name import REFINED
-from ..study.schema import MOST_LEVELS
+from vdmbench.body.mesh_cache import mesh_from_cache
+from vdmbench.body.surface_measures import Surface, weighted_norm
+from vdmbench.graph.case import Block
+from vdmbench.graph.plan import Plan, PlannedCase
+from vdmbench.measures.bars import value_bar
+from vdmbench.measures.case import CaseResult
+from vdmbench.measures.metrics import DEFORMATION, METRICS, VECTOR, History, evaluate_all, full_load_step
+from vdmbench.measures.uncertainty import REASONABLE_ORDERS, estimate_error
+from vdmbench.scene.result import ModelResult
+from vdmbench.scene.scene import build_scene
+from vdmbench.study.model_name import REFINED
+from vdmbench.study.schema import MOST_LEVELS
 
 HEADLINE = (VECTOR, DEFORMATION)
 COVERED = 0.95  # share of the two errors' bars that are to hold
