@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from pydantic import BeforeValidator, Field, create_model
+from pydantic import Field, PlainValidator, create_model
 
 from .geometry_spec import LEAST_SLIVERS, MOST_PERTURBATION
 from .kinds import SI, Length, Vector3, number_check, positive
@@ -61,7 +61,7 @@ else:
 class Geometry(_ShapedBody):
     """[geometry]; all shapes but a file are centred on the origin"""
 
-    path: Annotated[Path, BeforeValidator(as_path)] | None = Field(
+    path: Annotated[Path, PlainValidator(as_path, json_schema_input_type=str)] | None = Field(
         None,
         description="file: a surface (STL, OBJ, PLY, VTP) or tetrahedra (MSH, VTU, VTK); it is scaled to metres "
         "and not moved",

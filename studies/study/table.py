@@ -44,8 +44,21 @@ class Table(BaseModel):
     """A table of a study file: unknown keys are errors, nothing is coerced, values do not change."""
 
     model_config = ConfigDict(
-        extra="forbid", strict=True, frozen=True, hide_input_in_errors=True, defer_build=True
+        extra="forbid",
+        strict=True,
+        frozen=True,
+        hide_input_in_errors=True,
+        defer_build=True,
+        serialize_by_alias=True,
     )
+
+    def model_dump(self, **options: Any) -> dict[str, Any]:
+        """As plain data with the keys of a file, which has no null."""
+        return super().model_dump(**{"exclude_none": True, **options})
+
+    def model_dump_json(self, **options: Any) -> str:
+        """As JSON text, which `model_validate_json` takes back."""
+        return super().model_dump_json(**{"exclude_none": True, **options})
 
     @field_validator("*", mode="wrap")
     @classmethod
