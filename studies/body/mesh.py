@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable, Hashable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields, is_dataclass
 from functools import cached_property
 from typing import Any, TypeVar
 
@@ -16,9 +16,24 @@ T = TypeVar("T")
 _MOST_KNOWN = 64  # things remembered on a mesh: contacts of a sweep, of some 100 kB each
 
 
+def read_only(value: T) -> T:
+    """The same value, with every array in it closed to writing: models share what they are given."""
+    if isinstance(value, np.ndarray):
+        value.flags.writeable = False
+    elif isinstance(value, Mapping):
+        read_only(list(value.values()))
+    elif isinstance(value, list | tuple):
+        for part in value:
+            read_only(part)
+    elif is_dataclass(value):
+        for part in fields(value):
+            read_only(getattr(value, part.name))
+    return value
+
+
 @dataclass(frozen=True)
 class Mesh:
-    """n points, m tetrahedra and their boundary of N surface nodes and F triangles.
+    """n points, m tetrahedra and their boundary of N surface nodes and F triangles; its arrays are read-only.
 
     Attributes
     ----------
@@ -41,10 +56,13 @@ class Mesh:
     centre: tuple[float, float, float] = (0.0, 0.0, 0.0)
     volumes: Mapping[str, Mask] = field(default_factory=dict)
 
+    def __post_init__(self) -> None:
+        read_only([getattr(self, part.name) for part in fields(self)])
+
     @cached_property
     def surface_points(self) -> Array:
         """(N, 3) coordinates of the surface nodes [m]."""
-        return self.points[self.surface_nodes]
+        return read_only(self.points[self.surface_nodes])
 
     @cached_property
     def known(self) -> dict[Hashable, Any]:
@@ -56,7 +74,7 @@ class Mesh:
         if asked not in self.known:
             if len(self.known) >= _MOST_KNOWN:
                 self.known.clear()
-            self.known[asked] = work()
+            self.known[asked] = read_only(work())
         found: T = self.known[asked]
         return found
 

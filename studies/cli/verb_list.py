@@ -22,12 +22,13 @@ def run(options: argparse.Namespace) -> int:
 
     titles = {}
     if options.models:
-        from ..study.registry import all_models
+        from ..study.registry import BROKEN, all_models
 
         for name, model in all_models().items():
             titles[name] = (
                 f"solvers {', '.join(model.solvers)}; reads {', '.join(model.parameters) or 'none'}"
             )
+        titles |= {name: f"no model: {why}" for name, why in BROKEN.items()}
     for name, path in shipped_studies().items() if not options.models else ():
         titles[name] = tomllib.loads(path.read_text())["study"]["title"]
     if options.json:

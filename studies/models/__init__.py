@@ -12,8 +12,7 @@ from ..study.registry import (
     superposes,
 )
 from .elements import PLAIN
-from .model import Model, RegistrationError, SetUp, find, register
-from .prepared import Prepared, run_model
+from .model import Model, Prepared, RegistrationError, SetUp, find, register, run_model
 
 __all__ = [
     "PLAIN",

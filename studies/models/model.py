@@ -1,14 +1,28 @@
-"""What a model is: what it declares, and how it is set up and asked."""
+"""What a model is: what it declares, how it is set up and asked, and what of its answer is believed.
+
+A model may come from another package. What goes wrong in it costs its own answer alone, and is told by its name.
+"""
 
 from __future__ import annotations
 
+import copy
+import dataclasses
+import traceback
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Protocol, cast
 
+import numpy as np
+
+from solver_common.solution import Status
+
+from ..body.surface_measures import enclosed_volumes
+from ..machine.memory import peak_bytes_since, reset_peak
+from ..scene.result import REFUSED, ModelResult
 from ..scene.scene import Scene, SurfaceLoad
 from ..study import registry
-from ..study.registry import EXTRAS, MODELS, Declared, own_parameters
+from ..study.registry import EXTRAS, MODELS, Declared, lacks, own_parameters
 from ..study.schema import VdmTable
 from ..study.tissue_table import Tissue
 from ..study.units import DIMENSIONS
@@ -22,6 +36,9 @@ if TYPE_CHECKING:
 
     Solution = FemSolution | VdmSolution
     PressureProblem = LinearSolver | LinearProblem | CondensedProblem
+
+
+BROKEN = "broken-model"  # status of a model that raised what is no sentence, or whose answer has another form
 
 
 @dataclass(frozen=True)
@@ -104,3 +121,152 @@ def find(name: str) -> tuple[Model, str]:
     """The model and solver behind "name" or "name:solver". Raises KeyError where there is none."""
     declared, solver = registry.find(name)
     return cast(Model, declared), solver  # `register` takes nothing else
+
+
+class Prepared:
+    """A model set up on the body of a scene, with what its set-up took; it answers load steps as results.
+
+    A model that cannot be set up answers with NaN and the reason in its status: other models are not affected.
+    """
+
+    def __init__(self, scene: Scene, name: str, n_loads: int = 1, *, onward: bool = False) -> None:
+        self.model, solver = find(name)
+        self._scene = scene = _as_declared(scene, self.model, name)
+        self._resident = reset_peak()
+        self.set_up: SetUp | None = None
+        prepare = (self.model.continues if onward else None) or self.model.prepare
+        try:
+            if scene.anisotropy is not None and not self.model.fibres:
+                raise ValueError(f"{self.model.name} is isotropic; use another model for fibres")
+            if lacking := lacks(name, scene.extras):
+                raise ValueError(lacking[0])
+            self.set_up = prepare(scene, solver, name, n_loads)
+        except (Exception, SystemExit) as error:  # noqa: BLE001  a model of another package
+            self._refusal = _refusal(error, name)
+
+    def of_modulus(self, scene: Scene, name: str) -> Prepared:
+        """The same for a scene that differs in Young's modulus alone, on the same factor."""
+        other = copy.copy(self)
+        other._scene = _as_declared(scene, self.model, name)
+        if self.set_up is not None:
+            assert self.set_up.of_modulus is not None  # the model declares it
+            try:
+                other.set_up = self.set_up.of_modulus(scene.tissue.youngs_modulus)
+            except (Exception, SystemExit) as error:  # noqa: BLE001
+                other.set_up, other._refusal = None, _refusal(error, name)
+        return other
+
+    def answer(self, loads: Sequence[SurfaceLoad]) -> ModelResult:
+        """The result of some load steps: one load path, or independent of each other where the model superposes."""
+        if self.set_up is None:
+            return _failed(self._scene, self.model, self._refusal, len(loads))
+        try:
+            solution = self.set_up.solve(loads)
+            _check(solution, self.model.name, len(loads), len(self._scene.fixed))
+        except (Exception, SystemExit) as error:  # noqa: BLE001
+            return _failed(self._scene, self.model, _refusal(error, self.model.name), len(loads))
+        return _result(self._scene, solution, peak_bytes_since(self._resident), self.model)
+
+
+def run_model(scene: Scene, name: str) -> ModelResult:
+    """Solve one scene with one model and measure what it took."""
+    return Prepared(scene, name, len(scene.load_factors)).answer(scene.loads)
+
+
+def _as_declared(scene: Scene, model: Model, name: str) -> Scene:
+    """The scene with what the model declares to read, and nothing else: its answers are shared by that."""
+    given = {**scene.parameters, **scene.overrides.get(name, {})}
+    if name in scene.homogeneous:
+        scene = dataclasses.replace(scene, inclusions=(), extras=scene.extras - {"inclusions"})
+    return dataclasses.replace(
+        scene,
+        parameters={key: value for key, value in given.items() if key in model.parameters},
+        overrides={},
+        environment_pressure=0.0 if model.volumetric else scene.environment_pressure,
+    )
+
+
+def _refusal(error: BaseException, name: str) -> Status:
+    """The status of an error: a ValueError is a sentence for the user, all others are the model's own mistakes."""
+    if isinstance(error, MemoryError):
+        raise error
+    if isinstance(error, ValueError) and "read-only" not in str(error):
+        status = getattr(error, "status", None)
+        message, remedy = (status.message, status.remedy) if status else (f"{error}", "")
+        return Status(REFUSED, message, remedy)
+    traceback.print_exception(error)  # into the log
+    last = traceback.extract_tb(error.__traceback__)[-1]
+    where = f"{Path(last.filename).name}:{last.lineno}"
+    if isinstance(error, ValueError):
+        remedy = "let the model copy what it changes: all models share the scene"
+    else:
+        remedy = f"mend {name} and raise its version, or leave it out"
+    return Status(BROKEN, f"{name} raised {type(error).__name__}: {error} ({where})", remedy)
+
+
+def _check(solution: Solution, name: str, n_steps: int, n_nodes: int) -> None:
+    """Raises TypeError where an answer has another form than `Solution` says."""
+    steps, vectors = (n_steps,), (n_steps, n_nodes, 3)
+    numbers = ("fluid_pressure", "energy", "iterations", "seconds_per_step")
+    found = {part: getattr(solution, part, None) for part in ("displacement", "reaction_force", *numbers)}
+    found |= {f"scalars {part!r}": values for part, values in getattr(solution, "scalars", {}).items()}
+    for part, values in found.items():
+        wanted = vectors if part in ("displacement", "reaction_force") else steps
+        if np.shape(values) != wanted:  # type: ignore[arg-type]
+            raise TypeError(f"the answer of {name} has {part} of shape {np.shape(values)}, not {wanted}")  # type: ignore[arg-type]
+        if np.asarray(values).dtype.kind not in "fiub":
+            raise TypeError(f"the answer of {name} has {part} that are no real numbers")
+    status = getattr(solution, "status", ())
+    if len(status) != n_steps or not all(isinstance(one, Status) for one in status):
+        raise TypeError(f"the answer of {name} has not one Status for each of {n_steps} load steps")
+
+
+def _believed(solution: Solution, name: str) -> tuple[Status, ...]:
+    """Each step's status; one that is called converged and is not finite is not believed."""
+    finite = np.isfinite(solution.displacement).all(axis=(1, 2)) & np.isfinite(solution.energy)
+    finite &= np.isfinite(solution.reaction_force).all(axis=(1, 2)) & np.isfinite(solution.fluid_pressure)
+    lie = Status(BROKEN, f"{name} calls a step converged whose numbers are not finite", "take smaller loads")
+    return tuple(
+        lie if status.ok and not sound else status
+        for status, sound in zip(solution.status, finite.tolist(), strict=True)
+    )
+
+
+def _result(scene: Scene, solution: Solution, peak_bytes: int, model: Model) -> ModelResult:
+    states = _believed(solution, model.name)
+    usable = np.array([status.ok for status in states])
+    displacement = np.where(usable[:, None, None], solution.displacement, np.nan)
+    points, triangles = scene.mesh.surface_points, scene.mesh.triangles
+    return ModelResult(
+        displacement=displacement,
+        fluid_pressure=np.where(usable, solution.fluid_pressure, np.nan),
+        reaction_force=np.where(usable[:, None, None], solution.reaction_force, np.nan),
+        energy=np.where(usable, solution.energy, np.nan),
+        volume=enclosed_volumes(points + displacement, triangles),
+        iterations=solution.iterations,
+        status=states,
+        seconds_setup=solution.seconds_setup,
+        seconds_per_step=solution.seconds_per_step,
+        peak_bytes=peak_bytes,
+        version=model.version,
+        parameters=solution.parameters,
+        scalars=solution.scalars,
+    )
+
+
+def _failed(scene: Scene, model: Model, reason: Status, n_steps: int) -> ModelResult:
+    vectors = np.full((n_steps, len(scene.fixed), 3), np.nan)
+    numbers = np.full(n_steps, np.nan)
+    return ModelResult(
+        displacement=vectors,
+        fluid_pressure=numbers,
+        reaction_force=vectors,
+        energy=numbers,
+        volume=numbers,
+        iterations=np.zeros(n_steps, dtype=np.int64),
+        status=(reason,) * n_steps,
+        seconds_setup=np.nan,
+        seconds_per_step=numbers,
+        peak_bytes=0,
+        version=model.version,
+    )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import cached_property
 
 import numpy as np
@@ -11,7 +11,7 @@ import numpy as np
 from solver_common.arrays import Array, Index, Mask
 from solver_common.quadrature import facet_quadrature
 
-from ..body.mesh import Mesh
+from ..body.mesh import Mesh, read_only
 from ..body.surface_measures import corner_sum, facet_area_vectors, nodal_sum
 from ..study.extras import extras_of
 from ..study.loads import KINDS, Springs
@@ -29,7 +29,7 @@ from .regions import body_extent, lies_outside, select
 
 @dataclass(frozen=True)
 class SurfaceLoad:
-    """What acts on a scene's body in one load step, as each kind of model reads it; outward positive.
+    """What acts on a scene's body in one load step, as each kind of model reads it; outward positive, read-only.
 
     Attributes
     ----------
@@ -52,6 +52,9 @@ class SurfaceLoad:
     dead: tuple[tuple[Index, Array], ...] = ()
     depth: float = 0.0
 
+    def __post_init__(self) -> None:
+        read_only([getattr(self, part.name) for part in fields(self)])
+
     @cached_property
     def dead_force(self) -> Array:
         """(N, 3) the dead forces as nodal forces: the nodes of an edge or a facet have equal shares [N]."""
@@ -63,12 +66,12 @@ class SurfaceLoad:
             share = (size / size.sum())[:, None] * force / parts.shape[1]
             for corner in range(parts.shape[1]):
                 np.add.at(nodal, parts[:, corner], share)
-        return nodal
+        return read_only(nodal)
 
 
 @dataclass(frozen=True)
 class Scene:
-    """N surface nodes, F facets with Q quadrature points each, S load steps; SI units, outward positive.
+    """N surface nodes, F facets with Q quadrature points each, S load steps; SI units, outward positive, read-only.
 
     Attributes
     ----------
@@ -115,6 +118,9 @@ class Scene:
     homogeneous: frozenset[str] = frozenset()
     indenter: PlacedIndenter | None = None
 
+    def __post_init__(self) -> None:
+        read_only([getattr(self, part.name) for part in fields(self)])
+
     @property
     def held(self) -> Mask:
         """(N,) nodes whose displacement is known."""
@@ -143,15 +149,14 @@ class Scene:
     def contact_force(self) -> Array:
         """(N, 3) nodal contact forces at load factor 1; their sum is minus the integral of p n [N]."""
         normals, _, _ = self._facets
-        return corner_sum(
-            -self._thrust[:, :, None] * normals[:, None, :], self.mesh.triangles, len(self.fixed)
-        )
+        thrust = -self._thrust[:, :, None] * normals[:, None, :]
+        return read_only(corner_sum(thrust, self.mesh.triangles, len(self.fixed)))
 
     @cached_property
     def contact_pressure(self) -> Array:
         """(N,) nodal pressure over A_i at load factor 1: sum A_i p_i is the integral of p [Pa]."""
         _, _, nodal_areas = self._facets
-        return corner_sum(self._thrust, self.mesh.triangles, len(self.fixed)) / nodal_areas
+        return read_only(corner_sum(self._thrust, self.mesh.triangles, len(self.fixed)) / nodal_areas)
 
     def load(self, factor: float) -> SurfaceLoad:
         """What acts at a load factor; the weight does not scale."""

@@ -20,7 +20,7 @@ from .loads import KINDS, LOAD_KEYS
 from .measured_checks import check_measured_cases
 from .model_name import FINITE_STRAIN, split
 from .problems import MOST_TOLD, Finding, Loc, Problem, Source, StudyError, file_fault
-from .registry import RENAMED, find, model_names
+from .registry import BROKEN, RENAMED, find, model_names
 from .schema import Constraint, Region, Study
 from .sweep import Axis, ResolvedCase, check_cases, first_case, read_axes, substituted
 from .tissue_table import Tissue
@@ -336,7 +336,7 @@ def _check_model_names(data: Mapping[str, Any]) -> Iterator[Finding]:
             if base in RENAMED:
                 yield ("study", "models", place), f"{name} is now {RENAMED[base]}{colon}{solver}"
             else:
-                yield ("study", "models", place), unknown(name, known, "model")
+                yield ("study", "models", place), "; ".join([unknown(name, known, "model"), *BROKEN.values()])
 
 
 def holds_nothing(study: Study) -> bool:

@@ -134,6 +134,8 @@ class Declared:
 
 MODELS: dict[str, Declared] = {}  # filled by `vdmbench.models.register` of the families, see `all_models`
 
+BROKEN: dict[str, str] = {}  # entry points that do not load -> why, in a sentence
+
 
 def own_parameters() -> dict[str, Parameter]:
     """The parameters that models have declared beside those of [vdm], of the families loaded so far."""
@@ -145,7 +147,16 @@ def _load_families() -> None:
     for module in _FAMILIES:
         import_module(module)
     for entry in entry_points(group=ENTRY_POINT):
-        entry.load()
+        known = dict(MODELS)
+        try:
+            entry.load()
+        except BaseException as error:
+            if isinstance(error, KeyboardInterrupt | MemoryError):
+                raise
+            MODELS.clear()
+            MODELS.update(known)
+            told = f"{type(error).__name__}: {error}".rstrip(": ")
+            BROKEN[entry.name] = f"the model package {entry.name!r} ({entry.value}) does not load: {told}"
 
 
 def all_models() -> dict[str, Declared]:

@@ -197,7 +197,7 @@ def test_keys_have_what_a_model_knows() -> None:
         ),
         ({"inclusions": [{"name": "a", "group": "a", "youngs_modulus": 1e3}]}, "only a MSH file has named"),
         ({"study": BASE["study"] | {"homogeneous": ["fem-linear"]}}, "the reference, which has to know"),
-        ({"study": BASE["study"] | {"homogeneous": ["vdm-bound"]}}, 'did you mean "bem"'),
+        ({"study": BASE["study"] | {"homogeneous": ["be"]}}, 'did you mean "bem"'),
         ({"study": BASE["study"] | {"homogeneous": ["bem"]}, "inclusions": []}, "decides nothing"),
     ],
 )
