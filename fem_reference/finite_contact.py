@@ -4,6 +4,9 @@ With c the distance of a deformed point from the indenter, negative inside, the 
 p = max(0, -k c) at every quadrature point of the facets, along the indenter's normal n: a penalty k, with the
 consistent tangent k n x n - p H, H the second derivative of c (Wriggers 2006, Computational Contact Mechanics,
 section 6.3). A pressure of one shear modulus sinks in by a three-hundredth of a mean edge, which is told.
+
+A point of the surface near the axis and behind the indenter's middle has been passed by: nothing pushes it back. A
+substep that passes a point does not count.
 """
 
 from __future__ import annotations
@@ -23,6 +26,10 @@ from solver_common.quadrature import facet_quadrature
 from solver_common.solution import solver_error
 
 _PENALTY = 300.0  # of a shear modulus per mean edge
+_CUTS = 6  # of an edge: a surface that crosses the axis has a point of this lattice near it
+_LATTICE = np.array([(i, j, _CUTS - i - j) for i in range(_CUTS + 1) for j in range(_CUTS + 1 - i)]) / _CUTS
+_APART = 1.0 / 3.0  # of an edge, the points at which a facet is held off
+COARSE = 0.1  # of the depth, that a mesh may leave the surface inside without a word
 
 
 @dataclass(frozen=True)
@@ -35,7 +42,8 @@ class Indentation:
     force : (S, 3) of the indenter on the body [N]
     penalty_energy : (S,) what is stored in the penalty, zero for an ideal contact [J]
     contact_area : (S,) undeformed area under pressure [m^2]
-    inside : (S,) the deepest that a point is left inside the indenter [m]
+    inside : (S,) the deepest that a point of the surface is left inside the indenter, at the quadrature points and
+        on a lattice of every facet [m]
     """
 
     solution: Solution
@@ -57,7 +65,7 @@ class RigidContact:
     Raises
     ------
     SolverError
-        For a shape with an edge, or facets of a wrong shape.
+        For a shape with an edge, facets of a wrong shape, or a radius that falls between their points.
     """
 
     def __init__(
@@ -73,8 +81,16 @@ class RigidContact:
             )
         unit = mesh.mean_edge
         self._nodes = mesh.facet_nodes[chosen]
+        corners = mesh.node_points[self._nodes[:, :3]]
+        longest = float(np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max())
+        if shape.radius < _APART * longest:
+            raise _bad_contact(
+                f"a radius of {shape.radius:.3g} m falls between the points of facets of {longest:.3g} m",
+                f"use facets of at most {shape.radius / _APART:.3g} m there",
+            )
         points, weights = facet_quadrature()
         self._shape = triangle_p2(points)
+        self._everywhere = np.vstack([self._shape, triangle_p2(_LATTICE)])
         self._measure = np.linalg.norm(mesh.area_vectors[chosen], axis=1)[:, None] * weights / unit**2
         self._axis, self._radius = indenter.axis, shape.radius / unit
         self._start = np.asarray(indenter.tip, dtype=np.float64) / unit - self._radius * self._axis
@@ -104,9 +120,16 @@ class RigidContact:
         np.add.at(blocks, self._pattern.places(self._nodes[touched]), values.reshape(-1, 3, 3))
 
     def inside(self, positions: Array, depth: float) -> float:
-        """The deepest that a point is inside the indenter."""
-        distance, _, _ = self._distance(positions, depth)
-        return float(np.clip(-distance, 0.0, None).max())
+        """The deepest that a point of the surface is inside the indenter."""
+        distance = np.linalg.norm(self._from_middle(positions, depth, self._everywhere)[0], axis=-1)
+        return float(np.clip(self._radius - distance, 0.0, None).max())
+
+    def passes(self, positions: Array, depth: float) -> bool:
+        """Whether the surface is behind the indenter's middle and within half its radius of the axis."""
+        y, _ = self._from_middle(positions, depth, self._everywhere)
+        along = y @ self._axis
+        across = np.linalg.norm(y - along[..., None] * self._axis, axis=-1)
+        return bool(((along < 0.0) & (across < 0.5 * self._radius)).any())
 
     def energy(self, positions: Array, depth: float) -> float:
         """Energy of the penalty."""
@@ -123,15 +146,18 @@ class RigidContact:
 
     def _distance(self, positions: Array, depth: float) -> tuple[Array, Array, Array]:
         """(f, Q) distances from the indenter, their gradients and their second derivatives."""
-        y = self._shape @ positions[self._nodes] - (self._start + depth * self._axis)
-        place = y @ self._along
-        held = np.clip(place, -self._half, self._half)
-        y = y - held[..., None] * self._along
+        y, place = self._from_middle(positions, depth, self._shape)
         length = np.maximum(np.linalg.norm(y, axis=-1), 1e-12)
         normal = y / length[..., None]
         flat = np.eye(3) - normal[..., :, None] * normal[..., None, :]
         flat -= (np.abs(place) < self._half)[..., None, None] * np.outer(self._along, self._along)
         return length - self._radius, normal, flat / length[..., None, None]
+
+    def _from_middle(self, positions: Array, depth: float, shape: Array) -> tuple[Array, Array]:
+        """(f, Q, 3) points from the nearest of the indenter's middle line, and their (f, Q) places along it."""
+        y = shape @ positions[self._nodes] - (self._start + depth * self._axis)
+        place = y @ self._along
+        return y - np.clip(place, -self._half, self._half)[..., None] * self._along, place
 
 
 _bad_contact = partial(solver_error, "bad-contact")

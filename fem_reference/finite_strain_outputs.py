@@ -27,6 +27,7 @@ OUTPUTS = {
 _FAILURES = {
     "not-converged": "Newton's method did not converge",
     "inverted": "a tetrahedron would turn inside out",
+    "passed": "the indenter goes through the surface without touching it",
     "linear-solver": "the tangent system could not be solved, as where a body buckles",
 }
 _REMEDY = "load the body less, or use a finer mesh where it deforms most"

@@ -95,7 +95,8 @@ class Substep:
     reaction : (n_nodes, 3) force of supports and springs on the body, scaled
     external : (n_nodes, 3) applied forces, scaled
     residuals : relative residual before each Newton iteration, and after the last
-    code : "converged", or why not: "not-converged", "inverted", "linear-solver" or "too-small"
+    code : "converged", or why not: "not-converged", "inverted", "linear-solver", "passed" or
+        "too-small"
     """
 
     load_factor: float
@@ -188,6 +189,11 @@ class Newton:
         """Newton iterations from a state to equilibrium under a load."""
         u, q = state.displacement, state.pressure
         found = self._residual(u, q, load)
+        passed = Substep(
+            load_factor, load, state, found.reaction, found.external, (found.relative,), "passed"
+        )
+        if self._passes(u, load):
+            return passed
         # Of the forces before and after the step, and of those that held nodes need to move by themselves.
         largest = max(found.scale, float(np.abs(load.given).max()))
         residuals = [found.relative]
@@ -203,7 +209,7 @@ class Newton:
                 lost = float(np.abs(found.vector).max()) > _LEFT * max(found.scale, largest)
                 if lost and found.external.any():
                     return outcome(state, "too-small")
-                return outcome(State(u, q), "converged")
+                return passed if self._passes(u, load) else outcome(State(u, q), "converged")
             rises = sum(b > a for a, b in itertools.pairwise(residuals[1:]))
             if len(residuals) > self.max_newton or rises > _MOST_RISES or not np.isfinite(found.relative):
                 return outcome(state, "not-converged")
@@ -221,6 +227,10 @@ class Newton:
                 trial = self._residual(u + damping * update[0], q + damping * update[1], load)
             u, q, found = u + damping * update[0], q + damping * update[1], trial
             residuals.append(found.relative)
+
+    def _passes(self, u: Array, load: ScaledLoad) -> bool:
+        """Whether the indenter went through the surface."""
+        return self.contact is not None and self.contact.passes(self._points + u, load.depth)
 
     def _good_enough(self, residuals: list[float]) -> bool:
         """Whether the last tangent will do once more: it gains at least what the last step did."""

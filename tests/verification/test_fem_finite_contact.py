@@ -85,7 +85,7 @@ def test_force_is_the_slope_of_the_energy(verified: Verified) -> None:
     assert all(status.ok for status in s.solution.status), s.solution.status
     work = 0.1 * np.polynomial.legendre.leggauss(6)[1] @ -s.force[:-1, 2]
     assert np.all(np.diff(-s.force[:, 2]) > 0.0)
-    assert np.all(s.inside <= 0.01 * problem.mesh.mean_edge)
+    assert np.all(s.inside <= 0.015 * problem.mesh.mean_edge)  # between the points that are held off too
     elastic = s.solution.energy[-1]
     assert s.penalty_energy[-1] <= 0.02 * elastic
     stored = elastic + s.penalty_energy[-1]
@@ -94,10 +94,37 @@ def test_force_is_the_slope_of_the_energy(verified: Verified) -> None:
     assert r[b.surface[:, 2] == 1.0].min() > 0.7 - 0.01
 
 
+@pytest.mark.parametrize("depth", [0.35, 0.45])
+def test_an_indenter_never_goes_through_the_surface(depth: float) -> None:
+    """Deeper than it is wide in one step: it pushes, or the step has failed by name, on the way and not at rest."""
+    b = cube(3)
+    found = _problem(b, poisson_ratio=0.2).indent(
+        Indenter(Sphere(0.17), (0.5, 0.5, 1.0), DOWN), _top(b), [depth]
+    )
+    if found.solution.status[0].ok:
+        assert -found.force[0, 2] > 0.0
+        assert found.contact_area[0] > 0.0
+    else:
+        assert "beyond" in found.solution.status[0].message
+        assert found.solution.scalars["load_factor"][0] > 0.3
+
+
+def test_a_mesh_too_coarse_for_its_indenter_is_told() -> None:
+    b = cube(4)
+    found = _problem(b).indent(Indenter(Sphere(0.13), (0.6, 0.55, 1.0), DOWN), _top(b), [0.03])
+    assert found.solution.status[0].ok
+    assert found.inside[0] > 0.1 * 0.03
+    assert "inside the indenter" in found.solution.status[0].message
+
+
 def test_indenters_that_make_no_sense_are_refused() -> None:
     b = cube(1)
     problem, sphere = _problem(b), Indenter(Sphere(0.5), TIP, DOWN)
     for call, words in (
+        (
+            lambda: problem.indent(Indenter(Sphere(0.4), TIP, DOWN), _top(b), [0.1]),
+            r"falls between the points of facets of 1.41 m; use facets of at most 1.2 m",
+        ),
         (
             lambda: problem.indent(Indenter(FlatPunch(0.5), TIP, DOWN), _top(b), [0.1]),
             "use a sphere or a capsule",
