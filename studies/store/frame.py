@@ -45,15 +45,15 @@ def frame(run: Run) -> DataFrame:
     from ..study.registry import Family
 
     blocks = [_of_model(case, name) for case in run.cases for name in case.models]
-    if not blocks:
-        return pd.DataFrame(columns=list(COLUMNS))
     keys = list(dict.fromkeys(key for case in run.cases for key in case.swept))
-    about = pd.DataFrame([block["about"] for block in blocks])
+    about = pd.DataFrame(
+        [block["about"] for block in blocks], columns=None if blocks else [*COLUMNS[:3], "family"]
+    )
     # one row of `about` for each metric and step: a table made piece by piece takes a minute for 2,000 cases
-    table = about.loc[np.repeat(np.arange(len(blocks)), [len(block["value"]) for block in blocks])]
+    table = about.loc[np.arange(len(blocks)).repeat([len(block["value"]) for block in blocks])]
     table = table.reset_index(drop=True)
     for column in ("metric", "step", "load_factor", "value", "bar", "unit", "status"):
-        table[column] = np.concatenate([block[column] for block in blocks])
+        table[column] = np.concatenate([block[column] for block in blocks] or [[]])
     table = table[[*COLUMNS[:3], *keys, *COLUMNS[3:]]]
     table["family"] = pd.Categorical(table["family"], [family.value for family in Family], ordered=True)
     table.attrs["full_load"] = {case.hash: case.full_load for case in run.cases}

@@ -6,8 +6,9 @@ from pathlib import Path
 
 import numpy as np
 
+from vdmbench.measures.case import Run
 from vdmbench.store.cases import read_run
-from vdmbench.store.frame import COSTS, at_full_load, frame
+from vdmbench.store.frame import COLUMNS, COSTS, at_full_load, frame
 
 
 def test_the_frame_has_every_number_of_the_cases(quickstart: Path) -> None:
@@ -27,3 +28,10 @@ def test_the_frame_has_every_number_of_the_cases(quickstart: Path) -> None:
     errors = full[(full["metric"] == "relative_l2_displacement_error") & (full["model"] == "bem")]
     assert len(errors) == len(run.cases)
     assert errors["bar"].between(0.001, 0.1).all()
+
+
+def test_a_run_without_a_case_has_an_empty_frame() -> None:
+    table = frame(Run({}, "", [], [], [], {}))
+    assert list(table.columns) == list(COLUMNS)
+    assert at_full_load(table).empty
+    assert table["family"].cat.categories[0] == "vdm-printed"
