@@ -4,6 +4,9 @@ mesh      geometry, size, whether tetrahedra are needed              (`vdmbench.
 body      model, mesh level, tissue, supports, parameters: one set-up
 answer    body and what acts on it: a load step up to a factor where answers superpose, else one load path
 case      all inputs, mesh, the version of each model
+
+Keys are whole by construction: a field of the schema enters all of them, unless it is marked there (`Enters`).
+Those of the tables in `_BY_PARTS` enter what may read them, as the models and the kinds of constraints declare.
 """
 
 from __future__ import annotations
@@ -21,11 +24,26 @@ from ..study.extras import extras_for, extras_of
 from ..study.loads import KINDS
 from ..study.registry import lacks
 from ..study.schema import Study
+from ..study.table import Enters
 
 _FORMAT = 3  # of the files of answers: raised with what is in them
 _FORCES = ("fixed", "contact", "line", "traction")  # kinds of constraints that hold, or act by forces
 _NO_MODULI = ("coarse_nodes", "compressibility", "rotation")  # of the parameters of [vdm]
 _DIGITS = 12  # of a load beside others: less is rounding
+# of a set-up's inputs those that enter its key by what reads them; any other enters whole
+_BY_PARTS = (
+    "tissue",
+    "inclusions",
+    "vdm",
+    "models",
+    "regions",
+    "constraints",
+    "load",
+    "gravity",
+    "environment",
+    "anisotropy",
+)
+_OF_STUDY = ("models", "reference", "condition", "homogeneous")  # of [study], the same
 
 
 @dataclass(frozen=True)
@@ -56,11 +74,11 @@ def case_hash(study: Study, mesh_key: str, inputs: Mapping[str, Any] | None = No
     ----------
     inputs : those of `case_inputs`, where they are known
     """
+    inputs = inputs or case_inputs(study)
+    own = {name: value for name, value in inputs.items() if name not in ("study", "geometry")}
     return _digest(
         {
-            "inputs": {
-                name: value for name, value in (inputs or case_inputs(study)).items() if name != "geometry"
-            },
+            "inputs": own | _beside(study.without(dict(inputs), Enters.MESH)),
             "mesh": mesh_key,
             "models": {name: models.find(name)[0].version for name in study.study.models},
             "kinds": [KINDS[part.kind].versions(part.model_dump()) for part in study.constraints],
@@ -73,15 +91,24 @@ def case_hash(study: Study, mesh_key: str, inputs: Mapping[str, Any] | None = No
     )
 
 
+def _beside(inputs: Mapping[str, Any]) -> dict[str, Any]:
+    """Of [study] and [geometry] what no other part of a key has."""
+    about = {key: value for key, value in inputs["study"].items() if key not in _OF_STUDY}
+    return _where_there_are(study=about, geometry=inputs["geometry"])
+
+
 def wanted(study: Study, mesh_key: str, inputs: Mapping[str, Any] | None = None) -> list[Wanted]:
     """What a case takes: every model on its own mesh, and the reference on the finer levels."""
     inputs = inputs or case_inputs(study)
     levels = study.uncertainty.levels if study.uncertainty else 1
+    setup = study.without(dict(inputs), Enters.MESH, Enters.CASE)
+    others = {key: value for key, value in setup.items() if key not in (*_BY_PARTS, "study", "geometry")}
+    others |= _beside(setup)
     out = []
     for name in study.study.models:
         finest = levels if name == study.study.reference else 1
         for level in range(finest):
-            about = _body(study, inputs, name) | {"mesh": level_key(mesh_key, level)}
+            about = others | _body(study, inputs, name) | {"mesh": level_key(mesh_key, level)}
             body = factor = _digest(about)
             if _is_of_any_modulus(study, name):
                 tissue = {key: value for key, value in about["tissue"].items() if key != "youngs_modulus"}
@@ -222,7 +249,10 @@ def _supports(inputs: Mapping[str, Any]) -> list[dict[str, Any]]:
 
 
 def _held(constraint: Mapping[str, Any], inputs: Mapping[str, Any]) -> dict[str, Any]:
-    return {"region": _spelt_out(constraint["region"], inputs["regions"])}
+    kind = KINDS[constraint["kind"]]
+    apart = {"kind", "name", "region", *kind.loads}
+    others = {key: value for key, value in constraint.items() if key not in apart}
+    return {"region": _spelt_out(constraint["region"], inputs["regions"])} | others
 
 
 def _touched(inputs: Mapping[str, Any]) -> list[tuple[str, float]]:

@@ -23,6 +23,7 @@ from .problems import MOST_TOLD, Finding, Loc, Problem, Source, StudyError, file
 from .registry import BROKEN, RENAMED, find, model_names
 from .schema import Constraint, Region, Study
 from .sweep import Axis, ResolvedCase, check_cases, first_case, read_axes, substituted
+from .table import Enters
 from .tissue_table import Tissue
 from .toml_lines import NotToml, TooLarge, key_lines
 from .units import shown
@@ -50,7 +51,6 @@ __all__ = [
 ALL_LOADS = "load"  # limits.along: every load of the study, in proportion
 MAX_BYTES = 1_000_000  # of a study file
 
-_NOT_HASHED = {"study", "sweep", "calibration", "acceptance"}
 _LONG_NUMBER = re.compile(r"\d[\d_]{4000,}")
 
 
@@ -156,14 +156,11 @@ def geometry_error(study: Study, error: MeshError) -> StudyError:
 
 
 def case_inputs(study: Study) -> dict[str, Any]:
-    """The part of `resolved` that a case's hash covers: all that decides its numbers.
+    """The part of `resolved` that decides a case's numbers: all but what the schema marks `Enters.NOTHING`.
 
-    That is geometry, tissue, vdm, models (the overrides), regions, constraints, load, gravity, environment,
-    anisotropy, inputs, limits and uncertainty; not the name, title, list of models, reference, sweep,
-    calibration and acceptance. A geometry file is named by its path: hash its content beside this
-    (`geometry_spec.geometry_key`).
+    A geometry file is named by its path: the key of its mesh has its content (`geometry_spec.geometry_key`).
     """
-    return {key: value for key, value in resolved(study).items() if key not in _NOT_HASHED}
+    return study.without(resolved(study), Enters.NOTHING)
 
 
 def value_and_unit(study: Study, key: str) -> tuple[float, str]:

@@ -10,7 +10,7 @@ from pydantic import Field, PlainValidator, create_model
 from .geometry_spec import LEAST_SLIVERS, MOST_PERTURBATION
 from .kinds import SI, Length, Vector3, number_check, positive
 from .shapes import SHAPES, shape_names
-from .table import Table, as_path
+from .table import Enters, Table, as_path
 
 
 def _of_shapes(key: str) -> tuple[Any, Any]:
@@ -29,7 +29,7 @@ def _of_shapes(key: str) -> tuple[Any, Any]:
     ]
     if first.choices:
         kind = Literal[tuple(sorted(first.choices))]
-    return kind | None, Field(None, description=told)
+    return Annotated[kind | None, Enters.MESH], Field(None, description=told)
 
 
 _OF_FILE = {"size": [("file", "its largest extent")]}
@@ -40,10 +40,10 @@ class _Body(Table):
         shape: str
         size: float | Vector3 | None
     else:
-        shape: Literal[shape_names()] = Field(
+        shape: Annotated[Literal[shape_names()], Enters.MESH] = Field(
             description="kind of body; `organ` is a procedural liver, `file` reads a mesh"
         )
-    mesh_size: Length | None = Field(
+    mesh_size: Annotated[Length | None, Enters.MESH] = Field(
         None, description="edge length of the mesh; only a file with tetrahedra does without"
     )
 
@@ -71,30 +71,32 @@ class Geometry(_ShapedBody):
         description="file: what the coordinates of planes, balls, boxes and measured points start from: the origin "
         "of the file, or the middle of its bounding box; needed where a study has coordinates",
     )
-    scale: Annotated[float, SI("1"), positive] | None = Field(
+    scale: Annotated[Annotated[float, SI("1"), positive] | None, Enters.MESH] = Field(
         None, description="file: metres per unit of the file, 1 where neither scale nor size is given"
     )
-    slivers: (
+    slivers: Annotated[
         Annotated[
             float, SI("1"), number_check(lambda v: v >= LEAST_SLIVERS, f"must be at least {LEAST_SLIVERS:g}")
         ]
-        | None
-    ) = Field(
+        | None,
+        Enters.MESH,
+    ] = Field(
         None,
         description="any shape: squeeze one facet in twenty-five until its longest edge is so many heights",
     )
-    perturbation: (
+    perturbation: Annotated[
         Annotated[
             float,
             SI("1"),
             positive,
             number_check(lambda v: v <= MOST_PERTURBATION, f"must be at most {MOST_PERTURBATION:g}"),
         ]
-        | None
-    ) = Field(
+        | None,
+        Enters.MESH,
+    ] = Field(
         None, description="any shape: move each node at random by up to this share of its shortest edge"
     )
-    seed: int | None = Field(
+    seed: Annotated[int | None, Enters.MESH] = Field(
         None, description="of the slivers and the perturbation, 0 where left out", ge=0, lt=2**32
     )
 

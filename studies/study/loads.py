@@ -15,7 +15,7 @@ from pydantic import Field
 from .kinds import SI, Force, Name, Position, Pressure, positive
 from .modules import load_all
 from .profiles import PROFILES, VERSIONS, Profile
-from .table import Table
+from .table import Enters, Table
 
 if TYPE_CHECKING:
     import numpy as np
@@ -33,7 +33,9 @@ class AnyConstraint(Table):
         def __getattr__(self, name: str) -> Any: ...
 
     region: str = Field(description="name of the region")
-    name: Name = Field("", description="names it in sweeps and reports; the region's name where left out")
+    name: Annotated[Name, Enters.CASE] = Field(
+        "", description="names it in sweeps and reports; the region's name where left out"
+    )
 
 
 @dataclass(frozen=True)

@@ -49,7 +49,7 @@ from .loads import KINDS, AnyConstraint, keys_of_all
 from .measured_table import MOST_TABLES, Measured
 from .problems import Source
 from .registry import Parameter, all_models, own_parameters
-from .table import Table
+from .table import Enters, Table
 from .tissue_table import PoissonRatio, Tissue, YoungsModulus
 
 Vdm = dict[str, float | str]
@@ -66,21 +66,25 @@ MOST_LEVELS = 4  # of meshes that a reference's error bar is from
 class StudyInfo(Table):
     """[study]"""
 
-    name: Name = Field(description="names the run directory: letters, digits, _ . -")
-    title: Annotated[str, AfterValidator(one_line)] = Field(
+    name: Annotated[Name, Enters.NOTHING] = Field(
+        description="names the run directory: letters, digits, _ . -"
+    )
+    title: Annotated[str, AfterValidator(one_line), Enters.NOTHING] = Field(
         "", description="one line for the report; the name where left out", max_length=200
     )
-    models: tuple[str, ...] = Field(
+    models: Annotated[tuple[str, ...], Enters.CASE] = Field(
         description='models to run: registered names, with a solver if wanted, as in "vdm-paper:quasi-linear"',
         strict=False,
         max_length=MOST_NAMES,
     )
-    reference: str | None = Field(
+    reference: Annotated[str | None, Enters.CASE] = Field(
         None, description="the model that the others are compared with, one of `models`; none: no comparison"
     )
-    claims: Annotated[tuple[int, ...], number_check(lambda v: 1 <= v <= CLAIMS, f"must be 1 to {CLAIMS}")] = (
-        Field((), description="numbers of the paper's claims that the study puts on trial", strict=False)
-    )
+    claims: Annotated[
+        tuple[int, ...],
+        number_check(lambda v: 1 <= v <= CLAIMS, f"must be 1 to {CLAIMS}"),
+        Enters.NOTHING,
+    ] = Field((), description="numbers of the paper's claims that the study puts on trial", strict=False)
     condition: bool = Field(
         False, description="whether the models estimate the condition of the system that they solve"
     )
@@ -91,7 +95,9 @@ class StudyInfo(Table):
         strict=False,
         max_length=MOST_NAMES,
     )
-    max_cases: int = Field(1000, description="refuse a sweep of more cases than this", ge=1, le=100_000)
+    max_cases: Annotated[int, Enters.NOTHING] = Field(
+        1000, description="refuse a sweep of more cases than this", ge=1, le=100_000
+    )
 
     @classmethod
     def with_defaults(cls, data: dict[str, Any]) -> dict[str, Any]:
@@ -433,13 +439,19 @@ class Study(Table):
     gravity: Gravity | None = Field(None, description="weight")
     environment: Environment | None = Field(None, description="surroundings")
     anisotropy: Anisotropy | None = Field(None, description="one family of fibres")
-    sweep: Sweep = Field(Sweep(), description="what is varied")
-    inputs: Inputs | None = Field(None, description="how well numbers are known")
-    limits: Limits | None = Field(None, description="small-strain limits")
-    calibration: Calibration | None = Field(None, description="how the [vdm] parameters are fitted")
-    uncertainty: Uncertainty | None = Field(None, description="the reference's own error")
-    acceptance: Acceptance = Field(Acceptance(), description="how far off a model may be")
-    measured: tuple[Measured, ...] | None = Field(
+    sweep: Annotated[Sweep, Enters.NOTHING] = Field(Sweep(), description="what is varied")
+    inputs: Annotated[Inputs | None, Enters.CASE] = Field(None, description="how well numbers are known")
+    limits: Annotated[Limits | None, Enters.CASE] = Field(None, description="small-strain limits")
+    calibration: Annotated[Calibration | None, Enters.NOTHING] = Field(
+        None, description="how the [vdm] parameters are fitted"
+    )
+    uncertainty: Annotated[Uncertainty | None, Enters.CASE] = Field(
+        None, description="the reference's own error"
+    )
+    acceptance: Annotated[Acceptance, Enters.NOTHING] = Field(
+        Acceptance(), description="how far off a model may be"
+    )
+    measured: Annotated[tuple[Measured, ...] | None, Enters.CASE] = Field(
         None, description="what was measured on such a body", strict=False, max_length=MOST_TABLES
     )
     models: dict[str, Annotated[SerializeAsAny[VdmTable], WrapValidator(_of_model)]] = Field(

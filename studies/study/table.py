@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from enum import Enum
 from pathlib import Path
 from typing import Any
 
@@ -15,9 +16,23 @@ from pydantic import (
     field_validator,
     model_validator,
 )
+from pydantic.fields import FieldInfo
 
 from .problems import Source
 from .units import type_name
+
+
+class Enters(Enum):
+    """Which keys a field of the study, or of one of its tables, enters; unmarked: of answers and case."""
+
+    NOTHING = "presentation"  # names, words, limits of acceptance: no number hangs on them
+    MESH = "mesh"  # the geometry's own key (`geometry_spec.geometry_key`)
+    CASE = "case"  # what is made of answers, and not the answers
+
+    @classmethod
+    def of(cls, field: FieldInfo) -> Enters | None:
+        """What a field is marked with; None of one that enters every key."""
+        return next((mark for mark in field.metadata if isinstance(mark, cls)), None)
 
 
 @dataclass(frozen=True)
@@ -89,3 +104,15 @@ class Table(BaseModel):
     def with_defaults(cls, data: dict[str, Any]) -> dict[str, Any]:
         """`data` with those defaults that depend on other keys."""
         return data
+
+    def without(self, data: dict[str, Any], *marks: Enters) -> dict[str, Any]:
+        """Of this table's `data` what does not bear one of these marks, two levels deep; unknown keys stay."""
+        fields = {field.alias or name: (name, field) for name, field in type(self).model_fields.items()}
+        kept: dict[str, Any] = {}
+        for key, value in data.items():
+            name, field = fields.get(key, (key, None))
+            if field is not None and Enters.of(field) in marks:
+                continue
+            table = getattr(self, name) if field is not None else None
+            kept[key] = table.without(value, *marks) if isinstance(table, Table) else value
+        return kept

@@ -3,17 +3,24 @@
 from __future__ import annotations
 
 import dataclasses
-from typing import Any
+from collections.abc import Iterator
+from pathlib import Path
+from types import UnionType
+from typing import Annotated, Any, Literal, Union, get_args, get_origin
 
 import pytest
 
 from vdmbench.graph import keys
 from vdmbench.graph.keys import Wanted, case_hash, direction, load_steps, wanted
+from vdmbench.study.checks import SHAPE_KEYS
+from vdmbench.study.config import geometry_of
+from vdmbench.study.geometry_spec import geometry_key
 from vdmbench.study.loads import KINDS
 from vdmbench.study.profiles import VERSIONS
 from vdmbench.study.registry import all_models, find
 from vdmbench.study.schema import Study
 from vdmbench.study.sweep import substituted
+from vdmbench.study.table import Enters, Table
 
 SURFACE, VOLUME = {"vdm-paper", "vdm-vector"}, {"fem-linear", "fem"}
 ALL = SURFACE | VOLUME
@@ -198,3 +205,159 @@ def test_a_refusal_ends_when_the_model_learns(monkeypatch: pytest.MonkeyPatch) -
     after = {name: want.body for (name, level), want in answers(one).items() if not level}
     assert before["bem"] != after["bem"]
     assert before["fem-linear"] == after["fem-linear"]
+
+
+# --- every field of the schema ---
+
+WHOLE: dict[str, Any] = STUDY | {
+    "study": {"name": "keys", "models": sorted(all_models()), "reference": "fem"},
+    "regions": STUDY["regions"]
+    | {
+        "leaf": {"below": {"axis": "y", "fraction": 0.2}},  # which nothing names
+        "all": {
+            "any": [
+                {"all": ["base", {"above": {"axis": "x", "value": 0.0}}]},
+                {"not": {"ball": {"center": [0.0, 0.0, 0.0], "radius": 0.01}}},
+                {"box": {"min": [0.0, 0.0, 0.0], "max": [0.1, 0.1, 0.1]}},
+                {"group": "skin"},
+            ]
+        },
+    },
+    "constraints": [
+        *STUDY["constraints"],
+        {"kind": "contact", "region": "all", "pressure": 3.0},
+        {"kind": "line", "region": "finger", "resultant": [0.0, 0.0, 1.0]},
+        {"kind": "elastic", "region": "finger", "stiffness": 1e5},
+        {
+            "kind": "indenter",
+            "region": "finger",
+            "shape": "capsule",
+            "radius": 0.01,
+            "depth": 0.001,
+            "length": 0.01,
+        }
+        | {"along": [1.0, 0.0, 0.0], "push": [0.0, 0.0, -1.0]},
+    ],
+    "load": {"factors": [0.5, 1.0], "steps": 3},
+    "vdm": {},
+    "inclusions": [
+        {"name": "a", "ball": {"center": [0.0, 0.0, 0.0], "radius": 0.01}, "youngs_modulus": 5e4},
+        {"name": "b", "box": {"min": [0.0, 0.0, 0.0], "max": [0.1, 0.1, 0.1]}, "youngs_modulus": 5e4},
+    ],
+    "inputs": {"method": "sampling", "samples": 8, "tissue.youngs_modulus": {"sd": 100.0}},
+    "limits": {"along": "load"},
+    "measured": [
+        {"name": "points", "points": [{"x": 0.0, "y": 0.0, "z": 0.05, "displacement_z": 0.001}]},
+        {"name": "curve", "forces": [{"depth": 0.001, "force": 0.1}]},
+    ],
+    "models": {"vdm-paper": {"bulk_modulus": 900.0}},
+}
+CHOSEN = {
+    "region": "base",
+    "models": ("fem", "vdm-paper"),
+    "homogeneous": ("fem",),
+    "reference": "fem-linear",
+}
+
+
+def sample(kind: Any, now: Any) -> Any:
+    """Another value of a type of the schema."""
+    origin, inner = get_origin(kind), get_args(kind)
+    if origin is Annotated:
+        return sample(inner[0], now)
+    if origin in (Union, UnionType):
+        return sample(next(one for one in inner if one is not type(None)), now)
+    if origin is Literal:
+        return next(one for one in inner if one != now)
+    if origin is tuple:
+        return tuple(sample(one, None) for one in inner if one is not Ellipsis)
+    if origin is dict:
+        return {"sampled": sample(inner[1], None)}
+    if issubclass(kind, Table):
+        needed = {name: field for name, field in kind.model_fields.items() if field.is_required()}
+        return kind.model_construct(
+            **{name: sample(field.annotation, None) for name, field in needed.items()}
+        )
+    return not now if kind is bool else {float: 0.37, int: 7, str: "leaf", Path: Path("x.stl")}[kind]
+
+
+def changed(table: Table, above: Enters | None) -> Iterator[tuple[str, Enters | None, Table]]:
+    """A field of a table or of those in it, what it is declared to enter, and the table with that field changed."""
+    for name, field in type(table).model_fields.items():
+        value, mark = getattr(table, name), above or Enters.of(field)
+        inner: dict[Any, Any] = {}
+        if isinstance(value, Table):
+            inner = {None: value}
+        elif isinstance(value, tuple | dict):
+            pairs = value.items() if isinstance(value, dict) else enumerate(value)
+            inner = {key: one for key, one in pairs if isinstance(one, Table)}
+        for key, one in inner.items():
+            for label, own, other in changed(one, mark):
+                if key is None:
+                    new: Any = other
+                elif isinstance(value, dict):
+                    new = value | {key: other}
+                else:
+                    new = (*value[:key], other, *value[key + 1 :])
+                yield label, own, table.model_copy(update={name: new})
+        if not inner:
+            new = CHOSEN[name] if name in CHOSEN else sample(field.annotation, value)
+            yield f"{type(table).__name__}.{name}", mark, table.model_copy(update={name: new})
+
+
+def mesh_key(geometry: Table) -> str:
+    one = Study.model_validate(STUDY).model_copy(update={"geometry": geometry})
+    return geometry_key(geometry_of(one), volume=True)
+
+
+def test_each_field_of_a_mesh_enters_its_key(tmp_path: Path) -> None:
+    (tmp_path / "a.stl").write_text("a")
+    (tmp_path / "b.stl").write_text("b")
+    table, moved = type(Study.model_validate(STUDY).geometry), set[str]()
+    of_mesh = {name: field for name, field in table.model_fields.items() if Enters.of(field) is Enters.MESH}
+    for shape, (needed, allowed) in SHAPE_KEYS.items():
+        keys = (needed | allowed) - {"coordinates", "mesh_size"} | {"slivers", "perturbation", "seed"}
+        given = {key: sample(table.model_fields[key].annotation, None) for key in keys}
+        given |= {"path": tmp_path / "a.stl"} if shape == "file" else {}
+        whole = table.model_construct(shape=shape, mesh_size=0.01, **given)
+        for name in of_mesh.keys() & {*keys, "mesh_size"}:
+            value = getattr(whole, name)
+            other = tmp_path / "b.stl" if name == "path" else _other(value)
+            changed_one = whole.model_copy(update={name: other})
+            if mesh_key(changed_one) != mesh_key(whole):
+                moved.add(name)
+    assert moved == of_mesh.keys() - {"shape"}
+
+
+def _other(value: Any) -> Any:
+    if isinstance(value, tuple):
+        return tuple(map(_other, value))
+    return f"{value}s" if isinstance(value, str) else value + 1
+
+
+def test_each_field_enters_the_keys_of_what_may_read_it_or_is_declared_not_to() -> None:
+    one = Study.model_validate(WHOLE)
+    before, before_answers = case_hash(one, "mesh"), answers(one)
+    found: dict[str, tuple[Enters | None, list[bool], list[bool]]] = {}
+    for label, mark, other in changed(one, None):
+        assert isinstance(other, Study)
+        _, cases, of_answers = found.setdefault(label, (mark, [], []))
+        cases.append(case_hash(other, "mesh") != before)
+        after = answers(other)
+        of_answers.append(
+            any(want != before_answers[place] for place, want in after.items() if place in before_answers)
+        )
+    wrong = [
+        label
+        for label, (mark, cases, of_answers) in found.items()
+        if (any(cases), any(of_answers))
+        != {
+            Enters.NOTHING: (False, False),
+            Enters.MESH: (False, False),
+            Enters.CASE: (True, False),
+            None: (True, True),
+        }[mark]
+    ]
+    assert not wrong
+    assert len(found) > 100
+    assert found["Geometry.coordinates"][0] is None

@@ -201,7 +201,7 @@ reference = "fem-linear"
 name = "other"
 """
     first, second = (load(tmp_path, text) for text in (SMALL, other))
-    assert json.dumps(case_inputs(first)) == json.dumps(case_inputs(second))
+    assert json.dumps(case_inputs(first), sort_keys=True) == json.dumps(case_inputs(second), sort_keys=True)
     assert resolved(first)["study"] != resolved(second)["study"]
 
 
