@@ -109,7 +109,7 @@ class Results:
         body = "".join(
             "<tr>" + "".join(f"<td>{escape(text)}</td>" for text in row.values()) + "</tr>" for row in rows
         )
-        title = escape(str(self.data.study.get("title") or self.data.study.get("name", "")))
+        title = escape(self.data.study.study.title)
         failed = "".join(f"<p>failed: {escape(line)}</p>" for line in self.failed)
         told = "".join(
             f"<p><b>{escape(' '.join((answer.question, answer.word)))}</b> {escape(' '.join(answer.sentences))}</p>"

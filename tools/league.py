@@ -105,7 +105,7 @@ def entries(run: Run, models: Iterable[str]) -> list[Entry]:
             error = float(series.values[case.full_load]) if series is not None else np.nan
             found.append(
                 Entry(
-                    f"{run.study['name']}: {case.label}",
+                    f"{run.study.study.name}: {case.label}",
                     name,
                     error,
                     value_bar(case, name, VECTOR),

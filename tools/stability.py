@@ -41,7 +41,7 @@ def rows(run: Run) -> list[list[str]]:
         for model, readings in ladder.readings.items():
             if any(reading is not None and reading.silent for reading in readings):
                 raise RuntimeError(f"{model} is wrong in silence along {ladder.key}")
-    name = str(run.study["name"])
+    name = run.study.study.name
     return [
         [name, parameter_name(ladder.key), _range(ladder), _stand(ladder), _breaks(ladder)]
         for ladder in found

@@ -232,11 +232,13 @@ def _row(body: str, load: str, case: CaseResult) -> Row:
     }
     status = case.models[FORM].status[case.full_load]
     own_words = status.message if status.ok else f"{status.code}: {status.message}"
-    constraints, tissue = case.resolved["constraints"], case.resolved["tissue"]
-    of_scene = scene_warnings(constraints, tissue, case.regions, case.points, case.triangles)
+    inputs = case.study.model_dump(exclude_none=True)
+    of_scene = scene_warnings(
+        inputs["constraints"], inputs["tissue"], case.regions, case.points, case.triangles
+    )
     told = "; ".join(filter(None, (own_words, *(text.partition(":")[0] for _, text in of_scene))))
     own = tuple(reference_bar(case, measure) for measure in both)
-    ratio = case.resolved["tissue"]["poisson_ratio"]
+    ratio = case.study.tissue.poisson_ratio
     return Row(body, load, len(case.points), ratio, errors, (own[0], own[1]), told)
 
 

@@ -22,7 +22,7 @@ def run(options: argparse.Namespace) -> int:
     from ..store.cases import read_run
 
     run = read_run(options.directory)
-    path = baseline_of(options, str(run.study["name"]))
+    path = baseline_of(options, run.study.study.name)
     baseline = accept(run, path, options.reason)
     if options.json:
         return print_json({"baseline": str(path), "cases": len(baseline.cases), "reason": baseline.reason})

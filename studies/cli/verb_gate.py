@@ -30,7 +30,7 @@ def run(options: argparse.Namespace) -> int:
     from ..store.cases import read_run
 
     run = read_run(options.directory)
-    study = str(run.study["name"])
+    study = run.study.study.name
     path = baseline_of(options, study)
     # where nobody has accepted anything, that is no mistake of the command, and whoever collects files finds them
     missing = gate.no_baseline(path) if options.baseline is None and not path.exists() else ""

@@ -64,7 +64,6 @@ def _unsolved(plan: Plan, case: PlannedCase) -> CaseResult:
     """A case with its scene and no answer. Raises StudyError where the scene cannot be put on its mesh."""
     from ..graph.scene_check import scene_of
     from ..measures.case import CaseResult
-    from ..study.config import resolved
 
     scene = scene_of(plan, case)
     return CaseResult(
@@ -72,7 +71,7 @@ def _unsolved(plan: Plan, case: PlannedCase) -> CaseResult:
         label=case.label,
         swept=case.swept,
         swept_units=case.swept_units,
-        resolved=resolved(case.study),
+        study=case.study,
         provenance={},
         points=scene.mesh.surface_points,
         triangles=scene.mesh.triangles,

@@ -134,5 +134,4 @@ def _curve_in_words(gains: Mapping[float, float]) -> str:
 
 def _tolerance(case: CaseResult) -> float:
     """To which BiCG was solved: what the study says, or the solver's own."""
-    table = case.resolved.get("vdm") or {}
-    return float(table.get("tolerance") or TOLERANCE)
+    return case.study.vdm.tolerance or TOLERANCE

@@ -53,7 +53,7 @@ def _claim(number: int, text: str, rule: str) -> Callable[[Judge], Judge]:
 
 def on_trial(digests: Sequence[Digest], number: int) -> list[Digest]:
     """The runs whose study puts a claim on trial and that have a finished case."""
-    return [d for d in digests if number in (d.run.study.get("claims") or ()) and d.cases]
+    return [d for d in digests if number in d.run.study.study.claims and d.cases]
 
 
 def _iterative(case: CaseResult, model: str) -> bool:
@@ -98,7 +98,7 @@ def _linear(digests: Sequence[Digest]) -> Judgement | None:
     for k, d in enumerate(digests):
         lines = histories(d, VECTOR, [m for m in d.compared if is_vdm(m) or m == "fem-linear"])
         drawn = curves(digests[0], lines, "load factor", "displacement error", f"claim2{k}")
-        name = f", {d.run.study.get('name', 'study')}" if len(digests) > 1 else ""
+        name = f", {d.run.study.study.name}" if len(digests) > 1 else ""
         figures += tuple(replace(figure, title=f"{figure.title}{name}") for figure in drawn)
     return Judgement(verdict, f"{strain_in_words(first)} strain at 5 % departure", reason, figures)
 
@@ -328,13 +328,13 @@ def _stability(digests: Sequence[Digest]) -> Judgement | None:
 
 
 def _contrast(case: CaseResult) -> float:
-    table = case.resolved.get("anisotropy")
-    return float(table["contrast"]) if table else 1.0
+    fibres = case.study.anisotropy
+    return fibres.contrast if fibres else 1.0
 
 
 def _fibres_along_x(case: CaseResult) -> bool:
-    table = case.resolved.get("anisotropy")
-    x, y, z = table["fibre_direction"] if table else (0, 0, 0)
+    fibres = case.study.anisotropy
+    x, y, z = fibres.fibre_direction if fibres else (0, 0, 0)
     return x != 0 and y == z == 0
 
 

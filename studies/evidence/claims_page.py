@@ -32,7 +32,7 @@ class Verdict:
     @property
     def studies(self) -> list[str]:
         """Names of the studies that put the claim on trial."""
-        return [str(digest.run.study.get("name", "study")) for digest in self.digests]
+        return [digest.run.study.study.name for digest in self.digests]
 
 
 def verdicts(runs: Sequence[Run]) -> list[Verdict]:

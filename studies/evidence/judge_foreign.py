@@ -57,8 +57,8 @@ def judged(run: Run, study: Study, mesh: Mesh, name: str, foreign: Foreign) -> R
         metrics={name: metrics, **case.metrics},
         measurement=measurement,
     )
-    models = [name, *(str(one) for one in run.study.get("models", ()))]
-    return dataclasses.replace(run, study={**run.study, "models": models}, cases=[with_it])
+    about = run.study.study.model_copy(update={"models": (name, *run.study.study.models)})
+    return dataclasses.replace(run, study=run.study.model_copy(update={"study": about}), cases=[with_it])
 
 
 def _as_result(case: CaseResult, mesh: Mesh, foreign: Foreign) -> ModelResult:

@@ -96,7 +96,7 @@ def make_case(payload: Payload, block: Block) -> None:
             label=payload["label"],
             swept=swept_without_folders(swept),
             swept_units=units,
-            resolved=without_folders(payload["study"]),
+            study=Study.model_validate(without_folders(payload["study"])),
             provenance=provenance(mesh) | ({"geometry_file_hash": file_hash} if file_hash else {}),
             points=mesh.surface_points,
             triangles=mesh.triangles,

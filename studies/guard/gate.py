@@ -26,6 +26,7 @@ from ..machine.stored_json import Shape, parsed, sealed, unsealed
 from ..measures.case import CaseResult, MetricSeries, Run
 from ..measures.metrics import METRICS, Metric, Sense, full_load_step
 from ..store.hdf5 import StoreError
+from ..study.config import resolved
 from ..study.kinds import safe_name
 
 SCHEMA = 1
@@ -153,7 +154,7 @@ def _inputs(case: CaseResult) -> str:
     """SHA-256 of what the case was asked, without the study's names and lists."""
     own = {
         key: value
-        for key, value in case.resolved.items()
+        for key, value in resolved(case.study).items()
         if key not in ("study", "sweep", "calibration", "acceptance", "inputs")
     }
     if isinstance(geometry := own.get("geometry"), Mapping) and "path" in geometry:
@@ -244,7 +245,7 @@ def accept(run: Run, path: Path, reason: str) -> Baseline:
         raise BaselineError(f"{stale} is of another version in this run: run the study again, then accept")
     baseline = Baseline(
         schema=SCHEMA,
-        study=str(run.study["name"]),
+        study=run.study.study.name,
         reason=reason.strip(),
         date=datetime.now(UTC).date().isoformat(),
         cases=case_entries(run),
@@ -274,7 +275,7 @@ def compare(run: Run, baseline: Baseline) -> list[Finding]:
     BaselineError
         a baseline of another study.
     """
-    name = str(run.study["name"])
+    name = run.study.study.name
     if baseline.study != name:
         raise BaselineError(f"the baseline is of study {baseline.study!r}, the run of {name!r}")
     return compare_cases(run, baseline.cases)
@@ -282,7 +283,7 @@ def compare(run: Run, baseline: Baseline) -> list[Finding]:
 
 def compare_cases(run: Run, before: Mapping[str, CaseEntry], whose: str = "the baseline") -> list[Finding]:
     """Every metric of the run beside those of accepted cases, or of another run's, called `whose`."""
-    name, now = str(run.study["name"]), case_entries(run)
+    name, now = run.study.study.name, case_entries(run)
     # a failure is labelled for people: in a study of one case by the study's name
     failed = {
         ONLY_CASE if failure["label"] == name else failure["label"]: failure["message"]

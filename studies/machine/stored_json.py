@@ -91,83 +91,6 @@ class FailureShape(Shape):
     remedy: str
 
 
-_Finite = Annotated[float, Field(allow_inf_nan=False)]
-_Vector = Annotated[list[_Finite], Field(min_length=3, max_length=3)]
-
-
-class ConstraintShape(Shape):
-    """What the report reads of a constraint."""
-
-    kind: str
-    region: str
-    name: str | None = None
-    force: _Finite | None = None
-    pressure: _Finite | None = None
-    displacement: _Vector | None = None
-    resultant: _Vector | None = None
-    stiffness: _Finite | None = None
-    depth: _Finite | None = None
-    push: _Vector | None = None
-
-
-class TissueShape(Shape):
-    """What the report reads of [tissue]."""
-
-    youngs_modulus: Annotated[float, Field(gt=0)] = 1.0
-    poisson_ratio: float = 0.0
-    law: str | None = None
-
-
-class GravityShape(Shape):
-    """[gravity]"""
-
-    acceleration: _Vector = [0.0, 0.0, 0.0]
-
-
-class FibresShape(Shape):
-    """[anisotropy]."""
-
-    contrast: float
-    fibre_direction: _Vector
-
-
-class BallShape(Shape):
-    """A ball."""
-
-    center: _Vector
-    radius: _Finite
-
-
-class BoxShape(Shape):
-    """A box."""
-
-    min: _Vector
-    max: _Vector
-
-
-class InclusionShape(Shape):
-    """What the report reads of an inclusion."""
-
-    name: str
-    youngs_modulus: _Finite
-    poisson_ratio: _Finite | None = None
-    ball: BallShape | None = None
-    box: BoxShape | None = None
-
-
-class ResolvedShape(Shape):
-    """What the report reads of the inputs of a case."""
-
-    constraints: list[ConstraintShape] = []
-    tissue: TissueShape = TissueShape()
-    geometry: dict[str, Any] | None = None
-    anisotropy: FibresShape | None = None
-    inclusions: list[InclusionShape] | None = None
-    gravity: GravityShape | None = None
-    vdm: dict[str, Any] | None = None
-    models: dict[str, dict[str, Any]] | None = None
-
-
 class ModelShape(Shape):
     """A model of a case."""
 
@@ -201,7 +124,6 @@ class CaseShape(Shape):
     reference: str | None
     swept: dict[str, float | str]
     swept_units: dict[str, str]
-    resolved: ResolvedShape
     provenance: dict[str, str]
     reference_error: dict[str, Number]
     mesh_quality: dict[str, Number]

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +16,9 @@ from ..scene.result import ModelResult
 from .input_spread import InputSpread
 from .measurement import Measurement
 from .metrics import full_load_step
+
+if TYPE_CHECKING:
+    from ..study.schema import Study
 
 
 @dataclass(frozen=True)
@@ -70,7 +73,7 @@ class CaseResult:
     label: str  # what tells it from its neighbours, such as "poisson_ratio = 0.45"; "" in a study of one case
     swept: Mapping[str, float | str]  # swept key -> value, SI
     swept_units: Mapping[str, str]  # swept key -> SI unit, "1" where it has none
-    resolved: Mapping[str, Any]  # resolved inputs, SI, as JSON
+    study: Study  # what the case was asked, SI; files by their names
     provenance: Mapping[str, str]  # package versions, platform, commit, mesh hash, date
     points: Array  # (N, 3) m
     triangles: NDArray[np.int64]  # (F, 3), outward
@@ -99,7 +102,7 @@ DAMAGED = "damaged"  # code of a failure: the case was done, its file cannot be 
 class Run:
     """A run directory as read back: what was asked for, what is done, what failed, what is missing."""
 
-    study: Mapping[str, Any]  # "name", "title", "models", "reference" (or None) and whatever else was stored
+    study: Study  # what was asked of all cases, SI; files by their names
     study_text: str  # the study file as the user wrote it
     cases: Sequence[CaseResult]
     failed: Sequence[Mapping[str, str]]  # each with "hash", "label", "code", "message", "remedy"

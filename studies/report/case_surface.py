@@ -44,5 +44,5 @@ def unit_of(case: CaseResult) -> str:
     """The unit of a case's mesh, in words."""
     if "scale" not in case.mesh_quality:
         return "metres"
-    file = Path(str(case.resolved.get("geometry", {}).get("path", "its file"))).name
+    file = Path(case.study.geometry.path or "its file").name
     return f"the unit of {file} ({metres_per_unit(case):.6g} m)"

@@ -126,8 +126,8 @@ def _page_html(digest: Digest, *, stills: bool) -> str:
 
     def page(sections: list[Section]) -> str:
         return html_document(
-            title=str(run.study.get("title") or run.study.get("name", "study")),
-            name=str(run.study.get("name", "")),
+            title=run.study.study.title,
+            name=run.study.study.name,
             verdict=[answer for answer in told if answer.question in LEAD],
             further=[answer for answer in told if answer.question not in LEAD],
             scene=drawn,

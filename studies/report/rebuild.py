@@ -9,9 +9,9 @@ from pathlib import Path
 from ..machine.locks import LockedError, lock
 from ..measures.case import Run
 from ..store.cases import read_run, write_study
-from ..store.ro_crate import REPORT, write_crate
 from ..store.run_directory import read_plan
 
+REPORT = "report.html"
 _PATIENCE = 300.0  # s that one other process may take to write the tables and the report
 
 
@@ -34,7 +34,6 @@ def rebuild(directory: Path, tell: Callable[[str], None]) -> tuple[Run, Path]:
             run = read_run(directory, damaged=True)
             write_study(directory, run)
             write_report(run, report)
-            write_crate(directory, run)  # last: it has the sizes of the others
     except LockedError as error:
         raise ReportError(
             f"{directory}: {error} has locked the report for more than {_PATIENCE:g} s; the results are kept, "

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import shlex
 from collections.abc import Sequence
-from pathlib import Path
 
 from ..study.model_name import PARAMETERS
 from ..verdict.digest import Digest
@@ -32,7 +31,7 @@ _SHORT = 16  # hex digits of a hash that are shown
 
 def how_to_reproduce(digest: Digest) -> Section:
     """The commands, and the study as it was written."""
-    plan, name = digest.run.plan, str(digest.run.study.get("name", "study"))
+    plan, name = digest.run.plan, digest.run.study.study.name
     words = plan.get("command") or ["run", name]
     commands = [words, ["report", str(plan.get("directory", f"results/runs/{name}"))]]
     blocks: list[Block] = [
@@ -83,9 +82,8 @@ def provenance(digest: Digest) -> Section | None:
 
 def _geometry_files(digest: Digest) -> list[str]:
     """The names of the files that the bodies are from; their directories are the user's own affair."""
-    geometries = [case.resolved.get("geometry") or {} for case in digest.cases]
-    paths = [str(g["path"]) for g in geometries if "path" in g]
-    return [Path(path).name for path in dict.fromkeys(paths)]
+    paths = [case.study.geometry.path for case in digest.cases]
+    return [path.name for path in dict.fromkeys(paths) if path is not None]
 
 
 def _range(values: Sequence[float], unit: str) -> str:

@@ -15,7 +15,7 @@ AXES = ("x", "y", "z")
 
 def anisotropy_of_the_response(digest: Digest) -> Section | None:
     """Mean strains at full load of every case with fibres; None where no case has any."""
-    cases = [case for case in digest.cases if case.resolved.get("anisotropy")]
+    cases = [case for case in digest.cases if case.study.anisotropy]
     rows, names = [], []
     for case in cases:
         for model in digest.models:

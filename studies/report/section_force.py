@@ -5,17 +5,16 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import Any
 
 import numpy as np
 
 from solver_common.arrays import Array
 
 from ..measures.case import CaseResult
+from ..study.schema import Constraint
 from ..verdict.digest import Digest
 from ..verdict.formatting import listed, quantity, scale_of
 from ..verdict.loading import (
-    constraints,
     contact_pressure,
     contact_resultant,
     indentation,
@@ -97,10 +96,10 @@ def _groups(digest: Digest) -> list[tuple[Sequence[CaseResult], str]]:
 
 
 def _pushes(cases: Sequence[CaseResult]) -> list[Push]:
-    contacts = [c for c in constraints(cases[0]) if c["kind"] == "contact"]
+    contacts = [c for c in cases[0].study.constraints if c.kind == "contact"]
     names, indenters = list(moved(cases[0])), _indenters(cases[0])
     # what pulls has no inwards; on an edge the normals of its nodes are no direction of it
-    pulls = any(c["kind"] in ("line", "traction") for c in constraints(cases[0]))
+    pulls = any(c.kind in ("line", "traction") for c in cases[0].study.constraints)
     found: list[Push] = []
     how: tuple[str, str, Callable[[CaseResult], float | None]] | None = None
     if any(contact_resultant(case) is not None for case in cases):
@@ -138,7 +137,7 @@ def _of_movement(_: Digest, case: CaseResult, name: str) -> Curves:
 
 
 def _of_indenter(_: Digest, case: CaseResult) -> Curves:
-    depths = [float(entry["depth"]) for entry in _indenters(case)]  # a study has one
+    depths = [float(entry.depth) for entry in _indenters(case)]  # a study has one
     return {
         name: (case.load_factors * depths[0], result.scalars["indenter_force"])
         for name, result in case.models.items()
@@ -146,8 +145,8 @@ def _of_indenter(_: Digest, case: CaseResult) -> Curves:
     }
 
 
-def _indenters(case: CaseResult) -> list[Mapping[str, Any]]:
-    return [entry for entry in constraints(case) if entry["kind"] == "indenter"]
+def _indenters(case: CaseResult) -> list[Constraint]:
+    return [entry for entry in case.study.constraints if entry.kind == "indenter"]
 
 
 @dataclass(frozen=True)

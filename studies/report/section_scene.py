@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from itertools import combinations, product
-from typing import Any
 
 import numpy as np
 
@@ -13,9 +12,10 @@ from solver_common.arrays import Array
 
 from ..body.surface_measures import facet_area_vectors
 from ..measures.case import CaseResult
+from ..study.schema import Constraint, Inclusion
 from ..verdict.digest import Digest
 from ..verdict.formatting import listed, plain, plural, scale_of
-from ..verdict.loading import constraints, kind_of, name_of
+from ..verdict.loading import kind_of, name_of
 from .blocks import Scene
 from .scene_picture import Outline, Part, Stage, scene_svg, style_of
 
@@ -39,10 +39,10 @@ def scene(digest: Digest) -> Scene | None:
 
 def parts_of(case: CaseResult, cases: Sequence[CaseResult]) -> list[Part]:
     """The regions of a case that something acts on; the labels tell the loads of all `cases`."""
-    several = sum(c["kind"] == "contact" for c in constraints(case)) > 1
+    several = sum(c.kind == "contact" for c in case.study.constraints) > 1
     parts = []
-    for constraint in constraints(case):
-        name, kind, nodes = name_of(constraint), kind_of(constraint), case.regions[constraint["region"]]
+    for constraint in case.study.constraints:
+        name, kind, nodes = name_of(constraint), kind_of(constraint), case.regions[constraint.region]
         label = _load(name, cases)
         if kind == "contact" and several:
             label = f"{name} {label}"
@@ -50,10 +50,10 @@ def parts_of(case: CaseResult, cases: Sequence[CaseResult]) -> list[Part]:
     return parts
 
 
-def _direction(case: CaseResult, kind: str, constraint: Mapping[str, Any]) -> Array | None:
+def _direction(case: CaseResult, kind: str, constraint: Constraint) -> Array | None:
     """(3,) of what a constraint moves or pushes; None of a support, and of what pushes from all sides."""
     key = {"constrained": "displacement", "line": "resultant", "traction": "resultant", "indenter": "push"}
-    if (given := constraint.get(key.get(kind, ""))) is not None:
+    if (given := getattr(constraint, key.get(kind, ""), None)) is not None:
         return np.array(given, dtype=float)
     return _thrust(case, constraint) if kind in ("contact", "indenter") else None
 
@@ -61,17 +61,17 @@ def _direction(case: CaseResult, kind: str, constraint: Mapping[str, Any]) -> Ar
 def outlines_of(case: CaseResult) -> list[Outline]:
     """Where the inclusions are: three great circles of a ball, the edges of a box; of a group nothing is known."""
     found = []
-    centred = (case.resolved.get("geometry") or {}).get("coordinates") == "centred"
+    centred = case.study.geometry.coordinates == "centred"
     start = (case.points.min(axis=0) + case.points.max(axis=0)) / 2 if centred else np.zeros(3)
     for entry in _inclusions(case):
-        if ball := entry.get("ball"):
-            lines = float(ball["radius"]) * _circles() + np.array(ball["center"]) + start
-        elif box := entry.get("box"):
-            low, high = np.array(box["min"]), np.array(box["max"])
+        if ball := entry.ball:
+            lines = ball.radius * _circles() + np.array(ball.center) + start
+        elif box := entry.box:
+            low, high = np.array(box.min), np.array(box.max)
             lines = low + _edges() * (high - low) + start
         else:
             continue
-        found.append(Outline(str(entry["name"]), lines))
+        found.append(Outline(entry.name, lines))
     return found
 
 
@@ -90,13 +90,13 @@ def _edges() -> Array:
     return corners[np.array(ends)]
 
 
-def _inclusions(case: CaseResult) -> list[Mapping[str, Any]]:
-    return list(case.resolved.get("inclusions") or ())
+def _inclusions(case: CaseResult) -> list[Inclusion]:
+    return list(case.study.inclusions or ())
 
 
 def _homogeneous(case: CaseResult) -> str:
     """What is said of the models that answer without the inclusions."""
-    names = (case.resolved.get("study") or {}).get("homogeneous") or ()
+    names = case.study.study.homogeneous
     return f"unknown to {listed(names)}" if names else ""
 
 
@@ -104,14 +104,12 @@ def scene_words(case: CaseResult, cases: Sequence[CaseResult]) -> list[tuple[str
     """(what, value) of tissue, body, mesh and constraints, with the ranges over all `cases`."""
     tissue = [f"Young's modulus {_over(cases, 'tissue', 'youngs_modulus', 'Pa')}"]
     tissue.append(f"Poisson ratio {_over(cases, 'tissue', 'poisson_ratio', '1')}")
-    laws = dict.fromkeys(
-        str(law) for other in cases if (law := (other.resolved.get("tissue") or {}).get("law"))
-    )
+    laws = dict.fromkeys(law for other in cases if (law := other.study.tissue.law))
     if laws:
         tissue.append(f"{listed(laws)} at large strain")
-    if any(other.resolved.get("anisotropy") for other in cases):
+    if any(other.study.anisotropy for other in cases):
         tissue.append(f"{_over(cases, 'anisotropy', 'contrast', '1')} times as stiff along its fibres")
-    if any(other.resolved.get("gravity") for other in cases):
+    if any(other.study.gravity for other in cases):
         tissue.append(f"with weight, density {_over(cases, 'tissue', 'density', '1')} kg/m³")
     rows = [("Tissue", ", ".join(part for part in tissue if not part.endswith(" ")))]
     for number, entry in enumerate(_inclusions(case)):
@@ -122,38 +120,36 @@ def scene_words(case: CaseResult, cases: Sequence[CaseResult]) -> list[tuple[str
     size = _over(cases, "geometry", "mesh_size", "m")
     nodes = _span([len(other.points) for other in cases], "1", 9)
     rows.append(("Mesh", f"{nodes} surface nodes" + (f", {size} apart" if size else "")))
-    for constraint in constraints(case):
+    for constraint in case.study.constraints:
         name, kind = name_of(constraint), kind_of(constraint)
-        mask = case.regions[constraint["region"]]
+        mask = case.regions[constraint.region]
         rows.append((style_of(kind)[0].capitalize(), _in_words(case, cases, name, constraint, mask)))
     return [(what, value) for what, value in rows if value]
 
 
-def _inclusion_words(
-    number: int, entry: Mapping[str, Any], case: CaseResult, cases: Sequence[CaseResult]
-) -> str:
+def _inclusion_words(number: int, entry: Inclusion, case: CaseResult, cases: Sequence[CaseResult]) -> str:
     """Its name, size and moduli over all cases, and who leaves it out."""
     same = [found[number] for other in cases if len(found := _inclusions(other)) > number]
-    young = _span([float(one["youngs_modulus"]) for one in same], "Pa")
-    ratio = [float(one["poisson_ratio"]) for one in same if one.get("poisson_ratio") is not None]
-    size = f"{plain(2e3 * entry['ball']['radius'], 2)} mm across" if entry.get("ball") else ""
+    young = _span([one.youngs_modulus for one in same], "Pa")
+    ratio = [one.poisson_ratio for one in same if one.poisson_ratio is not None]
+    size = f"{plain(2e3 * entry.ball.radius, 2)} mm across" if entry.ball else ""
     told = (f"Poisson ratio {_span(ratio, '1')}" if ratio else "", size, _homogeneous(case))
-    return ", ".join(filter(None, [str(entry["name"]), f"Young's modulus {young}", *told]))
+    return ", ".join(filter(None, [entry.name, f"Young's modulus {young}", *told]))
 
 
 def _shape(case: CaseResult) -> str:
-    shape = str((case.resolved.get("geometry") or {}).get("shape", ""))
+    shape = case.study.geometry.shape
     return "from a file" if shape == "file" else shape
 
 
 def _in_words(
-    case: CaseResult, cases: Sequence[CaseResult], name: str, constraint: Mapping[str, Any], mask: np.ndarray
+    case: CaseResult, cases: Sequence[CaseResult], name: str, constraint: Constraint, mask: np.ndarray
 ) -> str:
     across = f"{plain(2e3 * _reach(case.points[mask]), 2)} mm across" if mask.any() else ""
     nodes = plural(int(mask.sum()), "node")
-    profile = constraint.get("profile")
+    profile = constraint.profile
     load = _load(name, cases)
-    shape = f"{profile} pressure" if constraint["kind"] == "contact" and profile else ""
+    shape = f"{profile} pressure" if constraint.kind == "contact" and profile else ""
     return ", ".join(filter(None, [name, load, shape, nodes, across]))
 
 
@@ -162,14 +158,14 @@ def _reach(points: Array) -> float:
     return float(np.linalg.norm(points - (points.min(axis=0) + points.max(axis=0)) / 2, axis=1).max())
 
 
-def _thrust(case: CaseResult, constraint: Mapping[str, Any]) -> Array | None:
+def _thrust(case: CaseResult, constraint: Constraint) -> Array | None:
     """(3,) direction in which a contact pushes the body; None where it pushes from all sides."""
-    inside = case.regions[constraint["region"]][case.triangles].all(axis=1)
+    inside = case.regions[constraint.region][case.triangles].all(axis=1)
     vectors = facet_area_vectors(case.points, case.triangles[inside])
     total, sizes = vectors.sum(axis=0), np.linalg.norm(vectors, axis=1).sum()
     if np.linalg.norm(total) <= _ALL_ROUND * sizes:
         return None
-    size = constraint.get("force") or constraint.get("pressure") or constraint.get("depth") or 0.0
+    size = constraint.force or constraint.pressure or constraint.depth or 0.0
     return np.asarray(-total * math.copysign(1.0, size * case.load_factors[case.full_load]))
 
 
@@ -178,20 +174,20 @@ def _load(name: str, cases: Iterable[CaseResult]) -> str:
     found: dict[str, list[float]] = {}
     for case in cases:
         factor = float(case.load_factors[case.full_load])
-        for constraint in constraints(case):
+        for constraint in case.study.constraints:
             if name_of(constraint) != name:
                 continue
-            if constraint.get("force") is not None:
-                found.setdefault("N", []).append(factor * constraint["force"])
-            elif constraint.get("pressure") is not None:
-                kind = "Pa" if constraint.get("profile") in (None, "uniform") else "peak"
-                found.setdefault(kind, []).append(factor * constraint["pressure"])
-            elif constraint.get("stiffness") is not None:
-                found.setdefault("Pa/m", []).append(constraint["stiffness"])
-            elif constraint.get("depth") is not None:
-                found.setdefault("m", []).append(factor * constraint["depth"])
-            elif kind_of(constraint) == "constrained" and constraint.get("displacement") is not None:
-                found.setdefault("m", []).append(factor * float(np.linalg.norm(constraint["displacement"])))
+            if constraint.force is not None:
+                found.setdefault("N", []).append(factor * constraint.force)
+            elif constraint.pressure is not None:
+                kind = "Pa" if constraint.profile in (None, "uniform") else "peak"
+                found.setdefault(kind, []).append(factor * constraint.pressure)
+            elif constraint.stiffness is not None:
+                found.setdefault("Pa/m", []).append(constraint.stiffness)
+            elif constraint.depth is not None:
+                found.setdefault("m", []).append(factor * constraint.depth)
+            elif kind_of(constraint) == "constrained" and constraint.displacement is not None:
+                found.setdefault("m", []).append(factor * float(np.linalg.norm(constraint.displacement)))
     told = [
         f"peak {_span(values, 'Pa')}" if unit == "peak" else _span(values, unit)
         for unit, values in found.items()
@@ -201,7 +197,7 @@ def _load(name: str, cases: Iterable[CaseResult]) -> str:
 
 def _over(cases: Iterable[CaseResult], table: str, key: str, unit: str) -> str:
     """The values of a key of the study over all cases; empty where none has it."""
-    values = [case.resolved[table].get(key) for case in cases if case.resolved.get(table)]
+    values = [getattr(getattr(case.study, table), key, None) for case in cases]
     return _span([float(value) for value in values if isinstance(value, int | float)], unit)
 
 

@@ -35,7 +35,7 @@ _TITLES = {
 
 def numerical_stability(digest: Digest) -> Section | None:
     """For a study that raises each parameter alone, or tries claim 9: figures per ladder, a table of breakdowns."""
-    asked = digest.run.study.get("sweep") == ONE_AT_A_TIME or CLAIM in (digest.run.study.get("claims") or ())
+    asked = digest.run.study.sweep.mode == ONE_AT_A_TIME or CLAIM in digest.run.study.study.claims
     found = ladders(digest) if asked else []
     if not found:
         return None

@@ -61,7 +61,7 @@ def _introduction(digest: Digest) -> str:
 
 def heading(digest: Digest, role: str, case: CaseResult) -> tuple[str, str]:
     """What a picture of one case shows: the study; the case and the scale."""
-    study = str(digest.run.study.get("title") or digest.run.study.get("name", ""))
+    study = digest.run.study.study.title
     scale = plain(displacement_scale(case))
     return study, f"{digest.title(role, case)}, drawn with {scale} times the displacement"
 

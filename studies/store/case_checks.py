@@ -34,9 +34,9 @@ def _faults(case: CaseResult) -> Iterator[str]:
     for name, mask in case.regions.items():
         if mask.shape != (n_nodes,):
             yield f"region {name} is not one of its nodes"
-    for entry in case.resolved.get("constraints", ()):
-        if entry["region"] not in case.regions:
-            yield f"a constraint is on region {entry['region']!r}, which is not there"
+    for entry in case.study.constraints:
+        if entry.region not in case.regions:
+            yield f"a constraint is on region {entry.region!r}, which is not there"
     for name, model in case.models.items():
         if not _fits(model, n_steps, n_nodes):
             yield f"the arrays of {name} do not fit its steps and nodes"

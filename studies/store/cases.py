@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import ValidationError
 
 from solver_common.solution import Status
 
@@ -35,6 +36,7 @@ from ..measures.case import (
 )
 from ..measures.metrics import METRICS
 from ..scene.result import ModelResult
+from ..study.schema import Study
 from .case_checks import check_case
 from .hdf5 import (
     MAX_BYTES,
@@ -53,14 +55,13 @@ from .measurement_entries import measurement_entries, read_measurement
 from .metrics_table import metric_rows, metrics_csv
 from .run_directory import (
     case_path,
-    check_swept,
     has_failed,
     read_failure,
     read_plan,
-    read_study_text,
+    read_study,
 )
 
-SCHEMA = 3
+SCHEMA = 4
 STUDY_FILE, METRICS_FILE = "study.h5", "metrics.csv"
 _CSV_HASH = "case/metrics_csv"  # the SHA-256 of the one, in the other
 _VTK_TRIANGLE = 5
@@ -80,7 +81,6 @@ _ABOUT_CASE = (
     "reference",
     "swept",
     "swept_units",
-    "resolved",
     "provenance",
     "reference_error",
     "mesh_quality",
@@ -126,8 +126,16 @@ def read_case(path: Path, expected: str | None = None) -> CaseResult:
             return _read_case(file)
         except UNREADABLE as error:
             raise StoreError(
-                f"{path}: not readable as a case file ({error}); delete it and run again"
+                f"{path}: not readable as a case file ({_why(error)}); delete it and run again"
             ) from error
+
+
+def _why(error: Exception) -> str:
+    """One line; pydantic's own have several."""
+    if not isinstance(error, ValidationError):
+        return str(error)
+    first = error.errors(include_url=False)[0]
+    return f"{'.'.join(map(str, first['loc']))[:200]}: {first['msg']}"
 
 
 def write_study(directory: Path, run: Run) -> None:
@@ -149,7 +157,7 @@ def read_run(directory: Path, *, damaged: bool = False) -> Run:
         not a run directory, or a damaged file in it, of a case only without `damaged`.
     """
     plan = read_plan(directory)
-    study_text = read_study_text(directory, plan)
+    study, study_text = read_study(directory, plan)
     cases, failed, missing = [], [], []
     for planned in plan["cases"]:
         label = planned["label"] or plan["study"]["name"]
@@ -165,13 +173,12 @@ def read_run(directory: Path, *, damaged: bool = False) -> Run:
                 about = {"code": DAMAGED, "message": str(error), "remedy": ""}
                 failed.append({"hash": planned["hash"], "label": label, **about})
                 continue
-            check_swept(directory, planned, case)
             cases.append(dataclasses.replace(case, **names))
         elif has_failed(directory, planned["hash"], planned["label"]):
             failed.append(read_failure(directory, planned["hash"], label))
         else:
             missing.append(planned["label"])
-    return Run(plan["study"], study_text, cases, failed, missing, plan)
+    return Run(study, study_text, cases, failed, missing, plan)
 
 
 def run_state(directory: Path) -> dict[str, list[Any]]:
@@ -190,7 +197,7 @@ def run_state(directory: Path) -> dict[str, list[Any]]:
         failed = kind == "failed"
         state[kind].append(read_failure(directory, planned["hash"], label) if failed else label)
     try:
-        read_study_text(directory, plan)
+        read_study(directory, plan)
     except StoreError as error:
         state["damaged"].append(str(error))
     tables = directory / STUDY_FILE
@@ -251,6 +258,7 @@ def _case_entries(case: CaseResult) -> list[Entry]:
         *_vtk_entries(case),
         Group("case", {"schema": SCHEMA, "hash": case.hash}),
         Text("case/about", json_text(about)),
+        Text("case/study", case.study.model_dump_json(by_alias=True, exclude_none=True)),
         Group("models"),
         *(_steps_table(f"models/{name}", model) for name, model in case.models.items()),
         Group("metrics", {"versions": _metric_versions()}),
@@ -363,6 +371,7 @@ def _read_case(file: Stored) -> CaseResult:
     case = CaseResult(
         hash=file.text("case", "hash"),
         **_told(about, _ABOUT_CASE),
+        study=Study.model_validate_json(str(file.texts("case/study"))),
         points=points,
         triangles=file.integers("VTKHDF/Connectivity").reshape(-1, 3),
         load_factors=load_factors,

@@ -5,15 +5,15 @@ from __future__ import annotations
 import hashlib
 import os
 import re
-from collections.abc import Iterable, Mapping
+import tomllib
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 from ..machine.files import write_atomically
 from ..machine.safe_open import UnfitFileError, read_regular
 from ..machine.stored_json import FailureShape, PlanShape, sealed, unsealed
-from ..measures.case import CaseResult
-from ..study.folders import GEOMETRY_PATH
+from ..study.schema import Study
 from .hdf5 import StoreError
 
 PLAN, STUDY, RESOLVED = "plan.json", "study.toml", "resolved.toml"
@@ -122,8 +122,14 @@ def read_plan(directory: Path) -> dict[str, Any]:
     return plan
 
 
-def read_study_text(directory: Path, plan: Mapping[str, Any]) -> str:
-    """The study file of a run. Raises StoreError where it, or its resolved form, is not what was planned."""
+def read_study(directory: Path, plan: Mapping[str, Any]) -> tuple[Study, str]:
+    """The study of a run, and the file that it was read from.
+
+    Raises
+    ------
+    StoreError
+        either is not what was planned, or the study is of another version of the program.
+    """
     texts = {name: _text(directory / name) for name in (STUDY, RESOLVED)}
     for name, text in texts.items():
         if _digest(text) != plan["files"][name]:
@@ -131,9 +137,11 @@ def read_study_text(directory: Path, plan: Mapping[str, Any]) -> str:
                 f"{directory}/{name}: damaged (it is not what was run); run the study again to write it anew"
             )
     try:
-        return texts[STUDY].decode("utf-8")
-    except UnicodeDecodeError as error:
-        raise StoreError(f"{directory}/{STUDY}: not readable ({error}); run the study again") from error
+        whole = Study.model_validate(tomllib.loads(texts[RESOLVED].decode("utf-8")))
+        return whole, texts[STUDY].decode("utf-8")
+    except ValueError as error:  # no UTF-8, no TOML, no study
+        what = str(error).splitlines()[0]
+        raise StoreError(f"{directory}/{RESOLVED}: not readable ({what}); run the study again") from error
 
 
 def _text(path: Path) -> bytes:
@@ -141,32 +149,6 @@ def _text(path: Path) -> bytes:
         return read_regular(path)
     except (FileNotFoundError, IsADirectoryError, UnfitFileError) as error:
         raise StoreError(f"{path}: not readable ({error.strerror}); run the study again") from error
-
-
-def check_swept(directory: Path, planned: Mapping[str, Any], case: CaseResult) -> None:
-    """Raises StoreError where a plan says that other values were swept than a case's own file holds."""
-    for key, value in planned["swept"].items():
-        own = value_at(case.resolved, key)
-        if own != (Path(str(value)).name if key == GEOMETRY_PATH else value):
-            raise StoreError(
-                f"{directory}/{PLAN}: damaged (it says {key} = {value!r} of case {case.hash[:12]}, whose file says "
-                f"{own!r}); run the study again"
-            )
-
-
-def value_at(inputs: Any, key: str) -> Any:
-    """The value of a swept key in resolved inputs, None where there is none; see `fields.targets` for keys."""
-    if not key:
-        return inputs
-    items: Iterable[tuple[Any, Any]] = inputs.items() if isinstance(inputs, Mapping) else ()
-    if isinstance(inputs, list):
-        names = [item.get("name", item.get("region")) if isinstance(item, dict) else None for item in inputs]
-        items = [(str(place) if name is None else name, inputs[place]) for place, name in enumerate(names)]
-    for name, item in items:
-        rest = f"{key}.".removeprefix(f"{name}.")
-        if len(rest) <= len(key) and (found := value_at(item, rest.removesuffix("."))) is not None:
-            return found
-    return None
 
 
 def _digest(text: bytes) -> str:

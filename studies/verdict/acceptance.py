@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -14,6 +13,7 @@ from solver_common.arrays import Array
 from ..measures.bars import reference_bar, series
 from ..measures.case import CaseResult
 from ..measures.metrics import DEFORMATION, VECTOR, max_nodal_error
+from ..study.schema import Study
 
 CLOSE = 0.10  # of both errors where a study says nothing: the "within 10 %" that the paper's claim speaks of
 NODAL = max_nodal_error.__name__
@@ -87,29 +87,27 @@ class Acceptance:
         return float(np.nanmax(shares)) if math.isfinite(shares[0]) else math.inf
 
 
-def acceptance(study: Mapping[str, Any]) -> Acceptance:
-    """The limits of a study as its plan has it; `CLOSE` in both errors where it says nothing."""
-    given: Mapping[str, Any] = study.get("acceptance") or {}
+def acceptance(study: Study) -> Acceptance:
+    """The limits of a study."""
+    given = study.acceptance
     found = [
-        _error("displacement_error", "displacement error", VECTOR, given),
-        _error("deformation_error", "change of shape", DEFORMATION, given),
+        _error("displacement_error", "displacement error", VECTOR, given.displacement_error),
+        _error("deformation_error", "change of shape", DEFORMATION, given.deformation_error),
     ]
-    if (most := given.get("largest_difference")) is not None:
-        found.append(_largest_difference(float(most), str(given.get("region") or "")))
-    if (most := given.get("frame_time")) is not None:
+    if given.largest_difference is not None:
+        found.append(_largest_difference(given.largest_difference, given.region or ""))
+    if (most := given.frame_time) is not None:
         found.append(
-            Criterion(
-                "frame_time", "time per frame", float(most), "s", False, _frame_times, lambda _: math.nan
-            )
+            Criterion("frame_time", "time per frame", most, "s", False, _frame_times, lambda _: math.nan)
         )
     return Acceptance(tuple(found))
 
 
-def _error(key: str, name: str, metric: str, given: Mapping[str, Any]) -> Criterion:
+def _error(key: str, name: str, metric: str, allowed: float) -> Criterion:
     return Criterion(
         key,
         name,
-        float(given.get(key, CLOSE)),
+        allowed,
         "1",
         True,
         lambda case, model: _series(case, model, metric),

@@ -122,7 +122,7 @@ def _calibration(digest: Digest) -> tuple[str, str]:
 
 
 def _parameters(case: CaseResult) -> set[str]:
-    tables = [case.resolved.get("vdm") or {}, *(case.resolved.get("models") or {}).values()]
+    tables = [case.study.vdm_parameters(), *case.study.model_parameters().values()]
     return {key for table in tables for key, value in table.items() if isinstance(value, int | float)}
 
 

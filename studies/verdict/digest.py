@@ -126,7 +126,7 @@ class Digest:
     @cached_property
     def models(self) -> tuple[str, ...]:
         """All models, in the study's order, then any that only the cases name."""
-        asked = [str(name) for name in self.run.study.get("models", ())]
+        asked = [str(name) for name in self.run.study.study.models]
         present = [name for case in self.cases for name in case.models]
         return tuple(dict.fromkeys([*asked, *present]))
 
@@ -134,7 +134,7 @@ class Digest:
     def reference(self) -> str | None:
         """The reference of the finished cases, else the study's."""
         found = next((case.reference for case in self.cases if case.reference), None)
-        return found or self.run.study.get("reference") or None
+        return found or self.run.study.study.reference
 
     @cached_property
     def compared(self) -> tuple[str, ...]:
@@ -148,7 +148,7 @@ class Digest:
     @cached_property
     def coarse_reference(self) -> str | None:
         """The reference's own model on the case's mesh, where the cases were held against it on a refined one."""
-        asked = self.run.study.get("reference")
+        asked = self.run.study.study.reference
         return asked if asked != self.reference and asked in self.compared else None
 
     @cached_property

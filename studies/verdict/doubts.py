@@ -22,8 +22,8 @@ def doubts(digest: Digest) -> list[Doubt]:
     """Each constraint's doubts, of several cases the first."""
     found: dict[tuple[str | int, ...], Doubt] = {}
     for case in digest.cases:
-        constraints = case.resolved.get("constraints", [])
-        tissue, factor = case.resolved.get("tissue", {}), float(abs(case.load_factors).max())
+        constraints = [one.model_dump(exclude_none=True) for one in case.study.constraints]
+        tissue, factor = case.study.tissue.model_dump(exclude_none=True), float(abs(case.load_factors).max())
         for loc, text in scene_warnings(
             constraints, tissue, case.regions, case.points, case.triangles, factor
         ):

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
-from typing import Any
+from collections.abc import Iterable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,36 +12,32 @@ from solver_common.arrays import Array
 
 from ..measures.case import CaseResult
 from ..measures.pushed import along_movement, inward, resultant
+from ..study.schema import Constraint
 from .formatting import quantity
 
 
-def constraints(case: CaseResult) -> Sequence[Mapping[str, Any]]:
-    return case.resolved.get("constraints", ())
-
-
 def weighs(case: CaseResult) -> bool:
-    gravity = case.resolved.get("gravity") or {}
-    return bool(np.any(gravity.get("acceleration", 0.0)))
+    return case.study.gravity is not None and bool(np.any(case.study.gravity.acceleration))
 
 
-def name_of(constraint: Mapping[str, Any]) -> str:
-    return str(constraint.get("name") or constraint["region"])
+def name_of(constraint: Constraint) -> str:
+    return constraint.name or constraint.region
 
 
-def kind_of(constraint: Mapping[str, Any]) -> str:
+def kind_of(constraint: Constraint) -> str:
     """Its kind; what is moved by nothing is held."""
-    held = constraint["kind"] == "constrained" and not np.any(_prescribed(constraint))
-    return "fixed" if held else str(constraint["kind"])
+    held = constraint.kind == "constrained" and not np.any(_prescribed(constraint))
+    return "fixed" if held else constraint.kind
 
 
-def moved(case: CaseResult) -> dict[str, Mapping[str, Any]]:
+def moved(case: CaseResult) -> dict[str, Constraint]:
     """Constraints that move their region: name -> constraint."""
-    return {name_of(c): c for c in constraints(case) if kind_of(c) == "constrained"}
+    return {name_of(c): c for c in case.study.constraints if kind_of(c) == "constrained"}
 
 
-def _prescribed(constraint: Mapping[str, Any]) -> Array:
+def _prescribed(constraint: Constraint) -> Array:
     """(3,) displacement at load factor 1 [m], zero where none is given."""
-    return np.array(constraint.get("displacement") or (0.0, 0.0, 0.0), dtype=np.float64)
+    return np.array(constraint.displacement or (0.0, 0.0, 0.0), dtype=np.float64)
 
 
 def supports(case: CaseResult) -> NDArray[np.bool_]:
@@ -53,14 +48,14 @@ def supports(case: CaseResult) -> NDArray[np.bool_]:
 def _nodes_of(case: CaseResult, *kinds: str) -> NDArray[np.bool_]:
     """(N,) nodes of the regions of all constraints of these kinds."""
     mask = np.zeros(len(case.points), dtype=bool)
-    for constraint in constraints(case):
-        if constraint["kind"] in kinds:
-            mask |= case.regions[constraint["region"]]
+    for constraint in case.study.constraints:
+        if constraint.kind in kinds:
+            mask |= case.regions[constraint.region]
     return mask
 
 
-def _contacts(case: CaseResult) -> list[Mapping[str, Any]]:
-    return [c for c in constraints(case) if c["kind"] == "contact"]
+def _contacts(case: CaseResult) -> list[Constraint]:
+    return [c for c in case.study.constraints if c.kind == "contact"]
 
 
 def contact_resultant(case: CaseResult) -> float | None:
@@ -71,17 +66,17 @@ def contact_resultant(case: CaseResult) -> float | None:
     if len(contacts := _contacts(case)) != 1:
         return None
     (contact,) = contacts
-    if contact.get("force") is not None:
-        return float(contact["force"])
-    if contact.get("pressure") is None or contact.get("profile", "uniform") != "uniform":
+    if contact.force is not None:
+        return float(contact.force)
+    if contact.pressure is None or contact.profile != "uniform":
         return None
-    return resultant(contact["pressure"], case.regions[contact["region"]], case.points, case.triangles)
+    return resultant(contact.pressure, case.regions[contact.region], case.points, case.triangles)
 
 
 def contact_pressure(case: CaseResult) -> float | None:
     """Pressure of a case's only contact at load factor 1 [Pa], whatever its profile; None where none is given."""
     contacts = _contacts(case)
-    return contacts[0].get("pressure") if len(contacts) == 1 else None
+    return contacts[0].pressure if len(contacts) == 1 else None
 
 
 def indentation(case: CaseResult, models: Iterable[str], normals: Array) -> dict[str, Array]:
@@ -111,7 +106,7 @@ def movement_force(case: CaseResult, model: str, name: str) -> tuple[Array, Arra
     constraint = moved(case)[name]
     prescribed = _prescribed(constraint)
     length = float(np.linalg.norm(prescribed))
-    mask = case.regions[constraint["region"]]
+    mask = case.regions[constraint.region]
     force = along_movement(prescribed, case.models[model].reaction_force, mask)
     return case.load_factors * length, force
 

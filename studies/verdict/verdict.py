@@ -311,8 +311,7 @@ def _settings(digest: Digest, model: str) -> list[Setting]:
 
 def _given(case: CaseResult, model: str) -> set[str]:
     """VDM parameters that the study sets for a model."""
-    own = case.resolved.get("models") or {}
-    return {*(case.resolved.get("vdm") or {}), *own.get(model, {})}
+    return {*case.study.vdm_parameters(), *case.study.model_parameters().get(model, {})}
 
 
 def _what_tells(digest: Digest, states: list[str]) -> str:

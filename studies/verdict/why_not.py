@@ -172,7 +172,7 @@ def what_is_left_out(shortfall: Shortfall) -> Iterator[Reason]:
     elements = _without_inclusions(shortfall)
     if elements is not None and _left_out_part(shortfall) >= HALF:
         errors = shortfall.errors(elements)
-        names = listed(entry["name"] for entry in shortfall.case.resolved["inclusions"])
+        names = listed(entry.name for entry in shortfall.case.study.inclusions or ())
         yield Reason(LEFT_OUT, f"What is left out: {elements} without {names} is {off(errors)} too.", errors)
 
 
@@ -295,8 +295,8 @@ def _mesh_part(shortfall: Shortfall) -> float:
 def _without_inclusions(shortfall: Shortfall) -> str | None:
     """Elements that leave out the same inclusions as the model does."""
     case = shortfall.case
-    homogeneous = (case.resolved.get("study") or {}).get("homogeneous") or ()
-    if shortfall.model not in homogeneous or not case.resolved.get("inclusions"):
+    homogeneous = case.study.study.homogeneous
+    if shortfall.model not in homogeneous or not case.study.inclusions:
         return None
     known = [name for name in homogeneous if name in shortfall.digest.compared and name in case.models]
     return next(

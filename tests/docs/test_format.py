@@ -55,7 +55,7 @@ def test_every_dataset_is_documented_and_every_document_has_a_dataset(tmp_path: 
 def test_the_tables_of_a_study_are_as_documented(tmp_path: Path) -> None:
     case = dataclasses.replace(example_case(), reference_error={"gci:max_nodal_error": 0.02})
     bare = dataclasses.replace(case, hash="0" * 64, reference_error={})
-    run = Run({"name": "s", "models": [*case.models]}, "text", [case, bare], [], [], {})
+    run = Run(case.study, "text", [case, bare], [], [], {})
     store.write_study(tmp_path, run)
     section = FORMAT.read_text().split("## A study: `study.h5`")[1].split("\n## ")[0]
     documented = {

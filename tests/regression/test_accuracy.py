@@ -63,7 +63,7 @@ def test_a_model_made_worse_by_a_tenth_turns_the_gate_red(
     plan = make_plan(study, expand(study), tmp_path / "run", tmp_path / "cache")
     (case,) = plan.cases
     do_cases(plan)
-    run = Run({"name": "regression"}, "", [read_case(plan.case_file(case))], [], [], {})
+    run = Run(study, "", [read_case(plan.case_file(case))], [], [], {})
     findings = gate.compare(run, gate.read_baseline(ROOT / "results" / "baselines" / "regression.json"))
     assert gate.regressed(findings)
     hit = {f.model for f in findings if f.outcome in gate.REGRESSED}

@@ -20,7 +20,6 @@ from tests.command import SCRIPT, heed_ctrl_c, vdmbench, vdmbench_process, wait_
 from tests.unit.report_runs import icosphere
 from vdmbench.measures.metrics import METRICS
 from vdmbench.store import cases as store
-from vdmbench.store.ro_crate import CRATE
 from vdmbench.store.run_directory import rewrite_plan
 
 from . import processes
@@ -49,7 +48,7 @@ RUN = Path("results/runs/small")
 
 def test_a_run_leaves_all_that_the_contract_names(finished: Path) -> None:
     run = finished / RUN
-    for name in ("study.toml", "resolved.toml", "plan.json", "study.h5", "metrics.csv", "report.html", CRATE):
+    for name in ("study.toml", "resolved.toml", "plan.json", "study.h5", "metrics.csv", "report.html"):
         assert (run / name).stat().st_size > 0, name
     assert len(list((run / "cases").glob("*.vtkhdf"))) == 2
     assert len(list((finished / "results/cache/meshes").glob("*.npz"))) == 1, "both cases share a mesh"

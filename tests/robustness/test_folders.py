@@ -38,7 +38,7 @@ def test_no_stored_file_names_the_folder_of_a_surface_of_the_study(tmp_path: Pat
     _assert_nobody_is_named(work / "results")
     (directory,) = (work / "results/runs").iterdir()
     case = store.read_run(directory).cases[0]
-    assert case.resolved["geometry"]["path"] == "ball.obj"
+    assert str(case.study.geometry.path) == "ball.obj"
     assert case.provenance["geometry_file_hash"] == hashlib.sha256(surface.read_bytes()).hexdigest()
     assert vdmbench("report", directory, cwd=work).returncode == 0
 

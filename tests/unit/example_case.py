@@ -5,27 +5,27 @@ from __future__ import annotations
 import numpy as np
 
 from solver_common.solution import Status
+from tests.unit.typed_study import typed_study
 from vdmbench.measures.case import CaseResult, Limit, MetricSeries, ModelLimits, SmallStrainLimits
 from vdmbench.measures.input_spread import InputSpread, ModelSpread
 from vdmbench.measures.measurement import Measurement, Quantity
 from vdmbench.scene.result import ModelResult
 
 N_STEPS = 3
-RESOLVED = {
-    "tissue": {"youngs_modulus": 5e3, "poisson_ratio": 0.45},
-    "study": {"title": "<script>", "models": ["a", "b:x"]},
-    "geometry": {"shape": "file", "path": "liver.stl"},
-    "constraints": [
+STUDY = typed_study(
+    study={"name": "s", "title": "<script>", "models": ["a", "b:x"]},
+    geometry={"shape": "file", "path": "liver.stl"},
+    constraints=[
         {"kind": "contact", "region": "base", "name": "finger", "force": 0.1, "profile": "uniform"},
         {"kind": "contact", "region": "base", "name": "palm", "pressure": 10.0},
         {"kind": "fixed", "region": "base"},
         {"kind": "constrained", "region": "base", "name": "rod", "displacement": [0.0, 0.0, 1e-3]},
     ],
-    "anisotropy": {"fibre_direction": [1.0, 0.0, 0.0], "contrast": 2.0},
-    "gravity": {"acceleration": [0.0, 0.0, -9.81]},
-    "vdm": {"bulk_modulus": 10.0},
-    "models": {"vdm-paper": {"bulk_modulus": 20.0}},
-}
+    anisotropy={"fibre_direction": [1.0, 0.0, 0.0], "contrast": 2.0},
+    gravity={"acceleration": [0.0, 0.0, -9.81]},
+    vdm={"bulk_modulus": 10.0},
+    models={"vdm-paper": {"bulk_modulus": 20.0}},
+)
 
 
 def tetrahedron() -> tuple[np.ndarray, np.ndarray]:
@@ -100,7 +100,7 @@ def example_case(case_hash: str = "ab" * 32, label: str = "poisson_ratio = 0.45"
         label=label,
         swept={"tissue.poisson_ratio": 0.45, "geometry.shape": "=cmd()"},
         swept_units={"tissue.poisson_ratio": "1", "geometry.shape": "1"},
-        resolved=RESOLVED,
+        study=STUDY,
         provenance={"python": "3.11"},
         points=points,
         triangles=triangles,

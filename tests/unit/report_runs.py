@@ -5,10 +5,12 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 
 from solver_common.solution import Status
+from tests.unit.typed_study import typed_study
 from vdmbench.body.surface_measures import Surface
 from vdmbench.measures.case import CaseResult, MetricSeries, Run
 from vdmbench.measures.metrics import METRICS, History, evaluate
@@ -140,7 +142,7 @@ def make_case(
         label=label,
         swept=swept,
         swept_units=dict.fromkeys(swept, "1") | dict(units or {}),
-        resolved={"constraints": [{"kind": "fixed", "region": "base"}, constraint]},
+        study=typed_study(constraints=[{"kind": "fixed", "region": "base"}, constraint]),
         provenance={
             "package.numpy": "2.1.0",
             "platform": "Linux",
@@ -159,18 +161,20 @@ def make_case(
     )
 
 
-def make_run(cases: Sequence[CaseResult], **study: object) -> Run:
-    """A run of these cases in which nothing failed."""
+def make_run(
+    cases: Sequence[CaseResult],
+    *,
+    sweep: str = "grid",
+    acceptance: Mapping[str, float] | None = None,
+    **about: Any,
+) -> Run:
+    """A run of these cases in which nothing failed; `about` is of [study], unchecked."""
     models = list(dict.fromkeys(name for case in cases for name in case.models))
     reference = next((case.reference for case in cases if case.reference), None)
-    about = {
-        "name": "ball",
-        "title": "A ball under a fingertip",
-        "models": models,
-        "reference": reference,
-        **study,
-    }
-    return Run(about, '[study]\nname = "ball"\n', list(cases), [], [], {})
+    study = typed_study(sweep={"mode": sweep}, acceptance=dict(acceptance or {}))
+    told = {"title": "A ball under a fingertip", "models": tuple(models), "reference": reference, **about}
+    study = study.model_copy(update={"study": study.study.model_copy(update=told)})
+    return Run(study, '[study]\nname = "ball"\n', list(cases), [], [], {})
 
 
 def sweep_run() -> Run:

@@ -13,6 +13,7 @@ from numpy.testing import assert_allclose
 from tests.graph import shared_work
 from tests.graph.shared_work import TABLES, plan_of
 from tests.in_process import outcomes_of
+from tests.unit.typed_study import typed_study
 from vdmbench.graph.explain import summary
 from vdmbench.machine.stored_json import StudyShape
 from vdmbench.measures.case import CaseResult
@@ -107,7 +108,8 @@ def test_a_region_without_a_node_is_refused(tmp_path: Path, cache: Path) -> None
 def states(case: CaseResult, model: str = "vdm-m", **table: Any) -> dict[str, str]:
     """Limit -> where a model stands at full load."""
     return {
-        one.key: one.state(case, model, case.full_load) for one in acceptance({"acceptance": table}).criteria
+        one.key: one.state(case, model, case.full_load)
+        for one in acceptance(typed_study(acceptance=table)).criteria
     }
 
 
@@ -138,7 +140,7 @@ def test_a_region_restricts_the_largest_difference() -> None:
     case = dataclasses.replace(case, models={**case.models, "vdm-m": moved})
     for most, state in ((0.00101, WITHIN), (0.00099, BEYOND)):
         assert states(case, largest_difference=most, region="finger")["largest_difference"] == state
-    criterion = acceptance({"acceptance": {"largest_difference": 1.0, "region": "base"}}).criteria[-1]
+    criterion = acceptance(typed_study(acceptance={"largest_difference": 1.0, "region": "base"})).criteria[-1]
     assert_allclose(criterion.values(case, "vdm-m"), 0.003, rtol=1e-12, atol=0)
     # what the reference itself may be off anywhere counts
     bar = dataclasses.replace(case, reference_error={"gci:max_nodal_error": 2e-5})
@@ -147,7 +149,7 @@ def test_a_region_restricts_the_largest_difference() -> None:
 
 def test_without_an_answer_every_limit_is_lost() -> None:
     case = make_case({"vdm-m": 0.01}, stopped={"vdm-m": 3}, subdivisions=0)
-    found = acceptance({"acceptance": {"largest_difference": 1.0, "region": "finger"}})
+    found = acceptance(typed_study(acceptance={"largest_difference": 1.0, "region": "finger"}))
     assert states(case, largest_difference=1.0, region="finger")["largest_difference"] == LOST
     assert found.state(case, "vdm-m", 3) == LOST
     assert found.share(case, "vdm-m") == np.inf

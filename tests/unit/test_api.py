@@ -14,7 +14,7 @@ from numpy.testing import assert_allclose
 
 import vdmbench
 from tests.command import write_study
-from tests.unit.report_runs import sweep_run
+from tests.unit.report_runs import make_run, sweep_run
 from vdmbench.api import Results
 from vdmbench.study.overrides import overridden
 
@@ -35,8 +35,8 @@ def results(tmp_path_factory: pytest.TempPathFactory) -> Results:
 def test_a_study_is_run_with_changes(results: Results) -> None:
     assert repr(results).endswith("run': 1 cases, 0 failed)")
     (case,) = results.cases
-    assert case.resolved["tissue"]["youngs_modulus"] == 10e3
-    assert case.resolved["constraints"][1]["force"] == 0.2
+    assert case.study.tissue.youngs_modulus == 10e3
+    assert case.study.constraints[1].force == 0.2
     assert case.load_factors.tolist() == [1.0]
     assert results.report.stat().st_size > 10_000
     again = vdmbench.read(results.directory)
@@ -93,8 +93,7 @@ def test_tables_are_arrays_without_pandas_and_frames_with_it(monkeypatch: pytest
 
 
 def test_a_notebook_shows_the_headline_and_no_markup_of_a_study() -> None:
-    run = sweep_run()
-    run.study["title"] = "<script>"  # type: ignore[index]
+    run = make_run(sweep_run().cases, title="<script>")
     html = Results(Path("run"), run, Path("run/report.html"))._repr_html_()
     assert "<td>vdm-paper</td>" in html
     assert "72.0 %" in html

@@ -235,7 +235,7 @@ def finished(text: str, directory: Path) -> tuple[Run, Plan]:
     plan = make_plan(study, expand(study), directory / "run", directory / "cache")
     do_cases(plan)
     cases = [read_case(plan.case_file(case)) for case in plan.cases]
-    return Run({"name": study.study.name}, "", cases, [], [], {}), plan
+    return Run(study, "", cases, [], [], {}), plan
 
 
 def test_each_model_fits_what_it_reads_of_what_is_asked(samples: list[Sample]) -> None:

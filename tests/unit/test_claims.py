@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from tests.command import SMALL_STUDY, vdmbench
+from tests.unit.typed_study import asked
 from vdmbench.evidence.claims import CLAIMS
 from vdmbench.evidence.claims_page import claims_html, verdict_rows, verdicts, write_claims
 from vdmbench.measures.case import CaseResult, Limit, MetricSeries, ModelLimits, Run, SmallStrainLimits
@@ -288,7 +289,7 @@ def test_the_gain_of_a_warm_start_is_a_curve_over_the_tolerance() -> None:
             case, vdm_paper__bicg={"iterations": warm}, vdm_paper__bicg_cold={"iterations": gain * warm}
         )
         table = {} if tolerance is None else {"vdm": {"tolerance": tolerance}}
-        cases.append(dataclasses.replace(case, resolved={**case.resolved, **table}))
+        cases.append(asked(case, **table))
     outcome = judged(5, *cases)
     assert outcome.verdict == WITHIN_LIMITS
     assert (
@@ -327,7 +328,7 @@ def test_anisotropy(own: float, verdict: str) -> None:
         for model, ratio in ratios.items():
             made = with_metric(made, model, {"mean_strain_x": ratio, "mean_strain_y": 1.0})
         fibres = {"contrast": contrast, "fibre_direction": [1.0, 0.0, 0.0]}
-        return dataclasses.replace(made, resolved={**made.resolved, "anisotropy": fibres})
+        return asked(made, anisotropy=fibres)
 
     # the reference's ratio goes from 1 to 2: the model's own change is from 1 to `own`
     cases = [

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from tests.unit.typed_study import asked
 from vdmbench.measures.case import CaseResult
 from vdmbench.measures.measurement import Measurement, Quantity
 from vdmbench.report.page import page_html
@@ -116,10 +117,7 @@ def test_a_measurement_validates_where_the_reference_is_within(
 
 
 def test_parameters_of_the_study_are_told_as_calibrated() -> None:
-    given = case()
-    given = dataclasses.replace(
-        given, resolved={**given.resolved, "vdm": {"surface_tension": 3.0, "rotation": "none"}}
-    )
+    given = asked(case(), vdm={"surface_tension": 3.0, "rotation": "none"})
     one = found(given)[CALIBRATION]
     assert one.word == PARTLY
     assert one.why.startswith("surface_tension given by the study")

@@ -15,6 +15,7 @@ import pyvista
 from numpy.testing import assert_allclose
 
 from tests.unit.report_runs import make_case, make_run, sweep_run
+from tests.unit.typed_study import asked
 from vdmbench.cli import verb_export
 from vdmbench.cli.arguments import parse
 from vdmbench.measures.case import CaseResult, Run
@@ -71,7 +72,7 @@ def test_a_mesh_lies_on_the_scan_it_came_from(tmp_path: Path) -> None:
         case,
         points=points,
         mesh_quality={**case.mesh_quality, "scale": 1e-3},
-        resolved={**case.resolved, "geometry": {"shape": "file", "path": "scan.stl"}},
+        study=asked(case, geometry={"shape": "file", "path": "scan.stl"}).study,
     )
     points, fields = surface_fields(of_file)
     bounds = pyvista.read(tmp_path / "scan.stl").bounds

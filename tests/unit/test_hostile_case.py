@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import csv
 import dataclasses
-import json
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import h5py
 import numpy as np
@@ -15,14 +13,10 @@ import pytest
 
 from tests.unit.example_case import example_case
 from tests.unit.test_store import _replace, _reseal
-from tests.unit.test_stored_json import HOSTILE, _places, _with
 from vdmbench.measures.case import Run
-from vdmbench.report.page import page_html
 from vdmbench.store import cases as store
 from vdmbench.store.hdf5 import StoreError
 from vdmbench.store.metrics_table import metrics_csv
-
-STUDY = {"name": "s", "title": "t", "models": ["vdm-paper", "fem:direct"], "reference": "fem:direct"}
 
 
 @pytest.fixture
@@ -61,34 +55,6 @@ def test_arrays_that_do_not_fit_are_refused(path: Path, what: str) -> None:
         store.read_case(path)
 
 
-@pytest.mark.parametrize(
-    ("new", "start", "step"),
-    [
-        *((new, number % 4, 4) for number, new in enumerate(HOSTILE)),
-        *(pytest.param(new, 0, 1, marks=pytest.mark.slow) for new in HOSTILE),
-    ],
-    ids=lambda value: repr(value)[:12],
-)
-def test_texts_of_another_shape_are_refused_or_read(path: Path, new: Any, start: int, step: int) -> None:
-    """Each in place of every text, or of every fourth."""
-    whole = path.read_bytes()
-    with h5py.File(path) as file:
-        about = json.loads(file["case/about"][()])
-    places = _places(about)[1:]
-    asked = [place for place in places if place[0] == "resolved"]
-    others = [place for place in places if place[0] != "resolved"]
-    for place in [*asked, *others[:: max(1, len(others) // 40)]][start::step]:
-        path.write_bytes(whole)
-        text = json.dumps(_with(about, place, new))
-        _reseal(path, lambda file, text=text: _replace(file, "case/about", text))
-        try:
-            case = store.read_case(path)
-        except StoreError:
-            continue
-        if place[0] == "resolved":
-            page_html(Run(STUDY, "", [case], [], [], {}), stills=False)
-
-
 def test_a_case_that_would_not_be_read_is_not_written(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -103,7 +69,7 @@ def test_no_cell_of_the_table_is_a_formula() -> None:
     case = example_case()
     series = dataclasses.replace(case.metrics["vdm-paper"]["max_nodal_error"], unit=attack)
     case = dataclasses.replace(case, swept={attack: attack}, metrics={attack: {attack: series}})
-    rows = list(csv.reader(metrics_csv(Run({}, "", [case], [], [], {})).splitlines()))
+    rows = list(csv.reader(metrics_csv(Run(case.study, "", [case], [], [], {})).splitlines()))
     cells = [cell for row in rows for cell in row if "HYPERLINK" in cell]
     assert len(cells) == 1 + 4 * 3, "the heading; value, model, metric and unit of three steps"
     assert all(cell == f"'{attack}" for cell in cells)

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
+from tests.unit.typed_study import asked
 from vdmbench import models
 from vdmbench.body.geometry import build_mesh
 from vdmbench.body.mesh import Mesh
@@ -208,12 +209,9 @@ def test_mistakes_are_told(tables: dict[str, Any], told: str) -> None:
 
 def test_it_is_drawn_where_it_is() -> None:
     ball = {"name": "lump", "ball": {"center": [0.1, 0.2, 0.3], "radius": 0.2}, "youngs_modulus": 1e4}
-    case = example_case()
-    case.resolved["inclusions"] = [ball, UPPER, {"name": "vessel", "group": "a", "youngs_modulus": 1e4}]
-    try:
-        lump, upper = outlines_of(case)
-    finally:
-        del case.resolved["inclusions"]
+    vessel = {"name": "vessel", "group": "a", "youngs_modulus": 1e4}
+    case = asked(example_case(), inclusions=[ball, UPPER, vessel])
+    lump, upper = outlines_of(case)
     assert_allclose(np.linalg.norm(lump.segments - [0.1, 0.2, 0.3], axis=2), 0.2)
     assert len(upper.segments) == 12
     assert_allclose(upper.segments.reshape(-1, 3).max(axis=0), [2.0, 2.0, 2.0])

@@ -6,6 +6,7 @@ import dataclasses
 
 import numpy as np
 
+from tests.unit.typed_study import asked
 from vdmbench.measures.case import CaseResult, MetricSeries
 from vdmbench.report.section_fibres import anisotropy_of_the_response
 from vdmbench.verdict.digest import Digest
@@ -26,8 +27,8 @@ def fibrous(strains: dict[str, tuple[float, float, float]]) -> CaseResult:
         }
         for name, values in strains.items()
     }
-    resolved = {**case.resolved, "anisotropy": {"fibre_direction": [1, 0, 0], "contrast": 4}}
-    return dataclasses.replace(case, metrics={**case.metrics, **metrics}, resolved=resolved)
+    case = asked(case, anisotropy={"fibre_direction": [1, 0, 0], "contrast": 4})
+    return dataclasses.replace(case, metrics={**case.metrics, **metrics})
 
 
 def test_strains_and_their_ratio() -> None:

@@ -10,9 +10,11 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
+from tests.unit.typed_study import asked
 from vdmbench.measures.case import CaseResult
 from vdmbench.report.blocks import Figures, Section, Table, Text
 from vdmbench.report.section_force import force_against_indentation
+from vdmbench.study.config import resolved
 from vdmbench.verdict.digest import Digest
 from vdmbench.verdict.loading import contact_pressure, contact_resultant, indentation, movement_force
 
@@ -109,8 +111,7 @@ def test_no_curve_of_a_body_with_a_weight_is_said_to_start_at_rest() -> None:
         ({"acceleration": [0.0, 0.0, 0.0]}, False),
         ({"acceleration": [0.0, 0.0, -9.81]}, True),
     ):
-        resolved = {**case.resolved, "gravity": gravity}
-        section = force_section(dataclasses.replace(case, resolved=resolved))
+        section = force_section(asked(case, gravity=gravity))
         notes = [block.text for block in section.blocks if isinstance(block, Text)]
         assert any(said in note for note in notes) == there
 
@@ -151,10 +152,10 @@ def test_one_load_is_a_table_and_no_empty_frame() -> None:
 def test_contact_and_movement_of_one_scene_each_have_a_figure() -> None:
     case = moved_case()
     constraints = [
-        *case.resolved["constraints"],
+        *resolved(case.study)["constraints"],
         {"kind": "contact", "name": "finger", "region": "finger", "force": 0.5},
     ]
-    section = force_section(dataclasses.replace(case, resolved={"constraints": constraints}))
+    section = force_section(asked(case, constraints=constraints))
     assert [title for title, _ in figures_of(section)] == ["finger, the only case", "tool, the only case"]
     (note,) = (block for block in section.blocks if isinstance(block, Text))
     assert "The force of a contact is given" in note.text

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from tests.unit.typed_study import asked
 from vdmbench.measures.case import CaseResult
 from vdmbench.report.page import page_html
 from vdmbench.report.section_scene import parts_of, scene, scene_words
@@ -23,7 +24,7 @@ def told(label: str, nu: float, force: float, **more: Any) -> CaseResult:
         "geometry": {"shape": "sphere", "mesh_size": 0.009},
         **more,
     }
-    return dataclasses.replace(case, resolved={**case.resolved, **inputs})
+    return asked(case, **inputs)
 
 
 def test_words_have_the_ranges_of_all_cases_at_full_load() -> None:
@@ -38,7 +39,13 @@ def test_words_have_the_ranges_of_all_cases_at_full_load() -> None:
     }
     scan = told("d", 0.45, 0.05, geometry={"shape": "file", "path": "/of/a/patient.obj", "mesh_size": 0.009})
     assert dict(scene_words(scan, [scan]))["Body"] == "from a file, 100 × 100 × 100 mm"
-    heavy = told("c", 0.45, 0.05, gravity={"acceleration": [0, 0, -9.81]}, anisotropy={"contrast": 3.0})
+    heavy = told(
+        "c",
+        0.45,
+        0.05,
+        gravity={"acceleration": [0, 0, -9.81]},
+        anisotropy={"contrast": 3.0, "fibre_direction": [1.0, 0.0, 0.0]},
+    )
     assert dict(scene_words(heavy, [heavy]))["Tissue"].endswith(
         "3 times as stiff along its fibres, with weight, density 1060 kg/m³"
     )
@@ -67,9 +74,8 @@ def test_a_moved_region_and_a_contact_all_round() -> None:
     everywhere = np.ones(len(case.points), dtype=bool)
     moved = {"kind": "constrained", "region": "finger", "name": "jaw", "displacement": [0.002, 0.0, 0.0]}
     squeezed = {"kind": "contact", "region": "all", "name": "air", "pressure": 100.0}
-    case = dataclasses.replace(
-        case, resolved={"constraints": [moved, squeezed]}, regions={**case.regions, "all": everywhere}
-    )
+    case = asked(case, constraints=[moved, squeezed])
+    case = dataclasses.replace(case, regions={**case.regions, "all": everywhere})
     jaw, air = parts_of(case, [case])
     assert (jaw.label, list(jaw.vector)) == ("2 mm", [0.002, 0.0, 0.0])
     assert air.vector is None, "it presses from all sides"

@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from tests.unit.report_runs import make_case, make_run
+from tests.unit.typed_study import asked
 from vdmbench.cli import verb_compare
 from vdmbench.cli.arguments import parse
 from vdmbench.guard.side_by_side import as_text, side_by_side
@@ -25,7 +26,7 @@ def runs() -> dict[str, Run]:
     found = {"runs/first": _run(first)}
     found["runs/second"] = _run({"vdm-paper": 0.4, "vdm-vector": 0.02, "bem": 0.05}, stopped={"bem": 3})
     other = _run(first)
-    case = dataclasses.replace(other.cases[0], resolved={"tissue": {"poisson_ratio": 0.3}})
+    case = asked(other.cases[0], tissue={"youngs_modulus": 5e3, "poisson_ratio": 0.3})
     found["runs/of another tissue"] = dataclasses.replace(other, cases=[case])
     found["runs/without the boundary form"] = _run({"vdm-paper": 0.2, "vdm-vector": 0.1})
     return found

@@ -71,7 +71,6 @@ def test_numbers_that_are_not_there_are_null_to_others_and_nan_to_us(tmp_path: P
             "gci:max_nodal_error": np.float32("nan"),
         },
         mesh_quality={"worst_sicn": np.nan},
-        resolved={"study": {"reference": None}},
     )
     path = tmp_path / "case.vtkhdf"
     store.write_case(path, case)
@@ -85,7 +84,6 @@ def test_numbers_that_are_not_there_are_null_to_others_and_nan_to_us(tmp_path: P
     assert about["models"]["vdm-paper"]["parameters"] == {"condition": None, "solver": "x"}
     read = store.read_case(path)
     assert_same(case, read)
-    assert read.resolved["study"]["reference"] is None, "which is no number"
     assert np.isnan(uncertainty.reference_bar(read.reference_error, "max_nodal_error"))
     assert uncertainty.stored_estimate(read.reference_error) == uncertainty.stored_estimate(
         case.reference_error
@@ -292,7 +290,7 @@ def test_a_directory_without_a_run_is_refused(tmp_path: Path) -> None:
 def test_study_tables(tmp_path: Path) -> None:
     first, second = example_case("a1" * 32, "one"), example_case("b2" * 32, "two")
     second = dataclasses.replace(second, swept={"tissue.poisson_ratio": 0.49, "geometry.shape": "box"})
-    run = Run({"name": "s"}, "[study]", [first, second], [], [], {})
+    run = Run(first.study, "[study]", [first, second], [], [], {})
     store.write_study(tmp_path, run)
     with h5py.File(tmp_path / "study.h5") as file:
         assert_array_equal(file["swept/tissue.poisson_ratio"], [0.45, 0.49])

@@ -10,8 +10,10 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
+from tests.unit.typed_study import asked, typed_study
 from vdmbench.measures.case import CaseResult, Limit, ModelLimits, Run, SmallStrainLimits
 from vdmbench.report.headline import headline_rows
+from vdmbench.study.config import resolved
 from vdmbench.study.fields import targets
 from vdmbench.study.model_name import PARAMETERS
 from vdmbench.verdict.acceptance import BEYOND, LOST, OPEN, WITHIN, acceptance
@@ -73,13 +75,13 @@ def test_the_references_own_error_counts(
     error: float, measured: dict[str, float], state: str, words: str
 ) -> None:
     case = make_case({"vdm-m": error}, reference_error=measured, subdivisions=1)
-    assert acceptance({}).state(case, "vdm-m", 3) == state
+    assert acceptance(typed_study()).state(case, "vdm-m", 3) == state
     assert told(make_run([case]))[GOOD].startswith(words)
 
 
 def test_a_model_that_has_no_answer_is_not_good_enough() -> None:
     case = make_case({"vdm-m": 0.01}, stopped={"vdm-m": 3}, swept={"k": 1.0}, subdivisions=1)
-    assert acceptance({}).state(case, "vdm-m", 3) == LOST
+    assert acceptance(typed_study()).state(case, "vdm-m", 3) == LOST
     other = make_case({"vdm-m": 0.01}, swept={"k": 2.0}, subdivisions=1)
     text = told(make_run([case, other]))
     assert text[GOOD].startswith(
@@ -335,8 +337,8 @@ def test_the_depth_is_what_every_case_reaches() -> None:
 def test_a_load_that_no_case_tells_is_a_share_of_the_full_one() -> None:
     case = make_case({"vdm-m": 0.05}, subdivisions=0)
     second = {"kind": "contact", "region": "base", "force": 0.1}
-    entries = [*case.resolved["constraints"], second]
-    text = told(make_run([dataclasses.replace(case, resolved={"constraints": entries})]))[LOAD]
+    entries = [*resolved(case.study)["constraints"], second]
+    text = told(make_run([asked(case, constraints=entries)]))[LOAD]
     assert text.startswith("Within 10 % up to the largest load tried, 1 of the full load (")
 
 
@@ -450,13 +452,11 @@ def test_parameters_that_a_formulation_does_not_read_are_not_told() -> None:
         formulation="bem",
         shear_modulus=1667.0,
     )
-    given = {**case.resolved, "vdm": {"bulk_modulus": 700.0}}
-    text = told(make_run([dataclasses.replace(case, resolved=given)]))[WITH]
+    text = told(make_run([asked(case, vdm={"bulk_modulus": 700.0})]))[WITH]
     assert text == (
         "bem with shear modulus = 1.67 kPa, by rule from the tissue and the size of the body, not fitted."
     )
-    own = {**case.resolved, "models": {"bem": {"shear_modulus": 1667.0}}}
-    text = told(make_run([dataclasses.replace(case, resolved=own)]))[WITH]
+    text = told(make_run([asked(case, models={"bem": {"shear_modulus": 1667.0}})]))[WITH]
     assert text == "bem with shear modulus = 1.67 kPa; the study sets shear modulus."
 
 
@@ -584,8 +584,9 @@ def test_a_body_carried_along_with_its_supports_is_judged(also_fixed: bool, judg
             name: dataclasses.replace(r, displacement=np.where(ends["high"][:, None], 0.0, r.displacement))
             for name, r in results.items()
         }
-    resolved = {"constraints": [*case.resolved["constraints"][1:], *constraints]}  # the base is let go
-    case = dataclasses.replace(case, models=results, resolved=resolved, regions={**case.regions, **ends})
+    constraints += resolved(case.study)["constraints"][1:]  # the base is let go
+    case = asked(case, constraints=constraints)
+    case = dataclasses.replace(case, models=results, regions={**case.regions, **ends})
     assert told(make_run([case]))[GOOD].startswith("Yes. " if judged else "Not judged. ")
 
 

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from solver_common.solution import Status
+from tests.unit.typed_study import asked
 from vdmbench.measures.case import CaseResult, MetricSeries, Run
 from vdmbench.measures.metrics import DEFORMATION, METRICS, VECTOR, History, evaluate
 from vdmbench.verdict.digest import Digest
@@ -58,14 +59,17 @@ def growing(shares: Mapping[str, Sequence[float]], reference: str = "fem", **oth
 def test_what_is_left_out_is_told_by_elements_that_leave_it_out_too() -> None:
     far = growing({"vdm-m": (0.28,) * 3, "fem-condensed": (0.25,) * 3}, reference="fem-linear")
     assert causes(make_run([far])).keys() == {"model"}
-    lump = {"inclusions": [{"name": "lump"}], "study": {"homogeneous": ["vdm-m", "fem-condensed"]}}
-    told = causes(make_run([dataclasses.replace(far, resolved={**far.resolved, **lump})]))
+    lump = {
+        "inclusions": [{"name": "lump", "group": "a", "youngs_modulus": 1e4}],
+        "study": {"name": "ball", "models": [], "homogeneous": ["vdm-m", "fem-condensed"]},
+    }
+    told = causes(make_run([asked(far, **lump)]))
     assert told == {
         "left out": "What is left out: fem-condensed without lump is 25 % off in displacement "
         "and 25 % in change of shape too."
     }
     worse = growing({"vdm-m": (0.4,) * 3, "fem-condensed": (0.25,) * 3}, reference="fem-linear")
-    both = causes(make_run([dataclasses.replace(worse, resolved={**worse.resolved, **lump})]))
+    both = causes(make_run([asked(worse, **lump)]))
     assert both.keys() == {"model", "left out"}
 
 

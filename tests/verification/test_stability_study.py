@@ -108,7 +108,7 @@ def solved(case: ResolvedCase, volume: bool, known: Known) -> CaseResult:
         label=case.label,
         swept=case.swept,
         swept_units=case.swept_units,
-        resolved={},
+        study=case.study,
         provenance={},
         points=mesh.surface_points,
         triangles=mesh.triangles,
