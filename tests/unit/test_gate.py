@@ -27,7 +27,7 @@ from vdmbench.guard.gate import (
 )
 from vdmbench.guard.gate_report import describe, junit, markdown, summary
 from vdmbench.machine.stored_json import sealed
-from vdmbench.measures.case import CaseResult, Run
+from vdmbench.measures.case import CaseResult, MetricSeries, Run
 from vdmbench.measures.metrics import METRICS, Sense
 from vdmbench.store.hdf5 import StoreError
 from vdmbench.store.run_directory import write_failure
@@ -442,3 +442,14 @@ def test_the_commands_and_their_exit_codes(tmp_path: Path) -> None:
     assert "newly failing: the only case: it died" in failed.stdout
     result.write_bytes(whole)
     assert vdmbench("gate", directory, cwd=tmp_path).returncode == 0
+
+
+def test_series_of_a_step_that_is_not_full_load_do_not_matter(path: Path) -> None:
+    case = run_of({"vdm-vector": 0.2, "vdm-paper": 0.8}).cases[0]
+    values = case.metrics["vdm-vector"][VECTOR].values.copy()
+    values[0] = 5.0
+    series = MetricSeries(values, "1", "", METRICS[VECTOR].version)
+    metrics = {**case.metrics, "vdm-vector": {**case.metrics["vdm-vector"], VECTOR: series}}
+    assert (
+        found(path, make_run([dataclasses.replace(case, metrics=metrics)]))["vdm-vector"].outcome == gate.SAME
+    )

@@ -13,6 +13,7 @@ from typing import Any
 import h5py
 import numpy as np
 import pytest
+import tomli_w
 from numpy.testing import assert_array_equal
 
 from tests.command import strict_json
@@ -22,6 +23,7 @@ from vdmbench.store import cases as store
 from vdmbench.store import hdf5
 from vdmbench.store.hdf5 import StoreError
 from vdmbench.store.run_directory import RESOLVED, STUDY, case_path, failure_path, write_failure, write_plan
+from vdmbench.study.config import resolved
 
 from .example_case import N_STEPS, example_case
 
@@ -253,7 +255,11 @@ def _run_directory(directory: Path) -> None:
         for h in (done.hash, failed, "c3" * 32)
     ]
     study = {"name": "s", "title": "t", "models": ["vdm-paper"], "reference": None}
-    write_plan(directory, {"study": study, "cases": planned}, {STUDY: b"[study]", RESOLVED: b""})
+    write_plan(
+        directory,
+        {"study": study, "cases": planned},
+        {STUDY: b"[study]", RESOLVED: tomli_w.dumps(resolved(done.study)).encode()},
+    )
 
 
 def test_run_directory(tmp_path: Path) -> None:
