@@ -89,7 +89,7 @@ def baseline_arguments(parser: argparse.ArgumentParser) -> None:
 
 def baseline_of(options: argparse.Namespace, study: str) -> Path:
     """The file that was named, or that of the study."""
-    from ..guard.gate import baseline_path
+    from ..gate import baseline_path
 
     return options.baseline or baseline_path(results_directory(), study)
 

@@ -18,7 +18,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Write a run as the baseline."""
-    from ..guard.gate import accept
+    from ..gate import accept, study_name
     from ..store.cases import read_run
 
     run = read_run(options.directory)

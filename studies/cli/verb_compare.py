@@ -57,7 +57,7 @@ def run(options: argparse.Namespace) -> int:
 
 def _side_by_side(options: argparse.Namespace) -> int:
     """Print what is worse, better, newly failing and not comparable."""
-    from ..guard.side_by_side import as_text, side_by_side
+    from ..gate import as_text, side_by_side
     from ..store.cases import read_run
 
     paths = map(given_run_directory, options.directories)

@@ -14,7 +14,9 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     """Its arguments."""
     baseline_arguments(parser)
     parser.add_argument(
-        "--allow-missing", action="store_true", help="compare what is there; by default what is missing is 6"
+        "--allow-missing",
+        action="store_true",
+        help="compare what is there; by default what is missing or not comparable is 6",
     )
     parser.add_argument("--junit", type=output_file, metavar="FILE", help="write JUnit XML too")
     parser.add_argument(
@@ -24,8 +26,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Compare a run with its baseline."""
-    from ..guard import gate
-    from ..guard.gate_report import describe, junit, markdown, summary
+    from .. import gate
     from ..machine.files import write_atomically
     from ..store.cases import read_run
 
@@ -35,26 +36,22 @@ def run(options: argparse.Namespace) -> int:
     # where nobody has accepted anything, that is no mistake of the command, and whoever collects files finds them
     missing = gate.no_baseline(path) if options.baseline is None and not path.exists() else ""
     baseline = None if missing else gate.read_baseline(path)
-    findings = gate.compare(run, baseline) if baseline else [gate.not_comparable(missing)]
+    none = gate.Finding(gate.NOT_COMPARABLE, "baseline", "", "", why=missing)
+    findings = gate.compare(run, baseline) if baseline else [none]
     told = f"Baseline of {baseline.date}: {baseline.reason}" if baseline else "There is no baseline."
     if options.junit:
-        write_atomically(options.junit, junit(study, findings, allow_missing=options.allow_missing))
+        write_atomically(options.junit, gate.junit(study, findings, allow_missing=options.allow_missing))
     if options.markdown:
-        write_atomically(options.markdown, markdown(study, told, findings).encode("utf-8", "replace"))
+        write_atomically(options.markdown, gate.markdown(study, told, findings).encode("utf-8", "replace"))
     if options.json:
         print_json({"study": study, "counts": gate.counts(findings), "findings": [vars(f) for f in findings]})
     elif baseline:
         for finding in findings:
             if finding.outcome != gate.SAME:
-                print(describe(finding))
-        print(f"{study}: {summary(findings)} (baseline of {baseline.date}: {baseline.reason})")
-    if missing:
-        return complain(f"nothing was compared: {missing}", NOTHING_COMPARED)
+                print(gate.describe(finding))
+        print(f"{study}: {gate.summary(findings)} (baseline of {baseline.date}: {baseline.reason})")
     if gate.regressed(findings):
         return REGRESSED
-    if gate.is_incomplete(findings) and not options.allow_missing:
-        return complain(
-            "parts of the study are missing: finish the run, or let them be missing by --allow-missing",
-            NOTHING_COMPARED,
-        )
-    return NOTHING_COMPARED if gate.nothing_compared(findings) else OK
+    why = f"nothing was compared: {missing}" if missing else ""
+    why = why or gate.why_not_passed(findings, allow_missing=options.allow_missing)
+    return complain(why, NOTHING_COMPARED) if why else OK

@@ -1,0 +1,605 @@
+"""Accuracy kept. In: a run and what was accepted, or runs. Out: what is worse, better, missing or not comparable.
+
+A baseline holds the value of each case, model and metric at full load, what the cases were asked, the versions of
+models and metrics, and why it was accepted. Only sizes are gated: an error that grows is worse, one that shrinks is
+better. Times, memory and descriptive metrics (`vdmbench.measures.metrics.Sense`) are not in it.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import shlex
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Annotated, Any
+from xml.etree import ElementTree
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from .machine.files import write_atomically
+from .measures.case import CaseResult, Run
+from .measures.metrics import DEFORMATION, METRICS, VECTOR, Sense
+from .measures.uncertainty import SIGNED
+from .store.frame import at_full_load, frame
+from .store.hdf5 import StoreError
+from .study.kinds import safe_name
+from .verdict.formatting import of_unit, plural
+
+SCHEMA = 2  # of 1, the inputs were a digest, which could not say what had changed
+RELATIVE = 0.02  # of a value: another BLAS, another core count and another order of sums move it by far less
+ABSOLUTE = {
+    "1": 1e-3,
+    "m": 1e-6,
+}  # no change whatever the value, by unit: 0.1 percentage points, a micrometre
+CONSERVED = 1e-9  # of what is conserved: a deviation is judged by its own size, down to where it is rounding
+ONLY_CASE = "the only case"  # what the case of a study without a sweep is called
+OWN = "own error: "  # before the name of a metric in which the reference's own error was measured
+_NOT_ASKED = (
+    "study",
+    "sweep",
+    "calibration",
+    "acceptance",
+    "inputs",
+)  # tables that decide no number of a case
+_SHOWN = 3  # changed inputs that are named
+
+WORSE, BETTER, SAME = "worse", "better", "unchanged"
+NEWLY_FAILING, NEWLY_PASSING, STILL_FAILING = "newly failing", "newly passing", "still failing"
+NOT_COMPARABLE, MISSING, NEW = "not comparable", "missing", "new"
+OUTCOMES = (
+    *(WORSE, NEWLY_FAILING, NOT_COMPARABLE, MISSING),
+    *(BETTER, NEWLY_PASSING, NEW, STILL_FAILING, SAME),
+)
+REGRESSED = (WORSE, NEWLY_FAILING)
+INCOMPLETE = (NOT_COMPARABLE, MISSING)
+_COMPARED = (WORSE, BETTER, SAME, NEWLY_FAILING, NEWLY_PASSING)
+_SKIPPED = (NOT_COMPARABLE, MISSING, NEW, STILL_FAILING)
+
+
+class BaselineError(ValueError):
+    """A baseline that cannot be read, written or used; the message says which and what to do."""
+
+
+class _Stored(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True, populate_by_name=True)
+
+
+_Number = Annotated[float, Field(allow_inf_nan=False)]
+
+
+class Measure(_Stored):
+    """A metric as it was accepted: unit ("1" where it has none) and version."""
+
+    unit: str
+    version: int
+
+
+class Entry(_Stored):
+    """One accepted case: inputs that differ from the baseline's, None where not given; model -> metric -> value.
+
+    A value is None where the model had none.
+    """
+
+    inputs: dict[str, Any]
+    reference: str | None
+    values: dict[str, dict[str, _Number | None]]
+
+
+class Baseline(_Stored):
+    """What was accepted of a study, when and why; `inputs` by their keys (SI), cases by their labels."""
+
+    schema_version: int = Field(SCHEMA, alias="schema")
+    study: str
+    reason: str = ""
+    date: str = ""
+    inputs: dict[str, Any]
+    models: dict[str, str]
+    metrics: dict[str, Measure]
+    cases: dict[str, Entry]
+
+    def inputs_of(self, case: str) -> dict[str, Any]:
+        """What a case was asked, by key."""
+        whole = self.inputs | self.cases[case].inputs
+        return {key: value for key, value in whole.items() if value is not None}
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One comparison. `was` and `now` are NaN where there is no number."""
+
+    outcome: str
+    case: str
+    model: str
+    metric: str
+    was: float = math.nan
+    now: float = math.nan
+    tolerance: float = math.nan
+    unit: str = "1"
+    why: str = ""
+
+
+# --- what a baseline holds of a run ---
+
+
+def baseline_of(run: Run, reason: str = "") -> Baseline:
+    """What a baseline holds of a run: every gated metric at full load."""
+    values: dict[str, dict[str, dict[str, float | None]]] = {
+        case.hash: {name: {} for name in case.models} for case in run.cases
+    }
+    table = at_full_load(frame(run))
+    gated = table[table["metric"].isin([name for name in METRICS if sense_of(name) != "descriptive"])]
+    for case, model, metric, value in zip(
+        *(gated[c] for c in ("case", "model", "metric", "value")), strict=True
+    ):
+        values[case][model][metric] = _rounded(value)
+    asked = {case.hash: asked_of(case) for case in run.cases}
+    common = next(iter(asked.values()), {})
+    measures, versions = {}, {}
+    for case in run.cases:
+        for name, result in case.models.items():
+            versions[name] = result.version
+            for metric, series in case.metrics.get(name, {}).items():
+                measures[metric] = Measure(unit=series.unit, version=series.version)
+        if case.reference is not None:
+            for key, value in sorted(case.reference_error.items()):
+                metric = key.removeprefix("gci:")
+                if metric != key and metric in METRICS:
+                    values[case.hash][case.reference][OWN + metric] = _rounded(value)
+                    own = METRICS[metric]
+                    measures.setdefault(metric, Measure(unit=own.unit, version=own.version))
+    return Baseline(
+        study=study_name(run),
+        reason=reason,
+        date=datetime.now(UTC).date().isoformat(),
+        inputs=common,
+        models=versions,
+        metrics=measures,
+        cases={
+            case.label or ONLY_CASE: Entry(
+                inputs={key: asked[case.hash].get(key) for key in _changed(common, asked[case.hash])},
+                reference=case.reference,
+                values=values[case.hash],
+            )
+            for case in run.cases
+        },
+    )
+
+
+def study_name(run: Run) -> str:
+    """The name of the study that was run."""
+    return str(run.study["name"])
+
+
+def asked_of(case: CaseResult) -> dict[str, Any]:
+    """What decides a case's numbers, by key, without names, lists and defaults; a file by its own name."""
+    from .study.schema import Study
+
+    tables = Study.model_validate(case.resolved).model_dump(mode="json", exclude_defaults=True)
+    found = dict(_leaves({key: table for key, table in tables.items() if key not in _NOT_ASKED}))
+    if "geometry.path" in found:
+        found["geometry.path"] = Path(found["geometry.path"]).name
+    return found
+
+
+def _leaves(tables: Mapping[str, Any], before: str = "") -> Iterator[tuple[str, Any]]:
+    """Key -> value of nested tables; tables of a list go by their name, else by their number from 1."""
+    for key, value in tables.items():
+        if isinstance(value, list) and value and all(isinstance(part, dict) for part in value):
+            named = {str(part.get("name") or k): part for k, part in enumerate(value, start=1)}
+            yield from _leaves(named, f"{before}{key}.")
+        elif isinstance(value, dict) and value:
+            yield from _leaves(value, f"{before}{key}.")
+        elif value is not None:
+            yield f"{before}{key}", value
+
+
+def _changed(was: Mapping[str, Any], now: Mapping[str, Any]) -> list[str]:
+    return [key for key in dict.fromkeys((*was, *now)) if was.get(key) != now.get(key)]
+
+
+def sense_of(name: str) -> Sense:
+    """What a metric declares that its size tells; of one that this program no longer has, an error."""
+    return METRICS[name].sense if name in METRICS else "error"
+
+
+def _rounded(value: float) -> float | None:
+    """To six digits: more of them differ from machine to machine. None where there is no number."""
+    return float(f"{value:.6g}") if math.isfinite(value) else None
+
+
+def _tolerance(metric: str, unit: str, value: float) -> float:
+    """By how much a metric may differ from an accepted value and count as unchanged."""
+    least = CONSERVED if sense_of(metric) == "conserved" else ABSOLUTE.get(unit, 0.0)
+    return max(RELATIVE * abs(value), least)
+
+
+# --- baselines on disk ---
+
+
+def baseline_path(results: Path, study: str) -> Path:
+    """Where the baseline of a study is kept. Raises ValueError where the name would lead elsewhere."""
+    return results / "baselines" / f"{safe_name(study)}.json"
+
+
+def no_baseline(path: Path) -> str:
+    """What is wrong, and what to do, where a study has no baseline."""
+    return f"{path}: no such baseline; make one with: vdmbench accept DIR --reason TEXT"
+
+
+def read_baseline(path: Path) -> Baseline:
+    """Read and validate a baseline.
+
+    Raises
+    ------
+    BaselineError
+        no such file, or one of another version of this program.
+    StoreError
+        not a baseline.
+    """
+    again = f"vdmbench accept DIR --reason TEXT --baseline {shlex.quote(str(path))}"
+    if not path.exists():
+        raise BaselineError(f"{no_baseline(path)} --baseline {shlex.quote(str(path))}")
+    schema = _schema(path)
+    if schema is None:
+        raise StoreError(f"{path}: not a baseline; restore it, or delete it and accept again: {again}")
+    if schema < SCHEMA:
+        raise BaselineError(f"{path}: made by an older version; accept again: {again}")
+    if schema > SCHEMA:
+        raise BaselineError(f"{path}: schema {schema} is newer than this program's {SCHEMA}; update vdmbench")
+    try:
+        return Baseline.model_validate_json(path.read_bytes())
+    except ValidationError as error:
+        first = error.errors()[0]
+        place = ".".join(map(str, first["loc"]))
+        raise StoreError(
+            f"{path}: not a baseline ({place}: {first['msg']}); restore it, or accept again: {again}"
+        ) from None
+
+
+def _schema(path: Path) -> int | None:
+    """The schema of a baseline of whatever version; None where the file is none."""
+    try:
+        found = json.loads(path.read_bytes())
+    except (ValueError, RecursionError):
+        return None
+    if not isinstance(found, dict) or not {"schema", "study", "cases"} <= found.keys():
+        return None
+    return found["schema"] if isinstance(found["schema"], int) else None
+
+
+def accept(run: Run, path: Path, reason: str) -> Baseline:
+    """Write a run's metrics as the baseline.
+
+    Raises
+    ------
+    BaselineError
+        no reason, cases that failed or are missing, metrics of another version, nothing to accept, or a file in the
+        baseline's place that is none.
+    OSError
+        disk full or read-only.
+    """
+    if not reason.strip():
+        raise BaselineError(
+            "an accepted baseline needs a reason; say why the numbers are right: --reason TEXT"
+        )
+    if run.failed or run.missing or not run.cases:
+        raise BaselineError(
+            f"{len(run.failed)} cases failed and {len(run.missing)} are missing: finish the run before "
+            f"accepting it"
+        )
+    if path.exists() and _schema(path) is None:
+        raise BaselineError(f"{path}: is no baseline and stays as it is; name another file, or delete it")
+    baseline = baseline_of(run, reason.strip())
+    for name, measure in baseline.metrics.items():
+        if name not in METRICS or METRICS[name].version != measure.version:
+            raise BaselineError(f"{name} is of another version in this run: run the study again, then accept")
+    write_atomically(path, baseline.model_dump_json(by_alias=True, indent=1).encode() + b"\n")
+    return baseline
+
+
+# --- the comparison ---
+
+
+def compare(run: Run, was: Baseline, whose: str = "the baseline") -> list[Finding]:
+    """Every metric of the run beside the baseline's, or beside those of another run, called `whose`.
+
+    Raises
+    ------
+    BaselineError
+        a baseline of another study.
+    """
+    now, name = baseline_of(run), study_name(run)
+    if whose == "the baseline" and was.study != name:
+        raise BaselineError(f"the baseline is of study {was.study!r}, the run of {name!r}")
+    # a failure is labelled for people: in a study of one case by the study's name
+    failed = {
+        ONLY_CASE if failure["label"] == name else failure["label"]: failure["message"]
+        for failure in run.failed
+    }
+    unfinished = {label or ONLY_CASE for label in run.missing}
+    findings: list[Finding] = []
+    for label in was.cases:
+        if label in now.cases:
+            findings += _compare_case(label, was, now, whose)
+        elif label in failed:
+            findings.append(Finding(NEWLY_FAILING, label, "", "", why=failed[label]))
+        else:
+            why = "the run has not got to it" if label in unfinished else "the run has no such case"
+            findings.append(Finding(MISSING, label, "", "", why=why))
+    for label in sorted(unfinished - was.cases.keys()):
+        findings.append(Finding(MISSING, label, "", "", why="the run has not got to it"))
+    for label in (*now.cases, *failed):
+        if label not in was.cases:
+            state = f", and it failed: {failed[label]}" if label in failed else ""
+            findings.append(Finding(NEW, label, "", "", why=f"{whose} has no such case{state}"))
+    return findings
+
+
+def _compare_case(label: str, was: Baseline, now: Baseline, whose: str) -> Iterator[Finding]:
+    before, after = was.cases[label], now.cases[label]
+    if why := _inputs_changed(was.inputs_of(label), now.inputs_of(label)):
+        yield Finding(NOT_COMPARABLE, label, "", "", why=why)
+        return
+    if before.reference != after.reference:
+        why = f"study.reference was {before.reference or 'none'}, is {after.reference or 'none'}"
+        yield Finding(NOT_COMPARABLE, label, "", "", why=why)
+        return
+    for model, values in before.values.items():
+        if model not in after.values:
+            yield Finding(MISSING, label, model, "", why="the run has no such model")
+            continue
+        own = after.values[model]
+        versions = [
+            f"{what} version {old} -> {new}"
+            for what, name in (("model", model), ("reference", before.reference or model))
+            if (old := was.models[name]) != (new := now.models[name])
+        ][:1]
+        for metric, value in values.items():
+            if metric not in own:
+                yield Finding(MISSING, label, model, metric, why="the run has no such metric")
+                continue
+            name = metric.removeprefix(OWN)
+            old, new = was.metrics[name], now.metrics[name]
+            if old.unit != new.unit:
+                why = f"unit {old.unit} -> {new.unit}"
+                yield Finding(NOT_COMPARABLE, label, model, metric, why=why)
+                continue
+            changed = [f"metric version {old.version} -> {new.version}"] if old.version != new.version else []
+            yield _compare_value(label, model, metric, (value, own[metric]), old.unit, versions + changed)
+        for metric in sorted(own.keys() - values.keys()):
+            yield Finding(NEW, label, model, metric, why=f"{whose} has no such metric")
+    for model in sorted(after.values.keys() - before.values.keys()):
+        yield Finding(NEW, label, model, "", why=f"{whose} has no such model")
+
+
+def _inputs_changed(was: Mapping[str, Any], now: Mapping[str, Any]) -> str:
+    """Which inputs differ, with both values; "" where none does."""
+    changed = _changed(was, now)
+    told = [f"{key} was {was.get(key, 'not given')}, is {now.get(key, 'not given')}" for key in changed]
+    return "; ".join(told[:_SHOWN]) + (f"; {len(told) - _SHOWN} more" if len(told) > _SHOWN else "")
+
+
+def _compare_value(
+    label: str,
+    model: str,
+    metric: str,
+    values: tuple[float | None, float | None],
+    unit: str,
+    changed: Sequence[str],
+) -> Finding:
+    """One number beside the accepted one; of another version of model or metric too, which is said."""
+    old, new = (math.nan if value is None else value for value in values)
+    tolerance = _tolerance(metric.removeprefix(OWN), unit, 0.0 if math.isnan(old) else old)
+    said = list(changed)
+    if math.isnan(old) or math.isnan(new):
+        outcome = {
+            (True, True): STILL_FAILING,
+            (False, True): NEWLY_FAILING,
+            (True, False): NEWLY_PASSING,
+        }[math.isnan(old), math.isnan(new)]
+    elif metric in SIGNED and old * new < 0 and min(abs(old), abs(new)) > tolerance:
+        outcome = WORSE
+        said.append("the sign has changed")
+    else:
+        growth = abs(new) - abs(old)
+        outcome = WORSE if growth > tolerance else BETTER if growth < -tolerance else SAME
+    return Finding(outcome, label, model, metric, old, new, tolerance, unit, "; ".join(said))
+
+
+def counts(findings: Sequence[Finding]) -> dict[str, int]:
+    """How many findings of each outcome there are, the worst first."""
+    found = Counter(finding.outcome for finding in findings)
+    return {outcome: found[outcome] for outcome in OUTCOMES if found[outcome]}
+
+
+def regressed(findings: Sequence[Finding]) -> bool:
+    """Whether anything got worse or newly fails."""
+    return any(finding.outcome in REGRESSED for finding in findings)
+
+
+def why_not_passed(findings: Sequence[Finding], *, allow_missing: bool = False) -> str:
+    """Why findings without a regression pass nevertheless not; "" where they pass."""
+    if not any(finding.outcome in _COMPARED for finding in findings):
+        return "not one number could be held against another"
+    if allow_missing or not any(finding.outcome in INCOMPLETE for finding in findings):
+        return ""
+    return (
+        "parts are missing or not comparable: finish the run, accept it as the new baseline, or let them be by "
+        "--allow-missing"
+    )
+
+
+# --- what is told of it ---
+
+
+def describe(finding: Finding) -> str:
+    """One finding in a line."""
+    place = " / ".join(part for part in (finding.case, finding.model, finding.metric) if part)
+    parts = [f"{finding.outcome}: {place}"]
+    if not (math.isnan(finding.was) and math.isnan(finding.now)):
+        unit = "" if finding.unit == "1" else f" {finding.unit}"
+        was, now, tolerance = (_number(v) or "none" for v in (finding.was, finding.now, finding.tolerance))
+        parts.append(f"{was}{unit} -> {now}{unit} (tolerance {tolerance}{unit})")
+    return ": ".join([*parts, *filter(None, [finding.why])])
+
+
+def summary(findings: Sequence[Finding]) -> str:
+    """The counts in one line."""
+    return ", ".join(f"{count} {outcome}" for outcome, count in counts(findings).items()) or "nothing"
+
+
+def junit(study: str, findings: Sequence[Finding], *, allow_missing: bool = False) -> bytes:
+    """JUnit XML: one test case per finding.
+
+    What got worse is a failure, and what is missing or not comparable unless that is allowed.
+    """
+    failures = REGRESSED if allow_missing else (*REGRESSED, *INCOMPLETE)
+    skipped = tuple(outcome for outcome in _SKIPPED if outcome not in failures)
+    suite = ElementTree.Element(
+        "testsuite",
+        name=_clean(f"accuracy of {study}"),
+        tests=str(len(findings)),
+        failures=str(sum(f.outcome in failures for f in findings)),
+        skipped=str(sum(f.outcome in skipped for f in findings)),
+        errors="0",
+    )
+    for finding in findings:
+        model = ".".join(part for part in (study, finding.model) if part)
+        name = ": ".join(part for part in (finding.case, finding.metric) if part)
+        case = ElementTree.SubElement(suite, "testcase", classname=_clean(model), name=_clean(name))
+        if finding.outcome in failures or finding.outcome in skipped:
+            kind = "failure" if finding.outcome in failures else "skipped"
+            ElementTree.SubElement(case, kind, message=_clean(describe(finding)))
+    root = ElementTree.Element("testsuites")
+    root.append(suite)
+    out: bytes = ElementTree.tostring(root, encoding="utf-8", xml_declaration=True)
+    return out
+
+
+def markdown(study: str, told: str, findings: Sequence[Finding]) -> str:
+    """A summary with a table of everything that is not as it was; `told` is a sentence on the baseline."""
+    text = f"# Accuracy of {_cell(study)}\n\n{summary(findings)}. {_cell(told)}\n"
+    changed = [finding for finding in findings if finding.outcome != SAME]
+    if changed:
+        text += "\n| outcome | case | model | metric | was | is | tolerance | why |\n" + "| --- " * 8 + "|\n"
+    for finding in changed:
+        cells = [finding.outcome, finding.case, finding.model, finding.metric]
+        cells += [_number(value) for value in (finding.was, finding.now, finding.tolerance)]
+        text += f"| {' | '.join(_cell(cell) for cell in (*cells, finding.why))} |\n"
+    return text
+
+
+def _number(value: float) -> str:
+    return "" if math.isnan(value) else f"{value:.4g}"
+
+
+def _cell(text: str) -> str:
+    return _clean(text).replace("\\", "\\\\").replace("|", "\\|").replace("<", "&lt;").replace("\n", " ")
+
+
+def _clean(text: str) -> str:
+    """Without the characters that XML 1.0 cannot hold."""
+    return "".join(c if c.isprintable() or c in "\n\t" else "\N{REPLACEMENT CHARACTER}" for c in text)
+
+
+# --- runs side by side ---
+
+HEADLINE = {  # shown whether it has changed or not; of the others what has
+    VECTOR: "displacement error",
+    DEFORMATION: "error in change of shape",
+    "max_nodal_error": "largest difference at a node",
+    "volume_drift": "volume drift",
+}
+FIRST = "first"  # outcome of the run that the others are held against
+_MARKS = {WORSE: "worse", NEWLY_FAILING: "fails", NOT_COMPARABLE: "?", MISSING: "gone"}
+_MARKS |= {BETTER: "better", NEWLY_PASSING: "passes", NEW: "new"}
+WIDTH = 80
+_NAME, _RUN = 24, 18  # letters of a model, and at least of a run's column
+
+
+@dataclass(frozen=True)
+class Row:
+    """One model and metric: of each run the worst value of its cases (NaN where it has none), and what became."""
+
+    metric: str
+    model: str
+    unit: str
+    values: tuple[float, ...]
+    outcomes: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class SideBySide:
+    """The names of the runs, a row for each metric and model, and what was found of each run but the first."""
+
+    names: tuple[str, ...]
+    rows: tuple[Row, ...]
+    findings: tuple[tuple[Finding, ...], ...]
+
+
+def side_by_side(runs: Mapping[str, Run]) -> SideBySide:
+    """Hold runs, by their names, against the first of them: each model's worst value of each metric."""
+    held = [baseline_of(run) for run in runs.values()]
+    findings = [tuple(compare(run, held[0], "A")) for run in list(runs.values())[1:]]
+    worst: dict[tuple[str, str], list[float]] = {}
+    for place, one in enumerate(held):
+        for case in one.cases.values():
+            for model, values in case.values.items():
+                for metric, value in values.items():
+                    row = worst.setdefault((metric, model), [math.nan] * len(held))
+                    if value is not None and not abs(row[place]) >= abs(value):
+                        row[place] = value
+    units = {name: measure.unit for one in reversed(held) for name, measure in one.metrics.items()}
+    metrics = list(dict.fromkeys(metric for metric, _ in worst))
+    rows = [
+        Row(
+            metric,
+            model,
+            units[metric.removeprefix(OWN)],
+            tuple(values),
+            (FIRST, *(_outcome(found, model, metric) for found in findings)),
+        )
+        for (metric, model), values in sorted(worst.items(), key=lambda item: metrics.index(item[0][0]))
+    ]
+    return SideBySide(tuple(runs), tuple(rows), tuple(findings))
+
+
+def _outcome(findings: Sequence[Finding], model: str, metric: str) -> str:
+    """The worst that is said of a model's metric, by itself or with its whole case."""
+    said = {f.outcome for f in findings if f.model in ("", model) and f.metric in ("", metric)}
+    return next((outcome for outcome in OUTCOMES if outcome in said), SAME)
+
+
+def as_text(found: SideBySide) -> Iterator[str]:
+    """Lines of at most 80 letters: a block for each metric, a row for each model, a column for each run."""
+    letters = dict(zip(found.names, "ABCDEFGHIJKLMNOPQRSTUVWXYZ", strict=False))
+    for name, letter in letters.items():
+        yield f"{letter}  {name}"[:WIDTH]
+    yield "at full load, the worst of all cases; held against A case by case"
+    columns = max(1, (WIDTH - _NAME) // _RUN)
+    told = {WORSE, BETTER, NEWLY_FAILING, NEWLY_PASSING}
+    changed = {row.metric for row in found.rows if told & {*row.outcomes}}
+    for metric in dict.fromkeys(row.metric for row in found.rows):
+        if metric not in HEADLINE and metric not in changed:
+            continue
+        for start in range(0, len(found.names), columns):
+            shown = range(start, min(start + columns, len(found.names)))
+            yield ""
+            yield HEADLINE.get(metric, metric.replace("_", " "))
+            yield (" " * _NAME + "".join(f"{letters[found.names[k]]:<{_RUN}}" for k in shown)).rstrip()
+            for row in (row for row in found.rows if row.metric == metric):
+                name = row.model if len(row.model) < _NAME else f"{row.model[: _NAME - 2]}…"
+                marks = [_MARKS.get(outcome, "") for outcome in row.outcomes]
+                cells = (f"{of_unit(row.values[k], row.unit)} {marks[k]}" for k in shown)
+                yield (f"{name:<{_NAME}}" + "".join(f"{cell:<{_RUN}}" for cell in cells)).rstrip()
+    yield ""
+    for name, findings in zip(found.names[1:], found.findings, strict=True):
+        yield f"{letters[name]} against A: {summary(findings) if findings else 'nothing to compare'}"
+        why = dict.fromkeys(finding.why for finding in findings if finding.why)
+        yield from (f"   {reason}"[:WIDTH] for reason in list(why)[:3])
+        if len(why) > 3:
+            yield f"   and {plural(len(why) - 3, 'other reason')}; all by --json"
