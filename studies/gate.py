@@ -22,12 +22,11 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from .machine.files import write_atomically
 from .measures.case import CaseResult, Run
-from .measures.metrics import DEFORMATION, METRICS, VECTOR, Sense
+from .measures.metrics import METRICS, Sense
 from .measures.uncertainty import SIGNED
 from .store.frame import at_full_load, frame
 from .store.hdf5 import StoreError
 from .study.kinds import safe_name
-from .verdict.formatting import of_unit, plural
 
 SCHEMA = 2  # of 1, the inputs were a digest, which could not say what had changed
 RELATIVE = 0.02  # of a value: another BLAS, another core count and another order of sums move it by far less
@@ -50,12 +49,8 @@ _SHOWN = 3  # changed inputs that are named
 WORSE, BETTER, SAME = "worse", "better", "unchanged"
 NEWLY_FAILING, NEWLY_PASSING, STILL_FAILING = "newly failing", "newly passing", "still failing"
 NOT_COMPARABLE, MISSING, NEW = "not comparable", "missing", "new"
-OUTCOMES = (
-    *(WORSE, NEWLY_FAILING, NOT_COMPARABLE, MISSING),
-    *(BETTER, NEWLY_PASSING, NEW, STILL_FAILING, SAME),
-)
-REGRESSED = (WORSE, NEWLY_FAILING)
-INCOMPLETE = (NOT_COMPARABLE, MISSING)
+REGRESSED, INCOMPLETE = (WORSE, NEWLY_FAILING), (NOT_COMPARABLE, MISSING)
+OUTCOMES = (*REGRESSED, *INCOMPLETE, BETTER, NEWLY_PASSING, NEW, STILL_FAILING, SAME)
 _COMPARED = (WORSE, BETTER, SAME, NEWLY_FAILING, NEWLY_PASSING)
 _SKIPPED = (NOT_COMPARABLE, MISSING, NEW, STILL_FAILING)
 
@@ -72,7 +67,7 @@ _Number = Annotated[float, Field(allow_inf_nan=False)]
 
 
 class Measure(_Stored):
-    """A metric as it was accepted: unit ("1" where it has none) and version."""
+    """A metric as it was accepted; its unit is "1" where it has none."""
 
     unit: str
     version: int
@@ -293,10 +288,11 @@ def accept(run: Run, path: Path, reason: str) -> Baseline:
         )
     if path.exists() and _schema(path) is None:
         raise BaselineError(f"{path}: is no baseline and stays as it is; name another file, or delete it")
-    baseline = baseline_of(run, reason.strip())
-    for name, measure in baseline.metrics.items():
-        if name not in METRICS or METRICS[name].version != measure.version:
+    measured = (series for case in run.cases for found in case.metrics.values() for series in found.items())
+    for name, series in measured:
+        if name not in METRICS or METRICS[name].version != series.version:
             raise BaselineError(f"{name} is of another version in this run: run the study again, then accept")
+    baseline = baseline_of(run, reason.strip())
     write_atomically(path, baseline.model_dump_json(by_alias=True, indent=1).encode() + b"\n")
     return baseline
 
@@ -395,12 +391,10 @@ def _compare_value(
     old, new = (math.nan if value is None else value for value in values)
     tolerance = _tolerance(metric.removeprefix(OWN), unit, 0.0 if math.isnan(old) else old)
     said = list(changed)
-    if math.isnan(old) or math.isnan(new):
-        outcome = {
-            (True, True): STILL_FAILING,
-            (False, True): NEWLY_FAILING,
-            (True, False): NEWLY_PASSING,
-        }[math.isnan(old), math.isnan(new)]
+    if math.isnan(new):
+        outcome = STILL_FAILING if math.isnan(old) else NEWLY_FAILING
+    elif math.isnan(old):
+        outcome = NEWLY_PASSING
     elif metric in SIGNED and old * new < 0 and min(abs(old), abs(new)) > tolerance:
         outcome = WORSE
         said.append("the sign has changed")
@@ -504,102 +498,3 @@ def _cell(text: str) -> str:
 def _clean(text: str) -> str:
     """Without the characters that XML 1.0 cannot hold."""
     return "".join(c if c.isprintable() or c in "\n\t" else "\N{REPLACEMENT CHARACTER}" for c in text)
-
-
-# --- runs side by side ---
-
-HEADLINE = {  # shown whether it has changed or not; of the others what has
-    VECTOR: "displacement error",
-    DEFORMATION: "error in change of shape",
-    "max_nodal_error": "largest difference at a node",
-    "volume_drift": "volume drift",
-}
-FIRST = "first"  # outcome of the run that the others are held against
-_MARKS = {WORSE: "worse", NEWLY_FAILING: "fails", NOT_COMPARABLE: "?", MISSING: "gone"}
-_MARKS |= {BETTER: "better", NEWLY_PASSING: "passes", NEW: "new"}
-WIDTH = 80
-_NAME, _RUN = 24, 18  # letters of a model, and at least of a run's column
-
-
-@dataclass(frozen=True)
-class Row:
-    """One model and metric: of each run the worst value of its cases (NaN where it has none), and what became."""
-
-    metric: str
-    model: str
-    unit: str
-    values: tuple[float, ...]
-    outcomes: tuple[str, ...]
-
-
-@dataclass(frozen=True)
-class SideBySide:
-    """The names of the runs, a row for each metric and model, and what was found of each run but the first."""
-
-    names: tuple[str, ...]
-    rows: tuple[Row, ...]
-    findings: tuple[tuple[Finding, ...], ...]
-
-
-def side_by_side(runs: Mapping[str, Run]) -> SideBySide:
-    """Hold runs, by their names, against the first of them: each model's worst value of each metric."""
-    held = [baseline_of(run) for run in runs.values()]
-    findings = [tuple(compare(run, held[0], "A")) for run in list(runs.values())[1:]]
-    worst: dict[tuple[str, str], list[float]] = {}
-    for place, one in enumerate(held):
-        for case in one.cases.values():
-            for model, values in case.values.items():
-                for metric, value in values.items():
-                    row = worst.setdefault((metric, model), [math.nan] * len(held))
-                    if value is not None and not abs(row[place]) >= abs(value):
-                        row[place] = value
-    units = {name: measure.unit for one in reversed(held) for name, measure in one.metrics.items()}
-    metrics = list(dict.fromkeys(metric for metric, _ in worst))
-    rows = [
-        Row(
-            metric,
-            model,
-            units[metric.removeprefix(OWN)],
-            tuple(values),
-            (FIRST, *(_outcome(found, model, metric) for found in findings)),
-        )
-        for (metric, model), values in sorted(worst.items(), key=lambda item: metrics.index(item[0][0]))
-    ]
-    return SideBySide(tuple(runs), tuple(rows), tuple(findings))
-
-
-def _outcome(findings: Sequence[Finding], model: str, metric: str) -> str:
-    """The worst that is said of a model's metric, by itself or with its whole case."""
-    said = {f.outcome for f in findings if f.model in ("", model) and f.metric in ("", metric)}
-    return next((outcome for outcome in OUTCOMES if outcome in said), SAME)
-
-
-def as_text(found: SideBySide) -> Iterator[str]:
-    """Lines of at most 80 letters: a block for each metric, a row for each model, a column for each run."""
-    letters = dict(zip(found.names, "ABCDEFGHIJKLMNOPQRSTUVWXYZ", strict=False))
-    for name, letter in letters.items():
-        yield f"{letter}  {name}"[:WIDTH]
-    yield "at full load, the worst of all cases; held against A case by case"
-    columns = max(1, (WIDTH - _NAME) // _RUN)
-    told = {WORSE, BETTER, NEWLY_FAILING, NEWLY_PASSING}
-    changed = {row.metric for row in found.rows if told & {*row.outcomes}}
-    for metric in dict.fromkeys(row.metric for row in found.rows):
-        if metric not in HEADLINE and metric not in changed:
-            continue
-        for start in range(0, len(found.names), columns):
-            shown = range(start, min(start + columns, len(found.names)))
-            yield ""
-            yield HEADLINE.get(metric, metric.replace("_", " "))
-            yield (" " * _NAME + "".join(f"{letters[found.names[k]]:<{_RUN}}" for k in shown)).rstrip()
-            for row in (row for row in found.rows if row.metric == metric):
-                name = row.model if len(row.model) < _NAME else f"{row.model[: _NAME - 2]}…"
-                marks = [_MARKS.get(outcome, "") for outcome in row.outcomes]
-                cells = (f"{of_unit(row.values[k], row.unit)} {marks[k]}" for k in shown)
-                yield (f"{name:<{_NAME}}" + "".join(f"{cell:<{_RUN}}" for cell in cells)).rstrip()
-    yield ""
-    for name, findings in zip(found.names[1:], found.findings, strict=True):
-        yield f"{letters[name]} against A: {summary(findings) if findings else 'nothing to compare'}"
-        why = dict.fromkeys(finding.why for finding in findings if finding.why)
-        yield from (f"   {reason}"[:WIDTH] for reason in list(why)[:3])
-        if len(why) > 3:
-            yield f"   and {plural(len(why) - 3, 'other reason')}; all by --json"

@@ -125,7 +125,7 @@ MUTANTS = (
            f"{U}acceptance.py {U}verdict.py"),
     Mutant("studies/verdict/acceptance.py", "if value - bar > self.allowed", "if value > self.allowed",
            f"{U}acceptance.py {U}verdict.py"),
-    Mutant("studies/guard/gate.py", "max(RELATIVE * abs(value), absolute)", "min(RELATIVE * abs(value), absolute)",
+    Mutant("studies/gate.py", "max(RELATIVE * abs(value), least)", "min(RELATIVE * abs(value), least)",
            f"{U}gate.py"),
     # the work and its files
     Mutant("studies/graph/keys.py", '        "gravity": gravity if weighs else None,\n', "",

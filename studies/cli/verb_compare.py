@@ -6,14 +6,17 @@ import argparse
 import math
 import os
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from ..machine.streams import harmless
 from .argument_kinds import file_arguments, given_run_directory, run_arguments
-from .output import FAILED, OK, UsageError, complain_of_failures, print_json, print_run, tell
+from .output import FAILED, OK, WIDTH, UsageError, complain_of_failures, print_json, print_run, tell
 from .studies import load, make_plan, only_case, require_own, run_missing
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping, Sequence
+
+    from ..gate import Baseline, Finding
     from ..measures.foreign import Foreign
 
 SUMMARY = (
@@ -24,6 +27,15 @@ MORE = (
     "for STUDY, at its largest load, like a model of it."
 )
 MOST = 26  # runs, each a letter
+HEADLINE = {  # shown whether it has changed or not; of the others what has
+    "relative_l2_displacement_error": "displacement error",
+    "relative_l2_deformation_error": "error in change of shape",
+    "max_nodal_error": "largest difference at a node",
+    "volume_drift": "volume drift",
+}
+_MARKS = {"worse": "worse", "newly failing": "fails", "not comparable": "?", "missing": "gone"}
+_MARKS |= {"better": "better", "newly passing": "passes", "new": "new"}
+_NAME, _RUN = 24, 18  # letters of a model, and of a run's column
 
 
 def arguments(parser: argparse.ArgumentParser) -> None:
@@ -57,34 +69,100 @@ def run(options: argparse.Namespace) -> int:
 
 def _side_by_side(options: argparse.Namespace) -> int:
     """Print what is worse, better, newly failing and not comparable."""
-    from ..gate import as_text, side_by_side
+    from ..gate import baseline_of, compare
     from ..store.cases import read_run
 
     paths = map(given_run_directory, options.directories)
     directories = {os.path.normpath(path): path for path in paths}
     if not 2 <= len(directories) <= MOST:
         raise UsageError(f"give 2 to {MOST} different run directories, not {len(directories)}")
-    found = side_by_side({name: read_run(path) for name, path in directories.items()})
-    if not options.json:
-        for line in as_text(found):
-            print(harmless(line))
-        return OK
-    return print_json(
-        {
-            "runs": list(found.names),
-            "rows": [
-                {
-                    "metric": row.metric,
-                    "model": row.model,
-                    "unit": row.unit,
-                    "values": [None if math.isnan(value) else value for value in row.values],
-                    "outcomes": list(row.outcomes),
-                }
-                for row in found.rows
-            ],
-            "findings": [[vars(finding) for finding in findings] for findings in found.findings],
-        }
-    )
+    runs = {name: read_run(path) for name, path in directories.items()}
+    held = [baseline_of(run) for run in runs.values()]
+    findings = [compare(run, held[0], "A") for run in list(runs.values())[1:]]
+    found = list(_rows(held, findings))
+    if options.json:
+        rows = [
+            {
+                **row,
+                "values": [None if math.isnan(value) else value for value in row["values"]],
+            }
+            for row in found
+        ]
+        told = [[vars(finding) for finding in each] for each in findings]
+        return print_json({"runs": list(runs), "rows": rows, "findings": told})
+    for line in _as_text(list(runs), found, findings):
+        print(harmless(line))
+    return OK
+
+
+def _rows(held: Sequence[Baseline], findings: Sequence[Sequence[Finding]]) -> Iterator[dict[str, Any]]:
+    """For each metric and model: the worst value of each run's cases, NaN for none, and what became of it."""
+    from ..gate import OUTCOMES, OWN, SAME
+
+    worst: dict[str, dict[str, list[float]]] = {}
+    for place, one in enumerate(held):
+        for case in one.cases.values():
+            for model, values in case.values.items():
+                for metric, value in values.items():
+                    row = worst.setdefault(metric, {}).setdefault(model, [math.nan] * len(held))
+                    if value is not None and not abs(row[place]) >= abs(value):
+                        row[place] = value
+    units = {name: measure.unit for one in held for name, measure in one.metrics.items()}
+    for metric, models in worst.items():
+        for model, found in models.items():
+            said = [
+                {f.outcome for f in each if f.model in ("", model) and f.metric in ("", metric)}
+                for each in findings
+            ]
+            outcomes = [next((one for one in OUTCOMES if one in each), SAME) for each in said]
+            unit = units[metric.removeprefix(OWN)]
+            yield {
+                "metric": metric,
+                "model": model,
+                "unit": unit,
+                "values": found,
+                "outcomes": ["first", *outcomes],
+            }
+
+
+def _as_text(
+    names: Sequence[str], found: Sequence[Mapping[str, Any]], findings: Sequence[Sequence[Finding]]
+) -> Iterator[str]:
+    """Lines of at most 80 letters: a block for each metric, a row for each model, a column for each run.
+
+    The metrics of `HEADLINE` are shown, and others that have changed.
+    """
+    from ..gate import summary
+    from ..verdict.formatting import of_unit
+
+    letters = "ABCDEFGHIJKLMNOPQRSTUVWXYZ"
+    yield from (f"{letter}  {name}"[:WIDTH] for letter, name in zip(letters, names, strict=False))
+    yield "at full load, the worst of all cases; held against A case by case"
+    columns = (WIDTH - _NAME) // _RUN
+    changed = {
+        row["metric"]
+        for row in found
+        if {"worse", "better", "newly failing", "newly passing"} & {*row["outcomes"]}
+    }
+    for metric in dict.fromkeys(row["metric"] for row in found):
+        if metric not in HEADLINE and metric not in changed:
+            continue
+        for start in range(0, len(names), columns):
+            shown = range(start, min(start + columns, len(names)))
+            yield f"\n{HEADLINE.get(metric, metric.replace('_', ' '))}"
+            yield (" " * _NAME + "".join(f"{letters[k]:<{_RUN}}" for k in shown)).rstrip()
+            for row in (row for row in found if row["metric"] == metric):
+                name = row["model"] if len(row["model"]) < _NAME else f"{row['model'][: _NAME - 2]}…"
+                marks = [_MARKS.get(outcome, "") for outcome in row["outcomes"]]
+                cells = (f"{of_unit(row['values'][k], row['unit'])} {marks[k]}" for k in shown)
+                yield (f"{name:<{_NAME}}" + "".join(f"{cell:<{_RUN}}" for cell in cells)).rstrip()
+    yield ""
+    for letter, each in zip(letters[1:], findings, strict=False):
+        yield f"{letter} against A: {summary(each)}"
+        why = list(dict.fromkeys(finding.why for finding in each if finding.why))
+        yield from (f"   {reason}"[:WIDTH] for reason in why[:3])
+        if len(why) > 3:
+            yield f"   and {len(why) - 3} more; all by --json"
 
 
 def _judge(options: argparse.Namespace) -> int:

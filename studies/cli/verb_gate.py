@@ -38,17 +38,21 @@ def run(options: argparse.Namespace) -> int:
     baseline = None if missing else gate.read_baseline(path)
     none = gate.Finding(gate.NOT_COMPARABLE, "baseline", "", "", why=missing)
     findings = gate.compare(run, baseline) if baseline else [none]
-    told = f"Baseline of {baseline.date}: {baseline.reason}" if baseline else "There is no baseline."
+    about = f"Baseline of {baseline.date}: {baseline.reason}" if baseline else "There is no baseline."
     if options.junit:
         write_atomically(options.junit, gate.junit(study, findings, allow_missing=options.allow_missing))
     if options.markdown:
-        write_atomically(options.markdown, gate.markdown(study, told, findings).encode("utf-8", "replace"))
+        write_atomically(options.markdown, gate.markdown(study, about, findings).encode("utf-8", "replace"))
     if options.json:
         print_json({"study": study, "counts": gate.counts(findings), "findings": [vars(f) for f in findings]})
     elif baseline:
         for finding in findings:
             if finding.outcome != gate.SAME:
                 print(gate.describe(finding))
+        for told in dict.fromkeys(
+            f"{f.model}: {f.why}" for f in findings if f.outcome == gate.SAME and f.why
+        ):
+            print(f"unchanged: {told}")
         print(f"{study}: {gate.summary(findings)} (baseline of {baseline.date}: {baseline.reason})")
     if gate.regressed(findings):
         return REGRESSED

@@ -15,11 +15,10 @@ from tests.command import vdmbench
 from tests.comparing import compare
 from tests.in_process import do_cases
 from vdm.material import Parameters
+from vdmbench import gate
 from vdmbench.body.geometry import build_mesh
 from vdmbench.body.mesh import Mesh
 from vdmbench.graph.plan import make_plan
-from vdmbench.guard import gate
-from vdmbench.guard.gate_report import describe
 from vdmbench.measures.case import Run
 from vdmbench.models import run_model
 from vdmbench.scene.scene import build_scene
@@ -45,7 +44,9 @@ def assert_accepted(study: str, run: Path) -> None:
     assert result.returncode == 0, result.stdout + result.stderr
     findings = gate.compare(read_run(run), gate.read_baseline(baseline))
     blind = [f for f in findings if f.outcome in (gate.NOT_COMPARABLE, gate.MISSING, gate.NEW)]
-    assert not blind, "\n".join([*map(describe, blind), 'accept what is meant: make baselines REASON="..."'])
+    assert not blind, "\n".join(
+        [*map(gate.describe, blind), 'accept what is meant: make baselines REASON="..."']
+    )
 
 
 def test_a_model_made_worse_by_a_tenth_turns_the_gate_red(

@@ -68,5 +68,5 @@ def test_only_dates_that_are_shown_come_from_the_clock() -> None:
     }
     assert {name: len(hits) for name, hits in found.items()} == {
         "studies/graph/provenance.py": 1,
-        "studies/guard/gate.py": 1,
+        "studies/gate.py": 1,
     }

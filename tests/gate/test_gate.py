@@ -1,0 +1,352 @@
+"""Accuracy baselines: what is worse, better, failing and not comparable; exit codes; runs side by side."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+
+from tests.command import SMALL_STUDY, vdmbench
+from tests.unit.report_runs import make_case, make_run
+from vdmbench import gate
+from vdmbench.cli import verb_compare
+from vdmbench.cli.arguments import parse
+from vdmbench.gate import BaselineError, Finding, accept, compare, counts, read_baseline
+from vdmbench.measures.case import CaseResult, Run
+from vdmbench.measures.metrics import METRICS
+from vdmbench.store.hdf5 import StoreError
+from vdmbench.study.config import expand, load_study, resolved
+from vdmbench.study.schema import Study
+from vdmbench.study.shipped import study_path
+
+VECTOR, DRIFT = "relative_l2_displacement_error", "volume_drift"
+ERRORS = {"vdm-vector": 0.2, "vdm-paper": 0.8}
+STUDY = expand(load_study(study_path("quickstart")))[0].study
+
+
+def of_study(case: CaseResult, study: Study) -> CaseResult:
+    return dataclasses.replace(case, resolved=resolved(study))
+
+
+def case_of(errors: Mapping[str, float], **changes: object) -> CaseResult:
+    given = {"label": "nu = 0.49", "reference_error": {f"gci:{VECTOR}": 0.01}, "subdivisions": 0}
+    return of_study(make_case(errors, **(given | changes)), STUDY)  # type: ignore[arg-type]
+
+
+def of_model(case: CaseResult, model: str, **fields: object) -> CaseResult:
+    changed = dataclasses.replace(case.models[model], **fields)  # type: ignore[arg-type]
+    return dataclasses.replace(case, models={**case.models, model: changed})
+
+
+def of_metric(
+    case: CaseResult, model: str, metric: str, value: float | None = None, **fields: object
+) -> CaseResult:
+    if value is not None:
+        fields["values"] = np.full(len(case.load_factors), value)
+    series = dataclasses.replace(case.metrics[model][metric], **fields)  # type: ignore[arg-type]
+    return dataclasses.replace(case, metrics={**case.metrics, model: {**case.metrics[model], metric: series}})
+
+
+CASE = case_of(ERRORS)
+BASE = gate.baseline_of(make_run([CASE]))
+
+
+def findings(*cases: CaseResult, was: gate.Baseline = BASE) -> list[Finding]:
+    return compare(make_run(cases), was)
+
+
+def one(case: CaseResult, metric: str = VECTOR, was: CaseResult = CASE) -> Finding:
+    """What became of a metric of vdm-vector."""
+    found = findings(case, was=gate.baseline_of(make_run([was])))
+    return next(f for f in found if (f.model, f.metric) == ("vdm-vector", metric))
+
+
+def test_the_same_run_is_unchanged_to_the_last_metric() -> None:
+    same = findings(CASE)
+    assert set(counts(same)) == {gate.SAME}
+    assert len(same) > 20
+    assert not gate.regressed(same)
+    assert gate.why_not_passed(same) == ""
+    gated = {metric for values in BASE.cases["nu = 0.49"].values.values() for metric in values}
+    assert gated >= {VECTOR, DRIFT, gate.OWN + VECTOR}
+    assert not gated & {"mean_strain", "contact_work", "seconds_setup", "seconds_per_step", "peak_bytes"}
+
+
+@pytest.mark.parametrize(
+    ("metric", "was", "now", "outcome"),
+    [
+        (VECTOR, 0.2, 0.2039, gate.SAME),  # 2 %
+        (VECTOR, 0.2, 0.2041, gate.WORSE),
+        (VECTOR, 0.2, 0.1959, gate.BETTER),
+        (VECTOR, 1e-5, 9e-4, gate.SAME),  # 0.1 percentage points
+        ("hausdorff_distance", 10e-6, 10.9e-6, gate.SAME),  # a micrometre
+        ("hausdorff_distance", 10e-6, 11.1e-6, gate.WORSE),
+        (DRIFT, 1e-13, -9e-10, gate.SAME),  # rounding of what is conserved
+        (DRIFT, 1e-13, -1e-8, gate.WORSE),
+        (DRIFT, 0.05, 0.0495, gate.SAME),
+        (DRIFT, 0.05, -0.05, gate.WORSE),  # the sign
+        (DRIFT, 0.05, -0.04, gate.WORSE),
+        (VECTOR, 0.2, float("nan"), gate.NEWLY_FAILING),
+        (VECTOR, float("nan"), 0.2, gate.NEWLY_PASSING),
+        (VECTOR, float("nan"), float("nan"), gate.STILL_FAILING),
+    ],
+)
+def test_what_counts_as_worse(metric: str, was: float, now: float, outcome: str) -> None:
+    found = one(
+        of_metric(CASE, "vdm-vector", metric, now), metric, of_metric(CASE, "vdm-vector", metric, was)
+    )
+    assert found.outcome == outcome
+    assert gate.regressed([found]) == (outcome in gate.REGRESSED)
+
+
+def test_only_full_load_counts_and_the_reference_s_own_error_too() -> None:
+    values = CASE.metrics["vdm-vector"][VECTOR].values.copy()
+    values[0] = 5.0
+    assert one(of_metric(CASE, "vdm-vector", VECTOR, values=values)).outcome == gate.SAME
+    own = findings(dataclasses.replace(CASE, reference_error={f"gci:{VECTOR}": 0.02}))
+    (worse,) = (f for f in own if f.outcome != gate.SAME)
+    assert (worse.outcome, worse.model, worse.metric) == (gate.WORSE, "fem-linear", gate.OWN + VECTOR)
+
+
+VERSIONS: dict[str, Callable[[CaseResult], CaseResult]] = {
+    "model version 1 -> 2": lambda case: of_model(case, "vdm-vector", version="2"),
+    "reference version 1 -> 2": lambda case: of_model(case, "fem-linear", version="2"),
+    f"metric version {METRICS[VECTOR].version} -> 7": lambda case: dataclasses.replace(
+        case,
+        metrics={
+            name: {k: dataclasses.replace(s, version=7) if k == VECTOR else s for k, s in found.items()}
+            for name, found in case.metrics.items()
+        },
+    ),
+}
+
+
+@pytest.mark.parametrize("why", VERSIONS)
+def test_a_new_version_does_not_hide_what_is_worse(why: str) -> None:
+    """Of a version that was raised a worse error fails, and one that is no worse passes; both say so."""
+    for error, outcome in {2.0: gate.WORSE, 0.2: gate.SAME, 0.02: gate.BETTER}.items():
+        case = VERSIONS[why](case_of({**ERRORS, "vdm-vector": error}))
+        assert (one(case).outcome, one(case).why) == (outcome, why)
+        assert gate.regressed(findings(case)) == (outcome == gate.WORSE)
+        assert gate.why_not_passed(findings(case)) == ""
+
+
+TISSUE = {"tissue": STUDY.tissue.model_copy(update={"youngs_modulus": 3000.0})}
+
+
+@pytest.mark.parametrize(
+    ("now", "why"),
+    [
+        (of_study(CASE, STUDY.model_copy(update=TISSUE)), "tissue.youngs_modulus was 5000.0, is 3000.0"),
+        (dataclasses.replace(CASE, reference="vdm-paper"), "study.reference was fem-linear, is vdm-paper"),
+        (dataclasses.replace(CASE, reference=None), "study.reference was fem-linear, is none"),
+    ],
+)
+def test_what_cannot_be_compared_names_what_changed_and_does_not_pass(now: CaseResult, why: str) -> None:
+    (found,) = findings(now)
+    assert (found.outcome, found.why) == (gate.NOT_COMPARABLE, why)
+    assert "not one number" in gate.why_not_passed([found], allow_missing=True)
+    same = dataclasses.replace(CASE, label="another", hash="another")
+    both = findings(now, same, was=gate.baseline_of(make_run([CASE, same])))
+    assert not gate.regressed(both)
+    assert "--allow-missing" in gate.why_not_passed(both)
+    assert gate.why_not_passed(both, allow_missing=True) == ""
+
+
+def test_nothing_but_nulls_does_not_pass() -> None:
+    metrics = {
+        name: {key: dataclasses.replace(one, values=np.full(4, np.nan)) for key, one in found.items()}
+        for name, found in CASE.metrics.items()
+    }
+    lost = dataclasses.replace(CASE, metrics=metrics, reference_error={})
+    found = findings(lost, was=gate.baseline_of(make_run([lost])))
+    assert set(counts(found)) == {gate.STILL_FAILING}
+    assert "not one number" in gate.why_not_passed(found, allow_missing=True)
+
+
+def test_inputs_are_named_by_key_and_names_lists_and_folders_are_none() -> None:
+    sweep = [
+        of_study(dataclasses.replace(CASE, label=f"{E}", hash=f"{E}"), _stiff(E)) for E in (1e3, 2e3, 3e3)
+    ]
+    was = gate.baseline_of(make_run(sweep))
+    assert was.cases["1000.0"].inputs == {}
+    assert was.cases["3000.0"].inputs == {"tissue.youngs_modulus": 3e3}
+    assert was.inputs["constraints.finger.force"] == 0.1
+    assert not {"study.title", "sweep.mode", "acceptance.frame_time"} & was.inputs.keys()
+    sweep[2] = dataclasses.replace(sweep[1], label="3000.0", hash="c")
+    told = [f.why for f in findings(*sweep, was=was) if f.outcome == gate.NOT_COMPARABLE]
+    assert told == ["tissue.youngs_modulus was 3000.0, is 2000.0"]
+
+
+def _stiff(modulus: float) -> Study:
+    return STUDY.model_copy(update={"tissue": STUDY.tissue.model_copy(update={"youngs_modulus": modulus})})
+
+
+def test_more_and_less_than_the_baseline() -> None:
+    def changed(run: Run) -> list[tuple[str, str]]:
+        return [(f.outcome, f.model or f.case) for f in compare(run, BASE) if f.outcome != gate.SAME]
+
+    run = make_run([CASE])
+    assert changed(make_run([case_of({"vdm-vector": 0.2})])) == [(gate.MISSING, "vdm-paper")]
+    assert changed(make_run([case_of(ERRORS | {"new": 0.1})])) == [(gate.NEW, "new")]
+    assert changed(dataclasses.replace(run, missing=["nu = 0.3"])) == [(gate.MISSING, "nu = 0.3")]
+    failed = [{"hash": "a", "label": "nu = 0.49", "code": "crashed", "message": "it died", "remedy": ""}]
+    (died,) = compare(dataclasses.replace(run, cases=[], failed=failed), BASE)
+    assert (died.outcome, died.why) == (gate.NEWLY_FAILING, "it died")
+    with pytest.raises(BaselineError, match="of study 'ball', the run of 'cube'"):
+        compare(make_run([CASE], name="cube"), BASE)
+
+
+def test_accepting_needs_a_reason_a_whole_run_and_a_place_that_is_a_baseline_s(tmp_path: Path) -> None:
+    run, path = make_run([CASE]), tmp_path / "b.json"
+    old = make_run([of_metric(CASE, "vdm-vector", VECTOR, version=0)])
+    for broken, reason, message in (
+        (run, "  ", "needs a reason"),
+        (dataclasses.replace(run, missing=["x"]), "x", "finish the run"),
+        (dataclasses.replace(run, cases=[]), "x", "finish the run"),
+        (old, "x", "of another version"),
+    ):
+        with pytest.raises(BaselineError, match=message):
+            accept(broken, path, reason)
+    assert not path.exists()
+    path.write_text('{"a thesis": 1}')
+    with pytest.raises(BaselineError, match="is no baseline and stays"):
+        accept(run, path, "x")
+    assert path.read_text() == '{"a thesis": 1}'
+    path.write_text('{"schema": 1, "study": "ball", "cases": {}}')
+    with pytest.raises(BaselineError, match="made by an older version; accept again"):
+        read_baseline(path)
+    accept(run, path, "first numbers")
+    assert set(counts(compare(run, read_baseline(path)))) == {gate.SAME}
+
+
+@pytest.mark.parametrize(
+    ("content", "error", "message"),
+    [
+        (b"\xff\xfe", StoreError, "not a baseline"),
+        (b"[" * 100_000, StoreError, "not a baseline"),
+        (b"[]", StoreError, "not a baseline"),
+        (b'{"schema": 2, "study": 3, "cases": {}}', StoreError, "study: Input should be a valid string"),
+        (b'{"schema": 99, "study": "a", "cases": {}}', BaselineError, "newer than this program"),
+    ],
+)
+def test_what_is_no_baseline(tmp_path: Path, content: bytes, error: type[Exception], message: str) -> None:
+    (tmp_path / "b.json").write_bytes(content)
+    with pytest.raises(error, match=message):
+        read_baseline(tmp_path / "b.json")
+
+
+def test_junit_and_markdown() -> None:
+    found = findings(of_model(case_of({**ERRORS, "vdm-vector": 0.3}), "vdm-paper", version="2"))
+    found.append(Finding(gate.NEW, "a | case", "", "", why="the baseline has no such case"))
+    root = ElementTree.fromstring(gate.junit("ba<ll\x00", found))
+    (suite,) = root
+    failures = suite.findall("testcase/failure")
+    assert len(suite) == int(suite.attrib["tests"]) == len(found)
+    assert len(failures) == int(suite.attrib["failures"]) == counts(found)[gate.WORSE]
+    assert len(suite.findall("testcase/skipped")) == int(suite.attrib["skipped"]) == 1
+    assert "0.2 -> 0.3 (tolerance 0.004)" in "".join(f.attrib["message"] for f in failures)
+    text = gate.markdown("ball", "first", found)
+    assert f"| worse | nu = 0.49 | vdm-vector | {VECTOR} | 0.2 | 0.3 | 0.004 |  |" in text
+    assert "a \\| case" in text
+
+
+def test_the_commands_and_their_exit_codes(tmp_path: Path) -> None:
+    (tmp_path / "small.toml").write_text(SMALL_STUDY)
+    assert vdmbench("run", "small.toml", cwd=tmp_path).returncode == 0
+    run, baseline = "results/runs/small", tmp_path / "results/baselines/small.json"
+
+    def gated(*words: str | Path) -> tuple[int, str]:
+        done = vdmbench("gate", run, *words, cwd=tmp_path)
+        return done.returncode, done.stdout + done.stderr
+
+    code, told = gated("--junit", "none.xml")
+    assert (code, "vdmbench accept DIR" in told) == (6, True)
+    assert ElementTree.parse(tmp_path / "none.xml").getroot()[0].attrib["tests"] == "1"
+    assert gated("--baseline", "nowhere.json")[0] == 2
+    assert vdmbench("accept", run, cwd=tmp_path).returncode == 2
+    assert vdmbench("accept", run, "--reason", "first", cwd=tmp_path).returncode == 0
+    code, told = gated("--junit", "out.xml", "--markdown", "out.md")
+    assert (code, "first" in told) == (0, True)
+    assert "first" in (tmp_path / "out.md").read_text()
+
+    whole = baseline.read_text()
+    for spoil, expected, word in (
+        (lambda d: _case(d)["values"]["vdm-paper"].update({VECTOR: 0.01}), 1, "worse"),
+        (lambda d: d["models"].update({"vdm-paper": "0"}), 0, "model version 0"),
+        (lambda d: d["inputs"].update({"tissue.youngs_modulus": 1.0}), 6, "tissue.youngs_modulus was 1.0"),
+        (lambda d: _case(d)["values"].update({"gone": {}}), 6, "--allow-missing"),
+        (lambda d: d.update(study="elsewhere"), 2, "of study 'elsewhere'"),
+        (lambda d: d.update(cases={}), 6, "not one number"),
+        (lambda d: d.update(more=1), 5, "accept again"),
+    ):
+        data = json.loads(whole)
+        spoil(data)
+        baseline.write_text(json.dumps(data))
+        code, told = gated()
+        assert (code, word in told) == (expected, True), told
+    baseline.write_text(whole)
+    next((tmp_path / run / "cases").iterdir()).unlink()
+    code, told = gated()
+    assert (code, "the run has not got to it" in told) == (6, True)
+
+
+def _case(data: dict[str, dict[str, dict[str, dict[str, float]]]]) -> dict[str, dict[str, float]]:
+    (case,) = data["cases"].values()
+    return case
+
+
+# --- runs side by side ---
+
+
+@pytest.fixture
+def beside(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """Four runs that are read by their directories' names."""
+    worse = {"vdm-paper": 0.4, "vdm-vector": 0.02, "bem": 0.05}
+    first = {"vdm-paper": 0.2, "vdm-vector": 0.1, "bem": 0.05}
+    found = {
+        "first": case_of(first),
+        "second": case_of(worse, stopped={"bem": 3}),
+        "third": of_study(case_of(first), _stiff(1e3)),
+        "fourth": case_of({"vdm-paper": 0.2, "\x1b[31mvdm": 0.1}),
+    }
+    for name in found:
+        (tmp_path / name / "cases").mkdir(parents=True)
+    monkeypatch.setattr("vdmbench.store.cases.read_run", lambda path: make_run([found[path.name]]))
+    return [str(tmp_path / name) for name in found]
+
+
+def test_runs_stand_side_by_side_in_80_columns(beside: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    assert verb_compare.run(parse(["compare", *beside])) == 0
+    told = capsys.readouterr().out
+    lines = told.splitlines()
+    assert max(map(len, lines)) <= 80
+    assert "\x1b" not in told
+    start = lines.index("displacement error")
+    columns = [line.split() for line in lines[start + 1 : start + 5]]
+    assert columns == [
+        ["A", "B", "C"],
+        ["vdm-paper", "20.0", "%", "40.0", "%", "worse", "20.0", "%", "?"],
+        ["vdm-vector", "10.0", "%", "2.00", "%", "better", "10.0", "%", "?"],
+        ["bem", "5.00", "%", "–", "fails", "5.00", "%", "?"],
+    ]
+    assert "   tissue.youngs_modulus was 5000.0, is 1000.0" in lines
+
+
+def test_json_has_every_metric_and_the_findings(
+    beside: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert verb_compare.run(parse(["compare", *beside[:2], "--json"])) == 0
+    told = json.loads(capsys.readouterr().out)
+    row = next(row for row in told["rows"] if (row["metric"], row["model"]) == ("hausdorff_distance", "bem"))
+    assert row["outcomes"] == ["first", "newly failing"]
+    assert row["values"][0] > 0
+    assert row["values"][1] is None
+    assert {finding["outcome"] for finding in told["findings"][0]} >= {"worse", "better", "newly failing"}
+    with pytest.raises(ValueError, match="give 2 to 26 different run directories, not 1"):
+        verb_compare.run(parse(["compare", beside[0], f"{beside[0]}/."]))
