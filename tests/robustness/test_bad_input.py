@@ -27,7 +27,6 @@ from tests.unit.test_store import _reseal
 from vdmbench.cli.main import main
 from vdmbench.graph import run
 from vdmbench.machine import files
-from vdmbench.machine.stored_json import sealed
 from vdmbench.report import rebuild
 from vdmbench.store import run_directory
 
