@@ -147,7 +147,7 @@ def baseline_of(run: Run, reason: str = "") -> Baseline:
                     own = METRICS[metric]
                     measures.setdefault(metric, Measure(unit=own.unit, version=own.version))
     return Baseline(
-        study=study_name(run),
+        study=run.study.study.name,
         reason=reason,
         date=datetime.now(UTC).date().isoformat(),
         inputs=common,
@@ -164,16 +164,9 @@ def baseline_of(run: Run, reason: str = "") -> Baseline:
     )
 
 
-def study_name(run: Run) -> str:
-    """The name of the study that was run."""
-    return str(run.study["name"])
-
-
 def asked_of(case: CaseResult) -> dict[str, Any]:
     """What decides a case's numbers, by key, without names, lists and defaults; a file by its own name."""
-    from .study.schema import Study
-
-    tables = Study.model_validate(case.resolved).model_dump(mode="json", exclude_defaults=True)
+    tables = case.study.model_dump(mode="json", exclude_defaults=True)
     found = dict(_leaves({key: table for key, table in tables.items() if key not in _NOT_ASKED}))
     if "geometry.path" in found:
         found["geometry.path"] = Path(found["geometry.path"]).name
@@ -261,9 +254,8 @@ def _schema(path: Path) -> int | None:
         found = json.loads(path.read_bytes())
     except (ValueError, RecursionError):
         return None
-    if not isinstance(found, dict) or not {"schema", "study", "cases"} <= found.keys():
-        return None
-    return found["schema"] if isinstance(found["schema"], int) else None
+    schema = found.get("schema") if isinstance(found, dict) else None
+    return schema if isinstance(schema, int) else None
 
 
 def accept(run: Run, path: Path, reason: str) -> Baseline:
@@ -308,7 +300,7 @@ def compare(run: Run, was: Baseline, whose: str = "the baseline") -> list[Findin
     BaselineError
         a baseline of another study.
     """
-    now, name = baseline_of(run), study_name(run)
+    now, name = baseline_of(run), run.study.study.name
     if whose == "the baseline" and was.study != name:
         raise BaselineError(f"the baseline is of study {was.study!r}, the run of {name!r}")
     # a failure is labelled for people: in a study of one case by the study's name

@@ -126,7 +126,7 @@ MUTANTS = (
     Mutant("studies/verdict/acceptance.py", "if value - bar > self.allowed", "if value > self.allowed",
            f"{U}acceptance.py {U}verdict.py"),
     Mutant("studies/gate.py", "max(RELATIVE * abs(value), least)", "min(RELATIVE * abs(value), least)",
-           f"{U}gate.py"),
+           "tests/gate/test_gate.py"),
     # the work and its files
     Mutant("studies/graph/keys.py", '        "gravity": gravity if weighs else None,\n', "",
            "tests/graph/test_keys.py tests/graph/test_graph.py"),

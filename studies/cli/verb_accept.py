@@ -18,7 +18,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Write a run as the baseline."""
-    from ..gate import accept, study_name
+    from ..gate import accept
     from ..store.cases import read_run
 
     run = read_run(options.directory)

@@ -57,7 +57,7 @@ class Metric:
     """A named measure; `version` changes whenever its numbers do.
 
     With every displacement and force of model and reference c > 0 times as large, the metric is c^`degree` times
-    as large; None where it is not that simple. `vdmbench.guard.gate` judges it by its `sense`.
+    as large; None where it is not that simple. `vdmbench.gate` judges it by its `sense`.
     """
 
     name: str

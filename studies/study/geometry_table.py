@@ -61,7 +61,9 @@ else:
 class Geometry(_ShapedBody):
     """[geometry]; all shapes but a file are centred on the origin"""
 
-    path: Annotated[Path, PlainValidator(as_path, json_schema_input_type=str)] | None = Field(
+    path: Annotated[
+        Annotated[Path, PlainValidator(as_path, json_schema_input_type=str)] | None, Enters.MESH
+    ] = Field(
         None,
         description="file: a surface (STL, OBJ, PLY, VTP) or tetrahedra (MSH, VTU, VTK); it is scaled to metres "
         "and not moved",

@@ -20,7 +20,7 @@ from vdmbench.gate import BaselineError, Finding, accept, compare, counts, read_
 from vdmbench.measures.case import CaseResult, Run
 from vdmbench.measures.metrics import METRICS
 from vdmbench.store.hdf5 import StoreError
-from vdmbench.study.config import expand, load_study, resolved
+from vdmbench.study.config import expand, load_study
 from vdmbench.study.schema import Study
 from vdmbench.study.shipped import study_path
 
@@ -30,7 +30,7 @@ STUDY = expand(load_study(study_path("quickstart")))[0].study
 
 
 def of_study(case: CaseResult, study: Study) -> CaseResult:
-    return dataclasses.replace(case, resolved=resolved(study))
+    return dataclasses.replace(case, study=study)
 
 
 def case_of(errors: Mapping[str, float], **changes: object) -> CaseResult:
