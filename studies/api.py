@@ -158,8 +158,7 @@ def run(
     from .graph.run import Options, run_plan
     from .report.rebuild import rebuild
     from .study.config import expand, load_study
-    from .study.overrides import overridden
-    from .study.shipped import study_path
+    from .study.files import overridden, study_path
 
     path = study_path(study)
     text = overridden(path.read_text(encoding="utf-8-sig"), overrides) if overrides else None

@@ -24,7 +24,7 @@ from vdmbench.measures.case import CaseResult, Run
 from vdmbench.measures.metrics import DEFORMATION, VECTOR
 from vdmbench.measures.uncertainty import is_resolved
 from vdmbench.store.cases import read_run
-from vdmbench.study.overrides import overridden
+from vdmbench.study.files import overridden
 from vdmbench.verdict.formatting import NOTHING
 
 DOCUMENT = ROOT / "docs" / "evidence" / "accuracy.md"

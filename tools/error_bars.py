@@ -28,7 +28,7 @@ from vdmbench.graph.run import Options, run_plan
 from vdmbench.measures.metrics import METRICS, VECTOR
 from vdmbench.store.cases import read_run
 from vdmbench.study.config import expand, load_study
-from vdmbench.study.model_name import REFINED
+from vdmbench.study.registry import REFINED
 from vdmbench.study.schema import Study, Uncertainty
 from vdmbench.verdict.formatting import percent
 

@@ -19,8 +19,8 @@ from vdmbench.report.blocks import Table
 from vdmbench.report.section_measurement import against_measurement
 from vdmbench.store.cases import read_run
 from vdmbench.study.config import load_study
+from vdmbench.study.files import study_path
 from vdmbench.study.registry import missing
-from vdmbench.study.shipped import study_path
 from vdmbench.verdict.digest import Digest
 from vdmbench.verdict.formatting import NOTHING, percent, quantity
 

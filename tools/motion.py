@@ -18,7 +18,7 @@ from vdmbench.body.surface_measures import Surface
 from vdmbench.measures.metrics import METRICS, History, full_load_step
 from vdmbench.scene.scene import build_scene
 from vdmbench.study.config import expand, geometry_of, load_study
-from vdmbench.study.model_name import is_vdm
+from vdmbench.study.registry import is_vdm
 
 HEAD = ("study", "rigid", "least along normals")
 SHARES = ("rigid_share", "tangential_share")

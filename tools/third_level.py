@@ -22,7 +22,7 @@ from vdmbench.measures.metrics import DEFORMATION, METRICS, VECTOR, History, eva
 from vdmbench.measures.uncertainty import REASONABLE_ORDERS, estimate_error
 from vdmbench.scene.result import ModelResult
 from vdmbench.scene.scene import build_scene
-from vdmbench.study.model_name import REFINED
+from vdmbench.study.registry import REFINED
 from vdmbench.study.schema import MOST_LEVELS
 
 HEADLINE = (VECTOR, DEFORMATION)

@@ -13,15 +13,16 @@ import numpy as np
 from solver_common.arrays import Array, Index
 
 from ..study.errors import MeshError
-from ..study.geometry_spec import (
+from ..study.shapes import (
     DISTORTIONS,
+    FILE,
+    SHAPES,
     Geometry,
     area_and_volume,
     check_mesh_size,
     check_node_budget,
     extents,
 )
-from ..study.shapes import FILE, SHAPES
 from .imported import centred, imported_surface, imported_tetrahedra, named, placed
 from .mesh import Mesh
 from .surface_measures import enclosed_volume

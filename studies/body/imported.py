@@ -13,7 +13,7 @@ import numpy as np
 from solver_common.arrays import Array, Index
 
 from ..study.errors import MeshError
-from ..study.geometry_spec import (
+from ..study.shapes import (
     MAX_NODES,
     Geometry,
     check_extent,

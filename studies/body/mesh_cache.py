@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from solver_common.arrays import Index
 
 from ..machine.sealed import read_arrays, write_arrays
-from ..study.geometry_spec import Geometry, geometry_key
+from ..study.shapes import Geometry, geometry_key
 from .mesh import Mesh
 
 

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from ..study.errors import MeshError
-from ..study.geometry_spec import VOLUME_SUFFIXES
+from ..study.shapes import VOLUME_SUFFIXES
 from .repair import CleanSurface, CleanTetrahedra
 
 # a sound file takes a tenth of it: text is the worst, with 100 bytes for a number of 2

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 def load(options: argparse.Namespace) -> tuple[Study, Path]:
     """The study, and its file."""
     from ..study.config import load_study
-    from ..study.shipped import study_path
+    from ..study.files import study_path
 
     path = study_path(options.study)
     return load_study(path, allow_outside=options.allow_outside, surface=options.surface), path

@@ -45,7 +45,7 @@ def run(options: argparse.Namespace) -> int:
     from ..evidence.calibrate import as_json, as_toml, body, calibrate, check, check_fit, finer_study
     from ..evidence.calibration_table import table
     from ..machine.files import json_text, write_atomically
-    from ..study.problems import StudyError
+    from ..study.errors import StudyError
 
     study, path = load(options)
     plan = make_plan(study, options)

@@ -27,7 +27,7 @@ def run(options: argparse.Namespace) -> int:
     from ..graph.nodes import bodies
     from ..graph.scene_check import scene_problems
     from ..study.config import resolved
-    from ..study.problems import StudyError
+    from ..study.errors import StudyError
 
     try:
         study, path = load(options)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 
-from ..study.shipped import shipped_studies
+from ..study.files import shipped_studies
 from .output import OK, print_json
 
 SUMMARY = "list the shipped studies, or the models"

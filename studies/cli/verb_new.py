@@ -28,8 +28,8 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Write NAME.toml, and beside it the files that a copied study names."""
+    from ..study.files import study_path
     from ..study.kinds import is_safe_name
-    from ..study.shipped import study_path
 
     path = Path(options.name).with_suffix("") if options.name.endswith(".toml") else Path(options.name)
     if not is_safe_name(path.name):

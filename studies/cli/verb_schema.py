@@ -20,7 +20,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(_: argparse.Namespace) -> int:
     """Print it; it is JSON with and without --json."""
-    from ..study.json_schema import study_schema
+    from ..study.fields import study_schema
 
     print_json(study_schema())
     return OK

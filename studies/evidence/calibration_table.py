@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from ..study.model_name import PARAMETERS
+from ..study.registry import PARAMETERS
 from ..verdict.formatting import NOT_MEASURED, NOTHING, percent, quantity
 from .calibrate import Calibration
 from .fit import Errors

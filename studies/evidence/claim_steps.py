@@ -20,7 +20,7 @@ from ..report.judgement import (
     in_words,
     own_bar,
 )
-from ..study.model_name import is_vdm
+from ..study.registry import is_vdm
 from ..verdict.digest import Digest
 from ..verdict.formatting import listed, plain, short_percent
 from ..verdict.motion import ALONG_NORMALS, NORMAL

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from ..measures.bars import series
 from ..measures.case import CaseResult
 from ..report.judgement import FAILS, HOLDS, WITHIN_LIMITS, Judgement
-from ..study.model_name import is_linear, is_vdm, split
+from ..study.registry import is_linear, is_vdm, split
 from ..verdict.digest import Digest
 from ..verdict.formatting import percent, plain, short_percent
 from .claim_figures import curves, histories

@@ -29,7 +29,7 @@ from ..report.judgement import (
     in_words,
     own_bar,
 )
-from ..study.model_name import REFINED, is_linear, is_vdm, split
+from ..study.registry import REFINED, is_linear, is_vdm, split
 from ..verdict.digest import Digest, failed_steps
 from ..verdict.formatting import listed, plain, plural, quantity, short_percent
 from ..verdict.growth import is_measured, strain_in_words, strain_range, strain_side

@@ -26,7 +26,7 @@ from ..measures.uncertainty import reference_bar
 from ..scene.result import ModelResult
 from ..scene.scene import Scene, build_scene
 from ..study.config import geometry_of
-from ..study.model_name import is_vdm
+from ..study.registry import is_vdm
 from .search import CalibrationError, Least, least
 
 MODULI = {  # parameters that can be fitted -> the one whose rule gives the scale where it has none of its own

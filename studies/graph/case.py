@@ -23,8 +23,8 @@ from ..models import find
 from ..scene.result import ModelResult
 from ..scene.scene import Scene, build_scene
 from ..store.cases import write_case
-from ..study.folders import swept_without_folders, without_folders
-from ..study.model_name import REFINED
+from ..study.files import swept_without_folders, without_folders
+from ..study.registry import REFINED
 from ..study.schema import Study
 from .cache import combined, limits_path, read_limits, stored_answer
 from .keys import Wanted

@@ -15,8 +15,7 @@ from .. import models
 from ..body.mesh_cache import mesh_path, read_mesh
 from ..machine.safe_open import MAX_CASE_BYTES
 from ..study.errors import MeshError
-from ..study.model_name import REFINED
-from ..study.registry import Cost, Size, mesh_seconds
+from ..study.registry import REFINED, Cost, Size, mesh_seconds
 from .nodes import Body, bodies
 from .plan import Expected, Plan, PlannedCase, PlannedMesh
 

@@ -11,12 +11,11 @@ from ..machine.memory import machine_memory
 from ..scene.coordinates import origin
 from ..scene.regions import body_extent, lies_outside
 from ..study.config import holds_nothing
-from ..study.extras import extras_for
-from ..study.folders import swept_without_folders, told_directory
-from ..study.geometry_spec import fewer_nodes
-from ..study.model_name import DISPLACEMENT_ELEMENTS, split
-from ..study.problems import Finding
-from ..study.registry import lacks
+from ..study.errors import Finding
+from ..study.files import swept_without_folders, told_directory
+from ..study.registry import DISPLACEMENT_ELEMENTS, lacks, split
+from ..study.schema import extras_for
+from ..study.shapes import fewer_nodes
 from .cache import answer_path
 from .estimate import DOUBT, FACTOR, estimate, expected_mesh, largest_solve, without_room
 from .nodes import Body, bodies

@@ -1,6 +1,6 @@
 """Content keys: what has the same key is the same work, done once within a case, a study, and between studies.
 
-mesh      geometry, size, whether tetrahedra are needed              (`vdmbench.study.geometry_spec`)
+mesh      geometry, size, whether tetrahedra are needed              (`vdmbench.study.shapes`)
 body      model, mesh level, tissue, supports, parameters: one set-up
 answer    body and what acts on it: a load step up to a factor where answers superpose, else one load path
 case      all inputs, mesh, the version of each model
@@ -20,11 +20,10 @@ from typing import Any
 from .. import models
 from ..measures import uncertainty
 from ..study.config import case_inputs
-from ..study.extras import extras_for, extras_of
+from ..study.kinds import Enters
 from ..study.loads import KINDS
 from ..study.registry import lacks
-from ..study.schema import Study
-from ..study.table import Enters
+from ..study.schema import Study, extras_for, extras_of
 
 _FORMAT = 3  # of the files of answers: raised with what is in them
 _FORCES = ("fixed", "contact", "line", "traction")  # kinds of constraints that hold, or act by forces

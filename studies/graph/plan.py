@@ -18,7 +18,9 @@ from ..body.mesh_cache import mesh_path
 from ..machine.sealed import is_sound
 from ..study.config import ResolvedCase, case_inputs, geometry_error, geometry_of
 from ..study.errors import MeshError
-from ..study.geometry_spec import (
+from ..study.registry import Size
+from ..study.schema import Study
+from ..study.shapes import (
     DISTORTIONS,
     Geometry,
     area_and_volume,
@@ -28,9 +30,7 @@ from ..study.geometry_spec import (
     file_digest,
     geometry_key,
 )
-from ..study.registry import Size
-from ..study.schema import Study
-from ..study.variations import variations
+from ..study.sweep import variations
 from .keys import Wanted, case_hash, goes_with_modulus, limits_key, wanted
 
 T = TypeVar("T")

@@ -31,7 +31,7 @@ from ..store.run_directory import (
 )
 from ..study.config import geometry_error, resolved
 from ..study.errors import MeshError
-from ..study.folders import text_without_folders, without_folders
+from ..study.files import text_without_folders, without_folders
 from ..study.units import shown
 from .engine import Outcome, Places, run_nodes
 from .estimate import estimate, without_room

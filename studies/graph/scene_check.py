@@ -11,9 +11,8 @@ from ..scene.measured_points import place_measured
 from ..scene.scene import Scene, SceneError, build_scene
 from ..scene.warnings import scene_warnings
 from ..study.config import geometry_error, resolved
-from ..study.errors import MeshError
-from ..study.geometry_spec import geometry_key
-from ..study.problems import Finding, Loc, Problem
+from ..study.errors import Finding, Loc, MeshError, Problem
+from ..study.shapes import geometry_key
 from .plan import Plan, PlannedCase
 
 MOST_SCENES = 20  # of a study, in the order of its cases

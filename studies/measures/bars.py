@@ -6,7 +6,7 @@ import math
 
 from solver_common.arrays import Array
 
-from ..study.model_name import REFINED
+from ..study.registry import REFINED
 from . import uncertainty
 from .case import CaseResult
 from .metrics import VECTOR

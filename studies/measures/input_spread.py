@@ -16,10 +16,9 @@ import numpy as np
 from solver_common.arrays import Array
 
 from ..body.surface_measures import Surface, weighted_norm, without_motions
-from ..study.inputs import Input, inputs_of
-from ..study.model_name import REFINED
+from ..study.registry import REFINED
 from ..study.schema import Study
-from ..study.variations import MORRIS, SENSITIVITIES, SOBOL, analysis, shares, unit_cube
+from ..study.sweep import MORRIS, SENSITIVITIES, SOBOL, Input, analysis, inputs_of, shares, unit_cube
 
 # what SALib calls them -> what they are
 INDICES = {

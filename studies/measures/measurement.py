@@ -20,10 +20,9 @@ from ..body.mesh import Mesh
 from ..body.nearest import nearest_on_surface
 from ..scene.coordinates import measured_on
 from ..scene.measured_points import Placed, place_measured
-from ..study.measured_checks import pushing
+from ..study.checks import pushing
 from ..study.measured_file import AXES
-from ..study.measured_table import Measured, same_load
-from ..study.schema import Study
+from ..study.schema import Measured, Study, same_load
 from .input_spread import Propagation
 from .metrics import full_load_step
 from .pushed import Answer, Pushed

@@ -26,7 +26,7 @@ from ..body.surface_measures import (
     weighted_quantiles,
     without_motions,
 )
-from ..study.modules import load_all
+from ..study.registry import load_all
 
 # an error; the deviation, of either sign, from a quantity that is conserved; neither good nor bad
 Sense = Literal["error", "conserved", "descriptive"]

@@ -12,9 +12,8 @@ from solver_common.arrays import Array, Index
 
 from ..scene.inclusions import moduli
 from ..scene.scene import Scene, SurfaceLoad
-from ..study.laws import LAW_KEYS, LAWS, NEO_HOOKEAN, parameters_of
-from ..study.model_name import split
-from ..study.registry import Family
+from ..study.registry import Family, split
+from ..study.schema import LAW_KEYS, LAWS, NEO_HOOKEAN, parameters_of
 from . import costs, indented
 from .model import Model, SetUp, register
 

@@ -23,8 +23,7 @@ from ..scene.result import REFUSED, ModelResult
 from ..scene.scene import Scene, SurfaceLoad
 from ..study import registry
 from ..study.registry import EXTRAS, MODELS, Declared, lacks, own_parameters
-from ..study.schema import VdmTable
-from ..study.tissue_table import Tissue
+from ..study.schema import Tissue, VdmTable
 from ..study.units import DIMENSIONS
 
 if TYPE_CHECKING:

@@ -14,8 +14,7 @@ from vdm.solvers import SOLVERS
 
 from ..body.surface_measures import facet_area_vectors
 from ..scene.scene import Scene, SurfaceLoad
-from ..study.model_name import split, takes_fluid
-from ..study.registry import Family
+from ..study.registry import Family, split, takes_fluid
 from . import costs
 from .model import Model as Registered
 from .model import SetUp, register

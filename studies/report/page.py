@@ -10,7 +10,7 @@ import numpy as np
 
 from ..machine.files import write_atomically
 from ..measures.case import Run
-from ..study.modules import load_all
+from ..study.registry import load_all
 from ..verdict.digest import Digest
 from ..verdict.formatting import plural
 from ..verdict.sentences import LEAD, answers

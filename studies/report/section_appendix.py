@@ -5,7 +5,7 @@ from __future__ import annotations
 import shlex
 from collections.abc import Sequence
 
-from ..study.model_name import PARAMETERS
+from ..study.registry import PARAMETERS
 from ..verdict.digest import Digest
 from ..verdict.formatting import listed, plain, plural
 from .blocks import Block, Code, Facts, Section, Text

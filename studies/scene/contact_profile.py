@@ -7,7 +7,7 @@ import numpy as np
 from solver_common.arrays import Array, Index, Mask
 
 from ..body.mesh import Mesh
-from ..study.profiles import PROFILES
+from ..study.loads import PROFILES
 from ..study.schema import Region
 from .regions import profile_coordinate, profile_slope
 

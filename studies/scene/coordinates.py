@@ -11,8 +11,7 @@ from solver_common.arrays import Array
 
 from ..body.mesh import Mesh
 from ..study.kinds import Vector3
-from ..study.measured_table import Measured
-from ..study.schema import HalfSpace, Region, Study
+from ..study.schema import HalfSpace, Measured, Region, Study
 
 AXES = {"x": 0, "y": 1, "z": 2}
 

@@ -13,7 +13,7 @@ from solver_common.arrays import Array, Index, Mask
 from solver_common.quadrature import facet_quadrature
 
 from ..body.mesh import Mesh
-from ..study.tissue_table import Tissue
+from ..study.schema import Tissue
 from .scene import Scene, SurfaceLoad
 
 T = TypeVar("T", bound=np.generic)

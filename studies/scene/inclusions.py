@@ -10,8 +10,7 @@ import numpy as np
 from solver_common.arrays import Array, Index, Mask
 
 from ..body.mesh import Mesh
-from ..study.schema import Inclusion, Study
-from ..study.tissue_table import Tissue
+from ..study.schema import Inclusion, Study, Tissue
 from .coordinates import origin, shifted
 from .placed import SceneError
 

@@ -11,8 +11,8 @@ from solver_common.arrays import Mask
 
 from ..body.mesh import Mesh
 from ..body.surface_measures import facet_area_vectors
+from ..study.errors import Loc
 from ..study.loads import Pushed
-from ..study.problems import Loc
 from .placed import SceneError
 
 if TYPE_CHECKING:

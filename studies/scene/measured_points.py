@@ -10,8 +10,7 @@ from solver_common.arrays import Array, Index
 
 from ..body.mesh import Mesh
 from ..body.nearest import nearest_on_surface
-from ..study.measured_table import Measured, MeasuredPoint
-from ..study.schema import Study
+from ..study.schema import Measured, MeasuredPoint, Study
 from .coordinates import measured_on
 from .scene import SceneError
 

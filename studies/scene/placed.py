@@ -12,8 +12,7 @@ from solver_common.quadrature import facet_quadrature
 
 from ..body.mesh import Mesh
 from ..body.surface_measures import facet_area_vectors
-from ..study.errors import InputError
-from ..study.problems import Loc
+from ..study.errors import InputError, Loc
 from ..study.schema import Constraint, Region
 from .contact_profile import on_facets, sampled
 

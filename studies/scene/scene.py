@@ -13,12 +13,10 @@ from solver_common.quadrature import facet_quadrature
 
 from ..body.mesh import Mesh, read_only
 from ..body.surface_measures import corner_sum, facet_area_vectors, nodal_sum
-from ..study.extras import extras_of
+from ..study.errors import Loc
 from ..study.loads import KINDS, Springs
-from ..study.problems import Loc
 from ..study.registry import EXTRAS
-from ..study.schema import Anisotropy, Study
-from ..study.tissue_table import Tissue
+from ..study.schema import Anisotropy, Study, Tissue, extras_of
 from .coordinates import in_mesh_coordinates, origin
 from .inclusions import PlacedInclusion, place_inclusions
 from .indenters import PlacedIndenter, place_indenter
@@ -91,7 +89,7 @@ class Scene:
     condition : whether the condition of the VDM models' systems is estimated
     dead : dead forces at load factor 1, see `SurfaceLoad`
     springs : between facets and the ground
-    extras : what it has that not every model takes, see `vdmbench.study.extras`
+    extras : what it has that not every model takes, see `vdmbench.study.schema.extras_of`
     inclusions : parts of the inside with moduli of their own
     homogeneous : models that answer as if there were no inclusions
     indenter : a rigid one that is pushed in, or None

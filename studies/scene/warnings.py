@@ -11,8 +11,8 @@ import numpy as np
 from solver_common.arrays import Array, Index, Mask
 
 from ..body.surface_measures import facet_area_vectors
+from ..study.errors import Finding
 from ..study.loads import KINDS
-from ..study.problems import Finding
 
 OPPOSED = 0.05  # share of a contact's area that may face against its resultant
 

@@ -7,13 +7,39 @@ file has it, usable where it is not None.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from itertools import islice
 from typing import Any
 
-from .errors import MeshError
-from .geometry_spec import (
+from pydantic import ValidationError
+from pydantic_core import ErrorDetails
+
+from .errors import MOST_TOLD, Finding, Loc, MeshError, Source, listed, named_twice, unknown
+from .fields import field_at, keys_of, table_at
+from .kinds import Context, Table, given, safe_name
+from .loads import KINDS
+from .registry import DISPLACEMENT_ELEMENTS, all_models, is_vdm, reads, split
+from .schema import (
+    LAW_KEYS,
+    LAWS,
+    MOST_STEPS,
+    NEO_HOOKEAN,
+    Box,
+    Constraint,
+    Geometry,
+    HalfSpace,
+    Inclusion,
+    Load,
+    Measured,
+    Region,
+    Study,
+    same_load,
+)
+from .shapes import (
     DISTORTIONS,
     LARGEST_EXTENT,
+    SHAPES,
     SMALLEST_EXTENT,
     SURFACE_SUFFIXES,
     VOLUME_SUFFIXES,
@@ -21,26 +47,8 @@ from .geometry_spec import (
     extent_key,
     extents,
 )
-from .geometry_spec import Geometry as GeometrySpec
-from .geometry_table import Geometry
-from .laws import check_law
-from .loads import KINDS
-from .measured_checks import check_measured
-from .model_name import DISPLACEMENT_ELEMENTS, is_vdm, split
-from .problems import Finding, Loc
-from .region_checks import check_inclusions, check_regions
-from .registry import all_models, reads
-from .schema import (
-    MOST_STEPS,
-    Constraint,
-    Load,
-    Region,
-    Study,
-)
-from .shapes import SHAPES
-from .table import Table
-from .units import shown
-from .wording import given, listed, named_twice, unknown
+from .shapes import Geometry as GeometrySpec
+from .units import shown, type_name
 
 SHAPE_KEYS: dict[str, tuple[set[str], set[str]]] = {  # shape -> keys that it needs, keys that it may have
     **{
@@ -110,6 +118,33 @@ def _check_incompressible(study: Study) -> Iterator[Finding]:
             f"{reference}, the reference, is a displacement element, which cannot be incompressible; "
             'use reference = "fem-linear", or a ratio below 0.5',
         )
+
+
+def check_law(study: Study) -> Iterator[Finding]:
+    """What is wrong with the law and its keys together."""
+    tissue = study.tissue
+    if tissue is None:
+        return
+    present = {key for key in LAW_KEYS if key in tissue.model_fields_set}
+    law = tissue.law or NEO_HOOKEAN
+    place: Loc = ("tissue",)
+    for key in LAWS[law].keys:
+        if key not in present:
+            yield (*place, key), f"is missing; the law {shown(law)} needs {listed(set(LAWS[law].keys))}"
+    for key in sorted(present - set(LAWS[law].keys)):
+        owners = {name for name, other in LAWS.items() if key in other.keys}
+        yield (*place, key), f"belongs to the law {listed(owners)}, not to {shown(law)}; leave it out"
+    if law != NEO_HOOKEAN and study.anisotropy is not None:
+        yield (*place, "law"), f"{shown(law)} has no fibres; leave out [anisotropy], or the law"
+    exponents, shares = tissue.exponents, tissue.shares
+    if exponents and shares:
+        if len(exponents) != len(shares):
+            yield (
+                (*place, "shares"),
+                f"has {len(shares)} numbers; give one for each of {len(exponents)} exponents",
+            )
+        if abs(sum(shares) - 1.0) > 1e-9:
+            yield (*place, "shares"), f"must sum to 1, not {sum(shares):g}"
 
 
 def _check_penalty(study: Study) -> Iterator[Finding]:
@@ -358,3 +393,342 @@ def _largest_extent(geometry: Geometry) -> float | None:
         return geometry.size if isinstance(geometry.size, float) else None
     spec = geometry_spec(geometry)
     return None if None in spec.parameters.values() else max(extents(spec))
+
+
+# --- What must hold in the regions and inclusions of a study; `checks` says how a lenient study reads ---
+
+
+_MOST_PARTS, _DEEPEST = 1000, 50  # regions that one region may be made of, and levels of them
+_ONE_OF = "below, above, ball, box, cap, group, all, any, not"
+
+
+def check_regions(study: Study) -> Iterator[Finding]:
+    """Everything that is wrong with the regions, by themselves and with the body that they are on."""
+    yield from _check_regions(study.regions or {})
+    yield from _check_groups(study)
+    yield from _check_coordinates(study)
+
+
+def _check_regions(regions: dict[str, Region]) -> Iterator[Finding]:
+    for name, region in regions.items():
+        try:
+            safe_name(name)
+        except ValueError as error:
+            yield ("regions", name), str(error)
+        yield from _check_region(region, ("regions", name), regions)
+        if name in _reached(name, regions):
+            yield ("regions", name), "refers to itself, directly or through other regions"
+        elif _is_too_large(region, regions):
+            yield (
+                ("regions", name),
+                f"is made of more than {_MOST_PARTS} regions, or more than {_DEEPEST} levels",
+            )
+
+
+def _check_groups(study: Study) -> Iterator[Finding]:
+    """Named groups of nodes where the body has none."""
+    geometry = study.geometry
+    if geometry is None or geometry.shape is None:
+        return
+    if geometry.shape == "file" and (geometry.path is None or geometry.path.suffix.lower() == ".msh"):
+        return
+    for name, region in (study.regions or {}).items():
+        for loc in _groups_in(region, ("regions", name)):
+            yield loc, "only a MSH file has named groups of nodes; say where the region is instead"
+    for place, part in enumerate(study.inclusions or ()):
+        if part.group is not None:
+            yield (
+                ("inclusions", place, "group"),
+                "only a MSH file has named groups; give a ball or a box instead",
+            )
+
+
+def _check_coordinates(study: Study) -> Iterator[Finding]:
+    """Coordinates in a body from a file, of which nothing says where they are measured from.
+
+    Until version 0.2 that was the middle of the body: studies of that time must not change in silence.
+    """
+    geometry = study.geometry
+    if geometry is None or geometry.shape != "file" or "coordinates" in given(geometry):
+        return
+    names = [
+        f"region {shown(name)}" for name, part in (study.regions or {}).items() if _has_coordinates(part)
+    ]
+    names += [f"inclusion {shown(part.name)}" for part in study.inclusions or () if part.ball or part.box]
+    names += [f"measured table {shown(table.name)}" for table in study.measured or () if table.name]
+    if names:
+        yield (
+            ("geometry", "coordinates"),
+            f'is missing, and {names[0]} has coordinates: give "file" where they are those of the '
+            'file, in metres, or "centred" where they are from the middle of its bounding box, as they were '
+            "before version 0.2",
+        )
+
+
+def _has_coordinates(region: Region) -> bool:
+    planes = (region.below, region.above)
+    own = region.ball or region.box or any("value" in given(plane) for plane in planes if plane is not None)
+    return bool(own) or any(_has_coordinates(part) for _, part in _parts(region) if isinstance(part, Region))
+
+
+def _groups_in(region: Region, loc: Loc) -> Iterator[Loc]:
+    if region.group is not None:
+        yield (*loc, "group")
+    for part_loc, part in _parts(region):
+        if isinstance(part, Region):
+            yield from _groups_in(part, (*loc, *part_loc))
+
+
+def _check_region(region: Region, loc: Loc, regions: dict[str, Region]) -> Iterator[Finding]:
+    present = given(region)
+    if len(present) != 1:
+        have = f", not {listed(present)}" if present else ""
+        yield loc, f"give exactly one of {_ONE_OF}{have}"
+    for key in ("below", "above"):
+        half_space: HalfSpace | None = getattr(region, key)
+        if half_space is not None and len(given(half_space) & {"fraction", "value"}) != 1:
+            yield (*loc, key), "give either fraction or value"
+    yield from _check_box(region.box, (*loc, "box"))
+    for part_loc, part in _parts(region):
+        if isinstance(part, Region):
+            yield from _check_region(part, (*loc, *part_loc), regions)
+        elif part not in regions:
+            yield (*loc, *part_loc), unknown(part, list(regions), "region")
+
+
+def _parts(region: Region) -> Iterator[tuple[Loc, Region | str]]:
+    """The regions that a region is made of, each with its place inside."""
+    for key, parts in (("all", region.all_of), ("any", region.any_of)):
+        yield from (((key, place), part) for place, part in enumerate(parts or ()))
+    if region.not_of is not None:
+        yield ("not",), region.not_of
+
+
+def _reached(name: str, regions: dict[str, Region]) -> set[str]:
+    """The names that a region refers to, directly or through others."""
+    reached: set[str] = set()
+    todo: list[Region] = [regions[name]]
+    while todo:
+        for _, part in _parts(todo.pop()):
+            if isinstance(part, Region):
+                todo.append(part)
+            elif part in regions and part not in reached:
+                reached.add(part)
+                todo.append(regions[part])
+    return reached
+
+
+def _is_too_large(region: Region, regions: dict[str, Region]) -> bool:
+    """Whether working out a region takes too many steps: doubling thirty times over fits in a small file."""
+    count = 0
+    todo: list[tuple[Region, int]] = [(region, 1)]
+    while todo:
+        whole, depth = todo.pop()
+        count += 1
+        if count > _MOST_PARTS or depth > _DEEPEST:
+            return True
+        parts = (part if isinstance(part, Region) else regions.get(part) for _, part in _parts(whole))
+        todo += [(part, depth + 1) for part in parts if part is not None]
+    return False
+
+
+# --- inclusions ---
+
+
+def check_inclusions(study: Study) -> Iterator[Finding]:
+    """Everything that is wrong with the inclusions, and with the models that may leave them out."""
+    yield from named_twice("inclusions", study.inclusions or (), "inclusion")
+    for place, part in enumerate(study.inclusions or ()):
+        loc: Loc = ("inclusions", place)
+        yield from _check_place(part, loc)
+        ratios = [part.poisson_ratio, study.tissue.poisson_ratio if study.tissue is not None else None]
+        if part.poisson_ratio is not None and any(ratio is not None and ratio <= 0.0 for ratio in ratios):
+            yield (
+                (*loc, "poisson_ratio"),
+                "where ratios differ each must be above 0; leave it out, or give others",
+            )
+    yield from _check_homogeneous(study)
+
+
+def _check_place(part: Inclusion, loc: Loc) -> Iterator[Finding]:
+    present = given(part) & {"ball", "box", "group"}
+    if len(present) != 1:
+        yield loc, f"give exactly one of ball, box, group{f', not {listed(present)}' if present else ''}"
+    yield from _check_box(part.box, (*loc, "box"))
+
+
+def _check_box(box: Box | None, loc: Loc) -> Iterator[Finding]:
+    """What is wrong with a box: corners that are not lowest and highest."""
+    if box is None or box.min is None or box.max is None:
+        return
+    for axis, low, high in zip("xyz", box.min, box.max, strict=True):
+        if low >= high:
+            yield (*loc, "max"), f"must be above min along {axis}: {high:g} m is not above {low:g} m"
+
+
+def _check_homogeneous(study: Study) -> Iterator[Finding]:
+    info = study.study
+    for place, name in enumerate((info and info.homogeneous) or ()):
+        loc = ("study", "homogeneous", place)
+        if not study.inclusions:
+            yield loc, "decides nothing without [[inclusions]]; leave it out"
+        elif name not in (info.models or ()):
+            yield loc, unknown(name, list(info.models or ()), "model of this study")
+        elif name == info.reference:
+            yield loc, f"{shown(name)} is the reference, which has to know the inclusions"
+
+
+# --- What is wrong with [[measured]] tables, each with the rest of the study ---
+
+
+def check_measured(study: Study) -> Iterator[Finding]:
+    """What is wrong with the measured tables, each with the rest of the study."""
+    yield from named_twice("measured", study.measured or (), "table")
+    for place, table in enumerate(study.measured or ()):
+        loc = ("measured", place)
+        kinds = [name for name in ("points", "surface", "forces") if getattr(table, name)]
+        if not kinds:
+            yield loc, "has no values: give path, points, surface or forces"
+        if len(kinds) > 1:
+            yield loc, f"has {' and '.join(kinds)}; give a table to each"
+        own: Sequence[Any] = table.points or [table] * bool(table.surface)
+        yield from _check_uncertainty("uncertainty", table.uncertainty, own, loc)
+        if table.forces:
+            yield from _check_forces(study, table, loc)
+        if (table.swept is None) != (table.at is None):
+            yield (*loc, "swept"), "swept and at belong together: a swept key and its value"
+        yield from _check_factors(study, table, place)
+
+
+def pushing(study: Study) -> list[str]:
+    """Names of the constraints whose force goes with a depth: contacts, indenters, and movements of a region."""
+    return [
+        part.name
+        for part in study.constraints or ()
+        if part.kind in ("contact", "indenter")
+        or (part.kind == "constrained" and any(part.displacement or ()))
+    ]
+
+
+def _check_forces(study: Study, table: Measured, loc: Loc) -> Iterator[Finding]:
+    yield from _check_uncertainty("force_uncertainty", table.force_uncertainty, table.forces, loc)
+    names = pushing(study)
+    if table.constraint is not None and table.constraint not in names:
+        yield (*loc, "constraint"), unknown(table.constraint, names, "contact, indenter or movement")
+        return
+    if table.constraint is None and len(names) != 1:
+        told = f"several push: {', '.join(names)}; name one" if names else "nothing pushes the body"
+        yield (*loc, "constraint"), told
+        return
+    name = table.constraint or names[0]
+    part = next(part for part in study.constraints if part.name == name)
+    if part.kind == "contact" and part.force is None and part.profile not in (None, "uniform"):
+        yield (
+            (*loc, "constraint"),
+            f"{shown(name)} has a pressure of a {part.profile} profile; give its force instead",
+        )
+
+
+def _check_uncertainty(key: str, given: float | None, rows: Sequence[Any], loc: Loc) -> Iterator[Finding]:
+    bare = next((row for row in rows if row.uncertainty is None), None)
+    if given is None and bare is not None:
+        where = f" (line {bare.line})" if getattr(bare, "line", None) else ""
+        text = (
+            f"is missing{where}: without u_D nobody can tell an error from noise; give a standard uncertainty"
+        )
+        yield (*loc, key), text
+
+
+def check_measured_cases(study: Study, axes: Mapping[str, tuple[Sequence[Any], str]]) -> Iterator[Finding]:
+    """Tables that belong to no case; `axes` has the values and the SI unit of each swept key."""
+    for place, table in enumerate(study.measured or ()):
+        if table.swept is None or table.at is None:
+            continue
+        if table.swept not in axes:
+            told = ", ".join(axes) or "nothing"
+            yield ("measured", place, "swept"), f"{shown(table.swept)} is not swept; swept here: {told}"
+            continue
+        values, unit = axes[table.swept]
+        if not any(table.belongs_to({table.swept: value}, {table.swept: unit}) for value in values):
+            yield ("measured", place, "at"), f"{shown(str(table.at))} is none of the values of {table.swept}"
+
+
+def _check_factors(study: Study, table: Measured, place: int) -> Iterator[Finding]:
+    if study.load is None or not study.load.factors:
+        return
+    history = study.load.history
+    largest = max(map(abs, history))
+    for point in (None, *table.points):
+        factor = table.factor(point)
+        if factor is not None and not any(same_load(factor, step, largest) for step in history):
+            where = f" (line {point.line} of its file)" if point is not None and point.line else ""
+            steps = ", ".join(f"{step:g}" for step in history[:8])
+            yield (
+                ("measured", place, "load_factor"),
+                f"{factor:g}{where} is no step of the load history, which has {steps}",
+            )
+            return
+
+
+# --- One pass over the data of a study: a Study, or every problem that it has, in plain words ---
+
+
+_WANTED = {  # kind of pydantic error -> what the value must be
+    "model_type": "a table",
+    "dict_type": "a table",
+    "tuple_type": "a list",
+    "string_type": "a text",
+    "int_type": "a whole number",
+    "bool_type": "true or false",
+    "int_from_float": "a whole number",
+}
+
+
+def validate(data: Mapping[str, Any], source: Source) -> tuple[Study | None, list[Finding]]:
+    """The study in `data`, as parsed from TOML, or None and what is wrong with it.
+
+    Where keys are faulty, the checks between keys run on what is left. Of either kind of problem one more than
+    can be told is enough: some take a search for the name that was meant.
+    """
+    findings: list[Finding] = []
+    faulty: set[Loc] = set()
+    try:
+        study = Study.model_validate(data, context=Context(source))
+    except ValidationError as error:
+        faults = sorted(error.errors(include_url=False), key=lambda details: source.line(_place(details)))
+        findings += map(_finding, faults[: MOST_TOLD + 1])
+        faulty = set(map(_place, faults))
+        study = Study.model_validate(data, context=Context(source, lenient=True))
+    findings += islice(
+        (finding for finding in check(study) if not _inside(finding[0], faulty)), MOST_TOLD + 1
+    )
+    return (None if findings else study), findings
+
+
+def _inside(loc: Loc, faulty: set[Loc]) -> bool:
+    """Whether the key itself, or a table around it, is known to be faulty."""
+    return any(loc[:end] in faulty for end in range(len(loc) + 1))
+
+
+def _place(details: ErrorDetails) -> Loc:
+    return tuple(part for part in details["loc"] if part not in ("<name>", "<table>"))
+
+
+def _finding(details: ErrorDetails) -> Finding:
+    loc = _place(details)
+    kind, value = details["type"], details.get("input")
+    if kind == "value_error":
+        return loc, str(details["ctx"]["error"])
+    if kind == "missing":
+        field = field_at(loc)
+        return loc, f"is missing: {field.description}" if field else "is missing"
+    if kind == "extra_forbidden":
+        return loc, unknown(str(loc[-1]), list(keys_of(table_at(loc[:-1]))), "key")
+    if kind == "literal_error":
+        options = re.findall(r"'([^']*)'", details["ctx"]["expected"])
+        if isinstance(value, str):
+            return loc, unknown(value, options, "choice")
+        return loc, f"must be one of {', '.join(options)}, not {type_name(value)}"
+    if kind in _WANTED:
+        return loc, f"must be {_WANTED[kind]}, not {type_name(value)}"
+    return loc, re.sub(r"^(Input|String|Tuple|Dictionary|Value) should", "must", details["msg"])

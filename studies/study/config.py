@@ -10,26 +10,17 @@ from itertools import islice
 from pathlib import Path
 from typing import Any
 
-from .checks import fits_kind, geometry_spec
-from .errors import MeshError
+from .checks import check_measured_cases, fits_kind, geometry_spec, validate
+from .errors import MOST_TOLD, Finding, Loc, MeshError, Problem, Source, StudyError, file_fault, unknown
 from .fields import FieldRow, field_table, targets, value_at
-from .geometry_spec import Geometry as GeometrySpec
-from .inputs import as_written
-from .kinds import MAX_NAME, is_safe_name
+from .kinds import MAX_NAME, Enters, is_safe_name
 from .loads import KINDS, LOAD_KEYS
-from .measured_checks import check_measured_cases
-from .model_name import FINITE_STRAIN, split
-from .problems import MOST_TOLD, Finding, Loc, Problem, Source, StudyError, file_fault
-from .registry import BROKEN, RENAMED, find, model_names
-from .schema import Constraint, Region, Study
-from .sweep import Axis, ResolvedCase, check_cases, first_case, read_axes, substituted
-from .table import Enters
-from .tissue_table import Tissue
+from .registry import BROKEN, FINITE_STRAIN, RENAMED, find, model_names, split
+from .schema import Constraint, Region, Study, Tissue
+from .shapes import Geometry as GeometrySpec
+from .sweep import Axis, ResolvedCase, as_written, check_cases, first_case, read_axes, substituted, variations
 from .toml_lines import NotToml, TooLarge, key_lines
 from .units import shown
-from .validation import validate
-from .variations import variations
-from .wording import unknown
 
 __all__ = [
     "Constraint",

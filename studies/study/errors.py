@@ -2,6 +2,16 @@
 
 from __future__ import annotations
 
+import difflib
+import re
+import stat
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from .units import shown
+
 
 class InputError(ValueError):
     """What the user gave cannot be used; the message says what is wrong and what to do."""
@@ -13,3 +23,138 @@ class MeshError(InputError):
     def __init__(self, text: str, key: str = "") -> None:
         super().__init__(text)
         self.key = key
+
+
+# --- What is wrong with a study file, and where: the error that carries every problem, and the file behind it ---
+
+
+Loc = tuple[str | int, ...]  # indices that lead to a value of the parsed file
+Finding = tuple[Loc, str]
+
+MOST_TOLD = 20  # problems of a file; what finds them need not find more
+
+_LONGEST_KEY = 200  # characters that are told
+_BARE_KEY = re.compile(r"[A-Za-z0-9_-]+")
+
+
+class Problem(NamedTuple):
+    """One mistake: file, 1-based line, key as one would write it (empty for the file itself), sentence."""
+
+    path: str
+    line: int
+    key: str
+    message: str
+
+    def __str__(self) -> str:
+        key = f"{self.key}: " if self.key else ""
+        return f"{self.path}:{self.line}: {key}{self.message}"
+
+
+class StudyError(ValueError):
+    """A study file that cannot be used; `problems` holds every mistake found."""
+
+    def __init__(self, problems: Iterable[Problem]) -> None:
+        self.problems = list(problems)
+        super().__init__("\n".join(str(problem) for problem in self.problems))
+
+
+@dataclass(frozen=True)
+class Source:
+    """Where a study comes from. Two studies with the same content are equal whatever their source."""
+
+    path: str = field(default="study", compare=False)
+    lines: Mapping[Loc, int] = field(default_factory=dict, compare=False)
+    directory: Path | None = field(default=None, compare=False)
+    allow_outside: bool = field(default=False, compare=False)
+    trusted: Path | None = field(default=None, compare=False)  # typed by the user, may lie anywhere
+
+    def line(self, loc: Loc) -> int:
+        """The line of a key, or of the innermost table around it that the file has."""
+        for end in range(len(loc), 0, -1):
+            if loc[:end] in self.lines:
+                return self.lines[loc[:end]]
+        return 1
+
+    def locate(self, path: str | Path) -> Path:
+        """The absolute path of a file that the study names. Raises ValueError with a sentence."""
+        if self.directory is None:
+            return Path(path)
+        name = shown(str(path), 200)
+        fault = file_fault(self.directory / path)
+        if fault:
+            raise ValueError(f"{name} {fault}")
+        found = (self.directory / path).resolve()
+        trusted = self.allow_outside or (self.trusted is not None and found == self.trusted.resolve())
+        if not trusted and not found.is_relative_to(self.directory):
+            raise ValueError(f"{name} is outside the study's directory; move it there or use --allow-outside")
+        return found
+
+    def error(self, findings: Sequence[Finding], data: Mapping[str, Any]) -> StudyError:
+        """The error for these findings about `data`, in the file's order, each once, the first `MOST_TOLD`."""
+        unique = sorted(dict.fromkeys(findings), key=lambda finding: self.line(finding[0]))
+        told, more = unique[:MOST_TOLD], unique[MOST_TOLD:]
+        problems = [Problem(self.path, self.line(loc), key_text(loc, data), text) for loc, text in told]
+        if more:
+            rest = f"there are more problems from here on; mend the first {MOST_TOLD} and check again"
+            problems.append(Problem(self.path, self.line(more[0][0]), "", rest))
+        return StudyError(problems)
+
+
+def file_fault(path: Path) -> str | None:
+    """Why a path does not lead to a file, None where it does."""
+    try:
+        mode = path.stat().st_mode
+    except (FileNotFoundError, NotADirectoryError):
+        return "does not exist"
+    except OSError as error:  # too long a name, no permission, a loop of links
+        return f"cannot be read: {error.strerror}"
+    except ValueError:  # a NUL
+        return "is not a usable path"
+    return None if stat.S_ISREG(mode) else "is not a file"
+
+
+def key_text(loc: Loc, data: Mapping[str, Any]) -> str:
+    """A key as one would write it: constraints by their name, other items of lists by their index."""
+    text = ""
+    value: Any = data
+    for part in loc:
+        value = value[part] if _has(value, part) else None
+        if isinstance(part, int):
+            name = value.get("name", value.get("region")) if isinstance(value, dict) else None
+            named = text == "constraints" and isinstance(name, str) and _BARE_KEY.fullmatch(name)
+            text += f".{name}" if named else f"[{part}]"
+        else:
+            text += ("." if text else "") + (part if _BARE_KEY.fullmatch(part) else shown(part))
+    return text if len(text) <= _LONGEST_KEY else f"{text[: _LONGEST_KEY - 3]}..."
+
+
+def _has(value: Any, part: str | int) -> bool:
+    if isinstance(value, dict):
+        return part in value
+    return isinstance(value, list | tuple) and isinstance(part, int) and 0 <= part < len(value)
+
+
+# --- Words that several checks of a study share ---
+
+
+def unknown(value: str, known: Sequence[str], what: str, *, list_all: bool = True) -> str:
+    """A sentence that says that a name is unknown, with the closest known one, or all where none is close."""
+    known = [name for name in known if name.isprintable()]
+    close = difflib.get_close_matches(value[:80], known, n=1)
+    if close:
+        return f'unknown {what} {shown(value)}; did you mean "{close[0]}"?'
+    return f"unknown {what} {shown(value)}" + (f"; known: {', '.join(known) or 'none'}" if list_all else "")
+
+
+def listed(keys: set[str]) -> str:
+    """Keys in a sentence, sorted."""
+    return " and ".join(sorted(keys)) if len(keys) < 3 else ", ".join(sorted(keys))
+
+
+def named_twice(table: str, entries: Sequence[Any], what: str) -> Iterator[Finding]:
+    """Entries of an array of tables that have the name of an earlier one."""
+    names = [entry.name for entry in entries]
+    for place, name in enumerate(names):
+        if name and name in names[:place]:
+            text = f"{shown(name)} is the name of another {what}; give each its own name"
+            yield (table, place, "name"), text

@@ -12,16 +12,67 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, Protocol, get_args
 
 from pydantic import Field
 
-from .kinds import SI, Force, Name, Position, Pressure, positive
-from .modules import load_all
-from .profiles import PROFILES, VERSIONS, Profile
-from .table import Enters, Table
+from .kinds import SI, Direction, Enters, Force, Length, Name, Position, Pressure, Table, positive
+from .registry import load_all
 
 if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
     Array = NDArray[np.float64]
+
+
+PROFILES: dict[str, Callable[[Array], Array]] = {}
+VERSIONS = {"uniform": "1"}
+
+
+def profile(function: Callable[[Array], Array], version: str = "1") -> Callable[[Array], Array]:
+    """Register pressure over its peak at rho, 0 in the middle and 1 at the rim, beyond which it is nothing.
+
+    Parameters
+    ----------
+    version : raised whenever its values change; part of the keys of results
+
+    Raises
+    ------
+    ValueError
+        a name that is taken.
+    """
+    name = function.__name__
+    if name in VERSIONS:
+        raise ValueError(f"a profile {name!r} is registered already")
+    PROFILES[name], VERSIONS[name] = function, version
+    return function
+
+
+# numpy is slow to load: not where a study is only checked
+
+
+@profile
+def hertz(rho: Array) -> Array:
+    """Pressure over its peak: sqrt(1 - rho^2), nothing beyond the rim rho = 1."""
+    import numpy as np
+
+    return np.asarray(np.sqrt(np.clip(1.0 - rho**2, 0.0, None)))
+
+
+@profile
+def gaussian(rho: Array) -> Array:
+    """Pressure over its peak: exp(-9/2 rho^2), the third standard deviation at the rim rho = 1, nothing beyond."""
+    import numpy as np
+
+    return np.where(rho < 1.0, np.exp(-4.5 * rho**2), 0.0)
+
+
+load_all("vdmbench.study", "profile_")  # last: they use what is above
+
+if TYPE_CHECKING:
+    Profile = str
+else:
+    Profile = Literal[("uniform", *PROFILES)]
+
+
+# --- Kinds of constraints: what holds, moves and loads a body ---
 
 
 class AnyConstraint(Table):
@@ -363,5 +414,67 @@ register(
         ),
     )
 )
+# --- The kind `indenter`: a rigid frictionless body that is pushed in along an axis, and touches where it will ---
+
+
+_CAPSULE = ("length", "along")  # keys of a capsule alone
+
+
+def _push(constraint: AnyConstraint, on: Placed) -> Acts:
+    return Acts(
+        pushed=Pushed(
+            facets=on.facets(),
+            shape=constraint.shape or "sphere",
+            radius=constraint.radius or 0.0,
+            length=constraint.length or 0.0,
+            along=constraint.along,
+            direction=constraint.push,
+            depth=constraint.depth or 0.0,
+        )
+    )
+
+
+def _check(constraint: AnyConstraint, region: frozenset[str]) -> Mapping[str, str]:  # noqa: ARG001
+    if constraint.shape is None:
+        return {}  # a faulty one, which has been told
+    given = [key for key in _CAPSULE if key in constraint.model_fields_set]
+    if constraint.shape == "capsule":
+        return {key: "is missing; a capsule needs length and along" for key in _CAPSULE if key not in given}
+    return dict.fromkeys(given, f"belongs to a capsule, not to a {constraint.shape}; leave it out")
+
+
+register(
+    LoadKind(
+        name="indenter",
+        help="touched by a rigid indenter, without friction",
+        version="1",
+        keys={
+            "depth": LoadKey(
+                Length,
+                "way of the indenter at load factor 1, from where it first touches the region",
+                is_load=True,
+                example='a length, such as "5 mm"',
+            ),
+            "shape": LoadKey(
+                Literal["sphere", "flat-punch", "capsule"],
+                "of the indenter, whose axis goes through the middle of its region",
+                needed=True,
+                example="sphere, flat-punch or capsule",
+            ),
+            "radius": LoadKey(Length, "of the indenter", needed=True, example='a length, such as "10 mm"'),
+            "length": LoadKey(Length, "of a capsule, between the middles of its ends"),
+            "along": LoadKey(Direction, "axis of a capsule, across the push"),
+            "push": LoadKey(
+                Direction, "direction of the push, against the region's mean normal where left out"
+            ),
+        },
+        holds=False,
+        extra=lambda _: "indenter",
+        act=_push,
+        check=_check,
+    )
+)
+
+
 load_all("vdmbench.study", "load_")  # last: they use what is above
 LOAD_KEYS = {name for kind in KINDS.values() for name in kind.loads}

@@ -7,7 +7,10 @@ in `checks`; reading a file is in `config`.
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
+from dataclasses import dataclass
 from functools import cache
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from pydantic import (
@@ -15,6 +18,7 @@ from pydantic import (
     ConfigDict,
     Discriminator,
     Field,
+    PlainValidator,
     PrivateAttr,
     SerializeAsAny,
     Tag,
@@ -22,13 +26,16 @@ from pydantic import (
     ValidatorFunctionWrapHandler,
     WrapValidator,
     create_model,
+    model_validator,
 )
 
-from .geometry_table import Geometry
+from .errors import Source
 from .kinds import (
+    MAX_NAME,
     SI,
     Axis,
     Direction,
+    Enters,
     Length,
     LineForce,
     Modulus,
@@ -37,8 +44,10 @@ from .kinds import (
     Pressure,
     Rotation,
     Share,
+    Table,
     Time,
     Vector3,
+    as_path,
     is_safe_name,
     not_negative,
     number_check,
@@ -46,11 +55,335 @@ from .kinds import (
     positive,
 )
 from .loads import KINDS, AnyConstraint, keys_of_all
-from .measured_table import MOST_TABLES, Measured
-from .problems import Source
+from .measured_file import DISPLACEMENT, read_measured
 from .registry import Parameter, all_models, own_parameters
-from .table import Enters, Table
-from .tissue_table import PoissonRatio, Tissue, YoungsModulus
+from .shapes import LEAST_SLIVERS, MOST_PERTURBATION, SHAPES, shape_names
+from .units import QuantityError, to_si
+
+YoungsModulus = Annotated[
+    float,
+    SI("Pa"),
+    positive,
+    number_check(
+        lambda v: 10 <= v <= 1e10,
+        'must lie between 10 Pa and 10 GPa (a mixed-up unit? a bare number is in Pa: write "5 kPa")',
+    ),
+]
+PoissonRatio = Annotated[
+    float,
+    SI("1"),
+    number_check(lambda v: -1 < v <= 0.5, "must be above -1 and at most 0.5 (incompressible)"),
+]
+
+
+class Tissue(Table):
+    """[tissue]"""
+
+    youngs_modulus: YoungsModulus = Field(description="Young's modulus")
+    poisson_ratio: PoissonRatio = Field(
+        description="Poisson's ratio, up to and including 0.5; surface models keep the volume"
+    )
+    density: Annotated[
+        float,
+        SI("kg/m^3"),
+        positive,
+        number_check(
+            lambda v: 10 <= v <= 1e5,
+            'must lie between 10 and 100,000 kg/m^3 (a mixed-up unit? write "1.06 g/cm^3")',
+        ),
+    ] = Field(1060.0, description="mass density; only gravity uses it")
+    law: Literal["neo-hookean", "mooney-rivlin", "yeoh", "fung", "ogden"] | None = Field(
+        None,
+        description="law of large strain, of fem: neo-hookean where left out; its moduli at small strain are these",
+    )
+    second_share: (
+        Annotated[float, SI("1"), number_check(lambda v: 0 <= v <= 1, "must lie between 0 and 1")] | None
+    ) = Field(None, description="mooney-rivlin: c2 / (c1 + c2)")
+    second_ratio: Annotated[float, SI("1"), not_negative] | None = Field(None, description="yeoh: c2 / c1")
+    third_ratio: Annotated[float, SI("1"), not_negative] | None = Field(None, description="yeoh: c3 / c1")
+    exponent: Annotated[float, SI("1"), positive] | None = Field(
+        None, description="fung: b of exp(b (I1 - 3)), as Demiray has it"
+    )
+    exponents: (
+        Annotated[tuple[float, ...], SI("1", (0,)), number_check(lambda v: v != 0, "must not be zero")] | None
+    ) = Field(None, description="ogden: the exponents")
+    shares: Annotated[tuple[float, ...], SI("1", (0,)), positive] | None = Field(
+        None, description="ogden: share of each term in the shear modulus; they sum to 1"
+    )
+
+
+# --- Laws of large strain, and their keys of [tissue]: numbers without a unit beside the moduli at small strain ---
+
+
+NEO_HOOKEAN = "neo-hookean"
+
+
+@dataclass(frozen=True)
+class Law:
+    """A law: its name in `fem_reference.materials`, and the keys that it needs."""
+
+    material: str
+    keys: tuple[str, ...] = ()
+
+
+LAWS: Mapping[str, Law] = {
+    NEO_HOOKEAN: Law(NEO_HOOKEAN),
+    "mooney-rivlin": Law("mooney-rivlin", ("second_share",)),
+    "yeoh": Law("yeoh", ("second_ratio", "third_ratio")),
+    "fung": Law("fung-demiray", ("exponent",)),
+    "ogden": Law("ogden", ("exponents", "shares")),
+}
+LAW_KEYS = tuple(dict.fromkeys(key for law in LAWS.values() for key in law.keys))
+
+
+def parameters_of(tissue: Tissue) -> dict[str, float | tuple[float, ...]]:
+    """The numbers of a tissue's law by key; none of the neo-Hookean one."""
+    return {key: getattr(tissue, key) for key in LAWS[tissue.law or NEO_HOOKEAN].keys}
+
+
+# --- [geometry] as a typed table: the keys that shapes declare, those of files and those of any shape ---
+
+
+def _of_shapes(key: str) -> tuple[Any, Any]:
+    """Type and help of a key of [geometry] that some shapes declare, and a file's size."""
+    taken = {shape.name: shape.parameters[key] for shape in SHAPES.values() if key in shape.parameters}
+    texts: dict[str, list[str]] = {}
+    for name, text in [(name, about.help) for name, about in taken.items()] + _OF_FILE.get(key, []):
+        texts.setdefault(text, []).append(name)
+    told = "; ".join(f"{', '.join(names)}: {text}" for text, names in texts.items())
+    first, counts = next(iter(taken.values())), {about.count for about in taken.values()}
+    values = {(False,): float, (True,): Vector3, (False, True): float | Vector3}
+    kind: Any = Annotated[
+        values[tuple(sorted({count > 1 for count in counts}))],
+        SI(first.unit, tuple(sorted(counts))),
+        positive,
+    ]
+    if first.choices:
+        kind = Literal[tuple(sorted(first.choices))]
+    return Annotated[kind | None, Enters.MESH], Field(None, description=told)
+
+
+_OF_FILE = {"size": [("file", "its largest extent")]}
+
+
+class _Body(Table):
+    if TYPE_CHECKING:
+        shape: str
+        size: float | Vector3 | None
+    else:
+        shape: Annotated[Literal[shape_names()], Enters.MESH] = Field(
+            description="kind of body; `organ` is a procedural liver, `file` reads a mesh"
+        )
+    mesh_size: Annotated[Length | None, Enters.MESH] = Field(
+        None, description="edge length of the mesh; only a file with tetrahedra does without"
+    )
+
+
+if TYPE_CHECKING:
+    _ShapedBody = _Body
+else:
+    _ShapedBody = create_model(
+        "_ShapedBody",
+        __base__=_Body,
+        **{key: _of_shapes(key) for shape in SHAPES.values() for key in shape.parameters},
+    )
+
+
+class Geometry(_ShapedBody):
+    """[geometry]; all shapes but a file are centred on the origin"""
+
+    path: Annotated[
+        Annotated[Path, PlainValidator(as_path, json_schema_input_type=str)] | None, Enters.MESH
+    ] = Field(
+        None,
+        description="file: a surface (STL, OBJ, PLY, VTP) or tetrahedra (MSH, VTU, VTK); it is scaled to metres "
+        "and not moved",
+    )
+    coordinates: Literal["file", "centred"] | None = Field(
+        None,
+        description="file: what the coordinates of planes, balls, boxes and measured points start from: the origin "
+        "of the file, or the middle of its bounding box; needed where a study has coordinates",
+    )
+    scale: Annotated[Annotated[float, SI("1"), positive] | None, Enters.MESH] = Field(
+        None, description="file: metres per unit of the file, 1 where neither scale nor size is given"
+    )
+    slivers: Annotated[
+        Annotated[
+            float, SI("1"), number_check(lambda v: v >= LEAST_SLIVERS, f"must be at least {LEAST_SLIVERS:g}")
+        ]
+        | None,
+        Enters.MESH,
+    ] = Field(
+        None,
+        description="any shape: squeeze one facet in twenty-five until its longest edge is so many heights",
+    )
+    perturbation: Annotated[
+        Annotated[
+            float,
+            SI("1"),
+            positive,
+            number_check(lambda v: v <= MOST_PERTURBATION, f"must be at most {MOST_PERTURBATION:g}"),
+        ]
+        | None,
+        Enters.MESH,
+    ] = Field(
+        None, description="any shape: move each node at random by up to this share of its shortest edge"
+    )
+    seed: Annotated[int | None, Enters.MESH] = Field(
+        None, description="of the slivers and the perturbation, 0 where left out", ge=0, lt=2**32
+    )
+
+    @classmethod
+    def with_defaults(cls, data: dict[str, Any]) -> dict[str, Any]:
+        shape = SHAPES.get(str(data.get("shape")))
+        keys = shape.parameters.items() if shape is not None else ()
+        return {name: about.choices[0] for name, about in keys if about.choices} | data
+
+
+# --- [[measured]]: what somebody measured on the body of a study ---
+
+
+MOST_TABLES = 50
+_SAME_LOAD = 1e-9  # of the largest load factor
+_Deviation = Annotated[float, SI("m"), not_negative]
+
+
+class Displacement(Table):
+    """A displacement of which not every component is known"""
+
+    displacement_x: Annotated[float, SI("m")] | None = Field(None, description="along x")
+    displacement_y: Annotated[float, SI("m")] | None = Field(None, description="along y")
+    displacement_z: Annotated[float, SI("m")] | None = Field(None, description="along z")
+
+    def components(self) -> dict[int, float]:
+        """Axis -> value of what is known [m]."""
+        values = (getattr(self, key) for key in DISPLACEMENT)
+        return {axis: value for axis, value in enumerate(values) if value is not None}
+
+
+class MeasuredPoint(Displacement):
+    """One point of a measured table"""
+
+    name: Annotated[str, AfterValidator(one_line)] = Field(
+        "", description="names it in the report", max_length=MAX_NAME
+    )
+    x: Annotated[float, SI("m")] = Field(description="its place at rest, on the body's surface")
+    y: Annotated[float, SI("m")] = Field(description="its place at rest")
+    z: Annotated[float, SI("m")] = Field(description="its place at rest")
+    uncertainty: _Deviation | None = Field(
+        None, description="standard uncertainty of each component, instead of the table's"
+    )
+    load_factor: Annotated[float, SI("1")] | None = Field(
+        None, description="load step, instead of the table's"
+    )
+    line: int | None = Field(None, description="its line in the CSV file, for messages", ge=1)
+    others: dict[str, Displacement] = Field(
+        {}, description="what other programs computed there, by their name", max_length=10
+    )
+
+
+class MeasuredForce(Table):
+    """One point of a curve of force against depth"""
+
+    depth: Annotated[float, SI("m"), positive] = Field(
+        description="of a contact the largest displacement of its nodes, inwards along the normal; of an indenter "
+        "its way from where it first touches; of what moves a region the movement"
+    )
+    force: Annotated[float, SI("N")] = Field(description="resultant, in the direction of the depth")
+    uncertainty: Annotated[float, SI("N"), not_negative] | None = Field(
+        None, description="standard uncertainty, instead of the table's"
+    )
+    line: int | None = Field(None, description="its line in the CSV file, for messages", ge=1)
+
+
+class Measured(Table):
+    """[[measured]]: points with displacements, a deformed surface, or force against depth"""
+
+    name: Name = Field(description="names it in the report; the file's name where left out")
+    path: str | None = Field(
+        None,
+        description="a CSV file beside the study: columns `point`, `x`, `y`, `z`, `displacement_x`, "
+        "`displacement_y`, `displacement_z`, `uncertainty`, `load_factor`, units in brackets as in `x [mm]`; an "
+        "empty cell was not measured; `NAME.displacement_x` is what another program computed; of a deformed "
+        "surface `deformed_x`, `deformed_y`, `deformed_z`; of force against depth `depth`, `force`, `uncertainty`",
+    )
+    source: Annotated[str, AfterValidator(one_line)] = Field(
+        "", description="who measured, in one line for the report", max_length=500
+    )
+    uncertainty: _Deviation | None = Field(
+        None, description="standard uncertainty u_D of each component, where a point has none of its own"
+    )
+    load_factor: Annotated[float, SI("1")] | None = Field(
+        None, description="load factor of [load] that the values belong to; the largest where left out"
+    )
+    swept: str | None = Field(None, description="swept key whose value tells which cases were measured")
+    at: float | str | None = Field(None, description="that value, a number or a text with a unit")
+    points: tuple[MeasuredPoint, ...] = Field(
+        (), description="the points themselves, instead of a path", strict=False
+    )
+    surface: tuple[Position, ...] = Field(
+        (), description="places on the deformed surface, instead of points", strict=False
+    )
+    forces: tuple[MeasuredForce, ...] = Field(
+        (), description="force against depth, instead of points", strict=False
+    )
+    force_uncertainty: Annotated[float, SI("N"), not_negative] | None = Field(
+        None, description="standard uncertainty u_D of the forces, where one has none of its own"
+    )
+    constraint: str | None = Field(
+        None,
+        description="name of the contact, indenter or movement whose force it is; needed where there are several",
+    )
+
+    @model_validator(mode="before")
+    @classmethod
+    def _read(cls, data: Any, info: ValidationInfo) -> Any:
+        """The file's values in the place of its path, so that a case carries all that decides its numbers."""
+        if not isinstance(data, dict) or data.get("path") is None:
+            return data
+        if data.keys() & {"points", "surface", "forces"}:
+            raise ValueError("give path, points, surface or forces; one of them")
+        path = as_path(data["path"], info)
+        name = {"name": path.stem[:MAX_NAME]} if is_safe_name(path.stem[:MAX_NAME]) else {}
+        rest = {key: value for key, value in data.items() if key != "path"}
+        return name | rest | read_measured(path)
+
+    def deviation(self, point: MeasuredPoint | None = None) -> float:
+        """Standard uncertainty of a point, or of the table [m]."""
+        own = point.uncertainty if point is not None else None
+        return float(own if own is not None else self.uncertainty or 0.0)
+
+    def factor(self, point: MeasuredPoint | None = None) -> float | None:
+        """Load factor of a point, or of the table; None for the largest."""
+        own = point.load_factor if point is not None else None
+        return own if own is not None else self.load_factor
+
+    def belongs_to(self, swept: Mapping[str, Any], units: Mapping[str, str]) -> bool:
+        """Whether the values were measured on the case of these swept values."""
+        if self.swept is None:
+            return True
+        if self.swept not in swept:
+            return False
+        value, unit = swept[self.swept], units.get(self.swept, "1")
+        if isinstance(value, str):
+            return value == self.at
+        return math.isclose(float(value), _quantity(self.at, unit), rel_tol=1e-9)
+
+
+def _quantity(value: float | str | None, unit: str) -> float:
+    try:
+        return to_si(value, unit)
+    except QuantityError:
+        return math.nan
+
+
+def same_load(factor: float, other: float, largest: float) -> bool:
+    """Whether two load factors of a history are one."""
+    return abs(factor - other) <= _SAME_LOAD * max(abs(largest), 1e-300)
+
+
+# --- The study file as typed tables: every key with its type, its unit and its help text beside it ---
+
 
 Vdm = dict[str, float | str]
 
@@ -470,3 +803,21 @@ class Study(Table):
 
 
 Region.model_rebuild()
+
+
+# --- What a study has that not every model takes ---
+
+
+def extras_of(study: Study) -> frozenset[str]:
+    """Of `vdmbench.study.registry.EXTRAS` those that a study has."""
+    found = {KINDS[part.kind].extra(part) for part in study.constraints if part.kind in KINDS} - {""}
+    if study.tissue.law not in (None, NEO_HOOKEAN):
+        found.add("law")
+    if study.inclusions:
+        found.add("inclusions")
+    return frozenset(found)
+
+
+def extras_for(name: str, study: Study) -> frozenset[str]:
+    """Those that a model of the study is asked for: what it may leave out is not among them."""
+    return extras_of(study) - ({"inclusions"} if name in study.study.homogeneous else set())

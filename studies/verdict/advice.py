@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..study.model_name import split
+from ..study.registry import split
 from .acceptance import UNDECIDED, WITHIN, YES
 from .digest import Digest, ModelSummary
 from .formatting import quantity

@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from ..measures.bars import at_full_load
-from ..study.model_name import FINITE_STRAIN, split
+from ..study.registry import FINITE_STRAIN, split
 from .digest import Digest
 from .formatting import listed, short_percent
 from .loading import supports

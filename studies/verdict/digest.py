@@ -17,7 +17,7 @@ from ..measures.bars import at_full_load, reference_bar, series, value_bar
 from ..measures.case import CaseResult, Run
 from ..measures.metrics import DEFORMATION, VECTOR
 from ..scene.result import ModelResult
-from ..study.model_name import is_vdm
+from ..study.registry import is_vdm
 from . import palette
 from .acceptance import Acceptance, acceptance, standing
 from .measured import measured

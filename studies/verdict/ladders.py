@@ -13,7 +13,7 @@ from solver_common.arrays import Array
 from ..measures.bars import series
 from ..measures.case import CaseResult
 from ..scene.result import ModelResult
-from ..study.model_name import is_linear, split
+from ..study.registry import is_linear, split
 from .digest import Digest, failed_steps
 from .formatting import swept_value
 

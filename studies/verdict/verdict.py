@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from ..measures.case import CaseResult
-from ..study.model_name import FINITE_STRAIN, PARAMETERS, is_vdm, split
+from ..study.registry import FINITE_STRAIN, PARAMETERS, is_vdm, split
 from .acceptance import BEYOND, LOST, NOT_ASKED, OPEN, WITHIN, Criterion, word_of
 from .advice import Advice, advice, by_interaction
 from .beyond import beyond_small_strain

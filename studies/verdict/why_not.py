@@ -14,7 +14,7 @@ import numpy as np
 
 from ..measures.case import CaseResult
 from ..measures.metrics import DEFORMATION, METRICS, VECTOR, History
-from ..study.model_name import FINITE_STRAIN, is_linear, split
+from ..study.registry import FINITE_STRAIN, is_linear, split
 from .acceptance import LOST, OPEN, WITHIN, Acceptance, Criterion
 from .digest import Digest, failed_steps
 from .formatting import listed, quantity, short_percent, swept_value

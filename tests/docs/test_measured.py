@@ -13,7 +13,7 @@ from tools.marked import cells, shown
 from tools.measured import DOCUMENT, HEAD, STUDIES, fits, table, with_peers
 from vdmbench.study import registry
 from vdmbench.study.config import load_study
-from vdmbench.study.shipped import study_path
+from vdmbench.study.files import study_path
 
 
 @pytest.mark.parametrize("name", STUDIES)

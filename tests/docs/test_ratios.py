@@ -15,7 +15,7 @@ from tools import accuracy, marked, ratios
 from vdmbench.measures.case import MetricSeries
 from vdmbench.measures.metrics import DEFORMATION, VECTOR
 from vdmbench.study.config import expand, load_study
-from vdmbench.study.overrides import overridden
+from vdmbench.study.files import overridden
 
 
 @pytest.mark.parametrize("body", accuracy.STUDIES)

@@ -12,8 +12,8 @@ from numpy.testing import assert_allclose
 from tools import accuracy as table
 from tools import marked, motion
 from vdmbench.study.config import expand, load_study
-from vdmbench.study.model_name import is_vdm
-from vdmbench.study.overrides import overridden
+from vdmbench.study.files import overridden
+from vdmbench.study.registry import is_vdm
 
 
 def shown_rows() -> dict[str, list[str]]:

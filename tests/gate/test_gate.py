@@ -21,8 +21,8 @@ from vdmbench.measures.case import CaseResult, Run
 from vdmbench.measures.metrics import METRICS
 from vdmbench.store.hdf5 import StoreError
 from vdmbench.study.config import expand, load_study
+from vdmbench.study.files import study_path
 from vdmbench.study.schema import Study
-from vdmbench.study.shipped import study_path
 
 VECTOR, DRIFT = "relative_l2_displacement_error", "volume_drift"
 ERRORS = {"vdm-vector": 0.2, "vdm-paper": 0.8}

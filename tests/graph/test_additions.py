@@ -231,7 +231,7 @@ def test_a_report_section(place: Path) -> None:
 
 
 PROFILE = """
-from .profiles import profile
+from .loads import profile
 
 
 @profile

@@ -14,13 +14,12 @@ from vdmbench.graph import keys
 from vdmbench.graph.keys import Wanted, case_hash, direction, load_steps, wanted
 from vdmbench.study.checks import SHAPE_KEYS
 from vdmbench.study.config import geometry_of
-from vdmbench.study.geometry_spec import geometry_key
-from vdmbench.study.loads import KINDS
-from vdmbench.study.profiles import VERSIONS
+from vdmbench.study.kinds import Enters, Table
+from vdmbench.study.loads import KINDS, VERSIONS
 from vdmbench.study.registry import all_models, find
 from vdmbench.study.schema import Study
+from vdmbench.study.shapes import geometry_key
 from vdmbench.study.sweep import substituted
-from vdmbench.study.table import Enters, Table
 
 SURFACE, VOLUME = {"vdm-paper", "vdm-vector"}, {"fem-linear", "fem"}
 ALL = SURFACE | VOLUME

@@ -11,7 +11,7 @@ from matplotlib.image import imread
 from tests.command import write_study
 from vdmbench.cli import verb_check, verb_show
 from vdmbench.cli.arguments import parse
-from vdmbench.study.problems import StudyError
+from vdmbench.study.errors import StudyError
 
 BASE, FINGER = 'below = { axis = "z", fraction = 0.2 }', 'cap = { direction = [0, 0, 1], angle = "30 deg" }'
 THIN = 'shape = "box"\nsize = ["100 mm", "100 mm", "20 mm"]'

@@ -12,7 +12,7 @@ from tests.command import vdmbench
 from vdmbench.cli.main import _complain_of
 from vdmbench.cli.output import UsageError
 from vdmbench.store.hdf5 import OlderSchemaError, StoreError
-from vdmbench.study.problems import Problem, StudyError
+from vdmbench.study.errors import Problem, StudyError
 
 
 @pytest.mark.parametrize(

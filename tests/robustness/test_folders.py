@@ -11,7 +11,7 @@ import meshio
 from tests.command import vdmbench, write_study
 from tests.unit.report_runs import icosphere
 from vdmbench.store import cases as store
-from vdmbench.study.folders import text_without_folders
+from vdmbench.study.files import text_without_folders
 
 MODELS = ('["vdm-paper", "fem-linear"]', '["vdm-paper"]')
 REFERENCE = ('reference = "fem-linear"\n', "")

@@ -23,7 +23,7 @@ from vdmbench.body.mesh import Mesh
 from vdmbench.body.topology import tetrahedron_volumes
 from vdmbench.graph.plan import PlannedMesh
 from vdmbench.study.errors import MeshError
-from vdmbench.study.geometry_spec import Geometry
+from vdmbench.study.shapes import Geometry
 
 SUFFIXES = ["a.stl", "b.stl", "a.obj", "a.ply", "b.ply", "a.vtp", "b.vtp"]
 VOLUMES = [

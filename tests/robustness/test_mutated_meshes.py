@@ -17,7 +17,7 @@ from vdmbench.body.read_apart import clean_of, read_clean
 from vdmbench.body.repair import CleanSurface, CleanTetrahedra
 from vdmbench.body.topology import mesh_from_tetrahedra, mesh_from_triangles
 from vdmbench.study.errors import MeshError
-from vdmbench.study.geometry_spec import Geometry
+from vdmbench.study.shapes import Geometry
 
 from .test_mesh_files import SUFFIXES, VOLUMES, write_named
 

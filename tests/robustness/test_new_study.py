@@ -10,7 +10,7 @@ import pytest
 from vdmbench.cli import verb_check, verb_new
 from vdmbench.cli.arguments import parse
 from vdmbench.study.config import expand, load_study
-from vdmbench.study.shipped import shipped_studies
+from vdmbench.study.files import shipped_studies
 
 
 @pytest.fixture(autouse=True)

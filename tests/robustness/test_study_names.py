@@ -10,7 +10,7 @@ from tests.command import write_study
 from vdmbench.cli.arguments import parse
 from vdmbench.cli.studies import make_plan
 from vdmbench.study.config import load_study
-from vdmbench.study.shipped import NoSuchStudyError, shipped_studies, study_path
+from vdmbench.study.files import NoSuchStudyError, shipped_studies, study_path
 
 
 def test_a_name_that_is_nearly_right_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

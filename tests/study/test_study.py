@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from vdmbench.study.config import Study, expand, load_study, resolved
-from vdmbench.study.shipped import shipped_studies
+from vdmbench.study.files import shipped_studies
 
 from ..unit.study_texts import FULL, SMALL, load
 

@@ -16,7 +16,7 @@ import vdmbench
 from tests.command import write_study
 from tests.unit.report_runs import make_run, sweep_run
 from vdmbench.api import Results
-from vdmbench.study.overrides import overridden
+from vdmbench.study.files import overridden
 
 
 @pytest.fixture(scope="module")

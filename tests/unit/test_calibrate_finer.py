@@ -18,7 +18,7 @@ from vdmbench.evidence.fit import Sample
 from vdmbench.machine.files import json_text
 from vdmbench.measures.case import Run
 from vdmbench.study.config import load_study, with_mesh_size
-from vdmbench.study.geometry_spec import Geometry
+from vdmbench.study.shapes import Geometry
 
 from . import test_calibrate
 from .test_calibrate import STUDY, answered, finished
@@ -69,7 +69,7 @@ def test_a_finer_mesh_of_too_many_nodes_says_so(
     """The mesh_size that is refused is none that the study's author wrote."""
     (tmp_path / "fit.toml").write_text(TEXT)
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("vdmbench.study.geometry_spec.MAX_NODES", 100)
+    monkeypatch.setattr("vdmbench.study.shapes.MAX_NODES", 100)
     with pytest.raises(SystemExit) as ended:
         cli.main(["calibrate", "fit.toml"])
     assert ended.value.code == 0

@@ -20,8 +20,8 @@ from vdmbench.report.case_surface import surface_fields
 from vdmbench.scene.coordinates import measured_on
 from vdmbench.scene.scene import build_scene
 from vdmbench.study.config import StudyError, load_study
-from vdmbench.study.geometry_spec import Geometry
 from vdmbench.study.schema import Study
+from vdmbench.study.shapes import Geometry
 
 PLACE = np.array([-0.4, 0.3, 1.5])  # m, as in a scan of a whole body
 FROM_MIDDLE: dict[str, Any] = {

@@ -12,7 +12,7 @@ from vdmbench.body.mesh import Mesh
 from vdmbench.body.surface_measures import facet_area_vectors
 from vdmbench.body.topology import tetrahedron_sicn, tetrahedron_volumes
 from vdmbench.study.errors import MeshError
-from vdmbench.study.geometry_spec import Geometry, geometry_key
+from vdmbench.study.shapes import Geometry, geometry_key
 
 
 def body(*, volume: bool, **distortions: float) -> Mesh:

@@ -18,12 +18,12 @@ from vdmbench.graph.keys import wanted
 from vdmbench.measures.reference import level_scene
 from vdmbench.scene.result import ModelResult
 from vdmbench.scene.scene import SceneError, build_scene
+from vdmbench.study.checks import validate
 from vdmbench.study.config import geometry_of, raised
-from vdmbench.study.model_name import is_linear
-from vdmbench.study.problems import Source
+from vdmbench.study.errors import Source
+from vdmbench.study.registry import is_linear
 from vdmbench.study.schema import Study
 from vdmbench.study.shapes import Geometry
-from vdmbench.study.validation import validate
 
 FORCE = 0.02  # N: moves the top by a thousandth of its height
 BED: dict[str, Any] = {"kind": "elastic", "region": "bottom", "stiffness": 2e5}

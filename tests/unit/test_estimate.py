@@ -13,8 +13,8 @@ from vdmbench.graph.explain import summary
 from vdmbench.graph.plan import make_plan
 from vdmbench.models import costs
 from vdmbench.study.config import expand, load_study
+from vdmbench.study.files import SHIPPED
 from vdmbench.study.registry import Size
-from vdmbench.study.shipped import SHIPPED
 
 cache, meshes = shared_work.cache, shared_work.meshes  # the fixtures
 

@@ -25,10 +25,9 @@ from vdmbench.body.remesh import subdivided, surface_distance, uniform_surface, 
 from vdmbench.body.repair import CleanSurface, CleanTetrahedra
 from vdmbench.body.surface_measures import enclosed_volume, facet_area_vectors
 from vdmbench.body.topology import consistent_orientation, tetrahedron_sicn, tetrahedron_volumes
-from vdmbench.study import geometry_spec
+from vdmbench.study import shapes
 from vdmbench.study.errors import MeshError
-from vdmbench.study.geometry_spec import Geometry, area_and_volume, extents, geometry_key
-from vdmbench.study.shape_organ import liver_points
+from vdmbench.study.shapes import Geometry, area_and_volume, extents, geometry_key, liver_points
 
 pytestmark = pytest.mark.usefixtures("read_here")
 SPHERE = Geometry("sphere", 0.012, {"radius": 0.05})
@@ -142,7 +141,7 @@ def test_worst_sicn_is_the_mesher_s_own_measure() -> None:
 @pytest.mark.parametrize("geometry", [CYLINDER, ORGAN], ids=["cylinder", "organ"])
 def test_another_process_makes_the_same_bytes(geometry: Geometry) -> None:
     script = (
-        "from vdmbench.body.geometry import build_mesh; from vdmbench.study.geometry_spec import Geometry;"
+        "from vdmbench.body.geometry import build_mesh; from vdmbench.study.shapes import Geometry;"
         f"print(build_mesh({geometry!r}).content_hash)"
     )
     environment = {**os.environ, "PYTHONHASHSEED": "7", "OMP_NUM_THREADS": "2"}
@@ -310,7 +309,7 @@ def test_nodes_are_estimated_well(geometry: Geometry) -> None:
     mesh = build_mesh(geometry)
     for volume, nodes in ((True, len(mesh.points)), (False, len(mesh.surface_nodes))):
         area, inside = area_and_volume(geometry)
-        estimate = geometry_spec.estimated_nodes(area, inside if volume else 0.0, geometry.mesh_size)
+        estimate = shapes.estimated_nodes(area, inside if volume else 0.0, geometry.mesh_size)
         assert 0.8 < nodes / estimate < 1.25
 
 
@@ -324,7 +323,7 @@ def test_the_key_covers_what_decides_the_mesh(monkeypatch: pytest.MonkeyPatch) -
         geometry_key(replace(CYLINDER, parameters={**CYLINDER.parameters, "radius": 0.031}), volume=True),
         geometry_key(replace(CYLINDER, parameters={**CYLINDER.parameters, "axis": "z"}), volume=True),
     ]
-    monkeypatch.setattr(geometry_spec, "MESHER_VERSION", "another")
+    monkeypatch.setattr(shapes, "MESHER_VERSION", "another")
     others.append(geometry_key(CYLINDER, volume=True))
     assert len({key, *others}) == 6
 

@@ -23,10 +23,10 @@ from vdmbench.report.section_scene import outlines_of
 from vdmbench.scene.inclusions import moduli
 from vdmbench.scene.result import ModelResult
 from vdmbench.scene.scene import SceneError, build_scene
+from vdmbench.study.checks import validate
 from vdmbench.study.config import geometry_of
-from vdmbench.study.problems import Source
+from vdmbench.study.errors import Source
 from vdmbench.study.schema import Study
-from vdmbench.study.validation import validate
 
 from .example_case import example_case
 from .fem_shapes import cube

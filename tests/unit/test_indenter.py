@@ -20,10 +20,10 @@ from vdmbench.graph.plan import make_plan
 from vdmbench.scene.result import ModelResult
 from vdmbench.scene.scene import SceneError, build_scene
 from vdmbench.store.cases import read_case
+from vdmbench.study.checks import validate
 from vdmbench.study.config import expand, geometry_of
-from vdmbench.study.problems import Source
+from vdmbench.study.errors import Source
 from vdmbench.study.schema import Study
-from vdmbench.study.validation import validate
 
 from .fem_shapes import mapped_box
 

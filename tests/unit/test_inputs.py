@@ -24,8 +24,7 @@ from vdmbench.measures.measurement import hold_against
 from vdmbench.measures.pushed import Answer
 from vdmbench.report.section_inputs import inputs as section
 from vdmbench.study.config import Study, StudyError, load_study, resolved
-from vdmbench.study.inputs import inputs_of
-from vdmbench.study.variations import variations
+from vdmbench.study.sweep import inputs_of, variations
 from vdmbench.verdict.digest import Digest
 from vdmbench.verdict.sentences import INPUTS, answers
 from vdmbench.verdict.verdict import verdict
@@ -121,7 +120,7 @@ def test_check_puts_each_place_of_a_region_on_the_mesh(tmp_path: Path) -> None:
 
 
 def test_a_missing_wheel_is_one_line_with_the_command(monkeypatch: pytest.MonkeyPatch) -> None:
-    from vdmbench.study import variations as module
+    from vdmbench.study import sweep as module
 
     def lost(_: str) -> Any:
         raise ImportError("no SALib")

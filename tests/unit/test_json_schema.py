@@ -12,9 +12,8 @@ import pytest
 from tests.unit.study_texts import FULL
 from vdmbench.cli import verb_new, verb_schema
 from vdmbench.cli.arguments import parse
-from vdmbench.study.fields import field_table
-from vdmbench.study.json_schema import study_schema
-from vdmbench.study.shipped import shipped_studies
+from vdmbench.study.fields import field_table, study_schema
+from vdmbench.study.files import shipped_studies
 
 
 @pytest.fixture(scope="module")

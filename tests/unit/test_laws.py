@@ -14,13 +14,11 @@ from vdmbench.body.geometry import build_mesh
 from vdmbench.body.mesh import Mesh
 from vdmbench.graph.keys import case_hash, wanted
 from vdmbench.scene.scene import build_scene
+from vdmbench.study.checks import validate
 from vdmbench.study.config import geometry_of
-from vdmbench.study.laws import LAWS
-from vdmbench.study.model_name import is_linear
-from vdmbench.study.problems import Source
-from vdmbench.study.schema import Study
-from vdmbench.study.tissue_table import Tissue
-from vdmbench.study.validation import validate
+from vdmbench.study.errors import Source
+from vdmbench.study.registry import is_linear
+from vdmbench.study.schema import LAWS, Study, Tissue
 
 PLAIN = {"youngs_modulus": 1000.0, "poisson_ratio": 0.5}
 BASE: dict[str, Any] = {

@@ -22,12 +22,12 @@ from vdmbench.scene.export import SCENES, write_scene
 from vdmbench.scene.handout import Handout
 from vdmbench.scene.result import ModelResult
 from vdmbench.scene.scene import SceneError, build_scene
+from vdmbench.study.checks import validate
 from vdmbench.study.config import geometry_of
+from vdmbench.study.errors import Source
 from vdmbench.study.loads import KINDS
-from vdmbench.study.model_name import is_linear
-from vdmbench.study.problems import Source
+from vdmbench.study.registry import is_linear
 from vdmbench.study.schema import Study
-from vdmbench.study.validation import validate
 
 PULL = np.array([1e-3, 2e-3, -5e-3])  # N: moves the tip by 0.01 of its width
 BASE: dict[str, Any] = {

@@ -18,8 +18,8 @@ from vdmbench.measures.metrics import METRICS, History, evaluate, evaluate_all
 from vdmbench.models import run_model
 from vdmbench.scene.scene import build_scene
 from vdmbench.study.config import geometry_of
-from vdmbench.study.geometry_spec import Geometry
 from vdmbench.study.schema import Study
+from vdmbench.study.shapes import Geometry
 
 # round-off of sums over a few hundred terms of order one
 ROUND = {"rtol": 1e-12, "atol": 1e-14}

@@ -16,7 +16,7 @@ from vdmbench.body.surface_measures import Surface, relative_l2
 from vdmbench.scene.result import ModelResult
 from vdmbench.scene.scene import Scene, build_scene
 from vdmbench.study.config import geometry_of
-from vdmbench.study.model_name import DISPLACEMENT_ELEMENTS, is_linear, split
+from vdmbench.study.registry import DISPLACEMENT_ELEMENTS, is_linear, split
 from vdmbench.study.schema import Study, VdmTable
 
 STUDY = {

@@ -19,8 +19,8 @@ from vdmbench.body.mesh_cache import mesh_from_cache
 from vdmbench.graph.explain import summary
 from vdmbench.graph.run import Options, run_plan
 from vdmbench.report.rebuild import rebuild
-from vdmbench.study.geometry_spec import Geometry
-from vdmbench.study.problems import StudyError
+from vdmbench.study.errors import StudyError
+from vdmbench.study.shapes import Geometry
 
 cache, meshes = shared_work.cache, shared_work.meshes  # the fixtures
 

@@ -182,8 +182,8 @@ def test_nothing_that_runs_what_it_reads() -> None:
                 assert node.func.id not in {"eval", "exec", "__import__"}, f"{path}, line {node.lineno}"
 
 
-def test_no_file_grows_past_500_lines() -> None:
-    assert {_name(path) for path in FILES if len(path.read_text().splitlines()) > 500} == set()
+def test_no_file_grows_past_850_lines() -> None:
+    assert {_name(path) for path in FILES if len(path.read_text().splitlines()) > 850} == set()
 
 
 def test_the_command_heeds_ctrl_c_before_it_loads_anything() -> None:

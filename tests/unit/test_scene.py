@@ -19,8 +19,7 @@ from vdmbench.scene.contact_profile import on_facets
 from vdmbench.scene.regions import select
 from vdmbench.scene.scene import Scene, SceneError, build_scene
 from vdmbench.study.config import geometry_of
-from vdmbench.study.errors import MeshError
-from vdmbench.study.problems import Loc
+from vdmbench.study.errors import Loc, MeshError
 from vdmbench.study.schema import Region, Study
 
 BASE: dict[str, Any] = {

@@ -21,7 +21,7 @@ from vdmbench.measures.limits import LoadPath, LoadPoint
 from vdmbench.scene.result import ModelResult
 from vdmbench.scene.scene import Scene, SurfaceLoad, build_scene
 from vdmbench.study.config import geometry_of, load_study, raised, value_and_unit
-from vdmbench.study.problems import StudyError
+from vdmbench.study.errors import StudyError
 from vdmbench.study.schema import Study
 
 STUDY = """

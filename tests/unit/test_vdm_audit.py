@@ -17,7 +17,7 @@ from vdm.solvers import audit
 from vdm.solvers.linear import BorderedFactor, LinearSolver
 from vdmbench.body.distort import distorted
 from vdmbench.body.geometry import build_mesh
-from vdmbench.study.geometry_spec import Geometry
+from vdmbench.study.shapes import Geometry
 
 from .vdm_shapes import WITH_MATRIX
 

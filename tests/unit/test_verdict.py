@@ -15,7 +15,7 @@ from vdmbench.measures.case import CaseResult, Limit, ModelLimits, Run, SmallStr
 from vdmbench.report.headline import headline_rows
 from vdmbench.study.config import resolved
 from vdmbench.study.fields import targets
-from vdmbench.study.model_name import PARAMETERS
+from vdmbench.study.registry import PARAMETERS
 from vdmbench.verdict.acceptance import BEYOND, LOST, OPEN, WITHIN, acceptance
 from vdmbench.verdict.digest import Digest
 from vdmbench.verdict.sentences import COST, DO, GOOD, LOAD, SURE, USE, WHY, WITH, answers

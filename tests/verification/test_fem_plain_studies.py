@@ -17,7 +17,7 @@ from vdmbench.scene.result import ModelResult
 from vdmbench.scene.scene import Scene, build_scene
 from vdmbench.study.config import expand, geometry_of
 from vdmbench.study.errors import InputError
-from vdmbench.study.model_name import split
+from vdmbench.study.registry import split
 from vdmbench.study.schema import Study
 
 TOLERANCE = 1e-8

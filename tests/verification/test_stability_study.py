@@ -22,7 +22,7 @@ from vdmbench.measures.case import CaseResult
 from vdmbench.scene.result import ModelResult
 from vdmbench.scene.scene import build_scene
 from vdmbench.study.config import ResolvedCase, expand, geometry_of, load_study
-from vdmbench.study.geometry_spec import geometry_key
+from vdmbench.study.shapes import geometry_key
 from vdmbench.verdict.digest import Digest
 from vdmbench.verdict.ladders import Ladder, Reading, ladders
 

@@ -19,7 +19,7 @@ from vdm.material import ball_compliance
 from vdm.surface import rigid_basis
 from vdmbench.body.geometry import build_mesh
 from vdmbench.body.surface_measures import relative_l2, rigid_motion_removed
-from vdmbench.study.geometry_spec import Geometry
+from vdmbench.study.shapes import Geometry
 
 
 def ball(level: int) -> SurfaceMesh:

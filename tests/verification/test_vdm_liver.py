@@ -12,7 +12,7 @@ from vdm import Load, Model, Parameters
 from vdm.deformed import DeformableSurface
 from vdmbench.body.geometry import build_mesh
 from vdmbench.body.surface_measures import enclosed_volume
-from vdmbench.study.geometry_spec import Geometry
+from vdmbench.study.shapes import Geometry
 
 FACTORS = (0.8, 0.9, 1.0, 1.1, 0.95)
 # a palpating pressure [Pa] that moves the surface by 6 to 13 mm of its 190

@@ -1,0 +1,145 @@
+"""The studies that come with the package, and the file of a study by its name."""
+
+from __future__ import annotations
+
+import difflib
+import re
+import tomllib
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import tomli_w
+
+SHIPPED = Path(__file__).parents[1] / "cases"
+
+
+class NoSuchStudyError(ValueError):
+    """Neither a file nor a shipped study; the message has the names that are near."""
+
+
+def shipped_studies() -> dict[str, Path]:
+    """Name -> file, sorted."""
+    return {path.stem: path for path in sorted(SHIPPED.glob("*.toml"))}
+
+
+def study_path(study: str | Path) -> Path:
+    """The file of a study: a path, or the name of a shipped one.
+
+    Raises
+    ------
+    NoSuchStudyError
+        neither of them.
+    """
+    path, known = Path(study), shipped_studies()
+    if path.exists():
+        return path
+    if (found := known.get(str(study))) is not None:
+        return found
+    beside = {file.stem: str(file) for file in path.parent.glob("*.toml")}
+    names = [
+        found[name]
+        for found in (beside, {name: name for name in known})
+        for name in difflib.get_close_matches(path.stem[:80], found, n=2, cutoff=0.7)
+    ]
+    if not names and path.suffix == ".toml":
+        return path  # whoever reads it says that it is not there
+    hint = f"did you mean {' or '.join(names)}?" if names else f"shipped are: {', '.join(known)}"
+    raise NoSuchStudyError(f"no study file {str(study)!r} and no shipped study of that name; {hint}")
+
+
+# --- A study's text with some of its values replaced ---
+
+
+class OverrideError(ValueError):
+    """A change that a study cannot take; the message says which."""
+
+
+def overridden(text: str, changes: Mapping[str, Any]) -> str:
+    """The TOML of a study in which tables are changed key by key; of a value that is no table all is replaced.
+
+    An entry of an array of tables, such as a constraint, goes by its name or its region. None drops a key.
+
+    Raises
+    ------
+    OverrideError
+        an entry that is not there, or a text that is no TOML.
+    """
+    try:
+        data = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise OverrideError(f"TOML syntax: {error}") from None
+    return tomli_w.dumps(_merged(data, changes, ""))
+
+
+def _merged(table: Mapping[str, Any], changes: Mapping[str, Any], place: str) -> dict[str, Any]:
+    new = dict(table)
+    for key, value in changes.items():
+        where, old = f"{place}.{key}" if place else key, table.get(key)
+        if value is None:
+            new.pop(key, None)
+        elif isinstance(value, Mapping) and isinstance(old, list):
+            new[key] = _entries(old, value, where)
+        elif isinstance(value, Mapping):
+            new[key] = _merged(old if isinstance(old, Mapping) else {}, value, where)
+        else:
+            new[key] = value
+    return new
+
+
+def _entries(entries: list[Any], changes: Mapping[str, Any], place: str) -> list[Any]:
+    names = [entry.get("name", entry.get("region")) if isinstance(entry, dict) else None for entry in entries]
+    if wrong := sorted(set(changes) - set(names)):
+        known = ", ".join(str(name) for name in names if name)
+        raise OverrideError(f"{place} has no entry {wrong[0]!r}; it has: {known or 'none'}")
+    return [
+        _merged(entry, changes[str(name)], f"{place}.{name}") if name in changes else entry
+        for name, entry in zip(names, entries, strict=True)
+    ]
+
+
+# --- Studies as results keep them: files and directories by their names, for folders may name a patient ---
+
+
+GEOMETRY_PATH = "geometry.path"
+# a quoted absolute path to a mesh, on any system
+_ABSOLUTE = re.compile(
+    r"""(["'])(?:/|~|[A-Za-z]:[\\/])[^"'\n]*[\\/]([^"'\\/\n]+\.(?:stl|obj|ply|vtp|vtk|vtu|msh))\1""",
+    re.IGNORECASE,
+)
+
+
+def without_folders(inputs: Mapping[str, Any]) -> dict[str, Any]:
+    """The inputs of a case, or a resolved study, with the names of geometry files only."""
+    kept = dict(inputs)
+    if (kept.get("geometry") or {}).get("path"):
+        kept["geometry"] = {**kept["geometry"], "path": Path(str(kept["geometry"]["path"])).name}
+    if GEOMETRY_PATH in (kept.get("sweep") or {}):
+        axis = kept["sweep"][GEOMETRY_PATH]
+        kept["sweep"] = {**kept["sweep"], GEOMETRY_PATH: [short_path(value) for value in axis]}
+    return kept
+
+
+def swept_without_folders(swept: Mapping[str, Any]) -> dict[str, Any]:
+    """The swept values of a case, with the name alone of a geometry file that has an absolute path."""
+    return {key: short_path(value) if key == GEOMETRY_PATH else value for key, value in swept.items()}
+
+
+def short_path(value: Any) -> Any:
+    """The name of a file that has an absolute path; any other value as it is."""
+    return Path(value).name if isinstance(value, str) and Path(value).is_absolute() else value
+
+
+def told_directory(directory: Path, command: Sequence[str]) -> str:
+    """A run directory as its results name it: from the last name of --out on, else from `results` on."""
+    given = command[command.index("--out") + 1] if "--out" in command else "runs"
+    parts = directory.parts
+    if given not in parts:
+        return directory.name
+    own = parts[len(parts) - 1 - parts[::-1].index(given) :]
+    return str(Path(*own) if "--out" in command else Path("results", *own))
+
+
+def text_without_folders(text: str) -> str:
+    """The text of a study file with the name alone of each mesh file that has an absolute path."""
+    return _ABSOLUTE.sub(r"\1\2\1", text)
