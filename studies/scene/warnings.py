@@ -14,6 +14,10 @@ from ..body.surface_measures import facet_area_vectors
 from ..study.errors import Finding
 from ..study.loads import KINDS
 
+# shares of the body's smallest extent and of its volume: beyond them a small-strain reference judges nothing
+MOST_MOVED, MOST_DRIFT = 0.10, 0.05
+FEW_NODES = 5  # of a contact, whose pressures so few cannot tell
+STIFF = 2e9  # Young's modulus of no soft tissue [Pa]: tendon has 1 to 2 GPa
 OPPOSED = 0.05  # share of a contact's area that may face against its resultant
 
 
@@ -41,6 +45,11 @@ def scene_warnings(
     on_support = support[triangles].all(axis=1)
     apart = _apart(support, triangles)
     extent = float(np.ptp(points, axis=0).min())
+    if tissue.get("youngs_modulus", 0.0) > STIFF:
+        told = (
+            f"{tissue['youngs_modulus'] / 1e9:.3g} GPa is stiffer than tendon (1 to 2 GPa); a mixed-up unit?"
+        )
+        yield ("tissue", "youngs_modulus"), told
     for place, entry in enumerate(constraints):
         mask, loc = masks[entry["region"]], ("constraints", place, "region")
         if entry["kind"] in holding:
@@ -51,6 +60,9 @@ def scene_warnings(
             continue
         if entry["kind"] != "contact":
             continue
+        if mask.sum() <= FEW_NODES:
+            count = _number(int(mask.sum()))
+            yield loc, f"touches {count}: the answer there hangs on the mesh; take a smaller mesh_size"
         pressed = vectors[mask[triangles].all(axis=1)]
         areas, resultant = np.linalg.norm(pressed, axis=1), pressed.sum(axis=0)
         total, size = float(areas.sum()), float(np.linalg.norm(resultant))
@@ -73,6 +85,17 @@ def scene_warnings(
                 f"presses with {force:.3g} N, which by linear theory moves the surface by {path:.2g} m, more "
             )
             yield loc[:2], f"{told}than the body's smallest extent ({extent:.2g} m); a mixed-up unit?"
+
+
+def motion_share(displacement: Array, held: Mask, extent: float) -> float:
+    """The largest of (N, 3) displacements [m] over the body's smallest extent [m].
+
+    Of a body that its (N,) held nodes all carry the same way what is beyond that: so it does not deform.
+    """
+    carried = displacement[held]
+    if held.any() and np.allclose(carried, carried[0], rtol=1e-9, atol=0.0):
+        displacement = displacement - carried[0]
+    return math.sqrt(np.einsum("ij,ij->i", displacement, displacement).max()) / extent
 
 
 def indentation(force: float, area: float, youngs_modulus: float, poisson_ratio: float) -> float:
@@ -98,17 +121,18 @@ def _apart(support: Mask, triangles: Index) -> Mask:
 
 def _lone(count: int) -> str:
     return (
-        f"holds {_nodes(count)} and no facet: on finer meshes what moves there grows without limit; "
+        f"holds {_number(count, 'lone ')} and no facet: on finer meshes what moves there grows without limit; "
         "hold an area, by a larger region or a smaller mesh_size"
     )
 
 
 def _lone_besides(count: int) -> str:
     return (
-        f"holds {_nodes(count)} apart from its facets: what they carry falls with the mesh size, and with it the "
-        "answer may change by any amount; take them out of the region, or hold an area there by a smaller mesh_size"
+        f"holds {_number(count, 'lone ')} apart from its facets: what they carry falls with the mesh size, and "
+        "with it the answer may change by any amount; take them out of the region, or hold an area there by a "
+        "smaller mesh_size"
     )
 
 
-def _nodes(count: int) -> str:
-    return "one lone node" if count == 1 else f"{count} lone nodes"
+def _number(count: int, kind: str = "") -> str:
+    return f"one {kind}node" if count == 1 else f"{count} {kind}nodes"

@@ -2,18 +2,12 @@
 
 from __future__ import annotations
 
-import math
-
-import numpy as np
-
 from ..measures.bars import at_full_load
+from ..scene.warnings import MOST_DRIFT, MOST_MOVED, motion_share
 from ..study.registry import FINITE_STRAIN, split
 from .digest import Digest
 from .formatting import listed, short_percent
 from .loading import supports
-
-# shares of the body's smallest extent and of its volume: beyond them a small-strain reference judges nothing
-MOST_MOVED, MOST_DRIFT = 0.10, 0.05
 
 
 def beyond_small_strain(digest: Digest) -> str:
@@ -25,11 +19,8 @@ def beyond_small_strain(digest: Digest) -> str:
         if (result := case.models.get(str(case.reference))) is None:
             continue
         displacement = result.displacement[case.full_load]
-        held = displacement[supports(case)]
-        if held.any() and np.allclose(held, held[0], rtol=1e-9, atol=0.0):
-            displacement = displacement - held[0]  # carried along with its supports it does not deform
-        largest = math.sqrt(np.einsum("ij,ij->i", displacement, displacement).max())
-        moved_by = max(moved_by, largest / digest.surfaces[case.hash].smallest_extent)
+        extent = digest.surfaces[case.hash].smallest_extent
+        moved_by = max(moved_by, motion_share(displacement, supports(case), extent))
         drift = max(drift, abs(at_full_load(case, str(case.reference), "volume_drift")))
     parts = []
     if moved_by > MOST_MOVED:

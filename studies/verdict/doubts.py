@@ -27,6 +27,6 @@ def doubts(digest: Digest) -> list[Doubt]:
         for loc, text in scene_warnings(
             constraints, tissue, case.regions, case.points, case.triangles, factor
         ):
-            entry = constraints[int(loc[1])]
+            entry = constraints[int(loc[1])] if loc[0] == "constraints" else {"name": ".".join(map(str, loc))}
             found.setdefault(loc, Doubt(entry.get("name") or entry["region"], case, text))
     return list(found.values())
