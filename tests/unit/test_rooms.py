@@ -271,8 +271,10 @@ def test_a_run_that_has_nothing_left_to_do_loads_no_solver_and_starts_no_process
     assert not {"scipy", "skfem", "pyamg", "vdm.model", "gmsh", "rich", "pebble"} & set(modules)
 
 
-def test_check_loads_neither_results_nor_solvers_and_a_mesher_only_once(tmp_path: Path) -> None:
-    study = write_study(tmp_path)
+def test_check_loads_no_results_and_where_nothing_is_judged_no_solver_and_a_mesher_once(
+    tmp_path: Path,
+) -> None:
+    study = write_study(tmp_path, a=('reference = "fem-linear"\n', ""))
     code = (
         "import sys, contextlib\n"
         "from vdmbench.cli.main import main\n"
