@@ -6,35 +6,22 @@ move them: `make baselines`, and look at the difference.
 
 from __future__ import annotations
 
+import json
 import tempfile
 from pathlib import Path
 
-import pytest
 from numpy.testing import assert_allclose
 
 from vdmbench.evidence import bench
 from vdmbench.evidence.bench_data import Bench, machine_independent
 from vdmbench.evidence.bench_page import bench_html
 from vdmbench.evidence.bench_store import read_bench, write_bench
-from vdmbench.machine.stored_json import Shape, sealed, unsealed
 from vdmbench.models import benched_names
 from vdmbench.study.config import load_study
 
 ROOT = Path(__file__).parents[2]
 BASELINE = ROOT / "results" / "baselines" / "bench.json"
 SIZE = 2.0  # mesh size over that of the quickstart
-
-
-class Figures(Shape):
-    """bench.json."""
-
-    figures: dict[str, float]
-
-
-def accepted_figures(text: bytes) -> dict[str, float]:
-    """The figures that were accepted. Raises ValueError where they were edited."""
-    found: dict[str, float] = unsealed(text, BASELINE.name, Figures)["figures"]
-    return found
 
 
 def trial(directory: Path) -> Bench:
@@ -48,7 +35,7 @@ def trial(directory: Path) -> Bench:
 def test_figures_are_what_was_accepted_and_the_file_keeps_them(tmp_path: Path) -> None:
     found = trial(tmp_path)
     figures = machine_independent(found)
-    accepted = accepted_figures(BASELINE.read_bytes())
+    accepted = json.loads(BASELINE.read_bytes())["figures"]
     assert figures.keys() == accepted.keys(), "a model or figure has come or gone: make baselines"
     for name, value in accepted.items():
         counted = name.endswith("/iterations")
@@ -64,19 +51,11 @@ def test_figures_are_what_was_accepted_and_the_file_keeps_them(tmp_path: Path) -
     assert bench_html(read) == bench_html(found)
 
 
-def test_an_edited_figure_is_damage() -> None:
-    text = BASELINE.read_bytes()
-    edited = text.replace(b'/10242": 424951.0', b'/10242": 424952.0')
-    assert edited != text
-    with pytest.raises(ValueError, match="its seal does not match"):
-        accepted_figures(edited)
-
-
 def main() -> None:
     """Accept the figures of this program."""
     with tempfile.TemporaryDirectory() as name:
         figures = machine_independent(trial(Path(name)))
-    BASELINE.write_bytes(sealed({"figures": figures}, BASELINE.name) + b"\n")
+    BASELINE.write_text(json.dumps({"figures": figures}, indent=1) + "\n")
 
 
 if __name__ == "__main__":
