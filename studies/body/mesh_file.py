@@ -17,6 +17,7 @@ import numpy as np
 
 from solver_common.arrays import Array, Index, Mask
 
+from ..machine.files import require_end
 from ..study.errors import MeshError
 from .mesh import Mesh
 from .obj_file import read_obj
@@ -115,6 +116,7 @@ def write_surface_vtu(path: Path, points: Array, triangles: Index, fields: Mappi
     import meshio
 
     meshio.vtu.write(str(path), meshio.Mesh(points, [("triangle", triangles)], dict(fields)))
+    require_end(path, b"</VTKFile>")
 
 
 def write_body_vtu(path: Path, mesh: Mesh, fields: Mapping[str, Array], facet_pressure: Array) -> None:
@@ -125,6 +127,7 @@ def write_body_vtu(path: Path, mesh: Mesh, fields: Mapping[str, Array], facet_pr
     cells = [("tetra", mesh.tetrahedra), ("triangle", mesh.surface_nodes[mesh.triangles])]
     data = {"pressure": [inside, facet_pressure]}
     meshio.vtu.write(str(path), meshio.Mesh(mesh.points, cells, dict(fields), data))
+    require_end(path, b"</VTKFile>")
 
 
 def write_body_msh(path: Path, mesh: Mesh, parts: Mapping[str, Mask]) -> None:
@@ -141,6 +144,7 @@ def write_body_msh(path: Path, mesh: Mesh, parts: Mapping[str, Mask]) -> None:
         mesh.points, cells, cell_data={"gmsh:physical": tags, "gmsh:geometrical": tags}, field_data=about
     )
     meshio.gmsh.write(str(path), made, fmt_version="2.2", binary=False)
+    require_end(path, b"$EndElements")
 
 
 def check_readable(path: Path) -> None:

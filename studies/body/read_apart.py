@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..study.errors import MeshError
 from ..study.shapes import VOLUME_SUFFIXES
@@ -29,9 +30,21 @@ _DAMAGED = "it is damaged or of another kind"
 
 def clean_of(path: Path) -> CleanSurface | CleanTetrahedra:
     """The closed surface or, of a kind of file that has them, the tetrahedra in a file. Raises MeshError."""
+    return _unpacked(_apart("clean", path))
+
+
+def point_fields_of(path: Path) -> tuple[NDArray[np.float64], dict[str, NDArray[np.float64]]]:
+    """`mesh_file.read_point_fields` of a file that may be damaged, or unpack to any size. Raises MeshError."""
+    stored = _arrays(_apart("fields", path))
+    names = json.loads(str(stored["names"]))
+    return stored["points"], {name: stored[f"field{k}"] for k, name in enumerate(names)}
+
+
+def _apart(what: str, path: Path) -> bytes:
+    """What `main` answers. Raises MeshError."""
     size = path.stat().st_size
     memory, seconds = MEMORY + MEMORY_PER_BYTE * size, SECONDS + SECONDS_PER_BYTE * size
-    command = [sys.executable, "-P", "-m", "vdmbench.body.read_apart", str(path), str(memory)]
+    command = [sys.executable, "-P", "-m", "vdmbench.body.read_apart", what, str(path), str(memory)]
     here = str(Path(__file__).parents[2])  # the very code of this process, wherever it was found
     code = os.pathsep.join(filter(None, (here, os.environ.get("PYTHONPATH"))))
     try:
@@ -50,32 +63,46 @@ def clean_of(path: Path) -> CleanSurface | CleanTetrahedra:
         raise MeshError(f"ends its reader with signal {-ended.returncode}; {_DAMAGED}")
     if ended.returncode > 0 or not ended.stdout:
         raise MeshError(f"cannot be read; {_DAMAGED}")
-    return _unpacked(ended.stdout)
+    return ended.stdout
 
 
-def _packed(clean: CleanSurface | CleanTetrahedra) -> bytes:
+def _arrays(data: bytes) -> dict[str, NDArray[Any]]:
+    with np.load(io.BytesIO(data), allow_pickle=False) as stored:
+        if "error" in stored:
+            raise MeshError(str(stored["error"]))
+        return {name: stored[name] for name in stored}
+
+
+def _packed(**arrays: Any) -> bytes:
+    file = io.BytesIO()
+    np.savez(file, **arrays)
+    return file.getvalue()
+
+
+def _packed_clean(clean: CleanSurface | CleanTetrahedra) -> bytes:
     """Arrays and counts by name; of the named masks the names, and the masks one below the other."""
     values = {field.name: getattr(clean, field.name) for field in fields(clean)}
     groups = values.pop("groups", {})
     values["names"] = np.array(json.dumps(list(groups)))
     values["masks"] = np.array(list(groups.values()), dtype=bool)
-    file = io.BytesIO()
-    np.savez(file, **values)
-    return file.getvalue()
+    return _packed(**values)
+
+
+def _packed_fields(path: Path) -> bytes:
+    from .mesh_file import read_point_fields
+
+    points, found = read_point_fields(path)
+    arrays = {f"field{k}": values for k, values in enumerate(found.values())}
+    return _packed(points=points, names=np.array(json.dumps(list(found))), **arrays)
 
 
 def _unpacked(data: bytes) -> CleanSurface | CleanTetrahedra:
-    with np.load(io.BytesIO(data), allow_pickle=False) as stored:
-        if "error" in stored:
-            raise MeshError(str(stored["error"]))
-        values: dict[str, Any] = {name: stored[name] for name in stored if name not in ("names", "masks")}
-        for name, value in values.items():
-            if value.ndim == 0:
-                values[name] = int(value)
-        if "tetrahedra" not in values:
-            return CleanSurface(**values)
-        groups = dict(zip(json.loads(str(stored["names"])), stored["masks"], strict=True))
-    return CleanTetrahedra(**values, groups=groups)
+    stored = _arrays(data)
+    names, masks = stored.pop("names"), stored.pop("masks")
+    values: dict[str, Any] = {name: int(v) if v.ndim == 0 else v for name, v in stored.items()}
+    if "tetrahedra" not in values:
+        return CleanSurface(**values)
+    return CleanTetrahedra(**values, groups=dict(zip(json.loads(str(names)), masks, strict=True)))
 
 
 def read_clean(path: Path) -> CleanSurface | CleanTetrahedra:
@@ -92,7 +119,7 @@ def read_clean(path: Path) -> CleanSurface | CleanTetrahedra:
     return clean_tetrahedra(*read_tetrahedra(path), {})
 
 
-def main(path: Path, memory: int) -> None:
+def main(what: str, path: Path, memory: int) -> None:
     """Read a file with so many bytes of memory; standard output gets the answer, and no word of the readers."""
     import resource
 
@@ -103,20 +130,16 @@ def main(path: Path, memory: int) -> None:
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     limit_memory(memory)
     try:
-        answer = _packed(read_clean(path))
+        answer = _packed_fields(path) if what == "fields" else _packed_clean(read_clean(path))
     except MeshError as error:
-        answer = _packed_error(str(error))
+        answer = _packed(error=np.array(str(error)))
     except MemoryError:
-        answer = _packed_error(f"takes more than {memory / 1e9:.1f} GB of memory to read; {_DAMAGED}")
+        answer = _packed(
+            error=np.array(f"takes more than {memory / 1e9:.1f} GB of memory to read; {_DAMAGED}")
+        )
     with os.fdopen(output, "wb") as file:
         file.write(answer)
 
 
-def _packed_error(text: str) -> bytes:
-    file = io.BytesIO()
-    np.savez(file, error=np.array(text))
-    return file.getvalue()
-
-
 if __name__ == "__main__":
-    main(Path(sys.argv[1]), int(sys.argv[2]))
+    main(sys.argv[1], Path(sys.argv[2]), int(sys.argv[3]))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
+from ..machine.files import whole_directory, write_atomically
 from ..machine.streams import harmless
 from .argument_kinds import directory, given_run_directory, positive, study_arguments
 from .output import OK, UsageError, print_json
@@ -51,16 +52,15 @@ def _export_run(options: argparse.Namespace, out: Path) -> int:
     if not run.cases:
         raise UsageError(f"{path}: no case is finished, so there is nothing to export")
     names = []
-    for name, text in exported(run):
-        file = out / name
-        file.parent.mkdir(parents=True, exist_ok=True)
-        file.write_text(text, encoding="utf-8", newline="\n")
-        names.append(name)
-    (out / "meshes").mkdir(parents=True, exist_ok=True)
-    for name, case in mesh_names(run.cases):
-        points, fields = surface_fields(case)
-        write_surface_vtu(out / name, points, case.triangles, fields)
-        names.append(name)
+    with whole_directory(out) as begun:
+        for name, text in exported(run):
+            write_atomically(begun / name, text.encode())
+            names.append(name)
+        (begun / "meshes").mkdir(exist_ok=True)
+        for name, case in mesh_names(run.cases):
+            points, fields = surface_fields(case)
+            write_surface_vtu(begun / name, points, case.triangles, fields)
+            names.append(name)
     unit = ", ".join(sorted({harmless(unit_of(case)) for case in run.cases}))
     return _told(options, out, names, [f"lengths in meshes/ in {unit}"])
 
@@ -83,7 +83,8 @@ def _export_scene(options: argparse.Namespace, out: Path) -> int:
     name = f"{study.study.name}: {case.label}" if case.label else study.study.name
     scene = build_scene(case.study, mesh)
     body = Handout(scene, scene.load(factor), " ".join(name.split()), factor)
-    names, refused = write_scene(body, out)
+    with whole_directory(out) as begun:
+        names, refused = write_scene(body, begun)
     return _told(options, out, names, ["lengths in metres, forces in newtons", *refused])
 
 

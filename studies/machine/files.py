@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import fcntl
 import json
 import math
 import os
 import secrets
-from collections.abc import Mapping
+import shutil
+import tempfile
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -54,6 +57,31 @@ def write_atomically(path: Path, data: bytes, *, durable: bool = True) -> None:
         _replace(path, data, durable)
     except OSError as error:  # a write names no file, and others the one that was to become this
         raise OSError(error.errno, error.strerror, str(path)) from error
+
+
+@contextlib.contextmanager
+def whole_directory(out: Path) -> Iterator[Path]:
+    """A hidden directory beside `out` to write in, which takes the place of `out` at the end, else goes.
+
+    `out` is new or empty. Raises OSError.
+    """
+    out.parent.mkdir(parents=True, exist_ok=True)
+    begun = Path(tempfile.mkdtemp(prefix=f".{out.name[:_LONGEST]}.", suffix=_PART, dir=out.absolute().parent))
+    try:
+        begun.chmod(0o755)
+        yield begun
+        if out.exists():
+            out.rmdir()
+        begun.rename(out)
+    except BaseException:
+        shutil.rmtree(begun, ignore_errors=True)
+        raise
+
+
+def require_end(path: Path, end: bytes) -> None:
+    """Raises OSError where a file that a library wrote does not end with `end`: a full disk, or a limit, cut it."""
+    if not path.read_bytes()[-100:].rstrip().endswith(end):
+        raise OSError(errno.EFBIG, "is cut: the disk is full, or a limit of file size is reached", str(path))
 
 
 def _replace(path: Path, data: bytes, durable: bool) -> None:

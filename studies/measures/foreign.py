@@ -15,8 +15,9 @@ import numpy as np
 from solver_common.arrays import Array
 
 from ..body.mesh import Mesh
+from ..body.read_apart import point_fields_of
 from ..study.errors import InputError, MeshError
-from ..study.measured_file import AXES, DEFORMED, DISPLACEMENT, CsvTable, MeasuredFileError
+from ..study.measured_file import AXES, DEFORMED, DISPLACEMENT, CsvTable, MeasuredFileError, read_csv
 
 NAMES = (
     "displacement",
@@ -29,6 +30,7 @@ POSITIONS = ("position", "Position", "positions")
 EXACT = 1e-6  # of the mean edge: nodes so near are one
 MOST_OFF = 0.5  # of the mean edge
 MOST_BYTES = 200_000_000
+MOST_CSV_BYTES = 20_000_000  # a text takes some fifty times its size in memory
 
 
 class ForeignResultError(InputError):
@@ -68,6 +70,8 @@ def read_foreign(path: Path, mesh: Mesh, array: str | None = None) -> Foreign:
         no such file, no such field, numbers that are not finite, points that are not on the body.
     """
     try:
+        if path.exists() and not path.is_file():  # a FIFO would be waited for, a device read without end
+            raise ForeignResultError(f"{path}: is no regular file")
         if path.stat().st_size > MOST_BYTES:
             raise ForeignResultError(f"{path}: is larger than {MOST_BYTES // 1_000_000} MB")
         if path.suffix.lower() == ".csv":
@@ -83,10 +87,7 @@ def read_foreign(path: Path, mesh: Mesh, array: str | None = None) -> Foreign:
 
 
 def _of_csv(path: Path, mesh: Mesh) -> Foreign:
-    try:
-        table = CsvTable(path.name, path.read_bytes().decode("utf-8-sig"))
-    except UnicodeDecodeError:
-        raise ForeignResultError(f"{path}:1: is not UTF-8 text") from None
+    table = CsvTable(path.name, read_csv(path, MOST_CSV_BYTES))
     values = table.columns(DEFORMED if table.is_surface else DISPLACEMENT)
     if "node" not in table.keys:
         rest = table.columns(AXES)
@@ -102,9 +103,7 @@ def _of_csv(path: Path, mesh: Mesh) -> Foreign:
 
 
 def _of_vtk(path: Path, mesh: Mesh, array: str | None) -> Foreign:
-    from ..body.mesh_file import read_point_fields  # slow to load
-
-    points, fields = read_point_fields(path)
+    points, fields = point_fields_of(path)
     names = [name for name in ([array] if array else [*NAMES, *POSITIONS]) if name in fields]
     if not names:
         wanted = f"no field {array!r}" if array else "no field displacement or position"

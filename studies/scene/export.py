@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from ..body.mesh_file import write_body_msh, write_body_vtu
+from ..machine.files import write_atomically
 from . import as_feb, as_mjcf, as_sofa
 from .as_tables import forces_csv, left_out, scene_json, supports_csv
 from .handout import Handout, cannot_express
@@ -42,7 +43,7 @@ def write_scene(body: Handout, out: Path) -> tuple[list[str], list[str]]:
     why_not = {name: cannot_express(body, takes) for name, (_, takes, _) in SCENES.items()}
     texts = TABLES | {name: write for name, (_, _, write) in SCENES.items() if not why_not[name]}
     for name, write in texts.items():
-        (out / name).write_text(write(body), encoding="utf-8", newline="\n")
+        write_atomically(out / name, write(body).encode())
     refused = [
         f"{name}: not written: {program}: {why_not[name]}"
         for name, (program, _, _) in SCENES.items()

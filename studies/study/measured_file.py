@@ -46,25 +46,26 @@ def read_measured(path: Path) -> dict[str, Any]:
     MeasuredFileError
         no such table: an unknown or missing column, a wrong unit, a cell that is no finite number.
     """
+    return _parsed(path, read_csv(path))
+
+
+def read_csv(path: Path, most: int = MOST_BYTES) -> bytes:
+    """The bytes of a table, of which there may be so many. Raises MeasuredFileError."""
     try:
-        if not path.is_file():  # a FIFO would be waited for
+        if not path.is_file():  # a FIFO would be waited for, a device read without end
             raise MeasuredFileError(f"{path.name} cannot be read: no such file")
         with path.open("rb") as file:
-            data = file.read(MOST_BYTES + 1)
+            data = file.read(most + 1)
     except OSError as error:
         raise MeasuredFileError(f"{path.name} cannot be read: {error.strerror}") from None
-    if len(data) > MOST_BYTES:
-        raise MeasuredFileError(f"{path.name} is larger than {MOST_BYTES // 1_000_000} MB; keep fewer points")
-    return _parsed(path, data)
+    if len(data) > most:
+        raise MeasuredFileError(f"{path.name} is larger than {most // 1_000_000} MB; keep fewer points")
+    return data
 
 
 @lru_cache(maxsize=16)  # each case of a sweep validates the study anew
 def _parsed(path: Path, data: bytes) -> dict[str, Any]:
-    try:
-        text = data.decode("utf-8-sig")
-    except UnicodeDecodeError:
-        raise MeasuredFileError(f"{path.name}:1: is not UTF-8 text; save the file in UTF-8") from None
-    table = CsvTable(path.name, text)
+    table = CsvTable(path.name, data)
     table.check_measured()
     if table.is_force:
         return {"forces": table.forces()}
@@ -74,9 +75,14 @@ def _parsed(path: Path, data: bytes) -> dict[str, Any]:
 class CsvTable:
     """A header and its rows, each with its line in the file. Raises MeasuredFileError for any other text."""
 
-    def __init__(self, name: str, text: str) -> None:
+    def __init__(self, name: str, data: bytes) -> None:
         self._name = name
-        rows = _rows(text)
+        try:
+            rows = _rows(data.decode("utf-8-sig"))
+        except UnicodeDecodeError:
+            raise self.error(1, "is not UTF-8 text; save the file in UTF-8") from None
+        except csv.Error as error:
+            raise self.error(1, f"is no table: {error}") from None
         if not rows:
             raise self.error(1, "holds no table")
         self._header_line, header = rows[0]
@@ -89,6 +95,13 @@ class CsvTable:
                 raise self.error(self._header_line, f"has two columns {shown(key)}")
         self.keys = keys
         self.is_surface = not {*DEFORMED}.isdisjoint(keys)
+        for some, others in ((("node",), AXES), (DEFORMED, DISPLACEMENT)):
+            both = [next((key for key in kind if key in keys), None) for kind in (some, others)]
+            if None not in both:
+                raise self.error(
+                    self._header_line,
+                    f"has {both[0]} and {both[1]}, which say the same twice; keep one of them",
+                )
         self.is_force = not {*FORCES}.isdisjoint(keys)
         if not self._rows:
             raise self.error(self._header_line, "has a header and no row below it")

@@ -48,6 +48,9 @@ class QuantityError(ValueError):
     """A value that is not a finite quantity of the wanted dimension; the message says what is wanted."""
 
 
+LARGEST = 1e100  # of a number: its third power is still finite
+
+
 def to_si(value: Any, unit: str) -> float:
     """Return `value`, a number in SI or a text such as "5 kPa", as a finite float in `unit`.
 
@@ -72,8 +75,11 @@ def _finite(value: float | Decimal) -> float:
         number = float(value)
     except OverflowError:
         number = math.inf
-    if not math.isfinite(number):
-        raise QuantityError("must be a finite number")
+    if not abs(number) <= LARGEST:
+        told = (
+            f"must be at most {LARGEST:.0e} in size" if math.isfinite(number) else "must be a finite number"
+        )
+        raise QuantityError(told)
     return number + 0.0  # -0.0 and 0.0 are one value, and one hash
 
 

@@ -131,6 +131,7 @@ def test_every_documented_example_of_a_quantity_converts() -> None:
         ("1 m" + " " * 100, "m", "is not a length"),
         ("nan m", "m", "is not a length"),
         ("1e999 m", "m", "must be a finite number"),
+        ("1e98 km", "m", "must be at most 1e+100 in size"),
         ("1e99999999999999999999 m", "m", "must be a finite number"),
         (float("nan"), "Pa", "must be a finite number"),
         (float("inf"), "Pa", "must be a finite number"),

@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 import csv
 import json
+import resource
 import xml.etree.ElementTree as ET
 from pathlib import Path
 from typing import Any
@@ -19,6 +20,7 @@ from vdmbench.body.geometry import build_mesh
 from vdmbench.cli import verb_export
 from vdmbench.cli.arguments import parse
 from vdmbench.cli.output import UsageError
+from vdmbench.machine.files import whole_directory
 from vdmbench.scene.export import write_scene
 from vdmbench.scene.handout import Handout
 from vdmbench.scene.scene import build_scene
@@ -313,3 +315,20 @@ def test_export_of_a_study(
     Path("folder").mkdir()
     with pytest.raises(UsageError, match="not a run directory"):
         verb_export.run(parse(["export", "folder", "--to", "other"]))
+
+
+def test_an_export_under_a_limit_of_file_size_leaves_nothing(
+    body: Handout, out: Path, tmp_path: Path
+) -> None:
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    for name in ("mesh.vtu", "mesh.msh", "scene_mujoco.xml"):  # each in turn is the first that is too large
+        try:
+            resource.setrlimit(resource.RLIMIT_FSIZE, ((out / name).stat().st_size - 1, limits[1]))
+            with (
+                pytest.raises(OSError, match=r"too large|is cut"),
+                whole_directory(tmp_path / "out") as begun,
+            ):
+                write_scene(body, begun)
+        finally:
+            resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+        assert not list(tmp_path.iterdir())

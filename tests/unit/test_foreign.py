@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 import json
+import os
 from pathlib import Path
 
+import meshio
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
 from tests.command import SMALL_STUDY, vdmbench
+from vdmbench.body import read_apart
 from vdmbench.body.mesh import Mesh
 from vdmbench.body.mesh_file import write_surface_vtu
+from vdmbench.measures import foreign
 from vdmbench.measures.foreign import ForeignResultError, read_foreign
 from vdmbench.store.cases import read_run
 
@@ -88,6 +92,12 @@ def test_a_node_without_a_point_takes_the_nearest_and_its_distance_is_told(tmp_p
             "a.csv:2: displacement_y: must be",
         ),
         ("node,displacement_x,displacement_y,displacement_z\n0.5,0,0,0\n", "is not each of 0 to 161 once"),
+        (f"node,{PLACES},{MOVED}\n0,0,0,1,0,0,0\n", "a.csv:1: has node and x, which say the same twice"),
+        (
+            f"{PLACES},{MOVED},deformed_x\n0,0,1,0,0,0,0\n",
+            "a.csv:1: has deformed_x and displacement_x, which",
+        ),
+        (f"{PLACES},{MOVED}\n0,0,1,0,0,{'0' * 200_000}\n", "a.csv:1: is no table: field larger than"),
     ],
 )
 def test_a_bad_file_is_told(tmp_path: Path, text: str, told: str) -> None:
@@ -95,6 +105,28 @@ def test_a_bad_file_is_told(tmp_path: Path, text: str, told: str) -> None:
     with pytest.raises(ForeignResultError) as caught:
         read_foreign(tmp_path / "a.csv", ball())
     assert told in str(caught.value).replace('"', "'")
+
+
+def test_what_has_no_end_or_unpacks_to_too_much_is_not_read(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    mesh = ball()
+    os.mkfifo(tmp_path / "pipe.csv")
+    (tmp_path / "zero.csv").symlink_to("/dev/zero")
+    with (tmp_path / "large.csv").open("wb") as file:
+        file.truncate(foreign.MOST_CSV_BYTES + 1)
+    points = np.zeros((3_000_000, 3))  # 72 MB in a file of less than one
+    meshio.vtu.write(tmp_path / "zeros.vtu", meshio.Mesh(points, [], {"u": points}))
+    assert (tmp_path / "zeros.vtu").stat().st_size < 1e6
+    monkeypatch.setattr(read_apart, "MEMORY", 300_000_000)
+    for name, told in (
+        ("pipe.csv", "is no regular file"),
+        ("zero.csv", "is no regular file"),
+        ("large.csv", "is larger than 20 MB"),
+        ("zeros.vtu", "takes more than|cannot be read"),
+    ):
+        with pytest.raises(ForeignResultError, match=told):
+            read_foreign(tmp_path / name, mesh)
 
 
 def test_a_file_without_the_field_names_those_that_it_has(tmp_path: Path) -> None:
