@@ -48,7 +48,7 @@ class ImportedSurface:
 def imported_surface(geometry: Geometry, *, volume: bool) -> ImportedSurface:
     """The surface of a file, fit to be meshed as asked. Raises MeshError."""
     check_readable(geometry.path)
-    clean = _clean(geometry.path, file_digest(geometry.path))
+    clean = _clean(geometry.path, file_digest(geometry.path), str(geometry.parameters.get("repair", "")))
     assert isinstance(clean, CleanSurface)
     points, centre, scale = _in_metres(clean.points, geometry)
     check_mesh_size(geometry.mesh_size, float(np.ptp(points, axis=0).min()))
@@ -63,20 +63,22 @@ def imported_surface(geometry: Geometry, *, volume: bool) -> ImportedSurface:
         "points_dropped": float(clean.points_dropped),
         "facets_dropped": float(clean.facets_dropped),
         "facets_flipped": float(clean.facets_flipped),
+        "facets_of_other_pieces": float(clean.facets_of_other_pieces),
+        "facets_added": float(clean.facets_added),
     }
     return ImportedSurface(points, centre, clean.triangles, area, inside, repairs)
 
 
 @lru_cache(maxsize=1)
-def _clean(path: Path, digest: str) -> CleanSurface | CleanTetrahedra:  # noqa: ARG001
+def _clean(path: Path, digest: str, repair: str) -> CleanSurface | CleanTetrahedra:  # noqa: ARG001
     """What is in the file with these bytes, which a study of several mesh sizes asks for again and again."""
-    return clean_of(path)
+    return clean_of(path, repair)
 
 
 def imported_tetrahedra(geometry: Geometry) -> Mesh:
     """The tetrahedra of a file, used as they are. Raises MeshError."""
     check_readable(geometry.path)
-    clean = _clean(geometry.path, file_digest(geometry.path))
+    clean = _clean(geometry.path, file_digest(geometry.path), "")
     assert isinstance(clean, CleanTetrahedra)
     if len(clean.points) > MAX_NODES:
         raise MeshError(f"has {len(clean.points)} nodes, more than the {MAX_NODES} allowed; coarsen it")

@@ -35,7 +35,7 @@ def intersecting_facets(points: Array, triangles: Index) -> Index:
             cut |= apart & _segment_through_triangle(points[ends[:, 0]], points[ends[:, 1]], a, b, c)
     normals = facet_area_vectors(points, triangles)
     normals = normals / np.linalg.norm(normals, axis=1, keepdims=True)
-    left, right, _ = facet_pairs(triangles)
+    left, right, _ = facet_pairs(points, triangles)
     folded = np.einsum("ij,ij->i", normals[left], normals[right]) < _FOLD
     return np.concatenate(
         [

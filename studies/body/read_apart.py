@@ -28,9 +28,9 @@ SECONDS, SECONDS_PER_BYTE = 60.0, 3e-6
 _DAMAGED = "it is damaged or of another kind"
 
 
-def clean_of(path: Path) -> CleanSurface | CleanTetrahedra:
-    """The closed surface or, of a kind of file that has them, the tetrahedra in a file. Raises MeshError."""
-    return _unpacked(_apart("clean", path))
+def clean_of(path: Path, repair: str = "") -> CleanSurface | CleanTetrahedra:
+    """The closed surface, repaired as asked, or where a file has them the tetrahedra. Raises MeshError."""
+    return _unpacked(_apart(f"clean {repair}", path))
 
 
 def point_fields_of(path: Path) -> tuple[NDArray[np.float64], dict[str, NDArray[np.float64]]]:
@@ -105,7 +105,7 @@ def _unpacked(data: bytes) -> CleanSurface | CleanTetrahedra:
     return CleanTetrahedra(**values, groups=dict(zip(json.loads(str(names)), masks, strict=True)))
 
 
-def read_clean(path: Path) -> CleanSurface | CleanTetrahedra:
+def read_clean(path: Path, repair: str = "") -> CleanSurface | CleanTetrahedra:
     """What is in a file, read in this process. Raises MeshError, and whatever the readers run into."""
     from .mesh_file import read_surface, read_tetrahedra
     from .msh_file import read_msh
@@ -113,7 +113,7 @@ def read_clean(path: Path) -> CleanSurface | CleanTetrahedra:
 
     suffix = path.suffix.lower()
     if suffix not in VOLUME_SUFFIXES:
-        return clean_surface(*read_surface(path))
+        return clean_surface(*read_surface(path), repair)
     if suffix == ".msh":
         return clean_tetrahedra(*read_msh(path))
     return clean_tetrahedra(*read_tetrahedra(path), {})
@@ -130,7 +130,11 @@ def main(what: str, path: Path, memory: int) -> None:
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     limit_memory(memory)
     try:
-        answer = _packed_fields(path) if what == "fields" else _packed_clean(read_clean(path))
+        answer = (
+            _packed_fields(path)
+            if what == "fields"
+            else _packed_clean(read_clean(path, what.removeprefix("clean ")))
+        )
     except MeshError as error:
         answer = _packed(error=np.array(str(error)))
     except MemoryError:

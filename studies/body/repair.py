@@ -10,6 +10,7 @@ import numpy as np
 from solver_common.arrays import Array, Index, Mask
 
 from ..study.errors import MeshError
+from .surface_measures import facet_areas
 from .topology import (
     check_finite,
     check_vertex_fans,
@@ -43,10 +44,17 @@ class CleanSurface:
     points_dropped: int
     facets_dropped: int
     facets_flipped: int
+    facets_of_other_pieces: int = 0
+    facets_added: int = 0
 
 
-def clean_surface(points: Array, triangles: Index) -> CleanSurface:
+def clean_surface(points: Array, triangles: Index, repair: str = "") -> CleanSurface:
     """Merge equal points, drop facets without area, repeated facets and unused points, face all outward.
+
+    Parameters
+    ----------
+    repair : what else to do: "largest-piece" drops all but the piece with the most area, "fill-holes" closes holes
+        by facets between the nodes of their rims, "both" does one after the other
 
     Raises MeshError for coordinates that are not finite, no facets, facets that name points that do not
     exist, and what remains open, not manifold, one-sided, in several pieces, or without an inside.
@@ -66,6 +74,12 @@ def clean_surface(points: Array, triangles: Index) -> CleanSurface:
     faces = _without_repeats(renumbered[triangles])
     if len(faces) == 0:
         raise MeshError("no facet has an area; the file is damaged")
+    sound = len(faces)
+    if repair in ("largest-piece", "both"):
+        faces = _largest_piece(points[used], faces)
+    in_piece = len(faces)
+    if repair in ("fill-holes", "both"):
+        faces = np.concatenate([faces, _caps(points[used], faces)])
     kept, local = np.unique(faces, return_inverse=True)
     clean_points = points[used][kept]
     outward, flipped = consistent_orientation(clean_points, local.reshape(-1, 3))
@@ -75,8 +89,10 @@ def clean_surface(points: Array, triangles: Index) -> CleanSurface:
         outward,
         points_merged=int(np.count_nonzero(target != np.arange(len(used)))),
         points_dropped=len(points) - len(used),
-        facets_dropped=len(triangles) - len(faces),
+        facets_dropped=len(triangles) - sound,
         facets_flipped=flipped,
+        facets_of_other_pieces=sound - in_piece,
+        facets_added=len(faces) - in_piece,
     )
 
 
@@ -108,6 +124,26 @@ def clean_tetrahedra(points: Array, tetrahedra: Index, groups: Mapping[str, Mask
         points_dropped=len(points) - len(used),
         tetrahedra_turned=inverted,
     )
+
+
+def _largest_piece(points: Array, faces: Index) -> Index:
+    """The facets of that piece which has the most area."""
+    joined = np.concatenate([faces[:, :2], faces[:, 1:]])
+    label = pieces(len(points), joined[:, 0], joined[:, 1])[faces[:, 0]]
+    names, piece = np.unique(label, return_inverse=True)
+    area = np.bincount(piece.ravel(), weights=facet_areas(points, faces), minlength=len(names))
+    largest: Index = faces[piece.ravel() == area.argmax()]
+    return largest
+
+
+def _caps(points: Array, faces: Index) -> Index:
+    """Facets that close the holes, between the nodes of their rims."""
+    import pyvista as pv  # slow to load
+
+    extent = float(np.ptp(points, axis=0).max())
+    closed = pv.PolyData.from_regular_faces(points, faces).fill_holes(2.0 * extent)
+    caps: Index = np.asarray(closed.regular_faces, dtype=faces.dtype)[len(faces) :]
+    return caps
 
 
 def _merge_targets(points: Array, tolerance: float) -> Index:

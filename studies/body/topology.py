@@ -16,6 +16,7 @@ from ..study.errors import MeshError
 from .mesh import Mesh
 from .surface_measures import enclosed_volume, facet_areas
 
+_MOST_TOLD = 3  # holes, or pieces
 _LARGEST = 1e100  # coordinate
 # Faces of a positive tetrahedron, turned so that their normals point out of it.
 _OUTWARD_FACES = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])
@@ -76,7 +77,7 @@ def half_edges(triangles: Index) -> Index:
     return triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
 
 
-def facet_pairs(triangles: Index) -> tuple[Index, Index, Mask]:
+def facet_pairs(points: Array, triangles: Index) -> tuple[Index, Index, Mask]:
     """Facets either side of each edge of a closed manifold surface.
 
     Returns (E,) indices of both facets and an (E,) mask, true where the two run along the edge the same
@@ -84,10 +85,11 @@ def facet_pairs(triangles: Index) -> tuple[Index, Index, Mask]:
     """
     directed = half_edges(triangles)
     _, inverse, counts = np.unique(np.sort(directed, axis=1), axis=0, return_inverse=True, return_counts=True)
-    open_edges = int(np.count_nonzero(counts == 1))
+    rims = directed[counts[inverse.ravel()] == 1]
     crowded = int(np.count_nonzero(counts > 2))
-    if open_edges:
-        raise MeshError(f"the surface is open: {open_edges} edges have one facet only; close its holes")
+    if len(rims):
+        places = _told_places(points, rims, pieces(len(points), *rims.T)[rims[:, 0]], "edges")
+        raise MeshError(f'the surface is open, in {places}; close it, or give repair = "fill-holes"')
     if crowded:
         raise MeshError(
             f"the surface is not manifold: {crowded} edges have more than two facets; "
@@ -96,6 +98,26 @@ def facet_pairs(triangles: Index) -> tuple[Index, Index, Mask]:
     order = np.argsort(inverse.ravel(), kind="stable").reshape(-1, 2)
     same_way = directed[order[:, 0], 0] == directed[order[:, 1], 0]
     return order[:, 0] // 3, order[:, 1] // 3, same_way
+
+
+def _told_places(points: Array, parts: Index, label: Index, kind: str) -> str:
+    """How many connected places there are, and where and how large the first are, in the file's unit.
+
+    Parameters
+    ----------
+    parts : (n, k) edges or facets
+    label : (n,) the same for all of a place
+    """
+    least = 1e-6 * float(np.ptp(points, axis=0).max())
+    names, sizes = np.unique(label, return_counts=True)
+    told = []
+    for k in np.argsort(-sizes, kind="stable")[:_MOST_TOLD]:
+        corners = points[parts[label == names[k]].ravel()]
+        low, high = corners.min(axis=0), corners.max(axis=0)
+        place = ", ".join(f"{x if abs(x) > least else 0.0:.3g}" for x in 0.5 * (low + high))
+        told.append(f"{sizes[k]} {kind} about ({place}), {(high - low).max():.3g} across")
+    more = f" and {len(names) - _MOST_TOLD} more" if len(names) > _MOST_TOLD else ""
+    return f"{len(names)} place{'s' * (len(names) > 1)} ({'; '.join(told)}{more})"
 
 
 def pieces(count: int, first: Index, second: Index) -> Index:
@@ -115,7 +137,7 @@ def consistent_orientation(points: Array, triangles: Index) -> tuple[Index, int]
 
     Raises MeshError for an open, non-manifold or one-sided surface, several pieces, or no volume inside.
     """
-    first, second, same_way = facet_pairs(triangles)
+    first, second, same_way = facet_pairs(points, triangles)
     n_facets = len(triangles)
     # every facet twice, as it is and turned over; of neighbours those sides are joined that agree
     joined = np.concatenate([first, first + n_facets])
@@ -123,9 +145,9 @@ def consistent_orientation(points: Array, triangles: Index) -> tuple[Index, int]
     labels = pieces(2 * n_facets, joined, agreeing).reshape(2, n_facets)
     _, sizes = np.unique(labels.min(axis=0), return_counts=True)
     if len(sizes) > 1:
-        told = ", ".join(str(size) for size in sorted(sizes, reverse=True)[:5])
+        told = _told_places(points, triangles, labels.min(axis=0), "facets")
         raise MeshError(
-            f"the surface has {len(sizes)} separate pieces ({told} facets); keep one closed piece and drop the rest"
+            f'the surface has separate pieces, in {told}; keep one closed piece, or give repair = "largest-piece"'
         )
     if (labels[0] == labels[1]).any():
         raise MeshError("the surface is one-sided (it cannot be oriented); it bounds no solid")

@@ -55,7 +55,7 @@ SHAPE_KEYS: dict[str, tuple[set[str], set[str]]] = {  # shape -> keys that it ne
         shape.name: ({"mesh_size", *shape.needed}, set(shape.parameters) - shape.needed)
         for shape in SHAPES.values()
     },
-    "file": ({"path"}, {"mesh_size", "size", "scale", "coordinates"}),
+    "file": ({"path"}, {"mesh_size", "size", "scale", "coordinates", "repair"}),
 }
 _KIND_KEYS = {kind.name: set(kind.keys) for kind in KINDS.values()}
 
@@ -216,6 +216,8 @@ def _check_geometry(geometry: Geometry) -> Iterator[Finding]:
         yield from _check_suffix(geometry.path.name, suffix)
     if {"size", "scale"} <= present and geometry.shape == "file":
         yield ("geometry", "scale"), "give size or scale, not both"
+    if "repair" in present and suffix in VOLUME_SUFFIXES:
+        yield ("geometry", "repair"), "is for surfaces; a file with tetrahedra is used as it is"
     mistaken = list(_check_counts(geometry))
     yield from mistaken
     if not mistaken and needed - present <= {"mesh_size"}:

@@ -204,6 +204,11 @@ class Geometry(_ShapedBody):
         description="file: what the coordinates of planes, balls, boxes and measured points start from: the origin "
         "of the file, or the middle of its bounding box; needed where a study has coordinates",
     )
+    repair: Annotated[Literal["fill-holes", "largest-piece", "both"] | None, Enters.MESH] = Field(
+        None,
+        description="file: close holes of a surface by facets between the nodes of their rims, keep of several "
+        "pieces the one with the most area, or both; left out, either is refused",
+    )
     scale: Annotated[Annotated[float, SI("1"), positive] | None, Enters.MESH] = Field(
         None, description="file: metres per unit of the file, 1 where neither scale nor size is given"
     )

@@ -277,9 +277,9 @@ def test_coordinates_whose_squares_are_infinite(tmp_path: Path, ball: Mesh) -> N
 @pytest.mark.parametrize(
     ("spoil", "words"),
     [
-        (opened, "open: 3 edges"),
-        (with_inner_wall, "open: 2 edges"),
-        (in_two_pieces, r"2 separate pieces \(.* facets\); keep one"),
+        (opened, r"open, in 1 place \(3 edges"),
+        (with_inner_wall, r"open, in 1 place \(2 edges"),
+        (in_two_pieces, r"separate pieces, in 2 places \(.* facets about .*\); keep one"),
         (with_a_hole_in_numbers, "points have coordinates that are not finite"),
         (flat, "no volume|smallest extent|open|not manifold"),
         (in_millimetres, "mixed-up unit; give `size`"),
@@ -325,6 +325,30 @@ def test_inside_out_repeated_and_flat_facets_are_mended_and_counted(tmp_path: Pa
     assert mesh.quality["points_dropped"] == 1
     clean = from_file(write_surface(tmp_path / "b.vtp", ball.surface_points, ball.triangles))
     assert mesh.quality["volume"] == pytest.approx(clean.quality["volume"], rel=0.02)
+
+
+def test_holes_and_pieces_are_told_with_place_and_size_and_repaired_on_request(
+    tmp_path: Path, ball: Mesh
+) -> None:
+    points, triangles = ball.surface_points, ball.triangles
+    top = np.argmax(points[:, 2])
+    speck = 0.02 * points + [3.0 * points[:, 0].max(), 0.0, 0.0]
+    holed = triangles[(triangles != top).all(axis=1)]
+    both = np.concatenate([holed, triangles + len(points)])
+    holes = write_surface(tmp_path / "holes.stl", points, holed)
+    pieces = write_surface(tmp_path / "pieces.stl", np.concatenate([points, speck]), both)
+    whole = from_file(write_surface(tmp_path / "ball.stl", points, triangles))
+    refused(holes, r"is open, in 1 place \([0-9]+ edges about \(.*\), .* across\); .*fill-holes")
+    for path, repair, added, other in (
+        (holes, "fill-holes", len(triangles) - len(holed) - 2, 0),
+        (pieces, "both", len(triangles) - len(holed) - 2, len(triangles)),
+    ):
+        mesh = from_file(path, repair=repair)
+        assert mesh.quality["facets_added"] == added
+        assert mesh.quality["facets_of_other_pieces"] == other
+        assert mesh.quality["volume"] == pytest.approx(whole.quality["volume"], rel=0.05)
+    with pytest.raises(MeshError, match="is open"):
+        from_file(pieces, repair="largest-piece")
 
 
 @pytest.mark.parametrize("name", ["a.stl", "a.vtp"])
@@ -537,7 +561,7 @@ def test_inverted_flat_and_orphan(tmp_path: Path, ball: Mesh, suffix: str) -> No
     apart = written(
         "apart", np.concatenate([points, points + np.array([0, 0, 0.2])]), np.concatenate([half, other])
     )
-    refused(apart, "2 separate pieces|not manifold")
+    refused(apart, "separate pieces, in 2 places|not manifold")
     not_finite = points.copy()
     not_finite[tetrahedra[0, 0]] = np.nan
     refused(written("nan", not_finite, tetrahedra), "1 points have coordinates that are not finite|damaged")

@@ -353,9 +353,9 @@ def test_a_file_is_read_once_for_several_mesh_sizes(tmp_path: Path, monkeypatch:
     """As long as its bytes are the same, whatever its path says."""
     reads: list[Path] = []
 
-    def reading(path: Path) -> CleanSurface | CleanTetrahedra:
+    def reading(path: Path, repair: str) -> CleanSurface | CleanTetrahedra:
         reads.append(path)
-        return clean_of(path)
+        return clean_of(path, repair)
 
     monkeypatch.setattr("vdmbench.body.imported.clean_of", reading)
     path = surface_file(tmp_path / "body.stl", build_mesh(SPHERE, volume=False))
