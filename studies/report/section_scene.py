@@ -14,7 +14,7 @@ from ..body.surface_measures import facet_area_vectors
 from ..measures.case import CaseResult
 from ..study.schema import Constraint, Inclusion
 from ..verdict.digest import Digest
-from ..verdict.formatting import listed, plain, plural, scale_of
+from ..verdict.formatting import listed, plain, plural, scale_of, short_percent
 from ..verdict.loading import kind_of, name_of
 from .blocks import Scene
 from .scene_picture import Outline, Part, Stage, scene_svg, style_of
@@ -100,6 +100,27 @@ def _homogeneous(case: CaseResult) -> str:
     return f"unknown to {listed(names)}" if names else ""
 
 
+def _scan_words(cases: Sequence[CaseResult]) -> str:
+    """How far the bodies are from the surface of the file that they are from, at worst; "" where there is none."""
+
+    def worst(key: str) -> float:
+        return max((case.mesh_quality.get(key, 0.0) for case in cases), key=abs)
+
+    if not any("surface_distance_max" in case.mesh_quality and case.study.geometry.path for case in cases):
+        return ""
+    moved, mean = (1e3 * worst(f"surface_distance_{which}") for which in ("max", "mean"))
+    told = [f"remeshing moved the surface by up to {plain(moved, 2)} mm ({plain(mean, 2)} mm in the mean)"]
+    told.append(f"and changed its volume by {short_percent(worst('volume_change'))}")
+    counted = {
+        "facets_flipped": "turned outward",
+        "facets_dropped": "without area or repeated left out",
+        "facets_of_other_pieces": "of other pieces left out",
+        "facets_added": "added to close holes",
+    }
+    told += [f"{plural(int(n), 'facet')} {what}" for key, what in counted.items() if (n := worst(key))]
+    return ", ".join([" ".join(told[:2]), *told[2:]])
+
+
 def scene_words(case: CaseResult, cases: Sequence[CaseResult]) -> list[tuple[str, str]]:
     """(what, value) of tissue, body, mesh and constraints, with the ranges over all `cases`."""
     tissue = [f"Young's modulus {_over(cases, 'tissue', 'youngs_modulus', 'Pa')}"]
@@ -117,6 +138,8 @@ def scene_words(case: CaseResult, cases: Sequence[CaseResult]) -> list[tuple[str
     shapes = dict.fromkeys(_shape(other) for other in cases)
     extents = [_lengths(np.ptp(case.points, axis=0))] if len(shapes) == 1 else []
     rows.append(("Body", ", ".join(filter(None, [listed(filter(None, shapes)), *extents]))))
+    if told := _scan_words(cases):
+        rows.append(("Scan", told))
     size = _over(cases, "geometry", "mesh_size", "m")
     nodes = _span([len(other.points) for other in cases], "1", 9)
     rows.append(("Mesh", f"{nodes} surface nodes" + (f", {size} apart" if size else "")))

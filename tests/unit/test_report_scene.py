@@ -51,6 +51,20 @@ def test_words_have_the_ranges_of_all_cases_at_full_load() -> None:
     )
 
 
+def test_a_scan_is_said_to_be_remeshed_and_how_far_it_moved() -> None:
+    """The worst of all cases, in millimetres, beside the body; of a shape of ours nothing."""
+    scan = told("a", 0.45, 0.05, geometry={"shape": "file", "path": "/of/a/patient.obj", "mesh_size": 0.009})
+    moved = {"surface_distance_max": 3.9e-3, "surface_distance_mean": 2e-4, "volume_change": -0.015}
+    cases = [
+        dataclasses.replace(scan, mesh_quality=moved | {"facets_flipped": 400.0}),
+        dataclasses.replace(scan, mesh_quality={key: 0.5 * value for key, value in moved.items()}),
+    ]
+    words = dict(scene_words(cases[1], cases))["Scan"]
+    for part in ("3.9 mm", "0.2 mm", "1.5 %", "400 facets turned"):
+        assert part in words
+    assert "Scan" not in dict(scene_words(told("b", 0.45, 0.05), [told("b", 0.45, 0.05)]))
+
+
 @pytest.mark.parametrize(
     ("contact", "label", "down"),
     [
