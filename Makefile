@@ -10,12 +10,14 @@
 PYTHON ?= python3
 RUN := .venv/bin/
 ONE_THREAD := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1
+PIP := .venv/bin/pip install --disable-pip-version-check --constraint constraints.txt
 PYTEST := $(ONE_THREAD) $(RUN)python -m pytest
 
 .PHONY: demo test verify docs baselines evidence setup clean
 
-demo: setup
+demo: libraries .venv/installed
 	$(RUN)vdmbench run quickstart
+	@echo "next: . .venv/bin/activate   puts the command vdmbench on this shell's path"
 
 test: setup
 	$(RUN)ruff check .
@@ -48,11 +50,17 @@ evidence: setup
 
 setup: libraries .venv/ready
 
-.venv/ready: pyproject.toml constraints.txt
+.venv/installed: pyproject.toml constraints.txt
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { \
 	  echo "vdmbench needs Python 3.11 or newer; $(PYTHON) is $$($(PYTHON) --version 2>&1). Try: make PYTHON=python3.12"; exit 4; }
 	@test -x .venv/bin/pip || $(PYTHON) -m venv .venv
-	.venv/bin/pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable '.[test]'
+	@echo "installing packages, some 300 MB:"
+	$(PIP) --editable .
+	@touch $@
+
+# what tests and documents need besides
+.venv/ready: .venv/installed
+	$(PIP) --quiet --editable '.[test]'
 	@touch $@
 
 # the shared libraries that the gmsh and VTK wheels expect from the system, and Debian's packages of them

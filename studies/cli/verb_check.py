@@ -23,7 +23,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Print whether a study is right, or every mistake in it."""
-    from ..graph.explain import blockers, refused
+    from ..graph.explain import beyond_memory, blockers, refused
     from ..graph.nodes import bodies
     from ..graph.scene_check import scene_problems
     from ..study.config import resolved
@@ -38,6 +38,8 @@ def run(options: argparse.Namespace) -> int:
             raise study._source.error(stops, resolved(study))
         expected = refused(plan, plan.cases, work)
         doubts = scene_problems(plan)
+        tight = [(("geometry", "mesh_size"), text) for text in beyond_memory(plan, work, 1.0).values()]
+        doubts += study._source.error(tight, resolved(study)).problems
     except StudyError as error:
         if options.json:
             problems = [problem._asdict() for problem in error.problems]

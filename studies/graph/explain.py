@@ -181,8 +181,8 @@ def blockers(plan: Plan, cases: Sequence[PlannedCase], work: Sequence[Body]) -> 
     return [*dict.fromkeys(_off_the_body(plan, cases)), *memory]
 
 
-def beyond_memory(plan: Plan, work: Sequence[Body]) -> dict[str, str]:
-    """Mesh -> what cannot be solved on it, where this machine has no memory for the least that it may take."""
+def beyond_memory(plan: Plan, work: Sequence[Body], doubt: float = FACTOR) -> dict[str, str]:
+    """Mesh -> what cannot be solved on it: it takes more than `doubt` times the memory of this machine."""
     there = machine_memory()
     on_mesh: dict[str, list[Body]] = {}
     for part in work:
@@ -195,7 +195,7 @@ def beyond_memory(plan: Plan, work: Sequence[Body]) -> dict[str, str]:
         if body is None:
             continue
         needed, name = largest_solve(body.size, parts)
-        if needed > FACTOR * there:
+        if needed > doubt * there:
             remedy = fewer_nodes(mesh.geometry, float((body.high - body.low).max()))
             lines[key] = (
                 f"{name} on a {mesh.label} would take about {needed / 1e9:,.0f} GB, and this machine has "

@@ -114,6 +114,15 @@ def test_what_the_memory_does_not_do_is_no_study_to_run(monkeypatch: pytest.Monk
         verb_check.run(parse(["check", "small.toml"]))
 
 
+def test_what_the_memory_may_not_do_is_doubted(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    write_study(Path())
+    monkeypatch.setattr("vdmbench.graph.explain.machine_memory", lambda: 30_000_000)
+    assert verb_check.run(parse(["check", "small.toml"])) == 0
+    assert "warning: small.toml:11: geometry.mesh_size: fem-linear" in capsys.readouterr().out
+
+
 def test_a_scene_is_drawn_before_anything_is_solved(capsys: pytest.CaptureFixture[str]) -> None:
     write_study(Path())
     assert verb_show.run(parse(["show", "small.toml"])) == 0
