@@ -20,7 +20,7 @@ from .measures.case import CaseResult, Run
 
 if TYPE_CHECKING:
     from .graph.run import Event
-    from .verdict.verdict import Verdict
+    from .verdict.verdict import Verdicts
 
 
 @dataclass(frozen=True)
@@ -42,12 +42,12 @@ class Results:
         return [f"{failure['label']}: {failure['message']}" for failure in self.data.failed]
 
     @cached_property
-    def verdict(self) -> Verdict:
-        """The answer that page and terminal show: `word`, `limits`, `why_not`, `advice`, `up_to`, `costs`."""
+    def verdicts(self) -> Verdicts:
+        """The answers that page and terminal show, by family: `verdicts["vdm-printed"].word`, `limits` and more."""
         from .verdict.digest import Digest
-        from .verdict.verdict import verdict
+        from .verdict.verdict import verdicts
 
-        return verdict(Digest(self.data))
+        return verdicts(Digest(self.data))
 
     @cached_property
     def headline(self) -> Any:
@@ -100,9 +100,9 @@ class Results:
         )
 
     def _repr_html_(self) -> str:
-        """The headline table, the verdict and the way to the report, for a notebook."""
+        """The headline table, the verdicts and the way to the report, for a notebook."""
         from .report.headline import headline_rows
-        from .verdict.sentences import LEAD, answers
+        from .verdict.sentences import told
 
         rows = headline_rows(self.data)
         head = "".join(f"<th>{escape(key)}</th>" for key in (rows[0] if rows else {}))
@@ -111,13 +111,12 @@ class Results:
         )
         title = escape(self.data.study.study.title)
         failed = "".join(f"<p>failed: {escape(line)}</p>" for line in self.failed)
-        told = "".join(
-            f"<p><b>{escape(' '.join((answer.question, answer.word)))}</b> {escape(' '.join(answer.sentences))}</p>"
-            for answer in answers(self.verdict)
-            if answer.question in LEAD
-        )
+        words = told(self.verdicts)
+        lines = [f"<b>{escape(row.title)}: {escape(row.word)}.</b> {escape(row.text)}" for row in words.rows]
+        lines += map(escape, (*words.notes, *words.instead))
+        answers = "".join(f"<p>{line}</p>" for line in lines)
         return (
-            f"<h4>{title}</h4>{told}<table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>{failed}"
+            f"<h4>{title}</h4>{answers}<table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>{failed}"
             f'<p><a href="{escape(self.report.resolve().as_uri())}">report</a></p>'
         )
 

@@ -18,7 +18,7 @@ from vdmbench.body.surface_measures import Surface
 from vdmbench.measures.metrics import METRICS, History, full_load_step
 from vdmbench.scene.scene import build_scene
 from vdmbench.study.config import expand, geometry_of, load_study
-from vdmbench.study.registry import is_vdm
+from vdmbench.study.registry import is_surface
 
 HEAD = ("study", "rigid", "least along normals")
 SHARES = ("rigid_share", "tangential_share")
@@ -29,7 +29,7 @@ def row_of(path: Path) -> list[str] | None:
     """The study's row; None where its reference is none, or a surface model itself."""
     case = expand(load_study(path))[0].study
     reference = case.study.reference
-    if reference is None or is_vdm(reference):
+    if reference is None or is_surface(reference):
         return None
     mesh = build_mesh(geometry_of(case))
     scene = build_scene(case, mesh)

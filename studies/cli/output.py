@@ -6,7 +6,7 @@ import dataclasses
 import re
 import sys
 import textwrap
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from ..machine.files import json_text
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from ..measures.case import Run
-    from ..verdict.sentences import Answer
+    from ..verdict.sentences import Told
 
 WIDTH = 80  # columns of a terminal
 _BEFORE_UNIT = re.compile(r"(?<=\d) (?=[^\W\d]|%)|(?<=±) ")
@@ -33,12 +33,12 @@ def print_run(run: Run, directory: Path, report: Path, as_json: bool) -> int:
     from ..report.headline import headline_metrics, headline_rows, terminal_rows
     from ..report.section_cases import stopped_models
     from ..verdict.digest import Digest
-    from ..verdict.sentences import answers
-    from ..verdict.verdict import verdict
+    from ..verdict.sentences import told
+    from ..verdict.verdict import verdicts
 
     digest = Digest(run)
-    stopped, found = stopped_models(digest), verdict(digest)
-    told = answers(found)
+    stopped, found = stopped_models(digest), verdicts(digest)
+    words = told(found)
     if as_json:
         print_json(
             {
@@ -52,12 +52,13 @@ def print_run(run: Run, directory: Path, report: Path, as_json: bool) -> int:
                 ],
                 "headline": headline_rows(run),
                 "metrics": headline_metrics(run),
-                "verdict": found.as_data() | {"answers": [dataclasses.asdict(answer) for answer in told]},
+                "answers": dataclasses.asdict(words),
             }
+            | found.as_data()
         )
     else:
         print_table(terminal_rows(digest))
-        print_answers(told)
+        print_answers(words)
         complain_of_failures(run)
         for model, place, message, remedy in stopped:
             print(folded(f"stopped: {model} ({place}): {message}" + (f"; {remedy}" if remedy else "")))
@@ -86,15 +87,21 @@ def taken(plan: Mapping[str, Any]) -> str:
         return ""
 
 
-def print_answers(told: Iterable[Answer]) -> None:
-    """The questions that decide, with their answers, folded to `WIDTH` columns; the page has the others too."""
-    from ..verdict.sentences import LEAD, LOAD, USE
+def print_answers(told: Told) -> None:
+    """A line a family, then what to take instead and why, folded to `WIDTH` columns; the page has more."""
+    from ..verdict.sentences import FIRST, LOAD
 
-    for answer in told:
-        if answer.question in (*LEAD, USE, LOAD):
-            print("\n" + " ".join(filter(None, (answer.question, answer.word))))
-            for sentence in answer.sentences:
-                print(folded(sentence, "  "))
+    print()
+    for row in told.rows:
+        print(folded(f"{row.title}: {row.word}. {row.text}"))
+    for note in told.notes:
+        print(folded(note))
+    instead = [("What to take instead?", told.instead)] if told.instead else []
+    further = [(a.question, a.sentences) for a in told.further if a.question in (*FIRST, LOAD)]
+    for question, sentences in [*instead, *further]:
+        print(f"\n{question}")
+        for sentence in sentences:
+            print(folded(sentence, "  "))
     print()
 
 

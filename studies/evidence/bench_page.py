@@ -24,7 +24,6 @@ from ..report.document import encoded, html_document
 from ..report.plots import Plot, colour, draw, marker, percent_axis, time_ticks
 from ..verdict import palette
 from ..verdict.formatting import NOTHING, listed, short_percent
-from ..verdict.sentences import Answer
 from .bench_data import (
     Bench,
     Entry,
@@ -90,7 +89,7 @@ def bench_html(bench: Bench) -> str:
     return html_document(
         title="Run time against error",
         name="bench",
-        verdict=[Answer(question, "", [f"{mesh}: {answer}." for mesh, answer in lead.items()])],
+        notes=[question, *(f"{mesh}: {answer}." for mesh, answer in lead.items())],
         counts=[(f"{len(bench.entries)} measurements", "")],
         models=legend,
         sections=sections,

@@ -10,6 +10,7 @@ import numpy as np
 from ..body.surface_measures import weighted_norm
 from ..measures.bars import at_full_load, reference_bar
 from ..measures.case import CaseResult
+from ..study.registry import is_surface, split
 from ..verdict.digest import Digest
 from ..verdict.formatting import short_percent
 
@@ -64,3 +65,8 @@ def floor_in_words(digests: Sequence[Digest]) -> str:
     low, high = (short_percent(found) for found in (min(known), max(known)))
     told = low if low == high else f"{low} to {high}"
     return f" The reference itself, moved along normals, is {told} off: no form along normals can be better."
+
+
+def is_tried(name: str) -> bool:
+    """Whether the claims' rules are about a model: all surface models but mass-spring, which came later."""
+    return is_surface(name) and split(name)[0] != "mass-spring"

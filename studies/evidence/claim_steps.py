@@ -20,12 +20,11 @@ from ..report.judgement import (
     in_words,
     own_bar,
 )
-from ..study.registry import is_vdm
 from ..verdict.digest import Digest
 from ..verdict.formatting import listed, plain, short_percent
 from ..verdict.motion import ALONG_NORMALS, NORMAL
 from .claim_figures import Line, curves
-from .claim_shared import CLOSE, DRAMATIC, KEPT, apart, floor_in_words, own_error
+from .claim_shared import CLOSE, DRAMATIC, KEPT, apart, floor_in_words, is_tried, own_error
 
 TOLERANCE = 1e-10  # of the iterative solvers where a study names none
 SMALL_STEPS_RULE = (
@@ -49,7 +48,7 @@ def small_steps(digests: Sequence[Digest]) -> Judgement | None:
     lines: list[Line] = []
     for digest in digests:
         cases = sorted(digest.cases, key=lambda case: len(case.load_factors))
-        for model in filter(is_vdm, digest.compared):
+        for model in filter(is_tried, digest.compared):
             errors = [(case, at_full_load(case, model, VECTOR)) for case in cases]
             known = [(case, error) for case, error in errors if math.isfinite(error)]
             if len(known) > 1:

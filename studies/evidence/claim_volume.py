@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 from ..measures.bars import series
 from ..measures.case import CaseResult
 from ..report.judgement import FAILS, HOLDS, WITHIN_LIMITS, Judgement
-from ..study.registry import is_linear, is_vdm, split
+from ..study.registry import is_linear, split
 from ..verdict.digest import Digest
 from ..verdict.formatting import percent, plain, short_percent
 from .claim_figures import curves, histories
-from .claim_shared import EXACT, PRINTED, SMALL_DRIFT, SMALL_STRAIN, largest
+from .claim_shared import EXACT, PRINTED, SMALL_DRIFT, SMALL_STRAIN, is_tried, largest
 
 RULE = (
     "Each solver is judged in the loads that the paper gives it: the linear ones up to a largest principal strain "
@@ -96,7 +96,7 @@ def _drifts(digests: Sequence[Digest], *, beyond: bool) -> dict[str, _Drift]:
     """Of each model of VDM with a load in the range that the paper gives it, or beyond it."""
     found: dict[str, _Drift] = {}
     for digest in digests:
-        for model in filter(is_vdm, digest.models):
+        for model in filter(is_tried, digest.models):
             for case in digest.cases:
                 steps = _meant(case, model) ^ beyond
                 values = [

@@ -29,12 +29,12 @@ from ..report.judgement import (
     in_words,
     own_bar,
 )
-from ..study.registry import REFINED, is_linear, is_vdm, split
+from ..study.registry import REFINED, is_linear, split
 from ..verdict.digest import Digest, failed_steps
 from ..verdict.formatting import listed, plain, plural, quantity, short_percent
 from ..verdict.growth import is_measured, strain_in_words, strain_range, strain_side
 from .claim_figures import Line, bars, curves, histories
-from .claim_shared import CLOSE, FIT, KEPT, ORDER, SAME, floor_in_words, own_error
+from .claim_shared import CLOSE, FIT, KEPT, ORDER, SAME, floor_in_words, is_tried, own_error
 from .claim_steps import SMALL_STEPS_RULE, WARM_START_RULE, small_steps, warm_start
 from .claim_volume import RULE as VOLUME_RULE
 from .claim_volume import volume
@@ -80,7 +80,7 @@ def _linear(digests: Sequence[Digest]) -> Judgement | None:
         for model, entry in case.small_strain.models.items():
             if model == "fem-linear":
                 limits += [lim for lim in entry.limits if is_measured(lim) and lim.threshold <= KEPT]
-            elif is_vdm(model) and split(model)[1] == "linear":
+            elif is_tried(model) and split(model)[1] == "linear":
                 structural[model] = max(structural.get(model, 0.0), entry.structural_error)
     found = [lim for lim in limits if lim.state == "found"]
     if not found or not structural:
@@ -96,7 +96,7 @@ def _linear(digests: Sequence[Digest]) -> Judgement | None:
     )
     figures: tuple[Figure, ...] = ()
     for k, d in enumerate(digests):
-        lines = histories(d, VECTOR, [m for m in d.compared if is_vdm(m) or m == "fem-linear"])
+        lines = histories(d, VECTOR, [m for m in d.compared if is_tried(m) or m == "fem-linear"])
         drawn = curves(digests[0], lines, "load factor", "displacement error", f"claim2{k}")
         name = f", {d.run.study.study.name}" if len(digests) > 1 else ""
         figures += tuple(replace(figure, title=f"{figure.title}{name}") for figure in drawn)
@@ -261,7 +261,7 @@ def _large_strain(digests: Sequence[Digest]) -> Judgement | None:
     stopped: list[str] = []
     lines: list[Line] = []
     for digest in digests:
-        models = [m for m in digest.compared if is_vdm(m) and split(m)[1] == "nonlinear"]
+        models = [m for m in digest.compared if is_tried(m) and split(m)[1] == "nonlinear"]
         lines += histories(digest, VECTOR, [*models, *(m for m in digest.compared if m == "fem-linear")])
         for case in digest.cases:
             for model in models:

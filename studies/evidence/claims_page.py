@@ -15,7 +15,6 @@ from ..report.document import encoded, html_document
 from ..report.judgement import FAILS, HOLDS, OPEN, WITHIN_LIMITS, Claim, Judgement
 from ..verdict.digest import Digest
 from ..verdict.formatting import listed, plural
-from ..verdict.sentences import Answer
 from .claims import CLAIMS, on_trial
 
 PAPER = "Sundaraj and Laugier (2006)"
@@ -86,7 +85,7 @@ def claims_html(found: Sequence[Verdict]) -> str:
     return html_document(
         title="The paper's claims on trial",
         name="claims",
-        verdict=[Answer("", "", [lead])],
+        notes=[lead],
         counts=[(plural(len(names), "study") if len(names) == 1 else f"{len(names)} studies", "")],
         models=[],
         sections=sections,

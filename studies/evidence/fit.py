@@ -26,7 +26,7 @@ from ..measures.uncertainty import reference_bar
 from ..scene.result import ModelResult
 from ..scene.scene import Scene, build_scene
 from ..study.config import geometry_of
-from ..study.registry import is_vdm
+from ..study.registry import is_surface
 from .search import CalibrationError, Least, least
 
 MODULI = {  # parameters that can be fitted -> the one whose rule gives the scale where it has none of its own
@@ -158,7 +158,7 @@ def count_of_training(loads: int, training: int | None) -> int:
 
 def surface_models(names: Sequence[str]) -> list[str]:
     """Those models of a study whose parameters can be fitted."""
-    return list(filter(is_vdm, names))
+    return list(filter(is_surface, names))
 
 
 def to_fit(

@@ -226,6 +226,7 @@ for _registered in (
     _surface(
         name="bem",
         family=Family.PEERS,
+        turns_as_one=True,
         benched=("nonlinear",),
         cost=costs.boundary,
         takes=dict.fromkeys((SPRINGS, FULL, DEAD), ("linear", "nonlinear")),
@@ -240,6 +241,7 @@ for _registered in (
     _surface(
         name="bem-sparse",
         family=Family.PEERS,
+        turns_as_one=True,
         cost=costs.sparse_boundary,
         version="10",
         solvers=("linear", "single", "nonlinear"),

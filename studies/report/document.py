@@ -15,7 +15,7 @@ from markupsafe import Markup
 from matplotlib import colormaps
 from matplotlib.colors import to_hex
 
-from ..verdict.sentences import Answer
+from ..verdict.sentences import Told
 from .blocks import Scene, Section, Viewer
 from .picture import COLOUR_MAPS
 from .plots import shape
@@ -29,8 +29,8 @@ def html_document(
     *,
     title: str,
     name: str,
-    verdict: Sequence[Answer],
-    further: Sequence[Answer] = (),
+    told: Told | None = None,
+    notes: Sequence[str] = (),
     counts: Sequence[tuple[str, str]],
     models: Sequence[tuple[int, str, bool]],
     sections: Sequence[Section],
@@ -39,7 +39,7 @@ def html_document(
 ) -> str:
     """The document as text. `counts` are (what, tone) badges, `models` the legend of the whole page.
 
-    `further` answers come below the scene. `cases` are their names, which charts show under the pointer.
+    `notes` stand for the verdicts where there are none. `cases` are named under the pointer of charts.
     """
     viewed = any(isinstance(b, Viewer) and b.payload for section in sections for b in section.blocks)
     scripts = _scripts() if viewed else _scripts()[:1]
@@ -49,8 +49,7 @@ def html_document(
         .render(
             title=title,
             name=name,
-            verdict=verdict,
-            further=further,
+            told=told or Told((), tuple(notes), (), ()),
             scene=scene,
             cases=json.dumps(cases),
             counts=counts,

@@ -13,8 +13,8 @@ from ..measures.case import Run
 from ..study.registry import load_all
 from ..verdict.digest import Digest
 from ..verdict.formatting import plural
-from ..verdict.sentences import LEAD, answers
-from ..verdict.verdict import verdict
+from ..verdict.sentences import told
+from ..verdict.verdict import verdicts
 from . import headline, picture
 from .blocks import Section
 from .document import SCRIPT_BYTES, encoded, html_document
@@ -119,7 +119,7 @@ def every_section(digest: Digest) -> list[Section]:
 
 
 def _page_html(digest: Digest, *, stills: bool) -> str:
-    run, told, drawn = digest.run, answers(verdict(digest)), scene(digest)
+    run, words, drawn = digest.run, told(verdicts(digest)), scene(digest)
     before, after = (
         [section for make in part if (section := make(digest))] for part in (SECTIONS_BEFORE, _after())
     )
@@ -128,8 +128,7 @@ def _page_html(digest: Digest, *, stills: bool) -> str:
         return html_document(
             title=run.study.study.title,
             name=run.study.study.name,
-            verdict=[answer for answer in told if answer.question in LEAD],
-            further=[answer for answer in told if answer.question not in LEAD],
+            told=words,
             scene=drawn,
             cases=[digest.case_name(case) for case in digest.cases],
             counts=_counts(run),

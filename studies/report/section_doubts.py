@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from ..verdict.digest import Digest
-from ..verdict.doubts import doubts as found
+from ..verdict.verdict import doubts as found
 from .blocks import Cell, Column, Section, Table
 
 

@@ -10,7 +10,7 @@ from ..measures.case import Limit
 from ..measures.limits import CLOSE, LARGEST, MOST_STRAIN
 from ..verdict.digest import Digest
 from ..verdict.formatting import NOTHING, listed, percent, quantity, short_percent
-from ..verdict.growth import LINEAR, LimitRow, limit_rows, limits_in_words
+from ..verdict.growth import LINEAR, LimitRow, against_the_paper, growth_of, limit_rows
 from .blocks import Block, Cell, Column, Section, Table, Text, bar_detail
 
 _WHY = {
@@ -28,7 +28,11 @@ def small_strain_limits(digest: Digest) -> Section | None:
         return None
     found = [case.small_strain for case in digest.cases if case.small_strain is not None]
     raised = listed(sorted({"every load, in proportion" if one.unit == "1" else one.along for one in found}))
-    blocks: list[Block] = [Text(sentence) for sentence in limits_in_words(digest)]
+    blocks: list[Block] = [
+        Text(sentence)
+        for sentence in (growth_of(digest, digest.focus or ""), against_the_paper(digest))
+        if sentence
+    ]
     reading = (
         f"Raised: {raised}. The structural error is the displacement error at a small load. A limit is the "
         f"load at which the error has grown from there by the threshold. For {LINEAR} it is the "

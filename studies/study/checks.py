@@ -19,7 +19,7 @@ from .errors import MOST_TOLD, Finding, Loc, MeshError, Source, listed, named_tw
 from .fields import field_at, keys_of, table_at
 from .kinds import Context, Table, given, safe_name
 from .loads import KINDS
-from .registry import DISPLACEMENT_ELEMENTS, all_models, is_vdm, reads, split
+from .registry import DISPLACEMENT_ELEMENTS, all_models, is_surface, reads, split
 from .schema import (
     LAW_KEYS,
     LAWS,
@@ -179,7 +179,7 @@ def _check_unread(study: Study) -> Iterator[Finding]:
 
 def _check_calibration(study: Study) -> Iterator[Finding]:
     """Parameters to fit, where the study names them: a model of VDM has to read each, each model one of them."""
-    names = [name for name in (study.study and study.study.models) or () if name and is_vdm(name)]
+    names = [name for name in (study.study and study.study.models) or () if name and is_surface(name)]
     asked = (study.calibration and study.calibration.parameters) or ()
     if not asked or not all(map(reads, names)):
         return  # left to the rules, or a name is wrong

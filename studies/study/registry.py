@@ -53,11 +53,6 @@ def takes_fluid(solver: str, compressibility: object) -> bool:
     return (compressibility or ("fluid" if solver == "nonlinear" else "tissue")) == "fluid"
 
 
-def is_vdm(name: str) -> bool:
-    """Whether a model is one of the surface models of VDM, whose parameters a calibration fits."""
-    return name.startswith(("vdm-", "bem"))
-
-
 def split(name: str) -> tuple[str, str]:
     """Name in the registry and solver, "linear" where none is named; what tells a refined level is left out."""
     base, _, solver = name.partition(" ")[0].partition(":")
@@ -98,6 +93,9 @@ class Family(StrEnum):
     """What one would take without the paper."""
     ENGINES = "engines"
     """Other people's programs: plug-ins and foreign results."""
+
+
+SURFACE = (Family.PRINTED, Family.DERIVED, Family.PEERS)  # which need the surface of a body alone
 
 
 _FAMILIES = ("vdmbench.models.surface", "vdmbench.models.elements", "vdmbench.models.peers")
@@ -161,6 +159,7 @@ class Declared:
     contact_in_setup : whether its set-up depends on where the body is touched and how it is moved
     takes : of `EXTRAS` what it takes, and with which solvers; the others are refused it
     of_any_modulus : solvers whose set-up serves the same body with any Young's modulus
+    turns_as_one : whether its nonlinear solver has one rotation for the whole body
     own : of its parameters those that [vdm] has no key for: a study gives them in [models.NAME]
     benched : the solvers that a benchmark measures beside the default
     one_over_modulus : whether its answers to forces go with one over Young's modulus where its moduli are by rule
@@ -184,6 +183,7 @@ class Declared:
     own: Mapping[str, Parameter] = field(default_factory=dict)
     benched: tuple[str, ...] = ()
     one_over_modulus: bool = False
+    turns_as_one: bool = False
     needs: str = ""
     family: Family = Family.ENGINES
 
@@ -283,6 +283,11 @@ def family_of(name: str) -> Family:
     """What a model, or a refined level of it, stands for; what is not registered here is another's engine."""
     model = all_models().get(name.partition(" ")[0].partition(":")[0])
     return model.family if model is not None else Family.ENGINES
+
+
+def is_surface(name: str) -> bool:
+    """Whether a model needs the surface alone: one of VDM or a peer of it."""
+    return family_of(name) in SURFACE
 
 
 def reads(name: str) -> tuple[str, ...]:

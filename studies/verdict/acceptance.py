@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,8 +19,9 @@ CLOSE = 0.10  # of both errors where a study says nothing: the "within 10 %" tha
 NODAL = max_nodal_error.__name__
 WITHIN, OPEN, BEYOND, LOST = "within", "open", "beyond", "lost"
 NOT_ASKED = ""  # of a limit that a case has nothing to hold against
-YES, IN_PART, UNDECIDED, NO = "Yes", "In part", "Undecided", "No"
-_WORDS = (YES, IN_PART, UNDECIDED, NO)  # the best first
+YES, UNDECIDED, NO, NOT_JUDGED = "yes", "undecided", "no", "not judged"
+_WORDS = (YES, UNDECIDED, NO, NOT_JUDGED)  # the best first
+WORD = {WITHIN: YES, OPEN: UNDECIDED, BEYOND: NO, LOST: NO}  # of one case
 
 
 @dataclass(frozen=True)
@@ -159,28 +160,25 @@ def _nothing(case: CaseResult) -> Array:
 # --- over all cases ---
 
 
-def word_of(states: Sequence[str]) -> str:
-    """The answer to "is it good enough?" from a form's state in each case: no, where most cases have no answer."""
-    count, within, left, lost = len(states), *map(states.count, (WITHIN, OPEN, LOST))
-    if within == count:
-        return YES
-    if 2 * lost > count:
-        return NO
-    if within:
-        return IN_PART
-    return UNDECIDED if left else NO
+def word_of(states: Iterable[str]) -> str:
+    """The answer to "is it good enough?" from a model's state in each judged case: that of the worst of them."""
+    return max((WORD[state] for state in states), key=_WORDS.index, default=NOT_JUDGED)
+
+
+def usual_share(cases: Sequence[CaseResult], model: str, limits: Acceptance) -> float:
+    """Median over the cases of the largest error over its limit, whatever the time; infinite if most have none."""
+    shares = [limits.of_load.share(case, model) for case in cases]
+    return float(np.median(shares)) if shares else math.inf
 
 
 def standing(cases: Sequence[CaseResult], model: str, limits: Acceptance) -> tuple[float, ...]:
-    """Sorts forms, the best first: by the answer, then by the median of the largest error over its limit.
+    """Sorts the models of a family, the one that decides first: by the answer, then by error alone, never by time.
 
-    Of equal ones, or where half the cases or more have no answer, by how many have one. So one more form in a study
-    never makes its answer a worse one.
+    Of equal ones, or where half the cases or more have no answer, by how many have one. So one more model in a
+    family never makes its answer a worse one.
     """
-    states = [limits.state(case, model, case.full_load) for case in cases]
-    shares = np.array([limits.share(case, model) for case in cases])
+    word = word_of(limits.state(case, model, case.full_load) for case in cases)
+    shares = np.array([limits.of_load.share(case, model) for case in cases])
     known = shares[np.isfinite(shares)]
     usual = float(np.median(known)) if len(known) else math.inf
-    word = word_of(states)
-    hopeless = word == UNDECIDED and bool({BEYOND, LOST} & set(states))
-    return _WORDS.index(word), hopeless, float(np.median(shares)), -len(known), usual
+    return _WORDS.index(word), usual_share(cases, model, limits), -len(known), usual

@@ -6,10 +6,8 @@ import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
-import numpy as np
-
-from ..study.registry import split
-from .acceptance import UNDECIDED, WITHIN, YES
+from ..study.registry import Family, all_models, family_of, is_surface, model_names, split
+from .acceptance import UNDECIDED, WITHIN, YES, usual_share
 from .digest import Digest, ModelSummary
 from .formatting import quantity
 from .motion import mostly_rigid
@@ -22,8 +20,6 @@ RESTING, MOVING, CUTTING, EXACT = (
     "cutting, where the topology changes",
     "a few per cent needed",
 )
-_SURFACE = ("vdm-", "mass-spring")
-_TURN_AS_ONE = ("bem", "bem-sparse")  # whose nonlinear solver has one rotation of the whole body
 
 
 @dataclass(frozen=True)
@@ -89,14 +85,14 @@ def _nonlinear(digest: Digest, model: str) -> str:
         )
     if partner in digest.models:
         return f"Lower the load: {partner}, which follows large displacements, has no answer at this one."
-    if split(model)[0] in _TURN_AS_ONE and mostly_rigid(digest):
+    if partner not in model_names():
+        return "Lower the load, or take nonlinear elements."
+    if all_models()[split(model)[0]].turns_as_one and mostly_rigid(digest):
         return (
             "Take elements that follow large displacements, as the reference does, or lower the load: the body "
             f"swings on its support, and the one rotation of {partner} does not follow a bend."
         )
-    if split(model)[0].startswith("vdm-"):
-        return f'Add "{partner}" to the models, which follows large displacements, or lower the load.'
-    return "Lower the load, or take nonlinear elements."
+    return f'Add "{partner}" to the models, which follows large displacements, or lower the load.'
 
 
 # --- by the kind of interaction ---
@@ -104,13 +100,13 @@ def _nonlinear(digest: Digest, model: str) -> str:
 
 def by_interaction(digest: Digest) -> tuple[Advice, ...]:
     """The table of answers by what touches the body, each with this study's figures."""
-    surface = [name for name in digest.compared if name.startswith(_SURFACE)]
-    elements = [name for name in digest.compared if name.startswith("fem")]
+    surface = _answered(digest, filter(is_surface, digest.compared))
+    elements = _answered(digest, digest.families[Family.ELEMENTS])
     found = [
         _resting(digest),
-        _moving(digest, _answered(digest, surface)),
-        _cutting(digest, _answered(digest, surface)),
-        _exact(digest, _answered(digest, elements)),
+        _moving(digest, surface),
+        _cutting(digest, surface),
+        _exact(digest, surface, elements),
     ]
     return tuple(entry for entry in found if entry is not None)
 
@@ -148,12 +144,19 @@ def _cutting(digest: Digest, surface: Sequence[str]) -> Advice | None:
     return Advice(CUTTING, first, f"Each cut needs a new set-up. {told}.")
 
 
-def _exact(digest: Digest, elements: Sequence[str]) -> Advice:
+def _exact(digest: Digest, surface: Sequence[str], elements: Sequence[str]) -> Advice:
+    """Elements, unless a surface model is closer than all of them that are not the reference's own numbers."""
+    told = [name for name in elements if not digest.same_as_reference(name)]
+    best = _closest(digest, [*told, *surface]) if told or surface else ""
     if not elements:
-        return Advice(
-            EXACT, "", "Take elements; fem-linear on the model's mesh is not among the models compared."
-        )
-    best = _closest(digest, elements)
+        text = "Take elements; fem-linear on the model's mesh is not among the models compared."
+        return Advice(EXACT, "", text)
+    if not told:
+        own = elements[0]
+        return Advice(EXACT, own, f"Take elements: {_told(digest, own)}.")
+    if best in surface:
+        text = f"Take {_told(digest, best)}. It is closer than the elements on this mesh; finer ones come closer."
+        return Advice(EXACT, best, text)
     return Advice(EXACT, best, f"Take elements: {_told(digest, best)}.")
 
 
@@ -174,7 +177,10 @@ def _errors(digest: Digest, name: str) -> dict[str, float]:
 
 def _told(digest: Digest, name: str) -> str:
     """A model with its errors and what it costs."""
-    return f"{name} ({', '.join(filter(None, (off(_errors(digest, name)), _cost(digest, name))))})"
+    errors = off(_errors(digest, name))
+    if digest.same_as_reference(name):
+        errors = "the reference's own numbers, on its mesh"
+    return f"{name} ({', '.join(filter(None, (errors, _cost(digest, name))))})"
 
 
 def _take(digest: Digest, name: str) -> str:
@@ -199,17 +205,13 @@ def _worst_share(digest: Digest, name: str) -> float:
     return max((digest.limits.of_load.share(case, name) for case in digest.cases), default=math.inf)
 
 
-def _usual_share(digest: Digest, name: str) -> float:
-    return float(np.median([digest.limits.of_load.share(case, name) for case in digest.cases]))
-
-
 def _closest(digest: Digest, names: Iterable[str]) -> str:
-    return min(names, key=lambda name: _usual_share(digest, name))
+    return min(names, key=lambda name: usual_share(digest.cases, name, digest.limits))
 
 
 def _answered(digest: Digest, names: Iterable[str]) -> list[str]:
     """Models with an answer at full load in more than half of the cases."""
-    return [name for name in names if math.isfinite(_usual_share(digest, name))]
+    return [name for name in names if math.isfinite(usual_share(digest.cases, name, digest.limits))]
 
 
 def _within(digest: Digest, name: str) -> bool:
@@ -231,12 +233,12 @@ def _how_often(digest: Digest, name: str) -> str:
 
 
 def _better(digest: Digest, model: str) -> str | None:
-    """A model of another kind that is closer and faster per frame, in every case."""
+    """A model of another family that is closer and faster per frame, in every case."""
     mine = _summary(digest, model).seconds_per_step
     better = [
         name
         for name in digest.compared
-        if name not in digest.candidates
+        if family_of(name) is not family_of(model)
         and _worst_share(digest, name) < _worst_share(digest, model)
         and _summary(digest, name).seconds_per_step < mine
     ]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -17,13 +17,16 @@ from ..measures.bars import at_full_load, reference_bar, series, value_bar
 from ..measures.case import CaseResult, Run
 from ..measures.metrics import DEFORMATION, VECTOR
 from ..scene.result import ModelResult
-from ..study.registry import is_vdm
+from ..scene.warnings import MOST_DRIFT, MOST_MOVED, motion_share
+from ..study.registry import FINITE_STRAIN, REFINED, Family, family_of, split
 from . import palette
 from .acceptance import Acceptance, acceptance, standing
+from .loading import supports
 from .measured import measured
 
 # place of the reference in the palette; see `palette.places` for the others
 REFERENCE = -1
+SAME_NUMBERS = 1e-6  # of the displacement: less is rounding between two ways to solve one system
 
 
 def failed_steps(model: ModelResult) -> list[int]:
@@ -97,6 +100,16 @@ class ModelSummary:
 
 
 @dataclass(frozen=True)
+class Outside:
+    """A case whose load a small-strain reference cannot judge: shares of the body's smallest extent and volume."""
+
+    case: str
+    name: str
+    moved: float
+    drift: float
+
+
+@dataclass(frozen=True)
 class Digest:
     """A run with what follows from it."""
 
@@ -125,10 +138,11 @@ class Digest:
 
     @cached_property
     def models(self) -> tuple[str, ...]:
-        """All models, in the study's order, then any that only the cases name."""
+        """All models by family, the reference last; in one as the study orders them."""
         asked = [str(name) for name in self.run.study.study.models]
-        present = [name for case in self.cases for name in case.models]
-        return tuple(dict.fromkeys([*asked, *present]))
+        names = dict.fromkeys([*asked, *(name for case in self.cases for name in case.models)])
+        order = list(Family)
+        return tuple(sorted(names, key=lambda name: (name == self.reference, order.index(family_of(name)))))
 
     @cached_property
     def reference(self) -> str | None:
@@ -152,15 +166,46 @@ class Digest:
         return asked if asked != self.reference and asked in self.compared else None
 
     @cached_property
-    def on_trial(self) -> tuple[str, ...]:
-        """The compared models that are not the reference's own on a coarser mesh."""
-        return tuple(name for name in self.compared if name != self.coarse_reference)
+    def families(self) -> dict[Family, tuple[str, ...]]:
+        """The compared models of each family."""
+        return {
+            family: tuple(name for name in self.compared if family_of(name) is family) for family in Family
+        }
 
     @cached_property
-    def candidates(self) -> tuple[str, ...]:
-        """The models that the verdict is about: those of VDM, where none is compared whatever else is on trial."""
-        surface = tuple(name for name in self.on_trial if is_vdm(name))
-        return surface or self.on_trial or self.compared
+    def outside(self) -> tuple[Outside, ...]:
+        """The cases out of the reference's range."""
+        if self.reference is None or split(self.reference)[0] in FINITE_STRAIN:
+            return ()
+        found = []
+        for case in self.cases:
+            if (result := case.models.get(str(case.reference))) is None:
+                continue
+            extent = self.surfaces[case.hash].smallest_extent
+            moved = motion_share(result.displacement[case.full_load], supports(case), extent)
+            drift = abs(at_full_load(case, str(case.reference), "volume_drift"))
+            if moved > MOST_MOVED or drift > MOST_DRIFT:
+                found.append(Outside(case.hash, self.case_name(case), moved, drift))
+        return tuple(found)
+
+    @cached_property
+    def in_range(self) -> Digest:
+        """The same of the cases that can be judged; itself where that is all of them."""
+        if not self.outside:
+            return self
+        beyond = {one.case for one in self.outside}
+        return Digest(replace(self.run, cases=[case for case in self.cases if case.hash not in beyond]))
+
+    def same_as_reference(self, model: str) -> bool:
+        """Whether a model's answers are the reference's own to rounding, where that is solved on the same mesh."""
+        if str(self.reference).endswith(REFINED):
+            return False
+        spread = self.spread(model, VECTOR)
+        return spread is not None and spread.worst < SAME_NUMBERS
+
+    def deciding(self, family: Family) -> str:
+        """The model that decides in a family: of those that are compared the one that stands best."""
+        return min(self.families[family], key=lambda name: standing(self.cases, name, self.limits))
 
     @cached_property
     def _places(self) -> dict[str, int]:
@@ -254,10 +299,11 @@ class Digest:
 
     @cached_property
     def focus(self) -> str | None:
-        """The model that the page looks at closely: the candidate that stands best against the limits."""
-        rated = [s.name for s in self.summaries if s.name in self.candidates and s.vector is not None]
-        if rated:
-            return min(rated, key=lambda name: standing(self.cases, name, self.limits))
+        """The model that the page looks at closely: the one that decides in the first family of the study."""
+        digest = self.in_range if self.in_range.compared else self
+        first = next((family for family, models in digest.families.items() if models), None)
+        if first is not None:
+            return digest.deciding(first)
         others = [name for name in self.models if name != self.reference]
         return next(iter([*others, *self.models]), None)
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from ..measures.case import CaseResult
@@ -9,17 +11,17 @@ from .digest import Digest
 from .formatting import listed, plural, short_percent
 
 
-def measured_in_words(digest: Digest, model: str) -> tuple[str, ...]:
-    """How far the reference and a model are from what was measured; nothing where nothing was.
+def measured_in_words(digest: Digest, models: Sequence[str]) -> tuple[str, ...]:
+    """How far the reference and some models are from what was measured; nothing where nothing was.
 
     Parameters
     ----------
-    model : the one that the verdict is about, "" for none
+    models : those that decide in a family; where there is neither reference nor any of them, all are told
     """
     cases = [case for case in digest.cases if case.measurement is not None]
     if not cases:
         return ()
-    names = [name for name in dict.fromkeys((digest.reference or "", model)) if name]
+    names = [name for name in dict.fromkeys((digest.reference or "", *models)) if name]
     names = names or list(digest.models)
     told = [text for name in names if (text := _off(cases, name))]
     if not told:

@@ -26,12 +26,6 @@ class LimitRow:
     limit: Limit
 
 
-def limits_in_words(digest: Digest) -> list[str]:
-    """What the limits say of the focus model and of small-strain theory, for the top of the page."""
-    rows = list(limit_rows(digest.cases))
-    return [sentence for sentence in (_growth(digest, rows), _against_the_paper(rows)) if sentence]
-
-
 def is_measured(limit: Limit) -> bool:
     """Whether some mesh has the limit."""
     return limit.state in ("found", "unresolved")
@@ -68,7 +62,9 @@ def limit_rows(cases: Iterable[CaseResult]) -> Iterator[LimitRow]:
                 yield LimitRow(case, model, entry, case.small_strain.unit, limit)
 
 
-def _against_the_paper(rows: list[LimitRow]) -> str:
+def against_the_paper(digest: Digest) -> str:
+    """Where small-strain theory departs from finite strain, and on which side of the paper's bound it is; or ""."""
+    rows = list(limit_rows(digest.cases))
     found, denied = (
         [row for row in rows if row.model == LINEAR and row.limit.state == state]
         for state in ("found", "unresolved")
@@ -98,18 +94,17 @@ def _against_the_paper(rows: list[LimitRow]) -> str:
     return f"S{theory[1:]} by {listed(parts)}. {verdict[0].upper()}{verdict[1:]}."
 
 
-def _growth(digest: Digest, rows: list[LimitRow]) -> str:
-    """One sentence on the model that the page looks at closely, at the smallest threshold.
+def growth_of(digest: Digest, model: str) -> str:
+    """What the limits say of a model at the smallest threshold, in a sentence; "" where they say nothing.
 
     Every number is of the finest mesh there is, or says that it is not.
     """
-    own = [row for row in rows if row.model == digest.focus and math.isfinite(row.entry.structural_error)]
-    if not own or digest.focus == LINEAR:
+    own = [row for row in limit_rows(digest.cases) if row.model == model]
+    own = [row for row in own if math.isfinite(row.entry.structural_error)]
+    if not own or model == LINEAR:
         return ""
     errors = sorted((row.entry.structural_error, row.entry.structural_bar) for row in own)
-    text = (
-        f"{digest.focus} is {_span(starmap(_with_bar, (errors[0], errors[-1])))} off at small loads already"
-    )
+    text = f"{model} is {_span(starmap(_with_bar, (errors[0], errors[-1])))} off at small loads already"
     threshold = min(row.limit.threshold for row in own)
     asked = [row for row in own if row.limit.threshold == threshold]
     finer = any(math.isfinite(row.entry.structural_bar) for row in own)

@@ -1,4 +1,4 @@
-"""The verdict in plain sentences: a reader's questions with their answers, the same wherever they are shown."""
+"""The verdicts in plain sentences, the same wherever they are shown: a row a family, what to take, why."""
 
 from __future__ import annotations
 
@@ -6,96 +6,172 @@ import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
-from .acceptance import NO, UNDECIDED, YES
+from ..scene.warnings import MOST_DRIFT, MOST_MOVED
+from ..study.registry import Family
 from .formatting import listed, plural, quantity, short_percent
 from .inputs_known import inputs_in_words
 from .loading import load_in_words
-from .verdict import Limit, ModelErrors, Setting, Verdict
+from .verdict import Limit, ModelErrors, Setting, Verdict, Verdicts
 from .why_not import exact_percent
 
-GOOD = "Is it good enough?"
+TITLES = {
+    Family.PRINTED: "VDM as printed",
+    Family.DERIVED: "VDM, derived",
+    Family.PEERS: "Surface peers",
+    Family.ELEMENTS: "Elements",
+    Family.ENGINES: "Engines",
+}
 WHY = "Why not?"
 DO = "What to do?"
+LIMITS = "Against which limits?"
 MEASURED = "What does the measurement say?"
 INPUTS = "Is the error larger than what is not known of the inputs?"
-USE = "What to use where?"
 LOAD = "Up to which load?"
-WITH = "With which formulation and parameters?"
+WITH = "With which parameters?"
 COST = "At what cost?"
 SURE = "How sure is this?"
-LEAD = ("", GOOD, WHY, DO, MEASURED, INPUTS)  # what decides; a page shows the others further down
+FIRST = (WHY, DO, MEASURED, INPUTS)  # what a terminal shows too
+_MOST_NAMED = 4  # cases out of range
 _KIND = "These are differences between computations. Nothing here was compared with an experiment."
 
 
 @dataclass(frozen=True)
+class Row:
+    """The answer for one family: its name in words, the word, and one line with the numbers that decide."""
+
+    family: str
+    title: str
+    word: str
+    text: str
+
+
+@dataclass(frozen=True)
 class Answer:
-    """A question of the reader, a word that answers it where one does, and the sentences that bear it out."""
+    """A question of the reader and the sentences that answer it."""
 
     question: str
-    word: str
     sentences: Sequence[str]
 
 
-def answers(verdict: Verdict) -> tuple[Answer, ...]:
-    """Every question that the verdict has an answer to."""
-    if not verdict.word:
-        found = [
-            Answer("", "", (verdict.not_judged,)),
-            _answer(MEASURED, verdict.measured[:1]),
-            _answer(SURE, [*verdict.sureness, *verdict.measured[1:], *inputs_in_words(verdict.inputs)]),
-        ]
-    else:
-        found = [
-            Answer(GOOD, verdict.word, tuple(_good_enough(verdict))),
-            _answer(WHY, [reason.sentence for reason in verdict.why_not]),
-            _answer(DO, [verdict.advice]),
-            _answer(MEASURED, verdict.measured[:1]),
-            _answer(INPUTS, inputs_in_words(verdict.inputs)),
-            _answer(USE, _what_to_use(verdict)),
-            _answer(LOAD, _up_to(verdict)),
-            _answer(WITH, [*_parameters(verdict), *verdict.motion]),
-            _answer(COST, _costs(verdict)),
-            _answer(SURE, [*verdict.sureness, *(verdict.measured[1:] or (_KIND,))]),
-        ]
-    return tuple(answer for answer in found if answer.sentences)
+@dataclass(frozen=True)
+class Told:
+    """All that a run says: a row a family, what holds for all rows, what to take instead, and further answers."""
+
+    rows: tuple[Row, ...]
+    notes: tuple[str, ...]
+    instead: tuple[str, ...]
+    further: tuple[Answer, ...]
+
+
+def told(verdicts: Verdicts) -> Told:
+    """The verdicts in words."""
+    judged = [one for one in verdicts.asked if one.model]
+    found = [
+        _answer(WHY, [f"{one.model}: {_small(r.sentence)}" for one in judged for r in one.why_not]),
+        _answer(DO, [f"{one.model}: {_small(one.advice)}" for one in judged if one.advice]),
+        _answer(MEASURED, verdicts.measured[:1]),
+        _answer(INPUTS, inputs_in_words(verdicts.inputs)),
+        _answer(LIMITS, _limits_told(judged)),
+        _answer(LOAD, [*(s for one in judged for s in _up_to(one)), *_small_strain(verdicts)]),
+        _answer(WITH, [*(_parameters(one) for one in judged), *_others(verdicts), *verdicts.motion]),
+        _answer(COST, _costs(verdicts, judged)),
+        _answer(SURE, [*verdicts.sureness, *(verdicts.measured[1:] or ([_KIND] if verdicts.errors else []))]),
+    ]
+    return Told(
+        rows=tuple(
+            Row(one.family, TITLES[Family(one.family)], one.word, _row(verdicts, one))
+            for one in verdicts.asked
+        ),
+        notes=tuple(filter(None, [verdicts.not_judged, _outside(verdicts), *verdicts.reservations])),
+        instead=tuple(
+            f"{a.interaction[:1].upper()}{a.interaction[1:]}: {_small(a.sentence)}" for a in verdicts.take
+        ),
+        further=tuple(answer for answer in found if answer.sentences),
+    )
 
 
 def _answer(question: str, sentences: Iterable[str]) -> Answer:
-    return Answer(question, "", tuple(sentence for sentence in sentences if sentence))
+    return Answer(question, tuple(sentence for sentence in sentences if sentence))
 
 
-# --- good enough? ---
+def _small(sentence: str) -> str:
+    """A sentence after a colon."""
+    first = sentence.split(" ", 1)[0]
+    return sentence if first.isupper() and len(first) > 1 else f"{sentence[:1].lower()}{sentence[1:]}"
 
 
-def _good_enough(verdict: Verdict) -> list[str]:
-    if verdict.not_judged:
-        return [verdict.not_judged, _accuracy(verdict), *verdict.reservations]
-    return [_summary(verdict), *map(limit_sentence, verdict.limits), *verdict.reservations]
+# --- the rows ---
 
 
-def _summary(verdict: Verdict) -> str:
-    among = f", the closest of {verdict.among} {verdict.kind}," if verdict.among > 1 else ""
-    bare = "" if any(math.isfinite(limit.bar) for limit in verdict.limits) else " (no error bar)"
-    subject, limits = f"{verdict.model}{among}", _limits(verdict)
-    if verdict.cases == 1:
-        if verdict.word == YES:
-            return f"{subject} is within {limits}{bare}."
-        if verdict.word == NO:
-            return f"{subject} is not within {limits}{bare}."
-        return f"{subject} is within {limits} or not: the reference is too uncertain to tell."
-    if verdict.word == YES:
-        return f"{subject} is within {limits} in all {verdict.cases} cases{bare}."
-    if verdict.word == UNDECIDED:
-        return f"{subject} is surely within {limits} in none of {verdict.cases} cases."
-    only = f": those at {verdict.tells} are not" if verdict.tells and verdict.within else ""
-    return f"{subject} is within {limits} in {verdict.within or 'none'} of {verdict.cases} cases{bare}{only}."
+def _row(verdicts: Verdicts, one: Verdict) -> str:
+    """One line: the model that decides, the number that leads, in how many cases it is within, the worst case."""
+    if not one.model:
+        errors = [e for e in verdicts.errors if e.model in one.models]
+        return f"{'; '.join(f'{e.model}: {_both(e)}' for e in errors)}." if errors else ""
+    lead, several = one.lead, verdicts.cases > 1
+    if one.same:
+        return f"{one.model}: the numbers of {verdicts.reference} itself, on its mesh: no test of accuracy."
+    if lead is None:
+        return f"{one.model}: no answer in {'any case' if several else 'the only case'}."
+    beside = [] if math.isnan(lead.floor) else [f"displacement {exact_percent(lead.displacement)}"]
+    beside += (
+        [f"change of shape {exact_percent(lead.deformation)}"] if math.isfinite(lead.deformation) else []
+    )
+    beside += [f"least along normals {exact_percent(lead.floor)}"] if math.isfinite(lead.floor) else []
+    text = f"{one.model}: {lead.name} {_with_bar(lead.value, lead.bar)}"
+    text += f" ({', '.join(beside)})" if beside else ""
+    if several:
+        text += f"; within {_limits(one)} in {one.within or 'none'} of {plural(one.judged, 'case')}"
+        text += f", {one.undecided} undecided" if one.undecided else ""
+        text += f"; worst: {one.worst}, {_with_bar(lead.worst, lead.worst_bar)}"
+    if over := _over(one):
+        text += f"; {over}"
+    return f"{text}."
 
 
-def _limits(verdict: Verdict) -> str:
+def _over(one: Verdict) -> str:
+    """The limits beside those of the two errors that it does not keep, with their numbers."""
+    return listed(
+        f"{limit.name} {measure(limit.value, limit.unit)} of {measure(limit.allowed, limit.unit)} allowed"
+        for limit in one.limits[2:]
+        if limit.word != "yes" and math.isfinite(limit.value)
+    )
+
+
+def _outside(verdicts: Verdicts) -> str:
+    """Which cases are not judged, and why."""
+    out = verdicts.outside
+    if not out:
+        return ""
+    moved, drift = max(one.moved for one in out), max(one.drift for one in out)
+    parts = (
+        [f"moves the body by up to {short_percent(moved)} of its smallest extent"]
+        if moved > MOST_MOVED
+        else []
+    )
+    if drift > MOST_DRIFT:
+        parts.append(f"changes the body's volume by up to {short_percent(drift)}")
+    which = listed(one.name for one in out[:_MOST_NAMED])
+    more = f" and {len(out) - _MOST_NAMED} more" if len(out) > _MOST_NAMED else ""
+    where = (
+        f" in {len(out)} of {plural(verdicts.cases, 'case')} ({which}{more})" if verdicts.cases > 1 else ""
+    )
+    count = f"{verdicts.cases - len(out)} of {verdicts.cases} judged. " if verdicts.cases > 1 else ""
+    return (
+        f"{count}The load {listed(parts)}{where}. The reference holds for small strain and cannot judge that. "
+        'Lower the load, or take reference = "fem".'
+    )
+
+
+def _limits(one: Verdict) -> str:
     """`10 %` where both errors have that limit and there is no other, else `its limits`."""
-    allowed = {(limit.allowed, limit.unit) for limit in verdict.limits}
+    allowed = {(limit.allowed, limit.unit) for limit in one.limits}
     (value, unit) = next(iter(allowed))
     return short_percent(value) if len(allowed) == 1 and unit == "1" else "its limits"
+
+
+def _limits_told(judged: Sequence[Verdict]) -> list[str]:
+    return [f"{one.model}: {_small(limit_sentence(limit))}" for one in judged for limit in one.limits]
 
 
 def limit_sentence(limit: Limit) -> str:
@@ -110,11 +186,11 @@ def limit_sentence(limit: Limit) -> str:
         (limit.beyond, "beyond"),
         (limit.unanswered, "without an answer"),
     ]
-    told = [f"{count} {word}" for count, word in counts if count]
-    cases = f"; {listed(told)}" if len(told) > 1 else ""
+    parts = [f"{count} {word}" for count, word in counts if count]
+    cases = f"; {listed(parts)}" if len(parts) > 1 else ""
     several = f" in the worst case ({limit.case}){cases}" if limit.case else ""
     text = f"{measure(limit.value, limit.unit)}{bar} of {measure(limit.allowed, limit.unit)} allowed{several}"
-    return f"{name}: {limit.word.lower()}, {text}."
+    return f"{name}: {limit.word}, {text}."
 
 
 def measure(value: float, unit: str) -> str:
@@ -122,16 +198,8 @@ def measure(value: float, unit: str) -> str:
     return exact_percent(value) if unit == "1" else quantity(value, unit)
 
 
-def _accuracy(verdict: Verdict) -> str:
-    return (
-        f"{verdict.model} differs from {verdict.reference} by {_both(verdict.errors[0])}."
-        if verdict.errors
-        else ""
-    )
-
-
 def _both(errors: ModelErrors) -> str:
-    parts = [f"{_with_bar(errors.displacement, errors.displacement_bar)} in displacement"]
+    parts = [f"{_with_bar(errors.displacement, errors.displacement_bar)} away in displacement"]
     if math.isfinite(errors.deformation):
         parts.append(f"{_with_bar(errors.deformation, errors.deformation_bar)} in change of shape")
     return listed(parts)
@@ -141,31 +209,21 @@ def _with_bar(value: float, bar: float) -> str:
     return f"{exact_percent(value)} ± {short_percent(bar)}" if math.isfinite(bar) else exact_percent(value)
 
 
-# --- what to use ---
-
-
-def _what_to_use(verdict: Verdict) -> list[str]:
-    return [
-        f"{a.interaction[:1].upper()}{a.interaction[1:]}: {_small(a.sentence)}" for a in verdict.interactions
-    ]
-
-
-def _small(sentence: str) -> str:
-    """A sentence after a colon."""
-    return f"{sentence[:1].lower()}{sentence[1:]}"
-
-
 # --- up to which load ---
 
 
-def _up_to(verdict: Verdict) -> list[str]:
-    sentences = [*_reached(verdict), *verdict.growth]
-    if verdict.small_strain and verdict.word != "Not judged":
-        sentences.append(
+def _up_to(one: Verdict) -> list[str]:
+    reached = [f"{one.model}: {_small(text)}" for text in _reached(one)]
+    return [*reached, one.growth]
+
+
+def _small_strain(verdicts: Verdicts) -> list[str]:
+    if verdicts.small_strain and not verdicts.not_judged:
+        return [
             "The reference is linear, so the errors of linear models do not grow with the load. Where small strain "
             'ends, reference = "fem" tells.'
-        )
-    return sentences
+        ]
+    return [verdicts.paper]
 
 
 def _reached(verdict: Verdict) -> list[str]:
@@ -199,23 +257,27 @@ def _depth(depth: float) -> str:
 # --- parameters, cost ---
 
 
-def _parameters(verdict: Verdict) -> list[str]:
-    settings = verdict.settings
-    parts = [f"{one.name} = {_range(one)}" for one in settings]
-    given = [one.name for one in settings if one.given]
-    text = f"{verdict.model} with {listed(parts)}" if parts else verdict.model
-    if parts and given:
-        text += f"; the study sets {listed(given)}"
-    elif parts:
-        text += ", by rule from the tissue and the size of the body, not fitted"
-    sentences = [f"{text}."]
-    others = [entry for entry in verdict.errors if entry.model != verdict.model]
-    if others:
-        many = " (medians)" if verdict.cases > 1 else ""
-        sentences.append(
-            f"Displacement errors of the others{many}: {listed(_short(verdict, e) for e in others)}."
-        )
-    return sentences
+def _parameters(one: Verdict) -> str:
+    parts = [f"{setting.name} = {_range(setting)}" for setting in one.settings]
+    given = [setting.name for setting in one.settings if setting.given]
+    if not parts:
+        return ""
+    told_by = (
+        f"the study sets {listed(given)}" if given else "by rule from tissue and size of the body, not fitted"
+    )
+    return f"{one.model} with {listed(parts)}; {told_by}."
+
+
+def _others(verdicts: Verdicts) -> list[str]:
+    """The errors of models that decide in no family."""
+    chosen = {one.model for one in verdicts.asked}
+    others = [entry for entry in verdicts.errors if entry.model not in chosen]
+    many = " (medians)" if verdicts.cases > 1 else ""
+    return (
+        [f"Displacement errors of the others{many}: {listed(_short(verdicts, e) for e in others)}."]
+        if others
+        else []
+    )
 
 
 def _range(setting: Setting) -> str:
@@ -223,7 +285,7 @@ def _range(setting: Setting) -> str:
     return low if low == high else f"{low} to {high}"
 
 
-def _short(verdict: Verdict, errors: ModelErrors) -> str:
+def _short(verdict: Verdicts, errors: ModelErrors) -> str:
     notes = [] if errors.resolved else ["unresolved"]
     if errors.cases < verdict.cases:
         notes.append(f"in the {errors.cases} of {plural(verdict.cases, 'case')} with an answer")
@@ -232,17 +294,20 @@ def _short(verdict: Verdict, errors: ModelErrors) -> str:
     )
 
 
-def _costs(verdict: Verdict) -> list[str]:
-    """The times of the model and of the reference's own model on the same mesh; no ratio: they took no turns."""
-    peer = verdict.reference.partition(" ")[0]
-    names = [verdict.model, *([peer] if any(c.model == peer for c in verdict.costs) else [verdict.reference])]
+def _costs(verdicts: Verdicts, judged: Sequence[Verdict]) -> list[str]:
+    """The times of the models that decide, and of the reference's own on this mesh; no ratio: none took turns."""
+    if not judged:
+        return []
+    peer = verdicts.reference.partition(" ")[0]
+    last = peer if any(c.model == peer for c in verdicts.costs) else verdicts.reference
+    names = dict.fromkeys([*(one.model for one in judged), last])
     told = []
-    for cost in (c for name in names for c in verdict.costs if c.model == name and c.frame > 0.0):
+    for cost in (c for name in names for c in verdicts.costs if c.model == name and c.frame > 0.0):
         marks = [*(["solved iteratively"] if cost.iterative else []), *cost.marks]
         set_up = f" after {quantity(cost.set_up, 's', 2)} of set-up" if math.isfinite(cost.set_up) else ""
         marked = f" ({', '.join(marks)})" if marks else ""
         told.append(f"A frame of {cost.model} takes {quantity(cost.frame, 's', 2)}{set_up}{marked}.")
-    if any(c.iterative for c in verdict.costs if c.model in names):
+    if any(c.iterative for c in verdicts.costs if c.model in names):
         told.append(
             "With its factors kept, a frame of the same elements is shorter: vdmbench bench measures it."
         )

@@ -1,49 +1,59 @@
-"""The decision that a run bears: is a model good enough, why not, what to use, up to which load, at what cost.
+"""What a run says: one verdict a family of models, each held against the study's own limits, then what to take.
 
-Page, terminal, JSON and Python take this object; `sentences` puts it in words.
+Page, terminal, JSON and Python take these objects; `sentences` puts them in words.
 """
 
 from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
 from ..measures.case import CaseResult
-from ..study.registry import FINITE_STRAIN, PARAMETERS, is_vdm, split
-from .acceptance import BEYOND, LOST, NOT_ASKED, OPEN, WITHIN, Criterion, word_of
+from ..measures.metrics import DEFORMATION, VECTOR
+from ..scene.warnings import scene_warnings
+from ..study.registry import FINITE_STRAIN, PARAMETERS, SURFACE, Family, family_of, split
+from .acceptance import (
+    BEYOND,
+    LOST,
+    NOT_ASKED,
+    NOT_JUDGED,
+    OPEN,
+    WITHIN,
+    WORD,
+    Criterion,
+    usual_share,
+    word_of,
+)
 from .advice import Advice, advice, by_interaction
-from .beyond import beyond_small_strain
-from .credibility import Evidence, credibility
-from .digest import Digest, ModelSummary, Spread, failed_steps
-from .doubts import doubts
+from .digest import Digest, ModelSummary, Outside, Spread, failed_steps
 from .experiment import measured_in_words
 from .formatting import listed, parameter_name, plural, short_percent, swept_value
-from .growth import limits_in_words
+from .growth import against_the_paper, growth_of
 from .inputs_known import InputsKnown, inputs_known
 from .ladders import reading
-from .motion import motion_in_words
+from .motion import NORMAL, along_normals, motion_in_words
 from .up_to import UpTo, up_to
 from .why_not import Reason, reasons
 
-NOT_JUDGED = "Not judged"
-SURFACE_MODELS = ("vdm-", "mass-spring")
 _WORST = (BEYOND, OPEN, WITHIN, LOST)  # which case decides: the first of these that a model has
 _MOST_VALUES = 4
+_NUMBER = re.compile(r"(?<![\w.])-?\d+(?:\.\d+)?(?:e[-+]?\d+)?(?![\w.]*\w)")
 
 
 @dataclass(frozen=True)
 class Limit:
-    """One limit of [acceptance] and how the model stands against it.
+    """One limit of [acceptance] and how a model stands against it over the judged cases.
 
     Attributes
     ----------
     key, name, region : in the study file, in words, and the region that it is restricted to, "" for none
-    word : Yes, In part, Undecided or No
+    word : yes, no, undecided or not judged
     value, bar : the number that decides, of the worst case, and the reference's own part in it, NaN where not known
     allowed, unit : the most that is accepted
     case : the worst case, "" where there is one only
@@ -63,6 +73,29 @@ class Limit:
     undecided: int
     beyond: int
     unanswered: int
+
+
+@dataclass(frozen=True)
+class Lead:
+    """The number that leads: the normal error of a model that moves along normals, else the displacement error.
+
+    Attributes
+    ----------
+    metric, name : which, and in words
+    value, bar, worst, worst_bar : median over the judged cases, largest, and the reference's own part in each
+    displacement, deformation : the medians of both errors that are limited
+    floor : the least displacement error that a motion along normals leaves, NaN for other models
+    """
+
+    metric: str
+    name: str
+    value: float
+    bar: float
+    worst: float
+    worst_bar: float
+    displacement: float
+    deformation: float
+    floor: float
 
 
 @dataclass(frozen=True)
@@ -104,66 +137,127 @@ class Setting:
 
 
 @dataclass(frozen=True)
+class Map:
+    """The words over two swept parameters: family -> a row for each value of `y` of one word for each of `x`.
+
+    A word is "" where there is no case. Values are in SI units.
+    """
+
+    x: str
+    y: str
+    x_unit: str
+    y_unit: str
+    x_values: tuple[float | str, ...]
+    y_values: tuple[float | str, ...]
+    words: dict[str, tuple[tuple[str, ...], ...]]
+
+
+@dataclass(frozen=True)
 class Verdict:
-    """The answer of a run.
+    """The answer for one family.
 
     Attributes
     ----------
-    word : Yes, No, Undecided, In part or Not judged; "" where there is nothing to compare
-    model : the form that stands best against the limits, which all below is about; "" for none
-    among, kind : how many forms it is the best of, and what they are called
-    reference : what it is held against, "" for nothing
-    cases, within, lost : with a result; within every limit; failed, damaged or not run
-    limits : one entry per limit
+    family : see `vdmbench.study.registry.Family`
+    word : yes, no, undecided or not judged: that of the worst judged case
+    models : those of the family that are compared
+    model, closest : the one that decides, which all below is about; the one with the least error, whatever its time
+    lead : the number that leads, None where nothing is known
+    judged, within, undecided, beyond, unanswered : cases
+    worst : name of the judged case that is furthest off by `lead`, "" where there is one only
     tells : the values of one swept parameter that only cases not within have, "" where none tells them
+    limits : one entry a limit
+    same : whether it has the reference's own numbers to rounding on the same mesh, which tells nothing of accuracy
     why_not : causes, of what is not within
-    not_judged : why there is no word, or no judgement
-    reservations : what the model, the reference, their numbers or the scene say against the answer
-    advice, interactions : what to do; what to use for each kind of interaction
-    up_to : the load up to which every case is within; None where the loads are not known or nothing is judged
-    growth : the small-strain limits in words, where the study searched them
-    small_strain : whether the reference is a linear one
-    errors : of every model that is compared, `model` first
-    costs : of every model
-    settings : the parameters of `model`
-    motion : what the reference's motion is made of, and what that costs models that move nodes along normals
-    sureness : how sure the figures are, and what is not in them
-    measured : how far reference and `model` are from a measurement, where there is one
-    credibility : evidence by category, shown, partly or not
-    inputs : what is not known of the inputs, beside the error of `model`; None where the study does not tell
+    advice : what to do with this answer
+    cost, settings : of the model
+    up_to : the load up to which every judged case is within; None where the loads are not known
+    growth : its small-strain limits in words, where the study searched them
+    states : hash of each case -> its word
     """
 
-    word: str
+    family: str
+    word: str = NOT_JUDGED
+    models: tuple[str, ...] = ()
     model: str = ""
-    among: int = 0
-    kind: str = ""
+    closest: str = ""
+    lead: Lead | None = None
+    judged: int = 0
+    within: int = 0
+    undecided: int = 0
+    beyond: int = 0
+    unanswered: int = 0
+    worst: str = ""
+    tells: str = ""
+    limits: tuple[Limit, ...] = ()
+    same: bool = False
+    why_not: tuple[Reason, ...] = ()
+    advice: str = ""
+    cost: Cost | None = None
+    settings: tuple[Setting, ...] = ()
+    up_to: UpTo | None = None
+    growth: str = ""
+    states: dict[str, str] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Verdicts(Mapping[str, Verdict]):
+    """The answers of a run by family, all five in the order of `Family`, and what holds for the whole run.
+
+    Attributes
+    ----------
+    families : family -> its verdict
+    reference : what all is held against, "" for nothing
+    cases, lost : with a result; failed, damaged or not run
+    not_judged : why nothing at all is judged, "" where something is
+    outside : cases out of the reference's range, which no word counts
+    take : what to take for each kind of interaction
+    map : the words over two swept parameters, None where others are swept
+    reservations : what models, reference or scene say against the answers; alike ones are one, with a range
+    small_strain : whether the reference is a linear one
+    errors, costs : of every model that is compared, and of every model
+    motion, paper : what the reference's motion is made of; where small strain ends
+    sureness : how sure the figures are, and what is not in them
+    measured : how far the models that decide are from a measurement, where there is one
+    inputs : what is not known of the inputs, beside the error of the first family's model; None where not told
+    """
+
+    families: dict[str, Verdict]
     reference: str = ""
     cases: int = 0
     lost: int = 0
-    limits: tuple[Limit, ...] = ()
-    within: int = 0
-    tells: str = ""
-    why_not: tuple[Reason, ...] = ()
     not_judged: str = ""
+    outside: tuple[Outside, ...] = ()
+    take: tuple[Advice, ...] = ()
+    map: Map | None = None
     reservations: tuple[str, ...] = ()
-    advice: str = ""
-    interactions: tuple[Advice, ...] = ()
-    up_to: UpTo | None = None
-    growth: tuple[str, ...] = ()
     small_strain: bool = False
     errors: tuple[ModelErrors, ...] = ()
     costs: tuple[Cost, ...] = ()
-    settings: tuple[Setting, ...] = ()
     motion: tuple[str, ...] = ()
+    paper: str = ""
     sureness: tuple[str, ...] = ()
     measured: tuple[str, ...] = ()
     inputs: InputsKnown | None = None
-    credibility: tuple[Evidence, ...] = ()
+
+    def __getitem__(self, family: str) -> Verdict:
+        return self.families[family]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self.families)
+
+    def __len__(self) -> int:
+        return len(self.families)
+
+    @property
+    def asked(self) -> list[Verdict]:
+        """Those of the families that the study compares."""
+        return [one for one in self.families.values() if one.models]
 
     def as_data(self) -> dict[str, Any]:
-        """All of it as plain data, None where a number is not known."""
+        """As plain data, None where a number is not known: `verdicts` by family, the rest in `judgement`."""
         data: dict[str, Any] = _plain(dataclasses.asdict(self))
-        return data
+        return {"verdicts": data.pop("families"), "judgement": data}
 
 
 def _plain(value: Any) -> Any:
@@ -174,64 +268,141 @@ def _plain(value: Any) -> Any:
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
-def verdict(digest: Digest) -> Verdict:
+def verdicts(digest: Digest) -> Verdicts:
     """What comes out of a run."""
     # overflow is no surprise in what a model that broke down left behind
     with np.errstate(all="ignore"):
-        return _verdict(digest)
+        return _verdicts(digest)
 
 
-def _verdict(digest: Digest) -> Verdict:
-    run = digest.run
-    lost = len(run.failed) + len(run.missing)
-    costs = tuple(_cost(summary) for summary in digest.summaries)
-    about: dict[str, Any] = {"reference": digest.reference or "", "cases": len(digest.cases), "lost": lost}
-    about |= {"costs": costs, "motion": motion_in_words(digest), "sureness": tuple(_gaps(digest))}
-    about |= {"measured": measured_in_words(digest, ""), "inputs": inputs_known(digest, "")}
-    about["credibility"] = tuple(credibility(digest))
-    if not digest.cases:
-        return Verdict("", not_judged="No case has a result yet, so there is nothing to compare.", **about)
-    if digest.reference is None:
-        text = "No model is the reference. The page shows what the models answer, not how far off they are."
-        return Verdict("", not_judged=text, **about)
-    rated = {s.name: s.vector for s in digest.summaries if s.name in digest.candidates and s.vector}
-    best = digest.focus
-    if best is None or best not in rated:
-        return Verdict(
-            "", not_judged=f"No model has a result at full load to hold against {digest.reference}.", **about
-        )
-    about |= {
-        "model": best,
-        "measured": measured_in_words(digest, best),
-        "inputs": inputs_known(digest, best),
-        "among": len(rated),
-        "kind": "VDM models" if all(map(is_vdm, digest.candidates)) else "models",
-        "growth": tuple(limits_in_words(digest)),
-        "small_strain": split(digest.reference)[0] not in FINITE_STRAIN,
-        "errors": tuple(_errors(digest)),
-        "settings": tuple(_settings(digest, best)),
-        "sureness": (_sureness(digest, rated[best]), *about["sureness"]),
-        "reservations": (*_reservations(digest, best), *_scene_doubts(digest)),
-    }
-    if str(digest.reference).startswith(SURFACE_MODELS):
-        text = f"The reference, {digest.reference}, is a surface model itself. Agreement with it is not accuracy."
-        return Verdict(NOT_JUDGED, not_judged=text, **about)
-    if outside := beyond_small_strain(digest):
-        return Verdict(NOT_JUDGED, not_judged=outside, **about)
-    states = [digest.limits.state(case, best, case.full_load) for case in digest.cases]
-    word, why = word_of(states), reasons(digest, best)
-    reached = up_to(digest, best)
-    return Verdict(
-        word,
-        limits=tuple(_limit(digest, best, criterion) for criterion in digest.limits.criteria),
-        within=states.count(WITHIN),
-        tells=_what_tells(digest, states),
-        why_not=why,
-        advice=advice(digest, best, word, why),
-        interactions=by_interaction(digest),
-        up_to=reached,
-        **about,
+def _verdicts(digest: Digest) -> Verdicts:
+    reference, nothing = digest.reference or "", _why_nothing_is_judged(digest)
+    inside = digest.in_range
+    unjudged = dict.fromkeys((case.hash for case in digest.cases), NOT_JUDGED)
+    found = {}
+    for family, models in digest.families.items():
+        one = Verdict(family.value, models=models, states=unjudged)
+        # a model may have answers in cases out of range alone
+        if not nothing and inside.families[family]:
+            one = _family(inside, family, unjudged)
+        found[family.value] = one
+    chosen = [one.model for one in found.values() if one.model]
+    focus = digest.focus if digest.focus in digest.compared else ""
+    spread = digest.spread(focus, VECTOR) if focus else None
+    return Verdicts(
+        families=found,
+        reference=reference,
+        cases=len(digest.cases),
+        lost=len(digest.run.failed) + len(digest.run.missing),
+        not_judged=nothing,
+        outside=() if nothing else digest.outside,
+        take=by_interaction(inside) if chosen else (),
+        map=_map(digest, found) if chosen else None,
+        reservations=(*_reservations(digest, chosen), *_scene_doubts(digest)),
+        small_strain=bool(reference) and split(reference)[0] not in FINITE_STRAIN,
+        errors=tuple(_errors(digest)),
+        costs=tuple(_cost(summary) for summary in digest.summaries),
+        motion=motion_in_words(digest),
+        paper=against_the_paper(digest),
+        sureness=(*([_sureness(digest, spread)] if spread else []), *_gaps(digest)),
+        measured=measured_in_words(digest, chosen),
+        inputs=inputs_known(digest, focus or ""),
     )
+
+
+def _why_nothing_is_judged(digest: Digest) -> str:
+    reference = digest.reference
+    if not digest.cases:
+        return "No case has a result yet, so there is nothing to compare."
+    if reference is None:
+        return "No model is the reference. The page shows what the models answer, not how far off they are."
+    if all(digest.spread(name, VECTOR) is None for name in digest.compared):
+        return f"No model has a result at full load to hold against {reference}."
+    if family_of(reference) in SURFACE:
+        return f"The reference, {reference}, is a surface model itself. Agreement with it is not accuracy."
+    return ""
+
+
+def _family(digest: Digest, family: Family, unjudged: Mapping[str, str]) -> Verdict:
+    """The verdict of a family over the cases in range."""
+    models, model = digest.families[family], digest.deciding(family)
+    states = [digest.limits.state(case, model, case.full_load) for case in digest.cases]
+    word, why = word_of(states), reasons(digest, model)
+    lead = _lead(digest, model)
+    sizes = digest.full_loads(model, lead.metric) if lead is not None else np.zeros(len(digest.cases))
+    worst = digest.cases[int(np.argmax(np.nan_to_num(sizes, nan=-1.0)))]
+    judged = {case.hash: WORD[state] for case, state in zip(digest.cases, states, strict=True)}
+    return Verdict(
+        family=family.value,
+        word=word,
+        models=models,
+        model=model,
+        closest=min(models, key=lambda name: usual_share(digest.cases, name, digest.limits)),
+        lead=lead,
+        judged=len(states),
+        within=states.count(WITHIN),
+        undecided=states.count(OPEN),
+        beyond=states.count(BEYOND),
+        unanswered=states.count(LOST),
+        worst=digest.case_name(worst) if len(unjudged) > 1 else "",
+        tells=_what_tells(digest, states),
+        limits=tuple(_limit(digest, model, criterion) for criterion in digest.limits.criteria),
+        same=digest.same_as_reference(model),
+        why_not=why,
+        advice=advice(digest, model, word, why),
+        cost=next(_cost(summary) for summary in digest.summaries if summary.name == model),
+        settings=tuple(_settings(digest, model)),
+        up_to=up_to(digest, model),
+        growth=growth_of(digest, model),
+        states={**unjudged, **judged},
+    )
+
+
+def _lead(digest: Digest, model: str) -> Lead | None:
+    vector, shape = digest.spread(model, VECTOR), digest.spread(model, DEFORMATION)
+    if vector is None:
+        return None
+    scalar = along_normals(digest, model)
+    found = (digest.spread(model, NORMAL) if scalar else None) or vector
+    return Lead(
+        metric=NORMAL if scalar else VECTOR,
+        name="normal error" if scalar else "displacement error",
+        value=found.median,
+        bar=found.median_bar,
+        worst=found.worst,
+        worst_bar=found.worst_bar,
+        displacement=vector.median,
+        deformation=shape.median if shape is not None else math.nan,
+        floor=scalar[0] if scalar else math.nan,
+    )
+
+
+def _map(digest: Digest, found: Mapping[str, Verdict]) -> Map | None:
+    """The words over two swept parameters; None where there are more or fewer."""
+    if len(digest.swept_keys) != 2:
+        return None
+    x, y = digest.swept_keys
+    ordered = {
+        key: tuple(sorted({case.swept[key] for case in digest.cases if key in case.swept}, key=_in_order))
+        for key in (x, y)
+    }
+    place = {(case.swept.get(x), case.swept.get(y)): case.hash for case in digest.cases}
+    words = {
+        family: tuple(
+            tuple(one.states.get(place.get((a, b), ""), "") for a in ordered[x]) for b in ordered[y]
+        )
+        for family, one in found.items()
+        if one.models
+    }
+    units = [next((c.swept_units[k] for c in digest.cases if k in c.swept_units), "1") for k in (x, y)]
+    return Map(x, y, units[0], units[1], ordered[x], ordered[y], words)
+
+
+def _in_order(value: float | str) -> tuple[bool, float, str]:
+    return (True, 0.0, value) if isinstance(value, str) else (False, float(value), "")
+
+
+# --- a model over its cases ---
 
 
 def _limit(digest: Digest, model: str, criterion: Criterion) -> Limit:
@@ -250,7 +421,7 @@ def _limit(digest: Digest, model: str, criterion: Criterion) -> Limit:
         key=criterion.key,
         name=criterion.name,
         region=criterion.region,
-        word=word_of(states) if states else NOT_JUDGED,
+        word=word_of(states),
         value=criterion.at(worst, model, worst.full_load) if worst is not None else math.nan,
         bar=criterion.bar(worst) if worst is not None else math.nan,
         allowed=criterion.allowed,
@@ -283,7 +454,7 @@ def _errors(digest: Digest) -> list[ModelErrors]:
                 resolved=not vector.measured or vector.resolved == vector.cases,
             )
         )
-    return sorted(found, key=lambda e: (e.model != digest.focus, max(e.displacement, e.deformation)))
+    return found
 
 
 def _cost(summary: ModelSummary) -> Cost:
@@ -329,29 +500,72 @@ def _what_tells(digest: Digest, states: list[str]) -> str:
     return ""
 
 
-def _reservations(digest: Digest, model: str) -> list[str]:
-    """What a model and the reference say of steps that can be used, and what the numbers of the model say of it."""
-    found: dict[tuple[str, str], int] = {}
+# --- what speaks against it ---
+
+
+@dataclass(frozen=True)
+class Doubt:
+    """A doubt about a constraint of the scene, with the first case that raises it."""
+
+    constraint: str
+    case: CaseResult
+    text: str
+
+
+def doubts(digest: Digest) -> list[Doubt]:
+    """What is doubtful about the scenes that were computed: each constraint's, of several cases the first."""
+    found: dict[tuple[str | int, ...], Doubt] = {}
     for case in digest.cases:
-        for name in (model, str(case.reference)):
-            result = case.models.get(name)
-            messages = [s.message for s in result.status if s.ok and s.message] if result is not None else []
-            own = reading(case, model) if name == model and result is not None else None
-            if own is not None and not own.ok and not failed_steps(case.models[model]):
-                messages.append(own.message)
-            for message in dict.fromkeys(messages[-2:]):
-                found[name, message] = found.get((name, message), 0) + 1
-    count = len(digest.cases)
-    return [
-        f"{name} answers with a reservation{f' in {cases} of {count} cases' if count > 1 else ''}: {message}."
-        for (name, message), cases in list(found.items())[:_MOST_VALUES]
-    ]
+        constraints = [one.model_dump(exclude_none=True) for one in case.study.constraints]
+        tissue, factor = case.study.tissue.model_dump(exclude_none=True), float(abs(case.load_factors).max())
+        for loc, text in scene_warnings(
+            constraints, tissue, case.regions, case.points, case.triangles, factor
+        ):
+            entry = constraints[int(loc[1])] if loc[0] == "constraints" else {"name": ".".join(map(str, loc))}
+            found.setdefault(loc, Doubt(entry.get("name") or entry["region"], case, text))
+    return list(found.values())
 
 
 def _scene_doubts(digest: Digest) -> list[str]:
     return [f"The scene is doubtful: {doubt.constraint} {doubt.text}." for doubt in doubts(digest)][
         :_MOST_VALUES
     ]
+
+
+def _reservations(digest: Digest, models: Sequence[str]) -> list[str]:
+    """What models and reference say of steps that can be used, and what the numbers of the models say of it.
+
+    Messages of one model that differ in a number are one, with its range.
+    """
+    found: dict[tuple[str, str], list[tuple[str, ...]]] = {}
+    for case in digest.cases:
+        for name in dict.fromkeys([*models, str(case.reference)]):
+            if (result := case.models.get(name)) is None:
+                continue
+            messages = [s.message for s in result.status if s.ok and s.message]
+            own = reading(case, name) if name in models else None
+            if own is not None and not own.ok and not failed_steps(result):
+                messages.append(own.message)
+            # of a history the last two say most; one that repeats itself with another number says it once
+            latest = {_NUMBER.sub("\0", message): message for message in messages[-2:]}
+            for skeleton, message in latest.items():
+                found.setdefault((name, skeleton), []).append(tuple(_NUMBER.findall(message)))
+    count = len(digest.cases)
+    return [
+        f"{name} answers with a reservation{f' in {len(numbers)} of {count} cases' if count > 1 else ''}: "
+        f"{_with_ranges(skeleton, numbers)}."
+        for (name, skeleton), numbers in list(found.items())[:_MOST_VALUES]
+    ]
+
+
+def _with_ranges(skeleton: str, numbers: Sequence[tuple[str, ...]]) -> str:
+    """A message with each of its numbers as it is, or as the range of those that were said."""
+    shown = []
+    for values in zip(*numbers, strict=True):
+        low, high = min(values, key=float), max(values, key=float)
+        shown.append(low if float(low) == float(high) else f"{low} to {high}")
+    texts = skeleton.split("\0")
+    return "".join(text + number for text, number in zip(texts, [*shown, ""], strict=True))
 
 
 # --- how sure ---

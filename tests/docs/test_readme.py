@@ -115,7 +115,7 @@ def test_the_tutorial(tmp_path: Path) -> None:
             coarse, count = re.subn(r'mesh_size = "\d+ mm"', 'mesh_size = "20 mm"', text)
             assert count == 1
             (tmp_path / "mine.toml").write_text(f"{coarse}\n{accepted}")
-    assert "Is it good enough?" in result.stdout
+    assert "VDM as printed: " in result.stdout
     assert (tmp_path / "scene.png").is_file()
     assert (tmp_path / "results/runs/mine-liver/report.html").is_file()
 

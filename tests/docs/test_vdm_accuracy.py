@@ -13,7 +13,7 @@ from tools import accuracy as table
 from tools import marked, motion
 from vdmbench.study.config import expand, load_study
 from vdmbench.study.files import overridden
-from vdmbench.study.registry import is_vdm
+from vdmbench.study.registry import is_surface
 
 
 def shown_rows() -> dict[str, list[str]]:
@@ -79,7 +79,7 @@ def test_the_motion_of_the_reference_is_that_of_the_shipped_studies() -> None:
     """The cheapest row is what a solve gives, and a row is of a study that has elements for a reference."""
     shown = {row[0]: row for row in marked.rows(table.DOCUMENT, motion.PART)}
     studies = {path.stem: load_study(path).study for path in table.CASES.glob("*.toml")}
-    with_elements = {name for name, s in studies.items() if s.reference and not is_vdm(s.reference)}
+    with_elements = {name for name, s in studies.items() if s.reference and not is_surface(s.reference)}
     assert set(shown) <= with_elements
     assert {name for name in with_elements if name.startswith(("accuracy", "calibrate"))} <= set(shown)
     floors = [float(shown[f"calibrate-{body}"][2]) for body in table.STUDIES]

@@ -26,8 +26,9 @@ from vdmbench.report.section_inputs import inputs as section
 from vdmbench.study.config import Study, StudyError, load_study, resolved
 from vdmbench.study.sweep import inputs_of, variations
 from vdmbench.verdict.digest import Digest
-from vdmbench.verdict.sentences import INPUTS, answers
-from vdmbench.verdict.verdict import verdict
+from vdmbench.verdict.sentences import INPUTS
+from vdmbench.verdict.sentences import told as told_of
+from vdmbench.verdict.verdict import verdicts
 
 from .report_runs import make_case, make_run
 from .test_measured import GOOD, STUDY, ball, load
@@ -386,25 +387,25 @@ def test_the_verdict_answers_whether_the_error_is_larger(
         )
         for k, spread in enumerate(spreads)
     ]
-    found = verdict(Digest(make_run(cases)))
-    (answer,) = (a for a in answers(found) if a.question == INPUTS)
+    found = verdicts(Digest(make_run(cases)))
+    (answer,) = (a for a in told_of(found).further if a.question == INPUTS)
     assert told in " ".join(answer.sentences)
-    data = json.loads(json.dumps(found.as_data()))["inputs"]
+    data = json.loads(json.dumps(found.as_data()))["judgement"]["inputs"]
     assert data["larger"] + data["alike"] + data["smaller"] == len(spreads)
     assert data["parts"][0][0] == E
 
 
 def test_a_study_without_inputs_is_not_asked() -> None:
-    found = verdict(Digest(make_run([make_case({"vdm-paper": 0.1})])))
+    found = verdicts(Digest(make_run([make_case({"vdm-paper": 0.1})])))
     assert found.inputs is None
-    assert INPUTS not in [a.question for a in answers(found)]
+    assert INPUTS not in [a.question for a in told_of(found).further]
 
 
 def test_an_answer_that_bends_is_said_to_be_rough() -> None:
     case = make_case({"vdm-paper": 0.1})
     for bend, rough in ((0.0, False), (0.5, True)):
         run_ = make_run([dataclasses.replace(case, inputs=known(0.05, bend))])
-        told = " ".join(s for a in answers(verdict(Digest(run_))) for s in a.sentences)
+        told = " ".join(s for a in told_of(verdicts(Digest(run_))).further for s in a.sentences)
         assert ('method = "sampling"' in told) == rough
 
 

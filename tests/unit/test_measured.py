@@ -21,8 +21,9 @@ from vdmbench.scene.scene import SceneError
 from vdmbench.study.config import Study, StudyError, expand, load_study, resolved
 from vdmbench.study.measured_file import MeasuredFileError, read_measured
 from vdmbench.verdict.digest import Digest
-from vdmbench.verdict.sentences import LEAD, MEASURED, SURE, answers
-from vdmbench.verdict.verdict import verdict
+from vdmbench.verdict.sentences import FIRST, MEASURED, SURE
+from vdmbench.verdict.sentences import told as told_of
+from vdmbench.verdict.verdict import verdicts
 
 from .report_runs import icosphere, make_case, make_run
 
@@ -259,7 +260,7 @@ def test_the_verdict_tells_what_a_measurement_says() -> None:
     without = "Nothing here was compared with an experiment."
     for measurement in (None, example_measurement()):
         run = make_run([dataclasses.replace(case, measurement=measurement)])
-        told = answers(verdict(Digest(run)))
+        told = told_of(verdicts(Digest(run))).further
         (sure,) = (" ".join(answer.sentences) for answer in told if answer.question == SURE)
         assert (without in sure) == (measurement is None)
         assert [answer.question for answer in told].count(MEASURED) == (measurement is not None)
@@ -269,7 +270,7 @@ def test_the_verdict_tells_what_a_measurement_says() -> None:
         "Against measurement vdm-paper is 0.77 % off (root mean square), within the validation uncertainty in 1 of "
         "2 values.",
     )
-    assert MEASURED in LEAD, "the terminal says it too"
+    assert MEASURED in FIRST, "the terminal says it too"
 
 
 def test_a_fifo_is_no_table_and_is_not_waited_for(tmp_path: Path) -> None:

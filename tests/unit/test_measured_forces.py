@@ -219,7 +219,7 @@ def test_section_and_verdict_tell_of_forces() -> None:
         "force of finger at 2.00 mm",
     ]
     assert "measured (bars: ± u_D) and simulated" in figures.figures[0].title
-    (told, _) = measured_in_words(digest, "vdm-paper")
+    (told, _) = measured_in_words(digest, ["vdm-paper"])
     assert (
         "vdm-paper is 56 % off (root mean square), within the validation uncertainty in 1 of 2 values" in told
     )

@@ -15,8 +15,8 @@ from vdmbench.cli.output import WIDTH, print_run, print_table
 from vdmbench.measures.case import Run
 from vdmbench.report.page import page_html
 from vdmbench.verdict.digest import Digest
-from vdmbench.verdict.sentences import answers
-from vdmbench.verdict.verdict import verdict
+from vdmbench.verdict.sentences import told
+from vdmbench.verdict.verdict import verdicts
 
 from .report_runs import make_case, make_run, sweep_run
 
@@ -40,48 +40,35 @@ def printed(run: Run, capsys: pytest.CaptureFixture[str], *, as_json: bool) -> s
 
 
 @pytest.mark.parametrize("make", [sweep_run, limited_run])
-def test_page_terminal_and_json_say_the_same(make: Any, capsys: pytest.CaptureFixture[str]) -> None:
+def test_page_terminal_json_and_notebook_say_the_same(make: Any, capsys: pytest.CaptureFixture[str]) -> None:
     run = make()
-    found = verdict(Digest(run))
-    told = answers(found)
+    found = verdicts(Digest(run))
     page = flat(html.unescape(re.sub(r"<[^>]*>", " ", page_html(run, stills=False))))
     terminal = flat(printed(run, capsys, as_json=False))
-    data = json.loads(printed(run, capsys, as_json=True))["verdict"]
-    assert f" {found.word}. " in page
-    assert f"Is it good enough? {found.word} " in terminal
-    assert data["word"] == found.word
+    data = json.loads(printed(run, capsys, as_json=True))
     results = Results(Path("runs/ball"), run, Path("runs/ball/report.html"))
-    assert results.verdict == found
+    assert results.verdicts == found
     notebook = flat(html.unescape(re.sub(r"<[^>]*>", " ", results._repr_html_())))
-    assert all(flat(sentence) in notebook for sentence in told[0].sentences)
-    for answer, stored in zip(told, data["answers"], strict=True):
-        assert [stored["question"], stored["word"], stored["sentences"]] == [
-            answer.question,
-            answer.word,
-            list(answer.sentences),
-        ]
-        for sentence in answer.sentences:
-            assert flat(sentence) in page
-            assert flat(sentence) in terminal or answer.question in ("How sure is this?", *SHORT_OF)
-    assert [(limit["key"], limit["word"], limit["value"], limit["allowed"]) for limit in data["limits"]] == [
-        (limit.key, limit.word, limit.value, limit.allowed) for limit in found.limits
-    ]
-
-
-SHORT_OF = (
-    "With which formulation and parameters?",
-    "At what cost?",
-)  # of what the terminal leaves to the page
+    assert {family: one["word"] for family, one in data["verdicts"].items()} == {
+        family: one.word for family, one in found.items()
+    }
+    words = told(found)
+    assert len(words.rows) == 2
+    for row in words.rows:
+        assert f"{row.title}: {row.word}. {row.text}" in terminal
+        assert f"{row.title} {row.word} {row.text}" in page
+        assert row.text in notebook
+    for sentence in (*words.notes, *words.instead):
+        assert flat(sentence) in terminal
+        assert flat(sentence) in page
+        assert flat(sentence) in notebook
+    assert data["answers"]["instead"] == list(words.instead)
 
 
 def test_every_limit_has_its_word_and_its_number() -> None:
-    found = {limit.key: limit for limit in verdict(Digest(limited_run())).limits}
-    assert {key: limit.word for key, limit in found.items()} == {
-        "displacement_error": "No",
-        "deformation_error": "In part",
-        "largest_difference": "In part",
-        "frame_time": "No",
-    }
+    found = {limit.key: limit for limit in verdicts(Digest(limited_run()))["vdm-derived"].limits}
+    assert found["displacement_error"].word == found["frame_time"].word == "no"
+    assert list(found) == ["displacement_error", "deformation_error", "largest_difference", "frame_time"]
     frame = found["frame_time"]
     assert (frame.value, frame.allowed, frame.unit) == (8e-4, 5e-4, "s")
     difference = found["largest_difference"]

@@ -16,10 +16,8 @@ from vdmbench.measures.case import MetricSeries
 from vdmbench.report import headline
 from vdmbench.store.metrics_table import metrics_csv
 from vdmbench.verdict.digest import DEFORMATION, VECTOR, Digest, spread_of
-from vdmbench.verdict.sentences import answers
-from vdmbench.verdict.verdict import verdict
 
-from .report_runs import REFERENCE, make_case, make_run, sweep_run
+from .report_runs import make_case, make_run, sweep_run
 
 RTOL, ATOL = 1e-9, 1e-12  # the runs are exact but for rounding
 
@@ -144,8 +142,8 @@ def test_full_load_is_the_largest_of_a_history_that_comes_back() -> None:
     assert_allclose(at_full_load(case, "m", VECTOR), 0.2, rtol=RTOL, atol=ATOL)
 
 
-def test_the_closest_model_is_looked_at_and_its_cases_ranked(digest: Digest) -> None:
-    assert digest.focus == "vdm-vector"
+def test_the_first_familys_model_is_looked_at_and_its_cases_ranked(digest: Digest) -> None:
+    assert digest.focus == "vdm-paper"
     ranked = [(role, case.swept) for role, case in digest.key_cases]
     assert ranked[0] == ("worst", {"tissue.poisson_ratio": 0.4999, "constraints.finger.pressure": 800.0})
     assert ranked[1] == ("median", {"tissue.poisson_ratio": 0.45, "constraints.finger.pressure": 200.0})
@@ -208,21 +206,6 @@ def test_terminal_rows(digest: Digest) -> None:
     assert rows[2]["per frame"] == "800 ms"
     assert len({tuple(row) for row in rows}) == 1, "all rows have the same columns"
     assert headline.headline_rows(make_run([])) == []
-
-
-def test_the_reference_on_the_coarser_mesh_is_not_on_trial() -> None:
-    refined = f"{REFERENCE} refined"
-    case = make_case({"vdm": 0.2, "other": 0.3, REFERENCE: 0.01}, reference=refined)
-    run = make_run([case], models=["vdm", "other", REFERENCE], reference=REFERENCE)
-    digest = Digest(run)
-    assert digest.reference == refined
-    assert digest.compared == ("vdm", "other", REFERENCE)
-    assert digest.on_trial == ("vdm", "other")
-    assert digest.focus == "vdm", "not the one that is nearly the reference itself"
-    words = " ".join(sentence for answer in answers(verdict(digest)) for sentence in answer.sentences)
-    assert "vdm, the closest of 2 models" in words
-    assert f"A frame of {REFERENCE} takes 1.2 ms" in words, "cost is told beside the same mesh"
-    assert [row["model"] for row in headline.headline_rows(run)][-2:] == [REFERENCE, f"{refined} (reference)"]
 
 
 def test_points_of_cases_that_share_a_value_are_not_joined() -> None:

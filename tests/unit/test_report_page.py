@@ -68,7 +68,8 @@ def test_header_counts_and_names(html: str) -> None:
     assert "A ball under a fingertip" in head
     assert "6 cases done 1 failed 1 missing" in head
     assert "vdm-vector fem-linear (reference)" in head
-    assert "In part. vdm-vector, the closest of 2 VDM models, is within 10 % in 5 of 6 cases." in head
+    assert "VDM as printed no vdm-paper: " in head
+    assert re.search(r"VDM, derived (no|undecided) vdm-vector: ", head)
 
 
 def test_headline_table_has_each_number_with_its_error_bar(html: str) -> None:
@@ -135,7 +136,6 @@ def test_every_section_is_there_and_linked(html: str) -> None:
         "volume",
         "cost",
         "measures",
-        "credibility",
         "cases",
         "failures",
         "provenance",
@@ -286,7 +286,7 @@ def test_without_a_reference_no_error_is_claimed() -> None:
     html = page_html(make_run(cases), stills=False)
     names = re.findall(r'<section id="(\w+)"', html)
     # of an icosahedron the support is a lone node
-    before = ["headline", "surface", "force", "volume", "credibility"]
+    before = ["headline", "surface", "force", "volume"]
     assert names == [*before, "cases", "doubts", "provenance", "reproduce"]
     assert "error" not in words(section(html, "headline")).lower()
 
@@ -302,7 +302,7 @@ def test_nothing_finished() -> None:
 def test_a_single_case_has_no_medians() -> None:
     html = page_html(make_run([make_case({"m": 0.25}, subdivisions=0)]), stills=False)
     text = words(html[html.index("<body>") : html.index("<script")])
-    assert "Displacement error: no, 25 % of 10 % allowed." in text
+    assert "m: displacement error 25 %" in text
     assert "Its ± covers the compression alone. Times are medians" in text
     assert "median" not in html[html.index("<body>") : html.index("<script")].replace("Times are medians", "")
 
@@ -506,6 +506,6 @@ def test_everything_drawn_is_told_in_words_and_every_table_can_be_taken_away(htm
         assert len(told.group(1).split()) > 5, told.group(1)
         assert re.search(r"\d", told.group(1)), "an alternative gives the numbers"
     assert all(re.search(r'alt="[^"]{10,}"', tag) for tag in re.findall(r"<img [^>]*>", html))
-    tables = len(re.findall(r"<table", html))
+    tables = len(re.findall(r"<table(?! class=\"families\")", html))
     assert tables >= 4
     assert html.count('data-action="copy"') == html.count('data-action="csv"') == tables

@@ -13,8 +13,7 @@ from numpy.testing import assert_allclose
 from vdmbench.report.page import write_report
 from vdmbench.scene.warnings import indentation, scene_warnings
 from vdmbench.verdict.digest import Digest
-from vdmbench.verdict.doubts import doubts
-from vdmbench.verdict.verdict import verdict
+from vdmbench.verdict.verdict import doubts, verdicts
 
 from .report_runs import icosphere, make_case, make_run
 
@@ -117,7 +116,7 @@ def test_the_report_tells_them_too(tmp_path: Path) -> None:
     lone = {**case.regions, "base": np.arange(len(case.points)) == 0}
     page = tmp_path / "report.html"
     run = make_run([dataclasses.replace(case, regions=lone)])
-    (reservation,) = verdict(Digest(run)).reservations
+    (reservation,) = verdicts(Digest(run)).reservations
     assert reservation.startswith("The scene is doubtful: base holds one lone node and no facet")
     write_report(run, page)
     told = page.read_text()
