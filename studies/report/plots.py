@@ -142,6 +142,11 @@ def draw(
     tell(curve, name, cases, named=named)
 
 
+def limit_line(axes: Axes, allowed: float) -> None:
+    """What a study accepts of an error, across the chart."""
+    axes.axhline(allowed, linestyle="-.", color=colour(REFERENCE), linewidth=1.0)
+
+
 def percent_axis(axes: Axes, values: ArrayLike) -> None:
     """The y axis shows ratios as percentages: from zero, or by decades where they span more than one."""
     ratios = np.asarray(values, dtype=np.float64)

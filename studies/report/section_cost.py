@@ -5,11 +5,14 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
+from ..measures.metrics import DEFORMATION, VECTOR
 from ..verdict.digest import REFERENCE, Digest, ModelSummary, Spread
 from ..verdict.formatting import listed, quantity, short_percent
 from ..verdict.measured import EARLIER, ELSEWHERE
 from .blocks import Block, Figure, Figures, Section, Text
-from .plots import Plot, colour, draw, percent_axis, time_ticks
+from .plots import Plot, colour, draw, limit_line, percent_axis, time_ticks
+
+BUDGETS = (1e-3, 1.0 / 60.0)  # s for a frame: of a haptic device, of a screen
 
 
 def run_time_against_error(digest: Digest) -> Section | None:
@@ -17,25 +20,30 @@ def run_time_against_error(digest: Digest) -> Section | None:
     figures = []
     compared = [summary for summary in digest.summaries if summary.name in digest.compared]
     measures = (
-        ("Displacement error", [summary.vector for summary in compared]),
-        ("Error in change of shape", [summary.deformation for summary in compared]),
+        ("Displacement error", [summary.vector for summary in compared], digest.allowed(VECTOR)),
+        (
+            "Error in change of shape",
+            [summary.deformation for summary in compared],
+            digest.allowed(DEFORMATION),
+        ),
     )
     heights = [
         height
-        for _, spreads in measures
+        for _, spreads, _ in measures
         for spread in spreads
         if spread
         for height in (spread.best, spread.median, spread.worst)
     ]
-    for k, (title, spreads) in enumerate(measures):
-        figure = _pareto(digest, compared, spreads, title, heights, f"c{k}")
+    for k, (title, spreads, allowed) in enumerate(measures):
+        figure = _pareto(digest, compared, spreads, title, heights, allowed, f"c{k}")
         figures += [figure] if figure else []
     if not figures:
         return None
     note = (
         "Further left is faster; lower is closer. A filled mark is the time of a frame. The hollow mark at the end "
         "of its dotted line is the set-up, which is paid once. Dashed grey is the reference: its time for a frame, "
-        "and its own error where that was measured."
+        "and its own error where that was measured. The broken line with dots is what the study accepts. Dotted "
+        "are two budgets for a frame: 1 ms, as a haptic device asks, and 16.7 ms, as a screen does."
     )
     if len(digest.cases) > 1:
         note += " Marks are medians over the cases. Whiskers reach from the best case to the worst."
@@ -71,6 +79,7 @@ def _pareto(
     spreads: Sequence[Spread | None],
     title: str,
     heights: Sequence[float],
+    allowed: float,
     salt: str,
 ) -> Figure | None:
     points = [
@@ -109,8 +118,11 @@ def _pareto(
         own = points[0][3].median_bar
         if own > 0.0:
             axes.axhline(own, linestyle="--", color=colour(REFERENCE), linewidth=1.0)
+        limit_line(axes, allowed)
+        for budget in BUDGETS:
+            axes.axvline(budget, linestyle=":", color=colour(REFERENCE), linewidth=1.0)
         time_ticks(axes)
-        percent_axis(axes, [*heights, *([own] if own > 0.0 else [])])
+        percent_axis(axes, [*heights, allowed, *([own] if own > 0.0 else [])])
     described = [
         f"{model} {quantity(frame, 's')} per frame at {short_percent(spread.median)}"
         for model, frame, _, spread in points

@@ -15,7 +15,7 @@ from ..measures.metrics import DEFORMATION, VECTOR
 from ..verdict.digest import REFERENCE, Digest
 from ..verdict.formatting import listed, parameter_name, scale_of, short_percent, swept_value
 from .blocks import Block, Figure, Figures, Section, Text
-from .plots import Plot, colour, draw, line, log_axis, name_ticks, percent_axis, place
+from .plots import Plot, colour, draw, limit_line, line, log_axis, name_ticks, percent_axis, place
 
 QUANTITIES = ((VECTOR, "Displacement error"), (DEFORMATION, "Error in change of shape"))
 PARTS = (
@@ -27,6 +27,7 @@ PARTS = (
 _MOST_POINTS = 240  # per model and figure; beyond, every k-th case is drawn
 _ASIDE = 0.05  # between the clouds of two models at a named value, where neighbours are 1 apart
 _PARTS_OF = "Normal and tangential component, contact region and far field against"
+LIMIT_NOTE = "The broken line with dots is what the study accepts."
 _MOST_MARKED = 25  # points of a line that get a marker; of more, every k-th
 _MOST_JOINED = 12  # values of a parameter that a line through medians joins
 
@@ -47,7 +48,7 @@ def error_against_parameters(digest: Digest) -> Section | None:
             pairs += [Figures(shown, digest.legend, summary)] if shown else []
     if not pairs:
         return None
-    notes = []
+    notes = [LIMIT_NOTE]
     if len(digest.swept_keys) > 1:
         notes.append(
             "Each point is one case at full load. Lines join the medians of the cases that share a value."
@@ -56,7 +57,7 @@ def error_against_parameters(digest: Digest) -> Section | None:
         notes.append("Dashed grey is the error of the reference itself.")
     if (step := _stride(len(digest.cases))) > 1:
         notes.append(f"One case in {step} is drawn, to keep the page small.")
-    blocks: list[Block] = [Text(" ".join(notes), kind="note")] if notes else []
+    blocks: list[Block] = [Text(" ".join(notes), kind="note")]
     return Section("parameters", "Error against each swept parameter", [*blocks, *pairs])
 
 
@@ -153,10 +154,15 @@ def _against_parameter(
             name_ticks(axes, axis.ticks)
         elif axis.kind == "log":
             log_axis(axes, "x")
+        limit = digest.allowed(metric)
+        if limit > 0.0:
+            limit_line(axes, limit)
         both = [
             digest.full_loads(model, other)[axis.cases] for model in digest.compared for other, _ in group
         ]
-        percent_axis(axes, np.concatenate([*both, *(digest.bars(other)[axis.cases] for other, _ in group)]))
+        bars_of = (digest.bars(other)[axis.cases] for other, _ in group)
+        limits = [digest.allowed(other) for other, _ in group]
+        percent_axis(axes, np.concatenate([*both, *bars_of, limits]))
     heading = f"{title} against {axis.name}"
     return Figure(plot.drawn(f"{heading}: {listed(described)}."), heading)
 
@@ -207,20 +213,20 @@ def error_against_load(digest: Digest) -> Section | None:
     curves = {metric: over_load(digest, digest.compared, metric) for metric, _ in QUANTITIES}
     heights = [
         y for by_model in curves.values() for table in by_model.values() for ys in table.values() for y in ys
-    ]
+    ] + [digest.allowed(metric) for metric in curves]
     figures = [
-        _against_load(digest, curves[metric], digest.own_error(metric), title, heights, f"l{k}")
+        _against_load(digest, curves[metric], metric, title, heights, f"l{k}")
         for k, (metric, title) in enumerate(QUANTITIES)
         if any(len(table) > 1 for table in curves[metric].values())  # one load is no curve
     ]
     if not figures:
         return None
-    notes = []
+    notes = [LIMIT_NOTE]
     if len(digest.cases) > 1:
         notes.append("Lines are medians over the cases. Bands reach from the best case to the worst.")
     if math.isfinite(digest.own_error(VECTOR)):
         notes.append("Dashed grey is the error of the reference itself, at full load.")
-    blocks: list[Block] = [Text(" ".join(notes), kind="note")] if notes else []
+    blocks: list[Block] = [Text(" ".join(notes), kind="note")]
     return Section("load", "Error against load", [*blocks, Figures(figures, digest.legend)])
 
 
@@ -239,12 +245,12 @@ def over_load(digest: Digest, models: Iterable[str], metric: str) -> dict[str, d
 def _against_load(
     digest: Digest,
     curves: dict[str, dict[float, list[float]]],
-    own: float,
+    metric: str,
     title: str,
     heights: Sequence[float],
     salt: str,
 ) -> Figure:
-    described = []
+    described, own = [], digest.own_error(metric)
     plot = Plot("load factor", title, salt)
     with plot as axes:
         for model, table in curves.items():
@@ -259,6 +265,8 @@ def _against_load(
             described.append(f"{model} {ends}")
         if own > 0.0:
             axes.axhline(own, linestyle="--", color=colour(REFERENCE), linewidth=1.0)
+        if (limit := digest.allowed(metric)) > 0.0:
+            limit_line(axes, limit)
         axes.set_xlim(left=min(0.0, axes.get_xlim()[0]))
         percent_axis(axes, [*heights, *([own] if own > 0.0 else [])])
     heading = f"{title} against load"

@@ -10,12 +10,15 @@ import numpy as np
 
 from solver_common.arrays import Array
 
+from ..machine.processors import processor_name
 from ..measures.bars import reference_bar, series
 from ..measures.case import CaseResult
 from ..measures.metrics import DEFORMATION, VECTOR, max_nodal_error
+from ..scene.result import ModelResult
 from ..study.schema import Study
 
 CLOSE = 0.10  # of both errors where a study says nothing: the "within 10 %" that the paper's claim speaks of
+LEAST_TIMES = 3  # measured times, from which on none within is no chance
 NODAL = max_nodal_error.__name__
 WITHIN, OPEN, BEYOND, LOST = "within", "open", "beyond", "lost"
 NOT_ASKED = ""  # of a limit that a case has nothing to hold against
@@ -57,6 +60,8 @@ class Criterion:
         no change of shape, and a model's error in that is NOT_ASKED.
         """
         value, bar = self.at(case, model, step), self.bar(case)
+        if self.key == "frame_time" and math.isfinite(value):
+            return _time_state(case.models[model], self.allowed)
         bar = bar if math.isfinite(bar) else 0.0
         if not math.isfinite(value):
             answered = math.isfinite(_series(case, model, VECTOR)[step])
@@ -151,6 +156,21 @@ def _frame_times(case: CaseResult, model: str) -> Array:
     times = result.seconds_per_step if result is not None else np.zeros(0)
     known = times[np.isfinite(times)]
     return np.full(len(case.load_factors), np.median(known) if len(known) else math.nan)
+
+
+def _time_state(result: ModelResult, allowed: float) -> str:
+    """Where a model's times stand: a busy machine makes them longer, never shorter.
+
+    WITHIN where three in four keep the limit, BEYOND where none of at least three does, else OPEN. Times of an
+    earlier run, out of the cache or from another machine, decide nothing.
+    """
+    times = result.seconds_per_step[np.isfinite(result.seconds_per_step)]
+    elsewhere = result.parameters.get("measured_on", processor_name()) not in ("", processor_name())
+    if "measured_earlier" in result.parameters or elsewhere:
+        return OPEN
+    if np.quantile(times, 0.75, method="lower") <= allowed:
+        return WITHIN
+    return BEYOND if len(times) >= LEAST_TIMES and times.min() > allowed else OPEN
 
 
 def _nothing(case: CaseResult) -> Array:

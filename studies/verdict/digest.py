@@ -125,6 +125,11 @@ class Digest:
         """How far off a model may be."""
         return acceptance(self.run.study)
 
+    def allowed(self, metric: str) -> float:
+        """What the study accepts of a metric; NaN where it limits another."""
+        vector, deformation = self.limits.criteria[:2]
+        return {VECTOR: vector.allowed, DEFORMATION: deformation.allowed}.get(metric, math.nan)
+
     @cached_property
     def surfaces(self) -> dict[str, Surface]:
         """Hash of each case -> its undeformed surface; cases on the same mesh share one, measured once."""

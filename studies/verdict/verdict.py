@@ -581,13 +581,12 @@ def _sureness(digest: Digest, error: Spread) -> str:
         text += f", with a wide margin, as its mesh levels are {listed(named)}"
     elif digest.order_is_assumed:
         text += ", if it converges with order 1; levels = 3 shows the order"
+    whose = f"the difference of {digest.focus}"
     if error.resolved == error.cases:
-        return f"{text}. That is at most a tenth of the difference, which counts as resolved."
+        return f"{text}. That is at most a tenth of {whose}, which counts as resolved."
     if not error.resolved:
-        return (
-            f"{text}. That is more than a tenth of the difference, whose size is known to that margin only."
-        )
-    return f"{text}. The difference is resolved in {error.resolved} of {plural(error.cases, 'case')}."
+        return f"{text}. That is more than a tenth of {whose}, whose size is known to that margin only."
+    return f"{text}. Resolved is {whose} in {error.resolved} of {plural(error.cases, 'case')}."
 
 
 def _gaps(digest: Digest) -> list[str]:

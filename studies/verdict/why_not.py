@@ -15,7 +15,7 @@ import numpy as np
 from ..measures.case import CaseResult
 from ..measures.metrics import DEFORMATION, METRICS, VECTOR, History
 from ..study.registry import FINITE_STRAIN, is_linear, split
-from .acceptance import LOST, OPEN, WITHIN, Acceptance, Criterion
+from .acceptance import BEYOND, LOST, OPEN, WITHIN, Acceptance, Criterion
 from .digest import Digest, failed_steps
 from .formatting import listed, quantity, short_percent, swept_value
 from .loading import load_in_words, load_unit, loads_of
@@ -236,7 +236,7 @@ def the_reference(shortfall: Shortfall) -> Iterator[Reason]:
     open_ = {
         c.name: c.bar(case)
         for case in shortfall.digest.cases
-        for c in shortfall.limits.criteria
+        for c in shortfall.limits.of_load.criteria
         if shortfall.limits.state(case, shortfall.model, case.full_load)
         == c.state(case, shortfall.model, case.full_load)
         == OPEN
@@ -257,8 +257,15 @@ def the_time(shortfall: Shortfall) -> Iterator[Reason]:
         if limit.key == "frame_time":
             times = [limit.at(case, shortfall.model, case.full_load) for case in shortfall.digest.cases]
             slowest = max((time for time in times if math.isfinite(time)), default=0.0)
-            if slowest > limit.allowed:
+            states = {limit.state(c, shortfall.model, c.full_load) for c in shortfall.digest.cases}
+            if BEYOND in states:
                 text = f"The time: a frame takes {quantity(slowest, 's', 2)}."
+                yield Reason(TIME, text, {limit.key: slowest})
+            elif OPEN in states:
+                text = (
+                    f"The time: {quantity(slowest, 's', 2)} was measured for a frame, in an earlier run, too few "
+                    "times or on both sides of the limit. --fresh on an idle machine measures it anew."
+                )
                 yield Reason(TIME, text, {limit.key: slowest})
 
 

@@ -174,3 +174,24 @@ def test_the_best_form_is_the_one_nearest_to_its_limits() -> None:
     assert focus(displacement_error=0.06, deformation_error=0.2) == "vdm-b"
     assert focus(frame_time=1e-3) == "vdm-a"
     assert focus(frame_time=5e-4) == "vdm-a", "the first takes 0.4 ms, the second 0.8 ms"
+
+
+@pytest.mark.parametrize(
+    ("times", "parameters", "state"),
+    [
+        ((4e-4, 4e-4, 4e-4, 9e-3), {}, WITHIN),  # one that a busy machine made long
+        ((4e-4, 13e-3, 13e-3, 13e-3), {}, OPEN),
+        ((13e-3, 14e-3, 13e-3, 15e-3), {}, BEYOND),
+        ((13e-3, np.nan, np.nan, np.nan), {}, OPEN),  # once
+        ((4e-4,) * 4, {"measured_earlier": "yes"}, OPEN),
+        ((4e-4,) * 4, {"measured_on": "an abacus"}, OPEN),
+    ],
+)
+def test_a_time_decides_where_its_spread_and_its_run_allow(
+    times: tuple[float, ...], parameters: dict[str, str], state: str
+) -> None:
+    case = make_case({"vdm-m": 0.01}, subdivisions=0)
+    own = case.models["vdm-m"]
+    timed = dataclasses.replace(own, seconds_per_step=np.array(times), parameters=own.parameters | parameters)
+    case = dataclasses.replace(case, models={**case.models, "vdm-m": timed})
+    assert states(case, frame_time=1e-3)["frame_time"] == state
