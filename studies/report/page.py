@@ -27,6 +27,7 @@ from .section_errors import error_against_load, error_against_parameters
 from .section_fibres import anisotropy_of_the_response
 from .section_force import force_against_indentation
 from .section_limits import small_strain_limits
+from .section_map import map_of_words
 from .section_measures import all_measures
 from .section_scene import scene
 from .section_stability import numerical_stability
@@ -119,16 +120,19 @@ def every_section(digest: Digest) -> list[Section]:
 
 
 def _page_html(digest: Digest, *, stills: bool) -> str:
-    run, words, drawn = digest.run, told(verdicts(digest)), scene(digest)
+    run, found, drawn = digest.run, verdicts(digest), scene(digest)
     before, after = (
         [section for make in part if (section := make(digest))] for part in (SECTIONS_BEFORE, _after())
     )
+
+    if table := map_of_words(found):
+        before.insert(1, table)
 
     def page(sections: list[Section]) -> str:
         return html_document(
             title=run.study.study.title,
             name=run.study.study.name,
-            told=words,
+            told=told(found),
             scene=drawn,
             cases=[digest.case_name(case) for case in digest.cases],
             counts=_counts(run),

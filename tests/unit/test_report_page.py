@@ -129,6 +129,7 @@ def test_every_section_is_there_and_linked(html: str) -> None:
     names = re.findall(r'<section id="(\w+)"', html)
     assert names == [
         "headline",
+        "map",
         "parameters",
         "load",
         "surface",

@@ -1,0 +1,37 @@
+"""The map of words over two swept parameters."""
+
+from __future__ import annotations
+
+from ..study.registry import Family
+from ..verdict.formatting import parameter_name, swept_value
+from ..verdict.sentences import TITLES
+from ..verdict.verdict import Verdicts
+from .blocks import Cell, Column, Section, Table, Text
+
+_MOST_VALUES = 12  # of a parameter: a wider map is no table that one reads
+
+
+def map_of_words(verdicts: Verdicts) -> Section | None:
+    """A table for each family whose cases differ in their word; None where other than two parameters are swept."""
+    found = verdicts.map
+    if found is None or max(len(found.x_values), len(found.y_values)) > _MOST_VALUES:
+        return None
+    columns = [Column(parameter_name(found.y), numeric=False)]
+    columns += [Column(swept_value(value, found.x_unit), numeric=False) for value in found.x_values]
+    tables = [
+        Table(
+            f"map-{family}",
+            f"{TITLES[Family(family)]}, {verdicts[family].model}",
+            columns,
+            [
+                [Cell(swept_value(value, found.y_unit)), *map(Cell, words)]
+                for value, words in zip(found.y_values, rows, strict=True)
+            ],
+        )
+        for family, rows in found.words.items()
+        if len({word for words in rows for word in words if word}) > 1
+    ]
+    if not tables:
+        return None
+    note = f"The word of each case. Across: {parameter_name(found.x)}; down: {parameter_name(found.y)}."
+    return Section("map", "Where it holds", [Text(note, kind="note"), *tables])
