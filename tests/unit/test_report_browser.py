@@ -162,7 +162,7 @@ def test_print_shows_the_still_pictures_and_every_row(browser: Browser, page: Pa
     assert browser.evaluate(f"[...{marks}].every(m => m.getBoundingClientRect().width > 0)")
     assert browser.evaluate(f"{marks}.length") > 10, "drawn: browsers leave backgrounds out of print"
     beyond = "t => t.scrollWidth > t.closest('.table').clientWidth + 1"
-    wide = f"[...document.querySelectorAll('table')].filter({beyond})"
+    wide = f"[...document.querySelectorAll('.table table')].filter({beyond})"
     assert browser.evaluate(f"{wide}.map(t => t.dataset.name)") == [], "paper does not scroll"
     browser.send("Emulation.setEmulatedMedia", media="")
 
@@ -285,7 +285,7 @@ def test_three_views_are_one_picture(browser: Browser, page: Path) -> None:
         saturation = np.ptp(pixels[drawn], axis=1)
         assert (saturation > 40).mean() > 0.6, "viridis is colourful, an unlit or empty drawing is not"
     assert changed(first["model"], first["difference"]) > 0.1
-    assert 0.01 < changed(first["model"], first["reference"]) < changed(first["model"], first["difference"])
+    assert changed(first["model"], first["reference"]) > 0.01
     move(browser, "step", 0)
     early = views(browser)
     assert all(changed(first[name], early[name]) > 0.05 for name in first), "one load for all"
@@ -304,7 +304,7 @@ def test_three_views_are_one_picture(browser: Browser, page: Path) -> None:
     told = f"{VIEWER}.querySelector('.told').textContent"
     assert browser.evaluate(told).splitlines()[1:3] == [
         f"reference: {REFERENCE}, up to 4 mm",
-        "difference, up to 0.424 mm",
+        "difference, up to 2.88 mm",
     ]
     move(browser, "case", 2)
     assert all(changed(first[name], other) > 0.01 for name, other in views(browser).items())
@@ -339,7 +339,7 @@ def test_a_picture_of_the_views_is_saved_with_what_they_show(browser: Browser, p
     )
     browser.evaluate(f"{VIEWER}.querySelector('[data-control=save]').click()")
     name, url = browser.evaluate("saved")
-    assert name == "A-ball-under-a-fingertip-vdm-vector.png"
+    assert name == "A-ball-under-a-fingertip-vdm-paper.png"
     pixels = np.asarray(Image.open(io.BytesIO(urllib.request.urlopen(url).read())).convert("RGB")).astype(int)
     height, width, _ = shown.shape
     assert pixels.shape == (height + 30, width, 3)
@@ -403,11 +403,11 @@ def numbers(texts: list[str]) -> list[float]:
 def test_a_node_shows_its_numbers(browser: Browser, page: Path, run: Run) -> None:
     browser.open(page, 1400)
     move(browser, "node", 17)
-    worst = max(run.cases, key=lambda c: c.metrics["vdm-vector"]["relative_l2_displacement_error"].values[-1])
-    u = worst.models["vdm-vector"].displacement[-1, 17] * 1e3
+    worst = max(run.cases, key=lambda c: c.metrics["vdm-paper"]["relative_l2_displacement_error"].values[-1])
+    u = worst.models["vdm-paper"].displacement[-1, 17] * 1e3
     r = worst.models[REFERENCE].displacement[-1, 17] * 1e3
     rows = read_out(browser)
-    assert [row[0] for row in rows] == ["vdm-vector", f"{REFERENCE} (reference)", "difference"]
+    assert [row[0] for row in rows] == ["vdm-paper", f"{REFERENCE} (reference)", "difference"]
     for row, value in zip(rows, (u, r, u - r), strict=True):
         # three digits are shown, and packing rounds to 1.5e-5 of the largest displacement
         assert_allclose(numbers(row[1:]), [*value, np.linalg.norm(value)], rtol=5.1e-3, atol=2e-4)
