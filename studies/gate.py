@@ -351,13 +351,15 @@ def _compare_case(label: str, was: Baseline, now: Baseline, whose: str) -> Itera
                 yield Finding(MISSING, label, model, metric, why="the run has no such metric")
                 continue
             name = metric.removeprefix(OWN)
-            old, new = was.metrics[name], now.metrics[name]
-            if old.unit != new.unit:
-                why = f"unit {old.unit} -> {new.unit}"
+            then, here = was.metrics[name], now.metrics[name]
+            if then.unit != here.unit:
+                why = f"unit {then.unit} -> {here.unit}"
                 yield Finding(NOT_COMPARABLE, label, model, metric, why=why)
                 continue
-            changed = [f"metric version {old.version} -> {new.version}"] if old.version != new.version else []
-            yield _compare_value(label, model, metric, (value, own[metric]), old.unit, versions + changed)
+            changed = (
+                [f"metric version {then.version} -> {here.version}"] if then.version != here.version else []
+            )
+            yield _compare_value(label, model, metric, (value, own[metric]), then.unit, versions + changed)
         for metric in sorted(own.keys() - values.keys()):
             yield Finding(NEW, label, model, metric, why=f"{whose} has no such metric")
     for model in sorted(after.values.keys() - before.values.keys()):

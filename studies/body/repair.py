@@ -79,7 +79,9 @@ def clean_surface(points: Array, triangles: Index, repair: str = "") -> CleanSur
         faces = _largest_piece(points[used], faces)
     in_piece = len(faces)
     if repair in ("fill-holes", "both"):
-        faces = np.concatenate([faces, _caps(points[used], faces)])
+        from .remesh import caps  # slow to load
+
+        faces = np.concatenate([faces, caps(points[used], faces)])
     kept, local = np.unique(faces, return_inverse=True)
     clean_points = points[used][kept]
     outward, flipped = consistent_orientation(clean_points, local.reshape(-1, 3))
@@ -134,16 +136,6 @@ def _largest_piece(points: Array, faces: Index) -> Index:
     area = np.bincount(piece.ravel(), weights=facet_areas(points, faces), minlength=len(names))
     largest: Index = faces[piece.ravel() == area.argmax()]
     return largest
-
-
-def _caps(points: Array, faces: Index) -> Index:
-    """Facets that close the holes, between the nodes of their rims."""
-    import pyvista as pv  # slow to load
-
-    extent = float(np.ptp(points, axis=0).max())
-    closed = pv.PolyData.from_regular_faces(points, faces).fill_holes(2.0 * extent)
-    caps: Index = np.asarray(closed.regular_faces, dtype=faces.dtype)[len(faces) :]
-    return caps
 
 
 def _merge_targets(points: Array, tolerance: float) -> Index:

@@ -61,8 +61,8 @@ def scene_warnings(
         if entry["kind"] != "contact":
             continue
         if mask.sum() <= FEW_NODES:
-            count = _number(int(mask.sum()))
-            yield loc, f"touches {count}: the answer there hangs on the mesh; take a smaller mesh_size"
+            few = _number(int(mask.sum()))
+            yield loc, f"touches {few}: the answer there hangs on the mesh; take a smaller mesh_size"
         pressed = vectors[mask[triangles].all(axis=1)]
         areas, resultant = np.linalg.norm(pressed, axis=1), pressed.sum(axis=0)
         total, size = float(areas.sum()), float(np.linalg.norm(resultant))

@@ -349,7 +349,7 @@ def test_growth_of_elements_and_the_dense_form_on_finer_meshes(
     names = ["bem", "vdm-vector", "fem-linear"]
     found = bench.measure({"ball": study}, names=names, **given)
     assert [g.what for g in found.growths] == [
-        f"{model} {what}" for model in ("fem-linear", "bem") for what in ("set-up", "frame", "memory")
+        f"{model} {what}" for model in ("bem", "fem-linear") for what in ("set-up", "frame", "memory")
     ]
     for growth in found.growths:
         assert growth.nodes[0] == found.entries[0].nodes
