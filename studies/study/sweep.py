@@ -169,8 +169,6 @@ def _span(target: Target, table: Mapping[str, Any], *, sampled: bool) -> tuple[S
     start, stop = (float(_value(target, table[name], name)) for name in ("start", "stop"))
     if start == stop:
         raise EntryError("start and stop are the same value")
-    if not math.isfinite(stop - start):
-        raise EntryError("start and stop are too far apart")
     scale = table.get("scale", "linear")
     if scale not in ("linear", "log"):
         raise EntryError("must be linear or log", "scale")

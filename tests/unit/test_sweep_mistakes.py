@@ -125,11 +125,6 @@ WRONG = {
         '0: sweep."tissue.poisson_ratio"',
         "positive start",
     ),
-    "range too wide": (
-        '"constraints.finger.pressure" = { start = -1e308, stop = 1e308, num = 3 }',
-        '0: sweep."constraints.finger.pressure"',
-        "too far apart",
-    ),
     "zip of unequal": (
         'mode = "zip"\n"tissue.poisson_ratio" = [0.3]\n"vdm.penalty" = [1, 2]',
         "-1: sweep",
