@@ -336,10 +336,10 @@ CASES = {
     ),
     "fit of what no model reads": (
         '["vdm-paper"]\n',
-        '["vdm-paper", "mass-spring"]\n[calibration]\nparameters = [\n"bulk_modulus",\n"compressibility"]\n',
-        '"compressibility"',
+        '["vdm-paper", "mass-spring"]\n[calibration]\nparameters = [\n"bulk_modulus",\n"foundation"]\n',
+        '"foundation"',
         "calibration.parameters[1]",
-        "no VDM model of this study reads compressibility; leave it out",
+        "no VDM model of this study reads foundation; leave it out",
     ),
     "a rotation that is gone": (
         '["vdm-paper"]\n',
