@@ -336,10 +336,10 @@ CASES = {
     ),
     "fit of what no model reads": (
         '["vdm-paper"]\n',
-        '["vdm-paper", "mass-spring"]\n[calibration]\nparameters = [\n"bulk_modulus",\n"foundation"]\n',
-        '"foundation"',
+        '["vdm-paper"]\n[calibration]\nparameters = [\n"bulk_modulus",\n"surface_tension"]\n',
+        '"surface_tension"',
         "calibration.parameters[1]",
-        "no VDM model of this study reads foundation; leave it out",
+        "no VDM model of this study reads surface_tension; leave it out",
     ),
     "a rotation that is gone": (
         '["vdm-paper"]\n',
