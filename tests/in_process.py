@@ -24,9 +24,6 @@ class HerePlaces:
         future.set_result(run_node(node))
         return future
 
-    def look(self) -> None:
-        """See `Places`."""
-
     def failure(self, error: BaseException, log: str) -> Said:
         """See `Places`."""
         return told(error, log)

@@ -78,9 +78,6 @@ class Cluster:
         future: Future[str] = self._executor.submit(carry_out, json.dumps(request))
         return future
 
-    def look(self) -> None:
-        """See `Places`: Dask does that."""
-
     def failure(self, error: BaseException, log: str) -> Said:
         """See `Places`. Raises ClusterError where the scheduler is lost, or a worker refuses."""
         if isinstance(error, CancelledError):
@@ -254,7 +251,6 @@ def carry_out(text: str) -> str:
         future = places.submit(request["node"], log, request["timeout"])
         while not future.done() and Path(request["scratch"]).is_dir():
             time.sleep(_POLL)
-            places.look()
         if not future.done():
             raise RefusalError("has no run directory any more: the run is over")
         error = future.exception()

@@ -21,8 +21,6 @@ from ..machine.safe_open import read_regular
 from .nodes import Node, one_by_one
 from .work import ATTEMPTS, Said
 
-LOOK = 1.0  # seconds after which the places are looked at, where nothing has happened
-
 
 class Places(Protocol):
     """Where nodes are done."""
@@ -33,9 +31,6 @@ class Places(Protocol):
 
     def submit(self, node: str, log: Path, seconds: float | None) -> Future[str]:
         """Do a node, given as JSON, in `seconds` at most; raises through the future, see `failure`."""
-
-    def look(self) -> None:
-        """Fail futures whose process is gone, where nobody else would."""
 
     def failure(self, error: BaseException, log: str) -> Said:
         """What an error of a future means; "crashed" where its process died, and it may be tried again."""
@@ -114,9 +109,7 @@ def run_nodes(
                 heapq.heappush(ready, (order[identity], identity))
         if not at_work:
             continue
-        finished, _ = wait(at_work, timeout=LOOK, return_when=FIRST_COMPLETED)
-        if not finished:
-            places.look()
+        finished, _ = wait(at_work, return_when=FIRST_COMPLETED)
         for future in finished:
             node = at_work.pop(future)
             log = logs / f".{_safe(node.id)}.log"

@@ -1,7 +1,10 @@
-"""Places on this machine: worker processes of pebble, with a limit of memory each and of time for each node.
+"""Places on this machine: worker processes, with a limit of memory each and of time for each node.
 
-The workers are forked from a clean server process that has loaded the libraries. They end with the program that
-started them, however that ends.
+A thread of each place hands its worker one node after the other, by a pipe of their own. The workers are forked
+from a clean server process that has loaded the libraries. They end with the program that started them, however
+that ends.
+
+Pebble's pool loses a task whose worker ends with exit code 0, or dies before it said that it began (5.2.3).
 """
 
 from __future__ import annotations
@@ -13,23 +16,18 @@ import os
 import select
 import signal
 import threading
-from collections.abc import Iterator
-from concurrent.futures import Future, TimeoutError
-from concurrent.futures.process import BrokenProcessPool
+from collections.abc import Callable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
 from multiprocessing import resource_tracker
-from multiprocessing.context import ForkServerContext, ForkServerProcess
-from multiprocessing.forkserver import ensure_running
+from multiprocessing.connection import Connection, wait
+from multiprocessing.context import ForkServerProcess
 from pathlib import Path
-from typing import Any
-
-from pebble import ProcessExpired, ProcessPool
 
 from ..machine.memory import OUT_OF_MEMORY, limit_memory, machine_memory
 from ..machine.processors import usable_processors
-from .work import ATTEMPTS, Said, more_memory, run_node
+from .work import Said, more_memory, run_node
 
 _OF_A_TERMINAL = (signal.SIGINT, signal.SIGHUP)
-_HANDLED = (*_OF_A_TERMINAL, signal.SIGTERM, signal.SIGALRM)
 _PRELOADED = (
     "vdmbench.graph.work",
     "numpy.ma",
@@ -40,28 +38,57 @@ _PRELOADED = (
 )
 
 
+class WorkerDiedError(Exception):
+    """A worker that ended before it answered, with its exit code; None where it could not start."""
+
+    def __init__(self, code: int | None) -> None:
+        super().__init__(code)
+        self.code = code
+
+
 class LocalPlaces:
     """`jobs` worker processes, each with its share of the cores and of the memory."""
 
     def __init__(self, jobs: int, memory: int | None = None) -> None:
         self.count = jobs
-        threads = max(1, usable_processors() // jobs)
-        self._places = [_Place(threads, memory or machine_memory() // jobs) for _ in range(jobs)]
-        try:
-            for place in self._places:
-                place.start()
-        except BaseException:  # Ctrl-C meanwhile: nobody else knows of them
-            self.close()
-            raise
+        self._share = max(1, usable_processors() // jobs), memory or machine_memory() // jobs
+        self._threads = ThreadPoolExecutor(jobs)
+        self._own = threading.local()  # the worker of each thread
+        self._workers: set[_Worker] = set()
+        self._changes = threading.Lock()  # one process starts or ends at a time: multiprocessing looks at all
+        self._closed = False
 
     def submit(self, node: str, log: Path, seconds: float | None) -> Future[str]:  # noqa: ARG002
         """See `Places`."""
-        return next(place for place in self._places if place.is_free).submit(node, seconds)
+        return self._threads.submit(self._do, node, seconds)
 
-    def look(self) -> None:
-        """See `Places`."""
-        for place in self._places:
-            place.look()
+    def _do(self, node: str, seconds: float | None) -> str:
+        """What a node says. Raises TimeoutError, WorkerDiedError."""
+        worker: _Worker | None = getattr(self._own, "worker", None)
+        try:
+            if worker is None:
+                worker = self._own.worker = self._start()
+                worker.answer(None)  # that it is ready
+            return worker.ask(node, seconds)
+        except (EOFError, OSError) as error:
+            self._own.worker = None
+            code = self._end(worker) if worker is not None else None
+            if isinstance(error, TimeoutError):
+                raise
+            raise WorkerDiedError(code) from error
+
+    def _start(self) -> _Worker:
+        with self._changes:
+            if self._closed:
+                raise OSError("the workers are stopped")
+            worker = _Worker(run_node, *self._share)
+            self._workers.add(worker)
+            return worker
+
+    def _end(self, worker: _Worker) -> int | None:
+        with self._changes:
+            self._workers.discard(worker)
+            return worker.end()
 
     def failure(self, error: BaseException, log: str) -> Said:
         """See `Places`."""
@@ -69,122 +96,81 @@ class LocalPlaces:
 
     def close(self) -> None:
         """Stop the workers, at work or not."""
-        for place in self._places:
-            place.stop()
-        for place in self._places:
-            place.join()
+        with self._changes:
+            self._closed = True
+            for worker in self._workers:
+                worker.process.kill()
+        self._threads.shutdown(cancel_futures=True)
+        for worker in list(self._workers):
+            self._end(worker)
 
 
-class _Place:
-    """One worker process, a pool of its own: in one of several, a death may lose the task of another."""
+class _Worker:
+    """A process, and the pipe by which it gets nodes. Raises OSError, EOFError where it cannot start."""
 
-    def __init__(self, threads: int, memory: int) -> None:
-        self._threads, self._memory = threads, memory
-        self._pool: ProcessPool | None = None
-        self._context = _Context()
-        self._future: Future[str] | None = None
-
-    @property
-    def is_free(self) -> bool:
-        """Whether it has nothing to do."""
-        return self._future is None or self._future.done()
-
-    def start(self) -> ProcessPool:
-        """The pool with its worker, a new one where the last broke."""
-        if self._pool is not None and self._pool.active:
-            return self._pool
-        self.stop()
-        self.join()
-        self._context = context = _Context()
+    def __init__(self, do: Callable[[str], str], threads: int, memory: int) -> None:
+        context = multiprocessing.get_context("forkserver")
         context.set_forkserver_preload(list(_PRELOADED))
-        self._pool = ProcessPool(
-            max_workers=1, context=context, initializer=begin_worker, initargs=(self._threads, self._memory)
-        )
-        threads = str(self._threads)
-        with _environment(OMP_NUM_THREADS="1", OPENBLAS_NUM_THREADS="1", RAYON_NUM_THREADS=threads):
-            with _deaf():
-                resource_tracker.ensure_running()  # which lets Ctrl-C through again
-            with _deaf():
-                ensure_running()
-                _ = self._pool.active  # starts it
-        return self._pool
+        self.pipe, theirs = context.Pipe()
+        self.process: ForkServerProcess = context.Process(target=serve, args=(theirs, do, threads, memory))
+        libraries = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "RAYON_NUM_THREADS": str(threads)}
+        with theirs, _environment(PYTHONSAFEPATH="1", **libraries):  # none imports from the working directory
+            resource_tracker.ensure_running()  # which lets Ctrl-C through again
+            signal.pthread_sigmask(signal.SIG_BLOCK, _OF_A_TERMINAL)  # here and in what this thread starts
+            self.process.start()
 
-    def submit(self, node: str, seconds: float | None) -> Future[str]:
-        """Do a node."""
-        error = None if self._future is None else self._future.exception()
-        if error is not None and not isinstance(error, TimeoutError):
-            self.stop()  # its worker died: perhaps with a lock in its hand
-        for _ in range(ATTEMPTS):
-            with contextlib.suppress(RuntimeError):  # it broke since it was started
-                future: Future[str] = self.start().schedule(run_node, args=[node], timeout=seconds)
-                self._future = future
-                return future
-        broken: Future[str] = Future()
-        broken.set_exception(BrokenProcessPool("the workers die before they begin"))
-        return broken
+    def ask(self, node: str, seconds: float | None) -> str:
+        """Its answer to a node. Raises TimeoutError after `seconds`, EOFError or OSError where it died."""
+        self.pipe.send(node)
+        return self.answer(seconds)
 
-    def look(self) -> None:
-        """End the wait for a node that a broken pool has lost: its worker died before it said that it began."""
-        if self._future is None or self._future.done() or self._pool is None or self._pool.active:
-            return
-        self.stop()
-        self.join()
-        if not self._future.done():
-            self._future.set_exception(BrokenProcessPool("the worker died before it began"))
+    def answer(self, seconds: float | None) -> str:
+        """What it sends next. Raises as `ask` does."""
+        if not wait([self.pipe, self.process.sentinel], seconds):
+            self.process.kill()
+            raise TimeoutError("stopped", seconds)
+        if not self.pipe.poll():
+            raise EOFError
+        answer: str = self.pipe.recv()
+        return answer
 
-    def stop(self) -> None:
-        """Stop the worker, without waiting for it."""
-        if self._pool is not None:
-            self._pool.stop()  # type: ignore[no-untyped-call]
-            self._context.stop()  # before the pool takes its locks away, which the worker may be about to open
-
-    def join(self) -> None:
-        """Wait until the worker is gone."""
-        if self._pool is not None:
-            self._pool.join()
-            self._pool = None
+    def end(self) -> int | None:
+        """Stop it, unless it has ended by itself; its exit code."""
+        self.process.join(1.0)
+        self.process.kill()
+        self.process.join()
+        code = self.process.exitcode
+        self.process.close()  # which ends a worker whose server was killed, see `_end_with_starter`
+        self.pipe.close()
+        return code
 
 
-class _Context(ForkServerContext):
-    """Starts a worker, and knows what it has started."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self._started: list[ForkServerProcess] = []
-        self._stopped = False
-
-    def Process(self, *arguments: Any, **named: Any) -> ForkServerProcess:  # type: ignore[override]
-        """A worker to be started. Raises OSError once all are stopped."""
-        if self._stopped:
-            raise OSError("the workers are stopped")
-        self._started.append(ForkServerProcess(*arguments, **named))
-        return self._started[-1]
-
-    def stop(self) -> None:
-        """Stop them all, and start no more."""
-        self._stopped = True
-        for worker in self._started:
-            if worker.is_alive():
-                worker.kill()
+def serve(pipe: Connection, do: Callable[[str], str], threads: int, memory: int) -> None:
+    """What a worker process does: node after node, until nobody asks any more."""
+    begin_worker(threads, memory)
+    pipe.send("")
+    with contextlib.suppress(EOFError):
+        while True:
+            pipe.send(do(pipe.recv()))
 
 
 def told(error: BaseException, log: str) -> Said:
-    """What an error of a pool's future means."""
+    """What an error of a place's future means."""
     if isinstance(error, TimeoutError):
         seconds = float(error.args[1]) if len(error.args) > 1 else 0.0
         remedy = "allow more with --timeout, or use a coarser mesh"
         return Said("", "timeout", seconds, f"stopped after {seconds:g} s", remedy, log)
-    if isinstance(error, ProcessExpired):
-        return Said("", "crashed", 0.0, *_death(error.exitcode or 0, log), log)
-    if isinstance(error, BrokenProcessPool):
-        return Said("", "crashed", 0.0, "the workers died", "see the log in the failed/ folder", log)
+    if isinstance(error, WorkerDiedError):
+        return Said("", "crashed", 0.0, *_death(error.code, log), log)
     return Said("", "error", 0.0, f"{type(error).__name__}: {error}", "this is a bug: please report it", log)
 
 
-def _death(code: int, log: str) -> tuple[str, str]:
+def _death(code: int | None, log: str) -> tuple[str, str]:
     """What an exit code of a worker that died means, and what to do."""
     if OUT_OF_MEMORY.search(log):
         return "out of memory", more_memory()
+    if code is None:
+        return "the workers die before they begin", more_memory()
     if code == -signal.SIGKILL:
         return "killed by the system, most likely out of memory", more_memory()
     if code < 0:
@@ -228,29 +214,6 @@ def _end_with_starter() -> None:
         fcntl.fcntl(starter.sentinel, fcntl.F_SETFL, flags | os.O_ASYNC)
         if select.select([starter.sentinel], [], [], 0)[0]:  # it has ended already
             os._exit(1)
-
-
-@contextlib.contextmanager
-def _deaf() -> Iterator[None]:
-    """What is started inside never hears what a terminal sends to all: its starter stops it.
-
-    No signal ends the block in its middle either: a worker that is started by halves is nobody's to stop.
-    """
-    came: list[int] = []
-    is_main = threading.current_thread() is threading.main_thread()  # the only one that handles signals
-    handlers = {number: signal.getsignal(number) for number in _HANDLED if is_main}
-    handlers = {number: handler for number, handler in handlers.items() if callable(handler)}
-    for number in handlers:  # which another thread lets through, whatever the mask of this one
-        signal.signal(number, lambda number, _: came.append(number))
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, _OF_A_TERMINAL)
-    try:
-        yield
-    finally:  # what came meanwhile comes now
-        for number, handler in handlers.items():
-            signal.signal(number, handler)
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
-        if came:
-            signal.raise_signal(came[0])
 
 
 @contextlib.contextmanager

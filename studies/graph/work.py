@@ -213,7 +213,7 @@ def _outcome(work: Callable[[], object]) -> tuple[str, str, str]:
     except ValueError as error:
         traceback.print_exc()
         return "error", f"{error}", getattr(error, "remedy", "")
-    except Exception as error:  # noqa: BLE001  a worker must answer, whatever happens in it
+    except (Exception, SystemExit) as error:  # noqa: BLE001  a worker must answer, whatever happens in it
         traceback.print_exc()
         remedy = "this is a bug: please report it with the log in the failed/ folder"
         return "error", f"{type(error).__name__}: {error}", remedy

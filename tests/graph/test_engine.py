@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-import json
-import multiprocessing
 import os
 import signal
 import sys
-import threading
 import time
 from collections.abc import Sequence
-from concurrent.futures import Future
-from concurrent.futures.process import BrokenProcessPool
+from multiprocessing import forkserver
 from pathlib import Path
 from typing import Any
 
@@ -20,10 +16,12 @@ import pytest
 
 from vdmbench.graph import local, work
 from vdmbench.graph.engine import Outcome, run_nodes
-from vdmbench.graph.local import LocalPlaces, _deaf, local_places
+from vdmbench.graph.local import local_places
 from vdmbench.graph.nodes import Node
 from vdmbench.graph.work import Said, run_node
 from vdmbench.machine.processors import usable_processors
+
+from ..command import wait_for
 
 
 def do(payload: Any, node: str) -> list[Said]:
@@ -41,8 +39,8 @@ def _act(kind: str, path: Path) -> None:
         case ["bug"]:
             print("words before the fall")
             raise KeyError("missing")
-        case ["exit"]:
-            os._exit(7)
+        case ["exit", code]:
+            os._exit(int(code))
         case ["kill", number]:
             os.kill(os.getpid(), int(number))
         case ["once"]:  # dies the first time
@@ -100,7 +98,8 @@ def test_each_failure_costs_its_own_node_only(tmp_path: Path) -> None:
         "write",
         "raise ValueError",
         "bug",
-        "exit",
+        "exit 7",
+        "exit 0",
         f"kill {signal.SIGSEGV:d}",
         f"kill {signal.SIGKILL:d}",
         "sys.exit",
@@ -111,14 +110,16 @@ def test_each_failure_costs_its_own_node_only(tmp_path: Path) -> None:
         "write": "done",
         "raise ValueError": "error",
         "bug": "error",
-        "exit": "crashed",
+        "exit 7": "crashed",
+        "exit 0": "crashed",
         f"kill {signal.SIGSEGV:d}": "crashed",
         f"kill {signal.SIGKILL:d}": "crashed",
         "sys.exit": "error",
     }
     assert "SIGSEGV" in found[f"kill {signal.SIGSEGV:d}"].said.message
     assert "memory" in found[f"kill {signal.SIGKILL:d}"].said.message
-    assert "exit code 7" in found["exit"].said.message
+    assert "exit code 7" in found["exit 7"].said.message
+    assert "exit code 0" in found["exit 0"].said.message
     assert "words before the fall" in found["bug"].said.log
     assert "KeyError" in found["bug"].said.log
     assert all(o.said.remedy for name, o in found.items() if name not in ("write", "raise ValueError"))
@@ -206,67 +207,12 @@ def test_a_node_tells_its_seconds_of_processor(tmp_path: Path) -> None:
     assert 0.5 <= said.processor < 2.0
 
 
-def test_a_broken_pool_is_started_again(tmp_path: Path) -> None:
-    places = LocalPlaces(1)
-    try:
-        places._places[0].stop()
-        text = json.dumps(
-            {
-                "id": "x",
-                "kind": "test",
-                "payload": {"do": "write", "path": str(tmp_path / "out")},
-                "log": str(tmp_path / "log"),
-            }
-        )
-        future: Future[str] = places.submit(text, tmp_path / "log", None)
-        assert json.loads(future.result())[0]["code"] == "done"
-    finally:
-        places.close()
-
-
-def test_a_node_that_a_broken_pool_has_lost_is_told_of(tmp_path: Path) -> None:
-    payload = {"do": "sleep", "path": str(tmp_path / "out")}
-    text = json.dumps({"id": "x", "kind": "test", "payload": payload, "log": str(tmp_path / "log")})
-    places = LocalPlaces(1)
-    try:
-        lost = places.submit(text, tmp_path / "log", None)
-        places.look()
-        assert not lost.done(), "a node at work is left alone"
-        places._places[0].stop()
-        places.look()
-        assert isinstance(lost.exception(timeout=0), BrokenProcessPool)
-    finally:
-        places.close()
-
-
-def test_a_worker_is_stopped_before_its_pool_takes_its_locks_away(monkeypatch: pytest.MonkeyPatch) -> None:
-    places = LocalPlaces(1)
-    worker = multiprocessing.active_children()[-1]
-    pool, alive = places._places[0].start(), []
-    join = pool.join
-
-    def watched() -> None:
-        worker.join(2.0)
-        alive.append(worker.is_alive())
-        join()
-
-    monkeypatch.setattr(pool, "join", watched)
-    places.close()
-    assert alive == [False], "one that is about to open a lock prints a traceback"
-
-
-def test_a_signal_that_another_thread_lets_through_comes_after_the_start() -> None:
-    told = []
-
-    def start() -> None:
-        with _deaf():
-            told.append("begun")
-            os.kill(os.getpid(), signal.SIGINT)
-            time.sleep(0.1)
-            told.append("ended")
-
-    threading.Thread(target=time.sleep, args=(1.0,)).start()
-    with pytest.raises(KeyboardInterrupt):
-        start()
-    assert told == ["begun", "ended"]
-    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+def test_a_killed_server_of_workers_costs_nothing(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    with local_places(1) as places:
+        for name in "xy":
+            found = list(run_nodes([node(tmp_path, name, "write")], places, tmp_path / "logs", started=print))
+            assert found[0].ok
+            server = Path(f"/proc/{forkserver._forkserver._forkserver_pid}/stat")
+            os.kill(int(server.parent.name), signal.SIGKILL)
+            wait_for(lambda stat=server: stat.read_text().split()[2] == "Z")
+    assert "Traceback" not in capfd.readouterr().err

@@ -20,7 +20,7 @@ from tests.command import write_study
 from . import processes
 from .processes import CACHE, RUN, assert_same_results, check_what_is_there, half_written
 
-SEED = 26  # of which the first two are of both kinds
+SEED = 26
 
 
 def _until(condition: Callable[[], bool], process: subprocess.Popen[str]) -> bool:
@@ -69,7 +69,7 @@ def _survive(kills: int, undisturbed: tuple[Path, float], directory: Path) -> Co
     seen: Counter[str] = Counter()
     while seen["runner"] + seen["worker"] < kills:
         before = check_what_is_there(directory)
-        kind = chance.choice(["runner", "worker"])
+        kind = min(("runner", "worker"), key=lambda each: seen[each])  # in turns
         with processes.start("run", "small.toml", "--jobs", "2", cwd=directory) as process:
             kill = {"runner": _kill_runner, "worker": _kill_worker}[kind]
             killed = kill(process, chance.uniform(0, seconds))
@@ -97,8 +97,7 @@ def _survive(kills: int, undisturbed: tuple[Path, float], directory: Path) -> Co
 
 
 def test_kills_at_random_moments(undisturbed: tuple[Path, float], tmp_path: Path) -> None:
-    seen = _survive(2, undisturbed, tmp_path)
-    assert min(seen["runner"], seen["worker"]) > 0
+    _survive(2, undisturbed, tmp_path)
 
 
 @pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGKILL, -signal.SIGKILL)])
@@ -121,4 +120,3 @@ def test_nothing_outlives_its_runner(tmp_path: Path, number: signal.Signals, cod
 def test_two_hundred_kills(undisturbed: tuple[Path, float], tmp_path: Path) -> None:
     seen = _survive(200, undisturbed, tmp_path)
     print(dict(seen))
-    assert min(seen["runner"], seen["worker"]) > 50

@@ -47,7 +47,6 @@ BEHIND = {
     "ngsolve": {"studies/models/engine_ngsolve.py"},
     "pyvista": {"studies/body/remesh.py", "studies/report/scene_window.py"},
     "distributed": {"studies/graph/cluster.py"},
-    "pebble": {"studies/graph/local.py"},
     "pyacvd": {"studies/body/remesh.py"},
     "warp": {"studies/models/engine_newton.py"},
     "vtkmodules": {"studies/body/nearest.py", "studies/body/remesh.py"},
@@ -268,7 +267,7 @@ def test_a_run_that_has_nothing_left_to_do_loads_no_solver_and_starts_no_process
     )
     modules = ast.literal_eval(result.stderr)
     assert "1 done, 0 failed" in result.stdout
-    assert not {"scipy", "skfem", "pyamg", "vdm.model", "gmsh", "rich", "pebble"} & set(modules)
+    assert not {"scipy", "skfem", "pyamg", "vdm.model", "gmsh", "rich"} & set(modules)
 
 
 def test_check_loads_no_results_and_where_nothing_is_judged_no_solver_and_a_mesher_once(
