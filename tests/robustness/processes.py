@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import re
@@ -53,11 +54,12 @@ def endless(node: str) -> str:
 
 
 def children(process: int) -> list[int]:
-    """Processes that this one has started."""
-    try:
-        return [int(p) for p in Path(f"/proc/{process}/task/{process}/children").read_text().split()]
-    except (FileNotFoundError, ProcessLookupError):
-        return []
+    """Processes that this one has started, by any of its threads."""
+    found: list[int] = []
+    for of_thread in Path(f"/proc/{process}/task").glob("*/children"):
+        with contextlib.suppress(FileNotFoundError, ProcessLookupError):
+            found += map(int, of_thread.read_text().split())
+    return found
 
 
 def workers(runner: int) -> list[int]:

@@ -103,7 +103,8 @@ def test_kills_at_random_moments(undisturbed: tuple[Path, float], tmp_path: Path
 @pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGKILL, -signal.SIGKILL)])
 def test_nothing_outlives_its_runner(tmp_path: Path, number: signal.Signals, code: int) -> None:
     write_study(tmp_path)
-    with processes.start("run", "small.toml", cwd=tmp_path, program="endless") as process:
+    process = processes.start("run", "small.toml", cwd=tmp_path, program="endless")
+    try:
         assert _until(lambda: list((tmp_path / RUN / "failed").glob("begun-*")) != [], process)
         family = processes.children(process.pid)
         family += [worker for server in family for worker in processes.children(server)]
@@ -113,6 +114,9 @@ def test_nothing_outlives_its_runner(tmp_path: Path, number: signal.Signals, cod
         processes.output_of(process, 60)
         processes.wait_until_gone(family, 2)
         print(f"{time.monotonic() - began:.2f} s")
+    finally:
+        process.kill()  # a failed assertion waits for no endless run
+        process.communicate()
     assert process.returncode == code
 
 
