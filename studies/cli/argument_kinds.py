@@ -40,6 +40,19 @@ def file_arguments(parser: argparse.ArgumentParser) -> None:
     )
 
 
+def change_argument(parser: argparse.ArgumentParser) -> None:
+    """Values to change in the study."""
+    parser.add_argument(
+        "--set",
+        dest="changes",
+        type=change,
+        action="append",
+        default=[],
+        metavar="KEY=VALUE",
+        help="change a value of the study, such as tissue.youngs_modulus='3 kPa', or load.finger.force; repeatable",
+    )
+
+
 def run_arguments(parser: argparse.ArgumentParser) -> None:
     """Where a run goes, and how many cases at once."""
     parser.add_argument(
@@ -59,6 +72,7 @@ def run_arguments(parser: argparse.ArgumentParser) -> None:
 def plan_arguments(parser: argparse.ArgumentParser) -> None:
     """What decides the plan of a run."""
     study_arguments(parser)
+    change_argument(parser)
     run_arguments(parser)
     parser.add_argument("--fresh", action="store_true", help="run every case again")
 
@@ -113,6 +127,17 @@ def output_file(text: str) -> Path:
     if not stat.S_ISREG(found.st_mode):
         raise argparse.ArgumentTypeError(f"{text}: is no regular file; name one, not a link to it")
     return path
+
+
+def change(text: str) -> str:
+    """KEY=VALUE that is TOML, or becomes so where VALUE is quoted."""
+    from ..study.files import OverrideError, changes_of
+
+    try:
+        changes_of(text)
+    except OverrideError as error:
+        raise argparse.ArgumentTypeError(str(error)) from None
+    return text
 
 
 def positive(text: str) -> int:

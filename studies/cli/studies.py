@@ -25,7 +25,18 @@ def load(options: argparse.Namespace) -> tuple[Study, Path]:
     from ..study.files import study_path
 
     path = study_path(options.study)
-    return load_study(path, allow_outside=options.allow_outside, surface=options.surface), path
+    text = study_text(options) if vars(options).get("changes") else None
+    return load_study(path, allow_outside=options.allow_outside, surface=options.surface, text=text), path
+
+
+def study_text(options: argparse.Namespace) -> str:
+    """The text of the study's file, with what --set changes."""
+    from ..study.files import changes_of, overridden, study_path
+
+    text = study_path(options.study).read_text(encoding="utf-8-sig")
+    for change in vars(options).get("changes", []):
+        text = overridden(text, changes_of(change))
+    return text
 
 
 def make_plan(
@@ -73,6 +84,8 @@ def require_own(plan: Plan, options: argparse.Namespace) -> None:
 
 def command_of(verb: str, options: argparse.Namespace) -> tuple[str, ...]:
     """What to type to get the same results again: the words of this command that decide them, without folders."""
+    from ..study.files import short_path
+
     given = vars(options)
     words = [verb, _name(given["study"])]
     for key in ("surface", "out"):
@@ -80,6 +93,9 @@ def command_of(verb: str, options: argparse.Namespace) -> tuple[str, ...]:
             words += [f"--{key}", _name(given[key])]
     if given["allow_outside"]:
         words.append("--allow-outside")
+    for change in given.get("changes", []):
+        key, _, value = change.partition("=")
+        words += ["--set", f"{key}={short_path(value)}"]
     return tuple(words)
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 
-from .argument_kinds import study_arguments
+from .argument_kinds import change_argument, study_arguments
 from .output import OK, USAGE, count, print_json
 from .studies import check_files, load, make_plan
 
@@ -19,6 +19,7 @@ MORE = (
 def arguments(parser: argparse.ArgumentParser) -> None:
     """Its arguments."""
     study_arguments(parser)
+    change_argument(parser)
 
 
 def run(options: argparse.Namespace) -> int:

@@ -11,7 +11,7 @@ from .argument_kinds import (
     size_in_bytes,
 )
 from .output import FAILED, complain, count, print_run
-from .studies import load, make_plan, require_own, run_missing
+from .studies import load, make_plan, require_own, run_missing, study_text
 
 SUMMARY = "run what is missing and write the report"
 
@@ -50,12 +50,12 @@ def run(options: argparse.Namespace) -> int:
     """Run what is missing, write the report, print the headline table."""
     from ..graph.run import lost_cases
 
-    study, path = load(options)
+    study, _ = load(options)
     plan = make_plan(study, options)
     require_own(plan, options)
     names = ("shard", "timeout", "memory", "fail_fast", "scheduler", "insecure_scheduler")
     how = {name: getattr(options, name) for name in names}
-    run, report = run_missing(plan, path.read_text(), options, **how)
+    run, report = run_missing(plan, study_text(options), options, **how)
     code = print_run(run, plan.directory, report, options.json)
     stopped = options.fail_fast and run.failed  # before it came to all
     if lost := [] if stopped else lost_cases(plan, options.shard, run):

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from ..machine.streams import harmless
-from .argument_kinds import output_file, positive, study_arguments
+from .argument_kinds import change_argument, output_file, positive, study_arguments
 from .output import OK, UsageError, print_json
 from .studies import load, make_plan, numbered_case
 
@@ -21,6 +21,7 @@ SUMMARY = "draw body, regions and loads of a study before anything is solved"
 def arguments(parser: argparse.ArgumentParser) -> None:
     """Its arguments."""
     study_arguments(parser)
+    change_argument(parser)
     parser.add_argument(
         "--save",
         type=output_file,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import json
 import re
 import tomllib
 from collections.abc import Mapping, Sequence
@@ -53,6 +54,24 @@ def study_path(study: str | Path) -> Path:
 
 class OverrideError(ValueError):
     """A change that a study cannot take; the message says which."""
+
+
+def changes_of(text: str) -> dict[str, Any]:
+    """The change `tissue.youngs_modulus=3 kPa` as nested tables; a value that is no TOML is a text.
+
+    Raises
+    ------
+    OverrideError
+        no key, or no value.
+    """
+    key, equals, value = text.partition("=")
+    if equals and value.strip():
+        for line in (text, f"{key} = {json.dumps(value.strip())}"):
+            try:
+                return tomllib.loads(line)
+            except tomllib.TOMLDecodeError:
+                pass
+    raise OverrideError(f"write KEY=VALUE, such as tissue.youngs_modulus='3 kPa', not {text!r}")
 
 
 def overridden(text: str, changes: Mapping[str, Any]) -> str:

@@ -1,0 +1,52 @@
+"""`--set KEY=VALUE`: a study with some of its values changed on the command line."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from tests.command import vdmbench, write_study
+from vdmbench.store import cases as store
+from vdmbench.study.files import OverrideError, changes_of
+
+
+@pytest.mark.parametrize(
+    ("text", "found"),
+    [
+        ("a.b=3 kPa", {"a": {"b": "3 kPa"}}),
+        ("a.b='3 kPa'", {"a": {"b": "3 kPa"}}),
+        ("a = 0.45", {"a": 0.45}),
+        ('sweep."a.b"=[1, 2]', {"sweep": {"a.b": [1, 2]}}),
+        ('a=say "no"', {"a": 'say "no"'}),
+    ],
+)
+def test_a_value_is_toml_or_a_text(text: str, found: object) -> None:
+    assert changes_of(text) == found
+
+
+@pytest.mark.parametrize("text", ["a", "a=", "=1", "a b=1"])
+def test_what_is_no_change_is_refused(text: str) -> None:
+    with pytest.raises(OverrideError, match="write KEY=VALUE"):
+        changes_of(text)
+
+
+def test_the_changed_study_runs_and_says_how_to_repeat_it(tmp_path: Path) -> None:
+    write_study(tmp_path)
+    changed = ("--set", "tissue.youngs_modulus=7 kPa", "--set", "tissue.poisson_ratio=0.45")
+    result = vdmbench("run", "small.toml", *changed, cwd=tmp_path)
+    assert result.returncode == 0, result.stderr
+    run = store.read_run(tmp_path / "results/runs/small")
+    for study in (run.study, *(case.study for case in run.cases)):
+        assert (study.tissue.youngs_modulus, study.tissue.poisson_ratio) == (7000.0, 0.45)
+    assert "7 kPa" in run.study_text
+    assert run.plan["command"] == ["run", "small.toml", *changed]
+
+
+def test_a_wrong_change_is_told_by_its_key(tmp_path: Path) -> None:
+    write_study(tmp_path)
+    for verb in ("check", "show", "run"):
+        result = vdmbench(verb, "small.toml", "--set", "tissue.youngs_modulus=-3 kPa", cwd=tmp_path)
+        assert result.returncode == 2
+        assert "tissue.youngs_modulus" in result.stderr
+        assert "as changed" in result.stderr
