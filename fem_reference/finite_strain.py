@@ -303,6 +303,7 @@ class FiniteStrainProblem:
     ) -> Iterator[tuple[int, Substep]]:
         last = self._newton.rest
         for number, end in enumerate(loads):
+            self._newton.place = (number, len(loads))
             way = path.follow(self._newton, end) if path else self._newton.follow(last.state, last.load, end)
             for last in way:
                 yield number, last

@@ -18,6 +18,7 @@ from fem_reference.assembly import Pattern
 from fem_reference.finite_contact import RigidContact
 from fem_reference.finite_strain_assembly import ElementAssembly
 from fem_reference.follower import FollowerPressure
+from fem_reference.progress import Progress, tell
 from fem_reference.system import LinearSystem, hold_components
 from fem_reference.tangent_solver import TangentSolver, TangentSystem
 from solver_common.arrays import Array
@@ -137,6 +138,7 @@ class Newton:
     max_newton : iterations after which a substep has failed
     tolerance : of the residual, relative to the internal forces
     contact : of an indenter, while there is one
+    place : load step under way and their number, which are told with the progress
     """
 
     system: LinearSystem
@@ -148,6 +150,7 @@ class Newton:
     max_newton: int
     tolerance: float
     contact: RigidContact | None = None
+    place: tuple[int, int] = (0, 1)
 
     def __post_init__(self) -> None:
         mesh, kept = self.system.mesh, self.system.kept
@@ -174,7 +177,7 @@ class Newton:
             # A remainder too short to be tried alone is taken along.
             target = 1.0 if reached + step > 1.0 - _LEAST_STEP else reached + step
             step = target - reached
-            attempt = self.solve(state, start.towards(end, target), target)
+            attempt = self.solve(state, start.towards(end, target), target, reached)
             yield attempt
             if attempt.converged:
                 state, reached = attempt.state, target
@@ -185,8 +188,8 @@ class Newton:
             else:
                 step *= 0.5
 
-    def solve(self, state: State, load: ScaledLoad, load_factor: float) -> Substep:
-        """Newton iterations from a state to equilibrium under a load."""
+    def solve(self, state: State, load: ScaledLoad, load_factor: float, reached: float = 0.0) -> Substep:
+        """Newton iterations from a state, at load factor `reached`, to equilibrium under a load."""
         u, q = state.displacement, state.pressure
         found = self._residual(u, q, load)
         passed = Substep(
@@ -198,11 +201,12 @@ class Newton:
         largest = max(found.scale, float(np.abs(load.given).max()))
         residuals = [found.relative]
 
-        def outcome(reached: State, code: str) -> Substep:
-            return Substep(load_factor, load, reached, found.reaction, found.external, tuple(residuals), code)
+        def outcome(at: State, code: str) -> Substep:
+            return Substep(load_factor, load, at, found.reaction, found.external, tuple(residuals), code)
 
         tangent: TangentSystem | None = None
         while True:
+            tell(Progress(*self.place, reached, load_factor, len(residuals) - 1, residuals[-1]))
             step = np.where(self.system.held, load.given - u, 0.0)
             if found.relative <= self.tolerance and not step.any():
                 # A load that acts must not be lost; what is left of one that was taken off is nothing.

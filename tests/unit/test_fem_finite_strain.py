@@ -16,6 +16,7 @@ from fem_reference.finite_strain_assembly import ElementAssembly
 from fem_reference.follower import FollowerPressure
 from fem_reference.materials import make_law
 from fem_reference.mesh import TetMesh
+from fem_reference.progress import Progress, reported
 from fem_reference.recovery import displacement_gradient
 from fem_reference.solution import Solution, SolverError
 from tests.unit.fem_shapes import Body, ball, body, cube
@@ -422,6 +423,26 @@ def test_substeps_are_cut_and_grow(block: Body) -> None:
     assert s.scalars["substeps"][0] == len(reached)
     assert s.iterations[0] == sum(len(a.residuals) - 1 for a in attempts)
     assert_allclose(s.displacement[0][held], given[held], rtol=0, atol=1e-15)
+
+
+def test_a_solve_tells_where_it_is(block: Body) -> None:
+    problem = _problem(block, _bottom(block), poisson_ratio=0.45)
+    loads = [block.load(-share * _top(block)) for share in (0.1, 20.0)]
+    told: list[Progress] = []
+    with reported(told.append):
+        solution = problem.solve(loads)
+    assert {(one.step, one.steps) for one in told} == {(0, 2), (1, 2)}
+    for step, iterations in enumerate(solution.iterations):
+        here = [one for one in told if one.step == step]
+        starts = [k for k, one in enumerate(here) if one.iteration == 0]
+        assert sum(one.iteration > 0 for one in here) == iterations
+        assert all(here[k].reached < here[k].share <= 1.0 for k in starts)
+        assert max(one.reached for one in here) == (step and solution.scalars["load_factor"][1])
+    (last,) = [one for one in told if one.step == 0][-1:]
+    assert (last.share, last.residual) == (1.0, solution.scalars["relative_residual"][0])
+    count = len(told)
+    problem.solve(loads[:1])
+    assert len(told) == count, "a solve outside of the block"
 
 
 def test_a_load_out_of_reach_is_a_status_with_a_remedy(block: Body) -> None:

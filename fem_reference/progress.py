@@ -1,0 +1,57 @@
+"""Where a finite-strain solve is, told while it runs."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
+from typing import NamedTuple
+
+
+class Progress(NamedTuple):
+    """Where Newton's method is.
+
+    Attributes
+    ----------
+    step, steps : load step under way, from 0, and their number
+    reached : share of that step's load at which equilibrium was last found
+    share : share that is tried now
+    iteration : Newton iterations done at it
+    residual : relative residual after them
+    """
+
+    step: int
+    steps: int
+    reached: float
+    share: float
+    iteration: int
+    residual: float
+
+
+Report = Callable[[Progress], None]
+_REPORT: ContextVar[Report | None] = ContextVar("report", default=None)
+
+
+@contextmanager
+def reported(report: Report) -> Iterator[None]:
+    """Call `report` before every Newton iteration and after the last, in this thread, inside the `with` block.
+
+    An exception that it raises ends the solve.
+
+    Examples
+    --------
+    >>> with reported(print):
+    ...     pass
+    """
+    token = _REPORT.set(report)
+    try:
+        yield
+    finally:
+        _REPORT.reset(token)
+
+
+def tell(progress: Progress) -> None:
+    """Give it to the innermost `reported`, if any."""
+    report = _REPORT.get()
+    if report is not None:
+        report(progress)
