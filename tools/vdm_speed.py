@@ -32,7 +32,7 @@ from solver_common.arrays import Array, Index, Mask
 from tests.unit.vdm_shapes import icosphere, torus
 from tools import marked
 from vdm import FORMULATIONS, Load, Model, Parameters, SurfaceMesh
-from vdm.formulations.boundary import INVERTED, BoundaryFormulation
+from vdm.peers.bem import INVERTED, BoundaryFormulation
 from vdm.problem import Problem, Step
 from vdm.solvers.cholesky import Cholesky
 from vdm.solvers.compliance import ContactCompliance

@@ -5,9 +5,8 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from vdm.constraints import ConstraintError, Load
-    from vdm.formulations import FORMULATIONS
     from vdm.material import ParameterError, Parameters
-    from vdm.model import Model
+    from vdm.model import FORMULATIONS, Model
     from vdm.solution import Solution, SolverError, Status
     from vdm.surface import SurfaceError, SurfaceMesh
 
@@ -29,7 +28,7 @@ __all__ = [
 def __getattr__(name: str) -> Any:
     """Loaded when it is asked for: `vdm.solvers` tells which solvers there are without them and SciPy."""
     if name in __all__:
-        for home in ("constraints", "formulations", "material", "solution", "surface", "model"):
+        for home in ("constraints", "material", "solution", "surface", "model"):
             module = import_module(f"vdm.{home}")
             if hasattr(module, name):
                 return getattr(module, name)

@@ -17,8 +17,8 @@ from dataclasses import replace
 import numpy as np
 
 from vdm.constraints import Load
-from vdm.formulations.boundary import BoundaryFormulation
-from vdm.formulations.sparse import HalvedFormulation
+from vdm.peers.bem import BoundaryFormulation
+from vdm.peers.bem_sparse import HalvedFormulation
 from vdm.problem import Problem, Step
 from vdm.solution import SolverError
 from vdm.solvers.linear import BorderedFactor, LinearSolver

@@ -22,12 +22,15 @@ from vdm.constraints import (
     hydrostatic_pressure,
     node_mask,
 )
-from vdm.formulations import FORMULATIONS
-from vdm.formulations.base import Factor
-from vdm.formulations.boundary import BoundaryFormulation
+from vdm.formulations.base import Factor, Formulation
+from vdm.formulations.consistent import ConsistentFormulation
 from vdm.formulations.paper import PaperFormulation
+from vdm.formulations.vector import VectorFormulation
 from vdm.material import ParameterError, Parameters
 from vdm.mesh_error import MeshError
+from vdm.peers.bem import BoundaryFormulation
+from vdm.peers.bem_sparse import SparseFormulation
+from vdm.peers.mass_spring import MassSpringFormulation
 from vdm.problem import Problem, Step, check_held
 from vdm.reservations import reserved
 from vdm.solution import Solution, SolverError, Status
@@ -55,6 +58,17 @@ class Solver(Protocol):
 
 
 FactorSolver = LinearSolver | QuasiLinearSolver | NonlinearSolver
+FORMULATIONS: dict[str, type[Formulation]] = {
+    cls.name: cls
+    for cls in (
+        PaperFormulation,
+        ConsistentFormulation,
+        VectorFormulation,
+        BoundaryFormulation,
+        SparseFormulation,
+        MassSpringFormulation,
+    )
+}
 OUTPUTS: tuple[str, ...] = ("nodal_stress", "normal_traction")
 
 
@@ -67,7 +81,7 @@ class Model:
     triangles : (F, 3) outward facets
     parameters : the formulation's material, or a rule that gives it for the surface; `Solution.seconds_setup` then
         counts the rule's time too
-    formulation : a key of `vdm.formulations.FORMULATIONS`
+    formulation : a key of `FORMULATIONS`
     fixed, constrained : (N,) masks of nodes that are held or moved by `Load.prescribed`
     density : of the fluid [kg/m^3]
     gravity : (3,) [m/s^2], constant over the history like the environment's pressure

@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 
 from vdm.formulations.base import Formulation
-from vdm.formulations.boundary import MAX_NODES, BoundaryFormulation
-from vdm.formulations.sparse import SparseFormulation
 from vdm.material import COARSE_NODES_RANGE
+from vdm.peers.bem import MAX_NODES, BoundaryFormulation
+from vdm.peers.bem_sparse import SparseFormulation
 from vdm.solution import Status
 
 # of the displacement, from which on an error is told: the form of boundary integrals was wrong by 1.1 to 2.2 times

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 from ..study.registry import Cost, CostLaw, Size, mesh_seconds
 
-_DENSE_NODES = 2000.0  # `vdm.formulations.boundary.MAX_NODES`, which would load the library; more are refused
+_DENSE_NODES = 2000.0  # `vdm.peers.bem.MAX_NODES`, which would load the library; more are refused
 _COARSE_NODES = 1000.0  # `vdm.material.COARSE_NODES`
 # unknowns per tetrahedron, as these elements have them on meshes of some thousand
 _UNKNOWNS = {"P1": 0.7, "P2": 4.7}

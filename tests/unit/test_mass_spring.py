@@ -8,7 +8,7 @@ from numpy.testing import assert_allclose
 
 from tests.unit.vdm_shapes import box, icosphere
 from vdm import Load, Model, ParameterError, Parameters, SolverError, SurfaceMesh
-from vdm.formulations.mass_spring import MassSpringFormulation, make_springs, through_springs
+from vdm.peers.mass_spring import MassSpringFormulation, make_springs, through_springs
 
 MU = 1700.0
 

@@ -144,6 +144,13 @@ def test_the_solver_libraries_share_one_small_package_and_nothing_else() -> None
         assert not _tops(path) & files - ({"pathlib"} if _name(path).endswith("memory.py") else set()), path
 
 
+def test_no_form_of_vdm_knows_its_peers() -> None:
+    for path in sorted((ROOT / "vdm").glob("formulations/*.py")):
+        assert not any(
+            name.startswith(("vdm.peers", "vdm.boundary")) for name in _imports(path, types=True)
+        ), path
+
+
 def _module(path: Path) -> str:
     parts = path.relative_to(ROOT).with_suffix("").parts
     return ".".join(("vdmbench" if parts[0] == "studies" else parts[0], *parts[1:])).removesuffix(".__init__")

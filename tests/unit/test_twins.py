@@ -7,9 +7,9 @@ import re
 import tomllib
 from pathlib import Path
 
-import vdm.formulations.boundary
-import vdm.formulations.mass_spring
 import vdm.material
+import vdm.peers.bem
+import vdm.peers.mass_spring
 import vdm.solution
 from solver_common.solution import Solution
 from tests.unit.report_runs import icosphere
@@ -34,7 +34,7 @@ def test_the_stored_result_keeps_all_that_a_solution_has() -> None:
 
 def test_an_estimate_knows_how_many_nodes_the_boundary_form_takes() -> None:
     """Without loading the library: a plan has to be quick."""
-    assert vdm.formulations.boundary.MAX_NODES == costs._DENSE_NODES
+    assert vdm.peers.bem.MAX_NODES == costs._DENSE_NODES
 
 
 def test_a_registered_model_declares_what_its_library_says() -> None:
@@ -46,7 +46,7 @@ def test_a_registered_model_declares_what_its_library_says() -> None:
     assert {name.removeprefix("vdm-") for name, m in surface.items() if not m.fibres} == set(
         vdm.material.ISOTROPIC
     )
-    assert models.find("mass-spring")[0].most_nodes == vdm.formulations.mass_spring.MAX_NODES
+    assert models.find("mass-spring")[0].most_nodes == vdm.peers.mass_spring.MAX_NODES
 
 
 def test_make_and_doctor_want_the_same_libraries() -> None:

@@ -12,7 +12,7 @@ from scipy import sparse
 
 from tests.unit.vdm_shapes import box, icosphere
 from vdm import Load, Model, Parameters
-from vdm.formulations.sparse import HalvedFormulation
+from vdm.peers.bem_sparse import HalvedFormulation
 from vdm.reservations import LIMIT, reserved
 from vdm.solution import CONVERGED
 

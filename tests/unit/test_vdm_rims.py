@@ -15,7 +15,7 @@ from vdm.boundary.coarsening import coarsened
 from vdm.boundary.rims import Rims
 from vdm.constraints import Support
 from vdm.formulations.base import rigid_motions
-from vdm.formulations.boundary import BoundaryFormulation
+from vdm.peers.bem import BoundaryFormulation
 from vdm.problem import Problem
 from vdm.solvers.linear import LinearSolver
 

@@ -20,7 +20,7 @@ from tests.unit.vdm_shapes import (
 )
 from vdm import Load, Model, Parameters, SolverError, SurfaceMesh
 from vdm.deformed import DeformableSurface
-from vdm.formulations.boundary import DenseFactor
+from vdm.peers.bem import DenseFactor
 from vdm.solvers import SOLVERS
 from vdm.solvers.anderson import Anderson
 from vdm.solvers.krylov import KrylovSolver
@@ -497,7 +497,7 @@ def test_a_penalty_is_that_of_equations_25_and_26(method):
 
 @pytest.mark.parametrize("most", [0, 60])
 def test_a_dense_factor_solves_one_and_many_loads_by_its_inverse_and_without(most, monkeypatch):
-    monkeypatch.setattr("vdm.formulations.boundary.INVERTED", most)
+    monkeypatch.setattr("vdm.peers.bem.INVERTED", most)
     half = np.random.default_rng(5).standard_normal((40, 40))
     matrix = half @ half.T + 40.0 * np.eye(40)
     factor = DenseFactor(matrix.copy())

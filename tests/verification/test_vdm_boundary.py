@@ -14,8 +14,8 @@ from tests.unit.vdm_shapes import box, icosphere
 from tests.verification.records import Verified
 from vdm import Load, Model, ParameterError, Parameters, SolverError, SurfaceMesh
 from vdm.boundary.operators import Facets, layers, surface_stiffness
-from vdm.formulations.boundary import MAX_NODES
 from vdm.material import ball_compliance
+from vdm.peers.bem import MAX_NODES
 from vdm.surface import rigid_basis
 from vdmbench.body.geometry import build_mesh
 from vdmbench.body.surface_measures import relative_l2, rigid_motion_removed

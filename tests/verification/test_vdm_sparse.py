@@ -13,8 +13,8 @@ from tests.unit.vdm_shapes import box, icosphere, torus
 from vdm import Load, Model, ParameterError, Parameters, SolverError, SurfaceMesh
 from vdm.boundary.coarsening import coarsened
 from vdm.boundary.interpolation import interpolation
-from vdm.formulations.boundary import BoundaryFormulation, DenseFactor
-from vdm.formulations.sparse import SparseFormulation
+from vdm.peers.bem import BoundaryFormulation, DenseFactor
+from vdm.peers.bem_sparse import SparseFormulation
 from vdm.solvers.single import SingleFactor
 from vdm.surface import rigid_basis
 

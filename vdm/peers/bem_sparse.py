@@ -11,8 +11,8 @@ from scipy.linalg import blas
 from solver_common.arrays import Array, Mask
 from vdm.boundary.rims import Rims
 from vdm.formulations.base import Factor, Factorise
-from vdm.formulations.boundary import INDEFINITE, BoundaryFormulation, DenseFactor
 from vdm.material import COARSE_NODES, ParameterError, Parameters
+from vdm.peers.bem import INDEFINITE, BoundaryFormulation, DenseFactor
 from vdm.solution import SolverError, Status
 from vdm.solvers.cholesky import Cholesky
 from vdm.solvers.single import SingleFactor
