@@ -18,7 +18,6 @@ VERBS = (  # in the order in which they are told
     "plan",
     "run",
     "calibrate",
-    "status",
     "report",
     "compare",
     "export",
@@ -26,7 +25,6 @@ VERBS = (  # in the order in which they are told
     "accept",
     "bench",
     "schema",
-    "doctor",
 )
 
 

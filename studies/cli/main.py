@@ -115,9 +115,13 @@ def _complain_of(error: BaseException) -> int:
         limits = memory_limits()
         said = str(MemoryLimitError(limits)) if limits else "out of memory"
         return complain(said, MACHINE)
+    from ..study.errors import install_line
+
+    if line := install_line(error):
+        return complain(f"{error}; install it: {line}", MACHINE)
     match error:
         case ImportError():
-            return complain(f"{error}; see what is missing with: vdmbench doctor", MACHINE)
+            return complain(str(error), MACHINE)
         case FileExistsError(filename=name):  # where a directory was to be made
             return complain(f"{name}: is not a directory; remove it, or choose another", MACHINE)
         case OSError(filename=name, strerror=words):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from collections import Counter
 
 from .argument_kinds import plan_arguments
 from .output import OK, count, folded, print_json
@@ -45,6 +46,8 @@ def run(options: argparse.Namespace) -> int:
         print("no reference: the models run without comparison")
     for case in planned["cases"]:
         print(f"  {case['hash'][:12]}  {case['state']:<8} {case['label']}")
+    states = Counter(case["state"] for case in planned["cases"])
+    print(f"in {plan.directory}: {', '.join(f'{number} {state}' for state, number in states.items())}")
     meshes = count(planned["meshes_to_make"], "mesh", "meshes")
     print(f"to run: {count(planned['cases_to_run'], 'case')}, {meshes}")
     for kind in ("needed", "skipped", "refused"):

@@ -23,7 +23,7 @@ from ..measures.reference import level_scene, restricted
 from ..models import Prepared
 from ..scene.scene import Scene
 from ..study.config import geometry_of
-from ..study.errors import InputError
+from ..study.errors import InputError, install_line
 from ..study.schema import Study
 from .cache import answer_path, limits_path, one_step, write_answer, write_limits
 from .case import Block, make_case
@@ -207,7 +207,9 @@ def _outcome(work: Callable[[], object]) -> tuple[str, str, str]:
         traceback.print_exc()
         return "error", "out of memory", more_memory()
     except OSError as error:
-        return "error", f"{error}", "check free space and permissions"
+        return "error", f"{error}", install_line(error) or "check free space and permissions"
+    except ImportError as error:
+        return "error", f"{error}", install_line(error)
     except InputError as error:
         return "input", f"{error}", ""
     except ValueError as error:

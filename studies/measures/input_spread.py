@@ -18,13 +18,9 @@ from solver_common.arrays import Array
 from ..body.surface_measures import Surface, weighted_norm, without_motions
 from ..study.registry import REFINED
 from ..study.schema import Study
-from ..study.sweep import MORRIS, SENSITIVITIES, SOBOL, Input, analysis, inputs_of, shares, unit_cube
+from ..study.sweep import SENSITIVITIES, SOBOL, Input, inputs_of, salib, unit_cube
 
-# what SALib calls them -> what they are
-INDICES = {
-    SOBOL: {"S1": "first order", "ST": "total"},
-    MORRIS: {"mu_star": "mean effect", "sigma": "its spread"},
-}
+INDICES = {"S1": "first order", "ST": "total"}  # what SALib calls Sobol's indices -> what they are
 _NOTHING = 1e-6  # share of the displacement: less is what solvers leave open
 STRAIGHT = 0.2  # `ModelSpread.bend` up to which first order will do: it moves the deviation by a fiftieth
 
@@ -73,8 +69,8 @@ class Propagation:
 
     @property
     def by_slopes(self) -> bool:
-        """Whether it has the answers at both ends of each input, before any samples."""
-        return self.table.method in (SENSITIVITIES, MORRIS)
+        """Whether it has the answers at both ends of each input, not at samples."""
+        return self.table.method == SENSITIVITIES
 
     def deviation(self, answers: Sequence[Array]) -> Array:
         """Standard deviation of each number of the V answers, arrays of one shape."""
@@ -88,23 +84,17 @@ class Propagation:
         return np.stack([one.weight * (high - low) / 2.0 for one, low, high in pairs])
 
     def indices(self, sizes: Array) -> dict[str, Array]:
-        """SALib's indices (K,) of one number at each variation; none where its method asks for none."""
-        names = INDICES.get(self.table.method, {})
-        if not names:
+        """Sobol's indices (K,) of one number at each variation; none where its method asks for none."""
+        if self.table.method != SOBOL:
             return {}
         count = len(self.inputs)
-        problem, own = unit_cube(count), sizes[2 * count :] if self.by_slopes else sizes
-        if not np.isfinite(own).all() or not np.ptp(own):
-            return {name: np.full(count, np.nan) for name in names}
-        module, seed = analysis(self.table.method), self.table.seed or 0
+        if not np.isfinite(sizes).all() or not np.ptp(sizes):
+            return {name: np.full(count, np.nan) for name in INDICES}
+        analyze, seed = salib("analyze.sobol").analyze, self.table.seed or 0
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # of an input that does nothing
-            if self.table.method == SOBOL:
-                found = module.analyze(problem, own, calc_second_order=False, seed=seed)
-            else:
-                samples = shares(MORRIS, count, self.table.samples, self.table.seed)
-                found = module.analyze(problem, samples, own, seed=seed)
-        return {name: np.asarray(found[name], dtype=float) for name in names}
+            found = analyze(unit_cube(count), sizes, calc_second_order=False, seed=seed)
+        return {name: np.asarray(found[name], dtype=float) for name in INDICES}
 
 
 Answers = Callable[[str], Sequence[Array]]  # model -> its V answers at full load (N, 3)

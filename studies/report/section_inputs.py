@@ -22,7 +22,6 @@ _HOW = {
     "sensitivities": "It is from the answers with one input at a time higher and lower, so of first order.",
     "sampling": "It is the spread of the answers to random values of all inputs.",
     "sobol": "It is the spread of the answers to Saltelli's samples; the indices are of the displacement's norm.",
-    "morris": "It is of first order; the indices are of the displacement's norm, by Morris' ways.",
 }
 
 
@@ -96,10 +95,9 @@ def _share(value: float) -> Cell:
 
 
 def _indices(digest: Digest, spread: InputSpread, name: str) -> Table:
-    words = INDICES.get(spread.method, {})
     columns = [
         Column("Model", numeric=False),
-        *(Column(input_name(key), word) for key in spread.keys for word in words.values()),
+        *(Column(input_name(key), word) for key in spread.keys for word in INDICES.values()),
     ]
     rows = [
         [
@@ -107,7 +105,7 @@ def _indices(digest: Digest, spread: InputSpread, name: str) -> Table:
             *(
                 Cell(number(float(found.indices[index][k])) if index in found.indices else NOTHING)
                 for k in range(len(spread.keys))
-                for index in words
+                for index in INDICES
             ),
         ]
         for model, found in spread.models.items()

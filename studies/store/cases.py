@@ -21,7 +21,6 @@ from pydantic import ValidationError
 from solver_common.solution import Status
 
 from ..machine.files import json_text, write_atomically
-from ..machine.safe_open import read_regular
 from ..machine.stored_json import CaseShape, parsed
 from ..measures import uncertainty
 from ..measures.bars import value_bar
@@ -179,39 +178,6 @@ def read_run(directory: Path, *, damaged: bool = False) -> Run:
         else:
             missing.append(planned["label"])
     return Run(study, study_text, cases, failed, missing, plan)
-
-
-def run_state(directory: Path) -> dict[str, list[Any]]:
-    """What is "done", "stale", "damaged" and "missing" (labels) and "failed" (with reasons) in a run directory.
-
-    Raises
-    ------
-    StoreError
-        not a run directory.
-    """
-    state: dict[str, list[Any]] = {"done": [], "stale": [], "failed": [], "damaged": [], "missing": []}
-    plan = read_plan(directory)
-    for planned in plan["cases"]:
-        kind = case_state(directory, planned["hash"], planned["label"])
-        label = planned["label"] or plan["study"]["name"]
-        failed = kind == "failed"
-        state[kind].append(read_failure(directory, planned["hash"], label) if failed else label)
-    try:
-        read_study(directory, plan)
-    except StoreError as error:
-        state["damaged"].append(str(error))
-    tables = directory / STUDY_FILE
-    if os.path.lexists(tables):
-        try:
-            with Stored(tables, SCHEMA) as file:
-                sound = _digest(read_regular(directory / METRICS_FILE, MAX_BYTES)) == file.texts(_CSV_HASH)
-            if not sound:
-                state["damaged"].append(f"{METRICS_FILE} (vdmbench report makes it anew)")
-        except OlderSchemaError:
-            pass  # the next run writes it
-        except UNREADABLE:
-            state["damaged"].append(f"{STUDY_FILE} or {METRICS_FILE} (vdmbench report makes them anew)")
-    return state
 
 
 def _digest(table: bytes) -> str:

@@ -25,6 +25,25 @@ class MeshError(InputError):
         self.key = key
 
 
+# --- What the machine lacks ---
+
+
+# Debian's packages of the shared libraries that the gmsh and VTK wheels load from the system
+LIBRARIES = ("libgomp1", "libglu1-mesa", "libxft2", "libxcursor1", "libxinerama1", "libgl1")
+_DISTRIBUTIONS = {"skfem": "scikit-fem", "vtkmodules": "vtk", "tomli_w": "tomli-w"}
+_NO_LIBRARY = re.compile(r"lib\S+\.so\S*: cannot open shared object file")
+
+
+def install_line(error: BaseException) -> str:
+    """The line that installs the package or the shared library that an import lacks; "" of any other error."""
+    if isinstance(error, ModuleNotFoundError) and error.name:
+        name = error.name.partition(".")[0]
+        return f"pip install --constraint constraints.txt {_DISTRIBUTIONS.get(name, name)}"
+    if isinstance(error, ImportError | OSError) and _NO_LIBRARY.search(str(error)):
+        return f"apt-get install {' '.join(LIBRARIES)}"
+    return ""
+
+
 # --- What is wrong with a study file, and where: the error that carries every problem, and the file behind it ---
 
 

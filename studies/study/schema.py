@@ -675,15 +675,14 @@ class Inputs(Table):
 
     model_config = ConfigDict(extra="allow")
 
-    method: Literal["sensitivities", "sampling", "sobol", "morris"] = Field(
+    method: Literal["sensitivities", "sampling", "sobol"] = Field(
         "sensitivities",
-        description="how that goes into the answers: two variations of each key; random samples of all; Sobol's or "
-        "Morris' indices by SALib",
+        description="how that goes into the answers: two variations of each key; random samples of all; Sobol's "
+        "indices by SALib",
     )
     samples: int | None = Field(
         None,
-        description="sampling: variations of a case (64); sobol: of them, times the number of keys and 2 (64); "
-        "morris: ways through the ranges (8)",
+        description="sampling: variations of a case (64); sobol: of them, times the number of keys and 2 (64)",
         ge=4,
         le=10_000,
     )

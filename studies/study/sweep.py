@@ -445,12 +445,6 @@ class Input:
 
         return self.value + self.deviation * float(ndtri(min(max(share, _TAIL), 1 - _TAIL)))
 
-    def on_grid(self, share: float) -> float:
-        """The value at a share of the range; of a standard deviation the range that has the same one."""
-        if self.span is not None:
-            return self.at(share)
-        return self.value + self.deviation * math.sqrt(3.0) * (2.0 * share - 1.0)
-
 
 def inputs_of(study: Study) -> list[Input]:
     """What is not known of a sound study, in the order of its keys."""
@@ -543,9 +537,9 @@ def _number(target: Target, value: Any, name: str) -> float:
 # --- The studies with other values of the inputs that tell what comes of not knowing them ---
 
 
-SENSITIVITIES, SAMPLING, SOBOL, MORRIS = "sensitivities", "sampling", "sobol", "morris"
+SENSITIVITIES, SAMPLING, SOBOL = "sensitivities", "sampling", "sobol"
 INSTALL = "pip install --constraint constraints.txt --editable '.[sensitivity]'"
-_SAMPLES = {SAMPLING: 64, SOBOL: 64, MORRIS: 8}
+_SAMPLES = 64
 _MOST = 2000  # variations of a case
 # what no variation has: it decides nothing of an answer, or would begin anew
 _NOT_VARIED = ("inputs", "sweep", "measured", "limits", "calibration")
@@ -561,9 +555,8 @@ class Variation:
 
 def count_of(method: str, keys: int, samples: int | None) -> int:
     """How many variations a case has."""
-    number = samples or _SAMPLES.get(method, 0)
-    extra = {SENSITIVITIES: 0, SAMPLING: number, SOBOL: number * (keys + 2), MORRIS: number * (keys + 1)}
-    return extra[method] + (2 * keys if method in (SENSITIVITIES, MORRIS) else 0)
+    number = samples or _SAMPLES
+    return {SENSITIVITIES: 2 * keys, SAMPLING: number, SOBOL: number * (keys + 2)}[method]
 
 
 def shares(method: str, keys: int, samples: int | None, seed: int | None) -> NDArray[np.float64]:
@@ -572,18 +565,14 @@ def shares(method: str, keys: int, samples: int | None, seed: int | None) -> NDA
     Raises
     ------
     ImportError
-        SALib, which Sobol and Morris need, is not installed; the message has the command.
+        SALib, which Sobol needs, is not installed; the message has the command.
     """
-    number, start = samples or _SAMPLES[method], seed or 0
+    number, start = samples or _SAMPLES, seed or 0
     if method == SAMPLING:
         from scipy.stats import qmc
 
         return np.asarray(qmc.LatinHypercube(keys, rng=start).random(number))
-    problem = unit_cube(keys)
-    if method == SOBOL:
-        sample = _salib("sample.sobol").sample(problem, number, calc_second_order=False, seed=start)
-    else:
-        sample = _salib("sample.morris").sample(problem, number, seed=start)
+    sample = salib("sample.sobol").sample(unit_cube(keys), number, calc_second_order=False, seed=start)
     return np.asarray(sample, dtype=float)
 
 
@@ -593,20 +582,16 @@ def unit_cube(keys: int) -> dict[str, Any]:
     return {"num_vars": keys, "names": names, "bounds": [[0.0, 1.0]] * keys}
 
 
-def _salib(module: str) -> Any:
+def salib(module: str) -> Any:
+    """A module of SALib. Raises ImportError."""
     try:
         return import_module(f"SALib.{module}")
     except ImportError:
-        raise ImportError(f"Sobol and Morris indices need SALib, which is not installed: {INSTALL}") from None
-
-
-def analysis(method: str) -> Any:
-    """SALib's analysis of the samples of a method. Raises ImportError."""
-    return _salib(f"analyze.{method}")
+        raise ImportError(f"Sobol's indices need SALib, which is not installed: {INSTALL}") from None
 
 
 def varied_values(inputs: Sequence[Input], study: Study) -> list[dict[str, float]]:
-    """The values of each variation: per key the lower and the upper, then the samples.
+    """The values of each variation: per key the lower and the upper, or the samples.
 
     Raises
     ------
@@ -616,16 +601,12 @@ def varied_values(inputs: Sequence[Input], study: Study) -> list[dict[str, float
     table = study.inputs
     if table is None:
         return []
-    found: list[dict[str, float]] = []
-    if table.method in (SENSITIVITIES, MORRIS):
-        found += [{one.key: end} for one in inputs for end in one.ends]
-    if table.method != SENSITIVITIES:
-        place = Input.on_grid if table.method == MORRIS else Input.at
-        found += [
-            {one.key: place(one, float(share)) for one, share in zip(inputs, row, strict=True)}
-            for row in shares(table.method, len(inputs), table.samples, table.seed)
-        ]
-    return found
+    if table.method == SENSITIVITIES:
+        return [{one.key: end} for one in inputs for end in one.ends]
+    return [
+        {one.key: one.at(float(share)) for one, share in zip(inputs, row, strict=True)}
+        for row in shares(table.method, len(inputs), table.samples, table.seed)
+    ]
 
 
 def variations(study: Study) -> tuple[list[Variation], list[Finding]]:

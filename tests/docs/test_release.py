@@ -11,7 +11,7 @@ import pytest
 import yaml
 
 from vdmbench.cli.arguments import VERBS, parse
-from vdmbench.cli.verb_doctor import LIBRARIES
+from vdmbench.study.errors import LIBRARIES
 
 ROOT = Path(__file__).parents[2]
 
@@ -32,9 +32,9 @@ def test_the_citation_has_the_version_and_the_licence_of_the_package() -> None:
 
 
 @pytest.mark.parametrize("name", ["Containerfile", "docs/howto/gate-workflow.yml"])
-def test_the_libraries_are_those_that_doctor_looks_for(name: str) -> None:
+def test_the_libraries_are_those_that_an_error_names(name: str) -> None:
     text = (ROOT / name).read_text()
-    assert set(re.findall(r"\blib[a-z0-9-]+\b", text)) - {"libraries"} == set(LIBRARIES.values())
+    assert set(re.findall(r"\blib[a-z0-9-]+\b", text)) - {"libraries"} == set(LIBRARIES)
 
 
 def test_the_commands_of_the_workflow_are_commands(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

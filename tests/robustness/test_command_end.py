@@ -18,7 +18,7 @@ from vdmbench.study.errors import Problem, StudyError
 @pytest.mark.parametrize(
     ("error", "code", "said"),
     [
-        (ImportError("no such library"), 4, ["no such library; see what is missing with: vdmbench doctor"]),
+        (ImportError("no such library"), 4, ["no such library"]),
         (FileExistsError(17, "File exists", "x"), 4, ["x: is not a directory; remove it, or choose another"]),
         (OSError(28, "No space left on device", "x"), 4, ["x: No space left on device"]),
         (OSError(28, "No space left on device"), 4, ["No space left on device"]),
@@ -40,8 +40,8 @@ def test_what_an_error_means_to_the_shell(
     def verb(_: object) -> int:
         raise error
 
-    monkeypatch.setattr("vdmbench.cli.verb_doctor.run", verb)
-    result = vdmbench("doctor", cwd=tmp_path)
+    monkeypatch.setattr("vdmbench.cli.verb_list.run", verb)
+    result = vdmbench("list", cwd=tmp_path)
     assert result.returncode == code
     assert result.stderr.splitlines() == [f"vdmbench: {line}" for line in said]
 

@@ -55,19 +55,16 @@ def test_a_run_leaves_all_that_the_contract_names(finished: Path) -> None:
     assert (run / "study.toml").read_text() == (finished / "small.toml").read_text()
 
 
-def test_status_says_what_the_run_took_beside_what_was_expected(copy: Path) -> None:
-    said = vdmbench("status", RUN, cwd=copy).stdout
+def test_a_run_says_what_it_took_beside_what_was_expected(copy: Path) -> None:
+    said = vdmbench("report", RUN, cwd=copy).stdout
     plan = json.loads((copy / RUN / "plan.json").read_text())
     spent, expected = plan["taken"], plan["estimate"]
     assert f"took {spent['seconds']:.0f} s with {spent['jobs']} job" in said
-    assert (
-        f": {spent['processor_seconds']:.0f} s of processor; expected {expected['seconds']:.0f} s, "
-        f"within a factor of {expected['factor']:g}\n"
-    ) in said
+    assert f"expected {expected['seconds']:.0f} s" in said
     assert spent["processor_seconds"] > 0.1, "what the workers had counts"
     plan["taken"] = {"seconds": "<b>", "processor_seconds": None, "jobs": None}
     rewrite_plan(copy / RUN, plan)
-    result = vdmbench("status", RUN, cwd=copy)
+    result = vdmbench("report", RUN, cwd=copy)
     assert (result.returncode, "took" in result.stdout, result.stderr) == (0, False, "")
 
 
@@ -103,7 +100,7 @@ def test_only_what_is_missing_is_run(copy: Path) -> None:
     cases = sorted((copy / RUN / "cases").iterdir())
     kept = cases[1].stat().st_mtime_ns
     cases[0].unlink()
-    assert "1 done, 0 failed, 0 damaged, 1 missing" in vdmbench("status", RUN, cwd=copy).stdout
+    assert "results/runs/small: 1 missing, 1 done\n" in vdmbench("plan", "small.toml", cwd=copy).stdout
     assert vdmbench("run", "small.toml", cwd=copy).returncode == 0
     assert cases[0].exists()
     assert cases[1].stat().st_mtime_ns == kept
@@ -157,7 +154,7 @@ def test_the_report_is_rebuilt_from_a_copied_directory(copy: Path, tmp_path: Pat
     assert rows["metrics"]["fem-linear"]["peak_bytes"]["unit"] == "B"
 
 
-@pytest.mark.parametrize("verb", ["list", "doctor", "check small.toml", "plan small.toml", f"status {RUN}"])
+@pytest.mark.parametrize("verb", ["list", "check small.toml", "plan small.toml"])
 def test_every_verb_speaks_json(finished: Path, verb: str) -> None:
     result = vdmbench(*verb.split(), "--json", cwd=finished)
     assert result.returncode == 0, result.stderr
@@ -316,9 +313,7 @@ def test_a_bad_case_costs_itself_only(tmp_path: Path) -> None:
     assert "1 done, 1 failed, 0 missing" in result.stdout
     assert "finger" in result.stderr
     assert (tmp_path / RUN / "report.html").exists()
-    status = json.loads(vdmbench("status", RUN, "--json", cwd=tmp_path).stdout)
-    assert len(status["failed"]) == 1
-    assert status["failed"][0]["message"]
+    assert "small: 1 failed, 1 done\n" in vdmbench("plan", "small.toml", cwd=tmp_path).stdout
     # the failure is tried again, the success is not
     again = vdmbench("run", "small.toml", cwd=tmp_path)
     assert again.returncode == 3
@@ -336,9 +331,7 @@ def test_a_timeout_is_a_failure_with_a_remedy(tmp_path: Path) -> None:
 def test_damage_is_named_and_mended(copy: Path) -> None:
     case = sorted((copy / RUN / "cases").iterdir())[0]
     case.write_bytes(case.read_bytes()[:5000])
-    status = vdmbench("status", RUN, cwd=copy)
-    assert status.returncode == 5
-    assert "1 damaged" in status.stdout
+    assert "small: 1 damaged, 1 done\n" in vdmbench("plan", "small.toml", cwd=copy).stdout
     report = vdmbench("report", RUN, cwd=copy)
     assert report.returncode == 5
     assert case.name in report.stderr
@@ -347,13 +340,11 @@ def test_damage_is_named_and_mended(copy: Path) -> None:
     assert "1 damaged" in page
     assert case.name in page
     assert vdmbench("run", "small.toml", cwd=copy).returncode == 0, "run makes it anew"
-    assert vdmbench("status", RUN, cwd=copy).returncode == 0
 
 
-@pytest.mark.parametrize("verb", ["status", "report"])
-def test_a_directory_without_a_run(tmp_path: Path, verb: str) -> None:
+def test_a_directory_without_a_run(tmp_path: Path) -> None:
     for directory in (tmp_path, tmp_path / "mistyped", "x" * 300):
-        result = vdmbench(verb, directory, cwd=tmp_path)
+        result = vdmbench("report", directory, cwd=tmp_path)
         assert result.returncode == 2, "the command is wrong, no result is damaged"
         assert "not a run directory" in result.stderr
         assert "Traceback" not in result.stderr
@@ -579,4 +570,4 @@ def test_the_only_case_fails_by_the_study_s_name(tmp_path: Path) -> None:
     result = vdmbench("run", "small.toml", cwd=tmp_path)
     assert result.returncode == 2
     assert "vdmbench: failed: small: " in result.stderr
-    assert "\nfailed: small: " in vdmbench("status", RUN, cwd=tmp_path).stdout
+    assert "vdmbench: failed: small: " in vdmbench("report", RUN, cwd=tmp_path).stderr

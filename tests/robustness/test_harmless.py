@@ -24,7 +24,7 @@ def test_control_characters_become_escapes() -> None:
     )
 
 
-@pytest.mark.parametrize("verb", ["status", "report", "gate"])
+@pytest.mark.parametrize("verb", ["report", "gate"])
 def test_copied_results_do_not_steer_the_terminal(
     undisturbed: tuple[Path, float], tmp_path: Path, verb: str
 ) -> None:
@@ -49,7 +49,7 @@ def test_copied_results_do_not_steer_the_terminal(
     "arguments",
     [
         ("check", "x\x1b[2J.toml"),
-        ("status", "x\x1b[2J"),
+        ("report", "x\x1b[2J"),
         ("list", "--x\x1b[2J"),
     ],
 )

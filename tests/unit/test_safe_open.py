@@ -15,7 +15,7 @@ from vdmbench.machine.files import clear_abandoned, write_atomically
 from vdmbench.machine.locks import lock
 from vdmbench.machine.safe_open import UnfitFileError, open_regular, read_regular
 from vdmbench.machine.sealed import read_arrays, write_arrays
-from vdmbench.store.cases import case_state, read_run, run_state
+from vdmbench.store.cases import case_state, read_run
 from vdmbench.store.hdf5 import Stored, StoreError
 from vdmbench.store.run_directory import case_path, read_plan, refuse_linked
 
@@ -74,7 +74,7 @@ def test_nothing_else_is_read_as_a_stored_file(tmp_path: Path, what: str) -> Non
     for name in ("plan.json", "cases", "x.npz"):
         (tmp_path / name).parent.mkdir(exist_ok=True)
     OTHERS[what](tmp_path / "plan.json")
-    for read in (read_plan, read_run, run_state):
+    for read in (read_plan, read_run):
         with pytest.raises(StoreError, match=r"plan\.json"):
             read(tmp_path)
     OTHERS[what](tmp_path / "x.npz")
