@@ -19,8 +19,8 @@ from .machine.processors import usable_processors
 from .measures.case import CaseResult, Run
 
 if TYPE_CHECKING:
-    from .graph.run import Event
     from .verdict.verdict import Verdicts
+    from .work.run import Event
 
 
 @dataclass(frozen=True)
@@ -153,11 +153,11 @@ def run(
     OSError
         disk full or read-only.
     """
-    from .graph.plan import make_plan
-    from .graph.run import Options, run_plan
     from .report.rebuild import rebuild
     from .study.config import expand, load_study
     from .study.files import overridden, study_path
+    from .work.plan import make_plan
+    from .work.run import Options, run_plan
 
     path = study_path(study)
     text = overridden(path.read_text(encoding="utf-8-sig"), overrides) if overrides else None

@@ -95,7 +95,7 @@ def vdmbench(*arguments: str | Path, cwd: Path, **environment: str) -> subproces
         contextlib.redirect_stdout(output),
         contextlib.redirect_stderr(complaints),
         mock.patch.dict(os.environ, environment),
-        mock.patch("vdmbench.graph.run._places", _here),
+        mock.patch("vdmbench.work.run._places", _here),
         mock.patch("gc.freeze"),  # this process goes on
     ):
         try:

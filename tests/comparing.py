@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from vdmbench.graph import case
 from vdmbench.measures.case import MetricSeries
 from vdmbench.scene.result import ModelResult
 from vdmbench.scene.scene import Scene
+from vdmbench.work import case
 
 
 def compare(

@@ -6,11 +6,11 @@ from collections.abc import Sequence
 from concurrent.futures import Future
 from pathlib import Path
 
-from vdmbench.graph.engine import Outcome, run_nodes
-from vdmbench.graph.local import told
-from vdmbench.graph.nodes import graph
-from vdmbench.graph.plan import Plan, PlannedCase
-from vdmbench.graph.work import Said, run_node
+from vdmbench.work.engine import Outcome, run_nodes
+from vdmbench.work.local import told
+from vdmbench.work.nodes import graph
+from vdmbench.work.plan import Plan, PlannedCase
+from vdmbench.work.worker import Said, run_node
 
 
 class HerePlaces:

@@ -23,11 +23,11 @@ from tools.runs import CASES, ROOT, RUNS, finished
 from vdmbench.evidence.calibrate import body, worse_than_rule
 from vdmbench.evidence.fit import Errors, Trial, least_error
 from vdmbench.evidence.search import WIDEST
-from vdmbench.graph.plan import make_plan
-from vdmbench.graph.run import Options, run_plan
 from vdmbench.report.rebuild import rebuild
 from vdmbench.study.config import expand, load_study
 from vdmbench.verdict.formatting import NOTHING, percent
+from vdmbench.work.plan import make_plan
+from vdmbench.work.run import Options, run_plan
 
 DOCUMENT = ROOT / "results" / "calibrations.md"
 TABLES = ROOT / "results" / "calibrations"

@@ -23,14 +23,14 @@ from tools import marked
 from tools.runs import CASES, ROOT
 from tools.third_level import HEADLINE, audited
 from vdmbench.body.surface_measures import Surface, weighted_norms, without_motions
-from vdmbench.graph.plan import make_plan
-from vdmbench.graph.run import Options, run_plan
 from vdmbench.measures.metrics import METRICS, VECTOR
 from vdmbench.store.cases import read_run
 from vdmbench.study.config import expand, load_study
 from vdmbench.study.registry import REFINED
 from vdmbench.study.schema import Study, Uncertainty
 from vdmbench.verdict.formatting import percent
+from vdmbench.work.plan import make_plan
+from vdmbench.work.run import Options, run_plan
 
 RUNS = ROOT / "build" / "error-bars"  # what is there is not done again
 FOUND = ROOT / "results" / "error-bars.json"

@@ -14,8 +14,6 @@ import numpy as np
 
 from vdmbench.body.mesh_cache import mesh_from_cache
 from vdmbench.body.surface_measures import Surface, weighted_norm
-from vdmbench.graph.case import Block
-from vdmbench.graph.plan import Plan, PlannedCase
 from vdmbench.measures.bars import value_bar
 from vdmbench.measures.case import CaseResult
 from vdmbench.measures.metrics import DEFORMATION, METRICS, VECTOR, History, evaluate_all, full_load_step
@@ -24,6 +22,8 @@ from vdmbench.scene.result import ModelResult
 from vdmbench.scene.scene import build_scene
 from vdmbench.study.registry import REFINED
 from vdmbench.study.schema import MOST_LEVELS
+from vdmbench.work.case import Block
+from vdmbench.work.plan import Plan, PlannedCase
 
 HEADLINE = (VECTOR, DEFORMATION)
 COVERED = 0.95  # share of the two errors' bars that are to hold

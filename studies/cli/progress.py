@@ -11,7 +11,7 @@ from ..machine.streams import harmless
 from .output import OK, complain
 
 if TYPE_CHECKING:
-    from ..graph.run import Event
+    from ..work.run import Event
 
 SILENCE = 30.0  # s after which a pipe hears that the run is still at work
 _ENOUGH = 0.2  # of all pieces: from then on the time left is told by those that are done

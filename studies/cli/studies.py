@@ -14,9 +14,9 @@ from .progress import Progress
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from ..graph.plan import Plan, PlannedCase
     from ..measures.case import Run
     from ..study.schema import Study
+    from ..work.plan import Plan, PlannedCase
 
 
 def load(options: argparse.Namespace) -> tuple[Study, Path]:
@@ -47,8 +47,8 @@ def make_plan(
     command: tuple[str, ...] = (),
 ) -> Plan:
     """The plan of all cases; in --out or results/runs/NAME by default."""
-    from ..graph import plan as graph_plan
     from ..study.config import expand
+    from ..work import plan as graph_plan
 
     directory = directory or vars(options).get("out")
     if directory is None:
@@ -61,9 +61,9 @@ def make_plan(
 
 def require_own(plan: Plan, options: argparse.Namespace) -> None:
     """Raises UsageError where the directory holds no run, or that of another surface file of the same name."""
-    from ..graph.explain import surfaces
     from ..store.hdf5 import StoreError
     from ..store.run_directory import read_plan, refuse_foreign
+    from ..work.explain import surfaces
 
     refuse_foreign(plan.directory)
     if options.surface is None or options.out is not None:
@@ -122,10 +122,10 @@ def run_missing(plan: Plan, text: str, options: argparse.Namespace, **how: Any) 
     Parameters
     ----------
     text : of the study's file
-    how : further `vdmbench.graph.run.Options`
+    how : further `vdmbench.work.run.Options`
     """
-    from ..graph.run import Options, run_plan
     from ..report.rebuild import rebuild
+    from ..work.run import Options, run_plan
 
     with Progress(plan.study.study.name, quiet=options.json) as progress:
         chosen = Options(jobs=options.jobs or usable_processors(), **how)

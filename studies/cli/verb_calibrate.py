@@ -11,8 +11,8 @@ from .output import FAILED, OK, UsageError, complain_of_failures, print_json, pr
 from .studies import command_of, load, make_plan, only_case, require_own, run_missing
 
 if TYPE_CHECKING:
-    from ..graph.plan import Plan
     from ..measures.case import Run
+    from ..work.plan import Plan
 
 SUMMARY = "fit VDM parameters on half of a study's loads, try them on the rest"
 MORE = (

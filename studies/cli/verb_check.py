@@ -24,11 +24,11 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Print whether a study is right, or every mistake in it."""
-    from ..graph.explain import beyond_memory, blockers, refused
-    from ..graph.nodes import bodies
-    from ..graph.scene_check import scene_problems
     from ..study.config import resolved
     from ..study.errors import StudyError
+    from ..work.explain import beyond_memory, blockers, refused
+    from ..work.nodes import bodies
+    from ..work.scene_check import scene_problems
 
     try:
         study, path = load(options)

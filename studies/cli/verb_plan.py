@@ -22,9 +22,9 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Print what a run would do, and what it would cost."""
-    from ..graph.estimate import free_bytes
-    from ..graph.explain import summary
-    from ..graph.mermaid import mermaid
+    from ..work.estimate import free_bytes
+    from ..work.explain import summary
+    from ..work.mermaid import mermaid
 
     study, _ = load(options)
     plan = make_plan(study, options)

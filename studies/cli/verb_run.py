@@ -48,7 +48,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Run what is missing, write the report, print the headline table."""
-    from ..graph.run import lost_cases
+    from ..work.run import lost_cases
 
     study, _ = load(options)
     plan = make_plan(study, options)

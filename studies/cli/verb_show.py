@@ -12,8 +12,8 @@ from .output import OK, UsageError, print_json
 from .studies import load, make_plan, numbered_case
 
 if TYPE_CHECKING:
-    from ..graph.plan import Plan, PlannedCase
     from ..measures.case import CaseResult
+    from ..work.plan import Plan, PlannedCase
 
 SUMMARY = "draw body, regions and loads of a study before anything is solved"
 
@@ -63,8 +63,8 @@ def run(options: argparse.Namespace) -> int:
 
 def _unsolved(plan: Plan, case: PlannedCase) -> CaseResult:
     """A case with its scene and no answer. Raises StudyError where the scene cannot be put on its mesh."""
-    from ..graph.scene_check import scene_of
     from ..measures.case import CaseResult
+    from ..work.scene_check import scene_of
 
     scene = scene_of(plan, case)
     return CaseResult(

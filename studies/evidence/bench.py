@@ -27,7 +27,6 @@ from .. import models
 from ..body.mesh_cache import mesh_from_cache
 from ..body.refine import refined
 from ..body.surface_measures import Surface
-from ..graph.provenance import provenance
 from ..machine.processors import usable_processors
 from ..measures.metrics import DEFORMATION, VECTOR, History, evaluate
 from ..measures.reference import (
@@ -42,6 +41,7 @@ from ..scene.scene import Scene, build_scene
 from ..study.config import expand, geometry_of, with_mesh_size
 from ..study.errors import InputError
 from ..study.schema import Study
+from ..work.provenance import provenance
 from .bench_data import LEAST_SIZES, TIMES, YARDSTICK, Bench, Entry, Growth
 from .contact import Problem, contact_frame
 from .growth import growths

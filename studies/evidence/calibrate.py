@@ -9,11 +9,11 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from ..graph.plan import Plan
 from ..measures.case import Run
 from ..study.config import with_mesh_size
 from ..study.schema import Study
 from ..study.units import shown
+from ..work.plan import Plan
 from .fit import (
     Errors,
     Fit,

@@ -19,7 +19,6 @@ from solver_common.arrays import Array
 from .. import models
 from ..body.mesh_cache import mesh_from_cache
 from ..body.surface_measures import Surface, relative_l2, rigid_motion_removed, weighted_norm
-from ..graph.plan import Plan, PlannedCase, needs_volume
 from ..measures.case import Run
 from ..measures.metrics import DEFORMATION, VECTOR, full_load_step
 from ..measures.uncertainty import reference_bar
@@ -27,6 +26,7 @@ from ..scene.result import ModelResult
 from ..scene.scene import Scene, build_scene
 from ..study.config import geometry_of
 from ..study.registry import is_surface
+from ..work.plan import Plan, PlannedCase, needs_volume
 from .search import CalibrationError, Least, least
 
 MODULI = {  # parameters that can be fitted -> the one whose rule gives the scale where it has none of its own

@@ -10,7 +10,6 @@ from solver_common.solution import Status
 
 from ..body.mesh import Mesh
 from ..body.surface_measures import enclosed_volumes
-from ..graph.case import Block, compare
 from ..measures.case import CaseResult, Run
 from ..measures.foreign import Foreign
 from ..measures.measurement import hold_against
@@ -18,6 +17,7 @@ from ..measures.pushed import Answer
 from ..scene.result import ModelResult
 from ..scene.scene import build_scene
 from ..study.schema import Study
+from ..work.case import Block, compare
 
 NO_STEP = Status("not-given", "the file holds the largest load only", "")
 

@@ -18,12 +18,12 @@ from vdm.material import Parameters
 from vdmbench import gate
 from vdmbench.body.geometry import build_mesh
 from vdmbench.body.mesh import Mesh
-from vdmbench.graph.plan import make_plan
 from vdmbench.measures.case import Run
 from vdmbench.models import run_model
 from vdmbench.scene.scene import build_scene
 from vdmbench.store.cases import read_case, read_run
 from vdmbench.study.config import expand, geometry_of, load_study
+from vdmbench.work.plan import make_plan
 
 ROOT = Path(__file__).parents[2]
 

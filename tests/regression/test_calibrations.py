@@ -25,11 +25,11 @@ from tools.calibrations import (
     rule,
 )
 from vdmbench.evidence.calibrate import as_json, body, calibrate
-from vdmbench.graph.keys import direction, load_steps
-from vdmbench.graph.plan import make_plan
-from vdmbench.graph.run import Options, run_plan
 from vdmbench.report.rebuild import rebuild
 from vdmbench.study.config import expand, load_study
+from vdmbench.work.keys import direction, load_steps
+from vdmbench.work.plan import make_plan
+from vdmbench.work.run import Options, run_plan
 
 SAME = 0.02  # of a multiple: a modulus moves the body in proportion, so 2 % of it is 2 % of the displacement
 POINTS = 5e-3  # of a relative error

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from vdmbench.cli.main import main
-from vdmbench.graph import local
+from vdmbench.work import local
 
 from .processes import endless
 

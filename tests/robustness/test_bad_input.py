@@ -24,11 +24,11 @@ from tests.command import write_study
 from tests.in_process import HerePlaces
 from tests.unit.test_store import _reseal
 from vdmbench.cli.main import main
-from vdmbench.graph import run, work
 from vdmbench.machine import files
 from vdmbench.report import rebuild
 from vdmbench.store import run_directory
 from vdmbench.study.errors import install_line
+from vdmbench.work import run, worker
 
 from .processes import RUN, planned_hash
 
@@ -261,7 +261,7 @@ def test_a_missing_library_is_told_with_the_line_that_installs_it(
 
     monkeypatch.setattr(run, "run_plan", refuse)
     assert f"vdmbench: {error}; install it: {line}" in said(study(verb="run")(tmp_path), 4, capsys)
-    assert work._outcome(refuse) == ("error", str(error), install_line(error))
+    assert worker._outcome(refuse) == ("error", str(error), install_line(error))
 
 
 def test_a_full_disk_is_told(
@@ -279,7 +279,7 @@ def test_a_full_disk_is_told(
     assert [path for path in (tmp_path / "results").rglob("*") if path.is_file()] == [
         tmp_path / RUN / ".lock"
     ]
-    monkeypatch.setattr("vdmbench.graph.case.write_case", no_room)
+    monkeypatch.setattr("vdmbench.work.case.write_case", no_room)
     told = said(arguments, 3, capsys)
     assert "No space left on device" in told
     assert "; check free space and permissions" in told

@@ -67,6 +67,6 @@ def test_only_dates_that_are_shown_come_from_the_clock() -> None:
         if asks.search(path.read_text())
     }
     assert {name: len(hits) for name, hits in found.items()} == {
-        "studies/graph/provenance.py": 1,
+        "studies/work/provenance.py": 1,
         "studies/gate.py": 1,
     }

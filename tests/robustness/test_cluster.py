@@ -22,8 +22,8 @@ import trustme
 
 from tests.command import SCRIPT, heed_ctrl_c, vdmbench, vdmbench_process, wait_for, write_study
 from tools.runs import ROOT
-from vdmbench.graph.cluster import LOOPBACK, AddressError, checked_address, refusal
 from vdmbench.store.cases import read_case
+from vdmbench.work.cluster import LOOPBACK, AddressError, checked_address, refusal
 
 OF_RATIOS = 1e-12  # some metrics are differences of numbers near one, which agree to 1e-13 or so
 COMPLETE = "cases/[!.]*"  # a file that is being written begins with a dot
@@ -311,7 +311,7 @@ def test_what_is_no_address(address: str) -> None:
 
 
 def test_workers_that_differ_or_do_not_see_the_directory_are_refused(tmp_path: Path) -> None:
-    from vdmbench.graph.cluster import _versions
+    from vdmbench.work.cluster import _versions
 
     def answer(versions: dict[str, str], home: Path) -> str:
         return refusal(json.dumps({"versions": versions, "scratch": str(home)}))

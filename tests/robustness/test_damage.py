@@ -15,11 +15,11 @@ from numpy.testing import assert_allclose
 
 from tests.in_process import outcomes_of
 from vdmbench.body.mesh_cache import read_mesh
-from vdmbench.graph.cache import read_answer
-from vdmbench.graph.plan import Plan, make_plan
 from vdmbench.store import cases as store
 from vdmbench.store.hdf5 import Stored, StoreError
 from vdmbench.study.config import expand, load_study
+from vdmbench.work.cache import read_answer
+from vdmbench.work.plan import Plan, make_plan
 
 from .processes import CACHE, RUN, planned_hash
 

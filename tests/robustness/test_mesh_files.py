@@ -21,9 +21,9 @@ from solver_common.arrays import Array, Index
 from vdmbench.body.geometry import build_mesh
 from vdmbench.body.mesh import Mesh
 from vdmbench.body.topology import tetrahedron_volumes
-from vdmbench.graph.plan import PlannedMesh
 from vdmbench.study.errors import MeshError
 from vdmbench.study.shapes import Geometry
+from vdmbench.work.plan import PlannedMesh
 
 SUFFIXES = ["a.stl", "b.stl", "a.obj", "a.ply", "b.ply", "a.vtp", "b.vtp"]
 VOLUMES = [

@@ -10,16 +10,16 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from tests.graph import shared_work
-from tests.graph.shared_work import TABLES, plan_of
 from tests.in_process import outcomes_of
 from tests.unit.typed_study import typed_study
-from vdmbench.graph.explain import summary
+from tests.work import shared_work
+from tests.work.shared_work import TABLES, plan_of
 from vdmbench.machine.stored_json import StudyShape
 from vdmbench.measures.case import CaseResult
 from vdmbench.study.config import load_study
 from vdmbench.verdict.acceptance import BEYOND, LOST, OPEN, WITHIN, acceptance
 from vdmbench.verdict.digest import Digest
+from vdmbench.work.explain import summary
 
 from .report_runs import REFERENCE, make_case, make_run
 from .study_texts import SMALL, problems

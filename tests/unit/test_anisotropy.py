@@ -16,14 +16,14 @@ from vdmbench import models
 from vdmbench.body.geometry import build_mesh
 from vdmbench.body.mesh import Mesh
 from vdmbench.body.surface_measures import Surface
-from vdmbench.graph.explain import refused
-from vdmbench.graph.nodes import bodies
-from vdmbench.graph.plan import make_plan
 from vdmbench.measures.metrics import METRICS, History
 from vdmbench.scene.result import ModelResult
 from vdmbench.scene.scene import build_scene
 from vdmbench.study.config import expand, geometry_of
 from vdmbench.study.schema import Study
+from vdmbench.work.explain import refused
+from vdmbench.work.nodes import bodies
+from vdmbench.work.plan import make_plan
 
 X, Y, Z = ([1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 2.0])
 STUDY: dict[str, Any] = {

@@ -26,12 +26,12 @@ from vdmbench.evidence.calibrate import Body, Calibration, as_json, as_toml, bod
 from vdmbench.evidence.calibration_table import table
 from vdmbench.evidence.fit import Errors, Fit, Sample, Trial, fit, least_error, samples_of, split
 from vdmbench.evidence.search import CalibrationError
-from vdmbench.graph.plan import Plan, make_plan
 from vdmbench.measures.case import Run
 from vdmbench.models import run_model
 from vdmbench.scene.scene import build_scene
 from vdmbench.store.cases import read_case
 from vdmbench.study.config import expand, geometry_of, load_study, with_mesh_size
+from vdmbench.work.plan import Plan, make_plan
 
 STUDY = """
 [study]

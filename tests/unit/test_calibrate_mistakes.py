@@ -9,8 +9,8 @@ import pytest
 from tests.command import vdmbench
 from vdmbench.evidence.calibrate import check, check_fit
 from vdmbench.evidence.search import CalibrationError
-from vdmbench.graph.plan import make_plan
 from vdmbench.study.config import expand, load_study
+from vdmbench.work.plan import make_plan
 
 from .test_calibrate import STUDY
 

@@ -11,7 +11,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from tests.command import write_study
-from tests.graph.shared_work import TABLES, plan_of, run
+from tests.work.shared_work import TABLES, plan_of, run
 from vdmbench.body.geometry import build_mesh
 from vdmbench.body.mesh import Mesh
 from vdmbench.body.refine import refined

@@ -14,7 +14,6 @@ from vdmbench.body.geometry import build_mesh
 from vdmbench.body.mesh import Mesh
 from vdmbench.body.refine import refined
 from vdmbench.body.surface_measures import facet_area_vectors, facet_areas
-from vdmbench.graph.keys import wanted
 from vdmbench.measures.reference import level_scene
 from vdmbench.scene.result import ModelResult
 from vdmbench.scene.scene import SceneError, build_scene
@@ -24,6 +23,7 @@ from vdmbench.study.errors import Source
 from vdmbench.study.registry import is_linear
 from vdmbench.study.schema import Study
 from vdmbench.study.shapes import Geometry
+from vdmbench.work.keys import wanted
 
 FORCE = 0.02  # N: moves the top by a thousandth of its height
 BED: dict[str, Any] = {"kind": "elastic", "region": "bottom", "stiffness": 2e5}

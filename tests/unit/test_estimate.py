@@ -6,15 +6,15 @@ from pathlib import Path
 
 import pytest
 
-from tests.graph import shared_work
-from tests.graph.shared_work import TABLES, plan_of, run
-from vdmbench.graph.estimate import _PROCESS_BYTES, _law
-from vdmbench.graph.explain import summary
-from vdmbench.graph.plan import make_plan
+from tests.work import shared_work
+from tests.work.shared_work import TABLES, plan_of, run
 from vdmbench.models import costs
 from vdmbench.study.config import expand, load_study
 from vdmbench.study.files import SHIPPED
 from vdmbench.study.registry import Size
+from vdmbench.work.estimate import _PROCESS_BYTES, _law
+from vdmbench.work.explain import summary
+from vdmbench.work.plan import make_plan
 
 cache, meshes = shared_work.cache, shared_work.meshes  # the fixtures
 

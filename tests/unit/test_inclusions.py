@@ -16,7 +16,6 @@ from vdmbench.body.mesh import Mesh
 from vdmbench.body.mesh_cache import read_mesh, write_mesh
 from vdmbench.body.refine import refined
 from vdmbench.body.topology import mesh_from_tetrahedra
-from vdmbench.graph.keys import case_hash, wanted
 from vdmbench.measures.reference import level_scene
 from vdmbench.report.scene_picture import Outline, Stage, scene_figure
 from vdmbench.report.section_scene import outlines_of
@@ -27,6 +26,7 @@ from vdmbench.study.checks import validate
 from vdmbench.study.config import geometry_of
 from vdmbench.study.errors import Source
 from vdmbench.study.schema import Study
+from vdmbench.work.keys import case_hash, wanted
 
 from .example_case import example_case
 from .fem_shapes import cube

@@ -15,8 +15,6 @@ from tests.in_process import do_cases
 from vdmbench import models
 from vdmbench.body.geometry import build_mesh
 from vdmbench.body.mesh import Mesh
-from vdmbench.graph.keys import wanted
-from vdmbench.graph.plan import make_plan
 from vdmbench.scene.result import ModelResult
 from vdmbench.scene.scene import SceneError, build_scene
 from vdmbench.store.cases import read_case
@@ -24,6 +22,8 @@ from vdmbench.study.checks import validate
 from vdmbench.study.config import expand, geometry_of
 from vdmbench.study.errors import Source
 from vdmbench.study.schema import Study
+from vdmbench.work.keys import wanted
+from vdmbench.work.plan import make_plan
 
 from .fem_shapes import mapped_box
 

@@ -15,10 +15,9 @@ import pytest
 from numpy.testing import assert_allclose
 
 from tests.command import SMALL_STUDY, vdmbench
-from tests.graph.shared_work import ONE_LOAD, cache, meshes, plan_of, planned_work, run, scene_of
+from tests.work.shared_work import ONE_LOAD, cache, meshes, plan_of, planned_work, run, scene_of
 from vdmbench import models
 from vdmbench.body.surface_measures import Surface, weighted_norm
-from vdmbench.graph.plan import Plan
 from vdmbench.measures.input_spread import InputSpread, ModelSpread, Propagation, input_spread
 from vdmbench.measures.measurement import hold_against
 from vdmbench.measures.pushed import Answer
@@ -29,6 +28,7 @@ from vdmbench.verdict.digest import Digest
 from vdmbench.verdict.sentences import INPUTS
 from vdmbench.verdict.sentences import told as told_of
 from vdmbench.verdict.verdict import verdicts
+from vdmbench.work.plan import Plan
 
 from .report_runs import make_case, make_run
 from .test_measured import GOOD, STUDY, ball, load

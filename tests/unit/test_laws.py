@@ -12,13 +12,13 @@ from fem_reference.materials import PARAMETERS
 from vdmbench import models
 from vdmbench.body.geometry import build_mesh
 from vdmbench.body.mesh import Mesh
-from vdmbench.graph.keys import case_hash, wanted
 from vdmbench.scene.scene import build_scene
 from vdmbench.study.checks import validate
 from vdmbench.study.config import geometry_of
 from vdmbench.study.errors import Source
 from vdmbench.study.registry import is_linear
 from vdmbench.study.schema import LAWS, Study, Tissue
+from vdmbench.work.keys import case_hash, wanted
 
 PLAIN = {"youngs_modulus": 1000.0, "poisson_ratio": 0.5}
 BASE: dict[str, Any] = {

@@ -16,7 +16,6 @@ from vdmbench import models
 from vdmbench.body.geometry import build_mesh
 from vdmbench.body.mesh import Mesh
 from vdmbench.body.refine import refined
-from vdmbench.graph.keys import wanted
 from vdmbench.measures.reference import level_scene
 from vdmbench.scene.export import SCENES, write_scene
 from vdmbench.scene.handout import Handout
@@ -28,6 +27,7 @@ from vdmbench.study.errors import Source
 from vdmbench.study.loads import KINDS
 from vdmbench.study.registry import is_linear
 from vdmbench.study.schema import Study
+from vdmbench.work.keys import wanted
 
 PULL = np.array([1e-3, 2e-3, -5e-3])  # N: moves the tip by 0.01 of its width
 BASE: dict[str, Any] = {

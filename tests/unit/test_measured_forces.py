@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from tests.graph.shared_work import ONE_LOAD, cache, meshes, plan_of, run
+from tests.work.shared_work import ONE_LOAD, cache, meshes, plan_of, run
 from vdmbench.body.surface_measures import Surface
 from vdmbench.evidence.modulus import training
 from vdmbench.measures.input_spread import Propagation

@@ -11,13 +11,13 @@ from numpy.testing import assert_allclose
 from tests.unit.report_runs import REFERENCE, make_case, make_run
 from tests.unit.vdm_shapes import icosphere
 from vdmbench.body.surface_measures import Surface, weighted_norm
-from vdmbench.graph.case import compare
 from vdmbench.measures.case import Run
 from vdmbench.measures.metrics import METRICS, History
 from vdmbench.report import headline
 from vdmbench.verdict.digest import Digest
 from vdmbench.verdict.formatting import percent
 from vdmbench.verdict.motion import along_normals, motion_in_words
+from vdmbench.work.case import compare
 
 POINTS, TRIANGLES = icosphere(4, (0.05, 0.05, 0.05))
 SURFACE = Surface(POINTS, TRIANGLES)

@@ -10,7 +10,7 @@ import time
 import pytest
 
 from vdmbench.cli.progress import Progress
-from vdmbench.graph.run import Event
+from vdmbench.work.run import Event
 
 
 def test_a_pipe_hears_of_what_is_done_and_after_a_silence_where_the_run_is(

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from vdmbench.graph import provenance
+from vdmbench.work import provenance
 
 
 def git(tree: Path, *words: str) -> str:
@@ -17,7 +17,7 @@ def git(tree: Path, *words: str) -> str:
 
 
 def test_the_commit_is_that_of_the_tree(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    source = tmp_path / "studies" / "graph" / "provenance.py"
+    source = tmp_path / "studies" / "work" / "provenance.py"
     source.parent.mkdir(parents=True)
     source.write_text("first\n")
     monkeypatch.setattr(provenance, "__file__", str(source))

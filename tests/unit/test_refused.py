@@ -11,16 +11,16 @@ import meshio
 import pytest
 from numpy.testing import assert_allclose
 
-from tests.graph import shared_work
-from tests.graph.shared_work import TABLES, plan_of
+from tests.work import shared_work
+from tests.work.shared_work import TABLES, plan_of
 from vdmbench import models
 from vdmbench.body.geometry import build_mesh
 from vdmbench.body.mesh_cache import mesh_from_cache
-from vdmbench.graph.explain import summary
-from vdmbench.graph.run import Options, run_plan
 from vdmbench.report.rebuild import rebuild
 from vdmbench.study.errors import StudyError
 from vdmbench.study.shapes import Geometry
+from vdmbench.work.explain import summary
+from vdmbench.work.run import Options, run_plan
 
 cache, meshes = shared_work.cache, shared_work.meshes  # the fixtures
 
@@ -125,7 +125,7 @@ def test_what_the_machine_has_no_memory_for_is_named_and_not_begun(
     geometry = {} if given is None else {"shape": "file", "path": str(file), "mesh_size": 0.022} | given
     plan = plan_of(tmp_path / "run", tmp_path / "cache", geometry=geometry or TABLES["geometry"])
     assert summary(plan)["refused"] == []
-    monkeypatch.setattr("vdmbench.graph.explain.machine_memory", lambda: 1_000_000)
+    monkeypatch.setattr("vdmbench.work.explain.machine_memory", lambda: 1_000_000)
     (line,) = summary(plan)["refused"]
     assert line.startswith("fem-linear refined on a mesh of ")
     assert line.endswith(words)

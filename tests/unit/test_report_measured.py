@@ -11,15 +11,15 @@ from typing import Any
 import pytest
 
 from tests.command import vdmbench, write_study
-from tests.graph.shared_work import ALONE, plan_of, run
-from vdmbench.graph import cache as answers
-from vdmbench.graph import provenance
+from tests.work.shared_work import ALONE, plan_of, run
 from vdmbench.machine.processors import processor_name
 from vdmbench.measures.case import CaseResult
 from vdmbench.report.headline import _table, headline_metrics, headline_rows
 from vdmbench.report.section_cost import time_notes
 from vdmbench.verdict import measured
 from vdmbench.verdict.digest import Digest
+from vdmbench.work import cache as answers
+from vdmbench.work import provenance
 
 from .report_runs import REFERENCE, make_case, make_run
 

@@ -7,15 +7,15 @@ from pathlib import Path
 import pytest
 
 from tests.command import write_study
-from tests.graph.shared_work import plan_of
+from tests.work.shared_work import plan_of
 from vdmbench.cli.main import main
-from vdmbench.graph import estimate as room
-from vdmbench.graph.estimate import case_bytes, estimate
-from vdmbench.graph.explain import summary
-from vdmbench.graph.plan import Plan
-from vdmbench.graph.run import Options, RunError, run_plan
 from vdmbench.report.rebuild import rebuild
 from vdmbench.study.registry import Size
+from vdmbench.work import estimate as room
+from vdmbench.work.estimate import case_bytes, estimate
+from vdmbench.work.explain import summary
+from vdmbench.work.plan import Plan
+from vdmbench.work.run import Options, RunError, run_plan
 
 LONG = {"factors": [k / 10_000 for k in range(1, 10_001)]}
 

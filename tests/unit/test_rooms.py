@@ -27,7 +27,7 @@ ROOMS = (
     "models",
     "measures",
     "store",
-    "graph",
+    "work",
     "verdict",
     "report",
     "gate",
@@ -35,7 +35,7 @@ ROOMS = (
     "cli",
 )
 MOST_FLOORS = 8
-NOT_ALLOWED = {"report": {"graph"}, "gate": {"graph", "models", "scene", "report"}}
+NOT_ALLOWED = {"report": {"work"}, "gate": {"graph", "models", "scene", "report"}}
 # each of these is behind one module
 BEHIND = {
     "gmsh": {"studies/body/geometry.py"},
@@ -46,7 +46,7 @@ BEHIND = {
     "newton": {"studies/models/engine_newton.py"},
     "ngsolve": {"studies/models/engine_ngsolve.py"},
     "pyvista": {"studies/body/remesh.py", "studies/report/scene_window.py"},
-    "distributed": {"studies/graph/cluster.py"},
+    "distributed": {"studies/work/cluster.py"},
     "pyacvd": {"studies/body/remesh.py"},
     "warp": {"studies/models/engine_newton.py"},
     "vtkmodules": {"studies/body/nearest.py", "studies/body/remesh.py"},
@@ -110,7 +110,7 @@ def test_arrows_go_one_way(room: str) -> None:
 
 
 def test_an_arrow_is_seen() -> None:
-    assert {"store", "study", "machine"} <= _rooms(ROOT / "studies" / "graph" / "run.py")
+    assert {"store", "study", "machine"} <= _rooms(ROOT / "studies" / "work" / "run.py")
     assert "verdict" in _rooms(ROOT / "studies" / "api.py"), "for types too"
 
 
@@ -240,12 +240,12 @@ def test_what_only_plans_and_reports_starts_without_the_libraries_of_those_who_c
     code = (
         "import sys\n"
         "from vdmbench.study.config import expand, load_study\n"
-        "import vdmbench.graph.run, vdmbench.graph.plan, vdmbench.report.page, pathlib, tempfile\n"
+        "import vdmbench.work.run, vdmbench.work.plan, vdmbench.report.page, pathlib, tempfile\n"
         "study = load_study(pathlib.Path('studies/cases/quickstart.toml'))\n"
         "with tempfile.TemporaryDirectory() as name:\n"
         "    where = pathlib.Path(name)\n"
-        "    plan = vdmbench.graph.plan.make_plan(study, expand(study), where, where)\n"
-        "    assert vdmbench.graph.run.summary(plan)\n"
+        "    plan = vdmbench.work.plan.make_plan(study, expand(study), where, where)\n"
+        "    assert vdmbench.work.run.summary(plan)\n"
         "print(sorted(sys.modules))"
     )
     result = subprocess.run(

@@ -8,10 +8,10 @@ from pathlib import Path
 import pytest
 
 from tests.command import vdmbench
-from vdmbench.graph.explain import summary
-from vdmbench.graph.plan import make_plan
 from vdmbench.study.config import Study, expand, load_study
 from vdmbench.study.schema import CLAIMS
+from vdmbench.work.explain import summary
+from vdmbench.work.plan import make_plan
 
 SHIPPED = Path(__file__).parents[2] / "studies" / "cases"
 

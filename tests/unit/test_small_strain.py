@@ -14,8 +14,6 @@ from vdmbench import models
 from vdmbench.body.mesh_cache import mesh_from_cache
 from vdmbench.body.refine import inherit, refine
 from vdmbench.body.surface_measures import Surface, relative_l2
-from vdmbench.graph import small_strain
-from vdmbench.graph.small_strain import small_strain_limits
 from vdmbench.measures.case import SmallStrainLimits
 from vdmbench.measures.limits import LoadPath, LoadPoint
 from vdmbench.scene.result import ModelResult
@@ -23,6 +21,8 @@ from vdmbench.scene.scene import Scene, SurfaceLoad, build_scene
 from vdmbench.study.config import geometry_of, load_study, raised, value_and_unit
 from vdmbench.study.errors import StudyError
 from vdmbench.study.schema import Study
+from vdmbench.work import small_strain
+from vdmbench.work.small_strain import small_strain_limits
 
 STUDY = """
 [study]

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.graph.shared_work import TABLES, plan_of, run
+from tests.work.shared_work import TABLES, plan_of, run
 from vdmbench import models
-from vdmbench.graph.cache import answer_path, read_answer, write_answer
+from vdmbench.work.cache import answer_path, read_answer, write_answer
 
 from .example_case import model_result
 from .test_store import assert_same

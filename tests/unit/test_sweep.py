@@ -11,8 +11,8 @@ import pytest
 import tomli_w
 from numpy.testing import assert_allclose
 
-from vdmbench.graph.keys import case_hash, wanted
 from vdmbench.study.config import Study, case_inputs, expand, resolved
+from vdmbench.work.keys import case_hash, wanted
 
 from .study_texts import SWEPT, load, sweep_problems, swept
 

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from vdmbench.graph.plan import make_plan
 from vdmbench.study.config import StudyError, expand
+from vdmbench.work.plan import make_plan
 
 from .study_texts import SWEPT, load, sweep_problems, swept
 

@@ -18,8 +18,6 @@ from numpy.testing import assert_allclose
 from tests.command import SMALL_STUDY, vdmbench, wait_for
 from vdmbench import models
 from vdmbench.body.geometry import build_mesh
-from vdmbench.graph.explain import refused
-from vdmbench.graph.plan import make_plan
 from vdmbench.models import peers
 from vdmbench.models.tetrahedra import Law, saint_venant, stable_neo_hookean, state
 from vdmbench.scene.result import ModelResult
@@ -27,6 +25,8 @@ from vdmbench.scene.scene import Scene, build_scene
 from vdmbench.study import registry
 from vdmbench.study.config import expand, geometry_of
 from vdmbench.study.schema import Study
+from vdmbench.work.explain import refused
+from vdmbench.work.plan import make_plan
 
 STUDY: dict[str, Any] = {
     "study": {"name": "test", "models": ["fem-linear"]},

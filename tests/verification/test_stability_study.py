@@ -17,7 +17,6 @@ from tests.unit.report_runs import make_run
 from vdmbench import models
 from vdmbench.body.geometry import build_mesh
 from vdmbench.body.mesh import Mesh
-from vdmbench.graph.keys import Wanted, wanted
 from vdmbench.measures.case import CaseResult
 from vdmbench.scene.result import ModelResult
 from vdmbench.scene.scene import build_scene
@@ -25,6 +24,7 @@ from vdmbench.study.config import ResolvedCase, expand, geometry_of, load_study
 from vdmbench.study.shapes import geometry_key
 from vdmbench.verdict.digest import Digest
 from vdmbench.verdict.ladders import Ladder, Reading, ladders
+from vdmbench.work.keys import Wanted, wanted
 
 SHIPPED = Path(__file__).parents[2] / "studies" / "cases"
 LOCKING = ("fem-p1", "fem-p2")

@@ -12,12 +12,12 @@ from fem_reference import linear
 from tests.in_process import do_cases
 from vdmbench import models
 from vdmbench.body.mesh_cache import mesh_path, read_mesh
-from vdmbench.graph.nodes import bodies
-from vdmbench.graph.plan import Plan, make_plan
 from vdmbench.scene.scene import build_scene
 from vdmbench.store.cases import read_case
 from vdmbench.study.config import expand
 from vdmbench.study.schema import Study
+from vdmbench.work.nodes import bodies
+from vdmbench.work.plan import Plan, make_plan
 
 MODULI = [2000.0, 5000.0, 11000.0]
 BASE: dict[str, Any] = {

@@ -17,15 +17,15 @@ import fem_reference.condensed
 from solver_common.solution import Status
 from tests.in_process import HerePlaces, outcomes_of
 from vdmbench import models
-from vdmbench.graph import estimate, nodes
-from vdmbench.graph.engine import run_nodes
-from vdmbench.graph.estimate import without_room
-from vdmbench.graph.explain import summary
-from vdmbench.graph.local import local_places
-from vdmbench.graph.nodes import bodies, graph
-from vdmbench.graph.run import Event, Options, _run_missing
 from vdmbench.measures import metrics
 from vdmbench.store.cases import read_case
+from vdmbench.work import estimate, nodes
+from vdmbench.work.engine import run_nodes
+from vdmbench.work.estimate import without_room
+from vdmbench.work.explain import summary
+from vdmbench.work.local import local_places
+from vdmbench.work.nodes import bodies, graph
+from vdmbench.work.run import Event, Options, _run_missing
 
 from . import shared_work
 from .shared_work import (

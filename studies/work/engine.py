@@ -1,7 +1,7 @@
 """Does the nodes of a graph, each as soon as those that it needs are done, in the places that there are.
 
-A place is a process that does one node after the other (`vdmbench.graph.local`), here or on a cluster
-(`vdmbench.graph.cluster`). A node that fails costs what needs it, and nothing else. A process that dies costs the
+A place is a process that does one node after the other (`vdmbench.work.local`), here or on a cluster
+(`vdmbench.work.cluster`). A node that fails costs what needs it, and nothing else. A process that dies costs the
 node that it was at, which is tried again, `ATTEMPTS` times in all; of several cases each goes on alone.
 """
 
@@ -19,7 +19,7 @@ from typing import Protocol
 
 from ..machine.safe_open import read_regular
 from .nodes import Node, one_by_one
-from .work import ATTEMPTS, Said
+from .worker import ATTEMPTS, Said
 
 
 class Places(Protocol):

@@ -18,13 +18,13 @@ import fem_reference.linear
 import vdm.model
 from tests.in_process import do_cases
 from vdmbench.body.mesh_cache import mesh_from_cache
-from vdmbench.graph.nodes import bodies
-from vdmbench.graph.plan import Plan, PlannedCase, make_plan
 from vdmbench.measures.case import CaseResult
 from vdmbench.scene.scene import Scene, build_scene
 from vdmbench.store.cases import read_case
 from vdmbench.study.config import expand, geometry_of
 from vdmbench.study.schema import Study
+from vdmbench.work.nodes import bodies
+from vdmbench.work.plan import Plan, PlannedCase, make_plan
 
 BASE = {"kind": "fixed", "region": "base"}
 FINGER = {"name": "finger", "kind": "contact", "region": "finger", "force": 0.1, "profile": "hertz"}

@@ -10,8 +10,6 @@ from typing import Annotated, Any, Literal, Union, get_args, get_origin
 
 import pytest
 
-from vdmbench.graph import keys
-from vdmbench.graph.keys import Wanted, case_hash, direction, load_steps, wanted
 from vdmbench.study.checks import SHAPE_KEYS
 from vdmbench.study.config import geometry_of
 from vdmbench.study.kinds import Enters, Table
@@ -20,6 +18,8 @@ from vdmbench.study.registry import all_models, find
 from vdmbench.study.schema import Study
 from vdmbench.study.shapes import geometry_key
 from vdmbench.study.sweep import substituted
+from vdmbench.work import keys
+from vdmbench.work.keys import Wanted, case_hash, direction, load_steps, wanted
 
 SURFACE, VOLUME = {"vdm-paper", "vdm-vector"}, {"fem-linear", "fem"}
 ALL = SURFACE | VOLUME

@@ -23,7 +23,7 @@ from uuid import uuid4
 
 from ..machine.listening import is_loopback, open_ports
 from .local import LocalPlaces, told
-from .work import Said
+from .worker import Said
 
 INSTALL = "pip install --constraint constraints.txt --editable '.[distributed]'"
 LOOPBACK = "--host 127.0.0.1 --dashboard-address 127.0.0.1:0"  # for whoever starts a part of a cluster
@@ -41,7 +41,7 @@ class ClusterError(OSError):
 
 
 class Cluster:
-    """A connection to a scheduler; see `vdmbench.graph.engine.Places`.
+    """A connection to a scheduler; see `vdmbench.work.engine.Places`.
 
     Parameters
     ----------

@@ -8,10 +8,10 @@ from pathlib import Path
 
 import pytest
 
-from vdmbench.graph.mermaid import MOST_NODES, mermaid
-from vdmbench.graph.nodes import graph
-from vdmbench.graph.plan import Plan, make_plan
 from vdmbench.study.config import expand, load_study
+from vdmbench.work.mermaid import MOST_NODES, mermaid
+from vdmbench.work.nodes import graph
+from vdmbench.work.plan import Plan, make_plan
 
 from .shared_work import plan_of
 

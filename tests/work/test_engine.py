@@ -14,12 +14,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from vdmbench.graph import local, work
-from vdmbench.graph.engine import Outcome, run_nodes
-from vdmbench.graph.local import local_places
-from vdmbench.graph.nodes import Node
-from vdmbench.graph.work import Said, run_node
 from vdmbench.machine.processors import usable_processors
+from vdmbench.work import local, worker
+from vdmbench.work.engine import Outcome, run_nodes
+from vdmbench.work.local import local_places
+from vdmbench.work.nodes import Node
+from vdmbench.work.worker import Said, run_node
 
 from ..command import wait_for
 
@@ -27,7 +27,7 @@ from ..command import wait_for
 def do(payload: Any, node: str) -> list[Said]:
     """What a node of these tests does, by what it is told."""
     kind, path = payload["do"], Path(payload["path"])
-    return [work._attempt(node, lambda: _act(kind, path))]
+    return [worker._attempt(node, lambda: _act(kind, path))]
 
 
 def _act(kind: str, path: Path) -> None:
@@ -71,7 +71,7 @@ def _act(kind: str, path: Path) -> None:
 
 def here(text: str) -> str:
     """`run_node` with the kind of node of these tests, in a worker."""
-    work._KINDS["test"] = do  # type: ignore[assignment]
+    worker._KINDS["test"] = do  # type: ignore[assignment]
     return run_node(text)
 
 

@@ -25,11 +25,11 @@ from pathlib import Path
 
 from ..machine.memory import OUT_OF_MEMORY, limit_memory, machine_memory
 from ..machine.processors import usable_processors
-from .work import Said, more_memory, run_node
+from .worker import Said, more_memory, run_node
 
 _OF_A_TERMINAL = (signal.SIGINT, signal.SIGHUP)
 _PRELOADED = (
-    "vdmbench.graph.work",
+    "vdmbench.work.worker",
     "numpy.ma",
     "scipy.sparse.linalg",
     "skfem",

@@ -1,4 +1,4 @@
-"""The work of a study as a graph of pure functions with content keys.
+"""The work of a study: a graph of pure functions with content keys.
 
 In: a study and its cases. Out: files under their keys: meshes, answers and limits in the cache, cases in the run
 directory. A node whose file is there and sound is not in the graph.
@@ -7,7 +7,7 @@ keys          what has the same key is the same work
 plan          the cases of a study, what each wants, and what is there
 nodes         the work that is missing, each piece after those that it needs
 engine        does nodes in places: processes here (local), or on a cluster (cluster)
-work          what each kind of node does; of a case (case), of its limits (small_strain)
+worker        what each kind of node does; of a case (case), of its limits (small_strain)
 cache         answers and limits as files under their keys
 run           a plan done: locks, nodes, failures, report
 estimate, explain, mermaid, scene_check   what a plan takes, says, looks like, and doubts

@@ -22,7 +22,7 @@ class Node:
     Attributes
     ----------
     id : its key
-    kind : which function of `vdmbench.graph.work` does it: "mesh", "level", "answers", "limits" or "cases"
+    kind : which function of `vdmbench.work.worker` does it: "mesh", "level", "answers", "limits" or "cases"
     label : what to call it
     payload : what that function is given, plain JSON
     needs : ids of the nodes to be done before

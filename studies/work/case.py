@@ -47,7 +47,7 @@ class Block:
 
 
 def make_case(payload: Payload, block: Block) -> None:
-    """Write one case, as `vdmbench.graph.nodes` describes it.
+    """Write one case, as `vdmbench.work.nodes` describes it.
 
     Raises
     ------

@@ -129,7 +129,7 @@ def assert_gains_differ(place: Path) -> None:
         place,
         "-c",
         "from pathlib import Path\n"
-        "from vdmbench.graph.keys import wanted\n"
+        "from vdmbench.work.keys import wanted\n"
         "from vdmbench.store.cases import read_run\n"
         "from vdmbench.study.config import expand, load_study\n"
         "keys = [wanted(case.study, 'mesh')[0].body for case in expand(load_study(Path('study.toml')))]\n"
