@@ -45,7 +45,7 @@ baselines: setup
 evidence: setup
 	@test -n "$(WHAT)" || { echo 'say what: make evidence WHAT=claims'; exit 2; }
 	$(if $(filter fem_speed,$(WHAT)),$(RUN)pip install --quiet --constraint constraints.txt --editable '.[benchmark]')
-	$(if $(filter league measured,$(WHAT)),$(RUN)pip install --quiet --constraint constraints.txt --editable '.[peers]')
+	$(if $(filter league measured,$(WHAT)),$(PIP) --quiet ./docs/examples)
 	$(ONE_THREAD) $(RUN)python -m tools.$(WHAT) $(ARGS)
 
 setup: libraries .venv/ready

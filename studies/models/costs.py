@@ -76,25 +76,6 @@ def condensed(size: Size, _: str, loads: int) -> Cost:
     return Cost(setup + loads * step, 1e-7 * unknowns, 2e4 * unknowns)
 
 
-def mujoco(size: Size, _solver: str, _loads: int) -> Cost:
-    """Of MuJoCo's flex, some thirty of its steps, and a process with the engine."""
-    return Cost(1.0 + 3e-5 * size.tetrahedra, 1.5e-3 * size.tetrahedra, 2e8 + 5e4 * size.tetrahedra)
-
-
-def newton(size: Size, _solver: str, _loads: int) -> Cost:
-    """Of Newton's VBD, some thousand of its steps, and a process with the engine that compiles itself once."""
-    return Cost(5.0 + 3e-4 * size.tetrahedra, 2e-2 * size.tetrahedra, 6e8 + 5e4 * size.tetrahedra)
-
-
-def ngsolve(size: Size, solver: str, _loads: int) -> Cost:
-    """Of NGSolve's mixed elements, a factor each iteration, and a process with the engine."""
-    from fem_reference.costs import lu_seconds, superlu_bytes
-
-    unknowns = _UNKNOWNS["P2"] * size.tetrahedra
-    step = (4.0 if solver == "nonlinear" else 1.0) * lu_seconds(unknowns) + 2e-4 * size.tetrahedra
-    return Cost(2.0 + 2e-4 * size.tetrahedra, step, 4e8 + superlu_bytes(unknowns, "float64"))
-
-
 def finite_strain(size: Size, solver: str, loads: int) -> Cost:
     """Of Newton's method; plain elements make an LU factor each iteration."""
     from fem_reference.costs import estimate_newton_costs

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import dataclasses
+from collections.abc import Callable, Sequence
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
@@ -14,14 +15,18 @@ from ..scene.inclusions import moduli
 from ..scene.scene import Scene, SurfaceLoad
 from ..study.registry import Family, split
 from ..study.schema import LAW_KEYS, LAWS, NEO_HOOKEAN, parameters_of
-from . import costs, indented
+from . import costs
 from .model import Model, SetUp, register
 
 if TYPE_CHECKING:
+    from fem_reference.finite_strain import FiniteStrainProblem
     from fem_reference.linear import LinearProblem
     from fem_reference.loads import Load as FemLoad
     from fem_reference.mesh import TetMesh
     from fem_reference.springs import ElasticSupport
+    from solver_common.solution import Solution
+
+Answer = Callable[[Sequence[SurfaceLoad]], "Solution"]
 
 # scikit-fem's own assembly and a general LU factor: what the fast path is held to
 PLAIN = "plain"
@@ -38,13 +43,11 @@ def _small_strain(scene: Scene, solver: str, name: str, n_loads: int) -> SetUp:
         return SetUp(lambda loads: plain.solve(fem_loads(loads, plain.body.checked)))
     from fem_reference.linear import LinearProblem
 
-    touched = indented.count(scene)
+    touched = len(_touched(scene)) if scene.indenter else 0  # a body is solved once for each
     problem = LinearProblem(
         **_body(scene), element=_ELEMENTS[split(name)[0]], expected_loads=n_loads + touched
     )
-    if scene.indenter:
-        return SetUp(indented.linear(scene, problem, partial(fem_loads, mesh=problem.mesh)))
-    return _linear(problem, scene)
+    return SetUp(_indented(scene, problem)) if scene.indenter else _linear(problem, scene)
 
 
 def _linear(problem: LinearProblem, scene: Scene) -> SetUp:
@@ -87,8 +90,7 @@ def _finite_strain(scene: Scene, solver: str, name: str, n_loads: int) -> SetUp:
 
     problem = FiniteStrainProblem(**_hyperelastic(scene, n_loads))
     if scene.indenter:
-        loads_of, outputs = partial(fem_loads, mesh=problem.mesh), _asked(scene, *_LARGEST)
-        return SetUp(indented.finite_strain(scene, problem, loads_of, outputs))
+        return SetUp(_indented_far(scene, problem))
     return SetUp(lambda loads: problem.solve(fem_loads(loads, problem.mesh), _asked(scene, *_LARGEST)))
 
 
@@ -100,6 +102,47 @@ def _finite_strain_onward(scene: Scene, solver: str, name: str, n_loads: int) ->
 
     problem, path = FiniteStrainProblem(**_hyperelastic(scene, n_loads)), LoadPath()
     return SetUp(lambda loads: problem.solve(fem_loads(loads, problem.mesh), _asked(scene, *_LARGEST), path))
+
+
+def _touched(scene: Scene) -> Index:
+    """Surface nodes that an indenter can touch."""
+    assert scene.indenter is not None
+    return np.unique(scene.mesh.triangles[scene.indenter.facets])
+
+
+def _indented(scene: Scene, problem: LinearProblem) -> Answer:
+    """Unilateral contact of a linear body with a rigid indenter."""
+    from fem_reference.contact import ContactProblem
+
+    assert scene.indenter is not None
+    region = np.zeros(len(scene.fixed), dtype=bool)
+    region[_touched(scene)] = True
+    contact = ContactProblem(problem, scene.indenter.indenter, region)
+
+    def solve(loads: Sequence[SurfaceLoad]) -> Solution:
+        found = contact.solve([load.depth for load in loads], fem_loads(loads, problem.mesh))
+        return _contact(found.solution, found.force, found.contact_area, status=found.status)
+
+    return solve
+
+
+def _indented_far(scene: Scene, problem: FiniteStrainProblem) -> Answer:
+    """The same at finite strain, each step from the one before it."""
+    placed = scene.indenter
+    assert placed is not None
+
+    def solve(loads: Sequence[SurfaceLoad]) -> Solution:
+        depths, given = [load.depth for load in loads], fem_loads(loads, problem.mesh)
+        found = problem.indent(placed.indenter, placed.facets, depths, given, frozenset(_LARGEST))
+        return _contact(found.solution, found.force @ placed.indenter.axis, found.contact_area)
+
+    return solve
+
+
+def _contact(solution: Solution, force: Array, area: Array, **changed: Any) -> Solution:
+    """With the force along the push [N] and the area under pressure [m^2] of each step."""
+    scalars = {**solution.scalars, "indenter_force": force, "contact_area": area}
+    return dataclasses.replace(solution, scalars=scalars, **changed)
 
 
 def _hyperelastic(scene: Scene, n_loads: int) -> dict[str, Any]:

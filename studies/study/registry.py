@@ -13,7 +13,6 @@ from enum import StrEnum
 from functools import cache
 from importlib import import_module
 from importlib.metadata import entry_points
-from importlib.util import find_spec
 from pkgutil import iter_modules
 from types import ModuleType
 
@@ -28,9 +27,7 @@ def load_all(package: str, prefix: str) -> list[ModuleType]:
 
 
 FINITE_STRAIN = ("fem",)  # models that can serve as the reference of the small-strain limits
-_LARGE = (*FINITE_STRAIN, "mujoco-flex", "newton-vbd")  # models of large displacements, whatever their solver
-# which have no answer for an incompressible body
-DISPLACEMENT_ELEMENTS = ("fem-p1", "fem-p2", "mujoco-flex", "newton-vbd")
+DISPLACEMENT_ELEMENTS = ("fem-p1", "fem-p2")  # which have no answer for an incompressible body
 REFINED = " refined"  # what the reference's name gets where it is solved on refinements of the case's mesh
 _NOT_LINEAR = ("quasi-linear", "nonlinear", "incremental")  # solvers of another problem than the linear one
 
@@ -57,12 +54,6 @@ def split(name: str) -> tuple[str, str]:
     """Name in the registry and solver, "linear" where none is named; what tells a refined level is left out."""
     base, _, solver = name.partition(" ")[0].partition(":")
     return base, solver or "linear"
-
-
-def is_linear(name: str) -> bool:
-    """Whether a model solves the linear problem, in small displacements from rest."""
-    base, solver = split(name)
-    return base not in _LARGE and solver not in _NOT_LINEAR
 
 
 # --- Which models there are: each declares all that a study, a plan and a report need to know of it ---
@@ -98,7 +89,7 @@ class Family(StrEnum):
 SURFACE = (Family.PRINTED, Family.DERIVED, Family.PEERS)  # which need the surface of a body alone
 
 
-_FAMILIES = ("vdmbench.models.surface", "vdmbench.models.elements", "vdmbench.models.peers")
+_FAMILIES = ("vdmbench.models.surface", "vdmbench.models.elements")
 
 
 @dataclass(frozen=True)
@@ -163,7 +154,6 @@ class Declared:
     own : of its parameters those that [vdm] has no key for: a study gives them in [models.NAME]
     benched : the solvers that a benchmark measures beside the default
     one_over_modulus : whether its answers to forces go with one over Young's modulus where its moduli are by rule
-    needs : the wheel of another project that it runs; "" where it needs none. A benchmark of all leaves it out
     """
 
     name: str
@@ -184,7 +174,6 @@ class Declared:
     benched: tuple[str, ...] = ()
     one_over_modulus: bool = False
     turns_as_one: bool = False
-    needs: str = ""
     family: Family = Family.ENGINES
 
 
@@ -231,28 +220,12 @@ def model_names() -> list[str]:
 
 
 def benched_names() -> list[str]:
-    """Every model of ours that a benchmark measures, with its default solver and the others that it declares."""
+    """Every model that a benchmark measures, with its default solver and the others that it declares."""
     return [
         name
         for model in all_models().values()
-        if not model.needs
         for name in (model.name, *(f"{model.name}:{solver}" for solver in model.benched))
     ]
-
-
-_INSTALLED_BY = {"newton": "newton"}  # half a gigabyte, so that it is no part of "peers"
-
-
-def missing(name: str) -> tuple[str, str] | None:
-    """What a model lacks on this machine, and the remedy; None where it lacks nothing."""
-    wheel = find(name)[0].needs
-    if not wheel or find_spec(wheel) is not None:
-        return None
-    extra = _INSTALLED_BY.get(wheel, "peers")
-    return (
-        f"it runs {wheel}, which is not installed",
-        f"pip install 'vdmbench[{extra}]', or leave the model out",
-    )
 
 
 def find(name: str) -> tuple[Declared, str]:
@@ -283,6 +256,15 @@ def family_of(name: str) -> Family:
     """What a model, or a refined level of it, stands for; what is not registered here is another's engine."""
     model = all_models().get(name.partition(" ")[0].partition(":")[0])
     return model.family if model is not None else Family.ENGINES
+
+
+def is_linear(name: str) -> bool:
+    """Whether a model solves the linear problem from rest; an engine does where it superposes."""
+    base, solver = split(name)
+    model = all_models().get(base)
+    if model is not None and model.family is Family.ENGINES and solver not in model.superposes:
+        return False
+    return base not in FINITE_STRAIN and solver not in _NOT_LINEAR
 
 
 def is_surface(name: str) -> bool:

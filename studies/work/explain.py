@@ -144,8 +144,6 @@ def refused(plan: Plan, cases: Sequence[PlannedCase], work: Sequence[Body]) -> l
 def _refusals(plan: Plan, cases: Sequence[PlannedCase], name: str) -> Iterator[str]:
     """Why a model refuses some of these cases, behind its name."""
     model, studies = models.find(name)[0], [case.study for case in cases]
-    if (lack := models.missing(name)) is not None:
-        yield f": {'; '.join(lack)}"
     if model.volumetric and any(map(holds_nothing, studies)):
         yield ": nothing is held; hold a region, by kind fixed or constrained"
     if split(name)[0] in DISPLACEMENT_ELEMENTS and any(each.tissue.poisson_ratio == 0.5 for each in studies):

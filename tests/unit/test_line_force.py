@@ -136,8 +136,6 @@ def firsts() -> dict[tuple[str, bool], ModelResult]:
 def test_every_model_balances_it_or_refuses_it_by_name(
     box: Mesh, firsts: dict[tuple[str, bool], ModelResult], name: str, tables: dict[str, Any]
 ) -> None:
-    if lack := models.missing(name):
-        pytest.skip(f"{name}: {'; '.join(lack)}")
     model, solver = models.find(name)
     result = models.run_model(build_scene(study(**tables), box), name)
     if solver not in model.takes.get("dead forces", ()):

@@ -55,8 +55,6 @@ def firsts() -> dict[str, ModelResult]:
     ],
 )
 def test_every_name_runs(scene: Scene, firsts: dict[str, ModelResult], name: str) -> None:
-    if lack := models.missing(name):
-        pytest.skip(f"{name}: {'; '.join(lack)}")
     result = models.run_model(scene, name)
     assert all(status.ok for status in result.status), result.status
     model, solver = models.find(name)
@@ -79,10 +77,6 @@ def test_what_a_name_tells_is_what_the_registry_knows() -> None:
     assert [name for name in names if not is_linear(name) and split(name)[1] == "linear"] == [
         "fem",
         "fem:linear",
-        "mujoco-flex",
-        "mujoco-flex:linear",
-        "newton-vbd",
-        "newton-vbd:linear",
     ]
     assert {split(name)[1] for name in names if not is_linear(name)} == {
         "linear",
@@ -179,8 +173,7 @@ def test_elements_read_no_parameters_of_the_vdm() -> None:
     assert {bool(models.reads(name)) for name, model in models.all_models().items() if model.volumetric} == {
         False
     }
-    ours = {name: model for name, model in models.all_models().items() if not model.needs}
-    assert all(name.startswith("fem") == model.volumetric for name, model in ours.items())
+    assert all(name.startswith("fem") == model.volumetric for name, model in models.all_models().items())
 
 
 @pytest.mark.parametrize("gravity", [None, {"acceleration": [0.0, 0.0, -9.81]}], ids=["scaled", "solved"])
@@ -224,7 +217,7 @@ def test_the_condition_is_estimated_where_it_is_asked_for(name: str, scene: Scen
     assert np.array_equal(plain.displacement, asked.displacement)
 
 
-@pytest.mark.parametrize("name", [name for name, model in models.all_models().items() if not model.needs])
+@pytest.mark.parametrize("name", models.all_models())
 def test_a_contact_without_force_leaves_the_body_at_rest(name: str, scene: Scene) -> None:
     result = models.run_model(
         dataclasses.replace(scene, facet_pressure=np.zeros_like(scene.facet_pressure)), name
@@ -237,9 +230,9 @@ def test_a_contact_without_force_leaves_the_body_at_rest(name: str, scene: Scene
 def test_which_elements_have_no_answer_for_an_incompressible_body_is_known(scene: Scene) -> None:
     tissue = scene.tissue.model_copy(update={"poisson_ratio": 0.5})
     scene = dataclasses.replace(scene, tissue=tissue, load_factors=scene.load_factors[-1:])
-    names = [m.name for m in models.all_models().values() if m.volumetric and models.missing(m.name) is None]
+    names = [m.name for m in models.all_models().values() if m.volumetric]
     refused = {name for name in names if models.run_model(scene, name).status[0].code == models.REFUSED}
-    assert refused == set(DISPLACEMENT_ELEMENTS) & set(names)
+    assert refused == set(DISPLACEMENT_ELEMENTS)
 
 
 def test_displacement_elements_lock_and_the_mixed_one_does_not(scene: Scene) -> None:

@@ -41,14 +41,9 @@ BEHIND = {
     "gmsh": {"studies/body/geometry.py"},
     "h5py": {"studies/store/hdf5.py"},
     "meshio": {"studies/body/mesh_file.py"},
-    "mujoco": {"studies/models/engine_mujoco.py"},
-    "netgen": {"studies/models/engine_ngsolve.py"},
-    "newton": {"studies/models/engine_newton.py"},
-    "ngsolve": {"studies/models/engine_ngsolve.py"},
     "pyvista": {"studies/body/remesh.py", "studies/report/scene_window.py"},
     "distributed": {"studies/work/cluster.py"},
     "pyacvd": {"studies/body/remesh.py"},
-    "warp": {"studies/models/engine_newton.py"},
     "vtkmodules": {"studies/body/nearest.py", "studies/body/remesh.py"},
 }
 

@@ -20,12 +20,12 @@ STUDY = STUDY.replace('"hertz"', '"uniform"')
 
 @pytest.fixture(scope="module")
 def ngs() -> Any:
-    return pytest.importorskip("ngsolve", reason="needs NGSolve: pip install '.[peers]'")
+    return pytest.importorskip("ngsolve", reason="needs NGSolve: pip install ./docs/examples")
 
 
 @pytest.fixture(scope="module")
 def mujoco() -> Any:
-    return pytest.importorskip("mujoco", reason="needs MuJoCo: pip install '.[peers]'")
+    return pytest.importorskip("mujoco", reason="needs MuJoCo: pip install ./docs/examples")
 
 
 @pytest.fixture(scope="module")
