@@ -1,7 +1,7 @@
 """Runs the shipped phantoms, fits their modulus, and writes what came out to `docs/evidence/measured.md`.
 
 The studies run in `results/runs`, where what is there already is kept. Engines of others run beside ours where
-their wheels are installed. About ten minutes of an idle core.
+they are installed (docs/examples). About ten minutes of an idle core.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from vdmbench.report.section_measurement import against_measurement
 from vdmbench.store.cases import read_run
 from vdmbench.study.config import load_study
 from vdmbench.study.files import study_path
-from vdmbench.study.registry import missing
+from vdmbench.study.registry import all_models, split
 from vdmbench.verdict.digest import Digest
 from vdmbench.verdict.formatting import NOTHING, percent, quantity
 
@@ -68,9 +68,12 @@ def fits(found: list[dict[str, Any]]) -> str:
 
 
 def with_peers(name: str, folder: Path) -> Path:
-    """A shipped study with further models, those whose wheels are installed, in a folder of its own."""
+    """A shipped study with further models, those that are installed, in a folder of its own."""
     shipped = study_path(name)
-    models = [*load_study(shipped).study.models, *(model for model in BESIDE if missing(model) is None)]
+    models = [
+        *load_study(shipped).study.models,
+        *(model for model in BESIDE if split(model)[0] in all_models()),
+    ]
     text, found = re.subn(
         r"^models = \[.*?\]", f"models = {json.dumps(models)}", shipped.read_text(), flags=re.M | re.S
     )
