@@ -56,7 +56,8 @@ def test_a_fit_without_a_number_is_told() -> None:
 
 
 def test_engines_of_others_run_beside_the_models(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(registry.MODELS, "ngsolve-p2p1", registry.all_models()["fem"])
+    theirs = dataclasses.replace(registry.all_models()["bem"], name="ngsolve-p2p1")
+    monkeypatch.setitem(registry.MODELS, "ngsolve-p2p1", theirs)
     monkeypatch.delitem(registry.MODELS, "mujoco-flex", raising=False)
     path = with_peers("phantom-beam", tmp_path / "new")
     found, own = load_study(path), load_study(study_path("phantom-beam"))
