@@ -79,6 +79,30 @@ class Results:
         ]
         return _table(rows, ("case", *keys, "model", "load_factor", "metric", "value", "unit"))
 
+    def to_xarray(self) -> Any:
+        """The metrics as an xarray.Dataset: a variable for each over case, model and step, with its unit.
+
+        Swept values and load factors are coordinates. Raises ImportError where xarray is not installed.
+        """
+        if find_spec("xarray") is None:
+            raise ImportError("to_xarray needs xarray, which is not installed: pip install xarray")
+        from .store.frame import COLUMNS, frame
+
+        table = frame(self.data)
+        labels = {case.hash: case.label or case.hash[:8] for case in self.data.cases}
+        table["case"] = table["case"].map(labels)
+        index = ["case", "model", "step"]
+        found = table.pivot(index=index, columns="metric", values="value").to_xarray()
+        for name, unit in zip(table["metric"], table["unit"], strict=True):
+            found[name].attrs["units"] = unit
+        factors = table.drop_duplicates(["case", "step"]).pivot(
+            index="case", columns="step", values="load_factor"
+        )
+        found = found.assign_coords(load_factor=(("case", "step"), factors.loc[found["case"].values]))
+        per_case = table.drop_duplicates("case").set_index("case").loc[found["case"].values]
+        swept = {key: ("case", per_case[key]) for key in per_case.columns if key not in COLUMNS}
+        return found.assign_coords(swept)
+
     @cached_property
     def meshes(self) -> dict[str, Any]:
         """Label of each case -> its surface as a pyvista.PolyData, with what each model answers at full load.
@@ -160,15 +184,16 @@ def run(
     from .work.run import Options, run_plan
 
     path = study_path(study)
-    text = overridden(path.read_text(encoding="utf-8-sig"), overrides) if overrides else None
     body = Path(surface) if surface is not None else None
-    found = load_study(path, allow_outside=allow_outside, surface=body, text=text)
+    found = load_study(path, allow_outside=allow_outside, surface=body, changes=[overrides])
     directory = Path(out) if out is not None else results_directory() / "runs" / found.study.name
     place = Path(cache) if cache is not None else cache_directory()
     plan = make_plan(found, expand(found), directory, place, fresh=fresh)
     how = Options(jobs=jobs or usable_processors())
     with _script_left_alone():
-        data, report = run_plan(plan, text or path.read_text(), how, watch, rebuild)
+        text = path.read_text(encoding="utf-8-sig")
+        kept = overridden(text, overrides) if overrides else text
+        data, report = run_plan(plan, kept, how, watch, rebuild)
     return Results(directory, data, report)
 
 

@@ -49,7 +49,7 @@ def change_argument(parser: argparse.ArgumentParser) -> None:
         action="append",
         default=[],
         metavar="KEY=VALUE",
-        help="change a value of the study, such as tissue.youngs_modulus='3 kPa', or load.finger.force; repeatable",
+        help="change a value, such as tissue.youngs_modulus='3 kPa' or constraints.finger.force='1 N'; repeatable",
     )
 
 

@@ -22,11 +22,12 @@ if TYPE_CHECKING:
 def load(options: argparse.Namespace) -> tuple[Study, Path]:
     """The study, and its file."""
     from ..study.config import load_study
-    from ..study.files import study_path
+    from ..study.files import changes_of, study_path
 
     path = study_path(options.study)
-    text = study_text(options) if vars(options).get("changes") else None
-    return load_study(path, allow_outside=options.allow_outside, surface=options.surface, text=text), path
+    changes = [changes_of(change) for change in vars(options).get("changes", [])]
+    study = load_study(path, allow_outside=options.allow_outside, surface=options.surface, changes=changes)
+    return study, path
 
 
 def study_text(options: argparse.Namespace) -> str:

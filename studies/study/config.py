@@ -13,6 +13,7 @@ from typing import Any
 from .checks import check_measured_cases, fits_kind, geometry_spec, validate
 from .errors import MOST_TOLD, Finding, Loc, MeshError, Problem, Source, StudyError, file_fault, unknown
 from .fields import FieldRow, field_table, targets, value_at
+from .files import changed_keys, merged
 from .kinds import MAX_NAME, Enters, is_safe_name
 from .loads import KINDS, LOAD_KEYS
 from .registry import BROKEN, FINITE_STRAIN, RENAMED, find, model_names, split
@@ -50,7 +51,7 @@ def load_study(
     *,
     allow_outside: bool = False,
     surface: Path | None = None,
-    text: str | None = None,
+    changes: Sequence[Mapping[str, Any]] = (),
 ) -> Study:
     """Read and validate a study file; all cases of its sweep are validated too.
 
@@ -60,16 +61,18 @@ def load_study(
     allow_outside : whether the study may name files outside its own directory
     surface : a mesh file to use as the geometry, wherever it lies; `mesh_size` and the largest extent `size` of
         the study are kept, its name is followed by the file's
-    text : what to take for the file's text, where some of it is changed
+    changes : nested tables of what to change in it, one after the other (`files.merged`)
 
     Raises
     ------
     StudyError
         with every problem of the file.
+    OverrideError
+        a change that the study cannot take.
     """
-    changed = text is not None
-    text = _read_text(path) if text is None else text
-    data, source = _parse(text, f"{path}, as changed" if changed else str(path))
+    data, source = _parse(_read_text(path), str(path))
+    for change in changes:
+        data = merged(data, change)
     directory = path.parent.resolve()
     source = replace(source, directory=directory, allow_outside=allow_outside)
     if surface is not None:
@@ -81,7 +84,7 @@ def load_study(
     study, faults = validate(base, source)
     at_axis = {axis.target.loc: axis.loc for axis in axes if base is not data}
     findings = [(at_axis.get(loc, loc), text) for loc, text in faults]
-    findings += axis_findings
+    findings += axis_findings + _changed_in_vain(axes, changes, data)
     findings += islice(_check_model_names(data), MOST_TOLD + 1)
     findings += _check_limits(base, axes, study)
     findings += _check_held(study)
@@ -101,6 +104,21 @@ def load_study(
         raise source.error(findings, base)
     study._source = source
     return study
+
+
+def _changed_in_vain(
+    axes: Sequence[Axis], changes: Sequence[Mapping[str, Any]], data: Mapping[str, Any]
+) -> list[Finding]:
+    """Changes of a key that each case of the sweep gives a value of its own."""
+    changed = {key for change in changes for key in changed_keys(change)}
+    swept = [axis for axis in axes if axis.key in changed and data["sweep"].get("mode") != "one-at-a-time"]
+    return [
+        (
+            axis.target.loc,
+            f"is swept, so that a change decides nothing; change sweep.{shown(axis.key)} instead",
+        )
+        for axis in swept
+    ]
 
 
 def expand(study: Study) -> list[ResolvedCase]:

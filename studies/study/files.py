@@ -6,7 +6,7 @@ import difflib
 import json
 import re
 import tomllib
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -88,10 +88,20 @@ def overridden(text: str, changes: Mapping[str, Any]) -> str:
         data = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
         raise OverrideError(f"TOML syntax: {error}") from None
-    return tomli_w.dumps(_merged(data, changes, ""))
+    return tomli_w.dumps(merged(data, changes))
 
 
-def _merged(table: Mapping[str, Any], changes: Mapping[str, Any], place: str) -> dict[str, Any]:
+def changed_keys(changes: Mapping[str, Any], before: str = "") -> Iterator[str]:
+    """The dotted keys that changes give a value."""
+    for key, value in changes.items():
+        if isinstance(value, Mapping):
+            yield from changed_keys(value, f"{before}{key}.")
+        else:
+            yield f"{before}{key}"
+
+
+def merged(table: Mapping[str, Any], changes: Mapping[str, Any], place: str = "") -> dict[str, Any]:
+    """A table with its changes, see `overridden`. Raises OverrideError."""
     new = dict(table)
     for key, value in changes.items():
         where, old = f"{place}.{key}" if place else key, table.get(key)
@@ -100,7 +110,7 @@ def _merged(table: Mapping[str, Any], changes: Mapping[str, Any], place: str) ->
         elif isinstance(value, Mapping) and isinstance(old, list):
             new[key] = _entries(old, value, where)
         elif isinstance(value, Mapping):
-            new[key] = _merged(old if isinstance(old, Mapping) else {}, value, where)
+            new[key] = merged(old if isinstance(old, Mapping) else {}, value, where)
         else:
             new[key] = value
     return new
@@ -112,7 +122,7 @@ def _entries(entries: list[Any], changes: Mapping[str, Any], place: str) -> list
         known = ", ".join(str(name) for name in names if name)
         raise OverrideError(f"{place} has no entry {wrong[0]!r}; it has: {known or 'none'}")
     return [
-        _merged(entry, changes[str(name)], f"{place}.{name}") if name in changes else entry
+        merged(entry, changes[str(name)], f"{place}.{name}") if name in changes else entry
         for name, entry in zip(names, entries, strict=True)
     ]
 

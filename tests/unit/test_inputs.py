@@ -419,5 +419,6 @@ def test_the_commented_table_of_a_new_study_is_right(tmp_path: Path) -> None:
     start = lines.index("# [inputs]")
     table = [line.removeprefix("# ") for line in lines[start : lines.index("", start)]]
     text = "\n".join([*lines[:start], *table, *lines[start + len(table) :]])
-    study = load_study(tmp_path / "new.toml", text=text)
+    (tmp_path / "new.toml").write_text(text)
+    study = load_study(tmp_path / "new.toml")
     assert [one.key for one in inputs_of(study)] == [FORCE, E]

@@ -49,4 +49,14 @@ def test_a_wrong_change_is_told_by_its_key(tmp_path: Path) -> None:
         result = vdmbench(verb, "small.toml", "--set", "tissue.youngs_modulus=-3 kPa", cwd=tmp_path)
         assert result.returncode == 2
         assert "tissue.youngs_modulus" in result.stderr
-        assert "as changed" in result.stderr
+        assert "small.toml:14: " in result.stderr, "the line of the file"
+
+
+def test_a_change_of_a_swept_key_is_refused(tmp_path: Path) -> None:
+    write_study(tmp_path, a=("[load]", '[sweep]\n"tissue.poisson_ratio" = [0.45, 0.49]\n[load]'))
+    refused = vdmbench("check", "small.toml", "--set", "tissue.poisson_ratio=0.3", cwd=tmp_path)
+    assert refused.returncode == 2
+    assert 'change sweep."tissue.poisson_ratio" instead' in refused.stderr
+    axis = 'sweep."tissue.poisson_ratio"=[0.3]'
+    plan = vdmbench("plan", "small.toml", "--set", axis, cwd=tmp_path)
+    assert "missing  poisson_ratio = 0.3\n" in plan.stdout
