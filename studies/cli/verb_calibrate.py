@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from .argument_kinds import run_arguments, study_arguments
-from .output import FAILED, OK, UsageError, complain_of_failures, print_json, print_table
+from .output import FAILED, OK, UsageError, complain_of_failures, print_json, print_table, tell
 from .studies import command_of, load, make_plan, only_case, require_own, run_missing
 
 if TYPE_CHECKING:
@@ -42,8 +42,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Fit the VDM parameters on half of a study's loads; print and write the table for its `[vdm]`."""
-    from ..evidence.calibrate import as_json, as_toml, body, calibrate, check, check_fit, finer_study
-    from ..evidence.calibration_table import table
+    from ..calibrate import as_json, as_toml, body, calibrate, check, check_fit, finer_study, table
     from ..machine.files import json_text, write_atomically
     from ..study.errors import StudyError
 
@@ -61,16 +60,16 @@ def run(options: argparse.Namespace) -> int:
         check(elsewhere[-1][0])
     out = plan.directory
     run, refined = _run_for_fit(plan, path, options), None
-    finer, no_finer = finer_study(plan)
+    finer = finer_study(plan)
     if finer is not None:
         again = command_of("calibrate", options)
         try:
             planned = make_plan(finer, options, directory=out / "finer", command=again)
-        except StudyError as error:
-            no_finer = error.problems[0].message
+        except StudyError as error:  # such as too many nodes
+            tell(f"no finer mesh: {error.problems[0].message}")
         else:
             refined = _run_for_fit(planned, path, options)
-    own = body(*run, refined, no_finer)
+    own = body(*run, refined)
     others = [body(*_run_for_fit(*other, options)) for other in elsewhere]
     entries = calibrate(own, others)
     data = {own.name: as_json(entries)}
@@ -90,7 +89,7 @@ def _fit_measured(plan: Plan, options: argparse.Namespace) -> int:
     from math import isnan
 
     from ..body.mesh_cache import mesh_from_cache
-    from ..evidence.modulus import NothingMeasuredError, fit_modulus
+    from ..calibrate import NothingMeasuredError, fit_modulus
     from ..verdict.formatting import percent, quantity
 
     case = only_case(plan, "--measured fits")
@@ -121,9 +120,6 @@ def _fit_measured(plan: Plan, options: argparse.Namespace) -> int:
         print(
             "One load was measured, so that nothing is held out: a fit hides a wrong model. Measure another."
         )
-    for fit in fits:
-        for sentence in fit.untold:
-            print(f"{fit.model}: {sentence}.")
     print("Only Young's modulus is fitted. All other inputs, the body and its supports are taken as given.")
     return OK
 

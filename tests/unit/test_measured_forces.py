@@ -12,7 +12,7 @@ from numpy.testing import assert_allclose
 
 from tests.work.shared_work import ONE_LOAD, cache, meshes, plan_of, run
 from vdmbench.body.surface_measures import Surface
-from vdmbench.evidence.modulus import training
+from vdmbench.calibrate import training
 from vdmbench.measures.input_spread import Propagation
 from vdmbench.measures.measurement import FORCE, Measurement, Quantity, hold_against
 from vdmbench.measures.pushed import Answer
