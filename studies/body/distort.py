@@ -54,7 +54,7 @@ def distorted(mesh: Mesh, *, slivers: float | None, perturbation: float | None, 
     }
     if len(mesh.tetrahedra):
         figures["worst_sicn"] = float(tetrahedron_sicn(points, mesh.tetrahedra).min())
-    return replace(mesh, points=points, quality={**mesh.quality, **figures})
+    return replace(mesh, points=points, quality={**mesh.quality, **figures}, moved=None)
 
 
 def aspect_ratios(points: Array, triangles: Index) -> Array:

@@ -1,4 +1,4 @@
-"""Geometry to mesh: the only module that imports gmsh."""
+"""Geometry to mesh, by gmsh."""
 
 from __future__ import annotations
 
@@ -96,7 +96,7 @@ def _of_sphere(geometry: Geometry, volume: bool) -> Mesh:
     assert of_sphere is not None
     sphere, triangles = unit_sphere(_SUBDIVISIONS)
     points = centred(of_sphere(sphere), max(extents(geometry)))
-    return fill_surface(points, triangles, geometry.mesh_size, volume)
+    return replace(fill_surface(points, triangles, geometry.mesh_size, volume), moved=None)
 
 
 def _fill_surface_of_file(geometry: Geometry, volume: bool) -> Mesh:
@@ -117,21 +117,21 @@ def fill_surface(points: Array, triangles: Index, mesh_size: float, volume: bool
 
     nodes, facets = uniform_surface(points, triangles, mesh_size)
     nodes, fixed = without_intersections(nodes, facets)
-    mean_distance, max_distance = surface_distance(points, triangles, nodes, facets)
+    mean_distance, moved = surface_distance(points, triangles, nodes, facets)
     quality = {
         "surface_distance_mean": mean_distance,
-        "surface_distance_max": max_distance,
+        "surface_distance_max": float(moved.max()),
         "volume_change": enclosed_volume(nodes, facets) / enclosed_volume(points, triangles) - 1.0,
         "self_intersections_fixed": float(fixed),
     }
-    surface = mesh_from_triangles(nodes, facets, quality=quality)
+    surface = replace(mesh_from_triangles(nodes, facets, quality=quality), moved=moved)
     if not volume:
         return surface
     unit = _unit(float(np.ptp(nodes, axis=0).max()))
     mesh = _mesh_with_gmsh(lambda: _add_surface(nodes / unit, facets), mesh_size, unit, volume=True)
     if surface_only(mesh).content_hash != surface.content_hash:
         raise MeshError("gmsh changed the surface while it filled it; use another mesh_size")
-    return replace(mesh, quality={**mesh.quality, **quality})
+    return replace(mesh, quality={**mesh.quality, **quality}, moved=moved)
 
 
 def _unit(extent: float) -> float:

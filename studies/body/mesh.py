@@ -44,6 +44,7 @@ class Mesh:
     groups : named sets of surface nodes, (N,) masks
     volumes : named sets of tetrahedra, (m,) masks
     quality : figures for the record, such as `worst_sicn` and `surface_distance`
+    moved : (N,) largest distance between the surface and that of the file near each node [m], None of other bodies
     centre : (3,) middle of the bounding box of the file that the body is from [m], zero of other shapes
     """
 
@@ -55,6 +56,7 @@ class Mesh:
     quality: Mapping[str, float] = field(default_factory=dict)
     centre: tuple[float, float, float] = (0.0, 0.0, 0.0)
     volumes: Mapping[str, Mask] = field(default_factory=dict)
+    moved: Array | None = None
 
     def __post_init__(self) -> None:
         read_only([getattr(self, part.name) for part in fields(self)])

@@ -61,6 +61,7 @@ def _mesh(stored: dict[str, NDArray[Any]]) -> Mesh:
         groups=groups,
         volumes=volumes,
         quality=json.loads(str(stored["quality"])),
+        moved=stored.get("moved"),
         centre=tuple(stored["centre"].tolist()) if "centre" in stored else Mesh.centre,
     )
 
@@ -84,5 +85,7 @@ def _arrays(mesh: Mesh) -> dict[str, NDArray[Any]]:
         "quality": np.array(json.dumps(dict(mesh.quality), sort_keys=True)),
         "centre": np.array(mesh.centre),
     }
+    if mesh.moved is not None:
+        arrays["moved"] = mesh.moved
     arrays |= {f"volume/{name}": mask for name, mask in mesh.volumes.items()}
     return arrays | {f"group/{name}": mask for name, mask in mesh.groups.items()}

@@ -108,15 +108,11 @@ def _unpacked(data: bytes) -> CleanSurface | CleanTetrahedra:
 def read_clean(path: Path, repair: str = "") -> CleanSurface | CleanTetrahedra:
     """What is in a file, read in this process. Raises MeshError, and whatever the readers run into."""
     from .mesh_file import read_surface, read_tetrahedra
-    from .msh_file import read_msh
     from .repair import clean_surface, clean_tetrahedra
 
-    suffix = path.suffix.lower()
-    if suffix not in VOLUME_SUFFIXES:
-        return clean_surface(*read_surface(path), repair)
-    if suffix == ".msh":
-        return clean_tetrahedra(*read_msh(path))
-    return clean_tetrahedra(*read_tetrahedra(path), {})
+    if path.suffix.lower() in VOLUME_SUFFIXES:
+        return clean_tetrahedra(*read_tetrahedra(path))
+    return clean_surface(*read_surface(path), repair)
 
 
 def main(what: str, path: Path, memory: int) -> None:

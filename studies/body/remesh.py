@@ -1,16 +1,13 @@
-"""Uniform remeshing of closed surfaces, and surface files of VTK: pyvista and pyacvd for geometry live here."""
+"""Uniform remeshing of closed surfaces, by pyvista and pyacvd."""
 
 from __future__ import annotations
 
 import warnings
 from collections.abc import Mapping
-from pathlib import Path
 
 import numpy as np
 import pyacvd
 import pyvista as pv
-from vtkmodules.vtkCommonCore import vtkLogger
-from vtkmodules.vtkIOXML import vtkXMLPolyDataReader
 
 from solver_common.arrays import Array, Index
 
@@ -22,34 +19,7 @@ from .topology import check_vertex_fans, consistent_orientation
 # Fewer leave uneven triangles, more only take longer.
 _SAMPLES_PER_EDGE = 2.5
 _MOST_SAMPLES = 100  # for each node; more only where facets are needles
-MOST_CORNERS = 1000  # of a face: VTK takes the square of their number in time
 _ATTEMPTS = 4  # with finer samples each: clusters of a coarse sample can touch themselves
-
-
-def read_vtp(path: Path) -> tuple[Array, Index]:
-    """Points (n, 3) and triangles (F, 3) of a VTP file; polygons are cut into triangles.
-
-    Raises MeshError where VTK has anything to complain about.
-    """
-    reader = vtkXMLPolyDataReader()
-    reader.SetFileName(str(path))
-    verbosity = vtkLogger.GetCurrentVerbosityCutoff()
-    vtkLogger.SetStderrVerbosity(vtkLogger.VERBOSITY_OFF)
-    try:
-        with pv.VtkErrorCatcher(raise_errors=False, send_to_logging=False) as caught:
-            reader.Update()
-    finally:
-        vtkLogger.SetStderrVerbosity(verbosity)
-    if caught.events:
-        raise MeshError("cannot be read as .vtp; it is damaged, truncated or of another kind")
-    found = pv.PolyData(reader.GetOutput())
-    corners = np.diff(np.asarray(found.GetPolys().GetOffsetsArray()))
-    named = np.asarray(found.GetPolys().GetConnectivityArray())
-    if named.size and (named.min() < 0 or named.max() >= found.n_points):
-        raise MeshError("facets name points that do not exist; the file is damaged")
-    if len(corners) and corners.max() > MOST_CORNERS:
-        raise MeshError(f"has a face of {corners.max():,} corners; cut it into triangles")
-    return _arrays(found.triangulate())
 
 
 def unit_sphere(subdivisions: int) -> tuple[Array, Index]:
@@ -105,12 +75,16 @@ def caps(points: Array, faces: Index) -> Index:
 
 def surface_distance(
     points: Array, triangles: Index, other_points: Array, other_triangles: Index
-) -> tuple[float, float]:
-    """Mean and largest distance between two surfaces [unit of the points], each seen from the other.
+) -> tuple[float, Array]:
+    """Mean distance between two surfaces, seen from both, and (N,) the largest near each node of the other.
 
-    The mean is weighted by area, over the middles of all edges; the largest includes nodes and centroids.
+    In the unit of the points. The mean is weighted by area, over the middles of all edges; the largest includes
+    nodes and centroids, each counted at the nearest node.
     """
-    distances, weights, largest = [], [], 0.0
+    from scipy.spatial import KDTree  # slow to load
+
+    distances, weights, largest = [], [], np.zeros(len(other_points))
+    nearest = KDTree(other_points)
     for (p, t), target in (
         ((points, triangles), _polydata(other_points, other_triangles)),
         ((other_points, other_triangles), _polydata(points, triangles)),
@@ -119,7 +93,7 @@ def surface_distance(
         probes = np.concatenate([middles, p[t].mean(axis=1), p])
         signed = pv.PolyData(probes).compute_implicit_distance(target)["implicit_distance"]
         found = np.abs(np.asarray(signed, dtype=np.float64))
-        largest = max(largest, float(found.max()))
+        np.maximum.at(largest, nearest.query(probes)[1], found)
         distances.append(found[: len(middles)])
         weights.append(np.repeat(facet_areas(p, t), 3))
     return float(np.average(np.concatenate(distances), weights=np.concatenate(weights))), largest

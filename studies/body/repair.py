@@ -104,7 +104,9 @@ def clean_tetrahedra(points: Array, tetrahedra: Index, groups: Mapping[str, Mask
     Raises MeshError for no tetrahedra, such as name points that do not exist, and some inverted ones.
     """
     if len(tetrahedra) == 0:
-        raise MeshError("holds no tetrahedra; give a volume mesh, or a surface as STL, OBJ, PLY or VTP")
+        raise MeshError(
+            "holds no tetrahedra, or is damaged; give a volume mesh, or a surface as STL, OBJ, PLY or VTP"
+        )
     if tetrahedra.min() < 0 or tetrahedra.max() >= len(points):
         raise MeshError("tetrahedra name points that do not exist; the file is damaged")
     _, first = np.unique(np.sort(tetrahedra, axis=1), axis=0, return_index=True)

@@ -269,7 +269,11 @@ def surface_only(mesh: Mesh) -> Mesh:
     """The same surface nodes, facets and groups without the inside."""
     surface = mesh_from_triangles(mesh.surface_points, mesh.triangles)
     return replace(
-        surface, groups=mesh.groups, quality={**mesh.quality, **surface.quality}, centre=mesh.centre
+        surface,
+        groups=mesh.groups,
+        quality={**mesh.quality, **surface.quality},
+        centre=mesh.centre,
+        moved=mesh.moved,
     )
 
 

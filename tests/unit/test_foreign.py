@@ -118,12 +118,12 @@ def test_what_has_no_end_or_unpacks_to_too_much_is_not_read(
     points = np.zeros((3_000_000, 3))  # 72 MB in a file of less than one
     meshio.vtu.write(tmp_path / "zeros.vtu", meshio.Mesh(points, [], {"u": points}))
     assert (tmp_path / "zeros.vtu").stat().st_size < 1e6
-    monkeypatch.setattr(read_apart, "MEMORY", 300_000_000)
+    monkeypatch.setattr(read_apart, "MEMORY", 100_000_000)
     for name, told in (
         ("pipe.csv", "is no regular file"),
         ("zero.csv", "is no regular file"),
         ("large.csv", "is larger than 20 MB"),
-        ("zeros.vtu", "takes more than|cannot be read"),
+        ("zeros.vtu", "takes more than|cannot be read|ends its reader"),
     ):
         with pytest.raises(ForeignResultError, match=told):
             read_foreign(tmp_path / name, mesh)

@@ -46,15 +46,6 @@ def legacy(old: str = "", new: str = "") -> bytes:
     return text.replace(old, new, 1).encode()
 
 
-CRASH = vtp(offsets=300_000_000)  # VTK asks for the memory and ends the process
-TOO_MUCH = "announces more than a file of its size can hold"
-OTHERS = (
-    "DATASET STRUCTURED_POINTS\nDIMENSIONS 9999 9999 9999\nORIGIN 0 0 0\nSPACING 1 1 1\n",
-    "DATASET RECTILINEAR_GRID\nDIMENSIONS 99999999 1 1\nX_COORDINATES 1 double\n0\n",
-    "DATASET POLYDATA\nPOINTS 3 double\n0 0 0 1 0 0 0 1 0\nPOLYGONS 1 4\n3 0 1 2\n",
-)
-
-
 def many_properties(count: int) -> bytes:
     lines = [f"property float p{n}" for n in range(count)]
     return "\n".join(
@@ -62,55 +53,32 @@ def many_properties(count: int) -> bytes:
     ).encode()
 
 
-@pytest.mark.parametrize(
-    ("name", "content", "words"),
-    [
-        ("corner.vtp", vtp(corners="0 1 999999999"), "name points that do not exist"),
-        ("other.vtp", vtp(kind="ImageData"), "holds a dataset 'ImageData' of VTK; only PolyData can be used"),
-        ("points.vtp", vtp(points=10**9), TOO_MUCH),
-        ("digits.vtp", vtp(points="9" * 5000), TOO_MUCH),
-        ("arrays.vtp", vtp(arrays="<DataArray/>" * 1001), "has more than 1,000 arrays"),
-        (
-            "polygon.vtp",
-            vtp(corners="0 1 2 " * 400, offsets=1200),
-            "a face of 1,200 corners; cut it into triangles",
-        ),
-        ("points.vtk", legacy("POINTS 4", f"POINTS {10**9}"), TOO_MUCH),
-        ("cells.vtk", legacy("CELLS 1 5", f"CELLS 1 {10**9}"), TOO_MUCH),
-        ("types.vtk", legacy("CELL_TYPES 1", f"cell_types {10**9}"), TOO_MUCH),
-        (
-            "field.vtk",
-            legacy() + f"POINT_DATA 4\nFIELD f 1\nx {10**5} {10**5} double\n1\n".encode(),
-            TOO_MUCH,
-        ),
-        (
-            "fields.vtk",
-            legacy() + b"POINT_DATA 4\n" + b"SCALARS x int 1\n" * 1001,
-            "has more than 1,000 arrays",
-        ),
-        *(
-            (
-                f"other{n}.vtk",
-                f"# vtk DataFile Version 3.0\nx\nASCII\n{text}".encode(),
-                "only an UNSTRUCTURED_GRID",
-            )
-            for n, text in enumerate(OTHERS)
-        ),
-        ("many.ply", many_properties(1001), "has more than 1,000 properties"),
-        (
-            "elements.ply",
-            b"ply\nformat ascii 1.0\n" + b"element x 0\n" * 1001 + b"end_header\n",
-            "1,000 elements",
-        ),
-    ],
-    ids=lambda value: value if isinstance(value, str) and "." in value else "",
-)
-def test_what_would_break_a_reader_is_refused(tmp_path: Path, name: str, content: bytes, words: str) -> None:
+CRASH = vtp(offsets=300_000_000)  # VTK asks for the memory and ends the process
+HOSTILE = {
+    "corner.vtp": vtp(corners="0 1 999999999"),
+    "points.vtp": vtp(points=10**9),
+    "digits.vtp": vtp(points="9" * 5000),
+    "arrays.vtp": vtp(arrays="<DataArray/>" * 1001),
+    "polygon.vtp": vtp(corners="0 1 2 " * 4000, offsets=12000),
+    "points.vtk": legacy("POINTS 4", f"POINTS {10**9}"),
+    "cells.vtk": legacy("CELLS 1 5", f"CELLS 1 {10**9}"),
+    "types.vtk": legacy("CELL_TYPES 1", f"cell_types {10**9}"),
+    "field.vtk": legacy() + f"POINT_DATA 4\nFIELD f 1\nx {10**5} {10**5} double\n1\n".encode(),
+    "other.vtk": b"# vtk DataFile Version 3.0\nx\nASCII\nDATASET STRUCTURED_POINTS\nDIMENSIONS 9999 9999 9999\n",
+    "surface.vtk": b"# vtk DataFile Version 3.0\nx\nASCII\nDATASET POLYDATA\nPOINTS 3 double\n0 0 0 1 0 0 0 1 0\n",
+    "many.ply": many_properties(100_000),
+    "elements.ply": b"ply\nformat ascii 1.0\n" + b"element x 0\n" * 1001 + b"end_header\n",
+}
+
+
+@pytest.mark.parametrize("name", HOSTILE)
+def test_what_would_break_a_reader_is_refused(tmp_path: Path, name: str) -> None:
     path = tmp_path / name
-    path.write_bytes(content)
-    with pytest.raises(MeshError, match=words) as caught:
-        read_clean(path)
-    assert "\n" not in str(caught.value)
+    path.write_bytes(HOSTILE[name])
+    with pytest.raises(MeshError) as caught:
+        clean_of(path)
+    assert str(caught.value).isprintable()
+    assert "s to read" not in str(caught.value)
 
 
 @pytest.mark.parametrize("verb", ["check", "run"])

@@ -12,6 +12,7 @@ from numpy.testing import assert_allclose
 
 from fem_reference.exact_contact import Hertz
 from tests.in_process import do_cases
+from tests.unit.fem_shapes import mapped_box
 from vdmbench import models
 from vdmbench.body.geometry import build_mesh
 from vdmbench.body.mesh import Mesh
@@ -24,8 +25,6 @@ from vdmbench.study.errors import Source
 from vdmbench.study.schema import Study
 from vdmbench.work.keys import wanted
 from vdmbench.work.plan import make_plan
-
-from .fem_shapes import mapped_box
 
 TOUCH: dict[str, Any] = {
     "kind": "indenter",

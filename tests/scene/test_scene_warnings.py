@@ -10,12 +10,11 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
+from tests.unit.report_runs import icosphere, make_case, make_run
 from vdmbench.report.page import write_report
 from vdmbench.scene.warnings import indentation, scene_warnings
 from vdmbench.verdict.digest import Digest
 from vdmbench.verdict.verdict import doubts, verdicts
-
-from .report_runs import icosphere, make_case, make_run
 
 TISSUE = {"youngs_modulus": 5000.0, "poisson_ratio": 0.5}
 

@@ -9,6 +9,8 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
+from tests.unit.example_case import example_case
+from tests.unit.fem_shapes import cube
 from tests.unit.typed_study import asked
 from vdmbench import models
 from vdmbench.body.geometry import build_mesh
@@ -27,9 +29,6 @@ from vdmbench.study.config import geometry_of
 from vdmbench.study.errors import Source
 from vdmbench.study.schema import Study
 from vdmbench.work.keys import case_hash, wanted
-
-from .example_case import example_case
-from .fem_shapes import cube
 
 UPPER: dict[str, Any] = {
     "name": "upper",

@@ -123,11 +123,11 @@ def test_a_binary_stl_that_is_cut_or_too_long_says_so(tmp_path: Path, ball: Mesh
     whole = path.read_bytes()
     count = len(ball.triangles)
     assert len(whole) == 84 + 50 * count
-    for size, room in ((84 + 50 * (count // 2), count // 2), (len(whole) - 50, count - 1), (84, 0)):
+    for size in (84 + 50 * (count // 2), len(whole) - 50, 84):
         path.write_bytes(whole[:size])
-        refused(path, f"is truncated or is not an STL: it announces {count:,} facets and ends after {room:,}")
+        refused(path, "holds no facets, or is damaged")
     path.write_bytes(whole + b"more")
-    refused(path, "is damaged or is not an STL: it announces")
+    refused(path, "holds no facets, or is damaged")
     path.write_bytes(whole)
     assert len(from_file(path).surface_nodes) > 10
 
@@ -371,13 +371,15 @@ def test_mesh_size_beyond_the_body_and_over_the_budget(tmp_path: Path, ball: Mes
 def test_no_facets_or_other_cells(tmp_path: Path, ball: Mesh) -> None:
     points = ball.surface_points
     meshio.Mesh(points, [("line", ball.triangles[:, :2])]).write(tmp_path / "lines.vtk")
-    refused(tmp_path / "lines.vtk", "holds no tetrahedra; give a volume mesh, or a surface as STL")
+    refused(
+        tmp_path / "lines.vtk", "holds no tetrahedra, or is damaged; give a volume mesh, or a surface as STL"
+    )
     pv.PolyData(points).save(tmp_path / "points.vtp")
     refused(tmp_path / "points.vtp", "holds no facets")
     (tmp_path / "points.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\n")
     refused(tmp_path / "points.obj", "holds no facets")
     (tmp_path / "index.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 7\n")
-    refused(tmp_path / "index.obj", "do not exist")
+    refused(tmp_path / "index.obj", "cannot be read as .obj")
 
 
 def test_polygons_are_cut_into_triangles(tmp_path: Path) -> None:
@@ -401,60 +403,24 @@ def test_polygons_are_cut_into_triangles(tmp_path: Path) -> None:
         assert mesh.quality["volume"] / (1 + mesh.quality["volume_change"]) == pytest.approx(1e-3, rel=1e-6)
 
 
-@pytest.mark.parametrize("order", ["ascii", "binary_little_endian", "binary_big_endian"])
-@pytest.mark.parametrize("place", [0, 3])
-def test_a_ply_file_may_have_lists_on_its_vertices(
-    tmp_path: Path, ball: Mesh, order: str, place: int
-) -> None:
-    """They are passed over: here the first so many neighbours of each vertex, none of some."""
-    points, triangles = ball.surface_points, ball.triangles
-    properties = ["property double x", "property double y", "property double z"]
-    properties.insert(place, "property list uchar short neighbours")
-    header = ["ply", f"format {order} 1.0", f"element vertex {len(points)}", *properties]
-    header += [f"element face {len(triangles)}", "property list uchar int vertex_indices"]
-    header += ["property short flag", "end_header", ""]
-
-    def written(kind: str, *numbers: float) -> bytes:
-        if order == "ascii":
-            return "".join(f"{number!r} " for number in numbers).encode()
-        return np.array(numbers, dtype=(">" if "big" in order else "<") + kind).tobytes()
-
-    body = b""
-    for number, point in enumerate(points.tolist()):
-        parts = [written("f8", value) for value in point]
-        neighbours = list(range(number % 5))
-        parts.insert(place, written("u1", len(neighbours)) + written("i2", *neighbours))
-        body += b"".join(parts)
-    for facet in triangles.tolist():
-        body += written("u1", 3) + written("i4", *facet) + written("i2", 7)
-    (tmp_path / "a.ply").write_bytes("\n".join(header).encode() + body)
-    expected = from_file(write_surface(tmp_path / "b.vtp", points, triangles))
-    assert from_file(tmp_path / "a.ply").content_hash == expected.content_hash
-    (tmp_path / "a.ply").write_bytes("\n".join(header).encode() + body[: len(body) // 3])
-    refused(tmp_path / "a.ply", "truncated")
-
-
 @pytest.mark.parametrize(
-    ("change", "words"),
+    "change",
     [
-        (("element vertex 12", "element vertex 1200000000000"), "truncated"),
-        (("property float x", "property float w"), "without x, y and z"),
-        (("property float y", "property float x"), "twice in one element"),
-        (("format ascii 1.0", "format ebcdic 1.0"), "header line that cannot be read"),
-        (("end_header", "end_heather"), "header is cut"),
-        (("property list uchar int", "property list float int"), "do not exist|truncated|damaged|open"),
+        ("element vertex 12", "element vertex 1200000000000"),
+        ("property float x", "property float w"),
+        ("property float y", "property float x"),
+        ("property float x", "property list uchar short neighbours"),
+        ("format ascii 1.0", "format ebcdic 1.0"),
+        ("end_header", "end_heather"),
     ],
 )
-def test_ply_headers(tmp_path: Path, change: tuple[str, str], words: str) -> None:
+def test_ply_headers(tmp_path: Path, change: tuple[str, str]) -> None:
     path = tmp_path / "a.ply"
     pv.Icosahedron(radius=0.05).clean().save(path, binary=False)
     text = path.read_text()
     assert change[0] in text
     path.write_text(text.replace(*change, 1))
-    if "float int" in change[1]:  # a length written as a float still is one in text
-        assert from_file(path).quality["imported_points"] == 12
-    else:
-        refused(path, words)
+    refused(path, "cannot be read as .ply; it is damaged, truncated, or does not hold vertices of x, y and z")
 
 
 # --- files with tetrahedra ----------------------------------------------------------------------------
@@ -574,36 +540,36 @@ def test_other_cells_are_named(tmp_path: Path) -> None:
     cube = np.array([[x, y, z] for z in (0.0, 0.1) for x, y in ((0, 0), (0.1, 0), (0.1, 0.1), (0, 0.1))])
     hexahedron = np.arange(8)[None]
     write_msh(tmp_path / "hexahedron.msh", cube, {5: hexahedron})
-    refused(tmp_path / "hexahedron.msh", "holds hexahedron cells; only four-node")
+    refused(tmp_path / "hexahedron.msh", "holds hexahedron 8 cells; only four-node")
     quadratic = np.concatenate([np.eye(4)[:, 1:], np.random.default_rng(0).random((6, 3))]) * 0.1
     write_msh(tmp_path / "quadratic.msh", quadratic, {11: np.arange(10)[None]})
-    refused(tmp_path / "quadratic.msh", "holds second-order tetrahedron cells")
+    refused(tmp_path / "quadratic.msh", "holds tetrahedron 10 cells")
     for suffix in (".vtu", ".vtk"):
         grid = pv.UnstructuredGrid({12: hexahedron, 10: np.array([[0, 1, 2, 4]])}, cube)
         grid.save(tmp_path / f"mixed{suffix}")
-        refused(tmp_path / f"mixed{suffix}", "holds hexahedron cells; only four-node")
+        refused(tmp_path / f"mixed{suffix}", "holds vtkhexahedron cells; only four-node")
         pv.UnstructuredGrid({24: np.arange(10)[None]}, quadratic).save(tmp_path / f"quadratic{suffix}")
-        refused(tmp_path / f"quadratic{suffix}", "holds tetra10 cells")
+        refused(tmp_path / f"quadratic{suffix}", "holds vtkquadratictetra cells")
 
 
 @pytest.mark.parametrize(
-    ("change", "words"),
+    "change",
     [
-        ((b"4.1 0 8", b"4 0 8"), "has version '4'; write it as MSH 4.1 or 2.2"),
-        ((b"4.1 0 8", b"4.1 1 8"), "byte order|truncated"),
-        ((b"4.1 0 8", b"9 9"), "has version '9'"),
-        ((b"$EndElements", b""), "no complete Elements section"),
-        ((b"$Nodes", b"$Knots"), "no complete Nodes section"),
-        ((b"$Nodes\n1 ", b"$Nodes\n1000000000 "), "truncated"),
-        ((b"$Elements\n1 ", b"$Elements\n-1 "), "Elements section|truncated"),
+        (b"4.1 0 8", b"4 0 8"),
+        (b"4.1 0 8", b"4.1 1 8"),
+        (b"4.1 0 8", b"9 9"),
+        (b"$EndElements", b""),
+        (b"$Nodes", b"$Knots"),
+        (b"$Nodes\n1 ", b"$Nodes\n1000000000 "),
+        (b"$Elements\n1 ", b"$Elements\n-1 "),
     ],
 )
-def test_msh_sections(tmp_path: Path, ball: Mesh, change: tuple[bytes, bytes], words: str) -> None:
+def test_msh_sections(tmp_path: Path, ball: Mesh, change: tuple[bytes, bytes]) -> None:
     path = write_named(tmp_path / "4.1-text.msh", ball)
     data = path.read_bytes()
     assert change[0] in data
     path.write_bytes(data.replace(*change, 1))
-    refused(path, words)
+    refused(path, "truncated|holds no tetrahedra, or is damaged")
 
 
 def test_too_many_nodes_in_a_file(tmp_path: Path, ball: Mesh, monkeypatch: pytest.MonkeyPatch) -> None:

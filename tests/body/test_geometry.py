@@ -208,8 +208,9 @@ def test_uniform_remeshing_keeps_a_ball() -> None:
     nodes, facets = uniform_surface(points, triangles, h)
     assert abs(len(nodes) / (2 / np.sqrt(3) * 4 * np.pi / h**2) - 1) < 0.01
     assert_allclose(np.linalg.norm(nodes, axis=1), 1, rtol=0, atol=1e-3)
-    mean, largest = surface_distance(points, triangles, nodes, facets)
-    assert h**2 / 8 * 0.5 < mean < largest < h**2 / 8 * 4
+    mean, near = surface_distance(points, triangles, nodes, facets)
+    assert h**2 / 8 * 0.5 < mean < near.max() < h**2 / 8 * 4
+    assert near.min() > h**2 / 8 * 0.5  # a chord is apart about every node
     edges = np.linalg.norm(nodes[facets] - nodes[np.roll(facets, 1, axis=1)], axis=2)
     assert edges.std() / edges.mean() < 0.15
 
@@ -238,9 +239,9 @@ def test_distance_between_concentric_cubes_is_known() -> None:
         np.asarray(cube.points, dtype=float),
         cube.faces.reshape(-1, 4)[:, 1:].astype(np.int64),
     )
-    mean, largest = surface_distance(points, triangles, 1.5 * points, triangles)
+    mean, near = surface_distance(points, triangles, 1.5 * points, triangles)
     # edges lie sqrt(2)/2 from the inner cube and corners sqrt(3)/2; from within every probe is 1/2 away
-    assert_allclose(largest, np.sqrt(3) / 2, rtol=1e-12, atol=0)
+    assert_allclose(near, np.sqrt(3) / 2, rtol=1e-12, atol=0)
     diagonal, rim = 0.5, np.sqrt(0.5)
     inner, outer = 24.0, 54.0
     assert_allclose(
@@ -275,7 +276,16 @@ def test_a_surface_file_is_scaled_remeshed_and_filled_where_it_lies(tmp_path: Pa
         mesh.quality["volume"] / original.quality["volume"] - 1, abs=1e-5
     )
     assert 0 < mesh.quality["surface_distance_mean"] < mesh.quality["surface_distance_max"] < 2e-3
+    assert mesh.moved is not None
+    assert original.moved is None
+    assert mesh.moved.shape == (len(mesh.surface_nodes),)
+    assert mesh.moved.max() == mesh.quality["surface_distance_max"]
+    write_mesh(tmp_path / "mesh.npz", mesh)
+    stored = read_mesh(tmp_path / "mesh.npz")
+    assert stored is not None
+    assert_array_equal(stored.moved, mesh.moved)
     alone = build_mesh(Geometry("file", 0.01, {"path": str(path), "scale": 1e-3}), volume=False)
+    assert_array_equal(alone.moved, mesh.moved)
     assert_array_equal(alone.surface_points, mesh.surface_points)
     assert_array_equal(alone.triangles, mesh.triangles)
 
