@@ -39,7 +39,7 @@ baselines: setup
 	@test -n "$(REASON)" || { echo 'say why: make baselines REASON="..."'; exit 2; }
 	for study in quickstart regression; do \
 	  $(RUN)vdmbench run $$study && $(RUN)vdmbench accept results/runs/$$study --reason "$(REASON)" || exit 1; done
-	$(ONE_THREAD) $(RUN)python -m tests.regression.test_bench
+	$(ONE_THREAD) $(RUN)python -m tests.bench.test_figures
 
 # ARGS are the program's own: a liver.obj for accuracy; --surface liver.obj or --bench FILE for performance
 evidence: setup

@@ -1,8 +1,8 @@
-"""The page of performance, from `vdmbench bench --large`.
+"""The page of performance, from `vdmbench bench`.
 
-SURFACE=liver.obj measures a third body. What is measured is kept in results/bench/bench.h5:
-BENCH=results/bench/bench.h5 makes the section from it again, without measuring. The whole table, of every model on
-every mesh with the spread of its rounds, goes to docs/gallery/bench.html.
+SURFACE=liver.obj measures a third body. What is measured is kept in results/bench/bench.json:
+BENCH=results/bench/bench.json makes the section from it again, without measuring. The whole table, of every
+model on every mesh with the spread of its rounds, goes to docs/gallery/bench.html.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ import numpy as np
 from tools import marked
 from tools.gallery import GALLERY, panels
 from tools.runs import ROOT, finished
-from vdmbench.evidence.bench_data import (
+from vdmbench.bench import (
     FAR_OFF,
     YARDSTICK,
     Bench,
@@ -25,14 +25,15 @@ from vdmbench.evidence.bench_data import (
     deviation,
     error_text,
     median,
+    pareto_plot,
+    read_bench,
     seconds,
+    write_bench_page,
 )
-from vdmbench.evidence.bench_page import pareto_plot, write_bench_page
-from vdmbench.evidence.bench_store import read_bench
 from vdmbench.verdict import palette
 
 DOCUMENT = ROOT / "docs" / "evidence" / "performance.md"
-MEASURED = ROOT / "results" / "bench" / "bench.h5"
+MEASURED = ROOT / "results" / "bench" / "bench.json"
 PART = "performance"
 # models that stand for their kind; the others differ from them by their solver, and are in the whole table
 SHOWN = (
@@ -107,7 +108,7 @@ def section(bench: Bench) -> str:
         ],
         lines,
     )
-    return f"{text}\n{relative(bodies)}\n{growth(bench)}"
+    return f"{text}\n{relative(bodies)}"
 
 
 def relative(bodies: list[list[Entry]]) -> str:
@@ -141,26 +142,6 @@ def _multiple(value: float) -> str:
     return f"{value:,.0f}" if value >= 100.0 else f"{value:.2g}"
 
 
-def growth(bench: Bench) -> str:
-    """How costs grow: those of the sparse surface models on spheres, those of the others on the first body."""
-    found = {g.what: g for g in bench.growths}
-    lines = []
-    for model in dict.fromkeys(what.rpartition(" ")[0] for what in found):
-        parts = [found.get(f"{model} {what}") for what in ("set-up", "frame", "memory", "fill")]
-        nodes = next(part.nodes for part in parts if part)
-        cells = [
-            f"n^{part.exponent:.2f}, {amount(float(part.values[-1]), part.unit)}" if part else "–"
-            for part in parts
-        ]
-        lines.append([model, f"{int(nodes[0]):,} to {int(nodes[-1]):,}", *cells])
-    head = ["model", "surface nodes", "set-up", "frame, all nodes", "memory", "non-zeros, minimum degree"]
-    return (
-        "Growth with the surface nodes n, by least squares over four sizes or more; and the cost at the largest. "
-        "The non-zeros are those of a factor in minimum degree order, a stand-in for the factor in use, whose "
-        f"library does not tell its own.\n\n{marked.table(head, lines)}"
-    )
-
-
 def picture(bench: Bench) -> str:
     """Time against error on the finest mesh of each body, side by side, for light and dark."""
     bodies = finest(bench)
@@ -185,7 +166,7 @@ def main() -> None:
     given = options.parse_args()
     if not given.bench:
         third = ["--surface", given.surface.absolute()] if given.surface else []
-        command = ["bench", "--large", *third, "--out", MEASURED.parent]
+        command = ["bench", *third, "--out", MEASURED.parent]
         finished(*command, OPENBLAS_NUM_THREADS="1")
     bench = read_bench(given.bench or MEASURED)
     (GALLERY / "performance.svg").write_text(picture(bench), encoding="utf-8")

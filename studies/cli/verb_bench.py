@@ -18,15 +18,11 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     use = ": its body and its models, in place of every model on a sphere, an organ and the --surface given"
     study_arguments(parser, "?", use)
     parser.add_argument("--out", type=directory, metavar="DIR", help="directory (default results/bench)")
-    parser.add_argument("--large", action="store_true", help="growth on surfaces of up to 163,842 nodes")
 
 
 def run(options: argparse.Namespace) -> int:
     """Measure the study, or a sphere, an organ and the surface that is given, with every model."""
-    from ..evidence import bench
-    from ..evidence.bench_data import answers, machine_independent, rows
-    from ..evidence.bench_page import ANSWERS_NOTE, ERROR_NOTE, write_bench_page
-    from ..evidence.bench_store import write_bench
+    from .. import bench
     from ..models import benched_names
 
     studies = {
@@ -38,28 +34,29 @@ def run(options: argparse.Namespace) -> int:
             # a mesh that cannot be made is told with its line before anything is measured
             make_plan(study, options)
     out = options.out or results_directory() / "bench"
-    if out.is_dir() and any(out.iterdir()) and not (out / "bench.h5").exists():
+    if out.is_dir() and any(out.iterdir()) and not (out / "bench.json").exists():
         raise UsageError(f"{out}: is not empty and not a benchmark's directory; choose another --out")
     found = bench.measure(
         studies,
         vars(options).get("cache") or cache_directory(),
         names=None if options.study else benched_names(),
-        large=options.large,
         watch=tell,
     )
-    write_bench(out / "bench.h5", found)
-    write_bench_page(found, out / "bench.html")
+    bench.write_bench(out / "bench.json", found)
+    bench.write_bench_page(found, out / "bench.html")
     if options.json:
         return print_json(
-            {"rows": rows(found), "answers": answers(found), "figures": machine_independent(found)}
+            {
+                "rows": bench.rows(found),
+                "answers": bench.answers(found),
+                "figures": bench.machine_independent(found),
+            }
         )
     print(", ".join(f"{name}: {text}" for name, text in list(found.machine.items())[:5]))
-    print_table(rows(found))
-    print(ERROR_NOTE)
-    for growth in found.growths:
-        print(f"{growth.what} grows as nodes ^ {growth.exponent:.2f}, up to {int(growth.nodes[-1]):,} nodes")
-    print_table(answers(found))
-    print(ANSWERS_NOTE)
+    print_table(bench.rows(found))
+    print(bench.ERROR_NOTE)
+    print_table(bench.answers(found))
+    print(bench.ANSWERS_NOTE)
     print(f"report: {out / 'bench.html'}")
     return OK
 

@@ -35,6 +35,7 @@ def headline_rows(run: Run) -> list[dict[str, str]]:
         marked = f" ({', '.join(summary.marks)})" if summary.marks else ""
         row["set-up"] = quantity(summary.seconds_setup, "s") + marked
         row["per frame"] = quantity(summary.seconds_per_step, "s") + marked
+        row["per frame, all nodes"] = quantity(summary.seconds_everywhere, "s")
         row["memory"] = quantity(summary.peak_bytes, "B")
         rows.append(row)
     return rows
@@ -93,6 +94,7 @@ def headline_metrics(run: Run) -> dict[str, dict[str, dict[str, Any]]]:
         single = {
             "seconds_setup": (summary.seconds_setup, "s"),
             "seconds_per_step": (summary.seconds_per_step, "s"),
+            "seconds_everywhere": (summary.seconds_everywhere, "s"),
             "peak_bytes": (summary.peak_bytes, "B"),
         }
         found[summary.name] = {
@@ -158,6 +160,8 @@ def _table(digest: Digest) -> Table:
     for summary in digest.summaries:
         marks = [mark.removesuffix(" run") for mark in summary.marks]
         how = ["iterative"] if summary.iterative else []
+        if math.isfinite(summary.seconds_everywhere):
+            how.append(f"{quantity(summary.seconds_everywhere, 's')} all nodes")
         row = [
             Cell(summary.name, "\n".join(filter(None, (_about_model(summary), _about_form(digest, summary)))))
         ]

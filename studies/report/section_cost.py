@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from ..measures.metrics import DEFORMATION, VECTOR
 from ..verdict.digest import REFERENCE, Digest, ModelSummary, Spread
 from ..verdict.formatting import listed, quantity, short_percent
-from ..verdict.measured import EARLIER, ELSEWHERE
+from ..verdict.measured import EARLIER, ELSEWHERE, ONCE
 from .blocks import Block, Figure, Figures, Section, Text
 from .plots import Plot, colour, draw, limit_line, percent_axis, time_ticks
 
@@ -40,7 +40,8 @@ def run_time_against_error(digest: Digest) -> Section | None:
     if not figures:
         return None
     note = (
-        "Further left is faster; lower is closer. A filled mark is the time of a frame. The hollow mark at the end "
+        "Further left is faster; lower is closer. A filled mark is a frame of the contact, factors kept, measured "
+        "when the run ended, all models in turns, as vdmbench bench does. The hollow mark at the end "
         "of its dotted line is the set-up, which is paid once. Dashed grey is the reference: its time for a frame, "
         "and its own error where that was measured. The broken line with dots is what the study accepts. Dotted "
         "are two budgets for a frame: 1 ms, as a haptic device asks, and 16.7 ms, as a screen does."
@@ -64,6 +65,11 @@ def time_notes(summaries: Sequence[ModelSummary]) -> list[str]:
         notes.append(
             f"Measured on another machine than this page was made on: {listed(elsewhere)}. Compare these times "
             "with times of that machine only."
+        )
+    if once := [s.name for s in summaries if ONCE in s.marks]:
+        notes.append(
+            f"Not measured in turns, but taken from one answer in this study: {listed(once)}. They are slow, or on "
+            "a mesh of their own."
         )
     if iterative := [s.name for s in summaries if s.iterative]:
         notes.append(

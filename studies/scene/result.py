@@ -15,6 +15,26 @@ REFUSED = "refused"  # status of a model that could not be set up: before any so
 
 
 @dataclass(frozen=True)
+class FrameTimes:
+    """What one model was measured to take in R rounds, in turns with the others, as (R,) arrays of seconds.
+
+    Attributes
+    ----------
+    setup : operators and factors of a new body
+    contact : a load on the fixed contact region, factors kept
+    everywhere : a load over the whole free surface, factors kept; NaN of a model that has no such frame
+    processor : of the machine that measured
+    case : label of the case on whose mesh and load they were measured
+    """
+
+    setup: Array
+    contact: Array
+    everywhere: Array
+    processor: str = ""
+    case: str = ""
+
+
+@dataclass(frozen=True)
 class ModelResult:
     """One model's load history of S steps on N surface nodes: a solution as its library gives it, and its memory.
 
@@ -34,6 +54,7 @@ class ModelResult:
     version: str  # declared version of the model
     parameters: Mapping[str, float | str] = field(default_factory=dict)
     scalars: Mapping[str, Array] = field(default_factory=dict)  # (S,) each
+    frames: FrameTimes | None = None  # measured anew when the run ended; None where they were not
     key: str = ""  # content key of all that decides the result; "" where it is not to be used again
 
     def __post_init__(self) -> None:

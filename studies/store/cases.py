@@ -58,6 +58,7 @@ from .run_directory import (
     read_failure,
     read_plan,
     read_study,
+    read_times,
 )
 
 SCHEMA = 4
@@ -158,6 +159,7 @@ def read_run(directory: Path, *, damaged: bool = False) -> Run:
     plan = read_plan(directory)
     study, study_text = read_study(directory, plan)
     cases, failed, missing = [], [], []
+    times = read_times(directory)
     for planned in plan["cases"]:
         label = planned["label"] or plan["study"]["name"]
         path = case_path(directory, planned["hash"], planned["label"])
@@ -172,7 +174,12 @@ def read_run(directory: Path, *, damaged: bool = False) -> Run:
                 about = {"code": DAMAGED, "message": str(error), "remedy": ""}
                 failed.append({"hash": planned["hash"], "label": label, **about})
                 continue
-            cases.append(dataclasses.replace(case, **names))
+            frames = times.get(planned.get("mesh", ""), {})
+            models = {
+                name: dataclasses.replace(model, frames=frames[name]) if name in frames else model
+                for name, model in case.models.items()
+            }
+            cases.append(dataclasses.replace(case, **names, models=models))
         elif has_failed(directory, planned["hash"], planned["label"]):
             failed.append(read_failure(directory, planned["hash"], label))
         else:

@@ -7,16 +7,21 @@ import os
 import re
 import tomllib
 from collections.abc import Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from ..machine.files import write_atomically
+import numpy as np
+from pydantic import BaseModel, TypeAdapter
+
+from ..machine.files import json_text, write_atomically
 from ..machine.safe_open import UnfitFileError, read_regular
 from ..machine.stored_json import FailureShape, PlanShape, sealed, unsealed
+from ..scene.result import FrameTimes
 from ..study.schema import Study
 from .hdf5 import StoreError
 
-PLAN, STUDY, RESOLVED = "plan.json", "study.toml", "resolved.toml"
+PLAN, STUDY, RESOLVED, TIMES = "plan.json", "study.toml", "resolved.toml", "times.json"
 CASE_SUFFIX = ".vtkhdf"
 _SHORT, _READABLE = 12, 100  # characters of the hash, and of the label at most, in the name of a file
 _FOLDERS = ("cases", "failed")
@@ -153,6 +158,55 @@ def _text(path: Path) -> bytes:
 
 def _digest(text: bytes) -> str:
     return hashlib.sha256(text).hexdigest()
+
+
+# --- what frames take ---
+
+
+def add_times(directory: Path, found: Mapping[str, Any]) -> None:
+    """Keep what frames take, by mesh, beside what is known of other meshes. Raises OSError."""
+    path = directory / TIMES
+    with suppress(OSError, ValueError):
+        found = {**_TIMES.dump_python(_TIMES.validate_json(read_regular(path))), **found}
+    write_atomically(path, json_text(found, indent=1).encode())
+
+
+def read_times(directory: Path) -> dict[str, dict[str, FrameTimes]]:
+    """Mesh -> model -> what its frames take; nothing where it was not measured. Raises StoreError."""
+    path = directory / TIMES
+    try:
+        stored = _TIMES.validate_json(read_regular(path))
+    except FileNotFoundError:
+        return {}
+    except (OSError, ValueError) as error:
+        what = str(error).splitlines()[0]
+        raise StoreError(f"{path}: damaged ({what}); delete it and run again") from error
+    return {
+        mesh: {
+            name: FrameTimes(
+                *(np.array(values, dtype=float) for values in (parts.setup, parts.contact, parts.everywhere)),
+                processor=entry.processor,
+                case=entry.case,
+            )
+            for name, parts in entry.models.items()
+        }
+        for mesh, entry in stored.items()
+    }
+
+
+class _TimesOfModel(BaseModel):
+    setup: list[float | None]
+    contact: list[float | None]
+    everywhere: list[float | None]
+
+
+class _TimesOfMesh(BaseModel):
+    case: str
+    processor: str
+    models: dict[str, _TimesOfModel]
+
+
+_TIMES = TypeAdapter(dict[str, _TimesOfMesh])
 
 
 # --- what failed ---

@@ -60,8 +60,9 @@ class Criterion:
         no change of shape, and a model's error in that is NOT_ASKED.
         """
         value, bar = self.at(case, model, step), self.bar(case)
-        if self.key == "frame_time" and math.isfinite(value):
-            return _time_state(case.models[model], self.allowed)
+        if self.key == "frame_time":
+            answered = math.isfinite(_series(case, model, VECTOR)[step])
+            return _time_state(case.models[model], self.allowed) if answered else LOST
         bar = bar if math.isfinite(bar) else 0.0
         if not math.isfinite(value):
             answered = math.isfinite(_series(case, model, VECTOR)[step])
@@ -151,9 +152,9 @@ def _differences(case: CaseResult, model: str, region: str) -> Array:
 
 
 def _frame_times(case: CaseResult, model: str) -> Array:
-    """(S,) the median time of a step of the case, of which each has its share of chance."""
+    """(S,) the median time of a frame of the contact, the same for all steps."""
     result = case.models.get(model)
-    times = result.seconds_per_step if result is not None else np.zeros(0)
+    times = result.frames.contact if result is not None and result.frames is not None else np.zeros(0)
     known = times[np.isfinite(times)]
     return np.full(len(case.load_factors), np.median(known) if len(known) else math.nan)
 
@@ -161,12 +162,14 @@ def _frame_times(case: CaseResult, model: str) -> Array:
 def _time_state(result: ModelResult, allowed: float) -> str:
     """Where a model's times stand: a busy machine makes them longer, never shorter.
 
-    WITHIN where three in four keep the limit, BEYOND where none of at least three does, else OPEN. Times of an
-    earlier run, out of the cache or from another machine, decide nothing.
+    WITHIN where three in four rounds keep the limit, BEYOND where none of at least three does, else OPEN. What was
+    not measured anew in turns with the others, or on another machine, decides nothing.
     """
-    times = result.seconds_per_step[np.isfinite(result.seconds_per_step)]
-    elsewhere = result.parameters.get("measured_on", processor_name()) not in ("", processor_name())
-    if "measured_earlier" in result.parameters or elsewhere:
+    frames = result.frames
+    if frames is None or frames.processor != processor_name():
+        return OPEN
+    times = frames.contact[np.isfinite(frames.contact)]
+    if not len(times):
         return OPEN
     if np.quantile(times, 0.75, method="lower") <= allowed:
         return WITHIN

@@ -92,7 +92,8 @@ class ModelSummary:
     deformation: Spread | None
     drift: Spread | None
     seconds_setup: float  # median over cases
-    seconds_per_step: float  # median over cases and steps
+    seconds_per_step: float  # median of a frame of the contact, over meshes and rounds; without, over steps
+    seconds_everywhere: float  # the same of a frame with all nodes loaded; NaN where not measured
     peak_bytes: float  # largest over cases
     failed_cases: int  # cases with a step that failed
     marks: tuple[str, ...]  # what stands beside its times, see `measured`
@@ -284,22 +285,22 @@ class Digest:
 
     def _summary(self, name: str) -> ModelSummary:
         results = [case.models[name] for case in self.cases if name in case.models]
-        steps = [result.seconds_per_step for result in results]
-        times = np.concatenate(steps) if steps else np.zeros(0)
-        times = times[np.isfinite(times)]
-        setups = [result.seconds_setup for result in results if math.isfinite(result.seconds_setup)]
+        frames = [result.frames for result in results if result.frames is not None]
+        times = [one.contact for one in frames] or [result.seconds_per_step for result in results]
+        setups = [one.setup for one in frames] or [np.array([result.seconds_setup]) for result in results]
         return ModelSummary(
             name=name,
             is_reference=name == self.reference,
             vector=self.spread(name, VECTOR),
             deformation=self.spread(name, DEFORMATION),
             drift=self.spread(name, "volume_drift"),
-            seconds_setup=float(np.median(setups)) if setups else math.nan,
-            seconds_per_step=float(np.median(times)) if len(times) else math.nan,
+            seconds_setup=_median_known(setups),
+            seconds_per_step=_median_known(times),
+            seconds_everywhere=_median_known([one.everywhere for one in frames]),
             peak_bytes=float(max((r.peak_bytes for r in results if _has_answer(r)), default=math.nan)),
             failed_cases=sum(bool(failed_steps(result)) for result in results),
             marks=measured(self.run, name),
-            iterative=any(result.parameters.get("solver") == "iterative" for result in results),
+            iterative=not frames and any(r.parameters.get("solver") == "iterative" for r in results),
         )
 
     @cached_property
@@ -355,3 +356,10 @@ class Digest:
     def has_steps(self) -> bool:
         """Whether any case has a load history."""
         return any(len(case.load_factors) > 1 for case in self.cases)
+
+
+def _median_known(parts: Sequence[Array]) -> float:
+    """Median of the numbers in some arrays that are finite; NaN where there are none."""
+    values = np.concatenate([np.zeros(0), *parts])
+    known = values[np.isfinite(values)]
+    return float(np.median(known)) if len(known) else math.nan

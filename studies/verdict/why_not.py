@@ -263,8 +263,8 @@ def the_time(shortfall: Shortfall) -> Iterator[Reason]:
                 yield Reason(TIME, text, {limit.key: slowest})
             elif OPEN in states:
                 text = (
-                    f"The time: {quantity(slowest, 's', 2)} was measured for a frame, in an earlier run, too few "
-                    "times or on both sides of the limit. --fresh on an idle machine measures it anew."
+                    f"The time: {quantity(slowest, 's', 2)} was measured for a frame, on another machine, too few "
+                    "times or on both sides of the limit. The same command on an idle machine measures it anew."
                 )
                 yield Reason(TIME, text, {limit.key: slowest})
 

@@ -36,7 +36,7 @@ from ..study.units import shown
 from .engine import Outcome, Places, run_nodes
 from .estimate import estimate, without_room
 from .explain import beyond_memory, summary
-from .nodes import bodies, graph
+from .nodes import Node, _item, _on_mesh, bodies, graph
 from .plan import Plan, PlannedCase
 
 
@@ -113,9 +113,10 @@ def run_plan(
         began = time.perf_counter()
         used = 0.0
         try:
-            if cases:
+            if cases or _decides(plan):
                 with _places(plan, options, watch) as places:
                     used = _run_missing(plan, cases, options, watch, places)
+                    _time_frames(plan, cases, options, watch, places)
         finally:  # workers may have been killed while they wrote, by an interruption too
             _tidy(plan)
         run, report = finish(
@@ -233,6 +234,38 @@ def _run_missing(
         else:
             _keep_failure(plan, outcome)
     return used
+
+
+def _decides(plan: Plan) -> bool:
+    """Whether a verdict hangs on times: those are measured anew in every run."""
+    return plan.study.acceptance.frame_time is not None and plan.study.study.reference is not None
+
+
+def _time_frames(
+    plan: Plan,
+    cases: Sequence[PlannedCase],
+    options: Options,
+    watch: Callable[[Event], None],
+    places: Places,
+) -> None:
+    """Measure what frames take, once nothing else of this run is at work; a failure costs the times alone."""
+    asked = plan.in_shard(options.shard) if _decides(plan) else cases
+    first = {case.mesh: case for case in reversed(asked) if plan.case_file(case).exists()}
+    if not first:
+        return
+    items = [{**_item(case, plan), **_on_mesh(case, plan)} for case in reversed(first.values())]
+    payload = {
+        "cache": str(plan.cache.absolute()),
+        "directory": str(plan.directory.absolute()),
+        "decides": _decides(plan),
+        "items": items,
+    }
+    node = Node("times", "times", "times of a frame", payload, frozenset())
+    logs = plan.directory.absolute() / "failed"
+    for outcome in run_nodes([node], places, logs, timeout=options.timeout, started=lambda _: None):
+        if not outcome.ok:
+            told = f"the times of a frame are not measured: {outcome.said.message}"
+            watch(Event("told", plan.study.study.name, message=told))
 
 
 def _keep_failure(plan: Plan, outcome: Outcome) -> None:

@@ -18,19 +18,24 @@ from typing import Any
 from ..body.mesh_cache import mesh_from_cache, mesh_path, read_level, read_mesh, write_level
 from ..body.refine import Hierarchy, refine, refined
 from ..machine.memory import OUT_OF_MEMORY, memory_limits
+from ..machine.processors import processor_name
 from ..machine.safe_open import open_regular
+from ..measures.frames import frame_times
 from ..measures.reference import level_scene, restricted
 from ..models import Prepared
-from ..scene.scene import Scene
+from ..scene.scene import Scene, build_scene
+from ..store.run_directory import add_times
 from ..study.config import geometry_of
 from ..study.errors import InputError, install_line
 from ..study.schema import Study
-from .cache import answer_path, limits_path, one_step, write_answer, write_limits
+from .cache import answer_path, limits_path, one_step, read_answer, write_answer, write_limits
 from .case import Block, make_case
 from .keys import level_key
 from .small_strain import small_strain_limits
 
 ATTEMPTS = 3  # of a node whose process dies
+SLOW = 20.0  # s of a set-up and a step, from which on a model is not answered again for its times alone
+TIMES_BUDGET = 5.0  # s for the times of all meshes, where no verdict hangs on them
 
 Payload = Mapping[str, Any]
 
@@ -153,12 +158,55 @@ def _cases(payload: Payload, _: str) -> Iterator[Said]:
         yield _attempt(item["id"], partial(work, item))
 
 
+def _times(payload: Payload, node: str) -> Iterator[Said]:
+    """What frames take, on the first case that is done of each mesh, every model in turns; into one file.
+
+    Where no verdict hangs on it, models that are slow enough to be told from one answer are left out, and so are
+    meshes for which no time is left.
+    """
+
+    def measure() -> None:
+        decides, end = payload["decides"], time.perf_counter() + TIMES_BUDGET
+        rounds, budget = (5, 10.0) if decides else (3, 2.0)
+        found = {}
+        for item in payload["items"]:
+            if not decides and time.perf_counter() > end:
+                break
+            study = Study.model_validate(item["study"])
+            mesh = _meshes({**payload, **item}, 0).finest
+            slow = set() if decides else _slow(item, Path(payload["cache"]))
+            names = [name for name in study.study.models if name not in slow]
+            models = frame_times(build_scene(study, mesh), names, rounds, budget)
+            found[item["mesh"]] = {
+                "case": item["label"],
+                "processor": processor_name(),
+                "models": {
+                    name: {part: getattr(times, part).tolist() for part in ("setup", "contact", "everywhere")}
+                    for name, times in models.items()
+                },
+            }
+        add_times(Path(payload["directory"]), found)
+
+    yield _attempt(node, measure)
+
+
+def _slow(item: Payload, cache: Path) -> set[str]:
+    """Models of a case whose set-up and one load step take longer than `SLOW`."""
+    found = set()
+    for want in item["wanted"]:
+        answer = read_answer(answer_path(cache, want["answers"][0]))
+        if answer is None or not answer.seconds_setup + answer.seconds_per_step.max() < SLOW:
+            found.add(want["name"])
+    return found
+
+
 _KINDS: dict[str, Callable[[Payload, str], Iterator[Said]]] = {
     "mesh": _mesh,
     "level": _level,
     "answers": _answers,
     "limits": _limits,
     "cases": _cases,
+    "times": _times,
 }
 
 

@@ -11,13 +11,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.unit.test_bench import CONDENSED, LINEAR, VECTOR
+from tests.bench.test_bench import CONDENSED, LINEAR, VECTOR
 from tools import marked, performance
 from tools.runs import ROOT
+from vdmbench.bench import YARDSTICK, Bench
 from vdmbench.cli.verb_bench import run as bench_verb
-from vdmbench.evidence.bench_data import YARDSTICK, Bench, Growth
 
-NODES = np.array([642.0, 2562.0, 10242.0, 40962.0, 163842.0])
 MACHINE = {"processor": "a processor", "cores": "2", "memory": "8.6 GB", "rounds": "3"}
 
 
@@ -31,20 +30,10 @@ def bench() -> Bench:
         for e in (VECTOR, CONDENSED, LINEAR, replace(VECTOR, model="vdm-vector:quasi-linear"))
     ]
     entries += [replace(e, body="organ", nodes=300) for e in (VECTOR, CONDENSED, LINEAR)]
-    growths = [
-        Growth(f"vdm-vector {what}", "s" if what in ("set-up", "frame") else "1", NODES, scale * NODES**power)
-        for what, scale, power in (
-            ("set-up", 1e-5, 1.0),
-            ("frame", 1e-7, 1.5),
-            ("fill", 8.0, 1.25),
-            ("flops", 30.0, 1.5),
-        )
-    ]
-    growths.append(Growth("fem-linear memory", "B", NODES, 1e4 * NODES))
-    return Bench(MACHINE, entries, growths)
+    return Bench(MACHINE, entries)
 
 
-def test_the_section_has_the_machine_the_finest_meshes_the_answers_and_the_growth() -> None:
+def test_the_section_has_the_machine_the_finest_meshes_and_the_answers() -> None:
     text = performance.section(bench())
     assert text.startswith(
         "a processor, 2 cores, 8.6 GB, one thread; medians of 3 rounds, in each a frame below 20 ms is the "
@@ -58,13 +47,9 @@ def test_the_section_has_the_machine_the_finest_meshes_the_answers_and_the_growt
     assert "| question | ball, 800 nodes | organ, 300 nodes |" in text
     assert "\n| Most accurate at 1 ms a frame of a contact | " in text
     assert (
-        "| vdm-vector | 642 to 163,842 | n^1.00, 1.64 s | n^1.50, 6.63 s | – | n^1.25, 26.4 million |" in text
-    )
-    assert (
         "| vdm-vector | 0.1 to 1 | – | 0.02 to 0.02 | 1 to 1 | 0.1 to 0.1 | 20 % ± 1 % to 20 % ± 1 % |"
         in text
     )
-    assert "| fem-linear | 642 to 163,842 | – | – | n^1.00, 1.64 GB | – |" in text
 
 
 def test_the_figure_has_a_panel_for_each_body_and_names_its_models() -> None:
@@ -115,13 +100,13 @@ def test_what_was_measured_stays_where_the_section_is_made_from_it_again(
     """The command runs for an hour: here its verb, with the measurement in place of measuring."""
 
     def command(*words: str | Path, **_: object) -> None:
-        given = Namespace(study=None, surface=None, allow_outside=False, large=True, json=False, out=None)
+        given = Namespace(study=None, surface=None, allow_outside=False, json=False, out=None)
         given.out = words[words.index("--out") + 1]
         assert bench_verb(given) == 0
 
-    kept = "results/bench/bench.h5"
+    kept = "results/bench/bench.json"
     assert f"--bench {kept}" in performance.DOCUMENT.read_text()
-    monkeypatch.setattr("vdmbench.evidence.bench.measure", lambda *_, **__: bench())
+    monkeypatch.setattr("vdmbench.bench.measure", lambda *_, **__: bench())
     monkeypatch.setattr(performance, "finished", command)
     monkeypatch.setattr(performance, "DOCUMENT", tmp_path / "README.md")
     monkeypatch.setattr(performance, "GALLERY", tmp_path)

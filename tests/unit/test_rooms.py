@@ -31,6 +31,7 @@ ROOMS = (
     "verdict",
     "report",
     "gate",
+    "bench",
     "calibrate",
     "evidence",
     "cli",

@@ -12,26 +12,19 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from vdm import Model, Parameters, SurfaceMesh
-from vdmbench.cli.verb_bench import bodies_to_measure
-from vdmbench.evidence import bench
-from vdmbench.evidence.bench_data import (
+from vdmbench import bench
+from vdmbench.bench import (
     Bench,
     Entry,
-    Growth,
     answers,
+    bench_html,
     deviation,
-    machine_independent,
     median,
-    model_growths,
     pareto,
     rows,
-    seconds,
     spread,
 )
-from vdmbench.evidence.bench_page import bench_html
-from vdmbench.evidence.growth import RADIUS, fill_and_flops, sphere
-from vdmbench.evidence.timing import SAMPLE, SAMPLES, calls_of_a_sample, median_of_samples, median_seconds
+from vdmbench.cli.verb_bench import bodies_to_measure
 from vdmbench.study.config import load_study
 from vdmbench.study.errors import InputError
 
@@ -82,7 +75,7 @@ def test_answers_name_the_winners() -> None:
     same = replace(columns, model="fem-linear", setup=LINEAR.setup, recut=LINEAR.recut)
     other = [replace(e, body="cube", nodes=50) for e in (vector, replace(LINEAR, columns=np.ones(3)))]
     entries = [vector, columns, same, quick, far_off, beaten, as_quick, solver, failed, *other]
-    found = answers(Bench({}, entries, []))
+    found = answers(Bench({}, entries))
     assert {row["question"]: (row["ball, 100 nodes"], row["cube, 50 nodes"]) for row in found} == {
         "Fastest frame of a contact at an error of at most 10 %": (
             "fem-condensed, fem-linear, 500 µs",
@@ -155,7 +148,7 @@ def test_what_the_reference_leaves_open_is_undecided() -> None:
     slow = entry("fem", 0.2, 0.1, 0.09, bar=0.04)  # half as slow again as the sure answer, and more: not told
 
     def told(*entries: Entry) -> dict[str, str]:
-        return {row["question"]: row["ball, 100 nodes"] for row in answers(Bench({}, entries, []))}
+        return {row["question"]: row["ball, 100 nodes"] for row in answers(Bench({}, entries))}
 
     found = told(linear, boundary, vector, spring, slow)
     fastest = "Fastest frame of a contact at an error of at most 10 %"
@@ -165,7 +158,7 @@ def test_what_the_reference_leaves_open_is_undecided() -> None:
         == "fem-linear, 100 ms; undecided: vdm-vector, bem"
     )
     assert found["Fastest frame of a contact at an error of at most 25 %"] == "bem, mass-spring, 10 µs"
-    page = bench_html(Bench({}, [linear, boundary, vector, spring, slow], []))
+    page = bench_html(Bench({}, [linear, boundary, vector, spring, slow]))
     assert "<p>ball, 100 nodes: fem-linear, 100 µs; undecided: bem, vdm-vector.</p>" in page.replace(
         "\u00a0", " "
     )
@@ -196,7 +189,7 @@ def test_what_the_reference_leaves_open_is_undecided() -> None:
 def test_a_round_that_was_left_out_counts_nothing() -> None:
     assert median(np.array([np.nan, 3.0, 1.0])) == 2.0
     assert math.isnan(median(np.array([np.nan])))
-    (row,) = rows(Bench({}, [VECTOR], []))
+    (row,) = rows(Bench({}, [VECTOR]))
     assert row["re-cut"] == "10 ms [10 ms, 10 ms]"
     assert row["error"] == "20 % ± 1 %"
     assert row["columns"] == "–", "none were needed"
@@ -204,34 +197,8 @@ def test_a_round_that_was_left_out_counts_nothing() -> None:
 
 def test_memory_has_the_unit_that_suits_it() -> None:
     """Pages are what is counted: nothing less than 4 kB, and no model takes 0 MB."""
-    small, large = (rows(Bench({}, [replace(VECTOR, peak_bytes=size)], []))[0] for size in (49152.0, 1.52e9))
+    small, large = (rows(Bench({}, [replace(VECTOR, peak_bytes=size)]))[0] for size in (49152.0, 1.52e9))
     assert (small["memory"], large["memory"]) == ("49.2 kB", "1.52 GB")
-
-
-@pytest.mark.parametrize(
-    ("value", "text"), [(2.0, "2 s"), (0.0015, "1.5 ms"), (2.5e-6, "2.5 µs"), (math.nan, "–")]
-)
-def test_seconds_are_readable(value: float, text: str) -> None:
-    assert seconds(value) == text
-
-
-def test_exponent_of_a_power() -> None:
-    nodes = np.array([10.0, 100.0, 1000.0, 5000.0])
-    assert_allclose(Growth("x", "s", nodes, 3.0 * nodes**1.5).exponent, 1.5, rtol=1e-12, atol=0)
-
-
-def test_growth_of_a_model_needs_four_meshes_on_which_it_was_measured() -> None:
-    """Set-up as the 3/2th power of the nodes, memory as the square; no time over all nodes on one of the meshes."""
-    nodes = [100, 200, 400, 800]
-    entries = [
-        entry("vdm-vector", n**1.5, 1e-3, 0.2, nodes=n, peak_bytes=float(n**2), frame_all=np.full(3, value))
-        for n, value in zip(nodes, (np.nan, 1.0, 2.0, 4.0), strict=True)
-    ]
-    (growth,) = model_growths(Bench({}, [*entries, replace(LINEAR, nodes=100)], []))
-    assert (growth.body, growth.model, growth.frame) == ("ball", "vdm-vector", None)
-    assert growth.setup is not None
-    assert growth.memory is not None
-    assert_allclose([growth.setup.exponent, growth.memory.exponent], [1.5, 2.0], rtol=1e-12, atol=0)
 
 
 def test_how_far_rounds_are_off_their_median() -> None:
@@ -240,7 +207,7 @@ def test_how_far_rounds_are_off_their_median() -> None:
     measured = replace(VECTOR, setup=even, frame_all=even * np.nan, frame_local=even, recut=uneven)
     assert spread(uneven) == (4.0, 6.0)
     assert all(math.isnan(part) for part in spread(even * np.nan))
-    assert_allclose(deviation(Bench({}, [measured], [])), (0.0, 0.4), rtol=1e-12, atol=1e-15)
+    assert_allclose(deviation(Bench({}, [measured])), (0.0, 0.4), rtol=1e-12, atol=1e-15)
 
 
 class Clock:
@@ -255,24 +222,6 @@ class Clock:
     def __call__(self) -> None:
         self.calls += 1
         self.now += self.takes(self.calls)
-
-
-def test_what_is_too_short_for_a_reading_of_the_clock_is_repeated() -> None:
-    short = Clock(
-        lambda call: 10.0 if call in (1, 200) else 3e-6
-    )  # now and then the machine does something else
-    assert_allclose(median_seconds(short, short.read), 3e-6, rtol=1e-9, atol=0)
-    assert short.calls >= SAMPLES * SAMPLE / 3e-6
-    long = Clock(lambda call: 10.0 if call == 3 else 0.2)
-    assert_allclose(median_seconds(long, long.read), 0.2, rtol=1e-9, atol=0)
-    assert long.calls == 2 * SAMPLES
-    assert calls_of_a_sample(0.0) < 1e7, "a clock that stood still"
-
-
-def test_samples_of_single_times() -> None:
-    """Five samples of two: the median is that of their means, whatever one of them is."""
-    times = np.array([1.0, 3.0, 2.0, 2.0, 1e3, 0.0, 1.0, 2.0, 3.0, 2.0])
-    assert_allclose(median_of_samples(times), 2.0, rtol=1e-15, atol=0)
 
 
 STUDY = """
@@ -322,7 +271,6 @@ def test_a_size_that_the_author_never_wrote_and_nothing_stands_is_left_out(tmp_p
     assert left_out.startswith("ball at 2.6 times its mesh_size: ")
     assert f"left out {left_out.split('; ball')[0]}" in told
     assert f"measuring ball, {mesh[1]} nodes, mesh 3 of 3" in told
-    assert {growth.what.split()[0] for growth in found.growths} == {"vdm-consistent"}, "of its models only"
     # nothing else is to be had: the study as it is
     alone = bench.measure({"ball": load_study(path)}, tmp_path, sizes=(2.6,), rounds=1, watch=told.append)
     assert alone.meshes() == [mesh]
@@ -337,58 +285,8 @@ def test_a_surface_called_like_a_built_in_body_is_measured_beside_it() -> None:
     assert set(bodies_to_measure(None, Path("liver.stl"))) == {"sphere", "organ", "liver"}
 
 
-def test_growth_of_elements_and_the_dense_form_on_finer_meshes(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    path = tmp_path / "ball.toml"
-    path.write_text(STUDY.format(size=38, fraction=0.7))
-    monkeypatch.setattr(bench, "FINER", (1.0, 0.85, 0.7, 0.6))
-    monkeypatch.setattr(bench, "growths", lambda *_, **__: [])
-    study, told = load_study(path), list[str]()
-    given = {"cache": tmp_path, "sizes": (1.0,), "rounds": 1, "large": True, "watch": told.append}
-    names = ["bem", "vdm-vector", "fem-linear"]
-    found = bench.measure({"ball": study}, names=names, **given)
-    assert [g.what for g in found.growths] == [
-        f"{model} {what}" for model in ("bem", "fem-linear") for what in ("set-up", "frame", "memory")
-    ]
-    for growth in found.growths:
-        assert growth.nodes[0] == found.entries[0].nodes
-        assert (np.diff(growth.nodes) > 0).all()
-        assert (growth.values > 0).all()
-    assert not any(key.startswith("growth") for key in machine_independent(found)), "of this machine"
-    # a mesh that cannot be made that fine is said, and the rest kept
-    monkeypatch.setattr(bench, "FINER", (1.0, 1e-3))
-    assert bench.measure({"ball": study}, names=names, **given).growths == []
-    assert any(line.startswith("no growth on finer meshes: ") for line in told)
-
-
 def test_a_study_that_cannot_be_measured_at_all_says_why(tmp_path: Path) -> None:
     path = tmp_path / "ball.toml"
     path.write_text(STUDY.format(size=38, fraction=0.999))
     with pytest.raises(InputError, match="enlarge its region"):
         bench.measure({"ball": load_study(path)}, tmp_path, sizes=(2.0,), rounds=1, watch=str)
-
-
-@pytest.mark.parametrize("levels", [0, 1, 3])
-def test_spheres_are_closed_and_outward(levels: int) -> None:
-    points, triangles = sphere(levels)
-    assert len(points) == 10 * 4**levels + 2
-    assert_allclose(np.linalg.norm(points, axis=1), RADIUS, rtol=1e-13, atol=0)
-    surface = SurfaceMesh(points, triangles)  # refuses holes and facets that disagree
-    ball = 4.0 / 3.0 * math.pi * RADIUS**3
-    assert 0.6 * ball < surface.volume < ball
-
-
-def test_fill_is_at_least_that_of_the_matrix() -> None:
-    points, triangles = sphere(2)
-    parameters = Parameters.from_tissue(5000.0, SurfaceMesh(points, triangles), "vector")
-    fixed = points[:, 2] < -0.9 * RADIUS
-    model = Model(points, triangles, parameters, formulation="vector", fixed=fixed)
-    ends = np.sort(np.stack([triangles, np.roll(triangles, -1, axis=1)], axis=2).reshape(-1, 2), axis=1)
-    edges = np.unique(ends[(~fixed[ends]).all(axis=1)], axis=0)
-    least, most = len(edges) + int((~fixed).sum()), int((~fixed).sum()) * (int((~fixed).sum()) + 1) // 2
-    fill, flops = fill_and_flops(model)
-    assert least < fill < most
-    # as few as with columns of one length, as many as with a dense triangle
-    unknowns = int((~fixed).sum())
-    assert fill**2 / unknowns < flops < unknowns * (unknowns + 1) * (2 * unknowns + 1) / 6

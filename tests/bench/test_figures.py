@@ -1,6 +1,6 @@
 """The benchmark's machine-independent figures, held against those accepted; wall times are never gated.
 
-Accuracy, iterations, unknowns, sizes of dense matrices, growth of the factor's fill. Where a change is meant to
+Accuracy, iterations, unknowns, sizes of dense matrices. Where a change is meant to
 move them: `make baselines`, and look at the difference.
 """
 
@@ -12,10 +12,8 @@ from pathlib import Path
 
 from numpy.testing import assert_allclose
 
-from vdmbench.evidence import bench
-from vdmbench.evidence.bench_data import Bench, machine_independent
-from vdmbench.evidence.bench_page import bench_html
-from vdmbench.evidence.bench_store import read_bench, write_bench
+from vdmbench import bench
+from vdmbench.bench import Bench, machine_independent
 from vdmbench.models import benched_names
 from vdmbench.study.config import load_study
 
@@ -44,11 +42,11 @@ def test_figures_are_what_was_accepted_and_the_file_keeps_them(tmp_path: Path) -
         assert_allclose(figures[name], value, **bound, err_msg=name)
     assert {e.model for e in found.entries} == set(benched_names())
 
-    write_bench(tmp_path / "bench.h5", found)
-    read = read_bench(tmp_path / "bench.h5")
+    bench.write_bench(tmp_path / "bench.json", found)
+    read = bench.read_bench(tmp_path / "bench.json")
     assert machine_independent(read) == figures
     assert read.machine == found.machine
-    assert bench_html(read) == bench_html(found)
+    assert bench.bench_html(read) == bench.bench_html(found)
 
 
 def main() -> None:

@@ -1,0 +1,622 @@
+"""Run time against error: every model on the same meshes, measured in turns inside one process.
+
+In: studies. Out: what every model takes and how far it is off on several mesh sizes, as JSON and as a page.
+
+In a round every model is set up anew and answers the same two loads: pressure on the study's contact region, and
+one over the whole free surface. Rounds are repeated, so that what else the machine does weighs on all models, and
+ratios are taken inside a round: see `vdmbench.measures.frames`, which a run's times come from too.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import math
+import os
+import time
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from markupsafe import Markup
+from threadpoolctl import threadpool_info
+
+from solver_common.arrays import Array
+
+from . import models
+from .body.mesh_cache import mesh_from_cache
+from .body.refine import refined
+from .body.surface_measures import Surface
+from .machine.files import json_text, write_atomically
+from .machine.processors import usable_processors
+from .measures.frames import FACTORS, Round, one_round
+from .measures.metrics import DEFORMATION, VECTOR, History, evaluate
+from .measures.reference import FailedReferenceError, level_scene, own_error, require_converged, restricted
+from .measures.uncertainty import is_resolved
+from .report.blocks import Cell, Column, Facts, Figure, Figures, Section, Table, Text
+from .report.document import encoded, html_document
+from .report.plots import Plot, colour, draw, marker, percent_axis, time_ticks
+from .scene.result import ModelResult
+from .scene.scene import Scene, build_scene
+from .study.config import expand, geometry_of, with_mesh_size
+from .study.errors import InputError
+from .study.schema import Study
+from .verdict import palette
+from .verdict.formatting import NOTHING, listed, quantity, scale_of, short_percent
+from .work.provenance import provenance
+
+# --- what was measured ---
+
+SAME = 1.5  # times up to which two costs count as the same: runs differ by as much
+FAR_OFF = 0.5  # error from which on an answer is no answer: that of a body that does not move is 1
+_DIGITS = 1e-4  # relative difference of errors that are the same answer's
+TIMES = ("setup", "frame_all", "frame_local", "columns", "recut")  # (R,) of an entry [s]
+YARDSTICK = "fem-linear"  # ratios are over its time in the same round
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One model on one mesh. Times are (R,) seconds, one per round; NaN where the model has no such thing.
+
+    Attributes
+    ----------
+    body : name of the study
+    nodes, tetrahedra : of the mesh that all models share
+    setup : operators and factors of a new body, mesh given
+    frame_all : one load over the whole free surface
+    frame_local : one load on the study's contact region, by the cheapest way that the model has: where it is linear
+        in the pressure, the product with one column per contact node, the same for all such models
+    columns : what `frame_local` needs once per contact region, beyond the set-up
+    recut : from a changed mesh to the first answer: set-up and a solve, without columns; no meshing
+    ratio_setup, ratio_frame : of set-up and `frame_local` over those of `YARDSTICK` in the same round
+    peak_bytes : resident memory that set-up and solve added at their peak
+    error, deformation_error : relative L2 against the finest reference, of the contact load
+    bar : that reference's own error (GCI)
+    iterations : of the contact load
+    counts : figures that do not depend on the machine, by name
+    """
+
+    body: str
+    model: str
+    nodes: int
+    tetrahedra: int
+    setup: Array
+    frame_all: Array
+    frame_local: Array
+    columns: Array
+    recut: Array
+    ratio_setup: Array
+    ratio_frame: Array
+    peak_bytes: float
+    error: float
+    deformation_error: float
+    bar: float
+    iterations: float
+    counts: Mapping[str, float] = field(default_factory=dict)
+    status: str = "converged"
+
+
+@dataclass(frozen=True)
+class Bench:
+    """A whole benchmark: the machine, every model on every mesh."""
+
+    machine: Mapping[str, str]
+    entries: Sequence[Entry]
+
+    def meshes(self) -> list[tuple[str, int]]:
+        """(body, nodes) of each mesh, in the order measured."""
+        return list(dict.fromkeys((entry.body, entry.nodes) for entry in self.entries))
+
+    def on(self, mesh: tuple[str, int]) -> list[Entry]:
+        """The entries of one mesh."""
+        return [entry for entry in self.entries if (entry.body, entry.nodes) == mesh]
+
+
+def median(values: Array) -> float:
+    """Of what was measured; NaN where nothing was."""
+    known = values[np.isfinite(values)]
+    return float(np.median(known)) if known.size else math.nan
+
+
+def spread(values: Array) -> tuple[float, float]:
+    """First and third quartile of what was measured."""
+    known = values[np.isfinite(values)]
+    first, third = np.quantile(known, (0.25, 0.75)).tolist() if known.size else (math.nan, math.nan)
+    return first, third
+
+
+def deviation(bench: Bench) -> tuple[float, float]:
+    """Interquartile range of the times of rounds over their median: in the median of all times, and at most."""
+    off = [
+        (third - first) / median(values)
+        for e in bench.entries
+        for values in (e.setup, e.frame_all, e.frame_local, e.recut)
+        for first, third in [spread(values)]
+        if np.isfinite(values).all() and median(values) > 0.0
+    ]
+    return (float(np.median(off)), max(off)) if off else (math.nan, math.nan)
+
+
+_COSTS: dict[str, Callable[[Entry], float]] = {
+    "frame of a contact": lambda e: median(e.frame_local),
+    "frame with all nodes loaded": lambda e: median(e.frame_all),
+    "set-up with the contact's columns": lambda e: median(e.setup + e.columns),
+    "re-cut": lambda e: median(e.recut),
+}
+
+
+def answers(bench: Bench) -> list[dict[str, str]]:
+    """What is fastest, what is most accurate, where a surface model wins: question, and an answer per body.
+
+    On the finest mesh of each body; a model that is far off answers nothing. Of a form with several solvers the
+    plain one answers: others change the time more than the error. What the reference's own error leaves open is
+    named as undecided.
+    """
+    finest = {mesh[0]: mesh for mesh in bench.meshes()}.values()
+    asked: dict[str, Callable[[Sequence[Entry]], str]] = {}
+    for limit in (0.1, 0.25):
+        for what, cost in _COSTS.items():
+            asked[f"Fastest {what} at an error of at most {100 * limit:g} %"] = partial(
+                _fastest, limit=limit, cost=cost
+            )
+    for budget in (1e-3, 1 / 60):  # a frame of haptics and one of graphics
+        most = f"Most accurate at {seconds(budget)} a frame of a contact"
+        asked[most] = partial(_most_accurate, budget=budget, cut=False)
+        asked[f"{most} with a re-cut in each"] = partial(_most_accurate, budget=budget, cut=True)
+    for what, cost in _COSTS.items():
+        asked[f"Surface models whose {what} no elements as close match"] = partial(_unmatched, cost=cost)
+    usable = {}
+    for mesh in finest:
+        measured = {e.model: e for e in bench.on(mesh)}
+        usable[f"{mesh[0]}, {mesh[1]:,} nodes"] = [
+            e
+            for e in measured.values()
+            if e.error < FAR_OFF and (":" not in e.model or e.model.partition(":")[0] not in measured)
+        ]
+    return [
+        {"question": question} | {mesh: answer(entries) for mesh, entries in usable.items()}
+        for question, answer in asked.items()
+    ]
+
+
+def _fastest(entries: Sequence[Entry], *, limit: float, cost: Callable[[Entry], float]) -> str:
+    """All surely within that take about the same, with the time of the fastest; and as fast ones perhaps within."""
+    timed = sorted((e for e in entries if math.isfinite(cost(e))), key=lambda e: (cost(e), e.model))
+    sure = [e for e in timed if e.error + e.bar <= limit]
+    least = cost(sure[0]) if sure else math.inf
+    alike = [e.model for e in sure if cost(e) <= SAME * least]
+    perhaps = [
+        e.model
+        for e in timed
+        if not (e.error + e.bar <= limit or e.error - e.bar > limit) and cost(e) <= SAME * least
+    ]
+    return _answer([*alike, seconds(least)] if sure else [], perhaps)
+
+
+def _most_accurate(entries: Sequence[Entry], *, budget: float, cut: bool) -> str:
+    """The one of least error and those of the same; undecided where others are closer to it than the bar."""
+    within = [
+        e for e in entries if median(e.frame_local) <= budget and not (cut and median(e.recut) > budget)
+    ]
+    if not within:
+        return "none"
+    best = min(within, key=lambda e: e.error)
+    alike = [e.model for e in within if e.error <= (1.0 + _DIGITS) * best.error]
+    near = [e.model for e in within if e.model not in alike and not e.error - best.error >= best.bar]
+    if near:
+        return _answer([], [*alike, *near, f"{error_text(best)} at best"])
+    return _answer([*alike, error_text(best)], [])
+
+
+def _unmatched(entries: Sequence[Entry], *, cost: Callable[[Entry], float]) -> str:
+    """Surface models that no other surface model equals in both error and time, and no element model.
+
+    Undecided where the closest elements of the same time differ by less than the bar.
+    """
+    elements = [e for e in entries if e.model.startswith("fem")]
+    surface = [e for e in entries if not e.model.startswith("fem") and math.isfinite(cost(e))]
+    sure, perhaps = [], []
+    for e in surface:
+        if any(o.error < e.error and cost(o) <= cost(e) for o in surface):
+            continue
+        closest = min((o.error for o in elements if cost(o) <= SAME * cost(e)), default=math.inf)
+        if closest == math.inf or closest - e.error >= e.bar:
+            sure.append(f"{e.model} ({error_text(e)}, {seconds(cost(e))})")
+        elif not closest - e.error <= -e.bar:
+            perhaps.append(e.model)
+    return _answer(sure, perhaps)
+
+
+def _answer(sure: Sequence[str], perhaps: Sequence[str]) -> str:
+    parts = [", ".join(sure)] if sure else []
+    if perhaps:
+        parts.append(f"undecided: {', '.join(perhaps)}")
+    return "; ".join(parts) or "none"
+
+
+def pareto(entries: Iterable[Entry]) -> list[Entry]:
+    """Those that no other beats in both error and time per local frame, the fastest first."""
+    front: list[Entry] = []
+    usable = (e for e in entries if math.isfinite(e.error) and math.isfinite(median(e.frame_local)))
+    for entry in sorted(usable, key=lambda e: (median(e.frame_local), e.error)):
+        if not front or entry.error < front[-1].error:
+            front.append(entry)
+    return front
+
+
+def seconds(value: float) -> str:
+    """A time with the unit that suits it."""
+    if math.isnan(value):
+        return NOTHING
+    factor, unit = scale_of("s", [value])
+    return f"{value / factor:.3g} {unit}"
+
+
+def amount(value: float, unit: str) -> str:
+    """A time, a size in memory or a number of non-zeros or operations."""
+    if unit == "s":
+        return seconds(value)
+    return quantity(value, unit) if unit == "B" else f"{value / 1e6:.3g} million"
+
+
+def error_text(e: Entry) -> str:
+    """Error ± the reference's own, after a ~ where that is more than a tenth; the status of what has no answer."""
+    if not math.isfinite(e.error):
+        return e.status
+    unresolved = "" if is_resolved(e.error, e.bar) else "~"
+    return f"{unresolved}{100 * e.error:.3g} % ± {100 * e.bar:.2g} %"
+
+
+def rows(bench: Bench) -> list[dict[str, str]]:
+    """The printed table: column title -> text."""
+
+    def timed(values: Array) -> str:
+        low, high = spread(values)
+        return f"{seconds(median(values))} [{seconds(low)}, {seconds(high)}]" if low == low else "–"
+
+    return [
+        {
+            "model": e.model,
+            "body": e.body,
+            "nodes": f"{e.nodes:,}",
+            "set-up": timed(e.setup),
+            "frame, all nodes": timed(e.frame_all),
+            "frame, contact": timed(e.frame_local),
+            "columns": timed(e.columns),
+            "re-cut": timed(e.recut),
+            "set-up ratio": _ratio(e.ratio_setup),
+            "frame ratio": _ratio(e.ratio_frame),
+            "memory": amount(e.peak_bytes, "B"),
+            "error": error_text(e),
+        }
+        for e in bench.entries
+    ]
+
+
+def _ratio(values: Array) -> str:
+    """The median of the ratios of all rounds, and between which two they lie."""
+    ratio, (low, high) = median(values), spread(values)
+    return "–" if math.isnan(ratio) else f"{ratio:.2g} [{low:.2g}, {high:.2g}]"
+
+
+def machine_independent(bench: Bench) -> dict[str, float]:
+    """Every figure that another machine must find too, by name."""
+    out: dict[str, float] = {}
+    for e in bench.entries:
+        at = f"{e.body}/{e.nodes}/{e.model}"
+        if math.isfinite(e.error):
+            out |= {f"{at}/error": e.error, f"{at}/deformation_error": e.deformation_error}
+        out[f"{at}/iterations"] = e.iterations
+        out |= {f"{at}/{name}": value for name, value in e.counts.items()}
+    return out
+
+
+# --- measuring ---
+
+SIZES = (2.6, 2.0, 1.6, 1.3)  # mesh sizes over that of the study
+ROUNDS = 5
+BUDGET = 10.0  # seconds after which a model is measured no further on one mesh
+# what a result's parameters tell that does not depend on the machine
+COUNTS = ("dofs", "tetrahedra", "columns", "matrix_bytes", "coarse_tetrahedra")
+
+
+@dataclass
+class _Tally:
+    """What one model has been measured to take so far."""
+
+    times: list[dict[str, float]] = field(default_factory=list)  # of each round, by the names of `TIMES`
+    peak: list[float] = field(default_factory=list)
+    spent: float = 0.0
+    result: ModelResult | None = None
+
+    def add(self, taken: Round) -> None:
+        """Another round."""
+        self.result = taken.result
+        self.peak.append(float(taken.result.peak_bytes))
+        self.times.append(
+            {
+                "setup": taken.setup,
+                "frame_all": taken.everywhere,
+                "frame_local": taken.contact,
+                "columns": taken.columns,
+                "recut": taken.setup + taken.direct,
+            }
+        )
+
+    def series(self) -> dict[str, Array]:
+        """The times as (R,) arrays."""
+        return {name: np.array([times.get(name, np.nan) for times in self.times]) for name in TIMES}
+
+
+def measure(
+    bodies: Mapping[str, Study],
+    cache: Path,
+    *,
+    names: Sequence[str] | None = None,
+    sizes: Sequence[float] = SIZES,
+    rounds: int = ROUNDS,
+    watch: Callable[[str], object],
+) -> Bench:
+    """Measure every model on the first case of each study, at several mesh sizes.
+
+    Parameters
+    ----------
+    bodies : the studies by what their bodies are called
+    names : the models; None for those of each study itself
+    sizes : mesh sizes over that of the study, the coarsest first; one that the body, a region or the reference
+        does not stand is left out, and where none is left the study's own is measured
+    watch : told what is measured, and what is left out and why
+
+    Raises
+    ------
+    ValueError
+        InputError or FailedReferenceError of a study whose mesh or reference cannot be made.
+    """
+    entries: list[Entry] = []
+    about: dict[str, str] = {}
+    left_out: list[str] = []
+
+    def measured(body: str, study: Study, place: str = "") -> list[Entry]:
+        mesh = mesh_from_cache(geometry_of(study), cache)
+        if not about:
+            about.update(provenance(mesh))
+        watch(f"measuring {body}, {len(mesh.surface_nodes)} nodes{place}")
+        scene = build_scene(study, mesh)
+        return _on_mesh(body, study, scene, names or study.study.models, rounds)
+
+    for number, (body, given) in enumerate(bodies.items()):
+        case = expand(given)[0].study
+        found: list[Entry] = []
+        for k, size in enumerate(sizes, start=number * len(sizes) + 1):
+            study = with_mesh_size(case, size)
+            if study is None:  # a mesh of its own, of one size
+                break
+            try:
+                found += measured(body, study, f", mesh {k} of {len(bodies) * len(sizes)}")
+            except (
+                InputError,
+                FailedReferenceError,
+            ) as error:  # of a size that the study's author never wrote
+                left_out.append(f"{body} at {size:g} times its mesh_size: {error}")
+                watch(f"left out {left_out[-1]}")
+        entries += found or measured(body, case)
+    machine = _machine(about, rounds)
+    if left_out:
+        machine["left out"] = "; ".join(left_out)
+    return Bench(machine, entries)
+
+
+def _machine(about: dict[str, str], rounds: int) -> dict[str, str]:
+    threads = sorted({f"{info['internal_api']} {info['num_threads']}" for info in threadpool_info()})
+    memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+    kept = {name: text for name, text in about.items() if name not in ("mesh_hash", "platform")}
+    return {
+        "processor": kept.pop("processor"),
+        "cores": str(usable_processors()),
+        "memory": f"{memory / 1e9:.1f} GB",
+        "threads": ", ".join(threads),
+        "rounds": str(rounds),
+        **kept,
+    }
+
+
+def _on_mesh(body: str, study: Study, scene: Scene, names: Sequence[str], rounds: int) -> list[Entry]:
+    """Every model on one mesh, each against linear elements on its refinement."""
+    contact = dataclasses.replace(scene, load_factors=FACTORS, condition=False)
+    surface = Surface(scene.mesh.surface_points, scene.mesh.triangles, scene.contact)
+    own = models.run_model(contact, YARDSTICK)
+    require_converged(YARDSTICK, own)
+    finer = refined(scene.mesh, 1)
+    finest = restricted(models.run_model(level_scene(_with_history(study), finer), YARDSTICK), finer)
+    require_converged(f"{YARDSTICK} on the refined mesh", finest)
+    bars = own_error(surface, [finest, own], FACTORS)
+    reference = History(finest.displacement, finest.reaction_force, FACTORS)
+    tallies = {name: _Tally() for name in names}
+    for _ in range(rounds):
+        for name, tally in tallies.items():
+            if tally.spent < BUDGET:
+                start = time.perf_counter()
+                tally.add(one_round(contact, name))
+                tally.spent += time.perf_counter() - start
+            else:
+                tally.times.append({})
+    yard = tallies.get(YARDSTICK)
+    return [
+        _entry(name, tally, yard, scene, body, surface, reference, bars["gci:relative_l2_displacement_error"])
+        for name, tally in tallies.items()
+    ]
+
+
+def _with_history(study: Study) -> Study:
+    """The study with the benchmark's two loads: what a scene on a refined mesh is built from."""
+    load = study.load.model_copy(update={"factors": tuple(FACTORS.tolist()), "steps": None})
+    return study.model_copy(update={"load": load})
+
+
+def _entry(
+    name: str,
+    tally: _Tally,
+    yard: _Tally | None,
+    scene: Scene,
+    body: str,
+    surface: Surface,
+    reference: History,
+    bar: float,
+) -> Entry:
+    result = tally.result
+    if result is None:
+        raise ValueError("a benchmark needs one round or more")
+    failed = [status for status in result.status if not status.ok]
+    errors = {}
+    if not failed:
+        found = evaluate(surface, History(result.displacement, result.reaction_force, FACTORS), reference)
+        errors = {metric: float(values[-1]) for metric, values in found.items()}
+    times, yardstick = tally.series(), (yard or _Tally([{}] * len(tally.times))).series()
+    counts = {key: float(result.parameters[key]) for key in COUNTS if key in result.parameters}
+    return Entry(
+        body=body,
+        model=name,
+        nodes=len(scene.fixed),
+        tetrahedra=len(scene.mesh.tetrahedra),
+        **times,
+        ratio_setup=times["setup"] / yardstick["setup"],
+        ratio_frame=times["frame_local"] / yardstick["frame_local"],
+        peak_bytes=float(np.median(tally.peak)),
+        error=errors.get(VECTOR, np.nan),
+        deformation_error=errors.get(DEFORMATION, np.nan),
+        bar=bar,
+        iterations=float(result.iterations[-1]),
+        counts=counts,
+        status=failed[0].message if failed else "converged",
+    )
+
+
+# --- on disk ---
+
+
+def write_bench(path: Path, bench: Bench) -> None:
+    """Write one JSON file, null for what was not measured. Raises OSError."""
+    write_atomically(path, json_text(dataclasses.asdict(bench), indent=1).encode())
+
+
+def read_bench(path: Path) -> Bench:
+    """Read it back. Raises OSError, and ValueError where it is no benchmark's file."""
+    try:
+        stored = json.loads(path.read_bytes())
+        return Bench(stored["machine"], [_read_entry(entry) for entry in stored["entries"]])
+    except (ValueError, TypeError, KeyError) as error:
+        raise ValueError(f"{path}: not a benchmark's file ({error}); run vdmbench bench again") from error
+
+
+def _read_entry(stored: Mapping[str, Any]) -> Entry:
+    arrays = {name: np.array(stored[name], dtype=float) for name in (*TIMES, "ratio_setup", "ratio_frame")}
+    numbers = {key: math.nan for key, value in stored.items() if value is None}
+    return Entry(**{**stored, **numbers, **arrays})
+
+
+# --- the page ---
+
+ERROR_NOTE = (
+    "Every model answers the same contact load on the same mesh. Its error is the relative L2 difference from "
+    "linear elements on the refined mesh, ± that reference's own; ~ where this is more than a tenth."
+)
+NOTE = (
+    f"{ERROR_NOTE} "
+    "Times are medians [first, third quartile] over rounds in which all models take turns; in each, a frame below "
+    "20 ms is a median of five samples. Ratios are to fem-linear in the same round. Frame, contact: displacement "
+    "and fluid pressure in single precision by the columns of the contact nodes, one each, where the model is "
+    "linear in the load; the product is the same for all of them. Columns: what these take once per contact. "
+    "Re-cut: from a changed mesh to its first answer, without columns and without meshing."
+)
+
+
+def write_bench_page(bench: Bench, path: Path) -> None:
+    """Write the page; the same benchmark gives the same bytes.
+
+    Raises
+    ------
+    OSError
+        disk full or read-only.
+    """
+    write_atomically(path, encoded(bench_html(bench)))
+
+
+def bench_html(bench: Bench) -> str:
+    """The page as text."""
+    numbers = palette.places(e.model for e in bench.entries)
+    legend = [(numbers[name], name, False) for name in dict.fromkeys(e.model for e in bench.entries)]
+    figures = [
+        Figure(pareto_plot(bench.on(mesh), numbers, f"p{k}"), f"{mesh[0]}, {mesh[1]:,} nodes")
+        for k, mesh in enumerate(bench.meshes())
+    ]
+    told = answers(bench)
+    question, lead = told[0]["question"], {mesh: a for mesh, a in told[0].items() if mesh != "question"}
+    sections = [
+        Section("answers", "Which model", [Text(ANSWERS_NOTE, kind="note"), _answers(told)]),
+        Section(
+            "pareto", "Run time against error", [Text(FIGURE_NOTE, kind="note"), Figures(figures, legend)]
+        ),
+        Section("table", "Costs", [Text(NOTE, kind="note"), _table(bench, numbers)]),
+    ]
+    sections.append(Section("machine", "Machine", [Facts(list(bench.machine.items()))]))
+    return html_document(
+        title="Run time against error",
+        name="bench",
+        notes=[question, *(f"{mesh}: {answer}." for mesh, answer in lead.items())],
+        counts=[(f"{len(bench.entries)} measurements", "")],
+        models=legend,
+        sections=sections,
+    )
+
+
+ANSWERS_NOTE = (
+    "On the finest mesh of each body. Undecided: the reference's own error, ±, leaves open whether an error is "
+    "within the limit, or which of two is the smaller."
+)
+FIGURE_NOTE = (
+    "Further left is faster, lower is closer. Filled: one frame of a contact. Hollow, at the end of the dotted "
+    "line: a re-cut. The grey line joins what no other model beats in both error and frame."
+)
+
+
+def pareto_plot(entries: Sequence[Entry], numbers: dict[str, int], salt: str) -> Markup:
+    """Frame and re-cut time against the error of the models on one mesh."""
+    usable = [e for e in entries if math.isfinite(e.error) and median(e.frame_local) > 0.0]
+    plot = Plot("time", "displacement error", salt)
+    with plot as axes:
+        front = pareto(usable)
+        axes.plot(
+            [median(e.frame_local) for e in front], [e.error for e in front], color="0.7", linewidth=1.0
+        )
+        for e in usable:
+            k, frame, recut = numbers[e.model], median(e.frame_local), median(e.recut)
+            axes.plot(list(spread(e.frame_local)), [e.error] * 2, color=colour(k), linewidth=1.0)
+            axes.plot([frame, recut], [e.error] * 2, ":", color=colour(k), linewidth=1.0)
+            axes.plot([recut], [e.error], marker=marker(k), color=colour(k), markerfacecolor="none")
+            draw(axes, k, e.model, [frame], [e.error], markersize=6.5, linestyle="none")
+        time_ticks(axes)
+        percent_axis(axes, [e.error for e in usable])
+    told = [f"{e.model} {seconds(median(e.frame_local))} at {short_percent(e.error)}" for e in usable]
+    return plot.drawn(f"Run time against displacement error: {listed(told)}.")
+
+
+def _answers(told: Sequence[dict[str, str]]) -> Table:
+    columns = [Column("" if title == "question" else title, numeric=False) for title in told[0]]
+    return Table("answers", "", columns, [[Cell(text) for text in row.values()] for row in told])
+
+
+def _table(bench: Bench, numbers: dict[str, int]) -> Table:
+    shown = rows(bench)
+    columns = [Column(title, numeric=k > 2) for k, title in enumerate(shown[0])] if shown else []
+    values = {"error": "error", "memory": "peak_bytes"}
+    cells = [
+        [
+            Cell(text, value=getattr(e, values[title]) if title in values else None)
+            for title, text in row.items()
+        ]
+        for e, row in zip(bench.entries, shown, strict=True)
+    ]
+    return Table("bench", "", columns, cells, [numbers[e.model] for e in bench.entries], open_rows=200)

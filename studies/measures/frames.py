@@ -1,0 +1,226 @@
+"""What a frame takes: the one measurement behind the times of a run, of its verdict, and of a benchmark.
+
+A frame is one load step of a model whose set-up is done and whose factors are kept. Two are told apart:
+
+contact      a load on the fixed contact region, by the cheapest way that the model has: where it is linear in
+             the pressure, the product with one column per contact node, the same for all such models
+everywhere   a load over the whole free surface, by the model's own solve
+
+All models take turns in rounds, so that what else the machine does weighs on all alike. Each round sets every
+model up anew. What takes no longer than 20 ms is repeated: the clock's grain and one interruption are nothing
+beside it.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import gc
+import math
+import time
+import timeit
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+
+from fem_reference.condensed import CondensedProblem
+from fem_reference.linear import LinearProblem
+from fem_reference.loads import Load
+from solver_common.arrays import Array, Index
+from solver_common.quadrature import facet_quadrature
+from vdm.solvers.columns import ContactColumns
+from vdm.solvers.compliance import ContactCompliance
+from vdm.solvers.linear import LinearSolver
+
+from .. import models
+from ..scene.result import FrameTimes, ModelResult
+from ..scene.scene import Scene
+
+SAMPLE = 1e-3  # seconds of a sample at least: beside it the clock's grain and a call's overhead are nothing
+SAMPLES = 5
+# seconds that need no second sample in a round: what else the machine does is a small part of them
+LONG = 2e-2
+FACTORS = np.array([0.5, 1.0])  # load factors of the steps that are measured
+MANY = 1000  # frames for which elements are set up: they keep factors instead of iterating
+MOST_CONDENSED = 150  # nodes up to which columns for the whole surface are worth their making
+
+Problem = LinearSolver | LinearProblem | CondensedProblem
+Frame = Callable[[Array], tuple[Array, float]]
+
+
+@dataclass(frozen=True)
+class Round:
+    """One model in one round; seconds, NaN where the model has no such thing.
+
+    Attributes
+    ----------
+    setup : operators and factors of a new body, mesh given
+    contact, everywhere : a frame of each kind
+    direct : a frame of the contact by the model's own solve
+    columns : what `contact` needs once per contact region, beyond the set-up; NaN where it is solved directly
+    result : the answer to the contact's loads at `FACTORS`
+    """
+
+    setup: float
+    contact: float
+    everywhere: float
+    direct: float
+    columns: float
+    result: ModelResult
+
+
+def frame_times(scene: Scene, names: Sequence[str], rounds: int, budget: float) -> dict[str, FrameTimes]:
+    """Frames of several models on one scene, in turns; a model is measured no further after `budget` seconds."""
+    contact = dataclasses.replace(scene, load_factors=FACTORS, condition=False)
+    found: dict[str, list[Round]] = {name: [] for name in names}
+    spent = dict.fromkeys(names, 0.0)
+    for _ in range(rounds):
+        for name in names:
+            if spent[name] < budget:
+                start = time.perf_counter()
+                found[name].append(one_round(contact, name))
+                spent[name] += time.perf_counter() - start
+    return {
+        name: FrameTimes(
+            *(
+                np.array([getattr(each, part) for each in taken])
+                for part in ("setup", "contact", "everywhere")
+            )
+        )
+        for name, taken in found.items()
+    }
+
+
+def one_round(contact: Scene, name: str) -> Round:
+    """A new set-up of a model, both kinds of frame, and the short way for a contact where there is one."""
+    gc.collect()
+    prepared = models.Prepared(contact, name, MANY)
+    result = prepared.answer(contact.loads)
+    direct, everything = _frame(contact, prepared, result), math.nan
+    everywhere = dataclasses.replace(contact, facet_pressure=pressure_everywhere(contact))
+    if name != "fem-condensed":
+        everything = _frame(everywhere, prepared, prepared.answer(everywhere.loads))
+    elif len(contact.fixed) <= MOST_CONDENSED:  # to another contact it is condensed anew
+        other = models.Prepared(everywhere, name, MANY)
+        everything = _frame(everywhere, other, other.answer(everywhere.loads))
+    columns, product = math.nan, math.inf
+    problem = prepared.set_up.problem if prepared.set_up is not None else None
+    if problem is not None and result.status[0].ok and models.superposes(name) and _pressed_alone(contact):
+        columns, product = _by_columns(problem, contact)
+    return Round(
+        setup=result.seconds_setup,
+        contact=min(direct, product),
+        everywhere=everything,
+        direct=direct,
+        columns=columns if product < direct else math.nan,
+        result=result,
+    )
+
+
+def pressure_everywhere(scene: Scene) -> Array:
+    """(F, Q) pressure on every facet without a held node, growing with height: uniform, it would move nothing."""
+    triangles, z = scene.mesh.triangles, scene.mesh.surface_points[:, 2]
+    height = (z - z.min()) / max(float(np.ptp(z)), np.finfo(float).tiny)
+    free = ~scene.held[triangles].any(axis=1)
+    largest = float(scene.facet_pressure.max()) or 1.0
+    facet: Array = 0.1 * largest * np.where(free, height[triangles].mean(axis=1), 0.0)
+    return np.repeat(facet[:, None], scene.facet_pressure.shape[1], axis=1)
+
+
+def _pressed_alone(scene: Scene) -> bool:
+    """Whether a contact's pressure is all that loads the body, so that columns of it make up the answer."""
+    pressed = scene.contact_pressure[scene.contact]
+    return (
+        bool(pressed.size)
+        and bool((pressed > 0.0).all())
+        and not scene.gravity.any()
+        and not scene.prescribed.any()
+        and scene.indenter is None
+    )
+
+
+def _by_columns(problem: Problem, contact: Scene) -> tuple[float, float]:
+    """Seconds that the columns of the contact nodes take, and of a frame by them."""
+    pressure = contact.contact_pressure[contact.contact]
+    start = time.perf_counter()
+    frame = partial(contact_frame(problem, contact), pressure)
+    frame()
+    frame()  # shortens the columns
+    return time.perf_counter() - start, median_seconds(frame)
+
+
+def _frame(scene: Scene, prepared: models.Prepared, result: ModelResult) -> float:
+    """Median seconds of a load step, solved again and again where one is short."""
+    once = float(result.seconds_per_step.min())  # the least: one that had to wait tells nothing of the others
+    if not once < LONG:  # NaN of a model that could not be set up, too
+        return float(np.median(result.seconds_per_step))
+    loads = scene.loads
+    calls = math.ceil(SAMPLES * calls_of_a_sample(once) / len(loads))
+    steps = [prepared.answer(loads).seconds_per_step for _ in range(calls)]
+    return median_of_samples(np.concatenate(steps))
+
+
+# --- one frame of a resting contact ---
+
+
+def contact_frame(problem: Problem, scene: Scene) -> Frame:
+    """Frames on the scene's contact nodes: pressures (k,) [Pa] -> displacement (N, 3) [m], fluid pressure [Pa].
+
+    One column per contact node, in single precision: the answer to the node's part of the scene's contact, at unit
+    nodal pressure. The parts share the contact between the nodes as its force is shared, so that under the scene's
+    own nodal pressures a frame is the model's answer to the scene's contact. Nothing else loads the body: no
+    weight, no held node that moves.
+    """
+    nodes = np.flatnonzero(scene.contact)
+    if not isinstance(problem, LinearSolver):
+        columns = _element_columns(problem, scene, nodes)
+        return ContactColumns(columns.astype(np.float32), scene.mesh.surface_points, nodes).frame
+    push = scene.contact_force / np.where(scene.contact, scene.contact_pressure, 1.0)[:, None]
+    prepared = ContactCompliance(problem.problem, problem, push=push).prepare(nodes)
+
+    def frame(pressure: Array) -> tuple[Array, float]:
+        unknown, fluid_pressure = prepared.frame(pressure)
+        return problem.problem.formulation.displacement(unknown), fluid_pressure
+
+    return frame
+
+
+def _element_columns(problem: LinearProblem | CondensedProblem, scene: Scene, nodes: Index) -> Array:
+    """(3 N + 1, k) displacement of the surface, one component after the other, and mean pressure."""
+    corners, _ = facet_quadrature()
+    still, weightless = np.zeros_like(scene.prescribed), np.zeros(3)
+    loads = [
+        Load(
+            scene.facet_pressure * ((scene.mesh.triangles == node) @ corners.T) / pressure, still, weightless
+        )
+        for node, pressure in zip(nodes, scene.contact_pressure[nodes], strict=True)
+    ]
+    solution = problem.solve(loads)
+    displacement = solution.displacement.transpose(2, 1, 0).reshape(-1, len(nodes))
+    return np.concatenate([displacement, solution.fluid_pressure[None]])
+
+
+# --- calls too short for one reading of the clock ---
+
+
+def median_seconds(call: Callable[[], object], clock: Callable[[], float] = timeit.default_timer) -> float:
+    """Of a call: the median of `SAMPLES` samples, each the mean of as many calls as take `SAMPLE` or longer."""
+    timer = timeit.Timer(call, timer=clock)
+    number = calls_of_a_sample(min(timer.repeat(SAMPLES, 1)))
+    return float(np.median(timer.repeat(SAMPLES, number))) / number
+
+
+def calls_of_a_sample(seconds: float) -> int:
+    """How many calls of so many seconds, the least of several, take `SAMPLE` or longer."""
+    return max(1, math.ceil(SAMPLE / max(seconds, 1e-9)))
+
+
+def median_of_samples(seconds: Array) -> float:
+    """The same from single times (k,) of calls one after another, k of them enough for `SAMPLES` samples."""
+    return float(np.median([part.mean() for part in np.array_split(seconds, SAMPLES)]))
+
+
+def growth_exponent(nodes: Array, seconds: Array) -> float:
+    """Slope of the least-squares line through the logarithms of a cost (k,) over mesh sizes (k,)."""
+    return float(np.polyfit(np.log(nodes), np.log(seconds), 1)[0])
