@@ -4,7 +4,7 @@ In: studies. Out: what every model takes and how far it is off on several mesh s
 
 In a round every model is set up anew and answers the same two loads: pressure on the study's contact region, and
 one over the whole free surface. Rounds are repeated, so that what else the machine does weighs on all models, and
-ratios are taken inside a round: see `vdmbench.measures.frames`, which a run's times come from too.
+ratios are taken inside a round: see `vdmbench.models.frames`, which a run's times come from too.
 """
 
 from __future__ import annotations
@@ -32,10 +32,10 @@ from .body.refine import refined
 from .body.surface_measures import Surface
 from .machine.files import json_text, write_atomically
 from .machine.processors import usable_processors
-from .measures.frames import FACTORS, Round, one_round
 from .measures.metrics import DEFORMATION, VECTOR, History, evaluate
 from .measures.reference import FailedReferenceError, level_scene, own_error, require_converged, restricted
 from .measures.uncertainty import is_resolved
+from .models.frames import FACTORS, Round, one_round
 from .report.blocks import Cell, Column, Facts, Figure, Figures, Section, Table, Text
 from .report.document import encoded, html_document
 from .report.plots import Plot, colour, draw, marker, percent_axis, time_ticks

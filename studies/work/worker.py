@@ -20,7 +20,6 @@ from ..body.refine import Hierarchy, refine, refined
 from ..machine.memory import OUT_OF_MEMORY, memory_limits
 from ..machine.processors import processor_name
 from ..machine.safe_open import open_regular
-from ..measures.frames import frame_times
 from ..measures.reference import level_scene, restricted
 from ..models import Prepared
 from ..scene.scene import Scene, build_scene
@@ -166,6 +165,8 @@ def _times(payload: Payload, node: str) -> Iterator[Said]:
     """
 
     def measure() -> None:
+        from ..models.frames import frame_times  # solvers, slow to load
+
         decides, end = payload["decides"], time.perf_counter() + TIMES_BUDGET
         rounds, budget = (5, 10.0) if decides else (3, 2.0)
         found = {}

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import dataclasses
 import hashlib
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -12,9 +12,10 @@ import numpy as np
 from solver_common.solution import Status
 from tests.unit.typed_study import typed_study
 from vdmbench.body.surface_measures import Surface
+from vdmbench.machine.processors import processor_name
 from vdmbench.measures.case import CaseResult, MetricSeries, Run
 from vdmbench.measures.metrics import METRICS, History, evaluate
-from vdmbench.scene.result import ModelResult
+from vdmbench.scene.result import FrameTimes, ModelResult
 
 RADIUS = 0.05  # m
 AMPLITUDE = 0.002  # m, radial displacement at the poles at full load
@@ -207,10 +208,7 @@ def cheap_run(n_cases: int) -> Run:
     for k in range(n_cases):
         factor = 1.0 + 0.5 * np.sin(k)
         metrics = {
-            model: {
-                name: dataclasses.replace(entry, values=entry.values * factor)
-                for name, entry in entries.items()
-            }
+            model: {name: replace(entry, values=entry.values * factor) for name, entry in entries.items()}
             for model, entries in base.metrics.items()
         }
         changes = {
@@ -223,5 +221,16 @@ def cheap_run(n_cases: int) -> Run:
             "swept_units": {"tissue.youngs_modulus": "Pa", "geometry.shape": "1"},
             "metrics": metrics,
         }
-        cases.append(dataclasses.replace(base, **changes))
+        cases.append(replace(base, **changes))
     return make_run(cases)
+
+
+def measured_anew(case: CaseResult) -> CaseResult:
+    """The case as a run leaves it that has measured the frames of every model, four rounds of one time each."""
+    models = {}
+    for name, model in case.models.items():
+        rounds = np.ones(4)
+        frame = float(np.median(model.seconds_per_step))
+        frames = FrameTimes(model.seconds_setup * rounds, frame * rounds, frame * rounds, processor_name())
+        models[name] = replace(model, frames=frames)
+    return replace(case, models=models)

@@ -28,7 +28,7 @@ from vdmbench.verdict.why_not import (
     reasons,
 )
 
-from .report_runs import make_case, make_run
+from .report_runs import make_case, make_run, measured_anew
 
 STEPS = (0.05, 0.5, 1.0)
 OFF_BY = {"gci:relative_l2_displacement_error": 0.01, "gci:relative_l2_deformation_error": 0.01}
@@ -282,7 +282,7 @@ def test_what_is_not_measured_is_asked_for() -> None:
 
 
 def test_a_frame_that_takes_too_long_is_told() -> None:
-    case = make_case({"vdm-vector": 0.01, "fem-condensed": 0.02}, subdivisions=0)
+    case = measured_anew(make_case({"vdm-vector": 0.01, "fem-condensed": 0.02}, subdivisions=0))
     run = make_run([case], acceptance={"frame_time": 3e-4})  # they take 0.4 and 0.8 ms
     assert causes(run) == {TIME: "The time: a frame takes 400 µs."}
     found = verdict(Digest(run))

@@ -33,9 +33,9 @@ from vdm.solvers.columns import ContactColumns
 from vdm.solvers.compliance import ContactCompliance
 from vdm.solvers.linear import LinearSolver
 
-from .. import models
 from ..scene.result import FrameTimes, ModelResult
 from ..scene.scene import Scene
+from . import Prepared, superposes
 
 SAMPLE = 1e-3  # seconds of a sample at least: beside it the clock's grain and a call's overhead are nothing
 SAMPLES = 5
@@ -95,18 +95,18 @@ def frame_times(scene: Scene, names: Sequence[str], rounds: int, budget: float) 
 def one_round(contact: Scene, name: str) -> Round:
     """A new set-up of a model, both kinds of frame, and the short way for a contact where there is one."""
     gc.collect()
-    prepared = models.Prepared(contact, name, MANY)
+    prepared = Prepared(contact, name, MANY)
     result = prepared.answer(contact.loads)
     direct, everything = _frame(contact, prepared, result), math.nan
     everywhere = dataclasses.replace(contact, facet_pressure=pressure_everywhere(contact))
     if name != "fem-condensed":
         everything = _frame(everywhere, prepared, prepared.answer(everywhere.loads))
     elif len(contact.fixed) <= MOST_CONDENSED:  # to another contact it is condensed anew
-        other = models.Prepared(everywhere, name, MANY)
+        other = Prepared(everywhere, name, MANY)
         everything = _frame(everywhere, other, other.answer(everywhere.loads))
     columns, product = math.nan, math.inf
     problem = prepared.set_up.problem if prepared.set_up is not None else None
-    if problem is not None and result.status[0].ok and models.superposes(name) and _pressed_alone(contact):
+    if problem is not None and result.status[0].ok and superposes(name) and _pressed_alone(contact):
         columns, product = _by_columns(problem, contact)
     return Round(
         setup=result.seconds_setup,
@@ -150,7 +150,7 @@ def _by_columns(problem: Problem, contact: Scene) -> tuple[float, float]:
     return time.perf_counter() - start, median_seconds(frame)
 
 
-def _frame(scene: Scene, prepared: models.Prepared, result: ModelResult) -> float:
+def _frame(scene: Scene, prepared: Prepared, result: ModelResult) -> float:
     """Median seconds of a load step, solved again and again where one is short."""
     once = float(result.seconds_per_step.min())  # the least: one that had to wait tells nothing of the others
     if not once < LONG:  # NaN of a model that could not be set up, too

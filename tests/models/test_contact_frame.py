@@ -17,7 +17,7 @@ from vdm.solvers.columns import ContactColumns
 from vdmbench import models
 from vdmbench.body.geometry import build_mesh
 from vdmbench.body.surface_measures import facet_area_vectors
-from vdmbench.measures.frames import contact_frame
+from vdmbench.models.frames import contact_frame
 from vdmbench.scene.scene import Scene, build_scene
 from vdmbench.study.config import geometry_of
 from vdmbench.study.schema import Study
