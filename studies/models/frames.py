@@ -83,10 +83,9 @@ def frame_times(scene: Scene, names: Sequence[str], rounds: int, budget: float) 
                 spent[name] += time.perf_counter() - start
     return {
         name: FrameTimes(
-            *(
-                np.array([getattr(each, part) for each in taken])
-                for part in ("setup", "contact", "everywhere")
-            )
+            setup=np.array([each.setup for each in taken]),
+            contact=np.array([each.contact for each in taken]),
+            everywhere=np.array([each.everywhere for each in taken]),
         )
         for name, taken in found.items()
     }

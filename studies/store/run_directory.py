@@ -184,7 +184,9 @@ def read_times(directory: Path) -> dict[str, dict[str, FrameTimes]]:
     return {
         mesh: {
             name: FrameTimes(
-                *(np.array(values, dtype=float) for values in (parts.setup, parts.contact, parts.everywhere)),
+                setup=np.array(parts.setup, dtype=float),
+                contact=np.array(parts.contact, dtype=float),
+                everywhere=np.array(parts.everywhere, dtype=float),
                 processor=entry.processor,
                 case=entry.case,
             )
