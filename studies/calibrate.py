@@ -22,7 +22,7 @@ from solver_common.arrays import Array, Mask
 from . import models
 from .body.mesh import Mesh
 from .body.mesh_cache import mesh_from_cache
-from .body.surface_measures import Surface, relative_l2, rigid_motion_removed, weighted_norm
+from .body.surface_measures import Surface, deformations, relative_l2, weighted_norm
 from .measures.case import Run
 from .measures.measurement import Measurement, Quantity, hold_against
 from .measures.metrics import DEFORMATION, VECTOR, full_load_step
@@ -300,17 +300,17 @@ class Trial:
 
     def errors(self, multiples: Array) -> Errors:
         """How far the model is off with these multiples of its rule."""
-        vectors, deformations = [], []
+        vectors, shapes = [], []
         for sample, u in zip(self.samples, self.answers(multiples), strict=True):
             surface = sample.surface
             vectors.append(relative_l2(u, sample.reference, surface.areas))
-            u, r = (rigid_motion_removed(surface.points, v, surface.areas) for v in (u, sample.reference))
-            deformations.append(relative_l2(u, r, surface.areas))
+            u, r = deformations(surface.points, np.stack([u, sample.reference]), surface.areas)
+            shapes.append(relative_l2(u, r, surface.areas))
         return Errors(
             float(np.mean(vectors)),
             max(vectors),
-            float(np.mean(deformations)),
-            max(deformations),
+            float(np.mean(shapes)),
+            max(shapes),
             max(sample.bars[VECTOR] for sample in self.samples),
             max(sample.bars[DEFORMATION] for sample in self.samples),
         )

@@ -21,7 +21,7 @@ from tools import marked
 from tools.accuracy import DOCUMENT
 from vdm import Load as SurfaceLoad
 from vdm import Model, Parameters, SurfaceMesh
-from vdmbench.body.surface_measures import relative_l2, rigid_motion_removed
+from vdmbench.body.surface_measures import deformations, relative_l2
 
 HEAD = ("exact answer", "nu", "nodes", "bem", "order", "FEM, this mesh", "order")
 PART = "anchors"
@@ -104,7 +104,7 @@ def errors(anchor: Anchor, make: Callable[[], Body]) -> tuple[int, Array]:
     exact, areas = anchor.displacement(body.surface), SurfaceMesh(body.surface, body.triangles).nodal_areas
     found = []
     for answer in (boundary(anchor, body, pressure), elements(anchor, body, pressure)):
-        shapes = [rigid_motion_removed(body.surface, u, areas) for u in (answer, exact)]
+        shapes = deformations(body.surface, np.stack([answer, exact]), areas)
         found.append([relative_l2(answer, exact, areas), relative_l2(shapes[0], shapes[1], areas)])
     return len(exact), np.array(found)
 

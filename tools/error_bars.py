@@ -22,7 +22,7 @@ import numpy as np
 from tools import marked
 from tools.runs import CASES, ROOT
 from tools.third_level import HEADLINE, audited
-from vdmbench.body.surface_measures import Surface, weighted_norms, without_motions
+from vdmbench.body.surface_measures import Surface, deformations, weighted_norms
 from vdmbench.measures.metrics import METRICS, VECTOR
 from vdmbench.store.cases import read_run
 from vdmbench.study.config import expand, load_study
@@ -84,7 +84,7 @@ def tried_on_a_third_level(study: Study, number: int, directory: Path) -> dict[s
     levels_of = (found.models[reference], *(one.models[reference + REFINED] for one in (found, finer)))
     fields = np.stack([result.displacement[found.full_load] for result in levels_of])
     surface = Surface(found.points, found.triangles)
-    deformed = without_motions(surface.rigid_motions, fields, surface.areas)
+    deformed = deformations(surface.points, fields, surface.areas)
     gaps = weighted_norms(np.diff(deformed, axis=0), surface.areas)
     return {
         "study": study.study.name,

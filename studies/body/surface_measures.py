@@ -63,16 +63,45 @@ def rigid_motions(points: Array, weights: Array) -> Array:
     return np.concatenate([shifts, np.einsum("am,m,ani->mni", vectors, scale, turns)])
 
 
-def rigid_motion_removed(points: Array, displacement: Array, weights: Array) -> Array:
-    """(N, 3) displacement less its best-fit infinitesimal rigid motion (area-weighted least squares) [m].
+def turns(points: Array, displacements: Array, weights: Array) -> Array:
+    """(S, 3, 3) R - I, R the rotation of each deformed surface (S, N, 3): the finite one of weighted least squares.
 
-    Infinitesimal, so that the result of a linear model scales with its load.
+    Kabsch (1976, doi 10.1107/S0567739476001873): the polar factor of sum_i w_i y_i x_i^T about the centroids. By
+    Rodrigues' formula of its rotation vector, so that of a small turn nothing is lost beside I.
     """
-    return without_motions(rigid_motions(points, weights), displacement[None], weights)[0]
+    from scipy.spatial.transform import Rotation  # slow to load
+
+    x = points - np.average(points, axis=0, weights=weights)
+    left, _, right = np.linalg.svd(np.einsum("n,sni,nj->sij", weights, x + displacements, x))
+    left[:, :, 2] *= np.linalg.det(left @ right)[:, None]  # no reflection
+    vectors = Rotation.from_matrix(left @ right).as_rotvec()
+    angles = np.linalg.norm(vectors, axis=1)[:, None, None]
+    axes = np.cross(vectors[:, None, :], -np.eye(3)) / np.where(angles > 0.0, angles, 1.0)
+    return np.asarray(np.sin(angles) * axes + 2.0 * np.sin(0.5 * angles) ** 2 * axes @ axes)
+
+
+def deformations(points: Array, displacements: Array, weights: Array) -> Array:
+    """(S, N, 3) displacements in a frame that goes and turns with the body: its best-fit rigid motion removed [m].
+
+    The rotation is finite, see `turns`. To first order this is `without_motions`, which takes away what is left of
+    the turn by rounding.
+    """
+    x = points - np.average(points, axis=0, weights=weights)
+    back = np.swapaxes(turns(points, displacements, weights), 1, 2)
+    moved = displacements - np.average(displacements, axis=1, weights=weights)[:, None]
+    found = np.einsum("sij,nj->sni", back, x) + moved + np.einsum("sij,snj->sni", back, moved)
+    return without_motions(rigid_motions(points, weights), found, weights)
+
+
+def rigid_parts(points: Array, displacements: Array, weights: Array) -> Array:
+    """(S, N, 3) the best-fit rigid motion of each of some displacements (S, N, 3), its rotation finite [m]."""
+    x = points - np.average(points, axis=0, weights=weights)
+    shift = np.average(displacements, axis=1, weights=weights)[:, None]
+    return np.asarray(shift + np.einsum("sij,nj->sni", turns(points, displacements, weights), x))
 
 
 def without_motions(motions: Array, displacements: Array, weights: Array) -> Array:
-    """(S, N, 3) displacements less their parts along orthonormal motions (6, N, 3)."""
+    """(S, N, 3) displacements less their parts along orthonormal motions (6, N, 3): of what is a differential."""
     shares = np.tensordot(displacements * weights[:, None], motions, axes=((1, 2), (1, 2)))
     return displacements - np.tensordot(shares, motions, axes=1)
 

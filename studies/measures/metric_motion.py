@@ -6,21 +6,26 @@ import numpy as np
 
 from solver_common.arrays import Array
 
-from ..body.surface_measures import Surface, ratio, weighted_norms, without_motions
+from ..body.surface_measures import Surface, ratio, rigid_parts, weighted_norms
 from .metrics import History, along, metric
 
 
 @metric(
     "1",
-    "area-weighted ||w|| / ||u|| of the best-fit rigid motion w of the answer itself",
-    degree=0,
+    "area-weighted ||w|| / ||u|| of the best-fit rigid motion w, of a finite rotation, of the answer itself",
+    degree=None,
+    relative=True,
+    version=2,
     needs_reference=False,
     sense="descriptive",
 )
 def rigid_share(surface: Surface, model: History) -> Array:
     u = model.displacement
-    rigid = u - without_motions(surface.rigid_motions, u, surface.areas)
-    return np.asarray(ratio(weighted_norms(rigid, surface.areas), weighted_norms(u, surface.areas)))
+    out = np.full(len(u), np.nan)
+    solved = np.isfinite(u).all(axis=(1, 2))
+    rigid = rigid_parts(surface.points, u[solved], surface.areas)
+    out[solved] = ratio(weighted_norms(rigid, surface.areas), weighted_norms(u[solved], surface.areas))
+    return out
 
 
 @metric(

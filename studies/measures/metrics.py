@@ -19,12 +19,12 @@ from solver_common.arrays import Array, Mask
 from ..body.nearest import distances_and_farthest
 from ..body.surface_measures import (
     Surface,
+    deformations,
     enclosed_volumes,
     ratio,
     relative_l2_steps,
     weighted_norms,
     weighted_quantiles,
-    without_motions,
 )
 from ..study.registry import load_all
 
@@ -139,14 +139,15 @@ def relative_l2_displacement_error(surface: Surface, model: History, reference: 
 
 @metric(
     "1",
-    "as the displacement error, the best-fit rigid motion removed from model and reference alike; none where the "
-    "reference moves as a rigid body",
-    degree=0,
-    version=2,
+    "as the displacement error, the best-fit rigid motion, of a finite rotation, removed from model and reference "
+    "alike; none where the reference moves as a rigid body",
+    degree=None,
+    relative=True,
+    version=3,
 )
 def relative_l2_deformation_error(surface: Surface, model: History, reference: History) -> Array:
     def compare(s: Surface, u: Array, r: Array) -> Array:
-        return _of_parts(r, s.areas, *(without_motions(s.rigid_motions, v, s.areas) for v in (u, r)))
+        return _of_parts(r, s.areas, *(deformations(s.points, v, s.areas) for v in (u, r)))
 
     return _each_step(surface, model, reference, compare)
 

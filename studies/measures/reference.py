@@ -11,7 +11,7 @@ import numpy as np
 from solver_common.arrays import Array
 
 from ..body.refine import Hierarchy
-from ..body.surface_measures import Surface, enclosed_volumes, weighted_norm, without_motions
+from ..body.surface_measures import Surface, deformations, enclosed_volumes, weighted_norm
 from ..scene.coordinates import in_mesh_coordinates
 from ..scene.inclusions import place_inclusions
 from ..scene.regions import select
@@ -52,7 +52,7 @@ def own_error(surface: Surface, levels: Sequence[ModelResult], load_factors: Arr
     step = full_load_step(load_factors)
     fields = [level.displacement[step] for level in levels]
     differences = _differences(fields, surface.areas)
-    deformed = list(without_motions(surface.rigid_motions, np.stack(fields), surface.areas))
+    deformed = list(deformations(surface.points, np.stack(fields), surface.areas))
     vector, deformation = estimate_error(differences), estimate_error(_differences(deformed, surface.areas))
     error = {f"difference_{k}{k + 1}": difference for k, difference in enumerate(differences)}
     error |= {

@@ -354,7 +354,9 @@ def assert_errors(found: Errors | None, share: float) -> None:
     assert found is not None
     off = 1.0 - 1.0 / share
     expected = [off, off, off, off, 0.3 * share, 0.4 * share]
-    assert_allclose(dataclasses.astuple(found), expected, rtol=1e-9, atol=1e-9)
+    # the rotation taken out is finite: change of shape goes with the load to first order only
+    assert_allclose(dataclasses.astuple(found), expected, rtol=1e-4, atol=1e-4)
+    assert_allclose([found.vector, found.vector_worst], off, rtol=1e-9, atol=1e-9)
 
 
 def test_errors_are_those_on_the_held_out_loads_of_each_body_and_mesh(samples: list[Sample]) -> None:

@@ -8,6 +8,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
+from scipy.spatial.transform import Rotation
 
 from vdmbench.body.nearest import nearest_on_surface
 from vdmbench.body.surface_measures import Surface, rigid_motions
@@ -36,14 +37,11 @@ def relative(u: np.ndarray, r: np.ndarray, areas: list[float], nodes: np.ndarray
 
 
 def deformation(points: np.ndarray, areas: list[float]) -> Part:
-    """What the best rigid motion, about the origin and by weighted least squares, leaves of a field."""
-    roots = np.sqrt(np.repeat(areas, 3))
-    shifts = [np.tile(axis, (len(points), 1)) for axis in np.eye(3)]
-    motions = np.stack([*shifts, *(np.cross(axis, points) for axis in np.eye(3))]).reshape(6, -1).T
+    """What scipy's best rotation and the best shift, by weighted least squares, leave of a field."""
 
     def left(u: np.ndarray) -> np.ndarray:
-        found = np.linalg.lstsq(roots[:, None] * motions, roots * u.ravel(), rcond=None)[0]
-        return u - (motions @ found).reshape(-1, 3)
+        rest, moved = (v - np.average(v, axis=0, weights=areas) for v in (points, points + u))
+        return np.asarray(Rotation.align_vectors(rest, moved, weights=areas)[0].apply(moved) - rest)
 
     return left
 

@@ -7,6 +7,7 @@ import dataclasses
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
+from scipy.spatial.transform import Rotation
 
 from tests.comparing import compare
 from vdmbench.body import surface_measures
@@ -116,7 +117,7 @@ def test_equal_fields_have_no_error(surface: Surface, field: np.ndarray) -> None
 
 def test_a_scaled_field_is_off_by_its_scale(surface: Surface, field: np.ndarray) -> None:
     values = evaluate(surface, history(1.1 * field), history(field))
-    for name in ("displacement", "deformation", "normal", "tangential"):
+    for name in ("displacement", "normal", "tangential"):
         assert_allclose(values[f"relative_l2_{name}_error"], 0.1, **ROUND, err_msg=name)
     assert_allclose(values["contact_region_error"], 0.1, **ROUND)
     assert_allclose(values["far_field_error"], 0.1, **ROUND)
@@ -131,20 +132,44 @@ def test_relative_l2_weighs_by_area() -> None:
     assert np.isnan(surface_measures.relative_l2(values, np.zeros((2, 1)), np.ones(2)))
 
 
-def test_a_rigid_motion_is_no_deformation(surface: Surface, field: np.ndarray) -> None:
-    rigid = np.array([0.3, -0.2, 0.5]) + np.cross([0.1, 0.2, -0.3], surface.points)
-    assert_allclose(
-        surface_measures.rigid_motion_removed(surface.points, rigid, surface.areas), 0.0, atol=1e-14, rtol=0
-    )
-    values = evaluate(surface, history(field + rigid), history(field))
+def turned(surface: Surface, axis: list[float]) -> np.ndarray:
+    """(N, 3) displacement of a turn about an axis through the origin, by its length in radians, and of a shift."""
+    turn = Rotation.from_rotvec(axis).as_matrix()
+    return surface.points @ (turn - np.eye(3)).T + [0.3, -0.2, 0.5]
+
+
+@pytest.mark.parametrize("axis", [[0.1, 0.2, -0.3], [2.0, 0.0, 1.0], [0.0, -3.0, 0.0]])
+def test_a_rigid_motion_is_no_deformation_whatever_its_angle(
+    surface: Surface, field: np.ndarray, axis: list[float]
+) -> None:
+    rigid = turned(surface, axis)
+    found = surface_measures.deformations(surface.points, rigid[None], surface.areas)
+    assert_allclose(found, 0.0, atol=1e-14, rtol=0)
+    # a deformed body that then turns has the deformation that it had
+    turn = Rotation.from_rotvec(axis).as_matrix()
+    both = field @ turn.T + rigid
+    values = evaluate(surface, history(both), history(field))
     assert_allclose(values["relative_l2_deformation_error"], 0.0, atol=1e-13, rtol=0)
     assert values["relative_l2_displacement_error"][0] > 0.1
+    assert_allclose(evaluate(surface, history(rigid), None)["rigid_share"], 1.0, rtol=1e-12, atol=0)
+
+
+def test_at_small_angles_the_finite_rotation_is_the_infinitesimal_one(
+    surface: Surface, field: np.ndarray
+) -> None:
+    small = 1e-9 * (field + np.cross([1.0, 2.0, -3.0], surface.points) + [0.3, -0.2, 0.5])
+    linear = surface_measures.without_motions(surface.rigid_motions, small[None], surface.areas)
+    found = surface_measures.deformations(surface.points, small[None], surface.areas)
+    assert_allclose(found, linear, rtol=0, atol=1e-8 * np.abs(linear).max())  # of second order in 1e-9
+    larger = surface_measures.deformations(surface.points, 1e4 * small[None], surface.areas)
+    norm = np.linalg.norm(linear)
+    assert np.linalg.norm(1e-4 * larger - linear) / norm < 1e-4, "an angle of 1e-5 changes it by 1e-5"
 
 
 def test_a_part_that_the_reference_has_not_is_no_measure(surface: Surface, field: np.ndarray) -> None:
     """What is left of it is what its solver leaves open: no whole to measure an error by."""
-    rest, turn = 1e-9 * field, np.cross([0.0, 0.0, 1.0], surface.points)
-    along, normal = turn / np.linalg.norm(turn, axis=1).max(), surface.normals
+    rest, turn = 1e-9 * field, turned(surface, [0.0, 0.0, 1.0])
+    along, normal = np.cross([0.0, 0.0, 1.0], surface.points), surface.normals
     forces = np.where(surface.contact[:, None], 1.0, -0.2) * [0.0, 0.0, 1.0]  # in balance but for rounding
     reactions = [forces + 1e-12 * field, forces - 2e-12 * field]
     for reference, part in ((turn, "deformation"), (along, "normal"), (normal, "tangential")):
@@ -168,7 +193,8 @@ def test_a_body_without_load_has_nothing_to_measure_by(
     ]
     values = evaluate(body, *steps)
     for name, metric in METRICS.items():
-        if metric.degree == 0 or name == "volume_drift_of_displaced":
+        relative = ("volume_drift_of_displaced", "relative_l2_deformation_error", "rigid_share")
+        if metric.degree == 0 or name in relative:
             rests = [False, not weighs, not weighs, False]
             if name != "indentation_force_error":
                 assert np.isnan(values[name]).tolist() == rests, name

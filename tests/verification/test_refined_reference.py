@@ -122,6 +122,7 @@ def test_the_deformation_has_levels_of_its_own(scene: Scene) -> None:
     surface, coarse = surface_of(scene), models.run_model(scene, "fem-linear")
     u, areas = coarse.displacement[-1], surface.areas
     rigid = np.linalg.norm(u, axis=1).max() * np.array([1.0, 0.0, 0.0])
+    u *= 1e-4  # so little that a turn of finite size is an infinitesimal one
     e = without_motions(surface.rigid_motions, 0.1 * u[None], areas)[0]
 
     def level(h: float) -> ModelResult:
@@ -132,7 +133,7 @@ def test_the_deformation_has_levels_of_its_own(scene: Scene) -> None:
     deformed = without_motions(surface.rigid_motions, level(0.1).displacement, areas)[0]
     assert error["observed_order"] < 1.1
     bar = 1.25 * 0.01 * weighted_norm(e, areas) / weighted_norm(deformed, areas)
-    assert_allclose(reference_bar(error, DEFORMATION), bar, rtol=1e-6, atol=0)
+    assert_allclose(reference_bar(error, DEFORMATION), bar, rtol=1e-5, atol=0)
 
 
 def test_the_references_own_figures_are_judged_by_all_levels(scene: Scene) -> None:
