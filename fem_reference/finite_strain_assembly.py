@@ -146,14 +146,19 @@ class ElementAssembly:
         """Volume of the deformed body."""
         return self._integral(lambda part: 1.0 + self._kinematics(part, displacement).dilation)
 
-    def largest(self, displacement: Array) -> tuple[float, float]:
-        """Largest |det F - 1| and largest principal Green-Lagrange strain at the quadrature points."""
-        deviation = strain = -np.inf
+    def largest(self, displacement: Array) -> tuple[float, Array]:
+        """Largest |det F - 1|, and the (m, Q) largest principal Green-Lagrange strains at the quadrature points."""
+        deviation, strains = -np.inf, []
         for part in self._parts():
             k = self._kinematics(part, displacement)
             deviation = max(deviation, float(np.abs(k.dilation).max()))
-            strain = max(strain, 0.5 * float(np.linalg.eigvalsh(k.doubled_strain)[..., -1].max()))
-        return deviation, strain
+            strains.append(0.5 * np.linalg.eigvalsh(k.doubled_strain)[..., -1])
+        return deviation, np.concatenate(strains)
+
+    @property
+    def volumes(self) -> Array:
+        """(m, Q) undeformed volumes that the quadrature points stand for, in units of the mean edge cubed."""
+        return self._weights
 
     def _element_matrices(self, part: slice, displacement: Array, pressure: Array) -> tuple[Array, Array]:
         """(e, 3, n, 3, n) stiffness and (e, 4, 3, n) divergence of the elements of one pass."""

@@ -11,6 +11,7 @@ import numpy as np
 from fem_reference.finite_strain_assembly import ElementAssembly
 from fem_reference.loads import gather_to_vertices
 from fem_reference.newton import Substep
+from fem_reference.outputs import strain_below
 from fem_reference.recovery import StrainRecovery
 from fem_reference.solution import CONVERGED, Solution, Status
 from fem_reference.system import LinearSystem
@@ -21,6 +22,7 @@ OUTPUTS = {
     "discretisation_error": "estimated relative error of the Green-Lagrange strain, see `fem_reference.recovery`",
     "max_det_f_deviation": "largest |det F - 1| at the quadrature points",
     "max_principal_strain": "largest principal Green-Lagrange strain at the quadrature points",
+    "p95_principal_strain": "principal Green-Lagrange strain that 95 % of the volume stays below",
     "volume": "volume of the deformed body [m^3]",
 }
 
@@ -144,13 +146,14 @@ class Record:
         if self.system.compliance is not None:
             energy += 0.5 * float(q @ (self.system.compliance @ q))
         self._energy[number] = energy * self.shear_modulus * length**3
-        local = self.outputs & {"max_det_f_deviation", "max_principal_strain"}
-        deviation, strain = self.assembly.largest(u) if local else (np.nan, np.nan)
+        local = self.outputs & {"max_det_f_deviation", "max_principal_strain", "p95_principal_strain"}
+        deviation, strain = self.assembly.largest(u) if local else (np.nan, np.full((1, 1), np.nan))
         error = self._recovery.relative_error(u * length) if self._recovery else np.nan
         values = {
             "discretisation_error": error,
             "max_det_f_deviation": deviation,
-            "max_principal_strain": strain,
+            "max_principal_strain": float(strain.max()),
+            "p95_principal_strain": strain_below(strain, self.assembly.volumes) if local else np.nan,
             "volume": volume * length**3,
         }
         for name in self.outputs & values.keys():

@@ -17,9 +17,22 @@ OUTPUTS = {
     "compliance": "work of the applied forces on the displacement, f.u [J]",
     "max_det_f_deviation": "largest |det(I + grad u) - 1| at the quadrature points",
     "max_principal_strain": "largest principal Green-Lagrange strain at the quadrature points",
+    "p95_principal_strain": "principal Green-Lagrange strain that 95 % of the volume stays below",
     "volume": "volume of the deformed body, the integral of det(I + grad u) [m^3]",
     "discretisation_error": "estimated relative L2 error of the strain, see `fem_reference.recovery`",
 }
+
+
+SHARE = (
+    0.95  # of the volume: on five scenes and three meshes that strain settles to 1 to 6 %, that of 99 % to 40
+)
+
+
+def strain_below(strain: Array, volumes: Array) -> float:
+    """The principal strain that `SHARE` of the volume stays below, of values at points that stand for volumes."""
+    order = np.argsort(strain, axis=None)
+    below = np.cumsum(volumes.ravel()[order])
+    return float(strain.ravel()[order[np.searchsorted(below, SHARE * below[-1])]])
 
 
 def mean_pressure(system: LinearSystem, shear_modulus: float, displacement: Array, pressure: Array) -> Array:
@@ -65,14 +78,21 @@ def strain_outputs(mesh: TetMesh, displacements: Array, names: frozenset[str]) -
         gradients = (displacement_gradient(mesh, u, barycentric) for u in displacements)
         means = [np.linalg.det(h + np.eye(3)) @ weights for h in gradients]
         result["volume"] = 6.0 * np.array(means) @ mesh.volumes
-    local = names & {"max_det_f_deviation", "max_principal_strain"}
+    local = names & {"max_det_f_deviation", "max_principal_strain", "p95_principal_strain"}
     result |= {name: np.zeros(len(displacements)) for name in sorted(local)}
-    points, _ = tetrahedron_quadrature()
+    points, weights = tetrahedron_quadrature()
     for step in steps if local else ():
         f = displacement_gradient(mesh, displacements[step], points) + np.eye(3)
         if "max_det_f_deviation" in local:
             result["max_det_f_deviation"][step] = np.abs(np.linalg.det(f) - 1.0).max()
-        if "max_principal_strain" in local:
-            strain = 0.5 * (np.swapaxes(f, -1, -2) @ f - np.eye(3))
-            result["max_principal_strain"][step] = np.linalg.eigvalsh(strain)[..., -1].max()
+        if local - {"max_det_f_deviation"}:
+            strain: Array = np.asarray(
+                np.linalg.eigvalsh(0.5 * (np.swapaxes(f, -1, -2) @ f - np.eye(3)))[..., -1], dtype=float
+            )
+            found = {
+                "max_principal_strain": strain.max(),
+                "p95_principal_strain": strain_below(strain, mesh.volumes[:, None] * weights),
+            }
+            for name in local & found.keys():
+                result[name][step] = found[name]
     return result

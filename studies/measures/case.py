@@ -42,9 +42,10 @@ class Limit:
     load: float  # value of the key that is raised, in its unit; of a limit not found the largest that was reached
     bar: float  # relative uncertainty of `load` from the reference's own error; NaN where not measured
     indentation: float  # of the reference at `load` [m]; NaN where nothing is in contact
-    strain: float  # largest principal Green-Lagrange strain of the reference at `load`
+    strain: float  # principal Green-Lagrange strain of the reference at `load` that 95 % of the volume stays below
     indentation_bar: float = np.nan  # relative uncertainty of `indentation`, that of `load` counted in
     strain_bar: float = np.nan  # likewise of `strain`
+    largest_strain: float = np.nan  # largest of any point: grows with each refinement, and has no bar
 
 
 @dataclass(frozen=True)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 
 from ..measures.case import Limit
@@ -37,9 +38,10 @@ def small_strain_limits(digest: Digest) -> Section | None:
         f"Raised: {raised}. The structural error is the displacement error at a small load. A limit is the "
         f"load at which the error has grown from there by the threshold. For {LINEAR} it is the "
         "linearisation limit: there small-strain theory departs from finite strain on the same mesh. "
-        "Indentation is the mean displacement along the contact force, weighted by it. The largest strain "
-        "is the reference's largest principal Green-Lagrange strain; it is local, at the rim of the contact "
-        "or of the support. Figures with a bar are of a mesh with every tetrahedron split into eight. A bar "
+        "Indentation is the mean displacement along the contact force, weighted by it. The strain is the "
+        "reference's principal Green-Lagrange strain that 95 % of the volume stays below. Below it stands the "
+        "largest of any point: local, at the rim of the contact or of the support, it grows with each finer mesh. "
+        "Figures with a bar are of a mesh with every tetrahedron split into eight. A bar "
         f"is what that changes, and the {short_percent(CLOSE)} of the threshold that the search leaves open: "
         "for a load relative, for the others in their unit and with the load's bar counted in. A limit is "
         "unresolved where the finer mesh has none; its figures are then of the case's mesh. A search ends "
@@ -60,7 +62,7 @@ def _table(digest: Digest, rows: list[LimitRow]) -> Table:
         Column("Growth", unit="1"),
         Column("Load", unit=rows[0].unit) if rows[0].unit != "1" else Column("Times the study's loads"),
         Column("Indentation", unit="m"),
-        Column("Largest strain", unit="1"),
+        Column("Strain", unit="1"),
     ]
     metres = partial(quantity, unit="m")
     cells = []
@@ -74,10 +76,16 @@ def _table(digest: Digest, rows: list[LimitRow]) -> Table:
                 Cell(f"+ {short_percent(limit.threshold)}", value=limit.threshold),
                 _load(limit, row.unit),
                 _found(limit, limit.indentation, limit.indentation_bar, metres),
-                _found(limit, limit.strain, limit.strain_bar, percent),
+                _strain(limit),
             ]
         )
     return Table("limits", "", columns, cells, marks=digest.marks(row.model for row in rows))
+
+
+def _strain(limit: Limit) -> Cell:
+    cell = _found(limit, limit.strain, limit.strain_bar, percent)
+    told = [cell.detail, f"largest {percent(limit.largest_strain)}"]
+    return replace(cell, detail="\n".join(filter(None, told)))
 
 
 def _load(limit: Limit, unit: str) -> Cell:

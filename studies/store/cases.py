@@ -98,6 +98,7 @@ _LIMIT_UNITS = {
     "indentation_bar": "1",
     "strain": "1",
     "strain_bar": "1",
+    "largest_strain": "1",
 }
 
 

@@ -76,9 +76,7 @@ def against_the_paper(digest: Digest) -> str:
     for threshold in sorted({row.limit.threshold for row in found}):
         mine = [row.limit for row in found if row.limit.threshold == threshold]
         ends = [min(mine, key=lambda limit: limit.strain), max(mine, key=lambda limit: limit.strain)]
-        parts.append(
-            f"{short_percent(threshold)} at a largest principal strain of {_span(map(strain_in_words, ends))}"
-        )
+        parts.append(f"{short_percent(threshold)} at a strain of {_span(map(strain_in_words, ends))}")
     sides = [strain_side(row.limit) for row in found]
     below, open_ = sides.count(-1), sides.count(0)
     bound = f"the paper's bound of {short_percent(PAPER_STRAIN)} strain"

@@ -18,7 +18,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from .. import models
-from ..measures import uncertainty
+from ..measures import limits, uncertainty
 from ..study.config import case_inputs
 from ..study.kinds import Enters
 from ..study.loads import KINDS
@@ -166,7 +166,11 @@ def goes_with_modulus(study: Study, name: str) -> bool:
 
 def limits_key(study: Study, case: str) -> str | None:
     """Key of the small-strain limits of a case, by its hash; None where it asks for none."""
-    return _digest({"limits": case, "bars": uncertainty.VERSION}) if study.limits is not None else None
+    return (
+        _digest({"limits": case, "bars": uncertainty.VERSION, "rules": limits.VERSION})
+        if study.limits is not None
+        else None
+    )
 
 
 def level_key(mesh_key: str, level: int) -> str:

@@ -23,7 +23,7 @@ from ..scene.scene import Scene, build_scene
 from ..study.config import raised, start_of
 from ..study.schema import Study
 
-STRAIN = "max_principal_strain"
+STRAIN, LARGEST_STRAIN = "p95_principal_strain", "max_principal_strain"
 EXPECTED_LOADS = 30  # that a search tries
 
 
@@ -74,7 +74,7 @@ class _Evaluator:
             load,
             _Errors(partial(self._error, own, inside, reference.displacement[-1])),
             float(mean_indentation(surface, reference.displacement[-1:])[0]),
-            float(reference.scalars[STRAIN][-1]) if STRAIN in reference.scalars else math.nan,
+            *(float(reference.scalars.get(name, [math.nan])[-1]) for name in (STRAIN, LARGEST_STRAIN)),
         )
 
     def _error(self, own: Scene, inside: Scene, reference: Array, name: str) -> float:
