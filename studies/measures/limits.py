@@ -23,7 +23,6 @@ from itertools import islice
 from .case import Limit, ModelLimits
 from .uncertainty import estimate_error
 
-VERSION = 2  # of these rules, one more where a limit changes
 SMALL = 1.0 / 512.0  # of the study's load: where the structural error is measured
 LARGEST = 64.0  # times the study's load: where a search gives up
 MOST_STRAIN = 4.0  # largest principal Green-Lagrange strain of the reference: likewise
