@@ -34,9 +34,10 @@ from vdm.peers.mass_spring import MassSpringFormulation
 from vdm.problem import Problem, Step, check_held
 from vdm.reservations import reserved
 from vdm.solution import Solution, SolverError, Status
-from vdm.solvers import SOLVERS
+from vdm.solvers import FIGURE_8, SOLVERS
 from vdm.solvers.audit import Audit, judged
 from vdm.solvers.condition import Condition, condition_of_matrix, condition_of_operator
+from vdm.solvers.figure_8 import STOPS, Figure8Solver, Stop
 from vdm.solvers.krylov import TOLERANCE, KrylovSolver
 from vdm.solvers.linear import BorderedFactor, LinearSolver
 from vdm.solvers.lu import CONSTRAINT_METHODS, ConstraintMethod, LuSolver
@@ -86,12 +87,14 @@ class Model:
     density : of the fluid [kg/m^3]
     gravity : (3,) [m/s^2], constant over the history like the environment's pressure
     environment_pressure : P_ep [Pa]
-    solver : one of `vdm.solvers.SOLVERS`
+    solver : one of `vdm.solvers.SOLVERS`, or of the printed form "figure-8"
     outputs : further point fields, of `OUTPUTS`; nothing else is computed
     contact_sign : "inward", or "printed" for the sign of equation 24
     constraint_method : "elimination", or one of the paper's two penalties (solver "lu")
     penalty : alpha over the largest diagonal entry of the state matrix
-    volume_row : of the quasi-linear solver: "exact", or "printed" as in equation 33
+    volume_row : "corrected", which quasi-linear takes where none is given, or "printed" as in equation 33, which
+        figure-8 takes; no other solver reads it
+    stop : of figure-8: where an iteration ends, see `vdm.solvers.figure_8`; "printed" where none is given
     tolerance : of the iterative solvers: residual over the right-hand side
 
     Raises
@@ -117,11 +120,14 @@ class Model:
         contact_sign: ContactSign = "inward",
         constraint_method: ConstraintMethod = "elimination",
         penalty: float = 1e8,
-        volume_row: VolumeRow = "exact",
+        volume_row: VolumeRow | None = None,
+        stop: Stop | None = None,
         tolerance: float = TOLERANCE,
     ) -> None:
         start = time.perf_counter()
-        _check_choices(formulation, solver, outputs, constraint_method, contact_sign, volume_row, tolerance)
+        _check_choices(
+            formulation, solver, outputs, constraint_method, contact_sign, volume_row, stop, tolerance
+        )
         if not np.isfinite(environment_pressure):
             raise ConstraintError(f"environment_pressure must be finite, not {environment_pressure}")
         self.surface = SurfaceMesh(points, triangles)
@@ -157,7 +163,9 @@ class Model:
         self.outputs = tuple(outputs)
         self.solver_name = solver
         self.solver: Solver
-        self.solver = _make_solver(solver, self.problem, constraint_method, penalty, volume_row, tolerance)
+        self.solver = _make_solver(
+            solver, self.problem, constraint_method, penalty, volume_row, stop, tolerance
+        )
         self.seconds_setup = time.perf_counter() - start
         # how wrong the form is about a bending that is known: beyond the set-up, as an audit is beyond a step
         self.bending_error = _bending_error(self.problem, self.solver)
@@ -316,7 +324,8 @@ def _make_solver(
     problem: Problem,
     constraint_method: ConstraintMethod,
     penalty: float,
-    volume_row: VolumeRow,
+    volume_row: VolumeRow | None,
+    stop: Stop | None,
     tolerance: float,
 ) -> Solver:
     def at_rest() -> Factor:
@@ -327,12 +336,13 @@ def _make_solver(
         "single": lambda: LinearSolver(problem, "single", refine=False),
         "refined": lambda: LinearSolver(problem, "single"),
         "lu": lambda: LuSolver(problem, constraint_method, penalty),
-        "quasi-linear": lambda: QuasiLinearSolver(problem, volume_row),
+        "quasi-linear": lambda: QuasiLinearSolver(problem, volume_row or "corrected"),
         "nonlinear": lambda: NonlinearSolver(problem),
         "bicg": lambda: KrylovSolver(problem, "bicg", tolerance=tolerance),
         "bicg-cold": lambda: KrylovSolver(problem, "bicg", warm_start=False, tolerance=tolerance),
         "cg": lambda: KrylovSolver(problem, "cg", tolerance=tolerance, factor=at_rest()),
         "minres": lambda: KrylovSolver(problem, "minres", tolerance=tolerance, factor=at_rest()),
+        FIGURE_8: lambda: Figure8Solver(problem, stop or "printed", volume_row or "printed", tolerance),
     }
     return makers[name]()
 
@@ -343,21 +353,31 @@ def _check_choices(
     outputs: Collection[str],
     constraint_method: ConstraintMethod,
     contact_sign: ContactSign,
-    volume_row: VolumeRow,
+    volume_row: VolumeRow | None,
+    stop: Stop | None,
     tolerance: float,
 ) -> None:
     for value, allowed, name in (
         (formulation, tuple(FORMULATIONS), "formulation"),
-        (solver, SOLVERS, "solver"),
+        (solver, (*SOLVERS, FIGURE_8), "solver"),
         (constraint_method, CONSTRAINT_METHODS, "constraint_method"),
         (contact_sign, CONTACT_SIGNS, "contact_sign"),
-        (volume_row, VOLUME_ROWS, "volume_row"),
+        *((row, VOLUME_ROWS, "volume_row") for row in (volume_row,) if row is not None),
+        *((rule, STOPS, "stop") for rule in (stop,) if rule is not None),
         *((output, OUTPUTS, "outputs") for output in outputs),
     ):
         if value not in allowed:
             raise ParameterError(f"{name} must be one of {', '.join(allowed)}, not {value!r}")
     if not 0.0 < tolerance < 1.0:
         raise ParameterError(f"tolerance must lie between 0 and 1, not {tolerance}")
+    if solver == FIGURE_8 and formulation != "paper":
+        raise ParameterError("Figure 8 solves the printed matrix; take the paper formulation")
+    if volume_row is not None and solver not in ("quasi-linear", FIGURE_8):
+        raise ParameterError(
+            f"volume_row is read by quasi-linear and {FIGURE_8}; the {solver} solver has none"
+        )
+    if stop is not None and solver != FIGURE_8:
+        raise ParameterError(f"stop is read by {FIGURE_8}; the {solver} solver has none")
     if constraint_method != "elimination" and solver != "lu":
         raise ParameterError('a penalty needs solver "lu"; the other solvers eliminate held nodes exactly')
     if "nodal_stress" in outputs and formulation != "paper":

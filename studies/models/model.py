@@ -22,7 +22,7 @@ from ..machine.memory import peak_bytes_since, reset_peak
 from ..scene.result import REFUSED, ModelResult
 from ..scene.scene import Scene, SurfaceLoad
 from ..study import registry
-from ..study.registry import EXTRAS, MODELS, Declared, lacks, own_parameters
+from ..study.registry import EXTRAS, MODELS, Declared, lacks, own_parameters, reads
 from ..study.schema import Tissue, VdmTable
 from ..study.units import DIMENSIONS
 
@@ -102,6 +102,8 @@ def register(model: Model) -> None:
         ("parameters", model.parameters, {**VdmTable.model_fields, **model.own}),
         ("own", model.own, model.parameters),
         ("by_rule", model.by_rule, model.parameters),
+        ("of_solvers", model.of_solvers, model.parameters),
+        ("of_solvers", {solver for some in model.of_solvers.values() for solver in some}, model.solvers),
         ("tissue", model.tissue, Tissue.model_fields),
     ):
         if unknown := [key for key in keys if key not in known]:
@@ -179,7 +181,7 @@ def _as_declared(scene: Scene, model: Model, name: str) -> Scene:
         scene = dataclasses.replace(scene, inclusions=(), extras=scene.extras - {"inclusions"})
     return dataclasses.replace(
         scene,
-        parameters={key: value for key, value in given.items() if key in model.parameters},
+        parameters={key: value for key, value in given.items() if key in reads(name)},
         overrides={},
         environment_pressure=0.0 if model.volumetric else scene.environment_pressure,
     )

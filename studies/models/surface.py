@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from solver_common.arrays import Array
-from vdm.solvers import SOLVERS
+from vdm.solvers import FIGURE_8, SOLVERS
 
 from ..body.surface_measures import facet_area_vectors
 from ..scene.scene import Scene, SurfaceLoad
@@ -151,8 +151,7 @@ def _model(scene: Scene, name: str, springs: sparse.csr_array | None) -> Model |
     if "penalty" in given:  # (25) and (26) as printed
         options |= {"constraint_method": "penalty-replaced", "penalty": given["penalty"]}
         solver = "lu" if solver == "linear" else solver  # lu solves the same problem; any other refuses
-    if "tolerance" in given:
-        options["tolerance"] = given["tolerance"]
+    options |= {key: given[key] for key in _OF_SOLVERS if key in given}
     if solver == INCREMENTAL:
         return IncrementalModel(mesh.surface_points, mesh.triangles, parameters, **options)
     return Model(mesh.surface_points, mesh.triangles, parameters, solver=solver, **options)
@@ -186,7 +185,8 @@ _surface = partial(
 )
 SPRINGS, FULL, DEAD = "normal springs", "full springs", "dead forces"  # of `vdmbench.study.registry.EXTRAS`
 INCREMENTAL = "incremental"  # of the printed form alone, whose claim it tries
-_NOT_OF_THE_MATERIAL = ("penalty", "compressibility", "tolerance")
+_OF_SOLVERS = ("tolerance", "stop", "volume_row")
+_NOT_OF_THE_MATERIAL = ("penalty", "compressibility", *_OF_SOLVERS)
 for _registered in (
     _surface(
         name="vdm-paper",
@@ -194,10 +194,11 @@ for _registered in (
         benched=("quasi-linear", "nonlinear", "bicg"),
         version="5",
         # MINRES needs a symmetric matrix, which the printed form has not
-        solvers=(*(name for name in SOLVERS if name != "minres"), INCREMENTAL),
+        solvers=(*(name for name in SOLVERS if name != "minres"), INCREMENTAL, FIGURE_8),
         # the nonlinear solver's areas, and with them its springs, grow with the deformation
         takes={SPRINGS: tuple(name for name in SOLVERS if name not in ("minres", "nonlinear"))},
-        parameters=("bulk_modulus", "connectivity_modulus", "penalty", "tolerance"),
+        parameters=("bulk_modulus", "connectivity_modulus", "penalty", "tolerance", "stop", "volume_row"),
+        of_solvers={"stop": (FIGURE_8,), "volume_row": ("quasi-linear", FIGURE_8)},
         by_rule=("bulk_modulus", "connectivity_modulus"),
         fibres=True,
     ),

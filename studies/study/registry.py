@@ -29,7 +29,8 @@ def load_all(package: str, prefix: str) -> list[ModuleType]:
 FINITE_STRAIN = ("fem",)  # models that can serve as the reference of the small-strain limits
 DISPLACEMENT_ELEMENTS = ("fem-p1", "fem-p2")  # which have no answer for an incompressible body
 REFINED = " refined"  # what the reference's name gets where it is solved on refinements of the case's mesh
-_NOT_LINEAR = ("quasi-linear", "nonlinear", "incremental")  # solvers of another problem than the linear one
+# solvers of another problem than the linear one
+_NOT_LINEAR = ("quasi-linear", "nonlinear", "incremental", "figure-8")
 
 # parameters that are numbers: what they are called, and their unit
 PARAMETERS = {
@@ -151,6 +152,7 @@ class Declared:
     takes : of `EXTRAS` what it takes, and with which solvers; the others are refused it
     of_any_modulus : solvers whose set-up serves the same body with any Young's modulus
     turns_as_one : whether its nonlinear solver has one rotation for the whole body
+    of_solvers : of these the ones that only some of its solvers read, and which
     own : of its parameters those that [vdm] has no key for: a study gives them in [models.NAME]
     benched : the solvers that a benchmark measures beside the default
     one_over_modulus : whether its answers to forces go with one over Young's modulus where its moduli are by rule
@@ -170,6 +172,7 @@ class Declared:
     contact_in_setup: bool = False
     takes: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     of_any_modulus: tuple[str, ...] = ()
+    of_solvers: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     own: Mapping[str, Parameter] = field(default_factory=dict)
     benched: tuple[str, ...] = ()
     one_over_modulus: bool = False
@@ -273,9 +276,13 @@ def is_surface(name: str) -> bool:
 
 
 def reads(name: str) -> tuple[str, ...]:
-    """Keys of [vdm] that a model reads, whatever its solver; none where it is unknown."""
-    model = all_models().get(name.partition(" ")[0].partition(":")[0])
-    return model.parameters if model is not None else ()
+    """Keys of [vdm] that a model reads with its solver; none where it is unknown."""
+    base, _, solver = name.partition(" ")[0].partition(":")
+    model = all_models().get(base)
+    if model is None:
+        return ()
+    solver = solver or model.solvers[0]
+    return tuple(key for key in model.parameters if solver in model.of_solvers.get(key, (solver,)))
 
 
 def superposes(name: str, *, penalty: bool = False) -> bool:

@@ -471,6 +471,15 @@ class VdmTable(Table):
     tolerance: (
         Annotated[float, SI("1"), positive, number_check(lambda v: v < 1, "must be below 1")] | None
     ) = Field(None, description="of the iterative solvers, residual over right-hand side; left out: 1e-10")
+    stop: Literal["printed", "intended", "residual"] | None = Field(
+        None,
+        description="of Figure 8, where an iteration ends: the length of the answer rests, the answer rests, or the"
+        " residual is small; left out: printed",
+    )
+    volume_row: Literal["printed", "corrected"] | None = Field(
+        None,
+        description="(33) in print or the volume's gradient; left out: printed in figure-8, else corrected",
+    )
 
     def given(self) -> Vdm:
         """The parameters that are set."""

@@ -159,7 +159,7 @@ def goes_with_modulus(study: Study, name: str) -> bool:
         model.one_over_modulus
         and models.superposes(name, penalty=has_penalty(study, name))
         and forces
-        and not set(given) & {key for key in model.parameters if key not in _NO_MODULI}
+        and not set(given) & {key for key in models.reads(name) if key not in _NO_MODULI}
         and study.environment is None
         and (not study.inclusions or name in study.study.homogeneous)
     )
@@ -204,7 +204,7 @@ def has_weight(study: Study) -> bool:
 def has_penalty(study: Study, name: str) -> bool:
     """Whether a model holds its supports by a penalty, as printed."""
     given = {**study.vdm_parameters(), **study.model_parameters().get(name, {})}
-    return "penalty" in given and "penalty" in models.find(name)[0].parameters
+    return "penalty" in given and "penalty" in models.reads(name)
 
 
 def _where_there_are(**extras: Any) -> dict[str, Any]:
@@ -230,7 +230,7 @@ def _body(study: Study, inputs: Mapping[str, Any], name: str) -> dict[str, Any]:
         ],
         "gravity": gravity if weighs else None,
         "anisotropy": inputs.get("anisotropy"),
-        "parameters": {key: value for key, value in parameters.items() if key in model.parameters},
+        "parameters": {key: value for key, value in parameters.items() if key in models.reads(name)},
         "environment": None if model.volumetric else inputs.get("environment"),
         "touched": _touched(inputs) if model.contact_in_setup else None,
     } | _where_there_are(

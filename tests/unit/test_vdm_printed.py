@@ -1,4 +1,4 @@
-"""Equations 10 to 15, 17, 20 and 33 as printed, and the stopping rule of Figure 8."""
+"""Equations 10 to 15, 17, 20 and 33 as printed."""
 
 from __future__ import annotations
 
@@ -9,7 +9,6 @@ from numpy.testing import assert_allclose
 from tests.unit.vdm_shapes import BODY, POINTS, TRIANGLES, icosphere
 from vdm import Load, Model, Parameters, SurfaceMesh, printed
 from vdm.deformed import DeformableSurface
-from vdm.solvers.krylov import KrylovSolver
 
 PUSHED = POINTS[:, 2] > 0.03
 PUSH = Load(np.where(PUSHED, 200.0, 0.0))
@@ -58,7 +57,7 @@ def test_columns_from_the_centre_change_as_the_volume_does_and_displacements_twi
     assert_allclose(twice / exact, 1.0 + 2.0 * s / (radius + s), rtol=5e-3, atol=0)
 
 
-@pytest.mark.parametrize("row", ["printed", "exact"])
+@pytest.mark.parametrize("row", ["printed", "corrected"])
 def test_the_printed_row_of_the_quasi_linear_solver_is_equation_33(row: str) -> None:
     """Sum A_i dL_i + L_i dA_i = 0 from step to step, on the areas that each step starts from; the volume drifts."""
     solution = model(solver="quasi-linear", volume_row=row).solve([PUSH.scaled(k / 4) for k in range(1, 5)])
@@ -80,24 +79,3 @@ def test_the_printed_row_of_the_quasi_linear_solver_is_equation_33(row: str) -> 
     else:
         assert largest > 1e-3
         assert drift < 0.01
-
-
-def test_figure_8_stops_where_the_answer_no_longer_grows() -> None:
-    """|dL^(i+1)| - |dL^i| > eps, without a residual: it ends sooner, and what it leaves is what the audit sees."""
-    problem = model().problem
-    right = model().solve([PUSH]).displacement[0]
-
-    def error(solver: KrylovSolver) -> tuple[int, float, str]:
-        step, found = solver.audited(PUSH, solver.step(PUSH))
-        off = np.abs(step.displacement - right).max() / np.abs(right).max()
-        assert step.status.ok
-        return step.iterations, float(off), "not kept" if found.residual > found.limit else "kept"
-
-    by_residual = error(KrylovSolver(problem, "bicg", tolerance=1e-8))
-    as_printed = error(KrylovSolver(problem, "bicg", tolerance=1e-8, stopping="printed"))
-    assert by_residual[1] < 1e-6
-    assert by_residual[2] == "kept"
-    # BiCG's iterates do not grow steadily: the first that shrinks ends it
-    assert as_printed[0] < by_residual[0]
-    assert as_printed[1] > 1e3 * by_residual[1]
-    assert as_printed[2] == "not kept"

@@ -1,4 +1,4 @@
-"""Solvers shared by the VDM formulations."""
+"""Solvers shared by the VDM formulations, and that of the printed form alone."""
 
 SOLVERS: tuple[str, ...] = (
     "linear",
@@ -12,3 +12,4 @@ SOLVERS: tuple[str, ...] = (
     "cg",
     "minres",
 )
+FIGURE_8 = "figure-8"

@@ -18,7 +18,6 @@ from vdm.solvers.audit import Audit, audit
 from vdm.solvers.linear import BORDER_TOLERANCE, check_border
 
 Method = Literal["bicg", "cg", "minres"]
-Stopping = Literal["residual", "printed"]
 
 # Of the sum of |A_i L_i|: how far the volume row may be from zero. MINRES has forces beside the volume row: where
 # the moduli are large the second disappears from the residual, and a wrong answer would count as converged.
@@ -34,10 +33,6 @@ NOT_CONVERGED = Status(
 )
 
 
-class _StoppedError(Exception):
-    """The rule of Figure 8 is met."""
-
-
 class KrylovSolver:
     """Solves the state matrix with held nodes eliminated, without factors of the whole.
 
@@ -48,14 +43,13 @@ class KrylovSolver:
     Parameters
     ----------
     problem : formulation and supports
-    method : "bicg": on the state matrix as printed, its rows and unknowns scaled, no preconditioner (Fig. 8).
+    method : "bicg": on the state matrix as printed, its rows and unknowns scaled, no preconditioner; Figure 8
+        itself is `vdm.solvers.figure_8`.
         "minres": on the symmetric bordered matrix, which the paper's formulation does not have. "cg": on the block
         K alone, once for the load and once, at set-up, for the border columns. MINRES and CG are scaled by the
         diagonal unless `factor` is given.
     warm_start : begin with the previous step's solution instead of zero
     tolerance : of the true residual, relative to the right-hand side
-    stopping : "residual"; or, of "bicg", "printed": Figure 8's rule, to go on while |dL^(i+1)| - |dL^i| is above
-        eps, here the tolerance times |dL^(i+1)|, without a residual: the first iterate that does not grow ends it
     factor : of the block K over the same free nodes as it was at rest or with other moduli: preconditions CG and
         MINRES (with the border's Schur complement, made positive) while the operator itself has changed
 
@@ -72,11 +66,7 @@ class KrylovSolver:
         warm_start: bool = True,
         tolerance: float = TOLERANCE,
         factor: Factor | None = None,
-        stopping: Stopping = "residual",
     ) -> None:
-        if stopping == "printed" and method != "bicg":
-            raise ValueError('the stopping rule of Figure 8 is that of "bicg"')
-        self.stopping = stopping
         self.problem, self.method, self.warm_start, self.tolerance = problem, method, warm_start, tolerance
         formulation = problem.formulation
         self.n_border = formulation.columns.count
@@ -217,8 +207,6 @@ class KrylovSolver:
         limit = 10 * len(b)
         if size == 0.0:
             return np.zeros_like(b), 0, True
-        if self.stopping == "printed":
-            return self._as_printed(matrix, b, x)
         for _ in range(4):
             residual = b - matrix @ x
             if float(np.linalg.norm(residual)) <= self.tolerance * size:
@@ -238,26 +226,6 @@ class KrylovSolver:
         residual = b - matrix @ x
         small = bool(np.linalg.norm(residual) <= self.tolerance * size)
         return x, count, small and self._border_holds(matrix, b, residual, x)
-
-    def _as_printed(self, matrix: sparse.csr_array, b: Array, start: Array) -> tuple[Array, int, bool]:
-        """BiCG that ends by the rule of Figure 8."""
-        n, scale = len(b) - self.n_border, self.column_scale[self.free[: -self.n_border]]
-        x, before, count = start, float(np.linalg.norm(scale * start[:n])), 0
-
-        def watch(change: Array) -> None:
-            nonlocal x, before, count
-            count += 1
-            x = start + change
-            size = float(np.linalg.norm(scale * x[:n]))
-            if size - before <= self.tolerance * size:
-                raise _StoppedError
-            before = size
-
-        try:
-            linalg.bicg(matrix, b - matrix @ start, rtol=0.0, maxiter=10 * len(b), callback=watch)
-        except _StoppedError:
-            return x, count, True
-        return x, count, False
 
     def _border_holds(self, matrix: sparse.csr_array, b: Array, residual: Array, x: Array) -> bool:
         """Whether the border rows, in units of their own, are met too; the block of CG has none."""

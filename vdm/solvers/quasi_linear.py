@@ -13,7 +13,7 @@ from vdm.problem import LinearStep, Problem, Step
 from vdm.solvers.audit import Audit, audit
 from vdm.solvers.linear import BorderedFactor
 
-VolumeRow = Literal["exact", "printed"]
+VolumeRow = Literal["corrected", "printed"]
 VOLUME_ROWS: tuple[VolumeRow, ...] = get_args(VolumeRow)
 
 
@@ -29,13 +29,13 @@ class QuasiLinearSolver:
     Parameters
     ----------
     problem : formulation and supports
-    volume_row : "exact": the gradient of the volume that the formulation keeps, and the step closes what the last
-        one left: `row . (x - x_last) = -(V_last - V0)`, a drift of second order in the increment. "printed"
+    volume_row : "corrected": the gradient of the volume that the formulation keeps, and the step closes what the
+        last one left: `row . (x - x_last) = -(V_last - V0)`, a drift of second order in the increment. "printed"
         (equation 33 with its total displacement): `sum A_i L_i = 0` with the updated A_i, a drift of second order
         in the displacement itself, however small the steps.
     """
 
-    def __init__(self, problem: Problem, volume_row: VolumeRow = "exact") -> None:
+    def __init__(self, problem: Problem, volume_row: VolumeRow = "corrected") -> None:
         self.problem = problem
         self.volume_row = volume_row
         self.factor = BorderedFactor(problem)
@@ -53,7 +53,7 @@ class QuasiLinearSolver:
         last = np.zeros_like(x) if previous is None else previous.unknown
         state = problem.deformed(last)
         target = -formulation.rows.dotted(x.reshape(-1)) if x.any() else np.zeros(factor.n_border)
-        if self.volume_row == "exact":
+        if self.volume_row == "corrected":
             row = formulation.deformed_columns(state)[1]
             target[0] = float(np.vdot(row, last)) - (formulation.kept_volume(last, state) - self.rest_volume)
         else:
