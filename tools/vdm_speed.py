@@ -30,7 +30,7 @@ from scipy.sparse import linalg
 from threadpoolctl import threadpool_info
 
 from solver_common.arrays import Array, Index, Mask
-from tests.unit.vdm_shapes import icosphere, torus
+from tests.vdm.vdm_shapes import icosphere, torus
 from tools import marked
 from vdm import FORMULATIONS, Load, Model, Parameters, SurfaceMesh
 from vdm.peers.bem import INVERTED, BoundaryFormulation

@@ -14,7 +14,7 @@ from numpy.testing import assert_allclose
 from numpy.typing import NDArray
 
 from solver_common.quadrature import facet_quadrature
-from tests.unit.vdm_shapes import box, icosphere, torus
+from tests.vdm.vdm_shapes import box, icosphere, torus
 from vdm.boundary import kernels, operators
 from vdm.boundary.far import far_row
 from vdm.boundary.kernels import _space, integrate_pair, rules

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from tests.unit.vdm_shapes import box, icosphere
+from tests.vdm.vdm_shapes import box, icosphere
 from vdm import Load, Model, ParameterError, Parameters, SolverError, SurfaceMesh
 from vdm.peers.mass_spring import MassSpringFormulation, make_springs, through_springs
 

@@ -9,7 +9,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from tests.unit.report_runs import REFERENCE, make_case, make_run
-from tests.unit.vdm_shapes import icosphere
+from tests.vdm.vdm_shapes import icosphere
 from vdmbench.body.surface_measures import Surface, weighted_norm
 from vdmbench.measures.case import Run
 from vdmbench.measures.metrics import METRICS, History

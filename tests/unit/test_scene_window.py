@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tests.command import write_study
-from tests.unit.vdm_shapes import icosphere
+from tests.vdm.vdm_shapes import icosphere
 from vdmbench.cli.arguments import parse
 from vdmbench.cli.output import UsageError
 from vdmbench.report.scene_picture import KINDS, Part

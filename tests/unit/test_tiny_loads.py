@@ -11,7 +11,7 @@ from numpy.testing import assert_allclose
 from fem_reference.condensed import CondensedProblem
 from fem_reference.finite_strain import FiniteStrainProblem
 from tests.unit.fem_shapes import ball
-from tests.unit.vdm_shapes import icosphere
+from tests.vdm.vdm_shapes import icosphere
 from vdm import Load, Model, Parameters, SurfaceMesh
 
 POINTS, TRIANGLES = icosphere(2, (0.05, 0.06, 0.045))

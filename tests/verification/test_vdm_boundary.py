@@ -10,7 +10,7 @@ from scipy.special import eval_legendre
 from fem_reference.linear import LinearProblem
 from fem_reference.loads import Load as VolumeLoad
 from solver_common.quadrature import facet_quadrature
-from tests.unit.vdm_shapes import box, icosphere
+from tests.vdm.vdm_shapes import box, icosphere
 from tests.verification.records import Verified
 from vdm import Load, Model, ParameterError, Parameters, SolverError, SurfaceMesh
 from vdm.boundary.operators import Facets, layers, surface_stiffness

@@ -9,7 +9,7 @@ import pytest
 from numpy.testing import assert_allclose
 from numpy.typing import NDArray
 
-from tests.unit.vdm_shapes import box, icosphere, torus
+from tests.vdm.vdm_shapes import box, icosphere, torus
 from vdm import Load, Model, ParameterError, Parameters, SolverError, SurfaceMesh
 from vdm.boundary.coarsening import coarsened
 from vdm.boundary.interpolation import interpolation

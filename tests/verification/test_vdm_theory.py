@@ -9,7 +9,7 @@ import pytest
 from scipy.special import eval_legendre
 
 import vdm
-from tests.unit.vdm_shapes import icosphere
+from tests.vdm.vdm_shapes import icosphere
 from tests.verification.records import Verified
 from vdm import FORMULATIONS, Load, Model, Parameters, SurfaceMesh
 from vdm.material import connectivity_modulus_from_tension

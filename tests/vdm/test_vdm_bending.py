@@ -9,7 +9,7 @@ import pytest
 from numpy.testing import assert_allclose
 from numpy.typing import NDArray
 
-from tests.unit.vdm_shapes import box, icosphere
+from tests.vdm.vdm_shapes import box, icosphere
 from vdm import Load, Model, Parameters, SurfaceMesh
 from vdm.bending import bendings
 from vdm.reservations import LIMIT

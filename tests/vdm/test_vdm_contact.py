@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tests.unit.vdm_shapes import icosphere
+from tests.vdm.vdm_shapes import icosphere
 from vdm import Load, Model, Parameters, SurfaceMesh
 from vdm.solvers import columns, compliance
 from vdm.solvers.compliance import ContactCompliance

@@ -10,7 +10,7 @@ from numpy.testing import assert_allclose
 from numpy.typing import NDArray
 from scipy import sparse
 
-from tests.unit.vdm_shapes import box, icosphere
+from tests.vdm.vdm_shapes import box, icosphere
 from vdm import Load, Model, Parameters
 from vdm.peers.bem_sparse import HalvedFormulation
 from vdm.reservations import LIMIT, reserved

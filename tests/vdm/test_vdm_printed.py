@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from tests.unit.vdm_shapes import BODY, POINTS, TRIANGLES, icosphere
+from tests.vdm.vdm_shapes import BODY, POINTS, TRIANGLES, icosphere
 from vdm import Load, Model, Parameters, SurfaceMesh, printed
 from vdm.deformed import DeformableSurface
 

@@ -7,7 +7,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from solver_common.condition import estimated_norm, operator
-from tests.unit.vdm_shapes import BASE, BODY, POINTS, TRIANGLES, WITH_MATRIX
+from tests.vdm.vdm_shapes import BASE, BODY, POINTS, TRIANGLES, WITH_MATRIX
 from vdm import Load, Model, Parameters
 from vdm.solvers import SOLVERS
 

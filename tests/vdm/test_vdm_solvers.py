@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from tests.unit.vdm_shapes import (
+from tests.vdm.vdm_shapes import (
     BASE,
     BODY,
     POINTS,

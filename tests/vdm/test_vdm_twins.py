@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from tests.unit.vdm_shapes import icosphere
+from tests.vdm.vdm_shapes import icosphere
 from vdm import FORMULATIONS, Load, Model, Parameters, SurfaceMesh
 
 RANDOM = np.random.default_rng(5)

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tests.unit.vdm_shapes import icosphere
+from tests.vdm.vdm_shapes import icosphere
 from vdm import Load, Model, Parameters, SurfaceMesh
 from vdm.constraints import ConstraintError
 from vdm.material import ParameterError

@@ -9,7 +9,7 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy import sparse
 
-from tests.unit.vdm_shapes import BASE, BODY, POINTS, TRIANGLES
+from tests.vdm.vdm_shapes import BASE, BODY, POINTS, TRIANGLES
 from vdm import FORMULATIONS, Load, Model, ParameterError, Parameters
 from vdm.deformed import DeformableSurface
 from vdm.formulations.base import Formulation

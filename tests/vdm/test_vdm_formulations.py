@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from tests.unit.vdm_shapes import icosphere, torus
+from tests.vdm.vdm_shapes import icosphere, torus
 from vdm import Load, Model, Parameters, SurfaceMesh
 from vdm.deformed import DeformableSurface
 from vdm.formulations.consistent import ConsistentFormulation

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from tests.unit.vdm_shapes import BASE, BODY, POINTS, TRIANGLES
+from tests.vdm.vdm_shapes import BASE, BODY, POINTS, TRIANGLES
 from vdm import ConstraintError, Load, Model, ParameterError, Parameters, SurfaceMesh
 from vdm.incremental import IncrementalModel
 

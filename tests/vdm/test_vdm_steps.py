@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from tests.unit.vdm_shapes import POINTS, icosphere, model
+from tests.vdm.vdm_shapes import POINTS, icosphere, model
 from vdm import FORMULATIONS, Load, Model, Parameters
 from vdm.solvers.linear import LinearSolver
 

@@ -8,7 +8,7 @@ from numpy.testing import assert_allclose
 from numpy.typing import NDArray
 
 from solver_common.arrays import Mask
-from tests.unit.vdm_shapes import box, icosphere
+from tests.vdm.vdm_shapes import box, icosphere
 from vdm import Load, Model, Parameters, SurfaceMesh
 from vdm.boundary import operators, tractions
 from vdm.boundary.operators import Facets, assembled

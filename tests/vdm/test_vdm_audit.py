@@ -10,7 +10,7 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy import linalg
 
-from tests.unit.vdm_shapes import icosphere
+from tests.vdm.vdm_shapes import icosphere
 from vdm import Load, Model, Parameters, SurfaceMesh
 from vdm.problem import Problem
 from vdm.solvers import audit

@@ -10,7 +10,7 @@ import pytest
 import pyvista
 from numpy.testing import assert_allclose, assert_array_equal
 
-from tests.unit.vdm_shapes import box, icosphere, torus
+from tests.vdm.vdm_shapes import box, icosphere, torus
 from tests.verification.records import Verified
 from vdm import SurfaceError, SurfaceMesh
 from vdm.deformed import DeformableSurface, follow

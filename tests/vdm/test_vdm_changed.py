@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from tests.unit.vdm_shapes import BASE, POINTS, TRIANGLES
+from tests.vdm.vdm_shapes import BASE, POINTS, TRIANGLES
 from vdm import FORMULATIONS, ConstraintError, Load, Model, Parameters, SolverError, SurfaceMesh
 from vdm.solvers.changed import ChangedSupport
 from vdm.solvers.linear import LinearSolver

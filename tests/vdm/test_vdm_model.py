@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from tests.unit.vdm_shapes import BASE, BODY, POINTS, TRIANGLES, box, icosphere, model, torus
+from tests.vdm.vdm_shapes import BASE, BODY, POINTS, TRIANGLES, box, icosphere, model, torus
 from tests.verification.records import Verified
 from vdm import (
     FORMULATIONS,

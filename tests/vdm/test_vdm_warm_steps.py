@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from tests.unit.vdm_shapes import BASE, BODY, POINTS, TRIANGLES, model
+from tests.vdm.vdm_shapes import BASE, BODY, POINTS, TRIANGLES, model
 from vdm import FORMULATIONS, Load, Model, Parameters
 from vdm.deformed import DeformableSurface
 from vdm.solvers.anderson import Anderson

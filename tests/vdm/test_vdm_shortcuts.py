@@ -7,7 +7,7 @@ import time
 import numpy as np
 import pytest
 
-from tests.unit.vdm_shapes import BASE, POINTS, TRIANGLES, model
+from tests.vdm.vdm_shapes import BASE, POINTS, TRIANGLES, model
 from vdm import FORMULATIONS, Load, Model, Parameters, SurfaceMesh
 
 FINGER = Load(np.where(POINTS[:, 2] > 0.035, 20.0, 0.0))
