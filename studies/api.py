@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cached_property
@@ -12,13 +12,13 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from .machine.places import cache_directory, results_directory
 from .machine.processors import usable_processors
 from .measures.case import CaseResult, Run
 
 if TYPE_CHECKING:
+    from pandas import DataFrame
+
     from .verdict.verdict import Verdicts
     from .work.run import Event
 
@@ -50,8 +50,10 @@ class Results:
         return verdicts(Digest(self.data))
 
     @cached_property
-    def headline(self) -> Any:
+    def headline(self) -> DataFrame:
         """A row for each model and measure: value (median of the cases), worst, their bars, unit."""
+        import pandas as pd
+
         from .report.headline import headline_metrics
 
         rows = [
@@ -59,25 +61,14 @@ class Results:
             for model, measures in headline_metrics(self.data).items()
             for name, numbers in measures.items()
         ]
-        return _table(rows, ("model", "measure", *_NUMBERS))
+        return pd.DataFrame(rows, columns=["model", "measure", *_NUMBERS])
 
     @cached_property
-    def metrics(self) -> Any:
-        """A row for each case, model, load step and metric, with the swept values of the case."""
-        from .store.metrics_table import metric_rows
+    def metrics(self) -> DataFrame:
+        """The frame that page and gate read: a row for each case, model, load step and metric."""
+        from .measures.frame import frame
 
-        keys = list(dict.fromkeys(key for case in self.data.cases for key in case.swept))
-        rows = [
-            {
-                "case": case.label or case.hash[:8],
-                **{key: case.swept.get(key) for key in keys},
-                "model": model,
-            }
-            | {"load_factor": factor, "metric": metric, "value": value, "unit": series.unit}
-            for case, model, metric, series in metric_rows(self.data)
-            for factor, value in zip(case.load_factors.tolist(), series.values.tolist(), strict=True)
-        ]
-        return _table(rows, ("case", *keys, "model", "load_factor", "metric", "value", "unit"))
+        return frame(self.data)
 
     def to_xarray(self) -> Any:
         """The metrics as an xarray.Dataset: a variable for each over case, model and step, with its unit.
@@ -86,7 +77,7 @@ class Results:
         """
         if find_spec("xarray") is None:
             raise ImportError("to_xarray needs xarray, which is not installed: pip install xarray")
-        from .store.frame import COLUMNS, frame
+        from .measures.frame import COLUMNS, frame
 
         table = frame(self.data)
         labels = {case.hash: case.label or case.hash[:8] for case in self.data.cases}
@@ -126,7 +117,7 @@ class Results:
     def _repr_html_(self) -> str:
         """The headline table, the verdicts and the way to the report, for a notebook."""
         from .report.headline import headline_rows
-        from .verdict.sentences import told
+        from .verdict.words import told
 
         rows = headline_rows(self.data)
         head = "".join(f"<th>{escape(key)}</th>" for key in (rows[0] if rows else {}))
@@ -215,19 +206,3 @@ def read(directory: str | Path) -> Results:
     from .store.cases import read_run
 
     return Results(Path(directory), read_run(Path(directory)), Path(directory) / "report.html")
-
-
-def _table(rows: list[dict[str, Any]], columns: tuple[str, ...]) -> Any:
-    """A pandas.DataFrame where that is installed, else a dict of arrays."""
-    data: Mapping[str, list[Any]] = {key: [row[key] for row in rows] for key in columns}
-    if find_spec("pandas") is not None:
-        import pandas
-
-        return pandas.DataFrame(data)
-    return {
-        key: np.array(values, dtype=float if _are_numbers(values) else object) for key, values in data.items()
-    }
-
-
-def _are_numbers(values: list[Any]) -> bool:
-    return all(value is None or isinstance(value, int | float) for value in values)

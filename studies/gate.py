@@ -22,9 +22,9 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from .machine.files import write_atomically
 from .measures.case import CaseResult, Run
+from .measures.frame import at_full_load, frame
 from .measures.metrics import METRICS, Sense
 from .measures.uncertainty import SIGNED
-from .store.frame import at_full_load, frame
 from .store.hdf5 import StoreError
 from .study.kinds import safe_name
 

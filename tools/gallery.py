@@ -12,7 +12,7 @@ from pathlib import Path
 from markupsafe import escape
 from PIL import Image
 
-from tests.unit.browser import Browser, chromium
+from tests.report.browser import Browser, chromium
 from tools.runs import ROOT
 from vdmbench.evidence.claims_page import Verdict
 from vdmbench.report.blocks import Figure

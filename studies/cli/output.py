@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from ..measures.case import Run
-    from ..verdict.sentences import Told
+    from ..verdict.words import Told
 
 WIDTH = 80  # columns of a terminal
 _BEFORE_UNIT = re.compile(r"(?<=\d) (?=[^\W\d]|%)|(?<=±) ")
@@ -33,8 +33,8 @@ def print_run(run: Run, directory: Path, report: Path, as_json: bool) -> int:
     from ..report.headline import headline_metrics, headline_rows, terminal_rows
     from ..report.section_cases import stopped_models
     from ..verdict.digest import Digest
-    from ..verdict.sentences import told
     from ..verdict.verdict import verdicts
+    from ..verdict.words import told
 
     digest = Digest(run)
     stopped, found = stopped_models(digest), verdicts(digest)
@@ -89,7 +89,7 @@ def taken(plan: Mapping[str, Any]) -> str:
 
 def print_answers(told: Told) -> None:
     """A line a family, then what to take instead and why, folded to `WIDTH` columns; the page has more."""
-    from ..verdict.sentences import FIRST, LOAD
+    from ..verdict.words import ON_TERMINAL
 
     print()
     for row in told.rows:
@@ -97,7 +97,7 @@ def print_answers(told: Told) -> None:
     for note in told.notes:
         print(folded(note))
     instead = [("What to take instead?", told.instead)] if told.instead else []
-    further = [(a.question, a.sentences) for a in told.further if a.question in (*FIRST, LOAD)]
+    further = [(a.question, a.sentences) for a in told.further if a.question in ON_TERMINAL]
     for question, sentences in [*instead, *further]:
         print(f"\n{question}")
         for sentence in sentences:
@@ -107,7 +107,7 @@ def print_answers(told: Told) -> None:
 
 def folded(text: str, indent: str = "") -> str:
     """A text in lines of `WIDTH` columns, the further ones set in; a number stays with its unit."""
-    whole = _BEFORE_UNIT.sub("\u00a0", text)
+    whole = _BEFORE_UNIT.sub("\u00a0", text).replace(" = ", "\u00a0=\u00a0")
     lines = textwrap.fill(
         whole,
         WIDTH,

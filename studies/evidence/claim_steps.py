@@ -20,9 +20,8 @@ from ..report.judgement import (
     in_words,
     own_bar,
 )
-from ..verdict.digest import Digest
+from ..verdict.digest import ALONG_NORMALS, NORMAL, Digest
 from ..verdict.formatting import listed, plain, short_percent
-from ..verdict.motion import ALONG_NORMALS, NORMAL
 from .claim_figures import Line, curves
 from .claim_shared import CLOSE, DRAMATIC, KEPT, apart, floor_in_words, is_tried, own_error
 

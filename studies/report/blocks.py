@@ -5,12 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import ClassVar
+from typing import Any, ClassVar
 
 from markupsafe import Markup
 
 from ..measures.uncertainty import is_resolved
-from ..verdict.formatting import NOT_MEASURED, percent
+from ..verdict.formatting import NOT_MEASURED, NOTHING, number, of_unit, percent
 
 
 @dataclass(frozen=True)
@@ -68,6 +68,69 @@ class Table:
     marks: Sequence[int | None] = ()  # per row: the model whose colour it carries
     open_rows: int = 30
     summary: str = ""  # folded away under this where given
+    tools: bool = True  # whether it can be copied, saved and sorted
+
+
+@dataclass(frozen=True)
+class Field:
+    """A column of `frame_table`: how it is called and what it takes from a row.
+
+    Attributes
+    ----------
+    of : row -> a number in `unit` (SI, "1" for a share, "#" for none), a text, a cell, or None for nothing
+    unit : "" of texts
+    bar : row -> the error bar of the number, told below it
+    """
+
+    title: str
+    of: Callable[[Any], float | str | Cell | None]
+    unit: str = ""
+    detail: str = ""
+    bar: Callable[[Any], float] | None = None
+
+    def cell(self, row: Any) -> Cell:
+        """The entry of a row."""
+        found = self.of(row)
+        if isinstance(found, Cell):
+            return found
+        if found is None or isinstance(found, str):
+            return Cell(found or NOTHING)
+        if not math.isfinite(found):
+            return Cell(NOTHING if math.isnan(found) else number(found))
+        text = number(found) if self.unit == "#" else of_unit(found, self.unit)
+        detail = "" if self.bar is None else bar_detail(found, self.bar(row), self._shown, unknown="")
+        return Cell(text, detail, float(found))
+
+    def _shown(self, value: float) -> str:
+        return of_unit(value, self.unit)
+
+
+def frame_table(
+    rows: Sequence[Any],
+    fields: Sequence[Field],
+    name: str,
+    *,
+    mark: Callable[[Any], int | None] | None = None,
+    **about: Any,
+) -> Table:
+    """A table with a row for each of `rows`; `mark` tells the model whose colour a row carries.
+
+    `about` are further attributes of `Table`. A column without an entry is left out.
+    """
+    cells = [[field.cell(row) for field in fields] for row in rows]
+    kept = [k for k in range(len(fields)) if k == 0 or any(row[k].text != NOTHING for row in cells)]
+    columns = [
+        Column(
+            fields[k].title,
+            fields[k].detail,
+            numeric=bool(fields[k].unit),
+            unit=fields[k].unit.replace("#", ""),
+        )
+        for k in kept
+    ]
+    marks = [mark(row) for row in rows] if mark is not None else ()
+    shown = {"caption": "", **about}
+    return Table(name, columns=columns, rows=[[row[k] for k in kept] for row in cells], marks=marks, **shown)
 
 
 @dataclass(frozen=True)
@@ -129,11 +192,12 @@ class Viewer:
 
 @dataclass(frozen=True)
 class Scene:
-    """A drawing of what was computed, the same in words as (what, value), and a sentence."""
+    """A drawing of what was computed, the same in words as (what, value), a sentence, and how a scan was moved."""
 
     svg: Markup
     words: Sequence[tuple[str, str]]
     note: str = ""
+    moved: Still | None = None
 
 
 Block = Text | Table | Figures | Code | Facts | Viewer

@@ -7,6 +7,7 @@ import hashlib
 import json
 import re
 from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 
@@ -15,8 +16,9 @@ from markupsafe import Markup
 from matplotlib import colormaps
 from matplotlib.colors import to_hex
 
-from ..verdict.sentences import Told
-from .blocks import Scene, Section, Viewer
+from ..verdict.words import BESIDE, Told
+from .blocks import Scene, Section, Table, Viewer
+from .headline import FamilyRow
 from .picture import COLOUR_MAPS
 from .plots import shape
 from .svg import MARKER_PATHS
@@ -25,32 +27,47 @@ _STOPS = 12  # of a colour map where it is a gradient
 _TEMPLATES = Path(__file__).parent / "templates"
 
 
+@dataclass(frozen=True)
+class Head:
+    """What stands above the sections: a row a family, what is said of them, two tables and the scene."""
+
+    told: Told
+    families: Sequence[FamilyRow] = ()
+    take: Table | None = None
+    limits: Table | None = None
+    scene: Scene | None = None
+
+
 def html_document(
     *,
     title: str,
     name: str,
-    told: Told | None = None,
-    notes: Sequence[str] = (),
     counts: Sequence[tuple[str, str]],
-    models: Sequence[tuple[int, str, bool]],
     sections: Sequence[Section],
-    scene: Scene | None = None,
+    notes: Sequence[str] = (),
+    models: Sequence[tuple[int, str, bool]] = (),
+    head: Head | None = None,
     cases: Sequence[str] = (),
 ) -> str:
-    """The document as text. `counts` are (what, tone) badges, `models` the legend of the whole page.
+    """The document as text. `counts` are (what, tone) badges, `head` the verdicts.
 
     `notes` stand for the verdicts where there are none. `cases` are named under the pointer of charts.
     """
     viewed = any(isinstance(b, Viewer) and b.payload for section in sections for b in section.blocks)
     scripts = _scripts() if viewed else _scripts()[:1]
+    head = head or Head(told=Told(notes=tuple(notes)))
     return (
         _environment()
         .get_template("page.html")
         .render(
             title=title,
             name=name,
-            told=told or Told((), tuple(notes), (), ()),
-            scene=scene,
+            families=head.families,
+            told=head.told,
+            further=[answer for answer in head.told.further if answer.question not in BESIDE],
+            take=head.take,
+            limits=head.limits,
+            scene=head.scene,
             cases=json.dumps(cases),
             counts=counts,
             models=models,
@@ -107,8 +124,14 @@ def _environment() -> Environment:
     environment.globals["ramps"] = {
         name: [to_hex(colormaps[name](k / _STOPS)) for k in range(_STOPS + 1)] for name in COLOUR_MAPS
     }
-    environment.filters["unbroken"] = lambda text: re.sub(r"(?<=\d) (?=[^\W\d]|%)", "\u00a0", text)
+    environment.filters["unbroken"] = unbroken
     return environment
+
+
+def unbroken(text: str) -> str:
+    """A number stays with its unit, a key with its value: `reference = "fem"` on one line."""
+    text = re.sub(r"(?<=\w) = (?=\S)", "\u00a0=\u00a0", text)
+    return re.sub(r"(?<=\d) (?=[^\W\d]|%)", "\u00a0", text)
 
 
 def asset(name: str) -> Markup:

@@ -21,20 +21,11 @@ from .plots import shape
 from .section_scene import scene
 from .svg import MARKER_PATHS
 
-_LATEX = {
-    "\\": r"\textbackslash{}",
-    **{c: f"\\{c}" for c in "&%$#_{}"},
-    "~": r"\textasciitilde{}",
-    "^": r"\textasciicircum{}",
-    "−": "$-$",
-    "±": r"$\pm$",
-    "×": r"$\times$",
-    "µ": r"$\mu$",
-    "∞": r"$\infty$",
-    "≤": r"$\le$",
-    "–": "--",
-    **{s: f"$^{{{d}}}$" for s, d in zip("⁻⁰¹²³⁴⁵⁶⁷⁸⁹", "-0123456789", strict=True)},
-}
+# what the styler leaves to LaTeX and LaTeX does not know
+_LATEX = str.maketrans(
+    {"−": "$-$", "∞": r"$\infty$"}
+    | {digit: f"$^{{{plain}}}$" for digit, plain in zip("⁻⁰¹²³⁴⁵⁶⁷⁸⁹", "-0123456789", strict=True)}
+)
 _LINE = 16  # units of the drawing, height of a line of the legend
 
 
@@ -77,17 +68,15 @@ def table_csv(table: Table) -> str:
 
 def table_latex(table: Table, caption: str) -> str:
     """The table as the page shows it, for the package booktabs."""
-    align = "".join("r" if column.numeric else "l" for column in table.columns)
+    from pandas import DataFrame
+
     heads = [" ".join(filter(None, (column.title, column.detail))) for column in table.columns]
-    rows = [[_words(cell) for cell in row] for row in table.rows]
-    lines = [
-        r"\begin{table}",
-        r"\centering",
-        rf"\caption{{{_latex(caption)}}}",
-        rf"\begin{{tabular}}{{{align}}}",
-    ]
-    lines += [r"\toprule", _latex_row(heads), r"\midrule", *map(_latex_row, rows), r"\bottomrule"]
-    return "\n".join([*lines, r"\end{tabular}", r"\end{table}", ""])
+    rows = [[_words(cell).replace("\n", " ") for cell in row] for row in table.rows]
+    shown = DataFrame(rows, columns=range(len(heads))).style.hide(axis="index").format(escape="latex")
+    shown = shown.format_index(lambda k: heads[k], escape="latex", axis="columns")
+    align = "".join("r" if column.numeric else "l" for column in table.columns)
+    escaped = caption.translate({ord(c): f"\\{c}" for c in "&%$#_{}"})
+    return shown.to_latex(hrules=True, column_format=align, caption=escaped).translate(_LATEX)
 
 
 def _head(column: Column) -> str:
@@ -97,14 +86,6 @@ def _head(column: Column) -> str:
 
 def _words(cell: Cell) -> str:
     return " ".join(filter(None, (cell.text, cell.detail)))
-
-
-def _latex_row(cells: Sequence[str]) -> str:
-    return " & ".join(map(_latex, cells)) + r" \\"
-
-
-def _latex(text: str) -> str:
-    return "".join(_LATEX.get(c, c) for c in text.replace("\n", " "))
 
 
 def _figure_svg(figure: Figure, legend: Sequence[tuple[int, str, bool]]) -> str:

@@ -13,26 +13,23 @@ from ..measures.case import Run
 from ..study.registry import load_all
 from ..verdict.digest import Digest
 from ..verdict.formatting import plural
-from ..verdict.sentences import told
 from ..verdict.verdict import verdicts
+from ..verdict.words import told
 from . import headline, picture
 from .blocks import Section
-from .document import SCRIPT_BYTES, encoded, html_document
+from .document import SCRIPT_BYTES, Head, encoded, html_document
 from .section_appendix import how_to_reproduce, provenance
 from .section_cases import case_table, failures
 from .section_convergence import mesh_convergence
 from .section_cost import run_time_against_error
-from .section_doubts import doubts
-from .section_errors import error_against_load, error_against_parameters
-from .section_fibres import anisotropy_of_the_response
+from .section_errors import error_against_load, error_against_parameters, volume_drift
 from .section_force import force_against_indentation
 from .section_limits import small_strain_limits
-from .section_map import map_of_words
-from .section_measures import all_measures
+from .section_map import doubts, map_of_words
+from .section_measures import all_measures, anisotropy_of_the_response
 from .section_scene import scene
 from .section_stability import numerical_stability
 from .section_view import heading, still, surfaces
-from .section_volume import volume_drift
 
 
 class PictureError(ValueError):
@@ -62,7 +59,7 @@ SECTIONS_AFTER: tuple[Make, ...] = (
     run_time_against_error,
     all_measures,
 )
-APPENDIX: tuple[Make, ...] = (case_table, doubts, failures, provenance, how_to_reproduce)
+APPENDIX: tuple[Make, ...] = (case_table, failures, provenance, how_to_reproduce)
 
 
 @cache
@@ -120,20 +117,27 @@ def every_section(digest: Digest) -> list[Section]:
 
 
 def _page_html(digest: Digest, *, stills: bool) -> str:
-    run, found, drawn = digest.run, verdicts(digest), scene(digest)
+    run, found = digest.run, verdicts(digest)
     before, after = (
         [section for make in part if (section := make(digest))] for part in (SECTIONS_BEFORE, _after())
     )
-
+    head = Head(
+        told(found),
+        headline.family_rows(found, digest),
+        headline.what_to_take(found),
+        headline.against_limits(found, digest),
+        scene(digest),
+    )
     if table := map_of_words(found):
         before.insert(1, table)
+    if doubtful := doubts(found):
+        after.insert(-len(APPENDIX), doubtful)
 
     def page(sections: list[Section]) -> str:
         return html_document(
             title=run.study.study.title,
             name=run.study.study.name,
-            told=told(found),
-            scene=drawn,
+            head=head,
             cases=[digest.case_name(case) for case in digest.cases],
             counts=_counts(run),
             models=digest.legend,

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -23,9 +24,10 @@ from numpy.typing import ArrayLike
 
 from solver_common.arrays import Array
 
-from ..verdict.digest import REFERENCE
-from ..verdict.formatting import plain, quantity
+from ..verdict.digest import REFERENCE, Digest
+from ..verdict.formatting import listed, plain, quantity, short_percent
 from ..verdict.palette import COLOURS
+from .blocks import Figure
 from .svg import GRID, INK, MODELS, STYLE, for_the_page, svg_of
 from .svg import REFERENCE as REFERENCE_COLOUR
 from .told import axes_for_script, name_curves, tell
@@ -142,9 +144,83 @@ def draw(
     tell(curve, name, cases, named=named)
 
 
+@dataclass(frozen=True)
+class Curve:
+    """The points of one model: (K,) x and y, the case of each where they have one, further looks of the line."""
+
+    model: str
+    x: ArrayLike
+    y: ArrayLike
+    cases: Sequence[int] | None = None
+    look: Mapping[str, Any] = field(default_factory=dict)
+
+
+def lines(
+    digest: Digest,
+    curves: Sequence[Curve],
+    x_label: str,
+    y_label: str,
+    title: str,
+    salt: str,
+    *,
+    finish: Callable[[Axes], object] = lambda _: None,
+    shown: Callable[[float], str] = short_percent,
+    told: Callable[[Curve], str] | None = None,
+) -> Figure:
+    """A chart of a curve a model, which says in words from where to where each goes.
+
+    Parameters
+    ----------
+    salt : makes the ids of the drawing its own on a page
+    finish : sets scales and adds what is no model's; called when all curves are drawn
+    shown : a number on the y axis as a text
+    told : what is said of a curve instead of where its y axis begins and ends
+    """
+    plot = Plot(x_label, y_label, salt)
+    with plot as axes:
+        for curve in curves:
+            draw(
+                axes,
+                digest.colour(curve.model),
+                curve.model,
+                curve.x,
+                curve.y,
+                cases=curve.cases,
+                **curve.look,
+            )
+        finish(axes)
+
+    def ends(curve: Curve) -> str:
+        found = dict.fromkeys(shown(float(y)) for y in np.asarray(curve.y)[[0, -1]])
+        return f"{'from ' if len(found) > 1 else ''}{' to '.join(found)}"
+
+    words = listed(f"{curve.model} {(told or ends)(curve)}" for curve in curves)
+    return Figure(plot.drawn(f"{title}: {words}."), title)
+
+
 def limit_line(axes: Axes, allowed: float) -> None:
-    """What a study accepts of an error, across the chart."""
-    axes.axhline(allowed, linestyle="-.", color=colour(REFERENCE), linewidth=1.0)
+    """What a study accepts of an error, across the chart, named."""
+    if allowed > 0.0:
+        axes.axhline(allowed, linestyle="-.", color=colour(REFERENCE), linewidth=1.0)
+        _name_line(axes, (0.995, allowed), axes.get_yaxis_transform(), "accepted")
+
+
+def own_line(axes: Axes, own: float) -> None:
+    """The error of the reference itself, across the chart, named."""
+    if own > 0.0:
+        axes.axhline(own, linestyle="--", color=colour(REFERENCE), linewidth=1.0)
+        _name_line(axes, (0.995, own), axes.get_yaxis_transform(), "reference's own")
+
+
+def budget_line(axes: Axes, seconds: float, name: str) -> None:
+    """A time that a frame may take, up the chart, named."""
+    axes.axvline(seconds, linestyle=":", color=colour(REFERENCE), linewidth=1.0)
+    _name_line(axes, (seconds, 0.99), axes.get_xaxis_transform(), name, rotation=90, va="top")
+
+
+def _name_line(axes: Axes, at: tuple[float, float], transform: Any, name: str, **look: Any) -> None:
+    style = {"va": "bottom", "ha": "right", "fontsize": 7.0, "color": colour(REFERENCE), **look}
+    axes.text(*at, name, transform=transform, **style)
 
 
 def percent_axis(axes: Axes, values: ArrayLike) -> None:

@@ -6,14 +6,17 @@ import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
-from ..measures.bars import at_full_load
+import numpy as np
+from matplotlib.axes import Axes
+
 from ..measures.case import CaseResult
 from ..measures.uncertainty import CONVERGING, DIVERGING, TOO_SLOW, ErrorEstimate, estimate_limit
 from ..verdict.digest import Digest
-from ..verdict.formatting import NOTHING, listed, percent, plain, quantity, short_percent
-from .blocks import Cell, Column, Figure, Figures, Section, Table, Text, bar_detail
-from .plots import Plot, draw, log_axis, percent_axis
+from ..verdict.formatting import listed, percent, plain, quantity, short_percent
+from .blocks import Cell, Field, Figure, Figures, Section, Table, Text, bar_detail, frame_table
+from .plots import Curve, lines, log_axis, percent_axis
 
 MESH_SIZE = "geometry.mesh_size"
 WORK = "contact_work"
@@ -43,7 +46,7 @@ def mesh_convergence(digest: Digest) -> Section | None:
     if digest.swept_keys != [MESH_SIZE]:
         return None
     cases = sorted(digest.cases, key=lambda case: float(case.swept[MESH_SIZE]))
-    found = [s for model in digest.models if (s := _series(cases, model)) is not None]
+    found = [s for model in digest.models if (s := _series(digest, cases, model)) is not None]
     if not found:
         return None
     fixed = next((s for s in found if s.model == digest.reference and s.behaviour != CHANGED), None)
@@ -60,10 +63,10 @@ def mesh_convergence(digest: Digest) -> Section | None:
     return Section("convergence", "Mesh convergence", [*blocks, figure, _table(digest, found, fixed), note])
 
 
-def _series(cases: Sequence[CaseResult], model: str) -> _Series | None:
-    known = [case for case in cases if math.isfinite(at_full_load(case, model, WORK))]
+def _series(digest: Digest, cases: Sequence[CaseResult], model: str) -> _Series | None:
+    known = [case for case in cases if math.isfinite(digest.at(case, model, WORK))]
     sizes = [float(case.swept[MESH_SIZE]) for case in known]
-    values = [at_full_load(case, model, WORK) for case in known]
+    values = [digest.at(case, model, WORK) for case in known]
     schemes = [str(case.models[model].parameters.get("scheme", "")) for case in known]
     if len(set(sizes)) < _LEVELS or len(set(sizes)) < len(sizes):
         return None
@@ -103,56 +106,56 @@ def _schemes_in_words(s: _Series) -> str:
 
 
 def _table(digest: Digest, found: Sequence[_Series], fixed: _Series | None) -> Table:
-    sizes = sorted({size for s in found for size in s.sizes}, reverse=True)
-    columns = [
-        Column("Model", numeric=False),
-        *(Column("Work", quantity(size, "m"), unit="J") for size in sizes),
-        Column("Order"),
-        Column("Limit", unit="J"),
-        Column("Limit", f"against {fixed.model}", unit="1") if fixed else Column("Levels", numeric=False),
+    def work(size: float) -> Any:
+        return lambda s: dict(zip(s.sizes, s.values, strict=True)).get(size)
+
+    def order(s: _Series) -> Cell | None:
+        value = s.estimate.observed_order
+        return None if s.behaviour in (DIVERGING, CHANGED) else Cell(plain(value, 3), value=value)
+
+    def limit(s: _Series) -> Cell:
+        bar = "" if s.behaviour == CHANGED else f"± {quantity(s.estimate.gci, 'J')}"
+        if s.behaviour == CONVERGING:
+            return Cell(quantity(s.limit, "J"), bar, s.limit)
+        return Cell(s.behaviour, bar, tone="bad")
+
+    def against(s: _Series) -> Cell | None:
+        if fixed is None or s is fixed or s.behaviour != CONVERGING:
+            return None
+        difference = s.limit / fixed.limit - 1.0
+        bar = (s.estimate.gci + fixed.estimate.gci) / abs(fixed.limit)
+        return Cell(percent(difference, signed=True), bar_detail(difference, bar), difference)
+
+    fields = [
+        Field("Model", lambda s: s.model),
+        *(
+            Field("Work", work(size), "J", quantity(size, "m"))
+            for size in sorted({size for s in found for size in s.sizes}, reverse=True)
+        ),
+        Field("Order", order, "#"),
+        Field("Limit", limit, "J"),
+        Field("Limit", against, "1", f"against {fixed.model}")
+        if fixed
+        else Field("Levels", lambda s: s.behaviour),
     ]
-    rows = []
-    for s in found:
-        by_size = dict(zip(s.sizes, s.values, strict=True))
-        works = [
-            Cell(quantity(by_size[h], "J"), value=by_size[h]) if h in by_size else Cell(NOTHING)
-            for h in sizes
-        ]
-        converging = s.behaviour == CONVERGING
-        order = Cell(NOTHING)
-        if s.behaviour not in (DIVERGING, CHANGED):
-            order = Cell(plain(s.estimate.observed_order, 3), value=s.estimate.observed_order)
-        limit = Cell(
-            quantity(s.limit, "J") if converging else s.behaviour,
-            "" if s.behaviour == CHANGED else f"± {quantity(s.estimate.gci, 'J')}",
-            s.limit if converging else None,
-            tone="" if converging else "bad",
-        )
-        last = Cell(s.behaviour)
-        if fixed is not None:
-            last = _against(s, fixed) if converging and s is not fixed else Cell(NOTHING)
-        rows.append([Cell(s.model), *works, order, limit, last])
-    return Table("convergence", "", columns, rows, marks=digest.marks(s.model for s in found))
-
-
-def _against(s: _Series, fixed: _Series) -> Cell:
-    difference = s.limit / fixed.limit - 1.0
-    bar = (s.estimate.gci + fixed.estimate.gci) / abs(fixed.limit)
-    return Cell(percent(difference, signed=True), bar_detail(difference, bar), difference)
+    return frame_table(found, fields, "convergence", mark=lambda s: digest.mark(s.model))
 
 
 def _figure(digest: Digest, found: Sequence[_Series], fixed: _Series | None) -> Figure:
     scale = fixed.limit if fixed else max(abs(value) for s in found for value in s.values)
     label = f"work, of the limit of {fixed.model}" if fixed else "work, of the largest"
-    described = []
-    plot = Plot("mesh size [mm]", label, "g0")
-    with plot as axes:
-        for s in found:
-            shares = [value / scale for value in s.values]
-            draw(axes, digest.colour(s.model), s.model, [1e3 * h for h in s.sizes], shares)
-            described.append(f"{s.model} from {short_percent(shares[-1])} to {short_percent(shares[0])}")
+    curves = [
+        Curve(s.model, [1e3 * h for h in s.sizes], [value / scale for value in s.values]) for s in found
+    ]
+
+    def finish(axes: Axes) -> None:
         percent_axis(axes, [value / scale for s in found for value in s.values])
         log_axis(axes, "x")
         axes.invert_xaxis()
-    heading = "Work of the contact against mesh size, refined to the right"
-    return Figure(plot.drawn(f"{heading}: {listed(described)}."), heading)
+
+    def told(curve: Curve) -> str:
+        finest, coarsest = (short_percent(float(np.asarray(curve.y)[k])) for k in (0, -1))
+        return f"from {coarsest} to {finest}"
+
+    title = "Work of the contact against mesh size, refined to the right"
+    return lines(digest, curves, "mesh size [mm]", label, title, "g0", finish=finish, told=told)

@@ -1,4 +1,4 @@
-"""Error against every swept parameter and against the load."""
+"""Error against every swept parameter and against the load; volume drift against the load."""
 
 from __future__ import annotations
 
@@ -9,13 +9,26 @@ from dataclasses import dataclass
 import numpy as np
 from matplotlib.axes import Axes
 
-from ..measures.bars import series
 from ..measures.case import CaseResult
 from ..measures.metrics import DEFORMATION, VECTOR
-from ..verdict.digest import REFERENCE, Digest
+from ..verdict.digest import DRIFT, REFERENCE, Digest
 from ..verdict.formatting import listed, parameter_name, scale_of, short_percent, swept_value
 from .blocks import Block, Figure, Figures, Section, Text
-from .plots import Plot, colour, draw, limit_line, line, log_axis, name_ticks, percent_axis, place
+from .plots import (
+    Curve,
+    Plot,
+    colour,
+    draw,
+    limit_line,
+    line,
+    lines,
+    log_axis,
+    name_ticks,
+    own_line,
+    percent_axis,
+    percent_ticks,
+    place,
+)
 
 QUANTITIES = ((VECTOR, "Displacement error"), (DEFORMATION, "Error in change of shape"))
 PARTS = (
@@ -27,7 +40,8 @@ PARTS = (
 _MOST_POINTS = 240  # per model and figure; beyond, every k-th case is drawn
 _ASIDE = 0.05  # between the clouds of two models at a named value, where neighbours are 1 apart
 _PARTS_OF = "Normal and tangential component, contact region and far field against"
-LIMIT_NOTE = "The broken line with dots is what the study accepts."
+_FLAT = 1e-6  # of an error: less is rounding, and no parameter's doing
+_DRIFT_FLOOR = 1e-16  # below what double precision can tell from zero
 _MOST_MARKED = 25  # points of a line that get a marker; of more, every k-th
 _MOST_JOINED = 12  # values of a parameter that a line through medians joins
 
@@ -36,9 +50,12 @@ def error_against_parameters(digest: Digest) -> Section | None:
     """Two groups of figures per swept parameter: vector and deformation; and, folded away, the vector's parts."""
     if not digest.compared or not digest.swept_keys:
         return None
-    pairs = []
+    pairs, flat = [], []
     for k, key in enumerate(digest.swept_keys):
         axis = _axis(digest.cases, key, alone=len(digest.swept_keys) == 1)
+        if _is_flat(digest, key):
+            flat.append(axis.name)
+            continue
         for group, summary in ((QUANTITIES, ""), (PARTS, f"{_PARTS_OF} {axis.name}")):
             shown = [
                 figure
@@ -46,19 +63,34 @@ def error_against_parameters(digest: Digest) -> Section | None:
                 if (figure := _against_parameter(digest, axis, metric, title, group, f"p{k}{title[:2]}{j}"))
             ]
             pairs += [Figures(shown, digest.legend, summary)] if shown else []
-    if not pairs:
-        return None
-    notes = [LIMIT_NOTE]
-    if len(digest.swept_keys) > 1:
+    notes = [f"No error depends on {listed(flat)}: models and reference are linear in it."] if flat else []
+    if pairs and len(digest.swept_keys) > 1:
         notes.append(
             "Each point is one case at full load. Lines join the medians of the cases that share a value."
         )
-    if math.isfinite(digest.own_error(VECTOR)):
-        notes.append("Dashed grey is the error of the reference itself.")
     if (step := _stride(len(digest.cases))) > 1:
         notes.append(f"One case in {step} is drawn, to keep the page small.")
-    blocks: list[Block] = [Text(" ".join(notes), kind="note")]
+    if not pairs and not notes:
+        return None
+    blocks: list[Block] = [Text(" ".join(notes), kind="note")] if notes else []
     return Section("parameters", "Error against each swept parameter", [*blocks, *pairs])
+
+
+def _is_flat(digest: Digest, key: str) -> bool:
+    """Whether all cases that differ in this parameter alone have the same errors, of every model, to rounding."""
+    groups: dict[object, list[int]] = {}
+    for k, case in enumerate(digest.cases):
+        groups.setdefault(
+            tuple(case.swept.get(other) for other in digest.swept_keys if other != key), []
+        ).append(k)
+    several = [group for group in groups.values() if len(group) > 1]
+    errors = [digest.full_loads(model, metric) for model in digest.compared for metric, _ in QUANTITIES]
+    return bool(several) and all(
+        np.isfinite(values[group]).all() and np.ptp(values[group]) <= _FLAT * np.abs(values[group]).max()
+        for values in errors
+        for group in several
+        if not np.isnan(values[group]).all()
+    )
 
 
 def _stride(cases: int) -> int:
@@ -154,9 +186,7 @@ def _against_parameter(
             name_ticks(axes, axis.ticks)
         elif axis.kind == "log":
             log_axis(axes, "x")
-        limit = digest.allowed(metric)
-        if limit > 0.0:
-            limit_line(axes, limit)
+        limit_line(axes, digest.allowed(metric))
         both = [
             digest.full_loads(model, other)[axis.cases] for model in digest.compared for other, _ in group
         ]
@@ -210,10 +240,14 @@ def error_against_load(digest: Digest) -> Section | None:
     """Median over cases and their range, step by step; full vector and deformation on the same scale."""
     if not digest.compared or not digest.has_steps:
         return None
-    curves = {metric: over_load(digest, digest.compared, metric) for metric, _ in QUANTITIES}
+    curves = {metric: digest.over_load(digest.compared, metric) for metric, _ in QUANTITIES}
     heights = [
         y for by_model in curves.values() for table in by_model.values() for ys in table.values() for y in ys
-    ] + [digest.allowed(metric) for metric in curves]
+    ]
+    if _is_constant(curves.values()):
+        text = "No error depends on the load: models and reference are linear."
+        return Section("load", "Error against load", [Text(text, kind="note")])
+    heights += [digest.allowed(metric) for metric in curves]
     figures = [
         _against_load(digest, curves[metric], metric, title, heights, f"l{k}")
         for k, (metric, title) in enumerate(QUANTITIES)
@@ -221,53 +255,89 @@ def error_against_load(digest: Digest) -> Section | None:
     ]
     if not figures:
         return None
-    notes = [LIMIT_NOTE]
-    if len(digest.cases) > 1:
-        notes.append("Lines are medians over the cases. Bands reach from the best case to the worst.")
-    if math.isfinite(digest.own_error(VECTOR)):
-        notes.append("Dashed grey is the error of the reference itself, at full load.")
-    blocks: list[Block] = [Text(" ".join(notes), kind="note")]
+    note = "Lines are medians over the cases. Bands reach from the best case to the worst."
+    blocks: list[Block] = [Text(note, kind="note")] if len(digest.cases) > 1 else []
     return Section("load", "Error against load", [*blocks, Figures(figures, digest.legend)])
 
 
-def over_load(digest: Digest, models: Iterable[str], metric: str) -> dict[str, dict[float, list[float]]]:
-    """Model -> load factor -> the finite values over the cases, of the models that have any."""
-    curves: dict[str, dict[float, list[float]]] = {}
-    for model in models:
-        for case in digest.cases:
-            values = series(case, model, metric)
-            for factor, value in zip(case.load_factors, () if values is None else values, strict=False):
-                if math.isfinite(value):
-                    curves.setdefault(model, {}).setdefault(float(factor), []).append(float(value))
-    return curves
+Curves = dict[str, dict[float, list[float]]]  # model -> load factor -> values over the cases
+
+
+def _is_constant(curves: Iterable[Curves]) -> bool:
+    """Whether each model has the same errors at every load, to rounding."""
+    for table in (table for by_model in curves for table in by_model.values()):
+        medians = np.array([np.median(values) for factor, values in table.items() if factor])
+        if len(table) < 2 or np.ptp(medians) > _FLAT * np.abs(medians).max():
+            return False
+    return True
 
 
 def _against_load(
-    digest: Digest,
-    curves: dict[str, dict[float, list[float]]],
-    metric: str,
-    title: str,
-    heights: Sequence[float],
-    salt: str,
+    digest: Digest, curves: Curves, metric: str, title: str, heights: Sequence[float], salt: str
 ) -> Figure:
-    described, own = [], digest.own_error(metric)
-    plot = Plot("load factor", title, salt)
-    with plot as axes:
-        for model, table in curves.items():
-            k = digest.colour(model)
-            factors = sorted(table)
-            low, middle, high = ([float(f(table[x])) for x in factors] for f in (min, np.median, max))
+    own = digest.own_error(metric)
+    found, bands = [], []
+    for model, table in curves.items():
+        factors = sorted(table)
+        low, middle, high = ([float(f(table[x])) for x in factors] for f in (min, np.median, max))
+        bands.append((factors, low, high, digest.colour(model)))
+        cases = [0] * len(factors) if len(digest.cases) == 1 else None
+        found.append(Curve(model, factors, middle, cases))
+
+    def finish(axes: Axes) -> None:
+        for factors, low, high, number in bands:
             if high != low:
-                axes.fill_between(factors, low, high, color=colour(k), alpha=0.14, linewidth=0)
-            cases = [0] * len(factors) if len(digest.cases) == 1 else None
-            draw(axes, k, model, factors, middle, cases=cases)
-            ends = f"from {short_percent(middle[0])} to {short_percent(middle[-1])}"
-            described.append(f"{model} {ends}")
-        if own > 0.0:
-            axes.axhline(own, linestyle="--", color=colour(REFERENCE), linewidth=1.0)
-        if (limit := digest.allowed(metric)) > 0.0:
-            limit_line(axes, limit)
+                axes.fill_between(factors, low, high, color=colour(number), alpha=0.14, linewidth=0)
+        own_line(axes, own)
+        limit_line(axes, digest.allowed(metric))
         axes.set_xlim(left=min(0.0, axes.get_xlim()[0]))
         percent_axis(axes, [*heights, *([own] if own > 0.0 else [])])
-    heading = f"{title} against load"
-    return Figure(plot.drawn(f"{heading}: {listed(described)}."), heading)
+
+    return lines(digest, found, "load factor", title, f"{title} against load", salt, finish=finish)
+
+
+def volume_drift(digest: Digest) -> Section | None:
+    """Change of the exact enclosed volume, as a share of the volume and of the displaced volume."""
+    if not digest.has_steps:
+        return None  # one point per model: the headline has it
+    quantities = (
+        (DRIFT, "|V − V0| / V0", "Drift as a share of the volume"),
+        (
+            "volume_drift_of_displaced",
+            "|V − V0| / displaced volume",
+            "Drift as a share of the displaced volume",
+        ),
+    )
+    figures = [
+        figure
+        for k, (metric, label, title) in enumerate(quantities)
+        if (figure := _drift(digest, metric, label, title, f"v{k}")) is not None
+    ]
+    if not figures:
+        return None
+    note = (
+        "The reference drifts too: a model that is held against it cannot be told to keep the volume better."
+    )
+    if len(digest.cases) > 1:
+        note = f"The largest drift of all cases at each load, without its sign. {note}"
+    blocks: list[Block] = [Text(note, kind="note"), Figures(figures, digest.legend)]
+    return Section("volume", "Volume drift against load", blocks)
+
+
+def _drift(digest: Digest, metric: str, label: str, title: str, salt: str) -> Figure | None:
+    curves = digest.over_load(digest.models, metric)
+    if not any(len(curve) > 1 for curve in curves.values()):
+        return None  # one load is no curve
+    found = []
+    for model, curve in curves.items():
+        factors = sorted(curve)
+        found.append(
+            Curve(model, factors, [max(_DRIFT_FLOOR, *map(abs, curve[factor])) for factor in factors])
+        )
+
+    def finish(axes: Axes) -> None:
+        log_axis(axes, "y")
+        percent_ticks(axes)
+        axes.set_xlim(left=min(0.0, axes.get_xlim()[0]))
+
+    return lines(digest, found, "load factor", label, title, salt, finish=finish)

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
+from matplotlib.axes import Axes
 
 from solver_common.arrays import Array
 
@@ -23,8 +24,8 @@ from ..verdict.loading import (
     name_of,
     weighs,
 )
-from .blocks import Block, Cell, Column, Figure, Figures, Section, Table, Text
-from .plots import Plot, draw
+from .blocks import Block, Cell, Field, Figure, Figures, Section, Table, Text, frame_table
+from .plots import Curve, lines
 
 _CONTACT_NOTE = (
     "The force of a contact is given; the indentation is the answer. It is the largest displacement of a node in "
@@ -187,16 +188,12 @@ def _is_one_load(curves: Mapping[str, _Curve]) -> bool:
 
 
 def _table(digest: Digest, push: Push, curves: Mapping[str, _Curve], place: str, name: str) -> Table:
-    columns = [
-        Column("Model", numeric=False),
-        Column(f"{push.x_label[:1].upper()}{push.x_label[1:]}", unit="m"),
-        Column(f"{push.y_label[:1].upper()}{push.y_label[1:]}", unit=push.unit),
+    fields = [
+        Field("Model", lambda model: model),
+        Field(_capital(push.x_label), lambda model: _range(curves[model].lengths, "m"), "m"),
+        Field(_capital(push.y_label), lambda model: _range(curves[model].loads, push.unit), push.unit),
     ]
-    rows = [
-        [Cell(model), _range(curve.lengths, "m"), _range(curve.loads, push.unit)]
-        for model, curve in curves.items()
-    ]
-    return Table(name, place, columns, rows, marks=digest.marks(curves))
+    return frame_table(list(curves), fields, name, caption=place, mark=digest.mark)
 
 
 def _range(values: Array, unit: str) -> Cell:
@@ -205,28 +202,33 @@ def _range(values: Array, unit: str) -> Cell:
     return Cell(" to ".join(ends), value=float(values[0]) if len(ends) == 1 else None)
 
 
+def _capital(words: str) -> str:
+    return f"{words[:1].upper()}{words[1:]}"
+
+
 def _drawing(digest: Digest, push: Push, curves: Mapping[str, _Curve], place: str, salt: str) -> Figure:
     length, length_unit = scale_of("m", np.concatenate([curve.lengths for curve in curves.values()]))
     force, force_unit = scale_of(push.unit, np.concatenate([curve.loads for curve in curves.values()]))
-    y_label = f"{push.y_label} [{force_unit}]" if force_unit else push.y_label
-    plot = Plot(f"{push.x_label} [{length_unit}]", y_label, salt)
-    told = []
-    with plot as axes:
-        for model, curve in curves.items():
-            draw(
-                axes,
-                digest.colour(model),
-                model,
-                curve.lengths / length,
-                curve.loads / force,
-                cases=curve.cases,
-                named=curve.joined,
-                **({} if curve.joined else {"linestyle": "none"}),
-            )
-            last = int(np.argmax(np.abs(curve.lengths)))
-            load, at = float(curve.loads[last]), float(curve.lengths[last])
-            told.append(f"{model} {quantity(load, push.unit)} at {quantity(at, 'm')}")
+    found = [
+        Curve(
+            model,
+            curve.lengths / length,
+            curve.loads / force,
+            curve.cases,
+            {"named": curve.joined} | ({} if curve.joined else {"linestyle": "none"}),
+        )
+        for model, curve in curves.items()
+    ]
+
+    def finish(axes: Axes) -> None:
         axes.set_xlim(left=min(0.0, axes.get_xlim()[0]))
         axes.set_ylim(bottom=min(0.0, axes.get_ylim()[0]))
-    what = f"{push.y_label[:1].upper()}{push.y_label[1:]}"
-    return Figure(plot.drawn(f"{what} against {push.x_label}, {place}: {listed(told)}."), place)
+
+    def told(curve: Curve) -> str:
+        own = curves[curve.model]
+        last = int(np.argmax(np.abs(own.lengths)))
+        return f"{quantity(float(own.loads[last]), push.unit)} at {quantity(float(own.lengths[last]), 'm')}"
+
+    x_label, y_label = f"{push.x_label} [{length_unit}]", f"{push.y_label} [{force_unit}]".replace(" []", "")
+    title = f"{_capital(push.y_label)} against {push.x_label}, {place}"
+    return replace(lines(digest, found, x_label, y_label, title, salt, finish=finish, told=told), title=place)

@@ -3,20 +3,21 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
-from ..measures.bars import at_full_load
 from ..measures.case import CaseResult
-from ..measures.input_spread import INDICES, InputSpread
+from ..measures.input_spread import INDICES, STRAIGHT, InputSpread
 from ..measures.metrics import VECTOR
 from ..verdict.digest import Digest
-from ..verdict.formatting import NOTHING, listed, number, percent, plural, swept_value
-from ..verdict.inputs_known import input_name, inputs_in_words, inputs_known
-from .blocks import Block, Cell, Column, Section, Table, Text
+from ..verdict.formatting import listed, percent, plural, swept_value
+from ..verdict.inputs_known import input_name, inputs_known
+from ..verdict.words import said
+from .blocks import Block, Cell, Field, Section, Table, Text, frame_table
 
 _READING = (
-    "Each share is a standard deviation over the displacement, area-weighted, at full load. {how} The error of a "
-    "model is its displacement error against the reference. An error below what is not known of the inputs cannot "
-    "be told from another tissue."
+    "Each share is a standard deviation over the displacement, area-weighted, at full load. {how} {variations} of "
+    "each case were computed. The error of a model is its displacement error against the reference. An error below "
+    "what is not known of the inputs cannot be told from another tissue."
 )
 _HOW = {
     "sensitivities": "It is from the answers with one input at a time higher and lower, so of first order.",
@@ -30,8 +31,10 @@ def inputs(digest: Digest) -> Section | None:
     cases = [(case, case.inputs) for case in digest.cases if case.inputs is not None]
     if not cases:
         return None
-    found = inputs_known(digest, digest.focus if digest.focus in digest.compared else "")
-    blocks: list[Block] = [Text(sentence) for sentence in [" ".join(inputs_in_words(found))] if sentence]
+    found = inputs_known(digest, str(digest.focus) if digest.focus in digest.compared else "")
+    blocks: list[Block] = [
+        Text(sentence) for sentence in [" ".join(said("inputs", found, STRAIGHT))] if sentence
+    ]
     roles = [case.hash for _, case in digest.key_cases]
     shown = [(case, spread) for case, spread in cases if case.hash in roles] or cases[:1]
     for k, (case, spread) in enumerate(shown):
@@ -40,8 +43,8 @@ def inputs(digest: Digest) -> Section | None:
         if any(model.indices for model in spread.models.values()):
             blocks.append(_indices(digest, spread, f"input-indices-{k}"))
     method, variations = cases[0][1].method, cases[0][1].variations
-    how = f"{_HOW.get(method, '')} {plural(variations, 'variation')} of each case were computed."
-    blocks.append(Text(_READING.format(how=how), kind="note"))
+    told = _READING.format(how=_HOW.get(method, ""), variations=plural(variations, "variation"))
+    blocks.append(Text(told, kind="note"))
     if still := _moves_nothing(shown[0][1]):
         text = "A region takes whole nodes, and {} moves none of this mesh: a smaller mesh_size resolves it."
         blocks.append(Text(text.format(listed(still)), kind="note"))
@@ -58,59 +61,46 @@ def _moves_nothing(spread: InputSpread) -> list[str]:
 
 
 def _table(digest: Digest, case: CaseResult, spread: InputSpread, name: str, caption: str) -> Table:
-    columns = [
-        Column("Model", numeric=False),
+    def part(k: int) -> Any:
+        return lambda model: float(spread.models[model].parts[k])
+
+    def error(model: str) -> Cell:
+        value = digest.at(case, model, VECTOR)
+        lost = math.isfinite(value) and value < spread.models[model].displacement
+        return Cell(percent(value), "below what is not known" if lost else "", value)
+
+    known = zip(spread.keys, spread.units, spread.values, spread.deviations, strict=True)
+    fields = [
+        Field("Model", lambda model: model),
         *(
-            Column(
+            Field(
                 input_name(key),
+                part(k),
+                "1",
                 f"{swept_value(float(value), unit)} ± {swept_value(float(f'{deviation:.3g}'), unit)}",
-                unit="1",
             )
-            for key, unit, value, deviation in zip(
-                spread.keys, spread.units, spread.values, spread.deviations, strict=True
-            )
+            for k, (key, unit, value, deviation) in enumerate(known)
         ),
-        Column("All inputs", "of the displacement", unit="1"),
-        Column("All inputs", "of the change of shape", unit="1"),
-        Column("Its error", "against the reference", unit="1"),
+        Field("All inputs", lambda model: spread.models[model].displacement, "1", "of the displacement"),
+        Field("All inputs", lambda model: spread.models[model].deformation, "1", "of the change of shape"),
+        Field("Its error", error, "1", "against the reference"),
     ]
-    rows = []
-    for model, found in spread.models.items():
-        error = at_full_load(case, model, VECTOR)
-        lost = math.isfinite(error) and error < found.displacement
-        rows.append(
-            [
-                Cell(model),
-                *(_share(float(part)) for part in found.parts),
-                _share(found.displacement),
-                _share(found.deformation),
-                Cell(percent(error), "below what is not known" if lost else "", error),
-            ]
-        )
-    return Table(name, caption, columns, rows, marks=digest.marks(spread.models))
-
-
-def _share(value: float) -> Cell:
-    return Cell(percent(value) if math.isfinite(value) else NOTHING, value=value)
+    return frame_table(list(spread.models), fields, name, caption=caption, mark=digest.mark)
 
 
 def _indices(digest: Digest, spread: InputSpread, name: str) -> Table:
-    columns = [
-        Column("Model", numeric=False),
-        *(Column(input_name(key), word) for key in spread.keys for word in INDICES.values()),
+    def index(which: str, k: int) -> Any:
+        return lambda model: float(spread.models[model].indices.get(which, [math.nan] * (k + 1))[k])
+
+    fields = [
+        Field("Model", lambda model: model),
+        *(
+            Field(input_name(key), index(which, k), "#", word)
+            for k, key in enumerate(spread.keys)
+            for which, word in INDICES.items()
+        ),
     ]
-    rows = [
-        [
-            Cell(model),
-            *(
-                Cell(number(float(found.indices[index][k])) if index in found.indices else NOTHING)
-                for k in range(len(spread.keys))
-                for index in INDICES
-            ),
-        ]
-        for model, found in spread.models.items()
-    ]
-    return Table(name, "", columns, rows, marks=digest.marks(spread.models))
+    return frame_table(list(spread.models), fields, name, mark=digest.mark)
 
 
 SECTIONS_FIRST = (inputs,)

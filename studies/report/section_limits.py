@@ -11,8 +11,9 @@ from ..measures.case import Limit
 from ..measures.limits import CLOSE, LARGEST, MOST_STRAIN
 from ..verdict.digest import Digest
 from ..verdict.formatting import NOTHING, listed, percent, quantity, short_percent
-from ..verdict.growth import LINEAR, LimitRow, against_the_paper, growth_of, limit_rows
-from .blocks import Block, Cell, Column, Section, Table, Text, bar_detail
+from ..verdict.growth import LINEAR, LimitRow, growth_of, limit_rows, paper_bound
+from ..verdict.words import said
+from .blocks import Block, Cell, Field, Section, Table, Text, bar_detail, frame_table
 
 _WHY = {
     "unresolved": "unresolved: a finer mesh does not bear it out",
@@ -29,11 +30,9 @@ def small_strain_limits(digest: Digest) -> Section | None:
         return None
     found = [case.small_strain for case in digest.cases if case.small_strain is not None]
     raised = listed(sorted({"every load, in proportion" if one.unit == "1" else one.along for one in found}))
-    blocks: list[Block] = [
-        Text(sentence)
-        for sentence in (growth_of(digest, digest.focus or ""), against_the_paper(digest))
-        if sentence
-    ]
+    growth, bound = growth_of(digest, digest.focus or ""), paper_bound(digest)
+    told = [("growth", growth), ("paper", bound)]
+    blocks: list[Block] = [Text(text) for name, one in told if one is not None for text in said(name, one)]
     reading = (
         f"Raised: {raised}. The structural error is the displacement error at a small load. A limit is the "
         f"load at which the error has grown from there by the threshold. For {LINEAR} it is the "
@@ -54,38 +53,42 @@ def small_strain_limits(digest: Digest) -> Section | None:
 
 
 def _table(digest: Digest, rows: list[LimitRow]) -> Table:
+    metres, unit = partial(quantity, unit="m"), rows[0].unit
     many = len({row.case.hash for row in rows}) > 1
-    columns = [
-        *([Column("Case", numeric=False)] if many else []),
-        Column("Model", numeric=False),
-        Column("Structural error", unit="1"),
-        Column("Growth", unit="1"),
-        Column("Load", unit=rows[0].unit) if rows[0].unit != "1" else Column("Times the study's loads"),
-        Column("Indentation", unit="m"),
-        Column("Strain", unit="1"),
+    fields = [
+        *([Field("Case", lambda row: digest.case_name(row.case))] if many else []),
+        Field("Model", lambda row: row.model),
+        Field(
+            "Structural error",
+            lambda row: row.entry.structural_error,
+            "1",
+            bar=lambda row: row.entry.structural_bar,
+        ),
+        Field(
+            "Growth",
+            lambda row: Cell(f"+ {short_percent(row.limit.threshold)}", value=row.limit.threshold),
+            "1",
+        ),
+        Field(
+            "Load" if unit != "1" else "Times the study's loads", lambda row: _load(row.limit, row.unit), unit
+        ),
+        Field(
+            "Indentation",
+            lambda row: _found(row.limit, row.limit.indentation, row.limit.indentation_bar, metres),
+            "m",
+        ),
+        Field("Strain", lambda row: _strain(row.limit), "1"),
     ]
-    metres = partial(quantity, unit="m")
-    cells = []
-    for row in rows:
-        limit, error = row.limit, row.entry.structural_error
-        cells.append(
-            [
-                *([Cell(digest.case_name(row.case))] if many else []),
-                Cell(row.model),
-                Cell(percent(error), bar_detail(error, row.entry.structural_bar), error),
-                Cell(f"+ {short_percent(limit.threshold)}", value=limit.threshold),
-                _load(limit, row.unit),
-                _found(limit, limit.indentation, limit.indentation_bar, metres),
-                _strain(limit),
-            ]
-        )
-    return Table("limits", "", columns, cells, marks=digest.marks(row.model for row in rows))
+    return frame_table(rows, fields, "limits", mark=lambda row: digest.mark(row.model))
 
 
 def _strain(limit: Limit) -> Cell:
     cell = _found(limit, limit.strain, limit.strain_bar, percent)
-    told = [cell.detail, f"largest {percent(limit.largest_strain)}"]
-    return replace(cell, detail="\n".join(filter(None, told)))
+    if not math.isfinite(limit.largest_strain):
+        return cell
+    return replace(
+        cell, detail="\n".join(filter(None, [cell.detail, f"largest {percent(limit.largest_strain)}"]))
+    )
 
 
 def _load(limit: Limit, unit: str) -> Cell:

@@ -1,12 +1,12 @@
-"""The map of words over two swept parameters."""
+"""What the verdict has besides its rows: the map of words over two swept parameters, and doubts about the scene."""
 
 from __future__ import annotations
 
 from ..study.registry import Family
 from ..verdict.formatting import parameter_name, swept_value
-from ..verdict.sentences import TITLES
 from ..verdict.verdict import Verdicts
-from .blocks import Cell, Column, Section, Table, Text
+from ..verdict.words import TITLES
+from .blocks import Cell, Column, Field, Section, Table, Text, frame_table
 
 _MOST_VALUES = 12  # of a parameter: a wider map is no table that one reads
 
@@ -35,3 +35,14 @@ def map_of_words(verdicts: Verdicts) -> Section | None:
         return None
     note = f"The word of each case. Across: {parameter_name(found.x)}; down: {parameter_name(found.y)}."
     return Section("map", "Where it holds", [Text(note, kind="note"), *tables])
+
+
+def doubts(verdicts: Verdicts) -> Section | None:
+    """A row per constraint and doubt, of several cases the first."""
+    fields = [
+        Field("Constraint", lambda doubt: doubt.constraint),
+        Field("Case", lambda doubt: doubt.case),
+        Field("What is doubtful", lambda doubt: doubt.text),
+    ]
+    table = frame_table(verdicts.doubts, fields, "doubts")
+    return Section("doubts", "What is doubtful about the scene", [table]) if verdicts.doubts else None

@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 import numpy as np
+from matplotlib.axes import Axes
 
-from solver_common.arrays import Array
+from solver_common.arrays import Array, Mask
 
 from ..measures.case import CaseResult
 from ..measures.measurement import FORCE, Measurement, Quantity
 from ..study.measured_file import AXES
 from ..verdict.digest import Digest
 from ..verdict.formatting import NOTHING, listed, plain, quantity, scale_of, short_percent
-from .blocks import Block, Cell, Column, Figure, Figures, Section, Table, Text
-from .plots import Plot, draw, name_ticks
+from .blocks import Block, Cell, Field, Figure, Figures, Section, Table, Text, frame_table
+from .plots import Curve, Plot, draw, lines, name_ticks
 from .svg import INK
 
 _MOST_DRAWN = 40  # quantities of a figure
@@ -69,42 +71,56 @@ def _units(found: Measurement) -> list[str]:
 
 
 def _summary(digest: Digest, case: CaseResult, found: Measurement, number: int, unit: str) -> Table:
-    columns = [
-        Column("Model", numeric=False),
-        Column("Within u_val"),
-        Column("rms of E", "of displacements" if unit == "m" else "of forces", unit=unit),
-        Column("of rms of D", unit="1"),
-        *(Column(part, "rms", unit=unit) for part in ("u_num", "u_input", "u_D")),
-        Column("Remains", "largest |E| − u_val", unit=unit),
-        Column("Per frame", unit="s"),
-    ]
+    of_unit = np.array([one.unit == unit for one in found.quantities])
+    moved = np.array([one.component in (*AXES, FORCE) for one in found.quantities])
+
+    def known(name: str) -> Mask:
+        return np.isfinite(found.error(name)) & of_unit
+
+    def used(name: str) -> Mask:
+        """Without distances of a whole surface, which are another kind, where there is something else."""
+        return known(name) & moved if (known(name) & moved).any() else known(name)
+
+    def answered(of: Callable[[str], Cell]) -> Callable[[str], Cell | None]:
+        return lambda name: of(name) if known(name).any() else None
+
+    def within(name: str) -> Cell:
+        count, inside = int(known(name).sum()), int(found.within(name)[known(name)].sum())
+        if not count:
+            return Cell("no answer", tone="bad")
+        return Cell(f"{inside} of {count}", value=inside, tone="" if inside == count else "bad")
+
+    def rms(name: str) -> Cell:
+        value = _rms(found.error(name)[used(name)])
+        return Cell(quantity(value, unit), value=value)
+
+    def share(name: str) -> Cell:
+        size = _rms(found.values[used(name)])
+        value = _rms(found.error(name)[used(name)]) / size if size else math.nan
+        return Cell(short_percent(value) if size else NOTHING, value=value)
+
+    def part(which: str) -> Callable[[str], Cell]:
+        return lambda name: _part(found.parts(name)[which][used(name)], unit)
+
+    def remains(name: str) -> Cell:
+        rest = max(0.0, float((np.abs(found.error(name)) - found.uncertainty(name))[known(name)].max()))
+        return Cell(quantity(rest, unit) if rest else "nothing", value=rest)
+
+    def frame(name: str) -> float:
+        return float(np.median(case.models[name].seconds_per_step)) if name in case.models else math.nan
+
     names = list(found.simulated)
-    rows = [_summary_row(case, found, name, unit) for name in names]
-    suffix = f"-{unit}" if unit != "m" else ""
-    return Table(f"measured-{number}{suffix}", "", columns, rows, marks=digest.marks(names))
-
-
-def _summary_row(case: CaseResult, found: Measurement, name: str, unit: str) -> list[Cell]:
-    errors, data = found.error(name), found.values
-    known = np.isfinite(errors) & np.array([one.unit == unit for one in found.quantities])
-    told = Cell(name, "came with the measurement" if name in found.others else "")
-    if not known.any():
-        return [told, Cell("no answer", tone="bad"), *(Cell(NOTHING) for _ in range(7))]
-    count, within = int(known.sum()), int(found.within(name)[known].sum())
-    moved = known & np.array([one.component in (*AXES, FORCE) for one in found.quantities])
-    used = moved if moved.any() else known  # distances of a whole surface are another kind
-    rms, size = _rms(errors[used]), _rms(data[used])
-    rest = max(0.0, float((np.abs(errors) - found.uncertainty(name))[known].max()))
-    frame = float(np.median(case.models[name].seconds_per_step)) if name in case.models else math.nan
-    return [
-        told,
-        Cell(f"{within} of {count}", value=within, tone="" if within == count else "bad"),
-        Cell(quantity(rms, unit), value=rms),
-        Cell(short_percent(rms / size) if size else NOTHING, value=rms / size if size else None),
-        *(_part(part[used], unit) for part in found.parts(name).values()),
-        Cell(quantity(rest, unit) if rest else "nothing", value=rest),
-        Cell(quantity(frame, "s"), value=frame),
+    fields = [
+        Field("Model", lambda name: Cell(name, "came with the measurement" if name in found.others else "")),
+        Field("Within u_val", within, "#"),
+        Field("rms of E", answered(rms), unit, "of displacements" if unit == "m" else "of forces"),
+        Field("of rms of D", answered(share), "1"),
+        *(Field(which, answered(part(which)), unit, "rms") for which in found.parts(names[0])),
+        Field("Remains", answered(remains), unit, "largest |E| − u_val"),
+        Field("Per frame", frame, "s"),
     ]
+    suffix = f"-{unit}" if unit != "m" else ""
+    return frame_table(names, fields, f"measured-{number}{suffix}", mark=digest.mark)
 
 
 def _part(values: Array, unit: str) -> Cell:
@@ -118,28 +134,33 @@ def _rms(values: Array) -> float:
 
 
 def _details(case: CaseResult, found: Measurement, number: int) -> Table:
-    names = list(found.simulated)
-    errors = {name: found.error(name) for name in names}
-    bars = {name: found.uncertainty(name) for name in names}
-    within = {name: found.within(name) for name in names}
-    rows = []
-    for k, one in enumerate(found.quantities):
-        measured = Cell(
-            quantity(one.value, one.unit), f"± {quantity(one.uncertainty, one.unit, 2)}", one.value
-        )
-        cells = []
-        for name in names:
-            error, bar = float(errors[name][k]), float(bars[name][k])
-            tone = "" if within[name][k] or math.isnan(error) else "bad"
-            detail = "" if math.isnan(error) else f"± {quantity(bar, one.unit, 2)}"
-            cells.append(Cell(quantity(error, one.unit), detail, error, tone=tone))
-        rows.append([Cell(_named(one, case), one.table), measured, *cells])
-    columns = [
-        Column("Quantity", "at its load factor" if len(case.load_factors) > 1 else "", numeric=False),
-        Column("Measured", "± u_D", unit=" or ".join(_units(found))),
-        *(Column(name, "E ± u_val", unit=" or ".join(_units(found))) for name in names),
+    units = " or ".join(_units(found))
+
+    def error(name: str) -> Callable[[int], Cell]:
+        errors, bars, within = found.error(name), found.uncertainty(name), found.within(name)
+
+        def of(k: int) -> Cell:
+            unit, value = found.quantities[k].unit, float(errors[k])
+            known = math.isfinite(value)
+            detail = f"± {quantity(float(bars[k]), unit, 2)}" if known else ""
+            return Cell(quantity(value, unit), detail, value, tone="bad" if known and not within[k] else "")
+
+        return of
+
+    def measured(k: int) -> Cell:
+        one = found.quantities[k]
+        return Cell(quantity(one.value, one.unit), f"± {quantity(one.uncertainty, one.unit, 2)}", one.value)
+
+    fields = [
+        Field(
+            "Quantity",
+            lambda k: Cell(_named(found.quantities[k], case), found.quantities[k].table),
+            detail="at its load factor" if len(case.load_factors) > 1 else "",
+        ),
+        Field("Measured", measured, units, "± u_D"),
+        *(Field(name, error(name), units, "E ± u_val") for name in found.simulated),
     ]
-    return Table(f"measured-points-{number}", "", columns, rows)
+    return frame_table(range(len(found.quantities)), fields, f"measured-points-{number}")
 
 
 def _named(one: Quantity, case: CaseResult) -> str:
@@ -185,23 +206,28 @@ def _curves(digest: Digest, _: CaseResult, found: Measurement, number: int) -> l
         mine, depths = [mine[k] for k in order], depths[order]
         force, unit = scale_of("N", [found.quantities[k].value for k in mine])
         length, length_unit = scale_of("m", depths)
-        plot = Plot(f"depth [{length_unit}]", f"force [{unit}]", f"curve{number}-{len(figures)}")
-        described = []
-        with plot as axes:
-            values, bars = (
-                found.values[mine] / force,
-                np.array([found.quantities[k].uncertainty for k in mine]) / force,
-            )
-            axes.vlines(depths / length, values - bars, values + bars, colors=INK, linewidth=2.2)
-            axes.plot(depths / length, values, "_", color=INK, markersize=11)
-            for model in (model for model in digest.models if model in found.simulated):
-                simulated = found.simulated[model][mine] / force
-                draw(axes, digest.colour(model), model, depths / length, simulated, markersize=4)
-                described.append(model)
+        curves = [
+            Curve(model, depths / length, found.simulated[model][mine] / force, look={"markersize": 4})
+            for model in digest.models
+            if model in found.simulated
+        ]
+        values = found.values[mine] / force
+        bars = np.array([found.quantities[k].uncertainty for k in mine]) / force
+
+        def finish(
+            axes: Axes, x: Array = depths / length, values: Array = values, bars: Array = bars
+        ) -> None:
+            axes.vlines(x, values - bars, values + bars, colors=INK, linewidth=2.2)
+            axes.plot(x, values, "_", color=INK, markersize=11)
             axes.set_xlim(left=0.0)
             axes.set_ylim(bottom=min(0.0, axes.get_ylim()[0]))
-        heading = f"Force of {name} against depth, measured (bars: ± u_D) and simulated"
-        figures.append(Figure(plot.drawn(f"{heading}: {listed(described)}."), heading))
+
+        title = f"Force of {name} against depth, measured (bars: ± u_D) and simulated"
+        labels = f"depth [{length_unit}]", f"force [{unit}]"
+        salt = f"curve{number}-{len(figures)}"
+        figures.append(
+            lines(digest, curves, *labels, title, salt, finish=finish, shown=lambda f: plain(f, 3))
+        )
     return figures
 
 

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+from matplotlib.axes import Axes
 
 from ..verdict.digest import Digest
 from ..verdict.formatting import NOTHING, listed, parameter_name, plural, scale_of, swept_value
@@ -19,8 +22,8 @@ from ..verdict.ladders import (
     alike,
     ladders,
 )
-from .blocks import Block, Cell, Column, Figure, Figures, Section, Table, Text
-from .plots import Plot, colour, draw, log_axis, name_ticks, place
+from .blocks import Block, Cell, Field, Figure, Figures, Section, Table, Text, frame_table
+from .plots import Curve, colour, lines, log_axis, name_ticks, place
 
 ONE_AT_A_TIME, CLAIM = "one-at-a-time", 9
 _FLOOR = 1e-17  # what is smaller, or zero, is drawn here
@@ -100,88 +103,109 @@ def _reading_note() -> str:
 
 def _solvers(digest: Digest, found: Sequence[Ladder]) -> Table:
     """One row for each solver: how far its measures went where it was right, and where it was not."""
-    columns = [
-        Column("Solver", numeric=False),
-        Column("Condition", "up to"),
-        Column("Residual", "up to"),
-        Column("From trusted", "up to"),
-        Column("Volume drift", "on the study's own values"),
-        Column("Left without load", "up to"),
-        Column("Breaks down at", numeric=False),
-    ]
-    rows: list[list[Cell]] = []
-    marks: list[int | None] = []
-    for model in dict.fromkeys(name for ladder in found for name in ladder.readings):
-        on = [ladder for ladder in found if model in ladder.readings]
-        right = [r for ladder in on for r in ladder.readings[model] if r is not None and r.ok]
+
+    def on(model: str) -> list[Ladder]:
+        return [ladder for ladder in found if model in ladder.readings]
+
+    def most(measure: str) -> Any:
+        """Of what was right, the largest finite value."""
+
+        def of(model: str) -> Cell:
+            right = [r for ladder in on(model) for r in ladder.readings[model] if r is not None and r.ok]
+            values = [value for r in right if math.isfinite(value := getattr(r, measure))]
+            return _exponent(max(values, default=math.nan))
+
+        return of
+
+    def breaks(model: str) -> Cell:
         ends = [
             f"{parameter_name(ladder.key)} {ladder.text(value)}"
-            for ladder in on
+            for ladder in on(model)
             for value, _ in ladder.breakdowns(model)
         ]
-        measures = [
-            _most(right, "condition"),
-            _most(right, "residual"),
-            _most(right, "difference"),
-            _on_base(on, model),
-            _most(right, "left"),
-        ]
-        rows.append(
-            [
-                Cell(model),
-                *(Cell(f"{v:.1e}" if math.isfinite(v) else NOTHING, value=v) for v in measures),
-                Cell("; ".join(ends)) if ends else Cell("nowhere", tone="muted"),
-            ]
-        )
-        marks.append(digest.colour(model))
-    kept = [k for k in range(len(columns)) if not 0 < k < 6 or any(row[k].text != NOTHING for row in rows)]
-    return Table(
-        "stability_solvers",
-        "What each solver stands",
-        [columns[k] for k in kept],
-        [[row[k] for k in kept] for row in rows],
-        marks,
-        open_rows=60,
-    )
+        return Cell("; ".join(ends)) if ends else Cell("nowhere", tone="muted")
+
+    fields = [
+        Field("Solver", lambda model: model),
+        Field("Condition", most("condition"), "#", "up to"),
+        Field("Residual", most("residual"), "#", "up to"),
+        Field("From trusted", most("difference"), "#", "up to"),
+        Field(
+            "Volume drift", lambda model: _exponent(_on_base(found, model)), "#", "on the study's own values"
+        ),
+        Field("Left without load", most("left"), "#", "up to"),
+        Field("Breaks down at", breaks),
+    ]
+    models = list(dict.fromkeys(name for ladder in found for name in ladder.readings))
+    about = {"caption": "What each solver stands", "open_rows": 60}
+    return frame_table(models, fields, "stability_solvers", mark=digest.mark, **about)
 
 
-def _most(readings: Sequence[Reading], measure: str) -> float:
-    """The largest finite value, NaN where there is none."""
-    values = [getattr(reading, measure) for reading in readings]
-    return max((value for value in values if math.isfinite(value)), default=math.nan)
+def _exponent(value: float) -> Cell:
+    return Cell(f"{value:.1e}", value=value) if math.isfinite(value) else Cell(NOTHING)
 
 
 def _on_base(found: Sequence[Ladder], model: str) -> float:
     """The drift of a model in the case that all ladders start from, NaN where it is on none of them."""
-    for ladder in found:
-        if ladder.base in ladder.values:
-            reading = ladder.readings[model][ladder.values.index(ladder.base)]
-            return reading.drift if reading is not None and reading.ok else math.nan
+    for ladder in (ladder for ladder in found if model in ladder.readings and ladder.base in ladder.values):
+        reading = ladder.readings[model][ladder.values.index(float(ladder.base or 0.0))]
+        return reading.drift if reading is not None and reading.ok else math.nan
     return math.nan
 
 
+class _Side(NamedTuple):
+    """One end of where models that come out alike are right; `value` is None where they break down nowhere."""
+
+    ladder: Ladder
+    models: Sequence[str]
+    value: float | None
+    reading: Reading | None
+
+
 def _table(digest: Digest, found: Sequence[Ladder]) -> Table:
-    columns = [
-        Column("Ladder", numeric=False),
-        Column("Solver", numeric=False),
-        Column("Right", "from"),
-        Column("Right", "to"),
-        Column("Breaks down", "first at"),
-        Column("Status", numeric=False),
-        Column("Remedy", numeric=False),
-    ]
-    rows: list[list[Cell]] = []
-    marks: list[int | None] = []
+    rows = []
     for ladder in found:
-        name = parameter_name(ladder.key)
         for models in alike(ladder):
-            who = Cell(_who(models, ladder))
-            right = _right(ladder, models[0])
-            sides = [_breakdown(ladder, *side) for side in ladder.breakdowns(models[0])]
-            for side in sides or [(Cell("nowhere", tone="muted"), Cell(NOTHING), Cell(NOTHING))]:
-                rows.append([Cell(name), who, *right, *side])
-                marks.append(digest.colour(models[0]) if len(models) == 1 else None)
-    return Table("stability", "Where, and what the status says", columns, rows, marks, open_rows=60)
+            sides = [_Side(ladder, models, *side) for side in ladder.breakdowns(models[0])]
+            rows += sides or [_Side(ladder, models, None, None)]
+
+    def right(end: int) -> Any:
+        def of(row: _Side) -> Cell:
+            sound = row.ladder.sound_range(row.models[0])
+            if sound is None:
+                return Cell(NOTHING) if end else Cell("nowhere", tone="bad")
+            value = row.ladder.values[sound[end]]
+            return Cell(row.ladder.text(value), value=value)
+
+        return of
+
+    def breaks(row: _Side) -> Cell:
+        return (
+            Cell("nowhere", tone="muted")
+            if row.value is None
+            else Cell(row.ladder.text(row.value), value=row.value)
+        )
+
+    def status(row: _Side) -> Cell | None:
+        if row.reading is None:
+            return None
+        return Cell(row.reading.code, row.reading.message, tone="bad" if row.reading.silent else "")
+
+    fields = [
+        Field("Ladder", lambda row: parameter_name(row.ladder.key)),
+        Field("Solver", lambda row: _who(row.models, row.ladder)),
+        Field("Right", right(0), "#", "from"),
+        Field("Right", right(1), "#", "to"),
+        Field("Breaks down", breaks, "#", "first at"),
+        Field("Status", status),
+        Field("Remedy", lambda row: row.reading.remedy if row.reading is not None else None),
+    ]
+    about = {"caption": "Where, and what the status says", "open_rows": 60}
+    return frame_table(rows, fields, "stability", mark=lambda row: _mark(digest, row.models), **about)
+
+
+def _mark(digest: Digest, models: Sequence[str]) -> int | None:
+    return digest.mark(models[0]) if len(models) == 1 else None
 
 
 def _who(models: Sequence[str], ladder: Ladder) -> str:
@@ -190,19 +214,6 @@ def _who(models: Sequence[str], ladder: Ladder) -> str:
     if not ladder.breakdowns(models[0]) and len(ladder.readings) > len(models) > 0.6 * len(ladder.readings):
         return "all others"
     return ", ".join(models)
-
-
-def _right(ladder: Ladder, model: str) -> list[Cell]:
-    sound = ladder.sound_range(model)
-    if sound is None:
-        return [Cell("nowhere", tone="bad"), Cell(NOTHING)]
-    return [Cell(ladder.text(ladder.values[k]), value=ladder.values[k]) for k in sound]
-
-
-def _breakdown(ladder: Ladder, value: float, reading: Reading) -> tuple[Cell, Cell, Cell]:
-    at = Cell(ladder.text(value), value=value)
-    tone = "bad" if reading.silent else ""
-    return at, Cell(reading.code, reading.message, tone=tone), Cell(reading.remedy or NOTHING)
 
 
 # --- the figures ---
@@ -214,31 +225,26 @@ def _figure(digest: Digest, ladder: Ladder, measure: str, salt: str) -> Figure |
     kind, where = place([value / factor for value in ladder.values])
     x = [where[value / factor] for value in ladder.values]
     name = parameter_name(ladder.key)
-    plot = Plot(f"{name} [{unit}]" if unit else name, _TITLES[measure], salt)
-    told = []
-    with plot as axes:
-        for rank, (model, readings) in enumerate(ladder.readings.items()):
-            values = [getattr(r, measure) if r is not None else math.nan for r in readings]
-            points = [(a, max(b, _FLOOR)) for a, b in zip(x, values, strict=True) if math.isfinite(b)]
-            if not points:
-                continue
-            k = digest.colour(model)
-            draw(axes, k, model, *zip(*points, strict=True))
-            told.append(f"{model} from {min(b for _, b in points):.1e} to {max(b for _, b in points):.1e}")
-            broken = [a for a, r in zip(x, readings, strict=True) if r is not None and not r.ok]
-            height = 0.98 - 0.035 * (rank % 12)
-            axes.plot(
-                broken,
-                [height] * len(broken),
-                "x",
-                color=colour(k),
-                transform=axes.get_xaxis_transform(),
-            )
-        if not told:
-            return None
+    curves, broken = [], []
+    for rank, (model, readings) in enumerate(ladder.readings.items()):
+        values = [getattr(r, measure) if r is not None else math.nan for r in readings]
+        points = [(a, max(b, _FLOOR)) for a, b in zip(x, values, strict=True) if math.isfinite(b)]
+        if points:
+            curves.append(Curve(model, *zip(*points, strict=True)))
+            at = [a for a, r in zip(x, readings, strict=True) if r is not None and not r.ok]
+            broken.append((at, 0.98 - 0.035 * (rank % 12), digest.colour(model)))
+    if not curves:
+        return None
+
+    def finish(axes: Axes) -> None:
+        for at, height, number in broken:
+            transform = axes.get_xaxis_transform()
+            axes.plot(at, [height] * len(at), "x", color=colour(number), transform=transform)
         log_axis(axes, "y")
         if kind == "log":
             log_axis(axes, "x")
         elif kind == "even":
             name_ticks(axes, [(p, swept_value(value, "1")) for value, p in where.items()])
-    return Figure(plot.drawn(f"{_TITLES[measure]} against {name}: {listed(told)}."), _TITLES[measure])
+
+    title, label = _TITLES[measure], f"{name} [{unit}]" if unit else name
+    return lines(digest, curves, label, title, title, salt, finish=finish, shown=lambda value: f"{value:.1e}")

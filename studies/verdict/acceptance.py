@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
+from numpy.typing import NDArray
 
 from solver_common.arrays import Array
 
@@ -20,11 +21,13 @@ from ..study.schema import Study
 CLOSE = 0.10  # of both errors where a study says nothing: the "within 10 %" that the paper's claim speaks of
 LEAST_TIMES = 3  # measured times, from which on none within is no chance
 NODAL = max_nodal_error.__name__
-WITHIN, OPEN, BEYOND, LOST = "within", "open", "beyond", "lost"
-NOT_ASKED = ""  # of a limit that a case has nothing to hold against
+FRAME_TIME = "frame_time"
+# where a model stands; of several limits the largest decides
+NOT_ASKED, WITHIN, OPEN, BEYOND, LOST = -1, 0, 1, 2, 3
 YES, UNDECIDED, NO, NOT_JUDGED = "yes", "undecided", "no", "not judged"
 _WORDS = (YES, UNDECIDED, NO, NOT_JUDGED)  # the best first
 WORD = {WITHIN: YES, OPEN: UNDECIDED, BEYOND: NO, LOST: NO}  # of one case
+States = NDArray[np.int8]
 
 
 @dataclass(frozen=True)
@@ -35,63 +38,100 @@ class Criterion:
     ----------
     key, name : in the study file, and in words
     allowed : the most that is accepted, in `unit`
-    of_load : whether what it limits grows with the load
     values : case, model -> (S,) what is limited at each step, NaN where there is none
     bar : case -> the reference's own part in it, NaN where not measured
+    region : that it is restricted to, "" for none
     """
 
     key: str
     name: str
     allowed: float
     unit: str
-    of_load: bool
     values: Callable[[CaseResult, str], Array]
     bar: Callable[[CaseResult], float]
     region: str = ""
+
+    @property
+    def of_load(self) -> bool:
+        """Whether what it limits grows with the load."""
+        return self.key != FRAME_TIME
 
     def at(self, case: CaseResult, model: str, step: int) -> float:
         """What is limited, at one step."""
         return float(self.values(case, model)[step])
 
-    def state(self, case: CaseResult, model: str, step: int) -> str:
-        """WITHIN or BEYOND, whatever the reference's own error is; else OPEN. LOST without an answer.
+    def states(self, case: CaseResult, model: str) -> States:
+        """(S,) WITHIN or BEYOND, whatever the reference's own error is; else OPEN. LOST without an answer.
 
         An error of the reference that was not measured counts as none. A reference that moves as a rigid body has
         no change of shape, and a model's error in that is NOT_ASKED.
         """
-        value, bar = self.at(case, model, step), self.bar(case)
-        if self.key == "frame_time":
-            answered = math.isfinite(_series(case, model, VECTOR)[step])
-            return _time_state(case.models[model], self.allowed) if answered else LOST
+        values, bar = self.values(case, model), self.bar(case)
+        if self.key == FRAME_TIME:
+            answered = np.isfinite(_series(case, model, VECTOR))
+            state = _time_state(case.models[model], self.allowed) if answered.any() else LOST
+            return np.where(answered, state, LOST).astype(np.int8)
         bar = bar if math.isfinite(bar) else 0.0
-        if not math.isfinite(value):
-            answered = math.isfinite(_series(case, model, VECTOR)[step])
-            return NOT_ASKED if answered and self.key == "deformation_error" else LOST
-        if value + bar <= self.allowed:
-            return WITHIN
-        return BEYOND if value - bar > self.allowed else OPEN
+        known = np.isfinite(values)
+        found = np.where(
+            values + bar <= self.allowed, WITHIN, np.where(values - bar > self.allowed, BEYOND, OPEN)
+        )
+        found[~known] = LOST
+        if self.key == "deformation_error":
+            found[~known & np.isfinite(_series(case, model, VECTOR))] = NOT_ASKED
+        return found.astype(np.int8)
+
+    def state(self, case: CaseResult, model: str, step: int) -> int:
+        """The state at one step."""
+        return int(self.states(case, model)[step])
 
 
 @dataclass(frozen=True)
 class Acceptance:
-    """The limits of a study, those of its errors first."""
+    """The limits of a study, those of its errors first. What was looked up once is remembered."""
 
     criteria: tuple[Criterion, ...]
+    _known: dict[tuple[str, str, str], object] = field(default_factory=dict, compare=False, repr=False)
 
     @property
-    def of_load(self) -> Acceptance:
+    def of_load(self) -> tuple[Criterion, ...]:
         """Those that a larger load can break."""
-        return Acceptance(tuple(one for one in self.criteria if one.of_load))
+        return tuple(one for one in self.criteria if one.of_load)
 
-    def state(self, case: CaseResult, model: str, step: int) -> str:
-        """The worst of the limits' states."""
-        states = {one.state(case, model, step) for one in self.criteria}
-        return next(state for state in (LOST, BEYOND, OPEN, WITHIN) if state in states)
+    def states(self, case: CaseResult, model: str, *, of_load: bool = False) -> States:
+        """(S,) the worst of the limits' states; `of_load` leaves out what no load can break."""
+        key = (case.hash, model, f"states {of_load}")
+        if key not in self._known:
+            criteria = self.of_load if of_load else self.criteria
+            self._known[key] = np.max([one.states(case, model) for one in criteria], axis=0)
+        return self._known[key]  # type: ignore[return-value]
+
+    def state(self, case: CaseResult, model: str, *, of_load: bool = False) -> int:
+        """The worst of the limits' states at full load."""
+        return int(self.states(case, model, of_load=of_load)[case.full_load])
 
     def share(self, case: CaseResult, model: str) -> float:
-        """The largest of what is limited over its limit at full load; infinite without an answer."""
-        shares = np.array([one.at(case, model, case.full_load) / one.allowed for one in self.criteria])
-        return float(np.nanmax(shares)) if math.isfinite(shares[0]) else math.inf
+        """The largest error over its limit at full load, whatever the time; infinite without an answer."""
+        key = (case.hash, model, "share")
+        if key not in self._known:
+            shares = [one.at(case, model, case.full_load) / one.allowed for one in self.of_load]
+            self._known[key] = float(np.nanmax(shares)) if math.isfinite(shares[0]) else math.inf
+        return self._known[key]  # type: ignore[return-value]
+
+    def usual_share(self, cases: Sequence[CaseResult], model: str) -> float:
+        """Median of `share` over the cases; infinite if most have none."""
+        return float(np.median([self.share(case, model) for case in cases])) if cases else math.inf
+
+    def standing(self, cases: Sequence[CaseResult], model: str) -> tuple[float, ...]:
+        """Sorts the models of a family, the one that decides first: by the answer, then by error, never by time.
+
+        Of equal ones, or where half the cases or more have no answer, by how many have one. So one more model in
+        a family never makes its answer a worse one.
+        """
+        word = word_of(self.state(case, model) for case in cases)
+        known = [share for case in cases if math.isfinite(share := self.share(case, model))]
+        usual = float(np.median(known)) if known else math.inf
+        return _WORDS.index(word), self.usual_share(cases, model), -len(known), usual
 
 
 def acceptance(study: Study) -> Acceptance:
@@ -101,12 +141,18 @@ def acceptance(study: Study) -> Acceptance:
         _error("displacement_error", "displacement error", VECTOR, given.displacement_error),
         _error("deformation_error", "change of shape", DEFORMATION, given.deformation_error),
     ]
-    if given.largest_difference is not None:
-        found.append(_largest_difference(given.largest_difference, given.region or ""))
+    if (most := given.largest_difference) is not None:
+        region = given.region or ""
+        name = f"largest difference in {region}" if region else "largest difference"
+
+        def differences(case: CaseResult, model: str) -> Array:
+            return _differences(case, model, region) if region else _series(case, model, NODAL)
+
+        # the reference's own part in a region is no more than at any node
+        bar = lambda case: reference_bar(case, NODAL)  # noqa: E731
+        found.append(Criterion("largest_difference", name, most, "m", differences, bar, region))
     if (most := given.frame_time) is not None:
-        found.append(
-            Criterion("frame_time", "time per frame", most, "s", False, _frame_times, lambda _: math.nan)
-        )
+        found.append(Criterion(FRAME_TIME, "time per frame", most, "s", _frame_times, lambda _: math.nan))
     return Acceptance(tuple(found))
 
 
@@ -116,23 +162,8 @@ def _error(key: str, name: str, metric: str, allowed: float) -> Criterion:
         name,
         allowed,
         "1",
-        True,
         lambda case, model: _series(case, model, metric),
         lambda case: reference_bar(case, metric),
-    )
-
-
-def _largest_difference(most: float, region: str) -> Criterion:
-    """At any node, or at those of a region: the reference's own part in that is no more than at any node."""
-    return Criterion(
-        "largest_difference",
-        f"largest difference in {region}" if region else "largest difference",
-        most,
-        "m",
-        True,
-        lambda case, model: _differences(case, model, region) if region else _series(case, model, NODAL),
-        lambda case: reference_bar(case, NODAL),
-        region,
     )
 
 
@@ -159,7 +190,7 @@ def _frame_times(case: CaseResult, model: str) -> Array:
     return np.full(len(case.load_factors), np.median(known) if len(known) else math.nan)
 
 
-def _time_state(result: ModelResult, allowed: float) -> str:
+def _time_state(result: ModelResult, allowed: float) -> int:
     """Where a model's times stand: a busy machine makes them longer, never shorter.
 
     WITHIN where three in four rounds keep the limit, BEYOND where none of at least three does, else OPEN. What was
@@ -180,28 +211,6 @@ def _nothing(case: CaseResult) -> Array:
     return np.full(len(case.load_factors), math.nan)
 
 
-# --- over all cases ---
-
-
-def word_of(states: Iterable[str]) -> str:
+def word_of(states: Iterable[int]) -> str:
     """The answer to "is it good enough?" from a model's state in each judged case: that of the worst of them."""
     return max((WORD[state] for state in states), key=_WORDS.index, default=NOT_JUDGED)
-
-
-def usual_share(cases: Sequence[CaseResult], model: str, limits: Acceptance) -> float:
-    """Median over the cases of the largest error over its limit, whatever the time; infinite if most have none."""
-    shares = [limits.of_load.share(case, model) for case in cases]
-    return float(np.median(shares)) if shares else math.inf
-
-
-def standing(cases: Sequence[CaseResult], model: str, limits: Acceptance) -> tuple[float, ...]:
-    """Sorts the models of a family, the one that decides first: by the answer, then by error alone, never by time.
-
-    Of equal ones, or where half the cases or more have no answer, by how many have one. So one more model in a
-    family never makes its answer a worse one.
-    """
-    word = word_of(limits.state(case, model, case.full_load) for case in cases)
-    shares = np.array([limits.of_load.share(case, model) for case in cases])
-    known = shares[np.isfinite(shares)]
-    usual = float(np.median(known)) if len(known) else math.inf
-    return _WORDS.index(word), usual_share(cases, model, limits), -len(known), usual

@@ -1,32 +1,42 @@
-"""What the page says, as numbers: computed from the stored results alone, before anything is drawn."""
+"""A run and the selections of its frame that verdict, page and terminal share: families, key cases, spreads."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from solver_common.arrays import Array
 
 from ..body.surface_measures import Surface
+from ..machine.processors import processor_name
 from ..measures import uncertainty
-from ..measures.bars import at_full_load, reference_bar, series, value_bar
+from ..measures.bars import reference_bar
 from ..measures.case import CaseResult, Run
+from ..measures.frame import at_full_load, frame
 from ..measures.metrics import DEFORMATION, VECTOR
 from ..scene.result import ModelResult
 from ..scene.warnings import MOST_DRIFT, MOST_MOVED, motion_share
 from ..study.registry import FINITE_STRAIN, REFINED, Family, family_of, split
 from . import palette
-from .acceptance import Acceptance, acceptance, standing
-from .loading import supports
-from .measured import measured
+from .acceptance import Acceptance, acceptance
+from .loading import KnownLoads, known_loads, supports
+
+if TYPE_CHECKING:
+    from pandas import DataFrame
 
 # place of the reference in the palette; see `palette.places` for the others
 REFERENCE = -1
 SAME_NUMBERS = 1e-6  # of the displacement: less is rounding between two ways to solve one system
+ALONG_NORMALS = 1e-9  # of its motion that a model of the normal component has in the surface
+NORMAL, CONTACT, HAUSDORFF = "relative_l2_normal_error", "contact_region_error", "hausdorff_distance"
+DRIFT = "volume_drift"
+# what stands beside a time
+EARLIER, ELSEWHERE, ONCE = "earlier run", "another machine", "one answer"
 
 
 def failed_steps(model: ModelResult) -> list[int]:
@@ -96,7 +106,7 @@ class ModelSummary:
     seconds_everywhere: float  # the same of a frame with all nodes loaded; NaN where not measured
     peak_bytes: float  # largest over cases
     failed_cases: int  # cases with a step that failed
-    marks: tuple[str, ...]  # what stands beside its times, see `measured`
+    marks: tuple[str, ...]  # what stands beside its times: EARLIER, ELSEWHERE, ONCE
     iterative: bool  # whether an iterative solver was chosen in any case
 
 
@@ -122,6 +132,36 @@ class Digest:
         return self.run.cases
 
     @cached_property
+    def table(self) -> DataFrame:
+        """The frame of the run; see `vdmbench.measures.frame`."""
+        return frame(self.run)
+
+    @cached_property
+    def _columns(self) -> dict[tuple[str, str], tuple[Array, Array]]:
+        """(model, metric) -> (C,) values of the cases at full load and (C,) their bars; NaN where there is none."""
+        full, count = at_full_load(self.table), len(self.cases)
+        place, found = self._place, {}
+        for key, rows in full.groupby(["model", "metric"], sort=False, observed=True):
+            at = rows["case"].map(place).to_numpy()
+            found[key] = np.full(count, math.nan), np.full(count, math.nan)
+            for column, name in zip(found[key], ("value", "bar"), strict=True):
+                column[at] = rows[name]
+        return found
+
+    def over_load(self, models: Iterable[str], metric: str) -> dict[str, dict[float, list[float]]]:
+        """Model -> load factor -> the finite values of a metric over the cases, of the models that have any."""
+        rows = self.table[(self.table["metric"] == metric) & np.isfinite(self.table["value"])]
+        names = set(rows["model"])
+        return {
+            model: {
+                float(factor): values.tolist()
+                for factor, values in rows[rows["model"] == model].groupby("load_factor")["value"]
+            }
+            for model in models
+            if model in names
+        }
+
+    @cached_property
     def limits(self) -> Acceptance:
         """How far off a model may be."""
         return acceptance(self.run.study)
@@ -143,6 +183,11 @@ class Digest:
         }
 
     @cached_property
+    def known_loads(self) -> KnownLoads:
+        """The loads of all steps of all cases."""
+        return known_loads(self.cases, {key: surface.normals for key, surface in self.surfaces.items()})
+
+    @cached_property
     def models(self) -> tuple[str, ...]:
         """All models by family, the reference last; in one as the study orders them."""
         asked = [str(name) for name in self.run.study.study.models]
@@ -160,9 +205,7 @@ class Digest:
     def compared(self) -> tuple[str, ...]:
         """The models that are measured against the reference."""
         return tuple(
-            name
-            for name in self.models
-            if name != self.reference and any(series(case, name, VECTOR) is not None for case in self.cases)
+            name for name in self.models if name != self.reference and (name, VECTOR) in self._columns
         )
 
     @cached_property
@@ -189,7 +232,7 @@ class Digest:
                 continue
             extent = self.surfaces[case.hash].smallest_extent
             moved = motion_share(result.displacement[case.full_load], supports(case), extent)
-            drift = abs(at_full_load(case, str(case.reference), "volume_drift"))
+            drift = abs(self.at(case, str(case.reference), DRIFT))
             if moved > MOST_MOVED or drift > MOST_DRIFT:
                 found.append(Outside(case.hash, self.case_name(case), moved, drift))
         return tuple(found)
@@ -211,7 +254,7 @@ class Digest:
 
     def deciding(self, family: Family) -> str:
         """The model that decides in a family: of those that are compared the one that stands best."""
-        return min(self.families[family], key=lambda name: standing(self.cases, name, self.limits))
+        return min(self.families[family], key=lambda name: self.limits.standing(self.cases, name))
 
     @cached_property
     def _places(self) -> dict[str, int]:
@@ -237,13 +280,22 @@ class Digest:
         """A key case with its role."""
         return f"{role.capitalize()}: {self.case_name(case)}" if role else self.case_name(case)
 
-    def marks(self, names: Iterable[str]) -> list[int | None]:
-        """The place in the palette of each name, None of what is no model of the run."""
-        return [self.colour(name) if name in self.models else None for name in names]
+    def mark(self, name: str) -> int | None:
+        """The place of a name in the palette, None of what is no model of the run."""
+        return self.colour(name) if name in self.models else None
+
+    def at(self, case: CaseResult, model: str, metric: str) -> float:
+        """A metric of a case at the step of its largest load; NaN where there is none."""
+        return float(self.full_loads(model, metric)[self._place[case.hash]])
+
+    @cached_property
+    def _place(self) -> dict[str, int]:
+        return {case.hash: k for k, case in enumerate(self.cases)}
 
     def full_loads(self, model: str, metric: str) -> Array:
         """(C,) a metric of every case at the step of the largest load; NaN where there is none."""
-        return np.array([at_full_load(case, model, metric) for case in self.cases])
+        found = self._columns.get((model, metric))
+        return np.full(len(self.cases), math.nan) if found is None else found[0]
 
     def bars(self, metric: str) -> Array:
         """(C,) the reference's own part in a metric of every case; NaN where there is none."""
@@ -257,9 +309,36 @@ class Digest:
 
     def spread(self, model: str | None, metric: str) -> Spread | None:
         """A metric of a model at full load over all cases; of each case's own reference where that is None."""
-        found = [(case, model or str(case.reference)) for case in self.cases]
-        values = np.array([at_full_load(case, name, metric) for case, name in found])
-        return spread_of(values, np.array([value_bar(case, name, metric) for case, name in found]))
+        nothing = np.full(len(self.cases), math.nan)
+        if model is not None:
+            return spread_of(*self._columns.get((model, metric), (nothing, nothing)))
+        own = [self._columns.get((str(case.reference), metric), (nothing, nothing)) for case in self.cases]
+        columns = [[part[which][k] for k, part in enumerate(own)] for which in (0, 1)]
+        return spread_of(np.array(columns[0]), np.array(columns[1]))
+
+    def median(self, model: str, metric: str) -> float:
+        """A metric of a model at full load, median over the cases that have it; NaN where none has."""
+        found = self.spread(model, metric)
+        return math.nan if found is None else found.median
+
+    def floor(self, model: str) -> float:
+        """The displacement error of the reference itself, moved along normals only; NaN of models that move freely.
+
+        No model that moves its nodes along normals can be closer.
+        """
+        share = self.spread(model, "tangential_share")
+        if self.reference is None or share is None or not share.worst < ALONG_NORMALS:
+            return math.nan
+        return self.median(self.reference, "tangential_share")
+
+    def leading(self, model: str) -> str:
+        """The metric that leads: the normal error of a model that moves along normals, else displacement."""
+        return NORMAL if math.isfinite(self.floor(model)) else VECTOR
+
+    @property
+    def mostly_rigid(self) -> bool:
+        """Whether the reference's displacement is more rigid motion than change of shape: at the median."""
+        return self.reference is not None and self.median(self.reference, "rigid_share") > math.sqrt(0.5)
 
     @cached_property
     def unusual_levels(self) -> dict[str, int]:
@@ -293,15 +372,34 @@ class Digest:
             is_reference=name == self.reference,
             vector=self.spread(name, VECTOR),
             deformation=self.spread(name, DEFORMATION),
-            drift=self.spread(name, "volume_drift"),
+            drift=self.spread(name, DRIFT),
             seconds_setup=_median_known(setups),
             seconds_per_step=_median_known(times),
             seconds_everywhere=_median_known([one.everywhere for one in frames]),
             peak_bytes=float(max((r.peak_bytes for r in results if _has_answer(r)), default=math.nan)),
             failed_cases=sum(bool(failed_steps(result)) for result in results),
-            marks=measured(self.run, name),
+            marks=tuple(self._marks(name)),
             iterative=not frames and any(r.parameters.get("solver") == "iterative" for r in results),
         )
+
+    def summary(self, name: str) -> ModelSummary:
+        """Of one model."""
+        return next(summary for summary in self.summaries if summary.name == name)
+
+    def _marks(self, name: str) -> Iterator[str]:
+        """What is said of a model's times: nothing where all are of the run that did the others, here."""
+        resumed = set(self.run.plan.get("resumed", ()))  # done before the last run that did others
+        found, anew = set(), any(m.frames is not None for case in self.cases for m in case.models.values())
+        for case in (case for case in self.cases if name in case.models):
+            about, frames, here = case.models[name].parameters, case.models[name].frames, processor_name()
+            if frames is not None:
+                found |= {ELSEWHERE} if frames.processor != here else set()
+                continue
+            found |= {ONCE} if anew else set()
+            found |= {EARLIER} if case.hash in resumed or "measured_earlier" in about else set()
+            machine = about.get("measured_on", case.provenance.get("processor", ""))
+            found |= {ELSEWHERE} if machine not in ("", here) else set()
+        return (mark for mark in (EARLIER, ELSEWHERE, ONCE) if mark in found)
 
     @cached_property
     def focus(self) -> str | None:
@@ -340,7 +438,7 @@ class Digest:
         if self.focus is None:
             return math.nan
         if by_error:
-            return abs(at_full_load(case, self.focus, VECTOR))
+            return abs(self.at(case, self.focus, VECTOR))
         result = case.models.get(self.focus)
         if result is None:
             return math.nan

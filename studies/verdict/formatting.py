@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Sequence
 
 NOT_MEASURED = "not measured"
 NOTHING = "–"
@@ -61,6 +61,16 @@ def short_percent(ratio: float) -> str:
     return f"{plain(ratio * 100.0, 2 if abs(ratio) < 1.0 else 3)} %"
 
 
+def exact_percent(ratio: float) -> str:
+    """A ratio as it is read against a limit: 11.6 %, where 12 % would mislead."""
+    return f"{round(100.0 * ratio, 1):g} %" if 0.01 <= ratio < 1.0 else short_percent(ratio)
+
+
+def with_bar(value: float, bar: float, shown: Callable[[float], str] = exact_percent) -> str:
+    """`39.7 % ± 2 %`, without the bar where that is not known."""
+    return f"{shown(value)} ± {short_percent(bar)}" if math.isfinite(bar) else shown(value)
+
+
 def scale_of(unit: str, values: Iterable[float], digits: int = 3) -> tuple[float, str]:
     """(factor, shown unit) that suits the largest of some SI values to some digits: shown = SI / factor."""
     largest = max((abs(v) for v in values if math.isfinite(v)), default=0.0)
@@ -85,6 +95,29 @@ def quantity(value: float, unit: str, digits: int = 3) -> str:
 def of_unit(value: float, unit: str) -> str:
     """A metric: a percentage where it has no unit."""
     return percent(value) if unit == "1" else quantity(value, unit)
+
+
+def measure(value: float, unit: str) -> str:
+    """A number as it is read against a limit."""
+    return exact_percent(value) if unit == "1" else quantity(value, unit)
+
+
+def load_in_words(load: float, unit: str) -> str:
+    """A force in newtons, a pressure in the unit that suits it, else a share of the full load."""
+    if unit == "1":
+        return f"{load:.3g} of the full load"
+    return f"{load:.3g} N" if unit == "N" else quantity(load, unit)
+
+
+def span(values: Sequence[float], unit: str, digits: int = 4) -> str:
+    """`0.1 to 0.4 N`, one number where all are the same, empty without any."""
+    if not values:
+        return ""
+    # a force on tissue is told in newtons from a hundredth on
+    in_newtons = unit == "N" and 0.01 <= max(map(abs, values)) < 1e3
+    factor, shown = (1.0, "N") if in_newtons else scale_of(unit, values)
+    ends = dict.fromkeys(plain(end / factor, digits) for end in (min(values), max(values)))
+    return f"{' to '.join(ends)} {shown}".strip()
 
 
 def swept_value(value: float | str, unit: str) -> str:

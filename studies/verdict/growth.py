@@ -1,18 +1,19 @@
-"""Up to which load small strain, and each model, hold against finite strain: the small-strain limits in words."""
+"""Up to which load small strain, and each model, hold against finite strain: the small-strain limits of a run."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from itertools import starmap
 
 from ..measures.case import CaseResult, Limit, ModelLimits
 from .digest import Digest
-from .formatting import listed, quantity, short_percent
+from .formatting import short_percent, with_bar
 
 LINEAR = "fem-linear"  # whose growth limit is the linearisation limit
 PAPER_STRAIN = 0.10  # "small deformations and small strains (< 10 %)"
+STATES = ("found", "unresolved", "beyond", "model-stopped", "reference-stopped")
+Ends = tuple[tuple[float, float], tuple[float, float]]  # the least and the most, each with its bar
 
 
 @dataclass(frozen=True)
@@ -24,6 +25,58 @@ class LimitRow:
     entry: ModelLimits
     unit: str
     limit: Limit
+
+
+@dataclass(frozen=True)
+class Reached:
+    """The limits of one state at the smallest threshold: in how many cases, and at which loads."""
+
+    state: str
+    cases: int
+    loads: Ends
+
+
+@dataclass(frozen=True)
+class Growth:
+    """What the limits say of a model.
+
+    Attributes
+    ----------
+    errors : at small loads already
+    threshold : by which the error grows
+    reached : at which loads, by state
+    unit : of the loads, "1" for multiples of the study's
+    asked : cases
+    finer : whether a finer mesh confirms what is found
+    depth, depth_bar : mean indentation there [m], relative bar; of one case alone, else NaN
+    """
+
+    model: str
+    errors: Ends
+    threshold: float
+    reached: tuple[Reached, ...]
+    unit: str
+    asked: int
+    finer: bool
+    depth: float = math.nan
+    depth_bar: float = math.nan
+
+
+@dataclass(frozen=True)
+class PaperBound:
+    """Where small-strain theory departs from finite strain, beside the paper's bound of strain.
+
+    Attributes
+    ----------
+    strains : threshold -> the least and the largest strain at which it departs by it
+    found, below, open, denied : limits; below the bound; on an unresolved side of it; not confirmed by a finer mesh
+    """
+
+    strains: dict[float, Ends]
+    found: int
+    below: int
+    open: int
+    denied: int
 
 
 def is_measured(limit: Limit) -> bool:
@@ -50,101 +103,62 @@ def strain_range(limit: Limit) -> tuple[float, float]:
 
 def strain_in_words(limit: Limit) -> str:
     """A limit's strain with its bar where that was measured."""
-    return _with_bar(limit.strain, limit.strain * limit.strain_bar)
+    return with_bar(limit.strain, limit.strain * limit.strain_bar, short_percent)
 
 
 def limit_rows(cases: Iterable[CaseResult]) -> Iterator[LimitRow]:
+    """Every limit of every case."""
     for case in cases:
-        if case.small_strain is None:
-            continue
-        for model, entry in case.small_strain.models.items():
+        found = case.small_strain
+        for model, entry in found.models.items() if found is not None else ():
             for limit in entry.limits:
-                yield LimitRow(case, model, entry, case.small_strain.unit, limit)
+                yield LimitRow(case, model, entry, found.unit if found is not None else "1", limit)
 
 
-def against_the_paper(digest: Digest) -> str:
-    """Where small-strain theory departs from finite strain, and on which side of the paper's bound it is; or ""."""
-    rows = list(limit_rows(digest.cases))
-    found, denied = (
-        [row for row in rows if row.model == LINEAR and row.limit.state == state]
-        for state in ("found", "unresolved")
-    )
-    theory = f"small-strain theory ({LINEAR}) departs from finite strain"
-    if not found:
-        return f"Where {theory} is not known: a finer mesh does not confirm it." if denied else ""
-    parts = []
-    for threshold in sorted({row.limit.threshold for row in found}):
-        mine = [row.limit for row in found if row.limit.threshold == threshold]
-        ends = [min(mine, key=lambda limit: limit.strain), max(mine, key=lambda limit: limit.strain)]
-        parts.append(f"{short_percent(threshold)} at a strain of {_span(map(strain_in_words, ends))}")
-    sides = [strain_side(row.limit) for row in found]
-    below, open_ = sides.count(-1), sides.count(0)
-    bound = f"the paper's bound of {short_percent(PAPER_STRAIN)} strain"
-    told = [f"{below} of these {len(found)} limits lie below {bound}"] if below else []
-    told += (
-        [f"of {open_} of these {len(found)} it is unresolved on which side of {bound} they lie"]
-        if open_
-        else []
-    )
-    told = told or [f"all of these lie above {bound}"]
-    told += [f"a finer mesh does not confirm {len(denied)} more"] if denied else []
-    verdict = listed(told)
-    return f"S{theory[1:]} by {listed(parts)}. {verdict[0].upper()}{verdict[1:]}."
+def paper_bound(digest: Digest) -> PaperBound | None:
+    """None where the linearisation limit was not searched, or no load has it."""
+    own = [row.limit for row in limit_rows(digest.cases) if row.model == LINEAR]
+    found = [limit for limit in own if limit.state == "found"]
+    denied = [limit for limit in own if limit.state == "unresolved"]
+    if not found and not denied:
+        return None
+    strains = {
+        threshold: _ends([(n.strain, n.strain * n.strain_bar) for n in found if n.threshold == threshold])
+        for threshold in sorted({limit.threshold for limit in found})
+    }
+    sides = [strain_side(limit) for limit in found]
+    return PaperBound(strains, len(found), sides.count(-1), sides.count(0), len(denied))
 
 
-def growth_of(digest: Digest, model: str) -> str:
-    """What the limits say of a model at the smallest threshold, in a sentence; "" where they say nothing.
+def growth_of(digest: Digest, model: str) -> Growth | None:
+    """What the limits say of a model at the smallest threshold; None where they say nothing.
 
     Every number is of the finest mesh there is, or says that it is not.
     """
     own = [row for row in limit_rows(digest.cases) if row.model == model]
     own = [row for row in own if math.isfinite(row.entry.structural_error)]
     if not own or model == LINEAR:
-        return ""
-    errors = sorted((row.entry.structural_error, row.entry.structural_bar) for row in own)
-    text = f"{model} is {_span(starmap(_with_bar, (errors[0], errors[-1])))} off at small loads already"
+        return None
     threshold = min(row.limit.threshold for row in own)
     asked = [row for row in own if row.limit.threshold == threshold]
-    finer = any(math.isfinite(row.entry.structural_bar) for row in own)
-    coarse = " on the case's own mesh" if finer else ""
-    more = f"it is {short_percent(threshold)} further off at"
-    no_more = f"it is less than {short_percent(threshold)} further off up to"
-    for state, before, after in (
-        ("found", more, ""),
-        ("unresolved", more, f"{coarse}, which a finer mesh does not confirm"),
-        ("beyond", no_more, f"{coarse}, as far as was looked"),
-        ("model-stopped", no_more, f"{coarse}, where its solver stops"),
-        ("reference-stopped", no_more, f"{coarse}, where the reference stops"),
-    ):
-        if some := [row for row in asked if row.limit.state == state]:
-            text += f"; {before} {_loads_in_words(some, len(asked))}{after}"
-    (first, *others) = asked
-    if others or first.limit.state != "found":
-        return f"{text}."
-    if math.isfinite(first.limit.indentation):
-        depth, bar = first.limit.indentation, first.limit.indentation_bar
-        text += f" ({quantity(depth, 'm')}"
-        text += f" ± {quantity(abs(depth) * bar, 'm')}" if math.isfinite(bar) else ""
-        text += " of mean indentation)"
-    total = first.entry.structural_error + threshold
-    return f"{text}, where it is {_with_bar(total, first.entry.structural_bar)} off."
+    reached = [
+        Reached(state, len(mine), _ends([(row.limit.load, row.limit.bar) for row in mine]))
+        for state in STATES
+        if (mine := [row for row in asked if row.limit.state == state])
+    ]
+    only = asked[0].limit if len(asked) == 1 and asked[0].limit.state == "found" else None
+    return Growth(
+        model,
+        _ends([(row.entry.structural_error, row.entry.structural_bar) for row in own]),
+        threshold,
+        tuple(reached),
+        asked[0].unit,
+        len(asked),
+        any(math.isfinite(row.entry.structural_bar) for row in own),
+        *((only.indentation, only.indentation_bar) if only is not None else ()),
+    )
 
 
-def _loads_in_words(some: list[LimitRow], asked: int) -> str:
-    """The loads of some limits with their bars, from least to most, and of how many of the cases they are."""
-    ends = sorted(some, key=lambda row: abs(row.limit.load))
-    loads = []
-    for row in (ends[0], ends[-1]):
-        bar = f" ± {short_percent(row.limit.bar)}" if math.isfinite(row.limit.bar) else ""
-        times = " times the study's loads" if row.unit == "1" else ""
-        loads.append(f"{quantity(row.limit.load, row.unit)}{times}{bar}")
-    return _span(loads) + (f" in {len(some)} of {asked} cases" if len(some) < asked else "")
-
-
-def _span(ends: Iterable[str]) -> str:
-    """`low to high`, one of them where they look alike."""
-    return " to ".join(dict.fromkeys(ends))
-
-
-def _with_bar(share: float, bar: float) -> str:
-    return short_percent(share) + (f" ± {short_percent(bar)}" if math.isfinite(bar) else "")
+def _ends(values: Sequence[tuple[float, float]]) -> Ends:
+    ordered = sorted(values, key=lambda value: abs(value[0]))
+    return ordered[0], ordered[-1]

@@ -7,20 +7,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..measures.bars import at_full_load, reference_bar
+from ..measures.bars import reference_bar
 from ..measures.case import CaseResult
-from ..measures.input_spread import STRAIGHT, ModelSpread
+from ..measures.input_spread import ModelSpread
 from ..measures.metrics import VECTOR
 from .digest import Digest
-from .formatting import listed, parameter_name, plural, short_percent
+from .formatting import parameter_name
 
 LARGER, SMALLER, ALIKE = "larger", "smaller", "alike"
-_LEAST = 0.1  # of the whole: an input that makes less is not named
-_WORDS = {
-    LARGER: "is larger: a better model helps more than better known inputs",
-    SMALLER: "is smaller: better known inputs help more than a better model",
-    ALIKE: "is about as large: the reference's own error hides which is larger",
-}
 
 
 @dataclass(frozen=True)
@@ -67,7 +61,7 @@ def inputs_known(digest: Digest, model: str) -> InputsKnown | None:
     keys = cases[0].inputs.keys
     shares = {key: _median([float(spread.parts[k]) for spread in spreads]) for k, key in enumerate(keys)}
     parts = sorted(((k, s) for k, s in shares.items() if math.isfinite(s)), key=lambda part: -part[1])
-    states = [_state(case, model, spread) for case, spread in found] if model else []
+    states = [_state(digest, case, model, spread) for case, spread in found] if model else []
     return InputsKnown(
         answer=answer,
         displacement=_median([spread.displacement for spread in spreads]),
@@ -76,7 +70,7 @@ def inputs_known(digest: Digest, model: str) -> InputsKnown | None:
         method=cases[0].inputs.method,
         bend=_median([spread.bend for spread in spreads]),
         model=model,
-        error=_median([at_full_load(case, model, VECTOR) for case, _ in found]) if model else math.nan,
+        error=_median([digest.at(case, model, VECTOR) for case, _ in found]) if model else math.nan,
         larger=states.count(LARGER),
         alike=states.count(ALIKE),
         smaller=states.count(SMALLER),
@@ -92,9 +86,9 @@ def _median(values: list[float]) -> float:
     return float(np.median(known)) if known else math.nan
 
 
-def _state(case: CaseResult, model: str, spread: ModelSpread) -> str:
+def _state(digest: Digest, case: CaseResult, model: str, spread: ModelSpread) -> str:
     """How the error stands to the spread of the inputs, the reference's own error counted; "" where unknown."""
-    error, bar = at_full_load(case, model, VECTOR), reference_bar(case)
+    error, bar = digest.at(case, model, VECTOR), reference_bar(case)
     bar = bar if math.isfinite(bar) else 0.0
     if not math.isfinite(error) or not math.isfinite(spread.displacement):
         return ""
@@ -103,52 +97,7 @@ def _state(case: CaseResult, model: str, spread: ModelSpread) -> str:
     return LARGER if error > spread.displacement else SMALLER
 
 
-def inputs_in_words(found: InputsKnown | None) -> list[str]:
-    """The sentences of it; none where nothing is told."""
-    if found is None:
-        return []
-    if not math.isfinite(found.displacement):
-        return [
-            f"What is not known of the inputs is not known here: {found.answer} has no answer to a variation."
-        ]
-    main = [
-        f"{input_name(key)} {short_percent(share)}" for key, share in found.parts if _counts(found, share)
-    ]
-    through = f", through {listed(main)}" if main else ""
-    told = [
-        f"What is not known of the inputs is {short_percent(found.displacement)} of the displacement of "
-        f"{found.answer} (one standard deviation){through}."
-    ]
-    told += filter(None, [_compared(found)])
-    if found.bend > STRAIGHT:
-        told.append(
-            'An answer bends with an input, so this is rough: method = "sampling" in [inputs] does better.'
-        )
-    return told
-
-
 def input_name(key: str) -> str:
     """An input as words; of a region's shape with the region: `fraction of below (base)`."""
     parts = key.split(".")
     return f"{parameter_name(key)} ({parts[1]})" if parts[0] == "regions" else parameter_name(key)
-
-
-def _counts(found: InputsKnown, share: float) -> bool:
-    return share > _LEAST * found.displacement
-
-
-def _compared(found: InputsKnown) -> str:
-    counts = {LARGER: found.larger, ALIKE: found.alike, SMALLER: found.smaller}
-    total = sum(counts.values())
-    if not total:
-        return ""
-    error = f"The error of {found.model}, {short_percent(found.error)},"
-    alone = next((state for state, count in counts.items() if count == total), None)
-    if alone is not None:
-        return f"{error} {_WORDS[alone]}."
-    each = [
-        f"{'about as large' if state == ALIKE else state} in {count}"
-        for state, count in counts.items()
-        if count
-    ]
-    return f"{error} is {listed(each)} of {plural(total, 'case')}."

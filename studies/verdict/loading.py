@@ -1,9 +1,10 @@
-"""What pushes the body of a case, how hard, and how far it gives way: from its stored inputs and answers."""
+"""What pushes a body, how hard, how far it gives way, and up to which load a model is within its limits."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +14,9 @@ from solver_common.arrays import Array
 from ..measures.case import CaseResult
 from ..measures.pushed import along_movement, inward, resultant
 from ..study.schema import Constraint
-from .formatting import quantity
+from .acceptance import BEYOND, OPEN, WITHIN, States
+
+_SAME = 1e-9  # of a load: the difference of two that are one
 
 
 def weighs(case: CaseResult) -> bool:
@@ -153,8 +156,92 @@ def depths_of(case: CaseResult, normals: Array) -> Array:
     return np.max(lengths, axis=0) if lengths else np.full(len(case.load_factors), math.nan)
 
 
-def load_in_words(load: float, unit: str) -> str:
-    """A force in newtons, a pressure in the unit that suits it, else a share of the full load."""
-    if unit == "1":
-        return f"{load:.3g} of the full load"
-    return f"{load:.3g} N" if unit == "N" else quantity(load, unit)
+# --- up to which load ---
+
+
+@dataclass(frozen=True)
+class UpTo:
+    """The largest load up to which every case and every step that was tried is within the limits.
+
+    Attributes
+    ----------
+    load, unit : that load, NaN where there is none; its unit, "1" where it is told as a share of the full load
+    depth : how far the reference gives way there, in every case at least [m]; NaN where not known or none
+    least, most : the smallest and the largest load tried
+    deepest : how far the reference gives way at most, at any load tried [m]
+    loads : how many loads were tried
+    open : whether the next load is undecided, not beyond
+    """
+
+    load: float
+    unit: str
+    depth: float
+    least: float
+    most: float
+    deepest: float
+    loads: int
+    open: bool
+
+    @property
+    def none(self) -> bool:
+        """Whether there is no such load."""
+        return math.isnan(self.load)
+
+    @property
+    def all(self) -> bool:
+        """Whether it is the largest tried."""
+        return not self.none and self.load >= self.most
+
+
+@dataclass(frozen=True)
+class KnownLoads:
+    """The K steps of all cases that carry a load: unit, (K,) loads, (K,) depths [m], (K,) cases and steps."""
+
+    unit: str
+    loads: Array
+    depths: Array
+    cases: NDArray[np.int64]
+    steps: NDArray[np.int64]
+
+
+def known_loads(cases: Sequence[CaseResult], normals: Mapping[str, Array]) -> KnownLoads:
+    """Of a share of the full load, "1", where cases do not tell it in the same unit.
+
+    Parameters
+    ----------
+    normals : hash of each case -> (N, 3) outward unit normals of its undeformed surface
+    """
+    units = {load_unit(case) for case in cases}
+    unit = units.pop() or "1" if len(units) == 1 else "1"
+    rows = []
+    for k, case in enumerate(cases):
+        loads, depths = np.abs(loads_of(case, unit)), depths_of(case, normals[case.hash])
+        loaded = (case.load_factors != 0.0) & np.isfinite(loads) & (loads > 0.0)
+        rows += [(loads[step], depths[step], k, step) for step in np.flatnonzero(loaded)]
+    loads, depths, numbers, steps = np.array(rows or np.zeros((0, 4))).T
+    return KnownLoads(unit, loads, depths, numbers.astype(int), steps.astype(int))
+
+
+def up_to(known: KnownLoads, of_cases: Sequence[States]) -> UpTo | None:
+    """Of all steps that carry a load, from where a model stands at each step of each case; None where none does."""
+    if not len(known.loads):
+        return None
+    order = np.argsort(known.loads, kind="stable")
+    loads, depths = known.loads[order], known.depths[order]
+    states = np.array([of_cases[known.cases[k]][known.steps[k]] for k in order])
+    # points of one load are one group, of which the worst decides
+    starts = np.flatnonzero(np.concatenate([[True], np.diff(loads) > _SAME * loads[1:]]))
+    worst = np.maximum.reduceat(states, starts)
+    within = int(np.argmin(np.append(worst, BEYOND) == WITHIN))  # groups before the first that is not
+    last = slice(starts[within - 1], starts[within] if within < len(starts) else None)
+    reached = np.abs(depths[last]) if within else np.zeros(0)
+    return UpTo(
+        load=float(loads[starts[within - 1]]) if within else math.nan,
+        unit=known.unit,
+        depth=min((depth for depth in reached.tolist() if math.isfinite(depth)), default=math.nan),
+        least=float(loads[0]),
+        most=float(loads[starts[-1]]),
+        deepest=max((d for d in np.abs(depths).tolist() if math.isfinite(d)), default=math.nan),
+        loads=len(starts),
+        open=within < len(starts) and int(worst[within]) == OPEN,
+    )

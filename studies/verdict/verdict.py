@@ -1,6 +1,6 @@
 """What a run says: one verdict a family of models, each held against the study's own limits, then what to take.
 
-Page, terminal, JSON and Python take these objects; `sentences` puts them in words.
+Page, terminal, JSON and Python take these objects; `words` puts them in sentences.
 """
 
 from __future__ import annotations
@@ -27,18 +27,15 @@ from .acceptance import (
     WITHIN,
     WORD,
     Criterion,
-    usual_share,
     word_of,
 )
-from .advice import Advice, advice, by_interaction
-from .digest import Digest, ModelSummary, Outside, Spread, failed_steps
-from .experiment import measured_in_words
-from .formatting import listed, parameter_name, plural, short_percent, swept_value
-from .growth import against_the_paper, growth_of
+from .advice import Advice, NextStep, by_interaction, next_step
+from .digest import CONTACT, DRIFT, HAUSDORFF, NORMAL, Digest, ModelSummary, Outside, Spread, failed_steps
+from .formatting import parameter_name, swept_value
+from .growth import Growth, PaperBound, growth_of, paper_bound
 from .inputs_known import InputsKnown, inputs_known
 from .ladders import reading
-from .motion import NORMAL, along_normals, motion_in_words
-from .up_to import UpTo, up_to
+from .loading import UpTo, up_to
 from .why_not import Reason, reasons
 
 _WORST = (BEYOND, OPEN, WITHIN, LOST)  # which case decides: the first of these that a model has
@@ -85,6 +82,9 @@ class Lead:
     value, bar, worst, worst_bar : median over the judged cases, largest, and the reference's own part in each
     displacement, deformation : the medians of both errors that are limited
     floor : the least displacement error that a motion along normals leaves, NaN for other models
+    contact : median displacement error over the loaded nodes, NaN without a contact
+    distance : median Hausdorff distance of the deformed surfaces [m]
+    drift, reference_drift : medians of the change of volume, and of the reference's own
     """
 
     metric: str
@@ -96,6 +96,10 @@ class Lead:
     displacement: float
     deformation: float
     floor: float
+    contact: float
+    distance: float
+    drift: float
+    reference_drift: float
 
 
 @dataclass(frozen=True)
@@ -172,7 +176,7 @@ class Verdict:
     advice : what to do with this answer
     cost, settings : of the model
     up_to : the load up to which every judged case is within; None where the loads are not known
-    growth : its small-strain limits in words, where the study searched them
+    growth : its small-strain limits, where the study searched them
     states : hash of each case -> its word
     """
 
@@ -192,12 +196,60 @@ class Verdict:
     limits: tuple[Limit, ...] = ()
     same: bool = False
     why_not: tuple[Reason, ...] = ()
-    advice: str = ""
+    advice: NextStep | None = None
     cost: Cost | None = None
     settings: tuple[Setting, ...] = ()
     up_to: UpTo | None = None
-    growth: str = ""
+    growth: Growth | None = None
     states: dict[str, str] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Reservation:
+    """What a model says against its own usable answers: a message with its numbers as they are or as ranges."""
+
+    model: str
+    message: str
+    cases: int
+
+
+@dataclass(frozen=True)
+class Doubt:
+    """A doubt about a constraint of the scene, with the first case that raises it."""
+
+    constraint: str
+    case: str
+    text: str
+
+
+@dataclass(frozen=True)
+class Measured:
+    """How far a model is from a measurement: root mean square over that of the data, by unit, and values within."""
+
+    model: str
+    shares: dict[str, float]
+    within: int
+    values: int
+
+
+@dataclass(frozen=True)
+class Sureness:
+    """How sure the figures are: the reference's own error in the displacement error of `model`, and its levels.
+
+    Attributes
+    ----------
+    bar : median, NaN where not measured
+    cases, resolved : with that error, and where the bar is at most a tenth of it
+    unusual : behaviour of the mesh levels -> cases, where they give no order
+    assumed : whether the order is assumed, of two levels
+    """
+
+    model: str
+    bar: float
+    cases: int
+    resolved: int
+    unusual: dict[str, int]
+    assumed: bool
 
 
 @dataclass(frozen=True)
@@ -209,16 +261,18 @@ class Verdicts(Mapping[str, Verdict]):
     families : family -> its verdict
     reference : what all is held against, "" for nothing
     cases, lost : with a result; failed, damaged or not run
-    not_judged : why nothing at all is judged, "" where something is
+    not_judged : why nothing at all is judged: one of the four below, "" where something is
     outside : cases out of the reference's range, which no word counts
     take : what to take for each kind of interaction
     map : the words over two swept parameters, None where others are swept
-    reservations : what models, reference or scene say against the answers; alike ones are one, with a range
+    reservations, doubts : what models and reference say against the answers; what speaks against the scene
     small_strain : whether the reference is a linear one
     errors, costs : of every model that is compared, and of every model
-    motion, paper : what the reference's motion is made of; where small strain ends
-    sureness : how sure the figures are, and what is not in them
-    measured : how far the models that decide are from a measurement, where there is one
+    rigid : the rigid share of the reference's displacement where that is most of it, else NaN
+    paper : where small strain ends, beside the paper's bound
+    sure : how sure the figures are
+    stopped, failed, damaged, missing : cases in which each model stops; cases without a result, by why
+    measured, measured_cases : how far the models that decide are from a measurement, where there is one
     inputs : what is not known of the inputs, beside the error of the first family's model; None where not told
     """
 
@@ -230,14 +284,20 @@ class Verdicts(Mapping[str, Verdict]):
     outside: tuple[Outside, ...] = ()
     take: tuple[Advice, ...] = ()
     map: Map | None = None
-    reservations: tuple[str, ...] = ()
+    reservations: tuple[Reservation, ...] = ()
+    doubts: tuple[Doubt, ...] = ()
     small_strain: bool = False
     errors: tuple[ModelErrors, ...] = ()
     costs: tuple[Cost, ...] = ()
-    motion: tuple[str, ...] = ()
-    paper: str = ""
-    sureness: tuple[str, ...] = ()
-    measured: tuple[str, ...] = ()
+    rigid: float = math.nan
+    paper: PaperBound | None = None
+    sure: Sureness | None = None
+    stopped: dict[str, int] = field(default_factory=dict)
+    failed: int = 0
+    damaged: int = 0
+    missing: int = 0
+    measured: tuple[Measured, ...] = ()
+    measured_cases: int = 0
     inputs: InputsKnown | None = None
 
     def __getitem__(self, family: str) -> Verdict:
@@ -287,46 +347,57 @@ def _verdicts(digest: Digest) -> Verdicts:
             one = _family(inside, family, unjudged)
         found[family.value] = one
     chosen = [one.model for one in found.values() if one.model]
-    focus = digest.focus if digest.focus in digest.compared else ""
-    spread = digest.spread(focus, VECTOR) if focus else None
+    focus, run = digest.focus if digest.focus in digest.compared else "", digest.run
     return Verdicts(
         families=found,
         reference=reference,
         cases=len(digest.cases),
-        lost=len(digest.run.failed) + len(digest.run.missing),
+        lost=len(run.failed) + len(run.missing),
         not_judged=nothing,
         outside=() if nothing else digest.outside,
         take=by_interaction(inside) if chosen else (),
         map=_map(digest, found) if chosen else None,
-        reservations=(*_reservations(digest, chosen), *_scene_doubts(digest)),
+        reservations=tuple(_reservations(digest, chosen)),
+        doubts=tuple(_doubts(digest)),
         small_strain=bool(reference) and split(reference)[0] not in FINITE_STRAIN,
         errors=tuple(_errors(digest)),
         costs=tuple(_cost(summary) for summary in digest.summaries),
-        motion=motion_in_words(digest),
-        paper=against_the_paper(digest),
-        sureness=(*([_sureness(digest, spread)] if spread else []), *_gaps(digest)),
-        measured=measured_in_words(digest, chosen),
+        rigid=digest.median(reference, "rigid_share") if digest.mostly_rigid else math.nan,
+        paper=paper_bound(digest),
+        sure=_sureness(digest, focus) if focus else None,
+        stopped={s.name: s.failed_cases for s in digest.summaries if s.failed_cases},
+        failed=len(run.failed) - run.damaged,
+        damaged=run.damaged,
+        missing=len(run.missing),
+        measured=tuple(_measured(digest, chosen)),
+        measured_cases=sum(case.measurement is not None for case in digest.cases),
         inputs=inputs_known(digest, focus or ""),
     )
+
+
+NO_CASE, NO_REFERENCE, NO_RESULT, SURFACE_REFERENCE = (
+    "no case",
+    "no reference",
+    "no result",
+    "surface reference",
+)
 
 
 def _why_nothing_is_judged(digest: Digest) -> str:
     reference = digest.reference
     if not digest.cases:
-        return "No case has a result yet, so there is nothing to compare."
+        return NO_CASE
     if reference is None:
-        return "No model is the reference. The page shows what the models answer, not how far off they are."
+        return NO_REFERENCE
     if all(digest.spread(name, VECTOR) is None for name in digest.compared):
-        return f"No model has a result at full load to hold against {reference}."
-    if family_of(reference) in SURFACE:
-        return f"The reference, {reference}, is a surface model itself. Agreement with it is not accuracy."
-    return ""
+        return NO_RESULT
+    return SURFACE_REFERENCE if family_of(reference) in SURFACE else ""
 
 
 def _family(digest: Digest, family: Family, unjudged: Mapping[str, str]) -> Verdict:
     """The verdict of a family over the cases in range."""
     models, model = digest.families[family], digest.deciding(family)
-    states = [digest.limits.state(case, model, case.full_load) for case in digest.cases]
+    states = [digest.limits.state(case, model) for case in digest.cases]
     word, why = word_of(states), reasons(digest, model)
     lead = _lead(digest, model)
     sizes = digest.full_loads(model, lead.metric) if lead is not None else np.zeros(len(digest.cases))
@@ -337,7 +408,7 @@ def _family(digest: Digest, family: Family, unjudged: Mapping[str, str]) -> Verd
         word=word,
         models=models,
         model=model,
-        closest=min(models, key=lambda name: usual_share(digest.cases, name, digest.limits)),
+        closest=min(models, key=lambda name: digest.limits.usual_share(digest.cases, name)),
         lead=lead,
         judged=len(states),
         within=states.count(WITHIN),
@@ -349,10 +420,12 @@ def _family(digest: Digest, family: Family, unjudged: Mapping[str, str]) -> Verd
         limits=tuple(_limit(digest, model, criterion) for criterion in digest.limits.criteria),
         same=digest.same_as_reference(model),
         why_not=why,
-        advice=advice(digest, model, word, why),
-        cost=next(_cost(summary) for summary in digest.summaries if summary.name == model),
+        advice=next_step(digest, model, word, why),
+        cost=_cost(digest.summary(model)),
         settings=tuple(_settings(digest, model)),
-        up_to=up_to(digest, model),
+        up_to=up_to(
+            digest.known_loads, [digest.limits.states(case, model, of_load=True) for case in digest.cases]
+        ),
         growth=growth_of(digest, model),
         states={**unjudged, **judged},
     )
@@ -362,18 +435,22 @@ def _lead(digest: Digest, model: str) -> Lead | None:
     vector, shape = digest.spread(model, VECTOR), digest.spread(model, DEFORMATION)
     if vector is None:
         return None
-    scalar = along_normals(digest, model)
-    found = (digest.spread(model, NORMAL) if scalar else None) or vector
+    metric = digest.leading(model)
+    found = digest.spread(model, metric) or vector
     return Lead(
-        metric=NORMAL if scalar else VECTOR,
-        name="normal error" if scalar else "displacement error",
+        metric=metric,
+        name="normal error" if metric == NORMAL else "displacement error",
         value=found.median,
         bar=found.median_bar,
         worst=found.worst,
         worst_bar=found.worst_bar,
         displacement=vector.median,
         deformation=shape.median if shape is not None else math.nan,
-        floor=scalar[0] if scalar else math.nan,
+        floor=digest.floor(model),
+        contact=digest.median(model, CONTACT),
+        distance=digest.median(model, HAUSDORFF),
+        drift=digest.median(model, DRIFT),
+        reference_drift=digest.median(str(digest.reference), DRIFT),
     )
 
 
@@ -485,7 +562,7 @@ def _given(case: CaseResult, model: str) -> set[str]:
     return {*case.study.vdm_parameters(), *case.study.model_parameters().get(model, {})}
 
 
-def _what_tells(digest: Digest, states: list[str]) -> str:
+def _what_tells(digest: Digest, states: list[int]) -> str:
     """The swept parameter whose value alone tells the cases within the limits from the others: those not within."""
     for key in digest.swept_keys:
         inside = {c.swept.get(key) for c, s in zip(digest.cases, states, strict=True) if s == WITHIN}
@@ -503,36 +580,32 @@ def _what_tells(digest: Digest, states: list[str]) -> str:
 # --- what speaks against it ---
 
 
-@dataclass(frozen=True)
-class Doubt:
-    """A doubt about a constraint of the scene, with the first case that raises it."""
-
-    constraint: str
-    case: CaseResult
-    text: str
-
-
-def doubts(digest: Digest) -> list[Doubt]:
+def _doubts(digest: Digest) -> Iterator[Doubt]:
     """What is doubtful about the scenes that were computed: each constraint's, of several cases the first."""
-    found: dict[tuple[str | int, ...], Doubt] = {}
+    seen: set[tuple[str | int, ...]] = set()
+    same: dict[object, None] = {}
     for case in digest.cases:
+        factor = float(abs(case.load_factors).max())
         constraints = [one.model_dump(exclude_none=True) for one in case.study.constraints]
-        tissue, factor = case.study.tissue.model_dump(exclude_none=True), float(abs(case.load_factors).max())
+        tissue = case.study.tissue.model_dump(exclude_none=True)
+        surface = digest.surfaces[case.hash]
+        # cases that differ in nothing that is looked at raise the same doubts
+        key = (id(surface), factor, repr(constraints), repr(tissue), *map(bytes, case.regions.values()))
+        if key in same:
+            continue
+        same[key] = None
         for loc, text in scene_warnings(
             constraints, tissue, case.regions, case.points, case.triangles, factor
         ):
-            entry = constraints[int(loc[1])] if loc[0] == "constraints" else {"name": ".".join(map(str, loc))}
-            found.setdefault(loc, Doubt(entry.get("name") or entry["region"], case, text))
-    return list(found.values())
+            if loc not in seen:
+                seen.add(loc)
+                entry = (
+                    constraints[int(loc[1])] if loc[0] == "constraints" else {"name": ".".join(map(str, loc))}
+                )
+                yield Doubt(entry.get("name") or entry["region"], digest.case_name(case), text)
 
 
-def _scene_doubts(digest: Digest) -> list[str]:
-    return [f"The scene is doubtful: {doubt.constraint} {doubt.text}." for doubt in doubts(digest)][
-        :_MOST_VALUES
-    ]
-
-
-def _reservations(digest: Digest, models: Sequence[str]) -> list[str]:
+def _reservations(digest: Digest, models: Sequence[str]) -> Iterator[Reservation]:
     """What models and reference say of steps that can be used, and what the numbers of the models say of it.
 
     Messages of one model that differ in a number are one, with its range.
@@ -550,12 +623,8 @@ def _reservations(digest: Digest, models: Sequence[str]) -> list[str]:
             latest = {_NUMBER.sub("\0", message): message for message in messages[-2:]}
             for skeleton, message in latest.items():
                 found.setdefault((name, skeleton), []).append(tuple(_NUMBER.findall(message)))
-    count = len(digest.cases)
-    return [
-        f"{name} answers with a reservation{f' in {len(numbers)} of {count} cases' if count > 1 else ''}: "
-        f"{_with_ranges(skeleton, numbers)}."
-        for (name, skeleton), numbers in list(found.items())[:_MOST_VALUES]
-    ]
+    for (name, skeleton), numbers in found.items():
+        yield Reservation(name, _with_ranges(skeleton, numbers), len(numbers))
 
 
 def _with_ranges(skeleton: str, numbers: Sequence[tuple[str, ...]]) -> str:
@@ -568,36 +637,37 @@ def _with_ranges(skeleton: str, numbers: Sequence[tuple[str, ...]]) -> str:
     return "".join(text + number for text, number in zip(texts, [*shown, ""], strict=True))
 
 
-# --- how sure ---
+# --- how sure, and what was measured ---
 
 
-def _sureness(digest: Digest, error: Spread) -> str:
-    if not error.measured:
-        return "The reference's own error is not measured. levels = 2 in [uncertainty] measures it."
-    text = f"The reference is itself uncertain by {short_percent(error.median_bar)}"
-    if digest.unusual_levels:
-        many = len(digest.cases) > 1
-        named = [f"{n} in {plural(k, 'case')}" if many else n for n, k in digest.unusual_levels.items()]
-        text += f", with a wide margin, as its mesh levels are {listed(named)}"
-    elif digest.order_is_assumed:
-        text += ", if it converges with order 1; levels = 3 shows the order"
-    whose = f"the difference of {digest.focus}"
-    if error.resolved == error.cases:
-        return f"{text}. That is at most a tenth of {whose}, which counts as resolved."
-    if not error.resolved:
-        return f"{text}. That is more than a tenth of {whose}, whose size is known to that margin only."
-    return f"{text}. Resolved is {whose} in {error.resolved} of {plural(error.cases, 'case')}."
+def _sureness(digest: Digest, model: str) -> Sureness | None:
+    spread = digest.spread(model, VECTOR)
+    if spread is None:
+        return None
+    bar = spread.median_bar if spread.measured else math.nan
+    unusual, assumed = digest.unusual_levels, digest.order_is_assumed
+    return Sureness(model, bar, spread.cases, spread.resolved, unusual, assumed)
 
 
-def _gaps(digest: Digest) -> list[str]:
-    """What is not in these numbers: models that stopped, cases without a result."""
-    run = digest.run
-    stopped = [f"{s.name} in {plural(s.failed_cases, 'case')}" for s in digest.summaries if s.failed_cases]
-    sentences = [f"No answer at some load or at all: {listed(stopped)}."] if stopped else []
-    failed = len(run.failed) - run.damaged
-    lost = [f"{plural(failed, 'case')} failed"] if failed else []
-    lost += [f"{plural(run.damaged, 'case')} whose file is damaged"] if run.damaged else []
-    lost += [f"{plural(len(run.missing), 'case')} not run yet"] if run.missing else []
-    if lost:
-        sentences.append(f"Not in these numbers: {listed(lost)}. They may be worse than what is here.")
-    return sentences
+def _measured(digest: Digest, models: Sequence[str]) -> Iterator[Measured]:
+    """Of the reference and of models that decide in a family; where there is none of them, of all."""
+    cases = [case for case in digest.cases if case.measurement is not None]
+    names = [name for name in dict.fromkeys((digest.reference or "", *models)) if name] or digest.models
+    for name in names:
+        parts: dict[str, list[tuple[float, float]]] = {}  # unit -> (E, D)
+        within = count = 0
+        for found in (case.measurement for case in cases):
+            if found is None or name not in found.simulated:
+                continue
+            for one, error, inside in zip(
+                found.quantities, found.error(name), found.within(name), strict=True
+            ):
+                if np.isfinite(error):
+                    within, count = within + int(inside), count + 1
+                    if one.value:  # distances of a whole surface have no size of their own
+                        parts.setdefault(one.unit, []).append((float(error), one.value))
+        if parts:
+            norms = {unit: np.linalg.norm(np.array(pairs), axis=0) for unit, pairs in parts.items()}
+            yield Measured(
+                name, {u: float(error / size) for u, (error, size) in norms.items()}, within, count
+            )

@@ -9,16 +9,16 @@ import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
 from ..measures.case import CaseResult
 from ..measures.metrics import DEFORMATION, METRICS, VECTOR, History
 from ..study.registry import FINITE_STRAIN, is_linear, split
-from .acceptance import BEYOND, LOST, OPEN, WITHIN, Acceptance, Criterion
+from .acceptance import BEYOND, FRAME_TIME, LOST, OPEN, WITHIN, Acceptance, Criterion
 from .digest import Digest, failed_steps
-from .formatting import listed, quantity, short_percent, swept_value
-from .loading import load_in_words, load_unit, loads_of
+from .loading import load_unit, loads_of
 
 MODEL, LEFT_OUT, SMALL_STRAIN, COMPRESSIBILITY, MESH, REFERENCE, TIME, NO_ANSWER = (
     "model",
@@ -39,11 +39,11 @@ POISSON = "tissue.poisson_ratio"
 
 @dataclass(frozen=True)
 class Reason:
-    """One cause: which, what is said of it, and the figures that show it (shares, SI) by what they are."""
+    """One cause: which, the figures that show it (shares, SI) by what they are, what else its sentence needs."""
 
     cause: str
-    sentence: str
     numbers: dict[str, float] = field(default_factory=dict)
+    about: dict[str, Any] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -61,18 +61,14 @@ class Shortfall:
     @cached_property
     def case(self) -> CaseResult:
         """The case in which the model has an answer and stands worst; any where it has none."""
-        shares = [self.limits.share(case, self.model) for case in self.digest.cases]
-        return self.digest.cases[
-            int(np.argmax([share if math.isfinite(share) else -1.0 for share in shares]))
-        ]
+        shares = np.array([self.limits.share(case, self.model) for case in self.digest.cases])
+        return self.digest.cases[int(np.argmax(np.where(np.isfinite(shares), shares, -1.0)))]
 
     @cached_property
     def broken(self) -> tuple[Criterion, ...]:
         """The limits that it surely or perhaps breaks there, of those that a load decides."""
         step = self.case.full_load
-        return tuple(
-            c for c in self.limits.of_load.criteria if c.state(self.case, self.model, step) != WITHIN
-        )
+        return tuple(c for c in self.limits.of_load if c.state(self.case, self.model, step) > WITHIN)
 
     def part(self, model: str, step: int | None = None) -> float:
         """How much of what is broken another model, or another step, takes: the largest share of a limit."""
@@ -98,82 +94,53 @@ class Shortfall:
         return split(str(self.case.reference))[0] in FINITE_STRAIN
 
 
-def off(errors: dict[str, float], word: str = " off") -> str:
-    """`12.3 % off in displacement and 20.8 % in change of shape`, what is known of it."""
-    names = (f"{word} in displacement", " in change of shape")
-    return listed(
-        f"{exact_percent(value)}{name}"
-        for value, name in zip(errors.values(), names, strict=True)
-        if math.isfinite(value)
-    )
-
-
-def exact_percent(value: float) -> str:
-    """A share as it is read against a limit: 11.6 %, where 12 % would mislead."""
-    return f"{round(100.0 * value, 1):g} %" if 0.01 <= value < 1.0 else short_percent(value)
-
-
 # --- the causes ---
 
 
 def reasons(digest: Digest, model: str) -> tuple[Reason, ...]:
     """Every cause that this study's figures show; none where the model is within its limits in every case."""
-    states = [digest.limits.state(case, model, case.full_load) for case in digest.cases]
-    if set(states) == {WITHIN}:
+    if {digest.limits.state(case, model) for case in digest.cases} == {WITHIN}:
         return ()
     shortfall = Shortfall(digest, model)
     found = tuple(reason for find in CAUSES for reason in find(shortfall))
-    if found or not shortfall.broken:
-        return found
-    return (Reason(NOT_TOLD, _how_to_tell(shortfall)),)
+    return found or ((Reason(NOT_TOLD, about=_how_to_tell(shortfall)),) if shortfall.broken else ())
 
 
 def no_answer(shortfall: Shortfall) -> Iterator[Reason]:
     """Cases in which the model stops before full load, with the first reason that it gives."""
     digest, model = shortfall.digest, shortfall.model
-    lost = [
-        c for c in digest.cases if digest.limits.state(c, model, c.full_load) == LOST and model in c.models
-    ]
+    lost = [c for c in digest.cases if digest.limits.state(c, model) == LOST and model in c.models]
     statuses = [c.models[model].status[step] for c in lost for step in failed_steps(c.models[model])[:1]]
     if statuses:
         first = statuses[0]
-        cure = f" What helps: {first.remedy}." if first.remedy else ""
-        text = f"No answer in {len(lost)} of {len(digest.cases)} cases: {first.message or first.code}.{cure}"
-        if len(digest.cases) == 1:
-            text = f"No answer: {first.message or first.code}.{cure}"
-        yield Reason(NO_ANSWER, text, {"cases": float(len(lost))})
+        about = {"cases": len(digest.cases), "message": first.message or first.code, "remedy": first.remedy}
+        yield Reason(NO_ANSWER, {"cases": float(len(lost))}, about)
 
 
 def the_model(shortfall: Shortfall) -> Iterator[Reason]:
     """What the model is off by however small the load: against linear elements, else at the smallest step."""
-    model = shortfall.model
-    if shortfall.finite_strain and is_linear(model) and shortfall.linear_elements:
-        errors, against = _against(shortfall, shortfall.linear_elements), shortfall.linear_elements
+    model, elements = shortfall.model, shortfall.linear_elements
+    if shortfall.finite_strain and is_linear(model) and elements:
+        errors = _against(shortfall, elements)
         if _share(shortfall, errors) >= HALF:
-            text = f"The model: at any load it is {off(errors, '')} away from {against}, which is linear too."
-            yield Reason(MODEL, text, errors)
+            yield Reason(MODEL, errors, {"against": elements})
         return
     if not shortfall.finite_strain and is_linear(model):
         other = max(_mesh_part(shortfall), _left_out_part(shortfall))
         if shortfall.part(model) - other >= HALF:
-            errors = shortfall.errors(model)
-            text = f"The model: it is {off(errors)} at any load, as both it and the reference are linear."
-            yield Reason(MODEL, text, errors)
+            yield Reason(MODEL, shortfall.errors(model))
         return
     step = _small_step(shortfall.case)
     if step is not None and shortfall.part(model, step) >= HALF:
-        errors = shortfall.errors(model, step)
-        text = f"The model: at {_load(shortfall.case, step)}, the smallest load, it is {off(errors)}."
-        yield Reason(MODEL, text, errors)
+        yield Reason(MODEL, shortfall.errors(model, step), _load(shortfall.case, step))
 
 
 def what_is_left_out(shortfall: Shortfall) -> Iterator[Reason]:
     """Inclusions that the model does not know: elements without them are as far off."""
     elements = _without_inclusions(shortfall)
     if elements is not None and _left_out_part(shortfall) >= HALF:
-        errors = shortfall.errors(elements)
-        names = listed(entry.name for entry in shortfall.case.study.inclusions or ())
-        yield Reason(LEFT_OUT, f"What is left out: {elements} without {names} is {off(errors)} too.", errors)
+        names = [entry.name for entry in shortfall.case.study.inclusions or ()]
+        yield Reason(LEFT_OUT, shortfall.errors(elements), {"elements": elements, "inclusions": names})
 
 
 def small_strain_ended(shortfall: Shortfall) -> Iterator[Reason]:
@@ -184,16 +151,10 @@ def small_strain_ended(shortfall: Shortfall) -> Iterator[Reason]:
     elements, step = shortfall.linear_elements, _small_step(shortfall.case)
     if elements is not None:
         if shortfall.part(elements) - _mesh_part(shortfall) >= HALF:
-            errors = shortfall.errors(elements)
-            text = f"Small strain has ended: {elements}, linear elements, is {off(errors)} at this load."
-            yield Reason(SMALL_STRAIN, text, errors)
+            yield Reason(SMALL_STRAIN, shortfall.errors(elements), {"elements": elements})
     elif step is not None and shortfall.part(model) - shortfall.part(model, step) >= HALF:
-        first, last = shortfall.errors(model, step), shortfall.errors(model)
-        text = (
-            f"Small strain has ended: it is {off(first)} at {_load(shortfall.case, step)}, and {off(last)} at "
-            "full load."
-        )
-        yield Reason(SMALL_STRAIN, text, last)
+        first = shortfall.errors(model, step)
+        yield Reason(SMALL_STRAIN, shortfall.errors(model), {"first": first, **_load(shortfall.case, step)})
 
 
 def compressibility(shortfall: Shortfall) -> Iterator[Reason]:
@@ -204,8 +165,8 @@ def compressibility(shortfall: Shortfall) -> Iterator[Reason]:
     for case in digest.cases:
         ratio = case.swept.get(POISSON)
         if isinstance(ratio, int | float):
-            shares.setdefault(float(ratio), []).append(digest.limits.of_load.share(case, model))
-            within = digest.limits.of_load.state(case, model, case.full_load) == WITHIN
+            shares.setdefault(float(ratio), []).append(digest.limits.share(case, model))
+            within = digest.limits.state(case, model, of_load=True) == WITHIN
             inside[float(ratio)] = within and inside.get(float(ratio), True)
     ratios = sorted(shares)
     good = [ratio for ratio in ratios if inside[ratio]]
@@ -213,60 +174,40 @@ def compressibility(shortfall: Shortfall) -> Iterator[Reason]:
     medians = [float(np.median(shares[ratio])) for ratio in ratios]
     if not good or not bad or max(bad) > min(good) or np.any(np.diff(medians) >= 0.0):
         return
-    failing = listed(swept_value(ratio, "1") for ratio in bad)
-    text = (
-        f"The tissue: the error grows as Poisson's ratio falls, and only the cases at {failing} are not within. "
-        "The less a tissue keeps its volume, the worse the model."
-    )
-    yield Reason(COMPRESSIBILITY, text, {"worst_ratio": max(bad), "least_ratio": min(good)})
+    yield Reason(COMPRESSIBILITY, {"worst_ratio": max(bad), "least_ratio": min(good)}, {"ratios": bad})
 
 
 def the_mesh(shortfall: Shortfall) -> Iterator[Reason]:
     """The reference's own elements on the mesh that the model has."""
     coarse = shortfall.digest.coarse_reference
     if coarse is not None and _mesh_part(shortfall) >= HALF:
-        errors = shortfall.errors(coarse)
-        yield Reason(
-            MESH, f"The mesh: {coarse} on the same mesh is {off(errors)} against the refined one.", errors
-        )
+        yield Reason(MESH, shortfall.errors(coarse), {"elements": coarse})
 
 
 def the_reference(shortfall: Shortfall) -> Iterator[Reason]:
     """Limits that the reference's own error leaves open."""
-    open_ = {
-        c.name: c.bar(case)
-        for case in shortfall.digest.cases
-        for c in shortfall.limits.of_load.criteria
-        if shortfall.limits.state(case, shortfall.model, case.full_load)
-        == c.state(case, shortfall.model, case.full_load)
-        == OPEN
+    limits, model = shortfall.limits, shortfall.model
+    undecided = [case for case in shortfall.digest.cases if limits.state(case, model) == OPEN]
+    found = {
+        c.name: (c.bar(case), c.unit)
+        for case in undecided
+        for c in limits.of_load
+        if c.state(case, model, case.full_load) == OPEN
     }
-    if not open_:
-        return
-    units = {c.name: c.unit for c in shortfall.limits.criteria}
-    bars = listed(
-        f"{_value(bar, units[name])} in {name.removesuffix(' error')}" for name, bar in open_.items()
-    )
-    text = f"The reference: its own error is up to {bars}, too wide to tell on which side of the limit it is."
-    yield Reason(REFERENCE, text, open_)
+    if found:
+        units = {name: unit for name, (_, unit) in found.items()}
+        yield Reason(REFERENCE, {name: bar for name, (bar, _) in found.items()}, {"units": units})
 
 
 def the_time(shortfall: Shortfall) -> Iterator[Reason]:
     """A frame that takes longer than is allowed, in the slowest case."""
-    for limit in shortfall.limits.criteria:
-        if limit.key == "frame_time":
-            times = [limit.at(case, shortfall.model, case.full_load) for case in shortfall.digest.cases]
-            slowest = max((time for time in times if math.isfinite(time)), default=0.0)
-            states = {limit.state(c, shortfall.model, c.full_load) for c in shortfall.digest.cases}
-            if BEYOND in states:
-                text = f"The time: a frame takes {quantity(slowest, 's', 2)}."
-                yield Reason(TIME, text, {limit.key: slowest})
-            elif OPEN in states:
-                text = (
-                    f"The time: {quantity(slowest, 's', 2)} was measured for a frame, on another machine, too few "
-                    "times or on both sides of the limit. The same command on an idle machine measures it anew."
-                )
-                yield Reason(TIME, text, {limit.key: slowest})
+    cases, model = shortfall.digest.cases, shortfall.model
+    for limit in (c for c in shortfall.limits.criteria if c.key == FRAME_TIME):
+        times = [limit.at(case, model, case.full_load) for case in cases]
+        slowest = max((time for time in times if math.isfinite(time)), default=0.0)
+        states = {limit.state(case, model, case.full_load) for case in cases}
+        if states & {BEYOND, OPEN}:
+            yield Reason(TIME, {limit.key: slowest}, {"sure": BEYOND in states})
 
 
 # in the order in which they are told
@@ -282,16 +223,17 @@ CAUSES: tuple[Callable[[Shortfall], Iterator[Reason]], ...] = (
 )
 
 
-def _how_to_tell(shortfall: Shortfall) -> str:
-    wanted = []
-    if shortfall.finite_strain and shortfall.linear_elements is None and is_linear(shortfall.model):
-        wanted.append('"fem-linear" among the models')
-    if shortfall.finite_strain and _small_step(shortfall.case) is None:
-        wanted.append("a small first factor in [load]")
-    if shortfall.digest.coarse_reference is None:
-        wanted.append("levels = 2 in [uncertainty]")
-    text = "No single cause takes half of what is allowed."
-    return f"This study does not tell why. It would with {listed(wanted)}." if wanted else text
+def _how_to_tell(shortfall: Shortfall) -> dict[str, Any]:
+    """What the study lacks to tell causes apart."""
+    finite = shortfall.finite_strain
+    wanted = {
+        '"fem-linear" among the models': (
+            finite and shortfall.linear_elements is None and is_linear(shortfall.model)
+        ),
+        "a small first factor in [load]": finite and _small_step(shortfall.case) is None,
+        "levels = 2 in [uncertainty]": shortfall.digest.coarse_reference is None,
+    }
+    return {"wanted": [what for what, lacks in wanted.items() if lacks]}
 
 
 def _mesh_part(shortfall: Shortfall) -> float:
@@ -350,10 +292,6 @@ def _small_step(case: CaseResult) -> int | None:
     return step if sizes[step] <= SMALL * sizes.max() else None
 
 
-def _load(case: CaseResult, step: int) -> str:
+def _load(case: CaseResult, step: int) -> dict[str, Any]:
     unit = load_unit(case) or "1"
-    return load_in_words(abs(float(loads_of(case, unit)[step])), unit)
-
-
-def _value(value: float, unit: str) -> str:
-    return exact_percent(value) if unit == "1" else quantity(value, unit, 2)
+    return {"load": abs(float(loads_of(case, unit)[step])), "unit": unit}

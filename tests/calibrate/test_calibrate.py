@@ -18,7 +18,7 @@ from numpy.testing import assert_allclose
 
 from tests.command import strict_json, vdmbench
 from tests.in_process import do_cases
-from tests.unit.report_runs import icosphere
+from tests.report.runs import icosphere
 from vdmbench import models
 from vdmbench.body.mesh_cache import mesh_from_cache
 from vdmbench.calibrate import (

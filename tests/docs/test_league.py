@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from tests.unit.report_runs import make_case, make_run
+from tests.report.runs import make_case, make_run
 from tools.league import (
     BODIES,
     DOCUMENT,

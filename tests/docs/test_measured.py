@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
+from tests.report.runs import make_case, make_run
 from tests.unit.example_case import example_measurement
-from tests.unit.report_runs import make_case, make_run
 from tools.marked import cells, shown
 from tools.measured import DOCUMENT, HEAD, STUDIES, fits, table, with_peers
 from vdmbench.study import registry

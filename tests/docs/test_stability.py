@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from tests.unit.report_runs import make_case, make_run
+from tests.report.runs import make_case, make_run
 from tools import marked, stability
 from vdmbench.study.config import expand, load_study
 from vdmbench.verdict.formatting import parameter_name

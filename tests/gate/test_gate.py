@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from tests.command import SMALL_STUDY, vdmbench
-from tests.unit.report_runs import make_case, make_run
+from tests.report.runs import make_case, make_run
 from vdmbench import gate
 from vdmbench.cli import verb_compare
 from vdmbench.cli.arguments import parse

@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 
 from tests.command import SCRIPT, heed_ctrl_c, vdmbench, vdmbench_process, wait_for, write_study
-from tests.unit.report_runs import icosphere
+from tests.report.runs import icosphere
 from vdmbench.measures.metrics import METRICS
 from vdmbench.store import cases as store
 from vdmbench.store.run_directory import rewrite_plan

@@ -9,7 +9,7 @@ from pathlib import Path
 import meshio
 
 from tests.command import vdmbench, vdmbench_process, write_study
-from tests.unit.report_runs import icosphere
+from tests.report.runs import icosphere
 from vdmbench.store import cases as store
 from vdmbench.study.files import text_without_folders
 

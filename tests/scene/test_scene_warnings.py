@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from tests.unit.report_runs import icosphere, make_case, make_run
+from tests.report.runs import icosphere, make_case, make_run
 from vdmbench.report.page import write_report
 from vdmbench.scene.warnings import indentation, scene_warnings
 from vdmbench.verdict.digest import Digest
-from vdmbench.verdict.verdict import doubts, verdicts
+from vdmbench.verdict.verdict import verdicts
 
 TISSUE = {"youngs_modulus": 5000.0, "poisson_ratio": 0.5}
 
@@ -111,13 +111,12 @@ def test_the_mean_indentation_of_a_disc_is_that_of_the_half_space() -> None:
 
 def test_the_report_tells_them_too(tmp_path: Path) -> None:
     case = make_case({"vdm-paper": 0.05})
-    assert doubts(Digest(make_run([case]))) == []
+    assert verdicts(Digest(make_run([case]))).doubts == ()
     lone = {**case.regions, "base": np.arange(len(case.points)) == 0}
     page = tmp_path / "report.html"
     run = make_run([dataclasses.replace(case, regions=lone)])
-    (reservation,) = verdicts(Digest(run)).reservations
-    assert reservation.startswith("The scene is doubtful: base holds one lone node and no facet")
+    (doubt,) = verdicts(Digest(run)).doubts
+    assert doubt.constraint == "base"
+    assert doubt.text.startswith("holds one lone node and no facet")
     write_report(run, page)
-    told = page.read_text()
-    assert "What is doubtful about the scene" in told
-    assert "holds one lone node and no facet" in told
+    assert "The scene is doubtful: base holds one lone node and no facet" in page.read_text()

@@ -12,15 +12,14 @@ import numpy as np
 import pytest
 
 from tests.command import SMALL_STUDY, vdmbench
+from tests.report.runs import make_case, make_run
 from tests.unit.typed_study import asked
 from vdmbench.evidence.claims import CLAIMS
 from vdmbench.evidence.claims_page import claims_html, verdict_rows, verdicts, write_claims
 from vdmbench.measures.case import CaseResult, Limit, MetricSeries, ModelLimits, Run, SmallStrainLimits
 from vdmbench.report.judgement import FAILS, HOLDS, OPEN, WITHIN_LIMITS, Judgement
 from vdmbench.study.schema import CLAIMS as HOW_MANY
-from vdmbench.verdict.motion import NORMAL
-
-from .report_runs import make_case, make_run
+from vdmbench.verdict.digest import NORMAL
 
 
 def judged(number: int, *cases: CaseResult) -> Judgement:

@@ -12,14 +12,13 @@ import pytest
 from numpy.testing import assert_allclose
 
 from tests.command import SMALL_STUDY, vdmbench
+from tests.report.runs import icosphere
 from vdmbench.body import read_apart
 from vdmbench.body.mesh import Mesh
 from vdmbench.body.mesh_file import write_surface_vtu
 from vdmbench.measures import foreign
 from vdmbench.measures.foreign import ForeignResultError, read_foreign
 from vdmbench.store.cases import read_run
-
-from .report_runs import icosphere
 
 
 def ball() -> Mesh:

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
+from tests.report.runs import make_case, make_run
 from tests.work.shared_work import ONE_LOAD, cache, meshes, plan_of, run
 from vdmbench.body.surface_measures import Surface
 from vdmbench.calibrate import training
@@ -19,9 +20,8 @@ from vdmbench.measures.pushed import Answer
 from vdmbench.report.section_measurement import against_measurement
 from vdmbench.study.config import StudyError
 from vdmbench.verdict.digest import Digest
-from vdmbench.verdict.experiment import measured_in_words
+from vdmbench.verdict.verdict import verdicts
 
-from .report_runs import make_case, make_run
 from .test_measured import STUDY, ball, load
 
 __all__ = ["cache", "meshes"]
@@ -213,17 +213,17 @@ def test_section_and_verdict_tell_of_forces() -> None:
     assert section is not None
     summary, figures, details = (block for block in section.blocks if type(block).__name__ != "Text")
     assert [cell.text for cell in summary.rows[0][:3]] == ["vdm-paper", "1 of 2", "213 mN"]
-    assert summary.rows[0][7].text == "250 mN", "0.3 N less u_val"
+    remains = [column.title for column in summary.columns].index("Remains")
+    assert summary.rows[0][remains].text == "250 mN", "0.3 N less u_val"
     assert [row[0].text for row in details.rows] == [
         "force of finger at 1.00 mm",
         "force of finger at 2.00 mm",
     ]
     assert "measured (bars: ± u_D) and simulated" in figures.figures[0].title
-    (told, _) = measured_in_words(digest, ["vdm-paper"])
-    assert (
-        "vdm-paper is 56 % off (root mean square), within the validation uncertainty in 1 of 2 values" in told
-    )
-    assert "fem-linear is 0 % off" in told
+    own, paper = verdicts(digest).measured
+    assert (own.model, own.shares, own.values) == ("fem-linear", {"N": 0.0}, 1)
+    assert (paper.model, paper.within, paper.values) == ("vdm-paper", 1, 2)
+    assert_allclose(paper.shares["N"], np.hypot(0.02, 0.3) / np.hypot(0.2, 0.5), rtol=1e-12)
 
 
 def test_the_first_depth_trains_a_fit() -> None:

@@ -10,12 +10,11 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
+from tests.report.runs import make_case, make_run
 from vdmbench.measures.case import CaseResult, MetricSeries
 from vdmbench.measures.uncertainty import INDENTATION_FORCE
 from vdmbench.store import cases as store
 from vdmbench.verdict.digest import Digest
-
-from .report_runs import make_case, make_run
 
 REFINED = "fem-linear refined"
 DRIFT = "volume_drift"

@@ -11,7 +11,7 @@ import vdm.peers.bem
 import vdm.peers.mass_spring
 import vdm.solution
 from solver_common.solution import Solution
-from tests.unit.report_runs import icosphere
+from tests.report.runs import icosphere
 from vdm.material import Parameters
 from vdm.surface import SurfaceMesh
 from vdmbench import models

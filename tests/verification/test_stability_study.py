@@ -13,7 +13,7 @@ from numpy.testing import assert_allclose
 from fem_reference.linear import LinearProblem
 from fem_reference.loads import Load as FemLoad
 from tests.comparing import compare
-from tests.unit.report_runs import make_run
+from tests.report.runs import make_run
 from vdmbench import models
 from vdmbench.body.geometry import build_mesh
 from vdmbench.body.mesh import Mesh

@@ -67,7 +67,9 @@
   };
 
   for (const box of document.querySelectorAll(".table")) {
-    const table = box.querySelector("table");
+    const table = box.querySelector("table"), scroll = box.querySelector(".scroll");
+    const hint = box.querySelector(".wide");
+    if (hint) new ResizeObserver(() => { hint.hidden = scroll.scrollWidth <= scroll.clientWidth + 1; }).observe(scroll);
     for (const button of box.querySelectorAll("[data-action]")) {
       button.hidden = false;
       button.addEventListener("click", () => {

@@ -10,23 +10,16 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from tests.in_process import outcomes_of
+from tests.report.runs import REFERENCE, make_case, make_run, measured_anew
+from tests.unit.study_texts import SMALL, problems
 from tests.unit.typed_study import typed_study
-from tests.work import shared_work
-from tests.work.shared_work import TABLES, plan_of
 from vdmbench.machine.processors import processor_name
-from vdmbench.machine.stored_json import StudyShape
 from vdmbench.measures.case import CaseResult
 from vdmbench.scene.result import FrameTimes
 from vdmbench.study.config import load_study
 from vdmbench.verdict.acceptance import BEYOND, LOST, OPEN, WITHIN, acceptance
 from vdmbench.verdict.digest import Digest
-from vdmbench.work.explain import summary
 
-from .report_runs import REFERENCE, make_case, make_run, measured_anew
-from .study_texts import SMALL, problems
-
-cache, meshes = shared_work.cache, shared_work.meshes  # the fixtures
 LINES = SMALL.count("\n")
 
 
@@ -60,14 +53,9 @@ def test_what_a_study_may_limit(tmp_path: Path) -> None:
     ("line", "key", "told"),
     [
         ('displacement_error = "5 mm"', "displacement_error", 'is not a share; write it as "5 %"'),
-        ("displacement_error = 5", "displacement_error", "at most 1, which is 100 %"),
-        ('deformation_error = "0 %"', "deformation_error", "must be above 0"),
-        ('largest_difference = "1 N"', "largest_difference", "is not a unit of a length"),
         ('frame_time = "-1 ms"', "frame_time", "must be positive"),
-        ('frame_time = "1 mm"', "frame_time", "is not a unit of a time"),
         ('largest_difference = 0.001\nregion = "tipp"', "region", 'did you mean "tip"?'),
         ('\nregion = "tip"', "region", "decides nothing without largest_difference"),
-        ("displacement = 0.1", "displacement", 'did you mean "displacement_error"?'),
     ],
 )
 def test_a_mistake_is_told_with_its_line(tmp_path: Path, line: str, key: str, told: str) -> None:
@@ -76,38 +64,10 @@ def test_a_mistake_is_told_with_its_line(tmp_path: Path, line: str, key: str, to
     assert told in text
 
 
-def test_a_limit_is_no_axis(tmp_path: Path) -> None:
-    text = f'{SMALL}[sweep]\n"acceptance.displacement_error" = [0.05, 0.1]\n'
-    ((_, where, _),) = problems(tmp_path, text)
-    assert where == 'sweep."acceptance.displacement_error"'
-
-
-def test_the_plan_holds_the_limits(tmp_path: Path, cache: Path) -> None:
-    tighter = {"displacement_error": 0.01, "largest_difference": 0.001, "region": "finger"}
-    plan = plan_of(tmp_path, cache, acceptance=tighter)
-    stored = summary(plan)["study"]
-    with pytest.raises(ValueError, match="displacement_error"):
-        StudyShape.model_validate(stored | {"acceptance": {"displacement_error": -0.1}})
-    assert stored["acceptance"] == tighter | {"deformation_error": 0.1}
-    StudyShape.model_validate(stored)
-
-
-def test_a_region_without_a_node_is_refused(tmp_path: Path, cache: Path) -> None:
-    away = {"ball": {"center": [1.0, 0.0, 0.0], "radius": 0.01}}
-    plan = plan_of(
-        tmp_path,
-        cache,
-        regions=TABLES["regions"] | {"away": away},
-        acceptance={"largest_difference": 0.001, "region": "away"},
-    )
-    ((_, failed),) = {(o.ok, o.said.message) for o in outcomes_of(plan) if not o.ok}
-    assert "region 'away' selects no node of the mesh" in failed
-
-
 # --- against a case ---
 
 
-def states(case: CaseResult, model: str = "vdm-m", **table: Any) -> dict[str, str]:
+def states(case: CaseResult, model: str = "vdm-m", **table: Any) -> dict[str, int]:
     """Limit -> where a model stands at full load."""
     return {
         one.key: one.state(case, model, case.full_load)
@@ -153,7 +113,7 @@ def test_without_an_answer_every_limit_is_lost() -> None:
     case = make_case({"vdm-m": 0.01}, stopped={"vdm-m": 3}, subdivisions=0)
     found = acceptance(typed_study(acceptance={"largest_difference": 1.0, "region": "finger"}))
     assert states(case, largest_difference=1.0, region="finger")["largest_difference"] == LOST
-    assert found.state(case, "vdm-m", 3) == LOST
+    assert found.state(case, "vdm-m") == LOST
     assert found.share(case, "vdm-m") == np.inf
 
 
@@ -191,7 +151,7 @@ def test_the_best_form_is_the_one_nearest_to_its_limits() -> None:
     ],
 )
 def test_a_time_decides_where_its_spread_and_its_run_allow(
-    times: tuple[float, ...] | None, processor: str, state: str
+    times: tuple[float, ...] | None, processor: str, state: int
 ) -> None:
     case = make_case({"vdm-m": 0.01}, subdivisions=0)
     own = case.models["vdm-m"]

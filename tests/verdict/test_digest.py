@@ -11,13 +11,11 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
+from tests.report.runs import make_case, make_run, sweep_run
 from vdmbench.measures.bars import at_full_load, reference_bar, value_bar
 from vdmbench.measures.case import MetricSeries
-from vdmbench.report import headline
 from vdmbench.store.metrics_table import metrics_csv
 from vdmbench.verdict.digest import DEFORMATION, VECTOR, Digest, spread_of
-
-from .report_runs import make_case, make_run, sweep_run
 
 RTOL, ATOL = 1e-9, 1e-12  # the runs are exact but for rounding
 
@@ -90,9 +88,6 @@ def test_the_references_own_drift_has_a_bar_from_its_levels_and_nobody_elses_has
     assert_allclose(bars(3.0), [np.nan, np.nan, 1.25e-4], rtol=1e-12, atol=0)
     case = dataclasses.replace(made, metrics=metrics, reference_error={"levels": 2.0})
     run = make_run([case])
-    shown = {row["model"]: row["volume drift"].replace("\u00a0", " ") for row in headline.headline_rows(run)}
-    assert shown["fem-linear refined (reference)"] == "−0.21 % ± 0.037 %"
-    assert shown["vdm-m"] == "+0.050 %"
     written = {
         row["model"]: row["reference_error"]
         for row in csv.DictReader(io.StringIO(metrics_csv(run)))
@@ -194,18 +189,6 @@ def test_only_what_varies_counts_as_swept() -> None:
         make_case({"m": 0.1}, label=str(k), swept={"a": 1.0, "b": float(k)}, subdivisions=0) for k in range(2)
     ]
     assert Digest(make_run(cases)).swept_keys == ["b"]
-
-
-def test_terminal_rows(digest: Digest) -> None:
-    rows = headline.headline_rows(digest.run)
-    assert [row["model"] for row in rows] == ["vdm-paper", "vdm-vector", "fem-linear (reference)"]
-    assert rows[1]["displacement error"] == "7.80 %, worst 10.6 %"
-    assert rows[1]["reference's own"] == "± 0.68 % / 0.74 %, resolved in 4 of 6 / resolved in 3 of 6"
-    assert rows[0]["reference's own"] == "± 0.68 % / 0.74 %"
-    assert rows[2]["displacement error"] == "–"
-    assert rows[2]["per frame"] == "800 ms"
-    assert len({tuple(row) for row in rows}) == 1, "all rows have the same columns"
-    assert headline.headline_rows(make_run([])) == []
 
 
 def test_points_of_cases_that_share_a_value_are_not_joined() -> None:

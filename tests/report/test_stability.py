@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from tests.unit.report_runs import make_case, make_run
+from tests.report.runs import make_case, make_run
 from vdmbench.body.surface_measures import Surface
 from vdmbench.measures.bars import series
 from vdmbench.measures.case import CaseResult, MetricSeries

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import itertools
 
+from tests.report.runs import make_case, make_run
 from vdmbench.report.plots import colour, line, marker
 from vdmbench.study.registry import all_models
 from vdmbench.verdict.digest import Digest
 from vdmbench.verdict.palette import COLOURS, places
-
-from .report_runs import make_case, make_run
 
 
 def looks(names: list[str]) -> dict[str, tuple[str, str, str]]:

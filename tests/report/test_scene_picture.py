@@ -10,9 +10,8 @@ from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 from PIL import Image
 
+from tests.report.runs import icosphere
 from vdmbench.report.scene_picture import KINDS, Part, Stage, scene_figure, scene_png, scene_svg
-
-from .report_runs import icosphere
 
 POINTS, TRIANGLES = icosphere(3)
 POINTS = 0.05 * POINTS

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from solver_common.solution import Status
-from tests.unit.browser import Browser, chromium
-from tests.unit.report_runs import make_case, make_run
+from tests.report.browser import Browser, chromium
+from tests.report.runs import make_case, make_run
 from vdmbench.measures.case import CaseResult, Run
 from vdmbench.report.headline import headline_rows
 from vdmbench.report.page import page_html, write_report

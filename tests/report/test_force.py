@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
+from tests.report.runs import AMPLITUDE, REFERENCE, make_case, make_run
 from tests.unit.typed_study import asked
 from vdmbench.measures.case import CaseResult
 from vdmbench.report.blocks import Figures, Section, Table, Text
@@ -17,8 +18,6 @@ from vdmbench.report.section_force import force_against_indentation
 from vdmbench.study.config import resolved
 from vdmbench.verdict.digest import Digest
 from vdmbench.verdict.loading import contact_pressure, contact_resultant, indentation, movement_force
-
-from .report_runs import AMPLITUDE, REFERENCE, make_case, make_run
 
 RTOL, ATOL = 1e-9, 1e-12  # the runs are exact but for rounding
 

@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 
 from vdmbench.measures.case import Run
+from vdmbench.measures.frame import COLUMNS, COSTS, at_full_load, frame
 from vdmbench.store.cases import read_run
-from vdmbench.store.frame import COLUMNS, COSTS, at_full_load, frame
 
 
 def test_the_frame_has_every_number_of_the_cases(quickstart: Path) -> None:

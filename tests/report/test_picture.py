@@ -10,13 +10,12 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
+from tests.report.runs import icosphere, make_case, make_run
 from vdmbench.report import picture, raster
 from vdmbench.report.page import page_html, write_picture
 from vdmbench.report.picture import Panel, labelled, png
 from vdmbench.report.section_view import heading, still
 from vdmbench.verdict.digest import Digest
-
-from .report_runs import icosphere, make_case, make_run
 
 
 def ball(azimuth: float = -1.0) -> Panel:

@@ -1,4 +1,4 @@
-"""What an answer's motion is made of: closed forms on a ball, and the words of the verdict."""
+"""What an answer's motion is made of: closed forms on a ball, and the floor of forms along normals."""
 
 from __future__ import annotations
 
@@ -8,15 +8,13 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from tests.unit.report_runs import REFERENCE, make_case, make_run
+from tests.report.runs import REFERENCE, make_case, make_run
 from tests.vdm.vdm_shapes import icosphere
 from vdmbench.body.surface_measures import Surface, weighted_norm
 from vdmbench.measures.case import Run
-from vdmbench.measures.metrics import METRICS, History
-from vdmbench.report import headline
-from vdmbench.verdict.digest import Digest
-from vdmbench.verdict.formatting import percent
-from vdmbench.verdict.motion import along_normals, motion_in_words
+from vdmbench.measures.metrics import METRICS, VECTOR, History
+from vdmbench.verdict.digest import NORMAL, Digest
+from vdmbench.verdict.verdict import verdicts
 from vdmbench.work.case import compare
 
 POINTS, TRIANGLES = icosphere(4, (0.05, 0.05, 0.05))
@@ -50,40 +48,34 @@ def test_a_body_at_rest_has_no_share(name: str) -> None:
 
 
 def run_with_a_scalar_form() -> Run:
-    """The hand-made ball with the model `flat`, which has a tenth too much of the reference's normal component."""
-    case = make_case({"flat": 0.0, "vector": 0.1})
-    surface = Surface(case.points, case.triangles)
+    """The hand-made ball with vdm-paper, which has a tenth too much of the reference's normal component."""
+    case = make_case({"vdm-paper": 0.0, "vdm-vector": 0.1})
+    surface = Surface(case.points, case.triangles, case.regions["finger"])
     true = case.models[REFERENCE].displacement
     normal = (true * surface.normals).sum(axis=2, keepdims=True) * surface.normals
-    flat = dataclasses.replace(case.models["flat"], displacement=1.1 * normal)
-    models = {**case.models, "flat": flat}
+    models = {
+        **case.models,
+        "vdm-paper": dataclasses.replace(case.models["vdm-paper"], displacement=1.1 * normal),
+    }
     metrics = compare(surface, models, case.load_factors, REFERENCE)
     return make_run([dataclasses.replace(case, models=models, metrics=metrics)])
 
 
-def test_tables_tell_the_floor_of_a_form_along_normals_and_its_own_measure() -> None:
-    run = run_with_a_scalar_form()
-    digest = Digest(run)
-    found = along_normals(digest, "flat")
-    assert found is not None
-    floor, own = found
-    case = run.cases[0]
+def test_the_normal_error_leads_for_a_form_along_normals_beside_its_floor() -> None:
+    digest = Digest(run_with_a_scalar_form())
+    case = digest.cases[0]
     surface, true = Surface(case.points, case.triangles), case.models[REFERENCE].displacement[-1]
     inside = true - (true * surface.normals).sum(axis=1, keepdims=True) * surface.normals
-    assert_allclose(
-        floor, weighted_norm(inside, surface.areas) / weighted_norm(true, surface.areas), rtol=1e-12
-    )
-    assert_allclose(own, 0.1, rtol=1e-9, atol=0)
-    assert along_normals(digest, "vector") is None
-    told = f"at least {percent(floor)}, normal component 10.0 %"
-    rows = {row["model"]: row["along normals"] for row in headline.headline_rows(run)}
-    assert rows == {"flat": told, "vector": "", f"{REFERENCE} (reference)": ""}
-    terminal = [row["model"] for row in headline.terminal_rows(digest)]
-    assert f"  along normals: {told}" in terminal
-    assert max(map(len, terminal)) <= 80
-    section = headline.headline(digest)
-    assert section is not None
-    page = str(section)
-    assert f"along normals: {told}" in page
-    assert "A form along normals cannot have" in page
-    assert "1 model can move nodes along normals only" in motion_in_words(digest)[-1]
+    floor = weighted_norm(inside, surface.areas) / weighted_norm(true, surface.areas)
+    assert_allclose(digest.floor("vdm-paper"), floor, rtol=1e-12, atol=0)
+    assert np.isnan(digest.floor("vdm-vector"))
+    found = verdicts(digest)
+    printed, derived = found["vdm-printed"].lead, found["vdm-derived"].lead
+    assert printed is not None
+    assert derived is not None
+    assert (printed.metric, derived.metric) == (NORMAL, VECTOR)
+    assert_allclose([printed.value, printed.floor], [0.1, floor], rtol=1e-9, atol=0)
+    assert_allclose(printed.displacement, digest.median("vdm-paper", VECTOR), rtol=1e-12, atol=0)
+    assert printed.distance > 0.0
+    assert printed.contact > 0.0
+    assert_allclose(printed.reference_drift, digest.median(REFERENCE, "volume_drift"), rtol=1e-12, atol=0)

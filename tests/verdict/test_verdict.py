@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from solver_common.solution import Status
+from tests.report.runs import REFERENCE, make_case, make_run, measured_anew, sweep_run
 from tests.unit.typed_study import asked, typed_study
 from vdmbench.measures.case import CaseResult, Run
 from vdmbench.study.config import resolved
@@ -17,10 +18,8 @@ from vdmbench.study.fields import targets
 from vdmbench.study.registry import PARAMETERS, family_of
 from vdmbench.verdict.acceptance import BEYOND, LOST, OPEN, WITHIN, acceptance
 from vdmbench.verdict.digest import Digest
-from vdmbench.verdict.sentences import SURE, told
-from vdmbench.verdict.verdict import Verdict, verdicts
-
-from .report_runs import REFERENCE, make_case, make_run
+from vdmbench.verdict.verdict import Reservation, Verdict, verdicts
+from vdmbench.verdict.words import said, told
 
 MODEL = "vdm-vector"
 
@@ -50,10 +49,10 @@ def bars(vector: float, deformation: float | None = None) -> dict[str, float]:
     ],
 )
 def test_the_references_own_error_counts(
-    error: float, measured: dict[str, float], state: str, word: str
+    error: float, measured: dict[str, float], state: int, word: str
 ) -> None:
     case = make_case({MODEL: error}, reference_error=measured, subdivisions=1)
-    assert acceptance(typed_study()).state(case, MODEL, 3) == state
+    assert acceptance(typed_study()).state(case, MODEL) == state
     assert verdict(make_run([case])).word == word
 
 
@@ -88,7 +87,7 @@ def test_the_word_is_that_of_the_worst_judged_case() -> None:
     lost = verdict(swept({MODEL: 0.01}, {MODEL: math.nan}))
     assert (lost.word, lost.within, lost.unanswered) == ("no", 1, 1)
     case = make_case({MODEL: 0.01}, stopped={MODEL: 3}, subdivisions=1)
-    assert acceptance(typed_study()).state(case, MODEL, 3) == LOST
+    assert acceptance(typed_study()).state(case, MODEL) == LOST
     open_ = verdict(swept({MODEL: 0.01}, {MODEL: 0.095}, reference_error=bars(0.01)))
     assert (open_.word, open_.within, open_.undecided) == ("undecided", 1, 1)
 
@@ -149,7 +148,7 @@ def test_a_sweep_is_judged_where_its_reference_is_in_range() -> None:
     assert list(one.states.values()) == ["yes", "yes", "not judged"]
     assert [out.name for out in found.outside] == ["2"]
     assert found.outside[0].moved == pytest.approx(0.1713, rel=1e-3)
-    assert "2 of 3 judged" in told(found).notes[0]
+    assert "2 of 3 cases judged" in told(found).notes[0]
     all_out = verdicts(Digest(swept({MODEL: 0.01}, load=(8.0,))))
     assert (all_out["vdm-derived"].word, len(all_out.outside)) == ("not judged", 1)
     finite = verdict(swept({MODEL: 0.01}, load=(8.0,), reference="fem"))
@@ -189,18 +188,40 @@ def test_elements_are_not_advised_below_a_surface_model_that_is_closer(
     assert {a.interaction: a.model for a in found.take}["a few per cent needed"] == taken
 
 
+def with_status(case: CaseResult, model: str, message: str) -> CaseResult:
+    """The case with a message at every step of a model."""
+    status = tuple(Status("converged", message, "take the boundary form") for _ in case.load_factors)
+    doubtful = dataclasses.replace(case.models[model], status=status)
+    return dataclasses.replace(case, models={**case.models, model: doubtful})
+
+
 def test_reservations_that_differ_by_a_number_are_one_with_a_range() -> None:
-    cases = []
-    for k, number in enumerate((109, 116, 111)):
-        case = make_case({MODEL: 0.01}, label=str(k), swept={"k": float(k)}, subdivisions=0)
-        status = tuple(
-            Status("converged", f"a bending comes out {number} % wrong") for _ in case.load_factors
+    cases = [
+        with_status(
+            make_case({MODEL: 0.01}, label=str(k), swept={"k": float(k)}, subdivisions=0),
+            MODEL,
+            f"a bending comes out {number} % wrong",
         )
-        doubtful = dataclasses.replace(case.models[MODEL], status=status)
-        cases.append(dataclasses.replace(case, models={**case.models, MODEL: doubtful}))
-    told_of = verdicts(Digest(make_run(cases))).reservations
-    (reservation,) = [text for text in told_of if text.startswith(MODEL)]
-    assert "in 3 of 3 cases: a bending comes out 109 to 116 % wrong." in reservation
+        for k, number in enumerate((109, 116, 111))
+    ]
+    found = [one for one in verdicts(Digest(make_run(cases))).reservations if one.model == MODEL]
+    assert found == [Reservation(MODEL, "a bending comes out 109 to 116 % wrong", 3)]
+
+
+@pytest.mark.parametrize("model", [MODEL, "fem-linear"])
+def test_a_yes_carries_the_reservations_of_model_and_reference(model: str) -> None:
+    case = make_case({MODEL: 0.01}, subdivisions=1)
+    before = verdicts(Digest(make_run([case]))).reservations
+    found = verdicts(Digest(make_run([with_status(case, model, "doubtful")])))
+    assert found["vdm-derived"].word == "yes"
+    assert set(found.reservations) - set(before) == {Reservation(model, "doubtful", 1)}
+
+
+def test_a_residual_that_is_no_solution_is_a_reservation() -> None:
+    case = make_case({MODEL: 0.01}, subdivisions=1)
+    loose = dataclasses.replace(case.models[MODEL], scalars={"relative_residual": np.full(4, 1e-3)})
+    run = make_run([dataclasses.replace(case, models={**case.models, MODEL: loose})])
+    assert any("relative residual of 1.0e-03" in one.message for one in verdicts(Digest(run)).reservations)
 
 
 def test_a_history_tells_the_load_up_to_which_a_model_is_within() -> None:
@@ -226,33 +247,39 @@ def test_what_is_not_in_the_numbers_is_said() -> None:
     )
     found = verdicts(Digest(run))
     assert found.lost == 2
-    (sure,) = (answer.sentences for answer in told(found).further if answer.question == SURE)
-    assert any("1 case failed and 1 case not run yet" in sentence for sentence in sure)
+    assert (found.failed, found.damaged, found.missing) == (1, 0, 1)
+    assert any("1 failed, 0 with a damaged file, 1 not run yet" in text for text in said("sure", found))
 
 
 @pytest.mark.parametrize(
-    ("run", "why"),
+    ("run", "why", "said_so"),
     [
-        (make_run([]), "No case has a result yet"),
-        (make_run([make_case({MODEL: 0.1}, reference=None, subdivisions=0)]), "No model is the reference."),
-        (make_run([make_case({MODEL: 0.1}, stopped={MODEL: 0}, subdivisions=0)]), "No model has a result"),
+        (make_run([]), "no case", "No case has a result yet"),
+        (make_run([make_case({MODEL: 0.1}, reference=None, subdivisions=0)]), "no reference", "No model is"),
+        (
+            make_run([make_case({MODEL: 0.1}, stopped={MODEL: 0}, subdivisions=0)]),
+            "no result",
+            "No model has",
+        ),
         (
             make_run([make_case({"bem": 1e-6}, reference="vdm-paper")]),
-            "The reference, vdm-paper, is a surface",
+            "surface reference",
+            "The reference, vdm",
         ),
     ],
     ids=["no case", "no reference", "no answer", "surface reference"],
 )
-def test_why_nothing_is_judged(run: Run, why: str) -> None:
+def test_why_nothing_is_judged(run: Run, why: str, said_so: str) -> None:
     found = verdicts(Digest(run))
-    assert found.not_judged.startswith(why)
+    assert found.not_judged == why
     assert {one.word for one in found.values()} == {"not judged"}
-    assert told(found).notes[0] == found.not_judged
+    assert told(found).notes[0].startswith(said_so)
 
 
 def test_every_number_that_a_study_can_give_has_a_name_and_its_unit() -> None:
     units = {key.removeprefix("vdm."): t.unit for key, t in targets({"vdm": {}}).items() if "vdm." in key}
-    del units["rotation"], units["compressibility"]  # words
+    for word in ("rotation", "compressibility", "stop", "volume_row"):
+        del units[word]
     assert {key: unit for key, (_, unit) in PARAMETERS.items()} == units
 
 
@@ -278,3 +305,15 @@ def test_a_body_carried_along_with_its_supports_is_judged(also_fixed: bool, judg
     case = asked(case, constraints=constraints)
     case = dataclasses.replace(case, models=results, regions={**case.regions, **ends})
     assert verdict(make_run([case])).word == ("yes" if judged else "not judged")
+
+
+def test_every_limit_has_its_word_and_its_number() -> None:
+    limits = {"displacement_error": 0.04, "largest_difference": 2e-4, "region": "finger", "frame_time": 5e-4}
+    run = make_run([measured_anew(case) for case in sweep_run().cases], acceptance=limits)
+    found = {limit.key: limit for limit in verdicts(Digest(run))["vdm-derived"].limits}
+    assert list(found) == ["displacement_error", "deformation_error", "largest_difference", "frame_time"]
+    assert found["displacement_error"].word == found["frame_time"].word == "no"
+    frame, difference = found["frame_time"], found["largest_difference"]
+    assert (frame.value, frame.allowed, frame.unit) == (8e-4, 5e-4, "s")
+    # 10.6 % of twice 2 mm
+    assert (difference.region, difference.value) == ("finger", pytest.approx(0.106 * 0.004, rel=0.02))

@@ -6,12 +6,11 @@ import dataclasses
 
 import numpy as np
 
+from tests.report.runs import make_case, make_run
 from tests.unit.typed_study import asked
 from vdmbench.measures.case import CaseResult, MetricSeries
-from vdmbench.report.section_fibres import anisotropy_of_the_response
+from vdmbench.report.section_measures import anisotropy_of_the_response
 from vdmbench.verdict.digest import Digest
-
-from .report_runs import make_case, make_run
 
 
 def fibrous(strains: dict[str, tuple[float, float, float]]) -> CaseResult:
@@ -44,8 +43,8 @@ def test_strains_and_their_ratio() -> None:
     table = section.blocks[0]
     rows = {row[1].text: [cell.text for cell in row[2:]] for row in table.rows}
     assert rows == {
-        "vdm-paper": ["+1.20 %", "+2.40 %", "−3.60 %", "0.5"],
-        "fem-linear": ["+1.00 %", "+4.00 %", "−5.00 %", "0.25"],
+        "vdm-paper": ["+1.20 %", "+2.40 %", "−3.60 %", "0.500"],
+        "fem-linear": ["+1.00 %", "+4.00 %", "−5.00 %", "0.250"],
     }
     assert [row[2].value for row in table.rows] == [0.012, 0.01]
 

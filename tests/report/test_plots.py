@@ -7,13 +7,11 @@ import re
 
 import pytest
 
+from tests.report.runs import REFERENCE, make_case, make_run
 from vdmbench.report.plots import Plot, percent_axis
-from vdmbench.report.section_errors import error_against_load
-from vdmbench.report.section_volume import volume_drift
+from vdmbench.report.section_errors import error_against_load, volume_drift
 from vdmbench.report.told import tell
 from vdmbench.verdict.digest import Digest
-
-from .report_runs import REFERENCE, make_case, make_run
 
 
 @pytest.mark.parametrize(

@@ -8,15 +8,19 @@ import pytest
 
 from vdmbench.verdict.formatting import (
     listed,
+    load_in_words,
     number,
     of_unit,
+    parameter_name,
     percent,
     plain,
     plural,
     quantity,
     scale_of,
     short_percent,
+    span,
     swept_value,
+    with_bar,
 )
 
 
@@ -103,8 +107,16 @@ def test_of_unit() -> None:
 
 
 def test_words() -> None:
-    assert plural(1, "case") == "1 case"
-    assert plural(0, "case") == "0 cases"
-    assert listed(["a"]) == "a"
-    assert listed(iter("abc")) == "a, b and c"
-    assert listed([]) == ""
+    assert [plural(k, "case") for k in (0, 1)] == ["0 cases", "1 case"]
+    assert [listed(text) for text in ("", "a", "abc")] == ["", "a", "a, b and c"]
+    assert with_bar(0.3971, 0.0204) == "39.7 % ± 2 %"
+    assert with_bar(0.3971, math.nan) == "39.7 %"
+    assert [span(values, "N") for values in ((0.1, 0.4), (0.1, 0.1), ())] == ["0.1 to 0.4 N", "0.1 N", ""]
+    assert load_in_words(0.51, "1") == "0.51 of the full load"
+
+
+def test_components_of_vectors_have_names() -> None:
+    assert parameter_name("gravity.acceleration.2") == "acceleration z"
+    assert parameter_name("regions.finger.cap.direction.0") == "direction x of cap"
+    assert parameter_name("tissue.poisson_ratio") == "Poisson ratio"
+    assert parameter_name("constraints.finger.pressure") == "pressure of finger"

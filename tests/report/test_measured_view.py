@@ -12,14 +12,13 @@ import pytest
 from numpy.testing import assert_allclose
 from PIL import Image
 
+from tests.report.browser import Browser, chromium
+from tests.report.runs import RADIUS, make_case, make_run
 from vdmbench.measures.case import CaseResult
 from vdmbench.measures.measurement import Measurement, Quantity
 from vdmbench.report.page import page_html
 from vdmbench.report.view import candidates, payload
 from vdmbench.verdict.digest import Digest
-
-from .browser import Browser, chromium
-from .report_runs import RADIUS, make_case, make_run
 
 WEIGHTS = (0.5, 0.25, 0.25)
 

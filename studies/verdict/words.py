@@ -1,0 +1,154 @@
+"""The verdicts in plain sentences, the same wherever they are shown: the templates of `words.txt`, filled."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+from jinja2 import Environment, FileSystemLoader, StrictUndefined
+
+from ..measures.input_spread import STRAIGHT
+from ..scene.warnings import MOST_DRIFT, MOST_MOVED
+from ..study.registry import Family
+from . import formatting as f
+from .inputs_known import input_name
+from .verdict import Verdict, Verdicts
+
+TITLES = {
+    Family.PRINTED: "VDM as printed",
+    Family.DERIVED: "VDM, derived",
+    Family.PEERS: "Surface peers",
+    Family.ELEMENTS: "Elements",
+    Family.ENGINES: "Engines",
+}
+WHY = "Why not?"
+DO = "What to do?"
+MEASURED = "What does the measurement say?"
+INPUTS = "Is the error larger than what is not known of the inputs?"
+LOAD = "Up to which load?"
+WITH = "With which parameters?"
+SURE = "How sure is this?"
+BESIDE = (WHY, DO, LOAD)  # what the page has in the table of limits
+ON_TERMINAL = (WHY, DO, MEASURED, INPUTS, LOAD)
+
+
+@dataclass(frozen=True)
+class Row:
+    """The answer for one family: its name in words, the word, and one line with the numbers that decide."""
+
+    family: str
+    title: str
+    word: str
+    text: str
+
+
+@dataclass(frozen=True)
+class Answer:
+    """A question of the reader and the sentences that answer it."""
+
+    question: str
+    sentences: Sequence[str]
+
+
+@dataclass(frozen=True)
+class Told:
+    """All that a run says: a row a family, what holds for all rows, what to take instead, and further answers."""
+
+    rows: tuple[Row, ...] = ()
+    notes: tuple[str, ...] = ()
+    instead: tuple[str, ...] = ()
+    further: tuple[Answer, ...] = ()
+
+
+def told(verdicts: Verdicts) -> Told:
+    """The verdicts in words."""
+    judged = [one for one in verdicts.asked if one.model]
+    small_strain = said("small_strain", verdicts)
+    loads = [f"{one.model}: {text}" for one in judged for text in said("reached", one)]
+    loads += [text for one in judged if one.growth is not None for text in said("growth", one.growth)]
+    found = [
+        Answer(WHY, [f"{one.model}: {text}" for one in judged for text in why_not(one)]),
+        Answer(DO, [f"{one.model}: {text}" for one in judged if (text := to_do(one))]),
+        Answer(MEASURED, said("measured", verdicts)),
+        Answer(INPUTS, said("inputs", verdicts.inputs, STRAIGHT)),
+        Answer(LOAD, [*loads, *small_strain]),
+        Answer(WITH, said("parameters", verdicts)),
+        Answer(SURE, said("sure", verdicts)),
+    ]
+    return Told(
+        rows=tuple(
+            Row(one.family, TITLES[Family(one.family)], one.word, " ".join(said("row", one, verdicts)))
+            for one in verdicts.asked
+        ),
+        notes=tuple(said("notes", verdicts, MOST_MOVED, MOST_DRIFT)),
+        instead=tuple(text for one in verdicts.take for text in said("instead", one)),
+        further=tuple(answer for answer in found if answer.sentences),
+    )
+
+
+def why_not(one: Verdict) -> list[str]:
+    """The causes of what is not within."""
+    return [text for reason in one.why_not for text in said("why", reason)]
+
+
+def to_do(one: Verdict) -> str:
+    """What to do with the answer; "" where its model is to be taken."""
+    return " ".join(said("todo", one.advice)) if one.advice is not None else ""
+
+
+def said(macro: str, *about: Any) -> list[str]:
+    """The sentences of a template, one from each of its lines."""
+    lines = str(getattr(_templates(), macro)(*about)).split("\n")
+    return [" ".join(line.split()) for line in lines if line.strip()]
+
+
+@cache
+def _templates() -> Any:
+    environment = Environment(
+        loader=FileSystemLoader(Path(__file__).parent),
+        autoescape=False,  # these are texts: whoever puts them into a page escapes them
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        extensions=["jinja2.ext.do"],
+    )
+    environment.filters |= {
+        "known": lambda value: value is not None and math.isfinite(value),
+        "exact": f.exact_percent,
+        "short": f.short_percent,
+        "amount": f.quantity,
+        "measure": f.measure,
+        "bar": lambda value, bar, shown="exact": f.with_bar(value, bar, _SHOWN[shown]),
+        "listed": f.listed,
+        "first_of": _first_of,
+        "count": f.plural,
+        "capital": lambda text: f"{text[:1].upper()}{text[1:]}",
+        "load": f.load_in_words,
+        "loads": _loads,
+        "quantities": lambda ends, unit: " to ".join(dict.fromkeys(f.quantity(end, unit) for end in ends)),
+        "value": f.swept_value,
+        "input": input_name,
+    }
+    return environment.get_template("words.txt").module
+
+
+_SHOWN = {"exact": f.exact_percent, "short": f.short_percent}
+
+
+def _first_of(names: Sequence[str], most: int) -> str:
+    """The first of many, with how many more there are."""
+    more = [f"{len(names) - most} more"] if len(names) > most else []
+    return f.listed([*names[:most], *more])
+
+
+def _loads(ends: Iterable[float], unit: str) -> str:
+    """`0.1 to 0.4 N`."""
+    least, most = ends
+    last = f.load_in_words(most, unit)
+    if least == most:
+        return last
+    return f"{least:.3g} to {last}" if unit in ("N", "1") else f"{f.load_in_words(least, unit)} to {last}"

@@ -1,0 +1,118 @@
+"""Times that are not simply those of a solve in this run are marked where they are shown."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.report.runs import REFERENCE, make_case, make_run, measured_anew
+from tests.work.shared_work import ALONE, plan_of, run
+from vdmbench.machine.processors import processor_name
+from vdmbench.measures.case import CaseResult
+from vdmbench.report.blocks import Figures
+from vdmbench.report.headline import _table, headline_metrics
+from vdmbench.report.section_cost import run_time_against_error, time_notes
+from vdmbench.scene.result import FrameTimes
+from vdmbench.verdict.digest import EARLIER, ELSEWHERE, ONCE, Digest
+from vdmbench.work import cache as answers
+from vdmbench.work import provenance
+
+MODELS = ("vdm-vector", "fem-condensed", "fem-coarse")
+
+
+def _case(processor: str, **parameters: str) -> CaseResult:
+    """A case of two models, the parameters being those of `vdm-m`."""
+    case = make_case({"vdm-m": 0.1}, subdivisions=1)
+    model = case.models["vdm-m"]
+    marked = dataclasses.replace(model, parameters={**model.parameters, **parameters})
+    models = {**case.models, "vdm-m": marked}
+    return dataclasses.replace(case, models=models, provenance={**case.provenance, "processor": processor})
+
+
+HERE = processor_name()
+
+
+@pytest.mark.parametrize(
+    ("case", "marks", "of_reference"),
+    [
+        (_case(HERE), [], []),
+        (_case(HERE, solver="iterative"), [], []),
+        (_case(HERE, measured_earlier="yes"), [EARLIER], []),
+        (_case("Abacus 3"), [ELSEWHERE], [ELSEWHERE]),
+        (_case("Abacus 3", measured_on=HERE), [], [ELSEWHERE]),
+        (_case(HERE, measured_earlier="yes", measured_on="Abacus 3"), [EARLIER, ELSEWHERE], []),
+    ],
+)
+def test_times_say_when_where_and_how(case: CaseResult, marks: list[str], of_reference: list[str]) -> None:
+    shown = make_run([case])
+    iterative = case.models["vdm-m"].parameters["solver"] == "iterative"
+    rows = {row[0].text: "\n".join(cell.detail for cell in row[1:]) for row in _table(Digest(shown)).rows}
+    for name, expected in (("vdm-m", marks), (REFERENCE, of_reference)):
+        for time in ("seconds_setup", "seconds_per_step"):
+            assert headline_metrics(shown)[name][time]["measured"] == expected
+        for word, mark in (("earlier", EARLIER), ("another machine", ELSEWHERE)):
+            assert (word in rows[name]) == (mark in expected)
+        assert ("iterative" in rows[name]) == (iterative and name == "vdm-m")
+    told = " ".join(time_notes(Digest(shown).summaries))
+    assert ("Measured earlier: vdm-m." in told) == (EARLIER in marks)
+    assert ("Measured on another machine" in told) == (ELSEWHERE in [*marks, *of_reference])
+    assert ("Solved iteratively" in told) == iterative
+
+
+def test_every_model_stands_in_the_figure_with_budgets_and_limit() -> None:
+    case = make_case({model: 0.1 * (k + 1) for k, model in enumerate(MODELS)}, subdivisions=1)
+    section = run_time_against_error(Digest(make_run([case])))
+    assert section is not None
+    (figures,) = (block for block in section.blocks if isinstance(block, Figures))
+    assert len(figures.figures) == 2
+    described = ("400 µs per frame at 10 %", "800 µs per frame at 20 %", "1.20 ms per frame at 30 %")
+    for figure in figures.figures:
+        for model, told in zip(MODELS, described, strict=True):
+            assert f"{model} {told}" in str(figure.svg)
+        for line in ("accepted", "haptic device, 1 ms", "screen, 16.7 ms"):
+            assert f">{line}</text>" in str(figure.svg)
+
+
+def test_a_case_that_was_done_before_the_others_is_of_an_earlier_run() -> None:
+    cases = [make_case({"vdm-m": 0.1}, label=label, subdivisions=1) for label in ("a", "b")]
+    cases = [dataclasses.replace(case, hash=2 * str(k)) for k, case in enumerate(cases)]
+
+    def marks(*resumed: str) -> tuple[str, ...]:
+        return Digest(dataclasses.replace(make_run(cases), plan={"resumed": resumed})).summary("vdm-m").marks
+
+    assert marks("00") == marks("11") == (EARLIER,)
+    assert marks() == ()
+
+
+def test_frames_that_were_measured_in_turns_stand_for_all_times() -> None:
+    case = measured_anew(_case("Abacus 3", measured_earlier="yes", solver="iterative"))
+    summary = Digest(make_run([case])).summary("vdm-m")
+    assert (summary.marks, summary.iterative) == ((), False)
+    own = case.models["vdm-m"]
+    assert own.frames is not None
+
+    def marks(frames: FrameTimes | None) -> tuple[str, ...]:
+        models = case.models | {"vdm-m": dataclasses.replace(own, frames=frames)}
+        return Digest(make_run([dataclasses.replace(case, models=models)])).summary("vdm-m").marks
+
+    assert marks(dataclasses.replace(own.frames, processor="Abacus 3")) == (ELSEWHERE,)
+    assert marks(None) == (EARLIER, ELSEWHERE, ONCE)
+
+
+def test_what_another_machine_has_measured_says_so_in_the_next_case(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of models from a case file, and of the reference from a cache that was copied."""
+    changes: dict[str, Any] = ALONE | {"sweep": {}}
+    monkeypatch.setattr(answers, "processor_name", lambda: "Abacus 3")
+    monkeypatch.setattr(provenance, "_machine", lambda: {"processor": "Abacus 3"})
+    run(plan_of(tmp_path, tmp_path / "cache", **changes))
+    monkeypatch.undo()
+    study = ALONE["study"] | {"models": ["vdm-vector", "vdm-paper", "fem-linear"]}
+    (case,) = run(plan_of(tmp_path, tmp_path / "cache", **changes | {"study": study}))
+    found = {name: result.parameters.get("measured_on") for name, result in case.models.items()}
+    assert found == {"vdm-vector": "Abacus 3", "vdm-paper": None, "fem-linear": "Abacus 3"}
+    assert Digest(make_run([case])).summary("vdm-vector").marks == (EARLIER, ELSEWHERE)

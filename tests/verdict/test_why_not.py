@@ -1,0 +1,268 @@
+"""Why a model is not within its limits: each cause on a run that shows it and on one that does not."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tests.report.runs import make_case, make_run, measured_anew
+from tests.unit.typed_study import asked
+from vdmbench.measures.case import CaseResult, MetricSeries, Run
+from vdmbench.measures.metrics import DEFORMATION, METRICS, VECTOR, History, evaluate
+from vdmbench.study.registry import all_models, family_of
+from vdmbench.verdict.digest import Digest
+from vdmbench.verdict.verdict import Verdict, verdicts
+from vdmbench.verdict.why_not import (
+    COMPRESSIBILITY,
+    LEFT_OUT,
+    MESH,
+    MODEL,
+    NO_ANSWER,
+    NOT_TOLD,
+    REFERENCE,
+    SMALL_STRAIN,
+    TIME,
+    Reason,
+    reasons,
+)
+from vdmbench.verdict.words import said
+
+STEPS = (0.05, 0.5, 1.0)
+OFF_BY = {"gci:relative_l2_displacement_error": 0.01, "gci:relative_l2_deformation_error": 0.01}
+
+
+def verdict(digest: Digest, model: str = "vdm-vector") -> Verdict:
+    """The verdict of a model's family."""
+    return verdicts(digest)[family_of(model)]
+
+
+def causes(run: Run, model: str = "vdm-vector") -> dict[str, Reason]:
+    """Cause -> its reason."""
+    return {reason.cause: reason for reason in reasons(Digest(run), model)}
+
+
+def growing(shares: Mapping[str, Sequence[float]], reference: str = "fem", **others: object) -> CaseResult:
+    """A case in which each model's errors at the steps of `STEPS` are those given; both errors alike."""
+    case = make_case(dict.fromkeys(shares, 0.0), steps=STEPS, reference=reference, subdivisions=1, **others)  # type: ignore[arg-type]
+    surface = Digest(make_run([case])).surfaces[case.hash]
+    true = case.models[reference]
+    models, metrics = dict(case.models), dict(case.metrics)
+    for name, errors in shares.items():
+        u = true.displacement * (1.0 + np.array(errors))[:, None, None]
+        models[name] = dataclasses.replace(case.models[name], displacement=u)
+        history, other = (History(v, true.reaction_force, case.load_factors) for v in (u, true.displacement))
+        values = evaluate(surface, history, other)
+        metrics[name] = {
+            key: MetricSeries(values[key], METRICS[key].unit, METRICS[key].definition, METRICS[key].version)
+            for key in (VECTOR, DEFORMATION)
+        }
+    return dataclasses.replace(case, models=models, metrics=metrics)
+
+
+def told(run: Run, model: str = "vdm-vector") -> dict[str, str]:
+    """Cause -> its sentence."""
+    return {cause: " ".join(said("why", reason)) for cause, reason in causes(run, model).items()}
+
+
+def both(reason: Reason) -> tuple[float, float]:
+    """The errors of a reason."""
+    return reason.numbers["displacement_error"], reason.numbers["deformation_error"]
+
+
+def test_what_is_left_out_is_told_by_elements_that_leave_it_out_too() -> None:
+    far = growing({"vdm-vector": (0.28,) * 3, "fem-condensed": (0.25,) * 3}, reference="fem-linear")
+    assert causes(make_run([far])).keys() == {MODEL}
+    lump = {
+        "inclusions": [{"name": "lump", "group": "a", "youngs_modulus": 1e4}],
+        "study": {"name": "ball", "models": [], "homogeneous": ["vdm-vector", "fem-condensed"]},
+    }
+    found = causes(make_run([asked(far, **lump)]))
+    assert found.keys() == {LEFT_OUT}
+    assert both(found[LEFT_OUT]) == pytest.approx((0.25, 0.25), rel=1e-9)
+    assert "fem-condensed without lump is 25 % off" in told(make_run([asked(far, **lump)]))[LEFT_OUT]
+    worse = growing({"vdm-vector": (0.4,) * 3, "fem-condensed": (0.25,) * 3}, reference="fem-linear")
+    assert causes(make_run([asked(worse, **lump)])).keys() == {MODEL, LEFT_OUT}
+
+
+def test_the_model_is_told_by_linear_elements() -> None:
+    far = growing({"vdm-vector": (0.2, 0.2, 0.21), "fem-linear": (0.001, 0.005, 0.01)})
+    found = causes(make_run([far]))
+    assert found.keys() == {MODEL}
+    assert both(found[MODEL]) == pytest.approx((0.2 / 1.01, 0.2 / 1.01), rel=1e-9)
+    assert found[MODEL].about == {"against": "fem-linear"}
+    near = growing({"vdm-vector": (0.02, 0.1, 0.21), "fem-linear": (0.001, 0.1, 0.2)})
+    assert MODEL not in causes(make_run([near]))
+
+
+def test_the_model_is_told_by_its_smallest_load() -> None:
+    early = make_run([growing({"vdm-vector:nonlinear": (0.2, 0.2, 0.2)})])
+    assert told(early, "vdm-vector:nonlinear") == {
+        MODEL: "the model: at 0.025 N, the smallest load, it is 20 % off in displacement and 20 % in change of "
+        "shape."
+    }
+    late = growing({"vdm-vector:nonlinear": (0.02, 0.1, 0.2)})
+    assert MODEL not in causes(make_run([late]), "vdm-vector:nonlinear")
+
+
+def test_small_strain_has_ended_where_linear_elements_are_as_far_off() -> None:
+    """As on the liver at 1 N: the boundary form 12.3 %, linear elements 11.4 %."""
+    ended = growing({"vdm-vector": (0.02, 0.06, 0.123), "fem-linear": (0.001, 0.05, 0.114)})
+    found = causes(make_run([ended]))
+    assert found.keys() == {SMALL_STRAIN}
+    assert both(found[SMALL_STRAIN]) == pytest.approx((0.114, 0.114), rel=1e-9)
+    small = growing({"vdm-vector": (0.2, 0.2, 0.2), "fem-linear": (0.001, 0.005, 0.01)})
+    assert SMALL_STRAIN not in causes(make_run([small]))
+
+
+def test_small_strain_has_ended_where_the_error_of_a_linear_model_grows() -> None:
+    found = causes(make_run([growing({"vdm-vector": (0.02, 0.1, 0.21)})]))[SMALL_STRAIN]
+    assert both(found) == pytest.approx((0.21, 0.21), rel=1e-9)
+    assert found.about["first"]["displacement_error"] == pytest.approx(0.02, rel=1e-9)
+    assert found.about["load"] == pytest.approx(0.025)
+    assert SMALL_STRAIN not in causes(make_run([growing({"vdm-vector": (0.2, 0.2, 0.21)})]))
+    nonlinear = growing({"vdm-vector:nonlinear": (0.02, 0.1, 0.21)})
+    assert SMALL_STRAIN not in causes(make_run([nonlinear]), "vdm-vector:nonlinear"), "it follows"
+
+
+def advice(*cases: CaseResult, model: str = "vdm-vector", **about: Any) -> str:
+    """Which next step is advised."""
+    found = verdict(Digest(make_run(cases, **about)), model).advice
+    assert found is not None
+    return found.kind
+
+
+def test_the_advice_where_small_strain_has_ended_is_the_nonlinear_solver() -> None:
+    linear = {"vdm-vector": (0.02, 0.06, 0.123), "fem-linear": (0.001, 0.05, 0.114)}
+    assert advice(growing(linear)) == "try nonlinear"
+    better = linear | {"vdm-vector:nonlinear": (0.01, 0.02, 0.03)}
+    worse = linear | {"vdm-vector:nonlinear": (0.15, 0.15, 0.15)}
+    alone = verdicts(Digest(make_run([growing(better)])))["vdm-derived"]
+    assert (alone.word, alone.model) == ("yes", "vdm-vector:nonlinear")
+    assert advice(growing(worse)) == "nonlinear no better"
+    stopped = linear | {"vdm-vector:nonlinear": (0.01, math.nan, math.nan)}
+    assert advice(growing(stopped, stopped={"vdm-vector:nonlinear": 1})) == "nonlinear stops"
+
+
+def test_a_body_that_swings_on_its_support_is_not_sent_to_a_solver_with_one_rotation() -> None:
+    case = growing({"bem": (0.02, 0.06, 0.123), "fem-linear": (0.001, 0.05, 0.114)})
+    one_rotation = all_models()["bem"].turns_as_one
+    for share, kind in ((0.5, "try nonlinear"), (0.98, "bends" if one_rotation else "try nonlinear")):
+        own = case.metrics["fem"]
+        rigid = dataclasses.replace(own["rigid_share"], values=np.full(3, share))
+        swung = dataclasses.replace(case, metrics={**case.metrics, "fem": {**own, "rigid_share": rigid}})
+        assert advice(swung, model="bem") == kind
+
+
+def test_a_model_that_is_far_off_at_any_load_is_not_sent_to_its_nonlinear_solver() -> None:
+    far = growing({"vdm-vector": (0.2, 0.25, 0.3), "fem-linear": (0.001, 0.05, 0.114)})
+    assert causes(make_run([far])).keys() == {MODEL, SMALL_STRAIN}
+    assert advice(far) == "large elements"
+
+
+def ratios(*errors: tuple[float, float], stopped: Sequence[float] = ()) -> Run:
+    """A case for each (Poisson's ratio, error)."""
+    return make_run(
+        [
+            make_case(
+                {"vdm-vector": error},
+                label=f"{nu} {error}",
+                swept={"tissue.poisson_ratio": nu},
+                stopped={"vdm-vector": 0} if nu in stopped else None,
+                subdivisions=0,
+                steps=(1.0,),
+            )
+            for nu, error in errors
+        ]
+    )
+
+
+def test_compressibility_is_told_by_the_cases_that_fail() -> None:
+    falling = ratios((0.3, 0.3), (0.45, 0.15), (0.49, 0.06))
+    assert causes(falling)[COMPRESSIBILITY].about == {"ratios": [0.3, 0.45]}
+    assert advice(*falling.cases) == "ratios"
+    for others in (
+        ((0.3, 0.06), (0.49, 0.3)),
+        ((0.3, 0.3), (0.49, 0.2)),
+        ((0.3, 0.12), (0.4, 0.2), (0.49, 0.06)),
+        # the medians fall, 9.3 % and 8.5 %, and yet it is a case at the higher ratio that is not within
+        ((0.3, 0.09), (0.3, 0.095), (0.45, 0.05), (0.45, 0.12)),
+    ):
+        assert COMPRESSIBILITY not in causes(ratios(*others))
+    unanswered = ratios((0.3, 0.05), (0.35, 0.05), (0.49, 0.05), stopped=(0.3, 0.35))
+    assert verdict(Digest(unanswered)).word == "no"
+
+
+def test_what_the_mesh_takes_of_linear_elements_is_not_small_strain() -> None:
+    shares = {"vdm-vector": (0.2, 0.2, 0.2), "fem-linear": (0.09, 0.09, 0.1), "fem": (0.09, 0.09, 0.09)}
+    found = causes(make_run([growing(shares, reference="fem refined")], reference="fem"))
+    assert SMALL_STRAIN not in found
+    assert MESH in found
+
+
+@pytest.mark.parametrize(("coarse", "by_mesh"), [(0.08, True), (0.03, False)])
+def test_the_mesh_is_told_by_the_references_own_model_on_it(coarse: float, by_mesh: bool) -> None:
+    errors = {"vdm-vector": 0.13, "fem-linear": coarse}
+    case = make_case(errors, reference="fem-linear refined", subdivisions=0, steps=(1.0,))
+    found = causes(make_run([case], reference="fem-linear"))
+    assert (MESH in found) == by_mesh
+    assert (MODEL in found) != by_mesh, "what the mesh does not take, the model does"
+    if by_mesh:
+        assert both(found[MESH]) == pytest.approx((0.08, 0.08), rel=1e-9)
+        assert advice(case, reference="fem-linear") == "finer mesh"
+
+
+def test_the_references_bar_is_told_where_it_decides() -> None:
+    open_ = make_case({"vdm-vector": 0.095}, reference_error=OFF_BY | {"levels": 2.0}, subdivisions=0)
+    found = verdict(Digest(make_run([open_])))
+    assert causes(make_run([open_]))[REFERENCE].numbers == {
+        "displacement error": 0.01,
+        "change of shape": 0.01,
+    }
+    assert found.advice is not None
+    assert (found.advice.kind, found.advice.value) == ("levels", 3)
+    beyond = make_case({"vdm-vector": 0.2}, reference_error=OFF_BY, subdivisions=0)
+    assert REFERENCE not in causes(make_run([beyond]))
+
+
+def test_no_answer_is_told_with_its_reason() -> None:
+    case = make_case({"vdm-vector": 0.01}, stopped={"vdm-vector": 3}, subdivisions=0)
+    assert told(make_run([case])) == {
+        NO_ANSWER: "no answer in 1 of 1 case: the volume could not be held. What helps: take smaller load steps."
+    }
+    assert causes(make_run([make_case({"vdm-vector": 0.01}, subdivisions=0)])) == {}
+
+
+def test_what_is_not_measured_is_asked_for() -> None:
+    bare = make_case({"vdm-vector": 0.2}, reference="fem", steps=(1.0,), subdivisions=0)
+    wanted = [
+        '"fem-linear" among the models',
+        "a small first factor in [load]",
+        "levels = 2 in [uncertainty]",
+    ]
+    assert causes(make_run([bare])) == {NOT_TOLD: Reason(NOT_TOLD, about={"wanted": wanted})}
+
+
+def test_a_frame_that_takes_too_long_is_told() -> None:
+    case = measured_anew(make_case({"vdm-vector": 0.01, "fem-condensed": 0.02}, subdivisions=0))
+    run = make_run([case], acceptance={"frame_time": 3e-4})  # they take 0.4 and 0.8 ms
+    assert causes(run) == {TIME: Reason(TIME, {"frame_time": pytest.approx(4e-4)}, {"sure": True})}
+    assert verdict(Digest(run)).word == "no"
+    assert advice(case, acceptance={"frame_time": 3e-4}) == "coarser mesh"
+    moving = verdicts(Digest(run)).take[1]
+    assert (moving.kind, moving.allowed, moving.model) == ("none quick enough", 3e-4, "")
+    assert causes(make_run([case], acceptance={"frame_time": 5e-4})) == {}
+
+
+def test_condensed_elements_say_how_often_they_are_within() -> None:
+    cases = [
+        make_case({"vdm-vector": 0.3, "fem-condensed": error}, label=str(k), swept={"k": k}, subdivisions=0)
+        for k, error in enumerate((0.05, 0.2))
+    ]
+    resting = verdicts(Digest(make_run(cases))).take[0]
+    assert (resting.model, resting.take[0].within, resting.take[0].cases) == ("fem-condensed", 1, 2)
+    assert "within the limits in 1 of 2 cases" in said("instead", resting)[0]
