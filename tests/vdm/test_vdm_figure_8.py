@@ -142,3 +142,22 @@ def test_a_load_that_throws_nodes_off_the_body_fails_with_a_remedy() -> None:
 def test_what_a_solver_does_not_read_is_refused(options: dict[str, str]) -> None:
     with pytest.raises(ParameterError):
         Model(POINTS, TRIANGLES, MATERIAL, fixed=FIXED, **options)
+
+
+def test_what_a_stopped_solve_left_of_its_volume_row_is_in_the_next_one() -> None:
+    """(33) starts from the last solution, whose own row is zero only where its solve is exact."""
+    solver = model(tolerance=1e-2).solver
+    first = solver.step(RISING[0])
+    second = solver.step(RISING[1], first)
+    before = SurfaceMesh(POINTS + first.displacement, TRIANGLES).nodal_areas
+    left = float(before @ lengths(second.displacement))
+    assert abs(left) > 1e-6 * (before @ np.abs(lengths(second.displacement)))
+    assert_allclose(solver.system(RISING[2], second)[1][-1], left, rtol=1e-9, atol=0)
+
+
+def test_a_scaled_load_scales_all_of_its_parts() -> None:
+    parts = [np.full(BODY.n_nodes, 2.0), *(np.full((BODY.n_nodes, 3), s) for s in (3.0, 4.0, 5.0))]
+    half = Load(*parts).scaled(0.5)
+    found = (half.contact_pressure, half.contact_force, half.prescribed, half.dead_force)
+    for part, whole in zip(found, parts, strict=True):
+        assert_allclose(part, 0.5 * whole, rtol=0, atol=0)

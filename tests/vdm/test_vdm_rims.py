@@ -83,8 +83,8 @@ def test_the_fluid_keeps_the_volume_between_the_nodes_that_there_were() -> None:
     assert_allclose(uniform, BODY.area_vectors, rtol=0.0, atol=1e-12 * BODY.area)
 
 
-@pytest.mark.parametrize("nu", [0.3, 0.5])
-def test_single_precision_is_not_seen_where_nodes_are_eliminated(nu: float) -> None:
+def test_single_precision_is_not_seen_where_nodes_are_eliminated() -> None:
+    nu = 0.5
     force = np.random.default_rng(1).standard_normal(Rims.of(BODY, BASE).surface.points.shape)
     rigid, free = rigid_motions(BODY, np.ones_like(BASE)).reshape(-1, 6), np.repeat(~BASE, 3)
     answers = []

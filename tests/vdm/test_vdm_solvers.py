@@ -22,7 +22,6 @@ from vdm import Load, Model, Parameters, SolverError, SurfaceMesh
 from vdm.deformed import DeformableSurface
 from vdm.peers.bem import DenseFactor
 from vdm.solvers import SOLVERS
-from vdm.solvers.anderson import Anderson
 from vdm.solvers.krylov import KrylovSolver
 from vdm.solvers.quasi_linear import sherman_morrison
 
@@ -431,17 +430,6 @@ def test_failed_step_is_nan_with_a_remedy_and_the_history_goes_on():
     assert_allclose(solution.displacement[2], alone.displacement[0], rtol=0.0, atol=1e-6 * size)
 
 
-def test_anderson_solves_a_linear_fixed_point_in_as_many_steps_as_unknowns():
-    rng = np.random.default_rng(2)
-    matrix = 0.9 * np.linalg.qr(rng.standard_normal((5, 5)))[0]
-    right = rng.standard_normal(5)
-    x, mixing = np.zeros(5), Anderson(6)
-    for _ in range(7):
-        x = mixing.next(x, matrix @ x + right - x)
-    assert_allclose(x, np.linalg.solve(np.eye(5) - matrix, right), rtol=0.0, atol=1e-8)
-
-
-# the turning of springs is not in the rest state's factor: they need more iterations with every sign right
 @pytest.mark.parametrize("formulation", [name for name in NAMES if name != "mass-spring"])
 def test_nonlinear_corrections_point_the_right_way(formulation):
     loads = [PUSH, PUSH.scaled(1.05)]

@@ -137,8 +137,9 @@ def test_a_uniform_pressure_stays_among_the_tractions() -> None:
     )
 
 
-@pytest.mark.parametrize("nu", [0.3, 0.5])
-def test_sharing_costs_an_answer_less_than_its_mesh_does(nu: float, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_sharing_costs_an_answer_less_than_its_mesh_does(monkeypatch: pytest.MonkeyPatch) -> None:
+    nu = 0.5
+
     def solved(level: int) -> Array:
         points, triangles = icosphere(level, (0.05, 0.05, 0.05))
         parameters = Parameters(shear_modulus=1e3, poisson_ratio=nu)
