@@ -149,6 +149,7 @@ def test_the_report_is_rebuilt_from_a_copied_directory(copy: Path, tmp_path: Pat
         "volume_drift",
         "seconds_setup",
         "seconds_per_step",
+        "seconds_everywhere",
         "peak_bytes",
     }
     assert rows["metrics"]["fem-linear"]["peak_bytes"]["unit"] == "B"
