@@ -3,8 +3,8 @@
 # make verify    the long verification runs; their table goes to results/verification.md
 # make docs      the generated parts of the documents, and the site in build/site
 # make baselines REASON="why": accepts the accuracy of the gated studies as it is now
-# make evidence  WHAT=claims|stability|measured|league|calibrations|performance|accuracy|ratios|anchors|motion|untuned|error_bars|vdm_speed|fem_speed|mutants:
-#                measures anew what a documented table shows, in one thread, for minutes to hours
+# make evidence  WHAT=name: measures anew what a documented table shows, in one thread, for minutes to hours;
+#                names, rows and durations are in tools/evidence.toml
 # Each sets up what it needs: .venv, pinned packages, and the shared libraries of gmsh and VTK.
 
 PYTHON ?= python3
@@ -32,7 +32,7 @@ verify: setup
 
 # SURFACE=liver.obj draws the front page's picture with a real liver
 docs: setup
-	$(RUN)python -m tools.regenerate $(SURFACE)
+	$(RUN)python -m tools.documents $(SURFACE)
 	$(RUN)mkdocs build --quiet
 
 baselines: setup
@@ -41,12 +41,12 @@ baselines: setup
 	  $(RUN)vdmbench run $$study && $(RUN)vdmbench accept results/runs/$$study --reason "$(REASON)" || exit 1; done
 	$(ONE_THREAD) $(RUN)python -m tests.bench.test_figures
 
-# ARGS are the program's own: a liver.obj for accuracy; --surface liver.obj or --bench FILE for performance
+# ARGS are the table's own: a liver.obj for accuracy, ratios, untuned, performance; studies for error_bars, scenes
 evidence: setup
 	@test -n "$(WHAT)" || { echo 'say what: make evidence WHAT=claims'; exit 2; }
 	$(if $(filter fem_speed,$(WHAT)),$(RUN)pip install --quiet --constraint constraints.txt --editable '.[benchmark]')
 	$(if $(filter league measured,$(WHAT)),$(PIP) --quiet ./docs/examples)
-	$(ONE_THREAD) $(RUN)python -m tools.$(WHAT) $(ARGS)
+	$(ONE_THREAD) $(RUN)python -m tools.evidence $(WHAT) $(ARGS)
 
 setup: libraries .venv/ready
 

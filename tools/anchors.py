@@ -6,7 +6,7 @@ each, the edges of the next half as long. A part of the surface is held at the e
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -17,14 +17,13 @@ from fem_reference.linear import LinearProblem, Load
 from solver_common.arrays import Array, Mask
 from solver_common.quadrature import facet_quadrature
 from tests.unit.fem_shapes import Body, ball, mapped_box
-from tools import marked
-from tools.accuracy import DOCUMENT
+from tools.documents import ROOT, show, table
 from vdm import Load as SurfaceLoad
 from vdm import Model, Parameters, SurfaceMesh
 from vdmbench.body.surface_measures import deformations, relative_l2
 
 HEAD = ("exact answer", "nu", "nodes", "bem", "order", "FEM, this mesh", "order")
-PART = "anchors"
+DOCUMENT, PART = ROOT / "docs" / "evidence" / "accuracy.md", "anchors"
 SHEAR_MODULUS = 1.0
 SIDES = np.array([4.0, 1.0, 1.0])
 
@@ -121,11 +120,6 @@ def rows_of(anchor: Anchor) -> Iterator[list[str]]:
         yield [anchor.name, f"{anchor.poisson_ratio:g}", str(nodes), *cells]
 
 
-def main() -> None:
+def main(name: str, _: Sequence[str]) -> None:
     """Solve all and write the table."""
-    rows = [row for anchor in ANCHORS for row in rows_of(anchor)]
-    marked.show(DOCUMENT, PART, marked.table(HEAD, rows))
-
-
-if __name__ == "__main__":
-    main()
+    show(DOCUMENT, name, table(HEAD, [row for anchor in ANCHORS for row in rows_of(anchor)]))

@@ -1,4 +1,4 @@
-"""Calibrates every shipped body and tries each fit on all others: `calibrations()` is the one command.
+"""Calibrates every shipped body and tries each fit on all others.
 
 Writes `results/calibrations.md`; to paste into a study, `results/calibrations/<study>.toml`; and all figures,
 `results/calibrations/<study>.json`. The studies run in `results/runs`, where what is there is kept.
@@ -8,11 +8,11 @@ from __future__ import annotations
 
 import json
 import shutil
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
-from tools import marked
-from tools.runs import ROOT, RUNS, finished
+from tools import documents
+from tools.documents import ROOT, RUNS, finished
 from vdmbench.calibrate import Errors, bars_in_percent, in_percent
 from vdmbench.verdict.formatting import NOTHING, percent
 
@@ -49,7 +49,7 @@ def document(found: Mapping[str, Mapping[str, Any]]) -> str:
     text = HEAD
     for model in next(iter(found.values())):
         rows = (_row(study, entries[model]) for study, entries in found.items())
-        text += f"\n## {model}\n\n{marked.table(COLUMNS, rows)}"
+        text += f"\n## {model}\n\n{documents.table(COLUMNS, rows)}"
     return text
 
 
@@ -72,7 +72,7 @@ def _multiples(multiples: Mapping[str, float]) -> str:
     return ", ".join(f"{value:.2g}" for value in multiples.values())
 
 
-def calibrations() -> None:
+def main(_: str, __: Sequence[str]) -> None:
     """Calibrate all bodies and write what came out.
 
     Raises
@@ -88,7 +88,3 @@ def calibrations() -> None:
         for suffix in ("toml", "json"):
             shutil.copy(RUNS / study / f"calibration.{suffix}", TABLES / f"{study}.{suffix}")
     DOCUMENT.write_text(document(found))
-
-
-if __name__ == "__main__":
-    calibrations()

@@ -1,30 +1,25 @@
-"""The pictures that the documents show: a figure per claim as SVG, and the top of a report as PNG."""
+"""The pictures that the documents show of the claims: a figure of each as SVG, for light and dark."""
 
 from __future__ import annotations
 
 import html
-import io
 import re
 import textwrap
 from collections.abc import Sequence
 from pathlib import Path
 
 from markupsafe import escape
-from PIL import Image
 
-from tests.report.browser import Browser, chromium
-from tools.runs import ROOT
+from tools.documents import GALLERY, ROOT
 from vdmbench.evidence.claims_page import Verdict
 from vdmbench.report.blocks import Figure
 from vdmbench.report.plots import shape
 from vdmbench.verdict.palette import COLOURS
 
-GALLERY = ROOT / "docs" / "gallery"
 _CSS = ROOT / "studies" / "report" / "templates" / "page.css"
 _COLUMNS = 3  # of pictures in a row
 _WIDTH, _HEIGHT = 317.0, 216.0  # of a figure, in its own units
-_LINE, _SIDE, _GAP = 13.0, 8.0, 14.0
-_IN_A_LINE = 4  # names of a legend below panels
+_LINE, _SIDE = 13.0, 8.0
 _GLYPHS = "●■▲◆▼✚✖"  # the markers of the figures: o s ^ D v P X
 _PLAIN = str.maketrans("[]|", "() ")  # what would end a picture's text in Markdown
 _DASHES = ("dashed", "dash-dotted", "dotted")
@@ -94,31 +89,6 @@ def _legend(figure: Figure, models: Sequence[tuple[int, str, bool]]) -> list[str
     return ["  ".join(line).replace("  <", "\u2003<") for line in lines if line]
 
 
-def panels(drawn: Sequence[tuple[str, str]], models: dict[str, int], told: str) -> str:
-    """Charts side by side, each a title and its SVG, with the models' names below, for light and dark.
-
-    `models` has the place of each in the palette; `told` says in words what is shown.
-    """
-    names = list(models)
-    rows = [names[k : k + _IN_A_LINE] for k in range(0, len(names), _IN_A_LINE)]
-    width = len(drawn) * (_WIDTH + _GAP)
-    height = _HEIGHT + _LINE * (len(rows) + 2.4)
-    parts = []
-    for k, (title, svg) in enumerate(drawn):
-        left = k * (_WIDTH + _GAP) + _GAP / 2
-        parts.append(f'<text class="claim" x="{left + 60:g}" y="{_LINE:g}">{escape(title)}</text>')
-        place = f'<svg x="{left:g}" y="{1.4 * _LINE:g}" width="{_WIDTH:g}" height="{_HEIGHT:g}" '
-        parts.append(str(svg).replace("<svg ", place, 1))
-    for k, row in enumerate(rows):
-        words = "\u2003".join(
-            f'<tspan fill="var(--model-{models[name] % COLOURS})">{glyph(models[name])}</tspan> '
-            f"{escape(name)}{_dashed(models[name])}"
-            for name in row
-        )
-        parts.append(f'<text x="{_GAP:g}" y="{_HEIGHT + _LINE * (k + 2.6):g}">{words}</text>')
-    return _picture(width, height, escape(told), parts)
-
-
 def _dashed(number: int) -> str:
     """How the line of a place in the palette is broken, where colours come again."""
     return f" ({_DASHES[(number // COLOURS - 1) % 3]})" if number >= COLOURS else ""
@@ -170,14 +140,3 @@ def as_markdown(pictures: Sequence[tuple[str, str]]) -> str:
     lines = [f"| {' | '.join(row)} |\n" for row in rows]
     lines.insert(1, f"|{' --- |' * _COLUMNS}\n")
     return "".join(lines)
-
-
-def report_picture(page: Path, path: Path) -> bool:
-    """PNG of the top of a report, False where no Chromium is installed."""
-    if chromium() is None:
-        return False
-    with Browser() as browser:
-        browser.open(page, width=1200, height=1420)
-        picture = browser.picture(clip={"x": 0, "y": 0, "width": 1200, "height": 1420})
-    Image.open(io.BytesIO(picture)).convert("RGB").save(path, optimize=True)
-    return True

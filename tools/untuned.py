@@ -1,83 +1,43 @@
-"""Bodies and loads that nothing was tuned for: the boundary form there, beside elements on the same mesh.
+"""Bodies and loads that nothing was tuned for: a torus, a cone, a bent plate, a kidney and a squeezed liver.
 
-A torus, a cone, a bent plate three elements thick, a kidney, and a liver squeezed along one axis, each held at its
-foot and loaded in four ways, at four Poisson's ratios. A liver may be named as argument; without one the procedural
-organ is squeezed. The tables go to `docs/evidence/untuned.md`. About twenty minutes of an idle core.
+Each is held at its foot and loaded in four ways at four Poisson's ratios; `bem` beside elements on the same mesh.
 """
 
 from __future__ import annotations
 
-import sys
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Sequence
 from itertools import pairwise
 from pathlib import Path
 from statistics import median
+from typing import Any, NamedTuple
 
 import meshio
 import numpy as np
-from numpy.typing import NDArray
+import tomli_w
 
+from solver_common.arrays import Array, Index
 from tests.unit import vdm_shapes
-from tools import marked
-from tools.accuracy import as_per_cent
-from tools.ratios import RATIOS
-from tools.runs import ROOT, finished
+from tools.documents import ROOT, show, table
+from tools.evidence import EVIDENCE, MEASURES, RUNS, finished, slashed
 from vdmbench.body.geometry import build_mesh
 from vdmbench.measures.bars import at_full_load, reference_bar
 from vdmbench.measures.case import CaseResult
-from vdmbench.measures.metrics import DEFORMATION, VECTOR
 from vdmbench.scene.warnings import scene_warnings
 from vdmbench.store.cases import read_run
 from vdmbench.study.shapes import Geometry
 
-DOCUMENT = ROOT / "docs" / "evidence" / "untuned.md"
-RUNS = ROOT / "build" / "untuned"  # what is there is not done again
 FORM, ELEMENTS = "bem", "fem-linear"
 ENOUGH = 0.1
 
-Array = NDArray[np.float64]
-Triangles = NDArray[np.int64]
 
-
-@dataclass(frozen=True)
-class Body:
+class Body(NamedTuple):
     """A surface [m], the edge length of its mesh, and where a patch on it lies: its direction and half angle."""
 
     points: Array
-    triangles: Triangles
+    triangles: Index
     mesh_size: str
     angle: str = "25 deg"
     top: tuple[float, float, float] = (0.3, 0.1, 1.0)
-
-
-def _grid(rows: int, columns: int) -> Triangles:
-    """Triangles of rows x columns nodes; columns meet their first one."""
-    i, j = np.mgrid[0 : rows - 1, 0:columns]
-    i, j, below, right = i.ravel(), j.ravel(), i.ravel() + 1, (j.ravel() + 1) % columns
-    a, b, c, d = i * columns + j, below * columns + j, below * columns + right, i * columns + right
-    return np.concatenate([np.stack([a, b, c], 1), np.stack([a, c, d], 1)])
-
-
-def _turned(profile: Array, columns: int) -> tuple[Array, Triangles]:
-    """A body of revolution about z from (k, 2) radii and heights, both ends on the axis."""
-    inner, turn = profile[1:-1], 2 * np.pi * np.arange(columns) / columns
-    ring = np.stack(
-        [
-            np.outer(inner[:, 0], np.cos(turn)),
-            np.outer(inner[:, 0], np.sin(turn)),
-            np.repeat(inner[:, 1:], columns, axis=1),
-        ],
-        axis=2,
-    ).reshape(-1, 3)
-    triangles, around = _grid(len(inner), columns), np.arange(columns)
-    following, last = np.roll(around, -1), len(ring) - columns
-    ends = [
-        np.stack([np.full(columns, len(ring)), around, following], 1),
-        np.stack([np.full(columns, len(ring) + 1), last + following, last + around], 1),
-    ]
-    points = np.concatenate([ring, [[0, 0, profile[0, 1]], [0, 0, profile[-1, 1]]]])
-    return points, np.concatenate([triangles, *ends])
 
 
 def torus() -> Body:
@@ -85,11 +45,22 @@ def torus() -> Body:
     return Body(*vdm_shapes.torus(0.04, 0.018, 80, 40), "7.5 mm", top=(1.0, 0.3, 0.5))
 
 
-def cone() -> Body:
-    """A cone cut off: 40 mm in radius at its foot, 12 mm at its top, 80 mm high."""
+def cone(columns: int = 72) -> Body:
+    """A cone cut off: 40 mm in radius at its foot, 12 mm at its top, 80 mm high; both ends on the axis."""
     corners = np.array([[0, 0.08], [0.012, 0.08], [0.04, 0.0], [0, 0.0]])
-    edges = [np.linspace(a, b, 24, endpoint=False) for a, b in pairwise(corners)]
-    return Body(*_turned(np.concatenate([*edges, corners[-1:]]), 72), "6.5 mm")
+    profile = np.concatenate([np.linspace(a, b, 24, endpoint=False) for a, b in pairwise(corners)])[1:]
+    turn, n = 2 * np.pi * np.arange(columns) / columns, len(profile)
+    ring = profile[:, None, :1] * np.stack([np.cos(turn), np.sin(turn)], axis=1)
+    height = np.broadcast_to(profile[:, None, 1:], (n, columns, 1))
+    points = np.concatenate([ring, height], axis=2).reshape(-1, 3)
+    i, j = np.mgrid[0 : n - 1, 0:columns].reshape(2, -1)
+    right, around = (j + 1) % columns, np.arange(columns)
+    a, b, c, d = i * columns + j, (i + 1) * columns + j, (i + 1) * columns + right, i * columns + right
+    top, foot, last, following = len(points), len(points) + 1, (n - 1) * columns, np.roll(around, -1)
+    triangles = [np.stack([a, b, c], 1), np.stack([a, c, d], 1)]
+    triangles.append(np.stack([np.full(columns, top), around, following], 1))
+    triangles.append(np.stack([np.full(columns, foot), last + following, last + around], 1))
+    return Body(np.concatenate([points, [[0, 0, 0.08], [0, 0, 0.0]]]), np.concatenate(triangles), "6.5 mm")
 
 
 def bent_plate() -> Body:
@@ -112,134 +83,75 @@ def kidney() -> Body:
 
 
 def squeezed(surface: Path | None) -> Body:
-    """A liver at 40 per cent of its height, 160 mm long."""
+    """A liver, or the procedural organ, at 40 per cent of its height, 160 mm long."""
     if surface is None:
         mesh = build_mesh(Geometry("organ", 0.008, {"size": (0.2,)}), volume=False)
         points, triangles = mesh.surface_points, mesh.triangles
     else:
         read = meshio.read(surface)
-        points, triangles = read.points, read.cells_dict["triangle"]
+        points, triangles = read.points, read.cells_dict["triangle"].astype(np.int64)
     points = points - (points.min(axis=0) + points.max(axis=0)) / 2
-    points = (
-        points
-        * (0.16 / np.ptp(points, axis=0).max())
-        * np.where(np.ptp(points, axis=0).argsort().argsort() == 0, 0.4, 1.0)
-    )
-    return Body(np.asarray(points), np.asarray(triangles, dtype=np.int64), "8 mm")
+    extent = np.ptp(points, axis=0)
+    points = points * (0.16 / extent.max()) * np.where(extent.argsort().argsort() == 0, 0.4, 1.0)
+    return Body(np.asarray(points), triangles, "8 mm")
 
 
 def bodies(surface: Path | None) -> dict[str, Callable[[], Body]]:
     """All of them, by name."""
-    return {
-        "torus": torus,
-        "cone": cone,
-        "bent plate": bent_plate,
-        "kidney": kidney,
-        "squeezed liver" if surface else "squeezed organ": lambda: squeezed(surface),
-    }
+    last = "squeezed liver" if surface else "squeezed organ"
+    plain = {"torus": torus, "cone": cone, "bent plate": bent_plate, "kidney": kidney}
+    return {**plain, last: lambda: squeezed(surface)}
 
 
-STUDY = """
-[study]
-name = "untuned"
-models = ["{form}", "{elements}"]
-reference = "{elements}"
-
-[geometry]
-shape = "file"
-path = "body.stl"
-mesh_size = "{mesh_size}"
-coordinates = "centred"
-
-[tissue]
-youngs_modulus = "5 kPa"
-poisson_ratio = 0.45
-
-[regions.foot]
-below = {{ axis = "z", fraction = 0.2 }}
-
-[regions.top]
-cap = {{ direction = {top}, angle = "{angle}" }}
-
-[regions.side]
-cap = {{ direction = [-1.0, 0.5, 0.8], angle = "{angle}" }}
-
-[[constraints]]
-kind = "fixed"
-region = "foot"
-
-{loads}
-[sweep]
-"tissue.poisson_ratio" = {ratios}
-[uncertainty]
-levels = 2
-"""
-_PRESSED = """[[constraints]]
-kind = "contact"
-region = "{}"
-pressure = "{} Pa"
-
-"""
-LOADS = {
-    "shear": '[[constraints]]\nkind = "constrained"\nregion = "top"\ndisplacement = ["1 mm", 0, 0]\n\n',
-    "two contacts": _PRESSED.format("top", 40) + _PRESSED.format("side", 40),
-    "pull": _PRESSED.format("top", -40),
-    "weight": '[gravity]\nacceleration = [0, 0, "-9.81 m/s^2"]\n\n',
-}
-
-
-@dataclass(frozen=True)
-class Row:
-    """A body under a load at one Poisson's ratio."""
+class Row(NamedTuple):
+    """A body under a load at one Poisson's ratio: errors of models and reference, and what is told."""
 
     body: str
     load: str
     nodes: int
-    ratio: float
-    errors: Mapping[str, tuple[float, float]]  # model -> displacement, deformation
-    own: tuple[float, float]  # the reference's
+    errors: dict[str, list[float]]
+    own: list[float]
     told: str  # what the form says of its answer, and `check` of the scene; "" where nothing
 
-    @property
-    def worst(self) -> float:
-        """The larger of the form's two errors."""
-        return max(self.errors[FORM])
+
+def study_text(body: Body, load: str) -> str:
+    """A load on a body as a study file."""
+    own: dict[str, Any] = EVIDENCE["untuned"]
+    base = own["study"]
+    regions = {
+        "foot": base["regions"]["foot"],
+        "top": {"cap": {"direction": list(body.top), "angle": body.angle}},
+        "side": {"cap": {**base["regions"]["side"]["cap"], "angle": body.angle}},
+    }
+    weight = {"gravity": {"acceleration": [0, 0, -9.81]}} if load == "weight" else {}
+    acting = [{"kind": "fixed", "region": "foot"}, *own["loads"][load]]
+    study = {"study": {"name": "untuned", **base["study"]}, "regions": regions, "constraints": acting}
+    geometry = {"geometry": {**base["geometry"], "mesh_size": body.mesh_size}}
+    return tomli_w.dumps({**base, **study, **geometry, **weight})
 
 
-def solved(name: str, body: Body, directory: Path) -> Iterable[Row]:
-    """Its rows; runs the studies in `directory`."""
+def solved(name: str, body: Body) -> Iterator[Row]:
+    """Its rows."""
+    directory = RUNS / "untuned" / name.replace(" ", "-")
+    directory.mkdir(parents=True, exist_ok=True)
     meshio.write(directory / "body.stl", meshio.Mesh(body.points, [("triangle", body.triangles)]))
-    for load, text in LOADS.items():
-        study = STUDY.format(
-            form=FORM,
-            elements=ELEMENTS,
-            mesh_size=body.mesh_size,
-            angle=body.angle,
-            top=list(body.top),
-            loads=text,
-            ratios=list(RATIOS),
-        )
-        (directory / "untuned.toml").write_text(study)
+    for load in EVIDENCE["untuned"]["loads"]:
+        (directory / "untuned.toml").write_text(study_text(body, load))
         out = load.replace(" ", "-")
         finished("run", "untuned.toml", "--out", out, cwd=directory)
         yield from (_row(name, load, case) for case in read_run(directory / out).cases)
 
 
 def _row(body: str, load: str, case: CaseResult) -> Row:
-    both = (VECTOR, DEFORMATION)
-    errors = {
-        m: (at_full_load(case, m, VECTOR), at_full_load(case, m, DEFORMATION)) for m in (FORM, ELEMENTS)
-    }
+    errors = {m: [at_full_load(case, m, measure) for measure in MEASURES] for m in (FORM, ELEMENTS)}
     status = case.models[FORM].status[case.full_load]
-    own_words = status.message if status.ok else f"{status.code}: {status.message}"
     inputs = case.study.model_dump(exclude_none=True)
     of_scene = scene_warnings(
         inputs["constraints"], inputs["tissue"], case.regions, case.points, case.triangles
     )
+    own_words = status.message if status.ok else f"{status.code}: {status.message}"
     told = "; ".join(filter(None, (own_words, *(text.partition(":")[0] for _, text in of_scene))))
-    own = tuple(reference_bar(case, measure) for measure in both)
-    ratio = case.study.tissue.poisson_ratio
-    return Row(body, load, len(case.points), ratio, errors, (own[0], own[1]), told)
+    return Row(body, load, len(case.points), errors, [reference_bar(case, m) for m in MEASURES], told)
 
 
 def written(rows: Sequence[Row]) -> tuple[str, str]:
@@ -247,38 +159,27 @@ def written(rows: Sequence[Row]) -> tuple[str, str]:
     lines = []
     for body, load in dict.fromkeys((row.body, row.load) for row in rows):
         own = [row for row in rows if (row.body, row.load) == (body, load)]
-        bars = max(own, key=lambda row: row.own[0]).own
-        told = max(own, key=lambda row: (bool(row.told), row.worst)).told
-        cells = [" / ".join(as_per_cent(e) for e in row.errors[FORM]) for row in own]
-        elements = max(row.errors[ELEMENTS] for row in own)
-        shown = (" / ".join(map(as_per_cent, pair)) for pair in (elements, bars))
-        lines.append([body, str(own[0].nodes), load, *cells, *shown, told or "nothing"])
-    head = ["body", "nodes", "load", *(f"nu {ratio}" for ratio in RATIOS), "elements, at worst", "±", "told"]
-    within = sum(row.worst <= ENOUGH for row in rows)
-    silent = [row for row in rows if row.worst > ENOUGH and not row.told]
-    medians = [median(row.errors[model][k] for row in rows) for model in (FORM, ELEMENTS) for k in range(2)]
-    form, elements = (" / ".join(map(as_per_cent, pair)) for pair in (medians[:2], medians[2:]))
-    rest = len(rows) - within
-    told = (
-        f"{within} of {len(rows)} cases are within {as_per_cent(ENOUGH)} % in both errors. Of the other {rest} the "
-        f"tool gives {len(silent)} without a reservation.\nMedians: {form} %, of the elements {elements} %.\n"
+        worst = max(own, key=lambda row: (bool(row.told), max(row.errors[FORM])))
+        shown = [max(row.errors[ELEMENTS] for row in own), max(own, key=lambda row: row.own[0]).own]
+        cells = [*(row.errors[FORM] for row in own), *shown]
+        lines.append([body, str(own[0].nodes), load, *map(slashed, cells), worst.told or "nothing"])
+    ratios = EVIDENCE["untuned"]["study"]["sweep"]["tissue.poisson_ratio"]
+    head = ["body", "nodes", "load", *(f"nu {ratio}" for ratio in ratios), "elements, at worst", "±", "told"]
+    off = [row for row in rows if max(row.errors[FORM]) > ENOUGH]
+    silent = sum(not row.told for row in off)
+    form, elements = (
+        slashed([median(row.errors[m][k] for row in rows) for k in (0, 1)]) for m in (FORM, ELEMENTS)
     )
-    return marked.table(head, lines), told
+    told = (
+        f"{len(rows) - len(off)} of {len(rows)} cases are within 10 % in both errors. Of the other {len(off)} the "
+        f"tool gives {silent} without a reservation.\nMedians: {form} %, of the elements {elements} %.\n"
+    )
+    return table(head, lines), told
 
 
-def main() -> None:
+def main(name: str, arguments: Sequence[str]) -> None:
     """Run all and write the page's tables."""
-    surface = Path(sys.argv[1]).resolve() if len(sys.argv) > 1 else None
-    rows: list[Row] = []
-    for name, make in bodies(surface).items():
-        directory = RUNS / name.replace(" ", "-")
-        directory.mkdir(parents=True, exist_ok=True)
-        rows += solved(name, make(), directory)
-        print(written(rows)[0], flush=True)
-    table, told = written(rows)
-    marked.show(DOCUMENT, "untuned", table)
-    marked.show(DOCUMENT, "untuned-sum", told)
-
-
-if __name__ == "__main__":
-    main()
+    surface = Path(arguments[0]).resolve() if arguments else None
+    rows = [row for body, make in bodies(surface).items() for row in solved(body, make())]
+    for part, text in zip((name, f"{name}-sum"), written(rows), strict=True):
+        show(ROOT / EVIDENCE[name]["document"], part, text)

@@ -21,7 +21,7 @@ import pytest
 import trustme
 
 from tests.command import SCRIPT, heed_ctrl_c, vdmbench, vdmbench_process, wait_for, write_study
-from tools.runs import ROOT
+from tools.documents import ROOT
 from vdmbench.store.cases import read_case
 from vdmbench.work.cluster import LOOPBACK, AddressError, checked_address, refusal
 

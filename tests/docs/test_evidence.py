@@ -1,0 +1,219 @@
+"""The tables of the documents come from `tools/evidence.toml`: small runs give the rows that are shown."""
+
+from __future__ import annotations
+
+import csv
+import dataclasses
+import json
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from tests.unit.example_case import example_measurement
+from tests.report.runs import make_case, make_run
+from tools import anchors, error_bars, evidence, mutants, speed, untuned
+from tools.documents import CASES, README, ROOT, cells, rows_shown, shown
+from tools.evidence import EVIDENCE, MEASURES
+from vdmbench.study.config import expand, load_study
+from vdmbench.study.files import overridden
+
+NAN = float("nan")
+OURS = [model for model in EVIDENCE["league"]["models"] if model not in ("mujoco-flex", "ngsolve-p2p1")]
+
+
+def assert_shown(found: list[str], old: list[str]) -> None:
+    """Cell by cell to one unit of the last digit: a value near a half rounds either way on another machine."""
+    assert len(found) == len(old)
+    for new, there in zip(found, old, strict=True):
+        assert re.sub(r"[\d.]+", "0", new) == re.sub(r"[\d.]+", "0", there)
+        for a, b in zip(re.findall(r"[\d.]+", new), re.findall(r"[\d.]+", there), strict=True):
+            digit = 10.0 ** -len(b.partition(".")[2])
+            assert_allclose(float(a), float(b), rtol=0.06, atol=1.01 * digit)
+
+
+def test_a_small_command_gives_the_rows_that_are_shown() -> None:
+    """The coarsest mesh of each exact answer."""
+    there = {tuple(row[:3]): row for row in rows_shown(anchors.DOCUMENT, anchors.PART)}
+    for anchor in anchors.ANCHORS:
+        nodes, error = anchors.errors(anchor, anchor.meshes[0])
+        row = there[anchor.name, f"{anchor.poisson_ratio:g}", str(nodes)]
+        assert_shown([" / ".join(f"{100.0 * e:.2g}" for e in pair) for pair in error], [row[3], row[5]])
+
+
+@pytest.mark.slow
+def test_a_shipped_study_gives_its_row(tmp_path: Path) -> None:
+    (old,) = (
+        row for row in rows_shown(ROOT / EVIDENCE["accuracy"]["document"], "accuracy") if row[0] == "box"
+    )
+    assert_shown(evidence.accuracy_row({"body": "box"}, runs=tmp_path), old)
+
+
+@pytest.mark.slow
+def test_a_tried_bar_comes_out_again(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setattr(evidence.ran_text, "__defaults__", (None, (0,), tmp_path, None))
+    (old,) = (
+        row
+        for row in json.loads(error_bars.FOUND.read_text())
+        if (row["study"], row["case"]) == ("convergence", 1)
+    )
+    new = error_bars.tried("convergence", 1)
+    assert new["used"].keys() == old["used"].keys()
+    for metric in MEASURES:
+        assert_allclose(new["used"][metric], old["used"][metric], rtol=0, atol=0.03)
+
+
+@pytest.mark.parametrize("name", [name for name, own in EVIDENCE.items() if "part" in own])
+def test_each_table_stands_in_its_document(name: str) -> None:
+    own = EVIDENCE[name]
+    text = shown(ROOT / own["document"], own["part"])
+    assert cells(text), text
+    assert f"make evidence WHAT={name}" in (ROOT / own["document"]).read_text()
+
+
+@pytest.mark.parametrize("row", EVIDENCE["accuracy"]["rows"], ids=str)
+def test_a_row_moves_the_patch_inward_or_deepens_the_bed_and_leaves_the_rest(
+    row: dict[str, Any], tmp_path: Path
+) -> None:
+    path = CASES / f"accuracy-{row['body']}.toml"
+    changes, words = evidence.accuracy_changes(path.stem, row)
+    (tmp_path / "study.toml").write_text(overridden(path.read_text(), changes))
+    changed = expand(load_study(tmp_path / "study.toml"))
+    assert row["body"] + words in {
+        one[0] for one in rows_shown(ROOT / EVIDENCE["accuracy"]["document"], "accuracy")
+    }
+    for case, shipped in zip(changed, expand(load_study(path)), strict=True):
+        finger, base = (
+            next(c for c in case.study.constraints if c.region == region) for region in ("finger", "base")
+        )
+        assert finger.kind == ("constrained" if row.get("moved") else "contact")
+        if row.get("moved"):
+            push, way = np.array(finger.displacement), np.array(case.study.regions["finger"].cap.direction)
+            assert_allclose(push, -evidence.STEP * way / np.linalg.norm(way), rtol=1e-9, atol=1e-12)
+        assert base.kind == ("elastic" if "springs" in row else "fixed")
+        below = case.study.regions["base"].below
+        assert below == shipped.study.regions["base"].below or below.fraction == row["embedded"]
+        assert (case.study.geometry, case.study.tissue) == (shipped.study.geometry, shipped.study.tissue)
+
+
+def test_other_studies_of_the_evidence_are_sound(tmp_path: Path) -> None:
+    path = tmp_path / "study.toml"
+    own = EVIDENCE["league"]
+    for body, load in ((body, load) for body in own["bodies"] for load in own["loads"]):
+        path.write_text(evidence.league_study(body, load, OURS))
+        assert len(expand(load_study(path))) == (4 if load == "touch" else 2)
+    (tmp_path / "body.stl").touch()
+    for load in EVIDENCE["untuned"]["loads"]:
+        path.write_text(untuned.study_text(untuned.torus(), load))
+        assert len(expand(load_study(path))) == 4
+    studies = {path.stem for path in CASES.glob("*.toml")}
+    assert set(EVIDENCE["scenes"]["studies"]) | set(EVIDENCE["error_bars"]["cases"]) <= studies
+
+
+def test_shares_of_the_league_count_failures_and_bars() -> None:
+    errors = {"a": (0.01, 0.02, 0.04), "b": (0.06, 0.095, NAN), "c": (0.5, 0.3, 0.4)}
+    cases = [
+        dataclasses.replace(
+            make_case(
+                {model: found[k] for model, found in errors.items()}, label=str(k), reference="fem-linear"
+            ),
+            reference_error={"levels": 2.0, "gci:relative_l2_displacement_error": 0.015},
+        )
+        for k in range(3)
+    ]
+    rows = {row[0]: row[1:] for row in cells(evidence.league_table(cases, list("cba")))[1:]}
+    assert list(rows) == ["a", "b", "c"], "the best first"
+    assert rows["a"][:4] == ["3", "0", "2.00 % ± 1.5 %", "4.00 %"]
+    assert rows["a"][4] == "100 % (67 % surely)", "0.04 + 0.015 is not surely within 0.05"
+    assert rows["b"][1] == "1"
+    assert rows["b"][5] == "67 % (33 % surely)", "a failure is within nothing"
+
+
+def test_a_scene_tells_the_range_over_its_cases() -> None:
+    cases = [make_case({"vdm-paper": e, "fem-linear": 0.0}, reference="fem-linear") for e in (0.75, 0.5)]
+    found = evidence.scene_cells(cases, {"vdm-paper": "as printed", "bem": "bem"})
+    assert found[:2] == ["2", "fem-linear"]
+    assert found[-2:] == ["50 to 75", "–"]
+    told = "As printed, no: its displacement is 50 to 75 % off, 62 % in the median, in 2 shipped scenes."
+    assert evidence.answer([0.5, 0.75]) == told
+    (row,) = (row for row in rows_shown(README, "scenes") if row[0] == "`vdm-paper`")
+    assert f"{row[3]} off, {row[2]} in the median, in {row[1]} shipped scenes." in shown(README, "scenes")
+
+
+def test_what_is_used_of_a_bar_by_hand_and_that_the_bars_hold() -> None:
+    assert error_bars.used(MEASURES[0], 0.3, 0.02, 0.31) == pytest.approx(0.5)
+    assert error_bars.used(MEASURES[0], 0.3, 0.0, 0.31) == np.inf
+    assert error_bars.used(MEASURES[0], 1e-15, 0.0, 6e-11) == 0.0, "rounding is no miss"
+    rows = json.loads(error_bars.FOUND.read_text())
+    count, of = error_bars.held(rows, MEASURES)
+    assert count >= 0.95 * of
+    assert error_bars.document(rows) == (ROOT / EVIDENCE["error_bars"]["document"]).read_text()
+
+
+def test_the_ratios_that_are_shown_are_means_of_all_bodies() -> None:
+    own = EVIDENCE["ratios"]
+    _, *rows = csv.reader((ROOT / own["all_rows"]).read_text(encoding="utf-8").splitlines())
+    assert evidence.over_bodies(rows) == rows_shown(ROOT / own["document"], own["part"])
+
+
+def ladder_run(*, wrong: float) -> evidence.Run:
+    """Two solvers along three Poisson ratios: LU stops at the last, or is off by `wrong` there."""
+
+    def case(ratio: float, lu: float = 0.0, stopped: dict[str, int] | None = None) -> Any:
+        return make_case(
+            {"vdm-paper": 0.0, "vdm-paper:lu": lu},
+            label=f"{ratio}",
+            swept={"tissue.poisson_ratio": ratio},
+            steps=(1.0,),
+            reference=None,
+            stopped=stopped,
+            subdivisions=0,
+        )
+
+    last = case(0.5, lu=wrong) if wrong else case(0.5, stopped={"vdm-paper:lu": 0})
+    return make_run([case(0.3), case(0.4), last], sweep="one-at-a-time")
+
+
+def test_rows_say_who_stands_it_and_a_silent_wrong_number_is_not_written_down() -> None:
+    told = ["ball", "Poisson ratio", "0.3 to 0.5", "1 of 2", "0.5 (diverged): `vdm-paper:lu`"]
+    assert evidence.stability_rows(ladder_run(wrong=0.0)) == [told]
+    with pytest.raises(RuntimeError, match=r"vdm-paper:lu is wrong in silence along tissue\.poisson_ratio"):
+        evidence.stability_rows(ladder_run(wrong=0.01))
+
+
+def test_the_table_of_a_measurement_is_that_of_the_page() -> None:
+    case = make_case({"vdm-paper": 0.05}, steps=(0.25, 0.5, 1.0), reference="fem:direct")
+    run = make_run([dataclasses.replace(case, measurement=example_measurement())])
+    head, *rows = cells(evidence.measured_table(run))
+    assert [row[0] for row in rows][:1] == ["vdm-paper"]
+    assert all(len(row) == len(head) for row in rows)
+    one = {
+        "model": "a",
+        "modulus": None,
+        "uncertainty": None,
+        "trained": 1e-3,
+        "held_out": None,
+        "as_given": 2e-3,
+    }
+    assert cells(evidence.fits([one]))[1] == ["a", "none in range", "–", "1.00 mm", "–", "2.00 mm"]
+
+
+def test_a_small_benchmark_has_the_kinds_of_lines_of_the_readme() -> None:
+    small = speed.Sizes(levels=2, fine_levels=2, tori=((12, 8),), contact=5, repeats=3, slow_repeats=2)
+
+    def kind(what: str) -> str:
+        return re.sub(r"\d[\d.e+-]*", "", what)
+
+    rows = list(speed.rows_of(small))
+    assert all(re.fullmatch(r"[\d.e+-]+ m?s", median) for _, _, median in rows)
+    assert {kind(row[0]) for row in rows_shown(speed.README, speed.PART)} == {kind(row[0]) for row in rows}
+
+
+@pytest.mark.parametrize("mutant", mutants.MUTANTS, ids=lambda mutant: mutant.old[:30])
+def test_a_fault_of_the_mutation_test_has_its_place_and_its_tests(mutant: mutants.Mutant) -> None:
+    text = mutants.place_of(mutant, ROOT).read_text()
+    compile(text.replace(mutant.old, mutant.new), mutant.where, "exec")
+    assert mutants.tests_of(mutant, ROOT)

@@ -1,0 +1,120 @@
+"""The generated parts of the documents: `make docs` writes them anew, the tests hold the functions to them.
+
+A part stands between `<!-- name -->` and `<!-- /name -->`. README's picture is drawn without a graphics card.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+import sys
+import tempfile
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+
+from tests.command import vdmbench_process
+from vdmbench.study.fields import field_table
+
+ROOT = Path(__file__).parents[1]
+CASES = ROOT / "studies" / "cases"
+RUNS = ROOT / "results" / "runs"
+README = ROOT / "README.md"
+STUDY_KEYS = ROOT / "studies" / "STUDY.md"
+GALLERY = ROOT / "docs" / "gallery"
+NOTEBOOK = ROOT / "docs" / "reference" / "quickstart.ipynb"
+COLUMNS = ("model", "displacement error", "change of shape")
+
+
+def finished(*words: str | Path, cwd: Path = ROOT, codes: tuple[int, ...] = (0,), **environment: str) -> str:
+    """What a command prints that may take two hours. Raises RuntimeError for another exit code."""
+    result = vdmbench_process(*words, cwd=cwd, seconds=7200, **environment)
+    if result.returncode not in codes:
+        raise RuntimeError(f"{' '.join(map(str, words[:2]))}: {result.stderr}")
+    return result.stdout
+
+
+def shown(document: Path, name: str) -> str:
+    """What a document shows between the marks of a part. Raises RuntimeError where it has lost them."""
+    return _found(document.read_text(encoding="utf-8"), document, name).group(1)
+
+
+def show(document: Path, name: str, text: str) -> None:
+    """Write a part of a document anew. Raises RuntimeError where it has lost the marks of it."""
+    old = document.read_text(encoding="utf-8")
+    found = _found(old, document, name)
+    document.write_text(old[: found.start(1)] + text + old[found.end(1) :], encoding="utf-8")
+
+
+def table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    """Rows of texts as a Markdown table."""
+    return "".join(f"| {' | '.join(cells)} |\n" for cells in (head, ["---"] * len(head), *rows))
+
+
+def cells(text: str) -> list[list[str]]:
+    """The rows of the one Markdown table in a text, its head first."""
+    lines = [line.strip("|") for line in text.splitlines() if line.startswith("|")]
+    return [[cell.strip() for cell in line.split(" | ")] for line in lines[:1] + lines[2:]]
+
+
+def rows_shown(document: Path, name: str) -> list[list[str]]:
+    """The rows of the table that a part of a document shows, without its head."""
+    return cells(shown(document, name))[1:]
+
+
+def _found(text: str, document: Path, name: str) -> re.Match[str]:
+    found = re.search(rf"<!-- {name} -->\n(.*?)<!-- /{name} -->", text, re.DOTALL)
+    if found is None:
+        raise RuntimeError(f"{document.name} has lost the marks of its part {name!r}")
+    return found
+
+
+def headline_table(directory: Path) -> str:
+    """The errors of the quickstart as Markdown, run in `directory`: median, bar and worst case."""
+    rows = json.loads(finished("run", "quickstart", "--json", cwd=directory))["headline"]
+    rated = [row for row in rows if row["displacement error"] != "–"]
+    return table(COLUMNS, ([row[column] for column in COLUMNS] for row in rated))
+
+
+def notebook() -> str:
+    """The page on notebooks as a notebook: a cell for each part of its code."""
+    intro, code = re.split(r"```python\n", (NOTEBOOK.with_name("notebook.md")).read_text(), maxsplit=1)
+    found: list[dict[str, object]] = [
+        {"cell_type": "markdown", "id": "intro", "metadata": {}, "source": intro.strip()}
+    ]
+    empty = {"metadata": {}, "execution_count": None, "outputs": []}
+    for number, part in enumerate(code.split("```")[0].strip().split("\n\n"), start=1):
+        found.append({"cell_type": "code", "id": f"code-{number}", **empty, "source": part})
+    return json.dumps({"cells": found, "metadata": {}, "nbformat": 4, "nbformat_minor": 5}, indent=1) + "\n"
+
+
+def study_keys() -> str:
+    """The reference of a study file's keys, from the models that validate it."""
+    text = (
+        "# Keys of a study file\n\n"
+        "Made from `studies/study/schema.py` by `make docs`. NAME is a name of yours, `[]` an entry of an "
+        "array of\ntables. "
+        "Numbers are in the unit shown; a text with another unit of the same dimension is converted. A parameter\n"
+        "in [vdm] that no model of the study reads, or in a model's own table that this model does not, is a "
+        "mistake. `vdmbench schema` prints the JSON schema of these keys, for an editor.\n\n"
+    )
+    rows = ((f"`{row.key}`", row.kind, row.default, row.help) for row in field_table())
+    return text + table(
+        ("key", "value", "default", "what"), ([cell.replace("|", "&#124;") for cell in row] for row in rows)
+    )
+
+
+def main() -> None:
+    """Write all of them; a liver surface may be named as argument, else the procedural organ is drawn."""
+    surface = ["--surface", str(Path(sys.argv[1]).resolve())] if len(sys.argv) > 1 else []
+    STUDY_KEYS.write_text(study_keys())
+    NOTEBOOK.write_text(notebook())
+    with tempfile.TemporaryDirectory() as name:
+        show(README, "quickstart", headline_table(Path(name)))
+        finished("run", "liver-palpation", *surface, "--out", "liver", cwd=Path(name))
+        finished("report", "liver", "--picture", "liver.png", cwd=Path(name))
+        shutil.copy(Path(name) / "liver.png", GALLERY / "liver-palpation.png")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,501 @@
+"""`make evidence WHAT=name` measures anew what a documented table shows: its rows are in `evidence.toml`.
+
+Each row is a shipped study with some values changed, run by the command `vdmbench` and read back as a frame.
+"""
+
+from __future__ import annotations
+
+import csv
+import importlib
+import json
+import sys
+import tempfile
+import tomllib
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import tomli_w
+
+from tools.documents import CASES, README, ROOT, RUNS, finished, rows_shown, show, table
+from vdmbench.measures.bars import at_full_load, reference_bar, value_bar
+from vdmbench.measures.case import CaseResult, Run
+from vdmbench.measures.metrics import DEFORMATION, VECTOR
+from vdmbench.measures.uncertainty import is_resolved
+from vdmbench.store.cases import read_run
+from vdmbench.study.files import overridden
+from vdmbench.study.registry import all_models, split
+from vdmbench.verdict.formatting import NOTHING, parameter_name, percent, quantity, short_percent
+
+EVIDENCE: dict[str, dict[str, Any]] = tomllib.loads(Path(__file__).with_suffix(".toml").read_text())
+MEASURES = (VECTOR, DEFORMATION)
+NORMAL = "relative_l2_normal_error"
+ALONG_NORMALS = ("vdm-paper", "vdm-consistent")  # the models that move nodes along normals only
+STEP = 1e-3  # m, by which a patch is moved; linear models have the same errors at every other
+
+
+def ran(
+    study: str, changes: Mapping[str, Any] | None = None, name: str = "", *, surface: Path | None = None,
+    codes: tuple[int, ...] = (0,), runs: Path = RUNS,
+) -> Run:  # fmt: skip
+    """A shipped study with changed values, run as far as it is missing.
+
+    Raises
+    ------
+    RuntimeError
+        a study that did not finish all its cases.
+    """
+    path = CASES / f"{study}.toml"
+    changed = overridden(path.read_text(), {"study": {"name": name or study}, **(changes or {})})
+    return ran_text(changed, name or study, surface=surface, codes=codes, runs=runs, beside=path)
+
+
+def ran_text(
+    text: str, name: str, *, surface: Path | None = None, codes: tuple[int, ...] = (0,), runs: Path = RUNS,
+    beside: Path | None = None,
+) -> Run:  # fmt: skip
+    """A study given as text, run in `runs/name`; files that it reads lie beside the shipped one."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / f"{beside.stem if beside else Path(name).name}.toml"
+        path.write_text(text, encoding="utf-8")
+        for data in CASES.glob("*.csv"):
+            (Path(folder) / data.name).write_bytes(data.read_bytes())
+        given = ["--surface", surface, "--allow-outside"] if surface else []
+        finished("run", path, *given, "--out", runs / name, "--jobs", "1", codes=codes)
+    return read_run(runs / name)
+
+
+def as_per_cent(share: np.floating[Any] | float) -> str:
+    """Per cent with two digits."""
+    per_cent = 100.0 * share
+    return f"{per_cent:.0f}" if per_cent >= 9.95 else f"{per_cent:.1f}"
+
+
+def slashed(values: Sequence[float] | np.ndarray) -> str:
+    """Shares in per cent, one beside the other."""
+    return " / ".join(map(as_per_cent, values))
+
+
+def means(cases: Sequence[CaseResult], metric: str) -> float:
+    """Mean of a metric of the reference at full load."""
+    return float(np.mean([at_full_load(case, str(case.reference), metric) for case in cases]))
+
+
+def own_error(cases: Sequence[CaseResult]) -> list[float]:
+    """The reference's own error in displacement and change of shape, means over the cases."""
+    return [float(np.mean([reference_bar(case, measure) for case in cases])) for measure in MEASURES]
+
+
+# --- docs/evidence/accuracy.md ---
+
+
+def accuracy(name: str, arguments: Sequence[str]) -> None:
+    """Six patches on each body; a surface may be named, which goes through `accuracy-organ`; its rows stay else."""
+    own = EVIDENCE[name]
+    rows = {row[0]: row for row in map(accuracy_row, own["rows"])}
+    for surface in (Path(argument).resolve() for argument in arguments):
+        for moved in (False, True):
+            row = accuracy_row({"body": surface.stem, "moved": moved}, surface=surface)
+            rows[row[0]] = row
+    document = ROOT / own["document"]
+    rows = rows | {row[0]: row for row in rows_shown(document, own["part"]) if row[0] not in rows}
+    show(document, own["part"], table(accuracy_head(), rows.values()))
+
+
+def accuracy_head() -> list[str]:
+    """What stands above the columns."""
+    names = EVIDENCE["accuracy"]["columns"].values()
+    return ["body", "nodes", "loads", "rigid", "reference's own", "least along normals", *names]
+
+
+def accuracy_row(row: Mapping[str, Any], *, surface: Path | None = None, runs: Path = RUNS) -> list[str]:
+    """A row: size, the reference's motion and own error, and each model's errors, mean and in brackets worst."""
+    study = "accuracy-organ" if surface else f"accuracy-{row['body']}"
+    changes, words = accuracy_changes(study, row)
+    suffix = words.replace(", ", "-").replace(" ", "-").replace("%", "percent")
+    cases = ran(study, changes, f"accuracy-{row['body']}{suffix}", surface=surface, runs=runs).cases
+    cells = [str(len(cases[0].points)), str(len(cases)), as_per_cent(means(cases, "rigid_share"))]
+    cells += [slashed(own_error(cases)), as_per_cent(means(cases, "tangential_share"))]
+    for model in EVIDENCE["accuracy"]["columns"]:
+        measures = (*MEASURES, NORMAL) if model in ALONG_NORMALS else MEASURES
+        errors = np.array([[at_full_load(case, model, measure) for case in cases] for measure in measures])
+        if not np.isfinite(errors).all():
+            cells.append(NOTHING)
+            continue
+        bars = [[reference_bar(case, measure) for case in cases] for measure in measures]
+        sure = [all(map(is_resolved, *pair)) for pair in zip(errors.tolist(), bars, strict=True)]
+        shown = [
+            ("" if ok else "~") + as_per_cent(e) for ok, e in zip(sure, errors.mean(axis=1), strict=True)
+        ]
+        cells.append(f"{' / '.join(shown)} ({slashed(errors.max(axis=1))})")
+    return [row["body"] + words, *cells]
+
+
+def accuracy_changes(study: str, row: Mapping[str, Any]) -> tuple[dict[str, Any], str]:
+    """What a row changes in its study, and the words after its body's name."""
+    sweep = tomllib.loads((CASES / f"{study}.toml").read_text())["sweep"]
+    found: dict[str, Any] = {}
+    words = ""
+    if share := row.get("embedded"):
+        found["regions"] = {"base": {"below": {"axis": "z", "fraction": share, "value": None}}}
+        words += f", embedded to {100 * share:.0f} %"
+    if stiffness := row.get("springs"):
+        bed = {"kind": "elastic", "stiffness": stiffness, "direction": "full"}
+        found["constraints"] = {"base": bed}
+        words += " on springs"
+    if row.get("moved"):
+        way = np.array([sweep[f"regions.finger.cap.direction.{k}"] for k in range(3)])
+        inward = -STEP * way / np.linalg.norm(way, axis=0)
+        finger = {"kind": "constrained", "pressure": None, "profile": None}
+        found["constraints"] = {"finger": finger | {"displacement": inward[:, 0].tolist()}}
+        found["sweep"] = {f"constraints.finger.displacement.{k}": inward[k].tolist() for k in range(3)}
+        words += ", moved"
+    return found, words
+
+
+def ratios(name: str, arguments: Sequence[str]) -> None:
+    """The accuracy studies at every Poisson's ratio, with the tissue and with VDM's fluid inside `bem`."""
+    own = EVIDENCE[name]
+    rows = []
+    for study in own["studies"]:
+        rows += ratio_rows(study.removeprefix("accuracy-"), study)
+    for surface in (Path(argument).resolve() for argument in arguments):
+        rows += ratio_rows(surface.stem, "accuracy-organ", surface=surface)
+    kept = ROOT / own["all_rows"]
+    head, *old = csv.reader(kept.read_text(encoding="utf-8").splitlines())
+    rows += [row for row in old if row[0] not in {row[0] for row in rows}]
+    with kept.open("w", encoding="utf-8", newline="") as file:
+        csv.writer(file, lineterminator="\n").writerows([head, *rows])
+    show(ROOT / own["document"], own["part"], table(head[1:], over_bodies(rows)))
+
+
+def over_bodies(rows: Sequence[Sequence[str]]) -> list[list[str]]:
+    """A row a ratio: the mean of what the rows of all bodies show, of what is in brackets the largest."""
+    ratios = list(dict.fromkeys(row[1] for row in rows))
+    own = [[row[2:] for row in rows if row[1] == ratio] for ratio in ratios]
+    return [
+        [ratio, *map(_mean_cell, zip(*found, strict=True))] for ratio, found in zip(ratios, own, strict=True)
+    ]
+
+
+def ratio_rows(
+    body: str, study: str, *, surface: Path | None = None, runs: Path = RUNS
+) -> Iterator[list[str]]:
+    """A row a ratio: errors in displacement, shape and volume, over the volume that the reference displaces."""
+    own, ratio_key, inside_key = EVIDENCE["ratios"], "tissue.poisson_ratio", "models.bem.compressibility"
+    sweep = tomllib.loads((CASES / f"{study}.toml").read_text())["sweep"]
+    loads = {key: values for key, values in sweep.items() if key != "mode"}
+    count = len(next(iter(loads.values())))
+    both = [(ratio, inside) for ratio in own["ratios"] for inside in own["inside"]]
+    swept = {key: values * len(both) for key, values in loads.items()}
+    swept[ratio_key] = [ratio for ratio, _ in both for _ in range(count)]
+    swept[inside_key] = [inside for _, inside in both for _ in range(count)]
+    name = f"accuracy-{body}-ratios"
+    changes = own["set"] | {"study": own["set"]["study"] | {"name": name}, "sweep": swept}
+    cases = ran(study, changes, name, surface=surface, runs=runs).cases
+
+    def cell(model: str, ratio: float, inside: str) -> str:
+        own_cases = [c for c in cases if (c.swept[ratio_key], c.swept[inside_key]) == (ratio, inside)]
+        errors = np.array([_with_volume(case, model) for case in own_cases])
+        return f"{slashed(errors.mean(axis=0))} ({slashed(errors.max(axis=0))})"
+
+    for ratio in own["ratios"]:
+        here = [c for c in cases if (c.swept[ratio_key], c.swept[inside_key]) == (ratio, "tissue")]
+        volume = [abs(at_full_load(c, str(c.reference), "volume_drift_of_displaced")) for c in here]
+        forms = [cell("bem", ratio, inside) for inside in own["inside"]]
+        elements = cell("fem-linear", ratio, "tissue")
+        yield [body, str(ratio), slashed(own_error(here)), as_per_cent(np.mean(volume)), *forms, elements]
+
+
+def _with_volume(case: CaseResult, model: str) -> tuple[float, ...]:
+    reference = str(case.reference)
+    drift, own = (at_full_load(case, name, "volume_drift") for name in (model, reference))
+    displaced = own / at_full_load(case, reference, "volume_drift_of_displaced")
+    return (*(at_full_load(case, model, measure) for measure in MEASURES), abs((drift - own) / displaced))
+
+
+def _mean_cell(cells: Sequence[str]) -> str:
+    shown = [[list(map(float, part.split("/"))) for part in cell.rstrip(")").split("(")] for cell in cells]
+    first = slashed(np.mean([parts[0] for parts in shown], axis=0) / 100.0)
+    if len(shown[0]) == 1:
+        return first
+    return f"{first} ({slashed(np.max([parts[1] for parts in shown], axis=0) / 100.0)})"
+
+
+def scenes(name: str, arguments: Sequence[str]) -> None:
+    """Every shipped study against elements; README's sentence is of its columns' ranges."""
+    own = EVIDENCE[name]
+    columns: dict[str, str] = own["columns"]
+    rows, ranges = [], {model: [] for model in columns}
+    for study in [study for study in own["studies"] if not arguments or study in arguments]:
+        run = ran(study)
+        rows.append([study, *scene_cells(run.cases, columns)])
+        for model, found in ranges.items():
+            found += [e for e in _displacement_errors(run.cases, model) if np.isfinite(e)]
+    if arguments:
+        print(table(["study"], rows))
+        return
+    head = ["study", "cases", "reference", "its own", "rigid", "least along normals", *columns.values()]
+    show(ROOT / own["document"], own["part"], table(head, rows))
+    told = []
+    for model, errors in ranges.items():
+        span = f"{as_per_cent(min(errors))} to {as_per_cent(max(errors))} %"
+        within = f"{sum(error <= 0.1 for error in errors)}"
+        told.append([f"`{model}`", f"{len(errors)}", f"{as_per_cent(np.median(errors))} %", span, within])
+    columns_of = ["model", "scenes", "median error", "range", "within 10 %"]
+    show(README, "scenes", f"{answer(ranges['vdm-paper'])}\n\n{table(columns_of, told)}")
+
+
+def answer(errors: Sequence[float]) -> str:
+    """Should I use VDM? The sentence for the printed form, of its displacement errors in all shipped scenes."""
+    within = sum(error <= 0.1 for error in errors)
+    word = "no" if not within else f"in {within} scenes"
+    span = f"{as_per_cent(min(errors))} to {as_per_cent(max(errors))} %"
+    median = f"{as_per_cent(np.median(errors))} % in the median"
+    return f"As printed, {word}: its displacement is {span} off, {median}, in {len(errors)} shipped scenes."
+
+
+def _displacement_errors(cases: Sequence[CaseResult], model: str) -> list[float]:
+    return [at_full_load(case, model, VECTOR) for case in cases if model in case.models]
+
+
+def scene_cells(cases: Sequence[CaseResult], models: Mapping[str, str]) -> list[str]:
+    """Of a study: cases, the reference and its motion, and each model's displacement errors from least to most."""
+    reference = str(cases[0].reference)
+    own = np.mean([reference_bar(case) for case in cases])
+    cells = [str(len(cases)), reference, f"± {as_per_cent(own)}" if np.isfinite(own) else NOTHING]
+    cells += [as_per_cent(means(cases, metric)) for metric in ("rigid_share", "tangential_share")]
+    for model in models:
+        errors = [e for e in _displacement_errors(cases, model) if np.isfinite(e)]
+        least, most = (as_per_cent(f(errors)) if errors else NOTHING for f in (min, max))
+        cells.append(least if least == most else f"{least} to {most}")
+    return cells
+
+
+# --- docs/evidence/stability.md ---
+
+
+def stability(name: str, _: Sequence[str]) -> None:
+    """What breaks where as one parameter is raised."""
+    own = EVIDENCE[name]
+    found = [row for study in own["studies"] for row in stability_rows(ran(study, codes=(0, 3)))]
+    head = ["study", "parameter", "range", "stand it all", "break down at"]
+    show(ROOT / own["document"], own["part"], table(head, found))
+
+
+def stability_rows(run: Run) -> list[list[str]]:
+    """A row for each parameter of a study: how many solvers stand all of it, and where the others break down.
+
+    Raises
+    ------
+    RuntimeError
+        a step that is called converged and is wrong: the table has no place for it.
+    """
+    from vdmbench.verdict.digest import Digest
+    from vdmbench.verdict.ladders import alike, ladders
+
+    with np.errstate(all="ignore"):  # of what solvers leave behind that broke down
+        found = ladders(Digest(run))
+    rows = []
+    for ladder in found:
+        silent = [
+            m for m, readings in ladder.readings.items() if any(r is not None and r.silent for r in readings)
+        ]
+        if silent:
+            raise RuntimeError(f"{silent[0]} is wrong in silence along {ladder.key}")
+        places: dict[str, list[str]] = {}
+        for models in alike(ladder):
+            for value, reading in ladder.breakdowns(models[0]):
+                place = f"{ladder.text(value)} ({reading.code})"
+                places.setdefault(place, []).extend(f"`{model}`" for model in models)
+        right = sum(not ladder.breakdowns(model) for model in ladder.readings)
+        breaks = "; ".join(f"{place}: {', '.join(models)}" for place, models in places.items()) or "nowhere"
+        ends = f"{ladder.text(ladder.values[0])} to {ladder.text(ladder.values[-1])}"
+        rows.append(
+            [
+                run.study.study.name,
+                parameter_name(ladder.key),
+                ends,
+                f"{right} of {len(ladder.readings)}",
+                breaks,
+            ]
+        )
+    return rows
+
+
+# --- docs/evidence/measured.md ---
+
+
+def measured(name: str, _: Sequence[str]) -> None:
+    """The phantoms against their measurement, and what one modulus fitted to a part of it says of the rest."""
+    own = EVIDENCE[name]
+    for study in own["studies"]:
+        models = tomllib.loads((CASES / f"{study}.toml").read_text())["study"]["models"]
+        models += [model for model in own["beside"] if split(model)[0] in all_models()]
+        run = ran(study, {"study": {"name": study, "models": models}}, f"{study}-peers")
+        show(ROOT / own["document"], study, measured_table(run))
+        fitted = json.loads(finished("calibrate", study, "--measured", "--json"))
+        show(ROOT / own["document"], f"{study}-fit", fits(fitted))
+
+
+def measured_table(run: Run) -> str:
+    """The summary of a run against its measurement, as its page has it, with the time of a set-up."""
+    from vdmbench.report.blocks import Table
+    from vdmbench.report.section_measurement import against_measurement
+    from vdmbench.verdict.digest import Digest
+
+    section = against_measurement(Digest(run))
+    assert section is not None, "the run has no measurement"
+    summary = next(block for block in section.blocks if isinstance(block, Table))
+    (case,) = run.cases
+    models = [case.models.get(row[0].text) for row in summary.rows]
+    setups = [quantity(model.seconds_setup, "s") if model else NOTHING for model in models]
+    head = [
+        "model",
+        "within u_val",
+        "rms of E",
+        "of rms of D",
+        "u_num",
+        "u_input",
+        "u_D",
+        "remains",
+        "per frame",
+    ]
+    rows = [[*(cell.text for cell in row), setup] for row, setup in zip(summary.rows, setups, strict=True)]
+    return table([*head, "set-up"], rows)
+
+
+def fits(found: Sequence[Mapping[str, Any]]) -> str:
+    """What `calibrate --measured --json` printed, as a table."""
+    rows = [
+        [
+            one["model"],
+            "none in range" if one["modulus"] is None else quantity(one["modulus"], "Pa"),
+            NOTHING if one["uncertainty"] is None else percent(one["uncertainty"] / one["modulus"]),
+            *(
+                NOTHING if one[key] is None else quantity(one[key], "m")
+                for key in ("trained", "held_out", "as_given")
+            ),
+        ]
+        for one in found
+    ]
+    head = ["model", "E fitted", "± by u_D", "rms of E, fitted", "rms of E, held out", "with the study's E"]
+    return table(head, rows)
+
+
+# --- docs/evidence/league.md ---
+
+
+def league(name: str, _: Sequence[str]) -> None:
+    """Models and engines on the same bodies under the same loads, the best first."""
+    own = EVIDENCE[name]
+    here = [model for model in own["models"] if split(model)[0] in all_models()]
+    cases: list[CaseResult] = []
+    for body, load in ((body, load) for body in own["bodies"] for load in own["loads"]):
+        cases += ran_text(league_study(body, load, here), f"league-{body}-{load}").cases
+    engines = [
+        f"{wheel} {version(wheel)}" for wheel in ("mujoco", "ngsolve") if len(here) == len(own["models"])
+    ]
+    left_out = [
+        f"Not here: {model}: `pip install ./docs/examples`." for model in own["models"] if model not in here
+    ]
+    told = " ".join([f"{', '.join([*engines, f'{len(cases)} cases'])}.", *left_out])
+    show(ROOT / own["document"], own["part"], f"{told}\n\n{league_table(cases, here)}")
+
+
+def league_study(body: str, load: str, models: Sequence[str]) -> str:
+    """A body under a load as a study file."""
+    own = EVIDENCE["league"]
+    tables = own["bodies"][body] | own["loads"][load]
+    tables["regions"] = own["bodies"][body]["regions"] | own["loads"][load].get("regions", {})
+    tables["tissue"] = tables["tissue"] | {"poisson_ratio": 0.45}
+    study = {"name": f"league-{body}-{load}", "models": [*models, "fem"], "reference": "fem"}
+    return tomli_w.dumps({"study": study, **tables, "uncertainty": {"levels": 2}})
+
+
+def league_table(cases: Sequence[CaseResult], models: Sequence[str]) -> str:
+    """A line for each model; a failure is within no limit, and what is within one with its bar is so surely."""
+    limits = EVIDENCE["league"]["limits"]
+    rows = []
+    for model in models:
+        errors = np.array([at_full_load(case, model, VECTOR) for case in cases])
+        bars = np.array([value_bar(case, model, VECTOR) for case in cases])
+        within = [float(np.mean(errors <= limit)) for limit in limits]
+        surely = [float(np.mean(errors + bars <= limit)) for limit in limits]
+        there = np.flatnonzero(np.isfinite(errors))
+        middle = there[errors[there].argsort()[(len(there) - 1) // 2]] if len(there) else None
+        results = [cases[k].models[model] for k in there]
+        times = (
+            [result.seconds_per_step[cases[k].full_load] for k, result in zip(there, results, strict=True)],
+            [result.seconds_setup for result in results],
+        )
+        cells = [model, str(len(cases)), str(len(cases) - len(there))]
+        if middle is None:
+            rows.append((0.0, np.inf, [*cells, *(NOTHING,) * 7]))
+            continue
+        cells += [f"{percent(errors[middle])} ± {100 * bars[middle]:.2g} %", percent(errors[there].max())]
+        cells += [f"{100 * m:.0f} % ({100 * s:.0f} % surely)" for m, s in zip(within, surely, strict=True)]
+        cells += [quantity(float(np.median(taken)), "s") for taken in times]
+        rows.append((-within[1], errors[middle], cells))
+    head = [
+        "model",
+        "cases",
+        "failed",
+        "median error",
+        "worst",
+        *(f"within {short_percent(x)}" for x in limits),
+    ]
+    return table([*head, "frame", "set-up"], [row[2] for row in sorted(rows, key=lambda row: row[:2])])
+
+
+# --- docs/evidence/performance.md ---
+
+
+def performance(name: str, arguments: Sequence[str]) -> None:
+    """What `vdmbench bench` measures, kept in results/bench."""
+    from vdmbench.evidence.bench_data import amount, answers, error_text, median, seconds
+    from vdmbench.evidence.bench_store import read_bench
+
+    own, kept = EVIDENCE[name], ROOT / "results" / "bench"
+    surface = ["--surface", Path(arguments[0]).absolute()] if arguments else []
+    if not (kept / "bench.h5").exists():
+        finished("bench", "--large", *surface, "--out", kept, OPENBLAS_NUM_THREADS="1")
+    bench = read_bench(kept / "bench.h5")
+    finest = {mesh[0]: mesh for mesh in bench.meshes()}.values()
+    rows = []
+    for e in [e for mesh in finest for e in bench.on(mesh) if e.model in own["models"]]:
+        times = [e.setup, e.frame_all, e.columns, e.frame_local, e.recut]
+        told = [seconds(median(values)) for values in times]
+        rows.append([e.body, str(e.nodes), e.model, *told, amount(e.peak_bytes, "B"), error_text(e)])
+    head = [
+        "body",
+        "nodes",
+        "model",
+        "set-up",
+        "frame, all nodes",
+        "columns",
+        "frame, contact",
+        "re-cut",
+        "memory",
+    ]
+    told = answers(bench)
+    first = table(list(told[0]), [list(row.values()) for row in told])
+    machine = f"{bench.machine['processor']}, one thread; medians of {bench.machine['rounds']} rounds.\n\n"
+    show(ROOT / own["document"], own["part"], f"{machine}{first}\n{table([*head, 'error'], rows)}")
+
+
+def main(arguments: Sequence[str]) -> None:
+    """Make the table that is named; further arguments are its own."""
+    if not arguments or arguments[0] not in EVIDENCE:
+        sys.exit(f"say what: one of {', '.join(EVIDENCE)}")
+    name, *own = arguments
+    made_by = EVIDENCE[name]["made_by"]
+    make: Callable[[str, Sequence[str]], None]
+    make = importlib.import_module(made_by).main if made_by.startswith("tools.") else globals()[made_by]
+    make(name, own)
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])
