@@ -2,12 +2,14 @@
 
 A test that carries `@pytest.mark.anchor(name, source)` asks for the fixture `verified` and hands it numbers; each
 becomes a record that passes or fails the test. `pytest --verification`, which `make verify` runs, prints all
-records as one table and, where no recording test was left out, stores it in `results/verification.md` and `.json`.
+records as one table and, where no recording test was left out, stores it in `results/verification.csv`, and
+a line for each anchor in `results/verification.md`.
 """
 
 from __future__ import annotations
 
-import json
+import csv
+import io
 import time
 from collections.abc import Generator, Iterator, Sequence
 from dataclasses import dataclass
@@ -24,8 +26,9 @@ _FIXTURE = "verified: Verified"
 _NOTE = """# Verification
 
 Made by `make verify`. A check passes where its value is within the tolerance of what is expected; an error is
-expected to be 0. "short" says whether `make test` runs it too. Digits that depend on the machine are left out: an
-error that is rounding is shown by its limit. This is verification of both codes, no validation by experiment.
+expected to be 0. `results/verification.csv` has every check with its numbers, and whether `make test` runs it too.
+An error that is rounding is shown there by its limit. This is verification of both codes, no validation by
+experiment.
 
 """
 
@@ -112,24 +115,45 @@ class Verified:
         self.equal(quantity, float(np.abs(error).max()), 0.0, atol=limit)
 
 
-def table(rows: Sequence[dict[str, str | bool]]) -> str:
-    """Stored rows as Markdown, in the order of their anchors' first appearance."""
-    lines = [
-        "| anchor | quantity | value | expected | tolerance | passes | short | source |",
-        "| --- | --- | --- | --- | --- | --- | --- | --- |",
-    ]
-    for name in dict.fromkeys(row["name"] for row in rows):
-        for row in (row for row in rows if row["name"] == name):
-            cells = [row[key] for key in ("name", "quantity", "value", "expected", "tolerance")]
-            marks = ["yes" if row["passes"] else "**no**", "yes" if row["short"] else "no"]
-            lines.append("| " + " | ".join(map(str, [*cells, *marks, row["source"]])) + " |")
-    return "\n".join(lines) + "\n"
+MARKS = ("passes", "short")
+COLUMNS = ("name", "quantity", "value", "expected", "tolerance", "passes", "short", "source")
+
+
+def as_csv(rows: Sequence[dict[str, str | bool]]) -> str:
+    """Stored rows as `results/verification.csv`, in the order of their anchors' first appearance."""
+    out = io.StringIO()
+    writer = csv.DictWriter(out, COLUMNS, lineterminator="\n")
+    writer.writeheader()
+    for own in _anchors(rows).values():
+        writer.writerows(
+            {key: {True: "yes", False: "no"}.get(row[key], row[key]) for key in COLUMNS} for row in own
+        )
+    return out.getvalue()
+
+
+def from_csv(text: str) -> list[dict[str, str | bool]]:
+    """The rows of `as_csv` again."""
+    rows = csv.DictReader(io.StringIO(text))
+    return [{key: value == "yes" if key in MARKS else value for key, value in row.items()} for row in rows]
 
 
 def document(rows: Sequence[dict[str, str | bool]]) -> str:
-    """The whole of `results/verification.md`."""
+    """The whole of `results/verification.md`: a line for each anchor."""
     passed = sum(bool(row["passes"]) for row in rows)
-    return f"{_NOTE}{passed} of {len(rows)} checks pass.\n\n{table(rows)}"
+    lines = ["| anchor | checks | pass | tolerances | held against |", "| --- | --- | --- | --- | --- |"]
+    for name, own in _anchors(rows).items():
+        tolerances = sorted((str(row["tolerance"]) for row in own), key=float)
+        right = sum(bool(row["passes"]) for row in own)
+        span = tolerances[0] if tolerances[0] == tolerances[-1] else f"{tolerances[0]} to {tolerances[-1]}"
+        sources = "; ".join(dict.fromkeys(str(row["source"]) for row in own))
+        shown = str(right) if right == len(own) else f"**{right}**"
+        lines.append(f"| {name} | {len(own)} | {shown} | {span} | {sources} |")
+    return f"{_NOTE}{passed} of {len(rows)} checks pass.\n\n" + "\n".join(lines) + "\n"
+
+
+def _anchors(rows: Sequence[dict[str, str | bool]]) -> dict[str, list[dict[str, str | bool]]]:
+    names = dict.fromkeys(str(row["name"]) for row in rows)
+    return {name: [row for row in rows if row["name"] == name] for name in names}
 
 
 # ---------------------------------------------------------------- pytest's side
@@ -183,9 +207,8 @@ class Plugin:
             return
         rows = [record.row() for record in self.records]
         (RESULTS / "verification.md").write_text(document(rows), encoding="utf-8")
-        text = json.dumps(rows, indent=1, ensure_ascii=False) + "\n"
-        (RESULTS / "verification.json").write_text(text, encoding="utf-8")
-        write("stored in results/verification.md and results/verification.json")
+        (RESULTS / "verification.csv").write_text(as_csv(rows), encoding="utf-8")
+        write("stored in results/verification.md and results/verification.csv")
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:

@@ -1,0 +1,98 @@
+"""The records of the verification and the stored table that is made from them."""
+
+from __future__ import annotations
+
+import pytest
+
+from tests.verification.records import RESULTS, Record, Verified, as_csv, document, from_csv
+
+pytest_plugins = ["pytester"]
+# `make verify` selects by this marker, and looks that every file that names the fixture ran, this one too
+pytestmark = pytest.mark.anchor("the records", "themselves")
+
+RECORDING = """
+import pytest
+from tests.verification.records import Verified
+
+@pytest.mark.anchor("a ball", "a book")
+def test_right(verified: Verified) -> None:
+    verified.equal("radius", 2.0001, 2.0, atol=1e-3)
+    verified.at_most("rounding", 1e-13, 1e-10)
+
+@pytest.mark.anchor("a ball", "a book")
+def test_wrong(verified: Verified) -> None:
+    verified.at_most("mass", 0.3, 0.2)
+
+@pytest.mark.anchor("a ball", "a book")
+def test_silent(verified: Verified) -> None:
+    pass
+"""
+
+
+def record(value: float, expected: float, tolerance: float) -> Record:
+    return Record("a ball", "radius", value, expected, tolerance, "a book", short=True, seconds=0.1)
+
+
+def test_a_record_passes_within_its_tolerance_and_never_where_it_is_not_finite() -> None:
+    assert record(1.25, 1.0, 0.25).passes
+    assert not record(1.26, 1.0, 0.25).passes
+    assert not record(float("nan"), 0.0, 1.0).passes
+    assert not record(float("inf"), 0.0, 1.0).passes
+
+
+def test_digits_that_depend_on_the_machine_are_not_stored() -> None:
+    assert record(3.1e-15, 0.0, 1e-10).row() == record(7.7e-14, 0.0, 1e-10).row()
+    assert record(3.1e-15, 0.0, 1e-10).row()["value"] == "< 1e-10"
+    assert record(3.1e-9, 0.0, 1e-10).row()["value"] == "3.1e-09", "a failure is shown as it is"
+    assert record(0.00123456, 0.0, 0.1).row()["value"] == "0.00123"
+    assert record(2.9134, 3.0, 0.15).row()["value"] == "2.91"
+    assert record(0.857143219, 0.857143, 5e-7).row()["value"] == "0.857143"
+    assert "seconds" not in record(1.0, 1.0, 0.1).row()
+
+
+def test_tests_assert_on_their_records(pytester: pytest.Pytester) -> None:
+    pytester.makepyfile(RECORDING)
+    result = pytester.runpytest("-p", "tests.verification.records", "--verification")
+    result.assert_outcomes(passed=2, failed=1, errors=1)
+    result.stdout.fnmatch_lines(
+        [
+            "*test_silent*",
+            "*hands it a number*",
+            "pass  a ball  radius  *2.0001  expected *2 ± 0.001 *",
+            "pass  a ball  rounding *< 1e-10*",
+            "FAIL  a ball  mass * 0.3 *",
+            "2 of 3 checks pass",
+            "results/verification.md is left as it was: *did not run",
+        ]
+    )
+
+
+def test_without_the_option_there_is_no_table(pytester: pytest.Pytester) -> None:
+    pytester.makepyfile(RECORDING)
+    result = pytester.runpytest("-p", "tests.verification.records")
+    result.stdout.no_fnmatch_line("*checks pass*")
+
+
+def test_the_stored_table_is_whole_and_passes() -> None:
+    text = (RESULTS / "verification.csv").read_text(encoding="utf-8")
+    rows = from_csv(text)
+    assert as_csv(rows) == text
+    assert (RESULTS / "verification.md").read_text(encoding="utf-8") == document(rows)
+    assert [row for row in rows if not row["passes"]] == []
+    names = [(row["name"], row["quantity"], row["short"]) for row in rows]
+    assert len(names) == len(set(names)) > 500, "every check has a name of its own"
+    assert all(row["source"] for row in rows)
+
+
+def test_a_failing_check_stands_out() -> None:
+    text = document([record(1.0, 1.0, 0.1).row(), record(2.0, 1.0, 0.1).row()])
+    assert "1 of 2 checks pass" in text
+    assert "| a ball | 2 | **1** | 0.1 | a book |" in text
+
+
+def test_an_array_is_as_wrong_as_its_worst_entry() -> None:
+    records: list[Record] = []
+    verified = Verified("a ball", "a book", short=True, records=records)
+    with pytest.raises(AssertionError, match=r"a ball, u: 0\.3 is not 0 ± 0\.2"):
+        verified.at_most("u", [0.1, -0.3], 0.2)
+    assert [r.value for r in records] == [0.3]
