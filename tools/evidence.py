@@ -48,8 +48,10 @@ def ran(
         a study that did not finish all its cases.
     """
     path = CASES / f"{study}.toml"
-    changed = overridden(path.read_text(), {"study": {"name": name or study}, **(changes or {})})
-    return ran_text(changed, name or study, surface=surface, codes=codes, runs=runs, beside=path)
+    text = path.read_text()
+    if changes or name:
+        text = overridden(text, {"study": {"name": name or study}, **(changes or {})})
+    return ran_text(text, name or study, surface=surface, codes=codes, runs=runs, beside=path)
 
 
 def ran_text(
@@ -455,14 +457,13 @@ def league_table(cases: Sequence[CaseResult], models: Sequence[str]) -> str:
 
 def performance(name: str, arguments: Sequence[str]) -> None:
     """What `vdmbench bench` measures, kept in results/bench."""
-    from vdmbench.evidence.bench_data import amount, answers, error_text, median, seconds
-    from vdmbench.evidence.bench_store import read_bench
+    from vdmbench.bench import amount, answers, error_text, median, read_bench, seconds
 
     own, kept = EVIDENCE[name], ROOT / "results" / "bench"
     surface = ["--surface", Path(arguments[0]).absolute()] if arguments else []
-    if not (kept / "bench.h5").exists():
-        finished("bench", "--large", *surface, "--out", kept, OPENBLAS_NUM_THREADS="1")
-    bench = read_bench(kept / "bench.h5")
+    if not (kept / "bench.json").exists():
+        finished("bench", *surface, "--out", kept, OPENBLAS_NUM_THREADS="1")
+    bench = read_bench(kept / "bench.json")
     finest = {mesh[0]: mesh for mesh in bench.meshes()}.values()
     rows = []
     for e in [e for mesh in finest for e in bench.on(mesh) if e.model in own["models"]]:
