@@ -354,17 +354,7 @@ def measured_table(run: Run) -> str:
     (case,) = run.cases
     models = [case.models.get(row[0].text) for row in summary.rows]
     setups = [quantity(model.seconds_setup, "s") if model else NOTHING for model in models]
-    head = [
-        "model",
-        "within u_val",
-        "rms of E",
-        "of rms of D",
-        "u_num",
-        "u_input",
-        "u_D",
-        "remains",
-        "per frame",
-    ]
+    head = [column.title[:1].lower() + column.title[1:] for column in summary.columns]
     rows = [[*(cell.text for cell in row), setup] for row, setup in zip(summary.rows, setups, strict=True)]
     return table([*head, "set-up"], rows)
 

@@ -16,7 +16,7 @@ import numpy as np
 import tomli_w
 
 from solver_common.arrays import Array, Index
-from tests.unit import vdm_shapes
+from tests.vdm import vdm_shapes
 from tools.documents import ROOT, show, table
 from tools.evidence import EVIDENCE, MEASURES, RUNS, finished, slashed
 from vdmbench.body.geometry import build_mesh
