@@ -1,4 +1,4 @@
-"""How far a run is: a bar on a terminal, lines in a pipe; on standard error, so that output can be piped."""
+"""How far a run is, and where: a bar on a terminal, lines in a pipe; on standard error, so output can be piped."""
 
 from __future__ import annotations
 
@@ -14,21 +14,24 @@ if TYPE_CHECKING:
     from ..work.run import Event
 
 SILENCE = 30.0  # s after which a pipe hears that the run is still at work
-_ENOUGH = 0.2  # of all pieces: from then on the time left is told by those that are done
+_ENOUGH = 0.2  # of all pieces: those that are done tell how long the others take
 
 
 class Progress:
-    """Stage, pieces done of all, and about how long the others take."""
+    """What is at work and where it is, pieces done of all, and about how long the others take."""
 
     def __init__(self, name: str, *, quiet: bool, silence: float = SILENCE) -> None:
         self.name = name  # of the study, for the case of a study of one
         self.quiet = quiet
         self.silence = silence
         self.bar: Any = None
-        self.stage = ""
+        self.at_work: dict[
+            str, tuple[float, str]
+        ] = {}  # label -> when it began, where it is; the last told last
         self.done = self.total = 0
-        self.expected = 0.0  # s in all
         self.began = self.spoke = time.monotonic()
+        self._over: float | None = None  # when the run is expected to be
+        self._longer = ""  # why that is later than was told before
         self._ended = threading.Event()
         self._beat: threading.Thread | None = None
 
@@ -48,19 +51,23 @@ class Progress:
             complain(event.message, OK)
             return
         label = harmless(event.label or self.name)
+        now = time.monotonic()
         if event.kind == "begun":
-            self.total, self.expected, self.began = event.count, event.seconds, time.monotonic()
-        elif event.kind == "started":
-            self.stage = label
+            self.total, self.began = event.count, now
+        elif event.kind in ("started", "at"):
+            begun, _ = self.at_work.get(label, (now, ""))
+            self.at_work = self._others(label) | {label: (begun, harmless(event.message))}
         else:
+            self.at_work = self._others(label)
             self.done += 1
+            self._expect(label, event.seconds, now)
         if self.quiet:
             return
         # not sooner: both are threads, and workers are to be forked from a process that has no other
         if sys.stderr.isatty():
             self.bar = self.bar or _bar(self)
             self.bar.update(
-                self.bar.task_ids[0], description=label[:60], completed=self.done, total=self.total
+                self.bar.task_ids[0], description=self.stage()[:60], completed=self.done, total=self.total
             )
             return
         if self._beat is None:
@@ -69,17 +76,44 @@ class Progress:
         if event.kind in ("done", "failed"):
             self._say(f"{event.kind} {label} ({event.seconds:.1f} s)")
 
+    def _others(self, label: str) -> dict[str, tuple[float, str]]:
+        """What else is at work: a new table, since threads read the old one."""
+        return {name: entry for name, entry in self.at_work.items() if name != label}
+
+    def _expect(self, label: str, seconds: float, now: float) -> None:
+        """What a piece that is done, after `seconds`, tells of the others."""
+        share = self.done / self.total if self.total else 0.0
+        if share < _ENOUGH:
+            return
+        before, self._over = self._over, now + (now - self.began) * (1 - share) / share
+        grown = before is not None and self._over > before + 1.0
+        self._longer = f"more than before, as {label} took {seconds:.0f} s" if grown else ""
+
+    def stage(self) -> str:
+        """What is at work: of several what has begun, or was heard of, last."""
+        return next(reversed(list(self.at_work)), "")
+
+    def where(self) -> str:
+        """Where that is, if it says so."""
+        return self.at_work.get(self.stage(), (0.0, ""))[1]
+
     def left(self) -> str:
         """About how long the run goes on, in words; "" where nobody knows."""
-        spent, share = time.monotonic() - self.began, self.done / self.total if self.total else 0.0
-        seconds = spent * (1 - share) / share if share >= _ENOUGH else self.expected - spent
+        if self._over is None:
+            return ""
+        now = time.monotonic()
+        seconds = self._over - now
+        if seconds <= 0 and self.at_work:
+            label, (begun, _) = min(self.at_work.items(), key=lambda piece: piece[1][0])
+            return f"longer than expected: {label} takes {_duration(now - begun)} so far"
         if seconds <= 0:
             return ""
-        return f"about {seconds:.0f} s left" if seconds < 100 else f"about {seconds / 60:.0f} min left"
+        return ", ".join(filter(None, [f"about {_duration(seconds)} left", self._longer]))
 
     def line(self) -> str:
         """Where the run is."""
-        told = [f"at {self.stage}" if self.stage else "", f"{self.done} of {self.total} done", self.left()]
+        at = ": ".join(filter(None, [self.stage(), self.where()]))
+        told = [f"at {at}" if at else "", f"{self.done} of {self.total} done", self.left()]
         return ", ".join(filter(None, told))
 
     def _speak_in_silence(self) -> None:
@@ -92,6 +126,10 @@ class Progress:
         print(text, file=sys.stderr, flush=True)
 
 
+def _duration(seconds: float) -> str:
+    return f"{seconds:.0f} s" if seconds < 100 else f"{seconds / 60:.0f} min"
+
+
 def _bar(progress: Progress) -> Any:
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeElapsedColumn
@@ -100,9 +138,9 @@ def _bar(progress: Progress) -> Any:
 
     class Left(TextColumn):
         def render(self, _: Any) -> Text:
-            return Text(progress.left())
+            return Text("\n".join(filter(None, [progress.left(), progress.where()])))
 
-    columns = (TextColumn("{task.description}", markup=False), BarColumn(), MofNCompleteColumn())
+    columns = (TextColumn("{task.description}", markup=False), BarColumn(20), MofNCompleteColumn())
     bar = Bar(*columns, TimeElapsedColumn(), Left(""), console=Console(stderr=True), transient=True)
     bar.start()
     bar.add_task("starting", total=progress.total)

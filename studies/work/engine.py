@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import heapq
 import json
+import re
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, wait
@@ -19,7 +20,9 @@ from typing import Protocol
 
 from ..machine.safe_open import read_regular
 from .nodes import Node, one_by_one
-from .worker import ATTEMPTS, Said
+from .worker import ATTEMPTS, WHERE, Said
+
+_LOOK = 1.0  # s between looks at what the nodes at work say of where they are
 
 
 class Places(Protocol):
@@ -59,6 +62,7 @@ def run_nodes(
     timeout: float | None = None,
     fail_fast: bool = False,
     started: Callable[[Node], None],
+    where: Callable[[Node, str], None] = lambda *_: None,
 ) -> Iterator[Outcome]:
     """Do all nodes, yielding outcomes as they come: one per case of "cases", else one per node.
 
@@ -66,6 +70,7 @@ def run_nodes(
     ----------
     logs : directory for what the nodes print, kept only of what fails
     timeout : seconds for one node, or for each case of one
+    where : is told where a node at work is, each time that it has said something new
     """
     order = {node.id: place for place, node in enumerate(nodes)}
     known = {node.id: node for node in nodes}
@@ -76,6 +81,7 @@ def run_nodes(
     at_work: dict[Future[str], Node] = {}
     attempts: Counter[str] = Counter()
     again: list[str] = []  # whose process died
+    places_told: dict[str, str] = {}
     logs.mkdir(parents=True, exist_ok=True)
 
     def submit(node: Node) -> None:
@@ -109,7 +115,13 @@ def run_nodes(
                 heapq.heappush(ready, (order[identity], identity))
         if not at_work:
             continue
-        finished, _ = wait(at_work, return_when=FIRST_COMPLETED)
+        finished, working = wait(at_work, _LOOK, return_when=FIRST_COMPLETED)
+        for future in working:
+            node = at_work[future]
+            line = _last_place(logs / f".{_safe(node.id)}.log")
+            if line != places_told.get(node.id, ""):
+                places_told[node.id] = line
+                where(node, line)
         for future in finished:
             node = at_work.pop(future)
             log = logs / f".{_safe(node.id)}.log"
@@ -158,6 +170,12 @@ def _read(log: Path) -> str:
         return read_regular(log).decode(errors="replace")
     except OSError:
         return ""
+
+
+def _last_place(log: Path) -> str:
+    """Where a node at work said last that it is; "" where it said nothing."""
+    lines = re.findall(f"{WHERE}(.*)\n", _read(log))
+    return lines[-1] if lines else ""
 
 
 def _safe(identity: str) -> str:

@@ -34,7 +34,7 @@ from ..study.errors import MeshError
 from ..study.files import text_without_folders, without_folders
 from ..study.units import shown
 from .engine import Outcome, Places, run_nodes
-from .estimate import estimate, without_room
+from .estimate import without_room
 from .explain import beyond_memory, summary
 from .nodes import Node, _item, _on_mesh, bodies, graph
 from .plan import Plan, PlannedCase
@@ -51,8 +51,8 @@ Finish = Callable[[Path, Callable[[str], None]], tuple[Run, Path]]
 class Event:
     """Something that a watcher of a run may want to show."""
 
-    # "begun" with the `count` of what will be done, failed or stopped, and the seconds expected; "started", "done",
-    # "failed" of a case, "stopped" of what it needs; "told": a sentence, in `message`
+    # "begun" with the `count` of what will be done, failed or stopped; "started"; "at": where it is, in `message`;
+    # "done"; "failed" of a case, "stopped" of what it needs; "told": a sentence, in `message`
     kind: str
     label: str
     seconds: float = 0.0
@@ -203,10 +203,8 @@ def _run_missing(
         plan = dataclasses.replace(plan, directory=plan.directory.absolute(), cache=plan.cache.absolute())
     logs = plan.directory / "failed"
     nodes = graph(plan, cases, places.count, run=uuid4().hex)
-    expected = estimate(plan, cases)
-    seconds = expected.seconds / max(1, min(places.count, len(nodes))) if expected else 0.0
     count = sum(max(1, len(node.items)) for node in nodes)
-    watch(Event("begun", plan.study.study.name, seconds, count=count))
+    watch(Event("begun", plan.study.study.name, count=count))
     outcomes = run_nodes(
         nodes,
         places,
@@ -214,6 +212,7 @@ def _run_missing(
         timeout=options.timeout,
         fail_fast=options.fail_fast,
         started=lambda node: watch(Event("started", node.label)),
+        where=lambda node, line: watch(Event("at", node.label, message=line)),
     )
     used = 0.0
     for outcome in outcomes:
@@ -262,6 +261,7 @@ def _time_frames(
     }
     node = Node("times", "times", "times of a frame", payload, frozenset())
     logs = plan.directory.absolute() / "failed"
+    watch(Event("started", node.label))
     for outcome in run_nodes([node], places, logs, timeout=options.timeout, started=lambda _: None):
         if not outcome.ok:
             told = f"the times of a frame are not measured: {outcome.said.message}"

@@ -15,6 +15,8 @@ from functools import cache, lru_cache, partial
 from pathlib import Path
 from typing import Any
 
+from fem_reference.progress import Progress, reported
+
 from ..body.mesh_cache import mesh_from_cache, mesh_path, read_level, read_mesh, write_level
 from ..body.refine import Hierarchy, refine, refined
 from ..machine.memory import OUT_OF_MEMORY, memory_limits
@@ -33,6 +35,8 @@ from .keys import level_key
 from .small_strain import small_strain_limits
 
 ATTEMPTS = 3  # of a node whose process dies
+WHERE = "where: "  # begins a line of a log that says where a solve is
+_APART = 2.0  # s between such lines
 SLOW = 20.0  # s of a set-up and a step, from which on a model is not answered again for its times alone
 TIMES_BUDGET = 5.0  # s for the times of all meshes, where no verdict hangs on them
 
@@ -63,7 +67,7 @@ def run_node(text: str) -> str:
     """Do a node, given as JSON; what became of it, or of each of its items, as JSON."""
     node = json.loads(text)
     do = _KINDS[node["kind"]]
-    with _output_to(Path(node["log"])):
+    with _output_to(Path(node["log"])), reported(_tell_log()):
         said = list(do(node["payload"], node["id"]))
     return json.dumps([asdict(one) for one in said])
 
@@ -269,6 +273,23 @@ def _outcome(work: Callable[[], object]) -> tuple[str, str, str]:
         remedy = "this is a bug: please report it with the log in the failed/ folder"
         return "error", f"{type(error).__name__}: {error}", remedy
     return "done", "", ""
+
+
+def _tell_log() -> Callable[[Progress], None]:
+    """Writes where Newton's method is into the log, every `_APART` seconds: a run shows it, a failure keeps it."""
+    told = time.monotonic()
+
+    def tell(at: Progress) -> None:
+        nonlocal told
+        if time.monotonic() < told + _APART:
+            return
+        told = time.monotonic()
+        step = f"load step {at.step + 1} of {at.steps}" if at.steps > 1 else "load"
+        line = f"{step} at {100 * at.share:.3g} %, iteration {at.iteration}, residual {at.residual:.1e}"
+        with contextlib.suppress(OSError):  # a full disk ends no solve
+            os.write(1, f"{WHERE}{line}\n".encode())
+
+    return tell
 
 
 @contextlib.contextmanager

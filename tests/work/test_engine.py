@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import signal
 import sys
 import time
@@ -14,6 +15,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from fem_reference.progress import Progress, tell
 from vdmbench.machine.processors import usable_processors
 from vdmbench.work import local, worker
 from vdmbench.work.engine import Outcome, run_nodes
@@ -58,6 +60,10 @@ def _act(kind: str, path: Path) -> None:
             raise ImportError("libGLU.so.1: failed to map segment from shared object")
         case ["sys.exit"]:
             sys.exit(3)
+        case ["solve"]:
+            for iteration in range(60):
+                tell(Progress(1, 5, 0.2, 0.35, iteration, 1e-4))
+                time.sleep(0.05)
         case ["compute"]:
             end = time.process_time() + 0.5
             while time.process_time() < end:
@@ -205,6 +211,31 @@ def test_workers_share_the_cores(tmp_path: Path, jobs: int) -> None:
 def test_a_node_tells_its_seconds_of_processor(tmp_path: Path) -> None:
     said = run(tmp_path, [node(tmp_path, "x", "compute")])["x"].said
     assert 0.5 <= said.processor < 2.0
+
+
+def test_a_long_node_says_where_its_solve_is(tmp_path: Path) -> None:
+    heard: list[str] = []
+    found = run(
+        tmp_path, [node(tmp_path, "x", "solve")], where=lambda of, line: heard.append(f"{of.id} {line}")
+    )
+    assert found["x"].ok
+    assert heard
+    assert re.fullmatch(r"x load step 2 of 5 at 35 %, iteration \d+, residual 1\.0e-04", heard[0])
+
+
+def test_a_server_of_workers_killed_amid_a_node_costs_one_more_try(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    def kill(_: Node, line: str) -> None:
+        if not killed and line:
+            killed.append(forkserver._forkserver._forkserver_pid)
+            os.kill(killed[0], signal.SIGKILL)
+
+    killed: list[int] = []
+    found = run(tmp_path, [node(tmp_path, "x", "solve"), node(tmp_path, "y", "write", "x")], where=kill)
+    assert killed
+    assert [found[name].ok for name in "xy"] == [True, True]
+    assert "Traceback" not in capfd.readouterr().err
 
 
 def test_a_killed_server_of_workers_costs_nothing(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
