@@ -231,6 +231,8 @@ def measured_anew(case: CaseResult) -> CaseResult:
     for name, model in case.models.items():
         rounds = np.ones(4)
         frame = float(np.median(model.seconds_per_step))
-        frames = FrameTimes(model.seconds_setup * rounds, frame * rounds, frame * rounds, processor_name())
+        frames = FrameTimes(
+            model.seconds_setup * rounds, frame * rounds, 2 * frame * rounds, processor_name()
+        )
         models[name] = replace(model, frames=frames)
     return replace(case, models=models)

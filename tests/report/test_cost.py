@@ -91,6 +91,7 @@ def test_frames_that_were_measured_in_turns_stand_for_all_times() -> None:
     case = measured_anew(_case("Abacus 3", measured_earlier="yes", solver="iterative"))
     summary = Digest(make_run([case])).summary("vdm-m")
     assert (summary.marks, summary.iterative) == ((), False)
+    assert (summary.seconds_per_step, summary.seconds_everywhere) == (4e-4, 8e-4)
     own = case.models["vdm-m"]
     assert own.frames is not None
 

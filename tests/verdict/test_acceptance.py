@@ -110,10 +110,11 @@ def test_a_region_restricts_the_largest_difference() -> None:
 
 
 def test_without_an_answer_every_limit_is_lost() -> None:
-    case = make_case({"vdm-m": 0.01}, stopped={"vdm-m": 3}, subdivisions=0)
+    case = measured_anew(make_case({"vdm-m": 0.01}, stopped={"vdm-m": 3}, subdivisions=0))
     found = acceptance(typed_study(acceptance={"largest_difference": 1.0, "region": "finger"}))
     assert states(case, largest_difference=1.0, region="finger")["largest_difference"] == LOST
     assert found.state(case, "vdm-m") == LOST
+    assert states(case, frame_time=1.0)["frame_time"] == LOST
     assert found.share(case, "vdm-m") == np.inf
 
 
